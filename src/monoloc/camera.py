@@ -1,0 +1,146 @@
+"""The pinhole camera, with optional Brown distortion.
+
+Axes as in OpenCV: x right, y down, z forward. The centre of the top-left pixel is (0, 0), so an image
+of width w spans -0.5 .. w - 0.5. Depth is z, not range.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from monoloc.errors import SettingError
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Intrinsics of one camera at one image size.
+
+    Attributes:
+        width, height: image size, pixels.
+        fx, fy: focal lengths, pixels.
+        cx, cy: principal point, pixels, pixel centres at integers.
+        distortion: Brown coefficients (k1, k2, p1, p2, k3) in OpenCV's order; all zero for a pinhole.
+
+    Raises:
+        SettingError: sizes or focal lengths not positive and finite, or the principal point outside the image.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise SettingError("camera.width/height", f"is {self.width}x{self.height}", "give the image size in pixels")
+        if not all(np.isfinite(f) and f > 0.0 for f in (self.fx, self.fy)):
+            raise SettingError("camera.fx/fy", f"is ({self.fx}, {self.fy})", "focal lengths are positive pixels")
+        if not (-0.5 <= self.cx <= self.width - 0.5 and -0.5 <= self.cy <= self.height - 0.5):
+            raise SettingError(
+                "camera.cx/cy",
+                f"({self.cx}, {self.cy}) lies outside the {self.width}x{self.height} image",
+                "check that the intrinsics belong to this image size",
+            )
+        if len(self.distortion) != 5 or not np.all(np.isfinite(self.distortion)):
+            raise SettingError("camera.distortion", f"is {self.distortion}", "give k1, k2, p1, p2, k3")
+
+    @property
+    def matrix(self) -> FloatArray:
+        """Intrinsic matrix K, (3, 3)."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def focal_px(self) -> float:
+        """Geometric mean of the two focal lengths, pixels."""
+        return float(np.sqrt(self.fx * self.fy))
+
+    @property
+    def is_distorted(self) -> bool:
+        return any(self.distortion)
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The camera of the same image resampled to width x height (pixel areas kept aligned)."""
+        sx, sy = width / self.width, height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * sx,
+            fy=self.fy * sy,
+            cx=(self.cx + 0.5) * sx - 0.5,
+            cy=(self.cy + 0.5) * sy - 0.5,
+        )
+
+    def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
+        """The camera of the window whose top-left pixel is (left, top)."""
+        return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
+
+    def flipped(self) -> Camera:
+        """The camera of the image mirrored left to right."""
+        k1, k2, p1, p2, k3 = self.distortion
+        return replace(self, cx=self.width - 1 - self.cx, distortion=(k1, k2, p1, -p2, k3))
+
+    def without_distortion(self) -> Camera:
+        return replace(self, distortion=(0.0, 0.0, 0.0, 0.0, 0.0))
+
+    def project(self, points_camera: ArrayLike) -> FloatArray:
+        """Pixels of points in the camera's frame: (..., 3) m -> (..., 2) px; NaN for points with z <= 0."""
+        points = np.asarray(points_camera, dtype=np.float64)
+        z = points[..., 2:]
+        normalised = points[..., :2] / np.where(z > 0.0, z, np.nan)
+        return self._distort(normalised) * np.array([self.fx, self.fy]) + np.array([self.cx, self.cy])
+
+    def rays(self, pixels: ArrayLike) -> FloatArray:
+        """Directions with z = 1 seen at pixels: (..., 2) px -> (..., 3), so that ``depth * ray`` is the point."""
+        uv = np.asarray(pixels, dtype=np.float64)
+        distorted = (uv - np.array([self.cx, self.cy])) / np.array([self.fx, self.fy])
+        normalised = self._undistort(distorted)
+        return np.concatenate([normalised, np.ones((*normalised.shape[:-1], 1))], axis=-1)
+
+    def pixel_rays(self) -> FloatArray:
+        """Rays of every pixel, (height, width, 3)."""
+        u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))
+        return self.rays(np.stack([u, v], axis=-1))
+
+    def back_project(self, depth_m: ArrayLike) -> FloatArray:
+        """Points in the camera's frame of a depth image: (height, width) m -> (height, width, 3) m.
+
+        Raises:
+            ValueError: the depth image has another size than the camera.
+        """
+        depth = np.asarray(depth_m, dtype=np.float64)
+        if depth.shape != (self.height, self.width):
+            raise ValueError(f"depth must have shape ({self.height}, {self.width}), got {depth.shape}")
+        return depth[..., None] * self.pixel_rays()
+
+    def _distort(self, normalised: FloatArray) -> FloatArray:
+        """Brown 1971 (as in OpenCV): undistorted to distorted image coordinates at z = 1, (..., 2)."""
+        if not self.is_distorted:
+            return normalised
+        k1, k2, p1, p2, k3 = self.distortion
+        x, y = normalised[..., 0], normalised[..., 1]
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        dx = 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+        dy = p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+        return np.stack([x * radial + dx, y * radial + dy], axis=-1)
+
+    def _undistort(self, distorted: FloatArray) -> FloatArray:
+        """Inverse of :meth:`_distort` by fixed-point iteration, as OpenCV's undistortPoints does."""
+        if not self.is_distorted:
+            return distorted
+        normalised = distorted.copy()
+        for _ in range(50):
+            step = distorted - self._distort(normalised)
+            normalised += step
+            if np.max(np.abs(step), initial=0.0) < 1e-12:
+                break
+        return normalised

@@ -1,0 +1,75 @@
+"""What a recording is to the rest of monoloc."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence as Indexable
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.camera import Camera
+
+FloatArray = NDArray[np.float64]
+
+
+@runtime_checkable
+class Recording(Protocol):
+    """Frames of one camera, read lazily, in order of time.
+
+    Attributes:
+        name: a short name for reports.
+        camera: intrinsics of the colour image; depth is registered to it and has its size.
+        frame_names: one name a frame, as its files are called.
+        timestamps_s: (N,) seconds, increasing.
+        poses: ``T_world_camera`` of the colour camera, (N, 4, 4) float64, or None when unknown.
+        has_depth: whether :meth:`depth` may be called.
+    """
+
+    name: str
+    camera: Camera
+    frame_names: list[str]
+    timestamps_s: FloatArray
+    poses: FloatArray | None
+    has_depth: bool
+
+    def __len__(self) -> int: ...
+
+    def color(self, index: int) -> NDArray[np.uint8]:
+        """Image of frame ``index``: (height, width, 3) uint8, RGB.
+
+        Raises:
+            DataError: the file is missing, cut short, or of another size.
+        """
+        ...
+
+    def depth(self, index: int) -> NDArray[np.float32]:
+        """Depth of frame ``index``: (height, width) float32, metres along z, 0 where there is none.
+
+        Raises:
+            DataError: as for :meth:`color`.
+        """
+        ...
+
+
+class Selection:
+    """Some frames of a recording, itself a :class:`Recording`; ``positions`` are theirs in the source."""
+
+    def __init__(self, source: Recording, positions: Indexable[int] | NDArray[np.int64]) -> None:
+        self.source = source
+        self.positions = np.asarray(positions, dtype=np.int64)
+        self.name = source.name
+        self.camera = source.camera
+        self.frame_names = [source.frame_names[p] for p in self.positions]
+        self.timestamps_s = source.timestamps_s[self.positions]
+        self.poses = None if source.poses is None else source.poses[self.positions]
+        self.has_depth = source.has_depth
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def color(self, index: int) -> NDArray[np.uint8]:
+        return self.source.color(int(self.positions[index]))
+
+    def depth(self, index: int) -> NDArray[np.float32]:
+        return self.source.depth(int(self.positions[index]))

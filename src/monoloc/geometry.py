@@ -1,0 +1,171 @@
+"""Rigid motions in SE(3), as NumPy arrays.
+
+``T_a_b`` maps coordinates in frame b to frame a: ``x_a = T_a_b[:3, :3] @ x_b + T_a_b[:3, 3]``.
+Every function takes any number of leading batch axes. A twist is ``(rho, phi)``: translation first,
+rotation vector second, metres and radians. Formulas: Solà et al., *A micro Lie theory for state
+estimation in robotics* (2018).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+_SMALL_ANGLE = 1e-4  # below it sin and cos quotients are replaced by their series
+
+
+def hat(vector: ArrayLike) -> FloatArray:
+    """Cross-product matrix: (..., 3) -> (..., 3, 3) with ``hat(a) @ b == cross(a, b)``."""
+    v = np.asarray(vector, dtype=np.float64)
+    matrix = np.zeros((*v.shape[:-1], 3, 3))
+    matrix[..., 0, 1], matrix[..., 0, 2] = -v[..., 2], v[..., 1]
+    matrix[..., 1, 0], matrix[..., 1, 2] = v[..., 2], -v[..., 0]
+    matrix[..., 2, 0], matrix[..., 2, 1] = -v[..., 1], v[..., 0]
+    return matrix
+
+
+def _angle_quotients(angle: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """sin(t)/t, (1 - cos(t))/t^2 and (t - sin(t))/t^3, stable at t = 0."""
+    small = angle < _SMALL_ANGLE
+    t = np.where(small, 1.0, angle)
+    squared = angle**2
+    a = np.where(small, 1.0 - squared / 6.0, np.sin(t) / t)
+    b = np.where(small, 0.5 - squared / 24.0, 2.0 * np.sin(t / 2.0) ** 2 / t**2)
+    c = np.where(small, 1.0 / 6.0 - squared / 120.0, (t - np.sin(t)) / t**3)
+    return a, b, c
+
+
+def so3_exp(rotation_vector: ArrayLike) -> FloatArray:
+    """Rotation matrix of a rotation vector (Rodrigues): (..., 3) rad -> (..., 3, 3)."""
+    phi = np.asarray(rotation_vector, dtype=np.float64)
+    a, b, _ = _angle_quotients(np.linalg.norm(phi, axis=-1))
+    phi_hat = hat(phi)
+    return np.eye(3) + a[..., None, None] * phi_hat + b[..., None, None] * (phi_hat @ phi_hat)
+
+
+def so3_log(rotation: ArrayLike) -> FloatArray:
+    """Rotation vector of a rotation matrix, norm in [0, pi]: (..., 3, 3) -> (..., 3) rad."""
+    # By way of the unit quaternion, which is well conditioned at every angle, pi included.
+    quaternion = rotation_to_quaternion(rotation)
+    vector, w = quaternion[..., :3], quaternion[..., 3]
+    norm = np.linalg.norm(vector, axis=-1)
+    small = norm < _SMALL_ANGLE
+    scale = np.where(small, 2.0 / w, 2.0 * np.arctan2(norm, w) / np.where(small, 1.0, norm))
+    return scale[..., None] * vector
+
+
+def se3_exp(twist: ArrayLike) -> FloatArray:
+    """Pose of a twist (rho, phi): (..., 6) -> (..., 4, 4)."""
+    xi = np.asarray(twist, dtype=np.float64)
+    rho, phi = xi[..., :3], xi[..., 3:]
+    a, b, c = _angle_quotients(np.linalg.norm(phi, axis=-1))
+    phi_hat = hat(phi)
+    phi_hat_squared = phi_hat @ phi_hat
+    pose = np.zeros((*xi.shape[:-1], 4, 4))
+    pose[..., :3, :3] = np.eye(3) + a[..., None, None] * phi_hat + b[..., None, None] * phi_hat_squared
+    left_jacobian = np.eye(3) + b[..., None, None] * phi_hat + c[..., None, None] * phi_hat_squared
+    pose[..., :3, 3] = (left_jacobian @ rho[..., None])[..., 0]
+    pose[..., 3, 3] = 1.0
+    return pose
+
+
+def se3_log(pose: ArrayLike) -> FloatArray:
+    """Twist (rho, phi) of a pose: (..., 4, 4) -> (..., 6)."""
+    T = np.asarray(pose, dtype=np.float64)
+    phi = so3_log(T[..., :3, :3])
+    _, b, c = _angle_quotients(np.linalg.norm(phi, axis=-1))
+    phi_hat = hat(phi)
+    left_jacobian = np.eye(3) + b[..., None, None] * phi_hat + c[..., None, None] * (phi_hat @ phi_hat)
+    rho = np.linalg.solve(left_jacobian, T[..., :3, 3:])[..., 0]
+    return np.concatenate([rho, phi], axis=-1)
+
+
+def make_pose(rotation: ArrayLike, translation_m: ArrayLike) -> FloatArray:
+    """Pose from rotation (..., 3, 3) and translation (..., 3)."""
+    R = np.asarray(rotation, dtype=np.float64)
+    pose = np.zeros((*R.shape[:-2], 4, 4))
+    pose[..., :3, :3] = R
+    pose[..., :3, 3] = translation_m
+    pose[..., 3, 3] = 1.0
+    return pose
+
+
+def invert(pose: ArrayLike) -> FloatArray:
+    """``T_b_a`` of ``T_a_b``: (..., 4, 4) -> (..., 4, 4)."""
+    T = np.asarray(pose, dtype=np.float64)
+    R_transposed = np.swapaxes(T[..., :3, :3], -1, -2)
+    return make_pose(R_transposed, -(R_transposed @ T[..., :3, 3:])[..., 0])
+
+
+def transform(pose: ArrayLike, points: ArrayLike) -> FloatArray:
+    """Points in frame a of points in frame b: ``T_a_b`` (..., 4, 4), (..., P, 3) -> (..., P, 3)."""
+    T = np.asarray(pose, dtype=np.float64)
+    return np.asarray(points, dtype=np.float64) @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
+
+
+def rotation_angle(rotation: ArrayLike) -> FloatArray:
+    """Angle of a rotation, in [0, pi]: (..., 3, 3) -> (...) rad."""
+    return np.asarray(np.linalg.norm(so3_log(rotation), axis=-1))
+
+
+def is_rigid(pose: ArrayLike, tolerance: float = 1e-3) -> NDArray[np.bool_]:
+    """Whether each (..., 4, 4) is finite, has last row (0, 0, 0, 1) and a proper rotation.
+
+    The tolerance bounds the largest entry of ``R^T R - I``; recorded poses carry rounding of 1e-6 to 1e-4.
+    """
+    T = np.asarray(pose, dtype=np.float64)
+    finite = np.isfinite(T).all(axis=(-1, -2))
+    T = np.where(finite[..., None, None], T, 0.0)
+    R = T[..., :3, :3]
+    orthogonal = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2)) < tolerance
+    last_row = np.abs(T[..., 3, :] - np.array([0.0, 0.0, 0.0, 1.0])).max(axis=-1) < tolerance
+    return np.asarray(finite & orthogonal & last_row & (np.linalg.det(R) > 0.0))
+
+
+def nearest_rotation(matrix: ArrayLike) -> FloatArray:
+    """The rotation closest to a matrix in the Frobenius norm: (..., 3, 3) -> (..., 3, 3).
+
+    Source: Umeyama 1991; also the chordal mean when the matrix is a weighted sum of rotations.
+    """
+    u, _, vt = np.linalg.svd(np.asarray(matrix, dtype=np.float64))
+    sign = np.ones(u.shape[:-1])
+    sign[..., 2] = np.sign(np.linalg.det(u @ vt))
+    return np.asarray((u * sign[..., None, :]) @ vt)
+
+
+# --- The one quaternion border. Files and wires hold quaternions; nothing inside monoloc does. ---
+
+
+def quaternion_to_rotation(quaternion_xyzw: ArrayLike) -> FloatArray:
+    """Rotation of a quaternion (x, y, z, w), normalised here: (..., 4) -> (..., 3, 3).
+
+    Raises:
+        ValueError: the quaternion is zero or not finite.
+    """
+    q = np.asarray(quaternion_xyzw, dtype=np.float64)
+    norm = np.linalg.norm(q, axis=-1, keepdims=True)
+    if not np.all(np.isfinite(norm)) or np.any(norm < 1e-9):
+        raise ValueError("quaternion must be finite and not zero")
+    q = q / norm
+    vector_hat, w = hat(q[..., :3]), q[..., 3, None, None]
+    return np.eye(3) + 2.0 * w * vector_hat + 2.0 * (vector_hat @ vector_hat)
+
+
+def rotation_to_quaternion(rotation: ArrayLike) -> FloatArray:
+    """Unit quaternion (x, y, z, w) with w >= 0 of a rotation: (..., 3, 3) -> (..., 4).
+
+    The eigenvector form (Bar-Itzhack 2000): the quaternion is the top eigenvector of a symmetric 4x4
+    matrix linear in the rotation, so rounding in the rotation is averaged rather than amplified.
+    """
+    R = np.asarray(rotation, dtype=np.float64)
+    K = np.zeros((*R.shape[:-2], 4, 4))
+    symmetric = R + np.swapaxes(R, -1, -2)
+    trace = np.trace(R, axis1=-2, axis2=-1)
+    K[..., :3, :3] = symmetric - trace[..., None, None] * np.eye(3)
+    axial = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
+    K[..., :3, 3] = K[..., 3, :3] = axial
+    K[..., 3, 3] = trace
+    quaternion = np.linalg.eigh(K)[1][..., -1]
+    return np.where(quaternion[..., 3:] < 0.0, -quaternion, quaternion)
