@@ -27,7 +27,8 @@ class Camera:
         distortion: Brown coefficients (k1, k2, p1, p2, k3) in OpenCV's order; all zero for a pinhole.
 
     Raises:
-        SettingError: sizes or focal lengths not positive and finite, or the principal point outside the image.
+        SettingError: sizes or focal lengths not positive and finite, or the principal point outside
+            the image.
     """
 
     width: int
@@ -40,9 +41,13 @@ class Camera:
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
-            raise SettingError("camera.width/height", f"is {self.width}x{self.height}", "give the image size in pixels")
+            raise SettingError(
+                "camera.width/height", f"is {self.width}x{self.height}", "give the image size in pixels"
+            )
         if not all(np.isfinite(f) and f > 0.0 for f in (self.fx, self.fy)):
-            raise SettingError("camera.fx/fy", f"is ({self.fx}, {self.fy})", "focal lengths are positive pixels")
+            raise SettingError(
+                "camera.fx/fy", f"is ({self.fx}, {self.fy})", "focal lengths are positive pixels"
+            )
         if not (-0.5 <= self.cx <= self.width - 0.5 and -0.5 <= self.cy <= self.height - 0.5):
             raise SettingError(
                 "camera.cx/cy",
@@ -96,10 +101,11 @@ class Camera:
         points = np.asarray(points_camera, dtype=np.float64)
         z = points[..., 2:]
         normalised = points[..., :2] / np.where(z > 0.0, z, np.nan)
-        return self._distort(normalised) * np.array([self.fx, self.fy]) + np.array([self.cx, self.cy])
+        pixels = self._distort(normalised) * np.array([self.fx, self.fy]) + np.array([self.cx, self.cy])
+        return np.asarray(pixels)
 
     def rays(self, pixels: ArrayLike) -> FloatArray:
-        """Directions with z = 1 seen at pixels: (..., 2) px -> (..., 3), so that ``depth * ray`` is the point."""
+        """Directions with z = 1 seen at pixels, (..., 2) px -> (..., 3): ``depth * ray`` is the point."""
         uv = np.asarray(pixels, dtype=np.float64)
         distorted = (uv - np.array([self.cx, self.cy])) / np.array([self.fx, self.fy])
         normalised = self._undistort(distorted)

@@ -52,7 +52,10 @@ def so3_log(rotation: ArrayLike) -> FloatArray:
     vector, w = quaternion[..., :3], quaternion[..., 3]
     norm = np.linalg.norm(vector, axis=-1)
     small = norm < _SMALL_ANGLE
-    scale = np.where(small, 2.0 / w, 2.0 * np.arctan2(norm, w) / np.where(small, 1.0, norm))
+    # Where the sine is small the cosine is near 1; elsewhere it may be 0 (at pi).
+    scale = np.where(
+        small, 2.0 / np.where(small, w, 1.0), 2.0 * np.arctan2(norm, w) / np.where(small, 1.0, norm)
+    )
     return scale[..., None] * vector
 
 
@@ -116,7 +119,7 @@ def is_rigid(pose: ArrayLike, tolerance: float = 1e-3) -> NDArray[np.bool_]:
     The tolerance bounds the largest entry of ``R^T R - I``; recorded poses carry rounding of 1e-6 to 1e-4.
     """
     T = np.asarray(pose, dtype=np.float64)
-    finite = np.isfinite(T).all(axis=(-1, -2))
+    finite = np.asarray(np.isfinite(T).all(axis=(-1, -2)))
     T = np.where(finite[..., None, None], T, 0.0)
     R = T[..., :3, :3]
     orthogonal = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2)) < tolerance
@@ -150,7 +153,7 @@ def quaternion_to_rotation(quaternion_xyzw: ArrayLike) -> FloatArray:
         raise ValueError("quaternion must be finite and not zero")
     q = q / norm
     vector_hat, w = hat(q[..., :3]), q[..., 3, None, None]
-    return np.eye(3) + 2.0 * w * vector_hat + 2.0 * (vector_hat @ vector_hat)
+    return np.asarray(np.eye(3) + 2.0 * w * vector_hat + 2.0 * (vector_hat @ vector_hat))
 
 
 def rotation_to_quaternion(rotation: ArrayLike) -> FloatArray:
@@ -164,7 +167,9 @@ def rotation_to_quaternion(rotation: ArrayLike) -> FloatArray:
     symmetric = R + np.swapaxes(R, -1, -2)
     trace = np.trace(R, axis1=-2, axis2=-1)
     K[..., :3, :3] = symmetric - trace[..., None, None] * np.eye(3)
-    axial = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
+    axial = np.stack(
+        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1
+    )
     K[..., :3, 3] = K[..., 3, :3] = axial
     K[..., 3, 3] = trace
     quaternion = np.linalg.eigh(K)[1][..., -1]

@@ -1,0 +1,110 @@
+// Converts types and nothing else. Shapes are checked in Python, where the messages name the argument.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "monoloc/index.hpp"
+#include "monoloc/mixture.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace {
+
+template <class T, class Shape>
+using Array = nb::ndarray<const T, Shape, nb::c_contig, nb::device::cpu>;
+using Scalars = Array<double, nb::shape<-1>>;
+using Vectors = Array<double, nb::shape<-1, 3>>;
+using Matrices = Array<double, nb::shape<-1, 3, 3>>;
+using Poses = Array<double, nb::shape<-1, 4, 4>>;
+using Floats = Array<float, nb::shape<-1>>;
+using FloatVectors = Array<float, nb::shape<-1, 3>>;
+using Result = nb::ndarray<nb::numpy, double>;
+
+// A NumPy array that owns the values.
+Result to_numpy(std::vector<double> values, std::initializer_list<std::size_t> shape) {
+  auto kept = std::make_unique<std::vector<double>>(std::move(values));
+  double* data = kept->data();
+  nb::capsule owner(kept.release(), [](void* p) noexcept { delete static_cast<std::vector<double>*>(p); });
+  return Result(data, shape, owner);
+}
+
+std::vector<monoloc::Component> components(const Scalars& weights, const Vectors& means, const Matrices& covariances) {
+  return monoloc::make_components(weights.data(), means.data(), covariances.data(), weights.shape(0));
+}
+
+Result log_density(const Vectors& points, const Scalars& weights, const Vectors& means, const Matrices& covariances) {
+  const std::size_t count = points.shape(0);
+  std::vector<double> out(count);
+  {
+    nb::gil_scoped_release release;
+    monoloc::log_density(components(weights, means, covariances), points.data(), count, out.data());
+  }
+  return to_numpy(std::move(out), {count});
+}
+
+nb::tuple expectation(const Vectors& points, const Scalars& weights, const Vectors& means,
+                      const Matrices& covariances) {
+  const std::size_t count = weights.shape(0);
+  monoloc::Expectation e;
+  {
+    nb::gil_scoped_release release;
+    e = monoloc::expectation(components(weights, means, covariances), points.data(), points.shape(0));
+  }
+  return nb::make_tuple(to_numpy(std::move(e.mass), {count}), to_numpy(std::move(e.first), {count, 3}),
+                        to_numpy(std::move(e.second), {count, 6}), e.log_likelihood);
+}
+
+Result index_log_density(const monoloc::MixtureIndex& index, const Vectors& points) {
+  const std::size_t count = points.shape(0);
+  std::vector<double> out(count);
+  {
+    nb::gil_scoped_release release;
+    index.log_density(points.data(), count, out.data());
+  }
+  return to_numpy(std::move(out), {count});
+}
+
+Result index_weigh(const monoloc::MixtureIndex& index, const Poses& poses, const Scalars& log_scales,
+                   const FloatVectors& scan, const std::optional<Floats>& point_weights, double outlier_share,
+                   double volume_m3) {
+  const std::size_t count = poses.shape(0);
+  std::vector<double> out(count);
+  {
+    nb::gil_scoped_release release;
+    index.weigh(poses.data(), log_scales.data(), count, scan.data(), point_weights ? point_weights->data() : nullptr,
+                scan.shape(0), outlier_share, volume_m3, out.data());
+  }
+  return to_numpy(std::move(out), {count});
+}
+
+}  // namespace
+
+NB_MODULE(_core, m) {
+  m.doc() = "Native kernels of monoloc: mixture density, E-step of EM, weighing of particles.";
+  m.def("log_density", &log_density, "points"_a, "weights"_a, "means"_a, "covariances"_a);
+  m.def("expectation", &expectation, "points"_a, "weights"_a, "means"_a, "covariances"_a);
+  m.def("instruction_set", [] { return monoloc::kernels().name; });
+  nb::class_<monoloc::MixtureIndex>(m, "MixtureIndex")
+      .def(
+          "__init__",
+          [](monoloc::MixtureIndex* self, const Scalars& weights, const Vectors& means, const Matrices& covariances,
+             double voxel_m, double floor_density, double tolerance) {
+            nb::gil_scoped_release release;
+            new (self) monoloc::MixtureIndex(components(weights, means, covariances),
+                                             {voxel_m, floor_density, tolerance});
+          },
+          "weights"_a, "means"_a, "covariances"_a, "voxel_m"_a, "floor_density"_a, "tolerance"_a)
+      .def("log_density", &index_log_density, "points"_a)
+      .def("weigh", &index_weigh, "poses"_a, "log_scales"_a, "scan"_a, "point_weights"_a.none(), "outlier_share"_a,
+           "volume_m3"_a)
+      .def_prop_ro("voxel_m", &monoloc::MixtureIndex::voxel_m)
+      .def_prop_ro("voxels", &monoloc::MixtureIndex::voxels)
+      .def_prop_ro("lists", &monoloc::MixtureIndex::lists)
+      .def_prop_ro("mean_candidates", &monoloc::MixtureIndex::mean_candidates)
+      .def_prop_ro("nbytes", &monoloc::MixtureIndex::bytes);
+}

@@ -1,0 +1,55 @@
+// A spatial index of a mixture: each voxel near the map knows the few components that matter in it.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "monoloc/kernels.hpp"
+#include "monoloc/mixture.hpp"
+
+namespace monoloc {
+
+struct IndexSettings {
+  double voxel_m;         // edge of a voxel
+  double floor_density;   // smallest outlier density the index will be used with, 1/m^3
+  double tolerance;       // relative error of (density + floor) allowed in a voxel
+};
+
+class MixtureIndex {
+ public:
+  // Throws std::invalid_argument when the grid would need more than 2^32 voxel names.
+  MixtureIndex(const std::vector<Component>& mixture, const IndexSettings& settings);
+
+  // Natural logarithm of the density at points (P, 3); -infinity outside the indexed voxels.
+  void log_density(const double* points, std::size_t count, double* out) const;
+
+  // For every particle: sum_p w_p log((1 - eps) M(T e^s x_p) + eps / V).
+  //   poses (N, 4, 4) T_world_camera; log_scales (N); scan (P, 3) in the camera's frame;
+  //   point_weights (P), or nullptr for ones.
+  void weigh(const double* poses, const double* log_scales, std::size_t particles, const float* scan,
+             const float* point_weights, std::size_t points, double outlier_share, double volume_m3,
+             double* out) const;
+
+  double voxel_m() const { return voxel_m_; }
+  std::size_t voxels() const { return voxels_; }
+  std::size_t lists() const { return lists_; }
+  double mean_candidates() const { return mean_candidates_; }
+  std::size_t bytes() const { return slots_.size() * sizeof(Slot) + blocks_.size() * sizeof(float); }
+
+ private:
+  IndexView view() const;
+
+  double voxel_m_;
+  double centre_[3];  // subtracted from everything, so that single precision suffices
+  float origin_[3];   // lower corner of the grid, centred
+  std::int32_t shape_[3];
+  std::uint32_t hash_shift_;
+  std::vector<Slot> slots_;
+  std::vector<float> blocks_;
+  std::size_t voxels_ = 0;
+  std::size_t lists_ = 0;
+  double mean_candidates_ = 0.0;
+};
+
+}  // namespace monoloc

@@ -1,0 +1,231 @@
+// The hot loops. Compiled once for each instruction set, with MONOLOC_ISA as its name.
+#include "monoloc/kernels.hpp"
+
+#include "simd.hpp"
+
+#define MONOLOC_JOIN_(a, b) a##b
+#define MONOLOC_JOIN(a, b) MONOLOC_JOIN_(a, b)
+#define MONOLOC_TEXT_(a) #a
+#define MONOLOC_TEXT(a) MONOLOC_TEXT_(a)
+
+namespace monoloc {
+namespace {
+
+constexpr std::size_t kBatch = 64;  // points looked up together, so that misses of the table overlap
+static_assert(kBatch % kPadding == 0 && kPadding % kWide == 0 && kPadding % kWide64 == 0, "whole vectors");
+
+struct Batch {
+  alignas(64) float x[kBatch], y[kBatch], z[kBatch], density[kBatch];
+  alignas(64) std::uint32_t key[kBatch], slot[kBatch];
+};
+
+// Voxel key and first slot of kWide points.
+MONOLOC_INLINE void locate(const IndexView& index, FW x, FW y, FW z, std::uint32_t* key, std::uint32_t* slot) {
+  const FW gx = (x - index.origin[0]) * index.voxels_per_m;
+  const FW gy = (y - index.origin[1]) * index.voxels_per_m;
+  const FW gz = (z - index.origin[2]) * index.voxels_per_m;
+  const FW zero = splat<FW>(0.0f);
+  const IW inside = (gx >= zero) & (gy >= zero) & (gz >= zero) &
+                    (gx < splat<FW>(static_cast<float>(index.shape[0]))) &
+                    (gy < splat<FW>(static_cast<float>(index.shape[1]))) &
+                    (gz < splat<FW>(static_cast<float>(index.shape[2])));
+  // Outside the grid the conversion could overflow; zero is converted instead.
+  const IW ix = __builtin_convertvector(inside ? gx : zero, IW);
+  const IW iy = __builtin_convertvector(inside ? gy : zero, IW);
+  const IW iz = __builtin_convertvector(inside ? gz : zero, IW);
+  const IW cell = (iz * index.shape[1] + iy) * index.shape[0] + ix;
+  const IW voxel_key = inside ? cell : splat<IW>(static_cast<std::int32_t>(kOutsideKey));
+  store(key, voxel_key);
+  // Unsigned lanes make the shift logical.
+  for (std::size_t lane = 0; lane < kWide; ++lane) slot[lane] = (key[lane] * kHashFactor) >> index.hash_shift;
+}
+
+// Candidate list of a voxel; 0 (no blocks) where there is none.
+MONOLOC_INLINE std::uint32_t find_list(const IndexView& index, std::uint32_t key, std::uint32_t slot) {
+  while (index.slots[slot].key != key) {
+    if (index.slots[slot].key == kEmptyKey) return 0;
+    slot = (slot + 1) & index.slot_mask;
+  }
+  return index.slots[slot].list;
+}
+
+// Sum of the candidates' densities at one point.
+MONOLOC_INLINE float evaluate(const IndexView& index, std::uint32_t list, float x, float y, float z) {
+  const float* block = index.blocks + static_cast<std::size_t>(list >> 8) * kBlockFloats;
+  F8 total = splat<F8>(0.0f);
+  for (std::uint32_t left = list & 0xFF; left != 0; --left, block += kBlockFloats) {
+    const auto row = [block](int i) __attribute__((always_inline)) { return load<F8>(block + i * kBlockLanes); };
+    const F8 y0 = row(0) * x + row(6);
+    const F8 y1 = row(1) * x + (row(2) * y + row(7));
+    const F8 y2 = row(3) * x + (row(4) * y + (row(5) * z + row(8)));
+    total += exp2_fast<F8, I8>(row(9) - y0 * y0 - y1 * y1 - y2 * y2);
+  }
+  return sum_lanes(total);
+}
+
+MONOLOC_INLINE void evaluate_batch(const IndexView& index, Batch& batch, std::size_t count) {
+  for (std::size_t i = 0; i < count; ++i) batch.slot[i] = find_list(index, batch.key[i], batch.slot[i]);
+  for (std::size_t i = 0; i < count; ++i) {
+    const std::uint32_t list = batch.slot[i];
+    batch.density[i] = list == 0 ? 0.0f : evaluate(index, list, batch.x[i], batch.y[i], batch.z[i]);
+  }
+}
+
+// Particles are the inner loop: the same scan point seen from neighbouring particles falls into neighbouring
+// voxels, so the table and the lists stay in the nearest cache.
+void weigh(const IndexView& index, const float* particles, std::size_t stride, const float* scan,
+           const float* point_weights, std::size_t points, float inlier_share, float outlier_density, double* out) {
+  Batch batch;
+  for (std::size_t first = 0; first < stride; first += kBatch) {
+    const std::size_t count = stride - first < kBatch ? stride - first : kBatch;
+    alignas(64) double total[kBatch] = {};
+    for (std::size_t p = 0; p < points; ++p) {
+      const float px = scan[p], py = scan[points + p], pz = scan[2 * points + p];
+      for (std::size_t i = 0; i < count; i += kWide) {
+        const float* from = particles + first + i;
+        const auto row = [from, stride](int r) __attribute__((always_inline)) { return load<FW>(from + r * stride); };
+        const FW x = row(0) * px + (row(1) * py + (row(2) * pz + row(9)));
+        const FW y = row(3) * px + (row(4) * py + (row(5) * pz + row(10)));
+        const FW z = row(6) * px + (row(7) * py + (row(8) * pz + row(11)));
+        store(batch.x + i, x);
+        store(batch.y + i, y);
+        store(batch.z + i, z);
+        locate(index, x, y, z, batch.key + i, batch.slot + i);
+      }
+      evaluate_batch(index, batch, count);
+      const float weight = point_weights ? point_weights[p] : 1.0f;
+      for (std::size_t i = 0; i < count; i += kWide) {
+        const FW mixed = load<FW>(batch.density + i) * inlier_share + outlier_density;
+        const FW term = log_fast<FW, IW>(mixed) * weight;
+        for (std::size_t lane = 0; lane < kWide; ++lane) total[i + lane] += static_cast<double>(term[lane]);
+      }
+    }
+    for (std::size_t i = 0; i < count; ++i) out[first + i] = total[i];
+  }
+}
+
+void density(const IndexView& index, const float* points, std::size_t stride, float* out) {
+  Batch batch;
+  for (std::size_t first = 0; first < stride; first += kBatch) {
+    const std::size_t count = stride - first < kBatch ? stride - first : kBatch;
+    for (std::size_t i = 0; i < count; i += kWide) {
+      const FW x = load<FW>(points + first + i);
+      const FW y = load<FW>(points + stride + first + i);
+      const FW z = load<FW>(points + 2 * stride + first + i);
+      store(batch.x + i, x);
+      store(batch.y + i, y);
+      store(batch.z + i, z);
+      locate(index, x, y, z, batch.key + i, batch.slot + i);
+    }
+    evaluate_batch(index, batch, count);
+    for (std::size_t i = 0; i < count; ++i) out[first + i] = batch.density[i];
+  }
+}
+
+void component_density(const Component& component, const double* corner, const float* offsets, std::size_t stride,
+                       float* out) {
+  const double* w = component.whiten;
+  const double dx = corner[0] - component.mean[0];
+  const double dy = corner[1] - component.mean[1];
+  const double dz = corner[2] - component.mean[2];
+  const float a0 = static_cast<float>(w[0]), a1 = static_cast<float>(w[1]), a2 = static_cast<float>(w[2]);
+  const float a3 = static_cast<float>(w[3]), a4 = static_cast<float>(w[4]), a5 = static_cast<float>(w[5]);
+  const float b0 = static_cast<float>(w[0] * dx);
+  const float b1 = static_cast<float>(w[1] * dx + w[2] * dy);
+  const float b2 = static_cast<float>(w[3] * dx + w[4] * dy + w[5] * dz);
+  const float peak = static_cast<float>(component.log2_peak);
+  for (std::size_t i = 0; i < stride; i += kWide) {
+    const FW x = load<FW>(offsets + i);
+    const FW y = load<FW>(offsets + stride + i);
+    const FW z = load<FW>(offsets + 2 * stride + i);
+    const FW y0 = x * a0 + b0;
+    const FW y1 = x * a1 + (y * a2 + b1);
+    const FW y2 = x * a3 + (y * a4 + (z * a5 + b2));
+    store(out + i, exp2_fast<FW, IW>(peak - y0 * y0 - y1 * y1 - y2 * y2));
+  }
+}
+
+struct Offset {
+  DW x, y, z;
+};
+
+MONOLOC_INLINE Offset offset_from_mean(const Component& c, DW x, DW y, DW z) {
+  return {x - c.mean[0], y - c.mean[1], z - c.mean[2]};
+}
+
+// Terms smaller than 2^-60 of the largest are left out: under double precision even for 1e5 of them.
+constexpr double kNegligibleBits = 60.0;
+
+// log2 of every weighted component density at kWide64 points into `terms`; returns the largest.
+MONOLOC_INLINE DW log2_terms(const Component* components, std::size_t count, DW x, DW y, DW z, double* terms) {
+  DW largest = splat<DW>(-1e300);
+  for (std::size_t k = 0; k < count; ++k) {
+    const Component& c = components[k];
+    const Offset d = offset_from_mean(c, x, y, z);
+    const DW y0 = d.x * c.whiten[0];
+    const DW y1 = d.x * c.whiten[1] + d.y * c.whiten[2];
+    const DW y2 = d.x * c.whiten[3] + d.y * c.whiten[4] + d.z * c.whiten[5];
+    const DW term = c.log2_peak - y0 * y0 - y1 * y1 - y2 * y2;
+    store(terms + k * kWide64, term);
+    largest = larger(largest, term);
+  }
+  return largest;
+}
+
+void log_density(const Component* components, std::size_t count, const double* points, std::size_t stride,
+                 double* scratch, double* out) {
+  for (std::size_t i = 0; i < stride; i += kWide64) {
+    const DW x = load<DW>(points + i), y = load<DW>(points + stride + i), z = load<DW>(points + 2 * stride + i);
+    const DW largest = log2_terms(components, count, x, y, z, scratch);
+    const DW negligible = largest - kNegligibleBits;
+    DW total = splat<DW>(0.0);
+    for (std::size_t k = 0; k < count; ++k) {
+      const DW term = load<DW>(scratch + k * kWide64);
+      if (any_greater(term, negligible)) total += exp2_exact(term - largest);
+    }
+    for (std::size_t lane = 0; lane < kWide64; ++lane) {
+      out[i + lane] = 0.69314718055994530942 * largest[lane] + __builtin_log(total[lane]);
+    }
+  }
+}
+
+void expectation(const Component* components, std::size_t count, const double* points, const double* valid,
+                 std::size_t stride, double* scratch, std::uint32_t* active, double* partial_sums,
+                 double* log2_largest, double* relative_sum) {
+  for (std::size_t i = 0; i < stride; i += kWide64) {
+    const DW x = load<DW>(points + i), y = load<DW>(points + stride + i), z = load<DW>(points + 2 * stride + i);
+    const DW largest = log2_terms(components, count, x, y, z, scratch);
+    const DW negligible = largest - kNegligibleBits;
+    DW total = splat<DW>(0.0);
+    std::size_t active_count = 0;
+    for (std::size_t k = 0; k < count; ++k) {
+      const DW term = load<DW>(scratch + k * kWide64);
+      if (any_greater(term, negligible)) {
+        const DW relative = exp2_exact(term - largest);
+        store(scratch + k * kWide64, relative);
+        total += relative;
+        active[active_count++] = static_cast<std::uint32_t>(k);
+      }
+    }
+    store(log2_largest + i, largest);
+    store(relative_sum + i, total);
+    const DW share = load<DW>(valid + i) / total;
+    for (std::size_t a = 0; a < active_count; ++a) {
+      const std::size_t k = active[a];
+      const DW r = load<DW>(scratch + k * kWide64) * share;
+      const Offset d = offset_from_mean(components[k], x, y, z);
+      const DW rx = r * d.x, ry = r * d.y, rz = r * d.z;
+      const DW added[10] = {r, rx, ry, rz, rx * d.x, rx * d.y, rx * d.z, ry * d.y, ry * d.z, rz * d.z};
+      double* sums = partial_sums + k * 10 * kPadding;
+      for (int s = 0; s < 10; ++s) store(sums + s * kPadding, load<DW>(sums + s * kPadding) + added[s]);
+    }
+  }
+}
+
+}  // namespace
+
+extern const Kernels MONOLOC_JOIN(kernels_, MONOLOC_ISA);
+const Kernels MONOLOC_JOIN(kernels_, MONOLOC_ISA) = {
+    MONOLOC_TEXT(MONOLOC_ISA), weigh, density, component_density, log_density, expectation};
+
+}  // namespace monoloc

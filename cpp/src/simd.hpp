@@ -1,0 +1,146 @@
+// Vectors of lanes by the compiler's vector extension (GCC, Clang), and fast exp2 and log on them.
+// Only for kernels.cpp: everything has internal linkage, since it is compiled for several instruction sets.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#if defined(__AVX2__)
+#include <immintrin.h>
+#endif
+
+#define MONOLOC_INLINE static inline __attribute__((always_inline))
+
+namespace monoloc {
+namespace {
+
+typedef float F8 __attribute__((vector_size(32)));
+typedef std::int32_t I8 __attribute__((vector_size(32)));
+
+#if defined(__AVX512F__)
+typedef float FW __attribute__((vector_size(64)));
+typedef std::int32_t IW __attribute__((vector_size(64)));
+typedef double DW __attribute__((vector_size(64)));
+typedef std::int64_t LW __attribute__((vector_size(64)));
+#elif defined(__AVX2__)
+typedef float FW __attribute__((vector_size(32)));
+typedef std::int32_t IW __attribute__((vector_size(32)));
+typedef double DW __attribute__((vector_size(32)));
+typedef std::int64_t LW __attribute__((vector_size(32)));
+#else
+typedef float FW __attribute__((vector_size(16)));
+typedef std::int32_t IW __attribute__((vector_size(16)));
+typedef double DW __attribute__((vector_size(16)));
+typedef std::int64_t LW __attribute__((vector_size(16)));
+#endif
+
+constexpr std::size_t kWide = sizeof(FW) / sizeof(float);
+constexpr std::size_t kWide64 = sizeof(DW) / sizeof(double);
+
+template <class V, class T>
+MONOLOC_INLINE V load(const T* from) {
+  V v;
+  __builtin_memcpy(&v, from, sizeof(V));
+  return v;
+}
+
+template <class V, class T>
+MONOLOC_INLINE void store(T* to, V v) {
+  __builtin_memcpy(to, &v, sizeof(V));
+}
+
+template <class To, class From>
+MONOLOC_INLINE To bits(From from) {
+  static_assert(sizeof(To) == sizeof(From), "same size");
+  To to;
+  __builtin_memcpy(&to, &from, sizeof(To));
+  return to;
+}
+
+template <class V, class T>
+MONOLOC_INLINE V splat(T value) {
+  return value - V{};
+}
+
+template <class V>
+MONOLOC_INLINE V larger(V a, V b) {
+  return a > b ? a : b;
+}
+
+// 2^t, relative error below 2e-7; t under -125 gives 2^-125 (2.4e-38), t must stay below 127.
+// Split t = n + f with |f| <= 1/2; minimax polynomial of degree 5 for 2^f; n goes into the exponent's bits.
+template <class F, class I>
+MONOLOC_INLINE F exp2_fast(F t) {
+  t = larger(t, splat<F>(-125.0f));
+  const F shifted = t + 12582912.0f;  // 1.5 * 2^23: rounds to an integer, which then sits in the low bits
+  const F f = t - (shifted - 12582912.0f);
+  F p = f * 0.0013276472631950876f + 0.0096755413431213274f;
+  p = p * f + 0.055507132718556443f;
+  p = p * f + 0.24022119722710720f;
+  p = p * f + 0.69314696706503522f;
+  p = p * f + 1.0000000716547141f;
+  return bits<F>(bits<I>(p) + (bits<I>(shifted) << 23));
+}
+
+// Natural logarithm, absolute error below 2e-7 (or relative, where larger); x positive and normal.
+// Cephes logf: x = 2^e m with sqrt(1/2) <= m < sqrt(2), polynomial in m - 1.
+template <class F, class I>
+MONOLOC_INLINE F log_fast(F x) {
+  const I raw = bits<I>(x);
+  const I exponent = (raw - 0x3F3504F3) >> 23;
+  const F f = bits<F>(raw - (exponent << 23)) - 1.0f;
+  F p = f * 7.0376836292e-2f - 1.1514610310e-1f;
+  p = p * f + 1.1676998740e-1f;
+  p = p * f - 1.2420140846e-1f;
+  p = p * f + 1.4249322787e-1f;
+  p = p * f - 1.6668057665e-1f;
+  p = p * f + 2.0000714765e-1f;
+  p = p * f - 2.4999993993e-1f;
+  p = p * f + 3.3333331174e-1f;
+  const F f2 = f * f;
+  const F e = __builtin_convertvector(exponent, F);
+  return f2 * f * p + (e * -2.12194440e-4f - 0.5f * f2) + f + e * 0.693359375f;
+}
+
+// 2^t in double precision, relative error below 1e-15; t under -1000 gives 2^-1000, t must stay below 1000.
+MONOLOC_INLINE DW exp2_exact(DW t) {
+  t = larger(t, splat<DW>(-1000.0));
+  const DW shifted = t + 6755399441055744.0;  // 1.5 * 2^52
+  const DW f = t - (shifted - 6755399441055744.0);
+  DW p = f * 4.4352827069572771511e-10 + 7.0741056135082427963e-9;
+  p = p * f + 1.0178198021671930844e-7;
+  p = p * f + 1.321543308967639918e-6;
+  p = p * f + 0.000015252733489988525649;
+  p = p * f + 0.00015403530462514432062;
+  p = p * f + 0.0013333558146789921722;
+  p = p * f + 0.0096181291075883352443;
+  p = p * f + 0.055504108664819921605;
+  p = p * f + 0.24022650695910156204;
+  p = p * f + 0.69314718055994533046;
+  p = p * f + 0.9999999999999999971;
+  return bits<DW>(bits<LW>(p) + (bits<LW>(shifted) << 52));
+}
+
+// Whether any lane of a > b.
+MONOLOC_INLINE bool any_greater(DW a, DW b) {
+#if defined(__AVX512F__)
+  return _mm512_cmp_pd_mask(bits<__m512d>(a), bits<__m512d>(b), _CMP_GT_OQ) != 0;
+#elif defined(__AVX2__)
+  return _mm256_movemask_pd(_mm256_cmp_pd(bits<__m256d>(a), bits<__m256d>(b), _CMP_GT_OQ)) != 0;
+#else
+  const LW greater = a > b;
+  return (greater[0] | greater[1]) != 0;
+#endif
+}
+
+// Sum of the eight lanes.
+MONOLOC_INLINE float sum_lanes(F8 v) {
+  typedef float F4 __attribute__((vector_size(16)));
+  F4 half[2];
+  __builtin_memcpy(half, &v, sizeof(v));
+  const F4 s = half[0] + half[1];
+  return (s[0] + s[2]) + (s[1] + s[3]);
+}
+
+}  // namespace
+}  // namespace monoloc

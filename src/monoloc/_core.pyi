@@ -1,0 +1,44 @@
+"""Native kernels (C++, see ``cpp/``). Shapes are checked by the callers in :mod:`monoloc.map`."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+_F64 = NDArray[np.float64]
+_F32 = NDArray[np.float32]
+
+def log_density(points: _F64, weights: _F64, means: _F64, covariances: _F64) -> _F64: ...
+def expectation(
+    points: _F64, weights: _F64, means: _F64, covariances: _F64
+) -> tuple[_F64, _F64, _F64, float]: ...
+def instruction_set() -> str: ...
+
+class MixtureIndex:
+    def __init__(
+        self,
+        weights: _F64,
+        means: _F64,
+        covariances: _F64,
+        voxel_m: float,
+        floor_density: float,
+        tolerance: float,
+    ) -> None: ...
+    def log_density(self, points: _F64) -> _F64: ...
+    def weigh(
+        self,
+        poses: _F64,
+        log_scales: _F64,
+        scan: _F32,
+        point_weights: _F32 | None,
+        outlier_share: float,
+        volume_m3: float,
+    ) -> _F64: ...
+    @property
+    def voxel_m(self) -> float: ...
+    @property
+    def voxels(self) -> int: ...
+    @property
+    def lists(self) -> int: ...
+    @property
+    def mean_candidates(self) -> float: ...
+    @property
+    def nbytes(self) -> int: ...

@@ -1,0 +1,86 @@
+"""The objective of adaptation: how well predicted depth fits the map along its rays, and how far the map moved."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+
+def matched_kl(
+    log_weights: Tensor,
+    means: Tensor,
+    covariances: Tensor,
+    other_log_weights: Tensor,
+    other_means: Tensor,
+    other_covariances: Tensor,
+) -> Tensor:
+    """KL(M || M_A) of two mixtures whose components correspond, nats.
+
+    ``sum_i pi_i (KL(N_i || N_A,i) + log(pi_i / pi_A,i))``: an upper bound on the true divergence by convexity, and
+    Goldberger's approximation when each component's match is its nearest (Goldberger et al., ICCV 2003, eq. 4).
+
+    Args:
+        log_weights, other_log_weights: (K,).
+        means, other_means: (K, 3).
+        covariances, other_covariances: (K, 3, 3).
+    """
+    lower = torch.linalg.cholesky(covariances)
+    other_lower = torch.linalg.cholesky(other_covariances)
+    whitened = torch.linalg.solve_triangular(other_lower, lower, upper=False)
+    offset = torch.linalg.solve_triangular(other_lower, (other_means - means)[..., None], upper=False)
+    log_determinants = 2.0 * (_log_diagonal(other_lower) - _log_diagonal(lower))
+    trace, distance = whitened.square().sum((-1, -2)), offset.square().sum((-1, -2))
+    component_kl = 0.5 * (trace + distance - means.shape[-1] + log_determinants)
+    return (log_weights.exp() * (component_kl + log_weights - other_log_weights)).sum()
+
+
+def ray_log_likelihood(
+    log_depth: Tensor,
+    rays_world: Tensor,
+    origins: Tensor,
+    log_weights: Tensor,
+    means: Tensor,
+    covariances: Tensor,
+    outlier_share: float,
+    log_depth_range: float = 4.0,
+) -> Tensor:
+    """Log density of log-depth given its ray, (P,) nats.
+
+    Cut by the ray ``o + d r``, each component is a one-dimensional Gaussian in d, so the mixture along the ray has a
+    closed-form normaliser; d times the conditional density is the density of log d. Normalised along every ray, it
+    gains nothing when depth and map shrink onto the cameras together, which the plain density rewards without bound.
+
+        p(log d | o, r) = (1 - eps) d M(o + d r) / int_0^inf M(o + t r) dt + eps / range
+
+    Args:
+        log_depth: (P,) natural logarithm of depth along z.
+        rays_world: (P, 3) directions r with camera z = 1, world frame.
+        origins: (P, 3) camera centres o, world frame, metres.
+        log_weights, means, covariances: the mixture, (K,), (K, 3), (K, 3, 3).
+        outlier_share: eps, between 0 and 1.
+        log_depth_range: width of the outliers' uniform density in log-depth; 4 spans 0.15 m to 8 m.
+    """
+    lower = torch.linalg.cholesky(covariances)
+    inverse = torch.linalg.solve_triangular(lower, torch.eye(3, dtype=lower.dtype).expand_as(lower), upper=False)
+    # Whitened ray and offset, (P, K, 3): |w_ray d - w_offset|^2 is the Mahalanobis distance at depth d.
+    w_ray = torch.einsum("kij,pj->pki", inverse, rays_world)
+    w_offset = torch.einsum("kij,pkj->pki", inverse, means[None] - origins[:, None])
+    precision = w_ray.square().sum(-1)
+    best_depth = (w_ray * w_offset).sum(-1) / precision
+    closest = (w_offset - best_depth[..., None] * w_ray).square().sum(-1)
+    # log of weight times the component's peak along the ray; the (2 pi)^(3/2) is common to all and cancels.
+    log_peak = log_weights - _log_diagonal(lower) - 0.5 * closest
+    deviation = log_depth.exp()[:, None] - best_depth
+    log_joint = torch.logsumexp(log_peak - 0.5 * precision * deviation.square(), dim=1)
+    log_width = 0.5 * (math.log(2.0 * math.pi) - precision.log())
+    in_front = torch.special.log_ndtr(best_depth * precision.sqrt())
+    log_normaliser = torch.logsumexp(log_peak + log_width + in_front, dim=1)
+    inlier = math.log1p(-outlier_share) + log_joint + log_depth - log_normaliser
+    outlier = torch.full_like(inlier, math.log(outlier_share / log_depth_range))
+    return torch.logaddexp(inlier, outlier)
+
+
+def _log_diagonal(lower: Tensor) -> Tensor:
+    return lower.diagonal(dim1=-2, dim2=-1).log().sum(-1)

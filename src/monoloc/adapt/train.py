@@ -1,0 +1,244 @@
+"""Tuning the depth network's last layers and the map's transform together."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from pydantic import BaseModel, ConfigDict, Field
+from torch import Tensor
+
+from monoloc.adapt.objective import matched_kl, ray_log_likelihood
+from monoloc.adapt.transform import AdaptedMap
+from monoloc.adapt.views import Views
+from monoloc.depth.losses import depth_loss
+from monoloc.depth.network import DepthNetwork
+
+Tune = Literal["none", "last", "decoder"]
+
+
+class AdaptConfig(BaseModel):
+    """Settings of adaptation.
+
+    Attributes:
+        tune: what of the network is tuned: nothing, the last layer (the paper's), or the decoder and it.
+        map_transform: whether the map is bent.
+        lambda_kl: weight of KL(M || M_A).
+        steps: most optimiser steps; held-out frames may stop it earlier.
+        batch_views, pixels_per_view: size of one step.
+        extra_views: random views beside the whole one, a frame (for ``decoder`` only).
+        network_rate, map_rate: Adam's learning rates.
+        likelihood_weight, depth_weight: weights of the ray likelihood and, for ``decoder``, of the depth loss.
+        outlier_share: epsilon of the ray likelihood.
+        inflation_m: standard deviation added to the map's components at the start, annealed to zero: it gives
+            far-off depth a gradient.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    tune: Tune = "decoder"
+    map_transform: bool = True
+    lambda_kl: float = Field(0.1, ge=0.0)
+    steps: int = Field(1500, ge=1)
+    batch_views: int = Field(16, ge=1)
+    pixels_per_view: int = Field(64, ge=1)
+    extra_views: int = Field(12, ge=0)
+    network_rate: float = Field(2e-3, gt=0.0)
+    map_rate: float = Field(1e-3, gt=0.0)
+    likelihood_weight: float = Field(0.05, ge=0.0)
+    depth_weight: float = Field(1.0, ge=0.0)
+    outlier_share: float = Field(0.1, gt=0.0, lt=1.0)
+    inflation_m: float = Field(0.3, ge=0.0)
+
+
+@dataclass(frozen=True)
+class Score:
+    """Quality on a set of whole views: mean ray log-likelihood's negative, depth loss, AbsRel."""
+
+    step: int
+    nll: float
+    depth_loss: float
+    absrel: float
+
+
+class Adaptation:
+    """A network and a map being tuned together; :meth:`run` does it.
+
+    Args:
+        network: starts from its present weights and is changed in place; the encoder never is.
+        adapted_map: changed in place when the map transform is on.
+        config: what to tune and how.
+    """
+
+    def __init__(self, network: DepthNetwork, adapted_map: AdaptedMap, config: AdaptConfig) -> None:
+        self.network = network.eval()
+        self.map = adapted_map
+        self.config = config
+        network.requires_grad_(False)
+        network.head.requires_grad_(config.tune != "none")
+        network.decoder.requires_grad_(config.tune == "decoder")
+        adapted_map.requires_grad_(config.map_transform)
+
+    @property
+    def is_trivial(self) -> bool:
+        return self.config.tune == "none" and not self.config.map_transform
+
+    def run(
+        self,
+        training: Views,
+        steps: int,
+        generator: torch.Generator,
+        held_out: Views | None = None,
+        evaluate_every: int = 100,
+        progress: Callable[[int, float], None] | None = None,
+    ) -> list[Score]:
+        """Tune for ``steps``; with held-out views, keep the state that was best on them.
+
+        Returns the scores on the held-out views, the first before any step.
+        """
+        if self.is_trivial:
+            return [self.score(held_out, 0)] if held_out is not None else []
+        self.fit_bias(training)
+        features = self._features(training) if self.config.tune != "decoder" else None
+        optimizer = torch.optim.Adam(
+            [
+                {"params": [p for p in self.network.parameters() if p.requires_grad], "lr": self.config.network_rate},
+                {"params": [p for p in self.map.parameters() if p.requires_grad], "lr": self.config.map_rate},
+            ]
+        )
+        schedule = torch.optim.lr_scheduler.LambdaLR(
+            optimizer, lambda step: 0.5 * (1.0 + math.cos(math.pi * min(1.0, step / steps)))
+        )
+        scores = [self.score(held_out, 0)] if held_out is not None else []
+        best = self._state() if held_out is not None else None
+        for step in range(steps):
+            chosen = torch.randint(len(training), (self.config.batch_views,), generator=generator)
+            loss = self._loss(training[chosen], None if features is None else features[chosen], step / steps, generator)
+            optimizer.zero_grad(set_to_none=True)
+            loss.backward()  # type: ignore[no-untyped-call]
+            optimizer.step()
+            schedule.step()
+            if held_out is not None and ((step + 1) % evaluate_every == 0 or step + 1 == steps):
+                scores.append(self.score(held_out, step + 1))
+                if self._criterion(scores[-1]) <= min(map(self._criterion, scores)):
+                    best = self._state()
+            if progress is not None:
+                progress(step + 1, float(loss.detach()))
+        if best is not None:
+            self._restore(best)
+        return scores
+
+    def best_step(self, scores: list[Score]) -> int:
+        return min(scores, key=self._criterion).step
+
+    @torch.no_grad()
+    def fit_bias(self, views: Views) -> None:
+        """Shift the last layer's bias to the median log ratio of true to predicted depth, the first step."""
+        if self.config.tune == "none" or not bool((views.depth_m > 0).any()):
+            return
+        whole = views[torch.nonzero(views.whole).ravel()]
+        assert self.network.head.bias is not None
+        self.network.head.bias += _log_ratio(self.predict(whole), whole.depth_m).median()
+
+    @torch.no_grad()
+    def predict(self, views: Views) -> Tensor:
+        """Log-depth of views, (V, 1, h, w), metric."""
+        log_depth: Tensor = self.network.head(self._features(views))
+        return log_depth + views.log_focal_ratio[:, None, None, None]
+
+    @torch.no_grad()
+    def score(self, views: Views, step: int) -> Score:
+        log_depth = self.predict(views)
+        means, covariances = self.map()
+        nll = -self._log_likelihood(log_depth, views, means, covariances, None).mean()
+        ratio = _log_ratio(log_depth, views.depth_m)
+        absrel = (torch.expm1(-ratio)).abs().mean() if ratio.numel() else torch.tensor(float("nan"))
+        loss = depth_loss(log_depth, views.depth_m, 0.0)
+        return Score(step, float(nll), float(loss), float(absrel))
+
+    @torch.no_grad()
+    def kl(self) -> float:
+        """KL(M || M_A) now, nats."""
+        return float(self._kl(*self.map()))
+
+    def _kl(self, means: Tensor, covariances: Tensor) -> Tensor:
+        m = self.map
+        return matched_kl(m.log_weights, m.means, m.covariances, m.log_weights, means, covariances)
+
+    def _criterion(self, score: Score) -> float:
+        if self.config.tune == "decoder":
+            return self.config.depth_weight * score.depth_loss + self.config.likelihood_weight * score.nll
+        return score.nll
+
+    def _loss(self, views: Views, features: Tensor | None, done: float, generator: torch.Generator) -> Tensor:
+        config = self.config
+        log_depth = self.network.head(features if features is not None else self.network.decoder(views.taps))
+        log_depth = log_depth + views.log_focal_ratio[:, None, None, None]
+        means, covariances = self.map() if config.map_transform else (self.map.means, self.map.covariances)
+        inflation = (config.inflation_m * max(0.0, 1.0 - 2.0 * done)) ** 2 * torch.eye(3, dtype=torch.float64)
+        pixels = torch.randint(log_depth[0].numel(), (config.pixels_per_view,), generator=generator)
+        fit = self._log_likelihood(log_depth, views, means, covariances + inflation, pixels).mean()
+        if config.tune != "decoder":
+            loss = -fit
+        else:
+            # The gradient term keeps planes smooth and steps sharp while the decoder moves.
+            loss = config.depth_weight * depth_loss(log_depth, views.depth_m, 0.5) - config.likelihood_weight * fit
+        if config.map_transform:
+            weight = config.lambda_kl * (config.likelihood_weight if config.tune == "decoder" else 1.0)
+            loss = loss + weight * self._kl(means, covariances)
+        return loss
+
+    def _log_likelihood(
+        self, log_depth: Tensor, views: Views, means: Tensor, covariances: Tensor, pixels: Tensor | None
+    ) -> Tensor:
+        flat, rays = log_depth.reshape(len(views), -1).double(), views.rays_world
+        if pixels is None:
+            pixels = torch.arange(0, flat.shape[1], 7)
+        flat, rays = flat[:, pixels], rays[:, pixels]
+        origins = views.origins[:, None].expand_as(rays)
+        return ray_log_likelihood(
+            flat.reshape(-1),
+            rays.reshape(-1, 3),
+            origins.reshape(-1, 3),
+            self.map.log_weights,
+            means,
+            covariances,
+            self.config.outlier_share,
+        )
+
+    def _features(self, views: Views) -> Tensor:
+        with torch.no_grad():
+            return torch.cat(
+                [self.network.decoder([tap[i : i + 32] for tap in views.taps]) for i in range(0, len(views), 32)]
+            )
+
+    def _state(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        return copy.deepcopy(self.network.state_dict()), copy.deepcopy(self.map.state_dict())
+
+    def _restore(self, state: tuple[dict[str, Tensor], dict[str, Tensor]]) -> None:
+        self.network.load_state_dict(state[0])
+        self.map.load_state_dict(state[1])
+
+
+def _log_ratio(log_depth: Tensor, truth: Tensor) -> Tensor:
+    """Log of true over predicted depth at pixels with truth, (n,); the truth is read at the output's resolution."""
+    # Block corners nearest to the centres of the output's pixels.
+    coarse = truth[..., 2::4, 2::4]
+    valid = coarse > 0.0
+    return torch.log(coarse[valid]) - log_depth[valid]
+
+
+def hold_out_blocks(frames: int, blocks: int, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """Split frames in order of time: (training, held out), the latter as blocks spread over the recording.
+
+    Blocks, not single frames: the neighbours of a frame show nearly the same picture.
+    """
+    length = max(1, round(frames * share / blocks))
+    starts = np.linspace(0, frames, blocks + 2)[1:-1] - length / 2
+    held = np.unique(np.clip(np.concatenate([np.arange(length) + round(s) for s in starts]), 0, frames - 1))
+    return np.setdiff1d(np.arange(frames), held), held

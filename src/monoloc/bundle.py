@@ -1,0 +1,196 @@
+"""What is carried to the drone: a folder ``NAME.monoloc`` of a few megabytes.
+
+``manifest.json`` (schema, SHA-256 of every file, settings, camera, provenance, healthy range), ``map.npz``
+(original and adapted mixture) and ``depth.onnx``. Written whole or not at all; read only if every byte is as it
+was written.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import shutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from monoloc import __version__
+from monoloc.camera import Camera
+from monoloc.config import describe
+from monoloc.errors import BundleError
+from monoloc.filter.health import HealthyRange
+from monoloc.localizer import LocalizerConfig
+from monoloc.map.mixture import GaussianMixture
+
+SCHEMA = 1
+_MANIFEST, _MAP, _DEPTH = "manifest.json", "map.npz", "depth.onnx"
+
+
+class Provenance(BaseModel):
+    """Where a bundle comes from.
+
+    Attributes:
+        recording: name of the recording.
+        frames: names of the frames that built the map or tuned the network.
+        tune, map_transform, lambda_kl: the adaptation's variant.
+        seed: of the build.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    recording: str
+    frames: list[str]
+    tune: str
+    map_transform: bool
+    lambda_kl: float
+    seed: int
+
+
+class Manifest(BaseModel):
+    """The bundle's table of contents; see :class:`Bundle` for the parts."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    schema_version: int
+    monoloc_version: str
+    sha256: dict[str, str]
+    settings: LocalizerConfig
+    camera: Camera
+    provenance: Provenance
+    healthy: HealthyRange
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """A room, ready to be localised in.
+
+    Attributes:
+        original, adapted: the room's mixture and the one the filter uses, world frame.
+        depth_model: the depth network, ONNX.
+        settings: of the localizer, with what was calibrated.
+        camera: the colour camera of the build recording.
+        provenance: what built it.
+        healthy: likelihood range of a pose that can be believed.
+    """
+
+    original: GaussianMixture
+    adapted: GaussianMixture
+    depth_model: bytes
+    settings: LocalizerConfig
+    camera: Camera
+    provenance: Provenance
+    healthy: HealthyRange
+
+
+def check_target(path: Path) -> None:
+    """Refuse a place where a bundle must not be written, before the work is done.
+
+    Raises:
+        BundleError: ``path`` exists and is no bundle, or its parent does not exist.
+    """
+    if not path.parent.is_dir():
+        raise BundleError(path, "its folder does not exist", f"make {path.parent} first")
+    if path.exists() and not (path / _MANIFEST).is_file():
+        raise BundleError(path, "exists and is not a bundle", "choose another name")
+
+
+def write_bundle(path: Path, bundle: Bundle) -> int:
+    """Write a bundle, replacing an older one; returns its size in bytes.
+
+    Raises:
+        BundleError: as :func:`check_target`.
+    """
+    check_target(path)
+    contents = {_MAP: _pack_maps(bundle), _DEPTH: bundle.depth_model}
+    manifest = Manifest(
+        schema_version=SCHEMA,
+        monoloc_version=__version__,
+        sha256={name: hashlib.sha256(content).hexdigest() for name, content in contents.items()},
+        settings=bundle.settings,
+        camera=bundle.camera,
+        provenance=bundle.provenance,
+        healthy=bundle.healthy,
+    )
+    contents[_MANIFEST] = _seal(manifest)
+    staging = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+    try:
+        staging.chmod(0o755)
+        fresh = staging / "new"
+        fresh.mkdir()
+        for name, content in contents.items():
+            (fresh / name).write_bytes(content)
+        if path.exists():
+            os.replace(path, staging / "old")
+        os.replace(fresh, path)
+    finally:
+        shutil.rmtree(staging)
+    return sum(len(content) for content in contents.values())
+
+
+def read_bundle(path: Path) -> Bundle:
+    """Read a bundle and check it byte for byte.
+
+    Raises:
+        BundleError: not a bundle, cut short, edited, or of an unknown schema.
+    """
+    manifest = _read_manifest(path)
+    contents = {}
+    for name in (_MAP, _DEPTH):
+        try:
+            contents[name] = (path / name).read_bytes()
+        except OSError as error:
+            raise BundleError(path / name, "is missing", "copy the bundle again, whole") from error
+        if hashlib.sha256(contents[name]).hexdigest() != manifest.sha256.get(name):
+            raise BundleError(path / name, "is not what was written", "copy the bundle again or rebuild it")
+    with np.load(io.BytesIO(contents[_MAP]), allow_pickle=False) as arrays:
+        original, adapted = (GaussianMixture.from_arrays(arrays, prefix) for prefix in ("original_", "adapted_"))
+    return Bundle(
+        original=original,
+        adapted=adapted,
+        depth_model=contents[_DEPTH],
+        settings=manifest.settings,
+        camera=manifest.camera,
+        provenance=manifest.provenance,
+        healthy=manifest.healthy,
+    )
+
+
+def _pack_maps(bundle: Bundle) -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, **bundle.original.to_arrays("original_"), **bundle.adapted.to_arrays("adapted_"))
+    return buffer.getvalue()
+
+
+def _seal(manifest: Manifest) -> bytes:
+    """The manifest as JSON with the digest of all the rest of it, so that an edit shows."""
+    body = manifest.model_dump(mode="json")
+    body["manifest_sha256"] = _digest(body)
+    return json.dumps(body, indent=1).encode()
+
+
+def _digest(body: dict[str, object]) -> str:
+    return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
+
+
+def _read_manifest(path: Path) -> Manifest:
+    file = path / _MANIFEST
+    try:
+        body = json.loads(file.read_bytes())
+    except OSError as error:
+        raise BundleError(path, f"is not a bundle (no {_MANIFEST})", "give a folder made by: monoloc build") from error
+    except ValueError as error:
+        raise BundleError(file, "is cut short or edited", "copy the bundle again or rebuild it") from error
+    if not isinstance(body, dict) or body.get("schema_version") != SCHEMA:
+        found = body.get("schema_version") if isinstance(body, dict) else None
+        raise BundleError(file, f"has schema {found}, this monoloc reads {SCHEMA}", "rebuild it with this version")
+    if body.pop("manifest_sha256", None) != _digest(body):
+        raise BundleError(file, "was edited", "copy the bundle again or rebuild it")
+    try:
+        return Manifest.model_validate(body)
+    except ValidationError as error:
+        raise BundleError(file, describe(error), "rebuild it with this version") from error

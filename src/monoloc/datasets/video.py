@@ -1,0 +1,107 @@
+"""Any video file that OpenCV can decode: colour only, poses unknown."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.camera import Camera
+from monoloc.datasets.files import require_file
+from monoloc.datasets.options import ReaderOptions
+from monoloc.errors import DataError, SettingError
+
+# What a phone's or an action camera's main lens sees in video mode, when nobody says better.
+DEFAULT_HORIZONTAL_FOV_DEG = 65.0
+_SUFFIXES = {".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpg", ".webm"}
+
+
+def recognises(path: Path) -> bool:
+    """Whether a file is named like a video."""
+    return path.is_file() and path.suffix.lower() in _SUFFIXES
+
+
+def read(path: Path, options: ReaderOptions) -> VideoRecording:
+    """Recording of a video file, its camera given, or a pinhole of the field of view given or assumed.
+
+    Raises:
+        DataError: missing or undecodable.
+        SettingError: an override that this format does not take, or a camera of another image size.
+    """
+    options.allow_only("video", "camera", "horizontal_fov_deg")
+    return VideoRecording(path, options.camera, options.horizontal_fov_deg or DEFAULT_HORIZONTAL_FOV_DEG)
+
+
+class VideoRecording:
+    """A :class:`~monoloc.datasets.base.Recording` without poses and depth.
+
+    Frames are decoded one after another. Going forward skips frames without converting them; going back
+    starts again from the first frame, because seeking in compressed video does not always hit the frame.
+    """
+
+    def __init__(self, path: Path, camera: Camera | None, horizontal_fov_deg: float) -> None:
+        require_file(path, "check the path")
+        self._path = path
+        self._rewind()
+        count, rate_hz, width, height = (
+            self._capture.get(key)
+            for key in (
+                cv2.CAP_PROP_FRAME_COUNT,
+                cv2.CAP_PROP_FPS,
+                cv2.CAP_PROP_FRAME_WIDTH,
+                cv2.CAP_PROP_FRAME_HEIGHT,
+            )
+        )
+        if count < 1 or not rate_hz > 0.0:
+            raise DataError(path, "states no frame count or no frame rate", "convert it to .mp4")
+        size = (int(width), int(height))
+        if camera is not None and (camera.width, camera.height) != size:
+            raise SettingError(
+                "camera",
+                f"is for {camera.width}x{camera.height}, but {path} is {size[0]}x{size[1]}",
+                "give the intrinsics of this video's images",
+            )
+        self.name = path.stem
+        self.camera = camera or _camera_of_field_of_view(*size, horizontal_fov_deg)
+        self.frame_names = [f"{index:06d}" for index in range(int(count))]
+        self.timestamps_s = np.arange(int(count)) / rate_hz
+        self.poses: NDArray[np.float64] | None = None
+        self.has_depth = False
+
+    def __len__(self) -> int:
+        return len(self.frame_names)
+
+    def color(self, index: int) -> NDArray[np.uint8]:
+        """As :meth:`monoloc.datasets.base.Recording.color`."""
+        if not 0 <= index < len(self):
+            raise IndexError(f"frame {index} of {len(self)}")
+        if index < self._next:
+            self._rewind()
+        while self._next < index and self._capture.grab():
+            self._next += 1
+        bgr = self._capture.read()[1] if self._next == index else None
+        if bgr is None:
+            raise DataError(
+                self._path,
+                f"cannot be decoded after frame {self._next - 1}",
+                f"use --frames 0:{self._next}, or convert the video again",
+            )
+        self._next += 1
+        return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+    def depth(self, index: int) -> NDArray[np.float32]:
+        """Always raises DataError: a video has no depth."""
+        raise DataError(self._path, "is a video and has no depth", "use predicted depth")
+
+    def _rewind(self) -> None:
+        self._capture = cv2.VideoCapture(str(self._path))
+        self._next = 0
+        if not self._capture.isOpened():
+            raise DataError(self._path, "cannot be decoded as a video", "convert it to .mp4 or .avi")
+
+
+def _camera_of_field_of_view(width: int, height: int, horizontal_fov_deg: float) -> Camera:
+    focal_px = 0.5 * width / float(np.tan(np.radians(horizontal_fov_deg) / 2.0))
+    return Camera(width, height, focal_px, focal_px, (width - 1) / 2.0, (height - 1) / 2.0)

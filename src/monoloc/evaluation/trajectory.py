@@ -1,0 +1,164 @@
+"""How far estimated poses are from the truth.
+
+No alignment is ever applied: poses are stated in the map's frame and the map's frame is the truth's
+frame, so an offset between the two is an error of the localiser and counts as one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from monoloc.geometry import FloatArray, invert, rotation_angle, se3_log
+
+CHI2_6_QUANTILE_95 = 12.591587  # 95 % quantile of the chi-squared distribution with 6 degrees of freedom
+
+# Variances below this (1 micrometre, 1 microradian, squared) are rounding: poses in files carry no more.
+_VARIANCE_FLOOR = 1e-12
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """Errors of N poses.
+
+    Attributes:
+        position_m: (N,) distance between the two camera centres, metres.
+        rotation_rad: (N,) angle of the rotation between the two orientations, radians, in [0, pi].
+    """
+
+    position_m: FloatArray
+    rotation_rad: FloatArray
+
+
+@dataclass(frozen=True)
+class TrajectoryMetrics:
+    """The errors of a trajectory in a few numbers, as ``monoloc localize --json`` names them.
+
+    Attributes:
+        ate_rmse_m, ate_median_m, ate_max_m: absolute position error, metres.
+        rot_rmse_deg, rot_median_deg: absolute rotation error, degrees.
+        within_5cm_5deg, within_10cm_10deg: share of frames, 0..1, with both errors within the bounds.
+    """
+
+    ate_rmse_m: float
+    ate_median_m: float
+    ate_max_m: float
+    rot_rmse_deg: float
+    rot_median_deg: float
+    within_5cm_5deg: float
+    within_10cm_10deg: float
+
+
+def pose_errors(estimated: ArrayLike, truth: ArrayLike) -> PoseErrors:
+    """Position and rotation error of each frame.
+
+    Args:
+        estimated: ``T_world_camera`` as estimated, (N, 4, 4).
+        truth: ``T_world_camera`` as it was, (N, 4, 4), same world.
+
+    Raises:
+        ValueError: shapes that are not (N, 4, 4) with the same N >= 1, or entries that are not finite.
+    """
+    T_world_estimated, T_world_truth = _checked_pair(estimated, truth)
+    offset_m = T_world_estimated[:, :3, 3] - T_world_truth[:, :3, 3]
+    R_estimated_truth = np.swapaxes(T_world_estimated[:, :3, :3], -1, -2) @ T_world_truth[:, :3, :3]
+    return PoseErrors(np.linalg.norm(offset_m, axis=-1), rotation_angle(R_estimated_truth))
+
+
+def relative_pose_errors(estimated: ArrayLike, truth: ArrayLike, step: int) -> PoseErrors:
+    """Relative pose error (RPE): the error of the motion from frame i to frame i + step.
+
+    Args:
+        estimated: ``T_world_camera`` as estimated, (N, 4, 4).
+        truth: ``T_world_camera`` as it was, (N, 4, 4); its world may be another one.
+        step: frames between the two poses of a motion, 1 .. N - 1.
+
+    Returns:
+        Errors of the N - step overlapping motions.
+
+    Raises:
+        ValueError: as :func:`pose_errors`, or a step outside 1 .. N - 1.
+    """
+    T_world_estimated, T_world_truth = _checked_pair(estimated, truth)
+    if not 1 <= step < len(T_world_truth):
+        raise ValueError(f"step must lie in 1 .. {len(T_world_truth) - 1}, got {step}")
+    return pose_errors(
+        invert(T_world_estimated[:-step]) @ T_world_estimated[step:],
+        invert(T_world_truth[:-step]) @ T_world_truth[step:],
+    )
+
+
+def summarise(estimated: ArrayLike, truth: ArrayLike) -> TrajectoryMetrics:
+    """Metrics of a trajectory, without alignment: the map's frame is the truth's frame.
+
+    Args and Raises: as :func:`pose_errors`.
+    """
+    errors = pose_errors(estimated, truth)
+    position_m, rotation_deg = errors.position_m, np.rad2deg(errors.rotation_rad)
+
+    def share_within(bound_m: float, bound_deg: float) -> float:
+        return float(np.mean((position_m <= bound_m) & (rotation_deg <= bound_deg)))
+
+    return TrajectoryMetrics(
+        ate_rmse_m=float(np.sqrt(np.mean(position_m**2))),
+        ate_median_m=float(np.median(position_m)),
+        ate_max_m=float(np.max(position_m)),
+        rot_rmse_deg=float(np.sqrt(np.mean(rotation_deg**2))),
+        rot_median_deg=float(np.median(rotation_deg)),
+        within_5cm_5deg=share_within(0.05, 5.0),
+        within_10cm_10deg=share_within(0.10, 10.0),
+    )
+
+
+def coverage_95(estimated: ArrayLike, truth: ArrayLike, covariances: ArrayLike) -> float:
+    """Share of frames whose error lies inside the 95 % ellipsoid of the stated covariance; 0.95 is honest.
+
+    The error is the twist ``(rho, phi)`` of ``invert(T_world_estimated) @ T_world_truth``. Where a covariance
+    has no extent along a direction, any error along it lies outside.
+
+    Args:
+        estimated: ``T_world_camera`` as estimated, (N, 4, 4).
+        truth: ``T_world_camera`` as it was, (N, 4, 4), same world.
+        covariances: (N, 6, 6) in the tangent space of the estimated camera, order (rho, phi), m and rad.
+
+    Raises:
+        ValueError: as :func:`pose_errors`, or covariances of another shape, not finite, or not symmetric
+            and positive semidefinite.
+    """
+    T_world_estimated, T_world_truth = _checked_pair(estimated, truth)
+    Sigma = _checked("covariances", covariances, (len(T_world_truth), 6, 6))
+    variances, axes = np.linalg.eigh(Sigma)
+    rounding = 1e-9 * np.abs(Sigma).max(axis=(-1, -2)) + _VARIANCE_FLOOR
+    asymmetry = np.abs(Sigma - np.swapaxes(Sigma, -1, -2)).max(axis=(-1, -2))
+    wrong = (variances[:, 0] < -rounding) | (asymmetry > rounding)
+    if wrong.any():
+        raise ValueError(
+            f"covariances must be symmetric and positive semidefinite, got frame {int(np.argmax(wrong))}"
+        )
+    twist = se3_log(invert(T_world_estimated) @ T_world_truth)
+    along_axes = (np.swapaxes(axes, -1, -2) @ twist[..., None])[..., 0]
+    mahalanobis_squared = np.sum(along_axes**2 / np.maximum(variances, _VARIANCE_FLOOR), axis=-1)
+    return float(np.mean(mahalanobis_squared <= CHI2_6_QUANTILE_95))
+
+
+def _checked_pair(estimated: ArrayLike, truth: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    T_world_truth = _checked("truth", truth, (None, 4, 4))
+    return _checked("estimated", estimated, T_world_truth.shape), T_world_truth
+
+
+def _checked(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> FloatArray:
+    """The values as float64; None in the shape stands for any length N >= 1."""
+    array = np.asarray(values, dtype=np.float64)
+    fits = array.ndim == len(shape) and all(
+        got >= 1 if expected is None else got == expected
+        for got, expected in zip(array.shape, shape, strict=True)
+    )
+    if not fits:
+        expected_text = ", ".join("N >= 1" if s is None else str(s) for s in shape)
+        raise ValueError(f"{name} must have shape ({expected_text}), got {array.shape}")
+    finite = np.isfinite(array).all(axis=tuple(range(1, array.ndim)))
+    if not finite.all():
+        raise ValueError(f"{name} must be finite, got NaN or infinity in frame {int(np.argmin(finite))}")
+    return array

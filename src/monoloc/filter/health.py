@@ -1,0 +1,46 @@
+"""Whether the pose can be believed."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import BaseModel, ConfigDict
+
+from monoloc.filter.estimate import Estimate
+
+State = Literal["tracking", "uncertain", "lost"]
+
+_WIDE_SD_M = 0.5  # a belief spread wider than this says nothing about where in a room the camera is
+
+
+class HealthyRange(BaseModel):
+    """Range of a scan's mean log-likelihood at the true pose, measured on frames that tuned nothing.
+
+    Attributes:
+        low: its first percentile; below it the pose is doubted.
+        lost: as far below ``low`` as ``low`` is below the median; below it the pose is not believed.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    low: float
+    lost: float
+
+    @classmethod
+    def from_fits(cls, fits: ArrayLike) -> HealthyRange:
+        """Measure the range on fits (N,) at true poses, nats."""
+        first, median = np.percentile(np.asarray(fits, dtype=np.float64), [1.0, 50.0])
+        return cls(low=float(first), lost=float(2.0 * first - median))
+
+
+def judge(fit: float, belief: Estimate, healthy: HealthyRange) -> State:
+    """State of the localizer: an empty scan (fit NaN) or a wide belief is never ``tracking``."""
+    spread_m = math.sqrt(float(np.linalg.eigvalsh(belief.covariance[:3, :3])[-1]))
+    if spread_m > _WIDE_SD_M or fit < healthy.lost:
+        return "lost"
+    if math.isnan(fit) or fit < healthy.low:
+        return "uncertain"
+    return "tracking"

@@ -1,0 +1,33 @@
+"""Systematic resampling."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.filter.particles import Particles
+from monoloc.geometry import FloatArray
+
+
+def systematic_indices(weights: FloatArray, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Indices drawn in proportion to weights with one random number (Kitagawa 1996).
+
+    Particle i is drawn floor(N w_i) or ceil(N w_i) times.
+
+    Args:
+        weights: (N,), summing to 1.
+    """
+    count = len(weights)
+    positions = (rng.uniform() + np.arange(count)) / count
+    cumulative = np.cumsum(weights)
+    cumulative[-1] = 1.0  # rounding must not leave the last position beyond the sum
+    return np.asarray(np.searchsorted(cumulative, positions, side="right"), dtype=np.int64)
+
+
+def resample(particles: Particles, ess_fraction: float, rng: np.random.Generator) -> Particles:
+    """Redraw the particles when their effective sample size is under a fraction of their number."""
+    count = len(particles)
+    if particles.effective_sample_size >= ess_fraction * count:
+        return particles
+    chosen = systematic_indices(particles.weights, rng)
+    return Particles(particles.poses[chosen], particles.log_scale[chosen], np.full(count, -np.log(count)))

@@ -1,0 +1,62 @@
+"""How well a scan fits the map from where each particle stands."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from monoloc.filter.particles import Particles, normalised
+from monoloc.geometry import FloatArray
+from monoloc.map.mixture import GaussianMixture
+
+
+class MeasurementConfig(BaseModel):
+    """What is believed about the errors of scan points.
+
+    Attributes:
+        outlier_share: share of points that come from anywhere in the room (epsilon).
+        noise_sd_m: standard deviation of a point about the map, beyond the map's own spread; the map is
+            smoothed by it.
+        effective_points: how many independent points a scan is worth. Depth errors of one image go together, so
+            this is far below the number of points (tempering: tau = effective_points / P).
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    outlier_share: float = Field(0.3, gt=0.0, lt=1.0)
+    noise_sd_m: float = Field(0.05, ge=0.0)
+    effective_points: float = Field(20.0, gt=0.0)
+
+
+class Measurement:
+    """The likelihood of scans under a map: ``prod_p ((1 - eps) M(T e^s x_p) + eps / V)``, tempered."""
+
+    def __init__(self, mixture: GaussianMixture, config: MeasurementConfig) -> None:
+        smoothed = replace(mixture, covariances=mixture.covariances + config.noise_sd_m**2 * np.eye(3))
+        self.config = config
+        self._volume_m3 = smoothed.volume_m3
+        self._index = smoothed.index()
+
+    def mean_log_likelihood(
+        self, poses: FloatArray, log_scale: FloatArray, scan: NDArray[np.float32]
+    ) -> FloatArray:
+        """Mean over the scan's points of the log density at each particle, (N,) nats.
+
+        Args:
+            poses: ``T_world_camera``, (N, 4, 4).
+            log_scale: (N,).
+            scan: (P, 3) points in the camera's frame, P >= 1.
+        """
+        total = self._index.weigh(poses, log_scale, scan, self.config.outlier_share, self._volume_m3)
+        return total / len(scan)
+
+    def weigh(self, particles: Particles, scan: NDArray[np.float32]) -> Particles:
+        """The particles with the scan's evidence added; unchanged for an empty scan."""
+        if len(scan) == 0:
+            return particles
+        fit = self.mean_log_likelihood(particles.poses, particles.log_scale, scan)
+        log_weights = particles.log_weights + self.config.effective_points * fit
+        return Particles(particles.poses, particles.log_scale, normalised(log_weights))

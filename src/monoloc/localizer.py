@@ -1,0 +1,121 @@
+"""The online way, one page: frame -> depth -> scan -> predict -> weigh -> resample -> estimate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from monoloc.camera import Camera
+from monoloc.depth.runtime import DepthPrediction
+from monoloc.filter.estimate import Estimate, estimate
+from monoloc.filter.health import HealthyRange, State, judge
+from monoloc.filter.motion import MotionConfig, predict
+from monoloc.filter.particles import Particles
+from monoloc.filter.resample import resample
+from monoloc.filter.scan import scan_from_depth
+from monoloc.filter.weigh import Measurement, MeasurementConfig
+from monoloc.geometry import FloatArray
+from monoloc.map.mixture import GaussianMixture
+from monoloc.odometry import Motion, OdometryConfig, VisualOdometry
+
+
+class LocalizerConfig(BaseModel):
+    """Settings of the online way; the measured ones are written by ``monoloc build``.
+
+    Attributes:
+        particles, scan_points: size of the filter and of the scan.
+        motion: visual odometry, or a random walk.
+        ess_fraction: resample when the effective sample size is under this share of the particles.
+        log_scale_sd: spread of the depth's log-scale from image to image.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    particles: int = Field(500, ge=10)
+    scan_points: int = Field(200, ge=10)
+    motion: Literal["visual", "random-walk"] = "visual"
+    ess_fraction: float = Field(0.5, gt=0.0, le=1.0)
+    log_scale_sd: float = Field(0.05, ge=0.0)
+    measurement: MeasurementConfig = MeasurementConfig()
+    motion_noise: MotionConfig = MotionConfig()
+    odometry: OdometryConfig = OdometryConfig()
+
+
+class DepthSource(Protocol):
+    """Depth of a colour image; :class:`monoloc.depth.runtime.DepthPredictor` is one."""
+
+    def __call__(self, color: NDArray[np.uint8]) -> DepthPrediction: ...
+
+
+@dataclass(frozen=True)
+class Step:
+    """What one frame gave.
+
+    Attributes:
+        estimate: pose, covariance, depth scale.
+        fit: mean log-likelihood of a scan point at the estimate, nats; NaN for an empty scan.
+        state: whether to believe it.
+        motion: odometry's motion since the last frame, None where there was none.
+        depth: the depth that was used.
+    """
+
+    estimate: Estimate
+    fit: float
+    state: State
+    motion: Motion | None
+    depth: DepthPrediction
+
+
+class Localizer:
+    """Follows one camera through one map; call :meth:`step` with every frame in order."""
+
+    def __init__(
+        self,
+        mixture: GaussianMixture,
+        depth: DepthSource,
+        camera: Camera,
+        start: Particles,
+        config: LocalizerConfig,
+        healthy: HealthyRange,
+        rng: np.random.Generator,
+    ) -> None:
+        self.config = config
+        self.particles = start
+        self._depth = depth
+        self._measurement = Measurement(mixture, config.measurement)
+        self._odometry = VisualOdometry(camera, config.odometry) if config.motion == "visual" else None
+        self._healthy = healthy
+        self._rng = rng
+        self._is_first = True
+
+    def step(self, color: NDArray[np.uint8], elapsed_s: float) -> Step:
+        """Take one frame in.
+
+        Args:
+            color: (H, W, 3) uint8 RGB, of the camera given.
+            elapsed_s: seconds since the previous frame; ignored at the first.
+        """
+        config = self.config
+        depth = self._depth(color)
+        scan = scan_from_depth(depth.depth_m, depth.camera, config.scan_points, self._rng)
+        motion = self._odometry.step(color, depth.depth_m, depth.camera) if self._odometry else None
+        if not self._is_first:
+            self.particles = predict(
+                self.particles, motion, elapsed_s, config.log_scale_sd, config.motion_noise, self._rng
+            )
+        self._is_first = False
+        self.particles = self._measurement.weigh(self.particles, scan)
+        belief = estimate(self.particles)
+        self.particles = resample(self.particles, config.ess_fraction, self._rng)
+        fit = self._fit(belief, scan)
+        return Step(belief, fit, judge(fit, belief, self._healthy), motion, depth)
+
+    def _fit(self, belief: Estimate, scan: NDArray[np.float32]) -> float:
+        if len(scan) == 0:
+            return float("nan")
+        pose: FloatArray = belief.pose[None]
+        return float(self._measurement.mean_log_likelihood(pose, np.array([belief.log_scale]), scan)[0])

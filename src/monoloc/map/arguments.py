@@ -1,0 +1,33 @@
+"""Checks of array arguments before they reach native code: one message for every function of the map."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+
+def checked_array(name: str, value: ArrayLike, shape: tuple[int | None, ...], dtype: DTypeLike) -> NDArray[np.generic]:
+    """``value`` as a contiguous, finite array of ``dtype``; None in ``shape`` allows any length.
+
+    Raises:
+        ValueError: another shape ("X must have shape (N, 3), got (4,)") or a value that is not finite.
+    """
+    array = np.ascontiguousarray(value, dtype=dtype)
+    if array.ndim != len(shape) or any(
+        want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
+    ):
+        wanted = ", ".join("N" if want is None else str(want) for want in shape)
+        raise ValueError(f"{name} must have shape ({wanted}{',' if len(shape) == 1 else ''}), got {np.shape(value)}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite, got {int((~np.isfinite(array)).sum())} values that are not")
+    return array
+
+
+def float64(name: str, value: ArrayLike, *shape: int | None) -> NDArray[np.float64]:
+    """:func:`checked_array` in double precision."""
+    return checked_array(name, value, shape, np.float64).astype(np.float64, copy=False)
+
+
+def float32(name: str, value: ArrayLike, *shape: int | None) -> NDArray[np.float32]:
+    """:func:`checked_array` in single precision."""
+    return checked_array(name, value, shape, np.float32).astype(np.float32, copy=False)

@@ -1,0 +1,118 @@
+"""The mixture behind a voxel grid: what makes weighing a thousand particles a matter of a millisecond."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from monoloc import _core
+from monoloc.map.arguments import float32, float64
+
+FloatArray = NDArray[np.float64]
+
+
+class MixtureIndex:
+    """A mixture's density near its surface, each voxel knowing the few components that matter in it.
+
+    In every stored voxel, components are left out (least important first) as long as, at a lattice of
+    probes, the density they carry stays under ``tolerance`` times (all density + ``floor_density``). So the
+    error of ``log((1 - eps) M + eps / V)`` stays near the tolerance for every ``eps / V / (1 - eps)`` not
+    below the floor. A voxel that loses all its components is not stored; density is 0 there. Memory grows
+    with the map's surface, not with its bounding box.
+
+    Args:
+        weights, means, covariances: (K,), (K, 3), (K, 3, 3) float64, world frame, metres.
+        voxel_m: edge of a voxel.
+        floor_density: smallest outlier density the index will be used with, 1/m^3.
+        tolerance: relative error of density allowed, about the worst error in nats.
+
+    Raises:
+        ValueError: a setting is not positive, or the voxels are too small or too large for the map.
+    """
+
+    def __init__(
+        self,
+        weights: FloatArray,
+        means: FloatArray,
+        covariances: FloatArray,
+        *,
+        voxel_m: float,
+        floor_density: float,
+        tolerance: float,
+    ) -> None:
+        for name, value in (("voxel_m", voxel_m), ("floor_density", floor_density), ("tolerance", tolerance)):
+            if not 0.0 < value < np.inf:
+                raise ValueError(f"{name} must be positive and finite, got {value}")
+        self._native = _core.MixtureIndex(weights, means, covariances, voxel_m, floor_density, tolerance)
+        self.floor_density = floor_density
+
+    def log_density(self, points: ArrayLike) -> FloatArray:
+        """Approximate ``log M(x)``, nats: (P, 3) world frame, m -> (P,); -inf outside the stored voxels.
+
+        Raises:
+            ValueError: wrong shape, or a value that is not finite.
+        """
+        return self._native.log_density(float64("points", points, None, 3))
+
+    def weigh(
+        self,
+        poses: ArrayLike,
+        log_scales: ArrayLike,
+        scan: ArrayLike,
+        *,
+        outlier_share: float,
+        volume_m3: float,
+        point_weights: ArrayLike | None = None,
+    ) -> FloatArray:
+        """Log-likelihood of a scan for every particle, not tempered:
+        ``sum_p w_p log((1 - eps) M(T e^s x_p) + eps / V)``. Twin: :func:`monoloc.map.reference.weigh`.
+
+        Args:
+            poses: ``T_world_camera``, (N, 4, 4).
+            log_scales: s, (N,): natural logarithm of what the scan's depth is multiplied by.
+            scan: points in the camera's frame, (P, 3), metres.
+            outlier_share: eps in (0, 1]: share of the scan's points that the map does not explain.
+            volume_m3: V: outliers are uniform in this volume.
+            point_weights: w, (P,); None for ones.
+
+        Returns:
+            (N,) float64, nats.
+
+        Raises:
+            ValueError: wrong shapes, values that are not finite, eps or V out of range.
+        """
+        if not 0.0 < outlier_share <= 1.0:
+            raise ValueError(f"outlier_share must be in (0, 1], got {outlier_share}")
+        if not 0.0 < volume_m3 < np.inf:
+            raise ValueError(f"volume_m3 must be positive and finite, got {volume_m3}")
+        poses = float64("poses", poses, None, 4, 4)
+        scan = float32("scan", scan, None, 3)
+        weights = None if point_weights is None else float32("point_weights", point_weights, len(scan))
+        return self._native.weigh(
+            poses, float64("log_scales", log_scales, len(poses)), scan, weights, outlier_share, volume_m3
+        )
+
+    @property
+    def voxel_m(self) -> float:
+        """Edge of a voxel."""
+        return self._native.voxel_m
+
+    @property
+    def voxels(self) -> int:
+        """Voxels stored."""
+        return self._native.voxels
+
+    @property
+    def lists(self) -> int:
+        """Different candidate lists; voxels with the same components share one."""
+        return self._native.lists
+
+    @property
+    def mean_candidates(self) -> float:
+        """Components in a stored voxel, on average."""
+        return self._native.mean_candidates
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the table and the lists."""
+        return self._native.nbytes

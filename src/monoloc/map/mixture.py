@@ -1,0 +1,169 @@
+"""The map: a Gaussian mixture with full covariances, 40 bytes a component on disk."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from monoloc import _core
+from monoloc.errors import DataError
+from monoloc.map.arguments import float64
+from monoloc.map.index import MixtureIndex
+from monoloc.map.reference import log_sum_exp, log_terms
+
+FloatArray = NDArray[np.float64]
+
+BYTES_PER_COMPONENT = 40  # ten float32: weight, mean, Cholesky factor
+_LOWER = np.tril_indices(3)  # order of the stored factor: (0,0) (1,0) (1,1) (2,0) (2,1) (2,2)
+_PARTS = {"weights": (None,), "means": (None, 3), "cholesky": (None, 6)}
+
+
+@dataclass(frozen=True)
+class GaussianMixture:
+    """``M(x) = sum_k pi_k N(x; mu_k, Sigma_k)`` over the world frame, density in 1/m^3.
+
+    Attributes:
+        weights: pi, (K,) float64, not negative, summing to 1.
+        means: mu, (K, 3) float64, world frame, metres.
+        covariances: Sigma, (K, 3, 3) float64, symmetric positive definite, m^2.
+
+    Raises:
+        ValueError: wrong shapes, values that are not finite, weights or covariances that are not valid.
+    """
+
+    weights: FloatArray
+    means: FloatArray
+    covariances: FloatArray
+
+    def __post_init__(self) -> None:
+        weights = float64("weights", self.weights, None)
+        count = len(weights)
+        if count == 0:
+            raise ValueError("weights must have at least one component, got shape (0,)")
+        means = float64("means", self.means, count, 3)
+        covariances = float64("covariances", self.covariances, count, 3, 3)
+        if weights.min() < 0.0 or abs(weights.sum() - 1.0) > 1e-6:
+            raise ValueError(f"weights must be >= 0 and sum to 1, got minimum {weights.min()} and sum {weights.sum()}")
+        asymmetry = np.abs(covariances - covariances.swapaxes(-1, -2)).max()
+        if asymmetry > 1e-9 * np.abs(covariances).max():
+            raise ValueError(f"covariances must be symmetric, got entries that differ by {asymmetry:.3g}")
+        indefinite = np.flatnonzero(np.linalg.eigvalsh(covariances)[:, 0] <= 0.0)
+        if len(indefinite):
+            raise ValueError(f"covariances must be positive definite, got component {indefinite[0]} that is not")
+        for name, value in (("weights", weights), ("means", means), ("covariances", covariances)):
+            object.__setattr__(self, name, value)
+
+    def __len__(self) -> int:
+        return len(self.weights)
+
+    def log_density(self, points: ArrayLike) -> FloatArray:
+        """``log M(x)``, exact, nats: (P, 3) world frame, m -> (P,).
+
+        Raises:
+            ValueError: wrong shape, or a value that is not finite.
+        """
+        points = float64("points", points, None, 3)
+        return _core.log_density(points, self.weights, self.means, self.covariances)
+
+    def responsibilities(self, points: ArrayLike) -> FloatArray:
+        """Posterior ``p(k | x)``: (P, 3) world frame, m -> (P, K), rows summing to 1.
+
+        Raises:
+            ValueError: as for :meth:`log_density`.
+        """
+        terms = log_terms(float64("points", points, None, 3), self.weights, self.means, self.covariances)
+        return np.exp(terms - log_sum_exp(terms)[:, None])
+
+    def sample(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """``count`` independent points, (count, 3), world frame, m."""
+        component = rng.choice(len(self), size=count, p=self.weights / self.weights.sum())
+        lower = np.linalg.cholesky(self.covariances)
+        noise = rng.standard_normal((count, 3))
+        return np.asarray(self.means[component] + np.einsum("nij,nj->ni", lower[component], noise))
+
+    def bounds_m(self, sigmas: float = 3.0) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper corner, (3,) each, of the box around every component's ``sigmas`` ellipsoid."""
+        reach = sigmas * np.sqrt(np.diagonal(self.covariances, axis1=-2, axis2=-1))
+        return (self.means - reach).min(axis=0), (self.means + reach).max(axis=0)
+
+    @property
+    def volume_m3(self) -> float:
+        """Volume of :meth:`bounds_m` at 3 sigma: where an outlier may be."""
+        lower, upper = self.bounds_m()
+        return float(np.prod(upper - lower))
+
+    @property
+    def nbytes_stored(self) -> int:
+        """Bytes on disk, headers aside."""
+        return BYTES_PER_COMPONENT * len(self)
+
+    def index(
+        self, voxel_m: float = 0.1, floor_density: float | None = None, tolerance: float = 0.02
+    ) -> MixtureIndex:
+        """The mixture behind a voxel grid, for weighing particles; see :class:`MixtureIndex`.
+
+        Args:
+            voxel_m: edge of a voxel.
+            floor_density: smallest outlier density it will be used with, 1/m^3; None for an outlier share
+                of 0.1 over :attr:`volume_m3`.
+            tolerance: relative error of density allowed.
+        """
+        floor = 0.1 / self.volume_m3 if floor_density is None else floor_density
+        return MixtureIndex(
+            self.weights, self.means, self.covariances, voxel_m=voxel_m, floor_density=floor, tolerance=tolerance
+        )
+
+    def to_arrays(self, prefix: str = "") -> dict[str, NDArray[np.float32]]:
+        """Ten float32 a component, under the keys ``prefix + weights, means, cholesky``.
+
+        Covariances are stored as the lower factor L of ``L L^T``, row by row: whatever rounding does to
+        L, its product stays positive definite.
+        """
+        lower = np.linalg.cholesky(self.covariances)[:, _LOWER[0], _LOWER[1]]
+        parts = {"weights": self.weights, "means": self.means, "cholesky": lower}
+        return {prefix + name: part.astype(np.float32) for name, part in parts.items()}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]], prefix: str = "") -> GaussianMixture:
+        """Inverse of :meth:`to_arrays`, up to rounding to float32.
+
+        Raises:
+            ValueError: a key is missing, shapes disagree, or the values make no mixture.
+        """
+        missing = [prefix + name for name in _PARTS if prefix + name not in arrays]
+        if missing:
+            raise ValueError(f"key {missing[0]!r} is missing")
+        weights, means, factor = (float64(prefix + n, arrays[prefix + n], *shape) for n, shape in _PARTS.items())
+        if not len(weights) == len(means) == len(factor):
+            raise ValueError(f"component counts differ: {len(weights)}, {len(means)}, {len(factor)}")
+        if len(weights) == 0 or weights.min() < 0.0 or abs(weights.sum() - 1.0) > 1e-3:
+            raise ValueError(f"weights must be >= 0 and sum to 1, got sum {weights.sum()}")
+        lower = np.zeros((len(weights), 3, 3))
+        lower[:, _LOWER[0], _LOWER[1]] = factor
+        return cls(weights / weights.sum(), means, lower @ lower.swapaxes(-1, -2))
+
+    def save(self, path: Path) -> None:
+        """Write an ``.npz`` that :meth:`load` reads."""
+        with Path(path).open("wb") as file:
+            np.savez(file, **self.to_arrays())
+
+    @classmethod
+    def load(cls, path: Path) -> GaussianMixture:
+        """Read what :meth:`save` wrote; nothing in the file is unpickled.
+
+        Raises:
+            DataError: the file is missing, cut short, or holds no mixture.
+        """
+        fix = "give a map written by `monoloc map fit`, or fit it again"
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                return cls.from_arrays({name: file[name] for name in file.files})
+        except FileNotFoundError:
+            raise DataError(path, "there is no such file", fix) from None
+        except (OSError, EOFError, ValueError, AttributeError, zipfile.BadZipFile) as error:
+            raise DataError(path, f"is no mixture map ({error})", fix) from None
