@@ -12,8 +12,10 @@
 namespace monoloc {
 namespace {
 
-constexpr int kSamplesPerAxis = 5;  // a voxel is probed on a lattice that includes its faces
-constexpr std::size_t kSamples = kSamplesPerAxis * kSamplesPerAxis * kSamplesPerAxis;
+// A voxel is probed on a lattice that includes its faces, of a spacing that no component slips through.
+constexpr double kSamplesPerSigma = 0.4;  // of the thinnest component
+constexpr std::size_t kFewestPerAxis = 5, kMostPerAxis = 17;
+constexpr double kHalfLog2E = 0.72134752044448170;  // squared scale of Component::whiten
 constexpr double kCandidateShare = 0.1;  // of the error allowed: a component below it is not even probed
 constexpr std::size_t kMaxBlocks = 255, kMaxFirstBlock = (1u << 24) - 1;  // what a Slot can name
 
@@ -57,18 +59,32 @@ double whitened_reach(const Component& c, double half) {
   return longest;
 }
 
+std::size_t samples_per_axis(const std::vector<Component>& mixture, double voxel_m) {
+  double steepest = 0.0;  // Frobenius norm of L^-1: at least 1 / (smallest standard deviation), at most sqrt(3) of it
+  for (const Component& c : mixture) {
+    double squared = 0.0;
+    for (const double w : c.whiten) squared += w * w;
+    steepest = std::max(steepest, std::sqrt(squared / kHalfLog2E));
+  }
+  const double wanted = std::min(std::ceil(voxel_m * steepest * kSamplesPerSigma) + 1.0, 1e6);
+  return std::clamp(static_cast<std::size_t>(wanted), kFewestPerAxis, kMostPerAxis);
+}
+
 // Chooses the components of one voxel. Dropping a set D costs at a sample s the relative density
 // sum_D p_k(s) / (sum_all p_k(s) + floor); components are dropped, least important first, while that stays
 // within the tolerance at every sample.
 class Selector {
  public:
   Selector(const std::vector<Component>& mixture, const IndexSettings& settings)
-      : mixture_(mixture), settings_(settings), stride_(padded(kSamples)), offsets_(3 * stride_) {
-    const double step = settings.voxel_m / (kSamplesPerAxis - 1);
+      : mixture_(mixture), settings_(settings) {
+    const std::size_t per_axis = samples_per_axis(mixture, settings.voxel_m);
+    const std::size_t samples = per_axis * per_axis * per_axis;
+    stride_ = padded(samples);
+    offsets_.resize(3 * stride_);
+    const double step = settings.voxel_m / static_cast<double>(per_axis - 1);
     for (std::size_t i = 0; i < stride_; ++i) {
-      const std::size_t s = std::min(i, kSamples - 1);
-      const std::size_t along[3] = {s % kSamplesPerAxis, s / kSamplesPerAxis % kSamplesPerAxis,
-                                    s / (kSamplesPerAxis * kSamplesPerAxis)};
+      const std::size_t s = std::min(i, samples - 1);
+      const std::size_t along[3] = {s % per_axis, s / per_axis % per_axis, s / (per_axis * per_axis)};
       for (int axis = 0; axis < 3; ++axis) {
         offsets_[axis * stride_ + i] = static_cast<float>(step * static_cast<double>(along[axis]));
       }
@@ -116,7 +132,7 @@ class Selector {
 
   const std::vector<Component>& mixture_;
   const IndexSettings& settings_;
-  const std::size_t stride_;
+  std::size_t stride_;
   std::vector<float> offsets_, densities_, total_, dropped_;
   std::vector<std::pair<float, std::size_t>> importance_;
 };
@@ -245,9 +261,9 @@ MixtureIndex::MixtureIndex(const std::vector<Component>& mixture, const IndexSet
   lists_ = known.size();
   mean_candidates_ = voxels_ == 0 ? 0.0 : static_cast<double>(kept_sum) / static_cast<double>(voxels_);
 
-  // Open addressing, at most half full.
+  // Open addressing, at most a quarter full: nearly every look-up ends at its first slot.
   std::uint32_t bits = 4;
-  while ((std::size_t{1} << bits) < 2 * found.size()) ++bits;
+  while ((std::size_t{1} << bits) < 4 * found.size()) ++bits;
   hash_shift_ = 32 - bits;
   slots_.assign(std::size_t{1} << bits, Slot{kEmptyKey, 0});
   for (const Slot& slot : found) {

@@ -36,8 +36,7 @@ MONOLOC_INLINE void locate(const IndexView& index, FW x, FW y, FW z, std::uint32
   const IW cell = (iz * index.shape[1] + iy) * index.shape[0] + ix;
   const IW voxel_key = inside ? cell : splat<IW>(static_cast<std::int32_t>(kOutsideKey));
   store(key, voxel_key);
-  // Unsigned lanes make the shift logical.
-  for (std::size_t lane = 0; lane < kWide; ++lane) slot[lane] = (key[lane] * kHashFactor) >> index.hash_shift;
+  store(slot, (bits<UW>(voxel_key) * kHashFactor) >> index.hash_shift);
 }
 
 // Candidate list of a voxel; 0 (no blocks) where there is none.
@@ -63,11 +62,19 @@ MONOLOC_INLINE float evaluate(const IndexView& index, std::uint32_t list, float 
   return sum_lanes(total);
 }
 
+// Only points with candidates are evaluated; they are gathered without a branch, which would be unpredictable.
 MONOLOC_INLINE void evaluate_batch(const IndexView& index, Batch& batch, std::size_t count) {
-  for (std::size_t i = 0; i < count; ++i) batch.slot[i] = find_list(index, batch.key[i], batch.slot[i]);
+  std::uint32_t hits[kBatch], list[kBatch];
+  std::size_t hit_count = 0;
   for (std::size_t i = 0; i < count; ++i) {
-    const std::uint32_t list = batch.slot[i];
-    batch.density[i] = list == 0 ? 0.0f : evaluate(index, list, batch.x[i], batch.y[i], batch.z[i]);
+    list[i] = find_list(index, batch.key[i], batch.slot[i]);
+    hits[hit_count] = static_cast<std::uint32_t>(i);
+    hit_count += list[i] != 0;
+    batch.density[i] = 0.0f;
+  }
+  for (std::size_t h = 0; h < hit_count; ++h) {
+    const std::uint32_t i = hits[h];
+    batch.density[i] = evaluate(index, list[i], batch.x[i], batch.y[i], batch.z[i]);
   }
 }
 
@@ -96,9 +103,9 @@ void weigh(const IndexView& index, const float* particles, std::size_t stride, c
       const float weight = point_weights ? point_weights[p] : 1.0f;
       for (std::size_t i = 0; i < count; i += kWide) {
         const FW mixed = load<FW>(batch.density + i) * inlier_share + outlier_density;
-        const FW term = log_fast<FW, IW>(mixed) * weight;
-        for (std::size_t lane = 0; lane < kWide; ++lane) total[i + lane] += static_cast<double>(term[lane]);
+        store(batch.density + i, log_fast<FW, IW>(mixed) * weight);
       }
+      for (std::size_t i = 0; i < count; ++i) total[i] += static_cast<double>(batch.density[i]);
     }
     for (std::size_t i = 0; i < count; ++i) out[first + i] = total[i];
   }

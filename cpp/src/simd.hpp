@@ -20,16 +20,19 @@ typedef std::int32_t I8 __attribute__((vector_size(32)));
 #if defined(__AVX512F__)
 typedef float FW __attribute__((vector_size(64)));
 typedef std::int32_t IW __attribute__((vector_size(64)));
+typedef std::uint32_t UW __attribute__((vector_size(64)));
 typedef double DW __attribute__((vector_size(64)));
 typedef std::int64_t LW __attribute__((vector_size(64)));
 #elif defined(__AVX2__)
 typedef float FW __attribute__((vector_size(32)));
 typedef std::int32_t IW __attribute__((vector_size(32)));
+typedef std::uint32_t UW __attribute__((vector_size(32)));
 typedef double DW __attribute__((vector_size(32)));
 typedef std::int64_t LW __attribute__((vector_size(32)));
 #else
 typedef float FW __attribute__((vector_size(16)));
 typedef std::int32_t IW __attribute__((vector_size(16)));
+typedef std::uint32_t UW __attribute__((vector_size(16)));
 typedef double DW __attribute__((vector_size(16)));
 typedef std::int64_t LW __attribute__((vector_size(16)));
 #endif

@@ -148,7 +148,9 @@ def read_bundle(path: Path) -> Bundle:
         if hashlib.sha256(contents[name]).hexdigest() != manifest.sha256.get(name):
             raise BundleError(path / name, "is not what was written", "copy the bundle again or rebuild it")
     with np.load(io.BytesIO(contents[_MAP]), allow_pickle=False) as arrays:
-        original, adapted = (GaussianMixture.from_arrays(arrays, prefix) for prefix in ("original_", "adapted_"))
+        original, adapted = (
+            GaussianMixture.from_arrays(arrays, prefix) for prefix in ("original_", "adapted_")
+        )
     return Bundle(
         original=original,
         adapted=adapted,
@@ -182,12 +184,16 @@ def _read_manifest(path: Path) -> Manifest:
     try:
         body = json.loads(file.read_bytes())
     except OSError as error:
-        raise BundleError(path, f"is not a bundle (no {_MANIFEST})", "give a folder made by: monoloc build") from error
+        raise BundleError(
+            path, f"is not a bundle (no {_MANIFEST})", "give a folder made by: monoloc build"
+        ) from error
     except ValueError as error:
         raise BundleError(file, "is cut short or edited", "copy the bundle again or rebuild it") from error
     if not isinstance(body, dict) or body.get("schema_version") != SCHEMA:
         found = body.get("schema_version") if isinstance(body, dict) else None
-        raise BundleError(file, f"has schema {found}, this monoloc reads {SCHEMA}", "rebuild it with this version")
+        raise BundleError(
+            file, f"has schema {found}, this monoloc reads {SCHEMA}", "rebuild it with this version"
+        )
     if body.pop("manifest_sha256", None) != _digest(body):
         raise BundleError(file, "was edited", "copy the bundle again or rebuild it")
     try:

@@ -140,12 +140,23 @@ class Camera:
         return np.stack([x * radial + dx, y * radial + dy], axis=-1)
 
     def _undistort(self, distorted: FloatArray) -> FloatArray:
-        """Inverse of :meth:`_distort` by fixed-point iteration, as OpenCV's undistortPoints does."""
+        """Inverse of :meth:`_distort` by Newton's method, whose Jacobian is symmetric for this model."""
         if not self.is_distorted:
             return distorted
+        k1, k2, p1, p2, k3 = self.distortion
         normalised = distorted.copy()
-        for _ in range(50):
-            step = distorted - self._distort(normalised)
+        for _ in range(20):
+            x, y = normalised[..., 0], normalised[..., 1]
+            r2 = x * x + y * y
+            radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
+            J_xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
+            J_xy = slope * x * y + 2.0 * (p1 * x + p2 * y)
+            J_yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+            residual = distorted - self._distort(normalised)
+            dx, dy = residual[..., 0], residual[..., 1]
+            determinant = J_xx * J_yy - J_xy * J_xy
+            step = np.stack([J_yy * dx - J_xy * dy, J_xx * dy - J_xy * dx], axis=-1) / determinant[..., None]
             normalised += step
             if np.max(np.abs(step), initial=0.0) < 1e-12:
                 break

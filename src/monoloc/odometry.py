@@ -47,7 +47,7 @@ class OdometryConfig(BaseModel):
     forward_backward_px: float = Field(0.7, gt=0.0)
     reprojection_px: float = Field(1.5, gt=0.0)
     min_inliers: int = Field(15, ge=6)
-    keep_fraction: float = Field(0.6, gt=0.0, le=1.0)
+    keep_fraction: float = Field(0.75, gt=0.0, le=1.0)
     edge_ratio: float = Field(1.15, gt=1.0)
 
 
@@ -104,8 +104,7 @@ class VisualOdometry:
             motion = self._motion_to(gray)
         self._gray, self._depth = gray, (depth_m, depth_camera)
         if motion is None or (
-            self._reference is not None
-            and motion.inliers < self.config.keep_fraction * self._reference.count
+            self._reference is not None and motion.inliers < self.config.keep_fraction * self._reference.count
         ):
             self._reference = None
         return motion
@@ -156,7 +155,9 @@ class VisualOdometry:
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         window = (self.config.window_px, self.config.window_px)
         forward, found, _ = cv2.calcOpticalFlowPyrLK(before, after, pixels, None, winSize=window, maxLevel=3)
-        back, found_back, _ = cv2.calcOpticalFlowPyrLK(after, before, forward, None, winSize=window, maxLevel=3)
+        back, found_back, _ = cv2.calcOpticalFlowPyrLK(
+            after, before, forward, None, winSize=window, maxLevel=3
+        )
         distance = np.linalg.norm(back - pixels, axis=1)
         kept = (found[:, 0] == 1) & (found_back[:, 0] == 1) & (distance < self.config.forward_backward_px)
         return forward, kept

@@ -37,9 +37,10 @@ class MixtureIndex {
   double mean_candidates() const { return mean_candidates_; }
   std::size_t bytes() const { return slots_.size() * sizeof(Slot) + blocks_.size() * sizeof(float); }
 
- private:
+  // What the kernels read; valid as long as the index lives.
   IndexView view() const;
 
+ private:
   double voxel_m_;
   double centre_[3];  // subtracted from everything, so that single precision suffices
   float origin_[3];   // lower corner of the grid, centred

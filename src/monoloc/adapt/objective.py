@@ -63,7 +63,9 @@ def ray_log_likelihood(
         log_depth_range: width of the outliers' uniform density in log-depth; 4 spans 0.15 m to 8 m.
     """
     lower = torch.linalg.cholesky(covariances)
-    inverse = torch.linalg.solve_triangular(lower, torch.eye(3, dtype=lower.dtype).expand_as(lower), upper=False)
+    inverse = torch.linalg.solve_triangular(
+        lower, torch.eye(3, dtype=lower.dtype).expand_as(lower), upper=False
+    )
     # Whitened ray and offset, (P, K, 3): |w_ray d - w_offset|^2 is the Mahalanobis distance at depth d.
     w_ray = torch.einsum("kij,pj->pki", inverse, rays_world)
     w_offset = torch.einsum("kij,pkj->pki", inverse, means[None] - origins[:, None])

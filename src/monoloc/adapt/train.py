@@ -76,7 +76,7 @@ class Adaptation:
     """
 
     def __init__(self, network: DepthNetwork, adapted_map: AdaptedMap, config: AdaptConfig) -> None:
-        self.network = network.eval()
+        self.network = network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.map = adapted_map
         self.config = config
         network.requires_grad_(False)
@@ -107,7 +107,10 @@ class Adaptation:
         features = self._features(training) if self.config.tune != "decoder" else None
         optimizer = torch.optim.Adam(
             [
-                {"params": [p for p in self.network.parameters() if p.requires_grad], "lr": self.config.network_rate},
+                {
+                    "params": [p for p in self.network.parameters() if p.requires_grad],
+                    "lr": self.config.network_rate,
+                },
                 {"params": [p for p in self.map.parameters() if p.requires_grad], "lr": self.config.map_rate},
             ]
         )
@@ -118,7 +121,9 @@ class Adaptation:
         best = self._state() if held_out is not None else None
         for step in range(steps):
             chosen = torch.randint(len(training), (self.config.batch_views,), generator=generator)
-            loss = self._loss(training[chosen], None if features is None else features[chosen], step / steps, generator)
+            loss = self._loss(
+                training[chosen], None if features is None else features[chosen], step / steps, generator
+            )
             optimizer.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]
             optimizer.step()
@@ -177,8 +182,10 @@ class Adaptation:
 
     def _loss(self, views: Views, features: Tensor | None, done: float, generator: torch.Generator) -> Tensor:
         config = self.config
-        log_depth = self.network.head(features if features is not None else self.network.decoder(views.taps))
-        log_depth = log_depth + views.log_focal_ratio[:, None, None, None]
+        if features is None:
+            with torch.autocast("cpu", dtype=torch.bfloat16):
+                features = self.network.decoder(views.taps)
+        log_depth = self.network.head(features.float()) + views.log_focal_ratio[:, None, None, None]
         means, covariances = self.map() if config.map_transform else (self.map.means, self.map.covariances)
         inflation = (config.inflation_m * max(0.0, 1.0 - 2.0 * done)) ** 2 * torch.eye(3, dtype=torch.float64)
         pixels = torch.randint(log_depth[0].numel(), (config.pixels_per_view,), generator=generator)
@@ -187,7 +194,10 @@ class Adaptation:
             loss = -fit
         else:
             # The gradient term keeps planes smooth and steps sharp while the decoder moves.
-            loss = config.depth_weight * depth_loss(log_depth, views.depth_m, 0.5) - config.likelihood_weight * fit
+            loss = (
+                config.depth_weight * depth_loss(log_depth, views.depth_m, 0.5)
+                - config.likelihood_weight * fit
+            )
         if config.map_transform:
             weight = config.lambda_kl * (config.likelihood_weight if config.tune == "decoder" else 1.0)
             loss = loss + weight * self._kl(means, covariances)
@@ -214,7 +224,10 @@ class Adaptation:
     def _features(self, views: Views) -> Tensor:
         with torch.no_grad():
             return torch.cat(
-                [self.network.decoder([tap[i : i + 32] for tap in views.taps]) for i in range(0, len(views), 32)]
+                [
+                    self.network.decoder([tap[i : i + 32] for tap in views.taps])
+                    for i in range(0, len(views), 32)
+                ]
             )
 
     def _state(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:

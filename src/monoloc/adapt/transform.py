@@ -1,6 +1,8 @@
-"""The map transform and the adapted map (torch, float64)."""
+"""The map transform and the adapted map (torch)."""
 
 from __future__ import annotations
+
+import warnings
 
 import numpy as np
 import torch
@@ -10,6 +12,8 @@ from torch import Tensor, nn
 from monoloc.map.mixture import GaussianMixture
 
 _HIDDEN = 128
+_UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+_SYMMETRIC = (0, 1, 2, 1, 3, 4, 2, 4, 5)  # where the entries of a symmetric matrix stand among the upper ones
 _NEIGHBOURS = 8  # responsibilities kept a point; the rest weigh less than 1e-3 together on fitted maps
 
 
@@ -29,16 +33,17 @@ class MapTransform(nn.Module):
         super().__init__()
         self.register_buffer("centre", centre.double())
         self.register_buffer("radius", torch.tensor(radius, dtype=torch.float64))
-        self.hidden = nn.Linear(3, _HIDDEN, dtype=torch.float64)
-        self.output = nn.Linear(_HIDDEN, 3, dtype=torch.float64)
+        self.hidden = nn.Linear(3, _HIDDEN)
+        self.output = nn.Linear(_HIDDEN, 3)
         nn.init.zeros_(self.output.weight)
         nn.init.zeros_(self.output.bias)
 
     def forward(self, points: Tensor) -> Tensor:
         """Bent points: (..., 3) -> (..., 3), metres, world frame."""
-        hidden = torch.tanh(self.hidden((points - self.centre) / self.radius))
-        bent: Tensor = points + self.output(hidden)
-        return bent
+        normalised = ((points - self.centre) / self.radius).to(self.hidden.weight.dtype)
+        # The displacement is small, so the perceptron's own precision is enough for it; the sum is in float64.
+        displacement: Tensor = self.output(torch.tanh(self.hidden(normalised)))
+        return points + displacement
 
 
 class AdaptedMap(nn.Module):
@@ -46,7 +51,7 @@ class AdaptedMap(nn.Module):
 
     Every point keeps its responsibilities under the original mixture, so component i of M_A is component i of M:
     its mean and covariance are those of the bent points, weighted by gamma_ni; mixing proportions stay.
-    Moments are taken about the original means in float64: the naive second moment loses the covariance.
+    Moments are taken in float64: in float32 the second moment less the squared mean loses the covariance.
 
     Args:
         mixture: the original map M.
@@ -58,28 +63,28 @@ class AdaptedMap(nn.Module):
     log_weights: Tensor
     means: Tensor
     covariances: Tensor
-    _nearest: Tensor
-    _gamma: Tensor
-    _mass: Tensor
 
     def __init__(self, mixture: GaussianMixture, cloud: NDArray[np.float64], floor_m: float = 0.01) -> None:
         super().__init__()
         kept = min(_NEIGHBOURS, len(mixture.weights))
         gamma, nearest = torch.from_numpy(mixture.responsibilities(cloud)).topk(kept, dim=1)
         gamma = gamma / gamma.sum(dim=1, keepdim=True)
-        self.register_buffer("cloud", torch.from_numpy(np.asarray(cloud, dtype=np.float64)))
-        self.register_buffer("log_weights", torch.from_numpy(mixture.weights).log())
-        self.register_buffer("_nearest", nearest)
-        self.register_buffer("_gamma", gamma)
-        mass = torch.zeros(len(mixture.weights), dtype=torch.float64).index_add(0, nearest.ravel(), gamma.ravel())
-        self.register_buffer("_mass", mass)
-        self._floor = floor_m**2 * torch.eye(3, dtype=torch.float64)
-        centre = 0.5 * (self.cloud.amin(dim=0) + self.cloud.amax(dim=0))
-        radius = float(0.5 * (self.cloud.amax(dim=0) - self.cloud.amin(dim=0)).max())
+        points = torch.from_numpy(np.asarray(cloud, dtype=np.float64))
+        rows, columns = nearest.ravel(), torch.arange(len(points)).repeat_interleave(kept)
+        shape = (len(mixture.weights), len(points))
+        mass = torch.zeros(shape[0], dtype=torch.float64).index_add(0, rows, gamma.ravel()).clamp(min=1e-12)
+        averaging = torch.sparse_coo_tensor(torch.stack([rows, columns]), gamma.ravel() / mass[rows], shape)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Sparse CSR tensor support is in beta", UserWarning)
+            self._averaging = averaging.to_sparse_csr()  # row i averages the cloud with component i's weights
+        centre = 0.5 * (points.amin(dim=0) + points.amax(dim=0))
+        radius = float(0.5 * (points.amax(dim=0) - points.amin(dim=0)).max())
         self.transform = MapTransform(centre, radius)
+        self.register_buffer("cloud", points)
+        self.register_buffer("log_weights", torch.from_numpy(mixture.weights).log())
+        self._floor = floor_m**2 * torch.eye(3, dtype=torch.float64)
         # The original, by the same sums: M itself up to EM's last step, so that the identity has a KL of zero.
-        self.register_buffer("means", torch.from_numpy(mixture.means))
-        means, covariances = self._moments(self.cloud)
+        means, covariances = self._moments(points)
         self.register_buffer("means", means)
         self.register_buffer("covariances", covariances)
 
@@ -88,16 +93,11 @@ class AdaptedMap(nn.Module):
         return self._moments(self.transform(self.cloud))
 
     def _moments(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        count = len(self.means)
-        index = self._nearest.ravel()
-        mass = self._mass.clamp(min=1e-12)[:, None]
-        weighted = self._gamma.ravel()[:, None]
-        relative = (points[:, None, :] - self.means[self._nearest]).reshape(-1, 3)
-        shift = torch.zeros(count, 3, dtype=torch.float64).index_add(0, index, weighted * relative) / mass
-        outer = (relative[:, :, None] * relative[:, None, :]).reshape(-1, 9)
-        second = torch.zeros(count, 9, dtype=torch.float64).index_add(0, index, weighted * outer) / mass
-        covariances = second.reshape(-1, 3, 3) - shift[:, :, None] * shift[:, None, :] + self._floor
-        return self.means + shift, covariances
+        relative = points - self.transform.centre
+        upper = torch.stack([relative[:, i] * relative[:, j] for i, j in _UPPER], dim=1)
+        averages = torch.sparse.mm(self._averaging, torch.cat([relative, upper], dim=1))
+        means, second = averages[:, :3], averages[:, 3:][:, _SYMMETRIC].reshape(-1, 3, 3)
+        return means + self.transform.centre, second - means[:, :, None] * means[:, None, :] + self._floor
 
     def original_mixture(self) -> GaussianMixture:
         return self._as_mixture(self.means, self.covariances)

@@ -54,7 +54,7 @@ class Views:
 
     def __getitem__(self, index: Tensor) -> Views:
         return Views(
-            [tap[index] for tap in self.taps],
+            [tap[index].contiguous(memory_format=torch.channels_last) for tap in self.taps],
             self.depth_m[index],
             self.log_focal_ratio[index],
             self.rays_world[index],
@@ -87,7 +87,8 @@ def make_views(
     depth, ratio, rays, origins, frame, whole = [], [], [], [], [], []
     for index in range(len(recording)):
         color = np.asarray(
-            cv2.resize(recording.color(index), (small.width, small.height), interpolation=cv2.INTER_AREA), np.uint8
+            cv2.resize(recording.color(index), (small.width, small.height), interpolation=cv2.INTER_AREA),
+            np.uint8,
         )
         target = cv2.resize(depth_of(index), (small.width, small.height), interpolation=cv2.INTER_NEAREST)
         views = list(_views_of(color, np.asarray(target, np.float32), small, size, extra_views, rng))

@@ -108,7 +108,7 @@ class _Description:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        require_file(path, "write one; README's section on recordings shows its keys")
+        require_file(path, "write one with kind, color, count, width, height, fx, fy, cx, cy")
         try:
             self._keys: dict[str, Any] = tomllib.loads(read_text(path))
         except tomllib.TOMLDecodeError as error:

@@ -48,7 +48,7 @@ def read_depth(path: Path, depth_scale: float, camera: Camera) -> NDArray[np.flo
     if stored.ndim != 2 or stored.dtype not in (np.uint8, np.uint16):
         raise DataError(path, "is not a depth image", "depth is one channel of 8 or 16 bits")
     _check_size(path, stored, camera)
-    depth_m = stored.astype(np.float32) * np.float32(1.0 / depth_scale)
+    depth_m = stored.astype(np.float32) / np.float32(depth_scale)
     if stored.dtype == np.uint16:
         depth_m[stored == _NO_DEPTH_16_BIT] = 0.0
     if not depth_m.any():

@@ -29,7 +29,7 @@ COLOR_CAMERA = Camera(width=640, height=480, fx=525.5, fy=525.5, cx=320.0, cy=24
 DEPTH_CAMERA = Camera(width=640, height=480, fx=585.0, fy=585.0, cx=320.0, cy=240.0)
 
 # A published calibration of the same sensor type, as the relocalisation literature uses it for 7-Scenes.
-T_COLOR_DEPTH = np.array(
+_PUBLISHED = np.array(
     [
         [0.99996518, 0.00267651, -0.00790410, -0.02555894],
         [-0.00274093, 0.99996303, -0.00815045, 0.00010110],
@@ -37,6 +37,8 @@ T_COLOR_DEPTH = np.array(
         [0.0, 0.0, 0.0, 1.0],
     ]
 )
+# Its eight digits leave the rotation off by 1e-8; made exact, so that inverses are too.
+T_COLOR_DEPTH = geometry.make_pose(geometry.nearest_rotation(_PUBLISHED[:3, :3]), _PUBLISHED[:3, 3])
 
 _COLOR_NAME = re.compile(r"frame-(\d+)\.color\.(png|jpg)")
 _SEQUENCE_NAME = re.compile(r"seq-\d+")

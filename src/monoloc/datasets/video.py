@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import cv2
@@ -12,6 +13,9 @@ from monoloc.camera import Camera
 from monoloc.datasets.files import require_file
 from monoloc.datasets.options import ReaderOptions
 from monoloc.errors import DataError, SettingError
+
+# The decoder's own complaints would stand beside our one line; it reads this (-8: silent) at its first use.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 # What a phone's or an action camera's main lens sees in video mode, when nobody says better.
 DEFAULT_HORIZONTAL_FOV_DEG = 65.0

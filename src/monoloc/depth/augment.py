@@ -124,7 +124,9 @@ def draw_view(
     fine = _warp(color, linear / _SUPERSAMPLE, fine_offset, fine_size, cv2.INTER_LINEAR)
     view_color = cv2.resize(fine, size, interpolation=cv2.INTER_AREA)
     focal_px = camera.focal_px / float(np.sqrt(abs(np.linalg.det(linear))))
-    return View(np.asarray(view_color, np.uint8), np.asarray(view_depth, np.float32), linear, offset, focal_px)
+    return View(
+        np.asarray(view_color, np.uint8), np.asarray(view_depth, np.float32), linear, offset, focal_px
+    )
 
 
 def _warp(

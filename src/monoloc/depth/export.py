@@ -59,7 +59,9 @@ def export_onnx(network: DepthNetwork) -> tuple[bytes, ExportReport]:
     content = model.SerializeToString()
     worst, mean = _parity(network, content)
     if worst > _PARITY_LIMIT:
-        raise MonolocError(f"the exported network differs from the original by {worst:.2e} in log-depth; not written")
+        raise MonolocError(
+            f"the exported network differs from the original by {worst:.2e} in log-depth; not written"
+        )
     return content, ExportReport(len(content), worst, mean)
 
 

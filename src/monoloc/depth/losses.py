@@ -17,7 +17,9 @@ def log_l1_loss(log_predicted: Tensor, log_truth: Tensor, valid: Tensor) -> Tens
     return masked_mean((log_predicted - log_truth).abs(), valid)
 
 
-def gradient_loss(log_predicted: Tensor, log_truth: Tensor, valid: Tensor, steps: tuple[int, ...] = (1, 2, 4, 8)) -> Tensor:
+def gradient_loss(
+    log_predicted: Tensor, log_truth: Tensor, valid: Tensor, steps: tuple[int, ...] = (1, 2, 4, 8)
+) -> Tensor:
     """Mean absolute difference of log-depth gradients over several pixel steps (Li & Snavely, MegaDepth, 2018).
 
     It asks for sharp steps and smooth planes where the plain error is content with blur.
@@ -40,7 +42,9 @@ def depth_loss(log_predicted: Tensor, depth_m: Tensor, gradient_weight: float) -
         depth_m: (B, 1, H, W) metres.
         gradient_weight: weight of :func:`gradient_loss` beside :func:`log_l1_loss`.
     """
-    log_predicted = F.interpolate(log_predicted, size=depth_m.shape[-2:], mode="bilinear", align_corners=False)
+    log_predicted = F.interpolate(
+        log_predicted, size=depth_m.shape[-2:], mode="bilinear", align_corners=False
+    )
     valid = depth_m > 0.0
     log_truth = torch.log(depth_m.clamp(min=1e-3))
     loss = log_l1_loss(log_predicted, log_truth, valid)

@@ -111,11 +111,16 @@ def train_network(
     frames = _Frames(training, size, config.augment.zoom_max)
     steps_per_epoch = len(frames) // config.batch_size
     if steps_per_epoch < 1:
-        raise SettingError("batch_size", f"{config.batch_size} exceeds {len(frames)} frames", "use more frames")
+        raise SettingError(
+            "batch_size", f"{config.batch_size} exceeds {len(frames)} frames", "use more frames"
+        )
     optimizer = torch.optim.AdamW(
         [
             {"params": network.encoder.parameters(), "lr": config.learning_rate * config.encoder_rate_factor},
-            {"params": [*network.decoder.parameters(), *network.head.parameters()], "lr": config.learning_rate},
+            {
+                "params": [*network.decoder.parameters(), *network.head.parameters()],
+                "lr": config.learning_rate,
+            },
         ],
         weight_decay=config.weight_decay,
     )
@@ -136,7 +141,9 @@ def train_network(
                 log_depth = network(images)
             loss = depth_loss(log_depth.float(), depth, config.gradient_weight)
             if not torch.isfinite(loss):
-                raise SettingError("learning_rate", f"{config.learning_rate} made the loss infinite", "lower it")
+                raise SettingError(
+                    "learning_rate", f"{config.learning_rate} made the loss infinite", "lower it"
+                )
             optimizer.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]
             torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
@@ -181,7 +188,9 @@ def validate(network: DepthNetwork, recording: Recording) -> tuple[float, float]
         color = cv2.resize(recording.color(index), (width, height), interpolation=cv2.INTER_AREA)
         log_depth = network(network_input([np.asarray(color, dtype=np.uint8)]))[0, 0].numpy()
         truth = recording.depth(index)
-        predicted = cv2.resize(np.exp(log_depth), truth.shape[::-1]) * (small.focal_px / network.config.focal_px)
+        predicted = cv2.resize(np.exp(log_depth), truth.shape[::-1]) * (
+            small.focal_px / network.config.focal_px
+        )
         valid = truth > 0.0
         ratio = predicted[valid] / truth[valid]
         absrel.append(np.mean(np.abs(ratio - 1.0)))

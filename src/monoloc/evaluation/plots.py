@@ -109,9 +109,11 @@ def plot_depth(
                 axis.grid(False)
         for axis, name in zip(grid[0], ("Colour", "Predicted depth", "True depth", "Error"), strict=True):
             axis.set_title(name)
+        # Room is taken below the colour column too, or it would not stay level with the others.
         figure.colorbar(
-            depth, ax=grid[:, 1:3], location="bottom", label="depth (m)", aspect=50, extend="both"
-        )
+            depth, ax=grid[:, :3], location="bottom", label="depth (m)", extend="both",
+            shrink=0.66, anchor=(1.0, 1.0), aspect=40,
+        )  # fmt: skip
         figure.colorbar(
             error, ax=grid[:, 3], location="bottom", label="(predicted - true) / true (%)", extend="both"
         )

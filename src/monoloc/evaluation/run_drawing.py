@@ -53,12 +53,14 @@ class Run:
 
 def draw_views(figure: SubFigure, run: Run) -> dict[str, Artist]:
     """Draw the way over the map from above and from the side."""
-    right, forward, up, up_is_negative = _view_axes(run.estimated)
+    right, forward, up, up_is_negative = view_axes(run.estimated)
     low_m, high_m = _bounds(run, (right, forward, up))
-    heights = (high_m - low_m)[[forward, up]]
+    heights = [high_m[axis] - low_m[axis] for axis in (forward, up)]
     top, side = figure.subplots(2, 1, height_ratios=heights)
     shown: dict[str, Artist] = {}
     for axis, plane in ((top, [right, forward]), (side, [right, up])):
+        # matplotlib takes the step for turning arrows from the data's extent, which a single frame lacks.
+        axis.update_datalim([low_m[plane], high_m[plane]])
         _draw_map(axis, plane, run)
         shown |= _draw_ways(axis, plane, run)
         axis.set_xlim(low_m[plane[0]], high_m[plane[0]])
@@ -72,7 +74,7 @@ def draw_views(figure: SubFigure, run: Run) -> dict[str, Artist]:
     return shown
 
 
-def _view_axes(poses: FloatArray) -> tuple[int, int, int, bool]:
+def view_axes(poses: FloatArray) -> tuple[int, int, int, bool]:
     """World axes that point right, forward and up on the page, and whether up is that axis's negative end."""
     down = poses[:, :3, 1].mean(axis=0)  # the camera's y axis, in the world
     up = int(np.argmax(np.abs(down)))
@@ -83,7 +85,7 @@ def _view_axes(poses: FloatArray) -> tuple[int, int, int, bool]:
 def _bounds(run: Run, axes: tuple[int, int, int]) -> tuple[FloatArray, FloatArray]:
     """Two corners (3,) of the box to show: all of the way, and the map but for its stray points.
 
-    The box is widened until the two views, one above the other and to one scale, fill their half of the picture.
+    It is widened until the two views, one above the other and to one scale, fill their half of the picture.
     """
     corners = [T[:, :3, 3] for T in (run.estimated, run.truth, run.odometry) if T is not None]
     for points in (None if run.mixture is None else run.mixture[0], run.cloud):
@@ -194,7 +196,7 @@ def _draw_error(
     shown: dict[str, Artist] = {}
     time_s = run.timestamps_s - run.timestamps_s[0]
     if bound is not None:
-        shown["95 % bound stated"] = axis.fill_between(time_s, bound, color=BLUE, alpha=0.15, linewidth=0.0)
+        shown["stated 95 % bound"] = axis.fill_between(time_s, bound, color=BLUE, alpha=0.15, linewidth=0.0)
     if drift is not None:
         axis.plot(time_s, drift, color=ORANGE, linestyle=_DASHED, linewidth=1.2)
     if error is not None:

@@ -38,7 +38,8 @@ class Measurement:
         smoothed = replace(mixture, covariances=mixture.covariances + config.noise_sd_m**2 * np.eye(3))
         self.config = config
         self._volume_m3 = smoothed.volume_m3
-        self._index = smoothed.index()
+        floor = config.outlier_share / (1.0 - config.outlier_share) / self._volume_m3
+        self._index = smoothed.index(floor_density=floor)
 
     def mean_log_likelihood(
         self, poses: FloatArray, log_scale: FloatArray, scan: NDArray[np.float32]
@@ -50,7 +51,9 @@ class Measurement:
             log_scale: (N,).
             scan: (P, 3) points in the camera's frame, P >= 1.
         """
-        total = self._index.weigh(poses, log_scale, scan, self.config.outlier_share, self._volume_m3)
+        total = self._index.weigh(
+            poses, log_scale, scan, outlier_share=self.config.outlier_share, volume_m3=self._volume_m3
+        )
         return total / len(scan)
 
     def weigh(self, particles: Particles, scan: NDArray[np.float32]) -> Particles:

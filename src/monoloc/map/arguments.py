@@ -6,7 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 
-def checked_array(name: str, value: ArrayLike, shape: tuple[int | None, ...], dtype: DTypeLike) -> NDArray[np.generic]:
+def checked_array(
+    name: str, value: ArrayLike, shape: tuple[int | None, ...], dtype: DTypeLike
+) -> NDArray[np.generic]:
     """``value`` as a contiguous, finite array of ``dtype``; None in ``shape`` allows any length.
 
     Raises:
@@ -17,7 +19,9 @@ def checked_array(name: str, value: ArrayLike, shape: tuple[int | None, ...], dt
         want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
     ):
         wanted = ", ".join("N" if want is None else str(want) for want in shape)
-        raise ValueError(f"{name} must have shape ({wanted}{',' if len(shape) == 1 else ''}), got {np.shape(value)}")
+        raise ValueError(
+            f"{name} must have shape ({wanted}{',' if len(shape) == 1 else ''}), got {np.shape(value)}"
+        )
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite, got {int((~np.isfinite(array)).sum())} values that are not")
     return array

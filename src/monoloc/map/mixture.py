@@ -6,6 +6,7 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -48,13 +49,17 @@ class GaussianMixture:
         means = float64("means", self.means, count, 3)
         covariances = float64("covariances", self.covariances, count, 3, 3)
         if weights.min() < 0.0 or abs(weights.sum() - 1.0) > 1e-6:
-            raise ValueError(f"weights must be >= 0 and sum to 1, got minimum {weights.min()} and sum {weights.sum()}")
+            raise ValueError(
+                f"weights must be >= 0 and sum to 1, got minimum {weights.min()} and sum {weights.sum()}"
+            )
         asymmetry = np.abs(covariances - covariances.swapaxes(-1, -2)).max()
         if asymmetry > 1e-9 * np.abs(covariances).max():
             raise ValueError(f"covariances must be symmetric, got entries that differ by {asymmetry:.3g}")
         indefinite = np.flatnonzero(np.linalg.eigvalsh(covariances)[:, 0] <= 0.0)
         if len(indefinite):
-            raise ValueError(f"covariances must be positive definite, got component {indefinite[0]} that is not")
+            raise ValueError(
+                f"covariances must be positive definite, got component {indefinite[0]} that is not"
+            )
         for name, value in (("weights", weights), ("means", means), ("covariances", covariances)):
             object.__setattr__(self, name, value)
 
@@ -115,7 +120,12 @@ class GaussianMixture:
         """
         floor = 0.1 / self.volume_m3 if floor_density is None else floor_density
         return MixtureIndex(
-            self.weights, self.means, self.covariances, voxel_m=voxel_m, floor_density=floor, tolerance=tolerance
+            self.weights,
+            self.means,
+            self.covariances,
+            voxel_m=voxel_m,
+            floor_density=floor,
+            tolerance=tolerance,
         )
 
     def to_arrays(self, prefix: str = "") -> dict[str, NDArray[np.float32]]:
@@ -138,7 +148,9 @@ class GaussianMixture:
         missing = [prefix + name for name in _PARTS if prefix + name not in arrays]
         if missing:
             raise ValueError(f"key {missing[0]!r} is missing")
-        weights, means, factor = (float64(prefix + n, arrays[prefix + n], *shape) for n, shape in _PARTS.items())
+        weights, means, factor = (
+            float64(prefix + n, arrays[prefix + n], *shape) for n, shape in _PARTS.items()
+        )
         if not len(weights) == len(means) == len(factor):
             raise ValueError(f"component counts differ: {len(weights)}, {len(means)}, {len(factor)}")
         if len(weights) == 0 or weights.min() < 0.0 or abs(weights.sum() - 1.0) > 1e-3:
@@ -149,8 +161,9 @@ class GaussianMixture:
 
     def save(self, path: Path) -> None:
         """Write an ``.npz`` that :meth:`load` reads."""
+        arrays: dict[str, Any] = {**self.to_arrays()}
         with Path(path).open("wb") as file:
-            np.savez(file, **self.to_arrays())
+            np.savez(file, **arrays)
 
     @classmethod
     def load(cls, path: Path) -> GaussianMixture:
@@ -165,5 +178,5 @@ class GaussianMixture:
                 return cls.from_arrays({name: file[name] for name in file.files})
         except FileNotFoundError:
             raise DataError(path, "there is no such file", fix) from None
-        except (OSError, EOFError, ValueError, AttributeError, zipfile.BadZipFile) as error:
+        except (OSError, EOFError, ValueError, TypeError, zipfile.BadZipFile) as error:
             raise DataError(path, f"is no mixture map ({error})", fix) from None

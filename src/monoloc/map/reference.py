@@ -31,7 +31,9 @@ class Statistics(NamedTuple):
     log_likelihood: float
 
 
-def log_terms(points: FloatArray, weights: FloatArray, means: FloatArray, covariances: FloatArray) -> FloatArray:
+def log_terms(
+    points: FloatArray, weights: FloatArray, means: FloatArray, covariances: FloatArray
+) -> FloatArray:
     """``log(pi_k N(x_p; mu_k, Sigma_k))``: (P, 3) -> (P, K)."""
     offsets = points[:, None, :] - means
     lower = np.linalg.cholesky(covariances)
@@ -39,7 +41,7 @@ def log_terms(points: FloatArray, weights: FloatArray, means: FloatArray, covari
     log_determinant = 2.0 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(axis=-1)
     log_normaliser = -0.5 * (3.0 * np.log(2.0 * np.pi) + log_determinant)
     with np.errstate(divide="ignore"):  # a component of weight 0
-        return np.log(weights) + log_normaliser - 0.5 * (whitened**2).sum(axis=-1)
+        return np.asarray(np.log(weights) + log_normaliser - 0.5 * (whitened**2).sum(axis=-1))
 
 
 def log_sum_exp(terms: FloatArray) -> FloatArray:
@@ -48,7 +50,9 @@ def log_sum_exp(terms: FloatArray) -> FloatArray:
     return np.asarray(largest + np.log(np.exp(terms - largest[..., None]).sum(axis=-1)))
 
 
-def log_density(points: FloatArray, weights: FloatArray, means: FloatArray, covariances: FloatArray) -> FloatArray:
+def log_density(
+    points: FloatArray, weights: FloatArray, means: FloatArray, covariances: FloatArray
+) -> FloatArray:
     """``log sum_k pi_k N(x_p; mu_k, Sigma_k)``: (P, 3) -> (P,), nats."""
     return log_sum_exp(log_terms(points, weights, means, covariances))
 

@@ -1,0 +1,223 @@
+// Every set of kernels this processor runs, against plain loops in double precision.
+#include <cmath>
+#include <cstdio>
+#include <random>
+#include <stdexcept>
+#include <vector>
+
+#include "monoloc/index.hpp"
+#include "monoloc/kernels.hpp"
+#include "monoloc/mixture.hpp"
+
+namespace {
+
+int failures = 0;
+
+void check(bool holds, const char* what, int line) {
+  if (holds) return;
+  std::printf("line %d: %s\n", line, what);
+  ++failures;
+}
+#define CHECK(condition) check((condition), #condition, __LINE__)
+
+// A room of flat components: weights, means (K, 3), covariances (K, 3, 3).
+struct Room {
+  std::vector<double> weights, means, covariances;
+  std::vector<monoloc::Component> components;
+
+  explicit Room(std::size_t count) : means(3 * count), covariances(9 * count, 0.0) {
+    std::mt19937_64 random(1);
+    std::uniform_real_distribution<double> place(-1.0, 1.0);
+    weights.assign(count, 1.0 / static_cast<double>(count));
+    for (double& m : means) m = place(random);
+    const double sigma[3] = {0.15, 0.1, 0.015};
+    for (std::size_t k = 0; k < count; ++k) {
+      // Covariance = B diag(sigma^2) B^T for a random shear B, which is positive definite.
+      double b[9];
+      for (int i = 0; i < 9; ++i) b[i] = (i % 4 == 0 ? 1.0 : 0.0) + 0.5 * place(random);
+      for (int i = 0; i < 3; ++i) {
+        for (int j = 0; j < 3; ++j) {
+          for (int m = 0; m < 3; ++m) covariances[9 * k + 3 * i + j] += b[3 * i + m] * b[3 * j + m] * sigma[m] * sigma[m];
+        }
+      }
+    }
+    components = monoloc::make_components(weights.data(), means.data(), covariances.data(), count);
+  }
+
+  // weight * density of component k at x.
+  double density(std::size_t k, const double* x) const {
+    const monoloc::Component& c = components[k];
+    const double d[3] = {x[0] - c.mean[0], x[1] - c.mean[1], x[2] - c.mean[2]};
+    const double* w = c.whiten;
+    const double y[3] = {w[0] * d[0], w[1] * d[0] + w[2] * d[1], w[3] * d[0] + w[4] * d[1] + w[5] * d[2]};
+    return std::exp2(c.log2_peak - y[0] * y[0] - y[1] * y[1] - y[2] * y[2]);
+  }
+
+  double density(const double* x) const {
+    double sum = 0.0;
+    for (std::size_t k = 0; k < components.size(); ++k) sum += density(k, x);
+    return sum;
+  }
+
+  // Points about the components' means.
+  std::vector<double> points(std::size_t count, double spread) const {
+    std::mt19937_64 random(2);
+    std::normal_distribution<double> normal(0.0, spread);
+    std::vector<double> x(3 * count);
+    for (std::size_t i = 0; i < x.size(); ++i) x[i] = means[i % means.size()] + normal(random);
+    return x;
+  }
+};
+
+void test_whitening() {
+  // A diagonal covariance has a density that can be written down.
+  const double weight = 1.0, mean[3] = {1.0, 2.0, 3.0}, covariance[9] = {4.0, 0, 0, 0, 9.0, 0, 0, 0, 0.25};
+  const auto components = monoloc::make_components(&weight, mean, covariance, 1);
+  const double x[3] = {3.0, 5.0, 3.5};  // one standard deviation along each axis
+  double result = 0.0;
+  monoloc::log_density(components, x, 1, &result);
+  const double expected = -1.5 - 1.5 * std::log(2.0 * 3.14159265358979323846) - std::log(2.0 * 3.0 * 0.5);
+  CHECK(std::abs(result - expected) < 1e-12);
+}
+
+void test_rejects_indefinite() {
+  const double weight = 1.0, mean[3] = {}, covariance[9] = {1.0, 2.0, 0, 2.0, 1.0, 0, 0, 0, 1.0};
+  bool thrown = false;
+  try {
+    monoloc::make_components(&weight, mean, covariance, 1);
+  } catch (const std::invalid_argument&) {
+    thrown = true;
+  }
+  CHECK(thrown);
+}
+
+void test_log_density_and_expectation() {
+  const Room room(30);
+  const std::size_t count = 101;  // no multiple of any vector's length
+  const std::vector<double> x = room.points(count, 0.3);
+  std::vector<double> result(count);
+  monoloc::log_density(room.components, x.data(), count, result.data());
+  double worst = 0.0, log_likelihood = 0.0, mass = 0.0, second = 0.0;
+  for (std::size_t i = 0; i < count; ++i) {
+    const double total = room.density(&x[3 * i]);
+    worst = std::max(worst, std::abs(result[i] - std::log(total)));
+    log_likelihood += std::log(total);
+    const double r = room.density(7, &x[3 * i]) / total;
+    mass += r;
+    second += r * (x[3 * i] - room.means[21]) * (x[3 * i + 2] - room.means[23]);
+  }
+  CHECK(worst < 1e-11);
+  const monoloc::Expectation e = monoloc::expectation(room.components, x.data(), count);
+  CHECK(std::abs(e.log_likelihood - log_likelihood) < 1e-9);
+  CHECK(std::abs(e.mass[7] - mass) < 1e-11);
+  CHECK(std::abs(e.second[6 * 7 + 2] - second) < 1e-11);
+  double all = 0.0;
+  for (const double m : e.mass) all += m;
+  CHECK(std::abs(all - static_cast<double>(count)) < 1e-9);
+}
+
+void test_index() {
+  const Room room(100);
+  const double floor = 0.01, tolerance = 0.02;
+  const monoloc::MixtureIndex index(room.components, {0.1, floor, tolerance});
+  const std::size_t count = 5000;
+  const std::vector<double> x = room.points(count, 0.2);
+  std::vector<double> result(count);
+  index.log_density(x.data(), count, result.data());
+  double worst = 0.0;
+  for (std::size_t i = 0; i < count; ++i) {
+    const double exact = std::log(room.density(&x[3 * i]) + floor);
+    worst = std::max(worst, std::abs(std::log(std::exp(result[i]) + floor) - exact));
+  }
+  CHECK(worst < 2.0 * tolerance);
+  const double far[3] = {1e6, -1e9, 0.0};
+  index.log_density(far, 1, result.data());
+  CHECK(std::isinf(result[0]) && result[0] < 0.0);
+
+  // Two particles with a scale: the same as the density at the points moved by hand.
+  const double poses[32] = {0, -1, 0, 0.1, 1, 0, 0, 0.2, 0, 0, 1, -0.1, 0, 0, 0, 1,
+                            1, 0,  0, 0.0, 0, 1, 0, 0.0, 0, 0, 1, 0.0,  0, 0, 0, 1};
+  const double log_scales[2] = {std::log(1.5), 0.0};
+  const float scan[6] = {0.2f, 0.1f, 0.3f, -0.4f, 0.2f, 0.1f}, weights[2] = {2.0f, 0.5f};
+  double weighed[2];
+  index.weigh(poses, log_scales, 2, scan, weights, 2, 0.2, 20.0, weighed);
+  double expected = 0.0;
+  for (int p = 0; p < 2; ++p) {
+    const double s[3] = {1.5 * scan[3 * p], 1.5 * scan[3 * p + 1], 1.5 * scan[3 * p + 2]};
+    const double moved[3] = {-s[1] + 0.1, s[0] + 0.2, s[2] - 0.1};
+    expected += weights[p] * std::log(0.8 * room.density(moved) + 0.2 / 20.0);
+  }
+  CHECK(std::abs(weighed[0] - expected) < 2.0 * tolerance * 2.5);
+}
+
+// The fast exponential, through a component evaluated near its mean.
+void test_component_density(const monoloc::Kernels& kernels) {
+  const Room room(20);
+  const std::size_t stride = monoloc::kPadding;
+  std::vector<float> offsets(3 * stride), density(stride);
+  for (std::size_t i = 0; i < offsets.size(); ++i) offsets[i] = 0.01f * static_cast<float>(i % 7);
+  kernels.component_density(room.components[0], room.means.data(), offsets.data(), stride, density.data());
+  double worst = 0.0;
+  for (std::size_t i = 0; i < stride; ++i) {
+    double x[3];
+    for (std::size_t axis = 0; axis < 3; ++axis) x[axis] = room.means[axis] + offsets[axis * stride + i];
+    worst = std::max(worst, std::abs(density[i] / room.density(0, x) - 1.0));
+  }
+  CHECK(worst < 1e-5);
+}
+
+// Log-densities of exact kernels; the weighing kernel's result for one particle at the identity, exactly the
+// sum of logarithms of the indexed density.
+void test_kernels(const monoloc::Kernels& kernels) {
+  const std::size_t components = 50, count = 64, stride = monoloc::kPadding;
+  const Room room(components);
+  const std::vector<double> x = room.points(count, 0.1);
+  std::vector<double> rows(3 * count), valid(count, 1.0), scratch(components * monoloc::kPadding), result(count);
+  std::vector<float> scan(3 * count), density(count), particles(12 * stride, 0.0f);
+  for (std::size_t i = 0; i < count; ++i) {
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      rows[axis * count + i] = x[3 * i + axis];
+      scan[axis * count + i] = static_cast<float>(x[3 * i + axis]);
+    }
+  }
+  double exact_log = 0.0;
+  kernels.log_density(room.components.data(), components, rows.data(), count, scratch.data(), result.data());
+  for (std::size_t i = 0; i < count; ++i) {
+    CHECK(std::abs(result[i] - std::log(room.density(&x[3 * i]))) < 1e-11);
+    exact_log += result[i];
+  }
+  std::vector<double> sums(components * 10 * monoloc::kPadding, 0.0), largest(count), relative(count);
+  std::vector<std::uint32_t> active(components);
+  kernels.expectation(room.components.data(), components, rows.data(), valid.data(), count, scratch.data(),
+                      active.data(), sums.data(), largest.data(), relative.data());
+  double total_log = 0.0;
+  for (std::size_t i = 0; i < count; ++i) total_log += std::log(2.0) * largest[i] + std::log(relative[i]);
+  CHECK(std::abs(total_log - exact_log) < 1e-9);
+
+  const monoloc::MixtureIndex index(room.components, {0.1, 0.01, 0.02});
+  kernels.density(index.view(), scan.data(), count, density.data());
+  double expected = 0.0;
+  for (std::size_t i = 0; i < count; ++i) expected += std::log(0.75 * static_cast<double>(density[i]) + 0.01);
+  for (std::size_t n = 0; n < stride; ++n) {
+    for (const std::size_t diagonal : {0, 4, 8}) particles[diagonal * stride + n] = 1.0f;
+  }
+  std::vector<double> weighed(stride);
+  kernels.weigh(index.view(), particles.data(), stride, scan.data(), nullptr, count, 0.75f, 0.01f, weighed.data());
+  for (const double w : weighed) CHECK(std::abs(w - expected) < 1e-4);
+}
+
+}  // namespace
+
+int main() {
+  test_whitening();
+  test_rejects_indefinite();
+  test_log_density_and_expectation();
+  test_index();
+  for (const monoloc::Kernels* const* k = monoloc::available_kernels(); *k != nullptr; ++k) {
+    std::printf("%s\n", (*k)->name);
+    test_component_density(**k);
+    test_kernels(**k);
+  }
+  if (failures == 0) std::printf("all passed\n");
+  return failures == 0 ? 0 : 1;
+}

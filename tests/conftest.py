@@ -1,0 +1,24 @@
+"""Fixtures shared by all tests."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+# A busy machine must not fail a property; time is watched elsewhere.
+settings.register_profile("monoloc", deadline=None)
+settings.load_profile("monoloc")
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def data_root() -> Path:
+    """The folder of real recordings; tests that ask for it are skipped where it is absent."""
+    root = Path(os.environ.get("MONOLOC_DATA", REPOSITORY.parent / "shared" / "data"))
+    if not root.is_dir():
+        pytest.skip(f"no recordings at {root}; set MONOLOC_DATA to the folder that holds them")
+    return root

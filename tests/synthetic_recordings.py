@@ -1,0 +1,140 @@
+"""Small recordings in every format, written to disk, and the poses and depth they hold."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc import geometry
+
+FloatArray = NDArray[np.float64]
+
+
+def make_poses(count: int) -> FloatArray:
+    """Poses along a smooth path, (count, 4, 4)."""
+    steps = np.arange(count)[:, None]
+    return geometry.se3_exp(steps * np.array([0.05, -0.02, 0.03, 0.02, 0.05, -0.01]))
+
+
+def make_color(width: int, height: int, number: int = 0) -> NDArray[np.uint8]:
+    """A smooth RGB image that differs in every channel and by number, (height, width, 3)."""
+    v, u = np.mgrid[0:height, 0:width]
+    channels = [u * 255 // width, v * 255 // height, np.full_like(u, 40 + 10 * number)]
+    return np.stack(channels, axis=-1).astype(np.uint8)
+
+
+def write_color(path: Path, rgb: NDArray[np.uint8]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    assert cv2.imwrite(str(path), rgb[..., ::-1])
+
+
+def write_depth(path: Path, stored: NDArray[np.integer]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    assert cv2.imwrite(str(path), stored)
+
+
+def constant_depth(width: int, height: int, value: int) -> NDArray[np.uint16]:
+    """The value everywhere but in the first row, which has none."""
+    stored = np.full((height, width), value, dtype=np.uint16)
+    stored[0] = 0
+    return stored
+
+
+def tum_lines(times_s: FloatArray, poses: FloatArray) -> str:
+    """Poses as lines of a TUM trajectory."""
+    quaternions = geometry.rotation_to_quaternion(poses[:, :3, :3])
+    rows = np.column_stack([times_s, poses[:, :3, 3], quaternions])
+    return "# t tx ty tz qx qy qz qw\n" + "".join(" ".join(f"{x:.9f}" for x in row) + "\n" for row in rows)
+
+
+def write_seven_scenes(scene: Path, sequences: int = 1, frames: int = 3, suffix: str = "png") -> FloatArray:
+    """A 7-Scenes scene with every second frame; returns the depth camera's poses of all frames."""
+    poses = make_poses(sequences * frames)
+    for index, pose in enumerate(poses):
+        sequence, frame = divmod(index, frames)
+        stem = scene / f"seq-{sequence + 1:02d}" / f"frame-{2 * frame:06d}"
+        write_color(stem.with_name(stem.name + f".color.{suffix}"), make_color(640, 480, frame))
+        stored = constant_depth(640, 480, 2000)
+        stored[1] = 65535
+        write_depth(stem.with_name(stem.name + ".depth.png"), stored)
+        np.savetxt(stem.with_name(stem.name + ".pose.txt"), pose)
+    return poses
+
+
+def write_tum(folder: Path, frames: int = 4) -> FloatArray:
+    """A TUM sequence whose depth lags by 5 ms and whose truth is sampled at 100 Hz.
+
+    Returns the poses at the frames. The path is a constant twist, so that interpolation is exact.
+    """
+    twist = np.array([0.3, -0.2, 0.1, 0.2, 0.5, -0.4])
+    times_s = 100.0 + np.arange(frames) / 30.0
+    for name, number_of_channels, delay_s in (("rgb", 3, 0.0), ("depth", 1, 0.005)):
+        lines = ["# made for a test"]
+        for index, t in enumerate(times_s + delay_s):
+            file = f"{name}/{t:.6f}.png"
+            if number_of_channels == 3:
+                write_color(folder / file, make_color(640, 480, index))
+            else:
+                write_depth(folder / file, constant_depth(640, 480, 10000))
+            lines.append(f"{t:.6f} {file}")
+        (folder / f"{name}.txt").write_text("\n".join(lines) + "\n")
+    truth_s = np.arange(99.9, 100.0 + frames / 30.0, 0.01)
+    (folder / "groundtruth.txt").write_text(
+        tum_lines(truth_s, geometry.se3_exp((truth_s[:, None] - 100.0) * twist))
+    )
+    return geometry.se3_exp((times_s[:, None] - 100.0) * twist)
+
+
+def write_rgbd_scenes_v2(root: Path, scene: str = "01", frames: int = 3) -> FloatArray:
+    """A scene of RGB-D Scenes v2 under its root; returns its poses."""
+    poses = make_poses(frames)
+    folder = root / "imgs" / f"scene_{scene}"
+    for index in range(frames):
+        write_color(folder / f"{index:05d}-color.png", make_color(640, 480, index))
+        write_depth(folder / f"{index:05d}-depth.png", constant_depth(640, 480, 20000))
+    (root / "pc").mkdir(exist_ok=True)
+    quaternions_wxyz = np.roll(geometry.rotation_to_quaternion(poses[:, :3, :3]), 1, axis=1)
+    np.savetxt(root / "pc" / f"{scene}.pose", np.hstack([quaternions_wxyz, poses[:, :3, 3]]))
+    return poses
+
+
+SEQUENCE_TOML = """\
+kind = "sequence"
+color = "color/{index:06d}.jpg"
+depth = "depth/{index:06d}.png"
+count = 3
+start = 10
+step = 5
+width = 32
+height = 24
+fx = 30.0
+fy = 31
+cx = 15.5
+cy = 11.5
+distortion = [0.1, -0.2, 0, 0.001, 0]
+depth_scale = 1000
+poses = "poses.txt"
+"""
+
+
+def write_folder(folder: Path, toml: str = SEQUENCE_TOML) -> FloatArray:
+    """A described folder with three frames 10, 15, 20; returns their poses."""
+    for index in (10, 15, 20):
+        write_color(folder / f"color/{index:06d}.jpg", make_color(32, 24, index // 5))
+        write_depth(folder / f"depth/{index:06d}.png", constant_depth(32, 24, 1500))
+    poses = make_poses(3)
+    (folder / "poses.txt").write_text(tum_lines(np.array([5.0, 5.1, 5.2]), poses))
+    (folder / "dataset.toml").write_text(toml)
+    return poses
+
+
+def write_video(path: Path, frames: int = 6) -> None:
+    """An MJPG video at 10 Hz whose frames are grey 20, 40, 60 and so on, 64x48."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (64, 48))
+    assert writer.isOpened()
+    for index in range(frames):
+        writer.write(np.full((48, 64, 3), 20 * (index + 1), dtype=np.uint8))
+    writer.release()

@@ -1,0 +1,204 @@
+"""The native kernels against their NumPy twins, and the index against the exact mixture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from map_helpers import make_mixture, make_particles, nats_with_outliers
+from monoloc import _core
+from monoloc.map import reference
+from monoloc.map.cloud_files import read_cloud
+from monoloc.map.fit import fit_mixture
+from monoloc.map.mixture import GaussianMixture
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(1, 40), st.integers(0, 70), st.integers(0, 10_000))
+def test_log_density_equals_twin(components: int, count: int, seed: int) -> None:
+    mixture = make_mixture(components, seed)
+    points = np.random.default_rng(seed).uniform(-3.0, 3.0, (count, 3))
+    native = _core.log_density(points, mixture.weights, mixture.means, mixture.covariances)
+    if count == 0:
+        assert native.shape == (0,)
+        return
+    twin = reference.log_density(points, mixture.weights, mixture.means, mixture.covariances)
+    np.testing.assert_allclose(native, twin, rtol=1e-10, atol=1e-10)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(1, 40), st.integers(1, 70), st.integers(0, 10_000))
+def test_expectation_equals_twin(components: int, count: int, seed: int) -> None:
+    mixture = make_mixture(components, seed)
+    points = mixture.sample(count, np.random.default_rng(seed))
+    arguments = points, mixture.weights, mixture.means, mixture.covariances
+    mass, first, second, log_likelihood = _core.expectation(*arguments)
+    twin = reference.expectation(*arguments)
+    np.testing.assert_allclose(mass, twin.mass, atol=1e-10)
+    np.testing.assert_allclose(first, twin.first, atol=1e-10)
+    np.testing.assert_allclose(second, twin.second[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]], atol=1e-10)
+    assert log_likelihood == pytest.approx(twin.log_likelihood, rel=1e-12, abs=1e-9)
+
+
+def test_far_points_and_negligible_weights_stay_finite() -> None:
+    mixture = GaussianMixture(
+        np.array([1.0, 0.0]), np.array([[0.0, 0, 0], [1.0, 0, 0]]), np.tile(1e-4 * np.eye(3), (2, 1, 1))
+    )
+    values = mixture.log_density([[0.0, 0, 0], [50.0, 0, 0], [1.0, 0, 0]])
+    twin = reference.log_density(
+        np.array([[0.0, 0, 0], [50.0, 0, 0]]), mixture.weights, mixture.means, mixture.covariances
+    )
+    np.testing.assert_allclose(values[:2], twin, rtol=1e-12)
+    assert np.isfinite(values).all()
+
+
+@pytest.mark.parametrize("with_weights", [False, True])
+@pytest.mark.parametrize("particles", [1, 17, 100])
+def test_weigh_equals_twin(particles: int, with_weights: bool) -> None:
+    rng = np.random.default_rng(particles)
+    mixture = make_mixture(60)
+    poses, log_scales = make_particles(particles, rng)
+    scan = mixture.sample(40, rng).astype(np.float32)
+    weights = rng.uniform(0.0, 2.0, 40).astype(np.float32) if with_weights else None
+    share, volume = 0.2, mixture.volume_m3
+    native = mixture.index().weigh(
+        poses, log_scales, scan, outlier_share=share, volume_m3=volume, point_weights=weights
+    )
+    twin = reference.weigh(
+        poses,
+        log_scales,
+        scan.astype(np.float64),
+        None if weights is None else weights.astype(np.float64),
+        mixture.weights,
+        mixture.means,
+        mixture.covariances,
+        share,
+        volume,
+    )
+    np.testing.assert_allclose(native, twin, atol=0.01 * 40)  # 0.01 nat a point
+    assert native.dtype == np.float64
+
+
+def assert_index_is_accurate(mixture: GaussianMixture, rng: np.random.Generator, share: float) -> None:
+    """At most 0.01 nat on average and 0.1 at worst, up to 10 cm from the map's points."""
+    points = mixture.sample(20_000, rng)
+    directions = rng.normal(size=points.shape)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    points += directions * rng.uniform(0.0, 0.1, (len(points), 1)) * rng.integers(0, 2, (len(points), 1))
+    index, volume = mixture.index(), mixture.volume_m3
+    exact = nats_with_outliers(mixture.log_density(points), share, volume)
+    error = np.abs(nats_with_outliers(index.log_density(points), share, volume) - exact)
+    assert error.mean() <= 0.01
+    assert error.max() <= 0.1
+
+
+@pytest.mark.parametrize("share", [0.1, 0.4])
+@pytest.mark.parametrize("components", [1, 200, 1000])
+def test_index_error_on_synthetic_map(components: int, share: float) -> None:
+    assert_index_is_accurate(make_mixture(components), np.random.default_rng(0), share)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("components", [200, 1000])
+def test_index_error_on_real_map(data_root: Path, components: int) -> None:
+    cloud = read_cloud(data_root / "rgbd-scenes-v2" / "pc" / "03_ascii.ply")
+    rng = np.random.default_rng(0)
+    mixture = fit_mixture(cloud, components, rng, max_iterations=10).mixture
+    assert_index_is_accurate(mixture, rng, 0.1)
+
+
+def test_index_holds_for_larger_voxels_and_far_from_origin() -> None:
+    mixture = make_mixture(100)
+    moved = GaussianMixture(
+        mixture.weights, mixture.means + np.array([500.0, -300.0, 20.0]), mixture.covariances
+    )
+    points = moved.sample(5000, np.random.default_rng(1))
+    exact = nats_with_outliers(moved.log_density(points), 0.1, moved.volume_m3)
+    for voxel_m in (0.05, 0.2, 0.4):
+        indexed = nats_with_outliers(moved.index(voxel_m).log_density(points), 0.1, moved.volume_m3)
+        assert np.abs(indexed - exact).max() < 0.1
+
+
+def test_index_memory_grows_with_the_surface_not_the_box() -> None:
+    near = make_mixture(50)
+    apart = near.means.copy()
+    apart[25:] += 100.0  # the same two clusters, a hundred metres apart
+    far = GaussianMixture(near.weights, apart, near.covariances)
+    floor = 0.1 / near.volume_m3
+    assert far.index(floor_density=floor).nbytes <= 3 * near.index(floor_density=floor).nbytes
+
+
+def test_index_reports_itself_and_is_empty_outside() -> None:
+    index = make_mixture(20).index(0.1)
+    assert index.voxel_m == 0.1
+    assert 0 < index.lists <= index.voxels
+    assert index.mean_candidates >= 1.0
+    assert np.isneginf(index.log_density([[1e5, 0.0, 0.0], [-1e9, 1e9, 0.0]])).all()
+
+
+def test_index_under_a_floor_above_the_map_is_empty() -> None:
+    index = make_mixture(5).index(floor_density=1e12)
+    assert index.voxels == 0
+    assert np.isneginf(index.log_density(np.zeros((3, 3)))).all()
+
+
+def test_no_particles_and_no_points() -> None:
+    index = make_mixture(5).index()
+    none = np.empty((0, 4, 4))
+    assert index.weigh(none, [], np.zeros((3, 3)), outlier_share=0.1, volume_m3=1.0).shape == (0,)
+    weighed = index.weigh(np.eye(4)[None], [0.0], np.empty((0, 3)), outlier_share=0.1, volume_m3=1.0)
+    np.testing.assert_array_equal(weighed, [0.0])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"poses": np.eye(4)}, r"poses must have shape \(N, 4, 4\), got \(4, 4\)"),
+        ({"log_scales": np.zeros(3)}, r"log_scales must have shape \(2,\), got \(3,\)"),
+        ({"scan": np.zeros((5, 2))}, r"scan must have shape \(N, 3\), got \(5, 2\)"),
+        ({"scan": np.full((5, 3), np.nan)}, "scan must be finite, got 15 values that are not"),
+        ({"poses": np.full((2, 4, 4), np.inf)}, "poses must be finite"),
+        ({"point_weights": np.ones(4)}, r"point_weights must have shape \(5,\), got \(4,\)"),
+        ({"outlier_share": 0.0}, r"outlier_share must be in \(0, 1\], got 0.0"),
+        ({"volume_m3": -1.0}, "volume_m3 must be positive and finite, got -1.0"),
+    ],
+)
+def test_weigh_says_what_is_wrong(changes: dict[str, object], message: str) -> None:
+    arguments: dict[str, object] = {
+        "poses": np.tile(np.eye(4), (2, 1, 1)),
+        "log_scales": np.zeros(2),
+        "scan": np.zeros((5, 3)),
+        "outlier_share": 0.1,
+        "volume_m3": 50.0,
+    }
+    arguments.update(changes)
+    index = make_mixture(3).index()
+    with pytest.raises(ValueError, match=message):
+        index.weigh(**arguments)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("settings_", "message"),
+    [
+        ({"voxel_m": 0.0}, "voxel_m must be positive and finite, got 0.0"),
+        ({"floor_density": -1.0}, "floor_density must be positive and finite, got -1.0"),
+        ({"tolerance": np.nan}, "tolerance must be positive and finite, got nan"),
+        ({"voxel_m": 1e-4}, "too small for a map of this extent"),
+    ],
+)
+def test_index_says_what_is_wrong(settings_: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_mixture(3).index(**settings_)
+
+
+def test_native_code_refuses_an_indefinite_covariance() -> None:
+    with pytest.raises(ValueError, match="covariance 0 is not positive definite"):
+        _core.log_density(np.zeros((1, 3)), np.ones(1), np.zeros((1, 3)), -np.eye(3)[None])
+
+
+def test_instruction_set_is_named() -> None:
+    assert _core.instruction_set() in ("baseline", "avx2", "avx512")
