@@ -19,9 +19,7 @@ def make_mixture(components: int, seed: int = 0, extent_m: float = 1.5) -> Gauss
     covariances = (rotations * sigmas[:, None, :] ** 2) @ rotations.swapaxes(-1, -2)
     covariances = 0.5 * (covariances + covariances.swapaxes(-1, -2))
     weights = rng.uniform(0.5, 1.5, components)
-    return GaussianMixture(
-        weights / weights.sum(), rng.uniform(-extent_m, extent_m, (components, 3)), covariances
-    )
+    return GaussianMixture(weights / weights.sum(), rng.uniform(-extent_m, extent_m, (components, 3)), covariances)
 
 
 def make_particles(count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:

@@ -82,9 +82,7 @@ def write_tum(folder: Path, frames: int = 4) -> FloatArray:
             lines.append(f"{t:.6f} {file}")
         (folder / f"{name}.txt").write_text("\n".join(lines) + "\n")
     truth_s = np.arange(99.9, 100.0 + frames / 30.0, 0.01)
-    (folder / "groundtruth.txt").write_text(
-        tum_lines(truth_s, geometry.se3_exp((truth_s[:, None] - 100.0) * twist))
-    )
+    (folder / "groundtruth.txt").write_text(tum_lines(truth_s, geometry.se3_exp((truth_s[:, None] - 100.0) * twist)))
     return geometry.se3_exp((times_s[:, None] - 100.0) * twist)
 
 

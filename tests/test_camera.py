@@ -59,9 +59,7 @@ def test_rays_agree_with_opencv_and_invert_projection(camera, seed):
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
     # OpenCV 4 has the iteration's criteria in a function of its own.
     undistort = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
-    expected = undistort(
-        pixels, camera.matrix, np.array(camera.distortion), R=None, P=None, criteria=criteria
-    )
+    expected = undistort(pixels, camera.matrix, np.array(camera.distortion), R=None, P=None, criteria=criteria)
     np.testing.assert_allclose(rays[:, :2], expected[:, 0], atol=1e-8)
     np.testing.assert_allclose(camera.project(rays), pixels, atol=1e-6)
 

@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
+from monoloc.depth_image import at_discontinuity
 from monoloc.errors import DataError, SettingError
 from monoloc.geometry import invert, se3_exp, transform
 from monoloc.map.cloud import (
+    DISCONTINUITY,
     VoxelThinner,
-    at_discontinuity,
     cloud_from_recording,
     remove_outliers,
     voxel_thin,
@@ -94,7 +95,7 @@ def test_discontinuity_marks_both_sides_and_ignores_holes() -> None:
     depth = np.full((5, 6), 2.0)
     depth[:, 3:] = 3.0
     depth[2, 0] = 0.0
-    marked = at_discontinuity(depth)
+    marked = at_discontinuity(depth, DISCONTINUITY)
     np.testing.assert_array_equal(marked.any(axis=0), [False, False, True, True, False, False])
     assert marked[:, 2:4].all()
 
@@ -267,9 +268,7 @@ def test_missing_file_and_bad_npz(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="it has no array 'points'"):
         read_cloud(tmp_path / "other.npz")
     np.savez(tmp_path / "flat.npz", points=np.zeros(3))
-    with pytest.raises(
-        DataError, match=r"points must be numbers of shape \(N, 3\), got float64 of shape \(3,\)"
-    ):
+    with pytest.raises(DataError, match=r"points must be numbers of shape \(N, 3\), got float64 of shape \(3,\)"):
         read_cloud(tmp_path / "flat.npz")
 
 

@@ -604,9 +604,7 @@ def test_video_with_a_camera_of_another_size(tmp_path):
     path = tmp_path / "walk.avi"
     synthetic.write_video(path)
     options = ReaderOptions(camera=Camera(640, 480, 500.0, 500.0, 320.0, 240.0))
-    refuses(
-        lambda: open_recording(str(path), options), "camera", "for 640x480, but .* is 64x48", "intrinsics"
-    )
+    refuses(lambda: open_recording(str(path), options), "camera", "for 640x480, but .* is 64x48", "intrinsics")
 
 
 def test_depth_of_a_video(tmp_path):

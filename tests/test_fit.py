@@ -129,9 +129,7 @@ def test_clamp_raises_only_small_eigenvalues() -> None:
 def test_progress_is_told() -> None:
     calls: list[tuple[int, float]] = []
     points = make_mixture(5).sample(200, np.random.default_rng(0))
-    result = fit_mixture(
-        points, 3, np.random.default_rng(0), progress=lambda i, mean: calls.append((i, mean))
-    )
+    result = fit_mixture(points, 3, np.random.default_rng(0), progress=lambda i, mean: calls.append((i, mean)))
     assert [i for i, _ in calls] == list(range(1, result.iterations + 1))
     assert calls[-1][1] == pytest.approx(result.log_likelihood_history[-1] / 200)
 

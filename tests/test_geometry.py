@@ -53,9 +53,7 @@ def test_so3_log_inverts_exp(phi):
 @pytest.mark.filterwarnings("error")
 def test_so3_log_of_half_turns_is_exact_and_silent():
     half_turns = np.stack([np.diag([1.0, -1.0, -1.0]), np.diag([-1.0, 1.0, -1.0]), np.eye(3)])
-    np.testing.assert_allclose(
-        np.abs(geometry.so3_log(half_turns)), np.pi * np.diag([1.0, 1.0, 0.0]), atol=1e-12
-    )
+    np.testing.assert_allclose(np.abs(geometry.so3_log(half_turns)), np.pi * np.diag([1.0, 1.0, 0.0]), atol=1e-12)
 
 
 @given(rotation_vectors, vectors)
@@ -92,9 +90,7 @@ def test_quaternions_agree_with_scipy(phi):
     # At a half turn w = 0 and both signs are canonical.
     sign = 1.0 if expected[3] > 1e-9 else np.sign(expected @ quaternion)
     np.testing.assert_allclose(quaternion, sign * expected, atol=1e-11)
-    np.testing.assert_allclose(
-        geometry.quaternion_to_rotation(3.0 * expected), rotation.as_matrix(), atol=1e-12
-    )
+    np.testing.assert_allclose(geometry.quaternion_to_rotation(3.0 * expected), rotation.as_matrix(), atol=1e-12)
 
 
 @pytest.mark.parametrize("quaternion", [[0.0, 0.0, 0.0, 0.0], [np.nan, 0.0, 0.0, 1.0]])

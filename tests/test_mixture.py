@@ -47,9 +47,7 @@ def test_density_does_not_depend_on_the_frame(seed: int, components: int) -> Non
     mixture = make_mixture(components, seed)
     R, t = so3_exp(rng.normal(size=3)), rng.normal(size=3)
     turned = R @ mixture.covariances @ R.T
-    moved = GaussianMixture(
-        mixture.weights, mixture.means @ R.T + t, 0.5 * (turned + turned.swapaxes(-1, -2))
-    )
+    moved = GaussianMixture(mixture.weights, mixture.means @ R.T + t, 0.5 * (turned + turned.swapaxes(-1, -2)))
     points = mixture.sample(20, rng)
     np.testing.assert_allclose(moved.log_density(points @ R.T + t), mixture.log_density(points), atol=1e-7)
 

@@ -113,9 +113,7 @@ def test_index_error_on_real_map(data_root: Path, components: int) -> None:
 
 def test_index_holds_for_larger_voxels_and_far_from_origin() -> None:
     mixture = make_mixture(100)
-    moved = GaussianMixture(
-        mixture.weights, mixture.means + np.array([500.0, -300.0, 20.0]), mixture.covariances
-    )
+    moved = GaussianMixture(mixture.weights, mixture.means + np.array([500.0, -300.0, 20.0]), mixture.covariances)
     points = moved.sample(5000, np.random.default_rng(1))
     exact = nats_with_outliers(moved.log_density(points), 0.1, moved.volume_m3)
     for voxel_m in (0.05, 0.2, 0.4):

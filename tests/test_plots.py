@@ -64,9 +64,7 @@ def test_localization(tmp_path: Path, left_out: tuple[str, ...]) -> None:
 @pytest.mark.filterwarnings("error")
 def test_localization_of_a_single_frame(tmp_path: Path) -> None:
     pose = np.eye(4)[None]
-    plot_localization(
-        tmp_path / "run.png", estimated=pose, truth=pose, timestamps_s=np.zeros(1), states=["lost"]
-    )
+    plot_localization(tmp_path / "run.png", estimated=pose, truth=pose, timestamps_s=np.zeros(1), states=["lost"])
     check_picture(tmp_path / "run.png", 1500, 900)
 
 
@@ -79,9 +77,7 @@ def test_localization_of_a_single_frame(tmp_path: Path) -> None:
         ([1, 0, 0], (2, 1, 0, True)),
     ],
 )
-def test_the_top_view_looks_down_and_is_not_mirrored(
-    down: list[float], axes: tuple[int, int, int, bool]
-) -> None:
+def test_the_top_view_looks_down_and_is_not_mirrored(down: list[float], axes: tuple[int, int, int, bool]) -> None:
     rotation = np.zeros((3, 3))
     rotation[:, 1] = down  # the camera's y axis in the world; the other two do not matter
     assert view_axes(make_pose(rotation, np.zeros(3))[None]) == axes
@@ -120,8 +116,7 @@ def test_depth_refuses_unequal_numbers_of_images(tmp_path: Path) -> None:
 
 def test_training(tmp_path: Path) -> None:
     history = [
-        {"epoch": n, "train_loss": 1.0 / (n + 1), "validation_loss": 1.2 / (n + 1), "delta1": n / 9}
-        for n in range(9)
+        {"epoch": n, "train_loss": 1.0 / (n + 1), "validation_loss": 1.2 / (n + 1), "delta1": n / 9} for n in range(9)
     ]
     plot_training(tmp_path / "training.png", history)
     check_picture(tmp_path / "training.png", 900, 400)

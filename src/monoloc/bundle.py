@@ -10,13 +10,15 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import os
 import shutil
 import tempfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from monoloc import __version__
@@ -36,7 +38,7 @@ class Provenance(BaseModel):
 
     Attributes:
         recording: name of the recording.
-        frames: names of the frames that built the map or tuned the network.
+        frames: name and :func:`fingerprint` of every frame that built the map or tuned the network.
         tune, map_transform, lambda_kl: the adaptation's variant.
         seed: of the build.
     """
@@ -44,7 +46,7 @@ class Provenance(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     recording: str
-    frames: list[str]
+    frames: dict[str, int]
     tune: str
     map_transform: bool
     lambda_kl: float
@@ -87,6 +89,11 @@ class Bundle:
     healthy: HealthyRange
 
 
+def fingerprint(color: NDArray[np.uint8]) -> int:
+    """Checksum of an image, by which a frame is known again whatever it is called."""
+    return zlib.crc32(np.ascontiguousarray(color).tobytes())
+
+
 def check_target(path: Path) -> None:
     """Refuse a place where a bundle must not be written, before the work is done.
 
@@ -125,8 +132,8 @@ def write_bundle(path: Path, bundle: Bundle) -> int:
         for name, content in contents.items():
             (fresh / name).write_bytes(content)
         if path.exists():
-            os.replace(path, staging / "old")
-        os.replace(fresh, path)
+            path.replace(staging / "old")
+        fresh.replace(path)
     finally:
         shutil.rmtree(staging)
     return sum(len(content) for content in contents.values())
@@ -148,9 +155,7 @@ def read_bundle(path: Path) -> Bundle:
         if hashlib.sha256(contents[name]).hexdigest() != manifest.sha256.get(name):
             raise BundleError(path / name, "is not what was written", "copy the bundle again or rebuild it")
     with np.load(io.BytesIO(contents[_MAP]), allow_pickle=False) as arrays:
-        original, adapted = (
-            GaussianMixture.from_arrays(arrays, prefix) for prefix in ("original_", "adapted_")
-        )
+        original, adapted = (GaussianMixture.from_arrays(arrays, prefix) for prefix in ("original_", "adapted_"))
     return Bundle(
         original=original,
         adapted=adapted,
@@ -164,7 +169,8 @@ def read_bundle(path: Path) -> Bundle:
 
 def _pack_maps(bundle: Bundle) -> bytes:
     buffer = io.BytesIO()
-    np.savez(buffer, **bundle.original.to_arrays("original_"), **bundle.adapted.to_arrays("adapted_"))
+    arrays: dict[str, Any] = bundle.original.to_arrays("original_") | bundle.adapted.to_arrays("adapted_")
+    np.savez(buffer, **arrays)
     return buffer.getvalue()
 
 
@@ -191,9 +197,7 @@ def _read_manifest(path: Path) -> Manifest:
         raise BundleError(file, "is cut short or edited", "copy the bundle again or rebuild it") from error
     if not isinstance(body, dict) or body.get("schema_version") != SCHEMA:
         found = body.get("schema_version") if isinstance(body, dict) else None
-        raise BundleError(
-            file, f"has schema {found}, this monoloc reads {SCHEMA}", "rebuild it with this version"
-        )
+        raise BundleError(file, f"has schema {found}, this monoloc reads {SCHEMA}", "rebuild it with this version")
     if body.pop("manifest_sha256", None) != _digest(body):
         raise BundleError(file, "was edited", "copy the bundle again or rebuild it")
     try:

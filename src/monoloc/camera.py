@@ -45,9 +45,7 @@ class Camera:
                 "camera.width/height", f"is {self.width}x{self.height}", "give the image size in pixels"
             )
         if not all(np.isfinite(f) and f > 0.0 for f in (self.fx, self.fy)):
-            raise SettingError(
-                "camera.fx/fy", f"is ({self.fx}, {self.fy})", "focal lengths are positive pixels"
-            )
+            raise SettingError("camera.fx/fy", f"is ({self.fx}, {self.fy})", "focal lengths are positive pixels")
         if not (-0.5 <= self.cx <= self.width - 0.5 and -0.5 <= self.cy <= self.height - 0.5):
             raise SettingError(
                 "camera.cx/cy",

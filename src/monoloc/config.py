@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from monoloc.errors import DataError
+from monoloc.errors import DataError, SettingError
 
 Settings = TypeVar("Settings", bound=BaseModel)
 
@@ -36,3 +36,27 @@ def describe(error: ValidationError) -> str:
     first = error.errors()[0]
     field = ".".join(str(part) for part in first["loc"]) or "settings"
     return f"{field}: {first['msg']}"
+
+
+def override(settings: Settings, **values: object) -> Settings:
+    """Settings with some fields replaced, checked again; None leaves a field as it is, a dict goes inside it.
+
+    Raises:
+        SettingError: a value that its field does not take.
+    """
+    try:
+        return type(settings).model_validate(_merged(settings.model_dump(), values))
+    except ValidationError as error:
+        field, problem = describe(error).split(": ", 1)
+        raise SettingError(field, problem, "see the command's --help") from error
+
+
+def _merged(base: dict[str, object], values: dict[str, object]) -> dict[str, object]:
+    merged = dict(base)
+    for name, value in values.items():
+        inner = merged.get(name)
+        if isinstance(value, dict) and isinstance(inner, dict):
+            merged[name] = _merged(inner, value)
+        elif value is not None:
+            merged[name] = value
+    return merged

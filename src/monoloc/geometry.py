@@ -53,9 +53,7 @@ def so3_log(rotation: ArrayLike) -> FloatArray:
     norm = np.linalg.norm(vector, axis=-1)
     small = norm < _SMALL_ANGLE
     # Where the sine is small the cosine is near 1; elsewhere it may be 0 (at pi).
-    scale = np.where(
-        small, 2.0 / np.where(small, w, 1.0), 2.0 * np.arctan2(norm, w) / np.where(small, 1.0, norm)
-    )
+    scale = np.where(small, 2.0 / np.where(small, w, 1.0), 2.0 * np.arctan2(norm, w) / np.where(small, 1.0, norm))
     return scale[..., None] * vector
 
 
@@ -167,9 +165,7 @@ def rotation_to_quaternion(rotation: ArrayLike) -> FloatArray:
     symmetric = R + np.swapaxes(R, -1, -2)
     trace = np.trace(R, axis1=-2, axis2=-1)
     K[..., :3, :3] = symmetric - trace[..., None, None] * np.eye(3)
-    axial = np.stack(
-        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1
-    )
+    axial = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
     K[..., :3, 3] = K[..., 3, :3] = axial
     K[..., 3, 3] = trace
     quaternion = np.linalg.eigh(K)[1][..., -1]

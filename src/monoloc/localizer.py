@@ -92,15 +92,16 @@ class Localizer:
         self._rng = rng
         self._is_first = True
 
-    def step(self, color: NDArray[np.uint8], elapsed_s: float) -> Step:
+    def step(self, color: NDArray[np.uint8], elapsed_s: float, measured_depth: DepthPrediction | None = None) -> Step:
         """Take one frame in.
 
         Args:
             color: (H, W, 3) uint8 RGB, of the camera given.
             elapsed_s: seconds since the previous frame; ignored at the first.
+            measured_depth: a depth sensor's image, where there is one; None predicts it.
         """
         config = self.config
-        depth = self._depth(color)
+        depth = self._depth(color) if measured_depth is None else measured_depth
         scan = scan_from_depth(depth.depth_m, depth.camera, config.scan_points, self._rng)
         motion = self._odometry.step(color, depth.depth_m, depth.camera) if self._odometry else None
         if not self._is_first:

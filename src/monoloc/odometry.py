@@ -12,6 +12,7 @@ check); Fischler & Bolles 1981 (RANSAC).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.camera import Camera
+from monoloc.depth_image import sample_depth
 from monoloc.geometry import FloatArray, invert, make_pose, so3_exp
 
 
@@ -34,8 +36,8 @@ class OdometryConfig(BaseModel):
         reprojection_px: RANSAC's inlier threshold.
         min_inliers: fewer than this is a failure.
         keep_fraction: a new reference is taken when fewer of its corners are still inliers.
-        edge_ratio: corners whose depth differs by more than this ratio within a pixel of the depth image are
-            not lifted: they sit on an occlusion edge.
+        depth_jump: corners within a pixel of a relative depth jump above this are not lifted: they sit on an
+            occlusion edge.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -48,7 +50,7 @@ class OdometryConfig(BaseModel):
     reprojection_px: float = Field(1.5, gt=0.0)
     min_inliers: int = Field(15, ge=6)
     keep_fraction: float = Field(0.75, gt=0.0, le=1.0)
-    edge_ratio: float = Field(1.15, gt=1.0)
+    depth_jump: float = Field(0.15, gt=0.0)
 
 
 @dataclass(frozen=True)
@@ -86,9 +88,7 @@ class VisualOdometry:
         self._reference: _Reference | None = None
         self._T_reference_previous = np.eye(4)
 
-    def step(
-        self, color: NDArray[np.uint8], depth_m: NDArray[np.float32], depth_camera: Camera
-    ) -> Motion | None:
+    def step(self, color: NDArray[np.uint8], depth_m: NDArray[np.float32], depth_camera: Camera) -> Motion | None:
         """Motion since the previous frame; None for the first frame and where tracking fails.
 
         Args:
@@ -119,13 +119,13 @@ class VisualOdometry:
         self._reference = None
         if self._gray is None or self._depth is None:
             return
-        corners = cv2.goodFeaturesToTrack(
+        corners: Any = cv2.goodFeaturesToTrack(
             self._gray, self.config.corners, qualityLevel=0.005, minDistance=self.config.min_distance_px
         )
-        if corners is None:
+        if corners is None or len(corners) == 0:
             return
         pixels = corners.reshape(-1, 2).astype(np.float32)
-        depth = sample_depth(pixels, self._camera, *self._depth, edge_ratio=self.config.edge_ratio)
+        depth = sample_depth(pixels, self._camera, *self._depth, relative=self.config.depth_jump)
         pixels, depth = pixels[depth > 0.0], depth[depth > 0.0]
         points = self._camera.rays(pixels) * depth[:, None]
         self._reference = _Reference(points, pixels, len(points))
@@ -154,17 +154,15 @@ class VisualOdometry:
         self, before: NDArray[np.uint8], after: NDArray[np.uint8], pixels: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         window = (self.config.window_px, self.config.window_px)
-        forward, found, _ = cv2.calcOpticalFlowPyrLK(before, after, pixels, None, winSize=window, maxLevel=3)
+        forward, found, _ = cv2.calcOpticalFlowPyrLK(before, after, pixels, pixels.copy(), winSize=window, maxLevel=3)
         back, found_back, _ = cv2.calcOpticalFlowPyrLK(
-            after, before, forward, None, winSize=window, maxLevel=3
+            after, before, forward, forward.copy(), winSize=window, maxLevel=3
         )
         distance = np.linalg.norm(back - pixels, axis=1)
         kept = (found[:, 0] == 1) & (found_back[:, 0] == 1) & (distance < self.config.forward_backward_px)
-        return forward, kept
+        return np.asarray(forward, dtype=np.float32), kept
 
-    def _solve(
-        self, points: FloatArray, pixels: NDArray[np.float32]
-    ) -> tuple[FloatArray, NDArray[np.int64]] | None:
+    def _solve(self, points: FloatArray, pixels: NDArray[np.float32]) -> tuple[FloatArray, NDArray[np.int64]] | None:
         """T_current_reference and the inliers' indices, or None."""
         if len(points) < self.config.min_inliers:
             return None
@@ -187,35 +185,3 @@ class VisualOdometry:
         )
         pose = make_pose(so3_exp(rotation.ravel()), translation.ravel())
         return (pose, chosen) if np.all(np.isfinite(pose)) else None
-
-
-def sample_depth(
-    pixels: NDArray[np.float32],
-    camera: Camera,
-    depth_m: NDArray[np.float32],
-    depth_camera: Camera,
-    edge_ratio: float,
-) -> NDArray[np.float64]:
-    """Depth at pixels of one image of a camera, from a depth image of another size of the same camera.
-
-    Args:
-        pixels: (N, 2) in ``camera``'s image.
-        edge_ratio: a pixel whose four depth neighbours differ by more than this ratio gets none.
-
-    Returns:
-        (N,) metres; 0 outside, where a neighbour has no depth, and on depth edges.
-    """
-    scale = np.array([depth_camera.width / camera.width, depth_camera.height / camera.height])
-    xy = (pixels + 0.5) * scale - 0.5
-    xy = np.clip(xy, 0.0, np.array([depth_camera.width - 1, depth_camera.height - 1]))
-    x0 = np.minimum(xy[:, 0].astype(np.int64), depth_camera.width - 2)
-    y0 = np.minimum(xy[:, 1].astype(np.int64), depth_camera.height - 2)
-    fx, fy = xy[:, 0] - x0, xy[:, 1] - y0
-    corners = np.stack(
-        [depth_m[y0, x0], depth_m[y0, x0 + 1], depth_m[y0 + 1, x0], depth_m[y0 + 1, x0 + 1]], axis=1
-    )
-    weights = np.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy], axis=1)
-    depth = np.sum(weights * corners, axis=1)
-    nearest, farthest = corners.min(axis=1), corners.max(axis=1)
-    usable = (nearest > 0.0) & (farthest <= edge_ratio * nearest)
-    return np.where(usable, depth, 0.0)

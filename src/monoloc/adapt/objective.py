@@ -33,7 +33,8 @@ def matched_kl(
     log_determinants = 2.0 * (_log_diagonal(other_lower) - _log_diagonal(lower))
     trace, distance = whitened.square().sum((-1, -2)), offset.square().sum((-1, -2))
     component_kl = 0.5 * (trace + distance - means.shape[-1] + log_determinants)
-    return (log_weights.exp() * (component_kl + log_weights - other_log_weights)).sum()
+    divergence: Tensor = (log_weights.exp() * (component_kl + log_weights - other_log_weights)).sum()
+    return divergence
 
 
 def ray_log_likelihood(
@@ -63,9 +64,7 @@ def ray_log_likelihood(
         log_depth_range: width of the outliers' uniform density in log-depth; 4 spans 0.15 m to 8 m.
     """
     lower = torch.linalg.cholesky(covariances)
-    inverse = torch.linalg.solve_triangular(
-        lower, torch.eye(3, dtype=lower.dtype).expand_as(lower), upper=False
-    )
+    inverse = torch.linalg.solve_triangular(lower, torch.eye(3, dtype=lower.dtype).expand_as(lower), upper=False)
     # Whitened ray and offset, (P, K, 3): |w_ray d - w_offset|^2 is the Mahalanobis distance at depth d.
     w_ray = torch.einsum("kij,pj->pki", inverse, rays_world)
     w_offset = torch.einsum("kij,pkj->pki", inverse, means[None] - origins[:, None])

@@ -6,54 +6,18 @@ import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import torch
-from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
 from monoloc.adapt.objective import matched_kl, ray_log_likelihood
+from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.transform import AdaptedMap
 from monoloc.adapt.views import Views
 from monoloc.depth.losses import depth_loss
 from monoloc.depth.network import DepthNetwork
-
-Tune = Literal["none", "last", "decoder"]
-
-
-class AdaptConfig(BaseModel):
-    """Settings of adaptation.
-
-    Attributes:
-        tune: what of the network is tuned: nothing, the last layer (the paper's), or the decoder and it.
-        map_transform: whether the map is bent.
-        lambda_kl: weight of KL(M || M_A).
-        steps: most optimiser steps; held-out frames may stop it earlier.
-        batch_views, pixels_per_view: size of one step.
-        extra_views: random views beside the whole one, a frame (for ``decoder`` only).
-        network_rate, map_rate: Adam's learning rates.
-        likelihood_weight, depth_weight: weights of the ray likelihood and, for ``decoder``, of the depth loss.
-        outlier_share: epsilon of the ray likelihood.
-        inflation_m: standard deviation added to the map's components at the start, annealed to zero: it gives
-            far-off depth a gradient.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    tune: Tune = "decoder"
-    map_transform: bool = True
-    lambda_kl: float = Field(0.1, ge=0.0)
-    steps: int = Field(1500, ge=1)
-    batch_views: int = Field(16, ge=1)
-    pixels_per_view: int = Field(64, ge=1)
-    extra_views: int = Field(12, ge=0)
-    network_rate: float = Field(2e-3, gt=0.0)
-    map_rate: float = Field(1e-3, gt=0.0)
-    likelihood_weight: float = Field(0.05, ge=0.0)
-    depth_weight: float = Field(1.0, ge=0.0)
-    outlier_share: float = Field(0.1, gt=0.0, lt=1.0)
-    inflation_m: float = Field(0.3, ge=0.0)
+from monoloc.memory import keep_freed_memory
 
 
 @dataclass(frozen=True)
@@ -95,12 +59,23 @@ class Adaptation:
         generator: torch.Generator,
         held_out: Views | None = None,
         evaluate_every: int = 100,
-        progress: Callable[[int, float], None] | None = None,
+        progress: Callable[[int], None] | None = None,
+        stop_at: int | None = None,
     ) -> list[Score]:
         """Tune for ``steps``; with held-out views, keep the state that was best on them.
 
-        Returns the scores on the held-out views, the first before any step.
+        Args:
+            training: views to tune on.
+            steps: length of the learning-rate schedule.
+            generator: for the choice of views and pixels.
+            held_out: views to judge on, every ``evaluate_every`` steps.
+            progress: called with the steps done.
+            stop_at: stop after so many steps of the schedule.
+
+        Returns:
+            Scores on the held-out views, the first before any step; empty without held-out views.
         """
+        keep_freed_memory()
         if self.is_trivial:
             return [self.score(held_out, 0)] if held_out is not None else []
         self.fit_bias(training)
@@ -119,7 +94,7 @@ class Adaptation:
         )
         scores = [self.score(held_out, 0)] if held_out is not None else []
         best = self._state() if held_out is not None else None
-        for step in range(steps):
+        for step in range(steps if stop_at is None else stop_at):
             chosen = torch.randint(len(training), (self.config.batch_views,), generator=generator)
             loss = self._loss(
                 training[chosen], None if features is None else features[chosen], step / steps, generator
@@ -133,7 +108,7 @@ class Adaptation:
                 if self._criterion(scores[-1]) <= min(map(self._criterion, scores)):
                     best = self._state()
             if progress is not None:
-                progress(step + 1, float(loss.detach()))
+                progress(step + 1)
         if best is not None:
             self._restore(best)
         return scores
@@ -194,10 +169,7 @@ class Adaptation:
             loss = -fit
         else:
             # The gradient term keeps planes smooth and steps sharp while the decoder moves.
-            loss = (
-                config.depth_weight * depth_loss(log_depth, views.depth_m, 0.5)
-                - config.likelihood_weight * fit
-            )
+            loss = config.depth_weight * depth_loss(log_depth, views.depth_m, 0.5) - config.likelihood_weight * fit
         if config.map_transform:
             weight = config.lambda_kl * (config.likelihood_weight if config.tune == "decoder" else 1.0)
             loss = loss + weight * self._kl(means, covariances)
@@ -224,10 +196,7 @@ class Adaptation:
     def _features(self, views: Views) -> Tensor:
         with torch.no_grad():
             return torch.cat(
-                [
-                    self.network.decoder([tap[i : i + 32] for tap in views.taps])
-                    for i in range(0, len(views), 32)
-                ]
+                [self.network.decoder([tap[i : i + 32] for tap in views.taps]) for i in range(0, len(views), 32)]
             )
 
     def _state(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:

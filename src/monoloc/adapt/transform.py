@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import numpy as np
 import torch
@@ -46,6 +47,25 @@ class MapTransform(nn.Module):
         return points + displacement
 
 
+def _sparse_rows(rows: Tensor, columns: Tensor, values: Tensor, shape: tuple[int, int]) -> Tensor:
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Sparse", UserWarning)  # remarks on beta state and unchecked invariants
+        return torch.sparse_coo_tensor(torch.stack([rows, columns]), values, shape).coalesce().to_sparse_csr()
+
+
+class _SparseProduct(torch.autograd.Function):
+    """``A @ x`` for a constant sparse A; torch's own would sort A's transpose anew at every backward pass."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, matrix: Tensor, transposed: Tensor) -> Tensor:
+        ctx.transposed = transposed
+        return matrix @ x
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
+        return ctx.transposed @ gradient, None, None
+
+
 class AdaptedMap(nn.Module):
     """The mixture M_A of a bent cloud, differentiable in the bending.
 
@@ -71,12 +91,11 @@ class AdaptedMap(nn.Module):
         gamma = gamma / gamma.sum(dim=1, keepdim=True)
         points = torch.from_numpy(np.asarray(cloud, dtype=np.float64))
         rows, columns = nearest.ravel(), torch.arange(len(points)).repeat_interleave(kept)
-        shape = (len(mixture.weights), len(points))
-        mass = torch.zeros(shape[0], dtype=torch.float64).index_add(0, rows, gamma.ravel()).clamp(min=1e-12)
-        averaging = torch.sparse_coo_tensor(torch.stack([rows, columns]), gamma.ravel() / mass[rows], shape)
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "Sparse CSR tensor support is in beta", UserWarning)
-            self._averaging = averaging.to_sparse_csr()  # row i averages the cloud with component i's weights
+        mass = torch.zeros(len(mixture), dtype=torch.float64).index_add(0, rows, gamma.ravel()).clamp(min=1e-12)
+        # Row i averages the cloud with component i's responsibilities; transposed once, for every backward pass.
+        weights = gamma.ravel() / mass[rows]
+        self._averaging = _sparse_rows(rows, columns, weights, (len(mixture), len(points)))
+        self._averaging_transposed = _sparse_rows(columns, rows, weights, (len(points), len(mixture)))
         centre = 0.5 * (points.amin(dim=0) + points.amax(dim=0))
         radius = float(0.5 * (points.amax(dim=0) - points.amin(dim=0)).max())
         self.transform = MapTransform(centre, radius)
@@ -95,7 +114,9 @@ class AdaptedMap(nn.Module):
     def _moments(self, points: Tensor) -> tuple[Tensor, Tensor]:
         relative = points - self.transform.centre
         upper = torch.stack([relative[:, i] * relative[:, j] for i, j in _UPPER], dim=1)
-        averages = torch.sparse.mm(self._averaging, torch.cat([relative, upper], dim=1))
+        averages: Tensor = _SparseProduct.apply(  # type: ignore[no-untyped-call]
+            torch.cat([relative, upper], dim=1), self._averaging, self._averaging_transposed
+        )
         means, second = averages[:, :3], averages[:, 3:][:, _SYMMETRIC].reshape(-1, 3, 3)
         return means + self.transform.centre, second - means[:, :, None] * means[:, None, :] + self._floor
 

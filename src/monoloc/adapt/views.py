@@ -71,7 +71,7 @@ def make_views(
     network: DepthNetwork,
     extra_views: int,
     rng: np.random.Generator,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int], None] | None = None,
 ) -> Views:
     """The whole view of every frame and ``extra_views`` random ones, through the frozen encoder.
 
@@ -101,7 +101,7 @@ def make_views(
         frame += [index] * len(views)
         whole += [True] + [False] * extra_views
         if progress is not None:
-            progress(index + 1, len(recording))
+            progress(index + 1)
     return Views(
         taps=[torch.cat(stage) for stage in zip(*taps, strict=True)],
         depth_m=torch.from_numpy(np.stack(depth))[:, None],

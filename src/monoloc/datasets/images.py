@@ -125,9 +125,7 @@ class ImageRecording:
     def depth(self, index: int) -> NDArray[np.float32]:
         """As :meth:`monoloc.datasets.base.Recording.depth`."""
         if self.depth_paths is None:
-            raise DataError(
-                self.folder, "has no depth images", "use a recording with depth, or predicted depth"
-            )
+            raise DataError(self.folder, "has no depth images", "use a recording with depth, or predicted depth")
         if self.registration is None:
             return read_depth(self.depth_paths[index], self.depth_scale, self.camera)
         depth_m = read_depth(self.depth_paths[index], self.depth_scale, self.registration.depth_camera)

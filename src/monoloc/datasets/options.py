@@ -31,9 +31,7 @@ class ReaderOptions:
 
     def __post_init__(self) -> None:
         if self.depth_scale is not None and not (np.isfinite(self.depth_scale) and self.depth_scale > 0.0):
-            raise SettingError(
-                "depth_scale", f"is {self.depth_scale}", "give the stored value of one metre, > 0"
-            )
+            raise SettingError("depth_scale", f"is {self.depth_scale}", "give the stored value of one metre, > 0")
         if self.horizontal_fov_deg is not None and not 0.0 < self.horizontal_fov_deg < 180.0:
             raise SettingError(
                 "horizontal_fov_deg", f"is {self.horizontal_fov_deg}", "give degrees between 0 and 180"
@@ -47,6 +45,4 @@ class ReaderOptions:
         """
         for field in fields(self):
             if field.name not in names and getattr(self, field.name) != field.default:
-                raise SettingError(
-                    field.name, f"has no meaning for a {reader} recording", "leave this option out"
-                )
+                raise SettingError(field.name, f"has no meaning for a {reader} recording", "leave this option out")

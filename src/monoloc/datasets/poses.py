@@ -56,9 +56,7 @@ def read_matrix_pose(path: Path) -> FloatArray:
     return rows
 
 
-def poses_from_quaternions(
-    quaternions_xyzw: FloatArray, translations_m: FloatArray, file: Path
-) -> FloatArray:
+def poses_from_quaternions(quaternions_xyzw: FloatArray, translations_m: FloatArray, file: Path) -> FloatArray:
     """Poses of (N, 4) quaternions (x, y, z, w) and (N, 3) translations, all out of one file: (N, 4, 4).
 
     Raises:

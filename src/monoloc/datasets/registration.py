@@ -22,9 +22,7 @@ class DepthRegistration:
         depth_camera, color_camera: the two cameras; either may be distorted.
     """
 
-    def __init__(
-        self, depth_camera: Camera, color_camera: Camera, T_color_depth: NDArray[np.float64]
-    ) -> None:
+    def __init__(self, depth_camera: Camera, color_camera: Camera, T_color_depth: NDArray[np.float64]) -> None:
         self.depth_camera = depth_camera
         self.color_camera = color_camera
         rays_color = depth_camera.pixel_rays() @ T_color_depth[:3, :3].T

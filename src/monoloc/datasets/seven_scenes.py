@@ -99,9 +99,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
         color_paths=color_paths,
         depth_paths=depth_paths if has_depth else None,
         depth_scale=options.depth_scale or 1000.0,
-        registration=DepthRegistration(depth_camera, color_camera, T_COLOR_DEPTH)
-        if options.register_depth
-        else None,
+        registration=DepthRegistration(depth_camera, color_camera, T_COLOR_DEPTH) if options.register_depth else None,
     )
 
 

@@ -127,9 +127,7 @@ def _mutual_nearest(color_s: FloatArray, depth_s: FloatArray) -> NDArray[np.int6
     return np.where(mutual & close, partner, -1)
 
 
-def _poses_at(
-    query_s: FloatArray, times_s: FloatArray, poses: FloatArray
-) -> tuple[NDArray[np.bool_], FloatArray]:
+def _poses_at(query_s: FloatArray, times_s: FloatArray, poses: FloatArray) -> tuple[NDArray[np.bool_], FloatArray]:
     """Whether the pose is known at each query (Q,), and the pose (Q, 4, 4) (meaningless where it is not)."""
     nearest = _nearest(query_s, times_s)
     known = np.abs(times_s[nearest] - query_s) <= MAX_TIME_DIFFERENCE_S

@@ -100,9 +100,7 @@ def random_view(
     return draw_view(color, depth_m, camera, size, linear, offset)
 
 
-def whole_view(
-    color: NDArray[np.uint8], depth_m: NDArray[np.float32], camera: Camera, size: tuple[int, int]
-) -> View:
+def whole_view(color: NDArray[np.uint8], depth_m: NDArray[np.float32], camera: Camera, size: tuple[int, int]) -> View:
     """The whole frame at the network's size, as at run time."""
     scale = np.array([camera.width / size[0], camera.height / size[1]])
     return draw_view(color, depth_m, camera, size, np.diag(scale), 0.5 * scale - 0.5)
@@ -124,9 +122,7 @@ def draw_view(
     fine = _warp(color, linear / _SUPERSAMPLE, fine_offset, fine_size, cv2.INTER_LINEAR)
     view_color = cv2.resize(fine, size, interpolation=cv2.INTER_AREA)
     focal_px = camera.focal_px / float(np.sqrt(abs(np.linalg.det(linear))))
-    return View(
-        np.asarray(view_color, np.uint8), np.asarray(view_depth, np.float32), linear, offset, focal_px
-    )
+    return View(np.asarray(view_color, np.uint8), np.asarray(view_depth, np.float32), linear, offset, focal_px)
 
 
 def _warp(
@@ -138,15 +134,11 @@ def _warp(
 ) -> NDArray[np.float32]:
     """Image whose pixel p shows ``image`` at ``linear @ p + offset``; black outside."""
     return np.asarray(
-        cv2.warpAffine(
-            image, np.column_stack([linear, offset]), size, flags=interpolation | cv2.WARP_INVERSE_MAP
-        )
+        cv2.warpAffine(image, np.column_stack([linear, offset]), size, flags=interpolation | cv2.WARP_INVERSE_MAP)
     )
 
 
-def random_exposure(
-    color: NDArray[np.uint8], config: AugmentConfig, rng: np.random.Generator
-) -> NDArray[np.uint8]:
+def random_exposure(color: NDArray[np.uint8], config: AugmentConfig, rng: np.random.Generator) -> NDArray[np.uint8]:
     """The same view under another light, lens and sensor: (H, W, 3) uint8 -> (H, W, 3) uint8."""
     gain = 2.0 ** rng.uniform(-config.exposure_stops, config.exposure_stops)
     balance = gain * (1.0 + rng.uniform(-config.white_balance, config.white_balance, 3))

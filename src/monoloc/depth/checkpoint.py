@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 from pydantic import ValidationError
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 
 from monoloc.depth.network import DepthNetwork, NetworkConfig
 from monoloc.errors import DataError
+from monoloc.files import write_whole
 
 
 def save_network(network: DepthNetwork, path: Path) -> None:
     """Write weights and settings, whole or not at all."""
-    partial = path.with_suffix(".partial")
     tensors = {name: tensor.contiguous() for name, tensor in network.state_dict().items()}
-    save_file(tensors, partial, metadata={"monoloc_network": network.config.model_dump_json()})
-    os.replace(partial, path)
+    write_whole(path, save(tensors, metadata={"monoloc_network": network.config.model_dump_json()}))
 
 
 def load_network(path: Path) -> DepthNetwork:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import warnings
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 import onnx
@@ -46,7 +47,7 @@ def export_onnx(network: DepthNetwork) -> tuple[bytes, ExportReport]:
         torch.onnx.export(
             network,
             (example,),
-            buffer,
+            cast(Any, buffer),  # a file object is taken, whatever the annotation says
             input_names=["image"],
             output_names=["log_depth"],
             dynamic_axes={"image": {2: "height", 3: "width"}, "log_depth": {2: "rows", 3: "columns"}},
@@ -59,9 +60,7 @@ def export_onnx(network: DepthNetwork) -> tuple[bytes, ExportReport]:
     content = model.SerializeToString()
     worst, mean = _parity(network, content)
     if worst > _PARITY_LIMIT:
-        raise MonolocError(
-            f"the exported network differs from the original by {worst:.2e} in log-depth; not written"
-        )
+        raise MonolocError(f"the exported network differs from the original by {worst:.2e} in log-depth; not written")
     return content, ExportReport(len(content), worst, mean)
 
 

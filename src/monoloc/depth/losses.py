@@ -42,9 +42,7 @@ def depth_loss(log_predicted: Tensor, depth_m: Tensor, gradient_weight: float) -
         depth_m: (B, 1, H, W) metres.
         gradient_weight: weight of :func:`gradient_loss` beside :func:`log_l1_loss`.
     """
-    log_predicted = F.interpolate(
-        log_predicted, size=depth_m.shape[-2:], mode="bilinear", align_corners=False
-    )
+    log_predicted = F.interpolate(log_predicted, size=depth_m.shape[-2:], mode="bilinear", align_corners=False)
     valid = depth_m > 0.0
     log_truth = torch.log(depth_m.clamp(min=1e-3))
     loss = log_l1_loss(log_predicted, log_truth, valid)

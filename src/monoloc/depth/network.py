@@ -63,7 +63,8 @@ class _SamePadConv(nn.Conv2d):
     """Stride-2 convolution padded (0, 1, 0, 1) for even sizes, as TensorFlow's 'same'."""
 
     def forward(self, x: Tensor) -> Tensor:
-        return self._conv_forward(F.pad(x, (0, 1, 0, 1)), self.weight, self.bias)
+        y: Tensor = self._conv_forward(F.pad(x, (0, 1, 0, 1)), self.weight, self.bias)
+        return y
 
 
 def _conv_bn(inputs: int, outputs: int, kernel: int, stride: int = 1, groups: int = 1) -> list[nn.Module]:
@@ -126,9 +127,7 @@ class _ChainedResidualPooling(nn.Module):
     def __init__(self, channels: int, stages: int = 4, depthwise: bool = False) -> None:
         super().__init__()
         groups = channels if depthwise else 1
-        self.convs = nn.ModuleList(
-            nn.Conv2d(channels, channels, 1, groups=groups, bias=False) for _ in range(stages)
-        )
+        self.convs = nn.ModuleList(nn.Conv2d(channels, channels, 1, groups=groups, bias=False) for _ in range(stages))
 
     def forward(self, x: Tensor) -> Tensor:
         path = x
@@ -196,9 +195,7 @@ def load_encoder_weights(network: DepthNetwork, path: Path) -> None:
         if name.endswith("num_batches_tracked"):
             continue
         if name not in arrays:
-            raise DataError(
-                path, f"has no tensor {name}", "give weights under torchvision's MobileNetV2 names"
-            )
+            raise DataError(path, f"has no tensor {name}", "give weights under torchvision's MobileNetV2 names")
         if arrays[name].shape != tuple(target.shape):
             raise DataError(
                 path,

@@ -65,13 +65,9 @@ class DepthPredictor:
             ) from error
         except Exception as error:  # onnxruntime raises its own classes, all directly under Exception
             reason = str(error).splitlines()[0]
-            raise DataError(
-                label, f"cannot be loaded ({reason})", "export it with: monoloc depth export"
-            ) from error
+            raise DataError(label, f"cannot be loaded ({reason})", "export it with: monoloc depth export") from error
         self.input_camera = camera.resized(*network_size(camera, self.focal_px))
-        self.output_camera = self.input_camera.resized(
-            self.input_camera.width // 4, self.input_camera.height // 4
-        )
+        self.output_camera = self.input_camera.resized(self.input_camera.width // 4, self.input_camera.height // 4)
         self._log_focal_ratio = math.log(self.input_camera.focal_px / self.focal_px)
 
     def __call__(self, color: NDArray[np.uint8]) -> DepthPrediction:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import cast
 
 import cv2
 import numpy as np
@@ -23,6 +24,7 @@ from monoloc.depth.losses import depth_loss
 from monoloc.depth.network import DepthNetwork, NetworkConfig, load_encoder_weights
 from monoloc.depth.runtime import network_size
 from monoloc.errors import DataError, SettingError
+from monoloc.memory import keep_freed_memory
 
 
 class TrainConfig(BaseModel):
@@ -88,32 +90,30 @@ def train_network(
     out_dir: Path,
     encoder_weights: Path | None = None,
     progress: Callable[[EpochRecord], None] | None = None,
-) -> DepthNetwork:
+) -> list[EpochRecord]:
     """Train from the encoder's weights (or from nothing) and write the network and its history.
 
     AdamW, one-cycle learning rate, exponential moving average of the weights, bfloat16 convolutions. After every
-    epoch ``out_dir`` holds ``network.safetensors`` (the averaged weights) and ``history.json``.
+    epoch ``out_dir`` holds ``network.safetensors`` (the averaged weights) and ``history.json``, which is returned.
 
     Raises:
         DataError: a recording without depth, or one that cannot be read.
         SettingError: fewer frames than one batch.
     """
+    keep_freed_memory()
     rng = np.random.default_rng(config.seed)
     torch.manual_seed(config.seed)
     network = DepthNetwork(config.network)
     if encoder_weights is not None:
         load_encoder_weights(network, encoder_weights)
     network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    averaged = torch.optim.swa_utils.AveragedModel(
-        network, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(config.ema_decay), use_buffers=True
-    )
+    average = torch.optim.swa_utils.get_ema_multi_avg_fn(config.ema_decay)  # type: ignore[no-untyped-call]
+    averaged = torch.optim.swa_utils.AveragedModel(network, multi_avg_fn=average, use_buffers=True)
     size = network_size(training.camera, config.network.focal_px)
     frames = _Frames(training, size, config.augment.zoom_max)
     steps_per_epoch = len(frames) // config.batch_size
     if steps_per_epoch < 1:
-        raise SettingError(
-            "batch_size", f"{config.batch_size} exceeds {len(frames)} frames", "use more frames"
-        )
+        raise SettingError("batch_size", f"{config.batch_size} exceeds {len(frames)} frames", "use more frames")
     optimizer = torch.optim.AdamW(
         [
             {"params": network.encoder.parameters(), "lr": config.learning_rate * config.encoder_rate_factor},
@@ -141,9 +141,7 @@ def train_network(
                 log_depth = network(images)
             loss = depth_loss(log_depth.float(), depth, config.gradient_weight)
             if not torch.isfinite(loss):
-                raise SettingError(
-                    "learning_rate", f"{config.learning_rate} made the loss infinite", "lower it"
-                )
+                raise SettingError("learning_rate", f"{config.learning_rate} made the loss infinite", "lower it")
             optimizer.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]
             torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
@@ -151,15 +149,14 @@ def train_network(
             schedule.step()
             averaged.update_parameters(network)
             losses.append(loss.detach())
-        absrel, delta1 = validate(averaged.module, validation)
+        absrel, delta1 = validate(cast(DepthNetwork, averaged.module), validation)
         train_loss = float(torch.stack(losses).mean())
         history.append(EpochRecord(epoch, train_loss, absrel, delta1, time.perf_counter() - started))
-        save_network(averaged.module, out_dir / "network.safetensors")
+        save_network(cast(DepthNetwork, averaged.module), out_dir / "network.safetensors")
         (out_dir / "history.json").write_text(json.dumps([asdict(record) for record in history], indent=1))
         if progress is not None:
             progress(history[-1])
-    trained: DepthNetwork = averaged.module
-    return trained.eval()
+    return history
 
 
 def _batches(
@@ -169,9 +166,7 @@ def _batches(
     for start in range(0, len(order) - config.batch_size + 1, config.batch_size):
         images, depths = [], []
         for index in order[start : start + config.batch_size]:
-            view = random_view(
-                frames.colors[index], frames.depths[index], frames.camera, size, config.augment, rng
-            )
+            view = random_view(frames.colors[index], frames.depths[index], frames.camera, size, config.augment, rng)
             images.append(random_exposure(view.color, config.augment, rng))
             depths.append(view.depth_m * np.float32(config.network.focal_px / view.focal_px))
         yield network_input(images), torch.from_numpy(np.stack(depths))[:, None]
@@ -188,9 +183,7 @@ def validate(network: DepthNetwork, recording: Recording) -> tuple[float, float]
         color = cv2.resize(recording.color(index), (width, height), interpolation=cv2.INTER_AREA)
         log_depth = network(network_input([np.asarray(color, dtype=np.uint8)]))[0, 0].numpy()
         truth = recording.depth(index)
-        predicted = cv2.resize(np.exp(log_depth), truth.shape[::-1]) * (
-            small.focal_px / network.config.focal_px
-        )
+        predicted = cv2.resize(np.exp(log_depth), truth.shape[::-1]) * (small.focal_px / network.config.focal_px)
         valid = truth > 0.0
         ratio = predicted[valid] / truth[valid]
         absrel.append(np.mean(np.abs(ratio - 1.0)))

@@ -78,9 +78,7 @@ def fit_scale(predicted_m: ArrayLike, truth_m: ArrayLike) -> float:
     return float(np.exp(np.median(np.log(truth[valid]) - np.log(predicted[valid]))))
 
 
-def depth_ssim(
-    predicted_m: ArrayLike, truth_m: ArrayLike, valid: ArrayLike, data_range_m: float
-) -> float | None:
+def depth_ssim(predicted_m: ArrayLike, truth_m: ArrayLike, valid: ArrayLike, data_range_m: float) -> float | None:
     """Structural similarity (Wang et al. 2004) of two depth images, gaussian window of 11 pixels, sigma 1.5.
 
     The mean of the SSIM map over those pixels whose whole window is valid, so that neither holes nor the
@@ -174,9 +172,7 @@ def _check_same_image_shape(predicted: FloatArray, truth: FloatArray) -> None:
         raise ValueError(f"predicted must have shape {truth.shape}, got {predicted.shape}")
 
 
-def _checked_pair(
-    predicted_m: ArrayLike, truth_m: ArrayLike
-) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+def _checked_pair(predicted_m: ArrayLike, truth_m: ArrayLike) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """Both images as float64, and where the truth is known."""
     predicted = np.asarray(predicted_m, dtype=np.float64)
     truth = np.asarray(truth_m, dtype=np.float64)

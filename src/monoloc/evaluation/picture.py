@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import os
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from monoloc.errors import DataError, MissingExtraError
+from monoloc.errors import MissingExtraError
+from monoloc.files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -58,14 +59,6 @@ def picture(path: str | Path, width_in: float, height_in: float) -> Iterator[Fig
     with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(width_in, height_in), layout="constrained", facecolor="white")
         yield figure
-        path = Path(path)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        try:
-            figure.savefig(temporary, format="png", dpi=130)
-            temporary.replace(path)
-        except OSError as error:
-            raise DataError(
-                path, f"cannot be written ({error.strerror})", "name a file in a folder you can write to"
-            ) from error
-        finally:
-            temporary.unlink(missing_ok=True)
+        content = io.BytesIO()
+        figure.savefig(content, format="png", dpi=130)
+        write_whole(Path(path), content.getvalue())

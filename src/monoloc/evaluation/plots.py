@@ -96,9 +96,7 @@ def plot_depth(
     aspect = colors[0].shape[0] / colors[0].shape[1]
     with picture(path, 13.0, 3.3 * aspect * len(colors) + 1.0) as figure:
         grid = figure.subplots(len(colors), 4, squeeze=False)
-        for row, color, predicted, truth, metric in zip(
-            grid, colors, predictions, truths, metrics, strict=True
-        ):
+        for row, color, predicted, truth, metric in zip(grid, colors, predictions, truths, metrics, strict=True):
             row[0].imshow(color)
             for axis, image in ((row[1], predicted), (row[2], truth)):
                 depth = axis.imshow(image, cmap="viridis", vmin=near_m, vmax=far_m)
@@ -114,9 +112,7 @@ def plot_depth(
             depth, ax=grid[:, :3], location="bottom", label="depth (m)", extend="both",
             shrink=0.66, anchor=(1.0, 1.0), aspect=40,
         )  # fmt: skip
-        figure.colorbar(
-            error, ax=grid[:, 3], location="bottom", label="(predicted - true) / true (%)", extend="both"
-        )
+        figure.colorbar(error, ax=grid[:, 3], location="bottom", label="(predicted - true) / true (%)", extend="both")
 
 
 def plot_training(path: str | Path, history: Sequence[Mapping[str, float]]) -> None:
@@ -143,9 +139,7 @@ def plot_training(path: str | Path, history: Sequence[Mapping[str, float]]) -> N
         for name, quantity in quantities.items():
             colour = ORANGE if name.startswith("train_") else BLUE
             values = [record[name] for record in history]
-            axes[quantity].plot(
-                steps, values, ".-", color=colour, linewidth=1.5, label=name.replace("_", " ")
-            )
+            axes[quantity].plot(steps, values, ".-", color=colour, linewidth=1.5, label=name.replace("_", " "))
         for panel, axis in axes.items():
             axis.set(title=panel.replace("_", " "), xlabel=step)
             if len(axis.lines) > 1:

@@ -152,8 +152,7 @@ def _checked(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Flo
     """The values as float64; None in the shape stands for any length N >= 1."""
     array = np.asarray(values, dtype=np.float64)
     fits = array.ndim == len(shape) and all(
-        got >= 1 if expected is None else got == expected
-        for got, expected in zip(array.shape, shape, strict=True)
+        got >= 1 if expected is None else got == expected for got, expected in zip(array.shape, shape, strict=True)
     )
     if not fits:
         expected_text = ", ".join("N >= 1" if s is None else str(s) for s in shape)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
+from monoloc.depth_image import at_discontinuity
 
 
 def scan_from_depth(
@@ -14,7 +15,7 @@ def scan_from_depth(
     count: int,
     rng: np.random.Generator,
     max_depth_m: float = 8.0,
-    edge_ratio: float = 1.15,
+    depth_jump: float = 0.15,
 ) -> NDArray[np.float32]:
     """Points in the camera's frame, spread evenly over the usable pixels.
 
@@ -25,12 +26,12 @@ def scan_from_depth(
         camera: its intrinsics.
         count: number of points; all usable pixels if there are fewer.
         max_depth_m: farther pixels are left out.
-        edge_ratio: a pixel is on an edge when a neighbour's depth differs by more than this ratio.
+        depth_jump: pixels beside a relative jump above this are left out.
 
     Returns:
         (P, 3) float32 metres, P <= count; P = 0 when no pixel is usable.
     """
-    usable = (depth_m > 0.0) & (depth_m <= max_depth_m) & ~depth_edges(depth_m, edge_ratio)
+    usable = (depth_m > 0.0) & (depth_m <= max_depth_m) & ~at_discontinuity(depth_m, depth_jump)
     candidates = np.flatnonzero(usable)
     if len(candidates) > count:
         # One from each of `count` runs of neighbouring pixels: even over the image, different every frame.
@@ -39,21 +40,3 @@ def scan_from_depth(
     rows, columns = np.divmod(candidates, depth_m.shape[1])
     rays = camera.rays(np.stack([columns, rows], axis=1))
     return np.asarray(rays * depth_m.ravel()[candidates, None], dtype=np.float32)
-
-
-def depth_edges(depth_m: NDArray[np.float32], ratio: float) -> NDArray[np.bool_]:
-    """Pixels with a 4-neighbour nearer or farther by more than a ratio: (h, w) -> (h, w).
-
-    Pixels without depth (0) make no edge.
-    """
-    with np.errstate(divide="ignore"):
-        log_depth = np.where(depth_m > 0.0, np.log(depth_m), np.nan)
-    threshold = np.log(ratio)
-    edges = np.zeros(depth_m.shape, dtype=np.bool_)
-    along_x = np.abs(np.diff(log_depth, axis=1)) > threshold
-    along_y = np.abs(np.diff(log_depth, axis=0)) > threshold
-    edges[:, 1:] |= along_x
-    edges[:, :-1] |= along_x
-    edges[1:] |= along_y
-    edges[:-1] |= along_y
-    return edges

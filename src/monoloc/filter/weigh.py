@@ -41,9 +41,7 @@ class Measurement:
         floor = config.outlier_share / (1.0 - config.outlier_share) / self._volume_m3
         self._index = smoothed.index(floor_density=floor)
 
-    def mean_log_likelihood(
-        self, poses: FloatArray, log_scale: FloatArray, scan: NDArray[np.float32]
-    ) -> FloatArray:
+    def mean_log_likelihood(self, poses: FloatArray, log_scale: FloatArray, scan: NDArray[np.float32]) -> FloatArray:
         """Mean over the scan's points of the log density at each particle, (N,) nats.
 
         Args:

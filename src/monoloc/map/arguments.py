@@ -19,9 +19,7 @@ def checked_array(
         want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
     ):
         wanted = ", ".join("N" if want is None else str(want) for want in shape)
-        raise ValueError(
-            f"{name} must have shape ({wanted}{',' if len(shape) == 1 else ''}), got {np.shape(value)}"
-        )
+        raise ValueError(f"{name} must have shape ({wanted}{',' if len(shape) == 1 else ''}), got {np.shape(value)}")
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite, got {int((~np.isfinite(array)).sum())} values that are not")
     return array

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from monoloc.datasets.base import Recording
+from monoloc.depth_image import at_discontinuity
 from monoloc.errors import DataError, SettingError
 from monoloc.geometry import transform
 from monoloc.map.arguments import float64
@@ -59,7 +60,9 @@ def cloud_from_recording(
     thinner = VoxelThinner(voxel_m)
     for index, T_world_camera in enumerate(recording.poses):
         depth = recording.depth(index).astype(np.float64)
-        usable = ((depth > 0.0) & (depth <= max_depth_m) & ~at_discontinuity(depth))[::stride, ::stride]
+        usable = ((depth > 0.0) & (depth <= max_depth_m) & ~at_discontinuity(depth, DISCONTINUITY))[
+            ::stride, ::stride
+        ]
         z = depth[::stride, ::stride][usable]
         thinner.add(transform(T_world_camera, z[:, None] * rays[usable]), z**-4)
         if progress is not None:
@@ -72,22 +75,6 @@ def cloud_from_recording(
             "check the depth scale, or raise max_depth_m",
         )
     return cloud
-
-
-def at_discontinuity(depth_m: ArrayLike) -> NDArray[np.bool_]:
-    """Pixels beside a jump in depth: (H, W) m, 0 where there is none -> (H, W)."""
-    depth = np.asarray(depth_m, dtype=np.float64)
-    marked = np.zeros(depth.shape, dtype=bool)
-    for axis in (0, 1):
-        a, b = (depth[:-1], depth[1:]) if axis == 0 else (depth[:, :-1], depth[:, 1:])
-        jump = (np.abs(a - b) > DISCONTINUITY * np.minimum(a, b)) & (a > 0.0) & (b > 0.0)
-        if axis == 0:
-            marked[:-1] |= jump
-            marked[1:] |= jump
-        else:
-            marked[:, :-1] |= jump
-            marked[:, 1:] |= jump
-    return marked
 
 
 def voxel_thin(points: ArrayLike, voxel_m: float) -> FloatArray:
@@ -185,9 +172,7 @@ def _voxel_keys(points: FloatArray, voxel_m: float, name: str) -> IntArray:
     cells = np.floor(points / voxel_m)
     limit = 2 ** (_KEY_BITS - 1) - 2
     if np.abs(cells).max(initial=0.0) > limit:
-        raise ValueError(
-            f"points must lie within {limit * voxel_m:.0f} m of the origin for voxels of {voxel_m} m"
-        )
+        raise ValueError(f"points must lie within {limit * voxel_m:.0f} m of the origin for voxels of {voxel_m} m")
     return _pack(cells.astype(np.int64) + 2 ** (_KEY_BITS - 1))
 
 

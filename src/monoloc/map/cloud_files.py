@@ -41,9 +41,7 @@ def read_cloud(path: Path) -> FloatArray:
     path = Path(path)
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
-        raise DataError(
-            path, f"has the unknown suffix {path.suffix!r}", f"give one of {', '.join(sorted(_READERS))}"
-        )
+        raise DataError(path, f"has the unknown suffix {path.suffix!r}", f"give one of {', '.join(sorted(_READERS))}")
     try:
         points = reader(path)
     except FileNotFoundError:
@@ -108,9 +106,7 @@ def _read_pcd(path: Path) -> FloatArray:
             raise ValueError(f"the header has no {missing[0]}")
         repeats = [int(count) for count in header.get("COUNT", ["1"] * len(header["FIELDS"]))]
         fields: Fields = []
-        for name, size, kind, repeat in zip(
-            header["FIELDS"], header["SIZE"], header["TYPE"], repeats, strict=True
-        ):
+        for name, size, kind, repeat in zip(header["FIELDS"], header["SIZE"], header["TYPE"], repeats, strict=True):
             if kind not in _PCD_KINDS:
                 raise ValueError(f"field {name!r} has the unknown type {kind!r}")
             names = [name] if repeat == 1 else [f"{name}[{i}]" for i in range(repeat)]
@@ -134,9 +130,7 @@ def _read_npz(path: Path) -> FloatArray:
             raise ValueError("it has no array 'points'")
         points = np.asarray(file["points"])
     if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "fiu":
-        raise ValueError(
-            f"points must be numbers of shape (N, 3), got {points.dtype} of shape {points.shape}"
-        )
+        raise ValueError(f"points must be numbers of shape (N, 3), got {points.dtype} of shape {points.shape}")
     return points.astype(np.float64)
 
 
@@ -186,9 +180,7 @@ def _columns(file: BufferedReader, columns: tuple[int, int, int], count: int | N
     if count == 0:
         return np.empty((0, 3))
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", UserWarning
-        )  # "input contained no data": an empty file is reported below
+        warnings.simplefilter("ignore", UserWarning)  # "input contained no data": an empty file is reported below
         return np.loadtxt(file, dtype=np.float64, usecols=columns, max_rows=count, ndmin=2)
 
 

@@ -136,9 +136,7 @@ def choose_components(
     return best, scores
 
 
-def initial_mixture(
-    points: FloatArray, components: int, rng: np.random.Generator, floor_m: float
-) -> GaussianMixture:
+def initial_mixture(points: FloatArray, components: int, rng: np.random.Generator, floor_m: float) -> GaussianMixture:
     """Weights, means and clamped covariances of k-means clusters: (N, 3) -> mixture."""
     labels = kmeans(points, components, rng)
     order = np.argsort(labels, kind="stable")
@@ -148,9 +146,7 @@ def initial_mixture(
     means = np.add.reduceat(ordered, starts, axis=0) / counts[:, None]
     offsets = ordered - np.repeat(means, counts, axis=0)
     second = np.add.reduceat(offsets[:, :, None] * offsets[:, None, :], starts, axis=0)
-    return GaussianMixture(
-        counts / len(points), means, clamp_covariances(second / counts[:, None, None], floor_m)
-    )
+    return GaussianMixture(counts / len(points), means, clamp_covariances(second / counts[:, None, None], floor_m))
 
 
 def maximise_likelihood(

@@ -57,9 +57,7 @@ class GaussianMixture:
             raise ValueError(f"covariances must be symmetric, got entries that differ by {asymmetry:.3g}")
         indefinite = np.flatnonzero(np.linalg.eigvalsh(covariances)[:, 0] <= 0.0)
         if len(indefinite):
-            raise ValueError(
-                f"covariances must be positive definite, got component {indefinite[0]} that is not"
-            )
+            raise ValueError(f"covariances must be positive definite, got component {indefinite[0]} that is not")
         for name, value in (("weights", weights), ("means", means), ("covariances", covariances)):
             object.__setattr__(self, name, value)
 
@@ -148,9 +146,7 @@ class GaussianMixture:
         missing = [prefix + name for name in _PARTS if prefix + name not in arrays]
         if missing:
             raise ValueError(f"key {missing[0]!r} is missing")
-        weights, means, factor = (
-            float64(prefix + n, arrays[prefix + n], *shape) for n, shape in _PARTS.items()
-        )
+        weights, means, factor = (float64(prefix + n, arrays[prefix + n], *shape) for n, shape in _PARTS.items())
         if not len(weights) == len(means) == len(factor):
             raise ValueError(f"component counts differ: {len(weights)}, {len(means)}, {len(factor)}")
         if len(weights) == 0 or weights.min() < 0.0 or abs(weights.sum() - 1.0) > 1e-3:

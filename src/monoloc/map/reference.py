@@ -31,9 +31,7 @@ class Statistics(NamedTuple):
     log_likelihood: float
 
 
-def log_terms(
-    points: FloatArray, weights: FloatArray, means: FloatArray, covariances: FloatArray
-) -> FloatArray:
+def log_terms(points: FloatArray, weights: FloatArray, means: FloatArray, covariances: FloatArray) -> FloatArray:
     """``log(pi_k N(x_p; mu_k, Sigma_k))``: (P, 3) -> (P, K)."""
     offsets = points[:, None, :] - means
     lower = np.linalg.cholesky(covariances)
@@ -50,9 +48,7 @@ def log_sum_exp(terms: FloatArray) -> FloatArray:
     return np.asarray(largest + np.log(np.exp(terms - largest[..., None]).sum(axis=-1)))
 
 
-def log_density(
-    points: FloatArray, weights: FloatArray, means: FloatArray, covariances: FloatArray
-) -> FloatArray:
+def log_density(points: FloatArray, weights: FloatArray, means: FloatArray, covariances: FloatArray) -> FloatArray:
     """``log sum_k pi_k N(x_p; mu_k, Sigma_k)``: (P, 3) -> (P,), nats."""
     return log_sum_exp(log_terms(points, weights, means, covariances))
 
@@ -78,9 +74,7 @@ def weigh(
     return result
 
 
-def expectation(
-    points: FloatArray, weights: FloatArray, means: FloatArray, covariances: FloatArray
-) -> Statistics:
+def expectation(points: FloatArray, weights: FloatArray, means: FloatArray, covariances: FloatArray) -> Statistics:
     """The E-step: responsibilities ``r_nk`` of points (N, 3) and their sums (Bishop 2006, section 9.2.2)."""
     terms = log_terms(points, weights, means, covariances)
     log_densities = log_sum_exp(terms)

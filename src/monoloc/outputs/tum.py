@@ -6,13 +6,13 @@ Poses are ``T_world_camera``; lines that begin with ``#`` are comments.
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from monoloc.errors import DataError
+from monoloc.files import write_whole
 from monoloc.geometry import FloatArray, is_rigid, make_pose, quaternion_to_rotation, rotation_to_quaternion
 
 _COLUMNS = "t tx ty tz qx qy qz qw"
@@ -48,7 +48,7 @@ def write_tum(path: str | Path, timestamps_s: ArrayLike, poses: ArrayLike) -> No
     quaternions = rotation_to_quaternion(T_world_camera[:, :3, :3])
     rows = np.column_stack([times, T_world_camera[:, :3, 3], quaternions])
     lines = [" ".join(f"{value:.9f}" for value in row) for row in rows]
-    _replace_text(Path(path), "\n".join([f"# {_COLUMNS}", *lines, ""]))
+    write_whole(Path(path), "\n".join([f"# {_COLUMNS}", *lines, ""]).encode())
 
 
 def read_tum(path: str | Path) -> tuple[FloatArray, FloatArray]:
@@ -87,24 +87,8 @@ def _parse_line(path: Path, number: int, words: list[str]) -> list[float]:
         raise DataError(path, f"line {number} holds NaN or infinity", "leave out frames without a pose")
     norm = float(np.linalg.norm(values[4:]))
     if abs(norm - 1.0) > _NORM_TOLERANCE:
-        raise DataError(
-            path, f"line {number} has a quaternion of length {norm:.3g}", f'columns must be "{_COLUMNS}"'
-        )
+        raise DataError(path, f"line {number} has a quaternion of length {norm:.3g}", f'columns must be "{_COLUMNS}"')
     return values
-
-
-def _replace_text(path: Path, text: str) -> None:
-    """Write to a file beside the target, then rename it over the target, which no reader sees half-done."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
-    except OSError as error:
-        raise DataError(
-            path, f"cannot be written ({_reason(error)})", "name a file in a folder you can write to"
-        ) from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _reason(error: OSError | UnicodeDecodeError) -> str:

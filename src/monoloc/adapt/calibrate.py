@@ -1,0 +1,68 @@
+"""What the localizer may believe of its scans, measured on frames that tuned nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.depth.runtime import DepthPrediction
+from monoloc.filter.health import HealthyRange
+from monoloc.filter.scan import scan_from_depth
+from monoloc.filter.weigh import Measurement, MeasurementConfig
+from monoloc.geometry import FloatArray
+from monoloc.localizer import LocalizerConfig
+from monoloc.map.mixture import GaussianMixture
+
+_NOISE_SD_M = (0.02, 0.04, 0.07, 0.1, 0.15, 0.2)
+_OUTLIER_SHARES = (0.1, 0.2, 0.35, 0.5)
+_LOG_SCALES = np.linspace(-0.4, 0.4, 41)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A held-out frame: depth as the localizer will predict it, and the true ``T_world_camera``."""
+
+    depth: DepthPrediction
+    pose: FloatArray
+
+
+def calibrate(
+    mixture: GaussianMixture, samples: list[Sample], base: LocalizerConfig, rng: np.random.Generator
+) -> tuple[LocalizerConfig, HealthyRange]:
+    """Settings of the measurement likelihood by maximum likelihood on held-out frames at their true poses.
+
+    Noise and outlier share are those under which the held-out points are most likely, each frame at its own best
+    depth scale; the spread of those scales is the prior of the filter's log-scale.
+    """
+    scans = [scan_from_depth(s.depth.depth_m, s.depth.camera, base.scan_points, rng) for s in samples]
+    usable = [(scan, sample.pose) for scan, sample in zip(scans, samples, strict=True) if len(scan)]
+    if not usable:
+        return base, HealthyRange(low=-np.inf, lost=-np.inf)
+    best: tuple[float, MeasurementConfig, FloatArray, FloatArray] | None = None
+    for noise in _NOISE_SD_M:
+        for share in _OUTLIER_SHARES:
+            config = base.measurement.model_copy(update={"noise_sd_m": noise, "outlier_share": share})
+            fits, scales = _fits(Measurement(mixture, config), usable)
+            if best is None or fits.mean() > best[0]:
+                best = (float(fits.mean()), config, fits, scales)
+    assert best is not None
+    _, measurement, fits, scales = best
+    settings = base.model_copy(
+        update={"measurement": measurement, "log_scale_sd": float(max(0.01, np.sqrt(np.mean(scales**2))))}
+    )
+    return settings, HealthyRange.from_fits(fits)
+
+
+def _fits(
+    measurement: Measurement, scans: list[tuple[NDArray[np.float32], FloatArray]]
+) -> tuple[FloatArray, FloatArray]:
+    """Best mean log-likelihood of every scan over the depth's scale, and the log-scale that gives it."""
+    fits, scales = [], []
+    for scan, pose in scans:
+        poses = np.repeat(pose[None], len(_LOG_SCALES), axis=0)
+        values = measurement.mean_log_likelihood(poses, _LOG_SCALES, scan)
+        fits.append(values.max())
+        scales.append(_LOG_SCALES[values.argmax()])
+    return np.array(fits), np.array(scales)

@@ -1,0 +1,107 @@
+"""Adaptation from beginning to end: find out when to stop on held-out frames, then tune on all of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from monoloc.adapt.map_depth import map_depth
+from monoloc.adapt.settings import AdaptConfig
+from monoloc.adapt.train import Adaptation, Score, hold_out_blocks
+from monoloc.adapt.transform import AdaptedMap
+from monoloc.adapt.views import make_views
+from monoloc.datasets.base import Recording
+from monoloc.depth.checkpoint import load_network
+from monoloc.depth.export import export_onnx
+from monoloc.geometry import FloatArray
+from monoloc.map.mixture import GaussianMixture
+from monoloc.progress import Progress
+
+_HELD_OUT_SHARE, _BLOCKS = 0.12, 3
+_EVALUATIONS = 10
+
+
+@dataclass(frozen=True)
+class AdaptResult:
+    """What adaptation gives.
+
+    Attributes:
+        original, adapted: the map before and after; component i of one is component i of the other.
+        depth_model: the network tuned on all frames, ONNX.
+        held_out_model: the one tuned without the held-out frames, ONNX, to measure honestly with.
+        held_out: indices of those frames.
+        scores: on the held-out frames, the first before tuning, the last of the state that was kept.
+        steps: optimiser steps that were best for the held-out frames.
+        kl: KL(M || M_A), nats.
+    """
+
+    original: GaussianMixture
+    adapted: GaussianMixture
+    depth_model: bytes
+    held_out_model: bytes
+    held_out: NDArray[np.int64]
+    scores: list[Score]
+    steps: int
+    kl: float
+
+
+def adapt(
+    recording: Recording,
+    cloud: FloatArray,
+    mixture: GaussianMixture,
+    network_file: Path,
+    config: AdaptConfig,
+    seed: int,
+    progress: Progress,
+) -> AdaptResult:
+    """Adapt a network and a map to each other on posed frames.
+
+    Supervision of depth is the sensor's where the recording has it, else the cloud seen from the frames' poses.
+
+    Raises:
+        DataError: a frame or the network cannot be read.
+    """
+    rng = np.random.default_rng(seed)
+    training_frames, held_out = hold_out_blocks(len(recording), _BLOCKS, _HELD_OUT_SHARE)
+    network = load_network(network_file)
+    depth_of = recording.depth if recording.has_depth else map_depth(recording, cloud)
+    extra = config.extra_views if config.tune == "decoder" else 0
+    with progress.task("features", len(recording)) as step:
+        views = make_views(recording, depth_of, network, extra, rng, step)
+    held_out_views = views.of_frames(held_out, only_whole=True)
+
+    rehearsal = Adaptation(network, AdaptedMap(mixture, cloud), config)
+    with progress.task("adapt: rehearsal", config.steps) as step:
+        scores = rehearsal.run(
+            views.of_frames(training_frames),
+            config.steps,
+            _generator(seed),
+            held_out_views,
+            max(1, config.steps // _EVALUATIONS),
+            step,
+        )
+    steps = rehearsal.best_step(scores)
+    held_out_model, _ = export_onnx(network)
+
+    final = Adaptation(load_network(network_file), AdaptedMap(mixture, cloud), config)
+    with progress.task("adapt: all frames", steps) as step:
+        final.run(views, config.steps, _generator(seed), progress=step, stop_at=steps)
+    depth_model, _ = export_onnx(final.network)
+    return AdaptResult(
+        original=final.map.original_mixture(),
+        adapted=final.map.adapted_mixture(),
+        depth_model=depth_model,
+        held_out_model=held_out_model,
+        held_out=held_out,
+        scores=[*scores, rehearsal.score(held_out_views, steps)],
+        steps=steps,
+        kl=final.kl(),
+    )
+
+
+def _generator(seed: int) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)

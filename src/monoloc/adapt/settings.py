@@ -1,0 +1,43 @@
+"""Settings of adaptation; free of PyTorch, so that every machine can read them."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Tune = Literal["none", "last", "decoder"]
+
+
+class AdaptConfig(BaseModel):
+    """Settings of adaptation.
+
+    Attributes:
+        tune: what of the network is tuned: nothing, the last layer (the paper's), or the decoder and it.
+        map_transform: whether the map is bent.
+        lambda_kl: weight of KL(M || M_A).
+        steps: most optimiser steps; held-out frames may stop it earlier.
+        batch_views, pixels_per_view: size of one step.
+        extra_views: random views beside the whole one, a frame (for ``decoder`` only).
+        network_rate, map_rate: Adam's learning rates.
+        likelihood_weight, depth_weight: weights of the ray likelihood and, for ``decoder``, of the depth loss.
+        outlier_share: epsilon of the ray likelihood.
+        inflation_m: standard deviation added to the map's components at the start, annealed to zero: it gives
+            far-off depth a gradient.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    tune: Tune = "decoder"
+    map_transform: bool = True
+    lambda_kl: float = Field(0.1, ge=0.0)
+    steps: int = Field(1500, ge=1)
+    batch_views: int = Field(16, ge=1)
+    pixels_per_view: int = Field(64, ge=1)
+    extra_views: int = Field(12, ge=0)
+    network_rate: float = Field(2e-3, gt=0.0)
+    map_rate: float = Field(1e-3, gt=0.0)
+    likelihood_weight: float = Field(0.05, ge=0.0)
+    depth_weight: float = Field(1.0, ge=0.0)
+    outlier_share: float = Field(0.1, gt=0.0, lt=1.0)
+    inflation_m: float = Field(0.3, ge=0.0)

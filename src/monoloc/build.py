@@ -1,0 +1,174 @@
+"""The offline way, one page: recording -> cloud -> mixture map -> adapt -> calibrate -> bundle."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from monoloc.adapt.calibrate import Sample, calibrate
+from monoloc.adapt.settings import AdaptConfig
+from monoloc.bundle import Bundle, Provenance, fingerprint
+from monoloc.datasets.base import Recording
+from monoloc.depth.runtime import DepthPredictor
+from monoloc.errors import DataError
+from monoloc.extras import training_extra
+from monoloc.geometry import FloatArray
+from monoloc.localizer import LocalizerConfig
+from monoloc.map.cloud import cloud_from_recording, remove_outliers, voxel_thin
+from monoloc.map.fit import choose_components, fit_mixture
+from monoloc.map.mixture import GaussianMixture
+from monoloc.models import SHIPPED_NETWORK, SHIPPED_ONNX
+from monoloc.progress import Progress
+
+_COMPONENT_LADDER = (50, 100, 200, 400, 800)
+_MIN_FRAMES = 5
+
+
+class BuildConfig(BaseModel):
+    """Settings of a build.
+
+    Attributes:
+        components: of the map, or "bic" to choose.
+        voxel_m: the cloud is thinned to one point a voxel.
+        max_depth_m: farther sensor depth is not used for the map.
+        adapt: what is tuned and how.
+        localizer: settings written into the bundle, before calibration.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    components: Annotated[int, Field(ge=1)] | Literal["bic"] = 200
+    voxel_m: float = Field(0.03, gt=0.0)
+    max_depth_m: float = Field(4.5, gt=0.0)
+    adapt: AdaptConfig = AdaptConfig()
+    localizer: LocalizerConfig = LocalizerConfig()
+
+
+@dataclass(frozen=True)
+class BuildReport:
+    """What a build measured; JSON keys of ``monoloc build``.
+
+    nll and AbsRel are of frames held out from tuning, in blocks; shifts are of the map's means.
+    """
+
+    frames: int
+    cloud_points: int
+    components: int
+    nll_start: float | None
+    nll_end: float | None
+    kl: float
+    shift_median_m: float
+    shift_p95_m: float
+    depth_absrel_before: float | None
+    depth_absrel_after: float | None
+    steps: int
+    seconds: float
+
+
+def build_bundle(
+    recording: Recording,
+    config: BuildConfig,
+    seed: int,
+    progress: Progress,
+    cloud: FloatArray | None = None,
+    network_file: Path | None = None,
+) -> tuple[Bundle, BuildReport]:
+    """Map a room, adapt network and map to each other, and measure how far the result can be trusted.
+
+    Args:
+        recording: posed frames; with depth, unless ``cloud`` is given.
+        cloud: (N, 3) world frame, metres; None makes it from the recording.
+        network_file: a ``network.safetensors``; None takes the one in the package.
+
+    Raises:
+        DataError: no poses, too few frames, or neither depth nor a cloud.
+        MissingExtraError: something is to be tuned and PyTorch is not installed.
+    """
+    started = time.perf_counter()
+    if recording.poses is None:
+        raise DataError(recording.name, "has no poses", "build from a recording with camera poses")
+    if len(recording) < _MIN_FRAMES:
+        raise DataError(recording.name, f"gives {len(recording)} frames", f"build from at least {_MIN_FRAMES}")
+    rng = np.random.default_rng(seed)
+    frames = {name: fingerprint(recording.color(index)) for index, name in enumerate(recording.frame_names)}
+    cloud, mixture = fit_map(recording, cloud, config, rng, progress)
+    needs_torch = config.adapt.tune != "none" or config.adapt.map_transform or network_file is not None
+    if needs_torch:
+        with training_extra():
+            from monoloc.adapt.run import adapt  # the only door to PyTorch
+
+        result = adapt(recording, cloud, mixture, network_file or SHIPPED_NETWORK, config.adapt, seed, progress)
+        original, adapted = result.original, result.adapted
+        depth_model, held_out_model, held_out = result.depth_model, result.held_out_model, result.held_out
+        scores = result.scores
+        kl, steps = result.kl, result.steps
+    else:
+        original = adapted = mixture
+        depth_model = held_out_model = SHIPPED_ONNX.read_bytes()
+        held_out, scores, kl, steps = np.arange(len(recording)), [], 0.0, 0
+    predictor = DepthPredictor(held_out_model, recording.camera)
+    with progress.task("calibrate", len(held_out)) as step:
+        samples = []
+        for done, index in enumerate(held_out):
+            samples.append(Sample(predictor(recording.color(int(index))), recording.poses[index]))
+            step(done + 1)
+        settings, healthy = calibrate(adapted, samples, config.localizer, rng)
+    shift = np.linalg.norm(adapted.means - original.means, axis=1)
+    bundle = Bundle(
+        original=original,
+        adapted=adapted,
+        depth_model=depth_model,
+        settings=settings,
+        camera=recording.camera,
+        provenance=Provenance(
+            recording=recording.name,
+            frames=frames,
+            tune=config.adapt.tune,
+            map_transform=config.adapt.map_transform,
+            lambda_kl=config.adapt.lambda_kl,
+            seed=seed,
+        ),
+        healthy=healthy,
+    )
+    report = BuildReport(
+        frames=len(recording),
+        cloud_points=len(cloud),
+        components=len(mixture),
+        nll_start=scores[0].nll if scores else None,
+        nll_end=min(score.nll for score in scores) if scores else None,
+        kl=kl,
+        shift_median_m=float(np.median(shift)),
+        shift_p95_m=float(np.percentile(shift, 95.0)),
+        depth_absrel_before=scores[0].absrel if scores else None,
+        depth_absrel_after=scores[-1].absrel if scores else None,
+        steps=steps,
+        seconds=time.perf_counter() - started,
+    )
+    return bundle, report
+
+
+def fit_map(
+    recording: Recording | None,
+    cloud: FloatArray | None,
+    config: BuildConfig,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> tuple[FloatArray, GaussianMixture]:
+    """Cloud (N, 3) and mixture of a room, from a cloud where there is one, else from a recording with depth."""
+    if cloud is None:
+        assert recording is not None
+        with progress.task("cloud", len(recording)) as step:
+            cloud = cloud_from_recording(
+                recording, config.voxel_m, config.max_depth_m, progress=lambda done, _: step(done)
+            )
+    cloud = remove_outliers(voxel_thin(cloud, config.voxel_m))
+    if config.components == "bic":
+        with progress.task("map (choosing K)", None):
+            return cloud, choose_components(cloud, _COMPONENT_LADDER, rng)[0].mixture
+    with progress.task("map", 100) as step:
+        return cloud, fit_mixture(cloud, config.components, rng, progress=lambda done, _: step(done)).mixture

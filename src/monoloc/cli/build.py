@@ -1,0 +1,88 @@
+"""``monoloc build``: a recording in, a bundle out."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from monoloc.adapt.settings import Tune
+from monoloc.build import BuildConfig, build_bundle
+from monoloc.bundle import check_target, write_bundle
+from monoloc.cli.common import (
+    DepthScaleOption,
+    FramesOption,
+    IntrinsicsOption,
+    JsonOption,
+    SeedOption,
+    SourceArgument,
+    open_source,
+    print_json,
+    stderr,
+)
+from monoloc.config import load_settings, override
+from monoloc.map.cloud_files import read_cloud
+from monoloc.progress import ConsoleProgress
+
+
+def build(
+    source: SourceArgument,
+    out: Annotated[Path, typer.Option("--out", "-o", help="The bundle to write, NAME.monoloc.")],
+    frames: FramesOption = "::",
+    cloud: Annotated[
+        Path | None, typer.Option("--cloud", help="The room's cloud (ply, pcd, xyz, npz), in the poses' frame.")
+    ] = None,
+    components: Annotated[
+        str | None, typer.Option("--components", "-k", help="Gaussians in the map, or 'bic' to choose. [200]")
+    ] = None,
+    tune: Annotated[Tune | None, typer.Option("--tune", help="What of the network is tuned. [decoder]")] = None,
+    map_transform: Annotated[
+        bool | None, typer.Option("--map-transform/--no-map-transform", help="Whether the map is bent. [yes]")
+    ] = None,
+    lambda_kl: Annotated[
+        float | None, typer.Option("--lambda", help="Weight of the divergence from the original map.")
+    ] = None,
+    network: Annotated[
+        Path | None, typer.Option("--network", help="A network.safetensors, in place of the one in the package.")
+    ] = None,
+    settings: Annotated[Path | None, typer.Option("--settings", help="TOML file with any of the settings.")] = None,
+    intrinsics: IntrinsicsOption = None,
+    depth_scale: DepthScaleOption = None,
+    seed: SeedOption = 0,
+    json: JsonOption = False,
+) -> None:
+    """Map a room and adapt the depth network to it.
+
+    \b
+    Examples:
+      monoloc build 7scenes:redkitchen --frames 0:400:4 --out kitchen.monoloc
+      monoloc build tum:rgbd_dataset_freiburg1_room --out room.monoloc -k 400
+      monoloc build my-walk --cloud room.ply --out room.monoloc
+      monoloc build my-walk --tune last --out paper.monoloc     (the paper's variant)
+      monoloc build my-walk --tune none --no-map-transform --out plain.monoloc
+    """
+    check_target(out)
+    config = BuildConfig() if settings is None else load_settings(settings, BuildConfig)
+    config = override(
+        config,
+        components=components,
+        adapt={"tune": tune, "map_transform": map_transform, "lambda_kl": lambda_kl},
+    )
+    points = None if cloud is None else read_cloud(cloud)
+    recording = open_source(source, frames, intrinsics, depth_scale)
+    bundle, report = build_bundle(recording, config, seed, ConsoleProgress(stderr), points, network)
+    size = write_bundle(out, bundle)
+    if json:
+        print_json({"bundle": str(out), "bytes": size, **asdict(report)})
+        return
+    stderr.print(
+        f"{out}: {size / 1e6:.1f} MB, map of {report.components} components in {bundle.adapted.nbytes_stored / 1e3:.0f}"
+        f" kB, from {report.frames} frames in {report.seconds:.0f} s"
+    )
+    if report.depth_absrel_before is not None and report.depth_absrel_after is not None:
+        stderr.print(
+            f"held-out frames: depth error {100 * report.depth_absrel_before:.1f} % -> "
+            f"{100 * report.depth_absrel_after:.1f} %, map moved {100 * report.shift_median_m:.1f} cm (median)"
+        )

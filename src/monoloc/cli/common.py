@@ -1,0 +1,97 @@
+"""What the commands share: options, the two streams, and tables."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from monoloc.camera import Camera
+from monoloc.datasets.base import Selection
+from monoloc.datasets.options import ReaderOptions
+from monoloc.datasets.registry import open_recording, select_frames
+from monoloc.errors import SettingError
+
+stderr = Console(stderr=True, highlight=False)
+
+SourceArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="SOURCE",
+        help="A recording: FORMAT:PATH (7scenes, tum, rgbd-scenes-v2, nyu, folder, video) or a path.",
+        show_default=False,
+    ),
+]
+FramesOption = Annotated[str, typer.Option("--frames", help="Which frames, START:STOP:STEP, in order of time.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="One JSON object on stdout, everything else on stderr.")]
+SeedOption = Annotated[int, typer.Option("--seed", min=0, help="The same seed gives the same result.")]
+IntrinsicsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--intrinsics", metavar="W,H,FX,FY,CX,CY", help="Of the colour images, where the files have none or err."
+    ),
+]
+DepthScaleOption = Annotated[
+    float | None, typer.Option("--depth-scale", help="Stored depth value of one metre, in place of the format's.")
+]
+
+
+def open_source(
+    source: str, frames: str, intrinsics: str | None = None, depth_scale: float | None = None
+) -> Selection:
+    """The chosen frames of a recording.
+
+    Raises:
+        DataError, SettingError: as the readers'.
+    """
+    camera = None if intrinsics is None else _parse_camera(intrinsics)
+    return select_frames(open_recording(source, ReaderOptions(camera=camera, depth_scale=depth_scale)), frames)
+
+
+def _parse_camera(text: str) -> Camera:
+    try:
+        width, height, fx, fy, cx, cy = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise SettingError("--intrinsics", f"is {text!r}", "write W,H,FX,FY,CX,CY in pixels") from error
+    return Camera(int(width), int(height), fx, fy, cx, cy)
+
+
+def check_writable(path: Path | None, option: str) -> None:
+    """Refuse an output whose folder does not exist before the work is done.
+
+    Raises:
+        SettingError: naming the option.
+    """
+    if path is not None and not path.resolve().parent.is_dir():
+        raise SettingError(option, f"{path.parent} does not exist", "make the folder first")
+
+
+def print_json(content: Mapping[str, object]) -> None:
+    """One object on stdout; figures that are not numbers become null, as JSON has no NaN."""
+    typer.echo(json.dumps(_finite(content), indent=1))
+
+
+def _finite(value: object) -> object:
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
+    """A table for people, on stderr, so that stdout stays free for results."""
+    table = Table(title=title, title_justify="left", title_style="bold", header_style="")
+    for index, column in enumerate(columns):
+        table.add_column(column, justify="left" if index == 0 else "right")
+    for row in rows:
+        table.add_row(*row)
+    stderr.print(table)

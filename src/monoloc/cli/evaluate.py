@@ -1,0 +1,67 @@
+"""``monoloc evaluate``: a trajectory against the truth."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from monoloc.cli.common import FramesOption, JsonOption, open_source, print_json, print_table
+from monoloc.errors import DataError
+from monoloc.evaluation.trajectory import relative_pose_errors, summarise
+from monoloc.geometry import FloatArray
+from monoloc.outputs.tum import read_tum
+
+_SAME_TIME_S = 0.02
+
+
+def evaluate(
+    trajectory: Annotated[Path, typer.Argument(help="TUM trajectory: t tx ty tz qx qy qz qw.", show_default=False)],
+    truth: Annotated[
+        str, typer.Argument(metavar="TRUTH", help="A recording with poses, or a TUM trajectory.", show_default=False)
+    ],
+    frames: FramesOption = "::",
+    json: JsonOption = False,
+) -> None:
+    """Compare a trajectory with the truth, in the map's frame, without any alignment.
+
+    \b
+    Examples:
+      monoloc evaluate way.txt 7scenes:redkitchen
+      monoloc evaluate way.txt groundtruth.txt --json
+    """
+    times, poses = read_tum(trajectory)
+    true_times, true_poses = _read_truth(truth, frames)
+    nearest = np.abs(times[:, None] - true_times[None]).argmin(axis=1)
+    matched = np.abs(times - true_times[nearest]) <= _SAME_TIME_S
+    if not matched.any():
+        raise DataError(
+            trajectory, f"has no pose within {_SAME_TIME_S} s of the truth's", "check that both use the same clock"
+        )
+    estimated, true = poses[matched], true_poses[nearest[matched]]
+    metrics: dict[str, object] = {
+        "frames": int(matched.sum()),
+        "unmatched": int((~matched).sum()),
+        **asdict(summarise(estimated, true)),
+    }
+    if len(estimated) > 1:
+        relative = relative_pose_errors(estimated, true, 1)
+        metrics["rpe_rmse_m"] = float(np.sqrt(np.mean(relative.position_m**2)))
+        metrics["rpe_rot_rmse_deg"] = float(np.rad2deg(np.sqrt(np.mean(relative.rotation_rad**2))))
+    if json:
+        print_json(metrics)
+    else:
+        rows = [[name, f"{value:.4g}"] for name, value in metrics.items()]
+        print_table(f"{trajectory.name} against {truth}", ["figure", "value"], rows)
+
+
+def _read_truth(truth: str, frames: str) -> tuple[FloatArray, FloatArray]:
+    if Path(truth).is_file() and Path(truth).suffix in {".txt", ".tum"}:
+        return read_tum(truth)
+    recording = open_source(truth, frames)
+    if recording.poses is None:
+        raise DataError(recording.name, "has no poses", "give a recording or TUM trajectory that has them")
+    return recording.timestamps_s, recording.poses

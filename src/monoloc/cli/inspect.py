@@ -1,0 +1,87 @@
+"""``monoloc inspect``: what a bundle or a recording holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from monoloc.bundle import read_bundle
+from monoloc.cli.common import FramesOption, JsonOption, open_source, print_json, print_table
+
+
+def inspect(
+    target: Annotated[
+        str, typer.Argument(metavar="TARGET", help="A bundle, or a recording as SOURCE.", show_default=False)
+    ],
+    frames: FramesOption = "::",
+    json: JsonOption = False,
+) -> None:
+    """Say what a bundle or a recording holds, and check that it is whole.
+
+    \b
+    Examples:
+      monoloc inspect kitchen.monoloc
+      monoloc inspect 7scenes:redkitchen --json
+    """
+    content = _bundle(Path(target)) if (Path(target) / "manifest.json").is_file() else _recording(target, frames)
+    if json:
+        print_json(content)
+    else:
+        print_table(target, ["", ""], [[name, _text(value)] for name, value in content.items()])
+
+
+def _bundle(path: Path) -> dict[str, object]:
+    bundle = read_bundle(path)
+    lower, upper = bundle.adapted.bounds_m()
+    shift = np.linalg.norm(bundle.adapted.means - bundle.original.means, axis=1)
+    return {
+        "kind": "bundle",
+        "bytes": sum(file.stat().st_size for file in path.iterdir()),
+        "components": len(bundle.adapted),
+        "map_bytes": bundle.adapted.nbytes_stored,
+        "size_m": [float(value) for value in upper - lower],
+        "shift_median_m": float(np.median(shift)),
+        "depth_bytes": len(bundle.depth_model),
+        **bundle.provenance.model_dump(exclude={"frames"}),
+        "frames": len(bundle.provenance.frames),
+        "healthy": bundle.healthy.model_dump(),
+        "settings": bundle.settings.model_dump(mode="json"),
+    }
+
+
+def _recording(source: str, frames: str) -> dict[str, object]:
+    recording = open_source(source, frames)
+    camera = recording.camera
+    content: dict[str, object] = {
+        "kind": "recording",
+        "name": recording.name,
+        "frames": len(recording),
+        "seconds": float(recording.timestamps_s[-1] - recording.timestamps_s[0]),
+        "image": [camera.width, camera.height],
+        "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
+        "has_poses": recording.poses is not None,
+        "has_depth": recording.has_depth,
+        "first_frame": recording.frame_names[0],
+    }
+    recording.color(0)  # what cannot be read is said now
+    if recording.poses is not None:
+        steps = np.linalg.norm(np.diff(recording.poses[:, :3, 3], axis=0), axis=1)
+        content["path_m"] = float(steps.sum())
+    if recording.has_depth:
+        depth = recording.depth(0)
+        content["depth_share"] = float((depth > 0.0).mean())
+        content["depth_median_m"] = float(np.median(depth[depth > 0.0]))
+    return content
+
+
+def _text(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.3f}"
+    if isinstance(value, list):
+        return ", ".join(map(_text, value))
+    if isinstance(value, dict):
+        return "\n".join(f"{name}: {_text(item)}" for name, item in value.items())
+    return str(value)

@@ -1,0 +1,166 @@
+"""``monoloc localize``: a bundle and a recording in, poses out."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import typer
+
+from monoloc.bundle import Bundle, read_bundle
+from monoloc.cli.common import (
+    DepthScaleOption,
+    FramesOption,
+    IntrinsicsOption,
+    JsonOption,
+    SeedOption,
+    SourceArgument,
+    check_writable,
+    open_source,
+    print_json,
+    print_table,
+    stderr,
+)
+from monoloc.config import override
+from monoloc.datasets.base import Recording
+from monoloc.errors import DataError, SettingError
+from monoloc.evaluation.plots import plot_localization
+from monoloc.geometry import FloatArray, make_pose, quaternion_to_rotation
+from monoloc.outputs.tum import write_tum
+from monoloc.progress import ConsoleProgress
+from monoloc.runs import Run, Start, disturbed, localize
+
+
+def localize_command(
+    bundle: Annotated[Path, typer.Argument(help="A bundle made by monoloc build.", show_default=False)],
+    source: SourceArgument,
+    frames: FramesOption = "::",
+    start: Annotated[
+        str | None,
+        typer.Option(
+            "--start", metavar="TX,TY,TZ,QX,QY,QZ,QW", help="First camera pose, world frame. [the truth, disturbed]"
+        ),
+    ] = None,
+    start_error_cm: Annotated[
+        float, typer.Option("--start-error-cm", min=0.0, help="How far the start is off, or may be.")
+    ] = 10.0,
+    start_error_deg: Annotated[
+        float, typer.Option("--start-error-deg", min=0.0, help="How far it is turned, or may be.")
+    ] = 3.0,
+    motion: Annotated[
+        Literal["visual", "random-walk"] | None, typer.Option("--motion", help="Motion model. [visual]")
+    ] = None,
+    depth: Annotated[
+        Literal["predicted", "sensor"],
+        typer.Option("--depth", help="The network's depth, or the recording's (an upper bound)."),
+    ] = "predicted",
+    particles: Annotated[int | None, typer.Option("--particles", help="Size of the filter. [the bundle's]")] = None,
+    scan_points: Annotated[int | None, typer.Option("--scan-points", help="Points a scan. [the bundle's]")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="TUM trajectory to write.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", help="PNG to draw: the way over the map, the errors.")
+    ] = None,
+    intrinsics: IntrinsicsOption = None,
+    depth_scale: DepthScaleOption = None,
+    seed: SeedOption = 0,
+    json: JsonOption = False,
+) -> None:
+    """Find a camera's poses from its colour images.
+
+    \b
+    Examples:
+      monoloc localize kitchen.monoloc 7scenes:redkitchen --out way.txt --plot way.png
+      monoloc localize kitchen.monoloc 7scenes:redkitchen --frames 0:400 --seed 0 --json
+      monoloc localize room.monoloc flight.mp4 --start 0.5,0.2,1.1,0,0,0,1 --out way.txt
+      monoloc localize room.monoloc tum:fr1_room --motion random-walk
+    """
+    check_writable(out, "--out")
+    check_writable(plot, "--plot")
+    room = read_bundle(bundle)
+    recording = open_source(source, frames, intrinsics, depth_scale)
+    config = override(room.settings, motion=motion, particles=particles, scan_points=scan_points)
+    rng = np.random.default_rng(seed)
+    begin = _start(start, recording, start_error_cm / 100.0, np.deg2rad(start_error_deg), rng)
+    run = localize(room, recording, begin, config, rng, ConsoleProgress(stderr), depth == "sensor")
+    if out is not None:
+        write_tum(out, recording.timestamps_s, run.poses)
+    if plot is not None:
+        draw(plot, run, room, f"{bundle.name}: {recording.name}")
+    metrics = run.metrics()
+    if json:
+        print_json(metrics)
+    else:
+        show(metrics)
+        for path in (out, plot):
+            if path is not None:
+                stderr.print(f"written: {path}")
+
+
+def draw(path: Path, run: Run, room: Bundle, title: str) -> None:
+    """The picture of a run over the map it used."""
+    plot_localization(
+        path,
+        estimated=run.poses,
+        timestamps_s=run.recording.timestamps_s,
+        truth=run.truth,
+        covariances=run.covariances,
+        odometry=run.odometry,
+        unseen=run.unseen,
+        states=run.states,
+        mixture=(room.adapted.means, room.adapted.covariances),
+        title=title,
+    )
+
+
+def show(metrics: dict[str, object]) -> None:
+    """The figures that matter, as a table."""
+    rows = []
+    for prefix, label in (("", "all frames"), ("unseen_", "unseen frames")):
+        if f"{prefix}ate_median_m" not in metrics:
+            continue
+        figure = partial(_figure, metrics, prefix)
+        rows.append(
+            [
+                label,
+                figure("ate_median_m", 100.0, " cm"),
+                figure("ate_rmse_m", 100.0, " cm"),
+                figure("ate_max_m", 100.0, " cm"),
+                figure("rot_median_deg", 1.0, "°"),
+                figure("within_5cm_5deg", 100.0, " %"),
+                figure("depth_absrel", 100.0, " %"),
+            ]
+        )
+    if rows:
+        print_table("Accuracy", ["", "median", "RMSE", "max", "rotation", "in 5 cm, 5°", "depth error"], rows)
+    stderr.print(
+        f"{metrics['frames']} frames, {metrics['lost_frames']} lost, "
+        f"{metrics['step_ms_median']:.1f} ms a frame (95 %: {metrics['step_ms_p95']:.1f} ms)"
+    )
+
+
+def _figure(metrics: dict[str, object], prefix: str, name: str, factor: float, unit: str) -> str:
+    value = metrics.get(prefix + name)
+    return f"{factor * value:.1f}{unit}" if isinstance(value, float) else "-"
+
+
+def _start(
+    text: str | None, recording: Recording, error_m: float, error_rad: float, rng: np.random.Generator
+) -> Start:
+    spread = {"position_sd_m": max(0.02, error_m), "rotation_sd_rad": max(0.01, error_rad)}
+    if text is not None:
+        return Start(_parse_pose(text), **spread)
+    if recording.poses is None:
+        raise DataError(recording.name, "has no poses to start from", "give --start TX,TY,TZ,QX,QY,QZ,QW")
+    return Start(disturbed(recording.poses[0], error_m, error_rad, rng), **spread)
+
+
+def _parse_pose(text: str) -> FloatArray:
+    try:
+        values = np.array([float(part) for part in text.split(",")])
+        if values.shape != (7,) or not np.all(np.isfinite(values)):
+            raise ValueError
+        return make_pose(quaternion_to_rotation(values[3:]), values[:3])
+    except ValueError as error:
+        raise SettingError("--start", f"is {text!r}", "write TX,TY,TZ,QX,QY,QZ,QW in metres") from error

@@ -1,0 +1,47 @@
+"""The ``monoloc`` command: one launcher, which turns known errors into one line and an exit code."""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+from typer.exceptions import Abort, TyperException
+
+from monoloc.cli import build, demo, depth, evaluate, inspect, localize, map_
+from monoloc.errors import MonolocError
+
+app = typer.Typer(
+    name="monoloc",
+    help="Where a drone is indoors, from one camera and a map of a few kilobytes.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+app.command("demo")(demo.demo)
+app.command("build")(build.build)
+app.command("localize")(localize.localize_command)
+app.command("evaluate")(evaluate.evaluate)
+app.command("inspect")(inspect.inspect)
+app.add_typer(map_.app, name="map")
+app.add_typer(depth.app, name="depth")
+
+
+def run() -> None:
+    """Entry point: exit code 0 when done, 2 for bad input with one line on stderr, 1 for a fault of ours."""
+    sys.exit(invoke(sys.argv[1:]))
+
+
+def invoke(arguments: list[str]) -> int:
+    """Run one command line and return its exit code."""
+    try:
+        result = app(arguments, standalone_mode=False)
+        return result if isinstance(result, int) else 0
+    except MonolocError as error:
+        message, code = str(error), 2
+    except TyperException as error:
+        message, code = f"{error.format_message()} (monoloc --help lists commands and options)", 2
+    except (KeyboardInterrupt, Abort):
+        message, code = "interrupted; nothing half-written is left", 130
+    print("monoloc: " + " ".join(message.split()), file=sys.stderr)
+    return code

@@ -1,0 +1,95 @@
+"""``monoloc map``: fit a mixture to a room, and look at one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from monoloc.build import BuildConfig, fit_map
+from monoloc.bundle import read_bundle
+from monoloc.cli.common import (
+    FramesOption,
+    JsonOption,
+    SeedOption,
+    check_writable,
+    open_source,
+    print_json,
+    print_table,
+    stderr,
+)
+from monoloc.config import override
+from monoloc.map.cloud_files import read_cloud
+from monoloc.map.mixture import GaussianMixture
+from monoloc.progress import ConsoleProgress
+
+app = typer.Typer(help="Fit a map to a room, and look at one.", no_args_is_help=True, rich_markup_mode=None)
+
+_CLOUD_SUFFIXES = {".ply", ".pcd", ".xyz", ".npz"}
+
+
+@app.command()
+def fit(
+    source: Annotated[str, typer.Argument(help="A recording, or a cloud (ply, pcd, xyz, npz).", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The map to write, NAME.npz.")],
+    frames: FramesOption = "::",
+    components: Annotated[str, typer.Option("--components", "-k", help="Gaussians, or 'bic' to choose.")] = "200",
+    seed: SeedOption = 0,
+    json: JsonOption = False,
+) -> None:
+    """Fit a Gaussian mixture to a room.
+
+    \b
+    Examples:
+      monoloc map fit 7scenes:redkitchen --frames ::4 --out kitchen.npz
+      monoloc map fit room.ply -k bic --out room.npz
+    """
+    check_writable(out, "--out")
+    config = override(BuildConfig(), components=components)
+    cloud = read_cloud(Path(source)) if Path(source).suffix.lower() in _CLOUD_SUFFIXES else None
+    recording = None if cloud is not None else open_source(source, frames)
+    cloud, mixture = fit_map(recording, cloud, config, np.random.default_rng(seed), ConsoleProgress(stderr))
+    mixture.save(out)
+    fitted = {
+        "map": str(out),
+        "cloud_points": len(cloud),
+        "components": len(mixture),
+        "bytes": mixture.nbytes_stored,
+        "log_likelihood": float(mixture.log_density(cloud).mean()),
+    }
+    if json:
+        print_json(fitted)
+    else:
+        print_table(str(out), ["", ""], [[name, str(value)] for name, value in fitted.items()])
+
+
+@app.command()
+def info(
+    target: Annotated[Path, typer.Argument(help="A map (.npz) or a bundle.", show_default=False)],
+    json: JsonOption = False,
+) -> None:
+    """Say how large and how fine a map is.
+
+    \b
+    Examples:
+      monoloc map info kitchen.npz
+      monoloc map info kitchen.monoloc --json
+    """
+    mixture = read_bundle(target).adapted if target.is_dir() else GaussianMixture.load(target)
+    lower, upper = mixture.bounds_m()
+    extents = np.sqrt(np.linalg.eigvalsh(mixture.covariances))
+    content: dict[str, object] = {
+        "components": len(mixture),
+        "bytes": mixture.nbytes_stored,
+        "lower_m": [float(value) for value in lower],
+        "upper_m": [float(value) for value in upper],
+        "thickness_median_m": float(np.median(extents[:, 0])),
+        "length_median_m": float(np.median(extents[:, 2])),
+        "largest_share": float(mixture.weights.max()),
+    }
+    if json:
+        print_json(content)
+    else:
+        print_table(str(target), ["", ""], [[name, str(value)] for name, value in content.items()])

@@ -1,0 +1,208 @@
+"""A recording localised in a bundle's map, and what the run is worth."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import asdict, dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.bundle import Bundle, fingerprint
+from monoloc.camera import Camera
+from monoloc.datasets.base import Recording
+from monoloc.depth.runtime import DepthPrediction, DepthPredictor
+from monoloc.errors import DataError
+from monoloc.evaluation.depth import DepthAccumulator
+from monoloc.evaluation.trajectory import coverage_95, summarise
+from monoloc.filter.health import State
+from monoloc.filter.particles import scatter
+from monoloc.geometry import FloatArray, se3_exp
+from monoloc.localizer import Localizer, LocalizerConfig
+from monoloc.progress import Progress
+
+_SENSOR_STRIDE = 4  # every so many pixels of sensor depth are used: as dense as the scan needs
+_COMPARE_WIDTH = 160  # width at which predicted and sensor depth are compared
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a run begins.
+
+    Attributes:
+        pose: ``T_world_camera`` of the first frame, (4, 4), as far as it is known.
+        position_sd_m, rotation_sd_rad: how far, per axis.
+    """
+
+    pose: FloatArray
+    position_sd_m: float = 0.1
+    rotation_sd_rad: float = np.deg2rad(3.0)
+
+
+@dataclass(frozen=True)
+class Run:
+    """Every frame's result; N frames.
+
+    Attributes:
+        poses, covariances: (N, 4, 4) ``T_world_camera`` and (N, 6, 6), see :class:`Estimate`.
+        odometry: (N, 4, 4) dead reckoning from the first true pose (or the start), None for the random walk.
+        unseen: (N,) frames that did not build the bundle.
+        states, fits, log_scales, step_ms: per frame.
+        truth: (N, 4, 4) or None.
+        depth: per-frame accuracy of the depth used, over all and over unseen frames; None without sensor depth.
+    """
+
+    recording: Recording
+    config: LocalizerConfig
+    poses: FloatArray
+    covariances: FloatArray
+    odometry: FloatArray | None
+    unseen: NDArray[np.bool_]
+    states: list[State]
+    fits: FloatArray
+    log_scales: FloatArray
+    step_ms: FloatArray
+    depth: tuple[DepthAccumulator, DepthAccumulator] | None
+
+    @property
+    def truth(self) -> FloatArray | None:
+        return self.recording.poses
+
+    def metrics(self) -> dict[str, object]:
+        """The run's figures, ready for JSON; keys of DESIGN, and with ``unseen_`` on unseen frames."""
+        everything = np.ones(len(self.poses), dtype=np.bool_)
+        figures: dict[str, object] = {
+            "frames": len(self.poses),
+            **self._accuracy(everything),
+            "lost_frames": self.states.count("lost"),
+            "states": dict(Counter(self.states)),
+            "step_ms_median": float(np.median(self.step_ms)),
+            "step_ms_p95": float(np.percentile(self.step_ms, 95.0)),
+            "particles": self.config.particles,
+            "scan_points": self.config.scan_points,
+            "motion": self.config.motion,
+            **self._depth_accuracy(0),
+            "unseen_frames": int(self.unseen.sum()),
+        }
+        if self.unseen.any():
+            unseen = {**self._accuracy(self.unseen), **self._depth_accuracy(1)}
+            figures |= {f"unseen_{name}": value for name, value in unseen.items()}
+        return figures
+
+    def _accuracy(self, chosen: NDArray[np.bool_]) -> dict[str, object]:
+        if self.truth is None:
+            return {}
+        poses, truth = self.poses[chosen], self.truth[chosen]
+        figures: dict[str, object] = asdict(summarise(poses, truth))
+        figures["coverage_95"] = coverage_95(poses, truth, self.covariances[chosen])
+        if self.odometry is not None:
+            drift = summarise(self.odometry[chosen], truth)
+            figures |= {"odometry_ate_rmse_m": drift.ate_rmse_m, "odometry_ate_median_m": drift.ate_median_m}
+        return figures
+
+    def _depth_accuracy(self, which: int) -> dict[str, object]:
+        if self.depth is None or not len(self.depth[which]):
+            return {}
+        mean = self.depth[which].mean()
+        return {"depth_absrel": mean.absrel, "depth_delta1": mean.delta1, "depth_ssim": mean.ssim}
+
+
+def disturbed(pose: FloatArray, distance_m: float, angle_rad: float, rng: np.random.Generator) -> FloatArray:
+    """A pose moved by a distance and turned by an angle, in random directions."""
+    twist = rng.standard_normal(6)
+    twist[:3] *= distance_m / np.linalg.norm(twist[:3])
+    twist[3:] *= angle_rad / np.linalg.norm(twist[3:])
+    return np.asarray(pose @ se3_exp(twist))
+
+
+def localize(
+    bundle: Bundle,
+    recording: Recording,
+    start: Start,
+    config: LocalizerConfig,
+    rng: np.random.Generator,
+    progress: Progress,
+    use_sensor_depth: bool = False,
+) -> Run:
+    """Localise every frame of a recording.
+
+    Args:
+        use_sensor_depth: use the recording's depth in place of the network's: the upper bound.
+
+    Raises:
+        DataError: sensor depth is asked for and there is none, or a frame cannot be read.
+    """
+    if use_sensor_depth and not recording.has_depth:
+        raise DataError(recording.name, "has no depth", "leave out --depth sensor")
+    predictor = DepthPredictor(bundle.depth_model, recording.camera)
+    particles = scatter(
+        start.pose, config.particles, start.position_sd_m, start.rotation_sd_rad, config.log_scale_sd, rng
+    )
+    localizer = Localizer(bundle.adapted, predictor, recording.camera, particles, config, bundle.healthy, rng)
+    built_from = set(bundle.provenance.frames.values())
+    unseen = np.zeros(len(recording), dtype=np.bool_)
+    accuracy = (DepthAccumulator(), DepthAccumulator()) if recording.has_depth else None
+    dead_reckoning = start.pose if recording.poses is None else recording.poses[0]
+    steps, odometry, step_ms = [], [], []
+    elapsed = np.diff(recording.timestamps_s, prepend=recording.timestamps_s[:1])
+    with progress.task("localize", len(recording)) as show:
+        for index in range(len(recording)):
+            color = recording.color(index)
+            unseen[index] = fingerprint(color) not in built_from
+            sensor = recording.depth(index) if recording.has_depth else None
+            measured = _sparse(sensor, recording.camera) if use_sensor_depth and sensor is not None else None
+            began = time.perf_counter()
+            step = localizer.step(color, float(elapsed[index]), measured)
+            step_ms.append((time.perf_counter() - began) * 1e3)
+            steps.append(step)
+            if step.motion is not None:
+                dead_reckoning = dead_reckoning @ step.motion.T_previous_current
+            odometry.append(dead_reckoning)
+            if accuracy is not None and sensor is not None:
+                for accumulator in accuracy if unseen[index] else accuracy[:1]:
+                    accumulator.add(*_comparable(step.depth, sensor))
+            show(index + 1)
+    return Run(
+        recording=recording,
+        config=config,
+        poses=np.stack([step.estimate.pose for step in steps]),
+        covariances=np.stack([step.estimate.covariance for step in steps]),
+        odometry=np.stack(odometry) if config.motion == "visual" else None,
+        unseen=unseen,
+        states=[step.state for step in steps],
+        fits=np.array([step.fit for step in steps]),
+        log_scales=np.array([step.estimate.log_scale for step in steps]),
+        step_ms=np.array(step_ms),
+        depth=accuracy,
+    )
+
+
+def _sparse(depth_m: NDArray[np.float32], camera: Camera) -> DepthPrediction:
+    """Every fourth pixel of a sensor's image, as measured: averaging would mix surfaces."""
+    offset = _SENSOR_STRIDE // 2
+    sparse = np.ascontiguousarray(depth_m[offset::_SENSOR_STRIDE, offset::_SENSOR_STRIDE])
+    height, width = sparse.shape
+    # The exact camera of the sampled pixels: their centres are at offset + stride * (column, row).
+    sampled = Camera(
+        width,
+        height,
+        camera.fx / _SENSOR_STRIDE,
+        camera.fy / _SENSOR_STRIDE,
+        (camera.cx - offset) / _SENSOR_STRIDE,
+        (camera.cy - offset) / _SENSOR_STRIDE,
+        camera.distortion,
+    )
+    return DepthPrediction(sparse, sampled)
+
+
+def _comparable(
+    depth: DepthPrediction, sensor_m: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Depth used and depth measured, both at one small size."""
+    height, width = sensor_m.shape
+    size = (_COMPARE_WIDTH, round(height * _COMPARE_WIDTH / width))
+    predicted = cv2.resize(depth.depth_m, size, interpolation=cv2.INTER_LINEAR)
+    truth = cv2.resize(sensor_m, size, interpolation=cv2.INTER_NEAREST)
+    return np.asarray(predicted, np.float32), np.asarray(truth, np.float32)
