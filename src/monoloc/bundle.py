@@ -10,8 +10,10 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import os
 import shutil
 import tempfile
+import zipfile
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -98,19 +100,25 @@ def check_target(path: Path) -> None:
     """Refuse a place where a bundle must not be written, before the work is done.
 
     Raises:
-        BundleError: ``path`` exists and is no bundle, or its parent does not exist.
+        BundleError: ``path`` exists and is no bundle or holds more than one, or its parent cannot be written to.
     """
     if not path.parent.is_dir():
         raise BundleError(path, "its folder does not exist", f"make {path.parent} first")
+    if not os.access(path.parent, os.W_OK):
+        raise BundleError(path, "its folder cannot be written to", "choose another folder")
     if path.exists() and not (path / _MANIFEST).is_file():
         raise BundleError(path, "exists and is not a bundle", "choose another name")
+    # A folder is replaced whole: what monoloc did not put there must not go with it.
+    others = sorted({file.name for file in path.iterdir()} - {_MANIFEST, _MAP, _DEPTH}) if path.exists() else []
+    if others:
+        raise BundleError(path, f"holds more than a bundle ({others[0]})", "move that away or choose another name")
 
 
 def write_bundle(path: Path, bundle: Bundle) -> int:
     """Write a bundle, replacing an older one; returns its size in bytes.
 
     Raises:
-        BundleError: as :func:`check_target`.
+        BundleError: as :func:`check_target`, or the disk does not take it.
     """
     check_target(path)
     contents = {_MAP: _pack_maps(bundle), _DEPTH: bundle.depth_model}
@@ -124,19 +132,33 @@ def write_bundle(path: Path, bundle: Bundle) -> int:
         healthy=bundle.healthy,
     )
     contents[_MANIFEST] = _seal(manifest)
+    try:
+        _replace(path, contents)
+    except OSError as error:
+        fix = "make room for it, or name a place you can write to"
+        raise BundleError(path, f"cannot be written ({error.strerror})", fix) from error
+    return sum(len(content) for content in contents.values())
+
+
+def _replace(path: Path, contents: dict[str, bytes]) -> None:
+    """Put a folder of files at ``path``; what was there stays as it was if anything fails."""
     staging = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+    fresh, old = staging / "new", staging / "old"
     try:
         staging.chmod(0o755)
-        fresh = staging / "new"
         fresh.mkdir()
         for name, content in contents.items():
             (fresh / name).write_bytes(content)
-        if path.exists():
-            path.replace(staging / "old")
-        fresh.replace(path)
+        try:
+            if path.exists():
+                path.replace(old)
+            fresh.replace(path)
+        except BaseException:
+            if old.exists() and not path.exists():
+                old.replace(path)
+            raise
     finally:
         shutil.rmtree(staging)
-    return sum(len(content) for content in contents.values())
 
 
 def read_bundle(path: Path) -> Bundle:
@@ -154,8 +176,11 @@ def read_bundle(path: Path) -> Bundle:
             raise BundleError(path / name, "is missing", "copy the bundle again, whole") from error
         if hashlib.sha256(contents[name]).hexdigest() != manifest.sha256.get(name):
             raise BundleError(path / name, "is not what was written", "copy the bundle again or rebuild it")
-    with np.load(io.BytesIO(contents[_MAP]), allow_pickle=False) as arrays:
-        original, adapted = (GaussianMixture.from_arrays(arrays, prefix) for prefix in ("original_", "adapted_"))
+    try:
+        with np.load(io.BytesIO(contents[_MAP]), allow_pickle=False) as arrays:
+            original, adapted = (GaussianMixture.from_arrays(arrays, name) for name in ("original_", "adapted_"))
+    except (ValueError, zipfile.BadZipFile) as error:
+        raise BundleError(path / _MAP, f"is no map ({error})", "rebuild it with this version") from error
     return Bundle(
         original=original,
         adapted=adapted,

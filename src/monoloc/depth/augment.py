@@ -41,7 +41,7 @@ class AugmentConfig(BaseModel):
     """Ranges of the random changes; the defaults leave rooms recognisable to a person.
 
     Attributes:
-        zoom_max: largest magnification; 1 shows the whole frame.
+        zoom_min, zoom_max: smallest and largest magnification; 1 shows the whole frame, less leaves a black border.
         roll_deg: camera roll, either way.
         aspect: relative stretch of one axis against the other, either way.
         mirror: whether half of the views are mirrored left to right.
@@ -52,6 +52,7 @@ class AugmentConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    zoom_min: float = Field(1.0, gt=0.0, le=1.0)
     zoom_max: float = Field(1.6, ge=1.0)
     roll_deg: float = Field(15.0, ge=0.0, le=180.0)
     aspect: float = Field(0.08, ge=0.0, lt=0.5)
@@ -84,7 +85,7 @@ def random_view(
         The view; parts outside the frame are black and have no depth.
     """
     width, height = size
-    zoom = config.zoom_max ** rng.uniform()
+    zoom = float(np.exp(rng.uniform(np.log(config.zoom_min), np.log(config.zoom_max))))
     stretch = 1.0 + rng.uniform(-config.aspect, config.aspect)
     scale_x = camera.width / width / zoom * np.sqrt(stretch)
     scale_y = camera.height / height / zoom / np.sqrt(stretch)

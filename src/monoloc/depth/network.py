@@ -11,6 +11,7 @@ Inputs are RGB in [-1, 1], (B, 3, H, W) with H and W multiples of 32. The output
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -183,12 +184,12 @@ def load_encoder_weights(network: DepthNetwork, path: Path) -> None:
     """Put MobileNetV2 weights (.npz of arrays under torchvision's names) into the encoder.
 
     Raises:
-        DataError: a tensor is missing or has another shape (both shapes are named).
+        DataError: no such archive, or a tensor is missing or has another shape (both shapes are named).
     """
     try:
         with np.load(path, allow_pickle=False) as archive:
             arrays: Mapping[str, np.ndarray] = {name: archive[name] for name in archive.files}
-    except (OSError, ValueError) as error:
+    except (OSError, EOFError, ValueError, TypeError, zipfile.BadZipFile) as error:
         raise DataError(path, "is not a readable .npz archive", "give MobileNetV2 weights as .npz") from error
     state = network.encoder.state_dict()
     for name, target in state.items():

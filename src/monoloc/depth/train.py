@@ -65,8 +65,6 @@ class _Frames:
     """All frames of a recording in memory, at no more than the resolution that views can use."""
 
     def __init__(self, recording: Recording, size: tuple[int, int], zoom_max: float) -> None:
-        if not recording.has_depth:
-            raise DataError(recording.name, "has no depth", "train on a recording with depth images")
         full = recording.camera
         factor = min(1.0, zoom_max * 1.25 * size[0] / full.width)
         self.camera: Camera = full.resized(round(full.width * factor), round(full.height * factor))
@@ -100,6 +98,9 @@ def train_network(
         DataError: a recording without depth, or one that cannot be read.
         SettingError: fewer frames than one batch.
     """
+    for recording in (training, validation):
+        if not recording.has_depth:
+            raise DataError(recording.name, "has no depth", "train on a recording with depth images")
     keep_freed_memory()
     rng = np.random.default_rng(config.seed)
     torch.manual_seed(config.seed)
@@ -174,7 +175,7 @@ def _batches(
 
 @torch.no_grad()
 def validate(network: DepthNetwork, recording: Recording) -> tuple[float, float]:
-    """AbsRel and delta1 of a network on a recording, metric as predicted, mean over images."""
+    """AbsRel and delta1 of a network on a recording, metric as predicted, mean over images with depth."""
     network.eval()
     width, height = network_size(recording.camera, network.config.focal_px)
     small = recording.camera.resized(width, height)
@@ -183,8 +184,10 @@ def validate(network: DepthNetwork, recording: Recording) -> tuple[float, float]
         color = cv2.resize(recording.color(index), (width, height), interpolation=cv2.INTER_AREA)
         log_depth = network(network_input([np.asarray(color, dtype=np.uint8)]))[0, 0].numpy()
         truth = recording.depth(index)
-        predicted = cv2.resize(np.exp(log_depth), truth.shape[::-1]) * (small.focal_px / network.config.focal_px)
         valid = truth > 0.0
+        if not valid.any():
+            continue
+        predicted = cv2.resize(np.exp(log_depth), truth.shape[::-1]) * (small.focal_px / network.config.focal_px)
         ratio = predicted[valid] / truth[valid]
         absrel.append(np.mean(np.abs(ratio - 1.0)))
         delta1.append(np.mean(np.maximum(ratio, 1.0 / ratio) < 1.25))

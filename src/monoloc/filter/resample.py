@@ -20,8 +20,9 @@ def systematic_indices(weights: FloatArray, rng: np.random.Generator) -> NDArray
     count = len(weights)
     positions = (rng.uniform() + np.arange(count)) / count
     cumulative = np.cumsum(weights)
-    cumulative[-1] = 1.0  # rounding must not leave the last position beyond the sum
-    return np.asarray(np.searchsorted(cumulative, positions, side="right"), dtype=np.int64)
+    indices = np.searchsorted(cumulative, positions * cumulative[-1], side="right")
+    # The last position can round up to the sum itself, beyond every particle.
+    return np.asarray(np.minimum(indices, np.flatnonzero(weights)[-1]), dtype=np.int64)
 
 
 def resample(particles: Particles, ess_fraction: float, rng: np.random.Generator) -> Particles:

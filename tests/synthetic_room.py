@@ -1,0 +1,255 @@
+"""A textured room of known shape: exact depth and colour from any pose, and recordings made of them.
+
+The blue channel of an image is its log-depth, so a network of two operators (:func:`depth_from_blue`) predicts depth
+as well as 8 bits allow, and the whole online way can be tested without a trained one.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import onnx
+from numpy.typing import NDArray
+from onnx import TensorProto, helper, numpy_helper
+
+import synthetic_recordings as synthetic
+from monoloc.bundle import Bundle, Provenance, fingerprint
+from monoloc.camera import Camera
+from monoloc.depth.runtime import FOCAL_KEY, DepthPrediction
+from monoloc.filter.health import HealthyRange
+from monoloc.filter.scan import scan_from_depth
+from monoloc.filter.weigh import Measurement, MeasurementConfig
+from monoloc.geometry import make_pose, so3_exp
+from monoloc.localizer import LocalizerConfig
+from monoloc.map.fit import fit_mixture
+from monoloc.map.mixture import GaussianMixture
+
+FloatArray = NDArray[np.float64]
+
+# Twice the network's input in both directions: the blue network needs no correction of its focal length.
+CAMERA = Camera(320, 256, 272.0, 272.0, 159.5, 127.5)
+FOCAL_PX = 136.0
+FRAME_RATE_HZ = 15.0
+
+_WALLS = np.array([[-2.5, -1.4, -2.0], [2.5, 1.2, 3.0]])
+_BOXES = np.array(
+    [
+        [[-1.8, 0.3, 1.6], [-0.8, 1.2, 2.4]],
+        [[0.9, -0.4, 2.2], [1.7, 1.2, 3.0]],
+        [[-0.3, 0.7, 1.2], [0.4, 1.2, 1.7]],
+        [[1.8, -1.4, 0.2], [2.5, -0.5, 1.4]],
+    ]
+)
+_TEXEL_M = 0.012
+_NEAREST_M, _FARTHEST_M = 0.3, 8.0
+
+
+class Room:
+    """Four walls, floor, ceiling and four boxes; y points down. Another seed paints it differently.
+
+    Args:
+        stretch: factor on all lengths along x, for a room of another shape.
+    """
+
+    def __init__(self, seed: int = 0, stretch: float = 1.0) -> None:
+        rng = np.random.default_rng(seed)
+        noise = sum(
+            cv2.GaussianBlur(rng.standard_normal((1024, 1024)), (0, 0), sigma, borderType=cv2.BORDER_REFLECT) * sigma
+            for sigma in (1.5, 4.0, 12.0)
+        )
+        self._texture = np.clip(128.0 + 60.0 * noise / np.std(noise), 10.0, 245.0).astype(np.float32)
+        factors = np.array([stretch, 1.0, 1.0])
+        self._walls, self._boxes = _WALLS * factors, _BOXES * factors
+
+    def view(self, pose: FloatArray, camera: Camera = CAMERA) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """Colour (H, W, 3) RGB and exact depth (H, W) seen from ``T_world_camera``."""
+        directions = (camera.pixel_rays() @ pose[:3, :3].T).reshape(-1, 3)
+        origin = pose[:3, 3]
+        depth, face = self._cast(origin, directions)
+        points = origin + depth[:, None] * directions
+        axis = face % 3
+        u, v = (np.take_along_axis(points, (axis[:, None] + shift) % 3, axis=1)[:, 0] for shift in (1, 2))
+        # Every face reads another part of the one texture, which repeats at its borders.
+        u, v = u / _TEXEL_M + 173.0 * face, v / _TEXEL_M + 311.0 * face
+        shape = (camera.height, camera.width)
+        gray = cv2.remap(
+            self._texture,
+            u.reshape(shape).astype(np.float32),
+            v.reshape(shape).astype(np.float32),
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_WRAP,
+        )
+        depth = depth.reshape(shape)
+        blue = 255.0 * np.log(depth / _NEAREST_M) / np.log(_FARTHEST_M / _NEAREST_M)
+        color = np.stack([gray, gray, np.clip(blue, 0.0, 255.0)], axis=-1)
+        return np.round(color).astype(np.uint8), depth.astype(np.float32)
+
+    def cloud(self, spacing_m: float = 0.05) -> FloatArray:
+        """Points all over the surfaces, (N, 3); the parts of walls behind boxes are there too."""
+        faces = []
+        for lower, upper in [self._walls, *self._boxes]:
+            for axis in range(3):
+                others = [a for a in range(3) if a != axis]
+                grid = np.meshgrid(*(np.arange(lower[a], upper[a] + 1e-9, spacing_m) for a in others))
+                for side in (lower[axis], upper[axis]):
+                    points = np.full((grid[0].size, 3), side)
+                    points[:, others[0]], points[:, others[1]] = grid[0].ravel(), grid[1].ravel()
+                    faces.append(points)
+        return np.concatenate(faces)
+
+    def distance_m(self, points: FloatArray) -> FloatArray:
+        """Distance of points inside the room to the nearest surface, (N, 3) -> (N,)."""
+        distances = [np.abs(points[:, None, :] - self._walls[None]).min(axis=(1, 2))]
+        for lower, upper in self._boxes:
+            outside = np.maximum(np.maximum(lower - points, points - upper), 0.0)
+            inside = np.minimum(points - lower, upper - points).min(axis=1)
+            distances.append(np.where(inside > 0.0, inside, np.linalg.norm(outside, axis=1)))
+        return np.min(distances, axis=0)
+
+    def _cast(self, origin: FloatArray, directions: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
+        """Distance along each direction to the first surface, and the number of the face that is hit."""
+        with np.errstate(divide="ignore"):
+            inverse = 1.0 / directions
+        exits = np.where(directions > 0.0, self._walls[1] - origin, self._walls[0] - origin) * inverse
+        axis = exits.argmin(axis=1)
+        rows = np.arange(len(directions))
+        depth, face = exits[rows, axis], axis + 3 * (directions[rows, axis] > 0.0)
+        for number, (lower, upper) in enumerate(self._boxes, start=1):
+            near = np.minimum((lower - origin) * inverse, (upper - origin) * inverse)
+            far = np.maximum((lower - origin) * inverse, (upper - origin) * inverse)
+            axis = near.argmax(axis=1)
+            entry = near[rows, axis]
+            hit = (entry > 0.0) & (entry < far.min(axis=1)) & (entry < depth)
+            depth = np.where(hit, entry, depth)
+            face = np.where(hit, 6 * number + axis + 3 * (directions[rows, axis] > 0.0), face)
+        return depth, face
+
+
+def make_path(count: int, start_s: float = 0.0, rate_hz: float = FRAME_RATE_HZ) -> FloatArray:
+    """Poses of a camera carried through the room at up to half a metre a second, (count, 4, 4)."""
+    t = start_s + np.arange(count) / rate_hz
+    positions = np.stack([0.6 * np.sin(0.8 * t), 0.1 * np.sin(1.1 * t), 0.4 * np.cos(0.7 * t) - 0.4], axis=1)
+    turns = np.stack([0.1 * np.sin(0.9 * t), 0.5 * np.sin(0.6 * t + 0.3), 0.05 * np.sin(1.3 * t)], axis=1)
+    return make_pose(so3_exp(turns), positions)
+
+
+class RoomRecording:
+    """A :class:`monoloc.datasets.base.Recording` of a room, rendered once."""
+
+    def __init__(self, room: Room, poses: FloatArray, camera: Camera = CAMERA, has_depth: bool = True) -> None:
+        self.name = "room"
+        self.camera = camera
+        self.poses: FloatArray | None = poses
+        self.has_depth = has_depth
+        self.frame_names = [f"{index:06d}" for index in range(len(poses))]
+        self.timestamps_s = np.arange(len(poses)) / FRAME_RATE_HZ
+        self._views = [room.view(pose, camera) for pose in poses]
+
+    def __len__(self) -> int:
+        return len(self._views)
+
+    def color(self, index: int) -> NDArray[np.uint8]:
+        return self._views[index][0]
+
+    def depth(self, index: int) -> NDArray[np.float32]:
+        return self._views[index][1]
+
+
+def sparse_depth(recording: RoomRecording, index: int, stride: int = 4) -> DepthPrediction:
+    """Every ``stride``-th pixel of a frame's exact depth, with the camera of those pixels."""
+    camera = recording.camera
+    depth = np.ascontiguousarray(recording.depth(index)[::stride, ::stride])
+    height, width = depth.shape
+    small = Camera(width, height, camera.fx / stride, camera.fy / stride, camera.cx / stride, camera.cy / stride)
+    return DepthPrediction(depth, small)
+
+
+def room_mixture(room: Room, components: int = 250) -> GaussianMixture:
+    return fit_mixture(room.cloud(), components, np.random.default_rng(0)).mixture
+
+
+# What exact depth deserves: little noise, few outliers, and every third point counted as independent.
+SETTINGS = LocalizerConfig(
+    particles=500,
+    scan_points=300,
+    log_scale_sd=0.03,
+    measurement=MeasurementConfig(outlier_share=0.1, noise_sd_m=0.03, effective_points=100.0),
+)
+
+
+def healthy_range(mixture: GaussianMixture, recording: RoomRecording) -> HealthyRange:
+    """Measured on a recording's exact depth at its true poses."""
+    measurement, rng = Measurement(mixture, SETTINGS.measurement), np.random.default_rng(0)
+    assert recording.poses is not None
+    fits = []
+    for index, pose in enumerate(recording.poses):
+        depth = sparse_depth(recording, index)
+        scan = scan_from_depth(depth.depth_m, depth.camera, SETTINGS.scan_points, rng)
+        fits.append(measurement.mean_log_likelihood(pose[None], np.zeros(1), scan)[0])
+    return HealthyRange.from_fits(np.array(fits))
+
+
+def depth_from_blue() -> bytes:
+    """An ONNX network with monoloc's inputs and outputs that reads log-depth out of the blue channel."""
+    span = np.log(_FARTHEST_M / _NEAREST_M)
+    weight = np.array([0.0, 0.0, 0.5 * span], dtype=np.float32).reshape(1, 3, 1, 1)
+    bias = np.array([np.log(_NEAREST_M) + 0.5 * span], dtype=np.float32)
+    graph = helper.make_graph(
+        [
+            helper.make_node("AveragePool", ["image"], ["pooled"], kernel_shape=[4, 4], strides=[4, 4]),
+            helper.make_node("Conv", ["pooled", "weight", "bias"], ["log_depth"], kernel_shape=[1, 1]),
+        ],
+        "depth_from_blue",
+        [helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 3, "height", "width"])],
+        [helper.make_tensor_value_info("log_depth", TensorProto.FLOAT, [1, 1, "rows", "columns"])],
+        [numpy_helper.from_array(weight, "weight"), numpy_helper.from_array(bias, "bias")],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    model.metadata_props.add(key=FOCAL_KEY, value=repr(FOCAL_PX))
+    onnx.checker.check_model(model)
+    return bytes(model.SerializeToString())
+
+
+def make_bundle(mixture: GaussianMixture, recording: RoomRecording, built_from: range = range(0)) -> Bundle:
+    """A bundle of the room, as if built from some frames of a recording, with the blue network in it."""
+    frames = {recording.frame_names[index]: fingerprint(recording.color(index)) for index in built_from}
+    return Bundle(
+        original=mixture,
+        adapted=mixture,
+        depth_model=depth_from_blue(),
+        settings=SETTINGS,
+        camera=recording.camera,
+        provenance=Provenance(
+            recording=recording.name, frames=frames, tune="none", map_transform=False, lambda_kl=0.1, seed=0
+        ),
+        healthy=healthy_range(mixture, recording),
+    )
+
+
+def write_recording(folder: Path, recording: RoomRecording) -> None:
+    """The recording as a ``folder`` recording on disk: PNG colour, 16-bit millimetres, TUM poses."""
+    camera = recording.camera
+    for index, name in enumerate(recording.frame_names):
+        synthetic.write_color(folder / "color" / f"{name}.png", recording.color(index))
+        stored = np.round(1000.0 * recording.depth(index)).astype(np.uint16)
+        synthetic.write_depth(folder / "depth" / f"{name}.png", stored)
+    assert recording.poses is not None
+    (folder / "poses.txt").write_text(synthetic.tum_lines(recording.timestamps_s, recording.poses))
+    (folder / "dataset.toml").write_text(
+        f"""\
+kind = "sequence"
+color = "color/{{index:06d}}.png"
+depth = "depth/{{index:06d}}.png"
+count = {len(recording)}
+width = {camera.width}
+height = {camera.height}
+fx = {camera.fx}
+fy = {camera.fy}
+cx = {camera.cx}
+cy = {camera.cy}
+depth_scale = 1000
+poses = "poses.txt"
+"""
+    )

@@ -1,0 +1,269 @@
+"""Odometry in a textured room whose depth is known exactly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from monoloc.camera import Camera
+from monoloc.depth_image import at_discontinuity, sample_depth
+from monoloc.evaluation.trajectory import PoseErrors, pose_errors
+from monoloc.geometry import invert
+from monoloc.odometry import Motion, VisualOdometry
+from synthetic_room import CAMERA, Room, RoomRecording, make_path
+
+# Measured over the path below with exact depth: median 1.3 mm and 0.025 degrees a frame, largest 5.2 mm and 0.081.
+# A frame moves 3 cm and 1.2 degrees, so what is allowed is far below doing nothing.
+MEDIAN_M, LARGEST_M = 0.003, 0.012
+MEDIAN_RAD, LARGEST_RAD = np.deg2rad(0.06), np.deg2rad(0.25)
+
+
+@pytest.fixture(scope="module")
+def room() -> Room:
+    return Room()
+
+
+@pytest.fixture(scope="module")
+def recording(room) -> RoomRecording:
+    return RoomRecording(room, make_path(45))
+
+
+def step(odometry: VisualOdometry, recording: RoomRecording, index: int) -> Motion | None:
+    return odometry.step(recording.color(index), recording.depth(index), recording.camera)
+
+
+def follow(recording: RoomRecording, odometry: VisualOdometry | None = None) -> list[Motion]:
+    """Motions from every frame to the next; none may fail."""
+    odometry = odometry or VisualOdometry(recording.camera)
+    motions = [step(odometry, recording, index) for index in range(len(recording))]
+    assert motions[0] is None
+    assert all(motion is not None for motion in motions[1:])
+    return [motion for motion in motions if motion is not None]
+
+
+def errors(motions: list[Motion], recording: RoomRecording) -> PoseErrors:
+    truth = invert(recording.poses[:-1]) @ recording.poses[1:]
+    return pose_errors(np.stack([motion.T_previous_current for motion in motions]), truth)
+
+
+def check(found: PoseErrors) -> None:
+    assert np.median(found.position_m) < MEDIAN_M and found.position_m.max() < LARGEST_M
+    assert np.median(found.rotation_rad) < MEDIAN_RAD and found.rotation_rad.max() < LARGEST_RAD
+
+
+def test_motion_of_every_frame(recording):
+    motions = follow(recording)
+    check(errors(motions, recording))
+    assert min(motion.inliers for motion in motions) > 100
+
+
+def test_doing_nothing_would_fail_these_bounds(recording):
+    """The bounds above say something: the camera moves far more than they allow."""
+    found = errors([Motion(np.eye(4), 0)] * (len(recording) - 1), recording)
+    assert np.median(found.position_m) > 5 * MEDIAN_M
+    assert np.median(found.rotation_rad) > 5 * MEDIAN_RAD
+
+
+def test_drift_stays_far_below_the_sum_of_the_errors(recording):
+    """References outlive frames, so errors of neighbouring motions cancel."""
+    pose = recording.poses[0]
+    for motion in follow(recording):
+        pose = pose @ motion.T_previous_current
+    end = pose_errors(pose[None], recording.poses[-1:])
+    way = np.linalg.norm(np.diff(recording.poses[:, :3, 3], axis=0), axis=1).sum()
+    # Measured: 1.7 cm and 0.24 degrees at the end of 60 frames; 1 m of way here.
+    assert way > 0.9
+    assert end.position_m[0] < 0.04 * way
+    assert end.rotation_rad[0] < np.deg2rad(1.0)
+
+
+def test_references_are_renewed_when_the_view_changes(room):
+    """A whole turn: no corner of the first frame is in the last but by way of new references."""
+    count = 72
+    angles = np.linspace(0.0, 2.0 * np.pi, count + 1)
+    poses = np.tile(np.eye(4), (count + 1, 1, 1))
+    poses[:, 0, 0] = poses[:, 2, 2] = np.cos(angles)
+    poses[:, 0, 2], poses[:, 2, 0] = np.sin(angles), -np.sin(angles)
+    recording = RoomRecording(room, poses, CAMERA.resized(240, 192))
+    motions = follow(recording)
+    pose = poses[0]
+    for motion in motions:
+        pose = pose @ motion.T_previous_current
+    found = pose_errors(pose[None], poses[:1])
+    assert found.position_m[0] < 0.06
+    assert found.rotation_rad[0] < np.deg2rad(1.5)
+    assert min(motion.inliers for motion in motions) > 50
+
+
+class Scaled(RoomRecording):
+    """A recording whose depth is wrong by a factor."""
+
+    def __init__(self, recording: RoomRecording, factor: float) -> None:
+        self.__dict__.update(recording.__dict__)
+        self._factor = np.float32(factor)
+
+    def depth(self, index: int) -> NDArray[np.float32]:
+        return self._factor * super().depth(index)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_wrong_scale_of_depth_scales_translation_and_nothing_else(recording, factor):
+    # Powers of two scale without rounding, so that RANSAC chooses the same inliers.
+    exact = np.stack([motion.T_previous_current for motion in follow(recording)])
+    scaled = np.stack([motion.T_previous_current for motion in follow(Scaled(recording, factor))])
+    assert np.allclose(scaled[:, :3, 3], factor * exact[:, :3, 3], atol=1e-5)
+    assert np.allclose(scaled[:, :3, :3], exact[:, :3, :3], atol=1e-5)
+
+
+def test_wrong_scale_of_depth_by_any_factor(recording):
+    truth = invert(recording.poses[:-1]) @ recording.poses[1:]
+    truth[:, :3, 3] *= 1.3
+    motions = np.stack([motion.T_previous_current for motion in follow(Scaled(recording, 1.3))])
+    found = pose_errors(motions, truth)
+    check(PoseErrors(found.position_m / 1.3, found.rotation_rad))
+
+
+def test_depth_may_have_another_resolution(recording):
+    odometry = VisualOdometry(CAMERA)
+    small = CAMERA.resized(80, 64)
+    motions = []
+    for index in range(20):
+        depth = cv2.resize(recording.depth(index), (80, 64), interpolation=cv2.INTER_AREA)
+        motions.append(odometry.step(recording.color(index), depth, small))
+    truth = invert(recording.poses[:19]) @ recording.poses[1:20]
+    assert all(motions[1:])
+    found = pose_errors(np.stack([motion.T_previous_current for motion in motions[1:]]), truth)
+    # Averaged depth is off by up to a percent on slanted surfaces.
+    assert np.median(found.position_m) < 2 * MEDIAN_M
+    assert np.median(found.rotation_rad) < 2 * MEDIAN_RAD
+
+
+def test_distorted_camera(room):
+    camera = replace(CAMERA, distortion=(-0.25, 0.06, 0.002, -0.001, 0.0))
+    check(errors(follow(recording := RoomRecording(room, make_path(20), camera)), recording))
+
+
+def test_ignoring_distortion_would_show(room):
+    """The test above can fail: the same images taken for a pinhole's give worse motion."""
+    camera = replace(CAMERA, distortion=(-0.25, 0.06, 0.002, -0.001, 0.0))
+    recording = RoomRecording(room, make_path(20), camera)
+    found = errors(follow(recording, VisualOdometry(CAMERA)), recording)
+    assert np.median(found.position_m) > 1.5 * MEDIAN_M
+
+
+# --- Failure, and what comes after it ---
+
+
+def black(_: RoomRecording, rng: np.random.Generator) -> NDArray[np.uint8]:
+    return np.zeros((CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
+
+
+def blank(_: RoomRecording, rng: np.random.Generator) -> NDArray[np.uint8]:
+    return np.full((CAMERA.height, CAMERA.width, 3), 180, dtype=np.uint8)
+
+
+def noise(_: RoomRecording, rng: np.random.Generator) -> NDArray[np.uint8]:
+    return rng.integers(0, 256, (CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
+
+
+def elsewhere(recording: RoomRecording, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """A view of a room painted otherwise."""
+    return Room(seed=7).view(recording.poses[0])[0]
+
+
+@pytest.mark.parametrize("image", [black, blank, noise, elsewhere])
+def test_fails_rather_than_guess_and_recovers(recording, image):
+    odometry, rng = VisualOdometry(CAMERA), np.random.default_rng(0)
+    for index in range(5):
+        step(odometry, recording, index)
+    for index in range(5, 8):
+        # Another image of the kind every time: a still picture would be a camera at rest.
+        picture = image(recording, rng)
+        if image is elsewhere and index > 5:
+            break
+        assert odometry.step(picture, recording.depth(index), CAMERA) is None
+    assert step(odometry, recording, 10) is None  # from nothing seen to something: still no motion
+    motion = step(odometry, recording, 11)
+    assert motion is not None
+    found = pose_errors(motion.T_previous_current[None], (invert(recording.poses[10]) @ recording.poses[11])[None])
+    assert found.position_m[0] < LARGEST_M and found.rotation_rad[0] < LARGEST_RAD
+
+
+def test_depth_that_is_missing_everywhere_is_a_failure(recording):
+    odometry = VisualOdometry(CAMERA)
+    nothing = np.zeros_like(recording.depth(0))
+    assert odometry.step(recording.color(0), nothing, CAMERA) is None
+    assert odometry.step(recording.color(1), nothing, CAMERA) is None
+    assert step(odometry, recording, 2) is None
+    assert step(odometry, recording, 3) is not None
+
+
+def test_motion_is_since_the_previous_frame_after_a_worn_out_reference(recording):
+    """A jump that the old reference cannot bridge is measured from the frame before, or not at all."""
+    odometry = VisualOdometry(CAMERA)
+    for index in (0, 1, 2, 6):
+        motion = step(odometry, recording, index)
+    assert motion is not None
+    found = pose_errors(motion.T_previous_current[None], (invert(recording.poses[2]) @ recording.poses[6])[None])
+    assert found.position_m[0] < 2 * LARGEST_M and found.rotation_rad[0] < 2 * LARGEST_RAD
+
+
+@pytest.mark.parametrize("gain", [0.25, 0.6, 1.5])
+def test_change_of_brightness(recording, gain):
+    """Every second image is darker or brighter, as an automatic exposure makes them."""
+    odometry, motions = VisualOdometry(CAMERA), []
+    for index in range(20):
+        color = recording.color(index).astype(np.float32) * (gain if index % 2 else 1.0)
+        motions.append(odometry.step(np.clip(color, 0, 255).astype(np.uint8), recording.depth(index), CAMERA))
+    assert all(motions[1:])
+    truth = invert(recording.poses[:19]) @ recording.poses[1:20]
+    found = pose_errors(np.stack([motion.T_previous_current for motion in motions[1:]]), truth)
+    assert np.median(found.position_m) < 3 * MEDIAN_M
+    assert np.median(found.rotation_rad) < 3 * MEDIAN_RAD
+
+
+# --- Reading depth at corners ---
+
+
+def test_sample_depth_of_a_slanted_plane_is_exact():
+    small, large = Camera(40, 30, 30.0, 30.0, 19.5, 14.5), Camera(320, 240, 240.0, 240.0, 159.5, 119.5)
+    columns, rows = np.meshgrid(np.arange(40), np.arange(30))
+    depth = (2.0 + 0.01 * columns - 0.02 * rows).astype(np.float32)
+    pixels = np.random.default_rng(0).uniform([4, 4], [315, 235], (200, 2)).astype(np.float32)
+    # Bilinear interpolation is exact on what is linear; pixel centres move by half a pixel under scaling.
+    x, y = (pixels[:, 0] + 0.5) / 8 - 0.5, (pixels[:, 1] + 0.5) / 8 - 0.5
+    sampled = sample_depth(pixels, large, depth, small, relative=0.15)
+    assert np.allclose(sampled, 2.0 + 0.01 * x - 0.02 * y, atol=1e-5)
+
+
+def test_sample_depth_at_the_border_takes_the_nearest():
+    camera = Camera(40, 30, 30.0, 30.0, 19.5, 14.5)
+    depth = np.full((30, 40), 2.0, dtype=np.float32)
+    corners = np.array([[-0.5, -0.5], [39.5, 29.5], [39.0, 0.0], [0.0, 29.0]], dtype=np.float32)
+    assert np.allclose(sample_depth(corners, camera, depth, camera, relative=0.15), 2.0)
+
+
+def test_sample_depth_refuses_edges_and_holes():
+    camera = Camera(40, 30, 30.0, 30.0, 19.5, 14.5)
+    depth = np.full((30, 40), 2.0, dtype=np.float32)
+    depth[:, 20:] = 3.0
+    depth[5, 5] = 0.0
+    pixels = np.array([[19.5, 10.0], [18.5, 10.0], [21.5, 10.0], [5.0, 5.0], [5.5, 4.5], [7.5, 5.0]], np.float32)
+    sampled = sample_depth(pixels, camera, depth, camera, relative=0.15)
+    assert np.allclose(sampled, [0.0, 2.0, 3.0, 0.0, 0.0, 2.0])
+    # A jump that is allowed is interpolated.
+    assert sample_depth(pixels[:1], camera, depth, camera, relative=0.6)[0] == pytest.approx(2.5)
+
+
+def test_discontinuities_are_marked_on_both_sides_and_holes_are_none():
+    depth = np.full((6, 8), 1.0)
+    depth[:, 4:] = 2.0
+    depth[0, 0] = 0.0
+    marked = at_discontinuity(depth, 0.5)
+    assert np.array_equal(np.flatnonzero(marked.any(axis=0)), [3, 4])
+    assert marked[:, 3:5].all()
+    assert not at_discontinuity(depth, 1.5).any()
