@@ -39,5 +39,7 @@ def looking_around(count: int, seed: int = 0) -> FloatArray:
     return make_pose(turns @ so3_exp(rng.normal(0.0, 0.1, (count, 3))), rng.uniform(-0.4, 0.4, (count, 3)))
 
 
-def small_recording(frames: int, seed: int = 0, camera: Camera = SMALL_CAMERA, has_depth: bool = True) -> RoomRecording:
+def small_recording(
+    frames: int, seed: int = 0, camera: Camera = SMALL_CAMERA, has_depth: bool = True
+) -> RoomRecording:
     return RoomRecording(ROOM, looking_around(frames, seed), camera, has_depth)

@@ -31,6 +31,7 @@ FloatArray = NDArray[np.float64]
 # Twice the network's input in both directions: the blue network needs no correction of its focal length.
 CAMERA = Camera(320, 256, 272.0, 272.0, 159.5, 127.5)
 FOCAL_PX = 136.0
+SMALL_CAMERA = CAMERA.resized(160, 128)  # the network's input itself, for tests that write many files
 FRAME_RATE_HZ = 15.0
 
 _WALLS = np.array([[-2.5, -1.4, -2.0], [2.5, 1.2, 3.0]])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -14,9 +15,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from torch import Tensor
 
-from depth_helpers import SMALL_CAMERA, TINY, looking_around, small_recording
+from depth_helpers import ROOM, SMALL_CAMERA, TINY, looking_around, small_recording
 from monoloc.camera import Camera
-from monoloc.datasets.base import Recording
+from monoloc.datasets.base import Recording, Selection
 from monoloc.depth.augment import AugmentConfig, View, random_exposure, random_view, whole_view
 from monoloc.depth.checkpoint import load_network
 from monoloc.depth.losses import depth_loss, gradient_loss, log_l1_loss, masked_mean
@@ -24,7 +25,7 @@ from monoloc.depth.network import DepthNetwork
 from monoloc.depth.runtime import network_size
 from monoloc.depth.train import EpochRecord, TrainConfig, _batches, _Frames, train_network, validate
 from monoloc.errors import DataError, SettingError
-from synthetic_room import Room, RoomRecording
+from synthetic_room import RoomRecording
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -161,14 +162,18 @@ def check_view(view: View) -> float:
 @settings(max_examples=40)
 def test_random_views_show_the_frame_where_they_say(seed: int) -> None:
     color, depth_m = coordinate_frame()
-    config = AugmentConfig(roll_deg=40.0, zoom_max=2.5)
+    config = AugmentConfig(roll_deg=40.0, zoom_min=0.8, zoom_max=2.5)
     view = random_view(color, depth_m, FRAME, SIZE, config, np.random.default_rng(seed))
     assert view.color.shape == (48, 64, 3) and view.color.dtype == np.uint8
     assert view.depth_m.shape == (48, 64) and view.depth_m.dtype == np.float32
     check_view(view)
     assert view.focal_px == pytest.approx(FRAME.focal_px / np.sqrt(abs(np.linalg.det(view.linear))))
     whole_focal_px = FRAME.resized(*SIZE).focal_px
-    assert whole_focal_px * (1.0 - 1e-9) <= view.focal_px <= 2.5 * whole_focal_px
+    # The view's middle wanders as far as the magnification leaves room inside the frame.
+    middle = view.linear @ ((np.array(SIZE) - 1.0) / 2.0) + view.offset
+    room = max(0.0, 1.0 - whole_focal_px / view.focal_px) * np.array([FRAME.width, FRAME.height]) / 2.0
+    assert (np.abs(middle - (np.array([FRAME.width, FRAME.height]) - 1.0) / 2.0) <= room + 1e-9).all()
+    assert 0.8 * whole_focal_px * (1.0 - 1e-9) <= view.focal_px <= 2.5 * whole_focal_px
 
 
 def test_whole_view_is_the_resized_camera() -> None:
@@ -257,11 +262,32 @@ class Wall(RoomRecording):
     """A wall of one depth that fills the image."""
 
     def __init__(self, frames: int, depth_m: float, camera: Camera = SMALL_CAMERA) -> None:
-        super().__init__(np.repeat(np.eye(4)[None], frames, axis=0), camera)
+        super().__init__(ROOM, looking_around(frames), camera)
         self.depth_m = depth_m
 
     def depth(self, index: int) -> NDArray[np.float32]:
         return np.full((self.camera.height, self.camera.width), self.depth_m, dtype=np.float32)
+
+
+class FourfoldDepth(RoomRecording):
+    """A depth sensor that reads four times too far: an untrained network starts far off."""
+
+    def depth(self, index: int) -> NDArray[np.float32]:
+        return super().depth(index) * np.float32(4.0)
+
+
+class Spoilt(RoomRecording):
+    """The small recording with one frame's depth spoilt."""
+
+    def __init__(self, frames: int, frame: int, where: tuple[slice | int, ...], value: float) -> None:
+        super().__init__(ROOM, looking_around(frames), SMALL_CAMERA)
+        self.spoilt, self.where, self.value = frame, where, value
+
+    def depth(self, index: int) -> NDArray[np.float32]:
+        depth_m = super().depth(index).copy()
+        if index == self.spoilt:
+            depth_m[self.where] = self.value
+        return depth_m
 
 
 def training_depth(config: TrainConfig, recording: Recording) -> Tensor:
@@ -311,40 +337,41 @@ def test_validation_is_metric_for_any_camera(camera: Camera) -> None:
 
 
 def test_validation_passes_over_frames_without_depth() -> None:
-    poses = room_poses(3, np.random.default_rng(0))
-    some = validate(constant_network(2.0), WithoutSome(poses, blind=[1]))
-    others = validate(constant_network(2.0), RoomRecording(poses[[0, 2]]))
+    recording = Spoilt(3, frame=1, where=(slice(None),), value=0.0)
+    some = validate(constant_network(2.0), recording)
+    others = validate(constant_network(2.0), Selection(recording, [0, 2]))
     assert some == pytest.approx(others)
 
 
 # --- Training ---
 
-SHORT = TrainConfig(network=TINY, epochs=4, batch_size=4, learning_rate=0.01, ema_decay=0.5)
+SHORT = TrainConfig(network=TINY, epochs=4, batch_size=4, learning_rate=0.03, ema_decay=0.5)
 
 
 def without_seconds(history: list[EpochRecord]) -> list[EpochRecord]:
     return [replace(record, seconds=0.0) for record in history]
 
 
-def train_in_room(folder: Path, config: TrainConfig = SHORT) -> list[EpochRecord]:
-    rng = np.random.default_rng(0)
-    training, validation = RoomRecording(room_poses(12, rng)), RoomRecording(room_poses(2, rng))
-    return train_network(training, validation, config, folder)
+def train_in_room(
+    folder: Path, config: TrainConfig = SHORT, progress: Callable[[EpochRecord], None] | None = None
+) -> list[EpochRecord]:
+    training = FourfoldDepth(ROOM, looking_around(12), SMALL_CAMERA)
+    return train_network(training, small_recording(2, seed=1), config, folder, progress=progress)
 
 
 def test_training_learns_repeats_and_writes_what_it_learnt(tmp_path: Path) -> None:
     reported: list[EpochRecord] = []
-    rng = np.random.default_rng(0)
-    training, validation = RoomRecording(room_poses(12, rng)), RoomRecording(room_poses(2, rng))
     folder = tmp_path / "runs" / "a"
-    history = train_network(training, validation, SHORT, folder, progress=reported.append)
+    history = train_in_room(folder, progress=reported.append)
     assert [record.epoch for record in history] == [0, 1, 2, 3]
     assert reported == history
-    assert history[-1].train_loss < 0.85 * history[0].train_loss
+    assert history[-1].train_loss < 0.75 * history[0].train_loss
     assert json.loads((folder / "history.json").read_text()) == [asdict(record) for record in history]
     network = load_network(folder / "network.safetensors")
     assert network.config == TINY
-    assert validate(network, validation) == pytest.approx((history[-1].absrel, history[-1].delta1), abs=1e-4)
+    assert validate(network, small_recording(2, seed=1)) == pytest.approx(
+        (history[-1].absrel, history[-1].delta1), abs=1e-4
+    )
 
     assert without_seconds(train_in_room(tmp_path / "b")) == without_seconds(history)
     other = train_in_room(tmp_path / "c", SHORT.model_copy(update={"seed": 1, "epochs": 1}))
@@ -356,7 +383,7 @@ def test_training_starts_from_the_encoder_weights_it_is_given(tmp_path: Path) ->
     state = DepthNetwork(TINY).encoder.state_dict()
     np.savez(tmp_path / "encoder.npz", **{name: tensor.numpy() for name, tensor in state.items()})
     config = SHORT.model_copy(update={"epochs": 1, "learning_rate": 1e-12, "ema_decay": 0.0})
-    room = RoomRecording(room_poses(4, np.random.default_rng(0)))
+    room = small_recording(4)
     train_network(room, room, config, tmp_path, encoder_weights=tmp_path / "encoder.npz")
     trained = load_network(tmp_path / "network.safetensors").encoder.state_dict()
     for name in ("features.0.0.weight", "features.17.conv.2.weight"):
@@ -364,8 +391,7 @@ def test_training_starts_from_the_encoder_weights_it_is_given(tmp_path: Path) ->
 
 
 def test_a_recording_without_depth(tmp_path: Path) -> None:
-    poses = room_poses(4, np.random.default_rng(0))
-    blind, seeing = RoomRecording(poses, has_depth=False), RoomRecording(poses)
+    blind, seeing = small_recording(4, has_depth=False), small_recording(4)
     for training, validation in ((blind, seeing), (seeing, blind)):
         with pytest.raises(DataError, match="room: has no depth; train on a recording with depth images"):
             train_network(training, validation, SHORT, tmp_path / "out")
@@ -373,28 +399,20 @@ def test_a_recording_without_depth(tmp_path: Path) -> None:
 
 
 def test_fewer_frames_than_a_batch(tmp_path: Path) -> None:
-    room = RoomRecording(room_poses(3, np.random.default_rng(0)))
+    room = small_recording(3)
     with pytest.raises(SettingError, match="batch_size: 4 exceeds 3 frames; use more frames"):
         train_network(room, room, SHORT, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
-class NanDepth(RoomRecording):
-    def depth(self, index: int) -> NDArray[np.float32]:
-        depth_m = super().depth(index)
-        if index == 2:
-            depth_m[5, 7] = np.nan
-        return depth_m
-
-
 def test_depth_that_holds_nan_names_the_frame(tmp_path: Path) -> None:
-    room = NanDepth(room_poses(4, np.random.default_rng(0)))
-    with pytest.raises(DataError, match="frame-000002: depth holds NaN; mark missing depth with 0"):
+    room = Spoilt(4, frame=2, where=(5, 7), value=np.nan)
+    with pytest.raises(DataError, match="000002: depth holds NaN; mark missing depth with 0"):
         train_network(room, room, SHORT, tmp_path)
 
 
 def test_a_learning_rate_that_diverges_is_named(tmp_path: Path) -> None:
-    room = RoomRecording(room_poses(8, np.random.default_rng(0)))
+    room = small_recording(8)
     config = SHORT.model_copy(update={"learning_rate": 1e36})
     with pytest.raises(SettingError, match=r"learning_rate: 1e\+36 made the loss infinite; lower it"):
         train_network(room, room, config, tmp_path)

@@ -18,7 +18,7 @@ from monoloc.filter.particles import Particles, normalised, scatter
 from monoloc.filter.resample import resample, systematic_indices
 from monoloc.filter.scan import scan_from_depth
 from monoloc.filter.weigh import Measurement, MeasurementConfig
-from monoloc.geometry import invert, make_pose, se3_exp, se3_log, so3_exp, transform
+from monoloc.geometry import FloatArray, invert, make_pose, se3_exp, se3_log, so3_exp, transform
 from monoloc.odometry import Motion
 from synthetic_room import CAMERA, SETTINGS, Room, make_path, room_mixture
 
@@ -33,6 +33,10 @@ def particles_at(poses, log_scale=None, weights=None) -> Particles:
         log_scale=np.zeros(count) if log_scale is None else np.asarray(log_scale, dtype=np.float64),
         log_weights=np.full(count, -np.log(count)) if weights is None else np.log(np.asarray(weights)),
     )
+
+
+def motion_of(delta: FloatArray) -> Motion:
+    return Motion(delta, 50, np.zeros((0, 3)), np.zeros(0))
 
 
 # Weights as a filter has them: of very different sizes, some of them zero.
@@ -149,7 +153,7 @@ def test_odometry_moves_each_particle_in_its_own_frame_and_scale():
     rng = np.random.default_rng(1)
     before = particles_at(se3_exp(rng.normal(size=(6, 6))), log_scale=rng.normal(0.0, 0.3, 6), weights=[1 / 6] * 6)
     delta = make_pose(so3_exp([0.1, -0.3, 0.2]), [0.4, 0.1, -0.2])
-    after = predict(before, Motion(delta, 50), 0.1, 0.05, QUIET, rng)
+    after = predict(before, motion_of(delta), 0.1, 0.05, QUIET, rng)
     for old, scale, new in zip(before.poses, before.log_scale, after.poses, strict=True):
         assert np.allclose(new[:3, :3], old[:3, :3] @ delta[:3, :3], atol=1e-6)
         assert np.allclose(new[:3, 3], old[:3, 3] + np.exp(scale) * old[:3, :3] @ delta[:3, 3], atol=1e-6)
@@ -163,7 +167,7 @@ def test_odometry_noise_grows_with_the_motion():
     spreads = []
     for delta in (np.eye(4), make_pose(so3_exp([0.0, 0.5, 0.0]), [1.0, 0.0, 0.0])):
         particles = particles_at(np.tile(POSE, (4000, 1, 1)))
-        after = predict(particles, Motion(delta, 50), 0.1, 0.0, config, np.random.default_rng(0))
+        after = predict(particles, motion_of(delta), 0.1, 0.0, config, np.random.default_rng(0))
         spreads.append(se3_log(invert(POSE @ delta) @ after.poses).std(axis=0))
     assert np.allclose(spreads[0], [0.01] * 3 + [0.005] * 3, rtol=0.06)
     assert np.allclose(spreads[1], [np.hypot(0.01, 0.2)] * 3 + [np.hypot(0.005, 0.05)] * 3, rtol=0.06)
@@ -183,7 +187,7 @@ def test_random_walk_spreads_with_elapsed_time():
 
 
 @pytest.mark.parametrize("elapsed_s", [1 / 30, 0.5])
-@pytest.mark.parametrize("motion", [None, Motion(np.eye(4), 50)])
+@pytest.mark.parametrize("motion", [None, motion_of(np.eye(4))])
 def test_log_scale_keeps_its_spread_and_forgets_at_the_rate_given(elapsed_s, motion):
     config = MotionConfig(log_scale_correlation=0.6)
     rng = np.random.default_rng(0)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 from monoloc.depth_image import at_discontinuity, sample_depth
 from monoloc.evaluation.trajectory import PoseErrors, pose_errors
-from monoloc.geometry import invert
+from monoloc.geometry import FloatArray, invert
 from monoloc.odometry import Motion, VisualOdometry
 from synthetic_room import CAMERA, Room, RoomRecording, make_path
 
@@ -45,9 +45,12 @@ def follow(recording: RoomRecording, odometry: VisualOdometry | None = None) -> 
     return [motion for motion in motions if motion is not None]
 
 
+def true_motions(recording: RoomRecording) -> FloatArray:
+    return invert(recording.poses[:-1]) @ recording.poses[1:]
+
+
 def errors(motions: list[Motion], recording: RoomRecording) -> PoseErrors:
-    truth = invert(recording.poses[:-1]) @ recording.poses[1:]
-    return pose_errors(np.stack([motion.T_previous_current for motion in motions]), truth)
+    return pose_errors(np.stack([motion.T_previous_current for motion in motions]), true_motions(recording))
 
 
 def check(found: PoseErrors) -> None:
@@ -63,7 +66,8 @@ def test_motion_of_every_frame(recording):
 
 def test_doing_nothing_would_fail_these_bounds(recording):
     """The bounds above say something: the camera moves far more than they allow."""
-    found = errors([Motion(np.eye(4), 0)] * (len(recording) - 1), recording)
+    truth = true_motions(recording)
+    found = pose_errors(np.tile(np.eye(4), (len(truth), 1, 1)), truth)
     assert np.median(found.position_m) > 5 * MEDIAN_M
     assert np.median(found.rotation_rad) > 5 * MEDIAN_RAD
 
@@ -83,7 +87,7 @@ def test_drift_stays_far_below_the_sum_of_the_errors(recording):
 
 def test_references_are_renewed_when_the_view_changes(room):
     """A whole turn: no corner of the first frame is in the last but by way of new references."""
-    count = 72
+    count = 54
     angles = np.linspace(0.0, 2.0 * np.pi, count + 1)
     poses = np.tile(np.eye(4), (count + 1, 1, 1))
     poses[:, 0, 0] = poses[:, 2, 2] = np.cos(angles)
@@ -112,11 +116,11 @@ class Scaled(RoomRecording):
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_wrong_scale_of_depth_scales_translation_and_nothing_else(recording, factor):
-    # Powers of two scale without rounding, so that RANSAC chooses the same inliers.
+    # Powers of two scale without rounding, so that RANSAC chooses the same inliers; damping does not scale exactly.
     exact = np.stack([motion.T_previous_current for motion in follow(recording)])
     scaled = np.stack([motion.T_previous_current for motion in follow(Scaled(recording, factor))])
-    assert np.allclose(scaled[:, :3, 3], factor * exact[:, :3, 3], atol=1e-5)
-    assert np.allclose(scaled[:, :3, :3], exact[:, :3, :3], atol=1e-5)
+    assert np.allclose(scaled[:, :3, 3], factor * exact[:, :3, 3], atol=2e-3 * factor)
+    assert np.allclose(scaled[:, :3, :3], exact[:, :3, :3], atol=1e-3)
 
 
 def test_wrong_scale_of_depth_by_any_factor(recording):

@@ -96,12 +96,12 @@ def build_bundle(
         raise DataError(recording.name, f"gives {len(recording)} frames", f"build from at least {_MIN_FRAMES}")
     rng = np.random.default_rng(seed)
     frames = {name: fingerprint(recording.color(index)) for index, name in enumerate(recording.frame_names)}
-    cloud, mixture = fit_map(recording, cloud, config, rng, progress)
     needs_torch = config.adapt.tune != "none" or config.adapt.map_transform or network_file is not None
     if needs_torch:
         with training_extra():
             from monoloc.adapt.run import adapt  # the only door to PyTorch
-
+    cloud, mixture = fit_map(recording, cloud, config, rng, progress)
+    if needs_torch:
         result = adapt(recording, cloud, mixture, network_file or SHIPPED_NETWORK, config.adapt, seed, progress)
         original, adapted = result.original, result.adapted
         depth_model, held_out_model, held_out = result.depth_model, result.held_out_model, result.held_out

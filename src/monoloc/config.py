@@ -32,10 +32,14 @@ def load_settings(path: Path, model: type[Settings]) -> Settings:
 
 
 def describe(error: ValidationError) -> str:
-    """The first problem of a validation, as ``field: what is wrong``."""
-    first = error.errors()[0]
-    field = ".".join(str(part) for part in first["loc"]) or "settings"
-    return f"{field}: {first['msg']}"
+    """The first problem of a validation, as ``field: what is wrong``; all that a field takes, where it is several."""
+    problems: dict[str, list[str]] = {}
+    for problem in error.errors():
+        # The alternatives of a union are named by their types, which are no names of fields.
+        field = ".".join(str(part) for part in problem["loc"] if isinstance(part, int) or part.isidentifier())
+        problems.setdefault(field or "settings", []).append(problem["msg"])
+    field, messages = next(iter(problems.items()))
+    return f"{field}: {', or '.join(messages)}"
 
 
 def override(settings: Settings, **values: object) -> Settings:

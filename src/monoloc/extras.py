@@ -8,6 +8,18 @@ from contextlib import contextmanager
 from monoloc.errors import MissingExtraError
 
 
+def require_plotting() -> None:
+    """Say that there is nothing to draw with before the work is done, not after it.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("plots", "report") from error
+
+
 @contextmanager
 def training_extra() -> Iterator[None]:
     """Imports of PyTorch and its company, with a clear word where they are missing."""

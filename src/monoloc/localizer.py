@@ -16,7 +16,7 @@ from monoloc.filter.health import HealthyRange, State, judge
 from monoloc.filter.motion import MotionConfig, predict
 from monoloc.filter.particles import Particles
 from monoloc.filter.resample import resample
-from monoloc.filter.scan import scan_from_depth
+from monoloc.filter.scan import scan_from_corners, scan_from_depth
 from monoloc.filter.weigh import Measurement, MeasurementConfig
 from monoloc.geometry import FloatArray
 from monoloc.map.mixture import GaussianMixture
@@ -109,11 +109,20 @@ class Localizer:
                 self.particles, motion, elapsed_s, config.log_scale_sd, config.motion_noise, self._rng
             )
         self._is_first = False
-        self.particles = self._measurement.weigh(self.particles, scan)
+        self.particles = self._weigh(scan, motion)
         belief = estimate(self.particles)
         self.particles = resample(self.particles, config.ess_fraction, self._rng)
         fit = self._fit(belief, scan)
         return Step(belief, fit, judge(fit, belief, self._healthy), motion, depth)
+
+    def _weigh(self, scan: NDArray[np.float32], motion: Motion | None) -> Particles:
+        """The particles under the evidence of the depth image and of the corners that parallax has measured."""
+        trust = self.config.measurement
+        particles = self._measurement.weigh(self.particles, scan, trust.effective_points)
+        if motion is None:
+            return particles
+        corners = scan_from_corners(motion, trust.corner_log_depth_sd)
+        return self._measurement.weigh(particles, corners, trust.effective_corners)
 
     def _fit(self, belief: Estimate, scan: NDArray[np.float32]) -> float:
         if len(scan) == 0:

@@ -1,17 +1,19 @@
-"""Camera motion from tracked corners and depth of any source.
+"""Camera motion, and the depth of corners, from tracked corners and depth of any source.
 
-Corners of a reference frame are lifted with its depth and tracked from frame to frame; the camera's motion since
-the reference is the perspective-n-point solution over the tracks. The reference is kept while enough of its
-corners are seen, so that error grows with the number of references, not of frames. Where the depth is wrong by a
-factor, so is the translation, by the same factor: rotation is not affected, and the filter estimates the factor.
+Corners are lifted with the depth of the keyframe in which they appear and tracked from frame to frame; the camera's
+pose is the perspective-n-point solution over the tracks. The last keyframes are adjusted together
+(:mod:`monoloc.window`), so that parallax corrects the shape of the depth. Its scale remains the depth source's, on
+average over some seconds; where that is wrong by a factor, so is the translation, by the same factor, which the
+filter estimates.
 
 Sources: Shi & Tomasi 1994 (corners); Bouguet 2000 (pyramidal Lucas-Kanade); Kalal et al. 2010 (forward-backward
-check); Fischler & Bolles 1981 (RANSAC).
+check); Fischler & Bolles 1981 (RANSAC); Forster et al. 2014 and Loo et al. 2019 (depth filters of corners, started
+from a network's prediction).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -21,7 +23,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.camera import Camera
 from monoloc.depth_image import sample_depth
-from monoloc.geometry import FloatArray, invert, make_pose, so3_exp
+from monoloc.geometry import FloatArray, invert, make_pose, so3_exp, transform
+from monoloc.window import Window, adjust
 
 
 class OdometryConfig(BaseModel):
@@ -29,50 +32,88 @@ class OdometryConfig(BaseModel):
 
     Attributes:
         width: width at which corners are tracked.
-        corners: most corners lifted from a reference frame.
+        corners: most corners tracked at a time.
         min_distance_px: least distance between corners.
-        window_px: Lucas-Kanade window.
+        search_px: Lucas-Kanade window.
         forward_backward_px: largest distance between a corner and its track there and back.
         reprojection_px: RANSAC's inlier threshold.
         min_inliers: fewer than this is a failure.
-        keep_fraction: a new reference is taken when fewer of its corners are still inliers.
         depth_jump: corners within a pixel of a relative depth jump above this are not lifted: they sit on an
             occlusion edge.
+        keyframes: size of the adjusted window.
+        keyframe_motion_px: a keyframe is taken when corners have moved this far, in the median, since the last.
+        keyframe_share: or when fewer than this share of the last keyframe's corners are still seen.
+        corner_sd_px: standard deviation of a corner's place.
+        log_depth_sd: standard deviation of the logarithm of the depth source, from corner to corner.
+        scale_memory: share of the window's scale that a new keyframe keeps; the rest is the depth source's.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     width: int = Field(320, ge=80)
-    corners: int = Field(400, ge=20)
-    min_distance_px: float = Field(6.0, gt=0.0)
-    window_px: int = Field(15, ge=5)
+    corners: int = Field(300, ge=20)
+    min_distance_px: float = Field(7.0, gt=0.0)
+    search_px: int = Field(15, ge=5)
     forward_backward_px: float = Field(0.7, gt=0.0)
     reprojection_px: float = Field(1.5, gt=0.0)
     min_inliers: int = Field(15, ge=6)
-    keep_fraction: float = Field(0.75, gt=0.0, le=1.0)
     depth_jump: float = Field(0.15, gt=0.0)
+    keyframes: int = Field(12, ge=2)
+    keyframe_motion_px: float = Field(10.0, gt=0.0)
+    keyframe_share: float = Field(0.75, gt=0.0, le=1.0)
+    corner_sd_px: float = Field(0.7, gt=0.0)
+    log_depth_sd: float = Field(0.3, gt=0.0)
+    scale_memory: float = Field(0.95, ge=0.0, le=1.0)
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion of the camera between two frames.
+    """Motion of the camera between two frames, and what was seen on the way.
 
     Attributes:
         T_previous_current: (4, 4), translation in units of the depth it was computed from.
         inliers: tracks that agree with it.
+        points: (N, 3) corners in the current camera's frame, depth refined by parallax, in the same units.
+        log_depth_sd: (N,) standard deviation of the logarithm of their depth.
     """
 
     T_previous_current: FloatArray
     inliers: int
+    points: FloatArray
+    log_depth_sd: FloatArray
 
 
 @dataclass(frozen=True)
-class _Reference:
-    """Corners of one frame: pixels there, points in its frame (N, 3), and where they are seen now."""
+class _Tracks:
+    """N corners that are being followed through up to W keyframes; r is the frame of the first one.
 
+    Attributes:
+        pixels: (N, 2) where the latest frame sees them.
+        points: (N, 3) in r; ``log_depth_sd`` (N,) of their depth.
+        rays, log_depth: (N, W, 2) and (N, W), as in :class:`Window`.
+        poses: ``T_r_camera`` of the keyframes, (W, 4, 4).
+        keyframe_pixels: (N, 2) where the last keyframe saw them; ``keyframe_count`` how many it saw.
+    """
+
+    pixels: NDArray[np.float32]
     points: FloatArray
-    pixels_now: NDArray[np.float32]
-    count: int
+    log_depth_sd: FloatArray
+    rays: FloatArray
+    log_depth: FloatArray
+    poses: FloatArray
+    keyframe_pixels: NDArray[np.float32]
+    keyframe_count: int
+
+    def select(self, chosen: NDArray[Any]) -> _Tracks:
+        return replace(
+            self,
+            pixels=self.pixels[chosen],
+            points=self.points[chosen],
+            log_depth_sd=self.log_depth_sd[chosen],
+            rays=self.rays[chosen],
+            log_depth=self.log_depth[chosen],
+            keyframe_pixels=self.keyframe_pixels[chosen],
+        )
 
 
 class VisualOdometry:
@@ -84,11 +125,12 @@ class VisualOdometry:
         self._camera = camera.resized(width, round(camera.height * width / camera.width))
         self._equalise = cv2.createCLAHE(clipLimit=3.0, tileGridSize=(8, 8))
         self._gray: NDArray[np.uint8] | None = None
-        self._depth: tuple[NDArray[np.float32], Camera] | None = None
-        self._reference: _Reference | None = None
-        self._T_reference_previous = np.eye(4)
+        self._T_r_previous = np.eye(4)
+        self._tracks: _Tracks | None = None
 
-    def step(self, color: NDArray[np.uint8], depth_m: NDArray[np.float32], depth_camera: Camera) -> Motion | None:
+    def step(
+        self, color: NDArray[np.uint8], depth_m: NDArray[np.float32], depth_camera: Camera
+    ) -> Motion | None:
         """Motion since the previous frame; None for the first frame and where tracking fails.
 
         Args:
@@ -97,73 +139,54 @@ class VisualOdometry:
             depth_camera: intrinsics of the depth image.
         """
         gray = self._tracking_image(color)
-        motion = self._motion_to(gray)
-        if motion is None and self._gray is not None:
-            # The reference may be worn out; the previous frame makes a fresh one.
-            self._start_reference()
-            motion = self._motion_to(gray)
-        self._gray, self._depth = gray, (depth_m, depth_camera)
-        if motion is None or (
-            self._reference is not None and motion.inliers < self.config.keep_fraction * self._reference.count
-        ):
-            self._reference = None
-        return motion
+        T_r_current = self._follow(gray)
+        if T_r_current is None:
+            self._tracks, self._T_r_previous = None, np.eye(4)
+            self._add_keyframe(gray, np.eye(4), depth_m, depth_camera)
+            self._gray = gray
+            return None
+        # Within the window's frame r before it is adjusted, where the previous pose is still valid.
+        T_previous_current = invert(self._T_r_previous) @ T_r_current
+        assert self._tracks is not None
+        inliers = len(self._tracks.points)
+        if self._needs_keyframe():
+            T_r_current = self._add_keyframe(gray, T_r_current, depth_m, depth_camera)
+        self._gray, self._T_r_previous = gray, T_r_current
+        points = transform(invert(T_r_current), self._tracks.points)
+        return Motion(T_previous_current, inliers, points, self._tracks.log_depth_sd)
 
     def _tracking_image(self, color: NDArray[np.uint8]) -> NDArray[np.uint8]:
         size = (self._camera.width, self._camera.height)
         gray = cv2.cvtColor(cv2.resize(color, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY)
         return np.asarray(self._equalise.apply(gray), dtype=np.uint8)
 
-    def _start_reference(self) -> None:
-        """Make the previous frame the reference."""
-        self._reference = None
-        if self._gray is None or self._depth is None:
-            return
-        corners: Any = cv2.goodFeaturesToTrack(
-            self._gray, self.config.corners, qualityLevel=0.005, minDistance=self.config.min_distance_px
-        )
-        if corners is None or len(corners) == 0:
-            return
-        pixels = corners.reshape(-1, 2).astype(np.float32)
-        depth = sample_depth(pixels, self._camera, *self._depth, relative=self.config.depth_jump)
-        pixels, depth = pixels[depth > 0.0], depth[depth > 0.0]
-        points = self._camera.rays(pixels) * depth[:, None]
-        self._reference = _Reference(points, pixels, len(points))
-        self._T_reference_previous = np.eye(4)
-
-    def _motion_to(self, gray: NDArray[np.uint8]) -> Motion | None:
-        """Track the reference's corners into ``gray`` and solve for the motion."""
-        if self._reference is None:
-            self._start_reference()
-        reference = self._reference
-        if reference is None or self._gray is None or len(reference.points) < self.config.min_inliers:
+    def _follow(self, gray: NDArray[np.uint8]) -> FloatArray | None:
+        """Track the corners into ``gray`` and solve for its ``T_r_camera``; drops the tracks that disagree."""
+        if self._tracks is None or self._gray is None or len(self._tracks.points) < self.config.min_inliers:
             return None
-        tracked, kept = self._track(self._gray, gray, reference.pixels_now)
-        points, pixels = reference.points[kept], tracked[kept]
-        solution = self._solve(points, pixels)
+        pixels, kept = self._track(self._gray, gray, self._tracks.pixels)
+        tracks = replace(self._tracks, pixels=pixels).select(kept)
+        solution = self._solve(tracks.points, tracks.pixels)
         if solution is None:
             return None
-        T_current_reference, inliers = solution
-        T_reference_current = invert(T_current_reference)
-        motion = Motion(invert(self._T_reference_previous) @ T_reference_current, len(inliers))
-        self._reference = _Reference(points[inliers], pixels[inliers], reference.count)
-        self._T_reference_previous = T_reference_current
-        return motion
+        T_r_current, inliers = solution
+        self._tracks = tracks.select(inliers)
+        return T_r_current
 
     def _track(
         self, before: NDArray[np.uint8], after: NDArray[np.uint8], pixels: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        window = (self.config.window_px, self.config.window_px)
-        forward, found, _ = cv2.calcOpticalFlowPyrLK(before, after, pixels, pixels.copy(), winSize=window, maxLevel=3)
-        back, found_back, _ = cv2.calcOpticalFlowPyrLK(
-            after, before, forward, forward.copy(), winSize=window, maxLevel=3
-        )
+        size = (self.config.search_px, self.config.search_px)
+        forward, found, _ = cv2.calcOpticalFlowPyrLK(before, after, pixels, pixels.copy(), winSize=size, maxLevel=3)
+        back, found_back, _ = cv2.calcOpticalFlowPyrLK(after, before, forward, forward.copy(), winSize=size, maxLevel=3)
         distance = np.linalg.norm(back - pixels, axis=1)
         kept = (found[:, 0] == 1) & (found_back[:, 0] == 1) & (distance < self.config.forward_backward_px)
         return np.asarray(forward, dtype=np.float32), kept
 
-    def _solve(self, points: FloatArray, pixels: NDArray[np.float32]) -> tuple[FloatArray, NDArray[np.int64]] | None:
-        """T_current_reference and the inliers' indices, or None."""
+    def _solve(
+        self, points: FloatArray, pixels: NDArray[np.float32]
+    ) -> tuple[FloatArray, NDArray[np.int64]] | None:
+        """``T_r_current`` and the inliers' indices, or None."""
         if len(points) < self.config.min_inliers:
             return None
         K, distortion = self._camera.matrix, np.asarray(self._camera.distortion)
@@ -183,5 +206,96 @@ class VisualOdometry:
         rotation, translation = cv2.solvePnPRefineLM(
             points[chosen], pixels[chosen].astype(np.float64), K, distortion, rotation, translation
         )
-        pose = make_pose(so3_exp(rotation.ravel()), translation.ravel())
-        return (pose, chosen) if np.all(np.isfinite(pose)) else None
+        T_current_r = make_pose(so3_exp(rotation.ravel()), translation.ravel())
+        return (invert(T_current_r), chosen) if np.all(np.isfinite(T_current_r)) else None
+
+    def _needs_keyframe(self) -> bool:
+        tracks = self._tracks
+        assert tracks is not None
+        moved = np.median(np.linalg.norm(tracks.pixels - tracks.keyframe_pixels, axis=1))
+        is_worn = len(tracks.points) < self.config.keyframe_share * tracks.keyframe_count
+        return bool(moved > self.config.keyframe_motion_px) or is_worn
+
+    def _add_keyframe(
+        self, gray: NDArray[np.uint8], T_r_camera: FloatArray, depth_m: NDArray[np.float32], depth_camera: Camera
+    ) -> FloatArray:
+        """Take the current frame into the window, adjust the window, and return the frame's pose after it."""
+        config = self.config
+        known = self._tracks
+        pixels = np.zeros((0, 2), dtype=np.float32) if known is None else known.pixels
+        fresh = self._new_corners(gray, pixels)
+        depth = sample_depth(np.concatenate([pixels, fresh]), self._camera, depth_m, depth_camera, config.depth_jump)
+        with np.errstate(divide="ignore"):
+            log_depth = np.where(depth > 0.0, np.log(depth), np.nan)
+        if known is not None:
+            # The window's scale goes on: predicted depth is brought to it, but for a small share.
+            z = transform(invert(T_r_camera), known.points)[:, 2]
+            ratio = np.log(np.maximum(z, 1e-3)) - log_depth[: len(pixels)]
+            if np.isfinite(ratio).any():
+                log_depth += config.scale_memory * np.nanmedian(ratio)
+        lifted = np.isfinite(log_depth[len(pixels) :])
+        fresh, fresh_log_depth = fresh[lifted], log_depth[len(pixels) :][lifted]
+        rays = self._camera.rays(np.concatenate([pixels, fresh]))[:, :2]
+        local = np.column_stack([rays[len(pixels) :], np.ones(len(fresh))]) * np.exp(fresh_log_depth)[:, None]
+        points = transform(T_r_camera, local)
+        poses = T_r_camera[None]
+        old_rays, old_log_depth = np.zeros((0, 0, 2)), np.zeros((0, 0))
+        if known is not None:
+            points = np.concatenate([known.points, points])
+            poses = np.concatenate([known.poses, poses])
+            old_rays, old_log_depth = known.rays, known.log_depth
+        kept = min(len(poses), config.keyframes) - 1
+        count = len(points)
+        all_rays = np.full((count, kept + 1, 2), np.nan)
+        all_log_depth = np.full((count, kept + 1), np.nan)
+        if kept:
+            all_rays[: len(old_rays), :kept] = old_rays[:, -kept:]
+            all_log_depth[: len(old_rays), :kept] = old_log_depth[:, -kept:]
+        all_rays[:, kept] = rays
+        all_log_depth[:, kept] = np.concatenate([log_depth[: len(pixels)], fresh_log_depth])
+        poses = poses[-(kept + 1) :]
+        window = Window(poses, points, all_rays, all_log_depth)
+        information = np.zeros((count, 3, 3))
+        if kept and count:
+            ray_sd = config.corner_sd_px / self._camera.focal_px
+            poses, points, information = adjust(window, ray_sd, config.log_depth_sd, iterations=3)
+        tracked = np.concatenate([pixels, fresh])
+        tracks = _Tracks(
+            pixels=tracked,
+            points=points,
+            log_depth_sd=_log_depth_sd(poses[-1], points, information, config.log_depth_sd),
+            rays=all_rays,
+            log_depth=all_log_depth,
+            poses=poses,
+            keyframe_pixels=tracked,
+            keyframe_count=count,
+        )
+        in_front = transform(invert(poses[-1]), points)[:, 2] > 0.05
+        self._tracks = tracks.select(in_front)
+        return np.asarray(poses[-1])
+
+    def _new_corners(self, gray: NDArray[np.uint8], known: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Corners away from the known ones, (N, 2), as many as there is room for."""
+        wanted = self.config.corners - len(known)
+        if wanted <= 0:
+            return np.zeros((0, 2), dtype=np.float32)
+        free = np.full(gray.shape, 255, dtype=np.uint8)
+        for x, y in known:
+            cv2.circle(free, (int(x), int(y)), int(self.config.min_distance_px), 0, -1)
+        corners: Any = cv2.goodFeaturesToTrack(
+            gray, wanted, qualityLevel=0.005, minDistance=self.config.min_distance_px, mask=free
+        )
+        if corners is None or len(corners) == 0:
+            return np.zeros((0, 2), dtype=np.float32)
+        return np.asarray(corners, dtype=np.float32).reshape(-1, 2)
+
+
+def _log_depth_sd(
+    T_r_camera: FloatArray, points: FloatArray, information: FloatArray, prior_sd: float
+) -> FloatArray:
+    """Standard deviation of each point's log-depth in a camera, (N,), never above that of the prediction."""
+    local = transform(invert(T_r_camera), points)
+    direction = local / np.maximum(np.linalg.norm(local, axis=1), 1e-6)[:, None] @ T_r_camera[:3, :3].T
+    # Moving a point along its ray by t changes log-depth by t / range.
+    along = np.einsum("ni,nij,nj->n", direction, information, direction) * np.sum(local**2, axis=1)
+    return np.asarray(1.0 / np.sqrt(along + 1.0 / prior_sd**2))

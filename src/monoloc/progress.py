@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Protocol
@@ -43,6 +44,12 @@ class ConsoleProgress:
 
     @contextmanager
     def task(self, name: str, total: int | None) -> Iterator[Step]:
+        if not self._console.is_terminal:
+            # A log, or another program: no bars, and nothing of a task that fails.
+            started = time.perf_counter()
+            yield lambda done: None
+            self._console.print(f"{name}: done in {time.perf_counter() - started:.1f} s")
+            return
         with rich_progress.Progress(
             rich_progress.TextColumn("{task.description:<16}"),
             rich_progress.BarColumn(bar_width=30),

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle, fingerprint
 from monoloc.camera import Camera
+from monoloc.config import override
 from monoloc.datasets.base import Recording
 from monoloc.depth.runtime import DepthPrediction, DepthPredictor
 from monoloc.errors import DataError
@@ -24,6 +25,11 @@ from monoloc.localizer import Localizer, LocalizerConfig
 from monoloc.progress import Progress
 
 _SENSOR_STRIDE = 4  # every so many pixels of sensor depth are used: as dense as the scan needs
+# A bundle's settings say how far the network's depth may be off; a sensor's is better by far, and metric.
+_SENSOR_SETTINGS: dict[str, object] = {
+    "measurement": {"noise_sd_m": 0.03, "outlier_share": 0.2, "effective_points": 60.0},
+    "log_scale_sd": 0.01,
+}
 _COMPARE_WIDTH = 160  # width at which predicted and sensor depth are compared
 
 
@@ -129,13 +135,16 @@ def localize(
     """Localise every frame of a recording.
 
     Args:
-        use_sensor_depth: use the recording's depth in place of the network's: the upper bound.
+        use_sensor_depth: use the recording's depth in place of the network's: the upper bound. The measurement's
+            settings are then a sensor's, not the bundle's.
 
     Raises:
         DataError: sensor depth is asked for and there is none, or a frame cannot be read.
     """
     if use_sensor_depth and not recording.has_depth:
         raise DataError(recording.name, "has no depth", "leave out --depth sensor")
+    if use_sensor_depth:
+        config = override(config, **_SENSOR_SETTINGS)
     predictor = DepthPredictor(bundle.depth_model, recording.camera)
     particles = scatter(
         start.pose, config.particles, start.position_sd_m, start.rotation_sd_rad, config.log_scale_sd, rng
@@ -204,5 +213,5 @@ def _comparable(
     height, width = sensor_m.shape
     size = (_COMPARE_WIDTH, round(height * _COMPARE_WIDTH / width))
     predicted = cv2.resize(depth.depth_m, size, interpolation=cv2.INTER_LINEAR)
-    truth = cv2.resize(sensor_m, size, interpolation=cv2.INTER_NEAREST)
+    truth = cv2.resize(sensor_m, size, interpolation=cv2.INTER_NEAREST_EXACT)
     return np.asarray(predicted, np.float32), np.asarray(truth, np.float32)

@@ -33,7 +33,9 @@ def matched_kl(
     log_determinants = 2.0 * (_log_diagonal(other_lower) - _log_diagonal(lower))
     trace, distance = whitened.square().sum((-1, -2)), offset.square().sum((-1, -2))
     component_kl = 0.5 * (trace + distance - means.shape[-1] + log_determinants)
-    divergence: Tensor = (log_weights.exp() * (component_kl + log_weights - other_log_weights)).sum()
+    # A component without weight adds nothing, though its logarithms have no difference.
+    log_ratio = torch.where(log_weights > -math.inf, log_weights - other_log_weights, 0.0)
+    divergence: Tensor = (log_weights.exp() * (component_kl + log_ratio)).sum()
     return divergence
 
 

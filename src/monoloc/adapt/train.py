@@ -119,11 +119,13 @@ class Adaptation:
     @torch.no_grad()
     def fit_bias(self, views: Views) -> None:
         """Shift the last layer's bias to the median log ratio of true to predicted depth, the first step."""
-        if self.config.tune == "none" or not bool((views.depth_m > 0).any()):
+        if self.config.tune == "none":
             return
         whole = views[torch.nonzero(views.whole).ravel()]
+        ratio = _log_ratio(self.predict(whole), whole.depth_m)
         assert self.network.head.bias is not None
-        self.network.head.bias += _log_ratio(self.predict(whole), whole.depth_m).median()
+        if ratio.numel():
+            self.network.head.bias += ratio.median()
 
     @torch.no_grad()
     def predict(self, views: Views) -> Tensor:

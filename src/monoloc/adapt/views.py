@@ -90,7 +90,7 @@ def make_views(
             cv2.resize(recording.color(index), (small.width, small.height), interpolation=cv2.INTER_AREA),
             np.uint8,
         )
-        target = cv2.resize(depth_of(index), (small.width, small.height), interpolation=cv2.INTER_NEAREST)
+        target = cv2.resize(depth_of(index), (small.width, small.height), interpolation=cv2.INTER_NEAREST_EXACT)
         views = list(_views_of(color, np.asarray(target, np.float32), small, size, extra_views, rng))
         taps.append(network.encoder(network_input([view.color for view in views])))
         for view in views:

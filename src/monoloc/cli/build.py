@@ -23,6 +23,7 @@ from monoloc.cli.common import (
     stderr,
 )
 from monoloc.config import load_settings, override
+from monoloc.errors import DataError
 from monoloc.map.cloud_files import read_cloud
 from monoloc.progress import ConsoleProgress
 
@@ -70,6 +71,8 @@ def build(
         components=components,
         adapt={"tune": tune, "map_transform": map_transform, "lambda_kl": lambda_kl},
     )
+    if network is not None and not network.is_file():
+        raise DataError(network, "does not exist", "give a network.safetensors made by: monoloc depth train")
     points = None if cloud is None else read_cloud(cloud)
     recording = open_source(source, frames, intrinsics, depth_scale)
     bundle, report = build_bundle(recording, config, seed, ConsoleProgress(stderr), points, network)
@@ -78,8 +81,8 @@ def build(
         print_json({"bundle": str(out), "bytes": size, **asdict(report)})
         return
     stderr.print(
-        f"{out}: {size / 1e6:.1f} MB, map of {report.components} components in {bundle.adapted.nbytes_stored / 1e3:.0f}"
-        f" kB, from {report.frames} frames in {report.seconds:.0f} s"
+        f"{out}: {size / 1e6:.1f} MB, map of {report.components} components in "
+        f"{bundle.adapted.nbytes_stored / 1e3:.0f} kB, from {report.frames} frames in {report.seconds:.0f} s"
     )
     if report.depth_absrel_before is not None and report.depth_absrel_after is not None:
         stderr.print(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
@@ -19,6 +20,8 @@ from monoloc.datasets.registry import open_recording, select_frames
 from monoloc.errors import SettingError
 
 stderr = Console(stderr=True, highlight=False)
+
+EXTENT_SIGMAS = math.sqrt(3.0)  # how far a surface reaches from its component's mean, if it is covered evenly
 
 SourceArgument = Annotated[
     str,
@@ -56,20 +59,43 @@ def open_source(
 
 def _parse_camera(text: str) -> Camera:
     try:
-        width, height, fx, fy, cx, cy = (float(part) for part in text.split(","))
+        width, height, *rest = text.split(",")
+        fx, fy, cx, cy = (float(part) for part in rest)
+        return Camera(int(width), int(height), fx, fy, cx, cy)
     except ValueError as error:
         raise SettingError("--intrinsics", f"is {text!r}", "write W,H,FX,FY,CX,CY in pixels") from error
-    return Camera(int(width), int(height), fx, fy, cx, cy)
 
 
 def check_writable(path: Path | None, option: str) -> None:
-    """Refuse an output whose folder does not exist before the work is done.
+    """Refuse an output file that cannot be written before the work is done.
 
     Raises:
         SettingError: naming the option.
     """
-    if path is not None and not path.resolve().parent.is_dir():
+    if path is None:
+        return
+    if path.is_dir():
+        raise SettingError(option, f"{path} is a folder", "name a file")
+    _check_parent(path, option)
+
+
+def check_folder(path: Path, option: str) -> None:
+    """Refuse an output folder, which may exist, that cannot be made, before the work is done.
+
+    Raises:
+        SettingError: naming the option.
+    """
+    if path.exists() and not path.is_dir():
+        raise SettingError(option, f"{path} is a file", "name a folder")
+    _check_parent(path, option)
+
+
+def _check_parent(path: Path, option: str) -> None:
+    parent = path.absolute().parent
+    if not parent.is_dir():
         raise SettingError(option, f"{path.parent} does not exist", "make the folder first")
+    if not os.access(parent, os.W_OK):
+        raise SettingError(option, f"{path.parent} cannot be written to", "choose another folder")
 
 
 def print_json(content: Mapping[str, object]) -> None:

@@ -12,10 +12,11 @@ import typer
 from monoloc.adapt.settings import Tune
 from monoloc.build import BuildConfig, build_bundle
 from monoloc.bundle import Bundle, write_bundle
-from monoloc.cli.common import JsonOption, SeedOption, open_source, print_json, print_table, stderr
+from monoloc.cli.common import JsonOption, SeedOption, check_folder, open_source, print_json, print_table, stderr
 from monoloc.cli.localize import draw
 from monoloc.config import override
 from monoloc.errors import DataError
+from monoloc.extras import require_plotting
 from monoloc.outputs.tum import write_tum
 from monoloc.progress import ConsoleProgress
 from monoloc.runs import Run, Start, disturbed, localize
@@ -45,7 +46,9 @@ def demo(
     room = (data or Path(os.environ.get("MONOLOC_DATA", "../shared/data"))) / _ROOM
     if not room.is_dir():
         raise DataError(room, "is not there", "give --data or set MONOLOC_DATA to a folder with 7scenes/redkitchen")
-    out.mkdir(parents=True, exist_ok=True)
+    check_folder(out, "--out")
+    require_plotting()
+    out.mkdir(exist_ok=True)
     source = f"7scenes:{room}"
     plain = _build(source, out / "plain.monoloc", "none", seed)
     adapted = _build(source, out / "adapted.monoloc", "decoder", seed)

@@ -17,6 +17,7 @@ from monoloc.cli.common import (
     IntrinsicsOption,
     JsonOption,
     SourceArgument,
+    check_folder,
     check_writable,
     open_source,
     print_json,
@@ -29,7 +30,7 @@ from monoloc.depth.runtime import DepthPredictor
 from monoloc.errors import DataError
 from monoloc.evaluation.depth import DepthAccumulator, fit_scale
 from monoloc.evaluation.plots import plot_depth, plot_training
-from monoloc.extras import training_extra
+from monoloc.extras import require_plotting, training_extra
 from monoloc.files import write_whole
 from monoloc.models import SHIPPED_ONNX
 from monoloc.progress import ConsoleProgress
@@ -72,7 +73,8 @@ def train(
     """
     with training_extra():
         from monoloc.depth.train import TrainConfig, train_network
-    check_writable(out, "--out")
+    check_folder(out, "--out")
+    require_plotting()
     config = override(TrainConfig() if settings is None else load_settings(settings, TrainConfig), epochs=epochs)
     training = open_source(source, frames)
     validation = open_source(source, validate) if validate is not None else training
@@ -106,6 +108,8 @@ def evaluate(
       monoloc depth evaluate full-0.35 7scenes:redkitchen --fit-scale
     """
     check_writable(plot, "--plot")
+    if plot is not None:
+        require_plotting()
     recording = open_source(source, frames, intrinsics, depth_scale)
     if not recording.has_depth:
         raise DataError(recording.name, "has no depth", "judge on a recording with depth images")
@@ -157,8 +161,8 @@ def export(
         stderr.print(f"{out}: {report.bytes / 1e6:.2f} MB, differs by at most {report.parity_max:.1e} in log-depth")
 
 
-def onnx_of(model: str) -> bytes:
-    """ONNX bytes of a model by name, bundle, .onnx or .safetensors.
+def onnx_of(model: str) -> Path | bytes:
+    """ONNX file or bytes of a model by name, bundle, .onnx or .safetensors.
 
     Raises:
         DataError: no such file.
@@ -166,13 +170,13 @@ def onnx_of(model: str) -> bytes:
     """
     path = Path(model)
     if model == _SHIPPED:
-        return SHIPPED_ONNX.read_bytes()
+        return SHIPPED_ONNX
     if path.is_dir():
         return read_bundle(path).depth_model
     if not path.is_file():
         raise DataError(path, "does not exist", f"give a .safetensors, .onnx, a bundle, or {_SHIPPED}")
     if path.suffix != ".safetensors":
-        return path.read_bytes()
+        return path
     with training_extra():
         from monoloc.depth.checkpoint import load_network
         from monoloc.depth.export import export_onnx

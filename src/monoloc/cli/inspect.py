@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 from monoloc.bundle import read_bundle
-from monoloc.cli.common import FramesOption, JsonOption, open_source, print_json, print_table
+from monoloc.cli.common import EXTENT_SIGMAS, FramesOption, JsonOption, open_source, print_json, print_table
 
 
 def inspect(
@@ -35,7 +35,7 @@ def inspect(
 
 def _bundle(path: Path) -> dict[str, object]:
     bundle = read_bundle(path)
-    lower, upper = bundle.adapted.bounds_m()
+    lower, upper = bundle.adapted.bounds_m(EXTENT_SIGMAS)
     shift = np.linalg.norm(bundle.adapted.means - bundle.original.means, axis=1)
     return {
         "kind": "bundle",

@@ -27,6 +27,7 @@ from monoloc.config import override
 from monoloc.datasets.base import Recording
 from monoloc.errors import DataError, SettingError
 from monoloc.evaluation.plots import plot_localization
+from monoloc.extras import require_plotting
 from monoloc.geometry import FloatArray, make_pose, quaternion_to_rotation
 from monoloc.outputs.tum import write_tum
 from monoloc.progress import ConsoleProgress
@@ -78,6 +79,8 @@ def localize_command(
     """
     check_writable(out, "--out")
     check_writable(plot, "--plot")
+    if plot is not None:
+        require_plotting()
     room = read_bundle(bundle)
     recording = open_source(source, frames, intrinsics, depth_scale)
     config = override(room.settings, motion=motion, particles=particles, scan_points=scan_points)

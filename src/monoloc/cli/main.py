@@ -10,6 +10,8 @@ from typer.exceptions import Abort, TyperException
 from monoloc.cli import build, demo, depth, evaluate, inspect, localize, map_
 from monoloc.errors import MonolocError
 
+_INTERRUPTED = 130  # 128 and the number of SIGINT, as shells have it
+
 app = typer.Typer(
     name="monoloc",
     help="Where a drone is indoors, from one camera and a map of a few kilobytes.",
@@ -35,13 +37,20 @@ def run() -> None:
 def invoke(arguments: list[str]) -> int:
     """Run one command line and return its exit code."""
     try:
-        result = app(arguments, standalone_mode=False)
+        result = app(arguments, prog_name="monoloc", standalone_mode=False)
+        if result == _INTERRUPTED:  # what typer makes of Ctrl-C
+            raise KeyboardInterrupt
         return result if isinstance(result, int) else 0
     except MonolocError as error:
         message, code = str(error), 2
     except TyperException as error:
-        message, code = f"{error.format_message()} (monoloc --help lists commands and options)", 2
+        context = getattr(error, "ctx", None)
+        problem = error.format_message()
+        if "\n" in problem:  # a group alone: the answer is its help
+            print(problem, file=sys.stderr)
+            return 2
+        message, code = f"{problem} (see: {context.command_path if context else 'monoloc'} --help)", 2
     except (KeyboardInterrupt, Abort):
-        message, code = "interrupted; nothing half-written is left", 130
+        message, code = "interrupted; nothing half-written is left", _INTERRUPTED
     print("monoloc: " + " ".join(message.split()), file=sys.stderr)
     return code

@@ -11,6 +11,7 @@ import typer
 from monoloc.build import BuildConfig, fit_map
 from monoloc.bundle import read_bundle
 from monoloc.cli.common import (
+    EXTENT_SIGMAS,
     FramesOption,
     JsonOption,
     SeedOption,
@@ -78,7 +79,7 @@ def info(
       monoloc map info kitchen.monoloc --json
     """
     mixture = read_bundle(target).adapted if target.is_dir() else GaussianMixture.load(target)
-    lower, upper = mixture.bounds_m()
+    lower, upper = mixture.bounds_m(EXTENT_SIGMAS)
     extents = np.sqrt(np.linalg.eigvalsh(mixture.covariances))
     content: dict[str, object] = {
         "components": len(mixture),

@@ -75,7 +75,7 @@ class _Frames:
             if not np.all(np.isfinite(depth)):
                 raise DataError(recording.frame_names[index], "depth holds NaN", "mark missing depth with 0")
             self.colors.append(cv2.resize(color, shape, interpolation=cv2.INTER_AREA))
-            self.depths.append(cv2.resize(depth, shape, interpolation=cv2.INTER_NEAREST))
+            self.depths.append(cv2.resize(depth, shape, interpolation=cv2.INTER_NEAREST_EXACT))
 
     def __len__(self) -> int:
         return len(self.colors)

@@ -25,11 +25,11 @@ class MotionConfig(BaseModel):
 
     speed_sd_m_s: float = Field(0.35, gt=0.0)
     turn_sd_rad_s: float = Field(0.5, gt=0.0)
-    translation_sd_m: float = Field(0.003, gt=0.0)
-    translation_sd_ratio: float = Field(0.15, ge=0.0)
-    rotation_sd_rad: float = Field(0.002, gt=0.0)
+    translation_sd_m: float = Field(0.002, gt=0.0)
+    translation_sd_ratio: float = Field(0.1, ge=0.0)
+    rotation_sd_rad: float = Field(0.0015, gt=0.0)
     rotation_sd_ratio: float = Field(0.05, ge=0.0)
-    log_scale_correlation: float = Field(0.7, ge=0.0, lt=1.0)
+    log_scale_correlation: float = Field(0.95, ge=0.0, lt=1.0)
 
 
 def predict(

@@ -1,4 +1,4 @@
-"""The scan: a few hundred points of a depth image."""
+"""The scan: a few hundred points of a depth image, and the corners that parallax has measured."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from monoloc.camera import Camera
 from monoloc.depth_image import at_discontinuity
+from monoloc.odometry import Motion
 
 
 def scan_from_depth(
@@ -40,3 +41,9 @@ def scan_from_depth(
     rows, columns = np.divmod(candidates, depth_m.shape[1])
     rays = camera.rays(np.stack([columns, rows], axis=1))
     return np.asarray(rays * depth_m.ravel()[candidates, None], dtype=np.float32)
+
+
+def scan_from_corners(motion: Motion, log_depth_sd: float, max_depth_m: float = 8.0) -> NDArray[np.float32]:
+    """Tracked corners whose depth is known better than ``log_depth_sd``: (P, 3) float32, camera's frame."""
+    chosen = (motion.log_depth_sd < log_depth_sd) & (motion.points[:, 2] <= max_depth_m)
+    return np.asarray(motion.points[chosen], dtype=np.float32)

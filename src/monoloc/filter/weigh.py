@@ -20,15 +20,19 @@ class MeasurementConfig(BaseModel):
         outlier_share: share of points that come from anywhere in the room (epsilon).
         noise_sd_m: standard deviation of a point about the map, beyond the map's own spread; the map is
             smoothed by it.
-        effective_points: how many independent points a scan is worth. Depth errors of one image go together, so
-            this is far below the number of points (tempering: tau = effective_points / P).
+        effective_points: how many independent points a scan of the whole depth image is worth. Depth errors of one
+            image go together, so this is far below the number of points (tempering: tau = effective_points / P).
+        effective_corners: the same of the corners whose depth parallax has refined.
+        corner_log_depth_sd: corners whose log-depth is less certain than this are left out.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     outlier_share: float = Field(0.3, gt=0.0, lt=1.0)
     noise_sd_m: float = Field(0.05, ge=0.0)
-    effective_points: float = Field(20.0, gt=0.0)
+    effective_points: float = Field(10.0, ge=0.0)
+    effective_corners: float = Field(10.0, ge=0.0)
+    corner_log_depth_sd: float = Field(0.1, gt=0.0)
 
 
 class Measurement:
@@ -54,10 +58,10 @@ class Measurement:
         )
         return total / len(scan)
 
-    def weigh(self, particles: Particles, scan: NDArray[np.float32]) -> Particles:
-        """The particles with the scan's evidence added; unchanged for an empty scan."""
+    def weigh(self, particles: Particles, scan: NDArray[np.float32], effective_points: float) -> Particles:
+        """The particles with the scan's evidence added, as that of so many points; unchanged for an empty scan."""
         if len(scan) == 0:
             return particles
         fit = self.mean_log_likelihood(particles.poses, particles.log_scale, scan)
-        log_weights = particles.log_weights + self.config.effective_points * fit
+        log_weights = particles.log_weights + effective_points * fit
         return Particles(particles.poses, particles.log_scale, normalised(log_weights))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from monoloc import _core
 from monoloc.errors import DataError
+from monoloc.files import write_whole
 from monoloc.map.arguments import float64
 from monoloc.map.index import MixtureIndex
 from monoloc.map.reference import log_sum_exp, log_terms
@@ -156,10 +158,15 @@ class GaussianMixture:
         return cls(weights / weights.sum(), means, lower @ lower.swapaxes(-1, -2))
 
     def save(self, path: Path) -> None:
-        """Write an ``.npz`` that :meth:`load` reads."""
+        """Write an ``.npz`` that :meth:`load` reads, whole or not at all.
+
+        Raises:
+            DataError: the file cannot be written.
+        """
         arrays: dict[str, Any] = {**self.to_arrays()}
-        with Path(path).open("wb") as file:
-            np.savez(file, **arrays)
+        content = io.BytesIO()
+        np.savez(content, **arrays)
+        write_whole(Path(path), content.getvalue())
 
     @classmethod
     def load(cls, path: Path) -> GaussianMixture:
@@ -170,6 +177,8 @@ class GaussianMixture:
         """
         fix = "give a map written by `monoloc map fit`, or fit it again"
         try:
+            if Path(path).is_file() and not zipfile.is_zipfile(path):
+                raise ValueError("not a whole .npz file")  # NumPy would take it for a pickle and advise to trust it
             with np.load(path, allow_pickle=False) as file:
                 return cls.from_arrays({name: file[name] for name in file.files})
         except FileNotFoundError:

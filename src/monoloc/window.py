@@ -1,0 +1,113 @@
+"""Bundle adjustment of the last few keyframes: what parallax says about depth, beside what the network says.
+
+Gauss-Newton with the points eliminated by the Schur complement (Triggs et al., *Bundle Adjustment - A Modern
+Synthesis*, 2000). Every observation has three residuals: where the corner is seen, two, and the logarithm of its
+predicted depth. The latter fixes the scale and carries corners that have hardly moved; the former decide the shape
+as soon as there is a baseline.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.geometry import FloatArray, hat, invert, se3_exp
+
+_HUBER = 2.0  # standard deviations beyond which a corner's residual counts linearly
+_DAMPING = 1e-4  # of the diagonal; the problem is well posed by its priors, this is for rounding
+
+
+@dataclass(frozen=True)
+class Window:
+    """W keyframes that see N corners; any common frame of reference r.
+
+    Attributes:
+        poses: ``T_r_camera``, (W, 4, 4); the first stays as it is.
+        points: (N, 3) in r.
+        rays: (N, W, 2) where each keyframe sees each corner, image coordinates at z = 1; NaN where it does not.
+        log_depth: (N, W) logarithm of the corner's predicted depth there; NaN where there is none.
+    """
+
+    poses: FloatArray
+    points: FloatArray
+    rays: FloatArray
+    log_depth: FloatArray
+
+
+def adjust(
+    window: Window, ray_sd: float, log_depth_sd: float, iterations: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Poses and points under which the window's observations are most likely.
+
+    Args:
+        window: the observations, and where to start.
+        ray_sd: standard deviation of a corner's image coordinates at z = 1 (pixels over focal length).
+        log_depth_sd: standard deviation of predicted log-depth.
+        iterations: Gauss-Newton steps.
+
+    Returns:
+        Poses (W, 4, 4); points (N, 3); information (inverse covariance) of each point given the poses, (N, 3, 3).
+    """
+    poses, points = window.poses.copy(), window.points.copy()
+    count, frames = len(points), len(poses)
+    information = np.zeros((count, 3, 3))
+    for _ in range(iterations):
+        J_pose, J_point, residual = _linearise(window, poses, points, ray_sd, log_depth_sd)
+        information = np.einsum("nwri,nwrj->nij", J_point, J_point)
+        damped = information * (1.0 + _DAMPING * np.eye(3)) + 1e-9 * np.eye(3)
+        gradient_point = np.einsum("nwri,nwr->ni", J_point, residual)
+        H_pose = np.einsum("nwri,nwrj->wij", J_pose, J_pose)
+        gradient_pose = np.einsum("nwri,nwr->wi", J_pose, residual).reshape(-1)
+        cross = np.einsum("nwri,nwrj->nwij", J_pose, J_point).reshape(count, 6 * frames, 3)
+        inverse = np.linalg.inv(damped)
+        reduced = cross @ inverse  # (N, 6W, 3)
+        H = np.zeros((6 * frames, 6 * frames))
+        for frame in range(frames):
+            block = slice(6 * frame, 6 * frame + 6)
+            H[block, block] = H_pose[frame] * (1.0 + _DAMPING * np.eye(6))
+        H -= np.tensordot(reduced, cross, axes=([0, 2], [0, 2]))
+        right = gradient_pose - np.einsum("nik,nk->i", reduced, gradient_point)
+        step = np.zeros(6 * frames)
+        step[6:] = -np.linalg.solve(H[6:, 6:] + 1e-6 * np.eye(6 * frames - 6), right[6:])
+        point_step = -np.einsum("nij,nj->ni", inverse, gradient_point + np.einsum("nik,i->nk", cross, step))
+        poses = poses @ se3_exp(step.reshape(frames, 6))
+        points = points + point_step
+    return poses, points, information
+
+
+def _linearise(
+    window: Window, poses: FloatArray, points: FloatArray, ray_sd: float, log_depth_sd: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Whitened Jacobians by pose twist (N, W, 3, 6) and by point (N, W, 3, 3), and residuals (N, W, 3)."""
+    T_camera_r = invert(poses)
+    R = T_camera_r[:, :3, :3]
+    local = np.einsum("wij,nj->nwi", R, points) + T_camera_r[:, :3, 3]
+    z = np.maximum(local[..., 2], 0.05)
+    image = local[..., :2] / z[..., None]
+    ray_residual = (image - window.rays) / ray_sd
+    depth_residual = (np.log(z) - window.log_depth) / log_depth_sd
+    residual = np.concatenate([ray_residual, depth_residual[..., None]], axis=-1)
+    J_local = np.zeros((*z.shape, 3, 3))
+    J_local[..., 0, 0] = J_local[..., 1, 1] = 1.0 / z / ray_sd
+    J_local[..., :2, 2] = -image / z[..., None] / ray_sd
+    J_local[..., 2, 2] = 1.0 / z / log_depth_sd
+    weight = _weights(residual)
+    J_local *= weight[..., None]
+    residual = np.where(weight > 0.0, residual * weight, 0.0)
+    # A pose moved by exp(rho, phi) on the right sees the point at x - rho + x cross phi.
+    J_pose = np.concatenate([-J_local, J_local @ hat(local)], axis=-1)
+    J_point = J_local @ R
+    return J_pose, J_point, residual
+
+
+def _weights(residual: FloatArray) -> NDArray[np.float64]:
+    """Square roots of Huber's weights, (N, W, 3); 0 for what was not observed."""
+    observed = np.isfinite(residual)
+    clean = np.where(observed, residual, 0.0)
+    norm = np.linalg.norm(clean[..., :2], axis=-1, keepdims=True)
+    weight = np.ones(residual.shape)
+    weight[..., :2] = np.sqrt(_HUBER / np.maximum(norm, _HUBER))
+    weight[..., 2:] = np.sqrt(_HUBER / np.maximum(np.abs(clean[..., 2:]), _HUBER))
+    return np.where(observed, weight, 0.0)

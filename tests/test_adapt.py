@@ -1,0 +1,921 @@
+"""Adaptation: its objective, the adapted map, views of the build frames, tuning and calibration."""
+
+from __future__ import annotations
+
+import copy
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.integrate import quad
+from scipy.stats import multivariate_normal
+from torch import Tensor
+from torch.autograd import gradcheck
+
+from depth_helpers import ROOM, SMALL_CAMERA, TINY, looking_around, small_recording, tiny_network
+from map_helpers import make_mixture
+from monoloc.adapt import train as adapt_train
+from monoloc.adapt.calibrate import Sample, calibrate
+from monoloc.adapt.map_depth import map_depth
+from monoloc.adapt.objective import matched_kl, ray_log_likelihood
+from monoloc.adapt.run import adapt
+from monoloc.adapt.settings import AdaptConfig
+from monoloc.adapt.train import Adaptation, Score, hold_out_blocks
+from monoloc.adapt.transform import AdaptedMap, MapTransform
+from monoloc.adapt.views import Views, make_views
+from monoloc.camera import Camera
+from monoloc.depth.checkpoint import save_network
+from monoloc.depth.export import export_onnx
+from monoloc.depth.runtime import DepthPrediction, DepthPredictor
+from monoloc.depth_image import at_discontinuity
+from monoloc.filter.scan import scan_from_depth
+from monoloc.filter.weigh import Measurement
+from monoloc.geometry import se3_exp, so3_exp
+from monoloc.localizer import LocalizerConfig
+from monoloc.map.fit import fit_mixture
+from monoloc.map.mixture import GaussianMixture
+from monoloc.memory import keep_freed_memory
+from monoloc.progress import NoProgress
+from synthetic_room import RoomRecording
+
+FloatArray = NDArray[np.float64]
+Mixture = tuple[Tensor, Tensor, Tensor]
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+def as_tensors(mixture: GaussianMixture) -> Mixture:
+    """Log weights, means, covariances in float64."""
+    arrays = (np.log(mixture.weights), mixture.means, mixture.covariances)
+    return tuple(torch.from_numpy(array) for array in arrays)  # type: ignore[return-value]
+
+
+def perturbed(mixture: GaussianMixture, size: float, rng: np.random.Generator) -> GaussianMixture:
+    """Components moved, turned, stretched and weighted anew, each still the match of the one it was."""
+    count = len(mixture)
+    A = np.eye(3) + size * rng.normal(size=(count, 3, 3))
+    covariances = A @ mixture.covariances @ A.swapaxes(-1, -2)
+    weights = mixture.weights * np.exp(size * rng.normal(size=count))
+    return GaussianMixture(
+        weights / weights.sum(),
+        mixture.means + 0.1 * size * rng.normal(size=(count, 3)),
+        0.5 * (covariances + covariances.swapaxes(-1, -2)),
+    )
+
+
+def generator() -> torch.Generator:
+    return torch.Generator().manual_seed(0)
+
+
+# --- KL of the matched mixtures ---
+
+
+def test_kl_of_a_mixture_and_itself_is_zero() -> None:
+    mixture = as_tensors(make_mixture(20))
+    assert float(matched_kl(*mixture, *mixture)) == pytest.approx(0.0, abs=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_kl_of_two_gaussians_is_the_closed_form(seed: int) -> None:
+    a, b = make_mixture(1, seed), make_mixture(1, seed + 100)
+    inverse, offset = np.linalg.inv(b.covariances[0]), b.means[0] - a.means[0]
+    log_ratio = np.linalg.slogdet(b.covariances[0])[1] - np.linalg.slogdet(a.covariances[0])[1]
+    expected = 0.5 * (np.trace(inverse @ a.covariances[0]) + offset @ inverse @ offset - 3.0 + log_ratio)
+    assert float(matched_kl(*as_tensors(a), *as_tensors(b))) == pytest.approx(expected, rel=1e-9)
+
+
+def monte_carlo_kl(a: GaussianMixture, b: GaussianMixture, rng: np.random.Generator) -> tuple[float, float]:
+    """KL(a || b) and its standard error, from samples of a."""
+    points = a.sample(100_000, rng)
+    log_ratios = a.log_density(points) - b.log_density(points)
+    return float(log_ratios.mean()), float(log_ratios.std() / np.sqrt(len(points)))
+
+
+def test_kl_of_separated_mixtures_is_that_of_monte_carlo() -> None:
+    rng = np.random.default_rng(0)
+    packed = make_mixture(8)
+    corners = 8.0 * np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+    apart = GaussianMixture(packed.weights, corners, packed.covariances)
+    other = perturbed(apart, 0.3, rng)
+    assert np.abs(other.weights / apart.weights - 1.0).max() > 0.2  # mixing proportions differ
+    expected, error = monte_carlo_kl(apart, other, rng)
+    ours = float(matched_kl(*as_tensors(apart), *as_tensors(other)))
+    assert expected > 10.0 * error
+    assert ours == pytest.approx(expected, abs=4.0 * error)
+
+
+def test_kl_of_other_mixing_proportions_is_theirs() -> None:
+    mixture, rng = make_mixture(6), np.random.default_rng(0)
+    _, means, covariances = as_tensors(mixture)
+    p, q = rng.dirichlet(np.ones(6)), rng.dirichlet(np.ones(6))
+    ours = matched_kl(
+        torch.from_numpy(np.log(p)), means, covariances, torch.from_numpy(np.log(q)), means, covariances
+    )
+    assert float(ours) == pytest.approx(float(np.sum(p * np.log(p / q))), rel=1e-9)
+
+
+@settings(max_examples=10)
+@given(st.integers(0, 10_000))
+def test_kl_bounds_that_of_monte_carlo_from_above(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    mixture = make_mixture(12, seed, extent_m=0.4)
+    other = perturbed(mixture, 0.3, rng)
+    expected, error = monte_carlo_kl(mixture, other, rng)
+    assert float(matched_kl(*as_tensors(mixture), *as_tensors(other))) > expected - 4.0 * error
+
+
+def test_an_empty_component_says_nothing_about_the_divergence() -> None:
+    """EM may leave a component without points."""
+    mixture, rng = make_mixture(5), np.random.default_rng(0)
+    other = perturbed(mixture, 0.2, rng)
+    expected = float(matched_kl(*as_tensors(mixture), *as_tensors(other)))
+    a, b = (
+        (torch.cat([w, torch.tensor([-torch.inf])]), torch.cat([m, m[:1]]), torch.cat([c, c[:1]]))
+        for w, m, c in (as_tensors(mixture), as_tensors(other))
+    )
+    moved = b[1].clone().requires_grad_(True)
+    divergence = matched_kl(*a, b[0], moved, b[2])
+    assert float(divergence.detach()) == pytest.approx(expected)
+    divergence.backward()
+    assert moved.grad is not None and bool(torch.isfinite(moved.grad).all())
+
+
+def test_kl_has_the_right_gradient() -> None:
+    mixture, other = make_mixture(3), perturbed(make_mixture(3), 0.3, np.random.default_rng(0))
+
+    def divergence(*factors: Tensor) -> Tensor:
+        w, m, L, w_other, m_other, L_other = factors
+        return matched_kl(w.log_softmax(0), m, L @ L.mT, w_other.log_softmax(0), m_other, L_other @ L_other.mT)
+
+    inputs = []
+    for w, m, c in (as_tensors(mixture), as_tensors(other)):
+        inputs += [t.clone().requires_grad_(True) for t in (w, m, torch.linalg.cholesky(c))]
+    assert gradcheck(divergence, inputs)
+
+
+# --- Likelihood of depth along a ray ---
+
+
+def random_rays(count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Log-depth (count,), rays with z = 1 of turned cameras and camera centres, (count, 3) each."""
+    rays = np.concatenate([rng.uniform(-0.6, 0.6, (count, 2)), np.ones((count, 1))], axis=1)
+    rays = np.einsum("nij,nj->ni", so3_exp(rng.normal(size=(count, 3))), rays)
+    return rng.normal(0.2, 0.5, count), rays, rng.uniform(-0.5, 0.5, (count, 3))
+
+
+def log_likelihood(
+    log_depth: FloatArray, rays: FloatArray, origins: FloatArray, mixture: GaussianMixture, share: float = 0.1
+) -> FloatArray:
+    tensors = (torch.from_numpy(np.ascontiguousarray(array)) for array in (log_depth, rays, origins))
+    return ray_log_likelihood(*tensors, *as_tensors(mixture), share).numpy()
+
+
+def test_ray_likelihood_is_its_definition() -> None:
+    """The mixture's density by SciPy, its normaliser by quadrature; most depths are on or near a component."""
+    rng = np.random.default_rng(0)
+    mixture = make_mixture(8, extent_m=0.3)
+    origins = rng.uniform(-0.5, 0.5, (16, 3))
+    log_depth = rng.normal(0.0, 0.5, 16)
+    rays = (mixture.sample(16, rng) - origins) / np.exp(log_depth + rng.normal(0.0, 0.05, 16))[:, None]
+    components = [
+        (w, multivariate_normal(m, c))
+        for w, m, c in zip(mixture.weights, mixture.means, mixture.covariances, strict=True)
+    ]
+
+    def along(depth: float, ray: FloatArray, origin: FloatArray) -> float:
+        return float(sum(w * normal.pdf(origin + depth * ray) for w, normal in components))
+
+    expected = []
+    for s, ray, origin in zip(log_depth, rays, origins, strict=True):
+        crossings = np.sort(np.maximum((mixture.means - origin) @ ray / (ray @ ray), 1e-3))
+        normaliser, _ = quad(along, 0.0, 20.0, args=(ray, origin), points=crossings, limit=400, epsrel=1e-7)
+        expected.append(np.log(0.8 * np.exp(s) * along(np.exp(s), ray, origin) / normaliser + 0.2 / 4.0))
+    assert np.median(expected) > np.log(0.2 / 4.0) + 0.5  # it is not the outliers' share that is compared
+    np.testing.assert_allclose(log_likelihood(log_depth, rays, origins, mixture, 0.2), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.1, 0.6])
+def test_ray_likelihood_integrates_to_one_over_log_depth(share: float) -> None:
+    mixture = make_mixture(15)
+    _, rays, origins = random_rays(6, np.random.default_rng(1))
+    grid = np.linspace(-18.0, 3.0, 20_001)
+    for ray, origin in zip(rays, origins, strict=True):
+        many = (np.broadcast_to(value, (len(grid), 3)) for value in (ray, origin))
+        density = np.exp(log_likelihood(grid, *many, mixture, share))
+        inliers = np.trapezoid(density - share / 4.0, grid)
+        assert inliers == pytest.approx(1.0 - share, abs=1e-3)
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 10_000), st.floats(1e-3, 1e3))
+def test_ray_likelihood_gains_nothing_when_map_depth_and_path_shrink_together(seed: int, factor: float) -> None:
+    mixture = make_mixture(10, seed)
+    shrunk = GaussianMixture(mixture.weights, factor * mixture.means, factor**2 * mixture.covariances)
+    log_depth, rays, origins = random_rays(20, np.random.default_rng(seed))
+    before = log_likelihood(log_depth, rays, origins, mixture)
+    after = log_likelihood(log_depth + np.log(factor), rays, factor * origins, shrunk)
+    np.testing.assert_allclose(after, before, atol=1e-7)
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 10_000))
+def test_ray_likelihood_does_not_depend_on_the_frame(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    mixture = make_mixture(10, seed)
+    R, t = so3_exp(rng.normal(size=3)), rng.normal(size=3)
+    turned = R @ mixture.covariances @ R.T
+    moved = GaussianMixture(mixture.weights, mixture.means @ R.T + t, 0.5 * (turned + turned.swapaxes(-1, -2)))
+    log_depth, rays, origins = random_rays(20, rng)
+    np.testing.assert_allclose(
+        log_likelihood(log_depth, rays @ R.T, origins @ R.T + t, moved),
+        log_likelihood(log_depth, rays, origins, mixture),
+        atol=1e-7,
+    )
+
+
+def test_rays_that_miss_the_map_are_finite_and_so_are_their_gradients() -> None:
+    mixture = make_mixture(5, extent_m=0.1)
+    log_depth = torch.tensor([-12.0, 0.0, 6.0], dtype=torch.float64, requires_grad=True)
+    rays = torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, -1.0, 1.0]], dtype=torch.float64)
+    origins = torch.tensor([[0.0, 0.0, 50.0]], dtype=torch.float64).expand(3, 3)
+    value = ray_log_likelihood(log_depth, rays, origins, *as_tensors(mixture), 0.1)
+    value.sum().backward()
+    assert bool(torch.isfinite(value).all())
+    assert log_depth.grad is not None and bool(torch.isfinite(log_depth.grad).all())
+
+
+def test_ray_likelihood_has_the_right_gradient() -> None:
+    w, m, c = as_tensors(make_mixture(4))
+    log_depth, rays, origins = map(torch.from_numpy, random_rays(5, np.random.default_rng(3)))
+    inputs = [t.clone().requires_grad_(True) for t in (log_depth, rays, origins, w, m, torch.linalg.cholesky(c))]
+
+    def likelihood(*parts: Tensor) -> Tensor:
+        s, r, o, weights, means, L = parts
+        return ray_log_likelihood(s, r, o, weights.log_softmax(0), means, L @ L.mT, 0.2)
+
+    assert gradcheck(likelihood, inputs)
+
+
+def plain_log_likelihood(
+    log_depth: Tensor,
+    rays_world: Tensor,
+    origins: Tensor,
+    log_weights: Tensor,
+    means: Tensor,
+    covariances: Tensor,
+    outlier_share: float,
+) -> Tensor:
+    """The paper's: ``log((1 - eps) M(o + d r) + eps / V)`` with V = 30 m^3, in the arguments of the ray's."""
+    points = origins + log_depth.exp()[:, None] * rays_world
+    lower = torch.linalg.cholesky(covariances)
+    whitened = torch.linalg.solve_triangular(lower, (points[:, None] - means)[..., None], upper=False)
+    log_peaks = log_weights - lower.diagonal(dim1=-2, dim2=-1).log().sum(-1) - 1.5 * math.log(2.0 * math.pi)
+    density = torch.logsumexp(log_peaks - 0.5 * whitened.square().sum((-2, -1)), dim=1)
+    outlier = torch.full_like(density, math.log(outlier_share / 30.0))
+    return torch.logaddexp(math.log1p(-outlier_share) + density, outlier)
+
+
+def test_plain_density_rewards_collapse_and_the_rays_does_not() -> None:
+    """All seen from one place and shrunk onto it a hundredfold: nothing has been learnt about depth."""
+    rng = np.random.default_rng(0)
+    cloud = ROOM.cloud(0.2)
+    mixture = fit_mixture(cloud, 40, rng).mixture
+    factor = 0.01
+    collapsed = GaussianMixture(mixture.weights, factor * mixture.means, factor**2 * mixture.covariances)
+    poses = looking_around(6)
+    poses[:, :3, 3] = 0.0
+    recording = RoomRecording(ROOM, poses)
+    camera_rays = recording.camera.pixel_rays()[::16, ::16].reshape(-1, 3)
+    rays = torch.from_numpy(np.concatenate([camera_rays @ pose[:3, :3].T for pose in poses]))
+    depth = np.concatenate([recording.depth(index)[::16, ::16].ravel() for index in range(6)])
+    log_depth, origins = torch.from_numpy(depth).double().log(), torch.zeros_like(rays)
+    for objective, gains in ((plain_log_likelihood, True), (ray_log_likelihood, False)):
+        true, shrunk = (
+            float(objective(log_depth + np.log(size), rays, origins, *as_tensors(seen), 0.1).mean())
+            for size, seen in ((1.0, mixture), (factor, collapsed))
+        )
+        if gains:
+            assert shrunk > true + 5.0
+        else:
+            assert shrunk == pytest.approx(true, abs=1e-9)
+
+
+# --- The adapted map ---
+
+
+def room_map(spacing_m: float = 0.2, components: int = 30) -> tuple[GaussianMixture, FloatArray]:
+    """A mixture at EM's fixed point, and its cloud."""
+    cloud = ROOM.cloud(spacing_m)
+    fit = fit_mixture(cloud, components, np.random.default_rng(0), max_iterations=500, tolerance=1e-7)
+    return fit.mixture, cloud
+
+
+@pytest.fixture(scope="module")
+def mapped_room() -> tuple[GaussianMixture, FloatArray]:
+    return room_map()
+
+
+def bend(adapted: AdaptedMap, size: float) -> None:
+    """Random weights of the transform's last layer."""
+    random = generator()
+    with torch.no_grad():
+        adapted.transform.output.weight.normal_(0.0, size, generator=random)
+        adapted.transform.output.bias.normal_(0.0, size, generator=random)
+
+
+def kl_of(adapted: AdaptedMap) -> float:
+    with torch.no_grad():
+        means, covariances = adapted()
+    m = adapted
+    return float(matched_kl(m.log_weights, m.means, m.covariances, m.log_weights, means, covariances))
+
+
+def test_identity_is_the_fitted_mixture(mapped_room: tuple[GaussianMixture, FloatArray]) -> None:
+    mixture, cloud = mapped_room
+    adapted = AdaptedMap(mixture, cloud, floor_m=0.01)
+    assert kl_of(adapted) == pytest.approx(0.0, abs=1e-9)
+    for ours in (adapted.original_mixture(), adapted.adapted_mixture()):
+        np.testing.assert_allclose(ours.weights, mixture.weights, rtol=1e-9)
+        np.testing.assert_allclose(ours.means, mixture.means, atol=0.01)
+        # EM raises the smallest eigenvalues to the floor; here the floor is added to all.
+        np.testing.assert_allclose(ours.covariances, mixture.covariances, atol=2e-3)
+        floor = np.linalg.eigvalsh(ours.covariances)[:, 0]
+        assert (floor >= 0.01**2 * (1.0 - 1e-6)).all()
+        assert np.mean(ours.log_density(cloud)) > np.mean(mixture.log_density(cloud)) - 0.4
+
+
+def test_moments_are_weighted_by_the_original_responsibilities() -> None:
+    """Against the formula over all points and components (K is below the number of neighbours kept)."""
+    mixture = make_mixture(6)
+    cloud = mixture.sample(300, np.random.default_rng(0)) + np.array([40.0, -30.0, 5.0])  # far from the origin
+    mixture = GaussianMixture(mixture.weights, mixture.means + np.array([40.0, -30.0, 5.0]), mixture.covariances)
+    adapted = AdaptedMap(mixture, cloud, floor_m=0.02)
+    bend(adapted, 0.05)
+    with torch.no_grad():
+        means, covariances = adapted()
+        bent = adapted.transform(adapted.cloud).numpy()
+    assert np.linalg.norm(bent - cloud, axis=1).min() > 0.005
+    gamma = mixture.responsibilities(cloud)
+    gamma /= gamma.sum(axis=0)
+    expected = gamma.T @ bent
+    np.testing.assert_allclose(means.numpy(), expected, atol=1e-9)
+    for k in range(6):
+        offsets = bent - expected[k]
+        covariance = (gamma[:, k, None] * offsets).T @ offsets + 0.02**2 * np.eye(3)
+        np.testing.assert_allclose(covariances[k].numpy(), covariance, atol=1e-9)
+
+
+def test_an_affine_transform_moves_components_as_it_should(
+    mapped_room: tuple[GaussianMixture, FloatArray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    adapted = AdaptedMap(*mapped_room, floor_m=0.01)
+    A = torch.eye(3).double() + 0.2 * torch.randn(3, 3, generator=generator(), dtype=torch.float64)
+    t = torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64)
+    monkeypatch.setattr(adapted.transform, "forward", lambda points: points @ A.T + t)
+    means, covariances = adapted()
+    floor = 0.01**2 * torch.eye(3).double()
+    torch.testing.assert_close(means, adapted.means @ A.T + t)
+    torch.testing.assert_close(covariances, A @ (adapted.covariances - floor) @ A.T + floor)
+
+
+def test_a_translated_cloud_moves_the_means_and_nothing_else(mapped_room: tuple[GaussianMixture, FloatArray]) -> None:
+    adapted = AdaptedMap(*mapped_room)
+    shift = np.array([0.25, -0.5, 0.125])
+    with torch.no_grad():
+        adapted.transform.output.bias.copy_(torch.from_numpy(shift))
+    moved, original = adapted.adapted_mixture(), adapted.original_mixture()
+    np.testing.assert_allclose(moved.means, original.means + shift, atol=1e-9)
+    np.testing.assert_allclose(moved.covariances, original.covariances, atol=1e-9)
+    distance = np.einsum("i,kij,j->k", shift, np.linalg.inv(original.covariances), shift)
+    assert kl_of(adapted) == pytest.approx(0.5 * original.weights @ distance, rel=1e-6)
+
+
+def correspondence_kept(adapted: AdaptedMap) -> float:
+    """Share of components whose nearest adapted one has the same index."""
+    original, moved = adapted.original_mixture(), adapted.adapted_mixture()
+    distances = np.linalg.norm(original.means[:, None] - moved.means, axis=2)
+    return float(np.mean(distances.argmin(axis=1) == np.arange(len(original))))
+
+
+def test_small_transforms_keep_the_correspondence_and_large_ones_do_not(
+    mapped_room: tuple[GaussianMixture, FloatArray],
+) -> None:
+    adapted = AdaptedMap(*mapped_room)
+    bend(adapted, 0.01)
+    shift = np.linalg.norm(adapted.adapted_mixture().means - adapted.original_mixture().means, axis=1)
+    assert 0.005 < np.median(shift) < 0.3
+    assert correspondence_kept(adapted) >= 0.95
+    bend(adapted, 1.0)
+    assert correspondence_kept(adapted) < 0.5
+
+
+def test_a_component_without_points_spoils_nothing() -> None:
+    mixture = make_mixture(4)
+    cloud = mixture.sample(200, np.random.default_rng(0))
+    weights = np.append(mixture.weights, 0.0)
+    means = np.concatenate([mixture.means, [[50.0, 50.0, 50.0]]])
+    adapted = AdaptedMap(
+        GaussianMixture(weights, means, np.concatenate([mixture.covariances, mixture.covariances[:1]])), cloud
+    )
+    assert kl_of(adapted) == pytest.approx(0.0, abs=1e-9)
+    bend(adapted, 0.02)
+    assert 0.0 < kl_of(adapted) < np.inf
+    assert adapted.adapted_mixture().weights[-1] == 0.0
+
+
+def test_map_transform_starts_as_the_identity_and_has_the_right_gradient() -> None:
+    torch.manual_seed(0)
+    transform = MapTransform(torch.tensor([1.0, 2.0, 3.0]), radius=2.5)
+    points = torch.randn(7, 3, dtype=torch.float64) * 3.0
+    torch.testing.assert_close(transform(points), points, rtol=0.0, atol=0.0)
+    transform = transform.double()
+    torch.nn.init.normal_(transform.output.weight, 0.0, 0.3)
+    torch.nn.init.normal_(transform.output.bias, 0.0, 0.3)
+    hidden, output = transform.hidden, transform.output
+    with torch.no_grad():
+        inner = torch.tanh((points - torch.tensor([1.0, 2.0, 3.0])) / 2.5 @ hidden.weight.T + hidden.bias)
+        torch.testing.assert_close(transform(points), points + inner @ output.weight.T + output.bias)
+    names, values = zip(*transform.named_parameters(), strict=True)
+
+    def bent(x: Tensor, *parameters: Tensor) -> Tensor:
+        given = dict(zip(names, parameters, strict=True))
+        return torch.func.functional_call(transform, given, (x,))
+
+    inputs = [points.clone(), *(value.detach().clone() for value in values)]
+    assert gradcheck(bent, [x.requires_grad_(True) for x in inputs], fast_mode=True)
+
+
+def test_moments_have_the_right_gradient() -> None:
+    mixture = make_mixture(4)
+    adapted = AdaptedMap(mixture, mixture.sample(30, np.random.default_rng(0)))
+    assert gradcheck(adapted._moments, adapted.cloud.clone().requires_grad_(True))
+
+
+# --- Views ---
+
+
+@pytest.fixture(scope="module")
+def recording() -> RoomRecording:
+    return small_recording(12)
+
+
+@pytest.fixture(scope="module")
+def views(recording: RoomRecording) -> Views:
+    """The whole view of every frame and two random ones."""
+    return make_views(recording, recording.depth, tiny_network(), 2, np.random.default_rng(0))
+
+
+def test_views_know_their_frames(recording: RoomRecording, views: Views) -> None:
+    assert len(views) == 3 * len(recording)
+    assert recording.poses is not None
+    np.testing.assert_array_equal(views.frame, np.repeat(np.arange(12), 3))
+    np.testing.assert_array_equal(views.whole, np.tile([True, False, False], 12))
+    np.testing.assert_allclose(views.origins, recording.poses[views.frame.numpy(), :3, 3])
+    chosen = views.of_frames([2, 7])
+    np.testing.assert_array_equal(chosen.frame, [2, 2, 2, 7, 7, 7])
+    np.testing.assert_array_equal(views.of_frames(np.array([7, 2]), only_whole=True).frame, [2, 7])
+    torch.testing.assert_close(chosen.rays_world[3], views.rays_world[21])
+    torch.testing.assert_close(chosen.taps[5][3], views.taps[5][21])
+
+
+def test_whole_views_are_what_the_runtime_sees(recording: RoomRecording, views: Views) -> None:
+    """Tuned on a view, the network meets the same pixels, rays and focal length in flight."""
+    network = tiny_network()
+    predictor = DepthPredictor(export_onnx(network)[0], recording.camera)
+    whole = views.of_frames(range(12), only_whole=True)
+    predicted = Adaptation(network, AdaptedMap(*room_map(0.4, 5)), AdaptConfig()).predict(whole).exp()
+    assert recording.poses is not None
+    for index in range(12):
+        depth = predictor(recording.color(index))
+        np.testing.assert_allclose(predicted[index, 0], depth.depth_m, rtol=0.02)
+        rays = depth.camera.pixel_rays().reshape(-1, 3) @ recording.poses[index][:3, :3].T
+        np.testing.assert_allclose(whole.rays_world[index], rays, atol=1e-9)
+
+
+def test_back_projected_views_land_on_the_rooms_surfaces(views: Views) -> None:
+    """The depth of a view, along its rays, from its origin: a point of the room, however the view was drawn."""
+    depth = views.depth_m[:, 0]
+    assert 1.05 < float(views.log_focal_ratio[~views.whole].exp().max()) <= 1.5
+    # An output pixel's centre lies between the four middle pixels of its block.
+    corners = torch.stack([depth[:, i::4, j::4] for i in (1, 2) for j in (1, 2)])
+    smooth = (corners.amin(0) > 0.0) & (corners.amax(0) < 1.03 * corners.amin(0))
+    z = corners.mean(0).reshape(len(views), -1).double()
+    points = views.origins[:, None] + z[..., None] * views.rays_world
+    for kind in (views.whole, ~views.whole):
+        usable = smooth.reshape(len(views), -1) & kind[:, None]
+        assert float(usable.double().sum() / (kind.sum() * z.shape[1])) > 0.7
+        distance = ROOM.distance_m(points[usable].numpy())
+        assert np.median(distance) < 0.01
+        assert np.percentile(distance, 99.0) < 0.03
+
+
+def test_augmented_views_carry_the_focal_length_of_what_they_show(views: Views) -> None:
+    """Neighbouring rays part by the reciprocal of the focal length, whatever zoom, roll and stretch."""
+    height, width = (size // 4 for size in views.depth_m.shape[-2:])
+    rays = views.rays_world.reshape(len(views), height, width, 3)
+    middle = rays[:, height // 2, width // 2]
+    right, down = rays[:, height // 2, width // 2 + 1] - middle, rays[:, height // 2 + 1, width // 2] - middle
+    area = torch.linalg.cross(right, down).norm(dim=1)  # of an output pixel at z = 1
+    np.testing.assert_allclose(4.0 / area.sqrt(), TINY.focal_px * views.log_focal_ratio.double().exp(), rtol=1e-5)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.5, 10.0 / 3.0])
+def test_supervision_is_not_shifted_against_the_image(scale: float) -> None:
+    """The shift, in pixels of the network's input, that best explains the supervision of whole views."""
+    camera = SMALL_CAMERA.resized(round(192 * scale), round(128 * scale))
+    recording = RoomRecording(ROOM, looking_around(6), camera)
+    views = make_views(recording, recording.depth, tiny_network(), 0, np.random.default_rng(0))
+    small = camera.resized(96, 64)
+    slopes, errors = [], []
+    for index, pose in enumerate(looking_around(6)):
+        truth = np.log(ROOM.view(pose, small)[1].astype(np.float64))
+        along_y, along_x = np.gradient(truth)
+        smooth = np.abs(cv2.Laplacian(truth, cv2.CV_64F)) < 2e-3
+        smooth[[0, -1]] = smooth[:, [0, -1]] = False
+        slopes.append(np.stack([along_x[smooth], along_y[smooth]], axis=1))
+        errors.append(np.log(views.depth_m[index, 0].numpy())[smooth] - truth[smooth])
+    shift_px = np.linalg.lstsq(np.concatenate(slopes), np.concatenate(errors), rcond=None)[0]
+    # Whole views are twice minified: the nearest of two equally near pixels is a quarter of a pixel off.
+    assert np.abs(shift_px).max() < 0.4
+
+
+# --- Depth of the map ---
+
+
+def test_map_depth_is_that_of_the_room(recording: RoomRecording) -> None:
+    spacing_m = 0.03
+    depth_of = map_depth(recording, ROOM.cloud(spacing_m))
+    for index in (0, 3, 6, 9):
+        depth, exact = depth_of(index), recording.depth(index)
+        seen = depth > 0.0
+        assert depth.shape == exact.shape and depth.dtype == np.float32
+        assert seen.mean() > 0.2
+        # A point lies in its pixel, not in the middle of it, and 5 % behind the nearest about it still counts.
+        nearest, farthest = cv2.erode(exact, np.ones((3, 3))), cv2.dilate(exact, np.ones((3, 3)))
+        assert (depth > 0.99 * nearest)[seen].all()
+        assert np.mean((depth < 1.06 * farthest)[seen]) > 0.999  # few points are seen through gaps of what is close
+        inside_surfaces = seen & ~(cv2.dilate(at_discontinuity(exact, 0.03).astype(np.uint8), np.ones((9, 9))) > 0)
+        error = depth[inside_surfaces] - exact[inside_surfaces]
+        assert np.mean(np.abs(error) < spacing_m) > 0.999
+        assert np.abs(np.median(error)) < 0.003
+
+
+def test_map_depth_does_not_see_through_surfaces() -> None:
+    """Two walls, one behind the other, and a camera that sees both halves: left the near one, right the far one."""
+    y, x = np.mgrid[-2.0:2.0:0.02, -3.0:3.0:0.02].reshape(2, -1)
+    far = np.stack([x, y, np.full_like(x, 3.0)], axis=1)
+    near = np.stack([x, y, np.full_like(x, 1.5)], axis=1)[x < 0.0]
+    behind = np.stack([x, y, np.full_like(x, -1.0)], axis=1)
+    recording = RoomRecording(ROOM, se3_exp(np.full((1, 6), 1e-9)), SMALL_CAMERA)
+    depth = map_depth(recording, np.concatenate([far, near, behind]))(0)
+    left, right = depth[:, : int(SMALL_CAMERA.cx) - 6], depth[:, int(SMALL_CAMERA.cx) + 6 :]
+    assert set(np.unique(left.round(3))) == {np.float32(0.0), np.float32(1.5)}
+    assert set(np.unique(right.round(3))) == {np.float32(0.0), np.float32(3.0)}
+    assert (left > 0).mean() > 0.5 and (right > 0).mean() > 0.9
+
+
+# --- Held-out frames ---
+
+
+@settings(max_examples=200)
+@given(st.integers(20, 600), st.integers(1, 6), st.floats(0.02, 0.3))
+def test_held_out_blocks(frames: int, blocks: int, share: float) -> None:
+    training, held_out = hold_out_blocks(frames, blocks, share)
+    assert sorted([*training, *held_out]) == list(range(frames))  # disjoint, and together everything
+    assert len(training) > 0 and len(held_out) > 0
+    runs = 1 + int((np.diff(held_out) > 1).sum())
+    assert runs <= blocks
+    if share * frames >= 2 * blocks:
+        assert len(held_out) == pytest.approx(share * frames, abs=blocks)
+        assert runs == blocks
+
+
+@pytest.mark.parametrize("frames", range(5, 20))
+def test_a_few_frames_can_be_split_as_well(frames: int) -> None:
+    training, held_out = hold_out_blocks(frames, 3, 0.12)
+    assert len(training) >= 2 and len(held_out) >= 1
+
+
+# --- Tuning ---
+
+QUICK = AdaptConfig(steps=200, batch_views=6, pixels_per_view=24, lambda_kl=0.0, network_rate=0.01, map_rate=0.01)
+
+
+def start_adaptation(mapped_room: tuple[GaussianMixture, FloatArray], **changes: object) -> Adaptation:
+    return Adaptation(tiny_network(), AdaptedMap(*mapped_room), QUICK.model_copy(update=changes))
+
+
+@pytest.mark.parametrize("map_transform", [False, True])
+@pytest.mark.parametrize("tune", ["none", "last", "decoder"])
+def test_what_is_tuned_gets_a_gradient_and_nothing_else_does(
+    mapped_room: tuple[GaussianMixture, FloatArray], views: Views, tune: str, map_transform: bool
+) -> None:
+    adaptation = start_adaptation(mapped_room, tune=tune, map_transform=map_transform, lambda_kl=0.1)
+    before = copy.deepcopy(adaptation.network.state_dict())
+    adaptation.run(views, 2, generator())  # in the first step the transform's first layer stands behind a zero
+    tuned = {"none": (), "last": ("head.",), "decoder": ("head.", "decoder.")}[tune]
+    for name, parameter in adaptation.network.named_parameters():
+        if name.startswith(tuned) and tuned:
+            assert parameter.grad is not None and bool(parameter.grad.abs().max() > 0.0), name
+            assert not torch.equal(parameter, before[name]), name
+        else:
+            assert parameter.grad is None, name
+    for name, tensor in adaptation.network.state_dict().items():
+        if not (tuned and name.startswith(tuned)):
+            torch.testing.assert_close(tensor, before[name], rtol=0.0, atol=0.0, msg=name)
+    for name, parameter in adaptation.map.named_parameters():
+        if map_transform:
+            assert parameter.grad is not None and bool(parameter.grad.abs().max() > 0.0), name
+        else:
+            assert parameter.grad is None, name
+    assert (adaptation.kl() > 0.0) == map_transform
+
+
+def test_first_the_scale_is_set_right(mapped_room: tuple[GaussianMixture, FloatArray], views: Views) -> None:
+    adaptation = start_adaptation(mapped_room, tune="last")
+    with torch.no_grad():
+        adaptation.network.head.bias += 1.5
+    assert adaptation.score(views, 0).absrel > 2.0
+    adaptation.fit_bias(views)
+    whole = views.of_frames(range(12), only_whole=True)
+    ratio = (whole.depth_m[..., 2::4, 2::4] / adaptation.predict(whole).exp()).median()
+    assert float(ratio) == pytest.approx(1.0, rel=0.01)
+
+
+def test_without_depth_the_bias_stays(mapped_room: tuple[GaussianMixture, FloatArray], views: Views) -> None:
+    """Nothing is known, or nothing where the output's pixels are compared."""
+    for keep in (None, (0, 0)):
+        depth_m = torch.zeros_like(views.depth_m)
+        if keep is not None:
+            depth_m[..., keep[0], keep[1]] = 2.0
+        blind = Views(
+            views.taps, depth_m, views.log_focal_ratio, views.rays_world, views.origins, views.frame, views.whole
+        )
+        adaptation = start_adaptation(mapped_room, tune="last")
+        before = adaptation.network.head.bias.detach().clone()
+        adaptation.fit_bias(blind)
+        torch.testing.assert_close(adaptation.network.head.bias.detach(), before)
+
+
+@pytest.mark.parametrize("tune", ["last", "decoder"])
+def test_tuning_fits_depth_and_repeats(
+    mapped_room: tuple[GaussianMixture, FloatArray], views: Views, tune: str
+) -> None:
+    states = []
+    for _ in range(2):
+        adaptation = start_adaptation(mapped_room, tune=tune, lambda_kl=0.1, inflation_m=0.1)
+        adaptation.fit_bias(views)
+        before = adaptation.score(views, 0)
+        adaptation.run(views, 80 if tune == "last" else 30, generator())
+        after = adaptation.score(views, 80)
+        states.append({**adaptation.network.state_dict(), **adaptation.map.state_dict()})
+    if tune == "last":
+        assert after.nll < before.nll - 0.05
+    else:
+        assert after.depth_loss < before.depth_loss
+    for name, tensor in states[0].items():
+        torch.testing.assert_close(states[1][name], tensor, rtol=0.0, atol=0.0)
+
+
+def test_tuning_stops_where_it_is_told(mapped_room: tuple[GaussianMixture, FloatArray], views: Views) -> None:
+    done: list[int] = []
+    start_adaptation(mapped_room, tune="last").run(views, 50, generator(), progress=done.append, stop_at=3)
+    assert done == [1, 2, 3]
+
+
+@pytest.mark.parametrize("tune", ["last", "decoder"])
+def test_the_state_that_was_best_on_held_out_frames_is_kept(
+    mapped_room: tuple[GaussianMixture, FloatArray],
+    views: Views,
+    tune: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Held-out frames that like the ninth step best, whatever is tuned and however."""
+    training, held_out = views.of_frames(range(9)), views.of_frames(range(9, 12), only_whole=True)
+    adaptation = start_adaptation(mapped_room, tune=tune)
+    states: dict[int, dict[str, Tensor]] = {}
+
+    def state() -> dict[str, Tensor]:
+        return copy.deepcopy({**adaptation.network.state_dict(), **adaptation.map.state_dict()})
+
+    def scripted(self: Adaptation, judged: Views, step: int) -> Score:
+        assert torch.equal(judged.frame, held_out.frame)
+        states[step] = state()
+        return Score(step, nll=abs(step - 9.0), depth_loss=abs(step - 9.0), absrel=0.0)
+
+    monkeypatch.setattr(Adaptation, "score", scripted)
+    scores = adaptation.run(training, 16, generator(), held_out, evaluate_every=3)
+    assert [score.step for score in scores] == [0, 3, 6, 9, 12, 15, 16]
+    assert adaptation.best_step(scores) == 9
+    kept = state()
+    for name, tensor in kept.items():
+        torch.testing.assert_close(tensor, states[9][name], rtol=0.0, atol=0.0)
+    assert not torch.equal(kept["head.weight"], states[16]["head.weight"])
+    assert not torch.equal(kept["transform.output.weight"], states[16]["transform.output.weight"])
+
+
+def test_nothing_to_tune_is_nothing_done(mapped_room: tuple[GaussianMixture, FloatArray], views: Views) -> None:
+    adaptation = start_adaptation(mapped_room, tune="none", map_transform=False)
+    before = copy.deepcopy(adaptation.network.state_dict())
+    assert adaptation.is_trivial
+    scores = adaptation.run(views, 10, generator(), views.of_frames([0], only_whole=True))
+    assert [score.step for score in scores] == [0]
+    assert adaptation.run(views, 10, generator()) == []
+    assert adaptation.kl() == pytest.approx(0.0, abs=1e-9)
+    for name, tensor in adaptation.network.state_dict().items():
+        torch.testing.assert_close(tensor, before[name], rtol=0.0, atol=0.0)
+
+
+# --- No collapse ---
+
+
+def scale_and_distance(adaptation: Adaptation, views: Views) -> tuple[float, float]:
+    """Median predicted over true depth, and of the distances from the map's means to the cameras."""
+    whole = views.of_frames(range(12), only_whole=True)
+    ratio = adaptation.predict(whole).exp() / whole.depth_m[..., 2::4, 2::4]
+    means = adaptation.map.adapted_mixture().means
+    distances = np.linalg.norm(means[:, None] - whole.origins.numpy(), axis=2).min(axis=1)
+    return float(ratio.median()), float(np.median(distances))
+
+
+VARIANTS = {
+    "last, no penalty": {"tune": "last", "lambda_kl": 0.0},
+    "last, small penalty": {"tune": "last", "lambda_kl": 1e-3},
+    "decoder, no penalty": {"tune": "decoder", "lambda_kl": 0.0, "steps": 120, "batch_views": 4},
+    # Depth's own loss would hold the decoder by itself; without it nothing but the likelihood does.
+    "decoder by likelihood, no penalty": {
+        "tune": "decoder",
+        "lambda_kl": 0.0,
+        "depth_weight": 0.0,
+        "likelihood_weight": 1.0,
+        "steps": 120,
+        "batch_views": 4,
+    },
+}
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_joint_adaptation_does_not_collapse(
+    mapped_room: tuple[GaussianMixture, FloatArray], views: Views, variant: str
+) -> None:
+    adaptation = start_adaptation(mapped_room, **VARIANTS[variant])
+    adaptation.fit_bias(views)
+    scale_before, distance_before = scale_and_distance(adaptation, views)
+    adaptation.run(views, adaptation.config.steps, generator())
+    scale, distance = scale_and_distance(adaptation, views)
+    assert 0.7 < scale / scale_before < 1.3
+    assert 0.75 < distance / distance_before < 1.6
+
+
+@pytest.mark.parametrize("variant", ["last, no penalty", "decoder by likelihood, no penalty"])
+def test_plain_density_collapses(
+    mapped_room: tuple[GaussianMixture, FloatArray], views: Views, variant: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the test above guards against is real: the same steps on the paper's likelihood."""
+    monkeypatch.setattr(adapt_train, "ray_log_likelihood", plain_log_likelihood)
+    adaptation = start_adaptation(mapped_room, **VARIANTS[variant])
+    adaptation.fit_bias(views)
+    nll_before = adaptation.score(views, 0).nll
+    scale_before, distance_before = scale_and_distance(adaptation, views)
+    adaptation.run(views, adaptation.config.steps, generator())
+    scale, distance = scale_and_distance(adaptation, views)
+    assert scale < 0.5 * scale_before
+    assert distance < 0.7 * distance_before
+    if variant.startswith("last"):
+        assert adaptation.score(views, 0).nll < nll_before  # and the likelihood likes it
+
+
+# --- From beginning to end ---
+
+
+@pytest.fixture
+def network_file(tmp_path: Path) -> Path:
+    save_network(tiny_network(), tmp_path / "network.safetensors")
+    return tmp_path / "network.safetensors"
+
+
+def test_adapt_tunes_on_depth_of_the_cloud_where_there_is_no_sensors(
+    mapped_room: tuple[GaussianMixture, FloatArray], network_file: Path
+) -> None:
+    mixture, _ = mapped_room
+    config = AdaptConfig(steps=20, batch_views=4, pixels_per_view=16, extra_views=1, network_rate=0.01)
+    recording = small_recording(12, has_depth=False)
+    result = adapt(recording, ROOM.cloud(0.1), mixture, network_file, config, 0, NoProgress())
+    assert len(result.original) == len(result.adapted) == len(mixture)
+    assert set(result.held_out) < set(range(12))
+    assert result.scores[-1].step == result.steps
+    assert result.scores[-1].nll == pytest.approx(
+        next(score.nll for score in result.scores if score.step == result.steps)
+    )
+    assert result.kl >= 0.0
+    absrel = {}
+    for name, model in (("tuned", result.depth_model), ("held out", result.held_out_model)):
+        predictor = DepthPredictor(model, recording.camera)
+        depth = predictor(recording.color(0))
+        truth = cv2.resize(small_recording(12).depth(0), depth.depth_m.shape[::-1], interpolation=cv2.INTER_AREA)
+        absrel[name] = float(np.mean(np.abs(depth.depth_m / truth - 1.0)))
+    assert max(absrel.values()) < 0.5
+
+
+def test_adapting_nothing_gives_back_what_came(
+    mapped_room: tuple[GaussianMixture, FloatArray], recording: RoomRecording, network_file: Path
+) -> None:
+    config = AdaptConfig(tune="none", map_transform=False)
+    result = adapt(recording, mapped_room[1], mapped_room[0], network_file, config, 0, NoProgress())
+    np.testing.assert_allclose(result.adapted.means, result.original.means, atol=1e-9)
+    assert result.steps == 0 and result.kl == pytest.approx(0.0, abs=1e-9)
+    untouched = DepthPredictor(export_onnx(tiny_network())[0], recording.camera)(recording.color(0))
+    given_back = DepthPredictor(result.depth_model, recording.camera)(recording.color(0))
+    np.testing.assert_allclose(given_back.depth_m, untouched.depth_m, rtol=1e-5)
+
+
+# --- Calibration ---
+
+# A corner of three walls, each one component: what its scans look like is known to the millimetre.
+CORNER_M = np.array([0.9, 0.7, 2.0])
+CORNER = GaussianMixture(
+    np.full(3, 1.0 / 3.0),
+    np.array([[0.9, 0.0, 1.4], [0.0, 0.7, 1.4], [0.0, 0.0, 2.0]]),
+    np.stack([np.diag(np.where(np.arange(3) == axis, 0.002, 0.6) ** 2) for axis in range(3)]),
+)
+CORNER_CAMERA = Camera(40, 30, 36.0, 36.0, 19.6, 14.4)
+
+
+def corner_samples(count: int, noise_sd_m: float, outlier_share: float, scale_sd: float) -> list[Sample]:
+    """Exact depth made worse: noise a point, one side of the image too near, and a factor a frame."""
+    rng = np.random.default_rng(0)
+    samples = []
+    for _ in range(count):
+        pose = se3_exp(rng.normal(size=6) * np.array([0.1, 0.1, 0.1, 0.05, 0.1, 0.05]))
+        rays = CORNER_CAMERA.pixel_rays() @ pose[:3, :3].T
+        with np.errstate(divide="ignore"):
+            along = (CORNER_M - pose[:3, 3]) / rays
+        depth_m = np.where(along > 0.0, along, np.inf).min(axis=-1)
+        depth_m += rng.normal(0.0, noise_sd_m, depth_m.shape)
+        depth_m[:, : round(outlier_share * CORNER_CAMERA.width)] *= 0.5
+        depth_m *= np.exp(rng.normal(0.0, scale_sd))
+        samples.append(Sample(DepthPrediction(depth_m.astype(np.float32), CORNER_CAMERA), pose))
+    return samples
+
+
+def test_calibration_finds_the_errors_of_depth() -> None:
+    def found(*errors: float) -> LocalizerConfig:
+        return calibrate(CORNER, corner_samples(10, *errors), LocalizerConfig(), np.random.default_rng(0))[0]
+
+    good, noisy, wrong, unsteady = (
+        found(0.0, 0.0, 0.0),
+        found(0.12, 0.0, 0.0),
+        found(0.0, 0.4, 0.0),
+        found(0.0, 0.0, 0.12),
+    )
+    assert good.measurement.noise_sd_m <= 0.05 < noisy.measurement.noise_sd_m <= 0.2
+    assert good.measurement.outlier_share <= 0.15
+    assert 0.25 <= wrong.measurement.outlier_share <= 0.6
+    assert wrong.measurement.noise_sd_m <= 0.05
+    assert good.log_scale_sd < 0.03
+    assert 0.07 < unsteady.log_scale_sd < 0.2
+    assert unsteady.measurement.noise_sd_m <= 0.05  # the factor is not taken for noise
+
+
+def test_healthy_range_tells_right_poses_from_wrong_ones() -> None:
+    rng = np.random.default_rng(1)
+    samples = corner_samples(20, 0.03, 0.1, 0.02)
+    config, healthy = calibrate(CORNER, samples[:10], LocalizerConfig(), rng)
+    measurement = Measurement(CORNER, config.measurement)
+
+    def fit(sample: Sample, error: FloatArray) -> float:
+        scan = scan_from_depth(sample.depth.depth_m, sample.depth.camera, config.scan_points, rng)
+        scales = np.linspace(-0.1, 0.1, 21)
+        poses = np.repeat((sample.pose @ se3_exp(error))[None], len(scales), axis=0)
+        return float(measurement.mean_log_likelihood(poses, scales, scan).max())
+
+    right = [fit(sample, np.zeros(6)) for sample in samples[10:]]
+    wrong = [fit(sample, np.array([0.4, 0.2, 0.4, 0.1, 0.5, 0.0])) for sample in samples[10:]]
+    assert healthy.lost < healthy.low < np.median(right)
+    assert max(wrong) < healthy.lost < min(right)
+
+
+def test_calibration_without_depth_keeps_the_settings() -> None:
+    sample = corner_samples(1, 0.0, 0.0, 0.0)[0]
+    blind = Sample(DepthPrediction(np.zeros_like(sample.depth.depth_m), sample.depth.camera), sample.pose)
+    settings_, healthy = calibrate(CORNER, [blind], LocalizerConfig(), np.random.default_rng(0))
+    assert settings_ == LocalizerConfig()
+    assert healthy.low == healthy.lost == -np.inf
+
+
+# --- Memory ---
+
+
+def test_keeping_freed_memory_is_harmless() -> None:
+    for _ in range(2):
+        keep_freed_memory()
+    block = torch.ones(4_000_000)
+    assert float(block.sum()) == 4_000_000.0
+    del block
+    assert float(torch.zeros(4_000_000).sum()) == 0.0

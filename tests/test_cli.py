@@ -1,0 +1,673 @@
+"""The command line: help, exit codes, one line for every kind of bad input, and nothing half-written."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from rich.console import Console
+
+import synthetic_recordings as synthetic
+from monoloc.bundle import read_bundle, write_bundle
+from monoloc.cli.main import invoke
+from monoloc.evaluation.trajectory import summarise
+from monoloc.map.mixture import GaussianMixture
+from monoloc.outputs.tum import read_tum, write_tum
+from monoloc.progress import ConsoleProgress
+from synthetic_room import (
+    SMALL_CAMERA,
+    Room,
+    RoomRecording,
+    make_bundle,
+    make_path,
+    room_mixture,
+    write_recording,
+)
+
+FRAMES = 10
+PLAIN = ("--tune", "none", "--no-map-transform")
+QUICK = (*PLAIN, "-k", "40")
+COMMANDS = [
+    ("demo",),
+    ("build",),
+    ("localize",),
+    ("evaluate",),
+    ("inspect",),
+    ("map", "fit"),
+    ("map", "info"),
+    ("depth", "train"),
+    ("depth", "evaluate"),
+    ("depth", "export"),
+]
+ACCURACY_KEYS = {
+    "ate_rmse_m",
+    "ate_median_m",
+    "ate_max_m",
+    "rot_rmse_deg",
+    "rot_median_deg",
+    "within_5cm_5deg",
+    "within_10cm_10deg",
+}
+LOCALIZE_KEYS = ACCURACY_KEYS | {
+    "frames",
+    "lost_frames",
+    "coverage_95",
+    "step_ms_median",
+    "step_ms_p95",
+    "particles",
+    "scan_points",
+    "motion",
+    "depth_absrel",
+    "depth_delta1",
+    "depth_ssim",
+}
+
+
+@pytest.fixture(scope="module")
+def recording() -> RoomRecording:
+    return RoomRecording(Room(), make_path(FRAMES), SMALL_CAMERA)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory, recording) -> Path:
+    """A folder with a recording ``walk`` and a bundle ``room.monoloc`` built from every second frame of it."""
+    folder = tmp_path_factory.mktemp("made")
+    write_recording(folder / "walk", recording)
+    write_bundle(folder / "room.monoloc", make_bundle(room_mixture(Room()), recording, range(0, FRAMES, 2)))
+    return folder
+
+
+@pytest.fixture
+def here(made, tmp_path, monkeypatch) -> Path:
+    """A working folder with a recording and a bundle of one's own to spoil."""
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def listing(folder: Path) -> dict[str, bytes | None]:
+    return {str(p.relative_to(folder)): p.read_bytes() if p.is_file() else None for p in sorted(folder.rglob("*"))}
+
+
+def succeeds(capfd, *arguments: str) -> str:
+    """Run a command that must succeed; returns its stdout."""
+    capfd.readouterr()
+    code = invoke(list(arguments))
+    out, err = capfd.readouterr()
+    assert code == 0, err
+    return out
+
+
+def json_of(capfd, *arguments: str) -> dict[str, Any]:
+    """The one JSON object on stdout of a command that must succeed."""
+    result = json.loads(succeeds(capfd, *arguments, "--json"))
+    assert isinstance(result, dict)
+    return result
+
+
+def refused(capfd, folder: Path, arguments: tuple[str, ...], names: str, problem: str, fix: str = "") -> None:
+    """The command ends with exit code 2 and one line (what it names, the problem, the fix), and leaves no trace."""
+    before = listing(folder)
+    capfd.readouterr()
+    code = invoke(list(arguments))
+    out, err = capfd.readouterr()
+    lines = [line for line in err.splitlines() if not re.fullmatch(r"[a-z: ]+: done in [\d.]+ s", line)]
+    assert code == 2, err
+    assert out == ""
+    assert len(lines) == 1, err
+    assert re.fullmatch(f"monoloc: {re.escape(names)}.*{problem}.*; .*{fix}.*", lines[0]), lines[0]
+    assert listing(folder) == before
+
+
+# --- Help ---
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_help_says_what_it_does_and_gives_examples_first(capfd, command):
+    text = succeeds(capfd, *command, "--help")
+    name = " ".join(("monoloc", *command))
+    usage, description, examples, options = (
+        text.index(f"Usage: {name}"),
+        re.search(r"^  [A-Z][^.]+\.$", text, re.MULTILINE).start(),
+        text.index("Examples:"),
+        text.index("Options:"),
+    )
+    assert usage < description < examples < options
+    first = text[examples:].splitlines()[1]
+    assert first.startswith(f"    {name}")
+    assert "--json" in text
+
+
+def test_help_lists_every_command(capfd):
+    text = succeeds(capfd, "--help")
+    for command in COMMANDS:
+        assert re.search(rf"^  {command[0]} ", text, re.MULTILINE), command
+
+
+@pytest.mark.parametrize("group", [(), ("map",), ("depth",)], ids=str)
+def test_a_group_alone_shows_its_commands(capfd, group):
+    assert invoke(list(group)) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert err.startswith(f"Usage: {' '.join(('monoloc', *group))} [OPTIONS] COMMAND")
+    assert "Commands:" in err
+
+
+def test_examples_in_help_have_options_that_exist(capfd):
+    """Every option shown in an example is one of the command's."""
+    for command in COMMANDS:
+        text = succeeds(capfd, *command, "--help")
+        examples, options = text[text.index("Examples:") : text.index("Options:")], text[text.index("Options:") :]
+        for option in re.findall(r"(?<= )--?[a-z][a-z-]*", examples):
+            assert re.search(rf"(^|[ ,/]){option}\b", options, re.MULTILINE), (command, option)
+
+
+# --- What cannot be parsed ---
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("fly",), "No such command 'fly'. (see: monoloc --help)"),
+        (("map", "fly"), "No such command 'fly'. (see: monoloc map --help)"),
+        (("build", "walk", "--out", "x.monoloc", "--fast"), "No such option: --fast.*build --help"),
+        (("build", "walk"), "Missing option '--out' / '-o'. (see: monoloc build --help)"),
+        (("localize", "room.monoloc"), "Missing argument 'SOURCE'. (see: monoloc localize --help)"),
+        (("build", "walk", "--out", "x", "--tune", "all"), "'--tune'.*'none', 'last', 'decoder'.*build --help"),
+        (("localize", "room.monoloc", "walk", "--seed", "-1"), "'--seed'.*greater than or equal to 0"),
+        (("localize", "room.monoloc", "walk", "--start-error-cm", "nan"), "'--start-error-cm'"),
+        (("localize", "room.monoloc", "walk", "--motion", "jump"), "'--motion'.*'visual', 'random-walk'"),
+        (("localize", "room.monoloc", "walk", "--depth", "lidar"), "'--depth'.*'predicted', 'sensor'"),
+    ],
+)
+def test_usage_errors_are_one_line_that_names_the_help(capfd, here, arguments, message):
+    before = listing(here)
+    assert invoke(list(arguments)) == 2
+    out, err = capfd.readouterr()
+    assert out == "" and err.count("\n") == 1
+    pattern = message if ".*" in message or message.startswith("'--") else re.escape(message)
+    assert re.search(pattern, err), err
+    assert listing(here) == before
+
+
+# --- Recordings that cannot be used; through `build`, which reads all of one ---
+
+
+def test_missing_folder(capfd, here):
+    for command in (("build", "no", "--out", "x.monoloc"), ("localize", "room.monoloc", "no"), ("inspect", "no")):
+        refused(capfd, here, command, "no", "does not exist", "check the path")
+
+
+def test_empty_folder(capfd, here):
+    (here / "empty").mkdir()
+    build = ("build", "empty", "--out", "x.monoloc")
+    refused(capfd, here, build, "empty", "is not recognised as a recording", "FORMAT:PATH")
+    refused(capfd, here, ("build", "7scenes:empty", *build[2:]), "empty", "has no frame-NNNNNN", "7-Scenes")
+    refused(capfd, here, ("build", "tum:empty", *build[2:]), "empty/rgb.txt", "is missing", "TUM")
+    refused(capfd, here, ("build", "folder:empty", *build[2:]), "empty/dataset.toml", "is missing", "write one")
+
+
+def test_unknown_format(capfd, here):
+    refused(capfd, here, ("inspect", "kinect:walk"), "SOURCE", "unknown format 'kinect'", "7scenes")
+
+
+def test_no_poses(capfd, here):
+    synthetic.write_video(here / "flight.avi")
+    refused(capfd, here, ("build", "flight.avi", "--out", "x.monoloc"), "flight", "has no poses", "with camera poses")
+    refused(
+        capfd, here, ("localize", "room.monoloc", "flight.avi"), "flight", "has no poses to start", "give --start"
+    )
+    write_tum(here / "way.txt", [0.0], np.eye(4)[None])
+    refused(capfd, here, ("evaluate", "way.txt", "flight.avi"), "flight", "has no poses", "recording or TUM")
+
+
+def test_no_depth(capfd, here):
+    toml = (here / "walk" / "dataset.toml").read_text()
+    (here / "walk" / "dataset.toml").write_text(re.sub(r"depth = .*\n", "", toml))
+    refused(capfd, here, ("build", "walk", "--out", "x.monoloc", *QUICK), "walk", "has no depth", "cloud")
+    refused(capfd, here, ("localize", "room.monoloc", "walk", "--depth", "sensor"), "walk", "has no depth", "--depth")
+    refused(capfd, here, ("depth", "evaluate", "room.monoloc", "walk"), "walk", "has no depth", "depth images")
+    refused(capfd, here, ("map", "fit", "walk", "--out", "m.npz"), "walk", "has no depth", "cloud")
+
+
+def spoil_poses(folder: Path, change: Callable[[np.ndarray], None]) -> Path:
+    path = folder / "poses.txt"
+    rows = np.loadtxt(path)
+    change(rows)
+    np.savetxt(path, rows)
+    return path
+
+
+def test_poses_that_are_not_rigid(capfd, here):
+    spoil_poses(here / "walk", lambda rows: rows[3].__setitem__(slice(4, 8), [2.0, 0.0, 0.0, 2.0]))
+    refused(capfd, here, ("build", "walk", "--out", "x.monoloc", *QUICK), "walk/poses.txt", "pose 4 is not rigid")
+    scene = here / "scene"
+    synthetic.write_seven_scenes(scene, frames=2)
+    np.savetxt(scene / "seq-01" / "frame-000002.pose.txt", np.diag([1.0, 1.0, -1.0, 1.0]))
+    names = "scene/seq-01/frame-000002.pose.txt"
+    refused(capfd, here, ("build", "scene", "--out", "x.monoloc"), names, "is not rigid", "proper rotation")
+
+
+def test_poses_that_are_nan(capfd, here):
+    spoil_poses(here / "walk", lambda rows: rows[5].__setitem__(1, np.nan))
+    for command in (("build", "walk", "--out", "x.monoloc", *QUICK), ("localize", "room.monoloc", "walk")):
+        refused(capfd, here, command, "walk/poses.txt", "pose 6 is NaN", "correct it or remove")
+
+
+def test_depth_that_is_all_zero(capfd, here):
+    synthetic.write_depth(here / "walk/depth/000007.png", np.zeros((128, 160), dtype=np.uint16))
+    command = ("build", "walk", "--out", "x.monoloc", *QUICK)
+    refused(capfd, here, command, "walk/depth/000007.png", "has no depth at all", "--frames")
+
+
+def test_depth_of_another_size(capfd, here):
+    synthetic.write_depth(here / "walk/depth/000007.png", np.full((64, 80), 2000, dtype=np.uint16))
+    command = ("build", "walk", "--out", "x.monoloc", *QUICK)
+    refused(capfd, here, command, "walk/depth/000007.png", "is 80x64, but the intrinsics are for 160x128")
+
+
+@pytest.mark.parametrize("kind", ["color", "depth"])
+def test_truncated_png(capfd, here, kind):
+    file = here / "walk" / kind / "000007.png"
+    file.write_bytes(file.read_bytes()[:2000])
+    commands = [
+        ("build", "walk", "--out", "x.monoloc", *QUICK),
+        ("localize", "room.monoloc", "walk", "--out", "way.txt", "--plot", "way.png"),
+        ("depth", "evaluate", "room.monoloc", "walk", "--plot", "depth.png"),
+    ]
+    for command in commands:
+        refused(capfd, here, command, f"walk/{kind}/000007.png", "is cut short", "copy the file again")
+
+
+def test_intrinsics_that_do_not_fit_the_image(capfd, here):
+    given = ("--intrinsics", "640,480,525,525,320,240")
+    for command in (("build", "walk", "--out", "x.monoloc", *QUICK), ("localize", "room.monoloc", "walk")):
+        problem = "is 160x128, but the intrinsics are for 640x480"
+        refused(capfd, here, (*command, *given), "walk/color/000000.png", problem, "intrinsics of these images")
+    toml = (here / "walk" / "dataset.toml").read_text()
+    (here / "walk" / "dataset.toml").write_text(toml.replace("cx = 79.5", "cx = 790.5"))
+    problem = r"\(790.5, 63.5\) lies outside the 160x128 image"
+    refused(capfd, here, ("inspect", "walk"), "walk/dataset.toml", problem, "belong to this image size")
+
+
+@pytest.mark.parametrize("text", ["640,480,525", "a,b,c,d,e,f", "nan,480,525,525,320,240", "320.5,256,1,1,1,1", ""])
+def test_intrinsics_that_are_no_numbers(capfd, here, text):
+    command = ("localize", "room.monoloc", "walk", "--intrinsics", text)
+    refused(capfd, here, command, "--intrinsics", f"is '{text}'", "W,H,FX,FY,CX,CY")
+
+
+def test_too_few_frames(capfd, here):
+    command = ("build", "walk", "--frames", "0:3", "--out", "x.monoloc", *QUICK)
+    refused(capfd, here, command, "walk", "gives 3 frames", "at least 5")
+
+
+@pytest.mark.parametrize(
+    ("frames", "problem"), [("90:", "selects none of the 10"), ("wat", "is not START:STOP:STEP")]
+)
+def test_impossible_frames(capfd, here, frames, problem):
+    refused(capfd, here, ("localize", "room.monoloc", "walk", "--frames", frames), "frames", problem)
+
+
+def test_depth_scale_that_leaves_nothing(capfd, here):
+    command = ("build", "walk", "--out", "x.monoloc", *QUICK, "--depth-scale", "1")
+    refused(capfd, here, command, "walk", "has no depth between 0 and", "check the depth scale")
+    command = (*command[:-1], "0")
+    refused(capfd, here, command, "depth_scale", "is 0.0", "> 0")
+
+
+# --- Bundles, maps, networks, trajectories ---
+
+
+@pytest.mark.parametrize("name", ["map.npz", "depth.onnx", "manifest.json"])
+@pytest.mark.parametrize("kind", ["cut short", "edited", "missing"])
+def test_bundle_that_is_not_whole(capfd, here, name, kind):
+    file = here / "room.monoloc" / name
+    content = file.read_bytes()
+    if kind == "missing":
+        file.unlink()
+    elif kind == "cut short":
+        file.write_bytes(content[: len(content) // 2])
+    elif name == "manifest.json":
+        file.write_bytes(content.replace(b'"particles": 500', b'"particles": 501'))
+    else:
+        file.write_bytes(content[:-30] + bytes([content[-30] ^ 1]) + content[-29:])
+    names = "room.monoloc" if (name, kind) == ("manifest.json", "missing") else f"room.monoloc/{name}"
+    for command in (("localize", "room.monoloc", "walk", "--out", "way.txt"), ("map", "info", "room.monoloc")):
+        refused(capfd, here, command, names, "(is|was)", "(copy the bundle again|monoloc build)")
+
+
+def test_place_where_no_bundle_can_be(capfd, here):
+    refused(
+        capfd, here, ("build", "walk", "--out", "no/x.monoloc"), "no/x.monoloc", "folder does not exist", "make no"
+    )
+    refused(capfd, here, ("build", "walk", "--out", "walk"), "walk", "exists and is not a bundle", "another name")
+
+
+def test_file_that_is_no_map(capfd, here):
+    for name, problem in (("walk/dataset.toml", "is no mixture map"), ("no.npz", "there is no such file")):
+        refused(capfd, here, ("map", "info", name), name, problem, "monoloc map fit")
+    np.savez(here / "other.npz", x=np.zeros(3))
+    refused(capfd, here, ("map", "info", "other.npz"), "other.npz", "key 'weights' is missing", "monoloc map fit")
+
+
+def test_file_that_is_no_cloud(capfd, here):
+    for command in (("build", "walk", "--out", "x.monoloc", "--cloud"), ("map", "fit", "--out", "m.npz")):
+        refused(capfd, here, (*command, "no.ply"), "no.ply", "there is no such file", "check the path")
+
+
+def test_file_that_is_no_network(capfd, here):
+    toml = "walk/dataset.toml"
+    refused(capfd, here, ("depth", "evaluate", "no", "walk"), "no", "does not exist", "safetensors")
+    refused(capfd, here, ("depth", "evaluate", toml, "walk"), toml, "cannot be loaded", "depth export")
+    build = ("build", "walk", "--out", "x.monoloc", "--network", "no.safetensors")
+    refused(capfd, here, build, "no.safetensors", "does not exist", "depth train")
+
+
+def test_file_that_is_no_trajectory(capfd, here):
+    refused(capfd, here, ("evaluate", "no.txt", "walk"), "no.txt", "cannot be read", "TUM")
+    refused(capfd, here, ("evaluate", "walk/dataset.toml", "walk"), "walk/dataset.toml", "line 1 has 3 columns", "8")
+
+
+def test_trajectory_of_another_clock(capfd, here):
+    write_tum(here / "way.txt", [1e6, 1e6 + 1], np.tile(np.eye(4), (2, 1, 1)))
+    refused(capfd, here, ("evaluate", "way.txt", "walk"), "way.txt", "has no pose within 0.02 s", "same clock")
+
+
+@pytest.mark.parametrize("start", ["1,2,3", "0,0,0,0,0,0,0", "nan,0,0,0,0,0,1", "here"])
+def test_start_that_is_no_pose(capfd, here, start):
+    refused(
+        capfd, here, ("localize", "room.monoloc", "walk", "--start", start), "--start", f"is '{start}'", "TX,TY,TZ"
+    )
+
+
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [
+        (("localize", "room.monoloc", "walk"), "--out"),
+        (("localize", "room.monoloc", "walk"), "--plot"),
+        (("map", "fit", "walk"), "--out"),
+        (("depth", "evaluate", "room.monoloc", "walk"), "--plot"),
+        (("depth", "export", "network.safetensors"), "--out"),
+    ],
+)
+def test_output_that_cannot_be_written_is_refused_before_the_work(capfd, here, command, option):
+    refused(capfd, here, (*command, option, "no/file"), option, "no does not exist", "make the folder first")
+    refused(capfd, here, (*command, option, "walk"), option, "walk is a folder", "name a file")
+    assert "done in" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("command", [("depth", "train", "walk")])
+def test_output_folder_that_cannot_be_made(capfd, here, command):
+    refused(capfd, here, (*command, "--out", "no/a"), "--out", "no does not exist", "make the folder first")
+    refused(capfd, here, (*command, "--out", "walk/poses.txt"), "--out", "is a file", "name a folder")
+
+
+def test_demo_without_its_data(capfd, here):
+    refused(capfd, here, ("demo", "--data", "no"), "no/7scenes/redkitchen", "is not there", "MONOLOC_DATA")
+
+
+# --- Settings ---
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("compnents = 5\n", "compnents: Extra inputs are not permitted"),
+        ("[adapt]\nstep = 5\n", "adapt.step: Extra inputs are not permitted"),
+        ("voxel_m = -1\n", "voxel_m: Input should be greater than 0"),
+        ('components = "many"\n', "components: Input should be a valid integer.*or Input should be 'bic'"),
+        ('[adapt]\ntune = "all"\n', "adapt.tune: Input should be 'none', 'last' or 'decoder'"),
+        ("[localizer.measurement]\noutlier_share = 1.0\n", "localizer.measurement.outlier_share: .*less than 1"),
+        ("components 5\n", "is not TOML"),
+    ],
+)
+def test_settings_file_that_is_wrong(capfd, here, text, problem):
+    (here / "s.toml").write_text(text)
+    command = ("build", "walk", "--out", "x.monoloc", "--settings", "s.toml", *PLAIN)
+    refused(capfd, here, command, "s.toml", problem, "mend the (field|line) named")
+
+
+def test_missing_settings_file(capfd, here):
+    command = ("build", "walk", "--out", "x.monoloc", "--settings", "no.toml")
+    refused(capfd, here, command, "no.toml", "cannot be read", "TOML settings file")
+
+
+@pytest.mark.parametrize(
+    ("options", "field", "problem"),
+    [
+        (("-k", "0"), "components", "greater than or equal to 1, or .*'bic'"),
+        (("-k", "forty"), "components", "valid integer.*or .*'bic'"),
+        (("--lambda", "nan"), "adapt.lambda_kl", "greater than or equal to 0"),
+        (("-k", "1000000", *PLAIN), "components", "is 1000000 for a cloud of"),
+    ],
+)
+def test_option_of_build_out_of_range(capfd, here, options, field, problem):
+    refused(capfd, here, ("build", "walk", "--out", "x.monoloc", *options), field, problem)
+
+
+@pytest.mark.parametrize("option", ["--particles", "--scan-points"])
+def test_option_of_localize_out_of_range(capfd, here, option):
+    command = ("localize", "room.monoloc", "walk", option, "3")
+    refused(capfd, here, command, option[2:].replace("-", "_"), "greater than or equal to 10", "--help")
+
+
+def test_settings_are_taken_and_options_go_before_them(capfd, here):
+    (here / "s.toml").write_text("components = 25\nvoxel_m = 0.06\n[localizer]\nparticles = 77\n")
+    command = ("build", "walk", "--out", "x.monoloc", "--settings", "s.toml", *PLAIN)
+    report = json_of(capfd, *command)
+    assert report["components"] == 25
+    assert read_bundle(here / "x.monoloc").settings.particles == 77
+    assert json_of(capfd, *command, "-k", "12")["components"] == 12
+
+
+# --- What succeeds ---
+
+
+def test_build_and_localize(capfd, here, recording):
+    report = json_of(capfd, "build", "walk", "--frames", "::2", "--out", "x.monoloc", *QUICK)
+    assert report["bundle"] == "x.monoloc" and report["components"] == 40 and report["frames"] == FRAMES // 2
+    assert report["bytes"] == sum(file.stat().st_size for file in (here / "x.monoloc").iterdir())
+    assert report["kl"] == 0.0 and report["steps"] == 0 and report["shift_p95_m"] == 0.0
+    bundle = read_bundle(here / "x.monoloc")
+    assert list(bundle.provenance.frames) == recording.frame_names[::2]
+    assert bundle.provenance.tune == "none" and not bundle.provenance.map_transform
+    # The room's own map: its means lie near the surfaces that were seen.
+    assert np.median(Room().distance_m(bundle.adapted.means)) < 0.05
+    metrics = json_of(capfd, "localize", "x.monoloc", "walk", "--depth", "sensor", "--out", "way.txt")
+    assert metrics["unseen_frames"] == FRAMES // 2
+    assert read_tum(here / "way.txt")[1].shape == (FRAMES, 4, 4)
+
+
+def test_localize_gives_all_figures(capfd, here, recording):
+    command = ("localize", "room.monoloc", "walk", "--seed", "3", "--out", "way.txt")
+    metrics = json_of(capfd, *command)
+    assert set(metrics) >= LOCALIZE_KEYS | {f"unseen_{key}" for key in ACCURACY_KEYS} | {"unseen_frames", "states"}
+    assert metrics["frames"] == FRAMES and metrics["unseen_frames"] == FRAMES // 2
+    assert metrics["motion"] == "visual" and metrics["particles"] == 500 and metrics["scan_points"] == 300
+    assert sum(metrics["states"].values()) == FRAMES
+    assert metrics["depth_absrel"] < 0.02 and metrics["depth_delta1"] > 0.98
+    times, poses = read_tum(here / "way.txt")
+    assert np.allclose(times, recording.timestamps_s)
+    expected = summarise(poses, recording.poses)
+    for key in ACCURACY_KEYS:
+        assert metrics[key] == pytest.approx(getattr(expected, key), abs=1e-6)
+    # From 10 cm off, by the network's depth: see test_localizer for the accuracy itself.
+    assert metrics["ate_max_m"] < 0.15 and metrics["ate_median_m"] < 0.08
+    first = (here / "way.txt").read_bytes()
+    succeeds(capfd, *command)
+    assert (here / "way.txt").read_bytes() == first
+    succeeds(capfd, *command[:4], "4", *command[5:])
+    assert (here / "way.txt").read_bytes() != first
+
+
+def test_localize_options_reach_the_filter(capfd, here):
+    options = ("--particles", "50", "--scan-points", "40", "--motion", "random-walk", "--frames", "0:6")
+    metrics = json_of(capfd, "localize", "room.monoloc", "walk", *options)
+    assert metrics["particles"] == 50 and metrics["scan_points"] == 40 and metrics["motion"] == "random-walk"
+    assert metrics["frames"] == 6
+    assert "odometry_ate_rmse_m" not in metrics
+
+
+def test_localize_from_a_given_start_without_truth(capfd, here, recording):
+    frames = [recording.color(index) for index in range(6)]
+    writer = cv2.VideoWriter("flight.avi", cv2.VideoWriter.fourcc(*"MJPG"), 15.0, (160, 128))
+    for frame in frames:
+        writer.write(frame[..., ::-1])
+    writer.release()
+    x, y, z = recording.poses[0][:3, 3]
+    quaternion = synthetic.tum_lines(np.zeros(1), recording.poses[:1]).splitlines()[1].split()[4:]
+    start = ",".join([str(x), str(y), str(z), *quaternion])
+    camera = ("--intrinsics", "160,128,136,136,79.5,63.5")
+    command = ("localize", "room.monoloc", "flight.avi", "--start", start, *camera, "--out", "way.txt")
+    metrics = json_of(capfd, *command)
+    assert metrics["frames"] == 6
+    assert not any(key.startswith(("ate", "unseen_ate", "coverage")) for key in metrics)
+    assert np.linalg.norm(read_tum(here / "way.txt")[1][0, :3, 3] - [x, y, z]) < 0.2
+
+
+def test_localize_for_people(capfd, here):
+    out = succeeds(capfd, "localize", "room.monoloc", "walk", "--out", "way.txt", "--plot", "way.png")
+    assert out == ""
+    picture = cv2.imread("way.png")
+    assert picture is not None and min(picture.shape[:2]) > 300
+    assert invoke(["localize", "room.monoloc", "walk", "--out", "way.txt"]) == 0
+    err = capfd.readouterr().err
+    assert re.search(r"all frames.* cm .*°", err) and "unseen" in err and "written: way.txt" in err
+
+
+def test_plot_without_matplotlib_is_refused_before_the_work(capfd, here, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    command = ("localize", "room.monoloc", "walk", "--out", "way.txt", "--plot", "way.png")
+    refused(capfd, here, command, "plots", r'needs the extra "report"', r"pip install")
+
+
+def test_evaluate_agrees_with_localize(capfd, here):
+    metrics = json_of(capfd, "localize", "room.monoloc", "walk", "--out", "way.txt")
+    for truth in ("walk", "walk/poses.txt"):
+        evaluated = json_of(capfd, "evaluate", "way.txt", truth)
+        assert evaluated["frames"] == FRAMES and evaluated["unmatched"] == 0
+        for key in ACCURACY_KEYS:
+            assert evaluated[key] == pytest.approx(metrics[key], abs=1e-6)
+        assert 0.0 < evaluated["rpe_rmse_m"] < 0.05 and 0.0 < evaluated["rpe_rot_rmse_deg"] < 2.0
+    some = json_of(capfd, "evaluate", "way.txt", "walk", "--frames", "0:4")
+    assert some["frames"] == 4 and some["unmatched"] == FRAMES - 4
+
+
+def test_inspect_a_bundle(capfd, here):
+    content = json_of(capfd, "inspect", "room.monoloc")
+    assert content["kind"] == "bundle" and content["components"] == 250 and content["frames"] == FRAMES // 2
+    assert content["map_bytes"] == 250 * 40
+    assert content["bytes"] == sum(file.stat().st_size for file in (here / "room.monoloc").iterdir())
+    assert np.allclose(content["size_m"], [5.0, 2.6, 5.0], atol=0.6)  # of the room, as far as Gaussians tell
+
+
+def test_inspect_a_recording(capfd, here, recording):
+    content = json_of(capfd, "inspect", "walk", "--frames", "0:8")
+    assert content["kind"] == "recording" and content["frames"] == 8
+    assert content["image"] == [160, 128] and content["intrinsics"] == [136.0, 136.0, 79.5, 63.5]
+    assert content["has_poses"] and content["has_depth"] and content["depth_share"] == 1.0
+    assert content["seconds"] == pytest.approx(7 / 15)
+    way = np.linalg.norm(np.diff(recording.poses[:8, :3, 3], axis=0), axis=1).sum()
+    assert content["path_m"] == pytest.approx(way, abs=1e-6)
+    assert content["depth_median_m"] == pytest.approx(np.median(recording.depth(0)), abs=1e-3)
+
+
+def test_map_fit_and_info(capfd, here):
+    fitted = json_of(capfd, "map", "fit", "walk", "--out", "room.npz", "-k", "30")
+    mixture = GaussianMixture.load(here / "room.npz")
+    assert fitted["components"] == len(mixture) == 30 and fitted["bytes"] == 1200
+    info = json_of(capfd, "map", "info", "room.npz")
+    assert info["components"] == 30 and info["bytes"] == 1200
+    assert np.all(info["lower_m"] < mixture.means.min(axis=0)) and np.all(info["upper_m"] > mixture.means.max(axis=0))
+    assert np.all(info["lower_m"] > np.array([-2.5, -1.4, -2.0]) - 0.5)
+    assert np.all(info["upper_m"] < np.array([2.5, 1.2, 3.0]) + 0.5)
+    assert 0.0 < info["thickness_median_m"] < 0.05 < info["length_median_m"]
+    assert json_of(capfd, "map", "info", "room.monoloc")["components"] == 250
+    cloud = Room().cloud(0.1)
+    (here / "room.xyz").write_text("\n".join(" ".join(f"{x:.4f}" for x in point) for point in cloud))
+    of_cloud = json_of(capfd, "map", "fit", "room.xyz", "--out", "cloud.npz", "-k", "20")
+    assert of_cloud["components"] == 20
+
+
+def test_depth_evaluate(capfd, here):
+    exact = json_of(capfd, "depth", "evaluate", "room.monoloc", "walk", "--frames", "::4", "--plot", "depth.png")
+    assert exact["frames"] == 3 and exact["scale"] == 1.0
+    assert exact["absrel"] < 0.02 and exact["delta1"] > 0.98
+    assert cv2.imread("depth.png") is not None
+    # The same network against depth stored twice as large: the scale is found, and takes the error away.
+    doubled = ("depth", "evaluate", "room.monoloc", "walk", "--frames", "::4", "--depth-scale", "500")
+    assert json_of(capfd, *doubled)["absrel"] == pytest.approx(0.5, abs=0.02)
+    fitted = json_of(capfd, *doubled, "--fit-scale")
+    assert fitted["scale"] == pytest.approx(2.0, rel=0.01) and fitted["absrel"] < 0.02
+
+
+# --- Ctrl-C, and faults of ours ---
+
+
+@pytest.mark.parametrize("older", [False, True])
+def test_interrupted_build_leaves_nothing_half_written(here, older):
+    if not older:
+        shutil.rmtree(here / "room.monoloc")
+    before = listing(here)
+    code = "from monoloc.cli.main import run; run()"
+    # Thousands of components: the map alone would take many times longer than this test waits.
+    command = [sys.executable, "-c", code, "build", "walk", "--out", "room.monoloc", *PLAIN, "-k", "3000"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=here)
+    assert process.stderr.readline().startswith("cloud: done")
+    time.sleep(0.3)
+    assert process.poll() is None, "the build ended before it could be interrupted"
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert out == "" and err == "monoloc: interrupted; nothing half-written is left\n"
+    assert listing(here) == before
+
+
+def test_a_fault_of_ours_is_no_bad_input(here, monkeypatch):
+    """An unexpected exception is not dressed up: it ends with a traceback, which Python gives exit code 1."""
+    environment = os.environ | {"PYTHONPATH": str(here)}
+    (here / "sitecustomize.py").write_text(
+        "import monoloc.runs\n"
+        "def fail(*_, **__): raise RuntimeError('a fault of ours')\n"
+        "monoloc.runs.localize = fail\n"
+    )
+    command = [sys.executable, "-c", "from monoloc.cli.main import run; run()", "localize", "room.monoloc", "walk"]
+    result = subprocess.run(command, capture_output=True, text=True, cwd=here, env=environment)
+    assert result.returncode == 1
+    assert "Traceback" in result.stderr and "a fault of ours" in result.stderr
+
+
+# --- Progress ---
+
+
+def test_progress_in_a_log_is_one_line_a_finished_task():
+    log = io.StringIO()
+    progress = ConsoleProgress(Console(file=log))
+    with progress.task("cloud", 3) as step:
+        for done in range(3):
+            step(done + 1)
+    with pytest.raises(RuntimeError), progress.task("map", None) as step:
+        step(1)
+        raise RuntimeError
+    assert re.fullmatch(r"cloud: done in \d+\.\d s\n", log.getvalue())
+
+
+def test_progress_on_a_terminal_is_a_bar():
+    screen = io.StringIO()
+    progress = ConsoleProgress(Console(file=screen, force_terminal=True, width=100))
+    with progress.task("localize", 4) as step:
+        step(2)
+    assert "localize" in screen.getvalue() and "4/4" in screen.getvalue()
