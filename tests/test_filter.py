@@ -16,7 +16,7 @@ from monoloc.filter.health import HealthyRange, judge
 from monoloc.filter.motion import MotionConfig, predict
 from monoloc.filter.particles import Particles, normalised, scatter
 from monoloc.filter.resample import resample, systematic_indices
-from monoloc.filter.scan import scan_from_depth
+from monoloc.filter.scan import scan_from_corners, scan_from_depth
 from monoloc.filter.weigh import Measurement, MeasurementConfig
 from monoloc.geometry import FloatArray, invert, make_pose, se3_exp, se3_log, so3_exp, transform
 from monoloc.odometry import Motion
@@ -339,6 +339,15 @@ def test_scan_of_nothing_is_empty(value):
     assert scan.shape == (0, 3) and scan.dtype == np.float32
 
 
+def test_scan_from_corners_takes_those_that_parallax_has_measured():
+    points = np.array([[0.1, 0.2, 2.0], [0.3, 0.1, 3.0], [0.5, 0.0, 9.0], [0.0, 0.0, 4.0]])
+    motion = Motion(np.eye(4), 4, points, np.array([0.02, 0.3, 0.02, 0.05]))
+    scan = scan_from_corners(motion, log_depth_sd=0.1, max_depth_m=8.0)
+    assert scan.dtype == np.float32
+    assert np.allclose(scan, points[[0, 3]])
+    assert scan_from_corners(motion, log_depth_sd=0.01).shape == (0, 3)
+
+
 # --- Weighing ---
 
 
@@ -389,9 +398,9 @@ def test_tempering_scales_log_weights():
     prior = normalised(rng.normal(size=50))
     scan = mixture.sample(60, rng).astype(np.float32)
     evidence = []
+    measurement = Measurement(mixture, MeasurementConfig())
     for points in (5.0, 10.0):
-        measurement = Measurement(mixture, MeasurementConfig(effective_points=points))
-        after = measurement.weigh(Particles(poses, log_scale, prior), scan)
+        after = measurement.weigh(Particles(poses, log_scale, prior), scan, points)
         assert after.weights.sum() == pytest.approx(1.0)
         assert after.poses is poses and after.log_scale is log_scale
         gained = after.log_weights - prior
@@ -407,14 +416,14 @@ def test_more_points_of_one_image_do_not_make_the_filter_surer():
     particles = Particles(*make_particles(50, rng), np.full(50, -np.log(50)))
     scan = mixture.sample(60, rng).astype(np.float32)
     measurement = Measurement(mixture, MeasurementConfig())
-    once, thrice = (measurement.weigh(particles, np.tile(scan, (times, 1))) for times in (1, 3))
+    once, thrice = (measurement.weigh(particles, np.tile(scan, (times, 1)), 10.0) for times in (1, 3))
     assert np.allclose(once.log_weights, thrice.log_weights, atol=1e-6)
 
 
 def test_an_empty_scan_says_nothing():
     particles = Particles(*make_particles(5, np.random.default_rng(0)), np.full(5, -np.log(5)))
     measurement = Measurement(make_mixture(3), MeasurementConfig())
-    assert measurement.weigh(particles, np.zeros((0, 3), dtype=np.float32)) is particles
+    assert measurement.weigh(particles, np.zeros((0, 3), dtype=np.float32), 10.0) is particles
 
 
 # --- Health ---

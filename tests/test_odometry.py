@@ -116,11 +116,13 @@ class Scaled(RoomRecording):
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_wrong_scale_of_depth_scales_translation_and_nothing_else(recording, factor):
-    # Powers of two scale without rounding, so that RANSAC chooses the same inliers; damping does not scale exactly.
-    exact = np.stack([motion.T_previous_current for motion in follow(recording)])
-    scaled = np.stack([motion.T_previous_current for motion in follow(Scaled(recording, factor))])
-    assert np.allclose(scaled[:, :3, 3], factor * exact[:, :3, 3], atol=2e-3 * factor)
-    assert np.allclose(scaled[:, :3, :3], exact[:, :3, :3], atol=1e-3)
+    # Powers of two scale without rounding. Later on RANSAC's choice among inliers may tip all the same.
+    exact, scaled = (
+        np.stack([motion.T_previous_current for motion in follow(one)])[:15]
+        for one in (recording, Scaled(recording, factor))
+    )
+    assert np.allclose(scaled[:, :3, 3], factor * exact[:, :3, 3], atol=1e-6)
+    assert np.allclose(scaled[:, :3, :3], exact[:, :3, :3], atol=1e-6)
 
 
 def test_wrong_scale_of_depth_by_any_factor(recording):
@@ -129,6 +131,31 @@ def test_wrong_scale_of_depth_by_any_factor(recording):
     motions = np.stack([motion.T_previous_current for motion in follow(Scaled(recording, 1.3))])
     found = pose_errors(motions, truth)
     check(PoseErrors(found.position_m / 1.3, found.rotation_rad))
+
+
+def test_parallax_corrects_the_shape_of_depth(recording):
+    """Depth too far in some parts of the image and too near in others, as a network's is: corners know better."""
+    rows, columns = np.mgrid[0 : CAMERA.height, 0 : CAMERA.width]
+    wrong = np.exp(0.2 * np.sin(columns / 50.0) * np.cos(rows / 60.0)).astype(np.float32)
+    odometry = VisualOdometry(CAMERA)
+    for index in range(30):
+        motion = odometry.step(recording.color(index), recording.depth(index) * wrong, CAMERA)
+    assert motion is not None
+    pixels = CAMERA.project(motion.points).astype(np.float32)
+    truth = sample_depth(pixels, CAMERA, recording.depth(29), CAMERA, relative=0.05)
+    known = truth > 0.0
+    assert known.sum() > 100
+    refined = np.log(motion.points[known, 2] / truth[known])
+    raw = np.log(sample_depth(pixels[known], CAMERA, wrong, CAMERA, relative=0.2))
+    # Of the shape: a common factor is not seen by one camera. Measured: 0.06 to 0.09 before, 0.01 after.
+    error, before = (np.median(np.abs(part - np.median(part))) for part in (refined, raw))
+    assert before > 0.04
+    assert error < 0.5 * before
+    # And it is known which are good.
+    surest = motion.log_depth_sd[known] < np.quantile(motion.log_depth_sd[known], 0.5)
+    spread = np.abs(refined - np.median(refined))
+    assert spread[surest].mean() <= spread[~surest].mean()
+    assert np.all(motion.log_depth_sd > 0.0)
 
 
 def test_depth_may_have_another_resolution(recording):

@@ -128,9 +128,7 @@ class VisualOdometry:
         self._T_r_previous = np.eye(4)
         self._tracks: _Tracks | None = None
 
-    def step(
-        self, color: NDArray[np.uint8], depth_m: NDArray[np.float32], depth_camera: Camera
-    ) -> Motion | None:
+    def step(self, color: NDArray[np.uint8], depth_m: NDArray[np.float32], depth_camera: Camera) -> Motion | None:
         """Motion since the previous frame; None for the first frame and where tracking fails.
 
         Args:
@@ -178,14 +176,14 @@ class VisualOdometry:
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         size = (self.config.search_px, self.config.search_px)
         forward, found, _ = cv2.calcOpticalFlowPyrLK(before, after, pixels, pixels.copy(), winSize=size, maxLevel=3)
-        back, found_back, _ = cv2.calcOpticalFlowPyrLK(after, before, forward, forward.copy(), winSize=size, maxLevel=3)
+        back, found_back, _ = cv2.calcOpticalFlowPyrLK(
+            after, before, forward, forward.copy(), winSize=size, maxLevel=3
+        )
         distance = np.linalg.norm(back - pixels, axis=1)
         kept = (found[:, 0] == 1) & (found_back[:, 0] == 1) & (distance < self.config.forward_backward_px)
         return np.asarray(forward, dtype=np.float32), kept
 
-    def _solve(
-        self, points: FloatArray, pixels: NDArray[np.float32]
-    ) -> tuple[FloatArray, NDArray[np.int64]] | None:
+    def _solve(self, points: FloatArray, pixels: NDArray[np.float32]) -> tuple[FloatArray, NDArray[np.int64]] | None:
         """``T_r_current`` and the inliers' indices, or None."""
         if len(points) < self.config.min_inliers:
             return None
@@ -290,9 +288,7 @@ class VisualOdometry:
         return np.asarray(corners, dtype=np.float32).reshape(-1, 2)
 
 
-def _log_depth_sd(
-    T_r_camera: FloatArray, points: FloatArray, information: FloatArray, prior_sd: float
-) -> FloatArray:
+def _log_depth_sd(T_r_camera: FloatArray, points: FloatArray, information: FloatArray, prior_sd: float) -> FloatArray:
     """Standard deviation of each point's log-depth in a camera, (N,), never above that of the prediction."""
     local = transform(invert(T_r_camera), points)
     direction = local / np.maximum(np.linalg.norm(local, axis=1), 1e-6)[:, None] @ T_r_camera[:3, :3].T

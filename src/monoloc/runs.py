@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle, fingerprint
 from monoloc.camera import Camera
-from monoloc.config import override
 from monoloc.datasets.base import Recording
 from monoloc.depth.runtime import DepthPrediction, DepthPredictor
 from monoloc.errors import DataError
@@ -20,16 +19,19 @@ from monoloc.evaluation.depth import DepthAccumulator
 from monoloc.evaluation.trajectory import coverage_95, summarise
 from monoloc.filter.health import State
 from monoloc.filter.particles import scatter
+from monoloc.filter.weigh import MeasurementConfig
 from monoloc.geometry import FloatArray, se3_exp
 from monoloc.localizer import Localizer, LocalizerConfig
 from monoloc.progress import Progress
 
-_SENSOR_STRIDE = 4  # every so many pixels of sensor depth are used: as dense as the scan needs
-# A bundle's settings say how far the network's depth may be off; a sensor's is better by far, and metric.
-_SENSOR_SETTINGS: dict[str, object] = {
-    "measurement": {"noise_sd_m": 0.03, "outlier_share": 0.2, "effective_points": 60.0},
+# A depth sensor's errors are centimetres and independent, whatever the bundle's network does.
+_SENSOR = {
     "log_scale_sd": 0.01,
+    "measurement": MeasurementConfig(
+        outlier_share=0.2, noise_sd_m=0.02, effective_points=60.0, effective_corners=0.0
+    ),
 }
+_SENSOR_STRIDE = 4  # every so many pixels of sensor depth are used: as dense as the scan needs
 _COMPARE_WIDTH = 160  # width at which predicted and sensor depth are compared
 
 
@@ -144,7 +146,7 @@ def localize(
     if use_sensor_depth and not recording.has_depth:
         raise DataError(recording.name, "has no depth", "leave out --depth sensor")
     if use_sensor_depth:
-        config = override(config, **_SENSOR_SETTINGS)
+        config = config.model_copy(update=_SENSOR)
     predictor = DepthPredictor(bundle.depth_model, recording.camera)
     particles = scatter(
         start.pose, config.particles, start.position_sd_m, start.rotation_sd_rad, config.log_scale_sd, rng

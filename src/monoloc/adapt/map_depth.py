@@ -1,4 +1,4 @@
-"""Depth of the map's cloud seen from a pose: supervision where the recording has colour only."""
+"""Depth of the map's cloud seen from a pose: supervision where the recording's sensor saw nothing, or has none."""
 
 from __future__ import annotations
 
@@ -12,6 +12,24 @@ from monoloc.geometry import FloatArray, invert, transform
 
 _CELL_PX_OF_160 = 4.0  # points of a 3 cm cloud lie closer than this at room distances, so surfaces have no gaps
 _SAME_SURFACE = 1.05
+
+
+def supervision(recording: Recording, cloud: FloatArray) -> Callable[[int], NDArray[np.float32]]:
+    """Function from a frame's index to its (H, W) depth: the sensor's, and the cloud's where the sensor has none.
+
+    Sensors miss dark, shiny and far surfaces in all frames alike; left alone there, the network's depth would be
+    anything, and a quarter of the scan with it.
+    """
+    from_map = map_depth(recording, cloud)
+
+    def depth_of(index: int) -> NDArray[np.float32]:
+        depth = from_map(index)
+        if recording.has_depth:
+            measured = recording.depth(index)
+            depth = np.where(measured > 0.0, measured, depth)
+        return depth
+
+    return depth_of
 
 
 def map_depth(recording: Recording, cloud: FloatArray) -> Callable[[int], NDArray[np.float32]]:

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from monoloc.adapt.map_depth import map_depth
+from monoloc.adapt.map_depth import supervision
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.train import Adaptation, Score, hold_out_blocks
 from monoloc.adapt.transform import AdaptedMap
@@ -60,7 +60,7 @@ def adapt(
 ) -> AdaptResult:
     """Adapt a network and a map to each other on posed frames.
 
-    Supervision of depth is the sensor's where the recording has it, else the cloud seen from the frames' poses.
+    Supervision of depth is the sensor's where it has some, else that of the cloud seen from the frames' poses.
 
     Raises:
         DataError: a frame or the network cannot be read.
@@ -68,7 +68,7 @@ def adapt(
     rng = np.random.default_rng(seed)
     training_frames, held_out = hold_out_blocks(len(recording), _BLOCKS, _HELD_OUT_SHARE)
     network = load_network(network_file)
-    depth_of = recording.depth if recording.has_depth else map_depth(recording, cloud)
+    depth_of = supervision(recording, cloud)
     extra = config.extra_views if config.tune == "decoder" else 0
     with progress.task("features", len(recording)) as step:
         views = make_views(recording, depth_of, network, extra, rng, step)

@@ -20,6 +20,9 @@ from monoloc.depth.network import DepthNetwork
 from monoloc.memory import keep_freed_memory
 
 
+_DECODER_STEPS_A_MAP_STEP = 4
+
+
 @dataclass(frozen=True)
 class Score:
     """Quality on a set of whole views: mean ray log-likelihood's negative, depth loss, AbsRel."""
@@ -47,6 +50,9 @@ class Adaptation:
         network.head.requires_grad_(config.tune != "none")
         network.decoder.requires_grad_(config.tune == "decoder")
         adapted_map.requires_grad_(config.map_transform)
+        # Bending the cloud costs as much as the decoder, and beside the decoder the map hardly moves.
+        self._map_every = _DECODER_STEPS_A_MAP_STEP if config.tune == "decoder" else 1
+        self._bent = adapted_map.means, adapted_map.covariances
 
     @property
     def is_trivial(self) -> bool:
@@ -78,6 +84,8 @@ class Adaptation:
         keep_freed_memory()
         if self.is_trivial:
             return [self.score(held_out, 0)] if held_out is not None else []
+        scores = [self.score(held_out, 0)] if held_out is not None else []
+        best = self._state() if held_out is not None else None
         self.fit_bias(training)
         features = self._features(training) if self.config.tune != "decoder" else None
         optimizer = torch.optim.Adam(
@@ -92,12 +100,10 @@ class Adaptation:
         schedule = torch.optim.lr_scheduler.LambdaLR(
             optimizer, lambda step: 0.5 * (1.0 + math.cos(math.pi * min(1.0, step / steps)))
         )
-        scores = [self.score(held_out, 0)] if held_out is not None else []
-        best = self._state() if held_out is not None else None
         for step in range(steps if stop_at is None else stop_at):
             chosen = torch.randint(len(training), (self.config.batch_views,), generator=generator)
             loss = self._loss(
-                training[chosen], None if features is None else features[chosen], step / steps, generator
+                training[chosen], None if features is None else features[chosen], step, steps, generator
             )
             optimizer.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]
@@ -157,13 +163,18 @@ class Adaptation:
             return self.config.depth_weight * score.depth_loss + self.config.likelihood_weight * score.nll
         return score.nll
 
-    def _loss(self, views: Views, features: Tensor | None, done: float, generator: torch.Generator) -> Tensor:
-        config = self.config
+    def _loss(
+        self, views: Views, features: Tensor | None, step: int, steps: int, generator: torch.Generator
+    ) -> Tensor:
+        config, done = self.config, step / steps
         if features is None:
             with torch.autocast("cpu", dtype=torch.bfloat16):
                 features = self.network.decoder(views.taps)
         log_depth = self.network.head(features.float()) + views.log_focal_ratio[:, None, None, None]
-        means, covariances = self.map() if config.map_transform else (self.map.means, self.map.covariances)
+        moves_map = config.map_transform and step % self._map_every == 0
+        if moves_map:
+            self._bent = self.map()
+        means, covariances = self._bent
         inflation = (config.inflation_m * max(0.0, 1.0 - 2.0 * done)) ** 2 * torch.eye(3, dtype=torch.float64)
         pixels = torch.randint(log_depth[0].numel(), (config.pixels_per_view,), generator=generator)
         fit = self._log_likelihood(log_depth, views, means, covariances + inflation, pixels).mean()
@@ -172,7 +183,8 @@ class Adaptation:
         else:
             # The gradient term keeps planes smooth and steps sharp while the decoder moves.
             loss = config.depth_weight * depth_loss(log_depth, views.depth_m, 0.5) - config.likelihood_weight * fit
-        if config.map_transform:
+        if moves_map:
+            self._bent = means.detach(), covariances.detach()
             weight = config.lambda_kl * (config.likelihood_weight if config.tune == "decoder" else 1.0)
             loss = loss + weight * self._kl(means, covariances)
         return loss
