@@ -875,8 +875,7 @@ def test_calibration_finds_the_errors_of_depth() -> None:
         found(0.0, 0.0, 0.12),
     )
     assert good.measurement.noise_sd_m <= 0.05 < noisy.measurement.noise_sd_m <= 0.2
-    assert good.measurement.outlier_share <= 0.15
-    assert 0.25 <= wrong.measurement.outlier_share <= 0.6
+    assert good.measurement.outlier_share == LocalizerConfig().measurement.outlier_share
     assert wrong.measurement.noise_sd_m <= 0.05
     assert good.log_scale_sd < 0.03
     assert 0.07 < unsteady.log_scale_sd < 0.2

@@ -15,7 +15,9 @@ RAY_SD, LOG_DEPTH_SD = 0.002, 0.3
 def scene(rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Poses (W, 4, 4) along half a metre and corners (N, 3) one to four metres away."""
     depth = rng.uniform(1.0, 4.0, CORNERS)
-    points = np.column_stack([rng.uniform(-0.5, 0.5, CORNERS) * depth, rng.uniform(-0.4, 0.4, CORNERS) * depth, depth])
+    points = np.column_stack(
+        [rng.uniform(-0.5, 0.5, CORNERS) * depth, rng.uniform(-0.4, 0.4, CORNERS) * depth, depth]
+    )
     steps = np.zeros((FRAMES, 6))
     steps[:, 0] = np.linspace(0.0, 0.5, FRAMES)
     steps[:, 4] = np.linspace(0.0, -0.1, FRAMES)

@@ -15,8 +15,7 @@ from monoloc.geometry import FloatArray
 from monoloc.localizer import LocalizerConfig
 from monoloc.map.mixture import GaussianMixture
 
-_NOISE_SD_M = (0.02, 0.04, 0.07, 0.1, 0.15, 0.2)
-_OUTLIER_SHARES = (0.1, 0.2, 0.35, 0.5)
+_NOISE_SD_M = (0.02, 0.03, 0.05, 0.08, 0.12, 0.2)
 _LOG_SCALES = np.linspace(-0.4, 0.4, 41)
 
 
@@ -31,10 +30,11 @@ class Sample:
 def calibrate(
     mixture: GaussianMixture, samples: list[Sample], base: LocalizerConfig, rng: np.random.Generator
 ) -> tuple[LocalizerConfig, HealthyRange]:
-    """Settings of the measurement likelihood by maximum likelihood on held-out frames at their true poses.
+    """The likelihood's noise and the depth scale's spread, by maximum likelihood on held-out frames at true poses.
 
-    Noise and outlier share are those under which the held-out points are most likely, each frame at its own best
-    depth scale; the spread of those scales is the prior of the filter's log-scale.
+    The noise is that under which the held-out points are most likely, each frame at its own best depth scale; the
+    spread of those scales is the prior of the filter's log-scale. The outlier share is not fitted: the most likely
+    one is small, and a generous one tracks better, since the errors of one image go together.
     """
     scans = [scan_from_depth(s.depth.depth_m, s.depth.camera, base.scan_points, rng) for s in samples]
     usable = [(scan, sample.pose) for scan, sample in zip(scans, samples, strict=True) if len(scan)]
@@ -42,11 +42,10 @@ def calibrate(
         return base, HealthyRange(low=-np.inf, lost=-np.inf)
     best: tuple[float, MeasurementConfig, FloatArray, FloatArray] | None = None
     for noise in _NOISE_SD_M:
-        for share in _OUTLIER_SHARES:
-            config = base.measurement.model_copy(update={"noise_sd_m": noise, "outlier_share": share})
-            fits, scales = _fits(Measurement(mixture, config), usable)
-            if best is None or fits.mean() > best[0]:
-                best = (float(fits.mean()), config, fits, scales)
+        config = base.measurement.model_copy(update={"noise_sd_m": noise})
+        fits, scales = _fits(Measurement(mixture, config), usable)
+        if best is None or fits.mean() > best[0]:
+            best = (float(fits.mean()), config, fits, scales)
     assert best is not None
     _, measurement, fits, scales = best
     settings = base.model_copy(

@@ -31,11 +31,11 @@ class AdaptConfig(BaseModel):
     tune: Tune = "decoder"
     map_transform: bool = True
     lambda_kl: float = Field(0.1, ge=0.0)
-    steps: int = Field(700, ge=1)
+    steps: int = Field(1400, ge=1)
     batch_views: int = Field(16, ge=1)
     pixels_per_view: int = Field(32, ge=1)
     extra_views: int = Field(0, ge=0)
-    network_rate: float = Field(2e-3, gt=0.0)
+    network_rate: float = Field(3e-3, gt=0.0)
     map_rate: float = Field(1e-3, gt=0.0)
     likelihood_weight: float = Field(0.05, ge=0.0)
     depth_weight: float = Field(1.0, ge=0.0)

@@ -19,7 +19,6 @@ from monoloc.depth.losses import depth_loss
 from monoloc.depth.network import DepthNetwork
 from monoloc.memory import keep_freed_memory
 
-
 _DECODER_STEPS_A_MAP_STEP = 4
 
 

@@ -114,10 +114,21 @@ def _finite(value: object) -> object:
 
 
 def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
-    """A table for people, on stderr, so that stdout stays free for results."""
+    """A table for people: the result of a command without ``--json``, so on stdout."""
     table = Table(title=title, title_justify="left", title_style="bold", header_style="")
     for index, column in enumerate(columns):
         table.add_column(column, justify="left" if index == 0 else "right")
     for row in rows:
         table.add_row(*row)
-    stderr.print(table)
+    Console(highlight=False).print(table)
+
+
+def text_of(value: object) -> str:
+    """A value as a person reads it: three decimals, lists with commas, a dict's entries on lines."""
+    if isinstance(value, float):
+        return f"{value:.3f}"
+    if isinstance(value, list):
+        return ", ".join(map(text_of, value))
+    if isinstance(value, dict):
+        return "\n".join(f"{name}: {text_of(item)}" for name, item in value.items())
+    return str(value)

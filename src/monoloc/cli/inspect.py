@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 from monoloc.bundle import read_bundle
-from monoloc.cli.common import EXTENT_SIGMAS, FramesOption, JsonOption, open_source, print_json, print_table
+from monoloc.cli.common import EXTENT_SIGMAS, FramesOption, JsonOption, open_source, print_json, print_table, text_of
 
 
 def inspect(
@@ -30,7 +30,7 @@ def inspect(
     if json:
         print_json(content)
     else:
-        print_table(target, ["", ""], [[name, _text(value)] for name, value in content.items()])
+        print_table(target, ["", ""], [[name, text_of(value)] for name, value in content.items()])
 
 
 def _bundle(path: Path) -> dict[str, object]:
@@ -75,13 +75,3 @@ def _recording(source: str, frames: str) -> dict[str, object]:
         content["depth_share"] = float((depth > 0.0).mean())
         content["depth_median_m"] = float(np.median(depth[depth > 0.0]))
     return content
-
-
-def _text(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.3f}"
-    if isinstance(value, list):
-        return ", ".join(map(_text, value))
-    if isinstance(value, dict):
-        return "\n".join(f"{name}: {_text(item)}" for name, item in value.items())
-    return str(value)

@@ -20,6 +20,7 @@ from monoloc.cli.common import (
     print_json,
     print_table,
     stderr,
+    text_of,
 )
 from monoloc.config import override
 from monoloc.map.cloud_files import read_cloud
@@ -63,7 +64,7 @@ def fit(
     if json:
         print_json(fitted)
     else:
-        print_table(str(out), ["", ""], [[name, str(value)] for name, value in fitted.items()])
+        print_table(str(out), ["", ""], [[name, text_of(value)] for name, value in fitted.items()])
 
 
 @app.command()
@@ -93,4 +94,4 @@ def info(
     if json:
         print_json(content)
     else:
-        print_table(str(target), ["", ""], [[name, str(value)] for name, value in content.items()])
+        print_table(str(target), ["", ""], [[name, text_of(value)] for name, value in content.items()])

@@ -24,6 +24,7 @@ from monoloc.depth.losses import depth_loss
 from monoloc.depth.network import DepthNetwork, NetworkConfig, load_encoder_weights
 from monoloc.depth.runtime import network_size
 from monoloc.errors import DataError, SettingError
+from monoloc.files import write_whole
 from monoloc.memory import keep_freed_memory
 
 
@@ -154,7 +155,7 @@ def train_network(
         train_loss = float(torch.stack(losses).mean())
         history.append(EpochRecord(epoch, train_loss, absrel, delta1, time.perf_counter() - started))
         save_network(cast(DepthNetwork, averaged.module), out_dir / "network.safetensors")
-        (out_dir / "history.json").write_text(json.dumps([asdict(record) for record in history], indent=1))
+        write_whole(out_dir / "history.json", json.dumps([asdict(record) for record in history], indent=1).encode())
         if progress is not None:
             progress(history[-1])
     return history

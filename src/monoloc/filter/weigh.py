@@ -28,10 +28,10 @@ class MeasurementConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    outlier_share: float = Field(0.3, gt=0.0, lt=1.0)
-    noise_sd_m: float = Field(0.05, ge=0.0)
-    effective_points: float = Field(10.0, ge=0.0)
-    effective_corners: float = Field(10.0, ge=0.0)
+    outlier_share: float = Field(0.5, gt=0.0, lt=1.0)
+    noise_sd_m: float = Field(0.03, ge=0.0)
+    effective_points: float = Field(40.0, ge=0.0)
+    effective_corners: float = Field(20.0, ge=0.0)
     corner_log_depth_sd: float = Field(0.1, gt=0.0)
 
 
