@@ -29,7 +29,7 @@ from monoloc.runs import Start, disturbed, localize
 SPLITS = {"between": ("0:400:4", "0:400"), "away": ("0:300:3", "300:400")}
 VARIANTS = {
     "unadapted": {"tune": "none", "map_transform": False},
-    "last layer + map (paper)": {"tune": "last", "map_transform": True},
+    "last layer + map (paper)": {"tune": "last", "map_transform": True, "steps": 500},
     "decoder + map (default)": {"tune": "decoder", "map_transform": True},
 }
 SENSOR = "sensor depth"
@@ -104,9 +104,9 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     source = f"7scenes:{arguments.data}/7scenes/redkitchen"
-    for split in SPLITS:
-        for variant in VARIANTS:
-            build(source, arguments.out, split, variant)
+    builds = [(source, arguments.out, split, variant) for variant in reversed(VARIANTS) for split in SPLITS]
+    with ProcessPoolExecutor(2) as pool:
+        list(pool.map(build, *zip(*builds, strict=True)))
     jobs = [
         (source, arguments.out, split, variant, motion, range(arguments.seeds))
         for split in SPLITS

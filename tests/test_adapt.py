@@ -21,7 +21,7 @@ from torch.autograd import gradcheck
 from depth_helpers import ROOM, SMALL_CAMERA, TINY, looking_around, small_recording, tiny_network
 from map_helpers import make_mixture
 from monoloc.adapt import train as adapt_train
-from monoloc.adapt.calibrate import Sample, calibrate
+from monoloc.adapt.calibrate import Sample, calibrate, slow_sd
 from monoloc.adapt.map_depth import map_depth
 from monoloc.adapt.objective import matched_kl, ray_log_likelihood
 from monoloc.adapt.run import adapt
@@ -848,10 +848,10 @@ CORNER_CAMERA = Camera(40, 30, 36.0, 36.0, 19.6, 14.4)
 
 
 def corner_samples(count: int, noise_sd_m: float, outlier_share: float, scale_sd: float) -> list[Sample]:
-    """Exact depth made worse: noise a point, one side of the image too near, and a factor a frame."""
+    """Exact depth made worse: noise a point, one side of the image too near, and a factor that changes slowly."""
     rng = np.random.default_rng(0)
     samples = []
-    for _ in range(count):
+    for index in range(count):
         pose = se3_exp(rng.normal(size=6) * np.array([0.1, 0.1, 0.1, 0.05, 0.1, 0.05]))
         rays = CORNER_CAMERA.pixel_rays() @ pose[:3, :3].T
         with np.errstate(divide="ignore"):
@@ -859,7 +859,7 @@ def corner_samples(count: int, noise_sd_m: float, outlier_share: float, scale_sd
         depth_m = np.where(along > 0.0, along, np.inf).min(axis=-1)
         depth_m += rng.normal(0.0, noise_sd_m, depth_m.shape)
         depth_m[:, : round(outlier_share * CORNER_CAMERA.width)] *= 0.5
-        depth_m *= np.exp(rng.normal(0.0, scale_sd))
+        depth_m *= np.exp(np.sqrt(2.0) * scale_sd * np.sin(2.0 * np.pi * index / count))
         samples.append(Sample(DepthPrediction(depth_m.astype(np.float32), CORNER_CAMERA), pose))
     return samples
 
@@ -880,6 +880,14 @@ def test_calibration_finds_the_errors_of_depth() -> None:
     assert good.log_scale_sd < 0.03
     assert 0.07 < unsteady.log_scale_sd < 0.2
     assert unsteady.measurement.noise_sd_m <= 0.05  # the factor is not taken for noise
+
+
+def test_only_what_neighbouring_frames_share_widens_the_scale() -> None:
+    rng = np.random.default_rng(0)
+    walk = np.cumsum(rng.normal(0.0, 0.02, 400))
+    assert slow_sd(rng.normal(0.0, 0.05, 400)) < 0.02
+    assert slow_sd(walk) == pytest.approx(walk.std(), rel=0.05)
+    assert 0.0 < slow_sd(np.array([0.1])) < 0.01
 
 
 def test_healthy_range_tells_right_poses_from_wrong_ones() -> None:

@@ -16,7 +16,8 @@ from monoloc.localizer import LocalizerConfig
 from monoloc.map.mixture import GaussianMixture
 
 _NOISE_SD_M = (0.02, 0.03, 0.05, 0.08, 0.12, 0.2)
-_LOG_SCALES = np.linspace(-0.4, 0.4, 41)
+_LOG_SCALES = np.linspace(-0.4, 0.4, 161)
+_LEAST_LOG_SCALE_SD = 0.003
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ def calibrate(
     """The likelihood's noise and the depth scale's spread, by maximum likelihood on held-out frames at true poses.
 
     The noise is that under which the held-out points are most likely, each frame at its own best depth scale; the
-    spread of those scales is the prior of the filter's log-scale. The outlier share is not fitted: the most likely
+    slow part of those scales' spread is the prior of the filter's log-scale. The outlier share is not fitted: the most likely
     one is small, and a generous one tracks better, since the errors of one image go together.
     """
     scans = [scan_from_depth(s.depth.depth_m, s.depth.camera, base.scan_points, rng) for s in samples]
@@ -48,9 +49,7 @@ def calibrate(
             best = (float(fits.mean()), config, fits, scales)
     assert best is not None
     _, measurement, fits, scales = best
-    settings = base.model_copy(
-        update={"measurement": measurement, "log_scale_sd": float(max(0.01, np.sqrt(np.mean(scales**2))))}
-    )
+    settings = base.model_copy(update={"measurement": measurement, "log_scale_sd": slow_sd(scales)})
     return settings, HealthyRange.from_fits(fits)
 
 
@@ -65,3 +64,14 @@ def _fits(
         fits.append(values.max())
         scales.append(_LOG_SCALES[values.argmax()])
     return np.array(fits), np.array(scales)
+
+
+def slow_sd(log_scales: FloatArray) -> float:
+    """Standard deviation of what neighbouring frames share, (N,) in order of time: noise a frame cancels out.
+
+    The square root of the autocovariance at lag one. A wider prior lets the filter trade the depth's scale against
+    the distance to the walls.
+    """
+    centred = log_scales - log_scales.mean()
+    shared = float(np.mean(centred[1:] * centred[:-1])) if len(centred) > 1 else 0.0
+    return float(np.sqrt(max(shared, _LEAST_LOG_SCALE_SD**2)))
