@@ -34,8 +34,8 @@ def calibrate(
     """The likelihood's noise and the depth scale's spread, by maximum likelihood on held-out frames at true poses.
 
     The noise is that under which the held-out points are most likely, each frame at its own best depth scale; the
-    slow part of those scales' spread is the prior of the filter's log-scale. The outlier share is not fitted: the most likely
-    one is small, and a generous one tracks better, since the errors of one image go together.
+    slow part of those scales' spread is the prior of the filter's log-scale. The outlier share is not fitted: the
+    most likely one is small, and a generous one tracks better, since the errors of one image go together.
     """
     scans = [scan_from_depth(s.depth.depth_m, s.depth.camera, base.scan_points, rng) for s in samples]
     usable = [(scan, sample.pose) for scan, sample in zip(scans, samples, strict=True) if len(scan)]
