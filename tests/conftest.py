@@ -25,6 +25,15 @@ def data_root() -> Path:
     return root
 
 
+@pytest.fixture(scope="session")
+def weights_file(data_root: Path) -> Path:
+    """ImageNet weights of the encoder, beside the recordings."""
+    path = data_root.parent / "weights" / "mobilenet_v2_0.35_imagenet.npz"
+    if not path.is_file():
+        pytest.skip(f"no ImageNet weights at {path}")
+    return path
+
+
 @pytest.fixture
 def one_thread() -> Iterator[None]:
     """PyTorch on one thread: small tensors are done sooner, and a shared machine stays usable."""

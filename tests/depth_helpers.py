@@ -7,7 +7,9 @@ import torch
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
+from monoloc.depth.export import export_onnx
 from monoloc.depth.network import DepthNetwork, NetworkConfig
+from monoloc.depth.runtime import DepthModel, monoloc_spec
 from monoloc.geometry import make_pose, so3_exp
 from synthetic_room import Room, RoomRecording
 
@@ -29,6 +31,11 @@ def tiny_network(seed: int = 0, config: NetworkConfig = TINY) -> DepthNetwork:
         elif name.endswith("running_var"):
             buffer.uniform_(0.5, 1.5)
     return network.eval()
+
+
+def exported_model(network: DepthNetwork) -> DepthModel:
+    """A network as it runs."""
+    return DepthModel(export_onnx(network)[0], monoloc_spec(network.config.focal_px))
 
 
 def looking_around(count: int, seed: int = 0) -> FloatArray:

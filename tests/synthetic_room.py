@@ -17,7 +17,7 @@ from onnx import TensorProto, helper, numpy_helper
 import synthetic_recordings as synthetic
 from monoloc.bundle import Bundle, Provenance, fingerprint
 from monoloc.camera import Camera
-from monoloc.depth.runtime import FOCAL_KEY, DepthPrediction
+from monoloc.depth.runtime import FOCAL_KEY, DepthModel, DepthPrediction, monoloc_spec
 from monoloc.filter.health import HealthyRange
 from monoloc.filter.scan import scan_from_depth
 from monoloc.filter.weigh import Measurement, MeasurementConfig
@@ -44,7 +44,8 @@ _BOXES = np.array(
     ]
 )
 _TEXEL_M = 0.012
-_NEAREST_M, _FARTHEST_M = 0.3, 8.0
+NEAREST_M = 0.3  # depth at which blue is 0; it is 255 at 8 m
+BLUE_SPAN = float(np.log(8.0 / NEAREST_M))
 
 
 class Room:
@@ -83,7 +84,7 @@ class Room:
             borderMode=cv2.BORDER_WRAP,
         )
         depth = depth.reshape(shape)
-        blue = 255.0 * np.log(depth / _NEAREST_M) / np.log(_FARTHEST_M / _NEAREST_M)
+        blue = 255.0 * np.log(depth / NEAREST_M) / BLUE_SPAN
         color = np.stack([gray, gray, np.clip(blue, 0.0, 255.0)], axis=-1)
         return np.round(color).astype(np.uint8), depth.astype(np.float32)
 
@@ -193,11 +194,10 @@ def healthy_range(mixture: GaussianMixture, recording: RoomRecording) -> Healthy
     return HealthyRange(low=measured.low - 0.1, lost=measured.lost - 0.2)
 
 
-def depth_from_blue() -> bytes:
+def depth_from_blue() -> DepthModel:
     """An ONNX network with monoloc's inputs and outputs that reads log-depth out of the blue channel."""
-    span = np.log(_FARTHEST_M / _NEAREST_M)
-    weight = np.array([0.0, 0.0, 0.5 * span], dtype=np.float32).reshape(1, 3, 1, 1)
-    bias = np.array([np.log(_NEAREST_M) + 0.5 * span], dtype=np.float32)
+    weight = np.array([0.0, 0.0, 0.5 * BLUE_SPAN], dtype=np.float32).reshape(1, 3, 1, 1)
+    bias = np.array([np.log(NEAREST_M) + 0.5 * BLUE_SPAN], dtype=np.float32)
     graph = helper.make_graph(
         [
             helper.make_node("AveragePool", ["image"], ["pooled"], kernel_shape=[4, 4], strides=[4, 4]),
@@ -211,7 +211,7 @@ def depth_from_blue() -> bytes:
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     model.metadata_props.add(key=FOCAL_KEY, value=repr(FOCAL_PX))
     onnx.checker.check_model(model)
-    return bytes(model.SerializeToString())
+    return DepthModel(model.SerializeToString(), monoloc_spec(FOCAL_PX), "blue")
 
 
 def make_bundle(mixture: GaussianMixture, recording: RoomRecording, built_from: range = range(0)) -> Bundle:

@@ -18,6 +18,7 @@ from map_helpers import make_mixture
 from monoloc import bundle as bundle_module
 from monoloc.bundle import Bundle, Provenance, check_target, fingerprint, read_bundle, write_bundle
 from monoloc.camera import Camera
+from monoloc.depth.runtime import DepthModel, ModelSpec
 from monoloc.errors import BundleError
 from monoloc.filter.health import HealthyRange
 from monoloc.filter.motion import MotionConfig
@@ -29,7 +30,21 @@ def make_bundle(seed: int = 0) -> Bundle:
     return Bundle(
         original=make_mixture(12, seed),
         adapted=make_mixture(12, seed + 1),
-        depth_model=bytes(np.random.default_rng(seed).integers(0, 256, 1000, dtype=np.uint8)),
+        depth_model=DepthModel(
+            bytes(np.random.default_rng(seed).integers(0, 256, 1000, dtype=np.uint8)),
+            ModelSpec(
+                width=256,
+                height=192,
+                mean=(0.485, 0.456, 0.406),
+                std=(0.229, 0.224, 0.225),
+                channels="bgr",
+                output="disparity",
+                metric=False,
+                scale=1.0 / 3.0,
+                shift=-1.0 / 7.0,
+            ),
+            "another",
+        ),
         settings=LocalizerConfig(
             particles=321,
             motion="random-walk",
@@ -291,6 +306,7 @@ def edit(written: Path, old: str, new: str) -> Path:
 @pytest.mark.parametrize(
     ("old", "new"),
     [
+        ('"channels": "bgr"', '"channels": "rgb"'),
         ('"particles": 321', '"particles": 322'),
         ('"fx": 525.5', '"fx": 525.6'),
         ('"low": -1.5', '"low": -9.5'),
@@ -326,7 +342,7 @@ def test_unknown_schema(written, schema):
     body = json.loads(file.read_text())
     body["schema_version"] = schema
     file.write_text(json.dumps(body))
-    refuses(lambda: read_bundle(written), file, f"has schema {schema}, this monoloc reads 1")
+    refuses(lambda: read_bundle(written), file, f"has schema {schema}, this monoloc reads 2")
 
 
 @pytest.mark.parametrize("content", ["[]", "3", '"bundle"', "null"])

@@ -186,7 +186,7 @@ def test_examples_in_help_have_options_that_exist(capfd):
         (("build", "walk", "--out", "x.monoloc", "--fast"), "No such option: --fast.*build --help"),
         (("build", "walk"), "Missing option '--out' / '-o'. (see: monoloc build --help)"),
         (("localize", "room.monoloc"), "Missing argument 'SOURCE'. (see: monoloc localize --help)"),
-        (("build", "walk", "--out", "x", "--tune", "all"), "'--tune'.*'none', 'last', 'decoder'.*build --help"),
+        (("build", "walk", "--out", "x", "--tune", "most"), "'--tune'.*'none', 'last', 'decoder'.*build --help"),
         (("localize", "room.monoloc", "walk", "--seed", "-1"), "'--seed'.*greater than or equal to 0"),
         (("localize", "room.monoloc", "walk", "--start-error-cm", "nan"), "'--start-error-cm'"),
         (("localize", "room.monoloc", "walk", "--motion", "jump"), "'--motion'.*'visual', 'random-walk'"),
@@ -371,7 +371,9 @@ def test_file_that_is_no_cloud(capfd, here):
 def test_file_that_is_no_network(capfd, here):
     toml = "walk/dataset.toml"
     refused(capfd, here, ("depth", "evaluate", "no", "walk"), "no", "does not exist", "safetensors")
-    refused(capfd, here, ("depth", "evaluate", toml, "walk"), toml, "cannot be loaded", "depth export")
+    refused(capfd, here, ("depth", "evaluate", toml, "walk"), toml, "mean: Field required", "mend the field named")
+    poses = "walk/poses.txt"
+    refused(capfd, here, ("depth", "evaluate", poses, "walk"), poses, "cannot be loaded", "depth export")
     build = ("build", "walk", "--out", "x.monoloc", "--network", "no.safetensors")
     refused(capfd, here, build, "no.safetensors", "does not exist", "depth train")
 
@@ -429,7 +431,7 @@ def test_demo_without_its_data(capfd, here):
         ("[adapt]\nstep = 5\n", "adapt.step: Extra inputs are not permitted"),
         ("voxel_m = -1\n", "voxel_m: Input should be greater than 0"),
         ('components = "many"\n', "components: Input should be a valid integer.*or Input should be 'bic'"),
-        ('[adapt]\ntune = "all"\n', "adapt.tune: Input should be 'none', 'last' or 'decoder'"),
+        ('[adapt]\ntune = "most"\n', "adapt.tune: Input should be 'none', 'last', 'decoder' or 'all'"),
         ("[localizer.measurement]\noutlier_share = 1.0\n", "localizer.measurement.outlier_share: .*less than 1"),
         ("components 5\n", "is not TOML"),
     ],

@@ -1,42 +1,56 @@
-"""The depth network: its parts, its files, and the runtime that needs no PyTorch."""
+"""The depth network: its parts, the weights it starts from, and its files."""
 
 from __future__ import annotations
 
+import re
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import onnx
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
-from onnx import TensorProto, helper
+from pydantic import ValidationError
 from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 from torch.nn import functional as F
+from torch.utils.flop_counter import FlopCounterMode
 
 from depth_helpers import TINY, tiny_network
 from monoloc.camera import Camera
+from monoloc.config import describe
 from monoloc.depth.checkpoint import load_network, save_network
 from monoloc.depth.export import export_onnx
 from monoloc.depth.network import DepthNetwork, Encoder, NetworkConfig, load_encoder_weights
-from monoloc.depth.runtime import FOCAL_KEY, DepthPredictor, image_tensor, network_size
-from monoloc.depth.train import network_input
+from monoloc.depth.quantise import quantise
+from monoloc.depth.runtime import image_tensor
 from monoloc.errors import DataError
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
-
-@pytest.fixture
-def weights_file(data_root: Path) -> Path:
-    path = data_root.parent / "weights" / "mobilenet_v2_0.35_imagenet.npz"
-    if not path.is_file():
-        pytest.skip(f"no ImageNet weights at {path}")
-    return path
+FULL = NetworkConfig()
+UNCERTAIN = TINY.model_copy(update={"uncertainty": True})
 
 
 def random_image(height: int, width: int, seed: int = 0) -> NDArray[np.uint8]:
     return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
+
+
+def random_input(count: int = 1, height: int = 64, width: int = 64) -> Tensor:
+    return torch.rand(count, 3, height, width, generator=torch.Generator().manual_seed(1)) * 2.0 - 1.0
+
+
+@st.composite
+def kept_blocks(draw: st.DrawFn) -> tuple[int, ...]:
+    """Blocks of every stage, of which the last few stages may have none."""
+    stages = draw(st.integers(3, 7))
+    return tuple(
+        draw(st.integers(1, most)) if stage < stages else 0 for stage, most in enumerate(FULL.encoder_blocks)
+    )
 
 
 # --- Architecture ---
@@ -48,7 +62,7 @@ def parameter_names(network: torch.nn.Module) -> set[str]:
 
 def test_encoder_tensors_carry_torchvisions_names_and_shapes() -> None:
     """As ``torchvision.models.mobilenet_v2().state_dict()`` has them at width 1."""
-    state = Encoder(1.0).state_dict()
+    state = Encoder(1.0, FULL.encoder_blocks).state_dict()
     for name, shape in {
         "features.0.0.weight": (32, 3, 3, 3),
         "features.0.1.running_var": (32,),
@@ -164,10 +178,80 @@ def test_an_untrained_network_sees_two_metres() -> None:
 
 def test_every_parameter_gets_a_gradient() -> None:
     network = tiny_network().train()
-    image = torch.rand(2, 3, 64, 64, generator=torch.Generator().manual_seed(1)) * 2.0 - 1.0
-    network(image).square().sum().backward()
+    network(random_input(2)).square().sum().backward()
     for name, parameter in network.named_parameters():
         assert parameter.grad is not None and bool(parameter.grad.abs().max() > 0.0), name
+
+
+# --- The second output ---
+
+
+@torch.no_grad()
+def test_depth_is_the_same_with_and_without_a_stated_error() -> None:
+    """The same draws of the same seed, but for the head that is drawn last."""
+    plain, uncertain = tiny_network(), tiny_network(config=UNCERTAIN)
+    assert set(uncertain.state_dict()) - set(plain.state_dict()) == {"error_head.weight", "error_head.bias"}
+    uncertain.load_state_dict(plain.state_dict(), strict=False)
+    images = random_input()
+    log_depth, log_scale = uncertain.with_error(images)
+    torch.testing.assert_close(log_depth, plain(images), rtol=0.0, atol=0.0)
+    torch.testing.assert_close(uncertain(images), plain(images), rtol=0.0, atol=0.0)
+    assert plain.with_error(images)[1] is None
+    # Before it has learnt anything, the error of a fifth is the same everywhere.
+    assert log_scale is not None and log_scale.shape == log_depth.shape
+    torch.testing.assert_close(log_scale.exp(), torch.full_like(log_scale, 0.2))
+
+
+def test_the_stated_error_shapes_nothing_but_itself() -> None:
+    network = tiny_network(config=UNCERTAIN).train()
+    _, log_scale = network.with_error(random_input(2))
+    assert log_scale is not None
+    log_scale.square().sum().backward()
+    moved = {name for name, parameter in network.named_parameters() if parameter.grad is not None}
+    assert moved == {"error_head.weight", "error_head.bias"}
+
+
+# --- Settings ---
+
+
+@pytest.mark.parametrize(
+    ("setting", "problem"),
+    [
+        ({"encoder_blocks": (1, 2, 3, 4, 3, 3, 2)}, r"encoder_blocks must lie between 0 and \(1, 2, 3, 4, 3, 3, 1\)"),
+        ({"encoder_blocks": (1, 2, 3, 4, 3, -1, 0)}, "encoder_blocks must lie between 0 and"),
+        ({"encoder_blocks": (1, 2, 3, 0, 3, 3, 1)}, "may remove whole stages only from the end, and not the first"),
+        ({"encoder_blocks": (1, 2, 0, 0, 0, 0, 0)}, "may remove whole stages only from the end, and not the first"),
+        ({"pooling_stages": (4, 4, 4, 5)}, "pooling_stages must lie between 0 and 4"),
+        ({"pooling_stages": (4, -1, 4, 4)}, "pooling_stages must lie between 0 and 4"),
+    ],
+)
+def test_settings_of_no_network_are_named_in_one_line(setting: dict[str, object], problem: str) -> None:
+    with pytest.raises(ValidationError) as caught:
+        NetworkConfig.model_validate(setting)
+    assert re.search(problem, describe(caught.value)) and "\n" not in describe(caught.value)
+
+
+@given(kept_blocks(), st.tuples(*[st.integers(0, 4)] * 4))
+@settings(max_examples=15)
+def test_any_allowed_layers_make_a_network(blocks: tuple[int, ...], pooling: tuple[int, ...]) -> None:
+    config = NetworkConfig.model_validate(
+        {"width": 0.1, "decoder_channels": 8, "encoder_blocks": blocks, "pooling_stages": pooling}
+    )
+    network = DepthNetwork(config).eval()
+    with torch.no_grad():
+        output = network(random_input(1, 32, 64))
+    assert output.shape == (1, 1, 8, 16) and bool(torch.isfinite(output).all())
+    # What is kept bears the names that it has in the whole of MobileNetV2.
+    assert parameter_names(network.encoder) <= parameter_names(Encoder(0.1, FULL.encoder_blocks))
+
+
+def test_multiply_adds_are_counted_as_torch_counts_them() -> None:
+    """Its counter says two operations for each."""
+    for config in (TINY, UNCERTAIN):
+        network = tiny_network(config=config)
+        with FlopCounterMode(display=False) as counter, torch.no_grad():
+            network.with_error(torch.zeros(1, 3, 64, 96))
+        assert 2 * network.multiply_adds(96, 64) == counter.get_total_flops()
 
 
 # --- ImageNet weights ---
@@ -220,6 +304,11 @@ def test_weights_that_are_no_archive(tmp_path: Path, damage: str) -> None:
 # --- Checkpoints ---
 
 
+@cache
+def exported(config: NetworkConfig = TINY) -> bytes:
+    return export_onnx(tiny_network(config=config))[0]
+
+
 def test_checkpoint_round_trip(tmp_path: Path) -> None:
     network = tiny_network()
     save_network(network, tmp_path / "network.safetensors")
@@ -241,13 +330,12 @@ def test_checkpoint_of_a_channels_last_network_loads(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "damage", ["absent", "empty", "text", "cut short", "no settings", "unknown setting", "other width", "one less"]
+    "damage", ["absent", "empty", "text", "cut short", "no settings", "unknown setting", "other width"]
 )
 def test_damaged_checkpoint(tmp_path: Path, damage: str) -> None:
     path = tmp_path / "network.safetensors"
     network = tiny_network()
     tensors = {name: tensor.clone() for name, tensor in network.state_dict().items()}
-    settings = {"monoloc_network": network.config.model_dump_json()}
     if damage == "empty":
         path.touch()
     elif damage == "text":
@@ -261,9 +349,6 @@ def test_damaged_checkpoint(tmp_path: Path, damage: str) -> None:
         save_file(tensors, path, {"monoloc_network": '{"breadth": 1}'})
     elif damage == "other width":
         save_file(tensors, path, {"monoloc_network": NetworkConfig(width=0.5).model_dump_json()})
-    elif damage == "one less":
-        del tensors["head.bias"]
-        save_file(tensors, path, settings)
     with pytest.raises(DataError, match=r"network\.safetensors: is not a monoloc network \(.+\); give a") as caught:
         load_network(path)
     assert "\n" not in str(caught.value)
@@ -275,138 +360,72 @@ def test_checkpoint_carries_its_settings_in_the_open(tmp_path: Path) -> None:
         assert NetworkConfig.model_validate_json(archive.metadata()["monoloc_network"]) == TINY
 
 
-# --- Export and runtime ---
+@pytest.mark.parametrize("suffix", [".safetensors", ".onnx"])
+@pytest.mark.parametrize("config", [TINY, UNCERTAIN])
+def test_tensors_that_the_settings_do_not_call_for(tmp_path: Path, suffix: str, config: NetworkConfig) -> None:
+    """One less, and one more; a file of an older version has the latter."""
+    path = tmp_path / f"network{suffix}"
+    network = tiny_network(config=config)
+    for name, says in (("head.bias", "lacks head.bias"), ("decoder.extra.weight", "has decoder.extra.weight")):
+        if suffix == ".onnx":
+            model = onnx.load_from_string(exported(config))
+            tensors = {tensor.name: tensor for tensor in model.graph.initializer}
+            if name in tensors:
+                model.graph.initializer.remove(tensors[name])
+            else:
+                model.graph.initializer.append(onnx.numpy_helper.from_array(np.zeros(3, np.float32), name))
+            path.write_bytes(model.SerializeToString())
+        else:
+            state = {key: tensor.clone() for key, tensor in network.state_dict().items()}
+            if state.pop(name, None) is None:
+                state[name] = torch.zeros(3)
+            save_file(state, path, {"monoloc_network": config.model_dump_json()})
+        with pytest.raises(DataError, match=f"{re.escape(says)}, which its settings do not agree with; ") as caught:
+            load_network(path)
+        assert "\n" not in str(caught.value) and "train it with this version" in str(caught.value)
 
 
-@pytest.fixture(scope="module")
-def exported() -> tuple[DepthNetwork, bytes]:
-    network = tiny_network(1)
-    return network, export_onnx(network)[0]
-
-
-def test_export_reports_size_and_parity() -> None:
-    content, report = export_onnx(tiny_network())
-    assert report.bytes == len(content)
-    assert 0.0 <= report.parity_mean <= report.parity_max < 1e-4
-    model = onnx.load_from_string(content)
-    assert {entry.key: float(entry.value) for entry in model.metadata_props} == {FOCAL_KEY: TINY.focal_px}
-    assert [entry.name for entry in model.graph.input] == ["image"]
-    assert [entry.name for entry in model.graph.output] == ["log_depth"]
-
-
-def test_export_leaves_the_network_as_it_was() -> None:
-    network = tiny_network()
-    before = {name: tensor.clone() for name, tensor in network.state_dict().items()}
-    export_onnx(network)
+@pytest.mark.parametrize("config", [TINY, UNCERTAIN])
+def test_an_exported_network_loads_with_every_tensor_as_it_was(tmp_path: Path, config: NetworkConfig) -> None:
+    network = tiny_network(config=config)
+    (tmp_path / "network.onnx").write_bytes(exported(config))
+    again = load_network(tmp_path / "network.onnx")
+    assert again.config == config
+    assert not again.training
     for name, tensor in network.state_dict().items():
-        torch.testing.assert_close(tensor, before[name], rtol=0.0, atol=0.0)
+        if not name.endswith("num_batches_tracked"):  # says how often it was trained, and changes nothing
+            torch.testing.assert_close(again.state_dict()[name], tensor, rtol=0.0, atol=0.0)
+    assert export_onnx(again)[0] == exported(config)
 
 
-@pytest.mark.parametrize(
-    "camera",
-    [
-        Camera(640, 360, 250.0, 250.0, 320.0, 180.0),
-        Camera(640, 360, 250.0, 250.0, 320.0, 180.0, (0.05, -0.02, 0.001, 0.0, 0.0)),
-        Camera(320, 240, 150.0, 160.0, 150.0, 121.0),
-        Camera(33, 47, 60.0, 55.0, 16.0, 23.0),
-    ],
-)
-def test_runtime_equals_the_network(exported: tuple[DepthNetwork, bytes], camera: Camera) -> None:
-    """The same image through onnxruntime and PyTorch, at any size: one graph serves all."""
-    network, content = exported
-    predictor = DepthPredictor(content, camera)
-    image = random_image(camera.height, camera.width)
-    prediction = predictor(image)
-    width, height = network_size(camera, TINY.focal_px)
-    small = image_tensor(image, camera.resized(width, height))
-    with torch.no_grad():
-        log_depth = network(torch.from_numpy(small))[0, 0].double().numpy()
-    focal_px = camera.focal_px * np.sqrt(width / camera.width * height / camera.height)
-    assert prediction.depth_m.dtype == np.float32
-    assert prediction.depth_m.shape == (height // 4, width // 4)
-    np.testing.assert_allclose(prediction.depth_m, np.exp(log_depth) * focal_px / TINY.focal_px, rtol=1e-4)
-    assert prediction.camera == camera.resized(width, height).resized(width // 4, height // 4)
-
-
-def test_runtime_and_training_see_the_same_pixels() -> None:
-    image = random_image(64, 96)
-    ours = image_tensor(image, Camera(96, 64, 80.0, 80.0, 47.5, 31.5))
-    np.testing.assert_allclose(ours, network_input([image]).numpy(), atol=1e-6)
-    assert ours.min() >= -1.0 and ours.max() <= 1.0
-    white = np.zeros((64, 96, 3), dtype=np.uint8)
-    white[..., 2] = 255
-    channels = image_tensor(white, Camera(96, 64, 80.0, 80.0, 47.5, 31.5))[0, :, 5, 5]
-    np.testing.assert_array_equal(channels, [-1.0, -1.0, 1.0])
-
-
-def stub_network(log_depth: float, focal_px: str | None) -> bytes:
-    """An ONNX network that answers a constant, one pixel for 4x4 of the image."""
-    image = helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 3, "height", "width"])
-    output = helper.make_tensor_value_info("log_depth", TensorProto.FLOAT, [1, 1, "rows", "columns"])
-    constants = [
-        helper.make_tensor("kernel", TensorProto.FLOAT, [1, 3, 1, 1], [0.0, 0.0, 0.0]),
-        helper.make_tensor("bias", TensorProto.FLOAT, [1], [log_depth]),
-    ]
-    node = helper.make_node("Conv", ["image", "kernel", "bias"], ["log_depth"], strides=[4, 4])
-    graph = helper.make_graph([node], "stub", [image], [output], constants)
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    if focal_px is not None:
-        model.metadata_props.add(key=FOCAL_KEY, value=focal_px)
-    return bytes(model.SerializeToString())
-
-
-@pytest.mark.parametrize("focal_px", [90.0, 136.0, 150.0, 290.0])
-def test_depth_is_brought_from_the_canonical_focal_length_to_the_cameras(focal_px: float) -> None:
-    """A thing that looks as large at twice the focal length is twice as far; the rounding of sizes counts too."""
-    camera = Camera(640, 360, 500.0, 510.0, 317.0, 182.0)
-    predictor = DepthPredictor(stub_network(np.log(1.7), repr(focal_px)), camera)
-    prediction = predictor(random_image(360, 640))
-    scale_x, scale_y = predictor.input_camera.width / 640, predictor.input_camera.height / 360
-    expected = 1.7 * np.sqrt(500.0 * scale_x * 510.0 * scale_y) / focal_px
-    np.testing.assert_allclose(prediction.depth_m, expected, rtol=1e-6)
-    assert prediction.depth_m.shape == (prediction.camera.height, prediction.camera.width)
-    # The image is as near to the canonical focal length as multiples of 32 allow.
-    assert abs(scale_x * camera.focal_px / focal_px - 1.0) * 640 * focal_px / camera.focal_px <= 16.0 + 1e-9
-
-
-def test_rays_of_the_depth_image_are_the_cameras() -> None:
-    """Output pixel (i, j) covers a block of the image, whose middle has the same ray."""
-    camera = Camera(640, 360, 500.0, 510.0, 317.0, 182.0, (0.05, -0.02, 0.001, 0.002, 0.0))
-    prediction = DepthPredictor(stub_network(0.0, "136.0"), camera)(random_image(360, 640))
-    rows, columns = prediction.depth_m.shape
-    block = np.array([640 / columns, 360 / rows])
-    pixels = np.array([[0.0, 0.0], [columns - 1, 0], [3, 7], [columns - 1, rows - 1]])
-    in_image = (pixels + 0.5) * block - 0.5
-    np.testing.assert_allclose(prediction.camera.rays(pixels), camera.rays(in_image), atol=1e-9)
-
-
-def test_network_size_is_never_empty() -> None:
-    assert network_size(Camera(640, 480, 5000.0, 5000.0, 320.0, 240.0), 136.0) == (32, 32)
-
-
-def test_network_without_a_focal_length(tmp_path: Path) -> None:
-    path = tmp_path / "depth.onnx"
-    path.write_bytes(stub_network(0.0, None))
-    with pytest.raises(DataError, match=rf"depth\.onnx: lacks the metadata {FOCAL_KEY}; export it with: monoloc"):
-        DepthPredictor(path, Camera(64, 48, 50.0, 50.0, 32.0, 24.0))
-
-
-@pytest.mark.parametrize("as_bytes", [False, True])
-@pytest.mark.parametrize("damage", ["empty", "text", "cut short", "focal length"])
-def test_damaged_onnx(tmp_path: Path, damage: str, as_bytes: bool) -> None:
-    content = {
-        "empty": b"",
-        "text": b"not a network",
-        "cut short": stub_network(0.0, "136.0")[:-60],
-        "focal length": stub_network(0.0, "wide"),
-    }[damage]
-    path = tmp_path / "depth.onnx"
-    path.write_bytes(content)
-    with pytest.raises(DataError, match=r"depth\.onnx: cannot be loaded \(.*\); export it with") as caught:
-        DepthPredictor(content if as_bytes else path, Camera(64, 48, 50.0, 50.0, 32.0, 24.0))
+@pytest.mark.parametrize("damage", ["absent", "empty", "text", "cut short", "no settings", "folder"])
+def test_damaged_export(tmp_path: Path, damage: str) -> None:
+    path = tmp_path / "network.onnx"
+    content = exported()
+    if damage == "empty":
+        path.touch()
+    elif damage == "text":
+        path.write_text("not a network")
+    elif damage == "cut short":
+        path.write_bytes(content[:-2000])
+    elif damage == "no settings":
+        model = onnx.load_from_string(content)
+        del model.metadata_props[:]
+        path.write_bytes(model.SerializeToString())
+    elif damage == "folder":
+        path.mkdir()
+    with pytest.raises(DataError, match=r"network\.onnx: is not a monoloc network \(.+\); give a") as caught:
+        load_network(path)
     assert "\n" not in str(caught.value)
 
 
-def test_absent_onnx(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"nothing\.onnx: cannot be loaded"):
-        DepthPredictor(tmp_path / "nothing.onnx", Camera(64, 48, 50.0, 50.0, 32.0, 24.0))
+def test_a_quantised_network_cannot_be_tuned_and_says_so(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    images = [rng.uniform(-1.0, 1.0, (1, 3, 32, 32)).astype(np.float32) for _ in range(10)]
+    path = tmp_path / "small.onnx"
+    path.write_bytes(quantise(exported(), images)[0])
+    with pytest.raises(
+        DataError, match=r"small\.onnx: lacks .*; give the network as it was before quantis"
+    ) as caught:
+        load_network(path)
+    assert "\n" not in str(caught.value)

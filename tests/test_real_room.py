@@ -14,6 +14,7 @@ import pytest
 
 from monoloc.bundle import read_bundle
 from monoloc.datasets.registry import open_recording
+from monoloc.depth.model import read_model
 from monoloc.depth.runtime import DepthPredictor
 from monoloc.map.mixture import GaussianMixture
 from monoloc.models import SHIPPED_NETWORK
@@ -27,7 +28,7 @@ QUICK_TOML = """\
 components = 100
 [adapt]
 steps = 60
-extra_views = 1
+synthesised_views = 1
 batch_views = 8
 """
 ACCURACY_KEYS = ("ate_rmse_m", "ate_median_m", "ate_max_m", "rot_rmse_deg", "rot_median_deg", "within_5cm_5deg")
@@ -263,5 +264,5 @@ def test_depth_train_learns(nyu, data_root, here):
     exported = here / "trained.onnx"
     assert monoloc("depth", "export", network, "--out", exported)["parity_max"] < 1e-3
     recording = open_recording(nyu)
-    depth = DepthPredictor(exported, recording.camera)(recording.color(1350)).depth_m
+    depth = DepthPredictor(read_model(exported), recording.camera)(recording.color(1350)).depth_m
     assert np.all(depth > 0.1) and np.all(depth < 20.0)

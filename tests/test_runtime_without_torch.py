@@ -35,6 +35,8 @@ ONLINE = [
     "monoloc.build",
     "monoloc.odometry",
     "monoloc.depth.runtime",
+    "monoloc.depth.model",
+    "monoloc.depth.fit",
     "monoloc.datasets.registry",
     "monoloc.evaluation.depth",
     "monoloc.evaluation.plots",

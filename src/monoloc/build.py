@@ -1,4 +1,4 @@
-"""The offline way, one page: recording -> cloud -> mixture map -> adapt -> calibrate -> bundle."""
+"""The offline way, one page: recording -> cloud -> mixture map -> adapt (or fit) -> calibrate -> bundle."""
 
 from __future__ import annotations
 
@@ -11,18 +11,21 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.adapt.calibrate import Sample, calibrate
+from monoloc.adapt.map_depth import supervision
 from monoloc.adapt.settings import AdaptConfig
-from monoloc.bundle import Bundle, Provenance, fingerprint
+from monoloc.bundle import Bundle, Provenance, fingerprint, read_network
 from monoloc.datasets.base import Recording
+from monoloc.depth.fit import fit_to_depth
+from monoloc.depth.model import trainable_file
 from monoloc.depth.runtime import DepthPredictor
-from monoloc.errors import DataError
+from monoloc.errors import DataError, SettingError
 from monoloc.extras import training_extra
 from monoloc.geometry import FloatArray
 from monoloc.localizer import LocalizerConfig
 from monoloc.map.cloud import cloud_from_recording, remove_outliers, voxel_thin
 from monoloc.map.fit import choose_components, fit_mixture
 from monoloc.map.mixture import GaussianMixture
-from monoloc.models import SHIPPED_NETWORK, SHIPPED_ONNX
+from monoloc.models import DEFAULT
 from monoloc.progress import Progress
 
 _COMPONENT_LADDER = (50, 100, 200, 400, 800)
@@ -53,7 +56,8 @@ class BuildConfig(BaseModel):
 class BuildReport:
     """What a build measured; JSON keys of ``monoloc build``.
 
-    nll and AbsRel are of frames held out from tuning, in blocks; shifts are of the map's means.
+    nll and AbsRel are of frames held out from tuning, in blocks; shifts are of the map's means. Scale and shift of
+    the network's output are None where they were not fitted: see :class:`monoloc.depth.runtime.ModelSpec`.
     """
 
     frames: int
@@ -66,6 +70,8 @@ class BuildReport:
     shift_p95_m: float
     depth_absrel_before: float | None
     depth_absrel_after: float | None
+    depth_scale: float | None
+    depth_shift: float | None
     steps: int
     seconds: float
 
@@ -76,17 +82,18 @@ def build_bundle(
     seed: int,
     progress: Progress,
     cloud: FloatArray | None = None,
-    network_file: Path | None = None,
+    network: str | Path = DEFAULT,
 ) -> tuple[Bundle, BuildReport]:
     """Map a room, adapt network and map to each other, and measure how far the result can be trusted.
 
     Args:
         recording: posed frames; with depth, unless ``cloud`` is given.
         cloud: (N, 3) world frame, metres; None makes it from the recording.
-        network_file: a ``network.safetensors``; None takes the one in the package.
+        network: as :func:`monoloc.bundle.read_network` takes it; another's, or a bundle's, cannot be tuned.
 
     Raises:
-        DataError: no poses, too few frames, or neither depth nor a cloud.
+        DataError: no poses, too few frames, neither depth nor a cloud, or an unusable network.
+        SettingError: something is to be tuned of a network that cannot be.
         MissingExtraError: something is to be tuned and PyTorch is not installed.
     """
     started = time.perf_counter()
@@ -94,22 +101,31 @@ def build_bundle(
         raise DataError(recording.name, "has no poses", "build from a recording with camera poses")
     if len(recording) < _MIN_FRAMES:
         raise DataError(recording.name, f"gives {len(recording)} frames", f"build from at least {_MIN_FRAMES}")
-    rng = np.random.default_rng(seed)
-    frames = {name: fingerprint(recording.color(index)) for index, name in enumerate(recording.frame_names)}
-    needs_torch = config.adapt.tune != "none" or config.adapt.map_transform or network_file is not None
-    if needs_torch:
+    adapts = config.adapt.tune != "none" or config.adapt.map_transform
+    if adapts:
+        network_file = _tunable(network, config.adapt)
         with training_extra():
             from monoloc.adapt.run import adapt  # the only door to PyTorch
+    given = read_network(network)
+    DepthPredictor(given, recording.camera)  # what does not fit is said before the work
+    rng = np.random.default_rng(seed)
+    frames = {name: fingerprint(recording.color(index)) for index, name in enumerate(recording.frame_names)}
     cloud, mixture = fit_map(recording, cloud, config, rng, progress)
-    if needs_torch:
-        result = adapt(recording, cloud, mixture, network_file or SHIPPED_NETWORK, config.adapt, seed, progress)
+    fitted = None
+    if adapts:
+        result = adapt(recording, cloud, mixture, network_file, config.adapt, seed, progress)
         original, adapted = result.original, result.adapted
         depth_model, held_out_model, held_out = result.depth_model, result.held_out_model, result.held_out
         scores = result.scores
         kl, steps = result.kl, result.steps
     else:
         original = adapted = mixture
-        depth_model = held_out_model = SHIPPED_ONNX.read_bytes()
+        depth_model = given
+        if given.spec.scale is None:
+            with progress.task("depth scale", len(recording)) as step:
+                depth_model = fit_to_depth(given, recording, supervision(recording, cloud), step)
+            fitted = depth_model.spec
+        held_out_model = depth_model  # one or two numbers for all frames: each is as good as held out
         held_out, scores, kl, steps = np.arange(len(recording)), [], 0.0, 0
     predictor = DepthPredictor(held_out_model, recording.camera)
     with progress.task("calibrate", len(held_out)) as step:
@@ -146,10 +162,28 @@ def build_bundle(
         shift_p95_m=float(np.percentile(shift, 95.0)),
         depth_absrel_before=scores[0].absrel if scores else None,
         depth_absrel_after=scores[-1].absrel if scores else None,
+        depth_scale=fitted.scale if fitted else None,
+        depth_shift=fitted.shift if fitted and fitted.has_shift else None,
         steps=steps,
         seconds=time.perf_counter() - started,
     )
     return bundle, report
+
+
+def _tunable(network: str | Path, config: AdaptConfig) -> Path:
+    """The file to tune a network from.
+
+    Raises:
+        SettingError: it has none; naming the setting that calls for tuning.
+    """
+    file = trainable_file(network)
+    if file is None:
+        setting = "tune" if config.tune != "none" else "map_transform"
+        value = config.tune if config.tune != "none" else "on"
+        problem = f"is {value}, but {network} can only be run, not tuned"
+        fix = "give --tune none --no-map-transform, or a network that came from: monoloc depth train"
+        raise SettingError(f"adapt.{setting}", problem, fix)
+    return file
 
 
 def fit_map(

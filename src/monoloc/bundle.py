@@ -1,8 +1,8 @@
 """What is carried to the drone: a folder ``NAME.monoloc`` of a few megabytes.
 
-``manifest.json`` (schema, SHA-256 of every file, settings, camera, provenance, healthy range), ``map.npz``
-(original and adapted mixture) and ``depth.onnx``. Written whole or not at all; read only if every byte is as it
-was written.
+``manifest.json`` (schema, SHA-256 of every file, how the network is used, settings, camera, provenance, healthy
+range), ``map.npz`` (original and adapted mixture) and ``depth.onnx``. Written whole or not at all; read only if
+every byte is as it was written.
 """
 
 from __future__ import annotations
@@ -26,12 +26,15 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from monoloc import __version__
 from monoloc.camera import Camera
 from monoloc.config import describe
+from monoloc.depth.model import read_model
+from monoloc.depth.runtime import DepthModel, ModelSpec
 from monoloc.errors import BundleError
 from monoloc.filter.health import HealthyRange
 from monoloc.localizer import LocalizerConfig
 from monoloc.map.mixture import GaussianMixture
+from monoloc.models import is_shipped
 
-SCHEMA = 1
+SCHEMA = 2
 _MANIFEST, _MAP, _DEPTH = "manifest.json", "map.npz", "depth.onnx"
 
 
@@ -63,6 +66,8 @@ class Manifest(BaseModel):
     schema_version: int
     monoloc_version: str
     sha256: dict[str, str]
+    network: str
+    network_spec: ModelSpec
     settings: LocalizerConfig
     camera: Camera
     provenance: Provenance
@@ -75,7 +80,7 @@ class Bundle:
 
     Attributes:
         original, adapted: the room's mixture and the one the filter uses, world frame.
-        depth_model: the depth network, ONNX.
+        depth_model: the depth network, with the scale and shift fitted to the room where it is not our own.
         settings: of the localizer, with what was calibrated.
         camera: the colour camera of the build recording.
         provenance: what built it.
@@ -84,7 +89,7 @@ class Bundle:
 
     original: GaussianMixture
     adapted: GaussianMixture
-    depth_model: bytes
+    depth_model: DepthModel
     settings: LocalizerConfig
     camera: Camera
     provenance: Provenance
@@ -121,11 +126,13 @@ def write_bundle(path: Path, bundle: Bundle) -> int:
         BundleError: as :func:`check_target`, or the disk does not take it.
     """
     check_target(path)
-    contents = {_MAP: _pack_maps(bundle), _DEPTH: bundle.depth_model}
+    contents = {_MAP: _pack_maps(bundle), _DEPTH: bundle.depth_model.content}
     manifest = Manifest(
         schema_version=SCHEMA,
         monoloc_version=__version__,
         sha256={name: hashlib.sha256(content).hexdigest() for name, content in contents.items()},
+        network=bundle.depth_model.name,
+        network_spec=bundle.depth_model.spec,
         settings=bundle.settings,
         camera=bundle.camera,
         provenance=bundle.provenance,
@@ -184,12 +191,24 @@ def read_bundle(path: Path) -> Bundle:
     return Bundle(
         original=original,
         adapted=adapted,
-        depth_model=contents[_DEPTH],
+        depth_model=DepthModel(contents[_DEPTH], manifest.network_spec, manifest.network),
         settings=manifest.settings,
         camera=manifest.camera,
         provenance=manifest.provenance,
         healthy=manifest.healthy,
     )
+
+
+def read_network(network: str | Path) -> DepthModel:
+    """A depth network by bundle, or as :func:`monoloc.depth.model.read_model` takes it.
+
+    Raises:
+        BundleError: a folder that is no bundle.
+        DataError, MissingExtraError: as :func:`monoloc.depth.model.read_model`.
+    """
+    if Path(network).is_dir() and not is_shipped(str(network)):
+        return read_bundle(Path(network)).depth_model
+    return read_model(network)
 
 
 def _pack_maps(bundle: Bundle) -> bytes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Protocol
 
@@ -11,7 +11,11 @@ from rich import progress as rich_progress
 from rich.console import Console
 from rich.text import Text
 
-Step = Callable[[int], None]
+
+class Step(Protocol):
+    """Says that so many steps of a task are done, with a remark on how it goes where there is one."""
+
+    def __call__(self, done: int, remark: str = "", /) -> None: ...
 
 
 class Progress(Protocol):
@@ -27,17 +31,23 @@ class NoProgress:
 
     @contextmanager
     def task(self, name: str, total: int | None) -> Iterator[Step]:
-        yield lambda done: None
+        yield _say_nothing
+
+
+def _say_nothing(done: int, remark: str = "", /) -> None:
+    pass
 
 
 class _Rate(rich_progress.ProgressColumn):
     def render(self, task: rich_progress.Task) -> Text:
         speed = task.finished_speed or task.speed
-        return Text("" if speed is None else f"{speed:.1f}/s", style="progress.data.speed")
+        if not speed:
+            return Text("")
+        return Text(f"{speed:.1f}/s" if speed >= 1.0 else f"{1.0 / speed:.1f} s each", style="progress.data.speed")
 
 
 class ConsoleProgress:
-    """Bars on a console; where stderr is no terminal, one line a finished task."""
+    """Bars on a console; where stderr is no terminal, one line a finished task and one a remark."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -47,7 +57,16 @@ class ConsoleProgress:
         if not self._console.is_terminal:
             # A log, or another program: no bars, and nothing of a task that fails.
             started = time.perf_counter()
-            yield lambda done: None
+            first: int | None = None
+
+            def log(done: int, remark: str = "", /) -> None:
+                nonlocal first
+                first = done - 1 if first is None else first  # a resumed task does not begin at nothing
+                if remark and total:
+                    remaining_s = (time.perf_counter() - started) * (total - done) / (done - first)
+                    self._console.print(f"{name}: {done} of {total}, {remark}, {remaining_s:.0f} s remaining")
+
+            yield log
             self._console.print(f"{name}: done in {time.perf_counter() - started:.1f} s")
             return
         with rich_progress.Progress(
@@ -57,9 +76,16 @@ class ConsoleProgress:
             _Rate(),
             rich_progress.TimeElapsedColumn(),
             rich_progress.TimeRemainingColumn(),
+            rich_progress.TextColumn("{task.fields[remark]}"),
             console=self._console,
         ) as bars:
-            task = bars.add_task(name, total=total)
-            yield lambda done: bars.update(task, completed=done)
+            task = bars.add_task(name, total=total, remark="")
+
+            def show(done: int, remark: str = "", /) -> None:
+                bars.update(task, completed=done)
+                if remark:
+                    bars.update(task, remark=remark)
+
+            yield show
             if total is not None:
                 bars.update(task, completed=total)

@@ -211,9 +211,9 @@ def _sparse(depth_m: NDArray[np.float32], camera: Camera) -> DepthPrediction:
 def _comparable(
     depth: DepthPrediction, sensor_m: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Depth used and depth measured, both at one small size."""
+    """Depth used and depth measured, both at one small size; measured is 0 where there is none to compare."""
     height, width = sensor_m.shape
     size = (_COMPARE_WIDTH, round(height * _COMPARE_WIDTH / width))
-    predicted = cv2.resize(depth.depth_m, size, interpolation=cv2.INTER_LINEAR)
-    truth = cv2.resize(sensor_m, size, interpolation=cv2.INTER_NEAREST_EXACT)
-    return np.asarray(predicted, np.float32), np.asarray(truth, np.float32)
+    predicted = depth.resized(*size)
+    truth = np.asarray(cv2.resize(sensor_m, size, interpolation=cv2.INTER_NEAREST_EXACT), np.float32)
+    return predicted, np.where(predicted > 0.0, truth, np.float32(0.0))

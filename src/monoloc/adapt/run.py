@@ -17,6 +17,8 @@ from monoloc.adapt.views import make_views
 from monoloc.datasets.base import Recording
 from monoloc.depth.checkpoint import load_network
 from monoloc.depth.export import export_onnx
+from monoloc.depth.network import DepthNetwork
+from monoloc.depth.runtime import DepthModel, monoloc_spec
 from monoloc.geometry import FloatArray
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import Progress
@@ -31,8 +33,8 @@ class AdaptResult:
 
     Attributes:
         original, adapted: the map before and after; component i of one is component i of the other.
-        depth_model: the network tuned on all frames, ONNX.
-        held_out_model: the one tuned without the held-out frames, ONNX, to measure honestly with.
+        depth_model: the network tuned on all frames.
+        held_out_model: the one tuned without the held-out frames, to measure honestly with.
         held_out: indices of those frames.
         scores: on the held-out frames, the first before tuning, the last of the state that was kept.
         steps: optimiser steps that were best for the held-out frames.
@@ -41,8 +43,8 @@ class AdaptResult:
 
     original: GaussianMixture
     adapted: GaussianMixture
-    depth_model: bytes
-    held_out_model: bytes
+    depth_model: DepthModel
+    held_out_model: DepthModel
     held_out: NDArray[np.int64]
     scores: list[Score]
     steps: int
@@ -69,9 +71,9 @@ def adapt(
     training_frames, held_out = hold_out_blocks(len(recording), _BLOCKS, _HELD_OUT_SHARE)
     network = load_network(network_file)
     depth_of = supervision(recording, cloud)
-    extra = config.extra_views if config.tune == "decoder" else 0
-    with progress.task("features", len(recording)) as step:
-        views = make_views(recording, depth_of, network, extra, rng, step)
+    synthesised = config.synthesised_views if config.tune in ("decoder", "all") else 0
+    with progress.task("views", len(recording)) as step:
+        views = make_views(recording, depth_of, network.config.focal_px, synthesised, held_out, rng, step)
     held_out_views = views.of_frames(held_out, only_whole=True)
 
     rehearsal = Adaptation(network, AdaptedMap(mixture, cloud), config)
@@ -85,22 +87,25 @@ def adapt(
             step,
         )
     steps = rehearsal.best_step(scores)
-    held_out_model, _ = export_onnx(network)
+    held_out_model = _exported(network, network_file.stem)
 
     final = Adaptation(load_network(network_file), AdaptedMap(mixture, cloud), config)
     with progress.task("adapt: all frames", steps) as step:
         final.run(views, config.steps, _generator(seed), progress=step, stop_at=steps)
-    depth_model, _ = export_onnx(final.network)
     return AdaptResult(
         original=final.map.original_mixture(),
         adapted=final.map.adapted_mixture(),
-        depth_model=depth_model,
+        depth_model=_exported(final.network, network_file.stem),
         held_out_model=held_out_model,
         held_out=held_out,
         scores=[*scores, rehearsal.score(held_out_views, steps)],
         steps=steps,
         kl=final.kl(),
     )
+
+
+def _exported(network: DepthNetwork, name: str) -> DepthModel:
+    return DepthModel(export_onnx(network)[0], monoloc_spec(network.config.focal_px), name)
 
 
 def _generator(seed: int) -> torch.Generator:

@@ -6,21 +6,22 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-Tune = Literal["none", "last", "decoder"]
+Tune = Literal["none", "last", "decoder", "all"]
 
 
 class AdaptConfig(BaseModel):
     """Settings of adaptation.
 
     Attributes:
-        tune: what of the network is tuned: nothing, the last layer (the paper's), or the decoder and it.
+        tune: what of the network is tuned: nothing, the last layer (the paper's), the decoder and it, or all.
         map_transform: whether the map is bent.
         lambda_kl: weight of KL(M || M_A).
         steps: most optimiser steps; held-out frames may stop it earlier.
         batch_views, pixels_per_view: size of one step.
-        extra_views: random views beside the whole one, a frame (for ``decoder`` only).
+        synthesised_views: views from nearby poses, a frame, made of the recording (for ``decoder`` and ``all``).
         network_rate, map_rate: Adam's learning rates.
-        likelihood_weight, depth_weight: weights of the ray likelihood and, for ``decoder``, of the depth loss.
+        likelihood_weight, depth_weight: weights of the ray likelihood and, for ``decoder`` and ``all``, of the depth
+            loss.
         outlier_share: epsilon of the ray likelihood.
         inflation_m: standard deviation added to the map's components at the start, annealed to zero: it gives
             far-off depth a gradient.
@@ -34,7 +35,7 @@ class AdaptConfig(BaseModel):
     steps: int = Field(1400, ge=1)
     batch_views: int = Field(16, ge=1)
     pixels_per_view: int = Field(32, ge=1)
-    extra_views: int = Field(0, ge=0)
+    synthesised_views: int = Field(0, ge=0)
     network_rate: float = Field(3e-3, gt=0.0)
     map_rate: float = Field(1e-3, gt=0.0)
     likelihood_weight: float = Field(0.05, ge=0.0)

@@ -15,11 +15,12 @@ from monoloc.adapt.objective import matched_kl, ray_log_likelihood
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.transform import AdaptedMap
 from monoloc.adapt.views import Views
-from monoloc.depth.losses import depth_loss
+from monoloc.depth.losses import LossConfig, depth_loss, laplace_loss
 from monoloc.depth.network import DepthNetwork
 from monoloc.memory import keep_freed_memory
 
 _DECODER_STEPS_A_MAP_STEP = 4
+_VIEWS_AT_ONCE = 32
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,8 @@ class Adaptation:
     """A network and a map being tuned together; :meth:`run` does it.
 
     Args:
-        network: starts from its present weights and is changed in place; the encoder never is.
+        network: starts from its present weights and is changed in place; its batch normalisation keeps the
+            statistics it was trained with.
         adapted_map: changed in place when the map transform is on.
         config: what to tune and how.
     """
@@ -46,11 +48,15 @@ class Adaptation:
         self.map = adapted_map
         self.config = config
         network.requires_grad_(False)
+        self._by_depth = config.tune in ("decoder", "all")  # enough is free to learn depth itself, not only the scan
         network.head.requires_grad_(config.tune != "none")
-        network.decoder.requires_grad_(config.tune == "decoder")
+        network.decoder.requires_grad_(self._by_depth)
+        network.encoder.requires_grad_(config.tune == "all")
+        if network.error_head is not None:
+            network.error_head.requires_grad_(self._by_depth)
         adapted_map.requires_grad_(config.map_transform)
         # Bending the cloud costs as much as the decoder, and beside the decoder the map hardly moves.
-        self._map_every = _DECODER_STEPS_A_MAP_STEP if config.tune == "decoder" else 1
+        self._map_every = _DECODER_STEPS_A_MAP_STEP if self._by_depth else 1
         self._bent = adapted_map.means, adapted_map.covariances
 
     @property
@@ -86,7 +92,7 @@ class Adaptation:
         scores = [self.score(held_out, 0)] if held_out is not None else []
         best = self._state() if held_out is not None else None
         self.fit_bias(training)
-        features = self._features(training) if self.config.tune != "decoder" else None
+        inputs = self._frozen(training)
         optimizer = torch.optim.Adam(
             [
                 {
@@ -101,9 +107,7 @@ class Adaptation:
         )
         for step in range(steps if stop_at is None else stop_at):
             chosen = torch.randint(len(training), (self.config.batch_views,), generator=generator)
-            loss = self._loss(
-                training[chosen], None if features is None else features[chosen], step, steps, generator
-            )
+            loss = self._loss(training[chosen], [part[chosen] for part in inputs], step, steps, generator)
             optimizer.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]
             optimizer.step()
@@ -135,8 +139,8 @@ class Adaptation:
     @torch.no_grad()
     def predict(self, views: Views) -> Tensor:
         """Log-depth of views, (V, 1, h, w), metric."""
-        log_depth: Tensor = self.network.head(self._features(views))
-        return log_depth + views.log_focal_ratio[:, None, None, None]
+        log_depth = torch.cat([self.network(images) for images in torch.split(views.images, _VIEWS_AT_ONCE)])
+        return log_depth + views.log_focal_ratio
 
     @torch.no_grad()
     def score(self, views: Views, step: int) -> Score:
@@ -145,7 +149,7 @@ class Adaptation:
         nll = -self._log_likelihood(log_depth, views, means, covariances, None).mean()
         ratio = _log_ratio(log_depth, views.depth_m)
         absrel = (torch.expm1(-ratio)).abs().mean() if ratio.numel() else torch.tensor(float("nan"))
-        loss = depth_loss(log_depth, views.depth_m, 0.0)
+        loss = depth_loss(log_depth, views.depth_m, LossConfig(gradient=0.0))
         return Score(step, float(nll), float(loss), float(absrel))
 
     @torch.no_grad()
@@ -158,18 +162,14 @@ class Adaptation:
         return matched_kl(m.log_weights, m.means, m.covariances, m.log_weights, means, covariances)
 
     def _criterion(self, score: Score) -> float:
-        if self.config.tune == "decoder":
+        if self._by_depth:
             return self.config.depth_weight * score.depth_loss + self.config.likelihood_weight * score.nll
         return score.nll
 
-    def _loss(
-        self, views: Views, features: Tensor | None, step: int, steps: int, generator: torch.Generator
-    ) -> Tensor:
+    def _loss(self, views: Views, inputs: list[Tensor], step: int, steps: int, generator: torch.Generator) -> Tensor:
         config, done = self.config, step / steps
-        if features is None:
-            with torch.autocast("cpu", dtype=torch.bfloat16):
-                features = self.network.decoder(views.taps)
-        log_depth = self.network.head(features.float()) + views.log_focal_ratio[:, None, None, None]
+        features = self._features(inputs)
+        log_depth = self.network.head(features) + views.log_focal_ratio
         moves_map = config.map_transform and step % self._map_every == 0
         if moves_map:
             self._bent = self.map()
@@ -177,14 +177,18 @@ class Adaptation:
         inflation = (config.inflation_m * max(0.0, 1.0 - 2.0 * done)) ** 2 * torch.eye(3, dtype=torch.float64)
         pixels = torch.randint(log_depth[0].numel(), (config.pixels_per_view,), generator=generator)
         fit = self._log_likelihood(log_depth, views, means, covariances + inflation, pixels).mean()
-        if config.tune != "decoder":
+        if not self._by_depth:
             loss = -fit
         else:
             # The gradient term keeps planes smooth and steps sharp while the decoder moves.
-            loss = config.depth_weight * depth_loss(log_depth, views.depth_m, 0.5) - config.likelihood_weight * fit
+            of_depth = depth_loss(log_depth, views.depth_m, LossConfig())
+            loss = config.depth_weight * of_depth - config.likelihood_weight * fit
+            if self.network.error_head is not None:
+                # Features move, so what is read from them must follow.
+                loss = loss + laplace_loss(log_depth, self.network.error_head(features.detach()), views.depth_m)
         if moves_map:
             self._bent = means.detach(), covariances.detach()
-            weight = config.lambda_kl * (config.likelihood_weight if config.tune == "decoder" else 1.0)
+            weight = config.lambda_kl * (config.likelihood_weight if self._by_depth else 1.0)
             loss = loss + weight * self._kl(means, covariances)
         return loss
 
@@ -206,11 +210,25 @@ class Adaptation:
             self.config.outlier_share,
         )
 
-    def _features(self, views: Views) -> Tensor:
-        with torch.no_grad():
-            return torch.cat(
-                [self.network.decoder([tap[i : i + 32] for tap in views.taps]) for i in range(0, len(views), 32)]
-            )
+    @torch.no_grad()
+    def _frozen(self, views: Views) -> list[Tensor]:
+        """What the part of the network that is not tuned makes of the views, once for all steps."""
+        if self.config.tune == "all":
+            return [views.images]
+        parts = []
+        for images in torch.split(views.images, _VIEWS_AT_ONCE):
+            taps = self.network.encoder(images)
+            parts.append(taps if self._by_depth else [self.network.decoder(taps)])
+        return [torch.cat(part).contiguous(memory_format=torch.channels_last) for part in zip(*parts, strict=True)]
+
+    def _features(self, inputs: list[Tensor]) -> Tensor:
+        """What the last layer reads, from :meth:`_frozen`'s outputs, with gradients."""
+        if not self._by_depth:
+            return inputs[0]
+        with torch.autocast("cpu", dtype=torch.bfloat16):
+            taps = self.network.encoder(inputs[0]) if self.config.tune == "all" else inputs
+            features: Tensor = self.network.decoder(taps)
+        return features.float()
 
     def _state(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         return copy.deepcopy(self.network.state_dict()), copy.deepcopy(self.map.state_dict())

@@ -1,9 +1,10 @@
-"""What the network and the map are tuned on: views of the build frames, their frozen features cached."""
+"""What the network and the map are tuned on: the build frames, and views synthesised from them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,34 +12,37 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from monoloc.adapt.warp import ColoredPoints, forward_warp, points_of
 from monoloc.camera import Camera
 from monoloc.datasets.base import Recording
-from monoloc.depth.augment import AugmentConfig, View, random_exposure, random_view, whole_view
-from monoloc.depth.network import DepthNetwork
+from monoloc.depth.examples import network_input
 from monoloc.depth.runtime import network_size
-from monoloc.depth.train import network_input
-
-VIEW_AUGMENT = AugmentConfig(mirror=False, roll_deg=10.0, zoom_max=1.4, aspect=0.05, exposure_stops=0.7)
+from monoloc.geometry import FloatArray, invert, rotation_angle, se3_exp
 
 DepthImages = Callable[[int], NDArray[np.float32]]
+
+_SHIFT_SD_M, _TURN_SD_RAD = 0.2, np.deg2rad(6.0)  # of a synthesised view from the frame it is made of
+_SOURCES = 3  # frames that a synthesised view is made of: the first, and the nearest to the view
+_TURN_WORTH_M = 1.0  # a radian of rotation keeps as little of a frame in view as so many metres
+_LEAST_SEEN, _TRIES = 0.7, 5  # of what its frame sees, share that a view must see; poses tried for it
 
 
 @dataclass(frozen=True)
 class Views:
-    """V views of posed frames.
+    """V views with pose and depth, all of one camera.
 
     Attributes:
-        taps: the encoder's feature maps, one (V, C, h, w) tensor a stage.
-        depth_m: (V, 1, H, W) supervision at the network's input size, 0 where there is none.
-        log_focal_ratio: (V,) to be added to the network's log-depth.
+        images: (V, 3, H, W) in [-1, 1], the network's input.
+        depth_m: (V, 1, H, W) supervision, 0 where there is none.
+        log_focal_ratio: to be added to the network's log-depth.
         rays_world: (V, h * w, 3) directions of the output's pixels with camera z = 1.
         origins: (V, 3) camera centres, world frame.
-        frame: (V,) index of the frame each view shows; ``whole`` (V,) whether it shows it as at run time.
+        frame: (V,) index of the frame each view shows; ``whole`` (V,) whether it is that frame, not synthesised.
     """
 
-    taps: list[Tensor]
+    images: Tensor
     depth_m: Tensor
-    log_focal_ratio: Tensor
+    log_focal_ratio: float
     rays_world: Tensor
     origins: Tensor
     frame: Tensor
@@ -54,9 +58,9 @@ class Views:
 
     def __getitem__(self, index: Tensor) -> Views:
         return Views(
-            [tap[index].contiguous(memory_format=torch.channels_last) for tap in self.taps],
+            self.images[index].contiguous(memory_format=torch.channels_last),
             self.depth_m[index],
-            self.log_focal_ratio[index],
+            self.log_focal_ratio,
             self.rays_world[index],
             self.origins[index],
             self.frame[index],
@@ -64,73 +68,97 @@ class Views:
         )
 
 
-@torch.no_grad()
 def make_views(
     recording: Recording,
     depth_of: DepthImages,
-    network: DepthNetwork,
-    extra_views: int,
+    focal_px: float,
+    synthesised: int,
+    held_out: NDArray[np.int64],
     rng: np.random.Generator,
     progress: Callable[[int], None] | None = None,
 ) -> Views:
-    """The whole view of every frame and ``extra_views`` random ones, through the frozen encoder.
+    """Every frame as the network will see it, and for each so many views synthesised nearby.
 
     Args:
         recording: posed frames.
         depth_of: supervision of frame i, (H, W) metres, 0 where there is none: sensor depth or the map's.
+        focal_px: the network's canonical focal length.
+        synthesised: views synthesised a frame.
+        held_out: frames that no other frame's synthesised views may show.
     """
-    assert recording.poses is not None
-    network.eval()
-    size = network_size(recording.camera, network.config.focal_px)
-    small = recording.camera.resized(size[0] * 2, size[1] * 2)  # enough for the views' largest zoom
-    taps: list[list[Tensor]] = []
-    depth, ratio, rays, origins, frame, whole = [], [], [], [], [], []
+    poses = recording.poses
+    assert poses is not None
+    camera = recording.camera.resized(*network_size(recording.camera, focal_px))
+    fine = camera.resized(2 * camera.width, 2 * camera.height)
+    clouds: list[ColoredPoints] = []
+    images, depths, view_poses, frame, whole = [], [], [], [], []
     for index in range(len(recording)):
-        color = np.asarray(
-            cv2.resize(recording.color(index), (small.width, small.height), interpolation=cv2.INTER_AREA),
-            np.uint8,
-        )
-        target = cv2.resize(depth_of(index), (small.width, small.height), interpolation=cv2.INTER_NEAREST_EXACT)
-        views = list(_views_of(color, np.asarray(target, np.float32), small, size, extra_views, rng))
-        taps.append(network.encoder(network_input([view.color for view in views])))
-        for view in views:
-            depth.append(view.depth_m)
-            ratio.append(np.log(view.focal_px / network.config.focal_px))
-            rays.append(_view_rays(view, small) @ recording.poses[index][:3, :3].T)
-        origins += [recording.poses[index][:3, 3]] * len(views)
-        frame += [index] * len(views)
-        whole += [True] + [False] * extra_views
+        color, depth = recording.color(index), depth_of(index)
+        images.append(_resized(color, camera, cv2.INTER_AREA).astype(np.uint8))
+        depths.append(_resized(depth, camera, cv2.INTER_NEAREST_EXACT).astype(np.float32))
+        view_poses.append(poses[index])
+        frame.append(index)
+        whole.append(True)
+        if synthesised:
+            small = _resized(color, fine, cv2.INTER_AREA).astype(np.uint8)
+            clouds.append(points_of(small, _resized(depth, fine, cv2.INTER_NEAREST_EXACT), fine, poses[index]))
         if progress is not None:
             progress(index + 1)
+    usable = np.setdiff1d(np.arange(len(recording)), held_out)
+    for index in range(len(recording)) if synthesised else ():
+        for _ in range(synthesised):
+            image, depth, pose = _synthesise(index, poses, clouds, usable, camera, rng)
+            images.append(image)
+            depths.append(depth)
+            view_poses.append(pose)
+            frame.append(index)
+            whole.append(False)
+        if progress is not None:
+            progress(index + 1)
+    stacked = np.stack(view_poses)
     return Views(
-        taps=[torch.cat(stage) for stage in zip(*taps, strict=True)],
-        depth_m=torch.from_numpy(np.stack(depth))[:, None],
-        log_focal_ratio=torch.tensor(ratio, dtype=torch.float32),
-        rays_world=torch.from_numpy(np.stack(rays)),
-        origins=torch.from_numpy(np.stack(origins)),
+        images=network_input(images),
+        depth_m=torch.from_numpy(np.stack(depths))[:, None],
+        log_focal_ratio=float(np.log(camera.focal_px / focal_px)),
+        rays_world=torch.from_numpy(_output_rays(camera) @ stacked[:, :3, :3].transpose(0, 2, 1)),
+        origins=torch.from_numpy(stacked[:, :3, 3].copy()),
         frame=torch.tensor(frame),
         whole=torch.tensor(whole),
     )
 
 
-def _views_of(
-    color: NDArray[np.uint8],
-    depth_m: NDArray[np.float32],
+def _synthesise(
+    index: int,
+    poses: FloatArray,
+    clouds: list[ColoredPoints],
+    usable: NDArray[np.int64],
     camera: Camera,
-    size: tuple[int, int],
-    extra_views: int,
     rng: np.random.Generator,
-) -> Iterator[View]:
-    yield whole_view(color, depth_m, camera, size)
-    for _ in range(extra_views):
-        view = random_view(color, depth_m, camera, size, VIEW_AUGMENT, rng)
-        exposed = random_exposure(view.color, VIEW_AUGMENT, rng)
-        yield View(exposed, view.depth_m, view.linear, view.offset, view.focal_px)
+) -> tuple[NDArray[np.uint8], NDArray[np.float32], FloatArray]:
+    """A view from near a frame, of it and the usable frames nearest to the view: colour, depth, ``T_world_camera``.
+
+    The disturbance shrinks until enough of the view is known.
+    """
+    others = usable[usable != index]
+    enough = _LEAST_SEEN * len(clouds[index].points) / (4 * camera.width * camera.height)
+    for attempt in range(_TRIES):
+        spread = 1.0 - attempt / _TRIES
+        sd = spread * np.repeat([_SHIFT_SD_M, _TURN_SD_RAD], 3)
+        pose = poses[index] @ se3_exp(rng.normal(scale=sd))
+        relative = invert(pose) @ poses[others]
+        apart = np.linalg.norm(relative[:, :3, 3], axis=1) + _TURN_WORTH_M * rotation_angle(relative[:, :3, :3])
+        nearest = others[np.argsort(apart)[: _SOURCES - 1]]
+        color, depth = forward_warp([clouds[i] for i in (index, *nearest)], pose, camera)
+        if np.mean(depth > 0.0) >= enough:
+            break
+    return color, depth, pose
 
 
-def _view_rays(view: View, camera: Camera) -> NDArray[np.float64]:
-    """Rays of the network's output pixels, a quarter of the view's size, in the camera's frame: (h * w, 3)."""
-    height, width = view.depth_m.shape
-    v, u = np.mgrid[0 : height // 4, 0 : width // 4].reshape(2, -1)
-    pixels = 4.0 * np.stack([u, v], axis=1) + 1.5
-    return camera.rays(pixels @ view.linear.T + view.offset)
+def _resized(image: NDArray[Any], camera: Camera, interpolation: int) -> NDArray[Any]:
+    return np.asarray(cv2.resize(image, (camera.width, camera.height), interpolation=interpolation))
+
+
+def _output_rays(camera: Camera) -> FloatArray:
+    """Rays of the network's output pixels, a quarter of the input's size, in the camera's frame: (h * w, 3)."""
+    v, u = np.mgrid[0 : camera.height // 4, 0 : camera.width // 4].reshape(2, -1)
+    return camera.rays(4.0 * np.stack([u, v], axis=1) + 1.5)

@@ -23,8 +23,9 @@ from monoloc.cli.common import (
     stderr,
 )
 from monoloc.config import load_settings, override
-from monoloc.errors import DataError
+from monoloc.depth.model import trainable_file
 from monoloc.map.cloud_files import read_cloud
+from monoloc.models import DEFAULT
 from monoloc.progress import ConsoleProgress
 
 
@@ -46,8 +47,12 @@ def build(
         float | None, typer.Option("--lambda", help="Weight of the divergence from the original map.")
     ] = None,
     network: Annotated[
-        Path | None, typer.Option("--network", help="A network.safetensors, in place of the one in the package.")
-    ] = None,
+        str,
+        typer.Option(
+            "--network",
+            help="A name of depth list, a .safetensors or .onnx, a bundle, or another's as .toml.",
+        ),
+    ] = DEFAULT,
     settings: Annotated[Path | None, typer.Option("--settings", help="TOML file with any of the settings.")] = None,
     intrinsics: IntrinsicsOption = None,
     depth_scale: DepthScaleOption = None,
@@ -63,16 +68,20 @@ def build(
       monoloc build my-walk --cloud room.ply --out room.monoloc
       monoloc build my-walk --tune last --out paper.monoloc     (the paper's variant)
       monoloc build my-walk --tune none --no-map-transform --out plain.monoloc
+      monoloc build my-walk --network midas.toml --out midas.monoloc     (another's network: docs/depth-models.md)
     """
     check_target(out)
     config = BuildConfig() if settings is None else load_settings(settings, BuildConfig)
+    if trainable_file(network) is None:
+        # What can only be run is run, unless tuning was asked for in so many words.
+        only_run = {"tune": "none", "map_transform": False}
+        unset = only_run.keys() - config.adapt.model_fields_set
+        config = override(config, adapt={name: only_run[name] for name in unset})
     config = override(
         config,
         components=components,
         adapt={"tune": tune, "map_transform": map_transform, "lambda_kl": lambda_kl},
     )
-    if network is not None and not network.is_file():
-        raise DataError(network, "does not exist", "give a network.safetensors made by: monoloc depth train")
     points = None if cloud is None else read_cloud(cloud)
     recording = open_source(source, frames, intrinsics, depth_scale)
     bundle, report = build_bundle(recording, config, seed, ConsoleProgress(stderr), points, network)
@@ -89,3 +98,6 @@ def build(
             f"held-out frames: depth error {100 * report.depth_absrel_before:.1f} % -> "
             f"{100 * report.depth_absrel_after:.1f} %, map moved {100 * report.shift_median_m:.1f} cm (median)"
         )
+    if report.depth_scale is not None:
+        shift = "" if report.depth_shift is None else f" and shift {report.depth_shift:.4g}"
+        stderr.print(f"{network} is used as it is, with scale {report.depth_scale:.4g}{shift} fitted on these frames")

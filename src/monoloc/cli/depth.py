@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
-import cv2
 import numpy as np
 import typer
+from numpy.typing import NDArray
 
-from monoloc.bundle import read_bundle
+from monoloc.bundle import read_network
 from monoloc.cli.common import (
     DepthScaleOption,
     FramesOption,
@@ -26,24 +27,26 @@ from monoloc.cli.common import (
 )
 from monoloc.config import load_settings, override
 from monoloc.datasets.base import Recording
-from monoloc.depth.runtime import DepthPredictor
+from monoloc.depth.fit import fit_to_depth
+from monoloc.depth.runtime import DepthPredictor, image_tensor, network_size
 from monoloc.errors import DataError
-from monoloc.evaluation.depth import DepthAccumulator, fit_scale
+from monoloc.evaluation.depth import DepthAccumulator
 from monoloc.evaluation.plots import plot_depth, plot_training
 from monoloc.extras import require_plotting, training_extra
 from monoloc.files import write_whole
-from monoloc.models import SHIPPED_ONNX
-from monoloc.progress import ConsoleProgress
+from monoloc.models import shipped_models
+from monoloc.progress import ConsoleProgress, NoProgress
 
 app = typer.Typer(help="Train, judge and export depth networks.", no_args_is_help=True, rich_markup_mode=None)
 
-_SHIPPED = "full-0.35"
 _PICTURES = 4
 
 ModelArgument = Annotated[
     str,
     typer.Argument(
-        metavar="MODEL", help=f"A network.safetensors, an .onnx, a bundle, or {_SHIPPED}.", show_default=False
+        metavar="MODEL",
+        help="A name of depth list, a .safetensors or .onnx, a bundle, or another's as .toml.",
+        show_default=False,
     ),
 ]
 
@@ -63,13 +66,14 @@ def train(
     epochs: Annotated[int | None, typer.Option("--epochs", help="In place of the settings'.")] = None,
     json: JsonOption = False,
 ) -> None:
-    """Train a depth network on frames with depth.
+    """Train a depth network on frames with depth; called again, an unfinished run goes on where it stopped.
 
     \b
     Examples:
       monoloc depth train folder:nyu-labelled --frames 0:1349 --validate 1349: \\
-          --encoder mobilenet_v2_0.35_imagenet.npz --out runs/nyu
+          --encoder mobilenet_v2_0.35_imagenet.npz --settings one-third-0.35.toml --out runs/one-third
       monoloc depth train nyu:nyu_depth_v2_labeled.mat --validate 1349: --frames :1349 --epochs 30 --out runs/short
+      torchrun --nproc-per-node 4 --no-python monoloc depth train ...
     """
     with training_extra():
         from monoloc.depth.train import TrainConfig, train_network
@@ -78,8 +82,11 @@ def train(
     config = override(TrainConfig() if settings is None else load_settings(settings, TrainConfig), epochs=epochs)
     training = open_source(source, frames)
     validation = open_source(source, validate) if validate is not None else training
-    with ConsoleProgress(stderr).task("train", config.epochs) as step:
-        history = train_network(training, validation, config, out, encoder, lambda record: step(record.epoch + 1))
+    # Under torchrun, the first process of a run judges, writes and speaks.
+    progress = ConsoleProgress(stderr) if os.environ.get("RANK", "0") == "0" else NoProgress()
+    history = train_network(training, validation, config, out, encoder, progress)
+    if not history:
+        return
     plot_training(out / "curves.png", [{k: v for k, v in asdict(r).items() if k != "seconds"} for r in history])
     last = asdict(history[-1])
     if json:
@@ -93,7 +100,9 @@ def evaluate(
     model: ModelArgument,
     source: SourceArgument,
     frames: FramesOption = "::",
-    fit: Annotated[bool, typer.Option("--fit-scale", help="Fit one scale for all frames first.")] = False,
+    fit: Annotated[
+        bool, typer.Option("--fit-scale", help="Fit one scale for all frames first; always done for relative depth.")
+    ] = False,
     plot: Annotated[Path | None, typer.Option("--plot", help="PNG of predicted and true depth.")] = None,
     intrinsics: IntrinsicsOption = None,
     depth_scale: DepthScaleOption = None,
@@ -106,6 +115,7 @@ def evaluate(
       monoloc depth evaluate full-0.35 folder:nyu-labelled --frames 1349: --json
       monoloc depth evaluate kitchen.monoloc 7scenes:redkitchen --frames 1::4 --plot depth.png
       monoloc depth evaluate full-0.35 7scenes:redkitchen --fit-scale
+      monoloc depth evaluate midas.toml 7scenes:redkitchen --frames ::10     (another's network)
     """
     check_writable(plot, "--plot")
     if plot is not None:
@@ -113,23 +123,41 @@ def evaluate(
     recording = open_source(source, frames, intrinsics, depth_scale)
     if not recording.has_depth:
         raise DataError(recording.name, "has no depth", "judge on a recording with depth images")
-    predictor = DepthPredictor(onnx_of(model), recording.camera, threads=2)
-    scale = _fitted_scale(predictor, recording) if fit else 1.0
+    progress = ConsoleProgress(stderr)
+    network = read_network(model)
+    if fit or not network.spec.is_usable:
+        with progress.task("fit", len(recording)) as step:
+            network = fit_to_depth(network, recording, recording.depth, step)
+        if not fit:
+            stderr.print(f"{model}: relative depth, fitted to these frames")
+    predictor = DepthPredictor(network, recording.camera, threads=2)
     accumulator = DepthAccumulator()
-    with ConsoleProgress(stderr).task("evaluate", len(recording)) as step:
+    known = predicted = 0
+    with progress.task("evaluate", len(recording)) as step:
         for index in range(len(recording)):
-            truth = recording.depth(index)
-            accumulator.add(scale * _predict(predictor, recording, index), truth)
+            truth, depth = recording.depth(index), _predict(predictor, recording, index)
+            has_truth, both = truth > 0.0, (truth > 0.0) & (depth > 0.0)
+            known, predicted = known + int(has_truth.sum()), predicted + int(both.sum())
+            accumulator.add(depth, np.where(both, truth, 0.0))
             step(index + 1)
+    if not len(accumulator):
+        raise DataError(network.name, "gives no depth at any pixel of known depth", "check its TOML, or --frames")
     if plot is not None:
         shown = np.linspace(0, len(recording) - 1, min(_PICTURES, len(recording))).astype(int)
         plot_depth(
             plot,
             [recording.color(int(i)) for i in shown],
-            [scale * _predict(predictor, recording, int(i)) for i in shown],
+            [_predict(predictor, recording, int(i)) for i in shown],
             [recording.depth(int(i)) for i in shown],
         )
-    metrics = {**asdict(accumulator.mean()), "frames": len(recording), "scale": scale}
+    metrics = {
+        **asdict(accumulator.mean()),
+        "frames": len(recording),
+        "predicted_share": predicted / known,
+        "scale": 1.0 if network.spec.scale is None else network.spec.scale,
+    }
+    if network.spec.has_shift:
+        metrics["shift"] = network.spec.shift
     if json:
         print_json(metrics)
     else:
@@ -141,6 +169,11 @@ def evaluate(
 def export(
     network: Annotated[Path, typer.Argument(help="A network.safetensors.", show_default=False)],
     out: Annotated[Path, typer.Option("--out", "-o", help="The .onnx file to write.")],
+    int8: Annotated[
+        str | None,
+        typer.Option("--int8", metavar="SOURCE", help="Quantise to 8 bits, calibrated on this recording's images."),
+    ] = None,
+    frames: FramesOption = "::",
     json: JsonOption = False,
 ) -> None:
     """Export a network to ONNX and check that it gives the same depth.
@@ -148,49 +181,61 @@ def export(
     \b
     Examples:
       monoloc depth export runs/nyu/network.safetensors --out depth.onnx
+      monoloc depth export runs/nyu/network.safetensors --out small.onnx --int8 folder:nyu-labelled --frames ::10
     """
     with training_extra():
         from monoloc.depth.checkpoint import load_network
         from monoloc.depth.export import export_onnx
+        from monoloc.depth.quantise import quantise
     check_writable(out, "--out")
-    content, report = export_onnx(load_network(network))
+    loaded = load_network(network)
+    content, report = export_onnx(loaded)
+    result: dict[str, object] = asdict(report)
+    if int8 is not None:
+        recording = open_source(int8, frames)
+        camera = recording.camera.resized(*network_size(recording.camera, loaded.config.focal_px))
+        with ConsoleProgress(stderr).task("quantise", None):
+            images = [image_tensor(recording.color(index), camera) for index in range(len(recording))]
+            content, difference = quantise(content, images)
+        result |= asdict(difference)
     write_whole(out, content)
     if json:
-        print_json({"onnx": str(out), **asdict(report)})
-    else:
-        stderr.print(f"{out}: {report.bytes / 1e6:.2f} MB, differs by at most {report.parity_max:.1e} in log-depth")
+        print_json({"onnx": str(out), **result})
+        return
+    stderr.print(f"{out}: {len(content) / 1e6:.2f} MB, differs by at most {report.parity_max:.1e} in log-depth")
+    if int8 is not None:
+        mean, most = difference.difference_mean, difference.difference_max
+        stderr.print(f"in 8 bits by {mean:.3f} on average, {most:.2f} at most")
 
 
-def onnx_of(model: str) -> Path | bytes:
-    """ONNX file or bytes of a model by name, bundle, .onnx or .safetensors.
+@app.command(name="list")
+def list_models(json: JsonOption = False) -> None:
+    """The networks that come with monoloc.
 
-    Raises:
-        DataError: no such file.
-        MissingExtraError: a .safetensors without PyTorch.
+    \b
+    Examples:
+      monoloc depth list
+      monoloc depth list --json
     """
-    path = Path(model)
-    if model == _SHIPPED:
-        return SHIPPED_ONNX
-    if path.is_dir():
-        return read_bundle(path).depth_model
-    if not path.is_file():
-        raise DataError(path, "does not exist", f"give a .safetensors, .onnx, a bundle, or {_SHIPPED}")
-    if path.suffix != ".safetensors":
-        return path
-    with training_extra():
-        from monoloc.depth.checkpoint import load_network
-        from monoloc.depth.export import export_onnx
-    return export_onnx(load_network(path))[0]
-
-
-def _predict(predictor: DepthPredictor, recording: Recording, index: int) -> np.ndarray:
-    size = (recording.camera.width, recording.camera.height)
-    return np.asarray(cv2.resize(predictor(recording.color(index)).depth_m, size, interpolation=cv2.INTER_LINEAR))
-
-
-def _fitted_scale(predictor: DepthPredictor, recording: Recording) -> float:
-    """Median over frames of each frame's best scale."""
-    scales = [
-        fit_scale(_predict(predictor, recording, index), recording.depth(index)) for index in range(len(recording))
+    models = shipped_models()
+    if json:
+        print_json({"models": [asdict(model) for model in models]})
+        return
+    rows = [
+        [
+            model.name,
+            f"{model.parameters / 1e6:.2f}",
+            f"{model.macs / 1e6:.0f}",
+            f"{model.bytes_fp32 / 1e6:.2f}, {model.bytes_int8 / 1e6:.2f}",
+            f"{model.absrel:.3f}, {model.absrel_int8:.3f}",
+            f"{model.delta1:.3f}, {model.delta1_int8:.3f}",
+        ]
+        for model in models
     ]
-    return float(np.median(scales))
+    columns = ["name", "M numbers", "M macs", "MB", "AbsRel", "delta1"]
+    print_table("In 32 bits, and in 8 as NAME-int8; judged on 100 NYU pairs", columns, rows)
+
+
+def _predict(predictor: DepthPredictor, recording: Recording, index: int) -> NDArray[np.float32]:
+    """Depth of a frame at the size of its image, 0 where there is none."""
+    return predictor(recording.color(index)).resized(recording.camera.width, recording.camera.height)

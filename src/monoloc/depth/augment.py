@@ -16,6 +16,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.camera import Camera
 
+_DISPLAY_GAMMA = 2.2  # of the curve that 8-bit images carry
+_LINEAR = np.linspace(0.0, 1.0, 256) ** _DISPLAY_GAMMA
+_BLURRED_SHARE = 0.3  # of the views
 _SUPERSAMPLE = 2  # views are drawn at twice the size and averaged down, so that minified frames do not alias
 
 
@@ -45,9 +48,13 @@ class AugmentConfig(BaseModel):
         roll_deg: camera roll, either way.
         aspect: relative stretch of one axis against the other, either way.
         mirror: whether half of the views are mirrored left to right.
-        exposure_stops, gamma, contrast, white_balance: photometric ranges, either way of neutral.
-        noise: largest standard deviation of sensor noise, in units of full scale.
-        blur_px: largest standard deviation of Gaussian blur.
+        exposure_stops, gamma, contrast, white_balance, saturation: photometric ranges, either way of neutral.
+        dim_share: share of views that are darkened beyond that.
+        dim_stops: by how much at most; with the exposure's own range, what the network is ready for.
+        electrons_min: fewest photoelectrons of full scale; shot noise grows as they go down. The most are a hundred
+            times as many.
+        read_noise: standard deviation of the sensor's own noise, electrons.
+        blur_px: largest standard deviation of Gaussian blur, of motion or focus.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -61,7 +68,11 @@ class AugmentConfig(BaseModel):
     gamma: float = Field(0.3, ge=0.0, lt=1.0)
     contrast: float = Field(0.25, ge=0.0, lt=1.0)
     white_balance: float = Field(0.12, ge=0.0, lt=1.0)
-    noise: float = Field(0.03, ge=0.0)
+    saturation: float = Field(0.5, ge=0.0, le=1.0)
+    dim_share: float = Field(0.25, ge=0.0, le=1.0)
+    dim_stops: float = Field(4.0, ge=0.0)
+    electrons_min: float = Field(300.0, gt=0.0)
+    read_noise: float = Field(3.0, ge=0.0)
     blur_px: float = Field(1.0, ge=0.0)
 
 
@@ -139,19 +150,68 @@ def _warp(
     )
 
 
+@dataclass(frozen=True)
+class Exposure:
+    """A light, a lens and a sensor; the defaults change nothing but the noise of a good camera.
+
+    Attributes:
+        stops: of exposure, against how the image was taken.
+        balance: gain of red, green and blue.
+        gamma, contrast, saturation: of the display curve; 1 is neutral.
+        blur_px: standard deviation of Gaussian blur.
+        electrons: photoelectrons of full scale.
+        read_noise: standard deviation of the sensor's own noise, electrons.
+    """
+
+    stops: float = 0.0
+    balance: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    gamma: float = 1.0
+    contrast: float = 1.0
+    saturation: float = 1.0
+    blur_px: float = 0.0
+    electrons: float = 30000.0
+    read_noise: float = 3.0
+
+
 def random_exposure(color: NDArray[np.uint8], config: AugmentConfig, rng: np.random.Generator) -> NDArray[np.uint8]:
     """The same view under another light, lens and sensor: (H, W, 3) uint8 -> (H, W, 3) uint8."""
-    gain = 2.0 ** rng.uniform(-config.exposure_stops, config.exposure_stops)
-    balance = gain * (1.0 + rng.uniform(-config.white_balance, config.white_balance, 3))
-    gamma = 1.0 + rng.uniform(-config.gamma, config.gamma)
-    contrast = 1.0 + rng.uniform(-config.contrast, config.contrast)
-    # Gain acts on linear light; 2.2 is the display curve that 8-bit images carry.
-    levels = np.linspace(0.0, 1.0, 256)[:, None]
-    curve = np.clip(levels**2.2 * balance, 0.0, 1.0) ** (gamma / 2.2)
-    curve = np.clip((curve - 0.5) * contrast + 0.5, 0.0, 1.0).astype(np.float32)
-    image = cv2.LUT(color, np.ascontiguousarray(curve[None]))
-    if rng.uniform() < 0.3:
-        image = cv2.GaussianBlur(image, (0, 0), max(0.1, rng.uniform(0.0, config.blur_px)))
-    sigma = rng.uniform(0.0, config.noise)
-    image = image + rng.standard_normal(image.shape, dtype=np.float32) * np.float32(sigma)
+
+    def about(range_: float) -> float:
+        return float(rng.uniform(-range_, range_))
+
+    stops = about(config.exposure_stops)
+    if rng.uniform() < config.dim_share:
+        stops -= rng.uniform(0.0, config.dim_stops)
+    exposure = Exposure(
+        stops=stops,
+        balance=(
+            1.0 + about(config.white_balance),
+            1.0 + about(config.white_balance),
+            1.0 + about(config.white_balance),
+        ),
+        gamma=1.0 + about(config.gamma),
+        contrast=1.0 + about(config.contrast),
+        saturation=1.0 + about(config.saturation),
+        blur_px=rng.uniform(0.0, config.blur_px) if rng.uniform() < _BLURRED_SHARE else 0.0,
+        electrons=config.electrons_min * 100.0 ** rng.uniform(),
+        read_noise=config.read_noise,
+    )
+    return expose(color, exposure, rng)
+
+
+def expose(color: NDArray[np.uint8], exposure: Exposure, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """An image as another exposure would have given it: (H, W, 3) uint8 RGB -> (H, W, 3) uint8.
+
+    Light is scaled in linear intensity, blurred, counted by a sensor with Poisson-Gaussian noise (Foi et al. 2008),
+    and drawn through the display curve.
+    """
+    gain = 2.0**exposure.stops * np.asarray(exposure.balance)
+    light = cv2.LUT(color, np.ascontiguousarray((_LINEAR[:, None] * gain).astype(np.float32)[None]))
+    if exposure.blur_px > 0.0:
+        light = cv2.GaussianBlur(light, (0, 0), max(0.1, exposure.blur_px))
+    variance = light / np.float32(exposure.electrons) + np.float32((exposure.read_noise / exposure.electrons) ** 2)
+    light = light + np.sqrt(variance) * rng.standard_normal(light.shape, dtype=np.float32)
+    image = cv2.pow(np.clip(light, 0.0, 1.0), exposure.gamma / _DISPLAY_GAMMA)
+    grey = image.mean(axis=2, keepdims=True)
+    image = (grey + (image - grey) * np.float32(exposure.saturation) - 0.5) * np.float32(exposure.contrast) + 0.5
     return np.asarray(np.clip(image * 255.0 + 0.5, 0.0, 255.0).astype(np.uint8))

@@ -3,8 +3,29 @@
 from __future__ import annotations
 
 import torch
+from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 from torch.nn import functional as F
+
+_NORMAL_STEP = 8  # pixels; sensor depth is too coarse for normals of neighbouring pixels
+
+
+class LossConfig(BaseModel):
+    """Weights of the terms of :func:`depth_loss`.
+
+    Attributes:
+        log_l1: :func:`log_l1_loss`.
+        scale_invariant: :func:`scale_invariant_loss`.
+        gradient: :func:`gradient_loss`.
+        normal: :func:`normal_loss`.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    log_l1: float = Field(1.0, ge=0.0)
+    scale_invariant: float = Field(0.0, ge=0.0)
+    gradient: float = Field(0.5, ge=0.0)
+    normal: float = Field(0.0, ge=0.0)
 
 
 def masked_mean(values: Tensor, valid: Tensor) -> Tensor:
@@ -15,6 +36,18 @@ def masked_mean(values: Tensor, valid: Tensor) -> Tensor:
 def log_l1_loss(log_predicted: Tensor, log_truth: Tensor, valid: Tensor) -> Tensor:
     """Mean absolute error of log-depth: a relative error, equal for near and far."""
     return masked_mean((log_predicted - log_truth).abs(), valid)
+
+
+def scale_invariant_loss(log_predicted: Tensor, log_truth: Tensor, valid: Tensor) -> Tensor:
+    """Standard deviation of the error of log-depth within an image, mean over images: what no scale explains.
+
+    The root form of Eigen, Puhrsch & Fergus (2014), eq. 4, with their lambda at 1.
+    """
+    error = torch.where(valid, log_predicted - log_truth, 0.0).flatten(1)
+    count = valid.flatten(1).sum(1).clamp(min=1)
+    mean = error.sum(1) / count
+    variance = (error.square().sum(1) / count - mean.square()).clamp(min=1e-6)
+    return variance.sqrt().mean()
 
 
 def gradient_loss(
@@ -34,18 +67,71 @@ def gradient_loss(
     return total / len(steps)
 
 
-def depth_loss(log_predicted: Tensor, depth_m: Tensor, gradient_weight: float) -> Tensor:
+def normal_loss(log_predicted: Tensor, log_truth: Tensor, valid: Tensor, focal_px: float) -> Tensor:
+    """Mean of one minus the cosine between the normals of predicted and true surfaces (Hu et al. 2019).
+
+    Normals span :data:`_NORMAL_STEP` pixels. The principal point is taken to be the image's centre; shifting it
+    shears both surfaces alike.
+    """
+    step = _NORMAL_STEP
+    known = valid[..., step:, step:] & valid[..., :-step, step:] & valid[..., step:, :-step]
+    cosine = F.cosine_similarity(_normals(log_predicted, focal_px), _normals(log_truth, focal_px), dim=1)
+    return masked_mean(1.0 - cosine[:, None], known)
+
+
+def _normals(log_depth: Tensor, focal_px: float) -> Tensor:
+    """Normals, not normalised, of the surface of a log-depth image: (B, 3, H - step, W - step)."""
+    height, width = log_depth.shape[-2:]
+    x = (torch.arange(width, device=log_depth.device) - (width - 1) / 2.0) / focal_px
+    y = (torch.arange(height, device=log_depth.device) - (height - 1) / 2.0) / focal_px
+    rays = torch.stack([x.expand(height, width), y[:, None].expand(height, width), torch.ones_like(log_depth[0, 0])])
+    points = rays * log_depth.exp()
+    corner = points[..., _NORMAL_STEP:, _NORMAL_STEP:]
+    across = corner - points[..., _NORMAL_STEP:, :-_NORMAL_STEP]
+    down = corner - points[..., :-_NORMAL_STEP, _NORMAL_STEP:]
+    return torch.cross(across, down, dim=1)
+
+
+def depth_loss(log_predicted: Tensor, depth_m: Tensor, weights: LossConfig, focal_px: float | None = None) -> Tensor:
     """Training loss of a prediction at any resolution against a depth image, 0 where there is no truth.
 
     Args:
         log_predicted: (B, 1, h, w) log-depth; brought to the truth's size bilinearly.
         depth_m: (B, 1, H, W) metres.
-        gradient_weight: weight of :func:`gradient_loss` beside :func:`log_l1_loss`.
+        weights: of the terms.
+        focal_px: focal length of the truth's pixels; needed by the term of normals only.
+
+    Raises:
+        ValueError: the term of normals without a focal length.
     """
-    log_predicted = F.interpolate(log_predicted, size=depth_m.shape[-2:], mode="bilinear", align_corners=False)
-    valid = depth_m > 0.0
-    log_truth = torch.log(depth_m.clamp(min=1e-3))
-    loss = log_l1_loss(log_predicted, log_truth, valid)
-    if gradient_weight > 0.0:
-        loss = loss + gradient_weight * gradient_loss(log_predicted, log_truth, valid)
+    log_predicted, log_truth, valid = _at_truth(log_predicted, depth_m)
+    loss = weights.log_l1 * log_l1_loss(log_predicted, log_truth, valid)
+    if weights.scale_invariant > 0.0:
+        loss = loss + weights.scale_invariant * scale_invariant_loss(log_predicted, log_truth, valid)
+    if weights.gradient > 0.0:
+        loss = loss + weights.gradient * gradient_loss(log_predicted, log_truth, valid)
+    if weights.normal > 0.0:
+        if focal_px is None:
+            raise ValueError("the loss of normals needs focal_px")
+        loss = loss + weights.normal * normal_loss(log_predicted, log_truth, valid, focal_px)
     return loss
+
+
+def laplace_loss(log_predicted: Tensor, log_scale: Tensor, depth_m: Tensor) -> Tensor:
+    """Negative log-likelihood of log-depth under a Laplace error, less log 2: ``|e| / b + log b``, nats.
+
+    Args:
+        log_predicted: (B, 1, h, w) log-depth; its gradient is not followed, so that depth is not made worse to
+            be more certain.
+        log_scale: (B, 1, h, w) natural logarithm of the scale b (Kendall & Gal 2017).
+        depth_m: (B, 1, H, W) metres, 0 where there is none.
+    """
+    log_predicted, log_truth, valid = _at_truth(log_predicted.detach(), depth_m)
+    log_scale = F.interpolate(log_scale, size=depth_m.shape[-2:], mode="bilinear", align_corners=False)
+    return masked_mean((log_predicted - log_truth).abs() * torch.exp(-log_scale) + log_scale, valid)
+
+
+def _at_truth(log_predicted: Tensor, depth_m: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Prediction at the truth's size, log of the truth, and where it is known."""
+    log_predicted = F.interpolate(log_predicted, size=depth_m.shape[-2:], mode="bilinear", align_corners=False)
+    return log_predicted, torch.log(depth_m.clamp(min=1e-3)), depth_m > 0.0

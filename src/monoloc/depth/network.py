@@ -2,7 +2,8 @@
 
 Sources: Sandler et al., *MobileNetV2* (CVPR 2018); Nekrasov et al., *Light-Weight RefineNet* (BMVC 2018)
 and *Real-Time Joint Semantic Segmentation and Depth Estimation* (ICRA 2019). Encoder tensors carry
-torchvision's names, so public ImageNet weights load as they are.
+torchvision's names, so public ImageNet weights load as they are; smaller networks leave blocks out and the
+remaining ones keep their names.
 
 Inputs are RGB in [-1, 1], (B, 3, H, W) with H and W multiples of 32. The output is the natural logarithm of
 *canonical* depth, (B, 1, H/4, W/4): the depth the scene would have were it seen at ``focal_px``
@@ -12,29 +13,25 @@ Inputs are RGB in [-1, 1], (B, 3, H, W) with H and W multiples of 32. The output
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Mapping
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from monoloc.errors import DataError
 
-# Expansion, channels at width 1, repeats, first stride (Sandler et al., table 2).
-_INVERTED_RESIDUALS = (
-    (1, 16, 1, 1),
-    (6, 24, 2, 2),
-    (6, 32, 3, 2),
-    (6, 64, 4, 2),
-    (6, 96, 3, 1),
-    (6, 160, 3, 2),
-    (6, 320, 1, 1),
-)
-# The last block of each of the six stages that the decoder reads, shallow to deep.
-_TAPS = (3, 6, 10, 13, 16, 17)
+# Expansion, channels at width 1, first stride (Sandler et al., table 2).
+_STAGES = ((1, 16, 1), (6, 24, 2), (6, 32, 2), (6, 64, 2), (6, 96, 1), (6, 160, 2), (6, 320, 1))
+_BLOCKS = (1, 2, 3, 4, 3, 3, 1)
+# Index in torchvision's ``features`` of every stage's first block.
+_FIRST_INDEX = tuple(1 + sum(_BLOCKS[:stage]) for stage in range(len(_BLOCKS)))
+# The stages that each decoder level reads, deep to shallow: strides 32, 16, 8, 4.
+_LEVEL_STAGES = ((5, 6), (3, 4), (2,), (1,))
 _BATCH_NORM_EPS = 1e-3  # as the ImageNet weights were trained
 
 
@@ -45,6 +42,10 @@ class NetworkConfig(BaseModel):
         width: MobileNetV2's width multiplier.
         decoder_channels: channels of every decoder stage.
         focal_px: focal length in pixels at which the network sees the world (canonical camera).
+        encoder_blocks: inverted residuals kept of each of MobileNetV2's seven stages, counted from the stage's
+            first; 0 removes a stage, which only the last ones may be.
+        pooling_stages: chained-residual-pooling stages at strides 32, 16, 8 and 4; 0 removes the block.
+        uncertainty: whether there is a second output, the scale of the error.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -52,6 +53,20 @@ class NetworkConfig(BaseModel):
     width: float = Field(0.35, gt=0.0, le=2.0)
     decoder_channels: int = Field(104, ge=8, le=512)
     focal_px: float = Field(136.0, gt=0.0)
+    encoder_blocks: tuple[int, int, int, int, int, int, int] = _BLOCKS
+    pooling_stages: tuple[int, int, int, int] = (4, 4, 4, 4)
+    uncertainty: bool = False
+
+    @model_validator(mode="after")
+    def _check(self) -> NetworkConfig:
+        kept = [blocks > 0 for blocks in self.encoder_blocks]
+        if any(not 0 <= b <= most for b, most in zip(self.encoder_blocks, _BLOCKS, strict=True)):
+            raise ValueError(f"encoder_blocks must lie between 0 and {_BLOCKS}")
+        if kept != sorted(kept, reverse=True) or not all(kept[:3]):
+            raise ValueError("encoder_blocks may remove whole stages only from the end, and not the first three")
+        if any(not 0 <= stages <= 4 for stages in self.pooling_stages):
+            raise ValueError("pooling_stages must lie between 0 and 4")
+        return self
 
 
 def _scaled(channels: int, width: float) -> int:
@@ -96,28 +111,33 @@ class _InvertedResidual(nn.Module):
 
 
 class Encoder(nn.Module):
-    """MobileNetV2 up to its last bottleneck; returns six feature maps, strides 4, 8, 16, 16, 32, 32."""
+    """MobileNetV2 up to its last bottleneck, or less of it; returns the output of every stage from stride 4 on.
 
-    def __init__(self, width: float) -> None:
+    Attributes:
+        taps: name of the last block of each such stage -> its channels, shallow to deep.
+    """
+
+    def __init__(self, width: float, blocks: Sequence[int]) -> None:
         super().__init__()
         channels = _scaled(32, width)
-        blocks: list[nn.Module] = [_conv_bn_relu(3, channels, 3, 2)]
-        self.channels: list[int] = []
-        for expansion, base, repeats, first_stride in _INVERTED_RESIDUALS:
-            for repeat in range(repeats):
-                outputs = _scaled(base, width)
-                stride = first_stride if repeat == 0 else 1
-                blocks.append(_InvertedResidual(channels, outputs, stride, expansion))
+        layers: dict[str, nn.Module] = {"0": _conv_bn_relu(3, channels, 3, 2)}
+        self.taps: dict[str, int] = {}
+        for stage, (expansion, base, first_stride) in enumerate(_STAGES):
+            outputs = _scaled(base, width)
+            for block in range(blocks[stage]):
+                stride = first_stride if block == 0 else 1
+                name = str(_FIRST_INDEX[stage] + block)
+                layers[name] = _InvertedResidual(channels, outputs, stride, expansion)
                 channels = outputs
-                if len(blocks) - 1 in _TAPS:
-                    self.channels.append(channels)
-        self.features = nn.Sequential(*blocks)
+                if stage >= 1 and block == blocks[stage] - 1:
+                    self.taps[name] = channels
+        self.features = nn.Sequential(OrderedDict(layers))
 
     def forward(self, x: Tensor) -> list[Tensor]:
         taps = []
-        for index, block in enumerate(self.features):
+        for name, block in self.features.named_children():
             x = block(x)
-            if index in _TAPS:
+            if name in self.taps:
                 taps.append(x)
         return taps
 
@@ -125,7 +145,7 @@ class Encoder(nn.Module):
 class _ChainedResidualPooling(nn.Module):
     """x + sum of a chain of (5x5 max-pool, 1x1 convolution): context at almost no cost."""
 
-    def __init__(self, channels: int, stages: int = 4, depthwise: bool = False) -> None:
+    def __init__(self, channels: int, stages: int, depthwise: bool) -> None:
         super().__init__()
         groups = channels if depthwise else 1
         self.convs = nn.ModuleList(nn.Conv2d(channels, channels, 1, groups=groups, bias=False) for _ in range(stages))
@@ -139,45 +159,97 @@ class _ChainedResidualPooling(nn.Module):
 
 
 class Decoder(nn.Module):
-    """Light-Weight RefineNet over four resolutions; returns the features that the last layer reads."""
+    """Light-Weight RefineNet over the encoder's resolutions; returns the features that the last layer reads.
 
-    def __init__(self, encoder_channels: list[int], channels: int) -> None:
+    Args:
+        level_channels: channels of the encoder's taps at each resolution, deep to shallow; the last is stride 4.
+        channels: of every stage of the decoder.
+        pooling_stages: of the chained residual pooling at each of these resolutions.
+    """
+
+    def __init__(self, level_channels: Sequence[Sequence[int]], channels: int, pooling_stages: Sequence[int]) -> None:
         super().__init__()
-        self.laterals = nn.ModuleList(nn.Conv2d(c, channels, 1, bias=False) for c in encoder_channels)
+        self._taps_of_level = [len(level) for level in level_channels]
+        shallow_first = [c for level in reversed(level_channels) for c in level]
+        self.laterals = nn.ModuleList(nn.Conv2d(c, channels, 1, bias=False) for c in shallow_first)
+        last = len(level_channels) - 1
         self.pooling = nn.ModuleList(
-            _ChainedResidualPooling(channels, depthwise=is_last) for is_last in (False, False, False, True)
+            _ChainedResidualPooling(channels, stages, depthwise=level == last)
+            for level, stages in enumerate(pooling_stages)
         )
-        self.adapt = nn.ModuleList(nn.Conv2d(channels, channels, 1, bias=False) for _ in range(3))
+        self.adapt = nn.ModuleList(nn.Conv2d(channels, channels, 1, bias=False) for _ in range(last))
         self.pre_depth = nn.Conv2d(channels, channels, 1, groups=channels, bias=False)
 
     def forward(self, taps: list[Tensor]) -> Tensor:
-        s4, s8, s16a, s16b, s32a, s32b = (conv(tap) for conv, tap in zip(self.laterals, taps, strict=True))
-        x = F.relu6(s32a + s32b)
-        for level, skip in enumerate((s16a + s16b, s8, s4)):
+        skips = [conv(tap) for conv, tap in zip(self.laterals, taps, strict=True)]
+        levels = []
+        for count in self._taps_of_level:
+            levels.append(sum(skips[len(skips) - count + 1 :], skips[len(skips) - count]))
+            skips = skips[: len(skips) - count]
+        x = F.relu6(levels[0])
+        for level, skip in enumerate(levels[1:]):
             x = self.adapt[level](self.pooling[level](x))
             x = F.interpolate(x, size=skip.shape[-2:], mode="bilinear", align_corners=False)
             x = F.relu6(x + skip)
-        return F.relu6(self.pre_depth(self.pooling[3](x)))
+        return F.relu6(self.pre_depth(self.pooling[-1](x)))
 
 
 class DepthNetwork(nn.Module):
-    """Encoder, decoder, and the last 3x3 layer ``head`` (the paper's theta_D)."""
+    """Encoder, decoder, and the last 3x3 layer ``head`` (the paper's theta_D).
+
+    With ``uncertainty``, ``error_head`` beside it gives the scale of a Laplace error of log-depth.
+    """
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         self.config = config
-        self.encoder = Encoder(config.width)
-        self.decoder = Decoder(self.encoder.channels, config.decoder_channels)
+        self.encoder = Encoder(config.width, config.encoder_blocks)
+        levels = [
+            ([_scaled(_STAGES[stage][1], config.width) for stage in stages if config.encoder_blocks[stage]], pooling)
+            for stages, pooling in zip(_LEVEL_STAGES, config.pooling_stages, strict=True)
+        ]
+        kept = [(channels, pooling) for channels, pooling in levels if channels]
+        self.decoder = Decoder([c for c, _ in kept], config.decoder_channels, [pooling for _, pooling in kept])
         self.head = nn.Conv2d(config.decoder_channels, 1, 3, padding=1)
         nn.init.constant_(self.head.bias, float(np.log(2.0)))  # type: ignore[arg-type]  # rooms are about 2 m deep
+        self.error_head = nn.Conv2d(config.decoder_channels, 1, 3, padding=1) if config.uncertainty else None
+        if self.error_head is not None:
+            nn.init.zeros_(self.error_head.weight)
+            nn.init.constant_(self.error_head.bias, float(np.log(0.2)))  # type: ignore[arg-type]
 
     def forward(self, images: Tensor) -> Tensor:
         """Log canonical depth: (B, 3, H, W) in [-1, 1] -> (B, 1, H/4, W/4)."""
         output: Tensor = self.head(self.decoder(self.encoder(images)))
         return output
 
+    def with_error(self, images: Tensor) -> tuple[Tensor, Tensor | None]:
+        """Log canonical depth, and the log of its error's Laplace scale if there is such an output.
+
+        Both (B, 1, H/4, W/4). The second learns from features it does not shape, so that depth is the same with
+        and without it.
+        """
+        features = self.decoder(self.encoder(images))
+        error = None if self.error_head is None else self.error_head(features.detach())
+        return self.head(features), error
+
     def parameter_count(self) -> int:
         return sum(p.numel() for p in self.parameters())
+
+    @torch.no_grad()
+    def multiply_adds(self, width: int, height: int) -> int:
+        """Multiply-adds of the convolutions for one image; all else is a few percent of it."""
+        count = 0
+
+        def add(layer: nn.Module, _: object, output: Tensor) -> None:
+            nonlocal count
+            assert isinstance(layer, nn.Conv2d)
+            count += output[0].numel() * layer.weight[0].numel()
+
+        hooks = [layer.register_forward_hook(add) for layer in self.modules() if isinstance(layer, nn.Conv2d)]
+        self.with_error(torch.zeros(1, 3, height, width))
+        for hook in hooks:
+            hook.remove()
+        return count
 
 
 def load_encoder_weights(network: DepthNetwork, path: Path) -> None:

@@ -1,84 +1,343 @@
-"""Depth of an image by an exported network; needs onnxruntime only."""
+"""Depth of an image by an exported network, ours or another; needs onnxruntime only."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic_core import PydanticCustomError
 
 from monoloc.camera import Camera
-from monoloc.errors import DataError
+from monoloc.errors import DataError, SettingError
 
-STRIDE = 32  # the network halves its input five times
+STRIDE = 32  # our networks halve their input five times
 FOCAL_KEY = "monoloc_focal_px"
+LEAST_INPUT_PX = 64
+_ERROR_OUTPUT = "log_error_scale"
+_LEAST_IMAGE_PX = 32
+# Ours give a quarter of their input: 40 x 32 for most cameras, 120 x 88 for the widest. Anything finer is read at
+# every so many pixels: the scan is a few hundred points, and the corners' depth is smooth.
+_MOST_PIXELS = 128 * 96
+_FARTHEST_M = 100.0  # no room is larger; disparity near zero says no more than that
+
+_Size = Annotated[int, Field(ge=LEAST_INPUT_PX)]
+_Positive = Annotated[float, Field(gt=0.0)]
 
 
-def network_size(camera: Camera, focal_px: float) -> tuple[int, int]:
-    """(width, height) that bring a camera's image nearest to the canonical focal length, multiples of 32.
+class ModelSpec(BaseModel):
+    """How images go into an ONNX depth network, and how depth comes out.
 
-    Rounding leaves the two focal lengths a few percent off; the runtime corrects depth for it.
+    Attributes:
+        width, height: size of the network's input; images are stretched to it. Or, in their place,
+        focal_px: images are brought near to this focal length, and the depth is that of such a camera.
+        stride: with ``focal_px``, width and height are multiples of it.
+        mean, std: normalisation of red, green and blue, of values from 0 to 1.
+        channels, layout: order of the colours and of the input's axes.
+        output: what the network's first output is.
+        metric: whether that is in metres (for disparity, in 1/m); if not, scale and shift are unknown before they
+            are fitted.
+        scale, shift: ``depth = scale * raw + shift``, ``1 / depth = scale * raw + shift`` for disparity, and
+            ``depth = scale * exp(raw)`` for log-depth; None is fitted by ``monoloc build``, and 1 before that.
     """
-    scale = focal_px / camera.focal_px
-    width = max(1, round(camera.width * scale / STRIDE)) * STRIDE
-    height = max(1, round(camera.height * scale / STRIDE)) * STRIDE
-    return width, height
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    width: _Size | None = None
+    height: _Size | None = Field(None, validate_default=True)
+    focal_px: _Positive | None = Field(None, validate_default=True)
+    stride: int = Field(STRIDE, ge=1)
+    mean: tuple[float, float, float]
+    std: tuple[_Positive, _Positive, _Positive]
+    channels: Literal["rgb", "bgr"] = "rgb"
+    layout: Literal["nchw", "nhwc"] = "nchw"
+    output: Literal["depth", "log-depth", "disparity"]
+    metric: bool
+    scale: _Positive | None = None
+    shift: float = 0.0
+
+    @field_validator("height")
+    @classmethod
+    def _both_or_neither(cls, height: int | None, info: ValidationInfo) -> int | None:
+        if "width" in info.data and (height is None) != (info.data["width"] is None):
+            raise PydanticCustomError("size", "Width and height go together")
+        return height
+
+    @field_validator("focal_px")
+    @classmethod
+    def _one_kind_of_size(cls, focal_px: float | None, info: ValidationInfo) -> float | None:
+        if "height" in info.data and (focal_px is None) == (info.data["height"] is None):
+            raise PydanticCustomError("size", "Give either width and height, or focal_px")
+        return focal_px
+
+    @field_validator("shift")
+    @classmethod
+    def _shift_of_a_scale(cls, shift: float, info: ValidationInfo) -> float:
+        if shift and info.data.get("output") == "log-depth":
+            raise PydanticCustomError("shift", "Log-depth has a scale only")
+        if shift and "scale" in info.data and info.data["scale"] is None:
+            raise PydanticCustomError("shift", "Give scale as well, or leave both to be fitted")
+        return shift
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether depth comes out in metres without a fit."""
+        return self.metric or self.scale is not None
+
+    @property
+    def has_shift(self) -> bool:
+        """Whether a fit gives a shift beside the scale."""
+        return not self.metric and self.output != "log-depth"
+
+    def input_size(self, camera: Camera) -> tuple[int, int]:
+        """(width, height) of the network's input for a camera's images."""
+        if self.width is not None and self.height is not None:
+            return self.width, self.height
+        assert self.focal_px is not None
+        return network_size(camera, self.focal_px, self.stride)
+
+    def depth(self, raw: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The network's output as depth; not finite or not positive where there is none."""
+        scale = np.float32(1.0 if self.scale is None else self.scale)
+        with np.errstate(all="ignore"):
+            if self.output == "log-depth":
+                return np.asarray(scale * np.exp(raw))
+            line = scale * raw + np.float32(self.shift)
+            return np.asarray(np.float32(1.0) / line if self.output == "disparity" else line)
+
+
+def monoloc_spec(focal_px: float) -> ModelSpec:
+    """What our own networks agree on: metric log-depth for a camera of that focal length."""
+    half = (0.5, 0.5, 0.5)
+    return ModelSpec(focal_px=focal_px, mean=half, std=half, output="log-depth", metric=True, scale=1.0)
+
+
+@dataclass(frozen=True)
+class DepthModel:
+    """A depth network that can be run.
+
+    Attributes:
+        content: the ONNX file.
+        spec: how it is used.
+        name: what people call it.
+    """
+
+    content: bytes
+    spec: ModelSpec
+    name: str = "depth.onnx"
 
 
 @dataclass(frozen=True)
 class DepthPrediction:
-    """Depth of one frame, at a quarter of the network's input resolution.
+    """Depth of one frame, at a resolution of its own.
 
     Attributes:
-        depth_m: (h, w) float32, metres along z.
+        depth_m: (h, w) float32, metres along z, 0 where there is none.
         camera: intrinsics of the depth image, undistorted rays through :meth:`Camera.rays`.
+        log_error: (h, w) float32, natural logarithm of the Laplace scale of log-depth's error, where the network
+            states it; else None.
     """
 
     depth_m: NDArray[np.float32]
     camera: Camera
+    log_error: NDArray[np.float32] | None = None
+
+    def resized(self, width: int, height: int) -> NDArray[np.float32]:
+        """Depth interpolated between the pixels that have some, (height, width); 0 where there is none."""
+        size = (width, height)
+        depth = np.asarray(cv2.resize(self.depth_m, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+        known = (self.depth_m > 0.0).astype(np.float32)
+        share = np.asarray(cv2.resize(known, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+        return np.where(share > 0.5, depth / np.maximum(share, np.float32(0.5)), np.float32(0.0))
+
+
+def network_size(camera: Camera, focal_px: float, stride: int = STRIDE) -> tuple[int, int]:
+    """(width, height) that bring a camera's image nearest to the canonical focal length, multiples of the stride.
+
+    Rounding leaves the two focal lengths a few percent off; the runtime corrects depth for it.
+    """
+    scale = focal_px / camera.focal_px
+    width = max(1, round(camera.width * scale / stride)) * stride
+    height = max(1, round(camera.height * scale / stride)) * stride
+    return width, height
 
 
 class DepthPredictor:
-    """Runs ``depth.onnx`` on the frames of one camera.
+    """Runs a depth network on the frames of one camera.
+
+    It is run once on noise, so that what does not fit is said before the work begins.
+
+    Attributes:
+        input_camera, output_camera: intrinsics of the network's input and of the depth it gives here.
+        focal_ratio: depth is the network's times this: that of the input's focal length to the canonical one.
 
     Raises:
-        DataError: the file is not an ONNX network exported by monoloc.
+        DataError: the network cannot be loaded or run, takes no image, or gives no depth image.
+        SettingError: the camera's images are too small.
     """
 
-    def __init__(self, model: Path | bytes, camera: Camera, threads: int = 1) -> None:
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = threads
-        options.inter_op_num_threads = 1
-        options.log_severity_level = 3
-        label = model if isinstance(model, Path) else "depth.onnx"
-        try:
-            source = str(model) if isinstance(model, Path) else model
-            self._session = onnxruntime.InferenceSession(source, options, providers=["CPUExecutionProvider"])
-            self.focal_px = float(self._session.get_modelmeta().custom_metadata_map[FOCAL_KEY])
-        except KeyError as error:
-            raise DataError(
-                label, f"lacks the metadata {FOCAL_KEY}", "export it with: monoloc depth export"
-            ) from error
-        except Exception as error:  # onnxruntime raises its own classes, all directly under Exception
-            reason = str(error).splitlines()[0]
-            raise DataError(label, f"cannot be loaded ({reason})", "export it with: monoloc depth export") from error
-        self.input_camera = camera.resized(*network_size(camera, self.focal_px))
-        self.output_camera = self.input_camera.resized(self.input_camera.width // 4, self.input_camera.height // 4)
-        self._log_focal_ratio = math.log(self.input_camera.focal_px / self.focal_px)
+    def __init__(self, model: DepthModel, camera: Camera, threads: int = 1) -> None:
+        self._model, self._spec = model, model.spec
+        self._session = load_session(model.content, model.name, threads)
+        check_input(self._session, model.spec, model.name)
+        self._input = self._session.get_inputs()[0].name
+        outputs = [output.name for output in self._session.get_outputs()]
+        self._outputs = outputs[:1] + ([_ERROR_OUTPUT] if _ERROR_OUTPUT in outputs[1:] else [])
+        self.input_camera = camera.resized(*_checked_size(model, camera))
+        focal_px = self._spec.focal_px
+        self.focal_ratio = 1.0 if focal_px is None else self.input_camera.focal_px / focal_px
+        raw = self._probe()
+        height, width = raw.shape
+        shrink = min(1.0, float(np.sqrt(_MOST_PIXELS / (width * height))))
+        self._output_size = (max(2, round(width * shrink)), max(2, round(height * shrink)))
+        self.output_camera = self.input_camera.resized(*self._output_size)
 
     def __call__(self, color: NDArray[np.uint8]) -> DepthPrediction:
-        """Depth of an image (H, W, 3) uint8 RGB of the predictor's camera."""
-        tensor = image_tensor(color, self.input_camera)
-        log_depth = self._session.run(None, {"image": tensor})[0][0, 0]
-        return DepthPrediction(np.exp(log_depth + self._log_focal_ratio), self.output_camera)
+        """Depth of an image (H, W, 3) uint8 RGB of the predictor's camera.
+
+        Raises:
+            DataError: the network's depth is relative and was never fitted.
+        """
+        if not self._spec.is_usable:
+            fix = "fit it by monoloc build, or give its scale and shift"
+            raise DataError(self._model.name, "gives relative depth, whose scale is not known", fix)
+        raw, *log_error = self._run(color)
+        depth_m = self._spec.depth(raw) * np.float32(self.focal_ratio)
+        is_depth = (depth_m > 0.0) & (depth_m <= _FARTHEST_M)  # neither is true of NaN
+        depth_m = np.where(is_depth, depth_m, np.float32(0.0))
+        return DepthPrediction(depth_m, self.output_camera, log_error[0] if log_error else None)
+
+    def raw(self, color: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """The network's own output for an image, at the output camera's resolution: (h, w) float32."""
+        return self._run(color)[0]
+
+    def _run(self, color: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
+        # Picked, not averaged: between two surfaces there is nothing.
+        return [
+            np.asarray(cv2.resize(output, self._output_size, interpolation=cv2.INTER_NEAREST_EXACT), np.float32)
+            for output in self._infer(color)
+        ]
+
+    def _infer(self, color: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
+        tensor = image_tensor(color, self.input_camera, self._spec)
+        outputs = self._session.run(self._outputs, {self._input: tensor})
+        return [np.squeeze(np.asarray(output, dtype=np.float32)) for output in outputs]
+
+    def _probe(self) -> NDArray[np.float32]:
+        """The first output for an image of noise, checked."""
+        name, camera = self._model.name, self.input_camera
+        noise = np.random.default_rng(0).integers(0, 256, (camera.height, camera.width, 3), dtype=np.uint8)
+        try:
+            raw, *log_error = self._infer(noise)
+        except Exception as error:  # onnxruntime raises its own classes, all directly under Exception
+            problem = f"cannot be run on images of {camera.width}x{camera.height} ({_reason(error)})"
+            raise DataError(name, problem, "correct width and height, or stride") from error
+        if raw.ndim != 2 or min(raw.shape) < 2:
+            problem = f"gives {' x '.join(map(str, raw.shape)) or 'one number'}, which is no depth image"
+            raise DataError(name, problem, "its first output must be (1, 1, h, w), (1, h, w, 1), (1, h, w) or (h, w)")
+        if log_error and log_error[0].shape != raw.shape:
+            problem = f"gives {_ERROR_OUTPUT} of another size than depth"
+            raise DataError(name, problem, "give both outputs one size, or rename the second")
+        if not np.isfinite(raw).any():
+            raise DataError(name, "gives NaN for every pixel", "check the file, and mean and std, or export it again")
+        return raw
 
 
-def image_tensor(color: NDArray[np.uint8], input_camera: Camera) -> NDArray[np.float32]:
-    """The network's input: (H, W, 3) uint8 RGB -> (1, 3, h, w) float32 in [-1, 1]."""
+def image_tensor(
+    color: NDArray[np.uint8], input_camera: Camera, spec: ModelSpec | None = None
+) -> NDArray[np.float32]:
+    """A network's input, float32: (H, W, 3) uint8 RGB -> (1, 3, h, w) or (1, h, w, 3).
+
+    Args:
+        input_camera: has the input's size.
+        spec: normalisation, channels and layout; None is [-1, 1], RGB, channels first, as our networks take it.
+    """
     size = (input_camera.width, input_camera.height)
-    small = cv2.resize(color, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-    return np.ascontiguousarray((small / 127.5 - 1.0).transpose(2, 0, 1)[None])
+    enlarges = size[0] > color.shape[1] and size[1] > color.shape[0]
+    interpolation = cv2.INTER_LINEAR if enlarges else cv2.INTER_AREA  # which makes blocks when it enlarges
+    values = np.asarray(cv2.resize(color, size, interpolation=interpolation), dtype=np.float32)
+    if spec is None:
+        spec = monoloc_spec(input_camera.focal_px)
+    mean, std = np.array(spec.mean), np.array(spec.std)
+    values = values / (255.0 * std).astype(np.float32) - (mean / std).astype(np.float32)
+    if spec.channels == "bgr":
+        values = values[..., ::-1]
+    if spec.layout == "nchw":
+        values = values.transpose(2, 0, 1)
+    return np.ascontiguousarray(values[None])
+
+
+def load_session(content: bytes, label: str | Path, threads: int = 1) -> onnxruntime.InferenceSession:
+    """An ONNX network ready to run on the processor.
+
+    Args:
+        label: what the error's message calls it.
+
+    Raises:
+        DataError: it cannot be loaded.
+    """
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 4  # what fails is raised, and said in one line
+    try:
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime raises its own classes, all directly under Exception
+        fix = "give one self-contained ONNX file, such as monoloc depth export writes"
+        raise DataError(label, f"cannot be loaded ({_reason(error)})", fix) from error
+
+
+def check_input(session: onnxruntime.InferenceSession, spec: ModelSpec, label: str | Path) -> None:
+    """Check that what a network declares of its input agrees with a spec.
+
+    Raises:
+        DataError: not one image, or of another size or layout.
+    """
+    inputs = session.get_inputs()
+    if len(inputs) != 1:
+        names = ", ".join(entry.name for entry in inputs) or "none"
+        raise DataError(label, f"has {len(inputs)} inputs ({names})", "export it with the image as its only input")
+    declared, kind = list(inputs[0].shape), inputs[0].type
+    if len(declared) != 4 or kind != "tensor(float)":
+        problem = f"takes {kind} of {len(declared)} axes"
+        raise DataError(label, problem, "export it with one float32 image of 4 axes as its input")
+    size = (spec.height, spec.width)
+    wanted = (1, 3, *size) if spec.layout == "nchw" else (1, *size, 3)
+    # Axes that are left open have a name, or none, in place of a number.
+    fixed = [axis if isinstance(axis, int) and axis > 0 else None for axis in declared]
+    if all(axis is None or axis == want for axis, want in zip(fixed, wanted, strict=True)):
+        return
+    shape = " x ".join("any" if axis is None else str(axis) for axis in fixed)
+    if spec.focal_px is not None:
+        raise DataError(label, f"takes {shape}, not images of any size", "give width and height, or its layout")
+    expected = " x ".join(map(str, wanted))
+    raise DataError(label, f"takes {shape}, not {expected}", "correct width, height or layout")
+
+
+def _checked_size(model: DepthModel, camera: Camera) -> tuple[int, int]:
+    """Size of the network's input for a camera.
+
+    Raises:
+        SettingError: images too small for depth to be seen in them.
+    """
+    image = f"{camera.width}x{camera.height}"
+    if min(camera.width, camera.height) < _LEAST_IMAGE_PX:
+        raise SettingError("camera", f"has images of {image}", f"give at least {_LEAST_IMAGE_PX} pixels a side")
+    width, height = model.spec.input_size(camera)
+    if min(width, height) < LEAST_INPUT_PX:
+        problem = (
+            f"has images of {image} and a focal length of {camera.focal_px:.0f} px, for {model.name} {width}x{height}"
+        )
+        fix = f"check the intrinsics, or use a wider lens: it needs {LEAST_INPUT_PX} pixels a side"
+        raise SettingError("camera", problem, fix)
+    return width, height
+
+
+def _reason(error: Exception) -> str:
+    """The first line of what onnxruntime says."""
+    return (str(error).splitlines() or ["no reason given"])[0]

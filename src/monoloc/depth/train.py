@@ -2,47 +2,62 @@
 
 from __future__ import annotations
 
+import io
 import json
 import time
-from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
-import cv2
-import numpy as np
 import torch
-from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
-from torch import Tensor
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from torch import nn
 
-from monoloc.camera import Camera
 from monoloc.datasets.base import Recording
-from monoloc.depth.augment import AugmentConfig, random_exposure, random_view
+from monoloc.depth.augment import AugmentConfig
 from monoloc.depth.checkpoint import save_network
-from monoloc.depth.losses import depth_loss
+from monoloc.depth.distributed import Worker, training_worker
+from monoloc.depth.examples import TrainingFrames, ValidationFrames
+from monoloc.depth.family import named_config
+from monoloc.depth.losses import LossConfig, depth_loss, laplace_loss
 from monoloc.depth.network import DepthNetwork, NetworkConfig, load_encoder_weights
-from monoloc.depth.runtime import network_size
 from monoloc.errors import DataError, SettingError
 from monoloc.files import write_whole
 from monoloc.memory import keep_freed_memory
+from monoloc.progress import NoProgress, Progress
+
+_STATE = "resume.pt"
 
 
 class TrainConfig(BaseModel):
-    """Settings of one training run, as read from a TOML file; written beside the weights."""
+    """Settings of one training run, as read from a TOML file; kept with its state.
+
+    Attributes:
+        network: a table of :class:`NetworkConfig`, or the name of a member of the family.
+        augment, loss: what is trained on, and for.
+        epochs, batch_size, learning_rate, weight_decay, seed: of the optimisation; a batch is shared by the workers.
+        encoder_rate_factor: learning rate of the encoder against that of the rest.
+        ema_decay: of the averaged weights, which are what is judged and kept.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    network: NetworkConfig = NetworkConfig()
+    network: NetworkConfig = named_config("full-0.35")
     augment: AugmentConfig = AugmentConfig()
+    loss: LossConfig = LossConfig()
     epochs: int = Field(100, ge=1)
     batch_size: int = Field(16, ge=2)
     learning_rate: float = Field(2e-3, gt=0.0)
     encoder_rate_factor: float = Field(0.5, gt=0.0)
     weight_decay: float = Field(1e-3, ge=0.0)
-    gradient_weight: float = Field(0.5, ge=0.0)
     ema_decay: float = Field(0.998, ge=0.0, lt=1.0)
-    seed: int = 0
+    seed: int = Field(0, ge=0)
+
+    @field_validator("network", mode="before")
+    @classmethod
+    def _by_name(cls, value: object) -> object:
+        """A member of the family by its name, in place of a table."""
+        return named_config(value) if isinstance(value, str) else value
 
 
 @dataclass(frozen=True)
@@ -56,140 +71,168 @@ class EpochRecord:
     seconds: float
 
 
-def network_input(images: list[NDArray[np.uint8]]) -> Tensor:
-    """Images (H, W, 3) uint8 RGB of one size -> (B, 3, H, W) in [-1, 1], channels last in memory."""
-    batch = torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2)
-    return (batch.float() / 127.5 - 1.0).contiguous(memory_format=torch.channels_last)
-
-
-class _Frames:
-    """All frames of a recording in memory, at no more than the resolution that views can use."""
-
-    def __init__(self, recording: Recording, size: tuple[int, int], zoom_max: float) -> None:
-        full = recording.camera
-        factor = min(1.0, zoom_max * 1.25 * size[0] / full.width)
-        self.camera: Camera = full.resized(round(full.width * factor), round(full.height * factor))
-        shape = (self.camera.width, self.camera.height)
-        self.colors, self.depths = [], []
-        for index in range(len(recording)):
-            color, depth = recording.color(index), recording.depth(index)
-            if not np.all(np.isfinite(depth)):
-                raise DataError(recording.frame_names[index], "depth holds NaN", "mark missing depth with 0")
-            self.colors.append(cv2.resize(color, shape, interpolation=cv2.INTER_AREA))
-            self.depths.append(cv2.resize(depth, shape, interpolation=cv2.INTER_NEAREST_EXACT))
-
-    def __len__(self) -> int:
-        return len(self.colors)
-
-
 def train_network(
     training: Recording,
     validation: Recording,
     config: TrainConfig,
     out_dir: Path,
     encoder_weights: Path | None = None,
-    progress: Callable[[EpochRecord], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[EpochRecord]:
     """Train from the encoder's weights (or from nothing) and write the network and its history.
 
-    AdamW, one-cycle learning rate, exponential moving average of the weights, bfloat16 convolutions. After every
-    epoch ``out_dir`` holds ``network.safetensors`` (the averaged weights) and ``history.json``, which is returned.
+    AdamW, one-cycle learning rate, exponential moving average of the weights, bfloat16 convolutions; on GPUs
+    where there are some, and on several under ``torchrun``. After every epoch ``out_dir`` holds
+    ``network.safetensors`` (the averaged weights), ``history.json`` (which is returned, by the first of several
+    processes) and what it takes to go on from there: called again with the same settings, training resumes.
 
     Raises:
         DataError: a recording without depth, or one that cannot be read.
-        SettingError: fewer frames than one batch.
+        SettingError: fewer frames than one batch, or ``out_dir`` holds a run with other settings.
     """
     for recording in (training, validation):
         if not recording.has_depth:
             raise DataError(recording.name, "has no depth", "train on a recording with depth images")
     keep_freed_memory()
-    rng = np.random.default_rng(config.seed)
-    torch.manual_seed(config.seed)
-    network = DepthNetwork(config.network)
-    if encoder_weights is not None:
-        load_encoder_weights(network, encoder_weights)
-    network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    average = torch.optim.swa_utils.get_ema_multi_avg_fn(config.ema_decay)  # type: ignore[no-untyped-call]
-    averaged = torch.optim.swa_utils.AveragedModel(network, multi_avg_fn=average, use_buffers=True)
-    size = network_size(training.camera, config.network.focal_px)
-    frames = _Frames(training, size, config.augment.zoom_max)
-    steps_per_epoch = len(frames) // config.batch_size
-    if steps_per_epoch < 1:
-        raise SettingError("batch_size", f"{config.batch_size} exceeds {len(frames)} frames", "use more frames")
-    optimizer = torch.optim.AdamW(
-        [
-            {"params": network.encoder.parameters(), "lr": config.learning_rate * config.encoder_rate_factor},
-            {
-                "params": [*network.decoder.parameters(), *network.head.parameters()],
-                "lr": config.learning_rate,
-            },
-        ],
-        weight_decay=config.weight_decay,
-    )
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer,
-        [group["lr"] for group in optimizer.param_groups],
-        total_steps=config.epochs * steps_per_epoch,
-        pct_start=0.1,
-    )
-    out_dir.mkdir(parents=True, exist_ok=True)
-    history: list[EpochRecord] = []
-    for epoch in range(config.epochs):
-        started = time.perf_counter()
-        network.train()
+    with training_worker() as worker:
+        run = _Run(config, training, encoder_weights, worker, progress or NoProgress())
+        run.resume(out_dir)
+        frames = ValidationFrames(validation, config.network.focal_px) if worker.is_first else None
+        with run.progress.task("train", config.epochs) as step:
+            for epoch in range(len(run.history), config.epochs):
+                started = time.perf_counter()
+                loss = run.train_epoch(epoch)
+                if frames is not None:
+                    absrel, delta1 = frames.judge(run.averaged_network, worker.device)
+                    run.history.append(EpochRecord(epoch, loss, absrel, delta1, time.perf_counter() - started))
+                    run.save(out_dir)
+                    step(epoch + 1, f"AbsRel {absrel:.3f}, delta1 {delta1:.3f}")
+        return run.history if worker.is_first else []
+
+
+class _Run:
+    """A network with all that changes while it trains."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        training: Recording,
+        encoder_weights: Path | None,
+        worker: Worker,
+        progress: Progress,
+    ) -> None:
+        self.config = config
+        self.worker = worker
+        self.progress = progress
+        self.history: list[EpochRecord] = []
+        torch.manual_seed(config.seed)
+        network = DepthNetwork(config.network)
+        if encoder_weights is not None:
+            load_encoder_weights(network, encoder_weights)
+        self._network = network.to(worker.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        average = torch.optim.swa_utils.get_ema_multi_avg_fn(config.ema_decay)  # type: ignore[no-untyped-call]
+        self._averaged = torch.optim.swa_utils.AveragedModel(self._network, multi_avg_fn=average, use_buffers=True)
+        with progress.task("read frames", len(training)) as step:
+            self._frames = TrainingFrames(training, config.network.focal_px, config.augment, step)
+        steps_per_epoch = len(self._frames) // config.batch_size
+        if steps_per_epoch < 1:
+            raise SettingError(
+                "batch_size", f"{config.batch_size} exceeds {len(self._frames)} frames", "use more frames"
+            )
+        if config.batch_size < 2 * worker.count:
+            raise SettingError(
+                "batch_size", f"{config.batch_size} is too small for {worker.count} workers", "enlarge it"
+            )
+        encoder = list(self._network.encoder.parameters())
+        others = [p for name, p in self._network.named_parameters() if not name.startswith("encoder.")]
+        rates = [config.learning_rate * config.encoder_rate_factor, config.learning_rate]
+        self._optimizer = torch.optim.AdamW(
+            [{"params": p, "lr": rate} for p, rate in zip((encoder, others), rates, strict=True)],
+            weight_decay=config.weight_decay,
+            fused=True,
+        )
+        self._schedule = torch.optim.lr_scheduler.OneCycleLR(
+            self._optimizer, rates, total_steps=config.epochs * steps_per_epoch, pct_start=0.1
+        )
+        self._trained = worker.wrap(_WithError(self._network))
+
+    @property
+    def averaged_network(self) -> DepthNetwork:
+        return cast(DepthNetwork, self._averaged.module)
+
+    def train_epoch(self, epoch: int) -> float:
+        """One pass over the frames; returns the mean loss."""
+        config, worker = self.config, self.worker
+        self._trained.train()
         losses = []
-        for images, depth in _batches(frames, size, config, rng):
-            with torch.autocast("cpu", dtype=torch.bfloat16):
-                log_depth = network(images)
-            loss = depth_loss(log_depth.float(), depth, config.gradient_weight)
+        for images, depth in self._frames.epoch(config.seed, epoch, config.batch_size, worker.rank, worker.count):
+            images, depth = images.to(worker.device), depth.to(worker.device)
+            with torch.autocast(worker.device.type, dtype=torch.bfloat16):
+                log_depth, log_scale = self._trained(images)
+            loss = depth_loss(log_depth.float(), depth, config.loss, config.network.focal_px)
+            if log_scale is not None:
+                loss = loss + laplace_loss(log_depth.float(), log_scale.float(), depth)
             if not torch.isfinite(loss):
                 raise SettingError("learning_rate", f"{config.learning_rate} made the loss infinite", "lower it")
-            optimizer.zero_grad(set_to_none=True)
+            self._optimizer.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]
-            torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
-            optimizer.step()
-            schedule.step()
-            averaged.update_parameters(network)
+            torch.nn.utils.clip_grad_norm_(self._network.parameters(), 5.0)
+            self._optimizer.step()
+            self._schedule.step()
+            self._averaged.update_parameters(self._network)
             losses.append(loss.detach())
-        absrel, delta1 = validate(cast(DepthNetwork, averaged.module), validation)
-        train_loss = float(torch.stack(losses).mean())
-        history.append(EpochRecord(epoch, train_loss, absrel, delta1, time.perf_counter() - started))
-        save_network(cast(DepthNetwork, averaged.module), out_dir / "network.safetensors")
-        write_whole(out_dir / "history.json", json.dumps([asdict(record) for record in history], indent=1).encode())
-        if progress is not None:
-            progress(history[-1])
-    return history
+        return worker.mean(torch.stack(losses).mean())
+
+    def save(self, out_dir: Path) -> None:
+        """Network, history, and the state to resume from; the last is written last."""
+        out_dir.mkdir(parents=True, exist_ok=True)
+        history = [asdict(record) for record in self.history]
+        save_network(self.averaged_network, out_dir / "network.safetensors")
+        write_whole(out_dir / "history.json", json.dumps(history, indent=1).encode())
+        state = {name: part.state_dict() for name, part in self._parts().items()}
+        content = {"settings": self.config.model_dump_json(), "history": history, **state}
+        buffer = io.BytesIO()
+        torch.save(content, buffer)
+        write_whole(out_dir / _STATE, buffer.getvalue())
+
+    def resume(self, out_dir: Path) -> None:
+        """Go on where a run with the same settings stopped; nothing if ``out_dir`` holds none.
+
+        Raises:
+            SettingError: it holds a run with other settings, or one that cannot be read.
+        """
+        path = out_dir / _STATE
+        if not path.is_file():
+            return
+        fix = f"remove {path} to start anew, or name another folder"
+        try:
+            content = torch.load(path, map_location=self.worker.device, weights_only=True)
+            is_same = TrainConfig.model_validate_json(content["settings"]) == self.config
+        except (ValidationError, KeyError):
+            is_same = False
+        except (RuntimeError, EOFError, OSError, ValueError) as error:
+            raise SettingError("--out", f"{path} cannot be read", fix) from error
+        if not is_same:
+            raise SettingError("--out", f"{path} is of a run with other settings", fix)
+        self.history = [EpochRecord(**record) for record in content["history"]]
+        for name, part in self._parts().items():
+            part.load_state_dict(content[name])
+
+    def _parts(self) -> dict[str, Any]:
+        return {
+            "network": self._network,
+            "averaged": self._averaged,
+            "optimizer": self._optimizer,
+            "schedule": self._schedule,
+        }
 
 
-def _batches(
-    frames: _Frames, size: tuple[int, int], config: TrainConfig, rng: np.random.Generator
-) -> Iterator[tuple[Tensor, Tensor]]:
-    order = rng.permutation(len(frames))
-    for start in range(0, len(order) - config.batch_size + 1, config.batch_size):
-        images, depths = [], []
-        for index in order[start : start + config.batch_size]:
-            view = random_view(frames.colors[index], frames.depths[index], frames.camera, size, config.augment, rng)
-            images.append(random_exposure(view.color, config.augment, rng))
-            depths.append(view.depth_m * np.float32(config.network.focal_px / view.focal_px))
-        yield network_input(images), torch.from_numpy(np.stack(depths))[:, None]
+class _WithError(nn.Module):
+    """The network called for both of its outputs, as a module that gradients can be averaged over."""
 
+    def __init__(self, network: DepthNetwork) -> None:
+        super().__init__()
+        self.network = network
 
-@torch.no_grad()
-def validate(network: DepthNetwork, recording: Recording) -> tuple[float, float]:
-    """AbsRel and delta1 of a network on a recording, metric as predicted, mean over images with depth."""
-    network.eval()
-    width, height = network_size(recording.camera, network.config.focal_px)
-    small = recording.camera.resized(width, height)
-    absrel, delta1 = [], []
-    for index in range(len(recording)):
-        color = cv2.resize(recording.color(index), (width, height), interpolation=cv2.INTER_AREA)
-        log_depth = network(network_input([np.asarray(color, dtype=np.uint8)]))[0, 0].numpy()
-        truth = recording.depth(index)
-        valid = truth > 0.0
-        if not valid.any():
-            continue
-        predicted = cv2.resize(np.exp(log_depth), truth.shape[::-1]) * (small.focal_px / network.config.focal_px)
-        ratio = predicted[valid] / truth[valid]
-        absrel.append(np.mean(np.abs(ratio - 1.0)))
-        delta1.append(np.mean(np.maximum(ratio, 1.0 / ratio) < 1.25))
-    return float(np.mean(absrel)), float(np.mean(delta1))
+    def forward(self, images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None]:
+        return self.network.with_error(images)

@@ -1,8 +1,69 @@
-"""The depth network that comes with monoloc: trained by ``monoloc depth train`` with ``train.toml`` beside it."""
+"""The depth networks that come with monoloc, each in 32 and in 8 bits; trained by the settings beside them."""
 
 from __future__ import annotations
 
+import json
+from dataclasses import dataclass
 from pathlib import Path
 
-SHIPPED_NETWORK = Path(__file__).parent / "full-0.35.safetensors"
-SHIPPED_ONNX = SHIPPED_NETWORK.with_suffix(".onnx")
+from monoloc.errors import SettingError
+
+DEFAULT = "full-0.35"
+
+_FOLDER = Path(__file__).parent
+_CATALOGUE = _FOLDER / "models.json"
+_INT8 = "-int8"
+
+
+@dataclass(frozen=True)
+class ShippedModel:
+    """A line of the catalogue.
+
+    Attributes:
+        name: size and width, as ``one-third-0.35``; with ``-int8`` after it, the same in 8 bits.
+        width: MobileNetV2's width multiplier.
+        parameters: numbers in the network.
+        macs: multiply-adds of one image of ``input_width`` x ``input_height``.
+        bytes_fp32, bytes_int8: sizes of the two files.
+        input_width, input_height: pixels, for a camera of NYU's field of view.
+        delta1, absrel: on the last 100 NYU pairs, whose rooms were not trained on, in 32 bits; no scale fitted.
+        delta1_int8, absrel_int8: the same in 8 bits.
+    """
+
+    name: str
+    width: float
+    parameters: int
+    macs: int
+    bytes_fp32: int
+    bytes_int8: int
+    input_width: int
+    input_height: int
+    delta1: float
+    absrel: float
+    delta1_int8: float
+    absrel_int8: float
+
+
+def shipped_models() -> list[ShippedModel]:
+    """All of them, the largest first."""
+    return [ShippedModel(**entry) for entry in json.loads(_CATALOGUE.read_text(encoding="utf-8"))]
+
+
+def is_shipped(name: str) -> bool:
+    """Whether ``name`` is one of theirs, with or without ``-int8``."""
+    return name.removesuffix(_INT8) in (model.name for model in shipped_models())
+
+
+def shipped_file(name: str) -> Path:
+    """The ONNX file of a shipped network.
+
+    Raises:
+        SettingError: no such network.
+    """
+    if not is_shipped(name):
+        names = ", ".join(model.name for model in shipped_models())
+        raise SettingError("network", f"is {name!r}", f"choose one of {names}, or the same with {_INT8}")
+    return _FOLDER / f"{name}.onnx"
+
+
+SHIPPED_NETWORK = SHIPPED_ONNX = _FOLDER / "full-0.35.onnx"

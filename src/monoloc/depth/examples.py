@@ -1,0 +1,130 @@
+"""Frames with depth as a depth network's training and validation examples."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from monoloc.camera import Camera
+from monoloc.datasets.base import Recording
+from monoloc.depth.augment import AugmentConfig, random_exposure, random_view
+from monoloc.depth.network import DepthNetwork
+from monoloc.depth.runtime import network_size
+from monoloc.errors import DataError
+
+_BATCHES_AHEAD = 3
+
+
+def network_input(images: list[NDArray[np.uint8]]) -> Tensor:
+    """Images (H, W, 3) uint8 RGB of one size -> (B, 3, H, W) in [-1, 1], channels last in memory."""
+    batch = torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2)
+    return (batch.float() / 127.5 - 1.0).contiguous(memory_format=torch.channels_last)
+
+
+class TrainingFrames:
+    """All frames of a recording in memory, at no more than the resolution that views can use.
+
+    Args:
+        recording: with depth.
+        focal_px: canonical focal length; examples have the size at which the recording's camera comes nearest.
+        augment: what views are drawn.
+        progress: called with the frames read.
+
+    Raises:
+        DataError: a frame cannot be read, or its depth holds NaN.
+    """
+
+    def __init__(
+        self, recording: Recording, focal_px: float, augment: AugmentConfig, progress: Callable[[int], None]
+    ) -> None:
+        self._size = network_size(recording.camera, focal_px)
+        self._focal_px = focal_px
+        self._augment = augment
+        full = recording.camera
+        factor = min(1.0, augment.zoom_max * 1.25 * self._size[0] / full.width)
+        self._camera: Camera = full.resized(round(full.width * factor), round(full.height * factor))
+        shape = (self._camera.width, self._camera.height)
+        self._colors, self._depths = [], []
+        for index in range(len(recording)):
+            color, depth = recording.color(index), recording.depth(index)
+            if not np.all(np.isfinite(depth)):
+                raise DataError(recording.frame_names[index], "depth holds NaN", "mark missing depth with 0")
+            self._colors.append(np.asarray(cv2.resize(color, shape, interpolation=cv2.INTER_AREA), np.uint8))
+            self._depths.append(
+                np.asarray(cv2.resize(depth, shape, interpolation=cv2.INTER_NEAREST_EXACT), np.float32)
+            )
+            progress(index + 1)
+
+    def __len__(self) -> int:
+        return len(self._colors)
+
+    def epoch(self, seed: int, epoch: int, batch_size: int, rank: int = 0, workers: int = 1) -> Iterator[_Batch]:
+        """This worker's share of every batch of an epoch, drawn by threads ahead of time.
+
+        The examples depend on seed and epoch only, not on the number of workers or threads, and a resumed run
+        sees the ones it would have seen.
+        """
+        order = np.random.default_rng([seed, epoch]).permutation(len(self))
+        starts = range(0, len(order) - batch_size + 1, batch_size)
+        batches = [order[start : start + batch_size][rank::workers] for start in starts]
+        with ThreadPoolExecutor(max(1, (os.cpu_count() or 1) // (2 * workers))) as pool:
+            ahead: list[list[Future[_Example]]] = []
+            for batch in batches:
+                ahead.append([pool.submit(self._example, seed, epoch, int(index)) for index in batch])
+                if len(ahead) > _BATCHES_AHEAD:
+                    yield _stacked(ahead.pop(0))
+            yield from (_stacked(futures) for futures in ahead)
+
+    def _example(self, seed: int, epoch: int, index: int) -> _Example:
+        rng = np.random.default_rng([seed, epoch, index])
+        view = random_view(self._colors[index], self._depths[index], self._camera, self._size, self._augment, rng)
+        color = random_exposure(view.color, self._augment, rng)
+        return color, view.depth_m * np.float32(self._focal_px / view.focal_px)
+
+
+_Example = tuple[NDArray[np.uint8], NDArray[np.float32]]
+_Batch = tuple[Tensor, Tensor]
+
+
+def _stacked(futures: list[Future[_Example]]) -> _Batch:
+    colors, depths = zip(*(future.result() for future in futures), strict=True)
+    return network_input(list(colors)), torch.from_numpy(np.stack(depths))[:, None]
+
+
+class ValidationFrames:
+    """Frames that a network is judged on after every epoch: whole, in the light they were taken in."""
+
+    def __init__(self, recording: Recording, focal_px: float) -> None:
+        width, height = network_size(recording.camera, focal_px)
+        self._focal_ratio = recording.camera.resized(width, height).focal_px / focal_px
+        colors, self._truths = [], []
+        for index in range(len(recording)):
+            truth = recording.depth(index)
+            if (truth > 0.0).any():
+                color = cv2.resize(recording.color(index), (width, height), interpolation=cv2.INTER_AREA)
+                colors.append(np.asarray(color, dtype=np.uint8))
+                self._truths.append(truth)
+        if not colors:
+            raise DataError(recording.name, "has no frame with depth to validate on", "choose other frames")
+        self._images = network_input(colors)
+
+    @torch.no_grad()
+    def judge(self, network: DepthNetwork, device: torch.device) -> tuple[float, float]:
+        """AbsRel and delta1, metric as predicted, mean over images."""
+        network.eval()
+        log_depths = torch.cat([network(images.to(device)).float().cpu() for images in torch.split(self._images, 25)])
+        absrel, delta1 = [], []
+        for log_depth, truth in zip(log_depths[:, 0].numpy(), self._truths, strict=True):
+            valid = truth > 0.0
+            predicted = cv2.resize(np.exp(log_depth), truth.shape[::-1]) * self._focal_ratio
+            ratio = predicted[valid] / truth[valid]
+            absrel.append(np.mean(np.abs(ratio - 1.0)))
+            delta1.append(np.mean(np.maximum(ratio, 1.0 / ratio) < 1.25))
+        return float(np.mean(absrel)), float(np.mean(delta1))

@@ -1,0 +1,102 @@
+"""Depth networks by name or file: those that come with monoloc, our own, and any other's ONNX with a TOML."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import onnxruntime
+
+from monoloc.config import load_settings
+from monoloc.depth.runtime import FOCAL_KEY, DepthModel, ModelSpec, check_input, load_session, monoloc_spec
+from monoloc.errors import DataError
+from monoloc.extras import training_extra
+from monoloc.models import is_shipped, shipped_file, shipped_models
+
+_TOML, _SAFETENSORS = ".toml", ".safetensors"
+
+
+class _Description(ModelSpec):
+    """What a TOML says of a network: :class:`ModelSpec`'s fields, and ``file``, the ONNX beside it."""
+
+    file: str
+
+
+def read_model(network: str | Path) -> DepthModel:
+    """The network of that name, or of a .toml, .onnx or .safetensors file, checked to be loadable.
+
+    Raises:
+        DataError: no such network; a description that is wrong or does not fit; a graph that cannot be loaded.
+        MissingExtraError: a .safetensors without PyTorch.
+    """
+    if is_shipped(str(network)):
+        return _own_model(shipped_file(str(network)).read_bytes(), str(network), str(network))
+    path = Path(network)
+    if not path.is_file():
+        names = ", ".join(model.name for model in shipped_models())
+        raise DataError(
+            path, "does not exist", f"give a .safetensors, .onnx or .toml file, a bundle, or one of {names}"
+        )
+    if path.suffix == _TOML:
+        return _described_model(path)
+    if path.suffix == _SAFETENSORS:
+        with training_extra():
+            from monoloc.depth.checkpoint import load_network
+            from monoloc.depth.export import export_onnx
+        return _own_model(export_onnx(load_network(path))[0], path, path.stem)
+    return _own_model(path.read_bytes(), path, path.stem)
+
+
+def trainable_file(network: str | Path) -> Path | None:
+    """The file that a network can be tuned from; None for a bundle's and another's, which can only be run.
+
+    Raises:
+        DataError: no such file, or an .onnx that monoloc did not export.
+    """
+    if is_shipped(str(network)):
+        return shipped_file(str(network))
+    path = Path(network)
+    if path.suffix == _TOML or path.is_dir():
+        return None
+    if not path.is_file():
+        raise DataError(path, "does not exist", "give a network.safetensors made by: monoloc depth train")
+    if path.suffix != _SAFETENSORS:
+        read_model(path)
+    return path
+
+
+def _own_model(content: bytes, label: str | Path, name: str) -> DepthModel:
+    """A network exported by monoloc, which says itself how it is used."""
+    session = load_session(content, label)
+    focal_px = _canonical_focal_px(session, label)
+    model = DepthModel(content, monoloc_spec(focal_px), name)
+    check_input(session, model.spec, label)
+    return model
+
+
+def _canonical_focal_px(session: onnxruntime.InferenceSession, label: str | Path) -> float:
+    metadata = session.get_modelmeta().custom_metadata_map
+    if FOCAL_KEY not in metadata:
+        fields = "file, width and height (or focal_px), mean, std, output and metric"
+        fix = f"write a TOML with {fields}, and give that (docs/depth-models.md)"
+        raise DataError(label, "was not exported by monoloc, so how it is used is not known", fix)
+    try:
+        focal_px = float(metadata[FOCAL_KEY])
+        if 0.0 < focal_px < float("inf"):
+            return focal_px
+        raise ValueError
+    except ValueError as error:
+        problem = f"has metadata {FOCAL_KEY} = {metadata[FOCAL_KEY]}, which is no focal length"
+        raise DataError(label, problem, "export it with: monoloc depth export") from error
+
+
+def _described_model(path: Path) -> DepthModel:
+    """Another's network: a TOML and the ONNX that it names."""
+    description = load_settings(path, _Description)
+    file = path.parent / description.file
+    try:
+        content = file.read_bytes()
+    except OSError as error:
+        raise DataError(path, f"file: {file} cannot be read", "name the ONNX file, relative to the TOML") from error
+    spec = ModelSpec(**description.model_dump(exclude={"file"}))
+    check_input(load_session(content, file), spec, path)
+    return DepthModel(content, spec, path.stem)

@@ -1,0 +1,88 @@
+"""Whether a depth network knows how wrong it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from monoloc.evaluation.picture import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, picture
+from monoloc.geometry import FloatArray
+
+_BINS = 10
+_COLOURS = (BLUE, ORANGE, GREEN, VERMILION, PURPLE)
+
+
+@dataclass(frozen=True)
+class ErrorCalibration:
+    """Stated against actual error of log-depth, in bins of equally many pixels, most certain first.
+
+    Attributes:
+        stated: (bins,) mean of the stated Laplace scale, which is also the absolute error to be expected.
+        actual: (bins,) mean absolute error of log-depth.
+        confidence: (levels,) probabilities, 0..1.
+        coverage: (levels,) share of pixels whose error lies within the interval stated for that probability.
+        nll: mean negative log-likelihood of the errors under the stated scales, nats a pixel.
+        nll_constant: the same under the one scale that suits all pixels best: what not knowing costs.
+    """
+
+    stated: FloatArray
+    actual: FloatArray
+    confidence: FloatArray
+    coverage: FloatArray
+    nll: float
+    nll_constant: float
+
+
+def error_calibration(log_error: ArrayLike, log_scale: ArrayLike) -> ErrorCalibration:
+    """How well stated Laplace scales describe errors.
+
+    Args:
+        log_error: (N,) predicted less true log-depth.
+        log_scale: (N,) natural logarithm of the stated scale b, density ``exp(-|e| / b) / 2b``.
+
+    Raises:
+        ValueError: shapes that differ, too few values, or values that are not finite.
+    """
+    error = np.abs(np.asarray(log_error, dtype=np.float64))
+    log_b = np.asarray(log_scale, dtype=np.float64)
+    if error.shape != log_b.shape or error.ndim != 1 or len(error) < _BINS:
+        raise ValueError(f"need two arrays (N,), N >= {_BINS}, got {error.shape} and {log_b.shape}")
+    if not (np.isfinite(error).all() and np.isfinite(log_b).all()):
+        raise ValueError("errors and scales must be finite")
+    scale = np.exp(log_b)
+    bins = np.array_split(np.argsort(scale), _BINS)
+    confidence = np.linspace(0.05, 0.95, 19)
+    # A Laplace error is within b log(1 / (1 - p)) with probability p.
+    coverage = np.array([np.mean(error <= -scale * np.log1p(-p)) for p in confidence])
+    return ErrorCalibration(
+        stated=np.array([scale[b].mean() for b in bins]),
+        actual=np.array([error[b].mean() for b in bins]),
+        confidence=confidence,
+        coverage=coverage,
+        nll=float(np.mean(error / scale + log_b)) + float(np.log(2.0)),
+        nll_constant=1.0 + float(np.log(2.0 * max(error.mean(), 1e-12))),
+    )
+
+
+def plot_calibration(path: str | Path, calibrations: dict[str, ErrorCalibration]) -> None:
+    """Left, actual error over stated error; right, coverage over confidence; a diagonal is perfect.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        DataError: the file cannot be written.
+    """
+    with picture(path, 10.0, 4.6) as figure:
+        errors, coverage = figure.subplots(1, 2)
+        most = max(float(max(c.stated.max(), c.actual.max())) for c in calibrations.values())
+        errors.plot([0.0, most], [0.0, most], color=GREY, linewidth=1.0)
+        coverage.plot([0.0, 1.0], [0.0, 1.0], color=GREY, linewidth=1.0)
+        for index, (name, calibration) in enumerate(calibrations.items()):
+            style = {"marker": ".", "color": _COLOURS[index % len(_COLOURS)], "label": name}
+            errors.plot(calibration.stated, calibration.actual, **style)
+            coverage.plot(calibration.confidence, calibration.coverage, **style)
+        errors.set(xlabel="stated error of log-depth", ylabel="actual error", title="Ten bins, most certain first")
+        coverage.set(xlabel="confidence", ylabel="share within", title="Coverage", xlim=(0, 1), ylim=(0, 1))
+        errors.legend()

@@ -1,0 +1,98 @@
+"""Progress of long work, as it is shown where there is no terminal and where there is one."""
+
+from __future__ import annotations
+
+import io
+import re
+
+import pytest
+from rich.console import Console
+
+from monoloc import progress as progress_module
+from monoloc.progress import ConsoleProgress, NoProgress
+
+
+class Clock:
+    """Time that passes when it is told to."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_s = 100.0
+        monkeypatch.setattr(progress_module.time, "perf_counter", lambda: self.now_s)
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    return Clock(monkeypatch)
+
+
+def test_a_log_has_a_line_for_every_remark_and_says_what_remains(clock: Clock) -> None:
+    log = io.StringIO()
+    with ConsoleProgress(Console(file=log, width=200)).task("train", 5) as step:
+        for done in range(1, 6):
+            clock.now_s += 10.0
+            step(done, f"AbsRel 0.{done}")
+    assert log.getvalue().splitlines() == [
+        "train: 1 of 5, AbsRel 0.1, 40 s remaining",
+        "train: 2 of 5, AbsRel 0.2, 30 s remaining",
+        "train: 3 of 5, AbsRel 0.3, 20 s remaining",
+        "train: 4 of 5, AbsRel 0.4, 10 s remaining",
+        "train: 5 of 5, AbsRel 0.5, 0 s remaining",
+        "train: done in 50.0 s",
+    ]
+
+
+def test_a_resumed_task_does_not_count_what_was_done_before(clock: Clock) -> None:
+    log = io.StringIO()
+    with ConsoleProgress(Console(file=log, width=200)).task("train", 100) as step:
+        for done in (91, 92):
+            clock.now_s += 10.0
+            step(done, "going on")
+    assert log.getvalue().splitlines()[:2] == [
+        "train: 91 of 100, going on, 90 s remaining",
+        "train: 92 of 100, going on, 80 s remaining",
+    ]
+
+
+def test_steps_without_a_remark_are_counted_and_not_told(clock: Clock) -> None:
+    log = io.StringIO()
+    with ConsoleProgress(Console(file=log, width=200)).task("adapt", 40) as step:
+        for done in range(1, 21):
+            clock.now_s += 1.0
+            step(done, "half" if done == 20 else "")
+    assert log.getvalue().splitlines() == ["adapt: 20 of 40, half, 20 s remaining", "adapt: done in 20.0 s"]
+
+
+def test_of_a_task_of_unknown_length_nothing_is_said_to_remain(clock: Clock) -> None:
+    log = io.StringIO()
+    with ConsoleProgress(Console(file=log, width=200)).task("quantise", None) as step:
+        step(1, "calibrated")
+    assert log.getvalue().splitlines()[-1] == "quantise: done in 0.0 s"
+    assert "remaining" not in log.getvalue()
+
+
+def test_a_task_that_fails_is_not_said_to_be_done() -> None:
+    log = io.StringIO()
+    with (
+        pytest.raises(RuntimeError),
+        ConsoleProgress(Console(file=log, width=200)).task("train", 3) as step,
+    ):
+        step(1, "so far so good")
+        raise RuntimeError
+    assert re.fullmatch(r"train: 1 of 3, so far so good, \d+ s remaining\n", log.getvalue())
+
+
+def test_a_terminal_shows_the_last_remark_beside_the_bar() -> None:
+    screen = io.StringIO()
+    progress = ConsoleProgress(Console(file=screen, force_terminal=True, width=140))
+    with progress.task("train", 3) as step:
+        step(1, "AbsRel 0.9")
+        step(2, "AbsRel 0.8")
+        step(3)
+    last = screen.getvalue()[screen.getvalue().rindex("train") :]
+    assert "3/3" in last and "AbsRel 0.8" in last
+
+
+def test_nobody_need_look() -> None:
+    with NoProgress().task("train", 3) as step:
+        step(1)
+        step(2, "AbsRel 0.8")
