@@ -19,10 +19,9 @@ from monoloc.cli.common import stderr
 from monoloc.datasets.base import Recording
 from monoloc.datasets.registry import open_recording, select_frames
 from monoloc.depth.augment import AugmentConfig, Exposure, expose
-from monoloc.depth.checkpoint import load_network
-from monoloc.depth.export import export_onnx
 from monoloc.depth.family import network_config
 from monoloc.depth.losses import LossConfig
+from monoloc.depth.model import read_model
 from monoloc.depth.runtime import DepthPredictor
 from monoloc.depth.train import TrainConfig, train_network
 from monoloc.evaluation.depth import DepthAccumulator, fit_scale
@@ -42,8 +41,6 @@ VARIANTS = {
     "without gradient term": _BASE.model_copy(update={"loss": LossConfig(gradient=0.0)}),
     "with normal term, 0.2": _BASE.model_copy(update={"loss": LossConfig(normal=0.2)}),
     "weight decay 0.05": _BASE.model_copy(update={"weight_decay": 0.05}),
-    "encoder at the full rate": _BASE.model_copy(update={"encoder_rate_factor": 1.0}),
-    "zoom up to 2.2": _BASE.model_copy(update={"augment": AugmentConfig(zoom_max=2.2)}),
 }
 
 
@@ -70,7 +67,7 @@ def main() -> None:
 
 
 def judge(network: Path, validation: Recording) -> dict[str, float]:
-    predictor = DepthPredictor(export_onnx(load_network(network))[0], validation.camera)
+    predictor = DepthPredictor(read_model(network), validation.camera)
     plain, scaled, dim = DepthAccumulator(), DepthAccumulator(), DepthAccumulator()
     rng = np.random.default_rng(0)
     for index in range(len(validation)):

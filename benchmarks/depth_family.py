@@ -32,7 +32,8 @@ from monoloc.depth.export import export_onnx
 from monoloc.depth.family import SIZES
 from monoloc.depth.model import DepthModel, read_model
 from monoloc.depth.quantise import quantise
-from monoloc.depth.runtime import DepthPredictor, image_tensor, network_size
+from monoloc.depth.runtime import DepthPredictor
+from monoloc.depth.spec import monoloc_spec, network_images, network_size
 from monoloc.evaluation.depth import DepthAccumulator, DepthMetrics, fit_scale
 from monoloc.evaluation.plots import plot_depth
 from monoloc.evaluation.uncertainty import ErrorCalibration, error_calibration, plot_calibration
@@ -60,7 +61,7 @@ def pack(runs: Path, data: Path) -> None:
         network = load_network(runs / name / "network.safetensors")
         camera = training.camera.resized(*network_size(training.camera, network.config.focal_px))
         content, report = export_onnx(network)
-        small, difference = quantise(content, [image_tensor(training.color(i), camera) for i in range(len(training))])
+        small, difference = quantise(content, network_images(training, monoloc_spec(network.config.focal_px)))
         figures = []
         for suffix, onnx in (("", content), ("-int8", small)):
             (_MODELS / f"{name}{suffix}.onnx").write_bytes(onnx)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 from monoloc.depth.export import export_onnx
 from monoloc.depth.network import DepthNetwork, NetworkConfig
-from monoloc.depth.runtime import DepthModel, monoloc_spec
+from monoloc.depth.spec import DepthModel, monoloc_spec
 from monoloc.geometry import make_pose, so3_exp
 from synthetic_room import Room, RoomRecording
 

@@ -17,7 +17,8 @@ from onnx import TensorProto, helper, numpy_helper
 import synthetic_recordings as synthetic
 from monoloc.bundle import Bundle, Provenance, fingerprint
 from monoloc.camera import Camera
-from monoloc.depth.runtime import FOCAL_KEY, DepthModel, DepthPrediction, monoloc_spec
+from monoloc.depth.runtime import DepthPrediction
+from monoloc.depth.spec import FOCAL_KEY, DepthModel, monoloc_spec
 from monoloc.filter.health import HealthyRange
 from monoloc.filter.scan import scan_from_depth
 from monoloc.filter.weigh import Measurement, MeasurementConfig

@@ -18,7 +18,7 @@ from map_helpers import make_mixture
 from monoloc import bundle as bundle_module
 from monoloc.bundle import Bundle, Provenance, check_target, fingerprint, read_bundle, write_bundle
 from monoloc.camera import Camera
-from monoloc.depth.runtime import DepthModel, ModelSpec
+from monoloc.depth.spec import DepthModel, ModelSpec
 from monoloc.errors import BundleError
 from monoloc.filter.health import HealthyRange
 from monoloc.filter.motion import MotionConfig

@@ -19,7 +19,7 @@ from monoloc.datasets.base import Recording, Selection
 from monoloc.depth.augment import AugmentConfig, Exposure, View, expose, random_exposure, random_view, whole_view
 from monoloc.depth.examples import TrainingFrames, ValidationFrames
 from monoloc.depth.network import DepthNetwork
-from monoloc.depth.runtime import network_size
+from monoloc.depth.spec import network_size
 from monoloc.errors import DataError
 from synthetic_room import RoomRecording
 

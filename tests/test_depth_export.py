@@ -22,7 +22,8 @@ from monoloc.depth.export import export_onnx
 from monoloc.depth.last_layer import read_last_layer, replace_last_layer
 from monoloc.depth.network import DepthNetwork
 from monoloc.depth.quantise import quantise
-from monoloc.depth.runtime import FOCAL_KEY, DepthModel, DepthPredictor, image_tensor, monoloc_spec, network_size
+from monoloc.depth.runtime import DepthPredictor
+from monoloc.depth.spec import FOCAL_KEY, DepthModel, image_tensor, monoloc_spec, network_size
 from monoloc.errors import MonolocError, SettingError
 
 Image = NDArray[np.float32]
@@ -342,5 +343,5 @@ def test_quantising_says_nothing(
 
 
 def test_too_few_images_to_calibrate_on(lively: tuple[DepthNetwork, bytes]) -> None:
-    with pytest.raises(SettingError, match="--int8: has 9 frames; calibrate on at least 10"):
+    with pytest.raises(SettingError, match=r"^int8: has 9 frames; calibrate on at least 10$"):
         quantise(lively[1], smooth_images(9))

@@ -122,7 +122,7 @@ def test_an_unknown_name_lists_those_there_are(name: str) -> None:
 
 
 def test_an_unknown_size_or_width_lists_those_there_are() -> None:
-    with pytest.raises(SettingError, match="size: is 'half'; choose one of full, two-thirds, one-third, tiny$"):
+    with pytest.raises(SettingError, match=r"size: is 'half'; choose one of full, two-thirds, one-third, tiny$"):
         network_config("half", 1.0)
     with pytest.raises(SettingError, match=r"width: is 0\.5; choose one of 0\.35, 1\.0$"):
         network_config("full", 0.5)

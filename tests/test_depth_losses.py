@@ -102,7 +102,7 @@ FOCAL_PX = 20.0
 
 
 def log_depth_of_plane(normal: FloatArray, distance_m: float = 2.0, shape: tuple[int, int] = (16, 20)) -> Tensor:
-    """Log-depth of the plane ``n . x = distance`` seen by a camera whose principal point is the middle, (1, 1, h, w)."""
+    """Log-depth of the plane ``n . x = distance`` seen by a camera that looks through the middle, (1, 1, h, w)."""
     height, width = shape
     camera = Camera(width, height, FOCAL_PX, FOCAL_PX, (width - 1) / 2.0, (height - 1) / 2.0)
     return torch.from_numpy(np.log(distance_m / (camera.pixel_rays() @ normal)))[None, None]

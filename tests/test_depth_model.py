@@ -21,7 +21,8 @@ from monoloc.camera import Camera
 from monoloc.cli.main import invoke
 from monoloc.depth.fit import fit_to_depth, fitted_spec
 from monoloc.depth.model import read_model
-from monoloc.depth.runtime import DepthModel, DepthPrediction, DepthPredictor, ModelSpec
+from monoloc.depth.runtime import DepthPrediction, DepthPredictor
+from monoloc.depth.spec import DepthModel, ModelSpec
 from monoloc.errors import BundleError, DataError, MonolocError, SettingError
 from monoloc.models import DEFAULT, shipped_file
 from synthetic_room import (

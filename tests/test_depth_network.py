@@ -27,7 +27,7 @@ from monoloc.depth.checkpoint import load_network, save_network
 from monoloc.depth.export import export_onnx
 from monoloc.depth.network import DepthNetwork, Encoder, NetworkConfig, load_encoder_weights
 from monoloc.depth.quantise import quantise
-from monoloc.depth.runtime import image_tensor
+from monoloc.depth.spec import image_tensor
 from monoloc.errors import DataError
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -92,6 +92,21 @@ def test_a_terminal_shows_the_last_remark_beside_the_bar() -> None:
     assert "3/3" in last and "AbsRel 0.8" in last
 
 
+@pytest.mark.parametrize(("step_s", "remaining"), [(2.0, "0:00:10"), (90.0, "0:07:30")])
+def test_a_terminal_says_what_remains_however_long_a_step_takes(step_s: float, remaining: str) -> None:
+    now_s = 0.0
+    screen = io.StringIO()
+    console = Console(file=screen, force_terminal=True, width=140, get_time=lambda: now_s)
+    # What stops half-way leaves the bar as it was.
+    with pytest.raises(KeyboardInterrupt), ConsoleProgress(console).task("train", 10) as step:
+        for done in range(1, 6):
+            now_s += step_s
+            step(done)
+        raise KeyboardInterrupt
+    last = screen.getvalue()[screen.getvalue().rindex("train") :]
+    assert "5/10" in last and remaining in last
+
+
 def test_nobody_need_look() -> None:
     with NoProgress().task("train", 3) as step:
         step(1)

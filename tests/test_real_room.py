@@ -17,7 +17,7 @@ from monoloc.datasets.registry import open_recording
 from monoloc.depth.model import read_model
 from monoloc.depth.runtime import DepthPredictor
 from monoloc.map.mixture import GaussianMixture
-from monoloc.models import SHIPPED_NETWORK
+from monoloc.models import DEFAULT, shipped_file
 from monoloc.outputs.tum import read_tum
 
 pytestmark = [pytest.mark.data, pytest.mark.slow]
@@ -236,7 +236,7 @@ def test_depth_evaluate_fits_a_scale(kitchen):
 
 def test_depth_export_gives_the_shipped_network(kitchen, here):
     out = here / "exported.onnx"
-    report = monoloc("depth", "export", SHIPPED_NETWORK, "--out", out)
+    report = monoloc("depth", "export", shipped_file(DEFAULT), "--out", out)
     assert report["bytes"] == out.stat().st_size and report["bytes"] < 3e6
     assert report["parity_mean"] <= report["parity_max"] < 1e-3
     command = ("depth", "evaluate", "full-0.35", kitchen, "--frames", "0:400:100")

@@ -71,7 +71,7 @@ def test_nll_is_scipys(seed: int, offset: float) -> None:
 
 def test_knowing_pays_where_errors_differ_and_not_where_they_do_not() -> None:
     varied = error_calibration(*drawn())
-    # By the gap between the logarithm of the mean scale and the mean of its logarithm: half the variance of log-scale.
+    # By the gap between the logarithm of the mean scale and the mean of its logarithm: half the latter's variance.
     assert varied.nll_constant - varied.nll == pytest.approx(0.5 * 0.8**2, abs=0.05)
     error, _ = drawn(spread=0.0)
     best = np.full(PIXELS, np.log(np.abs(error).mean()))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.adapt.calibrate import Sample, calibrate
@@ -18,6 +19,7 @@ from monoloc.datasets.base import Recording
 from monoloc.depth.fit import fit_to_depth
 from monoloc.depth.model import trainable_file
 from monoloc.depth.runtime import DepthPredictor
+from monoloc.depth.spec import DepthModel, network_images
 from monoloc.errors import DataError, SettingError
 from monoloc.extras import training_extra
 from monoloc.geometry import FloatArray
@@ -40,6 +42,7 @@ class BuildConfig(BaseModel):
         voxel_m: the cloud is thinned to one point a voxel.
         max_depth_m: farther sensor depth is not used for the map.
         adapt: what is tuned and how.
+        int8: whether the network goes into the bundle in 8 bits, calibrated on the frames.
         localizer: settings written into the bundle, before calibration.
     """
 
@@ -49,6 +52,7 @@ class BuildConfig(BaseModel):
     voxel_m: float = Field(0.03, gt=0.0)
     max_depth_m: float = Field(4.5, gt=0.0)
     adapt: AdaptConfig = AdaptConfig()
+    int8: bool = False
     localizer: LocalizerConfig = LocalizerConfig()
 
 
@@ -57,7 +61,7 @@ class BuildReport:
     """What a build measured; JSON keys of ``monoloc build``.
 
     nll and AbsRel are of frames held out from tuning, in blocks; shifts are of the map's means. Scale and shift of
-    the network's output are None where they were not fitted: see :class:`monoloc.depth.runtime.ModelSpec`.
+    the network's output are None where they were not fitted: see :class:`monoloc.depth.spec.ModelSpec`.
     """
 
     frames: int
@@ -107,6 +111,8 @@ def build_bundle(
         with training_extra():
             from monoloc.adapt.run import adapt  # the only door to PyTorch
     given = read_network(network)
+    if config.int8 and (trainable_file(network) is None):
+        raise SettingError("int8", f"is on, but {network} cannot be quantised", "choose one of ours in 32 bits")
     DepthPredictor(given, recording.camera)  # what does not fit is said before the work
     rng = np.random.default_rng(seed)
     frames = {name: fingerprint(recording.color(index)) for index, name in enumerate(recording.frame_names)}
@@ -127,6 +133,10 @@ def build_bundle(
             fitted = depth_model.spec
         held_out_model = depth_model  # one or two numbers for all frames: each is as good as held out
         held_out, scores, kl, steps = np.arange(len(recording)), [], 0.0, 0
+    if config.int8:
+        with progress.task("8 bits", None):
+            images = network_images(recording, depth_model.spec)
+            depth_model, held_out_model = (_in_8_bits(model, images) for model in (depth_model, held_out_model))
     predictor = DepthPredictor(held_out_model, recording.camera)
     with progress.task("calibrate", len(held_out)) as step:
         samples = []
@@ -184,6 +194,12 @@ def _tunable(network: str | Path, config: AdaptConfig) -> Path:
         fix = "give --tune none --no-map-transform, or a network that came from: monoloc depth train"
         raise SettingError(f"adapt.{setting}", problem, fix)
     return file
+
+
+def _in_8_bits(model: DepthModel, images: list[NDArray[np.float32]]) -> DepthModel:
+    with training_extra():
+        from monoloc.depth.quantise import quantise
+    return replace(model, content=quantise(model.content, images)[0], name=f"{model.name} in 8 bits")
 
 
 def fit_map(

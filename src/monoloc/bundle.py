@@ -27,7 +27,7 @@ from monoloc import __version__
 from monoloc.camera import Camera
 from monoloc.config import describe
 from monoloc.depth.model import read_model
-from monoloc.depth.runtime import DepthModel, ModelSpec
+from monoloc.depth.spec import DepthModel, ModelSpec
 from monoloc.errors import BundleError
 from monoloc.filter.health import HealthyRange
 from monoloc.localizer import LocalizerConfig

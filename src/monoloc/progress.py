@@ -62,9 +62,13 @@ class ConsoleProgress:
             def log(done: int, remark: str = "", /) -> None:
                 nonlocal first
                 first = done - 1 if first is None else first  # a resumed task does not begin at nothing
-                if remark and total:
-                    remaining_s = (time.perf_counter() - started) * (total - done) / (done - first)
-                    self._console.print(f"{name}: {done} of {total}, {remark}, {remaining_s:.0f} s remaining")
+                if not remark:
+                    return
+                if total is None:
+                    self._console.print(f"{name}: {done}, {remark}")
+                    return
+                remaining_s = (time.perf_counter() - started) * (total - done) / (done - first)
+                self._console.print(f"{name}: {done} of {total}, {remark}, {remaining_s:.0f} s remaining")
 
             yield log
             self._console.print(f"{name}: done in {time.perf_counter() - started:.1f} s")

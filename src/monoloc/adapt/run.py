@@ -16,9 +16,8 @@ from monoloc.adapt.transform import AdaptedMap
 from monoloc.adapt.views import make_views
 from monoloc.datasets.base import Recording
 from monoloc.depth.checkpoint import load_network
-from monoloc.depth.export import export_onnx
-from monoloc.depth.network import DepthNetwork
-from monoloc.depth.runtime import DepthModel, monoloc_spec
+from monoloc.depth.export import export_model
+from monoloc.depth.spec import DepthModel
 from monoloc.geometry import FloatArray
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import Progress
@@ -72,7 +71,7 @@ def adapt(
     network = load_network(network_file)
     depth_of = supervision(recording, cloud)
     synthesised = config.synthesised_views if config.tune in ("decoder", "all") else 0
-    with progress.task("views", len(recording)) as step:
+    with progress.task("views", len(recording) * (2 if synthesised else 1)) as step:
         views = make_views(recording, depth_of, network.config.focal_px, synthesised, held_out, rng, step)
     held_out_views = views.of_frames(held_out, only_whole=True)
 
@@ -87,7 +86,7 @@ def adapt(
             step,
         )
     steps = rehearsal.best_step(scores)
-    held_out_model = _exported(network, network_file.stem)
+    held_out_model = export_model(network, network_file.stem)
 
     final = Adaptation(load_network(network_file), AdaptedMap(mixture, cloud), config)
     with progress.task("adapt: all frames", steps) as step:
@@ -95,17 +94,13 @@ def adapt(
     return AdaptResult(
         original=final.map.original_mixture(),
         adapted=final.map.adapted_mixture(),
-        depth_model=_exported(final.network, network_file.stem),
+        depth_model=export_model(final.network, network_file.stem),
         held_out_model=held_out_model,
         held_out=held_out,
         scores=[*scores, rehearsal.score(held_out_views, steps)],
         steps=steps,
         kl=final.kl(),
     )
-
-
-def _exported(network: DepthNetwork, name: str) -> DepthModel:
-    return DepthModel(export_onnx(network)[0], monoloc_spec(network.config.focal_px), name)
 
 
 def _generator(seed: int) -> torch.Generator:

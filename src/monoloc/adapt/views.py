@@ -16,7 +16,7 @@ from monoloc.adapt.warp import ColoredPoints, forward_warp, points_of
 from monoloc.camera import Camera
 from monoloc.datasets.base import Recording
 from monoloc.depth.examples import network_input
-from monoloc.depth.runtime import network_size
+from monoloc.depth.spec import network_size
 from monoloc.geometry import FloatArray, invert, rotation_angle, se3_exp
 
 DepthImages = Callable[[int], NDArray[np.float32]]
@@ -85,6 +85,7 @@ def make_views(
         focal_px: the network's canonical focal length.
         synthesised: views synthesised a frame.
         held_out: frames that no other frame's synthesised views may show.
+        progress: called with the frames read, and with those and the frames that have their synthesised views.
     """
     poses = recording.poses
     assert poses is not None
@@ -114,7 +115,7 @@ def make_views(
             frame.append(index)
             whole.append(False)
         if progress is not None:
-            progress(index + 1)
+            progress(len(recording) + index + 1)
     stacked = np.stack(view_poses)
     return Views(
         images=network_input(images),

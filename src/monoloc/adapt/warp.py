@@ -84,9 +84,10 @@ def _averaged(
     image: NDArray[np.uint8], depth_m: NDArray[np.float32], camera: Camera
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     """A fine view, depth infinite in holes, at the camera's size; holes in colour painted over."""
-    blocks = depth_m.reshape(camera.height, _FINE, camera.width, _FINE).transpose(0, 2, 1, 3)
-    depth = blocks.reshape(camera.height, camera.width, -1).min(axis=2)
-    depth = np.where(np.isfinite(depth), depth, 0.0).astype(np.float32)
+    grid = depth_m.reshape(camera.height, _FINE, camera.width, _FINE).transpose(0, 2, 1, 3)
+    blocks = grid.reshape(camera.height, camera.width, -1)
+    nearest = blocks.min(axis=2)
+    depth = np.where(np.isfinite(nearest), _mean_near(blocks, nearest), 0.0).astype(np.float32)
     size = (camera.width, camera.height)
     known = np.isfinite(depth_m).astype(np.float32)
     share = cv2.resize(known, size, interpolation=cv2.INTER_AREA)
@@ -94,3 +95,10 @@ def _averaged(
     color = np.asarray(total / np.maximum(share, 1e-6)[..., None] + 0.5, dtype=np.uint8)
     holes = (share == 0.0).astype(np.uint8)
     return np.asarray(cv2.inpaint(color, holes, 2.0, cv2.INPAINT_NS), dtype=np.uint8), depth
+
+
+def _mean_near(blocks: NDArray[np.float32], nearest: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Mean of what lies on the nearest surface of every block, (h, w, n) -> (h, w): the minimum would be too near."""
+    on_surface = blocks <= (1.0 + _DEPTH_JUMP / 2.0) * nearest[..., None]
+    total = np.where(on_surface & np.isfinite(blocks), blocks, 0.0).sum(axis=2)
+    return np.asarray(total / np.maximum(1, (on_surface & np.isfinite(blocks)).sum(axis=2)))

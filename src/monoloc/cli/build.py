@@ -53,6 +53,9 @@ def build(
             help="A name of depth list, a .safetensors or .onnx, a bundle, or another's as .toml.",
         ),
     ] = DEFAULT,
+    int8: Annotated[
+        bool | None, typer.Option("--int8/--no-int8", help="Whether the network is quantised to 8 bits. [no]")
+    ] = None,
     settings: Annotated[Path | None, typer.Option("--settings", help="TOML file with any of the settings.")] = None,
     intrinsics: IntrinsicsOption = None,
     depth_scale: DepthScaleOption = None,
@@ -80,6 +83,7 @@ def build(
     config = override(
         config,
         components=components,
+        int8=int8,
         adapt={"tune": tune, "map_transform": map_transform, "lambda_kl": lambda_kl},
     )
     points = None if cloud is None else read_cloud(cloud)

@@ -28,7 +28,8 @@ from monoloc.cli.common import (
 from monoloc.config import load_settings, override
 from monoloc.datasets.base import Recording
 from monoloc.depth.fit import fit_to_depth
-from monoloc.depth.runtime import DepthPredictor, image_tensor, network_size
+from monoloc.depth.runtime import DepthPredictor
+from monoloc.depth.spec import monoloc_spec, network_images
 from monoloc.errors import DataError
 from monoloc.evaluation.depth import DepthAccumulator
 from monoloc.evaluation.plots import plot_depth, plot_training
@@ -73,7 +74,6 @@ def train(
       monoloc depth train folder:nyu-labelled --frames 0:1349 --validate 1349: \\
           --encoder mobilenet_v2_0.35_imagenet.npz --settings one-third-0.35.toml --out runs/one-third
       monoloc depth train nyu:nyu_depth_v2_labeled.mat --validate 1349: --frames :1349 --epochs 30 --out runs/short
-      torchrun --nproc-per-node 4 --no-python monoloc depth train ...
     """
     with training_extra():
         from monoloc.depth.train import TrainConfig, train_network
@@ -193,9 +193,8 @@ def export(
     result: dict[str, object] = asdict(report)
     if int8 is not None:
         recording = open_source(int8, frames)
-        camera = recording.camera.resized(*network_size(recording.camera, loaded.config.focal_px))
         with ConsoleProgress(stderr).task("quantise", None):
-            images = [image_tensor(recording.color(index), camera) for index in range(len(recording))]
+            images = network_images(recording, monoloc_spec(loaded.config.focal_px))
             content, difference = quantise(content, images)
         result |= asdict(difference)
     write_whole(out, content)

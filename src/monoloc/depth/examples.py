@@ -16,7 +16,7 @@ from monoloc.camera import Camera
 from monoloc.datasets.base import Recording
 from monoloc.depth.augment import AugmentConfig, random_exposure, random_view
 from monoloc.depth.network import DepthNetwork
-from monoloc.depth.runtime import network_size
+from monoloc.depth.spec import network_size
 from monoloc.errors import DataError
 
 _BATCHES_AHEAD = 3

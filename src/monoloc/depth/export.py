@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from monoloc.depth.checkpoint import NETWORK_KEY
 from monoloc.depth.network import DepthNetwork
-from monoloc.depth.runtime import FOCAL_KEY, STRIDE
+from monoloc.depth.spec import FOCAL_KEY, STRIDE, DepthModel, monoloc_spec
 from monoloc.errors import MonolocError
 
 OPSET = 17
@@ -73,6 +73,15 @@ def export_onnx(network: DepthNetwork) -> tuple[bytes, ExportReport]:
     if worst > _PARITY_LIMIT:
         raise MonolocError(f"the exported network differs from the original by {worst:.2e} in log-depth; not written")
     return content, ExportReport(len(content), worst, mean)
+
+
+def export_model(network: DepthNetwork, name: str) -> DepthModel:
+    """The network as the runtime takes it.
+
+    Raises:
+        MonolocError: as :func:`export_onnx`.
+    """
+    return DepthModel(export_onnx(network)[0], monoloc_spec(network.config.focal_px), name)
 
 
 _PREFIX = "network."  # what wrapping puts before every tensor's name

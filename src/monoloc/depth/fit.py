@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.datasets.base import Recording
-from monoloc.depth.runtime import DepthModel, DepthPredictor, ModelSpec
+from monoloc.depth.runtime import DepthPredictor
+from monoloc.depth.spec import DepthModel, ModelSpec
 from monoloc.errors import DataError
 from monoloc.evaluation.depth import fit_scale
 from monoloc.geometry import FloatArray

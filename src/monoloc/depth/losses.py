@@ -46,8 +46,9 @@ def scale_invariant_loss(log_predicted: Tensor, log_truth: Tensor, valid: Tensor
     error = torch.where(valid, log_predicted - log_truth, 0.0).flatten(1)
     count = valid.flatten(1).sum(1).clamp(min=1)
     mean = error.sum(1) / count
-    variance = (error.square().sum(1) / count - mean.square()).clamp(min=1e-6)
-    return variance.sqrt().mean()
+    variance = error.square().sum(1) / count - mean.square()
+    known = valid.flatten(1).any(1)
+    return masked_mean(variance.clamp(min=1e-6).sqrt(), known)
 
 
 def gradient_loss(

@@ -7,10 +7,11 @@ from pathlib import Path
 import onnxruntime
 
 from monoloc.config import load_settings
-from monoloc.depth.runtime import FOCAL_KEY, DepthModel, ModelSpec, check_input, load_session, monoloc_spec
+from monoloc.depth.runtime import check_input, load_session
+from monoloc.depth.spec import FOCAL_KEY, DepthModel, ModelSpec, monoloc_spec
 from monoloc.errors import DataError
 from monoloc.extras import training_extra
-from monoloc.models import is_shipped, shipped_file, shipped_models
+from monoloc.models import is_quantised, is_shipped, shipped_file, shipped_models
 
 _TOML, _SAFETENSORS = ".toml", ".safetensors"
 
@@ -41,19 +42,21 @@ def read_model(network: str | Path) -> DepthModel:
     if path.suffix == _SAFETENSORS:
         with training_extra():
             from monoloc.depth.checkpoint import load_network
-            from monoloc.depth.export import export_onnx
-        return _own_model(export_onnx(load_network(path))[0], path, path.stem)
+            from monoloc.depth.export import export_model
+        return export_model(load_network(path), path.stem)
     return _own_model(path.read_bytes(), path, path.stem)
 
 
 def trainable_file(network: str | Path) -> Path | None:
-    """The file that a network can be tuned from; None for a bundle's and another's, which can only be run.
+    """The file that a network can be tuned from; None for one that can only be run: a bundle's, another's, or one of
+    ours in 8 bits.
 
     Raises:
         DataError: no such file, or an .onnx that monoloc did not export.
     """
     if is_shipped(str(network)):
-        return shipped_file(str(network))
+        file = shipped_file(str(network))
+        return None if is_quantised(str(network)) else file
     path = Path(network)
     if path.suffix == _TOML or path.is_dir():
         return None

@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic_core import PydanticCustomError
 from torch import Tensor, nn
 from torch.nn import functional as F
 
@@ -61,11 +62,13 @@ class NetworkConfig(BaseModel):
     def _check(self) -> NetworkConfig:
         kept = [blocks > 0 for blocks in self.encoder_blocks]
         if any(not 0 <= b <= most for b, most in zip(self.encoder_blocks, _BLOCKS, strict=True)):
-            raise ValueError(f"encoder_blocks must lie between 0 and {_BLOCKS}")
+            raise PydanticCustomError("layers", f"encoder_blocks must lie between 0 and {_BLOCKS}")
         if kept != sorted(kept, reverse=True) or not all(kept[:3]):
-            raise ValueError("encoder_blocks may remove whole stages only from the end, and not the first three")
+            raise PydanticCustomError(
+                "layers", "encoder_blocks may remove whole stages only from the end, and not the first three"
+            )
         if any(not 0 <= stages <= 4 for stages in self.pooling_stages):
-            raise ValueError("pooling_stages must lie between 0 and 4")
+            raise PydanticCustomError("layers", "pooling_stages must lie between 0 and 4")
         return self
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,22 +48,23 @@ def quantise(content: bytes, images: Sequence[NDArray[np.float32]]) -> tuple[byt
         SettingError: too few images.
     """
     if len(images) < _LEAST_IMAGES:
-        raise SettingError("--int8", f"has {len(images)} frames", f"calibrate on at least {_LEAST_IMAGES}")
+        raise SettingError("int8", f"has {len(images)} frames", f"calibrate on at least {_LEAST_IMAGES}")
     calibration, judging = images[::2], images[1::2]
     with tempfile.TemporaryDirectory() as folder:
         source, prepared, target = (Path(folder) / name for name in ("source.onnx", "prepared.onnx", "target.onnx"))
         source.write_bytes(content)
-        quant_pre_process(source, prepared, skip_symbolic_shape=True)
-        quantize_static(
-            prepared,
-            target,
-            _Images(calibration),
-            quant_format=QuantFormat.QOperator,
-            per_channel=True,
-            activation_type=QuantType.QUInt8,
-            weight_type=QuantType.QInt8,
-            nodes_to_exclude=[node.name for node in onnx.load(prepared).graph.node if node.name in _IN_FLOAT],
-        )
+        with _no_warnings():
+            quant_pre_process(source, prepared, skip_symbolic_shape=True)
+            quantize_static(
+                prepared,
+                target,
+                _Images(calibration),
+                quant_format=QuantFormat.QOperator,
+                per_channel=True,
+                activation_type=QuantType.QUInt8,
+                weight_type=QuantType.QInt8,
+                nodes_to_exclude=[node.name for node in onnx.load(prepared).graph.node if node.name in _IN_FLOAT],
+            )
         model = onnx.load(target)
     _shorten_names(model)
     metadata = onnx.load_from_string(content).metadata_props
@@ -82,6 +85,16 @@ class _Images(CalibrationDataReader):  # type: ignore[misc]  # onnxruntime is no
     def get_next(self) -> dict[str, NDArray[np.float32]] | None:
         image = next(self._images, None)
         return None if image is None else {"image": image}
+
+
+@contextmanager
+def _no_warnings() -> Iterator[None]:
+    """onnxruntime writes a page on tensors of shapes, which are not meant to be quantised."""
+    logging.disable(logging.WARNING)
+    try:
+        yield
+    finally:
+        logging.disable(logging.NOTSET)
 
 
 def _shorten_names(model: onnx.ModelProto) -> None:

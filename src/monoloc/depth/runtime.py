@@ -4,132 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
 
 import cv2
 import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
-from pydantic_core import PydanticCustomError
 
 from monoloc.camera import Camera
+from monoloc.depth.spec import LEAST_INPUT_PX, DepthModel, ModelSpec, image_tensor
 from monoloc.errors import DataError, SettingError
 
-STRIDE = 32  # our networks halve their input five times
-FOCAL_KEY = "monoloc_focal_px"
-LEAST_INPUT_PX = 64
 _ERROR_OUTPUT = "log_error_scale"
 _LEAST_IMAGE_PX = 32
 # Ours give a quarter of their input: 40 x 32 for most cameras, 120 x 88 for the widest. Anything finer is read at
 # every so many pixels: the scan is a few hundred points, and the corners' depth is smooth.
 _MOST_PIXELS = 128 * 96
 _FARTHEST_M = 100.0  # no room is larger; disparity near zero says no more than that
-
-_Size = Annotated[int, Field(ge=LEAST_INPUT_PX)]
-_Positive = Annotated[float, Field(gt=0.0)]
-
-
-class ModelSpec(BaseModel):
-    """How images go into an ONNX depth network, and how depth comes out.
-
-    Attributes:
-        width, height: size of the network's input; images are stretched to it. Or, in their place,
-        focal_px: images are brought near to this focal length, and the depth is that of such a camera.
-        stride: with ``focal_px``, width and height are multiples of it.
-        mean, std: normalisation of red, green and blue, of values from 0 to 1.
-        channels, layout: order of the colours and of the input's axes.
-        output: what the network's first output is.
-        metric: whether that is in metres (for disparity, in 1/m); if not, scale and shift are unknown before they
-            are fitted.
-        scale, shift: ``depth = scale * raw + shift``, ``1 / depth = scale * raw + shift`` for disparity, and
-            ``depth = scale * exp(raw)`` for log-depth; None is fitted by ``monoloc build``, and 1 before that.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    width: _Size | None = None
-    height: _Size | None = Field(None, validate_default=True)
-    focal_px: _Positive | None = Field(None, validate_default=True)
-    stride: int = Field(STRIDE, ge=1)
-    mean: tuple[float, float, float]
-    std: tuple[_Positive, _Positive, _Positive]
-    channels: Literal["rgb", "bgr"] = "rgb"
-    layout: Literal["nchw", "nhwc"] = "nchw"
-    output: Literal["depth", "log-depth", "disparity"]
-    metric: bool
-    scale: _Positive | None = None
-    shift: float = 0.0
-
-    @field_validator("height")
-    @classmethod
-    def _both_or_neither(cls, height: int | None, info: ValidationInfo) -> int | None:
-        if "width" in info.data and (height is None) != (info.data["width"] is None):
-            raise PydanticCustomError("size", "Width and height go together")
-        return height
-
-    @field_validator("focal_px")
-    @classmethod
-    def _one_kind_of_size(cls, focal_px: float | None, info: ValidationInfo) -> float | None:
-        if "height" in info.data and (focal_px is None) == (info.data["height"] is None):
-            raise PydanticCustomError("size", "Give either width and height, or focal_px")
-        return focal_px
-
-    @field_validator("shift")
-    @classmethod
-    def _shift_of_a_scale(cls, shift: float, info: ValidationInfo) -> float:
-        if shift and info.data.get("output") == "log-depth":
-            raise PydanticCustomError("shift", "Log-depth has a scale only")
-        if shift and "scale" in info.data and info.data["scale"] is None:
-            raise PydanticCustomError("shift", "Give scale as well, or leave both to be fitted")
-        return shift
-
-    @property
-    def is_usable(self) -> bool:
-        """Whether depth comes out in metres without a fit."""
-        return self.metric or self.scale is not None
-
-    @property
-    def has_shift(self) -> bool:
-        """Whether a fit gives a shift beside the scale."""
-        return not self.metric and self.output != "log-depth"
-
-    def input_size(self, camera: Camera) -> tuple[int, int]:
-        """(width, height) of the network's input for a camera's images."""
-        if self.width is not None and self.height is not None:
-            return self.width, self.height
-        assert self.focal_px is not None
-        return network_size(camera, self.focal_px, self.stride)
-
-    def depth(self, raw: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The network's output as depth; not finite or not positive where there is none."""
-        scale = np.float32(1.0 if self.scale is None else self.scale)
-        with np.errstate(all="ignore"):
-            if self.output == "log-depth":
-                return np.asarray(scale * np.exp(raw))
-            line = scale * raw + np.float32(self.shift)
-            return np.asarray(np.float32(1.0) / line if self.output == "disparity" else line)
-
-
-def monoloc_spec(focal_px: float) -> ModelSpec:
-    """What our own networks agree on: metric log-depth for a camera of that focal length."""
-    half = (0.5, 0.5, 0.5)
-    return ModelSpec(focal_px=focal_px, mean=half, std=half, output="log-depth", metric=True, scale=1.0)
-
-
-@dataclass(frozen=True)
-class DepthModel:
-    """A depth network that can be run.
-
-    Attributes:
-        content: the ONNX file.
-        spec: how it is used.
-        name: what people call it.
-    """
-
-    content: bytes
-    spec: ModelSpec
-    name: str = "depth.onnx"
 
 
 @dataclass(frozen=True)
@@ -154,17 +44,6 @@ class DepthPrediction:
         known = (self.depth_m > 0.0).astype(np.float32)
         share = np.asarray(cv2.resize(known, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
         return np.where(share > 0.5, depth / np.maximum(share, np.float32(0.5)), np.float32(0.0))
-
-
-def network_size(camera: Camera, focal_px: float, stride: int = STRIDE) -> tuple[int, int]:
-    """(width, height) that bring a camera's image nearest to the canonical focal length, multiples of the stride.
-
-    Rounding leaves the two focal lengths a few percent off; the runtime corrects depth for it.
-    """
-    scale = focal_px / camera.focal_px
-    width = max(1, round(camera.width * scale / stride)) * stride
-    height = max(1, round(camera.height * scale / stride)) * stride
-    return width, height
 
 
 class DepthPredictor:
@@ -246,30 +125,6 @@ class DepthPredictor:
         if not np.isfinite(raw).any():
             raise DataError(name, "gives NaN for every pixel", "check the file, and mean and std, or export it again")
         return raw
-
-
-def image_tensor(
-    color: NDArray[np.uint8], input_camera: Camera, spec: ModelSpec | None = None
-) -> NDArray[np.float32]:
-    """A network's input, float32: (H, W, 3) uint8 RGB -> (1, 3, h, w) or (1, h, w, 3).
-
-    Args:
-        input_camera: has the input's size.
-        spec: normalisation, channels and layout; None is [-1, 1], RGB, channels first, as our networks take it.
-    """
-    size = (input_camera.width, input_camera.height)
-    enlarges = size[0] > color.shape[1] and size[1] > color.shape[0]
-    interpolation = cv2.INTER_LINEAR if enlarges else cv2.INTER_AREA  # which makes blocks when it enlarges
-    values = np.asarray(cv2.resize(color, size, interpolation=interpolation), dtype=np.float32)
-    if spec is None:
-        spec = monoloc_spec(input_camera.focal_px)
-    mean, std = np.array(spec.mean), np.array(spec.std)
-    values = values / (255.0 * std).astype(np.float32) - (mean / std).astype(np.float32)
-    if spec.channels == "bgr":
-        values = values[..., ::-1]
-    if spec.layout == "nchw":
-        values = values.transpose(2, 0, 1)
-    return np.ascontiguousarray(values[None])
 
 
 def load_session(content: bytes, label: str | Path, threads: int = 1) -> onnxruntime.InferenceSession:

@@ -7,10 +7,11 @@ import json
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any, cast
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 from torch import nn
 
 from monoloc.datasets.base import Recording
@@ -139,10 +140,11 @@ class _Run:
             raise SettingError(
                 "batch_size", f"{config.batch_size} exceeds {len(self._frames)} frames", "use more frames"
             )
-        if config.batch_size < 2 * worker.count:
-            raise SettingError(
-                "batch_size", f"{config.batch_size} is too small for {worker.count} workers", "enlarge it"
+        if config.batch_size < 2 * worker.count or config.batch_size % worker.count:
+            problem = (
+                f"{config.batch_size} does not give {worker.count} workers the same share, of two frames or more"
             )
+            raise SettingError("batch_size", problem, f"choose a multiple of {worker.count}")
         encoder = list(self._network.encoder.parameters())
         others = [p for name, p in self._network.named_parameters() if not name.startswith("encoder.")]
         rates = [config.learning_rate * config.encoder_rate_factor, config.learning_rate]
@@ -151,8 +153,10 @@ class _Run:
             weight_decay=config.weight_decay,
             fused=True,
         )
+        steps = config.epochs * steps_per_epoch
+        rise = 0.1 if steps != 10 else 0.2  # torch divides by the rise's steps less one
         self._schedule = torch.optim.lr_scheduler.OneCycleLR(
-            self._optimizer, rates, total_steps=config.epochs * steps_per_epoch, pct_start=0.1
+            self._optimizer, rates, total_steps=steps, pct_start=rise
         )
         self._trained = worker.wrap(_WithError(self._network))
 
@@ -190,7 +194,7 @@ class _Run:
         save_network(self.averaged_network, out_dir / "network.safetensors")
         write_whole(out_dir / "history.json", json.dumps(history, indent=1).encode())
         state = {name: part.state_dict() for name, part in self._parts().items()}
-        content = {"settings": self.config.model_dump_json(), "history": history, **state}
+        content = {"run": self._identity(), "history": history, **state}
         buffer = io.BytesIO()
         torch.save(content, buffer)
         write_whole(out_dir / _STATE, buffer.getvalue())
@@ -207,16 +211,18 @@ class _Run:
         fix = f"remove {path} to start anew, or name another folder"
         try:
             content = torch.load(path, map_location=self.worker.device, weights_only=True)
-            is_same = TrainConfig.model_validate_json(content["settings"]) == self.config
-        except (ValidationError, KeyError):
-            is_same = False
-        except (RuntimeError, EOFError, OSError, ValueError) as error:
+            identity = content["run"]
+        except (RuntimeError, EOFError, OSError, ValueError, TypeError, KeyError, UnpicklingError) as error:
             raise SettingError("--out", f"{path} cannot be read", fix) from error
-        if not is_same:
-            raise SettingError("--out", f"{path} is of a run with other settings", fix)
+        if identity != self._identity():
+            raise SettingError("--out", f"{path} is of a run with other settings or frames", fix)
         self.history = [EpochRecord(**record) for record in content["history"]]
         for name, part in self._parts().items():
             part.load_state_dict(content[name])
+
+    def _identity(self) -> str:
+        """What a run must agree in to be the same."""
+        return f"{self.config.model_dump_json()} on {len(self._frames)} frames"
 
     def _parts(self) -> dict[str, Any]:
         return {

@@ -54,6 +54,11 @@ def is_shipped(name: str) -> bool:
     return name.removesuffix(_INT8) in (model.name for model in shipped_models())
 
 
+def is_quantised(name: str) -> bool:
+    """Whether a name is that of a network in 8 bits, which can be run but not tuned."""
+    return name.endswith(_INT8)
+
+
 def shipped_file(name: str) -> Path:
     """The ONNX file of a shipped network.
 
@@ -64,6 +69,3 @@ def shipped_file(name: str) -> Path:
         names = ", ".join(model.name for model in shipped_models())
         raise SettingError("network", f"is {name!r}", f"choose one of {names}, or the same with {_INT8}")
     return _FOLDER / f"{name}.onnx"
-
-
-SHIPPED_NETWORK = SHIPPED_ONNX = _FOLDER / "full-0.35.onnx"
