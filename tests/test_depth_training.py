@@ -308,7 +308,7 @@ def test_a_batch_too_small_for_its_workers(tmp_path: Path, monkeypatch: pytest.M
 
     monkeypatch.setattr(train_module, "training_worker", one_of_three)
     room = small_recording(4)
-    with pytest.raises(SettingError, match="batch_size: 4 does not give 3 workers the same share, of two or more; choose a multiple of 3"):
+    with pytest.raises(SettingError, match="batch_size: 4 does not give 3 workers the same share, of two frames or more; choose a multiple of 3"):
         train_network(room, room, SHORT, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
