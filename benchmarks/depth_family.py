@@ -19,7 +19,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import onnxruntime
 import torch
@@ -30,13 +29,14 @@ from monoloc.datasets.registry import open_recording, select_frames
 from monoloc.depth.checkpoint import load_network
 from monoloc.depth.export import export_onnx
 from monoloc.depth.family import SIZES
+from monoloc.depth.fit import fit_to_depth
+from monoloc.depth.judge import Judgement, judge_network
 from monoloc.depth.model import DepthModel, read_model
 from monoloc.depth.quantise import quantise
 from monoloc.depth.runtime import DepthPredictor
 from monoloc.depth.spec import monoloc_spec, network_images, network_size
-from monoloc.evaluation.depth import DepthAccumulator, DepthMetrics, fit_scale
 from monoloc.evaluation.plots import plot_depth
-from monoloc.evaluation.uncertainty import ErrorCalibration, error_calibration, plot_calibration
+from monoloc.evaluation.uncertainty import plot_calibration
 from monoloc.models import DEFAULT, ShippedModel, shipped_models
 
 _MODELS = Path(__file__).parents[1] / "src" / "monoloc" / "models"
@@ -65,7 +65,7 @@ def pack(runs: Path, data: Path) -> None:
         figures = []
         for suffix, onnx in (("", content), ("-int8", small)):
             (_MODELS / f"{name}{suffix}.onnx").write_bytes(onnx)
-            figures.append(judge(read_model(_MODELS / f"{name}{suffix}.onnx"), validation))
+            figures.append(judge(read_model(_MODELS / f"{name}{suffix}.onnx"), validation).metrics)
         catalogue.append(
             ShippedModel(
                 name=name,
@@ -86,13 +86,12 @@ def pack(runs: Path, data: Path) -> None:
     (_MODELS / "models.json").write_text(json.dumps([asdict(model) for model in catalogue], indent=1) + "\n")
 
 
-def judge(model: DepthModel, recording: Recording, scale: float = 1.0) -> DepthMetrics:
-    predictor = DepthPredictor(model, recording.camera)
-    accumulator = DepthAccumulator()
-    for index in range(len(recording)):
-        truth = recording.depth(index)
-        accumulator.add(scale * predictor(recording.color(index)).resized(*truth.shape[::-1]), truth)
-    return accumulator.mean()
+def judge(model: DepthModel, recording: Recording) -> Judgement:
+    return judge_network(DepthPredictor(model, recording.camera), recording)
+
+
+def scaled(model: DepthModel, scale: float) -> DepthModel:
+    return replace(model, spec=model.spec.model_copy(update={"scale": scale}))
 
 
 class Cropped:
@@ -120,13 +119,10 @@ class Cropped:
 
 
 def fitted_scale(model: DepthModel, recording: Recording) -> float:
-    """Median over frames of the scale that suits each."""
-    predictor = DepthPredictor(model, recording.camera)
-    logs = []
-    for index in range(len(recording)):
-        truth = recording.depth(index)
-        logs.append(np.log(fit_scale(predictor(recording.color(index)).resized(*truth.shape[::-1]), truth)))
-    return float(np.exp(np.median(logs)))
+    """One scale for all frames of a recording."""
+    scale = fit_to_depth(model, recording, recording.depth, lambda done: None).spec.scale
+    assert scale is not None
+    return scale
 
 
 def canonical_table(data: Path, name: str) -> list[list[object]]:
@@ -141,8 +137,8 @@ def canonical_table(data: Path, name: str) -> list[list[object]]:
     fixed = model.spec.model_copy(update={"width": 160, "height": 128, "focal_px": None})
     for label, used in (("canonical", model), ("160 x 128 whatever the lens", replace(model, spec=fixed))):
         scale, narrow_scale = fitted_scale(used, build), fitted_scale(used, Cropped(build))
-        whole = judge(used, test, scale).absrel
-        own, kept = (judge(used, Cropped(test), s).absrel for s in (narrow_scale, scale))
+        whole = judge(scaled(used, scale), test).metrics.absrel
+        own, kept = (judge(scaled(used, s), Cropped(test)).metrics.absrel for s in (narrow_scale, scale))
         rows.append([label, scale, whole, narrow_scale, own, kept])
     return rows
 
@@ -204,14 +200,16 @@ def measure(data: Path, out: Path) -> None:
     for entry in shipped_models():
         for bits, name in (("fp32", entry.name), ("int8", f"{entry.name}-int8")):
             model = read_model(name)
-            m = judge(model, validation)
+            judgement = judge(model, validation)
+            m = judgement.metrics
             accuracy.append([name, m.delta1, m.delta2, m.delta3, m.absrel, m.rmse_m, m.log10, m.ssim])
             scale = fitted_scale(model, build)
-            m = judge(model, kitchen, scale)
+            m = judge(scaled(model, scale), kitchen).metrics
             kitchen_rows.append([name, scale, m.delta1, m.delta2, m.delta3, m.absrel, m.rmse_m, m.log10, m.ssim])
             if bits == "fp32":
                 predictor = DepthPredictor(model, validation.camera)
-                calibrations[name] = calibration_of(predictor, validation)
+                if judgement.calibration is not None:
+                    calibrations[name] = judgement.calibration
                 shown = [int(i) for i in pictures]
                 truths = [validation.depth(i) for i in shown]
                 depths = [
@@ -238,19 +236,6 @@ def measure(data: Path, out: Path) -> None:
     print_rows("| 160 x 128 | parameters | M MACs | bytes | ms | ms p95 | GFLOP/s | of peak | time goes to |", speed)
     rows = [[name, c.nll, c.nll_constant, *c.coverage[[9, 17]]] for name, c in calibrations.items()]
     print_rows("| stated error | NLL, nats | with one scale | within 50% | within 90% |", rows)
-
-
-def calibration_of(predictor: DepthPredictor, recording: Recording) -> ErrorCalibration:
-    """Of every fourth pixel either way, as the network puts them out."""
-    errors, scales = [], []
-    for index in range(len(recording)):
-        prediction = predictor(recording.color(index))
-        assert prediction.log_error is not None
-        truth = cv2.resize(recording.depth(index), prediction.depth_m.shape[::-1], interpolation=cv2.INTER_NEAREST)
-        valid = truth > 0.0
-        errors.append(np.log(prediction.depth_m[valid] / truth[valid]))
-        scales.append(prediction.log_error[valid])
-    return error_calibration(np.concatenate(errors), np.concatenate(scales))
 
 
 def print_rows(header: str, rows: list[list[object]]) -> None:

@@ -28,11 +28,12 @@ from monoloc.cli.common import (
 from monoloc.config import load_settings, override
 from monoloc.datasets.base import Recording
 from monoloc.depth.fit import fit_to_depth
+from monoloc.depth.judge import judge_network
 from monoloc.depth.runtime import DepthPredictor
 from monoloc.depth.spec import monoloc_spec, network_images
-from monoloc.errors import DataError
-from monoloc.evaluation.depth import DepthAccumulator
+from monoloc.errors import DataError, SettingError
 from monoloc.evaluation.plots import plot_depth, plot_training
+from monoloc.evaluation.uncertainty import plot_calibration
 from monoloc.extras import require_plotting, training_extra
 from monoloc.files import write_whole
 from monoloc.models import shipped_models
@@ -63,6 +64,9 @@ def train(
     encoder: Annotated[
         Path | None, typer.Option("--encoder", help="MobileNetV2 weights (.npz, torchvision's names) to start from.")
     ] = None,
+    start: Annotated[
+        Path | None, typer.Option("--start", help="A network to go on training, in place of --encoder.")
+    ] = None,
     settings: Annotated[Path | None, typer.Option("--settings", help="TOML file of training settings.")] = None,
     epochs: Annotated[int | None, typer.Option("--epochs", help="In place of the settings'.")] = None,
     json: JsonOption = False,
@@ -78,13 +82,15 @@ def train(
     with training_extra():
         from monoloc.depth.train import TrainConfig, train_network
     check_folder(out, "--out")
+    if encoder is not None and start is not None:
+        raise SettingError("--start", "and --encoder both say where to begin", "give one of them")
     require_plotting()
     config = override(TrainConfig() if settings is None else load_settings(settings, TrainConfig), epochs=epochs)
     training = open_source(source, frames)
     validation = open_source(source, validate) if validate is not None else training
     # Under torchrun, the first process of a run judges, writes and speaks.
     progress = ConsoleProgress(stderr) if os.environ.get("RANK", "0") == "0" else NoProgress()
-    history = train_network(training, validation, config, out, encoder, progress)
+    history = train_network(training, validation, config, out, encoder, start, progress)
     if not history:
         return
     plot_training(out / "curves.png", [{k: v for k, v in asdict(r).items() if k != "seconds"} for r in history])
@@ -104,6 +110,10 @@ def evaluate(
         bool, typer.Option("--fit-scale", help="Fit one scale for all frames first; always done for relative depth.")
     ] = False,
     plot: Annotated[Path | None, typer.Option("--plot", help="PNG of predicted and true depth.")] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option("--calibration", help="PNG of the error that the network states against the actual."),
+    ] = None,
     intrinsics: IntrinsicsOption = None,
     depth_scale: DepthScaleOption = None,
     json: JsonOption = False,
@@ -114,11 +124,12 @@ def evaluate(
     Examples:
       monoloc depth evaluate full-0.35 folder:nyu-labelled --frames 1349: --json
       monoloc depth evaluate kitchen.monoloc 7scenes:redkitchen --frames 1::4 --plot depth.png
-      monoloc depth evaluate full-0.35 7scenes:redkitchen --fit-scale
+      monoloc depth evaluate full-0.35 7scenes:redkitchen --fit-scale --calibration error.png
       monoloc depth evaluate midas.toml 7scenes:redkitchen --frames ::10     (another's network)
     """
     check_writable(plot, "--plot")
-    if plot is not None:
+    check_writable(calibration, "--calibration")
+    if plot is not None or calibration is not None:
         require_plotting()
     recording = open_source(source, frames, intrinsics, depth_scale)
     if not recording.has_depth:
@@ -131,17 +142,8 @@ def evaluate(
         if not fit:
             stderr.print(f"{model}: relative depth, fitted to these frames")
     predictor = DepthPredictor(network, recording.camera, threads=2)
-    accumulator = DepthAccumulator()
-    known = predicted = 0
     with progress.task("evaluate", len(recording)) as step:
-        for index in range(len(recording)):
-            truth, depth = recording.depth(index), _predict(predictor, recording, index)
-            has_truth, both = truth > 0.0, (truth > 0.0) & (depth > 0.0)
-            known, predicted = known + int(has_truth.sum()), predicted + int(both.sum())
-            accumulator.add(depth, np.where(both, truth, 0.0))
-            step(index + 1)
-    if not len(accumulator):
-        raise DataError(network.name, "gives no depth at any pixel of known depth", "check its TOML, or --frames")
+        judgement = judge_network(predictor, recording, step)
     if plot is not None:
         shown = np.linspace(0, len(recording) - 1, min(_PICTURES, len(recording))).astype(int)
         plot_depth(
@@ -150,10 +152,14 @@ def evaluate(
             [_predict(predictor, recording, int(i)) for i in shown],
             [recording.depth(int(i)) for i in shown],
         )
+    if calibration is not None:
+        if judgement.calibration is None:
+            raise SettingError("--calibration", f"{model} does not state its error", "leave it out")
+        plot_calibration(calibration, {model: judgement.calibration})
     metrics = {
-        **asdict(accumulator.mean()),
+        **asdict(judgement.metrics),
         "frames": len(recording),
-        "predicted_share": predicted / known,
+        "predicted_share": judgement.predicted_share,
         "scale": 1.0 if network.spec.scale is None else network.spec.scale,
     }
     if network.spec.has_shift:

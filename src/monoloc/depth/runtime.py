@@ -52,6 +52,7 @@ class DepthPredictor:
     It is run once on noise, so that what does not fit is said before the work begins.
 
     Attributes:
+        name: of the network.
         input_camera, output_camera: intrinsics of the network's input and of the depth it gives here.
         focal_ratio: depth is the network's times this: that of the input's focal length to the canonical one.
 
@@ -61,7 +62,8 @@ class DepthPredictor:
     """
 
     def __init__(self, model: DepthModel, camera: Camera, threads: int = 1) -> None:
-        self._model, self._spec = model, model.spec
+        self.name = model.name
+        self._spec = model.spec
         self._session = load_session(model.content, model.name, threads)
         check_input(self._session, model.spec, model.name)
         self._input = self._session.get_inputs()[0].name
@@ -84,7 +86,7 @@ class DepthPredictor:
         """
         if not self._spec.is_usable:
             fix = "fit it by monoloc build, or give its scale and shift"
-            raise DataError(self._model.name, "gives relative depth, whose scale is not known", fix)
+            raise DataError(self.name, "gives relative depth, whose scale is not known", fix)
         raw, *log_error = self._run(color)
         depth_m = self._spec.depth(raw) * np.float32(self.focal_ratio)
         is_depth = (depth_m > 0.0) & (depth_m <= _FARTHEST_M)  # neither is true of NaN
@@ -109,7 +111,7 @@ class DepthPredictor:
 
     def _probe(self) -> NDArray[np.float32]:
         """The first output for an image of noise, checked."""
-        name, camera = self._model.name, self.input_camera
+        name, camera = self.name, self.input_camera
         noise = np.random.default_rng(0).integers(0, 256, (camera.height, camera.width, 3), dtype=np.uint8)
         try:
             raw, *log_error = self._infer(noise)

@@ -16,7 +16,7 @@ from torch import nn
 
 from monoloc.datasets.base import Recording
 from monoloc.depth.augment import AugmentConfig
-from monoloc.depth.checkpoint import save_network
+from monoloc.depth.checkpoint import load_network, save_network
 from monoloc.depth.distributed import Worker, training_worker
 from monoloc.depth.examples import TrainingFrames, ValidationFrames
 from monoloc.depth.family import named_config
@@ -78,17 +78,26 @@ def train_network(
     config: TrainConfig,
     out_dir: Path,
     encoder_weights: Path | None = None,
+    start: Path | None = None,
     progress: Progress | None = None,
 ) -> list[EpochRecord]:
-    """Train from the encoder's weights (or from nothing) and write the network and its history.
+    """Train from the encoder's weights, from a network or from nothing, and write the network and its history.
 
     AdamW, one-cycle learning rate, exponential moving average of the weights, bfloat16 convolutions; on GPUs
     where there are some, and on several under ``torchrun``. After every epoch ``out_dir`` holds
     ``network.safetensors`` (the averaged weights), ``history.json`` (which is returned, by the first of several
     processes) and what it takes to go on from there: called again with the same settings, training resumes.
 
+    Args:
+        training, validation: recordings with depth.
+        config: all settings.
+        out_dir: made where it does not exist.
+        encoder_weights: MobileNetV2 weights to start from, as :func:`load_encoder_weights` takes them.
+        start: a whole network to start from, as :func:`load_network` takes it; in place of the former.
+        progress: shows epochs and their figures.
+
     Raises:
-        DataError: a recording without depth, or one that cannot be read.
+        DataError: a recording without depth, or one that cannot be read; weights that do not fit.
         SettingError: fewer frames than one batch, or ``out_dir`` holds a run with other settings.
     """
     for recording in (training, validation):
@@ -96,7 +105,9 @@ def train_network(
             raise DataError(recording.name, "has no depth", "train on a recording with depth images")
     keep_freed_memory()
     with training_worker() as worker:
-        run = _Run(config, training, encoder_weights, worker, progress or NoProgress())
+        torch.manual_seed(config.seed)
+        network = _initial(config.network, encoder_weights, start)
+        run = _Run(config, training, network, worker, progress or NoProgress())
         run.resume(out_dir)
         frames = ValidationFrames(validation, config.network.focal_px) if worker.is_first else None
         with run.progress.task("train", config.epochs) as step:
@@ -111,6 +122,20 @@ def train_network(
         return run.history if worker.is_first else []
 
 
+def _initial(config: NetworkConfig, encoder_weights: Path | None, start: Path | None) -> DepthNetwork:
+    if start is not None:
+        network = load_network(start)
+        if network.config != config:
+            raise DataError(
+                start, "is not the network that the settings describe", "name it in the settings' network"
+            )
+        return network
+    network = DepthNetwork(config)
+    if encoder_weights is not None:
+        load_encoder_weights(network, encoder_weights)
+    return network
+
+
 class _Run:
     """A network with all that changes while it trains."""
 
@@ -118,7 +143,7 @@ class _Run:
         self,
         config: TrainConfig,
         training: Recording,
-        encoder_weights: Path | None,
+        network: DepthNetwork,
         worker: Worker,
         progress: Progress,
     ) -> None:
@@ -126,10 +151,6 @@ class _Run:
         self.worker = worker
         self.progress = progress
         self.history: list[EpochRecord] = []
-        torch.manual_seed(config.seed)
-        network = DepthNetwork(config.network)
-        if encoder_weights is not None:
-            load_encoder_weights(network, encoder_weights)
         self._network = network.to(worker.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         average = torch.optim.swa_utils.get_ema_multi_avg_fn(config.ema_decay)  # type: ignore[no-untyped-call]
         self._averaged = torch.optim.swa_utils.AveragedModel(self._network, multi_avg_fn=average, use_buffers=True)

@@ -1,0 +1,60 @@
+"""How good a depth network is on a recording with depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from monoloc.datasets.base import Recording
+from monoloc.depth.runtime import DepthPredictor
+from monoloc.errors import DataError
+from monoloc.evaluation.depth import DepthAccumulator, DepthMetrics
+from monoloc.evaluation.uncertainty import ErrorCalibration, error_calibration
+from monoloc.progress import Step
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A network's figures.
+
+    Attributes:
+        metrics: means over frames, at pixels with true and predicted depth, at the size of the truth.
+        predicted_share: share of the pixels with true depth that got a prediction.
+        calibration: of the error that the network states of itself; None if it states none.
+    """
+
+    metrics: DepthMetrics
+    predicted_share: float
+    calibration: ErrorCalibration | None
+
+
+def judge_network(predictor: DepthPredictor, recording: Recording, progress: Step | None = None) -> Judgement:
+    """Compare predicted with measured depth over all frames.
+
+    Raises:
+        DataError: no pixel has both.
+    """
+    accumulator = DepthAccumulator()
+    known = predicted = 0
+    errors, scales = [], []
+    for index in range(len(recording)):
+        prediction, truth = predictor(recording.color(index)), recording.depth(index)
+        depth = prediction.resized(recording.camera.width, recording.camera.height)
+        both = (truth > 0.0) & (depth > 0.0)
+        known, predicted = known + int(np.sum(truth > 0.0)), predicted + int(both.sum())
+        accumulator.add(depth, np.where(both, truth, 0.0))
+        if prediction.log_error is not None:
+            # At the network's own pixels: interpolation would make neighbours agree more than they do.
+            size = prediction.depth_m.shape[::-1]
+            small = cv2.resize(truth, size, interpolation=cv2.INTER_NEAREST_EXACT)
+            has_both = (small > 0.0) & (prediction.depth_m > 0.0)
+            errors.append(np.log(prediction.depth_m[has_both] / small[has_both]))
+            scales.append(prediction.log_error[has_both])
+        if progress is not None:
+            progress(index + 1)
+    if not len(accumulator):
+        raise DataError(predictor.name, "gives no depth at any pixel of known depth", "check its TOML, or --frames")
+    calibration = error_calibration(np.concatenate(errors), np.concatenate(scales)) if errors else None
+    return Judgement(accumulator.mean(), predicted / known, calibration)
