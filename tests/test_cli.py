@@ -51,6 +51,7 @@ COMMANDS = [
     ("depth", "train"),
     ("depth", "evaluate"),
     ("depth", "export"),
+    ("depth", "list"),
 ]
 ACCURACY_KEYS = {
     "ate_rmse_m",
@@ -614,6 +615,36 @@ def test_depth_evaluate(capfd, here):
     assert json_of(capfd, *doubled)["absrel"] == pytest.approx(0.5, abs=0.02)
     fitted = json_of(capfd, *doubled, "--fit-scale")
     assert fitted["scale"] == pytest.approx(2.0, rel=0.01) and fitted["absrel"] < 0.02
+
+
+def test_depth_evaluate_draws_the_error_that_a_network_states(capfd, here):
+    command = ("depth", "evaluate", "tiny-0.35", "walk", "--frames", "::4", "--calibration", "error.png")
+    assert json_of(capfd, *command)["frames"] == 3
+    assert cv2.imread("error.png") is not None
+    command = ("depth", "evaluate", "room.monoloc", "walk", "--frames", "::4", "--calibration", "none.png")
+    refused(capfd, here, command, "--calibration", "does not state its error", "leave it out")
+
+
+def test_depth_list(capfd, here):
+    models = json_of(capfd, "depth", "list")["models"]
+    assert [model["name"] for model in models] == ["full-0.35", "two-thirds-0.35", "one-third-0.35", "tiny-0.35"]
+    keys = {"name", "width", "parameters", "macs", "bytes_fp32", "bytes_int8", "input_width", "delta1", "absrel"}
+    assert all(keys <= model.keys() for model in models)
+    table = succeeds(capfd, "depth", "list")
+    assert all(model["name"] in table for model in models)
+
+
+def test_a_bundle_can_carry_its_network_in_eight_bits(capfd, here):
+    untuned = ("--tune", "none", "--no-map-transform", "-k", "30", "--network", "tiny-0.35")
+    wide = json_of(capfd, "build", "walk", "--out", "wide.monoloc", *untuned)
+    small = json_of(capfd, "build", "walk", "--out", "small.monoloc", *untuned, "--int8")
+    assert small["bytes"] < wide["bytes"]
+    inspected = json_of(capfd, "inspect", "small.monoloc")
+    assert inspected["network"] == "tiny-0.35 in 8 bits"
+    exact, rounded = (json_of(capfd, "depth", "evaluate", f"{name}.monoloc", "walk") for name in ("wide", "small"))
+    assert rounded["absrel"] == pytest.approx(exact["absrel"], abs=0.05)
+    twice = ("build", "walk", "--out", "no.monoloc", *untuned[:-1], "tiny-0.35-int8", "--int8")
+    refused(capfd, here, twice, "int8", "cannot be quantised", "32 bits")
 
 
 # --- Ctrl-C, and faults of ours ---
