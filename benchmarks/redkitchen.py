@@ -29,8 +29,8 @@ from monoloc.runs import Start, disturbed, localize
 SPLITS = {"between": ("0:400:4", "0:400"), "away": ("0:300:3", "300:400")}
 VARIANTS = {
     "unadapted": {"tune": "none", "map_transform": False},
-    "last layer + map (paper)": {"tune": "last", "map_transform": True, "steps": 500},
-    "decoder + map (default)": {"tune": "decoder", "map_transform": True},
+    "last layer + map (paper)": {"tune": "last", "map_transform": True},
+    "all + map (default)": {"tune": "all", "map_transform": True},
 }
 SENSOR = "sensor depth"
 

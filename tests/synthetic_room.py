@@ -189,7 +189,7 @@ def healthy_range(mixture: GaussianMixture, recording: RoomRecording) -> Healthy
     fits = []
     for index, pose in enumerate(recording.poses):
         depth = sparse_depth(recording, index)
-        scan = scan_from_depth(depth.depth_m, depth.camera, SETTINGS.scan_points, rng)
+        scan = scan_from_depth(depth, SETTINGS.scan_points, rng)
         fits.append(measurement.mean_log_likelihood(pose[None], np.zeros(1), scan)[0])
     measured = HealthyRange.from_fits(np.array(fits))
     return HealthyRange(low=measured.low - 0.1, lost=measured.lost - 0.2)

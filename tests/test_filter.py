@@ -10,13 +10,14 @@ from hypothesis.extra.numpy import arrays
 
 from map_helpers import make_mixture, make_particles, nats_with_outliers
 from monoloc.camera import Camera
+from monoloc.depth.runtime import DepthPrediction
 from monoloc.depth_image import at_discontinuity
 from monoloc.filter.estimate import Estimate, estimate
 from monoloc.filter.health import HealthyRange, judge
 from monoloc.filter.motion import MotionConfig, predict
 from monoloc.filter.particles import Particles, normalised, scatter
 from monoloc.filter.resample import resample, systematic_indices
-from monoloc.filter.scan import scan_from_corners, scan_from_depth
+from monoloc.filter.scan import Scan, evenly, scan_from_corners, scan_from_depth
 from monoloc.filter.weigh import Measurement, MeasurementConfig
 from monoloc.geometry import FloatArray, invert, make_pose, se3_exp, se3_log, so3_exp, transform
 from monoloc.odometry import Motion
@@ -284,13 +285,14 @@ def pose():
 def test_scan_points_lie_on_what_is_seen(room, pose, distortion):
     camera = Camera(160, 128, 136.0, 136.0, 79.5, 63.5, distortion)
     _, depth = room.view(pose, camera)
-    scan = scan_from_depth(depth, camera, 200, np.random.default_rng(0))
-    assert scan.shape == (200, 3) and scan.dtype == np.float32
-    pixels = np.round(camera.project(scan)).astype(int)
-    assert np.allclose(camera.project(scan), pixels, atol=1e-3)
-    assert np.allclose(scan[:, 2], depth[pixels[:, 1], pixels[:, 0]])
+    scan = scan_from_depth(DepthPrediction(depth, camera), 200, np.random.default_rng(0))
+    assert scan.points.shape == (200, 3) and scan.points.dtype == np.float32
+    assert np.array_equal(scan.weights, np.ones(200, dtype=np.float32))
+    pixels = np.round(camera.project(scan.points)).astype(int)
+    assert np.allclose(camera.project(scan.points), pixels, atol=1e-3)
+    assert np.allclose(scan.points[:, 2], depth[pixels[:, 1], pixels[:, 0]])
     assert not at_discontinuity(depth, 0.15)[pixels[:, 1], pixels[:, 0]].any()
-    assert room.distance_m(transform(pose, scan)).max() < 1e-5
+    assert room.distance_m(transform(pose, scan.points)).max() < 1e-5
     assert len(np.unique(pixels, axis=0)) == 200
     # Even over the image: every quarter has about its share.
     quarters = np.bincount((pixels[:, 0] >= 80) + 2 * (pixels[:, 1] >= 64), minlength=4)
@@ -300,10 +302,10 @@ def test_scan_points_lie_on_what_is_seen(room, pose, distortion):
 def test_scan_differs_from_frame_to_frame_but_not_from_seed_to_seed(room, pose):
     _, depth = room.view(pose)
     rng = np.random.default_rng(3)
-    first, second = (scan_from_depth(depth, CAMERA, 100, rng) for _ in range(2))
-    again = scan_from_depth(depth, CAMERA, 100, np.random.default_rng(3))
-    assert np.array_equal(first, again)
-    assert not np.array_equal(first, second)
+    first, second = (scan_from_depth(DepthPrediction(depth, CAMERA), 100, rng) for _ in range(2))
+    again = scan_from_depth(DepthPrediction(depth, CAMERA), 100, np.random.default_rng(3))
+    assert np.array_equal(first.points, again.points)
+    assert not np.array_equal(first.points, second.points)
 
 
 def test_scan_leaves_out_what_is_far_or_missing():
@@ -311,20 +313,20 @@ def test_scan_leaves_out_what_is_far_or_missing():
     depth = np.full((30, 40), 2.0, dtype=np.float32)
     depth[:, :10] = 0.0
     depth[:, 30:] = 9.0
-    scan = scan_from_depth(depth, camera, 10_000, np.random.default_rng(0), max_depth_m=8.0)
-    columns = np.round(camera.project(scan)[:, 0]).astype(int)
+    scan = scan_from_depth(DepthPrediction(depth, camera), 10_000, np.random.default_rng(0), max_depth_m=8.0)
+    columns = np.round(camera.project(scan.points)[:, 0]).astype(int)
     # The column beside the step from 2 to 9 m is an edge; that beside missing depth is none.
     assert sorted(set(columns)) == list(range(10, 29))
     assert len(scan) == 19 * 30
-    assert np.all(scan[:, 2] == 2.0)
+    assert np.all(scan.points[:, 2] == 2.0)
 
 
 def test_scan_of_an_edge_leaves_both_sides_out():
     camera = Camera(40, 30, 30.0, 30.0, 19.5, 14.5)
     depth = np.full((30, 40), 2.0, dtype=np.float32)
     depth[10:20, 10:20] = 1.0
-    scan = scan_from_depth(depth, camera, 10_000, np.random.default_rng(0), depth_jump=0.5)
-    pixels = np.round(camera.project(scan)).astype(int)
+    scan = scan_from_depth(DepthPrediction(depth, camera), 10_000, np.random.default_rng(0), depth_jump=0.5)
+    pixels = np.round(camera.project(scan.points)).astype(int)
     taken = np.zeros((30, 40), dtype=bool)
     taken[pixels[:, 1], pixels[:, 0]] = True
     assert not taken[9, 10:20].any() and not taken[10, 10:20].any()
@@ -335,17 +337,49 @@ def test_scan_of_an_edge_leaves_both_sides_out():
 @pytest.mark.parametrize("value", [0.0, 20.0])
 def test_scan_of_nothing_is_empty(value):
     depth = np.full((30, 40), value, dtype=np.float32)
-    scan = scan_from_depth(depth, Camera(40, 30, 30.0, 30.0, 19.5, 14.5), 50, np.random.default_rng(0))
-    assert scan.shape == (0, 3) and scan.dtype == np.float32
+    scan = scan_from_depth(
+        DepthPrediction(depth, Camera(40, 30, 30.0, 30.0, 19.5, 14.5)), 50, np.random.default_rng(0)
+    )
+    assert scan.points.shape == (0, 3) and scan.points.dtype == np.float32 and len(scan) == 0
+
+
+@pytest.mark.parametrize("power", [0.5, 1.0, 2.0])
+def test_points_that_are_said_to_be_wrong_count_less(power):
+    camera = Camera(40, 30, 30.0, 30.0, 19.5, 14.5)
+    depth = np.full((30, 40), 2.0, dtype=np.float32)
+    log_error = np.log(np.where(np.arange(40) < 20, 0.1, 0.15)).astype(np.float32) * np.ones((30, 1), np.float32)
+    log_error[0, 0], log_error[0, 39] = -20.0, 20.0
+    stated = DepthPrediction(depth, camera, log_error)
+    scan = scan_from_depth(stated, 10_000, np.random.default_rng(0), power)
+    columns, rows = np.round(camera.project(scan.points)).astype(int).T
+    sure = scan.weights[(columns < 20) & (rows > 0)]
+    unsure = scan.weights[(columns >= 20) & (rows > 0)]
+    assert scan.weights.mean() == pytest.approx(1.0, rel=1e-5) and scan.weights.dtype == np.float32
+    assert np.ptp(sure) == 0.0 and sure[0] / unsure[0] == pytest.approx(1.5**power, rel=1e-3)
+    # However sure of itself the network is, or unsure, one point neither decides nor vanishes.
+    assert scan.weights.max() / scan.weights.min() == pytest.approx(16.0, rel=1e-3)
+    alike = scan_from_depth(stated, 10_000, np.random.default_rng(0), 0.0)
+    assert np.array_equal(alike.points, scan.points) and np.all(alike.weights == 1.0)
+
+
+def test_the_likelihood_weighs_points():
+    mixture, rng = make_mixture(30), np.random.default_rng(0)
+    poses, log_scale = make_particles(20, rng)
+    points = mixture.sample(60, rng).astype(np.float32)
+    weights = rng.uniform(0.5, 2.0, 60).astype(np.float32)
+    measurement = Measurement(mixture, MeasurementConfig())
+    single = [measurement.mean_log_likelihood(poses, log_scale, evenly(point[None])) for point in points]
+    weighed = measurement.mean_log_likelihood(poses, log_scale, Scan(points, weights))
+    assert np.allclose(weighed, np.average(single, axis=0, weights=weights), atol=1e-4)
 
 
 def test_scan_from_corners_takes_those_that_parallax_has_measured():
     points = np.array([[0.1, 0.2, 2.0], [0.3, 0.1, 3.0], [0.5, 0.0, 9.0], [0.0, 0.0, 4.0]])
     motion = Motion(np.eye(4), 4, points, np.array([0.02, 0.3, 0.02, 0.05]))
     scan = scan_from_corners(motion, log_depth_sd=0.1, max_depth_m=8.0)
-    assert scan.dtype == np.float32
-    assert np.allclose(scan, points[[0, 3]])
-    assert scan_from_corners(motion, log_depth_sd=0.01).shape == (0, 3)
+    assert scan.points.dtype == np.float32
+    assert np.allclose(scan.points, points[[0, 3]])
+    assert len(scan_from_corners(motion, log_depth_sd=0.01)) == 0
 
 
 # --- Weighing ---
@@ -360,7 +394,7 @@ def mixture(room):
 def test_likelihood_peaks_at_the_true_pose(room, mixture, start_s):
     pose = make_path(1, start_s)[0]
     _, depth = room.view(pose)
-    scan = scan_from_depth(depth, CAMERA, 400, np.random.default_rng(0))
+    scan = scan_from_depth(DepthPrediction(depth, CAMERA), 400, np.random.default_rng(0))
     measurement = Measurement(mixture, SETTINGS.measurement)
 
     def fit(twist, log_scale=0.0):
@@ -380,12 +414,12 @@ def test_likelihood_peaks_at_the_true_pose(room, mixture, start_s):
 def test_likelihood_is_the_formula():
     mixture, rng = make_mixture(30), np.random.default_rng(0)
     poses, log_scale = make_particles(20, rng)
-    scan = mixture.sample(60, rng).astype(np.float32)
+    scan = evenly(mixture.sample(60, rng).astype(np.float32))
     config = MeasurementConfig(outlier_share=0.25, noise_sd_m=0.06)
     smoothed = type(mixture)(mixture.weights, mixture.means, mixture.covariances + 0.06**2 * np.eye(3))
     expected = []
     for pose, scale in zip(poses, log_scale, strict=True):
-        density = smoothed.log_density(transform(pose, np.exp(scale) * scan))
+        density = smoothed.log_density(transform(pose, np.exp(scale) * scan.points))
         expected.append(nats_with_outliers(density, 0.25, smoothed.volume_m3).mean())
     result = Measurement(mixture, config).mean_log_likelihood(poses, log_scale, scan)
     # The index behind the likelihood answers for 2 % of density, so 0.02 nats.
@@ -396,7 +430,7 @@ def test_tempering_scales_log_weights():
     mixture, rng = make_mixture(30), np.random.default_rng(0)
     poses, log_scale = make_particles(50, rng)
     prior = normalised(rng.normal(size=50))
-    scan = mixture.sample(60, rng).astype(np.float32)
+    scan = evenly(mixture.sample(60, rng).astype(np.float32))
     evidence = []
     measurement = Measurement(mixture, MeasurementConfig())
     for points in (5.0, 10.0):
@@ -414,16 +448,16 @@ def test_tempering_scales_log_weights():
 def test_more_points_of_one_image_do_not_make_the_filter_surer():
     mixture, rng = make_mixture(30), np.random.default_rng(0)
     particles = Particles(*make_particles(50, rng), np.full(50, -np.log(50)))
-    scan = mixture.sample(60, rng).astype(np.float32)
+    scan = evenly(mixture.sample(60, rng).astype(np.float32))
     measurement = Measurement(mixture, MeasurementConfig())
-    once, thrice = (measurement.weigh(particles, np.tile(scan, (times, 1)), 10.0) for times in (1, 3))
+    once, thrice = (measurement.weigh(particles, evenly(np.tile(scan.points, (times, 1))), 10.0) for times in (1, 3))
     assert np.allclose(once.log_weights, thrice.log_weights, atol=1e-6)
 
 
 def test_an_empty_scan_says_nothing():
     particles = Particles(*make_particles(5, np.random.default_rng(0)), np.full(5, -np.log(5)))
     measurement = Measurement(make_mixture(3), MeasurementConfig())
-    assert measurement.weigh(particles, np.zeros((0, 3), dtype=np.float32), 10.0) is particles
+    assert measurement.weigh(particles, evenly(np.zeros((0, 3), dtype=np.float32)), 10.0) is particles
 
 
 # --- Health ---

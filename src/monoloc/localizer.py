@@ -16,7 +16,7 @@ from monoloc.filter.health import HealthyRange, State, judge
 from monoloc.filter.motion import MotionConfig, predict
 from monoloc.filter.particles import Particles
 from monoloc.filter.resample import resample
-from monoloc.filter.scan import scan_from_corners, scan_from_depth
+from monoloc.filter.scan import Scan, scan_from_corners, scan_from_depth
 from monoloc.filter.weigh import Measurement, MeasurementConfig
 from monoloc.geometry import FloatArray
 from monoloc.map.mixture import GaussianMixture
@@ -102,7 +102,7 @@ class Localizer:
         """
         config = self.config
         depth = self._depth(color) if measured_depth is None else measured_depth
-        scan = scan_from_depth(depth.depth_m, depth.camera, config.scan_points, self._rng)
+        scan = scan_from_depth(depth, config.scan_points, self._rng, config.measurement.error_power)
         motion = self._odometry.step(color, depth.depth_m, depth.camera) if self._odometry else None
         if not self._is_first:
             self.particles = predict(
@@ -115,7 +115,7 @@ class Localizer:
         fit = self._fit(belief, scan)
         return Step(belief, fit, judge(fit, belief, self._healthy), motion, depth)
 
-    def _weigh(self, scan: NDArray[np.float32], motion: Motion | None) -> Particles:
+    def _weigh(self, scan: Scan, motion: Motion | None) -> Particles:
         """The particles under the evidence of the depth image and of the corners that parallax has measured."""
         trust = self.config.measurement
         particles = self._measurement.weigh(self.particles, scan, trust.effective_points)
@@ -124,7 +124,7 @@ class Localizer:
         corners = scan_from_corners(motion, trust.corner_log_depth_sd)
         return self._measurement.weigh(particles, corners, trust.effective_corners)
 
-    def _fit(self, belief: Estimate, scan: NDArray[np.float32]) -> float:
+    def _fit(self, belief: Estimate, scan: Scan) -> float:
         if len(scan) == 0:
             return float("nan")
         pose: FloatArray = belief.pose[None]

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from monoloc.depth.runtime import DepthPrediction
 from monoloc.filter.health import HealthyRange
-from monoloc.filter.scan import scan_from_depth
+from monoloc.filter.scan import Scan, scan_from_depth
 from monoloc.filter.weigh import Measurement, MeasurementConfig
 from monoloc.geometry import FloatArray
 from monoloc.localizer import LocalizerConfig
@@ -37,7 +36,7 @@ def calibrate(
     slow part of those scales' spread is the prior of the filter's log-scale. The outlier share is not fitted: the
     most likely one is small, and a generous one tracks better, since the errors of one image go together.
     """
-    scans = [scan_from_depth(s.depth.depth_m, s.depth.camera, base.scan_points, rng) for s in samples]
+    scans = [scan_from_depth(s.depth, base.scan_points, rng, base.measurement.error_power) for s in samples]
     usable = [(scan, sample.pose) for scan, sample in zip(scans, samples, strict=True) if len(scan)]
     if not usable:
         return base, HealthyRange(low=-np.inf, lost=-np.inf)
@@ -53,9 +52,7 @@ def calibrate(
     return settings, HealthyRange.from_fits(fits)
 
 
-def _fits(
-    measurement: Measurement, scans: list[tuple[NDArray[np.float32], FloatArray]]
-) -> tuple[FloatArray, FloatArray]:
+def _fits(measurement: Measurement, scans: list[tuple[Scan, FloatArray]]) -> tuple[FloatArray, FloatArray]:
     """Best mean log-likelihood of every scan over the depth's scale, and the log-scale that gives it."""
     fits, scales = [], []
     for scan, pose in scans:

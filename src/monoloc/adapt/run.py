@@ -76,13 +76,13 @@ def adapt(
     held_out_views = views.of_frames(held_out, only_whole=True)
 
     rehearsal = Adaptation(network, AdaptedMap(mixture, cloud), config)
-    with progress.task("adapt: rehearsal", config.steps) as step:
+    with progress.task("adapt: rehearsal", config.most_steps) as step:
         scores = rehearsal.run(
             views.of_frames(training_frames),
-            config.steps,
+            config.most_steps,
             _generator(seed),
             held_out_views,
-            max(1, config.steps // _EVALUATIONS),
+            max(1, config.most_steps // _EVALUATIONS),
             step,
         )
     steps = rehearsal.best_step(scores)
@@ -90,7 +90,7 @@ def adapt(
 
     final = Adaptation(load_network(network_file), AdaptedMap(mixture, cloud), config)
     with progress.task("adapt: all frames", steps) as step:
-        final.run(views, config.steps, _generator(seed), progress=step, stop_at=steps)
+        final.run(views, config.most_steps, _generator(seed), progress=step, stop_at=steps)
     return AdaptResult(
         original=final.map.original_mixture(),
         adapted=final.map.adapted_mixture(),

@@ -8,6 +8,14 @@ from pydantic import BaseModel, ConfigDict, Field
 
 Tune = Literal["none", "last", "decoder", "all"]
 
+# Steps and the network's learning rate: the more is tuned, the less of each it takes.
+_SUITED: dict[Tune, tuple[int, float]] = {
+    "none": (500, 3e-3),
+    "last": (500, 3e-3),
+    "decoder": (1400, 3e-3),
+    "all": (600, 1e-3),
+}
+
 
 class AdaptConfig(BaseModel):
     """Settings of adaptation.
@@ -16,10 +24,10 @@ class AdaptConfig(BaseModel):
         tune: what of the network is tuned: nothing, the last layer (the paper's), the decoder and it, or all.
         map_transform: whether the map is bent.
         lambda_kl: weight of KL(M || M_A).
-        steps: most optimiser steps; held-out frames may stop it earlier.
+        steps: most optimiser steps; held-out frames may stop it earlier. None is what suits ``tune``.
         batch_views, pixels_per_view: size of one step.
         synthesised_views: views from nearby poses, a frame, made of the recording (for ``decoder`` and ``all``).
-        network_rate, map_rate: Adam's learning rates.
+        network_rate, map_rate: Adam's learning rates; None is what suits ``tune``.
         likelihood_weight, depth_weight: weights of the ray likelihood and, for ``decoder`` and ``all``, of the depth
             loss.
         outlier_share: epsilon of the ray likelihood.
@@ -29,16 +37,26 @@ class AdaptConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    tune: Tune = "decoder"
+    tune: Tune = "all"
     map_transform: bool = True
     lambda_kl: float = Field(0.1, ge=0.0)
-    steps: int = Field(1400, ge=1)
+    steps: int | None = Field(None, ge=1)
     batch_views: int = Field(16, ge=1)
     pixels_per_view: int = Field(32, ge=1)
-    synthesised_views: int = Field(0, ge=0)
-    network_rate: float = Field(3e-3, gt=0.0)
+    synthesised_views: int = Field(4, ge=0)
+    network_rate: float | None = Field(None, gt=0.0)
     map_rate: float = Field(1e-3, gt=0.0)
     likelihood_weight: float = Field(0.05, ge=0.0)
     depth_weight: float = Field(1.0, ge=0.0)
     outlier_share: float = Field(0.1, gt=0.0, lt=1.0)
     inflation_m: float = Field(0.3, ge=0.0)
+
+    @property
+    def most_steps(self) -> int:
+        """``steps``, or what suits ``tune``."""
+        return _SUITED[self.tune][0] if self.steps is None else self.steps
+
+    @property
+    def rate(self) -> float:
+        """``network_rate``, or what suits ``tune``."""
+        return _SUITED[self.tune][1] if self.network_rate is None else self.network_rate

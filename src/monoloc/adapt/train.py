@@ -97,7 +97,7 @@ class Adaptation:
             [
                 {
                     "params": [p for p in self.network.parameters() if p.requires_grad],
-                    "lr": self.config.network_rate,
+                    "lr": self.config.rate,
                 },
                 {"params": [p for p in self.map.parameters() if p.requires_grad], "lr": self.config.map_rate},
             ]

@@ -39,7 +39,7 @@ def build(
     components: Annotated[
         str | None, typer.Option("--components", "-k", help="Gaussians in the map, or 'bic' to choose. [200]")
     ] = None,
-    tune: Annotated[Tune | None, typer.Option("--tune", help="What of the network is tuned. [decoder]")] = None,
+    tune: Annotated[Tune | None, typer.Option("--tune", help="What of the network is tuned. [all]")] = None,
     map_transform: Annotated[
         bool | None, typer.Option("--map-transform/--no-map-transform", help="Whether the map is bent. [yes]")
     ] = None,

@@ -51,7 +51,7 @@ def demo(
     out.mkdir(exist_ok=True)
     source = f"7scenes:{room}"
     plain = _build(source, out / "plain.monoloc", "none", seed)
-    adapted = _build(source, out / "adapted.monoloc", "decoder", seed)
+    adapted = _build(source, out / "adapted.monoloc", "all", seed)
     runs = {
         "unadapted": _run(source, plain, seed, out / "unadapted"),
         "adapted": _run(source, adapted, seed, out / "adapted"),

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.filter.particles import Particles, normalised
+from monoloc.filter.scan import Scan
 from monoloc.geometry import FloatArray
 from monoloc.map.mixture import GaussianMixture
 
@@ -23,6 +23,8 @@ class MeasurementConfig(BaseModel):
         effective_points: how many independent points a scan of the whole depth image is worth. Depth errors of one
             image go together, so this is far below the number of points (tempering: tau = effective_points / P).
         effective_corners: the same of the corners whose depth parallax has refined.
+        error_power: how much the error that the network states of itself decides which points count: as its inverse
+            to this power; 0 counts all alike.
         corner_log_depth_sd: corners whose log-depth is less certain than this are left out.
     """
 
@@ -32,6 +34,7 @@ class MeasurementConfig(BaseModel):
     noise_sd_m: float = Field(0.03, ge=0.0)
     effective_points: float = Field(40.0, ge=0.0)
     effective_corners: float = Field(20.0, ge=0.0)
+    error_power: float = Field(1.0, ge=0.0)
     corner_log_depth_sd: float = Field(0.1, gt=0.0)
 
 
@@ -45,20 +48,25 @@ class Measurement:
         floor = config.outlier_share / (1.0 - config.outlier_share) / self._volume_m3
         self._index = smoothed.index(floor_density=floor)
 
-    def mean_log_likelihood(self, poses: FloatArray, log_scale: FloatArray, scan: NDArray[np.float32]) -> FloatArray:
-        """Mean over the scan's points of the log density at each particle, (N,) nats.
+    def mean_log_likelihood(self, poses: FloatArray, log_scale: FloatArray, scan: Scan) -> FloatArray:
+        """Weighted mean over the scan's points of the log density at each particle, (N,) nats.
 
         Args:
             poses: ``T_world_camera``, (N, 4, 4).
             log_scale: (N,).
-            scan: (P, 3) points in the camera's frame, P >= 1.
+            scan: of at least one point.
         """
         total = self._index.weigh(
-            poses, log_scale, scan, outlier_share=self.config.outlier_share, volume_m3=self._volume_m3
+            poses,
+            log_scale,
+            scan.points,
+            outlier_share=self.config.outlier_share,
+            volume_m3=self._volume_m3,
+            point_weights=scan.weights,
         )
-        return total / len(scan)
+        return total / float(scan.weights.sum())
 
-    def weigh(self, particles: Particles, scan: NDArray[np.float32], effective_points: float) -> Particles:
+    def weigh(self, particles: Particles, scan: Scan, effective_points: float) -> Particles:
         """The particles with the scan's evidence added, as that of so many points; unchanged for an empty scan."""
         if len(scan) == 0:
             return particles
