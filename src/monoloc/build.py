@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -25,6 +25,7 @@ from monoloc.extras import training_extra
 from monoloc.geometry import FloatArray
 from monoloc.localizer import LocalizerConfig
 from monoloc.map.cloud import cloud_from_recording, remove_outliers, voxel_thin
+from monoloc.map.compare import compare_maps
 from monoloc.map.fit import choose_components, fit_mixture
 from monoloc.map.mixture import GaussianMixture
 from monoloc.models import DEFAULT
@@ -60,8 +61,9 @@ class BuildConfig(BaseModel):
 class BuildReport:
     """What a build measured; JSON keys of ``monoloc build``.
 
-    nll and AbsRel are of frames held out from tuning, in blocks; shifts are of the map's means. Scale and shift of
-    the network's output are None where they were not fitted: see :class:`monoloc.depth.spec.ModelSpec`.
+    nll and AbsRel are of frames held out from tuning, in blocks; what the map's components did is as in
+    :class:`monoloc.map.compare.MapChange`. Scale and shift of the network's output are None where they were not
+    fitted: see :class:`monoloc.depth.spec.ModelSpec`.
     """
 
     frames: int
@@ -72,6 +74,8 @@ class BuildReport:
     kl: float
     shift_median_m: float
     shift_p95_m: float
+    correspondence_kept: float
+    size_ratio_median: float
     depth_absrel_before: float | None
     depth_absrel_after: float | None
     depth_scale: float | None
@@ -144,7 +148,6 @@ def build_bundle(
             samples.append(Sample(predictor(recording.color(int(index))), recording.poses[index]))
             step(done + 1)
         settings, healthy = calibrate(adapted, samples, config.localizer, rng)
-    shift = np.linalg.norm(adapted.means - original.means, axis=1)
     bundle = Bundle(
         original=original,
         adapted=adapted,
@@ -168,8 +171,7 @@ def build_bundle(
         nll_start=scores[0].nll if scores else None,
         nll_end=min(score.nll for score in scores) if scores else None,
         kl=kl,
-        shift_median_m=float(np.median(shift)),
-        shift_p95_m=float(np.percentile(shift, 95.0)),
+        **asdict(compare_maps(original, adapted)),
         depth_absrel_before=scores[0].absrel if scores else None,
         depth_absrel_after=scores[-1].absrel if scores else None,
         depth_scale=fitted.scale if fitted else None,

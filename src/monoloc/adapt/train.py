@@ -181,7 +181,7 @@ class Adaptation:
             loss = -fit
         else:
             # The gradient term keeps planes smooth and steps sharp while the decoder moves.
-            of_depth = depth_loss(log_depth, views.depth_m, LossConfig())
+            of_depth = depth_loss(log_depth, views.depth_m, LossConfig(scale_invariant=0.5))
             loss = config.depth_weight * of_depth - config.likelihood_weight * fit
             if self.network.error_head is not None:
                 # Features move, so what is read from them must follow.

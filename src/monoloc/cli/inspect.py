@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,7 @@ import typer
 
 from monoloc.bundle import read_bundle
 from monoloc.cli.common import EXTENT_SIGMAS, FramesOption, JsonOption, open_source, print_json, print_table, text_of
+from monoloc.map.compare import compare_maps
 
 
 def inspect(
@@ -36,14 +38,13 @@ def inspect(
 def _bundle(path: Path) -> dict[str, object]:
     bundle = read_bundle(path)
     lower, upper = bundle.adapted.bounds_m(EXTENT_SIGMAS)
-    shift = np.linalg.norm(bundle.adapted.means - bundle.original.means, axis=1)
     return {
         "kind": "bundle",
         "bytes": sum(file.stat().st_size for file in path.iterdir()),
         "components": len(bundle.adapted),
         "map_bytes": bundle.adapted.nbytes_stored,
         "size_m": [float(value) for value in upper - lower],
-        "shift_median_m": float(np.median(shift)),
+        **asdict(compare_maps(bundle.original, bundle.adapted)),
         "network": bundle.depth_model.name,
         "network_spec": bundle.depth_model.spec.model_dump(mode="json", exclude_none=True),
         "depth_bytes": len(bundle.depth_model.content),
