@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.stats import norm
 
 from map_helpers import make_mixture, make_particles, nats_with_outliers
 from monoloc.camera import Camera
@@ -20,6 +21,7 @@ from monoloc.filter.resample import resample, systematic_indices
 from monoloc.filter.scan import Scan, evenly, scan_from_corners, scan_from_depth
 from monoloc.filter.weigh import Measurement, MeasurementConfig
 from monoloc.geometry import FloatArray, invert, make_pose, se3_exp, se3_log, so3_exp, transform
+from monoloc.map.mixture import GaussianMixture
 from monoloc.odometry import Motion
 from synthetic_room import CAMERA, SETTINGS, Room, make_path, room_mixture
 
@@ -420,10 +422,23 @@ def test_likelihood_is_the_formula():
     expected = []
     for pose, scale in zip(poses, log_scale, strict=True):
         density = smoothed.log_density(transform(pose, np.exp(scale) * scan.points))
-        expected.append(nats_with_outliers(density, 0.25, smoothed.volume_m3).mean())
+        expected.append(nats_with_outliers(density, 0.25, smoothed.volume_m3).mean() + scale)
     result = Measurement(mixture, config).mean_log_likelihood(poses, log_scale, scan)
     # The index behind the likelihood answers for 2 % of density, so 0.02 nats.
     assert np.allclose(result, expected, atol=0.02)
+
+
+def test_noise_does_not_shrink_the_scan():
+    """The scale that fits noisy depth best is the true one; without its factor it is less by the noise's variance."""
+    noise, distance = 0.1, 2.0
+    wall = GaussianMixture(np.ones(1), np.array([[0.0, 0.0, distance]]), np.diag([1.0, 1.0, 1e-6])[None])
+    measurement = Measurement(wall, MeasurementConfig(outlier_share=1e-6, noise_sd_m=noise * distance))
+    depth = distance * (1.0 + noise * norm.ppf((np.arange(2000) + 0.5) / 2000))
+    scan = evenly(np.column_stack([np.zeros(2000), np.zeros(2000), depth]).astype(np.float32))
+    log_scale = np.linspace(-0.05, 0.05, 101)
+    fit = measurement.mean_log_likelihood(np.repeat(np.eye(4)[None], 101, axis=0), log_scale, scan)
+    assert log_scale[np.argmax(fit)] == pytest.approx(0.0, abs=0.0015)
+    assert log_scale[np.argmax(fit - log_scale)] == pytest.approx(-(noise**2), abs=0.0015)
 
 
 def test_tempering_scales_log_weights():

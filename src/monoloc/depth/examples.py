@@ -14,7 +14,7 @@ from torch import Tensor
 
 from monoloc.camera import Camera
 from monoloc.datasets.base import Recording
-from monoloc.depth.augment import AugmentConfig, random_exposure, random_view
+from monoloc.depth.augment import AugmentConfig, random_exposure, random_view, whole_view
 from monoloc.depth.network import DepthNetwork
 from monoloc.depth.spec import network_size
 from monoloc.errors import DataError
@@ -81,6 +81,13 @@ class TrainingFrames:
                 if len(ahead) > _BATCHES_AHEAD:
                     yield _stacked(ahead.pop(0))
             yield from (_stacked(futures) for futures in ahead)
+
+    def whole(self, count: int) -> _Batch:
+        """So many frames, evenly chosen, as they are at run time."""
+        chosen = np.unique(np.linspace(0, len(self) - 1, count).astype(int))
+        views = [whole_view(self._colors[i], self._depths[i], self._camera, self._size) for i in chosen]
+        depths = [view.depth_m * np.float32(self._focal_px / view.focal_px) for view in views]
+        return network_input([view.color for view in views]), torch.from_numpy(np.stack(depths))[:, None]
 
     def _example(self, seed: int, epoch: int, index: int) -> _Example:
         rng = np.random.default_rng([seed, epoch, index])

@@ -13,6 +13,7 @@ from typing import Any, cast
 import torch
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 from torch import nn
+from torch.nn import functional as F
 
 from monoloc.datasets.base import Recording
 from monoloc.depth.augment import AugmentConfig
@@ -28,6 +29,7 @@ from monoloc.memory import keep_freed_memory
 from monoloc.progress import NoProgress, Progress
 
 _STATE = "resume.pt"
+_CENTRING_FRAMES = 150
 
 
 class TrainConfig(BaseModel):
@@ -84,7 +86,8 @@ def train_network(
     """Train from the encoder's weights, from a network or from nothing, and write the network and its history.
 
     AdamW, one-cycle learning rate, exponential moving average of the weights, bfloat16 convolutions; on GPUs
-    where there are some, and on several under ``torchrun``. After every epoch ``out_dir`` holds
+    where there are some, and on several under ``torchrun``; at the end the last layer's bias is set so that the
+    median error on whole frames is none. After every epoch ``out_dir`` holds
     ``network.safetensors`` (the averaged weights), ``history.json`` (which is returned, by the first of several
     processes) and what it takes to go on from there: called again with the same settings, training resumes.
 
@@ -114,6 +117,8 @@ def train_network(
             for epoch in range(len(run.history), config.epochs):
                 started = time.perf_counter()
                 loss = run.train_epoch(epoch)
+                if epoch + 1 == config.epochs:
+                    run.centre()
                 if frames is not None:
                     absrel, delta1 = frames.judge(run.averaged_network, worker.device)
                     run.history.append(EpochRecord(epoch, loss, absrel, delta1, time.perf_counter() - started))
@@ -207,6 +212,25 @@ class _Run:
             self._averaged.update_parameters(self._network)
             losses.append(loss.detach())
         return worker.mean(torch.stack(losses).mean())
+
+    @torch.no_grad()
+    def centre(self) -> None:
+        """Set the last layer's bias so that the median error on whole frames is none.
+
+        Training sees zoomed views, which are nearer on average than what the network will be shown.
+        """
+        network = self.averaged_network.eval()
+        images, depth = self._frames.whole(_CENTRING_FRAMES)
+        errors = []
+        for image, truth in zip(torch.split(images, 1), torch.split(depth, 1), strict=True):
+            log_depth = network(image.to(self.worker.device)).float().cpu()
+            log_depth = F.interpolate(log_depth, size=truth.shape[-2:], mode="bilinear", align_corners=False)
+            known = truth > 0.0
+            if known.any():
+                errors.append((log_depth[known] - torch.log(truth[known])).median())
+        assert network.head.bias is not None
+        if errors:
+            network.head.bias -= torch.stack(errors).median()
 
     def save(self, out_dir: Path) -> None:
         """Network, history, and the state to resume from; the last is written last."""

@@ -39,7 +39,11 @@ class MeasurementConfig(BaseModel):
 
 
 class Measurement:
-    """The likelihood of scans under a map: ``prod_p ((1 - eps) M(T e^s x_p) + eps / V)``, tempered."""
+    """The likelihood of scans under a map: ``prod_p e^s ((1 - eps) M(T e^s x_p) + eps / V)``, tempered.
+
+    What is observed is depth as predicted, so the density of the depth that it stands for is stretched by ``e^s``
+    along the ray. Without that factor the likelihood favours particles that shrink the scan: its errors shrink too.
+    """
 
     def __init__(self, mixture: GaussianMixture, config: MeasurementConfig) -> None:
         smoothed = replace(mixture, covariances=mixture.covariances + config.noise_sd_m**2 * np.eye(3))
@@ -64,7 +68,7 @@ class Measurement:
             volume_m3=self._volume_m3,
             point_weights=scan.weights,
         )
-        return total / float(scan.weights.sum())
+        return total / float(scan.weights.sum()) + log_scale
 
     def weigh(self, particles: Particles, scan: Scan, effective_points: float) -> Particles:
         """The particles with the scan's evidence added, as that of so many points; unchanged for an empty scan."""
