@@ -256,7 +256,12 @@ def test_depth_train_learns(nyu, data_root, here):
     assert len(history) == 3 and last["epoch"] == 2
     assert history[-1]["train_loss"] < history[0]["train_loss"]
     assert last["absrel"] == history[-1]["absrel"] < 1.0
-    assert sorted(path.name for path in out.iterdir()) == ["curves.png", "history.json", "network.safetensors"]
+    assert sorted(path.name for path in out.iterdir()) == [
+        "curves.png",
+        "history.json",
+        "network.safetensors",
+        "resume.pt",
+    ]
     # What was written is what was judged.
     network = out / "network.safetensors"
     evaluated = monoloc("depth", "evaluate", network, nyu, "--frames", "1349:1357")
