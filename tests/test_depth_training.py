@@ -174,7 +174,7 @@ def test_training_ends_without_a_bias_on_whole_frames(tmp_path: Path) -> None:
         predicted = predictor(room.color(index)).resized(*truth.shape[::-1])
         known = (truth > 0.0) & (predicted > 0.0)
         errors.append(np.median(np.log(predicted[known] / truth[known])))
-    # An untrained network's depth jumps from pixel to pixel, so what interpolation leaves out shows; it began 1.5 off.
+    # An untrained network's depth jumps between pixels, so what interpolation leaves out shows; it began 1.5 off.
     assert np.median(errors) == pytest.approx(0.0, abs=0.1)
 
 
