@@ -799,12 +799,6 @@ def test_tuning_fits_depth_and_repeats(
         torch.testing.assert_close(states[1][name], tensor, rtol=0.0, atol=0.0)
 
 
-def test_tuning_stops_where_it_is_told(mapped_room: tuple[GaussianMixture, FloatArray], views: Views) -> None:
-    done: list[int] = []
-    start_adaptation(mapped_room, tune="last").run(views, 50, generator(), progress=done.append, stop_at=3)
-    assert done == [1, 2, 3]
-
-
 @pytest.mark.parametrize("tune", ["last", "decoder", "all"])
 def test_the_state_that_was_best_on_held_out_frames_is_kept(
     mapped_room: tuple[GaussianMixture, FloatArray],

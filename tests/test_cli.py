@@ -172,7 +172,7 @@ def test_examples_in_help_have_options_that_exist(capfd):
     for command in COMMANDS:
         text = succeeds(capfd, *command, "--help")
         examples, options = text[text.index("Examples:") : text.index("Options:")], text[text.index("Options:") :]
-        for option in re.findall(r"(?<= )--?[a-z][a-z-]*", examples):
+        for option in re.findall(r"(?<= )--?[a-z][a-z0-9-]*", examples):
             assert re.search(rf"(^|[ ,/]){option}\b", options, re.MULTILINE), (command, option)
 
 

@@ -90,7 +90,7 @@ def adapt(
 
     final = Adaptation(load_network(network_file), AdaptedMap(mixture, cloud), config)
     with progress.task("adapt: all frames", steps) as step:
-        final.run(views, config.most_steps, _generator(seed), progress=step, stop_at=steps)
+        final.run(views, steps, _generator(seed), progress=step)
     return AdaptResult(
         original=final.map.original_mixture(),
         adapted=final.map.adapted_mixture(),

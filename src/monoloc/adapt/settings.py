@@ -13,7 +13,7 @@ _SUITED: dict[Tune, tuple[int, float]] = {
     "none": (500, 3e-3),
     "last": (500, 3e-3),
     "decoder": (1400, 3e-3),
-    "all": (600, 1e-3),
+    "all": (1000, 1e-3),
 }
 
 

@@ -71,17 +71,15 @@ class Adaptation:
         held_out: Views | None = None,
         evaluate_every: int = 100,
         progress: Callable[[int], None] | None = None,
-        stop_at: int | None = None,
     ) -> list[Score]:
         """Tune for ``steps``; with held-out views, keep the state that was best on them.
 
         Args:
             training: views to tune on.
-            steps: length of the learning-rate schedule.
+            steps: optimiser steps, over which the learning rate falls to nothing.
             generator: for the choice of views and pixels.
             held_out: views to judge on, every ``evaluate_every`` steps.
             progress: called with the steps done.
-            stop_at: stop after so many steps of the schedule.
 
         Returns:
             Scores on the held-out views, the first before any step; empty without held-out views.
@@ -103,9 +101,9 @@ class Adaptation:
             ]
         )
         schedule = torch.optim.lr_scheduler.LambdaLR(
-            optimizer, lambda step: 0.5 * (1.0 + math.cos(math.pi * min(1.0, step / steps)))
+            optimizer, lambda step: 0.5 * (1.0 + math.cos(math.pi * step / max(1, steps)))
         )
-        for step in range(steps if stop_at is None else stop_at):
+        for step in range(steps):
             chosen = torch.randint(len(training), (self.config.batch_views,), generator=generator)
             loss = self._loss(training[chosen], [part[chosen] for part in inputs], step, steps, generator)
             optimizer.zero_grad(set_to_none=True)
