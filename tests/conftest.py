@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -34,12 +35,20 @@ def weights_file(data_root: Path) -> Path:
     return path
 
 
-@pytest.fixture
-def one_thread() -> Iterator[None]:
-    """PyTorch on one thread: small tensors are done sooner, and a shared machine stays usable."""
+@contextmanager
+def on_one_thread() -> Iterator[None]:
+    """PyTorch on one thread: results repeat to the last bit, small tensors are done sooner."""
     import torch
 
     before = torch.get_num_threads()
     torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@pytest.fixture
+def one_thread() -> Iterator[None]:
+    with on_one_thread():
+        yield

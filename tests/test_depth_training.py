@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 import monoloc.depth.train as train_module
+from conftest import on_one_thread
 from depth_helpers import ROOM, SMALL_CAMERA, TINY, looking_around, small_recording
 from monoloc.config import load_settings
 from monoloc.datasets.base import Recording
@@ -194,7 +195,8 @@ def uninterrupted(
     tmp_path_factory: pytest.TempPathFactory, training: Recording, validation: Recording
 ) -> tuple[Path, list[EpochRecord]]:
     folder = tmp_path_factory.mktemp("uninterrupted")
-    return folder, train_network(training, validation, UNCERTAIN, folder)
+    with on_one_thread():  # as in the tests that are held against it
+        return folder, train_network(training, validation, UNCERTAIN, folder)
 
 
 def interrupt(

@@ -229,15 +229,15 @@ def list_models(json: JsonOption = False) -> None:
     rows = [
         [
             model.name,
-            f"{model.parameters / 1e6:.2f}",
-            f"{model.macs / 1e6:.0f}",
+            f"{model.parameters / 1e6:.2f} M",
+            f"{model.macs / 1e6:.0f} M",
             f"{model.bytes_fp32 / 1e6:.2f}, {model.bytes_int8 / 1e6:.2f}",
             f"{model.absrel:.3f}, {model.absrel_int8:.3f}",
             f"{model.delta1:.3f}, {model.delta1_int8:.3f}",
         ]
         for model in models
     ]
-    columns = ["name", "M numbers", "M macs", "MB", "AbsRel", "delta1"]
+    columns = ["name", "params", "MACs", "MB", "AbsRel", "delta1"]
     print_table("In 32 bits, and in 8 as NAME-int8; judged on 100 NYU pairs", columns, rows)
 
 
