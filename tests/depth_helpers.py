@@ -7,9 +7,9 @@ import torch
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
-from monoloc.depth.export import export_onnx
+from monoloc.depth.export import export_model
 from monoloc.depth.network import DepthNetwork, NetworkConfig
-from monoloc.depth.spec import DepthModel, monoloc_spec
+from monoloc.depth.spec import DepthModel
 from monoloc.geometry import make_pose, so3_exp
 from synthetic_room import Room, RoomRecording
 
@@ -35,7 +35,7 @@ def tiny_network(seed: int = 0, config: NetworkConfig = TINY) -> DepthNetwork:
 
 def exported_model(network: DepthNetwork) -> DepthModel:
     """A network as it runs."""
-    return DepthModel(export_onnx(network)[0], monoloc_spec(network.config.focal_px))
+    return export_model(network, "depth.onnx")
 
 
 def looking_around(count: int, seed: int = 0) -> FloatArray:

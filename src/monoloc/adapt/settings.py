@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 Tune = Literal["none", "last", "decoder", "all"]
 
-# Steps and the network's learning rate: the more is tuned, the less of each it takes.
+# Steps and the network's learning rate; features that move bear a smaller rate than those that stand still.
 _SUITED: dict[Tune, tuple[int, float]] = {
     "none": (500, 3e-3),
     "last": (500, 3e-3),

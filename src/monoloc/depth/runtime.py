@@ -90,6 +90,8 @@ class DepthPredictor:
         raw, *log_error = self._run(color)
         depth_m = self._spec.depth(raw) * np.float32(self.focal_ratio)
         is_depth = (depth_m > 0.0) & (depth_m <= _FARTHEST_M)  # neither is true of NaN
+        if log_error:
+            is_depth &= np.isfinite(log_error[0])  # an error that is not known is no reason to trust a pixel
         depth_m = np.where(is_depth, depth_m, np.float32(0.0))
         return DepthPrediction(depth_m, self.output_camera, log_error[0] if log_error else None)
 
