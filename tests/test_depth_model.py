@@ -588,6 +588,23 @@ def test_stated_error_of_another_size():
     )
 
 
+def test_a_pixel_whose_stated_error_is_nan_has_no_depth():
+    used = spec(width=64, height=64, mean=(0.0,) * 3, std=(1.0 / 255.0,) * 3, output="depth", scale=1.0)
+    nodes = [
+        helper.make_node("Identity", ["pixels"], ["all"]),
+        helper.make_node("Gather", ["all", "first"], ["result"], axis=1),
+        helper.make_node("Sub", ["result", "fifty"], ["beyond"]),
+        helper.make_node("Log", ["beyond"], ["log_error_scale"]),
+    ]
+    outputs = [helper.make_tensor_value_info(name, TensorProto.FLOAT, None) for name in ("result", "log_error_scale")]
+    content = graph(nodes, [IMAGE], outputs, {"first": np.array([0]), "fifty": np.float32(50.0)})
+    color = np.full((64, 64, 3), 40, dtype=np.uint8)  # ten under where the logarithm begins
+    color[:, 32:] = 60
+    prediction = DepthPredictor(DepthModel(content, used), Camera(64, 64, 60.0, 60.0, 31.5, 31.5))(color)
+    np.testing.assert_allclose(prediction.depth_m[:, 32:], 60.0, rtol=1e-4)
+    assert np.all(prediction.depth_m[:, :32] == 0.0)
+
+
 def test_relative_depth_is_not_taken_for_metric(recording):
     predictor = DepthPredictor(DepthModel(network(MIDAS), MIDAS, "another"), recording.camera)
     says(lambda: predictor(recording.color(0)), DataError, "another: gives relative depth.*; fit it by monoloc build")
