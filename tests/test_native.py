@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +15,7 @@ from hypothesis import strategies as st
 
 from map_helpers import make_mixture, make_particles, nats_with_outliers
 from monoloc import _core
+from monoloc.bench.scenes import building
 from monoloc.map import reference
 from monoloc.map.cloud_files import read_cloud
 from monoloc.map.fit import fit_mixture
@@ -83,6 +88,69 @@ def test_weigh_equals_twin(particles: int, with_weights: bool) -> None:
     assert native.dtype == np.float64
 
 
+@pytest.mark.parametrize("threads", [2, 3, 8])
+def test_threads_change_nothing(threads: int) -> None:
+    rng = np.random.default_rng(0)
+    mixture = make_mixture(60)
+    poses, log_scales = make_particles(500, rng)
+    scan = mixture.sample(40, rng).astype(np.float32)
+    index = mixture.index()
+
+    def weighed(threads: int) -> np.ndarray:
+        return index.weigh(poses, log_scales, scan, outlier_share=0.2, volume_m3=50.0, threads=threads)
+
+    alone = weighed(1)
+    for _ in range(20):
+        np.testing.assert_array_equal(weighed(threads), alone)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_forked_process_has_threads_of_its_own() -> None:
+    """The parent's are not there after a fork: waiting for them would never end."""
+    script = """
+import os, sys
+import numpy as np
+from map_helpers import make_mixture, make_particles
+index = make_mixture(20).index()
+poses, log_scales = make_particles(300, np.random.default_rng(0))
+scan = np.zeros((5, 3), np.float32)
+def weighed():
+    return index.weigh(poses, log_scales, scan, outlier_share=0.2, volume_m3=50.0, threads=2)
+before = weighed()
+child = os.fork()
+if child == 0:
+    os._exit(0 if np.array_equal(weighed(), before) else 1)
+sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+    done = subprocess.run([sys.executable, "-c", script], cwd=Path(__file__).parent, timeout=60, check=False)
+    assert done.returncode == 0
+
+
+def test_callers_at_once_do_not_wait_for_each_other_for_ever() -> None:
+    rng = np.random.default_rng(0)
+    mixture = make_mixture(40)
+    poses, log_scales = make_particles(300, rng)
+    scan = mixture.sample(30, rng).astype(np.float32)
+    index = mixture.index()
+
+    def weighed(threads: int) -> np.ndarray:
+        return index.weigh(poses, log_scales, scan, outlier_share=0.2, volume_m3=50.0, threads=threads)
+
+    with ThreadPoolExecutor(4) as pool:
+        results = list(pool.map(weighed, [1, 2, 3, 2] * 10))
+    for result in results:
+        np.testing.assert_array_equal(result, results[0])
+
+
+def test_evaluations_count_whole_blocks() -> None:
+    mixture = make_mixture(20)
+    index = mixture.index()
+    assert index.evaluations(np.full((5, 3), 1e5)) == 0
+    assert index.evaluations(mixture.means) >= 8 * 20
+    assert index.evaluations(mixture.means) % 8 == 0
+    assert index.evaluations(np.empty((0, 3))) == 0
+
+
 def assert_index_is_accurate(mixture: GaussianMixture, rng: np.random.Generator, share: float) -> None:
     """At most 0.01 nat on average and 0.1 at worst, up to 10 cm from the map's points."""
     points = mixture.sample(20_000, rng)
@@ -130,6 +198,17 @@ def test_index_memory_grows_with_the_surface_not_the_box() -> None:
     assert far.index(floor_density=floor).nbytes <= 3 * near.index(floor_density=floor).nbytes
 
 
+def test_a_building_costs_its_rooms() -> None:
+    """Memory, and what is looked at from one place, do not depend on the other rooms."""
+    room = make_mixture(50)
+    rooms = building(room, 1000, np.random.default_rng(0))
+    floor = 0.1 / room.volume_m3
+    # A room's share of the weight is a twentieth, so the floor that it sees is as well.
+    one, all_of_them = room.index(floor_density=floor), rooms.index(floor_density=floor / 20.0)
+    assert all_of_them.nbytes <= 25 * one.nbytes
+    assert all_of_them.mean_candidates <= 1.5 * one.mean_candidates
+
+
 def test_index_reports_itself_and_is_empty_outside() -> None:
     index = make_mixture(20).index(0.1)
     assert index.voxel_m == 0.1
@@ -163,6 +242,7 @@ def test_no_particles_and_no_points() -> None:
         ({"point_weights": np.ones(4)}, r"point_weights must have shape \(5,\), got \(4,\)"),
         ({"outlier_share": 0.0}, r"outlier_share must be in \(0, 1\], got 0.0"),
         ({"volume_m3": -1.0}, "volume_m3 must be positive and finite, got -1.0"),
+        ({"threads": 0}, "threads must be 1 to 256, got 0"),
     ],
 )
 def test_weigh_says_what_is_wrong(changes: dict[str, object], message: str) -> None:

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from monoloc.errors import DataError, MissingExtraError
+from monoloc.evaluation.clouds import cloud_distances
+from monoloc.evaluation.map_drawing import plot_map_change
 from monoloc.evaluation.plots import plot_depth, plot_localization, plot_training
 from monoloc.evaluation.run_drawing import view_axes
 from monoloc.geometry import make_pose, se3_exp, so3_exp
@@ -96,6 +98,16 @@ def test_localization_refuses_truth_of_another_length(tmp_path: Path) -> None:
             timestamps_s=run["timestamps_s"],
         )
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("down", [[0.0, 1.0, 0.0], [0.1, 0.0, -1.0]])
+@pytest.mark.parametrize("shift_m", [0.0, 0.1])
+@pytest.mark.filterwarnings("error")
+def test_change_of_a_map(tmp_path: Path, down: list[float], shift_m: float) -> None:
+    cloud = np.random.default_rng(0).uniform(0.0, [4.0, 3.0, 2.0], (3000, 3))
+    distances_m = cloud_distances(cloud, cloud + shift_m)
+    plot_map_change(tmp_path / "map.png", cloud, cloud + shift_m, distances_m, np.array(down), "A room")
+    check_picture(tmp_path / "map.png", 1500, 1200)
 
 
 @pytest.mark.parametrize("images", [1, 2])

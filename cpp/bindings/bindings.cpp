@@ -9,6 +9,7 @@
 
 #include "monoloc/index.hpp"
 #include "monoloc/mixture.hpp"
+#include "monoloc/rays.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -71,13 +72,26 @@ Result index_log_density(const monoloc::MixtureIndex& index, const Vectors& poin
 
 Result index_weigh(const monoloc::MixtureIndex& index, const Poses& poses, const Scalars& log_scales,
                    const FloatVectors& scan, const std::optional<Floats>& point_weights, double outlier_share,
-                   double volume_m3) {
+                   double volume_m3, std::size_t threads) {
   const std::size_t count = poses.shape(0);
   std::vector<double> out(count);
   {
     nb::gil_scoped_release release;
     index.weigh(poses.data(), log_scales.data(), count, scan.data(), point_weights ? point_weights->data() : nullptr,
-                scan.shape(0), outlier_share, volume_m3, out.data());
+                scan.shape(0), outlier_share, volume_m3, threads, out.data());
+  }
+  return to_numpy(std::move(out), {count});
+}
+
+Result rays_weigh(const monoloc::RayMixture& mixture, const Poses& poses, const Scalars& log_scales,
+                  const FloatVectors& scan, const std::optional<Floats>& point_weights, double log_depth_sd,
+                  double outlier_share, double log_depth_range, std::size_t threads) {
+  const std::size_t count = poses.shape(0);
+  std::vector<double> out(count);
+  {
+    nb::gil_scoped_release release;
+    mixture.weigh(poses.data(), log_scales.data(), count, scan.data(), point_weights ? point_weights->data() : nullptr,
+                  scan.shape(0), {log_depth_sd, outlier_share, log_depth_range}, threads, out.data());
   }
   return to_numpy(std::move(out), {count});
 }
@@ -89,6 +103,13 @@ NB_MODULE(_core, m) {
   m.def("log_density", &log_density, "points"_a, "weights"_a, "means"_a, "covariances"_a);
   m.def("expectation", &expectation, "points"_a, "weights"_a, "means"_a, "covariances"_a);
   m.def("instruction_set", [] { return monoloc::kernels().name; });
+  m.def(
+      "multiply_add",
+      [](std::size_t rounds) {
+        float out[monoloc::kPadding];
+        return monoloc::kernels().multiply_add(rounds, out);
+      },
+      "rounds"_a);
   nb::class_<monoloc::MixtureIndex>(m, "MixtureIndex")
       .def(
           "__init__",
@@ -100,11 +121,26 @@ NB_MODULE(_core, m) {
           },
           "weights"_a, "means"_a, "covariances"_a, "voxel_m"_a, "floor_density"_a, "tolerance"_a)
       .def("log_density", &index_log_density, "points"_a)
+      .def(
+          "evaluations",
+          [](const monoloc::MixtureIndex& self, const Vectors& points) {
+            return self.evaluations(points.data(), points.shape(0));
+          },
+          "points"_a)
       .def("weigh", &index_weigh, "poses"_a, "log_scales"_a, "scan"_a, "point_weights"_a.none(), "outlier_share"_a,
-           "volume_m3"_a)
+           "volume_m3"_a, "threads"_a)
       .def_prop_ro("voxel_m", &monoloc::MixtureIndex::voxel_m)
       .def_prop_ro("voxels", &monoloc::MixtureIndex::voxels)
       .def_prop_ro("lists", &monoloc::MixtureIndex::lists)
       .def_prop_ro("mean_candidates", &monoloc::MixtureIndex::mean_candidates)
       .def_prop_ro("nbytes", &monoloc::MixtureIndex::bytes);
+  nb::class_<monoloc::RayMixture>(m, "RayMixture")
+      .def(
+          "__init__",
+          [](monoloc::RayMixture* self, const Scalars& weights, const Vectors& means, const Matrices& covariances) {
+            new (self) monoloc::RayMixture(components(weights, means, covariances));
+          },
+          "weights"_a, "means"_a, "covariances"_a)
+      .def("weigh", &rays_weigh, "poses"_a, "log_scales"_a, "scan"_a, "point_weights"_a.none(), "log_depth_sd"_a,
+           "outlier_share"_a, "log_depth_range"_a, "threads"_a);
 }

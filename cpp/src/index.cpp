@@ -1,21 +1,29 @@
 #include "monoloc/index.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 #include "padded.hpp"
+#include "pool.hpp"
 
 namespace monoloc {
+namespace {
+
+constexpr std::size_t kShare = 64;  // particles that a thread takes at a time; a multiple of kPadding
+
+}  // namespace
 
 IndexView MixtureIndex::view() const {
   IndexView view{};
   for (int axis = 0; axis < 3; ++axis) {
     view.origin[axis] = origin_[axis];
-    view.shape[axis] = shape_[axis];
+    view.bricks[axis] = bricks_[axis];
   }
   view.voxels_per_m = static_cast<float>(1.0 / voxel_m_);
   view.hash_shift = hash_shift_;
   view.slot_mask = static_cast<std::uint32_t>(slots_.size() - 1);
   view.slots = slots_.data();
+  view.lists = voxel_lists_.data();
   view.blocks = blocks_.data();
   return view;
 }
@@ -29,9 +37,17 @@ void MixtureIndex::log_density(const double* points, std::size_t count, double* 
   for (std::size_t i = 0; i < count; ++i) out[i] = std::log(static_cast<double>(density[i]));
 }
 
+std::size_t MixtureIndex::evaluations(const double* points, std::size_t count) const {
+  if (count == 0) return 0;
+  const std::size_t stride = padded(count);
+  const std::vector<float> rows = padded_rows<float>(points, count, centre_);
+  std::vector<float> density(stride);
+  return kernels().density(view(), rows.data(), stride, density.data()) * kBlockLanes;
+}
+
 void MixtureIndex::weigh(const double* poses, const double* log_scales, std::size_t particles, const float* scan,
                          const float* point_weights, std::size_t points, double outlier_share, double volume_m3,
-                         double* out) const {
+                         std::size_t threads, double* out) const {
   if (particles == 0) return;
   const std::size_t stride = padded(particles);
   std::vector<float> rows(12 * stride), scan_rows(3 * points);
@@ -48,9 +64,13 @@ void MixtureIndex::weigh(const double* poses, const double* log_scales, std::siz
     for (int axis = 0; axis < 3; ++axis) scan_rows[axis * points + p] = scan[3 * p + axis];
   }
   std::vector<double> result(stride);
-  kernels().weigh(view(), rows.data(), stride, scan_rows.data(), point_weights, points,
-                  static_cast<float>(1.0 - outlier_share), static_cast<float>(outlier_share / volume_m3),
-                  result.data());
+  const IndexView index = view();
+  const auto inlier_share = static_cast<float>(1.0 - outlier_share);
+  const auto outlier_density = static_cast<float>(outlier_share / volume_m3);
+  run_on_threads((stride + kShare - 1) / kShare, threads, [&](std::size_t share) {
+    kernels().weigh(index, rows.data(), stride, share * kShare, std::min(stride, (share + 1) * kShare),
+                    scan_rows.data(), point_weights, points, inlier_share, outlier_density, result.data());
+  });
   for (std::size_t n = 0; n < particles; ++n) out[n] = result[n];
 }
 

@@ -1,6 +1,7 @@
 // The hot loops. Compiled once for each instruction set, with MONOLOC_ISA as its name.
 #include "monoloc/kernels.hpp"
 
+#include "ray_kernel.hpp"
 #include "simd.hpp"
 
 #define MONOLOC_JOIN_(a, b) a##b
@@ -14,77 +15,107 @@ namespace {
 constexpr std::size_t kBatch = 64;  // points looked up together, so that misses of the table overlap
 static_assert(kBatch % kPadding == 0 && kPadding % kWide == 0 && kPadding % kWide64 == 0, "whole vectors");
 
-struct Batch {
-  alignas(64) float x[kBatch], y[kBatch], z[kBatch], density[kBatch];
-  alignas(64) std::uint32_t key[kBatch], slot[kBatch];
+constexpr std::size_t kMostItems = 255 * kBatch + 2;  // a list has at most 255 blocks
+
+// What is to be evaluated: a block of components at a point of the batch.
+struct Item {
+  std::uint32_t block, point;
 };
 
-// Voxel key and first slot of kWide points.
-MONOLOC_INLINE void locate(const IndexView& index, FW x, FW y, FW z, std::uint32_t* key, std::uint32_t* slot) {
+// Points looked up together. One place more than kBatch takes what fills the last vector up.
+struct Batch {
+  alignas(64) float x[kBatch + 1], y[kBatch + 1], z[kBatch + 1], density[kBatch + 1];
+  alignas(64) std::uint32_t key[kBatch], slot[kBatch], voxel[kBatch];
+  Item items[kMostItems];
+};
+
+// Brick key, its first slot, and the voxel within the brick, of kWide points.
+MONOLOC_INLINE void locate(const IndexView& index, FW x, FW y, FW z, Batch& batch, std::size_t at) {
   const FW gx = (x - index.origin[0]) * index.voxels_per_m;
   const FW gy = (y - index.origin[1]) * index.voxels_per_m;
   const FW gz = (z - index.origin[2]) * index.voxels_per_m;
   const FW zero = splat<FW>(0.0f);
   const IW inside = (gx >= zero) & (gy >= zero) & (gz >= zero) &
-                    (gx < splat<FW>(static_cast<float>(index.shape[0]))) &
-                    (gy < splat<FW>(static_cast<float>(index.shape[1]))) &
-                    (gz < splat<FW>(static_cast<float>(index.shape[2])));
+                    (gx < splat<FW>(4.0f * static_cast<float>(index.bricks[0]))) &
+                    (gy < splat<FW>(4.0f * static_cast<float>(index.bricks[1]))) &
+                    (gz < splat<FW>(4.0f * static_cast<float>(index.bricks[2])));
   // Outside the grid the conversion could overflow; zero is converted instead.
   const IW ix = __builtin_convertvector(inside ? gx : zero, IW);
   const IW iy = __builtin_convertvector(inside ? gy : zero, IW);
   const IW iz = __builtin_convertvector(inside ? gz : zero, IW);
-  const IW cell = (iz * index.shape[1] + iy) * index.shape[0] + ix;
-  const IW voxel_key = inside ? cell : splat<IW>(static_cast<std::int32_t>(kOutsideKey));
-  store(key, voxel_key);
-  store(slot, (bits<UW>(voxel_key) * kHashFactor) >> index.hash_shift);
+  const IW brick = ((iz >> 2) * index.bricks[1] + (iy >> 2)) * index.bricks[0] + (ix >> 2);  // wraps as unsigned would
+  const IW key = inside ? brick : splat<IW>(static_cast<std::int32_t>(kOutsideKey));
+  store(batch.key + at, key);
+  store(batch.slot + at, (bits<UW>(key) * kHashFactor) >> index.hash_shift);
+  store(batch.voxel + at, (iz & 3) << 4 | (iy & 3) << 2 | (ix & 3));
 }
 
-// Candidate list of a voxel; 0 (no blocks) where there is none.
-MONOLOC_INLINE std::uint32_t find_list(const IndexView& index, std::uint32_t key, std::uint32_t slot) {
-  while (index.slots[slot].key != key) {
-    if (index.slots[slot].key == kEmptyKey) return 0;
+// Candidate list of a voxel; 0 (no blocks) where there is none. Its only branch is for collisions, which are rare.
+MONOLOC_INLINE std::uint32_t find_list(const IndexView& index, std::uint32_t key, std::uint32_t slot,
+                                       std::uint32_t voxel) {
+  while (__builtin_expect(index.slots[slot].key != key, 0) && index.slots[slot].key != kEmptyKey) {
     slot = (slot + 1) & index.slot_mask;
   }
-  return index.slots[slot].list;
+  return index.lists[index.slots[slot].lists + voxel];
 }
 
-// Sum of the candidates' densities at one point.
-MONOLOC_INLINE float evaluate(const IndexView& index, std::uint32_t list, float x, float y, float z) {
-  const float* block = index.blocks + static_cast<std::size_t>(list >> 8) * kBlockFloats;
-  F8 total = splat<F8>(0.0f);
-  for (std::uint32_t left = list & 0xFF; left != 0; --left, block += kBlockFloats) {
-    const auto row = [block](int i) __attribute__((always_inline)) { return load<F8>(block + i * kBlockLanes); };
-    const F8 y0 = row(0) * x + row(6);
-    const F8 y1 = row(1) * x + (row(2) * y + row(7));
-    const F8 y2 = row(3) * x + (row(4) * y + (row(5) * z + row(8)));
-    total += exp2_fast<F8, I8>(row(9) - y0 * y0 - y1 * y1 - y2 * y2);
+// Adds to the density of kTogether points that of one block of components each.
+MONOLOC_INLINE void evaluate(const IndexView& index, Batch& batch, std::size_t item) {
+  const float* block[kTogether];
+  F8 x[kTogether], y[kTogether], z[kTogether];
+  float sum[kTogether];
+  for (std::size_t i = 0; i < kTogether; ++i) {
+    const std::uint32_t p = batch.items[item + i].point;
+    block[i] = index.blocks + static_cast<std::size_t>(batch.items[item + i].block) * kBlockFloats;
+    x[i] = splat<F8>(batch.x[p]);
+    y[i] = splat<F8>(batch.y[p]);
+    z[i] = splat<F8>(batch.z[p]);
   }
-  return sum_lanes(total);
+  const auto row = [&block](int r) __attribute__((always_inline)) {
+    F8 parts[kTogether];
+    for (std::size_t i = 0; i < kTogether; ++i) parts[i] = load<F8>(block[i] + r * kBlockLanes);
+    return join(parts);
+  };
+  const FB xs = join(x), ys = join(y), zs = join(z);
+  const FB y0 = row(0) * xs + row(6);
+  const FB y1 = row(1) * xs + (row(2) * ys + row(7));
+  const FB y2 = row(3) * xs + (row(4) * ys + (row(5) * zs + row(8)));
+  sum_parts(exp2_fast<FB, IB>(row(9) - y0 * y0 - y1 * y1 - y2 * y2), sum);
+  for (std::size_t i = 0; i < kTogether; ++i) batch.density[batch.items[item + i].point] += sum[i];
 }
 
-// Only points with candidates are evaluated; they are gathered without a branch, which would be unpredictable.
-MONOLOC_INLINE void evaluate_batch(const IndexView& index, Batch& batch, std::size_t count) {
-  std::uint32_t hits[kBatch], list[kBatch];
-  std::size_t hit_count = 0;
+// Sums of the candidates' densities at the points located; returns the blocks evaluated. Three loops, so that a misread
+// branch waits for no look-up; what is to be evaluated is gathered without one where a point has up to two blocks,
+// which is nearly always.
+MONOLOC_INLINE std::size_t evaluate_batch(const IndexView& index, Batch& batch, std::size_t count) {
+  std::uint32_t list[kBatch];
   for (std::size_t i = 0; i < count; ++i) {
-    list[i] = find_list(index, batch.key[i], batch.slot[i]);
-    hits[hit_count] = static_cast<std::uint32_t>(i);
-    hit_count += list[i] != 0;
-    batch.density[i] = 0.0f;
+    list[i] = find_list(index, batch.key[i], batch.slot[i], batch.voxel[i]);
   }
-  for (std::size_t h = 0; h < hit_count; ++h) {
-    const std::uint32_t i = hits[h];
-    batch.density[i] = evaluate(index, list[i], batch.x[i], batch.y[i], batch.z[i]);
+  for (std::size_t i = 0; i < kBatch; ++i) batch.density[i] = 0.0f;
+  Item* next = batch.items;
+  for (std::uint32_t i = 0; i < count; ++i) {
+    const std::uint32_t first = list[i] >> 8, blocks = list[i] & 0xFF;
+    next[0] = {first, i};
+    next[1] = {first + 1, i};
+    for (std::uint32_t b = 2; __builtin_expect(b < blocks, 0); ++b) next[b] = {first + b, i};
+    next += blocks;
   }
+  const auto items = static_cast<std::size_t>(next - batch.items);
+  next[0] = {0, kBatch};
+  for (std::size_t i = 0; i < items; i += kTogether) evaluate(index, batch, i);
+  return items;
 }
 
 // Particles are the inner loop: the same scan point seen from neighbouring particles falls into neighbouring
 // voxels, so the table and the lists stay in the nearest cache.
-void weigh(const IndexView& index, const float* particles, std::size_t stride, const float* scan,
-           const float* point_weights, std::size_t points, float inlier_share, float outlier_density, double* out) {
+void weigh(const IndexView& index, const float* particles, std::size_t stride, std::size_t begin, std::size_t end,
+           const float* scan, const float* point_weights, std::size_t points, float inlier_share,
+           float outlier_density, double* out) {
   Batch batch;
-  for (std::size_t first = 0; first < stride; first += kBatch) {
-    const std::size_t count = stride - first < kBatch ? stride - first : kBatch;
+  batch.x[kBatch] = batch.y[kBatch] = batch.z[kBatch] = batch.density[kBatch] = 0.0f;
+  for (std::size_t first = begin; first < end; first += kBatch) {
+    const std::size_t count = end - first < kBatch ? end - first : kBatch;
     alignas(64) double total[kBatch] = {};
     for (std::size_t p = 0; p < points; ++p) {
       const float px = scan[p], py = scan[points + p], pz = scan[2 * points + p];
@@ -97,7 +128,7 @@ void weigh(const IndexView& index, const float* particles, std::size_t stride, c
         store(batch.x + i, x);
         store(batch.y + i, y);
         store(batch.z + i, z);
-        locate(index, x, y, z, batch.key + i, batch.slot + i);
+        locate(index, x, y, z, batch, i);
       }
       evaluate_batch(index, batch, count);
       const float weight = point_weights ? point_weights[p] : 1.0f;
@@ -111,8 +142,10 @@ void weigh(const IndexView& index, const float* particles, std::size_t stride, c
   }
 }
 
-void density(const IndexView& index, const float* points, std::size_t stride, float* out) {
+std::size_t density(const IndexView& index, const float* points, std::size_t stride, float* out) {
+  std::size_t evaluated = 0;
   Batch batch;
+  batch.x[kBatch] = batch.y[kBatch] = batch.z[kBatch] = batch.density[kBatch] = 0.0f;
   for (std::size_t first = 0; first < stride; first += kBatch) {
     const std::size_t count = stride - first < kBatch ? stride - first : kBatch;
     for (std::size_t i = 0; i < count; i += kWide) {
@@ -122,15 +155,16 @@ void density(const IndexView& index, const float* points, std::size_t stride, fl
       store(batch.x + i, x);
       store(batch.y + i, y);
       store(batch.z + i, z);
-      locate(index, x, y, z, batch.key + i, batch.slot + i);
+      locate(index, x, y, z, batch, i);
     }
-    evaluate_batch(index, batch, count);
+    evaluated += evaluate_batch(index, batch, count);
     for (std::size_t i = 0; i < count; ++i) out[first + i] = batch.density[i];
   }
+  return evaluated;
 }
 
 void component_density(const Component& component, const double* corner, const float* offsets, std::size_t stride,
-                       float* out) {
+                       float* out, float* total) {
   const double* w = component.whiten;
   const double dx = corner[0] - component.mean[0];
   const double dy = corner[1] - component.mean[1];
@@ -148,8 +182,32 @@ void component_density(const Component& component, const double* corner, const f
     const FW y0 = x * a0 + b0;
     const FW y1 = x * a1 + (y * a2 + b1);
     const FW y2 = x * a3 + (y * a4 + (z * a5 + b2));
-    store(out + i, exp2_fast<FW, IW>(peak - y0 * y0 - y1 * y1 - y2 * y2));
+    const FW value = exp2_fast<FW, IW>(peak - y0 * y0 - y1 * y1 - y2 * y2);
+    store(out + i, value);
+    store(total + i, load<FW>(total + i) + value);
   }
+}
+
+float largest_lane(FW v) {
+  float most = 0.0f;
+  for (std::size_t lane = 0; lane < kWide; ++lane) most = v[lane] > most ? v[lane] : most;
+  return most;
+}
+
+float divide(float* values, const float* total, std::size_t stride) {
+  FW most = splat<FW>(0.0f);
+  for (std::size_t i = 0; i < stride; i += kWide) {
+    const FW share = load<FW>(values + i) / load<FW>(total + i);
+    store(values + i, share);
+    most = larger(most, share);
+  }
+  return largest_lane(most);
+}
+
+float largest_sum(const float* a, const float* b, std::size_t stride) {
+  FW most = splat<FW>(0.0f);
+  for (std::size_t i = 0; i < stride; i += kWide) most = larger(most, load<FW>(a + i) + load<FW>(b + i));
+  return largest_lane(most);
 }
 
 struct Offset {
@@ -229,10 +287,24 @@ void expectation(const Component* components, std::size_t count, const double* p
   }
 }
 
+double multiply_add(std::size_t rounds, float* out) {
+  constexpr std::size_t kChains = 16;  // enough to hide the latency of one operation behind the others
+  FW sums[kChains];
+  for (std::size_t c = 0; c < kChains; ++c) sums[c] = splat<FW>(static_cast<float>(c));
+  const FW factor = splat<FW>(0.999f), added = splat<FW>(0.001f);
+  for (std::size_t r = 0; r < rounds; ++r) {
+    for (std::size_t c = 0; c < kChains; ++c) sums[c] = sums[c] * factor + added;
+  }
+  for (std::size_t c = 1; c < kChains; ++c) sums[0] += sums[c];
+  store(out, sums[0]);
+  return 2.0 * static_cast<double>(kChains * kWide) * static_cast<double>(rounds);
+}
+
 }  // namespace
 
 extern const Kernels MONOLOC_JOIN(kernels_, MONOLOC_ISA);
 const Kernels MONOLOC_JOIN(kernels_, MONOLOC_ISA) = {
-    MONOLOC_TEXT(MONOLOC_ISA), weigh, density, component_density, log_density, expectation};
+    MONOLOC_TEXT(MONOLOC_ISA), weigh, density, component_density, divide, largest_sum, log_density, expectation,
+    ray_offsets, ray_candidates, weigh_rays, multiply_add};
 
 }  // namespace monoloc

@@ -70,7 +70,7 @@ MONOLOC_INLINE V larger(V a, V b) {
   return a > b ? a : b;
 }
 
-// 2^t, relative error below 2e-7; t under -125 gives 2^-125 (2.4e-38), t must stay below 127.
+// 2^t, relative error below 2.5e-7; t under -125 gives 2^-125 (2.4e-38), t must stay below 127.
 // Split t = n + f with |f| <= 1/2; minimax polynomial of degree 5 for 2^f; n goes into the exponent's bits.
 template <class F, class I>
 MONOLOC_INLINE F exp2_fast(F t) {
@@ -136,14 +136,35 @@ MONOLOC_INLINE bool any_greater(DW a, DW b) {
 #endif
 }
 
-// Sum of the eight lanes.
-MONOLOC_INLINE float sum_lanes(F8 v) {
+// Blocks of components are evaluated at kTogether points at once, each in eight lanes of an FB: join puts them there,
+// sum_parts sums each point's lanes.
+#if defined(__AVX512F__)
+typedef FW FB;
+typedef IW IB;
+MONOLOC_INLINE FB join(const F8* parts) {
+  return bits<FB>(_mm512_insertf32x8(_mm512_castps256_ps512(bits<__m256>(parts[0])), bits<__m256>(parts[1]), 1));
+}
+MONOLOC_INLINE void sum_parts(FB v, float* sums) {
+  __m512 s = bits<__m512>(v);
+  s = _mm512_add_ps(s, _mm512_shuffle_f32x4(s, s, 0xB1));  // neighbouring quarters change places, then pairs, then lanes
+  s = _mm512_add_ps(s, _mm512_permute_ps(s, 0x4E));
+  s = _mm512_add_ps(s, _mm512_permute_ps(s, 0xB1));
+  sums[0] = _mm512_cvtss_f32(s);
+  sums[1] = _mm_cvtss_f32(_mm512_extractf32x4_ps(s, 2));
+}
+#else
+typedef F8 FB;
+typedef I8 IB;
+MONOLOC_INLINE FB join(const F8* part) { return part[0]; }
+MONOLOC_INLINE void sum_parts(FB v, float* sum) {
   typedef float F4 __attribute__((vector_size(16)));
   F4 half[2];
   __builtin_memcpy(half, &v, sizeof(v));
   const F4 s = half[0] + half[1];
-  return (s[0] + s[2]) + (s[1] + s[3]);
+  sum[0] = (s[0] + s[1]) + (s[2] + s[3]);
 }
+#endif
+constexpr std::size_t kTogether = sizeof(FB) / sizeof(F8);
 
 }  // namespace
 }  // namespace monoloc

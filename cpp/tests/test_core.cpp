@@ -140,7 +140,7 @@ void test_index() {
   const double log_scales[2] = {std::log(1.5), 0.0};
   const float scan[6] = {0.2f, 0.1f, 0.3f, -0.4f, 0.2f, 0.1f}, weights[2] = {2.0f, 0.5f};
   double weighed[2];
-  index.weigh(poses, log_scales, 2, scan, weights, 2, 0.2, 20.0, weighed);
+  index.weigh(poses, log_scales, 2, scan, weights, 2, 0.2, 20.0, 1, weighed);
   double expected = 0.0;
   for (int p = 0; p < 2; ++p) {
     const double s[3] = {1.5 * scan[3 * p], 1.5 * scan[3 * p + 1], 1.5 * scan[3 * p + 2]};
@@ -154,9 +154,10 @@ void test_index() {
 void test_component_density(const monoloc::Kernels& kernels) {
   const Room room(20);
   const std::size_t stride = monoloc::kPadding;
-  std::vector<float> offsets(3 * stride), density(stride);
+  std::vector<float> offsets(3 * stride), density(stride), sum(stride, 1.0f);
   for (std::size_t i = 0; i < offsets.size(); ++i) offsets[i] = 0.01f * static_cast<float>(i % 7);
-  kernels.component_density(room.components[0], room.means.data(), offsets.data(), stride, density.data());
+  kernels.component_density(room.components[0], room.means.data(), offsets.data(), stride, density.data(),
+                            sum.data());
   double worst = 0.0;
   for (std::size_t i = 0; i < stride; ++i) {
     double x[3];
@@ -164,6 +165,84 @@ void test_component_density(const monoloc::Kernels& kernels) {
     worst = std::max(worst, std::abs(density[i] / room.density(0, x) - 1.0));
   }
   CHECK(worst < 1e-5);
+}
+
+// The errors that simd.hpp states: of the exponential, as the density of a component without extent.
+void test_exponential(const monoloc::Kernels& kernels) {
+  const std::size_t stride = monoloc::kPadding;
+  const std::vector<float> offsets(3 * stride, 0.0f);
+  std::vector<float> density(stride), sum(stride);
+  const double corner[3] = {};
+  double worst = 0.0;
+  for (float t = -125.0f; t < 126.5f; t += 0.00137f) {
+    monoloc::Component flat{};
+    flat.log2_peak = static_cast<double>(t);
+    kernels.component_density(flat, corner, offsets.data(), stride, density.data(), sum.data());
+    worst = std::max(worst, std::abs(density[0] / std::exp2(static_cast<double>(t)) - 1.0));
+  }
+  CHECK(worst < 2.5e-7);
+}
+
+// Of the logarithm, as the weight of a point outside the map, which is that of an outlier.
+void test_logarithm(const monoloc::Kernels& kernels) {
+  const Room room(1);
+  const monoloc::MixtureIndex index(room.components, {0.1, 0.01, 0.02});
+  const std::size_t stride = monoloc::kPadding;
+  const std::vector<float> particles(12 * stride, 1e6f), scan(3, 0.0f);
+  std::vector<double> weighed(stride);
+  double worst = 0.0;
+  for (float x = 1e-37f; x < 1e37f; x *= 1.00131f) {
+    kernels.weigh(index.view(), particles.data(), stride, 0, stride, scan.data(), nullptr, 1, 1.0f, x, weighed.data());
+    const double exact = std::log(static_cast<double>(x));
+    worst = std::max(worst, std::abs(weighed[0] - exact) / std::max(1.0, std::abs(exact)));
+  }
+  CHECK(worst < 2e-7);
+}
+
+// What the selection of components is made of, against plain loops.
+void test_selection(const monoloc::Kernels& kernels) {
+  const std::size_t stride = 3 * monoloc::kPadding;
+  std::vector<float> values(stride), total(stride), sums(stride, 0.25f);
+  for (std::size_t i = 0; i < stride; ++i) {
+    values[i] = static_cast<float>(i * 7 % stride);
+    total[i] = 2.0f + static_cast<float>(i % 3);
+  }
+  const std::vector<float> before = values;
+  const float most = kernels.divide(values.data(), total.data(), stride);
+  float expected = 0.0f, expected_sum = 0.0f;
+  for (std::size_t i = 0; i < stride; ++i) {
+    CHECK(std::abs(values[i] - before[i] / total[i]) < 1e-5f);
+    expected = std::max(expected, values[i]);
+    expected_sum = std::max(expected_sum, values[i] + sums[i]);
+  }
+  CHECK(most == expected);
+  CHECK(kernels.largest_sum(values.data(), sums.data(), stride) == expected_sum);
+}
+
+// Many particles by one thread and by several, which is the same to the last bit; and pools asked for more and less.
+void test_threads() {
+  const Room room(60);
+  const monoloc::MixtureIndex index(room.components, {0.1, 0.01, 0.02});
+  const std::size_t count = 1000, points = 50;
+  std::mt19937_64 random(3);
+  std::normal_distribution<double> normal(0.0, 0.1);
+  std::vector<double> poses(16 * count, 0.0), log_scales(count), alone(count), shared(count);
+  std::vector<float> scan(3 * points);
+  for (std::size_t n = 0; n < count; ++n) {
+    for (const std::size_t diagonal : {0, 5, 10, 15}) poses[16 * n + diagonal] = 1.0;
+    for (const std::size_t axis : {3, 7, 11}) poses[16 * n + axis] = normal(random);
+    log_scales[n] = normal(random);
+  }
+  for (std::size_t i = 0; i < scan.size(); ++i) scan[i] = static_cast<float>(room.means[i % room.means.size()]);
+  index.weigh(poses.data(), log_scales.data(), count, scan.data(), nullptr, points, 0.2, 20.0, 1, alone.data());
+  for (const std::size_t threads : {2, 5, 3, 64}) {
+    for (int round = 0; round < 50; ++round) {
+      shared.assign(count, 0.0);
+      index.weigh(poses.data(), log_scales.data(), count, scan.data(), nullptr, points, 0.2, 20.0, threads,
+                  shared.data());
+      CHECK(shared == alone);
+    }
+  }
 }
 
 // Log-densities of exact kernels; the weighing kernel's result for one particle at the identity, exactly the
@@ -202,7 +281,7 @@ void test_kernels(const monoloc::Kernels& kernels) {
     for (const std::size_t diagonal : {0, 4, 8}) particles[diagonal * stride + n] = 1.0f;
   }
   std::vector<double> weighed(stride);
-  kernels.weigh(index.view(), particles.data(), stride, scan.data(), nullptr, count, 0.75f, 0.01f, weighed.data());
+  kernels.weigh(index.view(), particles.data(), stride, 0, stride, scan.data(), nullptr, count, 0.75f, 0.01f, weighed.data());
   for (const double w : weighed) CHECK(std::abs(w - expected) < 1e-4);
 }
 
@@ -213,9 +292,13 @@ int main() {
   test_rejects_indefinite();
   test_log_density_and_expectation();
   test_index();
+  test_threads();
   for (const monoloc::Kernels* const* k = monoloc::available_kernels(); *k != nullptr; ++k) {
     std::printf("%s\n", (*k)->name);
     test_component_density(**k);
+    test_exponential(**k);
+    test_logarithm(**k);
+    test_selection(**k);
     test_kernels(**k);
   }
   if (failures == 0) std::printf("all passed\n");

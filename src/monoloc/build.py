@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.adapt.calibrate import Sample, calibrate
+from monoloc.adapt.checks import check_frames
 from monoloc.adapt.map_depth import supervision
+from monoloc.adapt.poses import PosePrior, refine_poses, rounds
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.bundle import Bundle, Provenance, fingerprint, read_network
 from monoloc.datasets.base import Recording
@@ -21,6 +23,7 @@ from monoloc.depth.model import trainable_file
 from monoloc.depth.runtime import DepthPredictor
 from monoloc.depth.spec import DepthModel, network_images
 from monoloc.errors import DataError, SettingError
+from monoloc.evaluation.trajectory import PoseErrors, covariance_scale, pose_errors
 from monoloc.extras import training_extra
 from monoloc.geometry import FloatArray
 from monoloc.localizer import LocalizerConfig
@@ -29,7 +32,8 @@ from monoloc.map.compare import compare_maps
 from monoloc.map.fit import choose_components, fit_mixture
 from monoloc.map.mixture import GaussianMixture
 from monoloc.models import DEFAULT
-from monoloc.progress import Progress
+from monoloc.progress import NoProgress, Progress
+from monoloc.runs import Start, localize
 
 _COMPONENT_LADDER = (50, 100, 200, 400, 800)
 _MIN_FRAMES = 5
@@ -43,6 +47,8 @@ class BuildConfig(BaseModel):
         voxel_m: the cloud is thinned to one point a voxel.
         max_depth_m: farther sensor depth is not used for the map.
         adapt: what is tuned and how.
+        refine_poses: whether the frames' poses are aligned with the map first, for poses that another system gave.
+        pose_sd_m, pose_sd_deg: how far those are off, per axis.
         int8: whether the network goes into the bundle in 8 bits, calibrated on the frames.
         localizer: settings written into the bundle, before calibration.
     """
@@ -53,6 +59,9 @@ class BuildConfig(BaseModel):
     voxel_m: float = Field(0.03, gt=0.0)
     max_depth_m: float = Field(4.5, gt=0.0)
     adapt: AdaptConfig = AdaptConfig()
+    refine_poses: bool = False
+    pose_sd_m: float = Field(0.02, gt=0.0)
+    pose_sd_deg: float = Field(1.0, gt=0.0)
     int8: bool = False
     localizer: LocalizerConfig = LocalizerConfig()
 
@@ -81,7 +90,10 @@ class BuildReport:
     depth_scale: float | None
     depth_shift: float | None
     steps: int
+    pose_shift_median_m: float | None
+    pose_turn_median_deg: float | None
     seconds: float
+    warnings: list[str]
 
 
 def build_bundle(
@@ -100,7 +112,8 @@ def build_bundle(
         network: as :func:`monoloc.bundle.read_network` takes it; another's, or a bundle's, cannot be tuned.
 
     Raises:
-        DataError: no poses, too few frames, neither depth nor a cloud, or an unusable network.
+        DataError: no poses, too few frames, neither depth nor a cloud, frames that cannot give a pose (see
+            :func:`monoloc.adapt.checks.check_frames`), or an unusable network.
         SettingError: something is to be tuned of a network that cannot be.
         MissingExtraError: something is to be tuned and PyTorch is not installed.
     """
@@ -120,7 +133,16 @@ def build_bundle(
     DepthPredictor(given, recording.camera)  # what does not fit is said before the work
     rng = np.random.default_rng(seed)
     frames = {name: fingerprint(recording.color(index)) for index, name in enumerate(recording.frame_names)}
+    cloud_is_given = cloud is not None
     cloud, mixture = fit_map(recording, cloud, config, rng, progress)
+    warnings = check_frames(recording, cloud, mixture, cloud_is_given, given, np.random.default_rng(seed))
+    moved = None
+    if config.refine_poses:
+        recording, moved = _refined(recording, mixture, cloud_is_given, config, rng, progress)
+        if not cloud_is_given:
+            cloud, mixture = fit_map(recording, None, config, rng, progress)
+    poses = recording.poses
+    assert poses is not None
     fitted = None
     if adapts:
         result = adapt(recording, cloud, mixture, network_file, config.adapt, seed, progress)
@@ -145,7 +167,7 @@ def build_bundle(
     with progress.task("calibrate", len(held_out)) as step:
         samples = []
         for done, index in enumerate(held_out):
-            samples.append(Sample(predictor(recording.color(int(index))), recording.poses[index]))
+            samples.append(Sample(predictor(recording.color(int(index))), poses[index]))
             step(done + 1)
         settings, healthy = calibrate(adapted, samples, config.localizer, rng)
     bundle = Bundle(
@@ -161,9 +183,11 @@ def build_bundle(
             map_transform=config.adapt.map_transform,
             lambda_kl=config.adapt.lambda_kl,
             seed=seed,
+            down_world=_down(poses),
         ),
         healthy=healthy,
     )
+    bundle = replace(bundle, settings=_honest(bundle, held_out_model, held_out, recording, seed, progress))
     report = BuildReport(
         frames=len(recording),
         cloud_points=len(cloud),
@@ -177,9 +201,60 @@ def build_bundle(
         depth_scale=fitted.scale if fitted else None,
         depth_shift=fitted.shift if fitted and fitted.has_shift else None,
         steps=steps,
+        pose_shift_median_m=None if moved is None else float(np.median(moved.position_m)),
+        pose_turn_median_deg=None if moved is None else float(np.rad2deg(np.median(moved.rotation_rad))),
         seconds=time.perf_counter() - started,
+        warnings=warnings,
     )
     return bundle, report
+
+
+def _refined(
+    recording: Recording,
+    mixture: GaussianMixture,
+    map_is_given: bool,
+    config: BuildConfig,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> tuple[Recording, PoseErrors]:
+    """The recording with poses aligned with the map, and how far they moved."""
+
+    def remap(moved: Recording) -> GaussianMixture:
+        return fit_map(moved, None, config, rng, NoProgress())[1]
+
+    prior = PosePrior(config.pose_sd_m, float(np.deg2rad(config.pose_sd_deg)))
+    again = None if map_is_given else remap
+    with progress.task("refine poses", rounds(again) * len(recording)) as step:
+        refined = refine_poses(recording, mixture, again, prior, rng, step)
+    assert refined.poses is not None and recording.poses is not None
+    return refined, pose_errors(refined.poses, recording.poses)
+
+
+def _honest(
+    bundle: Bundle,
+    held_out_model: DepthModel,
+    held_out: NDArray[np.int64],
+    recording: Recording,
+    seed: int,
+    progress: Progress,
+) -> LocalizerConfig:
+    """The bundle's settings with covariances as wide as its errors are on frames that tuned nothing.
+
+    The filter follows the whole recording from its first pose with the network that was tuned without those frames.
+    """
+    poses = recording.poses
+    assert poses is not None
+    rehearsed = replace(bundle, depth_model=held_out_model)
+    run = localize(rehearsed, recording, Start(poses[0]), bundle.settings, np.random.default_rng(seed), progress)
+    scale = covariance_scale(run.poses[held_out], poses[held_out], run.covariances[held_out])
+    return bundle.settings.model_copy(update={"covariance_scale": scale})
+
+
+def _down(poses: FloatArray) -> tuple[float, float, float]:
+    """Mean direction of the cameras' y axes, (N, 4, 4) -> a unit vector, or zero where they cancel."""
+    x, y, z = poses[:, :3, 1].mean(axis=0)
+    length = float(np.hypot(np.hypot(x, y), z)) or 1.0
+    return float(x / length), float(y / length), float(z / length)
 
 
 def _tunable(network: str | Path, config: AdaptConfig) -> Path:
@@ -211,14 +286,23 @@ def fit_map(
     rng: np.random.Generator,
     progress: Progress,
 ) -> tuple[FloatArray, GaussianMixture]:
-    """Cloud (N, 3) and mixture of a room, from a cloud where there is one, else from a recording with depth."""
+    """Cloud (N, 3) and mixture of a room, from a cloud where there is one, else from a recording with depth.
+
+    Raises:
+        DataError: nothing of the cloud is left when stray points are removed, or as :func:`cloud_from_recording`.
+        SettingError: more components than points.
+    """
     if cloud is None:
         assert recording is not None
         with progress.task("cloud", len(recording)) as step:
             cloud = cloud_from_recording(
                 recording, config.voxel_m, config.max_depth_m, progress=lambda done, _: step(done)
             )
+    count = len(cloud)
     cloud = remove_outliers(voxel_thin(cloud, config.voxel_m))
+    if len(cloud) == 0:
+        problem = f"none of {count} points has neighbours within a few centimetres"
+        raise DataError("cloud", problem, "give a denser one, in metres")
     if config.components == "bic":
         with progress.task("map (choosing K)", None):
             return cloud, choose_components(cloud, _COMPONENT_LADDER, rng)[0].mixture

@@ -46,6 +46,7 @@ class Provenance(BaseModel):
         frames: name and :func:`fingerprint` of every frame that built the map or tuned the network.
         tune, map_transform, lambda_kl: the adaptation's variant.
         seed: of the build.
+        down_world: mean direction of the cameras' y axes over those frames: down, if the camera was held upright.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -56,6 +57,7 @@ class Provenance(BaseModel):
     map_transform: bool
     lambda_kl: float
     seed: int
+    down_world: tuple[float, float, float] = (0.0, 1.0, 0.0)
 
 
 class Manifest(BaseModel):

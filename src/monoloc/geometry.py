@@ -157,16 +157,17 @@ def quaternion_to_rotation(quaternion_xyzw: ArrayLike) -> FloatArray:
 def rotation_to_quaternion(rotation: ArrayLike) -> FloatArray:
     """Unit quaternion (x, y, z, w) with w >= 0 of a rotation: (..., 3, 3) -> (..., 4).
 
-    The eigenvector form (Bar-Itzhack 2000): the quaternion is the top eigenvector of a symmetric 4x4
-    matrix linear in the rotation, so rounding in the rotation is averaged rather than amplified.
+    The symmetric 4x4 matrix 4 q q^T is linear in the rotation; of its columns, all multiples of q, the one with the
+    largest diagonal is taken, which is never near zero (Markley 2008).
     """
     R = np.asarray(rotation, dtype=np.float64)
-    K = np.zeros((*R.shape[:-2], 4, 4))
-    symmetric = R + np.swapaxes(R, -1, -2)
-    trace = np.trace(R, axis1=-2, axis2=-1)
-    K[..., :3, :3] = symmetric - trace[..., None, None] * np.eye(3)
+    outer = np.zeros((*R.shape[:-2], 4, 4))
+    trace = np.trace(R, axis1=-2, axis2=-1)[..., None, None]
+    outer[..., :3, :3] = R + np.swapaxes(R, -1, -2) + (1.0 - trace) * np.eye(3)
     axial = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
-    K[..., :3, 3] = K[..., 3, :3] = axial
-    K[..., 3, 3] = trace
-    quaternion = np.linalg.eigh(K)[1][..., -1]
+    outer[..., :3, 3] = outer[..., 3, :3] = axial
+    outer[..., 3, 3] = 1.0 + trace[..., 0, 0]
+    largest = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
+    column = np.take_along_axis(outer, largest[..., None, None], axis=-1)[..., 0]
+    quaternion = column / np.linalg.norm(column, axis=-1, keepdims=True)
     return np.where(quaternion[..., 3:] < 0.0, -quaternion, quaternion)

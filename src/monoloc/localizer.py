@@ -1,4 +1,4 @@
-"""The online way, one page: frame -> depth -> scan -> predict -> weigh -> resample -> estimate."""
+"""The online way, one page: frame -> depth -> motion -> scan -> predict -> weigh -> resample -> estimate."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from monoloc.camera import Camera
 from monoloc.depth.runtime import DepthPrediction
 from monoloc.filter.estimate import Estimate, estimate
 from monoloc.filter.health import HealthyRange, State, judge
+from monoloc.filter.level import LevelConfig, level
 from monoloc.filter.motion import MotionConfig, predict
 from monoloc.filter.particles import Particles
 from monoloc.filter.resample import resample
@@ -31,6 +32,9 @@ class LocalizerConfig(BaseModel):
         motion: visual odometry, or a random walk.
         ess_fraction: resample when the effective sample size is under this share of the particles.
         log_scale_sd: spread of the depth's log-scale from image to image.
+        covariance_scale: what the particles' covariance is multiplied by. Errors of depth persist from frame to
+            frame, which the particles do not know.
+        level: how depth is levelled on the corners that odometry follows; None leaves it as it is.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -43,6 +47,8 @@ class LocalizerConfig(BaseModel):
     measurement: MeasurementConfig = MeasurementConfig()
     motion_noise: MotionConfig = MotionConfig()
     odometry: OdometryConfig = OdometryConfig()
+    level: LevelConfig | None = LevelConfig()
+    covariance_scale: float = Field(1.0, gt=0.0)
 
 
 class DepthSource(Protocol):
@@ -60,7 +66,7 @@ class Step:
         fit: mean log-likelihood of a scan point at the estimate, nats; NaN for an empty scan.
         state: whether to believe it.
         motion: odometry's motion since the last frame, None where there was none.
-        depth: the depth that was used.
+        depth: the depth that was used, levelled.
     """
 
     estimate: Estimate
@@ -102,27 +108,28 @@ class Localizer:
         """
         config = self.config
         depth = self._depth(color) if measured_depth is None else measured_depth
-        scan = scan_from_depth(depth, config.scan_points, self._rng, config.measurement.error_power)
         motion = self._odometry.step(color, depth.depth_m, depth.camera) if self._odometry else None
+        if motion is not None and config.level is not None:
+            depth = level(depth, motion, config.level)
+        scan = scan_from_depth(depth, config.scan_points, self._rng, config.measurement.error_power)
         if not self._is_first:
             self.particles = predict(
                 self.particles, motion, elapsed_s, config.log_scale_sd, config.motion_noise, self._rng
             )
         self._is_first = False
         self.particles = self._weigh(scan, motion)
-        belief = estimate(self.particles)
+        belief = estimate(self.particles, config.covariance_scale)
         self.particles = resample(self.particles, config.ess_fraction, self._rng)
         fit = self._fit(belief, scan)
         return Step(belief, fit, judge(fit, belief, self._healthy), motion, depth)
 
     def _weigh(self, scan: Scan, motion: Motion | None) -> Particles:
         """The particles under the evidence of the depth image and of the corners that parallax has measured."""
-        trust = self.config.measurement
-        particles = self._measurement.weigh(self.particles, scan, trust.effective_points)
+        particles = self._measurement.weigh_image(self.particles, scan)
         if motion is None:
             return particles
-        corners = scan_from_corners(motion, trust.corner_log_depth_sd)
-        return self._measurement.weigh(particles, corners, trust.effective_corners)
+        corners = scan_from_corners(motion, self.config.measurement.corner_doubt)
+        return self._measurement.weigh_corners(particles, corners)
 
     def _fit(self, belief: Estimate, scan: Scan) -> float:
         if len(scan) == 0:

@@ -27,8 +27,9 @@ from monoloc.progress import Progress
 # A depth sensor's errors are centimetres and independent, whatever the bundle's network does.
 _SENSOR = {
     "log_scale_sd": 0.01,
+    "level": None,
     "measurement": MeasurementConfig(
-        outlier_share=0.2, noise_sd_m=0.02, effective_points=60.0, effective_corners=0.0
+        likelihood="volume", outlier_share=0.2, noise_sd_m=0.02, effective_points=60.0, effective_corners=0.0
     ),
 }
 _SENSOR_STRIDE = 4  # every so many pixels of sensor depth are used: as dense as the scan needs

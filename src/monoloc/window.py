@@ -55,12 +55,16 @@ def adjust(
     information = np.zeros((count, 3, 3))
     for _ in range(iterations):
         J_pose, J_point, residual = _linearise(window, poses, points, ray_sd, log_depth_sd)
-        information = np.einsum("nwri,nwrj->nij", J_point, J_point)
+        # Sums over one index as matrix products; einsum does none of these by one.
+        by_point = J_point.reshape(count, 3 * frames, 3).swapaxes(1, 2)
+        information = by_point @ by_point.swapaxes(1, 2)
         damped = information * (1.0 + _DAMPING * np.eye(3)) + 1e-9 * np.eye(3)
-        gradient_point = np.einsum("nwri,nwr->ni", J_point, residual)
-        H_pose = np.einsum("nwri,nwrj->wij", J_pose, J_pose)
-        gradient_pose = np.einsum("nwri,nwr->wi", J_pose, residual).reshape(-1)
-        cross = np.einsum("nwri,nwrj->nwij", J_pose, J_point).reshape(count, 6 * frames, 3)
+        gradient_point = (by_point @ residual.reshape(count, 3 * frames, 1))[..., 0]
+        by_pose = J_pose.transpose(1, 3, 0, 2).reshape(frames, 6, 3 * count)
+        H_pose = by_pose @ by_pose.swapaxes(1, 2)
+        gradient_pose = (by_pose @ residual.swapaxes(0, 1).reshape(frames, 3 * count, 1)).reshape(-1)
+        products = [J_pose[..., r, :, None] * J_point[..., r, None, :] for r in range(3)]
+        cross = (products[0] + products[1] + products[2]).reshape(count, 6 * frames, 3)
         inverse = np.linalg.inv(damped)
         reduced = cross @ inverse  # (N, 6W, 3)
         H = np.zeros((6 * frames, 6 * frames))
@@ -68,10 +72,10 @@ def adjust(
             block = slice(6 * frame, 6 * frame + 6)
             H[block, block] = H_pose[frame] * (1.0 + _DAMPING * np.eye(6))
         H -= np.tensordot(reduced, cross, axes=([0, 2], [0, 2]))
-        right = gradient_pose - np.einsum("nik,nk->i", reduced, gradient_point)
+        right = gradient_pose - np.tensordot(reduced, gradient_point, axes=([0, 2], [0, 1]))
         step = np.zeros(6 * frames)
         step[6:] = -np.linalg.solve(H[6:, 6:] + 1e-6 * np.eye(6 * frames - 6), right[6:])
-        point_step = -np.einsum("nij,nj->ni", inverse, gradient_point + np.einsum("nik,i->nk", cross, step))
+        point_step = -np.einsum("nij,nj->ni", inverse, gradient_point + np.tensordot(cross, step, axes=(1, 0)))
         poses = poses @ se3_exp(step.reshape(frames, 6))
         points = points + point_step
     return poses, points, information

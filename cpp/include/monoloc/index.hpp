@@ -1,4 +1,5 @@
-// A spatial index of a mixture: each voxel near the map knows the few components that matter in it.
+// A spatial index of a mixture: each voxel near the map knows the few components that matter in it. Voxels are
+// found by bricks of 4 x 4 x 4 in a hash table, so memory grows with the map's surface.
 #pragma once
 
 #include <cstddef>
@@ -18,24 +19,30 @@ struct IndexSettings {
 
 class MixtureIndex {
  public:
-  // Throws std::invalid_argument when the grid would need more than 2^32 voxel names.
+  // Throws std::invalid_argument when the grid would need more than 2^32 bricks.
   MixtureIndex(const std::vector<Component>& mixture, const IndexSettings& settings);
 
   // Natural logarithm of the density at points (P, 3); -infinity outside the indexed voxels.
   void log_density(const double* points, std::size_t count, double* out) const;
 
+  // How many components log_density(points) evaluates, the free lanes of its blocks included.
+  std::size_t evaluations(const double* points, std::size_t count) const;
+
   // For every particle: sum_p w_p log((1 - eps) M(T e^s x_p) + eps / V).
   //   poses (N, 4, 4) T_world_camera; log_scales (N); scan (P, 3) in the camera's frame;
-  //   point_weights (P), or nullptr for ones.
+  //   point_weights (P), or nullptr for ones; threads: share the particles, the result is the same for any number.
   void weigh(const double* poses, const double* log_scales, std::size_t particles, const float* scan,
              const float* point_weights, std::size_t points, double outlier_share, double volume_m3,
-             double* out) const;
+             std::size_t threads, double* out) const;
 
   double voxel_m() const { return voxel_m_; }
   std::size_t voxels() const { return voxels_; }
   std::size_t lists() const { return lists_; }
   double mean_candidates() const { return mean_candidates_; }
-  std::size_t bytes() const { return slots_.size() * sizeof(Slot) + blocks_.size() * sizeof(float); }
+  std::size_t bytes() const {
+    return slots_.size() * sizeof(Slot) + voxel_lists_.size() * sizeof(std::uint32_t) +
+           blocks_.size() * sizeof(float);
+  }
 
   // What the kernels read; valid as long as the index lives.
   IndexView view() const;
@@ -44,9 +51,10 @@ class MixtureIndex {
   double voxel_m_;
   double centre_[3];  // subtracted from everything, so that single precision suffices
   float origin_[3];   // lower corner of the grid, centred
-  std::int32_t shape_[3];
+  std::int32_t bricks_[3];
   std::uint32_t hash_shift_;
   std::vector<Slot> slots_;
+  std::vector<std::uint32_t> voxel_lists_;
   std::vector<float> blocks_;
   std::size_t voxels_ = 0;
   std::size_t lists_ = 0;

@@ -14,9 +14,13 @@ from monoloc.geometry import FloatArray
 from monoloc.localizer import LocalizerConfig
 from monoloc.map.mixture import GaussianMixture
 
-_NOISE_SD_M = (0.02, 0.03, 0.05, 0.08, 0.12, 0.2)
+# Of each likelihood, the setting that says how wide errors are, and its candidates.
+_WIDTHS = {
+    "ray": ("log_depth_sd", (0.02, 0.03, 0.04, 0.06, 0.08, 0.12, 0.16, 0.24)),
+    "volume": ("noise_sd_m", (0.02, 0.03, 0.05, 0.08, 0.12, 0.2)),
+}
 _LOG_SCALES = np.linspace(-0.4, 0.4, 161)
-_LEAST_LOG_SCALE_SD = 0.003
+_LEAST_LOG_SCALE_SD = 0.02  # between build frames it is less, but away from them the scale wanders by as much
 
 
 @dataclass(frozen=True)
@@ -30,9 +34,9 @@ class Sample:
 def calibrate(
     mixture: GaussianMixture, samples: list[Sample], base: LocalizerConfig, rng: np.random.Generator
 ) -> tuple[LocalizerConfig, HealthyRange]:
-    """The likelihood's noise and the depth scale's spread, by maximum likelihood on held-out frames at true poses.
+    """The likelihood's width and the depth scale's spread, by maximum likelihood on held-out frames at true poses.
 
-    The noise is that under which the held-out points are most likely, each frame at its own best depth scale; the
+    The width is that under which the held-out points are most likely, each frame at its own best depth scale; the
     slow part of those scales' spread is the prior of the filter's log-scale. The outlier share is not fitted: the
     most likely one is small, and a generous one tracks better, since the errors of one image go together.
     """
@@ -41,8 +45,9 @@ def calibrate(
     if not usable:
         return base, HealthyRange(low=-np.inf, lost=-np.inf)
     best: tuple[float, MeasurementConfig, FloatArray, FloatArray] | None = None
-    for noise in _NOISE_SD_M:
-        config = base.measurement.model_copy(update={"noise_sd_m": noise})
+    name, widths = _WIDTHS[base.measurement.likelihood]
+    for width in widths:
+        config = base.measurement.model_copy(update={name: width})
         fits, scales = _fits(Measurement(mixture, config), usable)
         if best is None or fits.mean() > best[0]:
             best = (float(fits.mean()), config, fits, scales)

@@ -27,6 +27,8 @@ class AdaptConfig(BaseModel):
         steps: most optimiser steps; held-out frames may stop it earlier. None is what suits ``tune``.
         batch_views, pixels_per_view: size of one step.
         synthesised_views: views from nearby poses, a frame, made of the recording (for ``decoder`` and ``all``).
+        relit_share: share of a step's views that are seen in another light, down to a sixteenth and less (for
+            ``all``): what is tuned in good light alone forgets the dark.
         network_rate, map_rate: Adam's learning rates; None is what suits ``tune``.
         likelihood_weight, depth_weight: weights of the ray likelihood and, for ``decoder`` and ``all``, of the depth
             loss.
@@ -44,6 +46,7 @@ class AdaptConfig(BaseModel):
     batch_views: int = Field(16, ge=1)
     pixels_per_view: int = Field(32, ge=1)
     synthesised_views: int = Field(4, ge=0)
+    relit_share: float = Field(0.5, ge=0.0, le=1.0)
     network_rate: float | None = Field(None, gt=0.0)
     map_rate: float = Field(1e-3, gt=0.0)
     likelihood_weight: float = Field(0.05, ge=0.0)

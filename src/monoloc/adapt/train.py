@@ -15,12 +15,15 @@ from monoloc.adapt.objective import matched_kl, ray_log_likelihood
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.transform import AdaptedMap
 from monoloc.adapt.views import Views
+from monoloc.depth.augment import AugmentConfig, random_exposure
+from monoloc.depth.examples import network_input
 from monoloc.depth.losses import LossConfig, depth_loss, laplace_loss
 from monoloc.depth.network import DepthNetwork
 from monoloc.memory import keep_freed_memory
 
 _DECODER_STEPS_A_MAP_STEP = 4
 _VIEWS_AT_ONCE = 32
+_LIGHT = AugmentConfig(dim_share=0.6)
 
 
 @dataclass(frozen=True)
@@ -103,9 +106,13 @@ class Adaptation:
         schedule = torch.optim.lr_scheduler.LambdaLR(
             optimizer, lambda step: 0.5 * (1.0 + math.cos(math.pi * step / max(1, steps)))
         )
+        light = np.random.default_rng(int(torch.randint(2**31, (1,), generator=generator)))
         for step in range(steps):
             chosen = torch.randint(len(training), (self.config.batch_views,), generator=generator)
-            loss = self._loss(training[chosen], [part[chosen] for part in inputs], step, steps, generator)
+            seen = [part[chosen] for part in inputs]
+            if self.config.tune == "all":
+                seen = [_relit(seen[0], self.config.relit_share, light)]
+            loss = self._loss(training[chosen], seen, step, steps, generator)
             optimizer.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]
             optimizer.step()
@@ -234,6 +241,17 @@ class Adaptation:
     def _restore(self, state: tuple[dict[str, Tensor], dict[str, Tensor]]) -> None:
         self.network.load_state_dict(state[0])
         self.map.load_state_dict(state[1])
+
+
+def _relit(images: Tensor, share: float, rng: np.random.Generator) -> Tensor:
+    """Images (V, 3, H, W) in [-1, 1], a share of them in another light."""
+    chosen = np.flatnonzero(rng.uniform(size=len(images)) < share)
+    if len(chosen) == 0:
+        return images
+    colors = ((images[chosen] + 1.0) * 127.5).round().byte().permute(0, 2, 3, 1).numpy()
+    relit = images.clone()
+    relit[chosen] = network_input([random_exposure(color, _LIGHT, rng) for color in colors])
+    return relit
 
 
 def _log_ratio(log_depth: Tensor, truth: Tensor) -> Tensor:

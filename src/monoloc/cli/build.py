@@ -46,6 +46,10 @@ def build(
     lambda_kl: Annotated[
         float | None, typer.Option("--lambda", help="Weight of the divergence from the original map.")
     ] = None,
+    refine_poses: Annotated[
+        bool | None,
+        typer.Option("--refine-poses/--given-poses", help="Whether poses are aligned with the map first. [given]"),
+    ] = None,
     network: Annotated[
         str,
         typer.Option(
@@ -69,6 +73,7 @@ def build(
       monoloc build 7scenes:redkitchen --frames 0:400:4 --out kitchen.monoloc
       monoloc build tum:rgbd_dataset_freiburg1_room --out room.monoloc -k 400
       monoloc build my-walk --cloud room.ply --out room.monoloc
+      monoloc build my-walk --refine-poses --out room.monoloc     (poses by another system, 2 cm and 1 degree off)
       monoloc build my-walk --tune last --out paper.monoloc     (the paper's variant)
       monoloc build my-walk --tune none --no-map-transform --out plain.monoloc
       monoloc build my-walk --network midas.toml --out midas.monoloc     (another's network: docs/depth-models.md)
@@ -84,12 +89,15 @@ def build(
         config,
         components=components,
         int8=int8,
+        refine_poses=refine_poses,
         adapt={"tune": tune, "map_transform": map_transform, "lambda_kl": lambda_kl},
     )
     points = None if cloud is None else read_cloud(cloud)
     recording = open_source(source, frames, intrinsics, depth_scale)
     bundle, report = build_bundle(recording, config, seed, ConsoleProgress(stderr), points, network)
     size = write_bundle(out, bundle)
+    for warning in report.warnings:
+        stderr.print(f"warning: {recording.name}: {warning}", soft_wrap=True)
     if json:
         print_json({"bundle": str(out), "bytes": size, **asdict(report)})
         return

@@ -1,7 +1,8 @@
-"""``monoloc map``: fit a mixture to a room, and look at one."""
+"""``monoloc map``: fit a mixture to a room, look at one, and see what adaptation did to it."""
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -23,12 +24,22 @@ from monoloc.cli.common import (
     text_of,
 )
 from monoloc.config import override
+from monoloc.evaluation.clouds import cloud_distances, matched_clouds, summarise_distances
+from monoloc.evaluation.map_drawing import plot_map_change
+from monoloc.extras import require_plotting
+from monoloc.geometry import FloatArray
 from monoloc.map.cloud_files import read_cloud
+from monoloc.map.compare import compare_maps
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import ConsoleProgress
 
-app = typer.Typer(help="Fit a map to a room, and look at one.", no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(
+    help="Fit a map to a room, look at one, and see what adaptation did to it.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
 
+_COMPARED_POINTS = 50_000  # 2 cm apart in a room: finer than what adaptation moves
 _CLOUD_SUFFIXES = {".ply", ".pcd", ".xyz", ".npz"}
 
 
@@ -95,3 +106,46 @@ def info(
         print_json(content)
     else:
         print_table(str(target), ["", ""], [[name, text_of(value)] for name, value in content.items()])
+
+
+@app.command()
+def compare(
+    bundle: Annotated[Path, typer.Argument(help="A bundle.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The picture to write, NAME.png.")] = Path("compare.png"),
+    seed: SeedOption = 0,
+    json: JsonOption = False,
+) -> None:
+    """Draw the map before and after adaptation: clouds, boxes, distances.
+
+    Distances are from points drawn from the original map to the nearest of those points after adaptation (C2C).
+
+    \b
+    Examples:
+      monoloc map compare kitchen.monoloc
+      monoloc map compare kitchen.monoloc --out kitchen.png --json
+    """
+    check_writable(out, "--out")
+    require_plotting()
+    room = read_bundle(bundle)
+    original, adapted = matched_clouds(room.original, room.adapted, _COMPARED_POINTS, np.random.default_rng(seed))
+    distances_m = cloud_distances(original, adapted)
+    down = np.array(room.provenance.down_world)
+    plot_map_change(out, original, adapted, distances_m, down, f"{bundle.name}: {room.provenance.recording}")
+    content: dict[str, object] = {
+        "picture": str(out),
+        "points": _COMPARED_POINTS,
+        **asdict(summarise_distances(distances_m)),
+        "box_original_m": _box(original),
+        "box_adapted_m": _box(adapted),
+        "components": len(room.original),
+        **asdict(compare_maps(room.original, room.adapted)),
+    }
+    if json:
+        print_json(content)
+    else:
+        print_table(str(bundle), ["", ""], [[name, text_of(value)] for name, value in content.items()])
+
+
+def _box(cloud: FloatArray) -> dict[str, object]:
+    """Corners of a cloud's box along the world's axes."""
+    return {"lower": cloud.min(axis=0).tolist(), "upper": cloud.max(axis=0).tolist()}

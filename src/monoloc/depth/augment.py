@@ -202,16 +202,27 @@ def random_exposure(color: NDArray[np.uint8], config: AugmentConfig, rng: np.ran
 def expose(color: NDArray[np.uint8], exposure: Exposure, rng: np.random.Generator) -> NDArray[np.uint8]:
     """An image as another exposure would have given it: (H, W, 3) uint8 RGB -> (H, W, 3) uint8.
 
-    Light is scaled in linear intensity, blurred, counted by a sensor with Poisson-Gaussian noise (Foi et al. 2008),
-    and drawn through the display curve.
+    Light is scaled in linear intensity, blurred, counted by a sensor with noise, and drawn through the display curve.
     """
     gain = 2.0**exposure.stops * np.asarray(exposure.balance)
     light = cv2.LUT(color, np.ascontiguousarray((_LINEAR[:, None] * gain).astype(np.float32)[None]))
     if exposure.blur_px > 0.0:
         light = cv2.GaussianBlur(light, (0, 0), max(0.1, exposure.blur_px))
-    variance = light / np.float32(exposure.electrons) + np.float32((exposure.read_noise / exposure.electrons) ** 2)
-    light = light + np.sqrt(variance) * rng.standard_normal(light.shape, dtype=np.float32)
+    light = counted(np.asarray(light, dtype=np.float32), exposure.electrons, exposure.read_noise, rng)
     image = cv2.pow(np.clip(light, 0.0, 1.0), exposure.gamma / _DISPLAY_GAMMA)
     grey = image.mean(axis=2, keepdims=True)
     image = (grey + (image - grey) * np.float32(exposure.saturation) - 0.5) * np.float32(exposure.contrast) + 0.5
     return np.asarray(np.clip(image * 255.0 + 0.5, 0.0, 255.0).astype(np.uint8))
+
+
+def counted(
+    light: NDArray[np.float32], electrons: float, read_noise: float, rng: np.random.Generator
+) -> NDArray[np.float32]:
+    """Light as a sensor counts it, with Poisson-Gaussian noise (Foi et al. 2008).
+
+    Args:
+        light: linear, 1 is full scale, of any shape.
+        electrons: photoelectrons of full scale; read_noise: standard deviation of the sensor's own noise, electrons.
+    """
+    variance = light / np.float32(electrons) + np.float32((read_noise / electrons) ** 2)
+    return np.asarray(light + np.sqrt(variance) * rng.standard_normal(light.shape, dtype=np.float32), np.float32)

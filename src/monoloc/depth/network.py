@@ -16,6 +16,7 @@ import zipfile
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -24,6 +25,7 @@ from pydantic_core import PydanticCustomError
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from monoloc.depth.work import multiply_adds
 from monoloc.errors import DataError
 
 # Expansion, channels at width 1, first stride (Sandler et al., table 2).
@@ -60,16 +62,25 @@ class NetworkConfig(BaseModel):
 
     @model_validator(mode="after")
     def _check(self) -> NetworkConfig:
-        kept = [blocks > 0 for blocks in self.encoder_blocks]
-        if any(not 0 <= b <= most for b, most in zip(self.encoder_blocks, _BLOCKS, strict=True)):
-            raise PydanticCustomError("layers", f"encoder_blocks must lie between 0 and {_BLOCKS}")
-        if kept != sorted(kept, reverse=True) or not all(kept[:3]):
-            raise PydanticCustomError(
-                "layers", "encoder_blocks may remove whole stages only from the end, and not the first three"
-            )
+        check_encoder_blocks(self.encoder_blocks)
         if any(not 0 <= stages <= 4 for stages in self.pooling_stages):
             raise PydanticCustomError("layers", "pooling_stages must lie between 0 and 4")
         return self
+
+
+def check_encoder_blocks(blocks: Sequence[int]) -> None:
+    """Refuse blocks of the seven stages, in a model's validator, that an :class:`Encoder` cannot be made of.
+
+    Raises:
+        PydanticCustomError: naming the field ``encoder_blocks``.
+    """
+    kept = [count > 0 for count in blocks]
+    if any(not 0 <= count <= most for count, most in zip(blocks, _BLOCKS, strict=True)):
+        raise PydanticCustomError("layers", f"encoder_blocks must lie between 0 and {_BLOCKS}")
+    if kept != sorted(kept, reverse=True) or not all(kept[:3]):
+        raise PydanticCustomError(
+            "layers", "encoder_blocks may remove whole stages only from the end, and not the first three"
+        )
 
 
 def _scaled(channels: int, width: float) -> int:
@@ -117,11 +128,13 @@ class Encoder(nn.Module):
     """MobileNetV2 up to its last bottleneck, or less of it; returns the output of every stage from stride 4 on.
 
     Attributes:
+        width: MobileNetV2's width multiplier.
         taps: name of the last block of each such stage -> its channels, shallow to deep.
     """
 
     def __init__(self, width: float, blocks: Sequence[int]) -> None:
         super().__init__()
+        self.width = width
         channels = _scaled(32, width)
         layers: dict[str, nn.Module] = {"0": _conv_bn_relu(3, channels, 3, 2)}
         self.taps: dict[str, int] = {}
@@ -238,24 +251,18 @@ class DepthNetwork(nn.Module):
     def parameter_count(self) -> int:
         return sum(p.numel() for p in self.parameters())
 
-    @torch.no_grad()
     def multiply_adds(self, width: int, height: int) -> int:
         """Multiply-adds of the convolutions for one image; all else is a few percent of it."""
-        count = 0
-
-        def add(layer: nn.Module, _: object, output: Tensor) -> None:
-            nonlocal count
-            assert isinstance(layer, nn.Conv2d)
-            count += output[0].numel() * layer.weight[0].numel()
-
-        hooks = [layer.register_forward_hook(add) for layer in self.modules() if isinstance(layer, nn.Conv2d)]
-        self.with_error(torch.zeros(1, 3, height, width))
-        for hook in hooks:
-            hook.remove()
-        return count
+        return multiply_adds(self, lambda: self.with_error(torch.zeros(1, 3, height, width)))
 
 
-def load_encoder_weights(network: DepthNetwork, path: Path) -> None:
+class HasEncoder(Protocol):
+    """A network that sees through MobileNetV2."""
+
+    encoder: Encoder
+
+
+def load_encoder_weights(network: HasEncoder, path: Path) -> None:
     """Put MobileNetV2 weights (.npz of arrays under torchvision's names) into the encoder.
 
     Raises:
@@ -275,7 +282,7 @@ def load_encoder_weights(network: DepthNetwork, path: Path) -> None:
         if arrays[name].shape != tuple(target.shape):
             raise DataError(
                 path,
-                f"{name} has shape {arrays[name].shape}, the network at width {network.config.width} "
+                f"{name} has shape {arrays[name].shape}, the network at width {network.encoder.width} "
                 f"needs {tuple(target.shape)}",
                 "give weights of the same width multiplier",
             )

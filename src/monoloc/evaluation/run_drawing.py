@@ -75,8 +75,16 @@ def draw_views(figure: SubFigure, run: Run) -> dict[str, Artist]:
 
 
 def view_axes(poses: FloatArray) -> tuple[int, int, int, bool]:
-    """World axes that point right, forward and up on the page, and whether up is that axis's negative end."""
-    down = poses[:, :3, 1].mean(axis=0)  # the camera's y axis, in the world
+    """:func:`page_axes` for cameras (N, 4, 4) that were held upright on the whole."""
+    return page_axes(poses[:, :3, 1].mean(axis=0))  # the camera's y axis, in the world
+
+
+def page_axes(down: FloatArray) -> tuple[int, int, int, bool]:
+    """World axes that point right, forward and up on the page, and whether up is that axis's negative end.
+
+    Args:
+        down: (3,) where down is in the world, of any length.
+    """
     up = int(np.argmax(np.abs(down)))
     right, forward = (up + 1) % 3, (up + 2) % 3  # right x forward = +up, so nothing is mirrored
     return (forward, right, up, True) if down[up] > 0.0 else (right, forward, up, False)

@@ -16,6 +16,7 @@ from monoloc.geometry import FloatArray, invert, rotation_angle, se3_log
 CHI2_6_QUANTILE_95 = 12.591587  # 95 % quantile of the chi-squared distribution with 6 degrees of freedom
 
 # Variances below this (1 micrometre, 1 microradian, squared) are rounding: poses in files carry no more.
+_CHI2_MEDIAN_6 = 5.348120627447122
 _VARIANCE_FLOOR = 1e-12
 
 
@@ -110,6 +111,25 @@ def summarise(estimated: ArrayLike, truth: ArrayLike) -> TrajectoryMetrics:
         within_5cm_5deg=share_within(0.05, 5.0),
         within_10cm_10deg=share_within(0.10, 10.0),
     )
+
+
+def covariance_scale(estimated: ArrayLike, truth: ArrayLike, covariances: ArrayLike) -> float:
+    """Factor by which covariances must grow for the median frame's error to be as likely as it should; at least 1.
+
+    The error's squared Mahalanobis distance has, where covariances are honest, a chi-squared distribution with six
+    degrees of freedom, whose median is 5.35 (normalised estimation error squared, Bar-Shalom et al. 2001, 5.4.2).
+
+    Args:
+        estimated, truth, covariances: as in :func:`coverage_95`, covariances positive definite.
+
+    Raises:
+        ValueError: as :func:`pose_errors`.
+    """
+    T_world_estimated, T_world_truth = _checked_pair(estimated, truth)
+    twist = se3_log(invert(T_world_estimated) @ T_world_truth)
+    Sigma = _checked("covariances", covariances, (len(T_world_truth), 6, 6))
+    squared = np.einsum("ni,ni->n", twist, np.linalg.solve(Sigma, twist[..., None])[..., 0])
+    return max(1.0, float(np.median(squared)) / _CHI2_MEDIAN_6)
 
 
 def coverage_95(estimated: ArrayLike, truth: ArrayLike, covariances: ArrayLike) -> float:

@@ -26,12 +26,17 @@ class Estimate:
     log_scale: float
 
 
-def estimate(particles: Particles) -> Estimate:
-    """Weighted mean: arithmetic for position and log-scale, chordal for rotation (Hartley et al. 2013)."""
+def estimate(particles: Particles, covariance_scale: float = 1.0) -> Estimate:
+    """Weighted mean: arithmetic for position and log-scale, chordal for rotation (Hartley et al. 2013).
+
+    Args:
+        particles: the belief.
+        covariance_scale: what the covariance about that mean is multiplied by.
+    """
     weights = particles.weights
     position = weights @ particles.poses[:, :3, 3]
     rotation = nearest_rotation(np.einsum("n,nij->ij", weights, particles.poses[:, :3, :3]))
     pose = make_pose(rotation, position)
     twists = se3_log(invert(pose) @ particles.poses)
-    covariance = (weights[:, None] * twists).T @ twists
+    covariance = covariance_scale * (weights[:, None] * twists).T @ twists
     return Estimate(pose, covariance, float(weights @ particles.log_scale))

@@ -67,9 +67,10 @@ def scan_from_depth(
     return Scan(points, _weights(depth.log_error.ravel()[candidates], error_power))
 
 
-def scan_from_corners(motion: Motion, log_depth_sd: float, max_depth_m: float = 8.0) -> Scan:
-    """Tracked corners whose depth is known better than ``log_depth_sd``."""
-    chosen = (motion.log_depth_sd < log_depth_sd) & (motion.points[:, 2] <= max_depth_m)
+def scan_from_corners(motion: Motion, doubt: float, max_depth_m: float = 8.0) -> Scan:
+    """Tracked corners before the camera whose log-depth has a standard deviation below ``doubt``."""
+    z = motion.points[:, 2]
+    chosen = (motion.log_depth_sd < doubt) & (z > 0.0) & (z <= max_depth_m)
     return evenly(np.asarray(motion.points[chosen], dtype=np.float32))
 
 

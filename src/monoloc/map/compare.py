@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from monoloc.geometry import FloatArray
+from monoloc.map.kmeans import nearest
 from monoloc.map.mixture import GaussianMixture
-
-_ROWS_AT_ONCE = 1000
 
 
 @dataclass(frozen=True)
@@ -38,18 +36,10 @@ def compare_maps(original: GaussianMixture, adapted: GaussianMixture) -> MapChan
     if len(original) != len(adapted):
         raise ValueError(f"maps must have the same components, got {len(original)} and {len(adapted)}")
     shift = np.linalg.norm(adapted.means - original.means, axis=1)
-    nearest = _nearest(original.means, adapted.means)
     log_volumes = [np.linalg.slogdet(mixture.covariances)[1] / 2.0 for mixture in (original, adapted)]
     return MapChange(
         shift_median_m=float(np.median(shift)),
         shift_p95_m=float(np.percentile(shift, 95.0)),
-        correspondence_kept=float(np.mean(nearest == np.arange(len(original)))),
+        correspondence_kept=float(np.mean(nearest(original.means, adapted.means) == np.arange(len(original)))),
         size_ratio_median=float(np.exp(np.median(log_volumes[1] - log_volumes[0]) / 3.0)),
     )
-
-
-def _nearest(points: FloatArray, others: FloatArray) -> np.ndarray:
-    """Index of the nearest of ``others`` (M, 3) to every point (N, 3)."""
-    squares = np.sum(others**2, axis=1)
-    chunks = [points[start : start + _ROWS_AT_ONCE] for start in range(0, len(points), _ROWS_AT_ONCE)]
-    return np.concatenate([np.argmin(squares - 2.0 * chunk @ others.T, axis=1) for chunk in chunks])

@@ -10,6 +10,8 @@ from monoloc.map.arguments import float32, float64
 
 FloatArray = NDArray[np.float64]
 
+_MOST_THREADS = 256
+
 
 class MixtureIndex:
     """A mixture's density near its surface, each voxel knowing the few components that matter in it.
@@ -54,6 +56,14 @@ class MixtureIndex:
         """
         return self._native.log_density(float64("points", points, None, 3))
 
+    def evaluations(self, points: ArrayLike) -> int:
+        """How many components :meth:`log_density` evaluates at points (P, 3), those that fill blocks up included.
+
+        Raises:
+            ValueError: wrong shape, or a value that is not finite.
+        """
+        return self._native.evaluations(float64("points", points, None, 3))
+
     def weigh(
         self,
         poses: ArrayLike,
@@ -63,6 +73,7 @@ class MixtureIndex:
         outlier_share: float,
         volume_m3: float,
         point_weights: ArrayLike | None = None,
+        threads: int = 1,
     ) -> FloatArray:
         """Log-likelihood of a scan for every particle, not tempered:
         ``sum_p w_p log((1 - eps) M(T e^s x_p) + eps / V)``. Twin: :func:`monoloc.map.reference.weigh`.
@@ -74,22 +85,26 @@ class MixtureIndex:
             outlier_share: eps in (0, 1]: share of the scan's points that the map does not explain.
             volume_m3: V: outliers are uniform in this volume.
             point_weights: w, (P,); None for ones.
+            threads: share the particles; the result is the same for any number. The threads are kept for the next
+                call.
 
         Returns:
             (N,) float64, nats.
 
         Raises:
-            ValueError: wrong shapes, values that are not finite, eps or V out of range.
+            ValueError: wrong shapes, values that are not finite, eps, V or threads out of range.
         """
         if not 0.0 < outlier_share <= 1.0:
             raise ValueError(f"outlier_share must be in (0, 1], got {outlier_share}")
         if not 0.0 < volume_m3 < np.inf:
             raise ValueError(f"volume_m3 must be positive and finite, got {volume_m3}")
+        if not 1 <= threads <= _MOST_THREADS:
+            raise ValueError(f"threads must be 1 to {_MOST_THREADS}, got {threads}")
         poses = float64("poses", poses, None, 4, 4)
         scan = float32("scan", scan, None, 3)
         weights = None if point_weights is None else float32("point_weights", point_weights, len(scan))
         return self._native.weigh(
-            poses, float64("log_scales", log_scales, len(poses)), scan, weights, outlier_share, volume_m3
+            poses, float64("log_scales", log_scales, len(poses)), scan, weights, outlier_share, volume_m3, threads
         )
 
     @property

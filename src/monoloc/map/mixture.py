@@ -17,6 +17,7 @@ from monoloc.errors import DataError
 from monoloc.files import write_whole
 from monoloc.map.arguments import float64
 from monoloc.map.index import MixtureIndex
+from monoloc.map.rays import RayMixture
 from monoloc.map.reference import log_sum_exp, log_terms
 
 FloatArray = NDArray[np.float64]
@@ -108,7 +109,7 @@ class GaussianMixture:
         return BYTES_PER_COMPONENT * len(self)
 
     def index(
-        self, voxel_m: float = 0.1, floor_density: float | None = None, tolerance: float = 0.02
+        self, voxel_m: float = 0.08, floor_density: float | None = None, tolerance: float = 0.02
     ) -> MixtureIndex:
         """The mixture behind a voxel grid, for weighing particles; see :class:`MixtureIndex`.
 
@@ -127,6 +128,10 @@ class GaussianMixture:
             floor_density=floor,
             tolerance=tolerance,
         )
+
+    def along_rays(self) -> RayMixture:
+        """The mixture as rays cut it, for weighing particles; see :class:`RayMixture`."""
+        return RayMixture(self.weights, self.means, self.covariances)
 
     def to_arrays(self, prefix: str = "") -> dict[str, NDArray[np.float32]]:
         """Ten float32 a component, under the keys ``prefix + weights, means, cholesky``.

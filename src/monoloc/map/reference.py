@@ -74,6 +74,54 @@ def weigh(
     return result
 
 
+def weigh_rays(
+    poses: FloatArray,
+    log_scales: FloatArray,
+    scan: FloatArray,
+    point_weights: FloatArray | None,
+    weights: FloatArray,
+    means: FloatArray,
+    covariances: FloatArray,
+    log_depth_sd: float,
+    outlier_share: float,
+    log_depth_range: float,
+    nearest_m: float = 0.05,
+) -> FloatArray:
+    """``sum_p w_p log((1 - eps) d p(d | o, r) + eps / range)``: (N, 4, 4), (N,), (P, 3) -> (N,), nats.
+
+    Point p lies at depth ``d = e^s z_p`` on the ray ``o + d r`` of particle n. The ray cuts component k into a
+    Gaussian in d: precision ``q_k = r^T Sigma_k^-1 r``, centre ``d_k = r^T Sigma_k^-1 (mu_k - o) / q_k``, mass
+    ``m_k = pi_k N(o + d_k r; mu_k, Sigma_k) sqrt(2 pi / q_k)``. Depth errs by a share of itself, so
+
+        p(d | o, r) = sum_k m_k N(d; d_k, 1 / q_k + (log_depth_sd d_k)^2) / sum_k m_k
+
+    over the components with ``d_k > nearest_m``. What a pose makes of the map's density as such cancels: neither
+    dense places nor grazing views attract the scan.
+    """
+    w = np.ones(len(scan)) if point_weights is None else point_weights
+    precisions = np.linalg.inv(covariances)
+    rays = scan / scan[:, 2:]
+    result = np.empty(len(poses))
+    for n, (T_world_camera, s) in enumerate(zip(poses, log_scales, strict=True)):
+        origin, r = T_world_camera[:3, 3], rays @ T_world_camera[:3, :3].T
+        q = np.einsum("pi,kij,pj->pk", r, precisions, r)
+        surface = np.einsum("pi,kij,kj->pk", r, precisions, means - origin) / q
+        nearest = origin + surface[..., None] * r[:, None]
+        offsets = nearest - means
+        log_peak = np.log(weights) + 0.5 * np.linalg.slogdet(precisions)[1]
+        log_mass = log_peak - 0.5 * np.einsum("pki,kij,pkj->pk", offsets, precisions, offsets) - 0.5 * np.log(q)
+        log_mass = np.where(surface > nearest_m, log_mass, -np.inf)
+        largest = log_mass.max(axis=1, keepdims=True)
+        mass = np.exp(log_mass - np.where(np.isfinite(largest), largest, 0.0))
+        variance = 1.0 / q + (log_depth_sd * surface) ** 2
+        d = np.exp(s) * scan[:, 2]
+        parts = mass * np.exp(-0.5 * (d[:, None] - surface) ** 2 / variance) / np.sqrt(2.0 * np.pi * variance)
+        total = mass.sum(axis=1)
+        density = d * parts.sum(axis=1) / np.where(total > 0.0, total, 1.0)
+        result[n] = w @ np.log((1.0 - outlier_share) * density + outlier_share / log_depth_range)
+    return result
+
+
 def expectation(points: FloatArray, weights: FloatArray, means: FloatArray, covariances: FloatArray) -> Statistics:
     """The E-step: responsibilities ``r_nk`` of points (N, 3) and their sums (Bishop 2006, section 9.2.2)."""
     terms = log_terms(points, weights, means, covariances)

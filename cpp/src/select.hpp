@@ -1,0 +1,33 @@
+// Which components matter in a voxel.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "monoloc/index.hpp"
+
+namespace monoloc {
+
+using List = std::vector<std::uint32_t>;  // components, ascending
+
+// Chooses the components of one voxel. Dropping a set D costs at a sample s the relative density
+// sum_D p_k(s) / (sum_all p_k(s) + floor); components are dropped, least important first, while that stays
+// within the tolerance at every sample.
+class Selector {
+ public:
+  Selector(const std::vector<Component>& mixture, const IndexSettings& settings);
+
+  // Components kept, ascending; corner: the voxel's lower corner in the mixture's frame.
+  List select(const List& candidates, const double* corner);
+
+ private:
+  const std::vector<Component>& mixture_;
+  const IndexSettings& settings_;
+  std::size_t stride_;
+  std::vector<float> offsets_, densities_, total_, dropped_;
+  std::vector<std::pair<float, std::size_t>> importance_;
+};
+
+}  // namespace monoloc

@@ -1,0 +1,118 @@
+"""Poses that come one a frame, smoothed by monoloc's own particle filter and odometry.
+
+Particles, motion, resampling and estimate are those of the localizer; only the likelihood is another: that of the
+pose measured, in place of that of a scan in the map. So what the filter gives a pose network can be told apart
+from what the map gives monoloc. Free of PyTorch: where the poses come from does not matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.camera import Camera
+from monoloc.filter.estimate import Estimate, estimate
+from monoloc.filter.motion import predict
+from monoloc.filter.particles import Particles, normalised
+from monoloc.filter.resample import resample
+from monoloc.geometry import FloatArray, rotation_angle
+from monoloc.localizer import DepthSource, LocalizerConfig
+from monoloc.odometry import VisualOdometry
+
+_DEGREES_OF_FREEDOM = 4.0  # of the t distribution: a regressed pose is off by far now and then
+_FIT_ROUNDS = 50
+_DIMENSIONS = 6
+_LEAST_POSITION_SD_M, _LEAST_ROTATION_SD_RAD = 1e-3, 1e-3
+
+
+@dataclass(frozen=True)
+class PoseError:
+    """How far measured poses are from the truth: a t distribution, alike along all axes.
+
+    Attributes:
+        position_sd_m, rotation_sd_rad: its scales, per axis.
+    """
+
+    position_sd_m: float
+    rotation_sd_rad: float
+
+    @classmethod
+    def fit(cls, measured: FloatArray, truth: FloatArray) -> PoseError:
+        """The most likely scales of N >= 1 errors, by expectation-maximisation (Lange et al. 1989).
+
+        Args:
+            measured, truth: ``T_world_camera``, (N, 4, 4).
+        """
+        offset = measured[:, :3, 3] - truth[:, :3, 3]
+        angle = rotation_angle(np.swapaxes(measured[:, :3, :3], 1, 2) @ truth[:, :3, :3])
+        squares = np.stack([np.sum(offset**2, axis=1), angle**2]) / 3.0
+        variances = squares.mean(axis=1)
+        floor = np.array([_LEAST_POSITION_SD_M, _LEAST_ROTATION_SD_RAD]) ** 2
+        for _ in range(_FIT_ROUNDS):
+            variances = np.maximum(variances, floor)
+            distance = 3.0 * np.sum(squares / variances[:, None], axis=0)
+            weights = (_DEGREES_OF_FREEDOM + _DIMENSIONS) / (_DEGREES_OF_FREEDOM + distance)
+            variances = np.mean(weights * squares, axis=1)
+        position_sd_m, rotation_sd_rad = np.sqrt(np.maximum(variances, floor))
+        return cls(float(position_sd_m), float(rotation_sd_rad))
+
+    def log_likelihood(self, measured: FloatArray, poses: FloatArray) -> FloatArray:
+        """Of one measured pose (4, 4) at each pose (N, 4, 4), (N,) nats but for a constant."""
+        offset = poses[:, :3, 3] - measured[:3, 3]
+        angle = rotation_angle(measured[:3, :3].T @ poses[:, :3, :3])
+        distance = np.sum(offset**2, axis=1) / self.position_sd_m**2 + angle**2 / self.rotation_sd_rad**2
+        nats = -0.5 * (_DEGREES_OF_FREEDOM + _DIMENSIONS) * np.log1p(distance / _DEGREES_OF_FREEDOM)
+        return np.asarray(nats)
+
+
+class PoseFilter:
+    """Follows one camera by measured poses and visual odometry; call it with every frame in order.
+
+    Args:
+        measure: ``T_world_camera`` (4, 4) of an image (H, W, 3) uint8 RGB, None where it has none.
+        error: of what ``measure`` gives.
+        depth: for the odometry; the localizer's, for a comparison that is fair.
+        start: particles at the first frame.
+        config: the localizer's; of it, what concerns particles, motion and depth scale.
+    """
+
+    def __init__(
+        self,
+        measure: Callable[[NDArray[np.uint8]], FloatArray | None],
+        error: PoseError,
+        depth: DepthSource,
+        camera: Camera,
+        start: Particles,
+        config: LocalizerConfig,
+        rng: np.random.Generator,
+    ) -> None:
+        self.particles = start
+        self._measure, self._error, self._depth = measure, error, depth
+        self._odometry = VisualOdometry(camera, config.odometry) if config.motion == "visual" else None
+        self._config = config
+        self._rng = rng
+        self._is_first = True
+
+    def step(self, color: NDArray[np.uint8], elapsed_s: float) -> Estimate:
+        """Take one frame in: (H, W, 3) uint8 RGB, and the seconds since the one before, ignored at the first."""
+        config = self._config
+        motion = None
+        if self._odometry is not None:
+            depth = self._depth(color)
+            motion = self._odometry.step(color, depth.depth_m, depth.camera)
+        if not self._is_first:
+            self.particles = predict(
+                self.particles, motion, elapsed_s, config.log_scale_sd, config.motion_noise, self._rng
+            )
+        measured = self._measure(color)
+        if measured is not None:
+            fit = self._error.log_likelihood(measured, self.particles.poses)
+            log_weights = normalised(self.particles.log_weights + fit)
+            self.particles = Particles(self.particles.poses, self.particles.log_scale, log_weights)
+        self._is_first = False
+        belief = estimate(self.particles)
+        self.particles = resample(self.particles, config.ess_fraction, self._rng)
+        return belief

@@ -1,0 +1,219 @@
+"""Training a PoseNet on the posed frames of a room."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+from torch import Tensor
+
+from monoloc.adapt.train import hold_out_blocks
+from monoloc.baselines.pose_filter import PoseError
+from monoloc.baselines.posenet import HomoscedasticLoss, PoseCode, PoseNet, PoseNetConfig, posenet_config
+from monoloc.camera import Camera
+from monoloc.datasets.base import Recording
+from monoloc.depth.augment import AugmentConfig, random_exposure
+from monoloc.depth.examples import network_input
+from monoloc.depth.network import load_encoder_weights
+from monoloc.depth.spec import image_tensor, network_size
+from monoloc.errors import DataError, SettingError
+from monoloc.evaluation.trajectory import pose_errors
+from monoloc.geometry import FloatArray
+from monoloc.memory import keep_freed_memory
+from monoloc.progress import Progress
+
+_HELD_OUT_SHARE, _BLOCKS = 0.2, 4
+_TURN_WORTH_M = 1.0  # a radian moves what a camera sees about as far as so many metres
+_RISE = 0.1  # share of the steps over which the learning rate rises
+_AT_ONCE = 32
+
+
+class PoseNetTraining(BaseModel):
+    """Settings of the training.
+
+    Attributes:
+        network: what is trained.
+        augment: its photometric ranges; views are not drawn, for a zoomed or mirrored image has no pose.
+        learning_rates: tried on some of the frames, judged on the others; the best trains on all.
+        search_epochs, epochs: of each trial, and of the training on all frames.
+        batch_size, weight_decay: of the optimisation.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    network: PoseNetConfig = posenet_config("full", 0.35)
+    augment: AugmentConfig = AugmentConfig()
+    learning_rates: tuple[float, ...] = Field((1e-3, 3e-3, 1e-2), min_length=1)
+    search_epochs: int = Field(60, ge=1)
+    epochs: int = Field(200, ge=1)
+    batch_size: int = Field(16, ge=2)
+    weight_decay: float = Field(1e-3, ge=0.0)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Errors of one learning rate on the held-out frames: mean over frames."""
+
+    learning_rate: float
+    position_m: float
+    rotation_rad: float
+
+    @property
+    def score_m(self) -> float:
+        return self.position_m + _TURN_WORTH_M * self.rotation_rad
+
+
+@dataclass(frozen=True)
+class TrainedPoseNet:
+    """A PoseNet of one room.
+
+    Attributes:
+        network: in evaluation mode.
+        code: what its outputs mean.
+        error: of the best trial on the held-out frames.
+        trials: in the order of the learning rates.
+    """
+
+    network: PoseNet
+    code: PoseCode
+    error: PoseError
+    trials: list[Trial]
+
+
+class PosePredictor:
+    """A PoseNet run on the frames of one camera."""
+
+    def __init__(self, trained: TrainedPoseNet, camera: Camera) -> None:
+        self._trained = trained
+        self._input_camera = camera.resized(*network_size(camera, trained.network.config.focal_px))
+
+    @torch.no_grad()
+    def __call__(self, color: NDArray[np.uint8]) -> FloatArray:
+        """``T_world_camera`` (4, 4) of an image (H, W, 3) uint8 RGB."""
+        image = torch.from_numpy(image_tensor(color, self._input_camera))
+        return self._trained.code.decode(self._trained.network(image)[0].double().numpy())
+
+
+def train_posenet(
+    recording: Recording,
+    config: PoseNetTraining,
+    seed: int,
+    progress: Progress,
+    encoder_weights: Path | None = None,
+) -> TrainedPoseNet:
+    """Find the learning rate on held-out blocks of the frames, then train on all of them.
+
+    AdamW, one-cycle learning rate, a random exposure of every image in every epoch, dim ones among them.
+
+    Args:
+        recording: posed frames; their depth is not looked at.
+        seed: of weights, order and exposures.
+        encoder_weights: MobileNetV2 weights to start from, None for random ones.
+
+    Raises:
+        DataError: no poses, fewer frames than two batches, or weights that do not fit.
+        SettingError: a learning rate made the loss infinite.
+    """
+    if recording.poses is None:
+        raise DataError(recording.name, "has no poses", "train on a recording with camera poses")
+    if len(recording) < 2 * config.batch_size:
+        raise DataError(recording.name, f"gives {len(recording)} frames", f"train on {2 * config.batch_size} or more")
+    keep_freed_memory()
+    frames = _Frames(recording, recording.poses, config)
+
+    def train(rate: float, chosen: NDArray[np.int64], epochs: int) -> PoseNet:
+        network = _start(config.network, seed, encoder_weights)
+        with progress.task(f"PoseNet at {rate:g}", epochs) as show:
+            for epoch in _epochs(network, frames, chosen, config, rate, epochs, seed):
+                show(epoch + 1)
+        return network.eval()
+
+    training, held_out = hold_out_blocks(len(recording), _BLOCKS, _HELD_OUT_SHARE)
+    truth = recording.poses[held_out]
+    trials, predictions = [], []
+    for rate in config.learning_rates:
+        predictions.append(frames.predict(train(rate, training, config.search_epochs), held_out))
+        errors = pose_errors(predictions[-1], truth)
+        trials.append(Trial(rate, float(errors.position_m.mean()), float(errors.rotation_rad.mean())))
+    best = min(range(len(trials)), key=lambda index: trials[index].score_m)
+    error = PoseError.fit(predictions[best], truth)
+    network = train(trials[best].learning_rate, np.arange(len(recording)), config.epochs)
+    return TrainedPoseNet(network, frames.code, error, trials)
+
+
+def _start(config: PoseNetConfig, seed: int, encoder_weights: Path | None) -> PoseNet:
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        network = PoseNet(config)
+    if encoder_weights is not None:
+        load_encoder_weights(network, encoder_weights)
+    return network.to(memory_format=torch.channels_last)  # type: ignore[no-any-return, call-overload]
+
+
+class _Frames:
+    """All frames in memory at the network's size, with their poses as the network learns them."""
+
+    def __init__(self, recording: Recording, poses: FloatArray, config: PoseNetTraining) -> None:
+        size = network_size(recording.camera, config.network.focal_px)
+        self._images = [
+            np.asarray(cv2.resize(recording.color(index), size, interpolation=cv2.INTER_AREA), np.uint8)
+            for index in range(len(recording))
+        ]
+        self._augment = config.augment
+        self.code = PoseCode.of(poses)
+        self._targets = torch.from_numpy(self.code.encode(poses).astype(np.float32))
+
+    def batches(self, chosen: NDArray[np.int64], size: int, seed: int, epoch: int) -> Iterator[tuple[Tensor, Tensor]]:
+        """The chosen frames once, in random order and light; they depend on seed and epoch only."""
+        order = np.random.default_rng([seed, epoch]).permutation(chosen)
+        for batch in np.array_split(order, max(1, len(order) // size)):
+            images = [
+                random_exposure(self._images[index], self._augment, np.random.default_rng([seed, epoch, index]))
+                for index in batch
+            ]
+            yield network_input(images), self._targets[torch.from_numpy(batch)]
+
+    @torch.no_grad()
+    def predict(self, network: PoseNet, chosen: NDArray[np.int64]) -> FloatArray:
+        """Poses of frames in the light they were taken in, (N, 4, 4)."""
+        images = network_input([self._images[index] for index in chosen])
+        codes = torch.cat([network(part) for part in torch.split(images, _AT_ONCE)])
+        return self.code.decode(codes.double().numpy())
+
+
+def _epochs(
+    network: PoseNet,
+    frames: _Frames,
+    chosen: NDArray[np.int64],
+    config: PoseNetTraining,
+    rate: float,
+    epochs: int,
+    seed: int,
+) -> Iterator[int]:
+    """Train, giving the number of every epoch when it is done."""
+    criterion = HomoscedasticLoss()
+    groups: list[dict[str, Any]] = [
+        {"params": list(network.parameters())},
+        {"params": list(criterion.parameters()), "weight_decay": 0.0},
+    ]
+    optimizer = torch.optim.AdamW(groups, lr=rate, weight_decay=config.weight_decay)
+    steps = epochs * max(1, len(chosen) // config.batch_size)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, total_steps=steps, pct_start=_RISE)
+    network.train()
+    for epoch in range(epochs):
+        for images, target in frames.batches(chosen, config.batch_size, seed, epoch):
+            loss = criterion(network(images), target)
+            if not torch.isfinite(loss):
+                raise SettingError("learning_rates", f"{rate} made the loss infinite", "lower it")
+            optimizer.zero_grad(set_to_none=True)
+            loss.backward()
+            optimizer.step()
+            schedule.step()
+        yield epoch

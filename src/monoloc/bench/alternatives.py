@@ -1,0 +1,81 @@
+"""What one would use in place of monoloc's kernels."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.geometry import FloatArray
+from monoloc.map.mixture import GaussianMixture
+
+Floats = NDArray[np.floating[Any]]
+
+
+class DenseWeigher:
+    """The dense matrix form in NumPy: log-densities are monomials times coefficients, then logsumexp.
+
+    Args:
+        dtype: of the matrices: double precision as NumPy has it, or single, some three times as fast.
+    """
+
+    def __init__(self, mixture: GaussianMixture, dtype: type[np.floating[Any]] = np.float64) -> None:
+        self._dtype = dtype
+        self._centre = mixture.means.mean(axis=0)
+        precision = np.linalg.inv(mixture.covariances)
+        means = mixture.means - self._centre
+        linear = np.einsum("kij,kj->ki", precision, means)
+        log_determinant = np.linalg.slogdet(mixture.covariances)[1]
+        constant = np.log(mixture.weights) - 0.5 * (
+            3.0 * np.log(2.0 * np.pi) + log_determinant + np.einsum("ki,ki->k", means, linear)
+        )
+        squares = -0.5 * precision[:, [0, 1, 2], [0, 1, 2]]
+        products = -precision[:, [0, 0, 1], [1, 2, 2]]
+        #: (10, K): what each monomial counts in each component.
+        coefficients = np.concatenate([squares, products, linear, constant[:, None]], axis=1)
+        self.coefficients = coefficients.T.astype(dtype)
+
+    def log_density(self, points: FloatArray) -> Floats:
+        """``log M(x)``: (N, 3) -> (N,)."""
+        terms = self.monomials(points) @ self.coefficients
+        largest = terms.max(axis=1)
+        return np.asarray(largest + np.log(np.exp(terms - largest[:, None]).sum(axis=1)))
+
+    def weigh(self, points_world: FloatArray, particles: int, outlier_share: float, volume_m3: float) -> Floats:
+        """Log-likelihood of a scan for every particle, from the points as each sees them, (N * P, 3) -> (N,)."""
+        density = np.exp(self.log_density(points_world))
+        mixed = np.log((1.0 - outlier_share) * density + outlier_share / volume_m3)
+        return np.asarray(mixed.reshape(particles, -1).sum(axis=1))
+
+    def monomials(self, points: FloatArray) -> Floats:
+        """Squares, products, coordinates and 1 of points about the map's centre: (N, 3) -> (N, 10)."""
+        x, y, z = (points - self._centre).T.astype(self._dtype)
+        return np.stack([x * x, y * y, z * z, x * y, x * z, y * z, x, y, z, np.ones_like(x)], axis=1)
+
+
+def sklearn_mixture(start: GaussianMixture, floor_m: float, max_iterations: int) -> Any:
+    """A ``sklearn.mixture.GaussianMixture`` that starts where ``start`` is, regularised by the same variance."""
+    from sklearn.mixture import GaussianMixture as SklearnMixture
+
+    return SklearnMixture(
+        len(start),
+        covariance_type="full",
+        weights_init=start.weights,
+        means_init=start.means,
+        precisions_init=np.linalg.inv(start.covariances),
+        reg_covar=floor_m**2,
+        max_iter=max_iterations,
+        init_params="random",  # all three are given, so its own k-means would be work for nothing
+    )
+
+
+def sklearn_scorer(mixture: GaussianMixture) -> Any:
+    """A ``sklearn.mixture.GaussianMixture`` that is ``mixture``, to score points with."""
+    from sklearn.mixture import GaussianMixture as SklearnMixture
+
+    scorer = SklearnMixture(len(mixture), covariance_type="full")
+    scorer.weights_, scorer.means_, scorer.covariances_ = mixture.weights, mixture.means, mixture.covariances
+    lower = np.linalg.cholesky(mixture.covariances)
+    scorer.precisions_cholesky_ = np.linalg.inv(lower).swapaxes(-1, -2)
+    return scorer
