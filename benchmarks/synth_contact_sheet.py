@@ -17,7 +17,7 @@ from monoloc.synth.layout import generate_room
 from monoloc.synth.light import LIGHTS
 from monoloc.synth.render import Renderer, illuminance, mixed
 from monoloc.synth.sensor import SensorConfig, photograph, white_balance
-from monoloc.synth.views import random_views
+from monoloc.synth.views import random_views, shows_a_room
 
 ROOM_SEEDS, VIEWS_EACH, SAMPLES = (1, 2, 3, 4, 6, 9), 2, 32
 CAMERA = Camera(200, 150, 150.0, 150.0, 99.5, 74.5)
@@ -33,8 +33,12 @@ def main() -> None:
         renderer = Renderer(room, SAMPLES)
         lux = illuminance(renderer, room)
         rng = np.random.default_rng(seed)
-        for pose in random_views(room, VIEWS_EACH, rng):
-            picture = renderer.picture(CAMERA, pose, seed)
+        shown = 0
+        while shown < VIEWS_EACH:
+            picture = renderer.picture(CAMERA, random_views(room, 1, rng)[0], seed)
+            if not shows_a_room(picture):
+                continue
+            shown += 1
             images = []
             for light in LIGHTS.values():
                 lit, sensor = mixed(picture.light, light.factors(lux)), light.exposed(SensorConfig())

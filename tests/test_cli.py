@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -48,10 +49,18 @@ COMMANDS = [
     ("inspect",),
     ("map", "fit"),
     ("map", "info"),
+    ("map", "compare"),
     ("depth", "train"),
     ("depth", "evaluate"),
     ("depth", "export"),
     ("depth", "list"),
+    ("bench", "kernels"),
+    ("bench", "map"),
+    ("bench", "pipeline"),
+    ("synth", "room"),
+    ("synth", "flight"),
+    ("synth", "render"),
+    ("synth", "views"),
 ]
 ACCURACY_KEYS = {
     "ate_rmse_m",
@@ -310,6 +319,25 @@ def test_intrinsics_that_are_no_numbers(capfd, here, text):
     refused(capfd, here, command, "--intrinsics", f"is '{text}'", "W,H,FX,FY,CX,CY")
 
 
+def test_cloud_that_does_not_go_with_the_poses(capfd, here):
+    def write(name: str, points: np.ndarray) -> tuple[str, ...]:
+        np.savetxt(here / name, points, fmt="%.4f")
+        return ("build", "walk", "--cloud", name, "--out", "x.monoloc", *QUICK)
+
+    cloud = Room().cloud(0.04)
+    with_nan = np.where(np.arange(len(cloud))[:, None] % 100 == 0, np.nan, cloud)
+    refused(capfd, here, write("nan.xyz", with_nan), "nan.xyz", "points are not finite", "remove them")
+    refused(capfd, here, write("mm.xyz", 1000.0 * cloud), "cloud", "has neighbours within", "in metres")
+    z_up = cloud[:, [2, 0, 1]] * [1.0, -1.0, -1.0] + [0.5, 1.0, 2.0]
+    refused(capfd, here, write("up.xyz", z_up), "walk", "poses and cloud are not in one frame", "T_world_camera")
+    assert json_of(capfd, *write("room.xyz", cloud))["warnings"] == []
+    build = write("off.xyz", cloud + np.array([0.26, 0.0, 0.13]))
+    half_off = json_of(capfd, *build)["warnings"]
+    assert len(half_off) == 1 and "may not be in one frame" in half_off[0]
+    assert invoke(list(build)) == 0
+    assert f"warning: walk: {half_off[0]}\n" in capfd.readouterr().err
+
+
 def test_too_few_frames(capfd, here):
     command = ("build", "walk", "--frames", "0:3", "--out", "x.monoloc", *QUICK)
     refused(capfd, here, command, "walk", "gives 3 frames", "at least 5")
@@ -402,6 +430,7 @@ def test_start_that_is_no_pose(capfd, here, start):
         (("localize", "room.monoloc", "walk"), "--out"),
         (("localize", "room.monoloc", "walk"), "--plot"),
         (("map", "fit", "walk"), "--out"),
+        (("map", "compare", "room.monoloc"), "--out"),
         (("depth", "evaluate", "room.monoloc", "walk"), "--plot"),
         (("depth", "export", "network.safetensors"), "--out"),
     ],
@@ -419,7 +448,7 @@ def test_output_folder_that_cannot_be_made(capfd, here, command):
 
 
 def test_demo_without_its_data(capfd, here):
-    refused(capfd, here, ("demo", "--data", "no"), "no/7scenes/redkitchen", "is not there", "MONOLOC_DATA")
+    refused(capfd, here, ("demo", "--data", "no"), "no/7scenes/redkitchen", "is not there", "leave it out")
 
 
 # --- Settings ---
@@ -492,6 +521,20 @@ def test_build_and_localize(capfd, here, recording):
     metrics = json_of(capfd, "localize", "x.monoloc", "walk", "--depth", "sensor", "--out", "way.txt")
     assert metrics["unseen_frames"] == FRAMES // 2
     assert read_tum(here / "way.txt")[1].shape == (FRAMES, 4, 4)
+
+
+def test_build_knows_where_down_is_and_what_refining_moved(capfd, here):
+    given = json_of(capfd, "build", "walk", "--out", "given.monoloc", *QUICK)
+    assert given["pose_shift_median_m"] is None and given["pose_turn_median_deg"] is None
+    down = read_bundle(here / "given.monoloc").provenance.down_world
+    assert down[1] > 0.97 and np.linalg.norm(down) == pytest.approx(1.0)
+    refined = json_of(capfd, "build", "walk", "--refine-poses", "--out", "x.monoloc", *QUICK)
+    assert 0.0 < refined["pose_shift_median_m"] < 0.02 and 0.0 < refined["pose_turn_median_deg"] < 1.0
+    text = (here / "walk" / "dataset.toml").read_text()
+    (here / "walk" / "dataset.toml").write_text(re.sub(r"depth = .*\n", "", text))
+    np.savetxt(here / "room.xyz", Room().cloud(0.04))
+    build = ("build", "walk", "--cloud", "room.xyz", "--refine-poses", "--out", "y.monoloc", *QUICK)
+    refused(capfd, here, build, "refine_poses", "needs depth", "leave it out")
 
 
 def test_localize_gives_all_figures(capfd, here, recording):
@@ -603,6 +646,29 @@ def test_map_fit_and_info(capfd, here):
     (here / "room.xyz").write_text("\n".join(" ".join(f"{x:.4f}" for x in point) for point in cloud))
     of_cloud = json_of(capfd, "map", "fit", "room.xyz", "--out", "cloud.npz", "-k", "20")
     assert of_cloud["components"] == 20
+
+
+def test_map_compare(capfd, here):
+    """Of a map that did not change, and of one that lies 5 cm from its original."""
+    same = json_of(capfd, "map", "compare", "room.monoloc")
+    assert same["c2c_max_m"] < 1e-6 and same["correspondence_kept"] == 1.0 and same["shift_median_m"] == 0.0
+    np.testing.assert_allclose(same["box_original_m"]["lower"], [-2.5, -1.4, -2.0], atol=0.6)
+    np.testing.assert_allclose(same["box_adapted_m"]["upper"], [2.5, 1.2, 3.0], atol=0.6)
+    assert (here / same["picture"]).read_bytes().startswith(b"\x89PNG")
+    bundle = read_bundle(here / "room.monoloc")
+    moved = replace(bundle.original, means=bundle.original.means + np.array([0.03, 0.0, 0.04]))
+    write_bundle(here / "moved.monoloc", replace(bundle, adapted=moved))
+    change = json_of(capfd, "map", "compare", "moved.monoloc", "--out", "moved.png")
+    assert (here / "moved.png").is_file()
+    assert change["shift_median_m"] == pytest.approx(0.05, abs=1e-4)
+    assert 0.01 < change["c2c_median_m"] < change["c2c_p95_m"] < change["c2c_max_m"] <= 0.05 + 1e-6
+    shift = np.subtract(change["box_adapted_m"]["lower"], change["box_original_m"]["lower"])
+    np.testing.assert_allclose(shift, [0.03, 0.0, 0.04], atol=1e-5)
+    assert json_of(capfd, "map", "compare", "moved.monoloc", "--out", "again.png") == {
+        **change,
+        "picture": "again.png",
+    }
+    refused(capfd, here, ("map", "compare", "walk"), "walk", "is not a bundle", "monoloc build")
 
 
 def test_depth_evaluate(capfd, here):

@@ -15,7 +15,13 @@ from skimage.metrics import structural_similarity
 
 from monoloc.evaluation.depth import DepthAccumulator, depth_metrics, depth_ssim, fit_scale
 from monoloc.evaluation.run_drawing import norm_bound_95
-from monoloc.evaluation.trajectory import coverage_95, pose_errors, relative_pose_errors, summarise
+from monoloc.evaluation.trajectory import (
+    covariance_scale,
+    coverage_95,
+    pose_errors,
+    relative_pose_errors,
+    summarise,
+)
 from monoloc.geometry import FloatArray, se3_exp
 
 seeds = st.integers(0, 2**32 - 1)
@@ -200,6 +206,55 @@ class TestCoverage:
 
     def test_no_spread_means_a_bound_of_zero(self) -> None:
         assert norm_bound_95(np.zeros((1, 3, 3))) == [0.0]
+
+
+class TestCovarianceScale:
+    """Errors drawn from known covariances: the scale that makes those stated honest is known too."""
+
+    @pytest.mark.parametrize("too_small", [1.0, 3.0, 25.0])
+    def test_it_is_by_how_much_covariances_are_too_small(self, rng: np.random.Generator, too_small: float) -> None:
+        truth, estimated, covariances = drawn(rng, 4000)
+        # The standard error of the median of 4,000 chi-squared numbers is 1 % of it.
+        scale = covariance_scale(estimated, truth, covariances / too_small)
+        assert scale == pytest.approx(too_small, rel=0.05)
+        assert coverage_95(estimated, truth, scale * covariances / too_small) == pytest.approx(0.95, abs=0.015)
+
+    def test_it_never_narrows(self, rng: np.random.Generator) -> None:
+        truth, estimated, covariances = drawn(rng, 200)
+        assert covariance_scale(estimated, truth, 10.0 * covariances) == 1.0
+        assert covariance_scale(truth, truth, covariances) == 1.0
+
+    def test_a_few_frames_that_went_astray_do_not_decide(self, rng: np.random.Generator) -> None:
+        truth, estimated, covariances = drawn(rng, 1000)
+        estimated[:100] = estimated[:100] @ se3_exp([5.0, 0.0, 0.0, 0.0, 1.0, 0.0])
+        assert covariance_scale(estimated, truth, covariances) < 1.2
+
+    def test_it_does_not_depend_on_the_choice_of_world(self, rng: np.random.Generator) -> None:
+        truth, estimated, covariances = drawn(rng, 50)
+        T_other_world = se3_exp([3.0, -1.0, 2.0, 0.5, 1.0, -0.3])
+        there = covariance_scale(T_other_world @ estimated, T_other_world @ truth, covariances / 9.0)
+        assert there == pytest.approx(covariance_scale(estimated, truth, covariances / 9.0))
+
+    def test_shapes_are_checked(self, rng: np.random.Generator) -> None:
+        truth, estimated, covariances = drawn(rng, 5)
+        with pytest.raises(ValueError, match="covariances must have shape"):
+            covariance_scale(estimated, truth, covariances[:4])
+        with pytest.raises(ValueError, match="covariances must have shape"):
+            covariance_scale(estimated, truth, covariances[:, :3, :3])
+        with pytest.raises(ValueError, match="truth must have shape"):
+            covariance_scale(estimated, truth[0], covariances)
+        with pytest.raises(ValueError, match="finite"):
+            covariance_scale(estimated, truth, np.full((5, 6, 6), np.nan))
+
+
+def drawn(rng: np.random.Generator, frames: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """True poses, estimates, and the covariances (frames, 6, 6) from which the estimates' errors were drawn."""
+    truth = se3_exp(rng.normal(size=(frames, 6)))
+    factors = 0.03 * rng.normal(size=(frames, 6, 6)) + 0.02 * np.eye(6)
+    twists = (factors @ rng.normal(size=(frames, 6, 1)))[..., 0]
+    # The error is that of the truth as seen from the estimate.
+    estimated = truth @ se3_exp(-twists)
+    return truth, estimated, factors @ factors.swapaxes(-1, -2)
 
 
 def depth_pair(rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:

@@ -16,7 +16,20 @@ from monoloc.outputs.tum import read_tum
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture, write_recording
 
 # Everything that is no dependency of the bare package.
-ABSENT = ("torch", "scipy", "matplotlib", "sklearn", "skimage", "h5py", "onnx", "safetensors", "evo", "hypothesis")
+ABSENT = (
+    "torch",
+    "mitsuba",
+    "drjit",
+    "scipy",
+    "matplotlib",
+    "sklearn",
+    "skimage",
+    "h5py",
+    "onnx",
+    "safetensors",
+    "evo",
+    "hypothesis",
+)
 FORBID = f"""
 import sys
 
@@ -44,6 +57,7 @@ ONLINE = [
     "monoloc.outputs.tum",
     "monoloc.adapt.settings",
     "monoloc.adapt.calibrate",
+    "monoloc.bench.steps",
     "monoloc.cli.main",
 ]
 

@@ -7,7 +7,7 @@ import sys
 import typer
 from typer.exceptions import Abort, TyperException
 
-from monoloc.cli import build, demo, depth, evaluate, inspect, localize, map_
+from monoloc.cli import bench, build, demo, depth, evaluate, inspect, localize, map_, synth
 from monoloc.errors import MonolocError
 
 _INTERRUPTED = 130  # 128 and the number of SIGINT, as shells have it
@@ -27,6 +27,8 @@ app.command("evaluate")(evaluate.evaluate)
 app.command("inspect")(inspect.inspect)
 app.add_typer(map_.app, name="map")
 app.add_typer(depth.app, name="depth")
+app.add_typer(bench.app, name="bench")
+app.add_typer(synth.app, name="synth")
 
 
 def run() -> None:

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 from monoloc.geometry import FloatArray, invert, rotation_angle, se3_log
 
 CHI2_6_QUANTILE_95 = 12.591587  # 95 % quantile of the chi-squared distribution with 6 degrees of freedom
+_CHI2_MEDIAN_6 = 5.348120627447122  # its median
 
 # Variances below this (1 micrometre, 1 microradian, squared) are rounding: poses in files carry no more.
-_CHI2_MEDIAN_6 = 5.348120627447122
 _VARIANCE_FLOOR = 1e-12
 
 

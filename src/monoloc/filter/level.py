@@ -9,17 +9,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.depth.runtime import DepthPrediction
+from monoloc.depth_image import sample_depth
 from monoloc.geometry import FloatArray
 from monoloc.odometry import Motion
 
 _HUBER = 1.5  # standard deviations beyond which a corner counts linearly
 _ITERATIONS = 4
 _FEWEST = 10  # corners; fewer say nothing
+_DEPTH_JUMP = 0.15  # share of the depth; where the image jumps by more, it says nothing of a corner there
 
 
 class LevelConfig(BaseModel):
@@ -61,11 +62,11 @@ def level(depth: DepthPrediction, motion: Motion, config: LevelConfig) -> DepthP
     points, sd, pixels = points[inside], sd[inside], pixels[inside]
     if len(points) < _FEWEST:
         return depth
-    predicted = cv2.remap(depth.depth_m, pixels[:, 0], pixels[:, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    usable = predicted.ravel() > 0.0
+    predicted = sample_depth(pixels, camera, depth.depth_m, camera, _DEPTH_JUMP)
+    usable = predicted > 0.0
     if usable.sum() < _FEWEST:
         return depth
-    difference = np.log(points[usable, 2] / predicted.ravel()[usable])
+    difference = np.log(points[usable, 2] / predicted[usable])
     ground = np.column_stack([np.ones(usable.sum()), points[usable, :2] / points[usable, 2:]])
     a, b, c = _fit(ground, difference, np.hypot(sd[usable], config.corner_sd), config)
     rays = camera.pixel_rays()
@@ -77,10 +78,10 @@ def _fit(ground: FloatArray, difference: FloatArray, sd: FloatArray, config: Lev
     """Iteratively reweighted least squares with a Gaussian prior about zero; (N, 3), (N,), (N,) -> (3,)."""
     prior = np.diag(1.0 / np.square([config.scale_sd, config.tilt_sd, config.tilt_sd]))
     share = min(1.0, config.effective_corners / len(difference))
-    plane = np.zeros(3)
+    plane: FloatArray = np.zeros(3)
     for _ in range(_ITERATIONS):
         off = np.abs(difference - ground @ plane) / sd
         weight = share / sd**2 * np.minimum(1.0, _HUBER / np.maximum(off, 1e-9))
         weighted = ground * weight[:, None]
-        plane = np.linalg.solve(weighted.T @ ground + prior, weighted.T @ difference)
-    return np.asarray(plane)
+        plane = np.asarray(np.linalg.solve(weighted.T @ ground + prior, weighted.T @ difference), np.float64)
+    return plane
