@@ -131,7 +131,7 @@ void RayMixture::weigh(const double* poses, const double* log_scales, std::size_
   const bool alike = spread.reach < kNarrow_m;
   Candidates shared;
   if (alike) {
-    const std::size_t step = std::max<std::size_t>(1, particles / kFew);
+    const std::size_t step = (particles + kFew - 1) / kFew;
     const std::vector<float> few = particle_rows(poses, log_scales, particles, spread.centre, 0, step, kFew);
     shared = candidates_of(view, few, offsets_of(view, few, kFew), kFew, scan_rows, points);
   }

@@ -37,6 +37,7 @@ from monoloc.runs import Start, localize
 
 _COMPONENT_LADDER = (50, 100, 200, 400, 800)
 _MIN_FRAMES = 5
+_MOST_COVARIANCE_SCALE = 100.0  # ten times the particles' own spread
 
 
 class BuildConfig(BaseModel):
@@ -241,13 +242,15 @@ def _honest(
     """The bundle's settings with covariances as wide as its errors are on frames that tuned nothing.
 
     The filter follows the whole recording from its first pose with the network that was tuned without those frames.
+    Where it loses the way, it is the state that has to say so, not a covariance without bounds.
     """
     poses = recording.poses
     assert poses is not None
     rehearsed = replace(bundle, depth_model=held_out_model)
-    run = localize(rehearsed, recording, Start(poses[0]), bundle.settings, np.random.default_rng(seed), progress)
+    settings = bundle.settings.model_copy(update={"covariance_scale": 1.0})
+    run = localize(rehearsed, recording, Start(poses[0]), settings, np.random.default_rng(seed), progress)
     scale = covariance_scale(run.poses[held_out], poses[held_out], run.covariances[held_out])
-    return bundle.settings.model_copy(update={"covariance_scale": scale})
+    return settings.model_copy(update={"covariance_scale": min(scale, _MOST_COVARIANCE_SCALE)})
 
 
 def _down(poses: FloatArray) -> tuple[float, float, float]:

@@ -170,4 +170,4 @@ def rotation_to_quaternion(rotation: ArrayLike) -> FloatArray:
     largest = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
     column = np.take_along_axis(outer, largest[..., None, None], axis=-1)[..., 0]
     quaternion = column / np.linalg.norm(column, axis=-1, keepdims=True)
-    return np.where(quaternion[..., 3:] < 0.0, -quaternion, quaternion)
+    return np.asarray(np.where(quaternion[..., 3:] < 0.0, -quaternion, quaternion))

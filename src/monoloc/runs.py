@@ -17,7 +17,7 @@ from monoloc.depth.runtime import DepthPrediction, DepthPredictor
 from monoloc.errors import DataError
 from monoloc.evaluation.depth import DepthAccumulator
 from monoloc.evaluation.trajectory import coverage_95, summarise
-from monoloc.filter.health import State
+from monoloc.filter.health import HealthyRange, State
 from monoloc.filter.particles import scatter
 from monoloc.filter.weigh import MeasurementConfig
 from monoloc.geometry import FloatArray, se3_exp
@@ -28,6 +28,7 @@ from monoloc.progress import Progress
 _SENSOR = {
     "log_scale_sd": 0.01,
     "level": None,
+    "covariance_scale": 1.0,  # the bundle's is measured on its network's errors
     "measurement": MeasurementConfig(
         likelihood="volume", outlier_share=0.2, noise_sd_m=0.02, effective_points=60.0, effective_corners=0.0
     ),
@@ -152,7 +153,9 @@ def localize(
     particles = scatter(
         start.pose, config.particles, start.position_sd_m, start.rotation_sd_rad, config.log_scale_sd, rng
     )
-    localizer = Localizer(bundle.adapted, predictor, recording.camera, particles, config, bundle.healthy, rng)
+    # What fits of a sensor's depth are healthy was not measured: its state is judged by the belief's spread alone.
+    healthy = HealthyRange(low=-np.inf, lost=-np.inf) if use_sensor_depth else bundle.healthy
+    localizer = Localizer(bundle.adapted, predictor, recording.camera, particles, config, healthy, rng)
     built_from = set(bundle.provenance.frames.values())
     unseen = np.zeros(len(recording), dtype=np.bool_)
     accuracy = (DepthAccumulator(), DepthAccumulator()) if recording.has_depth else None

@@ -46,7 +46,7 @@ class AdaptConfig(BaseModel):
     batch_views: int = Field(16, ge=1)
     pixels_per_view: int = Field(32, ge=1)
     synthesised_views: int = Field(4, ge=0)
-    relit_share: float = Field(0.5, ge=0.0, le=1.0)
+    relit_share: float = Field(0.25, ge=0.0, le=1.0)
     network_rate: float | None = Field(None, gt=0.0)
     map_rate: float = Field(1e-3, gt=0.0)
     likelihood_weight: float = Field(0.05, ge=0.0)

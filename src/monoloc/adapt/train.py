@@ -106,7 +106,7 @@ class Adaptation:
         schedule = torch.optim.lr_scheduler.LambdaLR(
             optimizer, lambda step: 0.5 * (1.0 + math.cos(math.pi * step / max(1, steps)))
         )
-        light = np.random.default_rng(int(torch.randint(2**31, (1,), generator=generator)))
+        light = np.random.default_rng(generator.initial_seed())
         for step in range(steps):
             chosen = torch.randint(len(training), (self.config.batch_views,), generator=generator)
             seen = [part[chosen] for part in inputs]
