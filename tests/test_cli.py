@@ -370,7 +370,7 @@ def test_bundle_that_is_not_whole(capfd, here, name, kind):
     elif kind == "cut short":
         file.write_bytes(content[: len(content) // 2])
     elif name == "manifest.json":
-        file.write_bytes(content.replace(b'"particles": 500', b'"particles": 501'))
+        file.write_bytes(content.replace(b'"particles": 1000', b'"particles": 1001'))
     else:
         file.write_bytes(content[:-30] + bytes([content[-30] ^ 1]) + content[-29:])
     names = "room.monoloc" if (name, kind) == ("manifest.json", "missing") else f"room.monoloc/{name}"
@@ -542,7 +542,7 @@ def test_localize_gives_all_figures(capfd, here, recording):
     metrics = json_of(capfd, *command)
     assert set(metrics) >= LOCALIZE_KEYS | {f"unseen_{key}" for key in ACCURACY_KEYS} | {"unseen_frames", "states"}
     assert metrics["frames"] == FRAMES and metrics["unseen_frames"] == FRAMES // 2
-    assert metrics["motion"] == "visual" and metrics["particles"] == 500 and metrics["scan_points"] == 300
+    assert metrics["motion"] == "visual" and metrics["particles"] == 1000 and metrics["scan_points"] == 300
     assert sum(metrics["states"].values()) == FRAMES
     assert metrics["depth_absrel"] < 0.02 and metrics["depth_delta1"] > 0.98
     times, poses = read_tum(here / "way.txt")
