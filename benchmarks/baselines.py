@@ -7,7 +7,8 @@ The splits are those of ``redkitchen.py``, whose bundles give the filtered PoseN
 odometry, as monoloc itself has, and give the rows ``monoloc`` and ``unadapted`` to compare with. PoseNets that are in
 ``--out`` are used again. Every frame of a split's run is located, in order; figures are of those that did not build.
 What follows the camera starts 10 cm and 3 degrees off, and its row is the median over seeds. Dim light is a sixteenth
-of that in which the images were taken, with the noise of a small sensor.
+of that in which the images were taken, with the noise of a small sensor; L1 to L3 are those of ``monoloc synth``, put
+on the images.
 """
 
 from __future__ import annotations
@@ -38,12 +39,14 @@ from monoloc.filter.particles import Particles, scatter
 from monoloc.localizer import Localizer
 from monoloc.progress import NoProgress
 from monoloc.runs import disturbed
+from monoloc.synth.light import LIGHTS as ROOM_LIGHTS
+from monoloc.synth.light import relit
 from redkitchen import SPLITS, InMemory, bundle_path
 
 _WIDTH = 0.35
 _DIM = Exposure(stops=-4.0, electrons=3000.0)
 _START_M, _START_RAD = 0.10, np.deg2rad(3.0)
-LIGHTS = ("good", "dim")
+LIGHTS = ("good", "dim", *ROOM_LIGHTS)
 METHODS = ("posenet", "filtered", "orb", "sift", "monoloc", "unadapted")
 
 # A method at the start of a run, with its random numbers.
@@ -52,6 +55,8 @@ Start = Callable[[np.random.Generator], Locate]
 
 def transform_of(light: str) -> Transform | None:
     rng = np.random.default_rng(0)
+    if light in ROOM_LIGHTS:
+        return lambda color: relit(color, ROOM_LIGHTS[light], rng)
     return None if light == "good" else lambda color: expose(color, _DIM, rng)
 
 
