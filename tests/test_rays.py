@@ -292,7 +292,7 @@ def test_nothing_to_weigh() -> None:
         ({"outlier_share": np.nan}, "outlier_share must be in"),
         ({"log_depth_sd": -0.1}, "log_depth_sd must be finite and not negative, got -0.1"),
         ({"log_depth_sd": np.inf}, "log_depth_sd must be finite and not negative, got inf"),
-        ({"threads": 0}, "threads must be at least 1, got 0"),
+        ({"threads": 0}, "threads must be 1 to 256, got 0"),
         ({"poses": np.eye(4)}, r"poses must have shape \(N, 4, 4\), got \(4, 4\)"),
         ({"poses": np.full((2, 4, 4), np.nan)}, "poses must be finite"),
         ({"log_scales": np.zeros(3)}, r"log_scales must have shape \(2,\), got \(3,\)"),

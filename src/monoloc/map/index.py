@@ -10,7 +10,7 @@ from monoloc.map.arguments import float32, float64
 
 FloatArray = NDArray[np.float64]
 
-_MOST_THREADS = 256
+MOST_THREADS = 256
 
 
 class MixtureIndex:
@@ -98,8 +98,8 @@ class MixtureIndex:
             raise ValueError(f"outlier_share must be in (0, 1], got {outlier_share}")
         if not 0.0 < volume_m3 < np.inf:
             raise ValueError(f"volume_m3 must be positive and finite, got {volume_m3}")
-        if not 1 <= threads <= _MOST_THREADS:
-            raise ValueError(f"threads must be 1 to {_MOST_THREADS}, got {threads}")
+        if not 1 <= threads <= MOST_THREADS:
+            raise ValueError(f"threads must be 1 to {MOST_THREADS}, got {threads}")
         poses = float64("poses", poses, None, 4, 4)
         scan = float32("scan", scan, None, 3)
         weights = None if point_weights is None else float32("point_weights", point_weights, len(scan))

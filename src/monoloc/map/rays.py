@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from monoloc import _core
 from monoloc.map.arguments import float32, float64
-from monoloc.map.index import FloatArray
+from monoloc.map.index import MOST_THREADS, FloatArray
 
 LOG_DEPTH_RANGE = 4.0  # outliers are uniform in log-depth over so much: 0.15 m to 8 m
 
@@ -61,8 +61,8 @@ class RayMixture:
             raise ValueError(f"outlier_share must be in (0, 1], got {outlier_share}")
         if not 0.0 <= log_depth_sd < np.inf:
             raise ValueError(f"log_depth_sd must be finite and not negative, got {log_depth_sd}")
-        if threads < 1:
-            raise ValueError(f"threads must be at least 1, got {threads}")
+        if not 1 <= threads <= MOST_THREADS:
+            raise ValueError(f"threads must be 1 to {MOST_THREADS}, got {threads}")
         poses = float64("poses", poses, None, 4, 4)
         scan = float32("scan", scan, None, 3)
         if np.any(scan[:, 2] <= 0.0):
