@@ -724,7 +724,15 @@ def test_interrupted_build_leaves_nothing_half_written(here, older):
     code = "from monoloc.cli.main import run; run()"
     # Thousands of components: the map alone would take many times longer than this test waits.
     command = [sys.executable, "-c", code, "build", "walk", "--out", "room.monoloc", *PLAIN, "-k", "3000"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=here)
+    process = subprocess.Popen(
+        command,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=here,
+        # Where the tests run in the background of a shell, Ctrl-C is ignored, which is inherited.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
     assert process.stderr.readline().startswith("cloud: done")
     time.sleep(0.3)
     assert process.poll() is None, "the build ended before it could be interrupted"
