@@ -292,8 +292,24 @@ def fit_map(
     """Cloud (N, 3) and mixture of a room, from a cloud where there is one, else from a recording with depth.
 
     Raises:
-        DataError: nothing of the cloud is left when stray points are removed, or as :func:`cloud_from_recording`.
+        DataError: as :func:`room_cloud`.
         SettingError: more components than points.
+    """
+    cloud = room_cloud(recording, cloud, config, progress)
+    if config.components == "bic":
+        with progress.task("map (choosing K)", None):
+            return cloud, choose_components(cloud, _COMPONENT_LADDER, rng)[0].mixture
+    with progress.task("map", 100) as step:
+        return cloud, fit_mixture(cloud, config.components, rng, progress=lambda done, _: step(done)).mixture
+
+
+def room_cloud(
+    recording: Recording | None, cloud: FloatArray | None, config: BuildConfig, progress: Progress
+) -> FloatArray:
+    """The cloud (N, 3) that a map is fitted to: thinned and without stray points.
+
+    Raises:
+        DataError: nothing of the cloud is left when stray points are removed, or as :func:`cloud_from_recording`.
     """
     if cloud is None:
         assert recording is not None
@@ -306,8 +322,4 @@ def fit_map(
     if len(cloud) == 0:
         problem = f"none of {count} points has neighbours within a few centimetres"
         raise DataError("cloud", problem, "give a denser one, in metres")
-    if config.components == "bic":
-        with progress.task("map (choosing K)", None):
-            return cloud, choose_components(cloud, _COMPONENT_LADDER, rng)[0].mixture
-    with progress.task("map", 100) as step:
-        return cloud, fit_mixture(cloud, config.components, rng, progress=lambda done, _: step(done)).mixture
+    return cloud

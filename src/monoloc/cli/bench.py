@@ -13,8 +13,8 @@ import typer
 from monoloc.bench.fitting import FitFigures, FitSizes, bench_fit
 from monoloc.bench.kernels import KernelFigures, KernelSizes, bench_kernels
 from monoloc.bench.pipeline import PipelineFigures, bench_pipeline
-from monoloc.bench.scenes import room_cloud
-from monoloc.build import BuildConfig, build_bundle
+from monoloc.bench.scenes import room_cloud as made_up_cloud
+from monoloc.build import BuildConfig, build_bundle, room_cloud
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.cli.common import (
     FramesOption,
@@ -31,7 +31,6 @@ from monoloc.config import override
 from monoloc.datasets.base import Selection
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
-from monoloc.map.cloud import cloud_from_recording, remove_outliers, voxel_thin
 from monoloc.progress import ConsoleProgress
 
 app = typer.Typer(
@@ -117,14 +116,8 @@ def pipeline(
 def _cloud(source: str | None, frames: str, rng: np.random.Generator) -> FloatArray:
     """The cloud of a recording, as a build makes it, or of a made-up room."""
     if source is None:
-        return room_cloud(_CLOUD_POINTS, rng)
-    recording = open_source(source, frames)
-    config = BuildConfig()
-    with ConsoleProgress(stderr).task("cloud", len(recording)) as step:
-        cloud = cloud_from_recording(
-            recording, config.voxel_m, config.max_depth_m, progress=lambda done, _: step(done)
-        )
-    return remove_outliers(voxel_thin(cloud, config.voxel_m))
+        return made_up_cloud(_CLOUD_POINTS, rng)
+    return room_cloud(open_source(source, frames), None, BuildConfig(), ConsoleProgress(stderr))
 
 
 def _every(recording: Selection) -> Selection:

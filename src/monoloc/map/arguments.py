@@ -1,9 +1,11 @@
-"""Checks of array arguments before they reach native code: one message for every function of the map."""
+"""Checks of arguments before they reach native code: one message for every function of the map."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+_MOST_THREADS = 256
 
 
 def checked_array(
@@ -33,3 +35,15 @@ def float64(name: str, value: ArrayLike, *shape: int | None) -> NDArray[np.float
 def float32(name: str, value: ArrayLike, *shape: int | None) -> NDArray[np.float32]:
     """:func:`checked_array` in single precision."""
     return checked_array(name, value, shape, np.float32).astype(np.float32, copy=False)
+
+
+def check_outliers_and_threads(outlier_share: float, threads: int) -> None:
+    """What every weighing of particles takes.
+
+    Raises:
+        ValueError: the share is not in (0, 1], or the threads are none or absurdly many.
+    """
+    if not 0.0 < outlier_share <= 1.0:
+        raise ValueError(f"outlier_share must be in (0, 1], got {outlier_share}")
+    if not 1 <= threads <= _MOST_THREADS:
+        raise ValueError(f"threads must be 1 to {_MOST_THREADS}, got {threads}")

@@ -6,11 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from monoloc import _core
-from monoloc.map.arguments import float32, float64
+from monoloc.map.arguments import check_outliers_and_threads, float32, float64
 
 FloatArray = NDArray[np.float64]
-
-MOST_THREADS = 256
 
 
 class MixtureIndex:
@@ -94,12 +92,9 @@ class MixtureIndex:
         Raises:
             ValueError: wrong shapes, values that are not finite, eps, V or threads out of range.
         """
-        if not 0.0 < outlier_share <= 1.0:
-            raise ValueError(f"outlier_share must be in (0, 1], got {outlier_share}")
+        check_outliers_and_threads(outlier_share, threads)
         if not 0.0 < volume_m3 < np.inf:
             raise ValueError(f"volume_m3 must be positive and finite, got {volume_m3}")
-        if not 1 <= threads <= MOST_THREADS:
-            raise ValueError(f"threads must be 1 to {MOST_THREADS}, got {threads}")
         poses = float64("poses", poses, None, 4, 4)
         scan = float32("scan", scan, None, 3)
         weights = None if point_weights is None else float32("point_weights", point_weights, len(scan))

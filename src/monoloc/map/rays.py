@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from monoloc import _core
-from monoloc.map.arguments import float32, float64
-from monoloc.map.index import MOST_THREADS, FloatArray
+from monoloc.map.arguments import check_outliers_and_threads, float32, float64
+from monoloc.map.index import FloatArray
 
 LOG_DEPTH_RANGE = 4.0  # outliers are uniform in log-depth over so much: 0.15 m to 8 m
 
@@ -57,12 +57,9 @@ class RayMixture:
         Raises:
             ValueError: wrong shapes, values that are not finite or out of range.
         """
-        if not 0.0 < outlier_share <= 1.0:
-            raise ValueError(f"outlier_share must be in (0, 1], got {outlier_share}")
+        check_outliers_and_threads(outlier_share, threads)
         if not 0.0 <= log_depth_sd < np.inf:
             raise ValueError(f"log_depth_sd must be finite and not negative, got {log_depth_sd}")
-        if not 1 <= threads <= MOST_THREADS:
-            raise ValueError(f"threads must be 1 to {MOST_THREADS}, got {threads}")
         poses = float64("poses", poses, None, 4, 4)
         scan = float32("scan", scan, None, 3)
         if np.any(scan[:, 2] <= 0.0):
