@@ -60,7 +60,7 @@ def main() -> None:
         if arguments.only is not None and name != arguments.only:
             continue
         folder = arguments.out / name.replace(" ", "-").replace(",", "")
-        train_network(training, validation, config, folder, arguments.encoder, progress=ConsoleProgress(stderr))
+        train_network([training], validation, config, folder, arguments.encoder, progress=ConsoleProgress(stderr))
         figures = judge(folder / "network.safetensors", validation)
         (folder / "figures.json").write_text(json.dumps(figures, indent=1))
         print(f"| {name} | " + " | ".join(f"{value:.3f}" for value in figures.values()) + " |", flush=True)

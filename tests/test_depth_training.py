@@ -11,6 +11,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -25,7 +26,7 @@ from monoloc.datasets.base import Recording
 from monoloc.datasets.registry import open_recording
 from monoloc.depth.augment import AugmentConfig
 from monoloc.depth.checkpoint import load_network, save_network
-from monoloc.depth.examples import ValidationFrames
+from monoloc.depth.examples import TrainingFrames, ValidationFrames
 from monoloc.depth.export import export_onnx
 from monoloc.depth.model import read_model
 from monoloc.depth.network import DepthNetwork
@@ -97,7 +98,7 @@ def test_training_learns_repeats_and_writes_what_it_learnt(
 ) -> None:
     heard = Heard()
     folder = tmp_path / "runs" / "a"
-    history = train_network(training, validation, SHORT, folder, progress=heard)
+    history = train_network([training], validation, SHORT, folder, progress=heard)
     assert [record.epoch for record in history] == [0, 1, 2, 3]
     assert heard.said == [
         *(("read frames", done + 1, "") for done in range(len(training))),
@@ -110,22 +111,54 @@ def test_training_learns_repeats_and_writes_what_it_learnt(
     judged = ValidationFrames(validation, TINY.focal_px).judge(network, torch.device("cpu"))
     assert judged == pytest.approx((history[-1].absrel, history[-1].delta1), abs=1e-4)
 
-    again = train_network(training, validation, SHORT, tmp_path / "b")
+    again = train_network([training], validation, SHORT, tmp_path / "b")
     assert without_seconds(again) == without_seconds(history)
     assert_same_weights(weights(tmp_path / "b"), weights(folder))
     short = SHORT.model_copy(update={"seed": 1, "epochs": 1})
-    other = train_network(training, validation, short, tmp_path / "c")
+    other = train_network([training], validation, short, tmp_path / "c")
     assert other[0].train_loss != history[0].train_loss
+
+
+def test_recordings_are_mixed_and_the_first_one_centres(tmp_path: Path, validation: Recording) -> None:
+    """Of two recordings, one reads four times too far: depth comes out between, but centred on the first."""
+    true, fourfold = small_recording(6, seed=2), FourfoldDepth(ROOM, looking_around(6), SMALL_CAMERA)
+    frames = TrainingFrames([true, fourfold], TINY.focal_px, AugmentConfig(), Heard().task("read", None).__enter__())
+    assert len(frames) == 12
+    (batch,) = frames.epoch(seed=0, epoch=0, batch_size=12)
+    median = batch[1].flatten(1).median(dim=1).values.sort().values
+    assert median[6:].mean() > 2.5 * median[:6].mean()  # both are among the examples
+    for first, other in ((true, fourfold), (fourfold, true)):
+        folder = tmp_path / first.__class__.__name__
+        history = train_network([first, other], first, SHORT.model_copy(update={"batch_size": 6}), folder)
+        ratios = []
+        predictor = DepthPredictor(read_model(folder / "network.safetensors"), first.camera)
+        for index in range(len(first)):
+            truth = first.depth(index)
+            ratios.append(
+                np.median(np.log(cv2.resize(predictor(first.color(index)).depth_m, truth.shape[::-1]) / truth))
+            )
+        assert abs(np.median(ratios)) < 0.15, history
+
+
+def test_mixed_recordings_must_be_of_one_field_of_view(tmp_path: Path, training: Recording) -> None:
+    wide = RoomRecording(
+        ROOM, looking_around(4), replace(SMALL_CAMERA, fx=0.5 * SMALL_CAMERA.fx, fy=0.5 * SMALL_CAMERA.fy)
+    )
+    with pytest.raises(
+        DataError, match=r"its views are \d+ x \d+, those of .+ \d+ x \d+; train on recordings of the same"
+    ):
+        train_network([training, wide], training, SHORT, tmp_path)
+    assert not list(tmp_path.iterdir())
 
 
 def test_training_learns_how_wrong_it_is(tmp_path: Path, training: Recording, validation: Recording) -> None:
     """The second output moves from where it starts, and depth is learnt as it would be without."""
-    history = train_network(training, validation, UNCERTAIN, tmp_path / "uncertain")
+    history = train_network([training], validation, UNCERTAIN, tmp_path / "uncertain")
     state = weights(tmp_path / "uncertain")
     assert bool((state["error_head.weight"] != 0.0).any())
     assert float(state["error_head.bias"]) > np.log(0.2) + 0.05  # it is wrong by a factor of up to four
     assert history[-1].train_loss < history[0].train_loss
-    plain = train_network(training, validation, SHORT, tmp_path / "plain")
+    plain = train_network([training], validation, SHORT, tmp_path / "plain")
     assert history[-1].absrel == pytest.approx(plain[-1].absrel, rel=0.2)
 
 
@@ -135,7 +168,7 @@ def test_training_starts_from_the_encoder_weights_it_is_given(tmp_path: Path) ->
     np.savez(tmp_path / "encoder.npz", **{name: tensor.numpy() for name, tensor in state.items()})
     config = SHORT.model_copy(update={"epochs": 1, "learning_rate": 1e-12, "ema_decay": 0.0})
     room = small_recording(4)
-    train_network(room, room, config, tmp_path, encoder_weights=tmp_path / "encoder.npz")
+    train_network([room], room, config, tmp_path, encoder_weights=tmp_path / "encoder.npz")
     trained = load_network(tmp_path / "network.safetensors").encoder.state_dict()
     for name in ("features.0.0.weight", "features.17.conv.2.weight"):
         torch.testing.assert_close(trained[name], state[name])
@@ -148,7 +181,7 @@ def test_training_goes_on_from_a_whole_network(tmp_path: Path, suffix: str) -> N
     save_network(network, tmp_path / "start.safetensors")
     (tmp_path / "start.onnx").write_bytes(export_onnx(network)[0])
     config = SHORT.model_copy(update={"epochs": 1, "learning_rate": 1e-12, "ema_decay": 0.0})
-    train_network(room, room, config, tmp_path / "out", start=tmp_path / f"start{suffix}")
+    train_network([room], room, config, tmp_path / "out", start=tmp_path / f"start{suffix}")
     trained = load_network(tmp_path / "out" / "network.safetensors")
     for name, tensor in network.named_parameters():
         if name != "head.bias":  # which is centred at the end
@@ -156,7 +189,7 @@ def test_training_goes_on_from_a_whole_network(tmp_path: Path, suffix: str) -> N
     line = "is not the network that the settings describe; name it in the settings' network"
     other = UNCERTAIN.model_copy(update={"epochs": 1})
     with pytest.raises(DataError, match=line):
-        train_network(room, room, other, tmp_path / "other", start=tmp_path / f"start{suffix}")
+        train_network([room], room, other, tmp_path / "other", start=tmp_path / f"start{suffix}")
     assert not (tmp_path / "other").exists()
 
 
@@ -167,7 +200,7 @@ def test_training_ends_without_a_bias_on_whole_frames(tmp_path: Path) -> None:
         network.head.bias += 1.5
     save_network(network, tmp_path / "start.safetensors")
     config = SHORT.model_copy(update={"epochs": 1, "learning_rate": 1e-12, "ema_decay": 0.0})
-    train_network(room, room, config, tmp_path / "out", start=tmp_path / "start.safetensors")
+    train_network([room], room, config, tmp_path / "out", start=tmp_path / "start.safetensors")
     predictor = DepthPredictor(read_model(tmp_path / "out" / "network.safetensors"), room.camera)
     errors = []
     for index in range(6):
@@ -184,7 +217,7 @@ def test_a_run_may_be_of_any_length(tmp_path: Path, epochs: int) -> None:
     """The learning rate rises for a tenth of the steps, which may be a single one, or none."""
     room = small_recording(2)
     config = SHORT.model_copy(update={"epochs": epochs, "batch_size": 2})
-    assert len(train_network(room, room, config, tmp_path)) == epochs
+    assert len(train_network([room], room, config, tmp_path)) == epochs
 
 
 # --- Resuming ---
@@ -196,14 +229,14 @@ def uninterrupted(
 ) -> tuple[Path, list[EpochRecord]]:
     folder = tmp_path_factory.mktemp("uninterrupted")
     with on_one_thread():  # as in the tests that are held against it
-        return folder, train_network(training, validation, UNCERTAIN, folder)
+        return folder, train_network([training], validation, UNCERTAIN, folder)
 
 
 def interrupt(
     folder: Path, training: Recording, validation: Recording, after: int = 1, config: TrainConfig = UNCERTAIN
 ) -> None:
     with pytest.raises(KeyboardInterrupt):
-        train_network(training, validation, config, folder, progress=Heard(stop_at=after))
+        train_network([training], validation, config, folder, progress=Heard(stop_at=after))
 
 
 @pytest.mark.parametrize("after", [(1,), (1, 3), (4,)], ids=str)
@@ -219,7 +252,7 @@ def test_a_run_that_was_interrupted_ends_as_if_it_had_not_been(
         interrupt(tmp_path, training, validation, epochs)
         assert len(json.loads((tmp_path / "history.json").read_text())) == epochs
     heard = Heard()
-    history = train_network(training, validation, UNCERTAIN, tmp_path, progress=heard)
+    history = train_network([training], validation, UNCERTAIN, tmp_path, progress=heard)
     assert [done for name, done, _ in heard.said if name == "train"] == list(range(after[-1] + 1, 5))
     folder, expected = uninterrupted
     assert without_seconds(history) == without_seconds(expected)
@@ -248,17 +281,17 @@ def test_a_run_interrupted_within_an_epoch_repeats_that_epoch(
     depth_loss = train_module.depth_loss
     with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
         patched.setattr(train_module, "depth_loss", failing)
-        train_network(training, validation, UNCERTAIN, tmp_path)
-    history = train_network(training, validation, UNCERTAIN, tmp_path)
+        train_network([training], validation, UNCERTAIN, tmp_path)
+    history = train_network([training], validation, UNCERTAIN, tmp_path)
     assert without_seconds(history) == without_seconds(uninterrupted[1])
     assert_same_weights(weights(tmp_path), weights(uninterrupted[0]))
 
 
 def test_a_finished_run_is_only_read(tmp_path: Path, training: Recording, validation: Recording) -> None:
     config = SHORT.model_copy(update={"epochs": 1})
-    history = train_network(training, validation, config, tmp_path)
+    history = train_network([training], validation, config, tmp_path)
     before = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
-    assert train_network(training, validation, config, tmp_path) == history
+    assert train_network([training], validation, config, tmp_path) == history
     assert {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == before
 
 
@@ -274,7 +307,7 @@ def test_a_folder_of_a_run_with_other_settings_is_refused(
     folder, _ = uninterrupted
     before = (folder / "resume.pt").read_bytes()
     with pytest.raises(SettingError) as caught:
-        train_network(training, validation, UNCERTAIN.model_copy(update=changes), folder)
+        train_network([training], validation, UNCERTAIN.model_copy(update=changes), folder)
     path = folder / "resume.pt"
     assert str(caught.value) == (
         f"--out: {path} is of a run with other settings or frames; "
@@ -288,7 +321,7 @@ def test_settings_of_another_version_are_other_settings(
 ) -> None:
     torch.save({"run": '{"breadth": 1} on 8 frames'}, tmp_path / "resume.pt")
     with pytest.raises(SettingError, match=r"--out: .*resume\.pt is of a run with other settings or frames; remove"):
-        train_network(training, validation, SHORT, tmp_path)
+        train_network([training], validation, SHORT, tmp_path)
 
 
 @pytest.mark.parametrize("damage", ["empty", "text", "cut short", "cut to half", "not a state"])
@@ -313,7 +346,7 @@ def test_a_state_that_cannot_be_read_is_named_in_one_line(
     if damage == "not a state":
         torch.save([1, 2, 3], path)
     with pytest.raises(SettingError) as caught:
-        train_network(training, validation, UNCERTAIN, tmp_path)
+        train_network([training], validation, UNCERTAIN, tmp_path)
     assert str(caught.value) == (f"--out: {path} cannot be read; remove {path} to start anew, or name another folder")
 
 
@@ -332,14 +365,14 @@ def test_a_recording_without_depth(tmp_path: Path) -> None:
     blind, seeing = small_recording(4, has_depth=False), small_recording(4)
     for training, validation in ((blind, seeing), (seeing, blind)):
         with pytest.raises(DataError, match="room: has no depth; train on a recording with depth images"):
-            train_network(training, validation, SHORT, tmp_path / "out")
+            train_network([training], validation, SHORT, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 def test_fewer_frames_than_a_batch(tmp_path: Path) -> None:
     room = small_recording(3)
     with pytest.raises(SettingError, match="batch_size: 4 exceeds 3 frames; use more frames"):
-        train_network(room, room, SHORT, tmp_path / "out")
+        train_network([room], room, SHORT, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -356,7 +389,7 @@ def test_a_batch_too_small_for_its_workers(tmp_path: Path, monkeypatch: pytest.M
         SettingError,
         match=r"batch_size: 4 does not give 3 workers the same share, .*; choose a multiple of 3",
     ):
-        train_network(room, room, SHORT, tmp_path / "out")
+        train_network([room], room, SHORT, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -364,7 +397,7 @@ def test_a_learning_rate_that_diverges_is_named(tmp_path: Path) -> None:
     room = small_recording(8)
     config = SHORT.model_copy(update={"learning_rate": 1e36})
     with pytest.raises(SettingError, match=r"learning_rate: 1e\+36 made the loss infinite; lower it"):
-        train_network(room, room, config, tmp_path)
+        train_network([room], room, config, tmp_path)
     assert not list(tmp_path.glob(".*"))  # and nothing half-written
 
 
@@ -445,7 +478,7 @@ def test_two_workers_train_the_same_network_as_one(tmp_path: Path, monkeypatch: 
     room = open_recording(f"folder:{tmp_path / 'room'}")
     config = load_settings(tmp_path / "train.toml", TrainConfig)
     monkeypatch.setattr(torch, "autocast", lambda *_, **__: nullcontext())
-    history = train_network(room, room, config, tmp_path / "one")
+    history = train_network([room], room, config, tmp_path / "one")
     figures = in_two_processes(tmp_path)
     assert figures["epoch"] == 0
     assert figures["train_loss"] == pytest.approx(history[-1].train_loss, rel=1e-4)

@@ -159,15 +159,16 @@ def test_tilted_depth_is_levelled_on_the_way(mixture, recording, healthy):
     assert levelled < 0.6 * as_it_is
 
 
-def test_covariance_scale_is_what_is_stated_and_moves_nothing(mixture, recording, healthy):
+def test_lasting_errors_are_stated_and_move_nothing(mixture, recording, healthy):
     frames = range(6)
-    plain, scaled = (
-        follow(make_localizer(mixture, recording, healthy, covariance_scale=scale), recording, frames)
-        for scale in (1.0, 3.0)
+    plain, widened = (
+        follow(make_localizer(mixture, recording, healthy, **lasting), recording, frames)
+        for lasting in ({}, {"lasting_sd_m": 0.2, "lasting_sd_rad": 0.1})
     )
-    assert np.array_equal(poses_of(plain), poses_of(scaled))
-    for one, three in zip(plain, scaled, strict=True):
-        assert np.allclose(three.estimate.covariance, 3.0 * one.estimate.covariance)
+    assert np.array_equal(poses_of(plain), poses_of(widened))
+    for one, other in zip(plain, widened, strict=True):
+        added = other.estimate.covariance - one.estimate.covariance
+        assert np.allclose(added, np.diag([0.04] * 3 + [0.01] * 3))
 
 
 def test_predicted_depth_is_used_where_none_is_measured(mixture, recording, healthy):

@@ -23,7 +23,7 @@ from monoloc.depth.model import trainable_file
 from monoloc.depth.runtime import DepthPredictor
 from monoloc.depth.spec import DepthModel, network_images
 from monoloc.errors import DataError, SettingError
-from monoloc.evaluation.trajectory import PoseErrors, covariance_scale, pose_errors
+from monoloc.evaluation.trajectory import PoseErrors, axis_sd, pose_errors
 from monoloc.extras import training_extra
 from monoloc.geometry import FloatArray
 from monoloc.localizer import LocalizerConfig
@@ -37,7 +37,6 @@ from monoloc.runs import Start, localize
 
 _COMPONENT_LADDER = (50, 100, 200, 400, 800)
 _MIN_FRAMES = 5
-_MOST_COVARIANCE_SCALE = 100.0  # ten times the particles' own spread
 
 
 class BuildConfig(BaseModel):
@@ -242,15 +241,13 @@ def _honest(
     """The bundle's settings with covariances as wide as its errors are on frames that tuned nothing.
 
     The filter follows the whole recording from its first pose with the network that was tuned without those frames.
-    Where it loses the way, it is the state that has to say so, not a covariance without bounds.
     """
     poses = recording.poses
     assert poses is not None
     rehearsed = replace(bundle, depth_model=held_out_model)
-    settings = bundle.settings.model_copy(update={"covariance_scale": 1.0})
-    run = localize(rehearsed, recording, Start(poses[0]), settings, np.random.default_rng(seed), progress)
-    scale = covariance_scale(run.poses[held_out], poses[held_out], run.covariances[held_out])
-    return settings.model_copy(update={"covariance_scale": min(scale, _MOST_COVARIANCE_SCALE)})
+    run = localize(rehearsed, recording, Start(poses[0]), bundle.settings, np.random.default_rng(seed), progress)
+    sd_m, sd_rad = axis_sd(pose_errors(run.poses[held_out], poses[held_out]))
+    return bundle.settings.model_copy(update={"lasting_sd_m": sd_m, "lasting_sd_rad": sd_rad})
 
 
 def _down(poses: FloatArray) -> tuple[float, float, float]:

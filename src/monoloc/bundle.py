@@ -34,7 +34,7 @@ from monoloc.localizer import LocalizerConfig
 from monoloc.map.mixture import GaussianMixture
 from monoloc.models import is_shipped
 
-SCHEMA = 2
+SCHEMA = 3
 _MANIFEST, _MAP, _DEPTH = "manifest.json", "map.npz", "depth.onnx"
 
 

@@ -32,8 +32,8 @@ class LocalizerConfig(BaseModel):
         motion: visual odometry, or a random walk.
         ess_fraction: resample when the effective sample size is under this share of the particles.
         log_scale_sd: spread of the depth's log-scale from image to image.
-        covariance_scale: what the particles' covariance is multiplied by. Errors of depth persist from frame to
-            frame, which the particles do not know.
+        lasting_sd_m, lasting_sd_rad: standard deviations per axis of those errors of position and rotation that last
+            from frame to frame, as those of depth do. The particles do not know of them; the covariance states them.
         level: how depth is levelled on the corners that odometry follows; None leaves it as it is.
     """
 
@@ -48,7 +48,8 @@ class LocalizerConfig(BaseModel):
     motion_noise: MotionConfig = MotionConfig()
     odometry: OdometryConfig = OdometryConfig()
     level: LevelConfig | None = LevelConfig()
-    covariance_scale: float = Field(1.0, gt=0.0)
+    lasting_sd_m: float = Field(0.0, ge=0.0)
+    lasting_sd_rad: float = Field(0.0, ge=0.0)
 
 
 class DepthSource(Protocol):
@@ -67,6 +68,7 @@ class Step:
         state: whether to believe it.
         motion: odometry's motion since the last frame, None where there was none.
         depth: the depth that was used, levelled.
+        scan: the points of it that were held against the map.
     """
 
     estimate: Estimate
@@ -74,6 +76,7 @@ class Step:
     state: State
     motion: Motion | None
     depth: DepthPrediction
+    scan: Scan
 
 
 class Localizer:
@@ -118,10 +121,10 @@ class Localizer:
             )
         self._is_first = False
         self.particles = self._weigh(scan, motion)
-        belief = estimate(self.particles, config.covariance_scale)
+        belief = estimate(self.particles, config.lasting_sd_m, config.lasting_sd_rad)
         self.particles = resample(self.particles, config.ess_fraction, self._rng)
         fit = self._fit(belief, scan)
-        return Step(belief, fit, judge(fit, belief, self._healthy), motion, depth)
+        return Step(belief, fit, judge(fit, belief, self._healthy), motion, depth, scan)
 
     def _weigh(self, scan: Scan, motion: Motion | None) -> Particles:
         """The particles under the evidence of the depth image and of the corners that parallax has measured."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
 import cv2
@@ -23,12 +24,14 @@ from monoloc.filter.weigh import MeasurementConfig
 from monoloc.geometry import FloatArray, se3_exp
 from monoloc.localizer import Localizer, LocalizerConfig
 from monoloc.progress import Progress
+from monoloc.viewer import NoViewer, Viewer
 
 # A depth sensor's errors are centimetres and independent, whatever the bundle's network does.
 _SENSOR = {
     "log_scale_sd": 0.01,
     "level": None,
-    "covariance_scale": 1.0,  # the bundle's is measured on its network's errors
+    "lasting_sd_m": 0.015,
+    "lasting_sd_rad": 0.01,
     "measurement": MeasurementConfig(
         likelihood="volume", outlier_share=0.2, noise_sd_m=0.02, effective_points=60.0, effective_corners=0.0
     ),
@@ -135,12 +138,16 @@ def localize(
     rng: np.random.Generator,
     progress: Progress,
     use_sensor_depth: bool = False,
+    relight: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] | None = None,
+    viewer: Viewer = NoViewer(),
 ) -> Run:
     """Localise every frame of a recording.
 
     Args:
         use_sensor_depth: use the recording's depth in place of the network's: the upper bound. The measurement's
             settings are then a sensor's, not the bundle's.
+        relight: an image (H, W, 3) uint8 RGB as another light would have given it; None leaves it.
+        viewer: sees every frame; its time counts for no step.
 
     Raises:
         DataError: sensor depth is asked for and there is none, or a frame cannot be read.
@@ -162,12 +169,15 @@ def localize(
     dead_reckoning = start.pose if recording.poses is None else recording.poses[0]
     steps, odometry, step_ms = [], [], []
     elapsed = np.diff(recording.timestamps_s, prepend=recording.timestamps_s[:1])
+    viewer.begin(bundle, recording, healthy)
     with progress.task("localize", len(recording)) as show:
         for index in range(len(recording)):
             color = recording.color(index)
             unseen[index] = fingerprint(color) not in built_from
             sensor = recording.depth(index) if recording.has_depth else None
             measured = _sparse(sensor, recording.camera) if use_sensor_depth and sensor is not None else None
+            if relight is not None:
+                color = relight(color)
             began = time.perf_counter()
             step = localizer.step(color, float(elapsed[index]), measured)
             step_ms.append((time.perf_counter() - began) * 1e3)
@@ -175,9 +185,10 @@ def localize(
             if step.motion is not None:
                 dead_reckoning = dead_reckoning @ step.motion.T_previous_current
             odometry.append(dead_reckoning)
+            viewer.show(index, color, step, localizer.particles, dead_reckoning, step_ms[-1])
             if accuracy is not None and sensor is not None:
                 for accumulator in accuracy if unseen[index] else accuracy[:1]:
-                    accumulator.add(*_comparable(step.depth, sensor))
+                    accumulator.add(*comparable(step.depth, sensor))
             show(index + 1)
     return Run(
         recording=recording,
@@ -212,7 +223,7 @@ def _sparse(depth_m: NDArray[np.float32], camera: Camera) -> DepthPrediction:
     return DepthPrediction(sparse, sampled)
 
 
-def _comparable(
+def comparable(
     depth: DepthPrediction, sensor_m: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Depth used and depth measured, both at one small size; measured is 0 where there is none to compare."""

@@ -61,6 +61,12 @@ def train(
     validate: Annotated[
         str | None, typer.Option("--validate", metavar="START:STOP:STEP", help="Frames kept for validation.")
     ] = None,
+    also: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--also", metavar="SOURCE", help="Further frames to train on; may be given again.", show_default=False
+        ),
+    ] = None,
     encoder: Annotated[
         Path | None, typer.Option("--encoder", help="MobileNetV2 weights (.npz, torchvision's names) to start from.")
     ] = None,
@@ -78,6 +84,8 @@ def train(
       monoloc depth train folder:nyu-labelled --frames 0:1349 --validate 1349: \\
           --encoder mobilenet_v2_0.35_imagenet.npz --settings one-third-0.35.toml --out runs/one-third
       monoloc depth train nyu:nyu_depth_v2_labeled.mat --validate 1349: --frames :1349 --epochs 30 --out runs/short
+      monoloc depth train folder:nyu-labelled --frames :1349 --also folder:rooms --start one-third.safetensors \\
+          --validate 1349: --settings one-third-0.35-finish.toml --out runs/with-rooms
     """
     with training_extra():
         from monoloc.depth.train import TrainConfig, train_network
@@ -86,8 +94,8 @@ def train(
         raise SettingError("--start", "and --encoder both say where to begin", "give one of them")
     require_plotting()
     config = override(TrainConfig() if settings is None else load_settings(settings, TrainConfig), epochs=epochs)
-    training = open_source(source, frames)
-    validation = open_source(source, validate) if validate is not None else training
+    training = [open_source(source, frames), *(open_source(other, "::") for other in also or ())]
+    validation = open_source(source, validate) if validate is not None else training[0]
     # Under torchrun, the first process of a run judges, writes and speaks.
     progress = ConsoleProgress(stderr) if os.environ.get("RANK", "0") == "0" else NoProgress()
     history = train_network(training, validation, config, out, encoder, start, progress)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import cv2
@@ -29,41 +29,57 @@ def network_input(images: list[NDArray[np.uint8]]) -> Tensor:
 
 
 class TrainingFrames:
-    """All frames of a recording in memory, at no more than the resolution that views can use.
+    """All frames of one or several recordings in memory, at no more than the resolution that views can use.
 
     Args:
-        recording: with depth.
-        focal_px: canonical focal length; examples have the size at which the recording's camera comes nearest.
+        recordings: with depth, one at least; the first is what the network is for.
+        focal_px: canonical focal length; examples have the size at which the cameras come nearest.
         augment: what views are drawn.
         progress: called with the frames read.
 
     Raises:
-        DataError: a frame cannot be read, or its depth holds NaN.
+        DataError: a frame cannot be read, its depth holds NaN, or the cameras' fields of view give examples of
+            different sizes.
     """
 
     def __init__(
-        self, recording: Recording, focal_px: float, augment: AugmentConfig, progress: Callable[[int], None]
+        self,
+        recordings: Sequence[Recording],
+        focal_px: float,
+        augment: AugmentConfig,
+        progress: Callable[[int], None],
     ) -> None:
-        self._size = network_size(recording.camera, focal_px)
+        self._size = network_size(recordings[0].camera, focal_px)
         self._focal_px = focal_px
         self._augment = augment
+        self._first_count = len(recordings[0])
+        self._frames: list[_Frame] = []
+        for recording in recordings:
+            size = network_size(recording.camera, focal_px)
+            if size != self._size:
+                problem = f"its views are {size[0]} x {size[1]}, those of {recordings[0].name} {self._size[0]} x "
+                fix = "train on recordings of the same field of view"
+                raise DataError(recording.name, f"{problem}{self._size[1]}", fix)
+            for index in range(len(recording)):
+                self._frames.append(self._read(recording, index))
+                progress(len(self._frames))
+
+    def _read(self, recording: Recording, index: int) -> _Frame:
+        color, depth = recording.color(index), recording.depth(index)
+        if not np.all(np.isfinite(depth)):
+            raise DataError(recording.frame_names[index], "depth holds NaN", "mark missing depth with 0")
         full = recording.camera
-        factor = min(1.0, augment.zoom_max * 1.25 * self._size[0] / full.width)
-        self._camera: Camera = full.resized(round(full.width * factor), round(full.height * factor))
-        shape = (self._camera.width, self._camera.height)
-        self._colors, self._depths = [], []
-        for index in range(len(recording)):
-            color, depth = recording.color(index), recording.depth(index)
-            if not np.all(np.isfinite(depth)):
-                raise DataError(recording.frame_names[index], "depth holds NaN", "mark missing depth with 0")
-            self._colors.append(np.asarray(cv2.resize(color, shape, interpolation=cv2.INTER_AREA), np.uint8))
-            self._depths.append(
-                np.asarray(cv2.resize(depth, shape, interpolation=cv2.INTER_NEAREST_EXACT), np.float32)
-            )
-            progress(index + 1)
+        factor = min(1.0, self._augment.zoom_max * 1.25 * self._size[0] / full.width)
+        camera = full.resized(round(full.width * factor), round(full.height * factor))
+        shape = (camera.width, camera.height)
+        return (
+            np.asarray(cv2.resize(color, shape, interpolation=cv2.INTER_AREA), np.uint8),
+            np.asarray(cv2.resize(depth, shape, interpolation=cv2.INTER_NEAREST_EXACT), np.float32),
+            camera,
+        )
 
     def __len__(self) -> int:
-        return len(self._colors)
+        return len(self._frames)
 
     def epoch(self, seed: int, epoch: int, batch_size: int, rank: int = 0, workers: int = 1) -> Iterator[_Batch]:
         """This worker's share of every batch of an epoch, drawn by threads ahead of time.
@@ -83,19 +99,22 @@ class TrainingFrames:
             yield from (_stacked(futures) for futures in ahead)
 
     def whole(self, count: int) -> _Batch:
-        """So many frames, evenly chosen, as they are at run time."""
-        chosen = np.unique(np.linspace(0, len(self) - 1, count).astype(int))
-        views = [whole_view(self._colors[i], self._depths[i], self._camera, self._size) for i in chosen]
+        """So many frames of the first recording, evenly chosen, as they are at run time."""
+        chosen = np.unique(np.linspace(0, self._first_count - 1, count).astype(int))
+        views = [
+            whole_view(color, depth, camera, self._size) for color, depth, camera in (self._frames[i] for i in chosen)
+        ]
         depths = [view.depth_m * np.float32(self._focal_px / view.focal_px) for view in views]
         return network_input([view.color for view in views]), torch.from_numpy(np.stack(depths))[:, None]
 
     def _example(self, seed: int, epoch: int, index: int) -> _Example:
         rng = np.random.default_rng([seed, epoch, index])
-        view = random_view(self._colors[index], self._depths[index], self._camera, self._size, self._augment, rng)
+        view = random_view(*self._frames[index], self._size, self._augment, rng)
         color = random_exposure(view.color, self._augment, rng)
         return color, view.depth_m * np.float32(self._focal_px / view.focal_px)
 
 
+_Frame = tuple[NDArray[np.uint8], NDArray[np.float32], Camera]
 _Example = tuple[NDArray[np.uint8], NDArray[np.float32]]
 _Batch = tuple[Tensor, Tensor]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from pickle import UnpicklingError
@@ -75,7 +76,7 @@ class EpochRecord:
 
 
 def train_network(
-    training: Recording,
+    training: Sequence[Recording],
     validation: Recording,
     config: TrainConfig,
     out_dir: Path,
@@ -92,7 +93,9 @@ def train_network(
     processes) and what it takes to go on from there: called again with the same settings, training resumes.
 
     Args:
-        training, validation: recordings with depth.
+        training: recordings with depth, which are mixed, of one field of view; the first is of the kind that the
+            network is for, and centres it.
+        validation: a recording with depth.
         config: all settings.
         out_dir: made where it does not exist.
         encoder_weights: MobileNetV2 weights to start from, as :func:`load_encoder_weights` takes them.
@@ -103,7 +106,7 @@ def train_network(
         DataError: a recording without depth, or one that cannot be read; weights that do not fit.
         SettingError: fewer frames than one batch, or ``out_dir`` holds a run with other settings.
     """
-    for recording in (training, validation):
+    for recording in (*training, validation):
         if not recording.has_depth:
             raise DataError(recording.name, "has no depth", "train on a recording with depth images")
     keep_freed_memory()
@@ -147,7 +150,7 @@ class _Run:
     def __init__(
         self,
         config: TrainConfig,
-        training: Recording,
+        training: Sequence[Recording],
         network: DepthNetwork,
         worker: Worker,
         progress: Progress,
@@ -159,7 +162,7 @@ class _Run:
         self._network = network.to(worker.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         average = torch.optim.swa_utils.get_ema_multi_avg_fn(config.ema_decay)  # type: ignore[no-untyped-call]
         self._averaged = torch.optim.swa_utils.AveragedModel(self._network, multi_avg_fn=average, use_buffers=True)
-        with progress.task("read frames", len(training)) as step:
+        with progress.task("read frames", sum(map(len, training))) as step:
             self._frames = TrainingFrames(training, config.network.focal_px, config.augment, step)
         steps_per_epoch = len(self._frames) // config.batch_size
         if steps_per_epoch < 1:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from monoloc.geometry import FloatArray, invert, rotation_angle, se3_log
 
 CHI2_6_QUANTILE_95 = 12.591587  # 95 % quantile of the chi-squared distribution with 6 degrees of freedom
-_CHI2_MEDIAN_6 = 5.348120627447122  # its median
+_CHI2_MEDIAN_3 = 2.3659738843753377  # median of that with 3
 
 # Variances below this (1 micrometre, 1 microradian, squared) are rounding: poses in files carry no more.
 _VARIANCE_FLOOR = 1e-12
@@ -68,6 +68,21 @@ def pose_errors(estimated: ArrayLike, truth: ArrayLike) -> PoseErrors:
     return PoseErrors(np.linalg.norm(offset_m, axis=-1), rotation_angle(R_estimated_truth))
 
 
+def axis_sd(errors: PoseErrors) -> tuple[float, float]:
+    """Standard deviations per axis, metres and radians, under which the median errors are as large as they are.
+
+    The square of an error that is Gaussian in three axes has, in units of the variance of one, a chi-squared
+    distribution with three degrees of freedom, whose median is 2.37. Half of the frames may be astray.
+
+    Args:
+        errors: of one pose at least.
+    """
+    position, rotation = (
+        float(np.median(values)) / np.sqrt(_CHI2_MEDIAN_3) for values in (errors.position_m, errors.rotation_rad)
+    )
+    return float(position), float(rotation)
+
+
 def relative_pose_errors(estimated: ArrayLike, truth: ArrayLike, step: int) -> PoseErrors:
     """Relative pose error (RPE): the error of the motion from frame i to frame i + step.
 
@@ -111,25 +126,6 @@ def summarise(estimated: ArrayLike, truth: ArrayLike) -> TrajectoryMetrics:
         within_5cm_5deg=share_within(0.05, 5.0),
         within_10cm_10deg=share_within(0.10, 10.0),
     )
-
-
-def covariance_scale(estimated: ArrayLike, truth: ArrayLike, covariances: ArrayLike) -> float:
-    """Factor by which covariances must grow for the median frame's error to be as likely as it should; at least 1.
-
-    The error's squared Mahalanobis distance has, where covariances are honest, a chi-squared distribution with six
-    degrees of freedom, whose median is 5.35 (normalised estimation error squared, Bar-Shalom et al. 2001, 5.4.2).
-
-    Args:
-        estimated, truth, covariances: as in :func:`coverage_95`, covariances positive definite.
-
-    Raises:
-        ValueError: as :func:`pose_errors`.
-    """
-    T_world_estimated, T_world_truth = _checked_pair(estimated, truth)
-    twist = se3_log(invert(T_world_estimated) @ T_world_truth)
-    Sigma = _checked("covariances", covariances, (len(T_world_truth), 6, 6))
-    squared = np.einsum("ni,ni->n", twist, np.linalg.solve(Sigma, twist[..., None])[..., 0])
-    return max(1.0, float(np.median(squared)) / _CHI2_MEDIAN_6)
 
 
 def coverage_95(estimated: ArrayLike, truth: ArrayLike, covariances: ArrayLike) -> float:
