@@ -354,7 +354,11 @@ def test_tum_clocks_that_differ(sequence):
 
 @pytest.mark.parametrize(
     ("column", "value", "problem"),
-    [(1, np.nan, "pose 3 is NaN"), (7, np.inf, "pose 3 is NaN"), (7, 5.0, "pose 3 is not rigid")],
+    [
+        (1, np.nan, "line 3 holds NaN"),
+        (7, np.inf, "line 3 holds NaN"),
+        (7, 5.0, "line 3 has a quaternion of length 5"),
+    ],
 )
 def test_tum_impossible_pose(sequence, column, value, problem):
     rows = np.loadtxt(sequence / "groundtruth.txt")

@@ -85,33 +85,32 @@ class Motion:
 
 @dataclass(frozen=True)
 class _Tracks:
-    """N corners that are being followed through up to W keyframes; r is the frame of the first one.
+    """N corners that are being followed; r is the frame of the window's first keyframe.
 
     Attributes:
+        window: the keyframes that saw them.
         pixels: (N, 2) where the latest frame sees them.
-        points: (N, 3) in r; ``log_depth_sd`` (N,) of their depth.
-        rays, log_depth: (N, W, 2) and (N, W), as in :class:`Window`.
-        poses: ``T_r_camera`` of the keyframes, (W, 4, 4).
+        log_depth_sd: (N,) standard deviation of their log-depth.
         keyframe_pixels: (N, 2) where the last keyframe saw them; ``keyframe_count`` how many it saw.
     """
 
+    window: Window
     pixels: NDArray[np.float32]
-    points: FloatArray
     log_depth_sd: FloatArray
-    rays: FloatArray
-    log_depth: FloatArray
-    poses: FloatArray
     keyframe_pixels: NDArray[np.float32]
     keyframe_count: int
+
+    @property
+    def points(self) -> FloatArray:
+        """(N, 3) in r."""
+        return self.window.points
 
     def select(self, chosen: NDArray[Any]) -> _Tracks:
         return replace(
             self,
+            window=self.window.select(chosen),
             pixels=self.pixels[chosen],
-            points=self.points[chosen],
             log_depth_sd=self.log_depth_sd[chosen],
-            rays=self.rays[chosen],
-            log_depth=self.log_depth[chosen],
             keyframe_pixels=self.keyframe_pixels[chosen],
         )
 
@@ -218,59 +217,43 @@ class VisualOdometry:
         self, gray: NDArray[np.uint8], T_r_camera: FloatArray, depth_m: NDArray[np.float32], depth_camera: Camera
     ) -> FloatArray:
         """Take the current frame into the window, adjust the window, and return the frame's pose after it."""
-        config = self.config
+        config, camera = self.config, self._camera
         known = self._tracks
+        window = Window.empty() if known is None else known.window
         pixels = np.zeros((0, 2), dtype=np.float32) if known is None else known.pixels
         fresh = self._new_corners(gray, pixels)
-        depth = sample_depth(np.concatenate([pixels, fresh]), self._camera, depth_m, depth_camera, config.depth_jump)
-        with np.errstate(divide="ignore"):
-            log_depth = np.where(depth > 0.0, np.log(depth), np.nan)
-        if known is not None:
-            # The window's scale goes on: predicted depth is brought to it, but for a small share.
-            z = transform(invert(T_r_camera), known.points)[:, 2]
-            ratio = np.log(np.maximum(z, 1e-3)) - log_depth[: len(pixels)]
-            if np.isfinite(ratio).any():
-                log_depth += config.scale_memory * np.nanmedian(ratio)
-        lifted = np.isfinite(log_depth[len(pixels) :])
-        fresh, fresh_log_depth = fresh[lifted], log_depth[len(pixels) :][lifted]
-        rays = self._camera.rays(np.concatenate([pixels, fresh]))[:, :2]
-        local = np.column_stack([rays[len(pixels) :], np.ones(len(fresh))]) * np.exp(fresh_log_depth)[:, None]
-        points = transform(T_r_camera, local)
-        poses = T_r_camera[None]
-        old_rays, old_log_depth = np.zeros((0, 0, 2)), np.zeros((0, 0))
-        if known is not None:
-            points = np.concatenate([known.points, points])
-            poses = np.concatenate([known.poses, poses])
-            old_rays, old_log_depth = known.rays, known.log_depth
-        kept = min(len(poses), config.keyframes) - 1
-        count = len(points)
-        all_rays = np.full((count, kept + 1, 2), np.nan)
-        all_log_depth = np.full((count, kept + 1), np.nan)
-        if kept:
-            all_rays[: len(old_rays), :kept] = old_rays[:, -kept:]
-            all_log_depth[: len(old_rays), :kept] = old_log_depth[:, -kept:]
-        all_rays[:, kept] = rays
-        all_log_depth[:, kept] = np.concatenate([log_depth[: len(pixels)], fresh_log_depth])
-        poses = poses[-(kept + 1) :]
-        window = Window(poses, points, all_rays, all_log_depth)
-        information = np.zeros((count, 3, 3))
-        if kept and count:
-            ray_sd = config.corner_sd_px / self._camera.focal_px
-            poses, points, information = adjust(window, ray_sd, config.log_depth_sd, iterations=3)
+        log_depth = self._log_depth(np.concatenate([pixels, fresh]), depth_m, depth_camera)
+        # The window's scale goes on: predicted depth is brought to it, but for a small share.
+        z = transform(invert(T_r_camera), window.points)[:, 2]
+        ratio = np.log(np.maximum(z, 1e-3)) - log_depth[: len(pixels)]
+        if np.isfinite(ratio).any():
+            log_depth += config.scale_memory * np.nanmedian(ratio)
+        used = np.isfinite(log_depth) | (np.arange(len(log_depth)) < len(pixels))
+        fresh, log_depth = fresh[used[len(pixels) :]], log_depth[used]
         tracked = np.concatenate([pixels, fresh])
-        tracks = _Tracks(
-            pixels=tracked,
-            points=points,
-            log_depth_sd=_log_depth_sd(poses[-1], points, information, config.log_depth_sd),
-            rays=all_rays,
-            log_depth=all_log_depth,
-            poses=poses,
-            keyframe_pixels=tracked,
-            keyframe_count=count,
-        )
-        in_front = transform(invert(poses[-1]), points)[:, 2] > 0.05
+        rays = camera.rays(tracked)[:, :2]
+        lifted = np.column_stack([rays, np.ones(len(rays))]) * np.exp(log_depth)[:, None]
+        new_points = transform(T_r_camera, lifted[len(pixels) :])
+        window = window.with_keyframe(T_r_camera, new_points, rays, log_depth, config.keyframes)
+        information = np.zeros((len(tracked), 3, 3))
+        if len(window.poses) > 1 and len(tracked):
+            ray_sd = config.corner_sd_px / camera.focal_px
+            poses, points, information = adjust(window, ray_sd, config.log_depth_sd, iterations=3)
+            window = replace(window, poses=poses, points=points)
+        T_r_adjusted = window.poses[-1]
+        sd = _log_depth_sd(T_r_adjusted, window.points, information, config.log_depth_sd)
+        tracks = _Tracks(window, tracked, sd, keyframe_pixels=tracked, keyframe_count=len(tracked))
+        in_front = transform(invert(T_r_adjusted), window.points)[:, 2] > 0.05
         self._tracks = tracks.select(in_front)
-        return np.asarray(poses[-1])
+        return np.asarray(T_r_adjusted)
+
+    def _log_depth(
+        self, pixels: NDArray[np.float32], depth_m: NDArray[np.float32], depth_camera: Camera
+    ) -> FloatArray:
+        """Logarithm of the depth at pixels of the tracking image, (N, 2) -> (N,); NaN where there is none."""
+        depth = sample_depth(pixels, self._camera, depth_m, depth_camera, self.config.depth_jump)
+        with np.errstate(divide="ignore"):
+            return np.where(depth > 0.0, np.log(depth), np.nan)
 
     def _new_corners(self, gray: NDArray[np.uint8], known: NDArray[np.float32]) -> NDArray[np.float32]:
         """Corners away from the known ones, (N, 2), as many as there is room for."""

@@ -9,6 +9,7 @@ as soon as there is a baseline.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,35 @@ class Window:
     points: FloatArray
     rays: FloatArray
     log_depth: FloatArray
+
+    @classmethod
+    def empty(cls) -> Window:
+        return cls(np.zeros((0, 4, 4)), np.zeros((0, 3)), np.zeros((0, 0, 2)), np.zeros((0, 0)))
+
+    def select(self, chosen: NDArray[Any]) -> Window:
+        """The window with some of its corners."""
+        return Window(self.poses, self.points[chosen], self.rays[chosen], self.log_depth[chosen])
+
+    def with_keyframe(
+        self, T_r_camera: FloatArray, new_points: FloatArray, rays: FloatArray, log_depth: FloatArray, most: int
+    ) -> Window:
+        """The window with one more keyframe, which sees every corner and M new ones; the oldest go.
+
+        Args:
+            T_r_camera: of the keyframe, (4, 4).
+            new_points: (M, 3) in r, which no other keyframe sees.
+            rays, log_depth: (N + M, 2) and (N + M,) of the corners in the keyframe.
+            most: keyframes to keep, 1 at least.
+        """
+        poses = np.concatenate([self.poses, T_r_camera[None]])[-most:]
+        kept, known = len(poses) - 1, len(self.points)
+        all_rays = np.full((len(rays), kept + 1, 2), np.nan)
+        all_log_depth = np.full((len(rays), kept + 1), np.nan)
+        if kept:
+            all_rays[:known, :kept] = self.rays[:, -kept:]
+            all_log_depth[:known, :kept] = self.log_depth[:, -kept:]
+        all_rays[:, kept], all_log_depth[:, kept] = rays, log_depth
+        return Window(poses, np.concatenate([self.points, new_points]), all_rays, all_log_depth)
 
 
 def adjust(

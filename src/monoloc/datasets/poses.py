@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from monoloc import geometry
 from monoloc.datasets.files import read_rows
 from monoloc.errors import DataError
+from monoloc.outputs.tum import read_tum
 
 FloatArray = NDArray[np.float64]
 
@@ -82,12 +83,11 @@ def read_tum_poses(path: Path) -> tuple[FloatArray, FloatArray]:
     """Time stamps (N,) in seconds and poses (N, 4, 4) of a trajectory file in TUM's format.
 
     Raises:
-        DataError: unreadable, empty, malformed, not rigid, not finite, or time does not increase.
+        DataError: as :func:`monoloc.outputs.tum.read_tum`, or time does not increase.
     """
-    rows = read_rows(path, 8, "t tx ty tz qx qy qz qw")
-    times_s = rows[:, 0]
+    times_s, poses = read_tum(path)
     check_increasing(times_s, path)
-    return times_s, poses_from_quaternions(rows[:, 4:], rows[:, 1:4], path)
+    return times_s, poses
 
 
 def check_increasing(times_s: FloatArray, path: Path) -> None:
