@@ -1,210 +1,99 @@
-"""What each part of adaptation is worth, and why its settings are as they are: named variants, a run a line.
+"""What a setting of adaptation is worth on RedKitchen, where ``monoloc reproduce`` has no figure of it.
 
-    python benchmarks/adaptation.py --data ../shared/data --out runs/adaptation --study variants --seeds 10
-    python benchmarks/adaptation.py --out runs/adaptation --study lambda frames --seeds 3 --motion visual
-    python benchmarks/adaptation.py --out runs/adaptation --study components --only "K 50" --split away
+    python benchmarks/adaptation.py --data ../shared/data --out runs/adaptation --study annealing rates
+    python benchmarks/adaptation.py --out runs/adaptation --study variants --motion random-walk --seeds 10
 
-Splits, starts and figures are those of ``redkitchen.py``. Results go to ``runs.jsonl`` in the output folder, one
-JSON object a run with the build's figures beside it. What is there already is not done again, so a study can be cut
-off and taken up, or widened by seeds, splits and networks. Variants with the same settings share a bundle.
+The splits are those of ``monoloc reproduce``, whose engine does the work: what is there is not done again, and
+results of its own ``--out`` serve here too.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-from collections.abc import Iterable
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
-from itertools import groupby, product
+import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.console import Console
 
-from monoloc.adapt.settings import AdaptConfig
-from monoloc.build import BuildConfig
-from monoloc.bundle import read_bundle
-from monoloc.config import override
-from monoloc.datasets.registry import open_recording, select_frames
+from monoloc.datasets.registry import absolute_source, open_recording
+from monoloc.experiments import tasks
+from monoloc.experiments.engine import carry_out
+from monoloc.experiments.study import Study, recorded
+from monoloc.experiments.task import Results, Task
 from monoloc.models import DEFAULT
-from redkitchen import SPLITS, InMemory, build_once, run_once
+from monoloc.progress import ConsoleProgress
 
-NETWORKS = ("full-0.35", "two-thirds-0.35", "one-third-0.35", "tiny-0.35")
 MOTIONS = ("visual", "random-walk")
-_RESULTS = "runs.jsonl"
-
-_BOTH = {"last": {"tune": "last", "map_transform": True}, "default": {"tune": "all", "map_transform": True}}
-_FOUR = {
-    "none": {"tune": "none", "map_transform": False},
-    "last only": {"tune": "last", "map_transform": False},
-    "map only": {"tune": "none", "map_transform": True},
-    "last + map (paper)": _BOTH["last"],
-    "all only": {"tune": "all", "map_transform": False},
-    "all + map (default)": _BOTH["default"],
+_BOTH = ("last+map", "joint")
+# By study and name: the variant, and what of adaptation, or of the map, is changed.
+STUDIES: dict[str, dict[str, tuple[str, dict[str, Any]]]] = {
+    "variants": {name: (name, {}) for name in tasks.VARIANTS},
+    "components": {f"K {count}": ("joint", {"components": count}) for count in (50, 100, 200, 400, 800)},
+    "annealing": {
+        f"{variant}, {value:g} m at first": (variant, {"inflation_m": value})
+        for variant in _BOTH
+        for value in (0.0, 0.1, 0.3, 1.0)
+    },
+    "rates": {f"joint, rate {value:g}": ("joint", {"network_rate": value}) for value in (3e-4, 1e-3, 3e-3)},
 }
+_COLUMNS = ("split", "motion", "median (seeds)", "RMSE", "rotation", "AbsRel", "shift", "matches kept", "KL")
 
 
-@dataclass(frozen=True)
-class Variant:
-    """A way to build.
-
-    Attributes:
-        name: in the table.
-        adapt: settings of adaptation.
-        components: of the map.
-        frames: how many build frames, evenly out of the split's; None for all.
-    """
-
-    name: str
-    adapt: dict[str, object] = field(default_factory=dict)
-    components: int = 200
-    frames: int | None = None
-
-    def bundle(self, split: str, network: str) -> str:
-        """Name of the bundle: its settings, so that equal ones are built once."""
-        changed = AdaptConfig.model_validate(self.adapt).model_dump(exclude_defaults=True)
-        settings = "".join(f"-{key}={value}" for key, value in changed.items())
-        return f"{split}-{network}-k={self.components}-frames={self.frames or 'all'}{settings}.monoloc"
+def runs_of(study: Study, arguments: argparse.Namespace) -> dict[tuple[str, str, str, str], tuple[Task, list[Task]]]:
+    """By study, variant, split and motion: the bundle, and a run a seed."""
+    return {
+        (name, variant, split.name, motion): (bundle, runs)
+        for name in arguments.study
+        for variant, (tuned, changed) in STUDIES[name].items()
+        for split in study.splits
+        for motion in arguments.motion
+        for bundle in [tasks.bundle(study, split, arguments.network, tuned, **changed)]
+        for runs in [[tasks.run(bundle, split.walks["as taken"], seed, motion) for seed in range(arguments.seeds)]]
+    }
 
 
-STUDIES = {
-    "variants": [Variant(name, adapt) for name, adapt in _FOUR.items()],
-    "lambda": [
-        Variant(f"{tune}, lambda {value:g}", {**_BOTH[tune], "lambda_kl": value})
-        for tune, value in product(_BOTH, (0.0, 1e-3, 1e-2, 0.1, 1.0, 10.0))
-    ],
-    "components": [Variant(f"K {count}", _BOTH["default"], components=count) for count in (50, 100, 200, 400, 800)],
-    "frames": [Variant(f"{count} frames", _BOTH["default"], frames=count) for count in (5, 10, 25, 50, 100)],
-    "annealing": [
-        Variant(f"{tune}, {value:g} m at first", {**_BOTH[tune], "inflation_m": value})
-        for tune, value in product(_BOTH, (0.0, 0.1, 0.3, 1.0))
-    ],
-    "rates": [
-        Variant(f"default, rate {value:g}", {**_BOTH["default"], "network_rate": value})
-        for value in (3e-4, 1e-3, 3e-3)
-    ],
-}
-
-
-@dataclass(frozen=True)
-class Job:
-    """One bundle and the runs over it."""
-
-    source: str
-    out: Path
-    study: str
-    variant: Variant
-    network: str
-    split: str
-    motions: tuple[str, ...]
-    seeds: int
-
-
-def work(job: Job) -> None:
-    """Build, if need be, and append what runs are missing."""
-    results = job.out / _RESULTS
-    key = {"study": job.study, "variant": job.variant.name, "network": job.network, "split": job.split}
-    done = {(row["motion"], row["seed"]) for row in read_rows(results) if key.items() <= row.items()}
-    missing = [pair for pair in product(job.motions, range(job.seeds)) if pair not in done]
-    if not missing:
-        return
-    build_frames, judged_frames = SPLITS[job.split]
-    recording = open_recording(job.source)
-    frames = select_frames(recording, build_frames)
-    if job.variant.frames is not None:
-        start, stop, _ = (int(part) for part in build_frames.split(":"))
-        frames = select_frames(recording, f"{start}:{stop}:{(stop - start) // job.variant.frames}")
-    config = override(BuildConfig(), components=job.variant.components, adapt=job.variant.adapt)
-    path = job.out / job.variant.bundle(job.split, job.network)
-    report = build_once(frames, path, config, job.network)
-    bundle, walk = read_bundle(path), InMemory(select_frames(recording, judged_frames))
-    for motion, seed in missing:
-        row = {**key, "motion": motion, "seed": seed, "build": report, "run": run_once(bundle, walk, motion, seed)}
-        with results.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(row) + "\n")
-
-
-def read_rows(path: Path) -> list[dict[str, Any]]:
-    """Runs that are done; a last line that was cut off counts as not done."""
-    rows = []
-    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
-        try:
-            rows.append(json.loads(line))
-        except json.JSONDecodeError:
-            continue
-    return rows
-
-
-def print_table(rows: Iterable[dict[str, Any]]) -> None:
+def row_of(bundle: Task, runs: list[Task], results: Results) -> list[str]:
     """Medians over seeds; position's smallest and largest in brackets."""
-    print(
-        "| study | variant | network | split | motion | seeds | median (seeds) | RMSE | rotation | AbsRel | SSIM",
-        end="",
-    )
-    print(" | odometry alone RMSE | shift | matches kept | KL | build |")
-    print("|" + "---|" * 16)
-    columns = ("study", "variant", "network", "split", "motion")
-    for names, group in groupby(rows, key=lambda row: [row[column] for column in columns]):
-        runs = list(group)
-        build, figures = runs[0]["build"], [row["run"] for row in runs]
-        # Odometry has none in the random walk.
-        median = {key: float(np.median([figure[key] for figure in figures])) for key in figures[0]}
-        position = sorted(100.0 * figure["unseen_ate_median_m"] for figure in figures)
-        alone = median.get("unseen_odometry_ate_rmse_m", np.nan)
-        cells = [
-            *names,
-            len(runs),
-            f"{np.median(position):.1f} cm ({position[0]:.1f}-{position[-1]:.1f})",
-            f"{100.0 * median['unseen_ate_rmse_m']:.1f} cm",
-            f"{median['unseen_rot_median_deg']:.1f}°",
-            f"{100.0 * median['unseen_depth_absrel']:.1f} %",
-            f"{median['unseen_depth_ssim']:.3f}",
-            f"{100.0 * alone:.1f} cm" if np.isfinite(alone) else "",
-            f"{100.0 * build['shift_median_m']:.1f} cm",
-            f"{build['correspondence_kept']:.3f}",
-            f"{build['kl']:.2f}",
-            f"{build['seconds']:.0f} s",
-        ]
-        print("| " + " | ".join(map(str, cells)) + " |")
+    build, figures = results[bundle].figures, [results[run].figures for run in runs]
+    position = [100.0 * figure["unseen_ate_median_m"] for figure in figures]
+
+    def median(name: str) -> float:
+        return float(np.median([figure[f"unseen_{name}"] for figure in figures]))
+
+    return [
+        f"{np.median(position):.1f} cm ({min(position):.1f}-{max(position):.1f})",
+        f"{100.0 * median('ate_rmse_m'):.1f} cm",
+        f"{median('rot_median_deg'):.1f}°",
+        f"{100.0 * median('depth_absrel'):.1f} %",
+        f"{100.0 * build['shift_median_m']:.1f} cm",
+        f"{build['correspondence_kept']:.3f}",
+        f"{build['kl']:.2f}",
+    ]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--out", type=Path, default=Path("runs/adaptation"))
-    parser.add_argument("--study", nargs="+", choices=list(STUDIES), default=["variants"])
-    parser.add_argument("--only", nargs="+", default=[], metavar="VARIANT", help="names of variants")
-    parser.add_argument("--network", nargs="+", choices=NETWORKS, default=[DEFAULT])
-    parser.add_argument("--split", nargs="+", choices=list(SPLITS), default=list(SPLITS))
-    parser.add_argument("--motion", nargs="+", choices=MOTIONS, default=list(MOTIONS))
+    parser.add_argument("--study", nargs="+", choices=list(STUDIES), default=["annealing", "rates"])
+    parser.add_argument("--network", default=DEFAULT)
+    parser.add_argument("--motion", nargs="+", choices=MOTIONS, default=["visual"])
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--workers", type=int, default=1, help="bundles at a time; set OMP_NUM_THREADS=1 for several")
+    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     arguments = parser.parse_args()
-    unknown = set(arguments.only) - {variant.name for study in arguments.study for variant in STUDIES[study]}
-    if unknown:
-        parser.error(f"no variant of these studies is called {sorted(unknown)[0]!r}")
+    source = absolute_source(f"7scenes:{arguments.data}/7scenes/redkitchen")
+    recording = open_recording(source)
+    rows = runs_of(recorded(source, recording.name, len(recording), quick=False), arguments)
+    wanted = [run for _, runs in rows.values() for run in runs]
     arguments.out.mkdir(parents=True, exist_ok=True)
-    source = f"7scenes:{arguments.data}/7scenes/redkitchen"
-    jobs = [
-        Job(source, arguments.out, study, variant, network, split, tuple(arguments.motion), arguments.seeds)
-        for study, network, split in product(arguments.study, arguments.network, arguments.split)
-        for variant in STUDIES[study]
-        if not arguments.only or variant.name in arguments.only
-    ]
-    if arguments.workers == 1:
-        for job in jobs:
-            work(job)
-    else:
-        with ProcessPoolExecutor(arguments.workers) as pool:
-            list(pool.map(work, jobs))
-    wanted = {(job.study, job.variant.name, job.network, job.split): order for order, job in enumerate(jobs)}
-    rows = [row for row in read_rows(arguments.out / _RESULTS) if _of(row) in wanted]
-    print_table(sorted(rows, key=lambda row: (wanted[_of(row)], MOTIONS.index(str(row["motion"])))))
-
-
-def _of(row: dict[str, Any]) -> tuple[str, str, str, str]:
-    return str(row["study"]), str(row["variant"]), str(row["network"]), str(row["split"])
+    progress = ConsoleProgress(Console(stderr=True))
+    results = carry_out(wanted, arguments.out.resolve(), progress, arguments.workers)
+    print("| study | variant | " + " | ".join(_COLUMNS) + " |")
+    print("|" + "---|" * (len(_COLUMNS) + 2))
+    for names, (bundle, runs) in rows.items():
+        print("| " + " | ".join([*names, *row_of(bundle, runs, results)]) + " |")
 
 
 if __name__ == "__main__":

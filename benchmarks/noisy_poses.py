@@ -18,21 +18,23 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monoloc.adapt.poses import PosePrior, refine_poses
 from monoloc.adapt.settings import AdaptConfig
-from monoloc.build import BuildConfig, fit_map
-from monoloc.bundle import read_bundle, read_network
+from monoloc.build import BuildConfig, build_bundle, fit_map
+from monoloc.bundle import Bundle, read_bundle, read_network, write_bundle
 from monoloc.datasets.base import Recording, Selection
 from monoloc.datasets.registry import open_recording, select_frames
 from monoloc.depth.runtime import DepthPredictor
 from monoloc.depth.spec import DepthModel
 from monoloc.evaluation.trajectory import PoseErrors, pose_errors
+from monoloc.experiments.study import START_DEG, START_M
 from monoloc.geometry import se3_exp
 from monoloc.map.mixture import GaussianMixture
 from monoloc.models import DEFAULT
 from monoloc.progress import NoProgress
-from redkitchen import InMemory, build_once, run_once
+from monoloc.runs import Start, disturbed, localize
 
 _POSITION_SD_M, _ROTATION_SD_RAD = 0.02, np.deg2rad(1.0)
 _BUILD, _JUDGED = "0:200:4", {"between": "0:200", "away": "200:300"}
@@ -48,6 +50,25 @@ def with_noise(recording: Recording, rng: np.random.Generator) -> Selection:
     return noisy
 
 
+class InMemory:
+    """A recording read once, for many runs over it."""
+
+    def __init__(self, source: Recording) -> None:
+        self.name, self.camera, self.frame_names = source.name, source.camera, source.frame_names
+        self.timestamps_s, self.poses, self.has_depth = source.timestamps_s, source.poses, source.has_depth
+        self._colors = [source.color(index) for index in range(len(source))]
+        self._depths = [source.depth(index) for index in range(len(source))]
+
+    def __len__(self) -> int:
+        return len(self._colors)
+
+    def color(self, index: int) -> NDArray[np.uint8]:
+        return self._colors[index]
+
+    def depth(self, index: int) -> NDArray[np.float32]:
+        return self._depths[index]
+
+
 class Predicted(InMemory):
     """A recording whose depth is a network's."""
 
@@ -55,6 +76,23 @@ class Predicted(InMemory):
         super().__init__(source)
         predictor, camera = DepthPredictor(model, source.camera), source.camera
         self._depths = [predictor(color).resized(camera.width, camera.height) for color in self._colors]
+
+
+def build_once(recording: Recording, path: Path, config: BuildConfig, network: str) -> None:
+    """Build a bundle, unless it is there."""
+    if not path.exists():
+        bundle, report = build_bundle(recording, config, 0, NoProgress(), network=network)
+        write_bundle(path, bundle)
+        print(f"built {path.name} in {report.seconds:.0f} s", flush=True)
+
+
+def run_once(bundle: Bundle, recording: Recording, seed: int, use_sensor: bool) -> dict[str, float]:
+    """Figures of one run from a start that is off."""
+    assert recording.poses is not None
+    rng = np.random.default_rng(seed)
+    start = Start(disturbed(recording.poses[0], START_M, np.deg2rad(START_DEG), rng))
+    metrics = localize(bundle, recording, start, bundle.settings, rng, NoProgress(), use_sensor).metrics()
+    return {key: value for key, value in metrics.items() if isinstance(value, float)}
 
 
 def map_of(recording: Recording) -> GaussianMixture:
@@ -118,7 +156,7 @@ def main() -> None:
         build_once(recording, path, config, arguments.network)
         bundle = read_bundle(path)
         for depth, (split, walk) in product(arguments.depth, judged.items()):
-            rows = [run_once(bundle, walk, "visual", seed, depth == "sensor") for seed in range(arguments.seeds)]
+            rows = [run_once(bundle, walk, seed, depth == "sensor") for seed in range(arguments.seeds)]
             row = {key: float(np.median([each[key] for each in rows])) for key in rows[0]}
             medians = [100.0 * each["unseen_ate_median_m"] for each in rows]
             print(

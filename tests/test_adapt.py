@@ -495,7 +495,7 @@ def test_views_repeat_with_their_seed_and_only_then(recording: RoomRecording, vi
     one, same, other = (
         make_views(few, few.depth, TINY.focal_px, 1, NONE_HELD_OUT, np.random.default_rng(seed)) for seed in (0, 0, 1)
     )
-    for name in ("images", "depth_m", "rays_world", "origins"):
+    for name in ("images", "depth_m", "rays_world", "poses"):
         torch.testing.assert_close(getattr(same, name), getattr(one, name), rtol=0.0, atol=0.0)
         torch.testing.assert_close(getattr(other, name)[:3], getattr(one, name)[:3], rtol=0.0, atol=0.0)
         assert not torch.equal(getattr(other, name)[3:], getattr(one, name)[3:])
@@ -771,7 +771,7 @@ def test_without_depth_the_bias_stays(mapped_room: tuple[GaussianMixture, FloatA
         if keep is not None:
             depth_m[..., keep[0], keep[1]] = 2.0
         blind = Views(
-            views.images, depth_m, views.log_focal_ratio, views.rays_world, views.origins, views.frame, views.whole
+            views.images, depth_m, views.log_focal_ratio, views.rays_world, views.poses, views.frame, views.whole
         )
         adaptation = start_adaptation(mapped_room, tune="last")
         before = adaptation.network.head.bias.detach().clone()

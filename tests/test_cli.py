@@ -263,7 +263,7 @@ def spoil_poses(folder: Path, change: Callable[[np.ndarray], None]) -> Path:
 
 def test_poses_that_are_not_rigid(capfd, here):
     spoil_poses(here / "walk", lambda rows: rows[3].__setitem__(slice(4, 8), [2.0, 0.0, 0.0, 2.0]))
-    refused(capfd, here, ("build", "walk", "--out", "x.monoloc", *QUICK), "walk/poses.txt", "pose 4 is not rigid")
+    refused(capfd, here, ("build", "walk", "--out", "x.monoloc", *QUICK), "walk/poses.txt", "a quaternion of length")
     scene = here / "scene"
     synthetic.write_seven_scenes(scene, frames=2)
     np.savetxt(scene / "seq-01" / "frame-000002.pose.txt", np.diag([1.0, 1.0, -1.0, 1.0]))
@@ -274,7 +274,7 @@ def test_poses_that_are_not_rigid(capfd, here):
 def test_poses_that_are_nan(capfd, here):
     spoil_poses(here / "walk", lambda rows: rows[5].__setitem__(1, np.nan))
     for command in (("build", "walk", "--out", "x.monoloc", *QUICK), ("localize", "room.monoloc", "walk")):
-        refused(capfd, here, command, "walk/poses.txt", "pose 6 is NaN", "correct it or remove")
+        refused(capfd, here, command, "walk/poses.txt", "holds NaN or infinity", "leave out frames")
 
 
 def test_depth_that_is_all_zero(capfd, here):

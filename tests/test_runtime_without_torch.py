@@ -27,8 +27,14 @@ ABSENT = (
     "h5py",
     "onnx",
     "safetensors",
+    "rerun",
+    "pyarrow",
     "evo",
     "hypothesis",
+    "joblib",
+    "distributed",
+    "dask",
+    "reportlab",
 )
 FORBID = f"""
 import sys
@@ -55,8 +61,11 @@ ONLINE = [
     "monoloc.evaluation.plots",
     "monoloc.map.fit",
     "monoloc.outputs.tum",
+    "monoloc.viewer",
     "monoloc.adapt.settings",
     "monoloc.adapt.calibrate",
+    "monoloc.experiments.engine",
+    "monoloc.experiments.figures",
     "monoloc.bench.steps",
     "monoloc.cli.main",
 ]
@@ -142,6 +151,8 @@ def test_build_without_adaptation(here):
         (("depth", "export", "network.safetensors", "--out", "x.onnx"), "train"),
         (("localize", "room.monoloc", "walk", "--plot", "x.png"), "report"),
         (("depth", "evaluate", "room.monoloc", "walk", "--plot", "x.png"), "report"),
+        (("localize", "room.monoloc", "walk", "--record", "x.rrd"), "view"),
+        (("localize", "room.monoloc", "walk", "--view"), "view"),
     ],
 )
 def test_what_needs_an_extra_says_which_before_it_works(here, arguments, extra):

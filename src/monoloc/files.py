@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 from monoloc.errors import DataError
+
+
+def partial_of(path: Path) -> Path:
+    """Where a file is written before it is renamed into its place."""
+    return path.with_name(f".{path.name}.{os.getpid()}.partial")
 
 
 def write_whole(path: Path, content: bytes) -> None:
@@ -14,7 +22,7 @@ def write_whole(path: Path, content: bytes) -> None:
     Raises:
         DataError: the file cannot be written.
     """
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    partial = partial_of(path)
     try:
         partial.write_bytes(content)
         partial.replace(path)
@@ -23,3 +31,18 @@ def write_whole(path: Path, content: bytes) -> None:
         raise DataError(path, f"cannot be written ({error.strerror})", fix) from error
     finally:
         partial.unlink(missing_ok=True)
+
+
+def json_text(content: Mapping[str, object]) -> str:
+    """One JSON object; figures that are not numbers become null, as JSON has no NaN."""
+    return json.dumps(_finite(content), indent=1)
+
+
+def _finite(value: object) -> object:
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

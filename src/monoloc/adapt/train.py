@@ -14,7 +14,7 @@ from torch import Tensor
 from monoloc.adapt.objective import matched_kl, ray_log_likelihood
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.transform import AdaptedMap
-from monoloc.adapt.views import Views
+from monoloc.adapt.views import Views, colors_of
 from monoloc.depth.augment import AugmentConfig, random_exposure
 from monoloc.depth.examples import network_input
 from monoloc.depth.losses import LossConfig, depth_loss, laplace_loss
@@ -248,9 +248,8 @@ def _relit(images: Tensor, share: float, rng: np.random.Generator) -> Tensor:
     chosen = np.flatnonzero(rng.uniform(size=len(images)) < share)
     if len(chosen) == 0:
         return images
-    colors = ((images[chosen] + 1.0) * 127.5).round().byte().permute(0, 2, 3, 1).numpy()
     relit = images.clone()
-    relit[chosen] = network_input([random_exposure(color, _LIGHT, rng) for color in colors])
+    relit[chosen] = network_input([random_exposure(color, _LIGHT, rng) for color in colors_of(images[chosen])])
     return relit
 
 

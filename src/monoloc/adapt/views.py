@@ -36,7 +36,7 @@ class Views:
         depth_m: (V, 1, H, W) supervision, 0 where there is none.
         log_focal_ratio: to be added to the network's log-depth.
         rays_world: (V, h * w, 3) directions of the output's pixels with camera z = 1.
-        origins: (V, 3) camera centres, world frame.
+        poses: (V, 4, 4) ``T_world_camera``.
         frame: (V,) index of the frame each view shows; ``whole`` (V,) whether it is that frame, not synthesised.
     """
 
@@ -44,12 +44,17 @@ class Views:
     depth_m: Tensor
     log_focal_ratio: float
     rays_world: Tensor
-    origins: Tensor
+    poses: Tensor
     frame: Tensor
     whole: Tensor
 
     def __len__(self) -> int:
         return len(self.frame)
+
+    @property
+    def origins(self) -> Tensor:
+        """(V, 3) camera centres, world frame."""
+        return self.poses[:, :3, 3]
 
     def of_frames(self, frames: Sequence[int] | NDArray[np.int64], only_whole: bool = False) -> Views:
         """The views that show certain frames."""
@@ -62,10 +67,15 @@ class Views:
             self.depth_m[index],
             self.log_focal_ratio,
             self.rays_world[index],
-            self.origins[index],
+            self.poses[index],
             self.frame[index],
             self.whole[index],
         )
+
+
+def colors_of(images: Tensor) -> NDArray[np.uint8]:
+    """The network's input as images again, (V, 3, H, W) in [-1, 1] -> (V, H, W, 3) uint8 RGB."""
+    return np.asarray(((images + 1.0) * 127.5).round().byte().permute(0, 2, 3, 1).numpy())
 
 
 def make_views(
@@ -122,7 +132,7 @@ def make_views(
         depth_m=torch.from_numpy(np.stack(depths))[:, None],
         log_focal_ratio=float(np.log(camera.focal_px / focal_px)),
         rays_world=torch.from_numpy(_output_rays(camera) @ stacked[:, :3, :3].transpose(0, 2, 1)),
-        origins=torch.from_numpy(stacked[:, :3, 3].copy()),
+        poses=torch.from_numpy(stacked),
         frame=torch.tensor(frame),
         whole=torch.tensor(whole),
     )

@@ -15,11 +15,13 @@ from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
 from monoloc.adapt.train import hold_out_blocks
+from monoloc.adapt.views import colors_of, make_views
 from monoloc.baselines.pose_filter import PoseError
 from monoloc.baselines.posenet import HomoscedasticLoss, PoseCode, PoseNet, PoseNetConfig, posenet_config
 from monoloc.camera import Camera
 from monoloc.datasets.base import Recording
 from monoloc.depth.augment import AugmentConfig, random_exposure
+from monoloc.depth.checkpoint import load_network
 from monoloc.depth.examples import network_input
 from monoloc.depth.network import load_encoder_weights
 from monoloc.depth.spec import image_tensor, network_size
@@ -41,8 +43,10 @@ class PoseNetTraining(BaseModel):
     Attributes:
         network: what is trained.
         augment: its photometric ranges; views are not drawn, for a zoomed or mirrored image has no pose.
+        synthesised_views: views from nearby poses, a frame, made of the recording, as for the depth network.
         learning_rates: tried on some of the frames, judged on the others; the best trains on all.
-        search_epochs, epochs: of each trial, and of the training on all frames.
+        search_epochs, epochs: of each trial, and of the training on all frames. An epoch shows as many views as there
+            are frames, synthesised or not.
         batch_size, weight_decay: of the optimisation.
     """
 
@@ -50,6 +54,7 @@ class PoseNetTraining(BaseModel):
 
     network: PoseNetConfig = posenet_config("full", 0.35)
     augment: AugmentConfig = AugmentConfig()
+    synthesised_views: int = Field(0, ge=0)
     learning_rates: tuple[float, ...] = Field((1e-3, 3e-3, 1e-2), min_length=1)
     search_epochs: int = Field(60, ge=1)
     epochs: int = Field(200, ge=1)
@@ -71,14 +76,30 @@ class Trial:
 
 
 @dataclass(frozen=True)
+class Search:
+    """What learning rates came to.
+
+    Attributes:
+        trials: in the order of the learning rates.
+        error: of the best one on the held-out frames.
+    """
+
+    trials: list[Trial]
+    error: PoseError
+
+    @property
+    def best(self) -> Trial:
+        return min(self.trials, key=lambda trial: trial.score_m)
+
+
+@dataclass(frozen=True)
 class TrainedPoseNet:
     """A PoseNet of one room.
 
     Attributes:
         network: in evaluation mode.
         code: what its outputs mean.
-        error: of the best trial on the held-out frames.
-        trials: in the order of the learning rates.
+        error, trials: of the search for its learning rate.
     """
 
     network: PoseNet
@@ -107,72 +128,136 @@ def train_posenet(
     seed: int,
     progress: Progress,
     encoder_weights: Path | None = None,
+    search: Search | None = None,
 ) -> TrainedPoseNet:
-    """Find the learning rate on held-out blocks of the frames, then train on all of them.
+    """Train on all frames at the best learning rate.
 
     AdamW, one-cycle learning rate, a random exposure of every image in every epoch, dim ones among them.
 
     Args:
-        recording: posed frames; their depth is not looked at.
-        seed: of weights, order and exposures.
-        encoder_weights: MobileNetV2 weights to start from, None for random ones.
+        recording: posed frames; their depth is not looked at, but to synthesise views.
+        seed: of weights, order, exposures and synthesised views.
+        encoder_weights: what the encoder starts from: MobileNetV2's as .npz, or a depth network; None for random.
+        search: of the learning rate; None makes one of the same seed.
 
     Raises:
-        DataError: no poses, fewer frames than two batches, or weights that do not fit.
+        DataError: no poses, fewer frames than two batches, no depth to synthesise views with, or weights that do not
+            fit.
         SettingError: a learning rate made the loss infinite.
     """
+    poses = _checked(recording, config)
+    search = search or search_rate(recording, config, seed, progress, encoder_weights)
+    frames = _Frames(recording, poses, config, np.zeros(0, dtype=np.int64), seed)
+    everything = np.arange(len(recording))
+    network = _train(
+        frames, everything, config, search.best.learning_rate, config.epochs, seed, progress, encoder_weights
+    )
+    return TrainedPoseNet(network, frames.code, search.error, search.trials)
+
+
+def search_rate(
+    recording: Recording, config: PoseNetTraining, seed: int, progress: Progress, encoder_weights: Path | None = None
+) -> Search:
+    """Try every learning rate on some of the frames, and judge it on the others, held out in blocks.
+
+    Args and Raises: as :func:`train_posenet`.
+    """
+    poses = _checked(recording, config)
+    training, held_out = hold_out_blocks(len(recording), _BLOCKS, _HELD_OUT_SHARE)
+    frames = _Frames(recording, poses, config, held_out, seed)
+    trials, predictions = [], []
+    for rate in config.learning_rates:
+        network = _train(frames, training, config, rate, config.search_epochs, seed, progress, encoder_weights)
+        predictions.append(frames.predict(network, held_out))
+        errors = pose_errors(predictions[-1], poses[held_out])
+        trials.append(Trial(rate, float(errors.position_m.mean()), float(errors.rotation_rad.mean())))
+    best = min(range(len(trials)), key=lambda index: trials[index].score_m)
+    return Search(trials, PoseError.fit(predictions[best], poses[held_out]))
+
+
+def _checked(recording: Recording, config: PoseNetTraining) -> FloatArray:
+    """The poses of a recording that can be trained on."""
     if recording.poses is None:
         raise DataError(recording.name, "has no poses", "train on a recording with camera poses")
     if len(recording) < 2 * config.batch_size:
         raise DataError(recording.name, f"gives {len(recording)} frames", f"train on {2 * config.batch_size} or more")
+    if config.synthesised_views and not recording.has_depth:
+        raise DataError(recording.name, "has no depth", "set synthesised_views to 0")
+    return recording.poses
+
+
+def _train(
+    frames: _Frames,
+    chosen: NDArray[np.int64],
+    config: PoseNetTraining,
+    rate: float,
+    epochs: int,
+    seed: int,
+    progress: Progress,
+    encoder_weights: Path | None,
+) -> PoseNet:
     keep_freed_memory()
-    frames = _Frames(recording, recording.poses, config)
-
-    def train(rate: float, chosen: NDArray[np.int64], epochs: int) -> PoseNet:
-        network = _start(config.network, seed, encoder_weights)
-        with progress.task(f"PoseNet at {rate:g}", epochs) as show:
-            for epoch in _epochs(network, frames, chosen, config, rate, epochs, seed):
-                show(epoch + 1)
-        return network.eval()
-
-    training, held_out = hold_out_blocks(len(recording), _BLOCKS, _HELD_OUT_SHARE)
-    truth = recording.poses[held_out]
-    trials, predictions = [], []
-    for rate in config.learning_rates:
-        predictions.append(frames.predict(train(rate, training, config.search_epochs), held_out))
-        errors = pose_errors(predictions[-1], truth)
-        trials.append(Trial(rate, float(errors.position_m.mean()), float(errors.rotation_rad.mean())))
-    best = min(range(len(trials)), key=lambda index: trials[index].score_m)
-    error = PoseError.fit(predictions[best], truth)
-    network = train(trials[best].learning_rate, np.arange(len(recording)), config.epochs)
-    return TrainedPoseNet(network, frames.code, error, trials)
+    network = _start(config.network, seed, encoder_weights)
+    with progress.task(f"PoseNet at {rate:g}", epochs) as show:
+        for epoch in _epochs(network, frames, chosen, config, rate, epochs, seed):
+            show(epoch + 1)
+    return network.eval()
 
 
 def _start(config: PoseNetConfig, seed: int, encoder_weights: Path | None) -> PoseNet:
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         network = PoseNet(config)
-    if encoder_weights is not None:
+    if encoder_weights is not None and encoder_weights.suffix == ".npz":
         load_encoder_weights(network, encoder_weights)
+    elif encoder_weights is not None:
+        _take_encoder(network, encoder_weights)
     return network.to(memory_format=torch.channels_last)  # type: ignore[no-any-return, call-overload]
 
 
-class _Frames:
-    """All frames in memory at the network's size, with their poses as the network learns them."""
+def _take_encoder(network: PoseNet, depth_network: Path) -> None:
+    """Start from the encoder of a depth network, which has to have every block of it."""
+    theirs, ours = load_network(depth_network).encoder.state_dict(), network.encoder.state_dict()
+    odd = [name for name, tensor in ours.items() if name not in theirs or theirs[name].shape != tensor.shape]
+    if odd:
+        raise DataError(depth_network, f"has no {odd[0]} of that shape", "give the largest network of the same width")
+    network.encoder.load_state_dict({name: theirs[name] for name in ours})
 
-    def __init__(self, recording: Recording, poses: FloatArray, config: PoseNetTraining) -> None:
-        size = network_size(recording.camera, config.network.focal_px)
-        self._images = [
-            np.asarray(cv2.resize(recording.color(index), size, interpolation=cv2.INTER_AREA), np.uint8)
-            for index in range(len(recording))
-        ]
+
+class _Frames:
+    """All frames in memory at the network's size, with their poses as the network learns them.
+
+    Views synthesised of them, where they are asked for, come after the frames themselves; none shows held-out frames.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        poses: FloatArray,
+        config: PoseNetTraining,
+        held_out: NDArray[np.int64],
+        seed: int,
+    ) -> None:
+        focal_px, count = config.network.focal_px, config.synthesised_views
+        if count:
+            views = make_views(recording, recording.depth, focal_px, count, held_out, np.random.default_rng(seed))
+            self._images = list(colors_of(views.images))
+            self._frame, seen_from = views.frame.numpy(), views.poses.numpy()
+        else:
+            size = network_size(recording.camera, focal_px)
+            self._images = [
+                np.asarray(cv2.resize(recording.color(index), size, interpolation=cv2.INTER_AREA), np.uint8)
+                for index in range(len(recording))
+            ]
+            self._frame, seen_from = np.arange(len(recording)), poses
         self._augment = config.augment
         self.code = PoseCode.of(poses)
-        self._targets = torch.from_numpy(self.code.encode(poses).astype(np.float32))
+        self._targets = torch.from_numpy(self.code.encode(seen_from).astype(np.float32))
 
     def batches(self, chosen: NDArray[np.int64], size: int, seed: int, epoch: int) -> Iterator[tuple[Tensor, Tensor]]:
-        """The chosen frames once, in random order and light; they depend on seed and epoch only."""
-        order = np.random.default_rng([seed, epoch]).permutation(chosen)
+        """As many views of the chosen frames as those are, in random order and light, by seed and epoch only."""
+        views = np.flatnonzero(np.isin(self._frame, chosen))
+        order = np.random.default_rng([seed, epoch]).permutation(views)[: len(chosen)]
         for batch in np.array_split(order, max(1, len(order) // size)):
             images = [
                 random_exposure(self._images[index], self._augment, np.random.default_rng([seed, epoch, index]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Mapping
@@ -18,6 +17,9 @@ from monoloc.datasets.base import Selection
 from monoloc.datasets.options import ReaderOptions
 from monoloc.datasets.registry import open_recording, select_frames
 from monoloc.errors import SettingError
+from monoloc.extras import require_viewing
+from monoloc.files import json_text
+from monoloc.viewer import require_window
 
 stderr = Console(stderr=True, highlight=False)
 
@@ -42,6 +44,11 @@ IntrinsicsOption = Annotated[
 ]
 DepthScaleOption = Annotated[
     float | None, typer.Option("--depth-scale", help="Stored depth value of one metre, in place of the format's.")
+]
+
+ViewOption = Annotated[bool, typer.Option("--view", help="Show it in Rerun's viewer, live.")]
+RecordOption = Annotated[
+    Path | None, typer.Option("--record", metavar="FILE.rrd", help="Recording to write for Rerun's viewer.")
 ]
 
 
@@ -90,6 +97,19 @@ def check_folder(path: Path, option: str) -> None:
     _check_parent(path, option)
 
 
+def check_viewing(view: bool, record: Path | None = None) -> None:
+    """Refuse a window or a recording that cannot be had before the work is done.
+
+    Raises:
+        MissingExtraError, SettingError: naming the extra or the option.
+    """
+    check_writable(record, "--record")
+    if view or record is not None:
+        require_viewing()
+    if view:
+        require_window()
+
+
 def _check_parent(path: Path, option: str) -> None:
     parent = path.absolute().parent
     if not parent.is_dir():
@@ -100,17 +120,7 @@ def _check_parent(path: Path, option: str) -> None:
 
 def print_json(content: Mapping[str, object]) -> None:
     """One object on stdout; figures that are not numbers become null, as JSON has no NaN."""
-    typer.echo(json.dumps(_finite(content), indent=1))
-
-
-def _finite(value: object) -> object:
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    typer.echo(json_text(content))
 
 
 def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:

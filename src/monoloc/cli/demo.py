@@ -13,7 +13,17 @@ import typer
 from monoloc.adapt.settings import Tune
 from monoloc.build import BuildConfig, build_bundle
 from monoloc.bundle import Bundle, write_bundle
-from monoloc.cli.common import JsonOption, SeedOption, check_folder, open_source, print_json, print_table, stderr
+from monoloc.cli.common import (
+    JsonOption,
+    SeedOption,
+    ViewOption,
+    check_folder,
+    check_viewing,
+    open_source,
+    print_json,
+    print_table,
+    stderr,
+)
 from monoloc.cli.localize import draw
 from monoloc.config import override
 from monoloc.errors import DataError
@@ -23,6 +33,7 @@ from monoloc.outputs.tum import write_tum
 from monoloc.progress import ConsoleProgress
 from monoloc.rooms import BUILD, TESTS
 from monoloc.runs import Run, Start, disturbed, localize
+from monoloc.viewer import run_viewer
 
 _RECORDED = "7scenes/redkitchen"
 _START_ERROR_M, _START_ERROR_DEG = 0.10, 3.0
@@ -66,6 +77,7 @@ def demo(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for bundles, trajectories and plots.")] = Path(
         "demo-output"
     ),
+    view: ViewOption = False,
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
@@ -76,15 +88,17 @@ def demo(
     \b
     Examples:
       monoloc demo
+      monoloc demo --view
       monoloc demo --data ~/recordings --out kitchen --json
     """
     started = time.perf_counter()
     study = _embedded() if data is None else _recorded(data)
     check_folder(out, "--out")
     require_plotting()
+    check_viewing(view)
     out.mkdir(exist_ok=True)
     bundles = {adapted: _build(study, adapted, out, seed) for adapted in (False, True)}
-    runs = [(trial, _run(trial, bundles[trial.adapted], seed, out).metrics()) for trial in study.trials]
+    runs = [(trial, _run(trial, bundles[trial.adapted], seed, out, view).metrics()) for trial in study.trials]
     seconds = time.perf_counter() - started
     if json:
         described = [{"name": t.name, "light": t.light, "adapted": t.adapted, **figures} for t, figures in runs]
@@ -133,13 +147,15 @@ def _build(study: _Study, adapted: bool, out: Path, seed: int) -> Bundle:
     return bundle
 
 
-def _run(trial: _Trial, bundle: Bundle, seed: int, out: Path) -> Run:
+def _run(trial: _Trial, bundle: Bundle, seed: int, out: Path, view: bool) -> Run:
     stderr.print(f"[bold]localize[/bold] {trial.name}")
     recording = open_source(trial.source, trial.frames)
     assert recording.poses is not None
     rng = np.random.default_rng(seed)
     start = Start(disturbed(recording.poses[0], _START_ERROR_M, np.deg2rad(_START_ERROR_DEG), rng))
-    run = localize(bundle, recording, start, bundle.settings, rng, ConsoleProgress(stderr), trial.sensor_depth)
+    progress = ConsoleProgress(stderr)
+    with run_viewer(trial.name, view, None) as viewer:
+        run = localize(bundle, recording, start, bundle.settings, rng, progress, trial.sensor_depth, viewer=viewer)
     stem = out / trial.name.split(" (")[0].replace(" ", "-")
     write_tum(stem.with_suffix(".txt"), recording.timestamps_s, run.poses)
     draw(stem.with_suffix(".png"), run, bundle, trial.name)

@@ -15,8 +15,11 @@ from monoloc.cli.common import (
     FramesOption,
     IntrinsicsOption,
     JsonOption,
+    RecordOption,
     SeedOption,
     SourceArgument,
+    ViewOption,
+    check_viewing,
     check_writable,
     open_source,
     print_json,
@@ -32,6 +35,7 @@ from monoloc.geometry import FloatArray, make_pose, quaternion_to_rotation
 from monoloc.outputs.tum import write_tum
 from monoloc.progress import ConsoleProgress
 from monoloc.runs import Run, Start, disturbed, localize
+from monoloc.viewer import run_viewer
 
 
 def localize_command(
@@ -63,6 +67,8 @@ def localize_command(
     plot: Annotated[
         Path | None, typer.Option("--plot", help="PNG to draw: the way over the map, the errors.")
     ] = None,
+    view: ViewOption = False,
+    record: RecordOption = None,
     intrinsics: IntrinsicsOption = None,
     depth_scale: DepthScaleOption = None,
     seed: SeedOption = 0,
@@ -76,27 +82,31 @@ def localize_command(
       monoloc localize kitchen.monoloc 7scenes:redkitchen --frames 0:400 --seed 0 --json
       monoloc localize room.monoloc flight.mp4 --start 0.5,0.2,1.1,0,0,0,1 --out way.txt
       monoloc localize room.monoloc tum:fr1_room --motion random-walk
+      monoloc localize kitchen.monoloc 7scenes:redkitchen --view --record way.rrd
     """
     check_writable(out, "--out")
     check_writable(plot, "--plot")
     if plot is not None:
         require_plotting()
+    check_viewing(view, record)
     room = read_bundle(bundle)
     recording = open_source(source, frames, intrinsics, depth_scale)
     config = override(room.settings, motion=motion, particles=particles, scan_points=scan_points)
     rng = np.random.default_rng(seed)
     begin = _start(start, recording, start_error_cm / 100.0, np.deg2rad(start_error_deg), rng)
-    run = localize(room, recording, begin, config, rng, ConsoleProgress(stderr), depth == "sensor")
+    name = f"{bundle.name}: {recording.name}"
+    with run_viewer(name, view, record) as viewer:
+        run = localize(room, recording, begin, config, rng, ConsoleProgress(stderr), depth == "sensor", viewer=viewer)
     if out is not None:
         write_tum(out, recording.timestamps_s, run.poses)
     if plot is not None:
-        draw(plot, run, room, f"{bundle.name}: {recording.name}")
+        draw(plot, run, room, name)
     metrics = run.metrics()
     if json:
         print_json(metrics)
     else:
         show(metrics)
-        for path in (out, plot):
+        for path in (out, plot, record):
             if path is not None:
                 stderr.print(f"written: {path}")
 

@@ -7,7 +7,7 @@ import sys
 import typer
 from typer.exceptions import Abort, TyperException
 
-from monoloc.cli import bench, build, demo, depth, evaluate, inspect, localize, map_, synth
+from monoloc.cli import bench, build, demo, depth, evaluate, inspect, localize, map_, reproduce, synth
 from monoloc.errors import MonolocError
 
 _INTERRUPTED = 130  # 128 and the number of SIGINT, as shells have it
@@ -24,6 +24,7 @@ app.command("demo")(demo.demo)
 app.command("build")(build.build)
 app.command("localize")(localize.localize_command)
 app.command("evaluate")(evaluate.evaluate)
+app.command("reproduce")(reproduce.reproduce)
 app.command("inspect")(inspect.inspect)
 app.add_typer(map_.app, name="map")
 app.add_typer(depth.app, name="depth")

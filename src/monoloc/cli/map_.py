@@ -15,7 +15,10 @@ from monoloc.cli.common import (
     EXTENT_SIGMAS,
     FramesOption,
     JsonOption,
+    RecordOption,
     SeedOption,
+    ViewOption,
+    check_viewing,
     check_writable,
     open_source,
     print_json,
@@ -32,6 +35,7 @@ from monoloc.map.cloud_files import read_cloud
 from monoloc.map.compare import compare_maps
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import ConsoleProgress
+from monoloc.viewer import show_map_change
 
 app = typer.Typer(
     help="Fit a map to a room, look at one, and see what adaptation did to it.",
@@ -112,6 +116,8 @@ def info(
 def compare(
     bundle: Annotated[Path, typer.Argument(help="A bundle.", show_default=False)],
     out: Annotated[Path, typer.Option("--out", "-o", help="The picture to write, NAME.png.")] = Path("compare.png"),
+    view: ViewOption = False,
+    record: RecordOption = None,
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
@@ -123,14 +129,18 @@ def compare(
     Examples:
       monoloc map compare kitchen.monoloc
       monoloc map compare kitchen.monoloc --out kitchen.png --json
+      monoloc map compare kitchen.monoloc --view
     """
     check_writable(out, "--out")
     require_plotting()
+    check_viewing(view, record)
     room = read_bundle(bundle)
     original, adapted = matched_clouds(room.original, room.adapted, _COMPARED_POINTS, np.random.default_rng(seed))
     distances_m = cloud_distances(original, adapted)
     down = np.array(room.provenance.down_world)
-    plot_map_change(out, original, adapted, distances_m, down, f"{bundle.name}: {room.provenance.recording}")
+    name = f"{bundle.name}: {room.provenance.recording}"
+    plot_map_change(out, original, adapted, distances_m, down, name)
+    show_map_change(name, view, record, original, adapted, distances_m, down)
     content: dict[str, object] = {
         "picture": str(out),
         "points": _COMPARED_POINTS,

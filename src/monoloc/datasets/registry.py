@@ -48,13 +48,11 @@ def open_recording(source: str, options: ReaderOptions | None = None) -> Recordi
         DataError: the path does not exist, is not recognised, or holds an unusable recording.
     """
     options = options or ReaderOptions()
-    match = _SOURCE.fullmatch(source)
-    if match and not Path(source).exists():
-        name, path = match[1], Path(match[2]).expanduser()
+    name, path = _parted(source)
+    if name is not None:
         if name not in FORMATS:
             raise SettingError("SOURCE", f"unknown format {name!r}", f"known formats: {', '.join(FORMATS)}")
         return FORMATS[name].read(path, options)
-    path = Path(source).expanduser()
     if not path.exists():
         raise DataError(path, "does not exist", "check the path, or write FORMAT:PATH")
     for known in FORMATS.values():
@@ -65,6 +63,20 @@ def open_recording(source: str, options: ReaderOptions | None = None) -> Recordi
         "is not recognised as a recording",
         f"write FORMAT:PATH with one of {', '.join(FORMATS)}",
     )
+
+
+def absolute_source(source: str) -> str:
+    """The same SOURCE for a process that works in another folder."""
+    name, path = _parted(source)
+    return str(path.resolve()) if name is None else f"{name}:{path.resolve()}"
+
+
+def _parted(source: str) -> tuple[str | None, Path]:
+    """Format, None where none is given, and path."""
+    match = _SOURCE.fullmatch(source)
+    if match and not Path(source).exists():
+        return match[1], Path(match[2]).expanduser()
+    return None, Path(source).expanduser()
 
 
 def select_frames(recording: Recording, frames: str) -> Selection:

@@ -9,7 +9,7 @@ from monoloc.errors import SettingError
 _LAYERS: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {
     "full": ((1, 2, 3, 4, 3, 3, 1), (4, 4, 4, 4)),
     "two-thirds": ((1, 2, 3, 4, 3, 2, 0), (4, 4, 1, 4)),
-    "one-third": ((1, 1, 1, 1, 1, 1, 0), (4, 2, 0, 4)),
+    "one-third": ((1, 2, 3, 3, 2, 1, 0), (2, 0, 0, 4)),
     "tiny": ((1, 1, 1, 1, 1, 0, 0), (0, 2, 0, 4)),
 }
 _DECODER_CHANNELS = {0.35: 104, 1.0: 256}

@@ -158,7 +158,9 @@ def _draw_histogram(axis: Axes, distances_cm: FloatArray, limit_cm: float) -> No
     counts, edges = np.histogram(distances_cm, bins=50, range=(0.0, limit_cm))
     middles = 0.5 * (edges[:-1] + edges[1:])
     colours = matplotlib.colormaps[_CMAP](middles / limit_cm)
-    axis.bar(middles, 100.0 * counts / len(distances_cm), width=np.diff(edges), color=colours)
+    shares = 100.0 * counts / len(distances_cm)
+    axis.bar(middles, shares, width=np.diff(edges), color=colours)
+    axis.set_ylim(0.0, 1.16 * shares.max())  # room for the lines' names
     for value, name in zip(np.percentile(distances_cm, [50.0, 95.0]), ("median", "95 %"), strict=True):
         axis.axvline(value, color=INK, linewidth=1.0, linestyle=(0, (4, 2)))
         axis.annotate(

@@ -23,6 +23,7 @@ BLUE, ORANGE, GREEN, YELLOW, VERMILION, PURPLE = (
     "#D55E00",
     "#CC79A7",
 )
+SKY = "#56B4E9"
 INK, GREY = "#1A1A1A", "#7F7F7F"
 
 _STYLE: Any = {  # matplotlib types its settings from 3.11 on, as a dict of literals

@@ -113,28 +113,32 @@ def _bounds(run: Run, axes: tuple[int, int, int]) -> tuple[FloatArray, FloatArra
 
 
 def _draw_map(axis: Axes, plane: list[int], run: Run) -> None:
-    from matplotlib.collections import EllipseCollection
-
     if run.cloud is not None:
         thinned = run.cloud[:: max(1, len(run.cloud) // _CLOUD_POINTS_DRAWN)]
         axis.plot(*thinned[:, plane].T, ",", color=GREY, alpha=0.5, zorder=0)
     if run.mixture is not None:
-        means, covariances = run.mixture
-        variances, vectors = np.linalg.eigh(covariances[:, plane][:, :, plane])
-        minor_m, major_m = 2.0 * _ELLIPSE_SIGMA * np.sqrt(np.maximum(variances, 0.0)).T
-        ellipses = EllipseCollection(
-            major_m,
-            minor_m,
-            np.rad2deg(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1])),
-            units="xy",
-            offsets=means[:, plane],
-            offset_transform=axis.transData,
-            facecolor=(0.5, 0.5, 0.5, 0.07),
-            edgecolor=(0.5, 0.5, 0.5, 0.35),
-            linewidth=0.6,
-            zorder=0,
-        )
-        axis.add_collection(ellipses, autolim=False)
+        draw_mixture(axis, plane, *run.mixture)
+
+
+def draw_mixture(axis: Axes, plane: list[int], means: FloatArray, covariances: FloatArray) -> None:
+    """Draw a map's components as ellipses behind all else: means (K, 3), covariances (K, 3, 3), world frame."""
+    from matplotlib.collections import EllipseCollection
+
+    variances, vectors = np.linalg.eigh(covariances[:, plane][:, :, plane])
+    minor_m, major_m = 2.0 * _ELLIPSE_SIGMA * np.sqrt(np.maximum(variances, 0.0)).T
+    ellipses = EllipseCollection(
+        major_m,
+        minor_m,
+        np.rad2deg(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1])),
+        units="xy",
+        offsets=means[:, plane],
+        offset_transform=axis.transData,
+        facecolor=(0.5, 0.5, 0.5, 0.07),
+        edgecolor=(0.5, 0.5, 0.5, 0.35),
+        linewidth=0.6,
+        zorder=0,
+    )
+    axis.add_collection(ellipses, autolim=False)
 
 
 def _draw_ways(axis: Axes, plane: list[int], run: Run) -> dict[str, Artist]:

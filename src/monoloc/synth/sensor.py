@@ -45,11 +45,17 @@ class SensorConfig(BaseModel):
 
         The exposure time is as long as it may be before gain is turned up; short of both the image is dark.
         """
-        wanted = self.key / max(luminance, 1e-9)
-        per_cd_s = self.electrons_per_cd_s / self.full_well  # of full scale, at gain 1
-        time_s = float(np.clip(wanted / per_cd_s, self.shortest_s, self.longest_s))
-        gain = float(np.clip(wanted / (per_cd_s * time_s), 1.0, self.largest_gain))
-        return per_cd_s * time_s * gain, self.full_well / gain
+        per_s = self.electrons_per_cd_s / self.full_well * self.exposure_s(luminance)  # of full scale, at gain 1
+        gain = float(np.clip(self._wanted(luminance) / per_s, 1.0, self.largest_gain))
+        return per_s * gain, self.full_well / gain
+
+    def exposure_s(self, luminance: float) -> float:
+        """Exposure time for a mean luminance, cd/m^2."""
+        per_cd_s = self.electrons_per_cd_s / self.full_well
+        return float(np.clip(self._wanted(luminance) / per_cd_s, self.shortest_s, self.longest_s))
+
+    def _wanted(self, luminance: float) -> float:
+        return self.key / max(luminance, 1e-9)
 
 
 def metered(light: NDArray[np.float32]) -> float:

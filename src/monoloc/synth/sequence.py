@@ -28,11 +28,12 @@ from monoloc.files import write_whole
 from monoloc.geometry import FloatArray
 from monoloc.outputs.tum import write_tum
 from monoloc.progress import Progress
+from monoloc.synth.blur import motion_blurred, velocities
 from monoloc.synth.light import Light
 from monoloc.synth.materials import LightGroup
 from monoloc.synth.render import Picture, Renderer, illuminance, mixed
 from monoloc.synth.rooms import Room
-from monoloc.synth.sensor import DepthSensorConfig, SensorConfig, photograph, structured_light, white_balance
+from monoloc.synth.sensor import DepthSensorConfig, SensorConfig, metered, photograph, structured_light, white_balance
 
 _SETTINGS = "settings.json"
 _BALANCE_FRAMES = 8  # over which white balance is settled
@@ -102,7 +103,7 @@ def render_sequence(
     _write_depth(frames, poses, camera, config, seed, out / "depth")
     with progress.task("develop", len(lights) * len(frames)) as step:
         for number, light in enumerate(lights):
-            develop(frames, light, lux, config, seed, out / light.name)
+            develop(frames, velocities(poses, timestamps_s), camera, light, lux, config, seed, out / light.name)
             step((number + 1) * len(frames))
             write_whole(out / light.name / FILE_NAME, _description(camera, len(frames), config).encode())
     return [out / light.name for light in lights]
@@ -135,13 +136,15 @@ def _packed(picture: Picture) -> bytes:
 
 def develop(
     frames: Sequence[Path],
+    velocity: FloatArray,
+    camera: Camera,
     light: Light,
     lux: dict[LightGroup, float],
     config: RenderConfig,
     seed: int,
     out: Path,
 ) -> None:
-    """Photograph rendered frames in one light."""
+    """Photograph rendered frames in one light, from a camera that moves: velocity (N, 6) is a twist a second."""
     (out / "color").mkdir(parents=True, exist_ok=True)
     sensor, factors = light.exposed(config.sensor), light.factors(lux)
     chosen = np.unique(np.linspace(0, len(frames) - 1, _BALANCE_FRAMES).astype(int))
@@ -149,7 +152,11 @@ def develop(
     balance = np.median([white_balance(_light(frames[i], factors), sensor.adapted) for i in chosen], axis=0)
     for index, frame in enumerate(frames):
         rng = np.random.default_rng([seed, index, int(1000.0 * light.lux)])
-        image = photograph(_light(frame, factors), sensor, rng, balance.astype(np.float32))
+        seen = _light(frame, factors)
+        with np.load(frame) as stored:
+            depth = stored["depth_m"]
+        seen = motion_blurred(seen, depth, camera, velocity[index], sensor.exposure_s(metered(seen)))
+        image = photograph(seen, sensor, rng, balance.astype(np.float32))
         quality = [cv2.IMWRITE_JPEG_QUALITY, config.jpeg_quality]
         write_whole(out / "color" / f"{index:06d}.jpg", cv2.imencode(".jpg", image[..., ::-1], quality)[1].tobytes())
 

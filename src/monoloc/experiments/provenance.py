@@ -1,0 +1,53 @@
+"""On what, and with what, results were made."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+_LIBRARIES = ("monoloc", "numpy", "torch", "onnxruntime", "opencv-python-headless", "matplotlib")
+
+
+def provenance() -> dict[str, str]:
+    """Date, commit, processor, cores and versions, as a person reads them."""
+    found = {"date": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", "commit": _commit(), "processor": _processor()}
+    found |= {"cores": str(os.cpu_count()), "system": f"{platform.system()} {platform.machine()}"}
+    found |= {"Python": platform.python_version()}
+    for library in _LIBRARIES:
+        try:
+            found[library] = version(library)
+        except PackageNotFoundError:
+            found[library] = "not installed"
+    return found
+
+
+def _commit() -> str:
+    """Of the source tree that is run, if it is one."""
+    folder = Path(__file__).parent
+    try:
+        commit = _git(folder, "rev-parse", "--short=12", "HEAD")
+        # Only monoloc's own: an installed copy may lie within some other repository.
+        root = Path(_git(folder, "rev-parse", "--show-toplevel"))
+        if not folder.is_relative_to(root / "src" / "monoloc"):
+            return "unknown (installed)"
+        return f"{commit}, with changes" if _git(folder, "status", "--porcelain", "--", str(root)) else commit
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown (not a repository)"
+
+
+def _git(folder: Path, *arguments: str) -> str:
+    done = subprocess.run(["git", *arguments], cwd=folder, capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or "unknown"
