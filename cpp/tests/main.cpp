@@ -1,0 +1,26 @@
+// Every set of kernels this processor runs, against plain loops in double precision.
+#include <cstdio>
+
+#include "check.hpp"
+#include "monoloc/kernels.hpp"
+#include "tests.hpp"
+
+int main() {
+  test_whitening();
+  test_rejects_indefinite();
+  test_log_density_and_expectation();
+  test_index();
+  test_threads();
+  test_ray_mixture();
+  for (const monoloc::Kernels* const* k = monoloc::available_kernels(); *k != nullptr; ++k) {
+    std::printf("%s\n", (*k)->name);
+    test_component_density(**k);
+    test_exponential(**k);
+    test_logarithm(**k);
+    test_selection(**k);
+    test_kernels(**k);
+    test_rays(**k);
+  }
+  if (failures == 0) std::printf("all passed\n");
+  return failures == 0 ? 0 : 1;
+}

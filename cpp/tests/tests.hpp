@@ -1,0 +1,17 @@
+// All tests, by the file that holds them.
+#pragma once
+
+#include "monoloc/kernels.hpp"
+
+void test_whitening();
+void test_rejects_indefinite();
+void test_log_density_and_expectation();
+void test_index();
+void test_component_density(const monoloc::Kernels& kernels);
+void test_exponential(const monoloc::Kernels& kernels);
+void test_logarithm(const monoloc::Kernels& kernels);
+void test_selection(const monoloc::Kernels& kernels);
+void test_threads();
+void test_kernels(const monoloc::Kernels& kernels);
+void test_rays(const monoloc::Kernels& kernels);
+void test_ray_mixture();
