@@ -14,6 +14,7 @@ SMALLER_BOUND = 1.15  # of the smaller network's error over the full one's
 DARK_BOUND = 0.5  # of our error over each other method's
 MOVED_BOUND_M = 0.10
 ROUGHLY_RIGHT = 0.25  # AbsRel up to which depth is roughly right: the error at which delta1 no longer counts a pixel
+_UNDECIDED = "No run has a figure to decide it by."
 _BY = "RMSE of positions on frames that built nothing, medians over seeds"
 
 
@@ -88,12 +89,12 @@ def _why_not_smaller(measured: Smaller, ratio: float) -> str:
         why.append(f"Unadapted, the smaller network is not the worse ({_cm(plain_third)} against {_cm(plain_full)}).")
         if plain_third.median > measured.drift.median:
             why.append(
-                f"Both are worse than dead reckoning ({_cm(measured.drift)}): neither follows the camera, and which "
-                "is farther off says little."
+                f"Both are worse than dead reckoning from the true start ({_cm(measured.drift)}), so which is "
+                "farther off says little."
             )
     if measured.ssim[1] >= measured.ssim[0]:
         why.append(f"SSIM does not fall with the size ({measured.ssim[0]:.3f} and {measured.ssim[1]:.3f}).")
-    return " ".join(why)
+    return " ".join(why) or _UNDECIDED
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ class Dark:
 
     Attributes:
         joint, posenet, unadapted: position RMSE in that light, metres.
-        drift: that of dead reckoning by the adapted network's odometry.
+        unadapted_drift: that of dead reckoning from the true start by the unadapted network's odometry.
         nearest_m: median distance of a judged frame to the nearest build frame.
         absrel: of depth in that light, as it comes and adapted.
     """
@@ -113,7 +114,7 @@ class Dark:
     joint: Spread
     posenet: Spread
     unadapted: Spread
-    drift: Spread
+    unadapted_drift: Spread
     nearest_m: float
     absrel: tuple[float, float]
 
@@ -153,12 +154,13 @@ def _why_not_half(measured: Dark, ratios: dict[str, float]) -> str:
     if ratios["unadapted"] > DARK_BOUND:
         than = "less than" if ratios["unadapted"] > 1.0 else "not twice"
         why.append(f"The unadapted filter is off by {_cm(measured.unadapted)}, {than} our {100.0 * ours:.1f} cm.")
-        if measured.unadapted.median <= 1.25 * measured.drift.median:
-            why.append(f"Odometry carries it: dead reckoning alone is off by {_cm(measured.drift)} over this walk.")
+        if measured.unadapted.median <= 1.25 * measured.unadapted_drift.median:
+            alone = _cm(measured.unadapted_drift)
+            why.append(f"Odometry carries it: its dead reckoning from the true start alone is off by {alone}.")
         before, after = (100.0 * absrel for absrel in measured.absrel)
         became = "became better" if after < before else "did not become better"
         why.append(f"Depth {became} by adaptation in this light: {before:.1f} % off before, {after:.1f} % after.")
-    return " ".join(why)
+    return " ".join(why) or _UNDECIDED
 
 
 def _why_posenet(measured: Dark, ratio: float) -> str:
@@ -183,10 +185,11 @@ def map_moves_little(split: str, network: str, median: Spread, before: Spread) -
     right = before.median <= ROUGHLY_RIGHT
     holds = median.median < MOVED_BOUND_M
     figure = (
-        f"The median point moved by {median.centimetres()}; depth as it comes is {100.0 * before.median:.0f} % off, "
-        f"{'' if right else 'not '}roughly right by our bound of {100.0 * ROUGHLY_RIGHT:.0f} %."
+        f"The median point lies {median.centimetres()} from the adapted cloud; depth as it comes is "
+        f"{100.0 * before.median:.0f} % off, {'' if right else 'not '}roughly right by our bound of "
+        f"{100.0 * ROUGHLY_RIGHT:.0f} %."
     )
-    why = f"Half of the map moved by {100.0 * median.median:.1f} cm or more. " + (
+    why = f"Half of the map lies {100.0 * median.median:.1f} cm or more from the adapted cloud. " + (
         "Depth was roughly right, so that does not explain it."
         if right
         else f"Depth was not roughly right: at 3 m, {100.0 * before.median:.0f} % are {300.0 * before.median:.0f} cm."

@@ -54,7 +54,9 @@ class Spread:
 
     def __truediv__(self, other: Spread) -> Spread:
         """Ratios, seed by seed."""
-        pairs = zip(self.values, other.values, strict=len(other.values) == len(self.values))
+        if len(self.values) != len(other.values):
+            return Spread(())  # a seed without a figure: which belong together is not known
+        pairs = zip(self.values, other.values, strict=True)
         return Spread(tuple(mine / theirs for mine, theirs in pairs))
 
 

@@ -24,14 +24,12 @@ class Method:
         colour: in every picture.
         task: how a walk is located by it.
         seeded: whether seeds make a difference.
-        sized: whether there is one of every size.
     """
 
     name: str
     colour: str
     task: Locating
     seeded: bool = True
-    sized: bool = True
 
     def runs(self, study: Study, split: Split, size: str, walk: Walk) -> list[Task]:
         """One a seed."""
@@ -69,7 +67,8 @@ def _filtered(study: Study, split: Split, size: str, walk: Walk, seed: int) -> T
 
 
 def _sensor(study: Study, split: Split, size: str, walk: Walk, seed: int) -> Task:
-    return tasks.run(bundle_of(study, split, study.sizes[0], "joint", seed), walk, seed, sensor=True)
+    # In the map as it was fitted: the adapted one is bent towards a network's depth.
+    return tasks.run(bundle_of(study, split, study.sizes[0], "unadapted", seed), walk, seed, sensor=True)
 
 
 def _orb(study: Study, split: Split, size: str, walk: Walk, seed: int) -> Task:
@@ -86,9 +85,9 @@ FILTERED = Method("filtered PoseNet", PURPLE, _filtered)
 UNADAPTED = Method("unadapted", ORANGE, _followed("unadapted"))
 PAPERS = Method("last layer + map (paper's)", GREEN, _followed("last+map"))
 JOINT = Method("network + map (monoloc)", BLUE, _followed("joint"))
-SENSOR = Method("sensor depth in our filter", INK, _sensor, sized=False)
-ORB = Method("ORB keypoints", SKY, _orb, seeded=False, sized=False)
-SIFT = Method("SIFT keypoints", "#2A7F9E", _sift, seeded=False, sized=False)
+SENSOR = Method("sensor depth in our filter", INK, _sensor)
+ORB = Method("ORB keypoints", SKY, _orb, seeded=False)
+SIFT = Method("SIFT keypoints", "#2A7F9E", _sift, seeded=False)
 
 BY_SIZE = (POSENET, FILTERED, UNADAPTED, PAPERS, JOINT)
 """What has a network of every size."""
