@@ -21,6 +21,7 @@ from rich.console import Console
 
 from monoloc.camera import Camera
 from monoloc.progress import ConsoleProgress
+from monoloc.synth.blur import velocities
 from monoloc.synth.flights import FlightConfig, plan_flight
 from monoloc.synth.layout import generate_room
 from monoloc.synth.light import LIGHTS
@@ -66,7 +67,9 @@ def main() -> None:
         lights = [LIGHTS[light] for light in recorded.lights]
         config = RenderConfig(recorded.samples, recorded.depth, DEPTH_SCALE, jpeg_quality=90)
         folder, progress = arguments.work / name, ConsoleProgress(Console(stderr=True))
-        render_sequence(room, poses, times, CAMERA, lights, config, recorded.seed, folder, progress)
+        # Between the images, not of the flight itself: what the images that come with monoloc were made by.
+        moving = velocities(poses, times)
+        render_sequence(room, poses, times, moving, CAMERA, lights, config, recorded.seed, folder, progress)
         target = arguments.out / name
         if target.exists():
             shutil.rmtree(target)

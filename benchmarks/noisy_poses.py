@@ -29,12 +29,11 @@ from monoloc.datasets.registry import open_recording, select_frames
 from monoloc.depth.runtime import DepthPredictor
 from monoloc.depth.spec import DepthModel
 from monoloc.evaluation.trajectory import PoseErrors, pose_errors
-from monoloc.experiments.study import START_DEG, START_M
 from monoloc.geometry import se3_exp
 from monoloc.map.mixture import GaussianMixture
 from monoloc.models import DEFAULT
 from monoloc.progress import NoProgress
-from monoloc.runs import Start, disturbed, localize
+from monoloc.runs import START_DEG, START_M, Start, disturbed, localize
 
 _POSITION_SD_M, _ROTATION_SD_RAD = 0.02, np.deg2rad(1.0)
 _BUILD, _JUDGED = "0:200:4", {"between": "0:200", "away": "200:300"}

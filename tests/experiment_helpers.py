@@ -36,8 +36,7 @@ def plausible_rmse(task: Task) -> float:
             adapt = bundle.settings["config"]["adapt"]
             error = 0.03 if settings["sensor"] else _BUILT.get((adapt["tune"], adapt["map_transform"]), 0.08)
             error *= 1.0 if bundle.settings.get("network", "full").startswith("full") else 1.1
-    seed = (task.needs[0] if task.kind == "posenet-run" else task).settings["seed"]
-    return (error + 0.01 * seed) * (3.0 if is_dark(task) else 1.0)
+    return (error + 0.01 * settings["seed"]) * (3.0 if is_dark(task) else 1.0)
 
 
 def is_dark(task: Task) -> bool:

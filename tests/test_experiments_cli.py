@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -10,8 +11,11 @@ from pathlib import Path
 import pytest
 
 import synthetic_recordings as synthetic
+from monoloc.cli.common import check_folder
 from monoloc.cli.main import invoke
 from monoloc.datasets.registry import absolute_source
+from monoloc.errors import SettingError
+from monoloc.experiments.study import recorded
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path, write_recording
 
 
@@ -64,6 +68,39 @@ def test_folder_that_cannot_be_made(tmp_path: Path, capfd: pytest.CaptureFixture
     assert "--out:" in said and "make the folder first" in said
 
 
+def test_folder_that_is_there_but_cannot_be_written_to(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And one that can, in a folder that cannot."""
+    closed = tmp_path / "closed"
+    inside = closed / "open"
+    inside.mkdir(parents=True)
+    monkeypatch.setattr(
+        "monoloc.cli.common.os.access", lambda path, mode: not (mode & os.W_OK and Path(path) == closed)
+    )
+    assert invoke(["reproduce", "--out", str(closed)]) == 2
+    said = capfd.readouterr().err
+    assert said == f"monoloc: --out: {closed} cannot be written to; choose another folder\n"
+    check_folder(inside, "--out")
+    with pytest.raises(SettingError, match="closed cannot be written to"):
+        check_folder(closed / "new", "--out")
+
+
+def test_what_is_asked_for_must_go_together(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    said = refused(capfd, tmp_path / "out", "--workers", "2", "--dask", "tcp://127.0.0.1:1")
+    assert "--workers: is of this machine, and --dask of others; leave one of them out" in said
+    said = refused(capfd, tmp_path / "out", "lambda", "frames", "--quick")
+    assert "--quick: leaves out lambda, frames, and nothing else is asked for; run without it" in said
+
+
+def test_recording_too_short_for_posenets(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    write_recording(tmp_path / "short", RoomRecording(Room(), make_path(48), SMALL_CAMERA))
+    said = refused(capfd, tmp_path / "out", "fig4d", "--quick", "--data", f"folder:{tmp_path / 'short'}")
+    assert "short: gives 12 frames to build from, and PoseNets need 32; give one of 128 frames or more" in said
+    for split in recorded("folder:room", "room", 128, quick=False).splits:
+        assert len(range(128)[slice(*map(int, split.frames.split(":")))]) >= 32
+
+
 def test_task_that_the_recording_makes_impossible_is_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """Twelve frames are three to build from: fewer than a map takes."""
     write_recording(tmp_path / "short", RoomRecording(Room(), make_path(12), SMALL_CAMERA))
@@ -96,4 +133,7 @@ def test_a_figure_start_to_end(tmp_path: Path, capfd: pytest.CaptureFixture[str]
     assert set(told) == {"claims", "figures", "report", "seconds"}
     assert list(told["figures"]) == ["fig2"] and told["claims"] == [] and told["seconds"] > 0.0
     assert Path(told["report"]) == out / "report.html" and (out / "report.pdf").stat().st_size > 1000
+    assert invoke(arguments[:-1]) == 0
+    captured = capfd.readouterr()
+    assert captured.out == "" and "report: " in captured.err  # no claim, no table
     assert json.loads((out / "fig2.json").read_text()) == told["figures"]["fig2"]["numbers"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -15,8 +16,8 @@ from typing import Any
 import pytest
 
 from monoloc.errors import DataError, SettingError
-from monoloc.experiments.engine import TaskError, carry_out, check_scheduler, describe_task, in_order
-from monoloc.experiments.task import RESULT, Result, Task, read_result
+from monoloc.experiments.engine import TaskError, carry_out, check_scheduler, describe_task, do_task, in_order
+from monoloc.experiments.task import RESULT, TASK, Result, Task, read_result
 from monoloc.progress import NoProgress
 
 Settings = dict[str, Any]
@@ -51,12 +52,23 @@ def linger(settings: Settings, needs: Sequence[Result], folder: Path) -> Setting
     return {}
 
 
+def nap(settings: Settings, needs: Sequence[Result], folder: Path) -> Settings:
+    (Path(settings["log"]) / settings["name"]).touch()
+    time.sleep(1.0)
+    return {}
+
+
 def refuse(settings: Settings, needs: Sequence[Result], folder: Path) -> Settings:
     raise DataError("kitchen", "has no depth", "give another")
 
 
 def stumble(settings: Settings, needs: Sequence[Result], folder: Path) -> Settings:
     raise ZeroDivisionError("a fault")
+
+
+def fill(settings: Settings, needs: Sequence[Result], folder: Path) -> Settings:
+    """As on a full disk."""
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def threads(settings: Settings, needs: Sequence[Result], folder: Path) -> Settings:
@@ -70,8 +82,10 @@ KINDS = {
     "add": add,
     "meet": meet,
     "linger": linger,
+    "nap": nap,
     "refuse": refuse,
     "stumble": stumble,
+    "fill": fill,
     "threads": threads,
 }
 
@@ -130,7 +144,7 @@ def test_results_reach_what_needs_them(tmp_path: Path, log: Path) -> None:
     assert (results[base].folder / "beside.txt").read_text() == "written"
     described = json.loads((results[top].folder / "task.json").read_text())
     assert described["settings"]["number"] == 100 and described["needs"] == [need.key for need in top.needs]
-    assert described["seconds"] > 0.0
+    assert described["seconds"] == results[top].seconds > 0.0
     assert results[top].figures["process"] != os.getpid()
 
 
@@ -150,9 +164,11 @@ def test_what_is_done_is_not_done_again_unless_its_settings_change(tmp_path: Pat
 def test_result_that_cannot_be_read_is_made_again(tmp_path: Path, log: Path) -> None:
     task = number(log, 1)
     do([task], tmp_path)
-    (tmp_path / "results" / task.key / RESULT).write_text('{"sum": ')
-    assert do([task], tmp_path)[task].figures["sum"] == 1
-    assert done(log) == [1, 1]
+    for times, (name, torn) in enumerate(((RESULT, b'{"sum": '), (RESULT, b'{"sum\xc3'), (TASK, b"")), start=1):
+        (tmp_path / "results" / task.key / name).write_bytes(torn)
+        assert read_result(tmp_path, task) is None
+        assert do([task], tmp_path)[task].figures["sum"] == 1
+        assert done(log) == [1] * (1 + times)
 
 
 def test_two_workers_work_at_the_same_time(tmp_path: Path, log: Path) -> None:
@@ -200,6 +216,17 @@ def test_failing_task_names_itself_and_stops_only_what_needs_it(tmp_path: Path, 
 def test_fault_of_ours_comes_with_its_traceback_and_before_bad_input(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match=r"stumble.* failed \(and 1 more\): (.|\n)*ZeroDivisionError: a fault"):
         do([Task.of("refuse", {}), Task.of("stumble", {})], tmp_path)
+
+
+def test_folder_that_takes_no_result_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    gone = do_task(Task.of("add", {}), tmp_path / "gone", KINDS)
+    (tmp_path / "results").mkdir()
+    full = do_task(Task.of("fill", {}), tmp_path, KINDS)
+    for failure, folder, why in ((gone, tmp_path / "gone", "No such file"), (full, tmp_path, "No space left")):
+        assert failure is not None and failure.is_input
+        assert failure.message.startswith(f"{folder / 'results'}: cannot be written to ({why}")
+        assert failure.message.endswith("; make room for it, or name a folder you can write to")
+    assert list((tmp_path / "results").iterdir()) == []
 
 
 def test_a_description_says_what_a_person_would(log: Path) -> None:
@@ -303,6 +330,22 @@ def test_a_scheduler_s_two_workers_share_the_work(tmp_path: Path, log: Path, clu
 def test_a_task_that_fails_on_a_cluster_names_itself(tmp_path: Path, cluster: Callable[[int], str]) -> None:
     with pytest.raises(TaskError, match=r"refuse of seed 7 .* failed: kitchen: has no depth; give another"):
         do([Task.of("refuse", {"seed": 7})], tmp_path, scheduler=cluster(1))
+
+
+def test_what_a_cluster_has_not_begun_is_called_off_with_the_run(
+    tmp_path: Path, log: Path, cluster: Callable[[int], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both workers are busy for a second when the run is cut off; a third task must never be done."""
+
+    def cut_off(*_: Any, **__: Any) -> Any:
+        _until(lambda: len(list(log.iterdir())) == 2)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("monoloc.experiments.engine.wait", cut_off)
+    with pytest.raises(KeyboardInterrupt):
+        do([Task.of("nap", {"log": str(log), "name": name}) for name in ("a", "b", "c")], tmp_path, 1, cluster(1))
+    time.sleep(1.5)
+    assert len(list(log.iterdir())) == 2
 
 
 def test_workers_of_several_threads_are_refused(cluster: Callable[[int], str]) -> None:

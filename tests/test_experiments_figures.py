@@ -14,7 +14,7 @@ import pytest
 
 from experiment_helpers import is_dark, made_up, plausible_rmse
 from monoloc.depth.family import network_config
-from monoloc.errors import SettingError
+from monoloc.errors import DataError, SettingError
 from monoloc.experiments import claims, fig2, fig4d, fig5b, lambda_, map_size, variants
 from monoloc.experiments.claims import Dark, Smaller, half_in_the_dark, map_moves_little, smaller_is_as_good
 from monoloc.experiments.figure import Drawn, Figure
@@ -24,6 +24,7 @@ from monoloc.experiments.methods import JOINT, POSENET, UNADAPTED
 from monoloc.experiments.study import Split, Study, Walk, builtin
 from monoloc.experiments.task import Result, Task
 from monoloc.rooms import BUILD
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path, write_recording
 
 NAMES = ["fig1", "fig2", "fig3", "fig4ab", "fig4c", "fig4d", "fig5top", "fig5a", "fig5b", "table1", "variants"]
 NAMES += ["map-size", "lambda", "frames"]
@@ -191,6 +192,25 @@ def test_frames_that_built_are_not_judged() -> None:
     to_next = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     assert 0.0 < nearest_build_m(split, walk) <= np.max(to_next)
     assert all(index % 5 == 0 for index in shown_frames(walk))
+
+
+def test_shown_frames_have_depth(tmp_path: Path) -> None:
+    """The nearest judged ones that do, where the sensor saw nothing."""
+    recording = RoomRecording(Room(), make_path(50), SMALL_CAMERA)
+    write_recording(tmp_path / "room", recording)
+    walk = Walk(f"folder:{tmp_path / 'room'}", "::", None)
+    assert shown_frames(walk) == (15, 35)
+    nothing = np.zeros((SMALL_CAMERA.height, SMALL_CAMERA.width), dtype=np.uint16)
+    nothing[0, 1] = 1000  # next to it: readers refuse frames without any
+    for index in (15, 10):
+        cv2.imwrite(str(tmp_path / "room" / "depth" / f"{index:06d}.png"), nothing)
+    shown_frames.cache_clear()
+    assert shown_frames(walk) == (20, 35)
+    for index in range(50):
+        cv2.imwrite(str(tmp_path / "room" / "depth" / f"{index:06d}.png"), nothing)
+    shown_frames.cache_clear()
+    with pytest.raises(DataError, match="has no depth in the frames to be shown"):
+        shown_frames(walk)
 
 
 def test_the_dark_is_known_by_light_and_by_folder(quick: Study) -> None:

@@ -13,14 +13,16 @@ import numpy as np
 import pytest
 
 from monoloc.adapt.settings import AdaptConfig
+from monoloc.baselines.posenet import PoseNet, posenet_config
+from monoloc.baselines.posenet_training import PoseNetTraining
 from monoloc.bundle import fingerprint, read_bundle
 from monoloc.errors import DataError
-from monoloc.experiments import tasks
+from monoloc.experiments import source, tasks
 from monoloc.experiments.study import Split, Study, Walk, recorded
 from monoloc.experiments.task import Result, Task
 from monoloc.experiments.work import KINDS, octree_bytes
 from monoloc.map.mixture import BYTES_PER_COMPONENT
-from monoloc.models import shipped_file
+from monoloc.models import shipped_file, shipped_models
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path, write_recording
 
 NETWORK = "tiny-0.35"
@@ -175,7 +177,7 @@ def test_key_changes_with_the_encoder_s_content(study: Study, away: Split, tmp_p
     assert len(keys | {tasks.posenet(study, away, "tiny", 0).key}) == 3
 
 
-@pytest.mark.parametrize("changed", ["poses", "image", "length"])
+@pytest.mark.parametrize("changed", ["poses", "times", "camera", "image", "depth", "depth scale", "length"])
 def test_key_changes_with_what_lies_at_the_recording_s_place(
     study: Study, away: Split, tmp_path: Path, changed: str
 ) -> None:
@@ -195,8 +197,21 @@ def test_key_changes_with_what_lies_at_the_recording_s_place(
         lines = (place / "poses.txt").read_text().splitlines()
         times, *numbers = lines[1].split()
         (place / "poses.txt").write_text("\n".join([lines[0], " ".join([times, "0.123", *numbers[1:]]), *lines[2:]]))
+    elif changed == "times":
+        head, first, *rest = (place / "poses.txt").read_text().splitlines()
+        time_s, *numbers = first.split()
+        earlier = " ".join([f"{float(time_s) - 0.01}", *numbers])
+        (place / "poses.txt").write_text("\n".join([head, earlier, *rest]))
     elif changed == "image":
         cv2.imwrite(str(place / "color" / "000000.png"), 255 - recording.color(0))
+    elif changed == "depth":
+        cv2.imwrite(str(place / "depth" / "000000.png"), np.full((128, 160), 1234, dtype=np.uint16))
+    elif changed in ("camera", "depth scale"):
+        name = {"camera": "fx", "depth scale": "depth_scale"}[changed]
+        lines = (place / "dataset.toml").read_text().splitlines()
+        (at,) = (number for number, line in enumerate(lines) if line.startswith(f"{name} "))
+        lines[at] = f"{name} = {1.01 * float(lines[at].partition('=')[2])}"
+        (place / "dataset.toml").write_text("\n".join(lines))
     else:
         description = place / "dataset.toml"
         description.write_text(description.read_text().replace("count = 6", "count = 5"))
@@ -221,10 +236,40 @@ def test_posenets_share_one_search_and_quick_ones_train_less(study: Study, away:
     first, second = (tasks.posenet(study, away, "tiny", seed) for seed in (0, 1))
     assert first.key != second.key and first.needs == second.needs
     assert first.needs[0].settings["seed"] == 0
-    assert "epochs" in first.settings["training"]
-    assert tasks.posenet(replace(study, quick=False), away, "tiny", 0).settings["training"] == {}
+    whole = tasks.posenet(replace(study, quick=False), away, "tiny", 0)
+    quick, full = first.settings["training"], whole.settings["training"]
+    assert set(quick) == set(full) == set(PoseNetTraining.model_fields)  # resolved: a default that changes is another
+    assert quick["epochs"] < full["epochs"] == PoseNetTraining().epochs
     seen = tasks.posenet(study, away, "tiny", 0, views=True)
-    assert seen.settings["build"]["views"] == 1 and seen.needs != first.needs
+    assert seen.settings["training"]["synthesised_views"] == 1 and seen.needs != first.needs
+
+
+def test_in_changed_light_each_posenet_sees_noise_of_its_own(study: Study, away: Split) -> None:
+    runs = [tasks.posenet_run(tasks.posenet(study, away, "tiny", seed), away.walks["L3"]) for seed in (0, 1)]
+    assert [run.settings["seed"] for run in runs] == [0, 1]
+
+
+def test_key_changes_with_our_own_source(
+    study: Study, away: Split, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of what results depend on; not of what only draws them."""
+    package = tmp_path / "monoloc"
+    matter = ["__init__.py", "filter/weigh.py", "experiments/work.py", "_core.so"]
+    names = [*matter, "cli/main.py", "viewer.py", "experiments/fig1.py", "evaluation/run_drawing.py"]
+    for name in names:
+        (package / name).parent.mkdir(parents=True, exist_ok=True)
+        (package / name).write_text("before")
+    monkeypatch.setattr(source.monoloc, "__file__", str(package / "__init__.py"))
+    monkeypatch.setattr(source._core, "__file__", str(package / "_core.so"))
+    monkeypatch.setattr(tasks, "source_sha256", source.source_sha256.__wrapped__)  # as another process finds it
+
+    def key() -> str:
+        return tasks.bundle(study, away, NETWORK).key
+
+    for name in names:
+        before = key()
+        (package / name).write_text("after")
+        assert (key() != before) == (name in matter), name
 
 
 # --- What they give ---
@@ -335,7 +380,10 @@ def test_posenet_filtered_posenet_and_keypoints(
     trials = trained.figures["trials"]
     best = min(trials, key=lambda trial: trial["position_m"] + trial["rotation_rad"])
     assert len(trials) == 2 and trained.figures["learning_rate"] == best["learning_rate"]
-    assert trained.figures["bytes"] == 4 * trained.figures["parameters"]
+    assert trained.figures["bytes"] == (trained.folder / "posenet.safetensors").stat().st_size
+    catalogue = next(model for model in shipped_models() if model.name == NETWORK)
+    at_its_size = PoseNet(posenet_config("tiny", 0.35)).multiply_adds(catalogue.input_width, catalogue.input_height)
+    assert trained.figures["multiply_adds"] == at_its_size
     located = do(tasks.posenet_run(network, walk), done)
     bundle = tasks.bundle(study, split, NETWORK, "unadapted")
     followed = do(tasks.filtered_run(network, bundle, walk, 0), done)

@@ -18,7 +18,7 @@ from monoloc.errors import MissingExtraError
 from monoloc.experiments.figure import Claim, Drawn, Figure
 from monoloc.experiments.provenance import provenance
 from monoloc.experiments.report import REPORT_HTML, REPORT_JSON, REPORT_PDF, write_report
-from monoloc.experiments.report_text import Heading, Table, report_blocks, study_settings, without_repeats
+from monoloc.experiments.report_text import Heading, Paragraph, Table, report_blocks, study_settings, without_repeats
 from monoloc.experiments.study import Study, builtin
 from monoloc.rooms import BUILD
 
@@ -56,7 +56,7 @@ def written(tmp_path_factory: pytest.TempPathFactory, study: Study) -> tuple[Pat
         ),
         (figure("lambda", "Second", None), Drawn({"y": 2.0}, text="More.", claims=[FAILED])),
     ]
-    return out, write_report(out, study, drawn, [figure("frames", "How many frames", None)], 754.0)
+    return out, write_report(out, study, drawn, [figure("frames", "How many frames", None)], 754.0, 9000.0)
 
 
 class _Page(HTMLParser):
@@ -104,7 +104,8 @@ def test_page_says_all_there_is(page: _Page) -> None:
     for said in (
         "monoloc in the rendered living room", "1 of 2 are reproduced", "Held <claim>", "✓ Reproduced.",
         "11.4 cm & more.", "✗ Not reproduced.", "The nearest is 1.7 cm off.", "Ratio: 1 to 1.2. Bound: at most 1.15.",
-        "Figure 1 of the paper. Text.", "Beyond the paper. More.", "It took 13 minutes.", "λ ≥ 2 × 3°, δ1 <b>",
+        "Figure 1 of the paper. Text.", "Beyond the paper. More.", "λ ≥ 2 × 3°, δ1 <b>", "Drawn by",
+        "This command took 13 minutes. All work together took 2.5 hours of one core.",
         "Left out of a quick study: how many frames (frames).", "seeds", "0 to 4", "Python",
     ):  # fmt: skip
         assert said in page.text, said
@@ -132,7 +133,7 @@ def test_json_has_what_the_page_has(written: tuple[Path, dict[str, Any]]) -> Non
     assert content["figures"]["fig1"] == {
         "title": "First picture", "pictures": ["figures/fig1.png"], "numbers": {"x": None},
     }  # fmt: skip
-    assert content["left_out"] == ["frames"] and content["seconds"] == 754.0
+    assert content["left_out"] == ["frames"] and (content["seconds"], content["worked_s"]) == (754.0, 9000.0)
     assert content["report"] == REPORT_HTML and returned["report"] == str(out / REPORT_HTML)
     assert {path.name for path in out.iterdir()} == {"figures", REPORT_HTML, REPORT_PDF, REPORT_JSON}
 
@@ -149,7 +150,7 @@ def test_a_column_of_one_split_is_left_out(study: Study) -> None:
     def tables(splits: list[str]) -> Table:
         rows = [(split, "a") for split in splits]
         drawn = [(figure("fig1", "T", None), Drawn({}, tables={"t": (("split", "method"), rows)}))]
-        blocks = report_blocks(study, drawn, [], {}, 1.0)
+        blocks = report_blocks(study, drawn, [], {}, 1.0, 1.0)
         return next(block for block in blocks if isinstance(block, Table) and block.title == "t")
 
     assert list(tables(["away", "away"]).head) == ["method"]
@@ -157,8 +158,27 @@ def test_a_column_of_one_split_is_left_out(study: Study) -> None:
 
 
 def test_without_claims_nothing_is_said_of_them(study: Study) -> None:
-    blocks = report_blocks(study, [(figure("fig2", "T", None), Drawn({}))], [], {}, 9000.0)
+    blocks = report_blocks(study, [(figure("fig2", "T", None), Drawn({}))], [], {}, 20.0, 20.0)
     assert [block.text for block in blocks if isinstance(block, Heading)] == ["T", "Settings"]
+    assert isinstance(blocks[0], Paragraph) and "This command took 20 seconds." in blocks[0].text
+
+
+@pytest.mark.parametrize(
+    ("claims", "says"),
+    [
+        ([HELD], "It is reproduced."),
+        ([FAILED], "It is not reproduced; the analysis says why."),
+        ([HELD, HELD], "All 2 are reproduced."),
+    ],
+)
+def test_verdicts_agree_in_number(study: Study, claims: list[Claim], says: str) -> None:
+    blocks = report_blocks(study, [(figure("fig3", "T", None), Drawn({}, claims=claims))], [], {}, 1.0, 1.0)
+    assert Paragraph(says) in blocks
+
+
+def test_builds_are_told_as_figures_use_them(study: Study) -> None:
+    assert study_settings(study)["builds"].startswith("1; ")
+    assert "Figure 3 has one a seed" in study_settings(study)["builds"]
 
 
 def test_repeats_are_left_empty_in_leading_cells_only() -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from monoloc.cli.main import invoke
 from monoloc.outputs.tum import read_tum
+from monoloc.synth.blur import velocities
 from monoloc.synth.layout import generate_room
 from monoloc.synth.rooms import read_room
 
@@ -66,6 +67,24 @@ def test_rendering_without_mitsuba_names_the_extra(home, capfd, monkeypatch):
     monkeypatch.setitem(sys.modules, "mitsuba", None)
     for command in ("render", "views"):
         refused(capfd, [command, "--out", str(home)], 'the extra "synth"', 'pip install "monoloc[synth]"')
+
+
+def test_blur_is_of_the_whole_flight_not_of_the_frames_rendered(home, tmp_path, monkeypatch):
+    given = {}
+
+    def noted(room, poses, timestamps_s, velocities, *others):
+        given.update(poses=poses, times_s=timestamps_s, velocities=velocities)
+        return []
+
+    monkeypatch.setattr("monoloc.cli.synth.render_sequence", noted)
+    monkeypatch.setattr("monoloc.cli.synth.require_mitsuba", lambda: None)
+    out = tmp_path / "flight"
+    assert invoke(["synth", "flight", "--seconds", "3", "--room", str(home / "room.json"), "--out", str(out)]) == 0
+    times_s, poses = read_tum(out / "flight.txt")
+    assert invoke(["synth", "render", "--every", "6", "--light", "L2", "--out", str(out)]) == 0
+    np.testing.assert_array_equal(given["poses"], poses[::6])
+    np.testing.assert_array_equal(given["velocities"], velocities(poses, times_s)[::6])
+    assert np.abs(given["velocities"] - velocities(given["poses"], given["times_s"])).max() > 0.01
 
 
 def test_what_cannot_be(home, tmp_path, capfd):

@@ -21,6 +21,7 @@ from monoloc.outputs.tum import write_tum
 from monoloc.progress import NoProgress
 from monoloc.synth import sequence as sequences
 from monoloc.synth import views as training
+from monoloc.synth.blur import velocities
 from monoloc.synth.building import empty_room, make_walls
 from monoloc.synth.fittings import Opening, pendant
 from monoloc.synth.furniture import box
@@ -203,10 +204,18 @@ def poses() -> FloatArray:
     return np.stack([pose_at((1.2 + 0.05 * i, 0.5, 1.3), 80.0, 15.0) for i in range(3)])
 
 
-def render(room: Room, poses: FloatArray, out: Path, lights: tuple[str, ...] = ("L2", "L3"), **settings: object):
+def render(
+    room: Room,
+    poses: FloatArray,
+    out: Path,
+    lights: tuple[str, ...] = ("L2", "L3"),
+    moving: FloatArray | None = None,
+    **settings: object,
+):
     config = RenderConfig(**{"samples": 4, **settings})
-    chosen = [LIGHTS[name] for name in lights]
-    return render_sequence(room, poses, np.arange(len(poses)) / 15.0, CAMERA, chosen, config, 7, out, NoProgress())
+    chosen, times_s = [LIGHTS[name] for name in lights], np.arange(len(poses)) / 15.0
+    moving = velocities(poses, times_s) if moving is None else moving
+    return render_sequence(room, poses, times_s, moving, CAMERA, chosen, config, 7, out, NoProgress())
 
 
 @pytest.fixture(scope="module")
@@ -233,6 +242,16 @@ def test_sequence_is_read_by_the_folder_reader(room, poses, rendered):
     assert bright > 1.5 * dark
     points = transform(poses[1], CAMERA.back_project(recordings[0].depth(1)).reshape(-1, 3))
     assert np.abs(room.clearance_m(points)).max() < 0.01
+
+
+def test_images_are_blurred_by_the_velocities_given(room, poses, flight):
+    turning = np.zeros((3, 6))
+    turning[1, 4] = 6.0  # rad/s
+    sharp = cv2.imread(str(flight / "L3" / "color" / "000001.jpg")), cv2.imread(str(flight / "L3/color/000000.jpg"))
+    render(room, poses, flight, ("L3",), moving=turning)
+    turned = cv2.imread(str(flight / "L3" / "color" / "000001.jpg")), cv2.imread(str(flight / "L3/color/000000.jpg"))
+    steps = [[np.abs(np.diff(image.astype(float), axis=1)).mean() for image in pair] for pair in (sharp, turned)]
+    assert steps[1][0] < 0.95 * steps[0][0] and steps[1][1] > 0.95 * steps[0][1]
 
 
 def test_sequence_goes_on_where_it_stopped(room, poses, flight, monkeypatch):

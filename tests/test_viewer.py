@@ -383,6 +383,19 @@ def test_a_window_that_does_not_open_is_told(monkeypatch, no_display):
         pytest.fail("began all the same")
 
 
+def test_a_window_that_is_lost_is_not_the_file_s_fault(monkeypatch, tmp_path, no_display):
+    def lost(stream: rerun.RecordingStream, window: rerun.GrpcSink, file: Any, **_: Any) -> None:
+        viewer.partial_of(tmp_path / "way.rrd").touch()
+        raise RuntimeError("no connection")
+
+    monkeypatch.setattr(viewer, "_open_window", lambda: None)
+    monkeypatch.setattr(rerun.RecordingStream, "set_sinks", lost)
+    looking = run_viewer("a run", view=True, record=tmp_path / "way.rrd")
+    with pytest.raises(SettingError, match=r"^--view: the window is lost \(no connection\); try again$"), looking:
+        pytest.fail("began all the same")
+    assert names(tmp_path) == []
+
+
 @pytest.mark.filterwarnings("ignore:RRD file has no footer")  # while the listener still writes it
 def test_a_viewer_that_listens_gets_the_run_live(tmp_path, no_display, bundle, recording):
     """And what it gets is what is recorded beside it."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
 import cv2
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle, fingerprint
 from monoloc.camera import Camera
-from monoloc.datasets.base import Recording
+from monoloc.datasets.base import Recording, Relight
 from monoloc.depth.runtime import DepthPrediction, DepthPredictor
 from monoloc.errors import DataError
 from monoloc.evaluation.depth import DepthAccumulator
@@ -25,6 +24,9 @@ from monoloc.geometry import FloatArray, se3_exp
 from monoloc.localizer import Localizer, LocalizerConfig
 from monoloc.progress import Progress
 from monoloc.viewer import NoViewer, Viewer
+
+START_M, START_DEG = 0.10, 3.0
+"""How far off a run begins that is to be judged; the direction is drawn from its seed."""
 
 # A depth sensor's errors are centimetres and independent, whatever the bundle's network does.
 _SENSOR = {
@@ -50,8 +52,8 @@ class Start:
     """
 
     pose: FloatArray
-    position_sd_m: float = 0.1
-    rotation_sd_rad: float = np.deg2rad(3.0)
+    position_sd_m: float = START_M
+    rotation_sd_rad: float = np.deg2rad(START_DEG)
 
 
 @dataclass(frozen=True)
@@ -138,7 +140,7 @@ def localize(
     rng: np.random.Generator,
     progress: Progress,
     use_sensor_depth: bool = False,
-    relight: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] | None = None,
+    relight: Relight | None = None,
     viewer: Viewer = NoViewer(),
 ) -> Run:
     """Localise every frame of a recording.
@@ -146,7 +148,7 @@ def localize(
     Args:
         use_sensor_depth: use the recording's depth in place of the network's: the upper bound. The measurement's
             settings are then a sensor's, not the bundle's.
-        relight: an image (H, W, 3) uint8 RGB as another light would have given it; None leaves it.
+        relight: brings the images to another light; None leaves them.
         viewer: sees every frame; its time counts for no step.
 
     Raises:

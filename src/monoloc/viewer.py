@@ -136,7 +136,12 @@ def _rerun_stream(
     stream.set_log_time_enabled(False)
     try:
         with _writing(record):
-            stream.set_sinks(*window, *file_sink, default_blueprint=blueprint)
+            try:
+                stream.set_sinks(*window, *file_sink, default_blueprint=blueprint)
+            except (RuntimeError, OSError) as error:
+                if view and (partial is None or partial.exists()):  # then the file is begun, and it is the window
+                    raise SettingError("--view", f"the window is lost ({error})", "try again") from error
+                raise
         stream.send_recording_name(name)
         yield stream
         stream.disconnect()

@@ -12,6 +12,7 @@ whose width is what brings the count of parameters to that of the depth network 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import torch
@@ -85,6 +86,7 @@ class PoseNet(nn.Module):
         return multiply_adds(self, lambda: self(torch.zeros(1, 3, height, width)))
 
 
+@cache
 def posenet_config(size: str, width: float) -> PoseNetConfig:
     """The PoseNet with as many parameters as the depth network of that size and width.
 

@@ -61,6 +61,11 @@ class PoseNetTraining(BaseModel):
     batch_size: int = Field(16, ge=2)
     weight_decay: float = Field(1e-3, ge=0.0)
 
+    @property
+    def least_frames(self) -> int:
+        """How many frames it takes: two batches."""
+        return 2 * self.batch_size
+
 
 @dataclass(frozen=True)
 class Trial:
@@ -179,8 +184,8 @@ def _checked(recording: Recording, config: PoseNetTraining) -> FloatArray:
     """The poses of a recording that can be trained on."""
     if recording.poses is None:
         raise DataError(recording.name, "has no poses", "train on a recording with camera poses")
-    if len(recording) < 2 * config.batch_size:
-        raise DataError(recording.name, f"gives {len(recording)} frames", f"train on {2 * config.batch_size} or more")
+    if len(recording) < config.least_frames:
+        raise DataError(recording.name, f"gives {len(recording)} frames", f"train on {config.least_frames} or more")
     if config.synthesised_views and not recording.has_depth:
         raise DataError(recording.name, "has no depth", "set synthesised_views to 0")
     return recording.poses

@@ -9,14 +9,12 @@ from dataclasses import asdict, dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.datasets.base import Recording
+from monoloc.datasets.base import Recording, Relight
 from monoloc.evaluation.trajectory import TrajectoryMetrics, summarise
 from monoloc.geometry import FloatArray
 from monoloc.progress import Progress
 
 Image = NDArray[np.uint8]
-# An image as another light would have given it: (H, W, 3) uint8 RGB both.
-Transform = Callable[[Image], Image]
 # An image (H, W, 3) uint8 RGB and the seconds since the one before -> its T_world_camera (4, 4), None if it has none.
 Locate = Callable[[Image, float], FloatArray | None]
 _WITHIN = ("within_5cm_5deg", "within_10cm_10deg")
@@ -62,13 +60,11 @@ class PoseRun:
         return figures | errors | {name: share * errors[name] for name in _WITHIN}
 
 
-def locate_all(
-    recording: Recording, locate: Locate, progress: Progress, transform: Transform | None = None
-) -> PoseRun:
+def locate_all(recording: Recording, locate: Locate, progress: Progress, relight: Relight | None = None) -> PoseRun:
     """Give every frame of a recording, in order of time, to a method.
 
     Args:
-        transform: what is done to the images before, None for nothing; it does not count as the method's time.
+        relight: brings the images to another light before, None leaves them; it does not count as the method's time.
 
     Raises:
         DataError: a frame cannot be read.
@@ -78,8 +74,8 @@ def locate_all(
     with progress.task("locate", len(recording)) as show:
         for index in range(len(recording)):
             color = recording.color(index)
-            if transform is not None:
-                color = transform(color)
+            if relight is not None:
+                color = relight(color)
             began = time.perf_counter()
             pose = locate(color, float(elapsed_s[index]))
             step_ms.append(1e3 * (time.perf_counter() - began))

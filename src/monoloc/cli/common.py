@@ -87,14 +87,17 @@ def check_writable(path: Path | None, option: str) -> None:
 
 
 def check_folder(path: Path, option: str) -> None:
-    """Refuse an output folder, which may exist, that cannot be made, before the work is done.
+    """Refuse an output folder, which may exist, that cannot be made or written to, before the work is done.
 
     Raises:
         SettingError: naming the option.
     """
-    if path.exists() and not path.is_dir():
+    if not path.exists():
+        _check_parent(path, option)
+    elif not path.is_dir():
         raise SettingError(option, f"{path} is a file", "name a folder")
-    _check_parent(path, option)
+    elif not os.access(path, os.W_OK | os.X_OK):
+        raise SettingError(option, f"{path} cannot be written to", "choose another folder")
 
 
 def check_viewing(view: bool, record: Path | None = None) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +18,7 @@ from monoloc.progress import ConsoleProgress
 
 if TYPE_CHECKING:
     from monoloc.experiments.study import Study
+    from monoloc.experiments.task import Task
 
 _BUILTIN = "builtin"
 
@@ -80,6 +82,8 @@ def reproduce(
     started = time.perf_counter()
     chosen = chosen_figures(figures or [])
     check_folder(out, "--out")
+    if workers is not None and dask is not None:
+        raise SettingError("--workers", "is of this machine, and --dask of others", "leave one of them out")
     require_reporting()
     study = _study(data, quick, encoder)
     if dask is not None:
@@ -87,25 +91,26 @@ def reproduce(
     wanted = [(figure, figure.tasks(study)) for figure in chosen]
     drawable = [(figure, tasks) for figure, tasks in wanted if tasks is not None]
     left_out = [figure for figure, tasks in wanted if tasks is None]
+    if not drawable:
+        names = ", ".join(figure.name for figure in left_out)
+        raise SettingError("--quick", f"leaves out {names}, and nothing else is asked for", "run without it")
+    tasks = [task for _, tasks in drawable for task in tasks]
+    _check_length(tasks)
     out = out.resolve()
     out.mkdir(exist_ok=True)
-    results = carry_out(
-        [task for _, tasks in drawable for task in tasks],
-        out,
-        ConsoleProgress(stderr),
-        workers or len(os.sched_getaffinity(0)),
-        dask,
-    )
+    results = carry_out(tasks, out, ConsoleProgress(stderr), workers or len(os.sched_getaffinity(0)), dask)
     drawn = [(figure, draw_figure(figure, study, results, out)) for figure, _ in drawable]
-    content = write_report(out, study, drawn, left_out, time.perf_counter() - started)
+    worked_s = sum(result.seconds for result in results.values())
+    content = write_report(out, study, drawn, left_out, time.perf_counter() - started, worked_s)
     if json:
         print_json({name: content[name] for name in ("claims", "figures", "report", "seconds")})
         return
-    print_table(
-        f"{study.title}: claims of the source paper",
-        ["", "holds", "measured"],
-        [[claim["name"], "yes" if claim["holds"] else "no", claim["figure"]] for claim in content["claims"]],
-    )
+    if content["claims"]:
+        print_table(
+            f"{study.title}: claims of the source paper",
+            ["", "holds", "measured"],
+            [[claim["name"], "yes" if claim["holds"] else "no", claim["figure"]] for claim in content["claims"]],
+        )
     stderr.print(f"{content['seconds']:.0f} s; report: {content['report']}")
 
 
@@ -131,3 +136,23 @@ def _study(data: str, quick: bool, encoder: Path | None) -> Study:
             raise DataError(recording.name, f"has {lacking}", f"give --data {_BUILTIN}, or one with poses and depth")
         study = recorded(source, recording.name, len(recording), quick)
     return study if encoder is None else replace(study, encoder_weights=str(encoder.resolve()))
+
+
+def _check_length(tasks: Sequence[Task]) -> None:
+    """Refuse a recording that is too short for the PoseNets asked for, before the work is done.
+
+    Raises:
+        DataError: saying how many frames it takes.
+    """
+    from monoloc.baselines.posenet_training import PoseNetTraining
+    from monoloc.experiments.engine import in_order
+    from monoloc.experiments.study import FRAMES_PER_BUILT
+
+    for task in in_order(tasks):
+        if task.kind == "posenet-search":
+            built = task.settings["build"]
+            least = PoseNetTraining.model_validate(task.settings["training"]).least_frames
+            if built["length"] < least:
+                problem = f"gives {built['length']} frames to build from, and PoseNets need {least}"
+                fix = f"give one of {FRAMES_PER_BUILT * least} frames or more, or ask for figures without PoseNets"
+                raise DataError(built["name"], problem, fix)

@@ -14,6 +14,7 @@ from monoloc.errors import SettingError
 from monoloc.geometry import FloatArray
 from monoloc.outputs.tum import read_tum, write_tum
 from monoloc.progress import ConsoleProgress
+from monoloc.synth.blur import velocities
 from monoloc.synth.flights import FlightConfig, plan_flight
 from monoloc.synth.inertial import ImuModel, OdometryModel, simulate_imu, simulate_odometry, write_imu
 from monoloc.synth.layout import generate_room, imported_room
@@ -146,7 +147,8 @@ def render(
     out.mkdir(exist_ok=True)
     write_room(out / _ROOM, made)
     progress = ConsoleProgress(stderr)
-    recordings = render_sequence(made, way[::every], times_s[::every], camera, chosen, config, seed, out, progress)
+    rendered = (way[::every], times_s[::every], velocities(way, times_s)[::every])
+    recordings = render_sequence(made, *rendered, camera, chosen, config, seed, out, progress)
     if json:
         print_json({"recordings": [str(path) for path in recordings], "frames": len(way[::every])})
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from collections.abc import Sequence as Indexable
 from typing import Protocol, runtime_checkable
 
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 
 FloatArray = NDArray[np.float64]
+# A frame's image as another light would have given it: (H, W, 3) uint8 RGB both.
+Relight = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 
 
 @runtime_checkable

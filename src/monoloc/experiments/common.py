@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.bundle import fingerprint
-from monoloc.datasets.base import Recording, Selection
+from monoloc.datasets.base import Recording, Relight, Selection
 from monoloc.datasets.registry import open_recording, select_frames
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
@@ -19,7 +19,6 @@ from monoloc.runs import Start, disturbed
 from monoloc.synth.light import LIGHTS, relit
 
 Settings = dict[str, Any]
-Relight = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 
 BUNDLE, WAY_FILE = "room.monoloc", "way.npz"
 _NOISE = 1  # of images, apart from the random numbers that a filter draws from the same seed
@@ -39,8 +38,11 @@ def describe_recording(source: str, frames: str) -> Settings:
         "frames": frames,
         "name": recording.name,
         "length": len(recording),
+        "camera": repr(recording.camera),
+        "times_sha256": hashlib.sha256(recording.timestamps_s.tobytes()).hexdigest(),
         "poses_sha256": hashlib.sha256(poses).hexdigest(),
         "images": [fingerprint(recording.color(index)) for index in looked_at],
+        "depths": [zlib.crc32(recording.depth(index).tobytes()) for index in looked_at if recording.has_depth],
     }
 
 

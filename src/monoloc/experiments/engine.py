@@ -6,6 +6,7 @@ all that it depends on, so it is used again only where it would come out the sam
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -23,12 +24,12 @@ from pathlib import Path
 from typing import Any
 
 from monoloc.errors import MissingExtraError, MonolocError, SettingError
-from monoloc.experiments.task import RESULT, Result, Results, Task, read_result
+from monoloc.experiments.task import RESULT, TASK, Result, Results, Task, read_result
 from monoloc.experiments.work import KINDS, Work
 from monoloc.progress import Progress
 
-_TASK = "task.json"
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+_NO_PLACE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 _ANSWER_S = 10.0  # for a scheduler to answer
 
 
@@ -126,7 +127,10 @@ def do_task(task: Task, out: Path, kinds: Mapping[str, Work] = KINDS) -> _Failur
     """Do one task whose needs are done, and put its result into its place; on one thread."""
     results = out / "results"
     _on_one_thread()
-    folder = Path(tempfile.mkdtemp(prefix=f".{task.key}.", dir=results))
+    try:
+        folder = Path(tempfile.mkdtemp(prefix=f".{task.key}.", dir=results))
+    except OSError as error:
+        return _not_written(results, error)
     try:
         started, started_cpu = time.perf_counter(), time.process_time()
         needs = [_there(out, need) for need in task.needs]
@@ -137,7 +141,7 @@ def do_task(task: Task, out: Path, kinds: Mapping[str, Work] = KINDS) -> _Failur
             "needs": [need.key for need in task.needs],
         }
         done |= {"seconds": time.perf_counter() - started, "processor_seconds": time.process_time() - started_cpu}
-        _write_json(folder / _TASK, done)
+        _write_json(folder / TASK, done)
         _write_json(folder / RESULT, figures)
         folder.chmod(0o755)
         place = results / task.key
@@ -146,11 +150,18 @@ def do_task(task: Task, out: Path, kinds: Mapping[str, Work] = KINDS) -> _Failur
         folder.replace(place)
     except MonolocError as error:
         return _Failure(str(error), is_input=True)
-    except Exception:
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno in _NO_PLACE:
+            return _not_written(results, error)
         return _Failure(traceback.format_exc(), is_input=False)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     return None
+
+
+def _not_written(results: Path, error: OSError) -> _Failure:
+    fix = "make room for it, or name a folder you can write to"
+    return _Failure(f"{results}: cannot be written to ({error.strerror}); {fix}", is_input=True)
 
 
 def _there(out: Path, task: Task) -> Result:
@@ -219,7 +230,7 @@ def _cores(workers: int) -> Iterator[Executor]:
 
 @contextmanager
 def _cluster(address: str) -> Iterator[Executor]:
-    """The workers of a Dask scheduler."""
+    """The workers of a Dask scheduler; what they have not begun is called off when the block is left."""
     try:
         from distributed import Client
     except ImportError as error:
@@ -281,7 +292,7 @@ def _alone(out: Path) -> Iterator[None]:
         except OSError as error:
             raise SettingError("--out", f"another run is at work in {out}", "wait for it, or name another") from error
         for left in results.glob(".*.*"):
-            shutil.rmtree(left)
+            shutil.rmtree(left, ignore_errors=True)
         yield
 
 

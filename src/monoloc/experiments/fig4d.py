@@ -17,8 +17,8 @@ from monoloc.experiments.gather import (
     Spread,
     in_split,
     mean_depth,
-    parameters_of,
     picture_path,
+    size_labels,
     spread_of,
     usual_light,
 )
@@ -85,7 +85,6 @@ def _draw(
     study: Study, split: Split, errors: dict[str, dict[str, Spread]], drift: Spread, sensor: Spread, folder: Path
 ) -> Path:
     path = picture_path(study, folder, "fig4d", split)
-    groups = [f"{size}\n{parameters_of(size) / 1e6:.2f} M parameters" for size in study.sizes]
     series = [
         Series(method.name, method.colour, [errors[method.name][size] for size in study.sizes]) for method in BY_SIZE
     ]
@@ -93,7 +92,7 @@ def _draw(
         axis = figure.subplots()
         draw_bound(axis, "dead reckoning from the true start (adapted)", drift, GREY, (0, (4, 2)))
         draw_bound(axis, SENSOR.name, sensor, SENSOR.colour, ":")
-        draw_ranges(axis, groups, series)
+        draw_ranges(axis, size_labels(study), series)
         axis.set_ylabel("position RMSE (cm)")
         axis.set_title(f"Position error by size of network, in usual light{in_split(study, split)}")
         legend_below(figure, [axis], 3)

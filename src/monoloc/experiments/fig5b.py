@@ -21,8 +21,8 @@ from monoloc.experiments.gather import (
     mean_depth,
     nearest_build_m,
     network_of,
-    parameters_of,
     picture_path,
+    size_labels,
     spread_of,
 )
 from monoloc.experiments.methods import (
@@ -134,7 +134,6 @@ def _draw_lights(study: Study, split: Split, errors: dict[str, dict[str, Spread]
 
 def _draw_sizes(study: Study, split: Split, dark: dict[str, dict[str, Spread]], drift: Spread, folder: Path) -> Path:
     path = picture_path(study, folder, "fig5b-sizes", split)
-    groups = [f"{size}\n{parameters_of(size) / 1e6:.2f} M parameters" for size in study.sizes]
     series = [
         Series(method.name, method.colour, [dark[method.name][size] for size in study.sizes])
         for method in _BY_SIZE_IN_THE_DARK
@@ -142,7 +141,7 @@ def _draw_sizes(study: Study, split: Split, dark: dict[str, dict[str, Spread]], 
     with picture(path, 4.0 + 1.6 * len(study.sizes), 4.6) as figure:
         axis = figure.subplots()
         draw_bound(axis, "dead reckoning from the true start (adapted)", drift, GREY, (0, (4, 2)))
-        draw_ranges(axis, groups, series)
+        draw_ranges(axis, size_labels(study), series)
         axis.set_ylabel("position RMSE (cm)")
         axis.set_title(f"Position error by size of network in {DARK}{in_split(study, split)}")
         legend_below(figure, [axis], 3)

@@ -74,8 +74,9 @@ def _text(errors: dict[float, Spread]) -> str:
     most = max(errors)
     enough = min(count for count, spread in errors.items() if spread.median <= 1.25 * errors[most].median)
     return (
-        f"Map and network from so many frames, evenly out of the build recording. With {most} frames the RMSE is "
-        f"{errors[most].centimetres()}; {enough} come within a quarter of that ({errors[enough].centimetres()})."
+        "Map and network from so many frames, evenly out of the build recording, in one build each. With "
+        f"{most} frames the RMSE is {errors[most].centimetres()}; {enough} come within a quarter of that "
+        f"({errors[enough].centimetres()})."
     )
 
 

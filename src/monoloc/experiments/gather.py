@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from monoloc.datasets.base import Selection
 from monoloc.datasets.registry import open_recording, select_frames
+from monoloc.errors import DataError
 from monoloc.experiments import tasks
 from monoloc.experiments.common import BUNDLE, WAY_FILE
 from monoloc.experiments.study import WIDTH, Split, Study, Walk
@@ -24,6 +25,7 @@ DARK = "L3"
 RMSE, MEDIAN, ROTATION = "unseen_ate_rmse_m", "unseen_ate_median_m", "unseen_rot_median_deg"
 _USUAL = ("as taken", "L2")  # the light of the build frames
 _SHOWN = (0.3, 0.7)  # of a walk: frames that are shown
+_WITH_DEPTH = 0.1  # of their pixels, at least
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,11 @@ def parameters_of(size: str) -> int:
     return next(model.parameters for model in shipped_models() if model.name == network_of(size))
 
 
+def size_labels(study: Study) -> list[str]:
+    """The sizes below a picture, each with what it has."""
+    return [f"{size}\n{parameters_of(size) / 1e6:.2f} M parameters" for size in study.sizes]
+
+
 def picture_path(study: Study, folder: Path, name: str, split: Split) -> Path:
     """``NAME.png``, or ``NAME-SPLIT.png`` where there are several."""
     return folder / (f"{name}.png" if len(study.splits) == 1 else f"{name}-{split.name.replace(' ', '-')}.png")
@@ -101,9 +108,22 @@ def depth_task(source: Task | str, walk: Walk) -> Task:
 
 @cache
 def shown_frames(walk: Walk) -> tuple[int, ...]:
-    """Positions in the walk; of frames that are judged too."""
-    judged = len(frames_of(walk.source, walk.frames)) // tasks.DEPTH_STRIDE
-    return tuple(tasks.DEPTH_STRIDE * int(share * judged) for share in _SHOWN)
+    """Positions in the walk; of frames that are judged too, with sensor depth.
+
+    Raises:
+        DataError: no frame that is judged has depth.
+    """
+    recording = frames_of(walk.source, walk.frames)
+    judged = range(0, len(recording), tasks.DEPTH_STRIDE)
+
+    def nearest(wanted: int) -> int:
+        for place in sorted(judged, key=lambda place: abs(place - wanted)):
+            if np.mean(recording.depth(place) > 0.0) >= _WITH_DEPTH:
+                return place
+        raise DataError(recording.name, "has no depth in the frames to be shown", "give one whose frames have depth")
+
+    whole = len(recording) // tasks.DEPTH_STRIDE
+    return tuple(nearest(tasks.DEPTH_STRIDE * int(share * whole)) for share in _SHOWN)
 
 
 def mean_depth(result: Result, split: Split, walk: Walk, name: str) -> float:

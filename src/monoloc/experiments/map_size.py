@@ -107,8 +107,9 @@ def _text(points: dict[_Kind, dict[float, Spread]]) -> str:
         return f"{points[kind][amount].centimetres()} with {amount / 1e3:.1f} kB"
 
     return (
-        "One network, tuned without bending a map, in maps of several kinds and sizes; what was calibrated is the "
-        f"same. Least RMSE: as a mixture {best('mixture')}, as voxels {best('voxels')}, as points {best('points')}."
+        "The network of one build, tuned without bending a map, in maps of several kinds and sizes; what was "
+        f"calibrated is the same. Least RMSE: as a mixture {best('mixture')}, as voxels {best('voxels')}, as points "
+        f"{best('points')}."
     )
 
 

@@ -1,4 +1,4 @@
-"""On what, and with what, results were made."""
+"""On what, and with what, a report is drawn."""
 
 from __future__ import annotations
 

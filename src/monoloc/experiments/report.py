@@ -19,7 +19,12 @@ REPORT_JSON, REPORT_HTML, REPORT_PDF = "report.json", "report.html", "report.pdf
 
 
 def write_report(
-    out: Path, study: Study, drawn: Sequence[tuple[Figure, Drawn]], left_out: Sequence[Figure], seconds: float
+    out: Path,
+    study: Study,
+    drawn: Sequence[tuple[Figure, Drawn]],
+    left_out: Sequence[Figure],
+    seconds: float,
+    worked_s: float,
 ) -> dict[str, Any]:
     """Write the report's three files.
 
@@ -27,18 +32,19 @@ def write_report(
         out: the folder; pictures lie within it.
         drawn: figures as they came, in the report's order.
         left_out: figures that were asked for and that the study leaves out.
-        seconds: what it took.
+        seconds: what the command took, which may have found work done before.
+        worked_s: what all the work took, on one core.
 
     Returns:
         What ``report.json`` holds: ``claims``, ``figures`` by name, ``report`` (there relative, here as ``out`` is),
-        ``seconds``, ``left_out``, ``study``, ``provenance``.
+        ``seconds``, ``worked_s``, ``left_out``, ``study``, ``provenance``.
 
     Raises:
         MissingExtraError: ReportLab or matplotlib is not installed.
         DataError: a file cannot be written.
     """
     made = provenance()
-    blocks = report_blocks(study, drawn, left_out, made, seconds)
+    blocks = report_blocks(study, drawn, left_out, made, seconds, worked_s)
     write_whole(out / REPORT_HTML, html_page(study, blocks).encode())
     write_whole(out / REPORT_PDF, pdf_file(study, blocks))
     content: dict[str, Any] = {
@@ -53,6 +59,7 @@ def write_report(
         },
         "report": REPORT_HTML,
         "seconds": seconds,
+        "worked_s": worked_s,
         "left_out": [figure.name for figure in left_out],
         "study": {"title": study.title, "quick": study.quick, **study_settings(study)},
         "provenance": made,

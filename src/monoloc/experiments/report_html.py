@@ -29,7 +29,7 @@ main { max-width: 62rem; margin: 0 auto; padding: 2rem 1.2rem 4rem; }
 h1 { font-size: 2rem; line-height: 1.2; margin: 0 0 .6rem; letter-spacing: -.01em; }
 h2 { font-size: 1.35rem; line-height: 1.25; margin: 3.2rem 0 .6rem; padding-top: 1.1rem;
   border-top: 1px solid var(--line); }
-p, ul { max-width: 44rem; margin: .6rem 0; }
+p { max-width: 44rem; margin: .6rem 0; }
 nav { font-size: .92rem; margin: 1.2rem 0 0; max-width: 44rem; color: var(--soft); }
 nav a { color: #0b5a8a; text-decoration: none; margin-right: .9rem; white-space: nowrap; display: inline-block; }
 nav a:hover { text-decoration: underline; }
@@ -49,7 +49,6 @@ th, td { text-align: left; padding: .28rem 1.1rem .28rem 0; vertical-align: top;
 td.long { white-space: normal; max-width: 34rem; }
 th { font-weight: 600; color: var(--soft); border-bottom: 1.5px solid #999; }
 td { border-bottom: 1px solid #eee; }
-tr.group td { border-top: 1px solid #bbb; }
 @media (max-width: 40rem) { body { font-size: 16px; } h1 { font-size: 1.6rem; } main { padding-top: 1.2rem; } }
 @media print {
   body { font-size: 10pt; } main { max-width: none; padding: 0; } nav { display: none; }

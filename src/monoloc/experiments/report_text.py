@@ -10,7 +10,8 @@ from typing import Any
 
 from monoloc.experiments.figure import Claim, Drawn, Figure
 from monoloc.experiments.gather import frames_of, joined
-from monoloc.experiments.study import START_DEG, START_M, WIDTH, Study, Walk
+from monoloc.experiments.study import WIDTH, Study, Walk
+from monoloc.runs import START_DEG, START_M
 
 PAPER = (
     "P. Shukla et al., Robust Monocular Localization of Drones by Adapting Domain Maps to Depth Prediction "
@@ -65,10 +66,11 @@ def report_blocks(
     left_out: Sequence[Figure],
     made: Mapping[str, str],
     seconds: float,
+    worked_s: float,
 ) -> list[Block]:
-    """All of the report below its title."""
+    """All of the report below its title; arguments as :func:`monoloc.experiments.report.write_report` has them."""
     claims = [claim for _, one in drawn for claim in one.claims]
-    blocks: list[Block] = [Paragraph(_introduction(study, seconds))]
+    blocks: list[Block] = [Paragraph(_introduction(study, seconds, worked_s))]
     if claims:
         blocks += [Heading("The paper's claims", "claims"), Paragraph(_verdicts(claims)), *map(_verdict, claims)]
     for figure, one in drawn:
@@ -82,7 +84,7 @@ def report_blocks(
         names = joined([f"{figure.title.lower()} ({figure.name})" for figure in left_out])
         blocks.append(Paragraph(f"Left out of a quick study: {names}. Run without --quick for these."))
     blocks.append(Table("What was studied", ("setting", "value"), list(study_settings(study).items())))
-    blocks.append(Table("With what", ("part", "version"), list(made.items())))
+    blocks.append(Table("Drawn by", ("part", "version"), list(made.items())))
     blocks.append(Paragraph(f"After {PAPER}.", small=True))
     return blocks
 
@@ -102,7 +104,7 @@ def study_settings(study: Study) -> dict[str, str]:
     settings = {
         "networks": f"{', '.join(study.sizes)} (width {WIDTH})",
         "seeds": f"0 to {study.seeds - 1}",
-        "builds": f"{study.builds}; a run with seed s is in build s modulo {study.builds}",
+        "builds": f"{study.builds}; a run with seed s is in build s modulo {study.builds}. Figure 3 has one a seed",
         "start": f"{100.0 * START_M:g} cm and {START_DEG:g}° off the truth, in a direction drawn from the seed",
         "adaptation": ", ".join(f"{name} {value}" for name, value in study.adapt.items()) or "default settings",
         "PoseNets' encoders start from": Path(study.encoder_weights).name
@@ -123,22 +125,27 @@ def _described(walk: Walk) -> str:
     return f"{judged.name}, {walk.frames}, {len(judged)} frames{change}"
 
 
-def _introduction(study: Study, seconds: float) -> str:
+def _introduction(study: Study, seconds: float, worked_s: float) -> str:
     kind = "A quick study: fewer sizes, shorter tuning and training. " if study.quick else ""
     return (
         f"{kind}The figures, the table and the claims of {PAPER}, made anew by monoloc reproduce, and what goes "
         "beyond them. Errors are positions' and of frames that built nothing, without any alignment; a number is "
-        f"the median over {study.seeds} seeds, with the smallest and the largest. It took {_duration(seconds)}."
+        f"the median over {study.seeds} seeds, with the smallest and the largest. This command took "
+        f"{_duration(seconds)}. All work together took {_duration(worked_s)} of one core."
     )
 
 
 def _duration(seconds: float) -> str:
     minutes = seconds / 60.0
+    if minutes < 2.0:
+        return f"{seconds:.0f} seconds"
     return f"{minutes:.0f} minutes" if minutes < 120.0 else f"{minutes / 60.0:.1f} hours"
 
 
 def _verdicts(claims: Sequence[Claim]) -> str:
     held = sum(claim.holds for claim in claims)
+    if len(claims) == 1:
+        return "It is reproduced." if held else "It is not reproduced; the analysis says why."
     if held == len(claims):
         return f"All {held} are reproduced."
     return f"{held} of {len(claims)} are reproduced; of the others, the analysis says why."

@@ -11,8 +11,8 @@ from monoloc.rooms import BUILD, TESTS
 WIDTH = 0.35
 SIZES = tuple(model.name.rpartition("-")[0] for model in shipped_models() if model.width == WIDTH)
 """Of depth networks, largest first."""
-START_M, START_DEG = 0.10, 3.0
-"""How far off a run begins; the direction is drawn from its seed."""
+FRAMES_PER_BUILT = 4
+"""Of how many frames of a recording one builds a room, in every split."""
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,9 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
     rows.append(
         ("all", "map transform (not carried)", f"{transform:,}", "–", f"{_FLOAT_BYTES * transform / 1e3:.1f} kB", "–")
     )
-    head = ("size", "what", "parameters", "multiply-adds an image", "bytes, 32 bits", "8 bits")
+    image = shipped[network_of(study.sizes[0])]
+    work = f"multiply-adds, {image.input_width} x {image.input_height}"
+    head = ("size", "what", "parameters", work, "bytes, 32 bits", "8 bits")
     return Drawn(numbers=numbers, tables={"Equivalent sizes": (head, rows)}, text=_text(numbers))
 
 

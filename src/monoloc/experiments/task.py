@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-RESULT = "result.json"
+TASK, RESULT = "task.json", "result.json"
 
 
 @dataclass(frozen=True)
@@ -48,21 +48,24 @@ class Result:
     """What a task gave.
 
     Attributes:
-        folder: where what it wrote lies: :data:`RESULT`, last, and what else its kind says.
-        figures: the content of the former.
+        folder: where what it wrote lies: :data:`TASK`, :data:`RESULT`, last, and what else its kind says.
+        figures: the content of :data:`RESULT`.
+        seconds: what it took, on one core.
     """
 
     folder: Path
     figures: dict[str, Any]
+    seconds: float = 0.0
 
 
 def read_result(out: Path, task: Task) -> Result | None:
-    """A result that an earlier run has left; None where it was not finished."""
+    """A result that an earlier run has left; None where it was not finished, or cannot be read."""
     folder = out / "results" / task.key
     try:
-        return Result(folder, json.loads((folder / RESULT).read_text(encoding="utf-8")))
-    except (OSError, json.JSONDecodeError):
+        figures, done = (json.loads((folder / name).read_text(encoding="utf-8")) for name in (RESULT, TASK))
+    except (OSError, ValueError):
         return None
+    return Result(folder, figures, done["seconds"])
 
 
 Results = Mapping[Task, Result]

@@ -15,9 +15,12 @@ from monoloc.build import BuildConfig
 from monoloc.config import override
 from monoloc.depth.model import trainable_file
 from monoloc.experiments.common import describe_recording
-from monoloc.experiments.study import START_DEG, START_M, WIDTH, Split, Study, Walk
+from monoloc.experiments.source import source_sha256
+from monoloc.experiments.study import WIDTH, Split, Study, Walk
 from monoloc.experiments.task import Task
+from monoloc.extras import training_extra
 from monoloc.models import is_shipped, shipped_file
+from monoloc.runs import START_DEG, START_M
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "unadapted": {"tune": "none", "map_transform": False},
@@ -32,7 +35,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 DEPTH_STRIDE = 5
 """Of how many frames of a walk one is judged, where depth alone is in question."""
 
-_QUICK_POSENET = {"epochs": 100, "learning_rates": (3e-3,), "search_epochs": 30}
+_QUICK_POSENET: dict[str, Any] = {"epochs": 100, "learning_rates": (3e-3,), "search_epochs": 30}
 
 
 def bundle(
@@ -104,28 +107,32 @@ true pose.
 
 def posenet_search(study: Study, split: Split, size: str, views: bool = False) -> Task:
     """The learning rate that is best for a PoseNet; figures ``learning_rate``, ``trials``, ``error`` of the best."""
-    return _task("posenet-search", build=_with_views(study, split, views), **_training(study, size), seed=0)
+    built = _recording(split.source, split.frames)
+    return _task("posenet-search", build=built, **_training(study, size, views), seed=0)
 
 
 def posenet(study: Study, split: Split, size: str, seed: int, views: bool = False) -> Task:
     """A PoseNet with as many parameters as the depth network of a size, trained on a split: ``posenet.safetensors``.
 
-    Its figures are ``parameters``, ``bytes``, ``multiply_adds``, ``learning_rate`` and ``trials``. A quick study
-    trains for fewer epochs, at one learning rate.
+    Its figures are ``parameters``, ``bytes`` of the file, ``multiply_adds`` at the depth network's input size as the
+    catalogue has it, ``learning_rate`` and ``trials``. A quick study trains for fewer epochs, at one learning rate.
 
     Args:
         seed: of weights, order and exposures. The learning rate is the same for all, see :func:`posenet_search`.
         views: whether it also learns from views synthesised of the recording, as the depth network does.
     """
     search = posenet_search(study, split, size, views)
-    return _task(
-        "posenet", needs=(search,), build=_with_views(study, split, views), **_training(study, size), seed=seed
-    )
+    built = _recording(split.source, split.frames)
+    return _task("posenet", needs=(search,), build=built, **_training(study, size, views), seed=seed)
 
 
 def posenet_run(posenet: Task, walk: Walk) -> Task:
-    """A walk located by a PoseNet, frame by frame: ``way.npz``, and figures as :func:`run`, failed frames beside."""
-    return _task("posenet-run", needs=(posenet,), build=posenet.settings["build"], walk=_walk(walk), seed=0)
+    """A walk located by a PoseNet, frame by frame: ``way.npz``, and figures as :func:`run`, failed frames beside.
+
+    The noise of a changed light is of the PoseNet's seed.
+    """
+    built, seed = (posenet.settings[name] for name in ("build", "seed"))
+    return _task("posenet-run", needs=(posenet,), build=built, walk=_walk(walk), seed=seed)
 
 
 def filtered_run(posenet: Task, bundle: Task, walk: Walk, seed: int) -> Task:
@@ -173,23 +180,26 @@ _START = {"position_m": START_M, "rotation_deg": START_DEG}
 
 
 def _task(kind: str, needs: Sequence[Task] = (), **settings: Any) -> Task:
-    return Task.of(kind, {"monoloc": __version__, **settings}, needs)
+    return Task.of(kind, {"monoloc": __version__, "code": source_sha256(), **settings}, needs)
 
 
-def _training(study: Study, size: str) -> dict[str, Any]:
+def _training(study: Study, size: str, views: bool) -> dict[str, Any]:
+    with training_extra():
+        from monoloc.baselines.posenet import posenet_config
+        from monoloc.baselines.posenet_training import PoseNetTraining
+    config = override(
+        PoseNetTraining(network=posenet_config(size, WIDTH)),
+        synthesised_views=AdaptConfig.model_validate(study.adapt).synthesised_views if views else 0,
+        **(_QUICK_POSENET if study.quick else {}),
+    )
     weights = study.encoder_weights
     return {
         "size": size,
         "width": WIDTH,
-        "training": dict(_QUICK_POSENET) if study.quick else {},
+        "training": config.model_dump(mode="json"),
         "encoder": weights or f"full-{WIDTH}",
         "encoder_sha256": _sha256(Path(weights)) if weights else _content_of(f"full-{WIDTH}"),
     }
-
-
-def _with_views(study: Study, split: Split, views: bool) -> dict[str, Any]:
-    count = AdaptConfig.model_validate(study.adapt).synthesised_views if views else 0
-    return {**_recording(split.source, split.frames), "views": count}
 
 
 def _walk(walk: Walk) -> dict[str, Any]:

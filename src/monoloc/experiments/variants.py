@@ -19,9 +19,9 @@ from monoloc.experiments.gather import (
     in_split,
     mean_depth,
     network_of,
-    parameters_of,
     picture_path,
     seeds_of,
+    size_labels,
     spread_of,
     usual_light,
 )
@@ -96,11 +96,10 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
 
 def _draw(study: Study, split: Split, medians: dict[str, dict[str, Spread]], folder: Path) -> Path:
     path = picture_path(study, folder, "variants", split)
-    groups = [f"{size}\n{parameters_of(size) / 1e6:.2f} M parameters" for size in study.sizes]
     series = [Series(*_NAMES[name], [sizes[size] for size in study.sizes]) for name, sizes in medians.items()]
     with picture(path, 3.5 + 1.8 * len(study.sizes), 4.8) as figure:
         axis = figure.subplots()
-        draw_ranges(axis, groups, series)
+        draw_ranges(axis, size_labels(study), series)
         axis.set_ylabel("median position error (cm)")
         axis.set_title(f"Position error by what was tuned{in_split(study, split)}")
         legend_below(figure, [axis], 3)

@@ -21,7 +21,7 @@ from monoloc.experiments.common import BUNDLE, Settings, built_from, relighting,
 from monoloc.experiments.task import Result
 from monoloc.extras import training_extra
 from monoloc.filter.particles import scatter
-from monoloc.models import is_shipped
+from monoloc.models import is_shipped, shipped_models
 from monoloc.progress import NoProgress
 
 _NETWORK = "posenet.safetensors"
@@ -44,21 +44,17 @@ def posenet(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[s
     with training_extra():
         from monoloc.baselines.posenet_file import save_posenet
         from monoloc.baselines.posenet_training import Search, Trial, train_posenet
-        from monoloc.depth.spec import network_size
     found = needs[0].figures
     search = Search([Trial(**trial) for trial in found["trials"]], PoseError(**found["error"]))
-    recording = built_from(settings)
     trained = train_posenet(
-        recording, _training(settings), settings["seed"], NoProgress(), _encoder(settings), search
+        built_from(settings), _training(settings), settings["seed"], NoProgress(), _encoder(settings), search
     )
     save_posenet(trained, folder / _NETWORK)
-    parameters = trained.network.parameter_count()
+    equal = next(model for model in shipped_models() if model.name == f"{settings['size']}-{settings['width']}")
     return {
-        "parameters": parameters,
-        "bytes": 4 * parameters,
-        "multiply_adds": trained.network.multiply_adds(
-            *network_size(recording.camera, trained.network.config.focal_px)
-        ),
+        "parameters": trained.network.parameter_count(),
+        "bytes": (folder / _NETWORK).stat().st_size,
+        "multiply_adds": trained.network.multiply_adds(equal.input_width, equal.input_height),
         "learning_rate": found["learning_rate"],
         "trials": found["trials"],
     }
@@ -114,14 +110,9 @@ def _located(settings: Settings, recording: Recording, locate: Locate, folder: P
 
 def _training(settings: Settings) -> Any:
     """The settings of a PoseNet's training."""
-    from monoloc.baselines.posenet import posenet_config
     from monoloc.baselines.posenet_training import PoseNetTraining
 
-    return PoseNetTraining(
-        network=posenet_config(settings["size"], settings["width"]),
-        synthesised_views=settings["build"]["views"],
-        **settings["training"],
-    )
+    return PoseNetTraining.model_validate(settings["training"])
 
 
 def _encoder(settings: Settings) -> Path:

@@ -28,7 +28,7 @@ from monoloc.files import write_whole
 from monoloc.geometry import FloatArray
 from monoloc.outputs.tum import write_tum
 from monoloc.progress import Progress
-from monoloc.synth.blur import motion_blurred, velocities
+from monoloc.synth.blur import motion_blurred
 from monoloc.synth.light import Light
 from monoloc.synth.materials import LightGroup
 from monoloc.synth.render import Picture, Renderer, illuminance, mixed
@@ -62,6 +62,7 @@ def render_sequence(
     room: Room,
     poses: FloatArray,
     timestamps_s: FloatArray,
+    velocities: FloatArray,
     camera: Camera,
     lights: Sequence[Light],
     config: RenderConfig,
@@ -74,6 +75,7 @@ def render_sequence(
     Args:
         poses: ``T_world_camera``, (N, 4, 4).
         timestamps_s: (N,).
+        velocities: of the camera while each image is taken, twists a second in its frame, (N, 6).
 
     Returns:
         One recording a light.
@@ -103,7 +105,7 @@ def render_sequence(
     _write_depth(frames, poses, camera, config, seed, out / "depth")
     with progress.task("develop", len(lights) * len(frames)) as step:
         for number, light in enumerate(lights):
-            develop(frames, velocities(poses, timestamps_s), camera, light, lux, config, seed, out / light.name)
+            develop(frames, velocities, camera, light, lux, config, seed, out / light.name)
             step((number + 1) * len(frames))
             write_whole(out / light.name / FILE_NAME, _description(camera, len(frames), config).encode())
     return [out / light.name for light in lights]
@@ -149,21 +151,21 @@ def develop(
     sensor, factors = light.exposed(config.sensor), light.factors(lux)
     chosen = np.unique(np.linspace(0, len(frames) - 1, _BALANCE_FRAMES).astype(int))
     # White balance settles on a flight's light, while exposure follows every frame.
-    balance = np.median([white_balance(_light(frames[i], factors), sensor.adapted) for i in chosen], axis=0)
+    balance = np.median([white_balance(_seen(frames[i], factors)[0], sensor.adapted) for i in chosen], axis=0)
     for index, frame in enumerate(frames):
         rng = np.random.default_rng([seed, index, int(1000.0 * light.lux)])
-        seen = _light(frame, factors)
-        with np.load(frame) as stored:
-            depth = stored["depth_m"]
-        seen = motion_blurred(seen, depth, camera, velocity[index], sensor.exposure_s(metered(seen)))
-        image = photograph(seen, sensor, rng, balance.astype(np.float32))
+        still, depth = _seen(frame, factors)
+        moved = motion_blurred(still, depth, camera, velocity[index], sensor.exposure_s(metered(still)))
+        image = photograph(moved, sensor, rng, balance.astype(np.float32))
         quality = [cv2.IMWRITE_JPEG_QUALITY, config.jpeg_quality]
         write_whole(out / "color" / f"{index:06d}.jpg", cv2.imencode(".jpg", image[..., ::-1], quality)[1].tobytes())
 
 
-def _light(frame: Path, factors: dict[LightGroup, float]) -> NDArray[np.float32]:
+def _seen(frame: Path, factors: dict[LightGroup, float]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Light (H, W, 3) and depth (H, W) of a rendered frame."""
     with np.load(frame) as stored:
-        return mixed({group: stored[f"light_{group}"].astype(np.float32) for group in factors}, factors)
+        light = {group: stored[f"light_{group}"].astype(np.float32) for group in factors}
+        return mixed(light, factors), stored["depth_m"]
 
 
 def _write_depth(
