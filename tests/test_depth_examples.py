@@ -318,7 +318,7 @@ class Spoilt(RoomRecording):
 
 
 def frames_of(recording: Recording, augment: AugmentConfig = NEUTRAL) -> TrainingFrames:
-    return TrainingFrames(recording, TINY.focal_px, augment, lambda done: None)
+    return TrainingFrames([recording], TINY.focal_px, augment, lambda done: None)
 
 
 def epoch_depth(frames: TrainingFrames, batch_size: int) -> Tensor:
@@ -422,7 +422,7 @@ def test_depth_that_holds_nan_names_the_frame(value: float) -> None:
 
 def test_frames_read_are_counted() -> None:
     done: list[int] = []
-    TrainingFrames(small_recording(3), TINY.focal_px, NEUTRAL, done.append)
+    TrainingFrames([small_recording(3)], TINY.focal_px, NEUTRAL, done.append)
     assert done == [1, 2, 3]
 
 

@@ -354,7 +354,7 @@ def test_a_run_is_not_continued_on_other_frames(tmp_path: Path, training: Record
     """Half as many frames more make other epochs, of which the learning-rate schedule knows nothing."""
     interrupt(tmp_path, training, validation)
     with pytest.raises(MonolocError) as caught:
-        train_network(FourfoldDepth(ROOM, looking_around(12), SMALL_CAMERA), validation, UNCERTAIN, tmp_path)
+        train_network([FourfoldDepth(ROOM, looking_around(12), SMALL_CAMERA)], validation, UNCERTAIN, tmp_path)
     assert "\n" not in str(caught.value)
 
 

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from monoloc.adapt.calibrate import Sample, calibrate
 from monoloc.adapt.checks import check_frames
 from monoloc.adapt.map_depth import supervision
-from monoloc.adapt.poses import PosePrior, refine_poses, rounds
+from monoloc.adapt.poses import PosePrior, check_refinable, refine_poses, rounds
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.bundle import Bundle, Provenance, fingerprint, read_network
 from monoloc.datasets.base import Recording
@@ -122,6 +122,8 @@ def build_bundle(
         raise DataError(recording.name, "has no poses", "build from a recording with camera poses")
     if len(recording) < _MIN_FRAMES:
         raise DataError(recording.name, f"gives {len(recording)} frames", f"build from at least {_MIN_FRAMES}")
+    if config.refine_poses:
+        check_refinable(recording)
     adapts = config.adapt.tune != "none" or config.adapt.map_transform
     if adapts:
         network_file = _tunable(network, config.adapt)

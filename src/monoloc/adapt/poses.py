@@ -42,6 +42,16 @@ class PosePrior:
         return np.diag(np.repeat([self.position_sd_m, self.rotation_sd_rad], 3) ** -2.0)
 
 
+def check_refinable(recording: Recording) -> None:
+    """Refuse to refine poses without measured depth: by predicted depth they become worse.
+
+    Raises:
+        SettingError: the recording has no depth.
+    """
+    if not recording.has_depth:
+        raise SettingError("refine_poses", "needs depth, and the recording has none", "leave it out")
+
+
 def refine_poses(
     recording: Recording,
     mixture: GaussianMixture,
@@ -63,8 +73,7 @@ def refine_poses(
         SettingError: the recording has no depth to align.
         DataError: a frame cannot be read.
     """
-    if not recording.has_depth:
-        raise SettingError("refine_poses", "needs depth, and the recording has none", "leave it out")
+    check_refinable(recording)
     given = recording.poses
     assert given is not None
     scans = [
