@@ -76,7 +76,7 @@ def _why_not_smaller(measured: Smaller, ratio: float) -> str:
         why.append(f"Adapted, {small} is {_percent(ratio)} against {large}, more than {_percent(SMALLER_BOUND)}.")
         ranges = f"{full.centimetres()} and {third.centimetres()}"
         if third.range[0] <= full.range[1]:
-            why.append(f"Over seeds the two overlap ({ranges}): the difference is within what seeds change.")
+            why.append(f"Over seeds the two overlap ({ranges}).")
         else:
             why.append(f"Over seeds the two do not overlap ({ranges}): seeds do not explain the difference.")
         deep, shallow = measured.absrel
@@ -154,7 +154,7 @@ def _why_not_half(measured: Dark, ratios: dict[str, float]) -> str:
     if ratios["unadapted"] > DARK_BOUND:
         than = "less than" if ratios["unadapted"] > 1.0 else "not twice"
         why.append(f"The unadapted filter is off by {_cm(measured.unadapted)}, {than} our {100.0 * ours:.1f} cm.")
-        if measured.unadapted.median <= 1.25 * measured.unadapted_drift.median:
+        if measured.unadapted_drift.median <= 1.25 * measured.unadapted.median:
             alone = _cm(measured.unadapted_drift)
             why.append(f"Odometry carries it: its dead reckoning from the true start alone is off by {alone}.")
         before, after = (100.0 * absrel for absrel in measured.absrel)

@@ -90,7 +90,7 @@ def _draw(
     ]
     with picture(path, 3.5 + 1.8 * len(study.sizes), 5.0) as figure:
         axis = figure.subplots()
-        draw_bound(axis, "dead reckoning from the true start (adapted)", drift, GREY, (0, (4, 2)))
+        draw_bound(axis, "dead reckoning, true start", drift, GREY, (0, (4, 2)))
         draw_bound(axis, SENSOR.name, sensor, SENSOR.colour, ":")
         draw_ranges(axis, size_labels(study), series)
         axis.set_ylabel("position RMSE (cm)")

@@ -140,7 +140,7 @@ def _draw_sizes(study: Study, split: Split, dark: dict[str, dict[str, Spread]], 
     ]
     with picture(path, 4.0 + 1.6 * len(study.sizes), 4.6) as figure:
         axis = figure.subplots()
-        draw_bound(axis, "dead reckoning from the true start (adapted)", drift, GREY, (0, (4, 2)))
+        draw_bound(axis, "dead reckoning, true start", drift, GREY, (0, (4, 2)))
         draw_ranges(axis, size_labels(study), series)
         axis.set_ylabel("position RMSE (cm)")
         axis.set_title(f"Position error by size of network in {DARK}{in_split(study, split)}")
