@@ -3,12 +3,14 @@
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
 
+#include <cstdint>
 #include <memory>
 #include <optional>
 #include <vector>
 
 #include "monoloc/index.hpp"
 #include "monoloc/mixture.hpp"
+#include "monoloc/pooling.hpp"
 #include "monoloc/rays.hpp"
 
 namespace nb = nanobind;
@@ -24,6 +26,8 @@ using Matrices = Array<double, nb::shape<-1, 3, 3>>;
 using Poses = Array<double, nb::shape<-1, 4, 4>>;
 using Floats = Array<float, nb::shape<-1>>;
 using FloatVectors = Array<float, nb::shape<-1, 3>>;
+using Images = Array<std::uint16_t, nb::shape<-1, -1, -1, -1>>;
+using WritableImages = nb::ndarray<std::uint16_t, nb::shape<-1, -1, -1, -1>, nb::c_contig, nb::device::cpu>;
 using Result = nb::ndarray<nb::numpy, double>;
 
 // A NumPy array that owns the values.
@@ -96,12 +100,29 @@ Result rays_weigh(const monoloc::RayMixture& mixture, const Poses& poses, const 
   return to_numpy(std::move(out), {count});
 }
 
+monoloc::ImageShape image_shape(const Images& images) {
+  return {images.shape(1), images.shape(2), images.shape(3)};
+}
+
+void max_pool(const Images& values, std::size_t threads, const WritableImages& largest, const WritableImages& from) {
+  nb::gil_scoped_release release;
+  monoloc::max_pool(values.data(), values.shape(0), image_shape(values), threads, largest.data(), from.data());
+}
+
+void max_pool_gradient(const Images& gradient, const Images& from, std::size_t threads, const WritableImages& out) {
+  nb::gil_scoped_release release;
+  monoloc::max_pool_gradient(gradient.data(), from.data(), gradient.shape(0), image_shape(gradient), threads,
+                             out.data());
+}
+
 }  // namespace
 
 NB_MODULE(_core, m) {
-  m.doc() = "Native kernels of monoloc: mixture density, E-step of EM, weighing of particles.";
+  m.doc() = "Native kernels of monoloc: mixture density, E-step of EM, weighing of particles, max-pooling.";
   m.def("log_density", &log_density, "points"_a, "weights"_a, "means"_a, "covariances"_a);
   m.def("expectation", &expectation, "points"_a, "weights"_a, "means"_a, "covariances"_a);
+  m.def("max_pool", &max_pool, "values"_a, "threads"_a, "largest"_a, "from_"_a);
+  m.def("max_pool_gradient", &max_pool_gradient, "gradient"_a, "from_"_a, "threads"_a, "out"_a);
   m.def("instruction_set", [] { return monoloc::kernels().name; });
   m.def(
       "multiply_add",

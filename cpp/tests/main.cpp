@@ -12,6 +12,7 @@ int main() {
   test_index();
   test_threads();
   test_ray_mixture();
+  test_pooling();
   for (const monoloc::Kernels* const* k = monoloc::available_kernels(); *k != nullptr; ++k) {
     std::printf("%s\n", (*k)->name);
     test_component_density(**k);
@@ -20,6 +21,7 @@ int main() {
     test_selection(**k);
     test_kernels(**k);
     test_rays(**k);
+    test_largest_of_five(**k);
   }
   if (failures == 0) std::printf("all passed\n");
   return failures == 0 ? 0 : 1;

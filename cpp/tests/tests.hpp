@@ -15,3 +15,5 @@ void test_threads();
 void test_kernels(const monoloc::Kernels& kernels);
 void test_rays(const monoloc::Kernels& kernels);
 void test_ray_mixture();
+void test_largest_of_five(const monoloc::Kernels& kernels);
+void test_pooling();

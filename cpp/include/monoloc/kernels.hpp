@@ -107,6 +107,9 @@ struct Kernels {
                      const std::size_t* first_candidate, float log_depth_sd, float inlier_share,
                      float outlier_density, float* scratch, double* out);
 
+  // The largest of five rows' keys, element by element.
+  void (*largest_of_five)(const std::int32_t* const* rows, std::size_t count, std::int32_t* out);
+
   // Multiplies and adds as fast as the processor can, `rounds` times, for benchmarks to be held against; returns the
   // operations done. out: kPadding floats, so that the work is not left out.
   double (*multiply_add)(std::size_t rounds, float* out);

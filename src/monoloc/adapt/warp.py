@@ -16,6 +16,8 @@ from monoloc.geometry import FloatArray, invert, transform
 _FINE = 2  # points are drawn at this many times the view's size and averaged down
 _DEPTH_JUMP = 0.1  # pixels beside a larger one lie on neither surface and are left behind
 _LEAST_DEPTH_M = 0.1
+_SIGHTED, _MARGIN = 9, 1.03  # pixels a side whose rays bound the view; share by which it is taken to be wider
+_NOTHING = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
 @dataclass(frozen=True)
@@ -58,26 +60,36 @@ def forward_warp(
     fine = camera.resized(camera.width * _FINE, camera.height * _FINE)
     points = transform(invert(T_world_camera), np.concatenate([source.points for source in sources]))
     colors = np.concatenate([source.colors for source in sources])
-    ahead = points[:, 2] > _LEAST_DEPTH_M
-    points, colors = points[ahead], colors[ahead]
-    # Far points first: of those that fall on one pixel, the one drawn last is the nearest.
-    order = np.argsort(-points[:, 2])
-    points, colors = points[order], colors[order]
-    corner = np.floor(fine.project(points)).astype(np.int64)
-    nearest = np.full((fine.height, fine.width), np.inf, dtype=np.float32)
-    image = np.zeros((fine.height, fine.width, 3), dtype=np.uint8)
-    for offset in ((0, 0), (0, 1), (1, 0), (1, 1)):
+    index = np.flatnonzero(_in_sight(points, fine))
+    pixels = np.floor(fine.project(points[index])).astype(np.int64) + 1  # counted from a margin of one pixel
+    inside = np.all((pixels >= 0) & (pixels <= (fine.width, fine.height)), axis=1)
+    index, pixels = index[inside], pixels[inside]
+    # Depth in the upper bits, for positive floats are ordered as their bits are, and whose it is in the lower: the
+    # least key at a pixel is the nearest point there.
+    depth_bits = points[index, 2].astype(np.float32).view(np.uint32).astype(np.uint64)
+    keys = (depth_bits << np.uint64(32)) | index.astype(np.uint64)
+    stride = fine.width + 2
+    nearest = np.full((fine.height + 2) * stride, _NOTHING)
+    corner = pixels[:, 1] * stride + pixels[:, 0]
+    for offset in (0, 1, stride, stride + 1):
         # A point covers the four pixels about it, so that surfaces that come closer do not fall apart.
-        u, v = corner[:, 0] + offset[0], corner[:, 1] + offset[1]
-        inside = (u >= 0) & (u < fine.width) & (v >= 0) & (v < fine.height)
-        u, v = u[inside], v[inside]
-        drawn = np.full_like(nearest, np.inf)
-        paint = np.zeros_like(image)
-        drawn[v, u] = points[inside, 2]
-        paint[v, u] = colors[inside]
-        closer = drawn < nearest
-        nearest[closer], image[closer] = drawn[closer], paint[closer]
-    return _averaged(image, nearest, camera)
+        np.minimum.at(nearest, corner + offset, keys)
+    drawn = nearest.reshape(fine.height + 2, stride)[1:-1, 1:-1]
+    known = drawn != _NOTHING
+    depth_m = np.full(drawn.shape, np.inf, dtype=np.float32)
+    depth_m[known] = (drawn[known] >> np.uint64(32)).astype(np.uint32).view(np.float32)
+    image = np.zeros((*drawn.shape, 3), dtype=np.uint8)
+    image[known] = colors[(drawn[known] & np.uint64(0xFFFFFFFF)).astype(np.int64)]
+    return _averaged(image, depth_m, camera)
+
+
+def _in_sight(points: FloatArray, camera: Camera) -> NDArray[np.bool_]:
+    """(N,) of points (N, 3) in the camera's frame: before it, and no farther aside than its image's border."""
+    columns, rows = (np.linspace(0.0, size - 1.0, _SIGHTED) for size in (camera.width, camera.height))
+    pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    most = _MARGIN * np.abs(camera.rays(pixels)[:, :2]).max(axis=0)
+    z = points[:, 2]
+    return np.asarray((z > _LEAST_DEPTH_M) & np.all(np.abs(points[:, :2]) < most * z[:, None], axis=1))
 
 
 def _averaged(

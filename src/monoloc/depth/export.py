@@ -43,7 +43,7 @@ def export_onnx(network: DepthNetwork) -> tuple[bytes, ExportReport]:
     network = network.eval().to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]
     outputs = ["log_depth"] + (["log_error_scale"] if network.config.uncertainty else [])
     buffer = io.BytesIO()
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), torch.no_grad():
         # The tracing exporter keeps the graph small; its remarks are of no use to a person.
         warnings.simplefilter("ignore")
         torch.onnx.export(

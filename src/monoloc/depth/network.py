@@ -25,6 +25,7 @@ from pydantic_core import PydanticCustomError
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from monoloc.depth.pooling import max_pool5
 from monoloc.depth.work import multiply_adds
 from monoloc.errors import DataError
 
@@ -93,7 +94,12 @@ class _SamePadConv(nn.Conv2d):
     """Stride-2 convolution padded (0, 1, 0, 1) for even sizes, as TensorFlow's 'same'."""
 
     def forward(self, x: Tensor) -> Tensor:
-        y: Tensor = self._conv_forward(F.pad(x, (0, 1, 0, 1)), self.weight, self.bias)
+        y: Tensor
+        if x.requires_grad and x.device.type == "cpu" and self.groups > 1:
+            # A strided depthwise convolution's gradient costs far more there than a dense one's.
+            y = F.conv2d(x, self.weight, self.bias, padding=1, groups=self.groups)
+            return y[..., 1::2, 1::2]
+        y = self._conv_forward(F.pad(x, (0, 1, 0, 1)), self.weight, self.bias)
         return y
 
 
@@ -169,7 +175,7 @@ class _ChainedResidualPooling(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         path = x
         for conv in self.convs:
-            path = conv(F.max_pool2d(path, 5, stride=1, padding=2))
+            path = conv(max_pool5(path))
             x = x + path
         return x
 
