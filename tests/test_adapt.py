@@ -22,11 +22,12 @@ from depth_helpers import ROOM, SMALL_CAMERA, TINY, exported_model, looking_arou
 from map_helpers import make_mixture
 from monoloc.adapt import train as adapt_train
 from monoloc.adapt.calibrate import Sample, calibrate, slow_sd
+from monoloc.adapt.hold_out import hold_out_blocks, hold_out_regions, viewpoints_apart
 from monoloc.adapt.map_depth import map_depth
 from monoloc.adapt.objective import matched_kl, ray_log_likelihood
 from monoloc.adapt.run import adapt
 from monoloc.adapt.settings import AdaptConfig
-from monoloc.adapt.train import Adaptation, Score, hold_out_blocks
+from monoloc.adapt.train import Adaptation, Score
 from monoloc.adapt.transform import AdaptedMap, MapTransform
 from monoloc.adapt.views import Views, make_views
 from monoloc.camera import Camera
@@ -688,6 +689,36 @@ def test_a_few_frames_can_be_split_as_well(frames: int) -> None:
     assert len(training) >= 2 and len(held_out) >= 1
 
 
+@settings(max_examples=60, deadline=None)
+@given(frames=st.integers(5, 60), regions=st.integers(1, 3), share=st.floats(0.02, 0.3), seed=st.integers(0, 99))
+def test_held_out_regions(frames: int, regions: int, share: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    poses = se3_exp(rng.normal(scale=0.5, size=(frames, 6)))
+    training, held_out = hold_out_regions(poses, regions, share)
+    assert sorted([*training, *held_out]) == list(range(frames))
+    assert len(held_out) == regions * max(1, round(frames * share / regions))
+    assert len(training) >= 2
+    alone = [float(viewpoints_apart(poses[i], poses[training]).min()) for i in held_out]
+    others = [float(np.sort(viewpoints_apart(poses[i], poses))[1]) for i in range(frames)]
+    # Whoever was in the middle of a region has no training frame nearer than its whole region.
+    assert max(alone) >= max(others)
+
+
+def test_a_region_is_where_the_camera_was_alone() -> None:
+    """Along a line back and forth, but for a few frames aside: neighbours in time are far from alone on the line."""
+    poses = np.repeat(np.eye(4)[None], 40, axis=0)
+    poses[:, 0, 3] = np.abs(np.linspace(-2.0, 2.0, 40))
+    poses[30:34, 1, 3] = 3.0
+    held_out = hold_out_regions(poses, 1, 0.1)[1]
+    assert held_out.tolist() == [30, 31, 32, 33]
+
+
+def test_viewpoints_are_apart_by_way_and_turn() -> None:
+    moved = se3_exp(np.array([[0.3, 0.4, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.2, 0.0]]))
+    anywhere = se3_exp(np.array([1.0, 2.0, 3.0, 0.3, 0.2, 0.1]))
+    np.testing.assert_allclose(viewpoints_apart(anywhere, anywhere @ moved), [0.5, 0.2], atol=1e-9)
+
+
 # --- Tuning ---
 
 QUICK = AdaptConfig(
@@ -919,9 +950,10 @@ def test_adapt_tunes_on_depth_of_the_cloud_where_there_is_no_sensors(
     result = adapt(recording, ROOM.cloud(0.1), mixture, network_file, config, 0, NoProgress())
     assert len(result.original) == len(result.adapted) == len(mixture)
     assert set(result.held_out) < set(range(12))
-    assert result.scores[-1].step == result.steps
+    rehearsed = result.scores[-1].step
+    assert result.steps == 2 * rehearsed  # of ten steps and of twenty
     assert result.scores[-1].nll == pytest.approx(
-        next(score.nll for score in result.scores if score.step == result.steps)
+        next(score.nll for score in result.scores if score.step == rehearsed)
     )
     assert result.kl >= 0.0
     absrel = {}

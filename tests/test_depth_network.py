@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 from safetensors import safe_open
 from safetensors.torch import save_file
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional as F
 from torch.utils.flop_counter import FlopCounterMode
 
@@ -25,7 +26,15 @@ from monoloc.camera import Camera
 from monoloc.config import describe
 from monoloc.depth.checkpoint import load_network, save_network
 from monoloc.depth.export import export_onnx
-from monoloc.depth.network import DepthNetwork, Encoder, NetworkConfig, load_encoder_weights
+from monoloc.depth.network import (
+    DepthNetwork,
+    Encoder,
+    NetworkConfig,
+    _conv_bn,
+    _Layers,
+    _SamePadConv,
+    load_encoder_weights,
+)
 from monoloc.depth.quantise import quantise
 from monoloc.depth.spec import image_tensor
 from monoloc.errors import DataError
@@ -429,3 +438,46 @@ def test_a_quantised_network_cannot_be_tuned_and_says_so(tmp_path: Path) -> None
     ) as caught:
         load_network(path)
     assert "\n" not in str(caught.value)
+
+
+def test_strided_convolution_is_the_same_with_and_without_gradients() -> None:
+    torch.manual_seed(0)
+    conv = _SamePadConv(6, 6, 3, 2, groups=6, bias=False)
+    x = torch.randn(2, 6, 8, 12)
+    with_gradient = conv(x.requires_grad_(True))
+    with torch.no_grad():
+        without = conv(x)
+    torch.testing.assert_close(with_gradient, without)
+    weight = torch.randn_like(without)
+    (with_gradient * weight).sum().backward()
+    ours = x.grad
+    x.grad = None
+    (F.conv2d(F.pad(x, (0, 1, 0, 1)), conv.weight, stride=2, groups=6) * weight).sum().backward()
+    torch.testing.assert_close(ours, x.grad)
+
+
+def test_batch_normalisation_with_kept_statistics_is_folded_without_a_difference() -> None:
+    torch.manual_seed(0)
+    layers = _Layers(*_conv_bn(4, 6, 3), nn.ReLU6(), *_conv_bn(6, 6, 3, 2, groups=6)).double().eval()
+    for norm in layers:
+        if isinstance(norm, nn.BatchNorm2d):
+            assert norm.running_mean is not None and norm.running_var is not None
+            norm.running_mean.uniform_(-1.0, 1.0)
+            norm.running_var.uniform_(0.5, 2.0)
+            nn.init.uniform_(norm.weight, 0.5, 2.0)
+            nn.init.uniform_(norm.bias, -1.0, 1.0)
+    x = torch.randn(2, 4, 8, 12, dtype=torch.float64)
+    weight = torch.randn(2, 6, 4, 6, dtype=torch.float64)
+
+    def gradients(forward: Callable[[Tensor], Tensor]) -> list[Tensor]:
+        layers.zero_grad()
+        (forward(x.requires_grad_(True)) * weight).sum().backward()
+        return [parameter.grad.clone() for parameter in layers.parameters() if parameter.grad is not None]
+
+    folded, apart = gradients(layers), gradients(lambda given: nn.Sequential.forward(layers, given))
+    assert len(folded) == len(list(layers.parameters()))
+    for ours, theirs in zip(folded, apart, strict=True):
+        torch.testing.assert_close(ours, theirs)
+    with torch.no_grad():
+        torch.testing.assert_close(layers(x), nn.Sequential.forward(layers, x))
+    torch.testing.assert_close(layers(x), nn.Sequential.forward(layers, x))

@@ -1,4 +1,4 @@
-"""The kernel of max-pooling against PyTorch's, and convolutions that take another way where there are gradients."""
+"""The kernel of max-pooling against PyTorch's."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.nn import functional as F
 
-from monoloc.depth.network import _SamePadConv
 from monoloc.depth.pooling import max_pool5
 
 
@@ -57,19 +56,3 @@ def test_what_the_kernel_cannot_take_is_left_to_pytorch(shape: tuple[int, ...]) 
     pooled = max_pool5(x)
     assert torch.equal(pooled, F.max_pool2d(x, 5, stride=1, padding=2))
     assert "MaxPool5" not in type(pooled.grad_fn).__name__
-
-
-def test_strided_convolution_is_the_same_with_and_without_gradients() -> None:
-    torch.manual_seed(0)
-    conv = _SamePadConv(6, 6, 3, 2, groups=6, bias=False)
-    x = torch.randn(2, 6, 8, 12)
-    with_gradient = conv(x.requires_grad_(True))
-    with torch.no_grad():
-        without = conv(x)
-    torch.testing.assert_close(with_gradient, without)
-    weight = torch.randn_like(without)
-    (with_gradient * weight).sum().backward()
-    ours = x.grad
-    x.grad = None
-    (F.conv2d(F.pad(x, (0, 1, 0, 1)), conv.weight, stride=2, groups=6) * weight).sum().backward()
-    torch.testing.assert_close(ours, x.grad)

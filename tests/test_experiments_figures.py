@@ -106,6 +106,7 @@ def test_errors_by_size_are_those_of_the_runs(quick: Study, made: Made, tmp_path
     assert numbers[JOINT.name]["one-third"]["smallest"] == pytest.approx(0.088)
     assert numbers[UNADAPTED.name]["one-third"]["largest"] == pytest.approx(0.48)
     assert numbers["dead reckoning"]["median"] == pytest.approx(0.12)
+    assert numbers["dead reckoning, same start"]["median"] == pytest.approx(0.2)
     assert numbers["light"] == "L2"
     head, rows = next(iter(drawn.tables.values()))
     row = next(row for row in rows if row[1:3] == (JOINT.name, "full"))

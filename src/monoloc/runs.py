@@ -20,7 +20,7 @@ from monoloc.evaluation.trajectory import coverage_95, summarise
 from monoloc.filter.health import HealthyRange, State
 from monoloc.filter.particles import scatter
 from monoloc.filter.weigh import MeasurementConfig
-from monoloc.geometry import FloatArray, se3_exp
+from monoloc.geometry import FloatArray, invert, se3_exp
 from monoloc.localizer import Localizer, LocalizerConfig
 from monoloc.progress import Progress
 from monoloc.viewer import NoViewer, Viewer
@@ -61,6 +61,7 @@ class Run:
     """Every frame's result; N frames.
 
     Attributes:
+        start: ``T_world_camera`` where it began, (4, 4).
         poses, covariances: (N, 4, 4) ``T_world_camera`` and (N, 6, 6), see :class:`Estimate`.
         odometry: (N, 4, 4) dead reckoning from the first true pose (or the start), None for the random walk.
         unseen: (N,) frames that did not build the bundle.
@@ -71,6 +72,7 @@ class Run:
 
     recording: Recording
     config: LocalizerConfig
+    start: FloatArray
     poses: FloatArray
     covariances: FloatArray
     odometry: FloatArray | None
@@ -115,6 +117,9 @@ class Run:
         if self.odometry is not None:
             drift = summarise(self.odometry[chosen], truth)
             figures |= {"odometry_ate_rmse_m": drift.ate_rmse_m, "odometry_ate_median_m": drift.ate_median_m}
+            # From where the filter began, which is what it would have done without a map.
+            alone = summarise((self.start @ invert(self.odometry[0]) @ self.odometry)[chosen], truth)
+            figures["odometry_from_start_ate_rmse_m"] = alone.ate_rmse_m
         return figures
 
     def _depth_accuracy(self, which: int) -> dict[str, object]:
@@ -195,6 +200,7 @@ def localize(
     return Run(
         recording=recording,
         config=config,
+        start=start.pose,
         poses=np.stack([step.estimate.pose for step in steps]),
         covariances=np.stack([step.estimate.covariance for step in steps]),
         odometry=np.stack(odometry) if config.motion == "visual" else None,

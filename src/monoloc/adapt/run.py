@@ -1,4 +1,4 @@
-"""Adaptation from beginning to end: find out when to stop on held-out frames, then tune on all of them."""
+"""Adaptation from beginning to end: rehearse without the held-out frames, then tune on all of them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from monoloc.adapt.hold_out import hold_out_regions
 from monoloc.adapt.map_depth import supervision
 from monoloc.adapt.settings import AdaptConfig
-from monoloc.adapt.train import Adaptation, Score, hold_out_blocks
+from monoloc.adapt.train import Adaptation, Score
 from monoloc.adapt.transform import AdaptedMap
 from monoloc.adapt.views import make_views
 from monoloc.datasets.base import Recording
@@ -22,8 +23,9 @@ from monoloc.geometry import FloatArray
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import Progress
 
-_HELD_OUT_SHARE, _BLOCKS = 0.12, 3
+_HELD_OUT_SHARE, _REGIONS = 0.15, 2
 _EVALUATIONS = 10
+_REHEARSAL_SHARE = 0.5  # of the steps: it is there to measure with
 
 
 @dataclass(frozen=True)
@@ -33,10 +35,10 @@ class AdaptResult:
     Attributes:
         original, adapted: the map before and after; component i of one is component i of the other.
         depth_model: the network tuned on all frames.
-        held_out_model: the one tuned without the held-out frames, to measure honestly with.
+        held_out_model: the rehearsal's, tuned without the held-out frames, to measure honestly with.
         held_out: indices of those frames.
         scores: on the held-out frames, the first before tuning, the last of the state that was kept.
-        steps: optimiser steps that were best for the held-out frames.
+        steps: optimiser steps on all frames, as many times the rehearsal's best as it was shorter.
         kl: KL(M || M_A), nats.
     """
 
@@ -67,7 +69,8 @@ def adapt(
         DataError: a frame or the network cannot be read.
     """
     rng = np.random.default_rng(seed)
-    training_frames, held_out = hold_out_blocks(len(recording), _BLOCKS, _HELD_OUT_SHARE)
+    assert recording.poses is not None
+    training_frames, held_out = hold_out_regions(recording.poses, _REGIONS, _HELD_OUT_SHARE)
     network = load_network(network_file)
     depth_of = supervision(recording, cloud)
     synthesised = config.synthesised_views if config.tune in ("decoder", "all") else 0
@@ -76,18 +79,20 @@ def adapt(
     held_out_views = views.of_frames(held_out, only_whole=True)
 
     rehearsal = Adaptation(network, AdaptedMap(mixture, cloud), config)
-    with progress.task("adapt: rehearsal", config.most_steps) as step:
+    rehearsed = max(1, round(_REHEARSAL_SHARE * config.most_steps))
+    with progress.task("adapt: rehearsal", rehearsed) as step:
         scores = rehearsal.run(
             views.of_frames(training_frames),
-            config.most_steps,
+            rehearsed,
             _generator(seed),
             held_out_views,
-            max(1, config.most_steps // _EVALUATIONS),
+            max(1, rehearsed // _EVALUATIONS),
             step,
         )
-    steps = rehearsal.best_step(scores)
+    best = rehearsal.best_step(scores)
     held_out_model = export_model(network, network_file.stem)
 
+    steps = round(best / rehearsed * config.most_steps)
     final = Adaptation(load_network(network_file), AdaptedMap(mixture, cloud), config)
     with progress.task("adapt: all frames", steps) as step:
         final.run(views, steps, _generator(seed), progress=step)
@@ -97,7 +102,7 @@ def adapt(
         depth_model=export_model(final.network, network_file.stem),
         held_out_model=held_out_model,
         held_out=held_out,
-        scores=[*scores, rehearsal.score(held_out_views, steps)],
+        scores=[*scores, rehearsal.score(held_out_views, best)],
         steps=steps,
         kl=final.kl(),
     )

@@ -24,6 +24,7 @@ from monoloc.memory import keep_freed_memory
 _DECODER_STEPS_A_MAP_STEP = 4
 _VIEWS_AT_ONCE = 32
 _LIGHT = AugmentConfig(dim_share=0.6)
+_NO_DIFFERENCE = 0.01  # of what held-out frames are judged by; longer tuning is better on new viewpoints
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,7 @@ class Adaptation:
             schedule.step()
             if held_out is not None and ((step + 1) % evaluate_every == 0 or step + 1 == steps):
                 scores.append(self.score(held_out, step + 1))
-                if self._criterion(scores[-1]) <= min(map(self._criterion, scores)):
+                if self.best_step(scores) == step + 1:
                     best = self._state()
             if progress is not None:
                 progress(step + 1)
@@ -128,7 +129,9 @@ class Adaptation:
         return scores
 
     def best_step(self, scores: list[Score]) -> int:
-        return min(scores, key=self._criterion).step
+        """The last step that is as good as the best, but for what says nothing."""
+        least = min(map(self._criterion, scores))
+        return max(score.step for score in scores if self._criterion(score) <= least + _NO_DIFFERENCE)
 
     @torch.no_grad()
     def fit_bias(self, views: Views) -> None:
@@ -259,14 +262,3 @@ def _log_ratio(log_depth: Tensor, truth: Tensor) -> Tensor:
     coarse = truth[..., 2::4, 2::4]
     valid = coarse > 0.0
     return torch.log(coarse[valid]) - log_depth[valid]
-
-
-def hold_out_blocks(frames: int, blocks: int, share: float) -> tuple[np.ndarray, np.ndarray]:
-    """Split frames in order of time: (training, held out), the latter as blocks spread over the recording.
-
-    Blocks, not single frames: the neighbours of a frame show nearly the same picture.
-    """
-    length = max(1, round(frames * share / blocks))
-    starts = np.linspace(0, frames, blocks + 2)[1:-1] - length / 2
-    held = np.unique(np.clip(np.concatenate([np.arange(length) + round(s) for s in starts]), 0, frames - 1))
-    return np.setdiff1d(np.arange(frames), held), held

@@ -12,18 +12,18 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from monoloc.adapt.hold_out import viewpoints_apart
 from monoloc.adapt.warp import ColoredPoints, forward_warp, points_of
 from monoloc.camera import Camera
 from monoloc.datasets.base import Recording
 from monoloc.depth.examples import network_input
 from monoloc.depth.spec import network_size
-from monoloc.geometry import FloatArray, invert, rotation_angle, se3_exp
+from monoloc.geometry import FloatArray, se3_exp
 
 DepthImages = Callable[[int], NDArray[np.float32]]
 
 _SHIFT_SD_M, _TURN_SD_RAD = 0.2, np.deg2rad(6.0)  # of a synthesised view from the frame it is made of
 _SOURCES = 3  # frames that a synthesised view is made of: the first, and the nearest to the view
-_TURN_WORTH_M = 1.0  # a radian of rotation keeps as little of a frame in view as so many metres
 _LEAST_SEEN, _TRIES = 0.7, 5  # of what its frame sees, share that a view must see; poses tried for it
 
 
@@ -156,9 +156,7 @@ def _synthesise(
         spread = 1.0 - attempt / _TRIES
         sd = spread * np.repeat([_SHIFT_SD_M, _TURN_SD_RAD], 3)
         pose = poses[index] @ se3_exp(rng.normal(scale=sd))
-        relative = invert(pose) @ poses[others]
-        apart = np.linalg.norm(relative[:, :3, 3], axis=1) + _TURN_WORTH_M * rotation_angle(relative[:, :3, :3])
-        nearest = others[np.argsort(apart)[: _SOURCES - 1]]
+        nearest = others[np.argsort(viewpoints_apart(pose, poses[others]))[: _SOURCES - 1]]
         color, depth = forward_warp([clouds[i] for i in (index, *nearest)], pose, camera)
         if np.mean(depth > 0.0) >= enough:
             break

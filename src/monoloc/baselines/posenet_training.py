@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
-from monoloc.adapt.train import hold_out_blocks
+from monoloc.adapt.hold_out import hold_out_blocks
 from monoloc.adapt.views import colors_of, make_views
 from monoloc.baselines.pose_filter import PoseError
 from monoloc.baselines.posenet import HomoscedasticLoss, PoseCode, PoseNet, PoseNetConfig, posenet_config

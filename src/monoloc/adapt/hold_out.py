@@ -1,0 +1,52 @@
+"""How far apart viewpoints are, and which frames are held out by it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.geometry import FloatArray, invert, rotation_angle
+
+_TURN_WORTH_M = 1.0  # a radian of rotation keeps as little of a frame in view as so many metres
+
+
+def viewpoints_apart(pose: FloatArray, others: FloatArray) -> FloatArray:
+    """Metres, with a radian of rotation for one more, between a camera (4, 4) and others (N, 4, 4): (N,)."""
+    relative = invert(pose) @ others
+    return np.asarray(
+        np.linalg.norm(relative[:, :3, 3], axis=1) + _TURN_WORTH_M * rotation_angle(relative[:, :3, :3])
+    )
+
+
+def hold_out_regions(poses: FloatArray, regions: int, share: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Split frames by where they were taken: (training, held out), the latter as regions of viewpoints.
+
+    A region is a frame and those nearest to it, taken so that as far as can be no other frame comes near: what is
+    measured there is measured away from all that tuned. Neighbours in time show nearly the same picture.
+
+    Args:
+        poses: (N, 4, 4), N >= 5.
+        regions: how many, 1 at least; each takes a frame at least.
+        share: of the frames, for all regions together.
+    """
+    apart = np.stack([viewpoints_apart(pose, poses) for pose in poses])
+    size = max(1, round(len(poses) * share / regions))
+    held = np.zeros(len(poses), dtype=np.bool_)
+    for _ in range(regions):
+        free = np.flatnonzero(~held)
+        # Beyond a frame itself and the others of its region, how far the nearest one is.
+        margin = np.sort(apart[np.ix_(free, free)], axis=1)[:, size]
+        centre = free[margin.argmax()]
+        held[free[np.argsort(apart[centre, free], kind="stable")[:size]]] = True
+    return np.flatnonzero(~held), np.flatnonzero(held)
+
+
+def hold_out_blocks(frames: int, blocks: int, share: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Split frames in order of time: (training, held out), the latter as blocks spread over the recording.
+
+    Blocks, not single frames: the neighbours of a frame show nearly the same picture.
+    """
+    length = max(1, round(frames * share / blocks))
+    starts = np.linspace(0, frames, blocks + 2)[1:-1] - length / 2
+    held = np.unique(np.clip(np.concatenate([np.arange(length) + round(s) for s in starts]), 0, frames - 1))
+    return np.setdiff1d(np.arange(frames), held), held
