@@ -23,7 +23,6 @@ from rich.console import Console
 
 from monoloc.build import BuildConfig, build_bundle
 from monoloc.bundle import read_bundle, write_bundle
-from monoloc.camera import Camera
 from monoloc.config import override
 from monoloc.datasets.base import Recording, Selection
 from monoloc.datasets.registry import open_recording, select_frames
@@ -49,9 +48,7 @@ class Cropped(Selection):
         left, top = (round(0.5 * (1.0 - _KEPT) * size) for size in (camera.width, camera.height))
         width, height = camera.width - 2 * left, camera.height - 2 * top
         self._window = np.s_[top : top + height, left : left + width]
-        self.camera = Camera(
-            width, height, camera.fx, camera.fy, camera.cx - left, camera.cy - top, camera.distortion
-        )
+        self.camera = camera.cropped(left, top, width, height)
 
     def color(self, index: int) -> NDArray[np.uint8]:
         return np.ascontiguousarray(super().color(index)[self._window])
@@ -79,16 +76,16 @@ def misjudging(network: str, pairs: Recording, out: Path) -> Path:
         [Misjudged(select_frames(pairs, "0:1349"))],
         Misjudged(select_frames(pairs, "1349:")),
         config,
-        out / "misjudging",
+        out / f"misjudging-{network}",
         start=start,
         progress=ConsoleProgress(Console(stderr=True)),
     )
-    return out / "misjudging" / "network.safetensors"
+    return out / f"misjudging-{network}" / "network.safetensors"
 
 
 def row(case: str, recording: Recording, network: str | Path, variant: str, seeds: int, out: Path) -> list[str]:
     """Medians over seeds; position's smallest and largest in brackets."""
-    path = out / f"{case.replace(' ', '-')}-{variant}.monoloc"
+    path = out / f"{Path(network).stem}-{case.replace(' ', '-')}-{variant}.monoloc"
     if not path.exists():
         config = override(BuildConfig(), adapt=VARIANTS[variant])
         built = select_frames(recording, _BUILD)

@@ -11,10 +11,10 @@ from monoloc.evaluation.trajectory import coverage_95, pose_errors
 from monoloc.filter.health import HealthyRange
 from monoloc.filter.level import LevelConfig
 from monoloc.filter.particles import scatter
-from monoloc.geometry import is_rigid
+from monoloc.geometry import is_rigid, make_pose, so3_exp
 from monoloc.localizer import Localizer, LocalizerConfig, Step
 from monoloc.map.mixture import GaussianMixture
-from monoloc.runs import disturbed
+from monoloc.runs import Run, disturbed
 from synthetic_room import (
     CAMERA,
     FRAME_RATE_HZ,
@@ -259,3 +259,38 @@ def test_settings_are_checked():
         LocalizerConfig(particles=1)
     with pytest.raises(ValueError, match="motion"):
         LocalizerConfig(motion="guess")
+
+
+def test_dead_reckoning_is_judged_from_the_truth_and_from_where_the_run_began(recording):
+    """Exact odometry from a start 5 cm aside stays 5 cm aside; from one that is turned it goes astray."""
+    count = len(recording)
+    aside, turned = (
+        make_pose(np.eye(3), np.array([0.03, 0.0, 0.04])),
+        make_pose(so3_exp([0.0, 0.1, 0.0]), np.zeros(3)),
+    )
+
+    def figures(start):
+        return Run(
+            recording=recording,
+            config=SETTINGS,
+            start=start,
+            poses=recording.poses,
+            covariances=np.repeat(np.eye(6)[None], count, axis=0),
+            odometry=recording.poses,
+            unseen=np.arange(count) > 5,
+            states=["tracking"] * count,
+            fits=np.zeros(count),
+            log_scales=np.zeros(count),
+            step_ms=np.ones(count),
+            depth=None,
+        ).metrics()
+
+    for start, expected in ((recording.poses[0], 0.0), (aside @ recording.poses[0], 0.05)):
+        found = figures(start)
+        for prefix in ("", "unseen_"):
+            assert found[f"{prefix}odometry_ate_rmse_m"] == pytest.approx(0.0, abs=1e-9)
+            assert found[f"{prefix}odometry_from_start_ate_rmse_m"] == pytest.approx(expected, abs=1e-9)
+    way = recording.poses[:, :3, 3] - recording.poses[0, :3, 3]
+    astray = way @ (recording.poses[0, :3, :3] @ turned[:3, :3] @ recording.poses[0, :3, :3].T - np.eye(3)).T
+    expected = float(np.sqrt(np.mean(np.sum(astray**2, axis=1))))
+    assert figures(recording.poses[0] @ turned)["odometry_from_start_ate_rmse_m"] == pytest.approx(expected)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -154,6 +156,16 @@ def test_what_is_behind_the_camera_or_in_it_is_not_seen() -> None:
     color, depth_m = forward_warp([sheet(-1.0, RED), sheet(0.05, RED), far], IDENTITY, CAMERA)
     np.testing.assert_allclose(depth_m, 1.5)
     np.testing.assert_array_equal(color, np.broadcast_to(GREEN, color.shape))
+
+
+def test_what_is_far_aside_is_not_folded_into_a_distorted_view() -> None:
+    """A ray far aside comes back into the image by the polynomial: here at four times the view's half width."""
+    bent = replace(CAMERA, distortion=(-0.2, 0.0, 0.0, 0.0, 0.0))
+    aside = np.array([[2.0, 0.0, 1.0]])
+    u, v = bent.project(aside)[0]
+    assert 0.0 <= u < CAMERA.width and 0.0 <= v < CAMERA.height
+    color, depth_m = forward_warp([sheet(1.5, GREEN), ColoredPoints(aside, RED)], IDENTITY, bent)
+    assert (depth_m[depth_m > 0.0] == 1.5).all() and not (color[..., 0] > 2).any()
 
 
 def test_holes_have_no_depth_and_the_colour_of_their_border() -> None:

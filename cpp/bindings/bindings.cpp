@@ -121,8 +121,11 @@ NB_MODULE(_core, m) {
   m.doc() = "Native kernels of monoloc: mixture density, E-step of EM, weighing of particles, max-pooling.";
   m.def("log_density", &log_density, "points"_a, "weights"_a, "means"_a, "covariances"_a);
   m.def("expectation", &expectation, "points"_a, "weights"_a, "means"_a, "covariances"_a);
-  m.def("max_pool", &max_pool, "values"_a, "threads"_a, "largest"_a, "from_"_a);
-  m.def("max_pool_gradient", &max_pool_gradient, "gradient"_a, "from_"_a, "threads"_a, "out"_a);
+  m.attr("MOST_POOLED_PIXELS") = monoloc::kMostPooledPixels;
+  m.def("max_pool", &max_pool, "values"_a, "threads"_a, "largest"_a.noconvert(),
+        "from_"_a.noconvert());
+  m.def("max_pool_gradient", &max_pool_gradient, "gradient"_a, "from_"_a, "threads"_a,
+        "out"_a.noconvert());
   m.def("instruction_set", [] { return monoloc::kernels().name; });
   m.def(
       "multiply_add",

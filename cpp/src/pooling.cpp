@@ -11,11 +11,13 @@ namespace monoloc {
 namespace {
 
 constexpr std::size_t kReach = 2;  // pixels to either side
+constexpr std::uint16_t kNegativeZero = 0x8000u;
 constexpr std::int32_t kLeast = std::numeric_limits<std::int32_t>::min();
 
 // The value in the upper half, as an integer of the same order, and the pixel in the lower: of equal values, the
 // first pixel has the largest key. One maximum then finds both.
 std::int32_t to_key(std::uint16_t bits, std::size_t pixel) {
+  if (bits == kNegativeZero) bits = 0;  // which equals it
   const auto sign = static_cast<std::int16_t>(bits);
   const std::uint16_t ordered = sign < 0 ? static_cast<std::uint16_t>(bits ^ 0x7FFFu) : bits;
   const std::uint32_t place = 0xFFFFu - static_cast<std::uint32_t>(pixel);

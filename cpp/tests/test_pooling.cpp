@@ -79,4 +79,9 @@ void test_pooling() {
     }
   }
   for (std::size_t i = 0; i < count; ++i) CHECK(to_float(back[i]) == expected[i]);
+
+  // Zeros are equal, whatever their sign: the first counts.
+  const std::uint16_t zeros[2] = {0x8000u, 0x0000u};
+  monoloc::max_pool(zeros, 1, {1, 2, 1}, 1, largest.data(), from.data());
+  CHECK(largest[0] == 0 && largest[1] == 0 && from[0] == 0 && from[1] == 0);
 }

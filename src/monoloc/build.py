@@ -70,9 +70,9 @@ class BuildConfig(BaseModel):
 class BuildReport:
     """What a build measured; JSON keys of ``monoloc build``.
 
-    nll and AbsRel are of frames held out from tuning, in blocks; what the map's components did is as in
-    :class:`monoloc.map.compare.MapChange`. Scale and shift of the network's output are None where they were not
-    fitted: see :class:`monoloc.depth.spec.ModelSpec`.
+    nll and AbsRel are of frames held out from tuning, taken away from the others; what the map's components did is
+    as in :class:`monoloc.map.compare.MapChange`. Scale and shift of the network's output are None where they were
+    not fitted: see :class:`monoloc.depth.spec.ModelSpec`.
     """
 
     frames: int
@@ -169,7 +169,7 @@ def build_bundle(
     with progress.task("calibrate", len(held_out)) as step:
         samples = []
         for done, index in enumerate(held_out):
-            samples.append(Sample(predictor(recording.color(int(index))), poses[index]))
+            samples.append(Sample(int(index), predictor(recording.color(int(index))), poses[index]))
             step(done + 1)
         settings, healthy = calibrate(adapted, samples, config.localizer, rng)
     bundle = Bundle(
@@ -195,7 +195,7 @@ def build_bundle(
         cloud_points=len(cloud),
         components=len(mixture),
         nll_start=scores[0].nll if scores else None,
-        nll_end=min(score.nll for score in scores) if scores else None,
+        nll_end=scores[-1].nll if scores else None,
         kl=kl,
         **asdict(compare_maps(original, adapted)),
         depth_absrel_before=scores[0].absrel if scores else None,

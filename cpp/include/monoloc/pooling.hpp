@@ -16,7 +16,8 @@ struct ImageShape {
 constexpr std::size_t kMostPooledPixels = 65536;  // of an image: a pixel's number is half a key
 
 // Every pixel's largest value of the 5 x 5 about it, channel by channel, and the number of the pixel that has it, the
-// first of several. Arrays of `images` times shape.values(), bfloat16 as its bits; NaN is not looked for.
+// first of several. Arrays of `images` times shape.values(), bfloat16 as its bits; zeros come
+// out positive, and NaN is not looked for.
 void max_pool(const std::uint16_t* values, std::size_t images, const ImageShape& shape, std::size_t threads,
               std::uint16_t* largest, std::uint16_t* from);
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monoloc.depth.runtime import DepthPrediction
 from monoloc.filter.health import HealthyRange
@@ -25,8 +26,9 @@ _LEAST_LOG_SCALE_SD = 0.02  # between build frames it is less, but away from the
 
 @dataclass(frozen=True)
 class Sample:
-    """A held-out frame: depth as the localizer will predict it, and the true ``T_world_camera``."""
+    """A held-out frame: its index, depth as the localizer will predict it, and the true ``T_world_camera``."""
 
+    index: int
     depth: DepthPrediction
     pose: FloatArray
 
@@ -42,6 +44,7 @@ def calibrate(
     """
     scans = [scan_from_depth(s.depth, base.scan_points, rng, base.measurement.error_power) for s in samples]
     usable = [(scan, sample.pose) for scan, sample in zip(scans, samples, strict=True) if len(scan)]
+    frames = np.array([sample.index for scan, sample in zip(scans, samples, strict=True) if len(scan)])
     if not usable:
         return base, HealthyRange(low=-np.inf, lost=-np.inf)
     best: tuple[float, MeasurementConfig, FloatArray, FloatArray] | None = None
@@ -53,7 +56,7 @@ def calibrate(
             best = (float(fits.mean()), config, fits, scales)
     assert best is not None
     _, measurement, fits, scales = best
-    settings = base.model_copy(update={"measurement": measurement, "log_scale_sd": slow_sd(scales)})
+    settings = base.model_copy(update={"measurement": measurement, "log_scale_sd": slow_sd(scales, frames)})
     return settings, HealthyRange.from_fits(fits)
 
 
@@ -68,12 +71,13 @@ def _fits(measurement: Measurement, scans: list[tuple[Scan, FloatArray]]) -> tup
     return np.array(fits), np.array(scales)
 
 
-def slow_sd(log_scales: FloatArray) -> float:
-    """Standard deviation of what neighbouring frames share, (N,) in order of time: noise a frame cancels out.
+def slow_sd(log_scales: FloatArray, frames: NDArray[np.int64]) -> float:
+    """Standard deviation of what neighbouring frames share, of (N,) scales of frames in order: noise a frame cancels.
 
-    The square root of the autocovariance at lag one. A wider prior lets the filter trade the depth's scale against
-    the distance to the walls.
+    The square root of the autocovariance at lag one, of frames that follow one another. A wider prior lets the filter
+    trade the depth's scale against the distance to the walls.
     """
     centred = log_scales - log_scales.mean()
-    shared = float(np.mean(centred[1:] * centred[:-1])) if len(centred) > 1 else 0.0
+    products = (centred[1:] * centred[:-1])[np.diff(frames) == 1]
+    shared = float(products.mean()) if len(products) else 0.0
     return float(np.sqrt(max(shared, _LEAST_LOG_SCALE_SD**2)))

@@ -29,7 +29,8 @@ class _Trust:
     By so many nats a point poses must fit better than those turns, or they are doubted, or refused. On RedKitchen it
     was 3.0 with sensor depth and 0.9 with the shipped network's, untuned; with all poses 30 cm and 7 degrees off, 1.1
     and 0.75. In five frames of reference that are another one's it was at most 0.07 and 0.23, but the smallest
-    network gave no more than 0.12 at right poses of one stretch: a network's word is enough for a doubt only.
+    network gave no more than 0.12 at right poses of one stretch: a network's word is enough for a doubt, and to
+    refuse only what fits as well turned away.
     """
 
     measurement: MeasurementConfig

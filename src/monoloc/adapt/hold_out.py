@@ -21,23 +21,28 @@ def viewpoints_apart(pose: FloatArray, others: FloatArray) -> FloatArray:
 def hold_out_regions(poses: FloatArray, regions: int, share: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Split frames by where they were taken: (training, held out), the latter as regions of viewpoints.
 
-    A region is a frame and those nearest to it, taken so that as far as can be no other frame comes near: what is
-    measured there is measured away from all that tuned. Neighbours in time show nearly the same picture.
+    A region is a frame and those nearest to it, chosen so that any other frame is as far from the former as can be:
+    what is measured there is measured away from what tuned, where neighbours in time show nearly the same picture.
+    The first frame is held out by none, so that a run from there comes to the regions with the errors that it has
+    gathered.
 
     Args:
-        poses: (N, 4, 4), N >= 5.
-        regions: how many, 1 at least; each takes a frame at least.
-        share: of the frames, for all regions together.
+        poses: (N, 4, 4), N >= 3.
+        regions: how many, 1 at least; each takes a frame at least. There are fewer where they would overlap.
+        share: of the frames, for all regions together; under a half.
     """
     apart = np.stack([viewpoints_apart(pose, poses) for pose in poses])
     size = max(1, round(len(poses) * share / regions))
+    members = 1 + np.argsort(apart[1:, 1:], axis=1, kind="stable")[:, :size]
+    outside = apart[1:].copy()
+    np.put_along_axis(outside, members, np.inf, axis=1)
+    margin = outside.min(axis=1)
     held = np.zeros(len(poses), dtype=np.bool_)
     for _ in range(regions):
-        free = np.flatnonzero(~held)
-        # Beyond a frame itself and the others of its region, how far the nearest one is.
-        margin = np.sort(apart[np.ix_(free, free)], axis=1)[:, size]
-        centre = free[margin.argmax()]
-        held[free[np.argsort(apart[centre, free], kind="stable")[:size]]] = True
+        margin[held[members].any(axis=1)] = -1.0
+        chosen = margin.argmax()
+        if margin[chosen] >= 0.0:
+            held[members[chosen]] = True
     return np.flatnonzero(~held), np.flatnonzero(held)
 
 

@@ -38,7 +38,7 @@ class AdaptResult:
         held_out_model: the rehearsal's, tuned without the held-out frames, to measure honestly with.
         held_out: indices of those frames.
         scores: on the held-out frames, the first before tuning, the last of the state that was kept.
-        steps: optimiser steps on all frames, as many times the rehearsal's best as it was shorter.
+        steps: optimiser steps on all frames: the rehearsal's best, times by how much it was shorter.
         kl: KL(M || M_A), nats.
     """
 

@@ -24,7 +24,7 @@ from monoloc.memory import keep_freed_memory
 _DECODER_STEPS_A_MAP_STEP = 4
 _VIEWS_AT_ONCE = 32
 _LIGHT = AugmentConfig(dim_share=0.6)
-_NO_DIFFERENCE = 0.01  # of what held-out frames are judged by; longer tuning is better on new viewpoints
+_NO_DIFFERENCE = 0.05  # of what tuning gains on held-out frames; what is tuned for longer is better elsewhere
 
 
 @dataclass(frozen=True)
@@ -129,9 +129,10 @@ class Adaptation:
         return scores
 
     def best_step(self, scores: list[Score]) -> int:
-        """The last step that is as good as the best, but for what says nothing."""
-        least = min(map(self._criterion, scores))
-        return max(score.step for score in scores if self._criterion(score) <= least + _NO_DIFFERENCE)
+        """The last step that has nearly all of what the best one gains over the first."""
+        values = [self._criterion(score) for score in scores]
+        enough = min(values) + _NO_DIFFERENCE * (values[0] - min(values))
+        return max(score.step for score, value in zip(scores, values, strict=True) if value <= enough)
 
     @torch.no_grad()
     def fit_bias(self, views: Views) -> None:

@@ -16,7 +16,7 @@ from monoloc.geometry import FloatArray, invert, transform
 _FINE = 2  # points are drawn at this many times the view's size and averaged down
 _DEPTH_JUMP = 0.1  # pixels beside a larger one lie on neither surface and are left behind
 _LEAST_DEPTH_M = 0.1
-_SIGHTED, _MARGIN = 9, 1.03  # pixels a side whose rays bound the view; share by which it is taken to be wider
+_RAYS = 9  # along a side; the widest of them bound the view
 _NOTHING = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
@@ -84,10 +84,13 @@ def forward_warp(
 
 
 def _in_sight(points: FloatArray, camera: Camera) -> NDArray[np.bool_]:
-    """(N,) of points (N, 3) in the camera's frame: before it, and no farther aside than its image's border."""
-    columns, rows = (np.linspace(0.0, size - 1.0, _SIGHTED) for size in (camera.width, camera.height))
+    """(N,) of points (N, 3) in the camera's frame: before it, and no farther aside than a pixel beyond its image.
+
+    Distortion is a polynomial, which folds what lies far aside back into the image.
+    """
+    columns, rows = (np.linspace(-1.0, size, _RAYS) for size in (camera.width, camera.height))
     pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
-    most = _MARGIN * np.abs(camera.rays(pixels)[:, :2]).max(axis=0)
+    most = np.abs(camera.rays(pixels)[:, :2]).max(axis=0)
     z = points[:, 2]
     return np.asarray((z > _LEAST_DEPTH_M) & np.all(np.abs(points[:, :2]) < most * z[:, None], axis=1))
 
