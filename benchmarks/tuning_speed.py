@@ -1,0 +1,103 @@
+"""What a step of tuning costs, and what it costs without each of the things that make it cheaper.
+
+    OMP_NUM_THREADS=1 python benchmarks/tuning_speed.py --data ../shared/data --threads 1
+
+Steps of the default adaptation on RedKitchen's frames 0:200:3. Each way takes its turn, several times over; the
+fastest turn counts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from monoloc.adapt.map_depth import supervision
+from monoloc.adapt.settings import AdaptConfig
+from monoloc.adapt.train import Adaptation
+from monoloc.adapt.transform import AdaptedMap
+from monoloc.adapt.views import make_views
+from monoloc.build import BuildConfig, fit_map
+from monoloc.datasets.registry import open_recording, select_frames
+from monoloc.depth import network as networks
+from monoloc.depth.checkpoint import load_network
+from monoloc.models import DEFAULT, shipped_file
+from monoloc.progress import NoProgress
+
+
+def _pooling(x: Tensor) -> Tensor:
+    return F.max_pool2d(x, 5, stride=1, padding=2)
+
+
+def _strided(self: torch.nn.Conv2d, input: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
+    return F.conv2d(F.pad(input, (0, 1, 0, 1)), weight, bias, stride=2, groups=self.groups)
+
+
+_PLAIN: dict[str, Callable[[], object]] = {
+    "pooling by the kernel": lambda: patch.object(networks, "max_pool5", _pooling),
+    "normalisation folded": lambda: patch.object(networks, "_is_folded", lambda norm: False),
+    "strided convolutions dense": lambda: patch.object(networks._SamePadConv, "_conv_forward", _strided),
+}
+
+
+@contextmanager
+def without(names: tuple[str, ...]) -> Iterator[None]:
+    with ExitStack() as stack:
+        for name in names:
+            stack.enter_context(_PLAIN[name]())  # type: ignore[arg-type]
+        yield
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"))
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--steps", type=int, default=8, help="a turn")
+    parser.add_argument("--turns", type=int, default=3)
+    arguments = parser.parse_args()
+    torch.set_num_threads(arguments.threads)
+    steps: int = arguments.steps
+    recording = select_frames(open_recording(f"7scenes:{arguments.data}/7scenes/redkitchen"), "0:200:3")
+    rng = np.random.default_rng(0)
+    cloud, mixture = fit_map(recording, None, BuildConfig(), rng, NoProgress())
+    network = load_network(shipped_file(DEFAULT))
+    nobody = np.array([], dtype=np.int64)
+    views = make_views(recording, supervision(recording, cloud), network.config.focal_px, 0, nobody, rng)
+    adaptation = Adaptation(network, AdaptedMap(mixture, cloud), AdaptConfig())
+
+    def turn(names: tuple[str, ...]) -> float:
+        """Seconds a step; the work before the first one is left out."""
+        done: list[float] = []
+        with without(names):
+            adaptation.run(
+                views,
+                1 + steps,
+                torch.Generator().manual_seed(0),
+                progress=lambda step: done.append(time.perf_counter()),
+            )
+        return (done[-1] - done[0]) / steps
+
+    ways: dict[str, tuple[str, ...]] = {
+        "as it is": (),
+        **{f"without: {name}": (name,) for name in _PLAIN},
+        "without all of these": tuple(_PLAIN),
+    }
+    fastest = dict.fromkeys(ways, float("inf"))
+    for _ in range(arguments.turns):
+        for name, left_out in ways.items():
+            fastest[name] = min(fastest[name], turn(left_out))
+    print(f"| a step, {arguments.threads} thread(s) | ms | ratio |\n|---|---|---|")
+    for name, seconds in fastest.items():
+        print(f"| {name} | {1e3 * seconds:.0f} | {seconds / fastest['as it is']:.2f} |")
+
+
+if __name__ == "__main__":
+    main()
