@@ -973,7 +973,7 @@ def test_adapt_tunes_on_depth_of_the_cloud_where_there_is_no_sensors(
     assert len(result.original) == len(result.adapted) == len(mixture)
     assert set(result.held_out) < set(range(12))
     rehearsed = result.scores[-1].step
-    assert result.steps == 2 * rehearsed  # of ten steps and of twenty
+    assert rehearsed <= 10 and result.steps == 20
     assert result.scores[-1].nll == pytest.approx(
         next(score.nll for score in result.scores if score.step == rehearsed)
     )

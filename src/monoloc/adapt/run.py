@@ -38,7 +38,7 @@ class AdaptResult:
         held_out_model: the rehearsal's, tuned without the held-out frames, to measure honestly with.
         held_out: indices of those frames.
         scores: on the held-out frames, the first before tuning, the last of the state that was kept.
-        steps: optimiser steps on all frames: the rehearsal's best, times by how much it was shorter.
+        steps: optimiser steps on all frames; none if the rehearsal never bettered the held-out frames.
         kl: KL(M || M_A), nats.
     """
 
@@ -92,7 +92,8 @@ def adapt(
     best = rehearsal.best_step(scores)
     held_out_model = export_model(network, network_file.stem)
 
-    steps = round(best / rehearsed * config.most_steps)
+    # A schedule is worth taking whole: before its end, scores are those of a rate that is still high.
+    steps = config.most_steps if best else 0
     final = Adaptation(load_network(network_file), AdaptedMap(mixture, cloud), config)
     with progress.task("adapt: all frames", steps) as step:
         final.run(views, steps, _generator(seed), progress=step)
