@@ -10,7 +10,7 @@ demo: $(VENV)/installed
 	$(BIN)/monoloc demo
 
 test: lint native-test
-	$(BIN)/pytest
+	OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses logical --maxprocesses 4 --dist loadfile
 
 lint: $(VENV)/installed
 	$(BIN)/ruff check .

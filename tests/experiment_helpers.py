@@ -73,7 +73,16 @@ def _bundle(task: Task, folder: Path, rmse: Error) -> dict[str, Any]:
     model = DepthModel(b"no network", monoloc_spec(136.0), "none")
     write_bundle(
         folder / "room.monoloc",
-        Bundle(room, room, model, LocalizerConfig(), camera, provenance, HealthyRange(low=-2.0, lost=-4.0)),
+        Bundle(
+            original=room,
+            adapted=room,
+            depth_model=model,
+            settings=LocalizerConfig(),
+            camera=camera,
+            provenance=provenance,
+            healthy=HealthyRange(low=-2.0, lost=-4.0),
+            viewpoints=np.eye(4)[None],
+        ),
     )
     return {
         "components": 200,

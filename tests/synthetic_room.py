@@ -231,6 +231,7 @@ def make_bundle(mixture: GaussianMixture, recording: RoomRecording, built_from: 
             recording=recording.name, frames=frames, tune="none", map_transform=False, lambda_kl=0.1, seed=0
         ),
         healthy=healthy_range(mixture, recording),
+        viewpoints=recording.poses[list(built_from)],
     )
 
 

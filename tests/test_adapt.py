@@ -22,7 +22,7 @@ from depth_helpers import ROOM, SMALL_CAMERA, TINY, exported_model, looking_arou
 from map_helpers import make_mixture
 from monoloc.adapt import train as adapt_train
 from monoloc.adapt.calibrate import Sample, calibrate, slow_sd
-from monoloc.adapt.hold_out import hold_out_blocks, hold_out_regions, viewpoints_apart
+from monoloc.adapt.hold_out import hold_out_blocks, hold_out_regions
 from monoloc.adapt.map_depth import map_depth
 from monoloc.adapt.objective import matched_kl, ray_log_likelihood
 from monoloc.adapt.run import adapt
@@ -37,7 +37,7 @@ from monoloc.depth.runtime import DepthPrediction, DepthPredictor
 from monoloc.depth_image import at_discontinuity
 from monoloc.filter.scan import scan_from_depth
 from monoloc.filter.weigh import Measurement, MeasurementConfig
-from monoloc.geometry import se3_exp, so3_exp, so3_log
+from monoloc.geometry import se3_exp, so3_exp, so3_log, viewpoints_apart
 from monoloc.localizer import LocalizerConfig
 from monoloc.map.fit import fit_mixture
 from monoloc.map.mixture import GaussianMixture
@@ -694,11 +694,13 @@ def test_a_few_frames_can_be_split_as_well(frames: int) -> None:
 def test_held_out_regions(frames: int, regions: int, share: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     poses = se3_exp(rng.normal(scale=0.5, size=(frames, 6)))
-    training, held_out = hold_out_regions(poses, regions, share)
-    assert sorted([*training, *held_out]) == list(range(frames))
-    size = max(1, round(frames * share / regions))
-    assert len(held_out) % size == 0 and size <= len(held_out) <= regions * size
-    assert len(training) >= 2 and 0 in training
+    found = hold_out_regions(poses, regions, share)
+    held_out = np.concatenate(found)
+    assert len({*held_out}) == len(held_out) and {*held_out} < {*range(1, frames)}
+    training = np.setdiff1d(np.arange(frames), held_out)
+    assert 1 <= len(found) <= regions and len(training) >= 2
+    for region in found:
+        assert len(region) == max(1, round(frames * share / regions)) and (np.diff(region) > 0).all()
     # The first region's centre is at least as far from the others as any frame is that could be held out alone.
     alone = [float(viewpoints_apart(poses[i], poses[training]).min()) for i in held_out]
     others = [float(np.sort(viewpoints_apart(poses[i], poses))[1]) for i in range(1, frames)]
@@ -710,18 +712,19 @@ def test_a_region_is_where_the_camera_was_alone() -> None:
     poses = np.repeat(np.eye(4)[None], 40, axis=0)
     poses[:, 0, 3] = np.abs(np.linspace(-2.0, 2.0, 40))
     poses[30:34, 1, 3] = 3.0
-    held_out = hold_out_regions(poses, 1, 0.1)[1]
-    assert held_out.tolist() == [30, 31, 32, 33]
+    (region,) = hold_out_regions(poses, 1, 0.1)
+    assert region.tolist() == [30, 31, 32, 33]
 
 
 def test_regions_of_a_straight_way_are_apart() -> None:
     """The end is most alone; the second region does not lie beside the first, nor at the start."""
     poses = np.repeat(np.eye(4)[None], 100, axis=0)
     poses[:, 0, 3] = np.linspace(0.0, 3.0, 100)
-    held_out = hold_out_regions(poses, 2, 0.16)[1]
-    assert len(held_out) == 16 and held_out[0] > 0
-    assert {*range(92, 100)} <= {*held_out.tolist()}
-    assert hold_out_regions(np.repeat(np.eye(4)[None], 9, axis=0), 1, 0.2)[1].tolist() == [1, 2]  # of all the same
+    end, other = hold_out_regions(poses, 2, 0.16)
+    assert end.tolist() == [*range(92, 100)]
+    assert len(other) == 8 and other[0] > 0 and other[-1] < 91
+    (same,) = hold_out_regions(np.repeat(np.eye(4)[None], 9, axis=0), 1, 0.2)
+    assert same.tolist() == [1, 2]
 
 
 def test_viewpoints_are_apart_by_way_and_turn() -> None:
@@ -971,7 +974,7 @@ def test_adapt_tunes_on_depth_of_the_cloud_where_there_is_no_sensors(
     recording = small_recording(12, has_depth=False)
     result = adapt(recording, ROOM.cloud(0.1), mixture, network_file, config, 0, NoProgress())
     assert len(result.original) == len(result.adapted) == len(mixture)
-    assert set(result.held_out) < set(range(12))
+    assert {*np.concatenate(result.held_out)} < {*range(12)}
     rehearsed = result.scores[-1].step
     assert rehearsed <= 10 and result.steps == 20
     assert result.scores[-1].nll == pytest.approx(

@@ -21,8 +21,10 @@ from monoloc.camera import Camera
 from monoloc.depth.spec import DepthModel, ModelSpec
 from monoloc.errors import BundleError
 from monoloc.filter.health import HealthyRange
+from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.motion import MotionConfig
 from monoloc.filter.weigh import MeasurementConfig
+from monoloc.geometry import se3_exp
 from monoloc.localizer import LocalizerConfig
 
 
@@ -49,6 +51,7 @@ def make_bundle(seed: int = 0) -> Bundle:
             particles=321,
             motion="random-walk",
             measurement=MeasurementConfig(noise_sd_m=0.1 / 3.0),
+            lasting=LastingErrors(near_sd_m=0.1 / 3.0, growth_rad=1.0 / 7.0),
             motion_noise=MotionConfig(speed_sd_m_s=1.0 / 7.0),
         ),
         camera=Camera(640, 480, 525.5, 526.1, 320.0, 240.0, (0.1, -0.2, 0.0, 0.001, 0.0)),
@@ -61,6 +64,7 @@ def make_bundle(seed: int = 0) -> Bundle:
             seed=7,
         ),
         healthy=HealthyRange(low=-1.5, lost=-2.25),
+        viewpoints=se3_exp(np.random.default_rng(seed).normal(size=(5, 6))),
     )
 
 
@@ -103,6 +107,7 @@ def test_round_trip(written):
     assert bundle.camera == expected.camera
     assert bundle.provenance == expected.provenance
     assert bundle.healthy == expected.healthy
+    np.testing.assert_allclose(bundle.viewpoints, expected.viewpoints, atol=1e-6)  # single precision
 
 
 def test_a_bundle_written_again_is_the_same(written, tmp_path):
@@ -123,7 +128,7 @@ def test_size_is_what_lies_there(tmp_path):
 def test_map_holds_no_pickle(written):
     with np.load(io.BytesIO((written / "map.npz").read_bytes()), allow_pickle=False) as arrays:
         assert all(arrays[name].dtype == np.float32 for name in arrays.files)
-        assert sum(arrays[name].nbytes for name in arrays.files) == 2 * 12 * 40
+        assert sum(arrays[name].nbytes for name in arrays.files) == 2 * 12 * 40 + 5 * 24
 
 
 def test_others_may_read_it(written):
@@ -342,7 +347,7 @@ def test_unknown_schema(written, schema):
     body = json.loads(file.read_text())
     body["schema_version"] = schema
     file.write_text(json.dumps(body))
-    refuses(lambda: read_bundle(written), file, f"has schema {schema}, this monoloc reads 3")
+    refuses(lambda: read_bundle(written), file, f"has schema {schema}, this monoloc reads 4")
 
 
 @pytest.mark.parametrize("content", ["[]", "3", '"bundle"', "null"])

@@ -89,6 +89,8 @@ def test_folder_that_is_there_but_cannot_be_written_to(
 def test_what_is_asked_for_must_go_together(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     said = refused(capfd, tmp_path / "out", "--workers", "2", "--dask", "tcp://127.0.0.1:1")
     assert "--workers: is of this machine, and --dask of others; leave one of them out" in said
+    said = refused(capfd, tmp_path / "out", "--builds", "6")
+    assert "--builds: is 6, and runs have 5 seeds; give no more than that" in said
     said = refused(capfd, tmp_path / "out", "lambda", "frames", "--quick")
     assert "--quick: leaves out lambda, frames, and nothing else is asked for; run without it" in said
 
@@ -127,7 +129,8 @@ def test_a_figure_start_to_end(tmp_path: Path, capfd: pytest.CaptureFixture[str]
     """One that needs no task: what is left is all that is around the engine."""
     write_recording(tmp_path / "walk", RoomRecording(Room(), make_path(48), SMALL_CAMERA))
     out = tmp_path / "out"
-    arguments = ["reproduce", "fig2", "--quick", "--data", f"folder:{tmp_path / 'walk'}", "--out", str(out), "--json"]
+    asked = ["reproduce", "fig2", "--quick", "--builds", "2", "--data", f"folder:{tmp_path / 'walk'}"]
+    arguments = [*asked, "--out", str(out), "--json"]
     assert invoke(arguments) == 0
     told = json.loads(capfd.readouterr().out)
     assert set(told) == {"claims", "figures", "report", "seconds"}
@@ -137,3 +140,4 @@ def test_a_figure_start_to_end(tmp_path: Path, capfd: pytest.CaptureFixture[str]
     captured = capfd.readouterr()
     assert captured.out == "" and "report: " in captured.err  # no claim, no table
     assert json.loads((out / "fig2.json").read_text()) == told["figures"]["fig2"]["numbers"]
+    assert json.loads((out / "report.json").read_text())["study"]["builds"].startswith("2; ")

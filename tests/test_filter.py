@@ -252,13 +252,6 @@ def test_estimate_covariance_of_many_particles():
     assert np.all(np.abs(offset) < 5 * np.sqrt(np.diag(belief.covariance) / 20000))
 
 
-def test_lasting_errors_widen_the_covariance_and_nothing_else():
-    particles = scatter(POSE, 200, 0.1, 0.05, 0.02, np.random.default_rng(0))
-    plain, widened = estimate(particles), estimate(particles, 0.03, 0.01)
-    assert np.allclose(widened.covariance - plain.covariance, np.diag([9e-4] * 3 + [1e-4] * 3), atol=1e-15)
-    assert np.array_equal(widened.pose, plain.pose) and widened.log_scale == plain.log_scale
-
-
 def test_estimate_weighs():
     far = make_pose(np.eye(3), [1.0, 0.0, 0.0])
     half = estimate(particles_at([np.eye(4), far], log_scale=[0.0, 0.4]))

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from monoloc.depth.runtime import DepthPrediction, DepthPredictor
 from monoloc.evaluation.trajectory import coverage_95, pose_errors
 from monoloc.filter.health import HealthyRange
+from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.level import LevelConfig
 from monoloc.filter.particles import scatter
-from monoloc.geometry import is_rigid, make_pose, so3_exp
+from monoloc.geometry import is_rigid, make_pose, so3_exp, viewpoints_apart
 from monoloc.localizer import Localizer, LocalizerConfig, Step
 from monoloc.map.mixture import GaussianMixture
 from monoloc.runs import Run, disturbed
@@ -59,7 +60,8 @@ def make_localizer(mixture, recording, healthy, seed=0, depth=None, **settings) 
     rng = np.random.default_rng(seed)
     start = disturbed(recording.poses[0], START_M, START_RAD, rng)
     particles = scatter(start, config.particles, START_M, START_RAD, config.log_scale_sd, rng)
-    return Localizer(mixture, depth or _NoNetwork(), recording.camera, particles, config, healthy, rng)
+    viewpoints = recording.poses[:1]
+    return Localizer(mixture, depth or _NoNetwork(), recording.camera, particles, config, healthy, viewpoints, rng)
 
 
 def follow(localizer: Localizer, recording: RoomRecording, frames: range = range(FRAMES)) -> list[Step]:
@@ -163,12 +165,13 @@ def test_lasting_errors_are_stated_and_move_nothing(mixture, recording, healthy)
     frames = range(6)
     plain, widened = (
         follow(make_localizer(mixture, recording, healthy, **lasting), recording, frames)
-        for lasting in ({}, {"lasting_sd_m": 0.2, "lasting_sd_rad": 0.1})
+        for lasting in ({}, {"lasting": LastingErrors(near_sd_m=0.2, near_sd_rad=0.1, growth_m=0.5)})
     )
     assert np.array_equal(poses_of(plain), poses_of(widened))
     for one, other in zip(plain, widened, strict=True):
         added = other.estimate.covariance - one.estimate.covariance
-        assert np.allclose(added, np.diag([0.04] * 3 + [0.01] * 3))
+        away = viewpoints_apart(one.estimate.pose, recording.poses[:1])[0]
+        assert np.allclose(added, np.diag([0.04 + (0.5 * away) ** 2] * 3 + [0.01] * 3))
 
 
 def test_predicted_depth_is_used_where_none_is_measured(mixture, recording, healthy):
@@ -197,7 +200,7 @@ def test_far_from_the_truth_is_not_called_tracking(mixture, recording, healthy):
     rng = np.random.default_rng(0)
     start = disturbed(recording.poses[0], 1.0, np.deg2rad(60.0), rng)
     particles = scatter(start, SETTINGS.particles, 0.02, 0.01, 0.0, rng)
-    localizer = Localizer(mixture, _NoNetwork(), CAMERA, particles, SETTINGS, healthy, rng)
+    localizer = Localizer(mixture, _NoNetwork(), CAMERA, particles, SETTINGS, healthy, recording.poses, rng)
     steps = follow(localizer, recording, range(3))
     assert all(step.state in ("uncertain", "lost") for step in steps)
 

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.adapt.calibrate import Sample, calibrate
 from monoloc.adapt.checks import check_frames
+from monoloc.adapt.lasting import measure_lasting
 from monoloc.adapt.map_depth import supervision
 from monoloc.adapt.poses import PosePrior, check_refinable, refine_poses, rounds
 from monoloc.adapt.settings import AdaptConfig
@@ -23,17 +24,18 @@ from monoloc.depth.model import trainable_file
 from monoloc.depth.runtime import DepthPredictor
 from monoloc.depth.spec import DepthModel, network_images
 from monoloc.errors import DataError, SettingError
-from monoloc.evaluation.trajectory import PoseErrors, axis_sd, pose_errors
+from monoloc.evaluation.trajectory import PoseErrors, pose_errors
 from monoloc.extras import training_extra
+from monoloc.filter.lasting import LastingErrors
 from monoloc.geometry import FloatArray
-from monoloc.localizer import LocalizerConfig
+from monoloc.localizer import Localizer, LocalizerConfig
 from monoloc.map.cloud import cloud_from_recording, remove_outliers, voxel_thin
 from monoloc.map.compare import compare_maps
 from monoloc.map.fit import choose_components, fit_mixture
 from monoloc.map.mixture import GaussianMixture
 from monoloc.models import DEFAULT
 from monoloc.progress import NoProgress, Progress
-from monoloc.runs import Start, localize
+from monoloc.runs import Start
 
 _COMPONENT_LADDER = (50, 100, 200, 400, 800)
 _MIN_FRAMES = 5
@@ -149,7 +151,8 @@ def build_bundle(
     if adapts:
         result = adapt(recording, cloud, mixture, network_file, config.adapt, seed, progress)
         original, adapted = result.original, result.adapted
-        depth_model, held_out_model, held_out = result.depth_model, result.held_out_model, result.held_out
+        depth_model, held_out_model, regions = result.depth_model, result.held_out_model, result.held_out
+        held_out = np.sort(np.concatenate(regions))
         scores = result.scores
         kl, steps = result.kl, result.steps
     else:
@@ -160,7 +163,7 @@ def build_bundle(
                 depth_model = fit_to_depth(given, recording, supervision(recording, cloud), step)
             fitted = depth_model.spec
         held_out_model = depth_model  # one or two numbers for all frames: each is as good as held out
-        held_out, scores, kl, steps = np.arange(len(recording)), [], 0.0, 0
+        held_out, regions, scores, kl, steps = np.arange(len(recording)), [], [], 0.0, 0
     if config.int8:
         with progress.task("8 bits", None):
             images = network_images(recording, depth_model.spec)
@@ -188,8 +191,10 @@ def build_bundle(
             down_world=_down(poses),
         ),
         healthy=healthy,
+        viewpoints=poses,
     )
-    bundle = replace(bundle, settings=_honest(bundle, held_out_model, held_out, recording, seed, progress))
+    lasting = _measure_lasting(bundle, predictor, regions, recording, seed, progress)
+    bundle = replace(bundle, settings=settings.model_copy(update={"lasting": lasting}))
     report = BuildReport(
         frames=len(recording),
         cloud_points=len(cloud),
@@ -232,24 +237,25 @@ def _refined(
     return refined, pose_errors(refined.poses, recording.poses)
 
 
-def _honest(
+def _measure_lasting(
     bundle: Bundle,
-    held_out_model: DepthModel,
-    held_out: NDArray[np.int64],
+    predictor: DepthPredictor,
+    regions: list[NDArray[np.int64]],
     recording: Recording,
     seed: int,
     progress: Progress,
-) -> LocalizerConfig:
-    """The bundle's settings with covariances as wide as its errors are on frames that tuned nothing.
+) -> LastingErrors:
+    """What the bundle's filter errs by that lasts, with the network that was tuned without the frames of regions."""
+    config = bundle.settings
 
-    The filter follows the whole recording from its first pose with the network that was tuned without those frames.
-    """
-    poses = recording.poses
-    assert poses is not None
-    rehearsed = replace(bundle, depth_model=held_out_model)
-    run = localize(rehearsed, recording, Start(poses[0]), bundle.settings, np.random.default_rng(seed), progress)
-    sd_m, sd_rad = axis_sd(pose_errors(run.poses[held_out], poses[held_out]))
-    return bundle.settings.model_copy(update={"lasting_sd_m": sd_m, "lasting_sd_rad": sd_rad})
+    def starts_at(pose: FloatArray) -> Localizer:
+        rng = np.random.default_rng(seed)
+        start = Start(pose).scatter(config, rng)
+        return Localizer(
+            bundle.adapted, predictor, bundle.camera, start, config, bundle.healthy, bundle.viewpoints, rng
+        )
+
+    return measure_lasting(starts_at, recording, regions, progress)
 
 
 def _down(poses: FloatArray) -> tuple[float, float, float]:

@@ -1,8 +1,8 @@
 """What is carried to the drone: a folder ``NAME.monoloc`` of a few megabytes.
 
 ``manifest.json`` (schema, SHA-256 of every file, how the network is used, settings, camera, provenance, healthy
-range), ``map.npz`` (original and adapted mixture) and ``depth.onnx``. Written whole or not at all; read only if
-every byte is as it was written.
+range), ``map.npz`` (original and adapted mixture, viewpoints) and ``depth.onnx``. Written whole or not at all; read
+only if every byte is as it was written.
 """
 
 from __future__ import annotations
@@ -30,12 +30,14 @@ from monoloc.depth.model import read_model
 from monoloc.depth.spec import DepthModel, ModelSpec
 from monoloc.errors import BundleError
 from monoloc.filter.health import HealthyRange
+from monoloc.geometry import FloatArray, se3_exp, se3_log
 from monoloc.localizer import LocalizerConfig
 from monoloc.map.mixture import GaussianMixture
 from monoloc.models import is_shipped
 
-SCHEMA = 3
+SCHEMA = 4
 _MANIFEST, _MAP, _DEPTH = "manifest.json", "map.npz", "depth.onnx"
+_VIEWPOINTS = "viewpoints"  # twists (V, 6), float32
 
 
 class Provenance(BaseModel):
@@ -87,6 +89,7 @@ class Bundle:
         camera: the colour camera of the build recording.
         provenance: what built it.
         healthy: likelihood range of a pose that can be believed.
+        viewpoints: (V, 4, 4) ``T_world_camera`` of the frames that built it.
     """
 
     original: GaussianMixture
@@ -96,6 +99,7 @@ class Bundle:
     camera: Camera
     provenance: Provenance
     healthy: HealthyRange
+    viewpoints: FloatArray
 
 
 def fingerprint(color: NDArray[np.uint8]) -> int:
@@ -188,7 +192,8 @@ def read_bundle(path: Path) -> Bundle:
     try:
         with np.load(io.BytesIO(contents[_MAP]), allow_pickle=False) as arrays:
             original, adapted = (GaussianMixture.from_arrays(arrays, name) for name in ("original_", "adapted_"))
-    except (ValueError, zipfile.BadZipFile) as error:
+            viewpoints = se3_exp(arrays[_VIEWPOINTS].reshape(-1, 6).astype(np.float64))
+    except (KeyError, ValueError, zipfile.BadZipFile) as error:
         raise BundleError(path / _MAP, f"is no map ({error})", "rebuild it with this version") from error
     return Bundle(
         original=original,
@@ -198,6 +203,7 @@ def read_bundle(path: Path) -> Bundle:
         camera=manifest.camera,
         provenance=manifest.provenance,
         healthy=manifest.healthy,
+        viewpoints=viewpoints,
     )
 
 
@@ -216,6 +222,7 @@ def read_network(network: str | Path) -> DepthModel:
 def _pack_maps(bundle: Bundle) -> bytes:
     buffer = io.BytesIO()
     arrays: dict[str, Any] = bundle.original.to_arrays("original_") | bundle.adapted.to_arrays("adapted_")
+    arrays[_VIEWPOINTS] = se3_log(bundle.viewpoints).astype(np.float32)
     np.savez(buffer, **arrays)
     return buffer.getvalue()
 

@@ -13,6 +13,7 @@ from monoloc.camera import Camera
 from monoloc.depth.runtime import DepthPrediction
 from monoloc.filter.estimate import Estimate, estimate
 from monoloc.filter.health import HealthyRange, State, judge
+from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.level import LevelConfig, level
 from monoloc.filter.motion import MotionConfig, predict
 from monoloc.filter.particles import Particles
@@ -32,9 +33,8 @@ class LocalizerConfig(BaseModel):
         motion: visual odometry, or a random walk.
         ess_fraction: resample when the effective sample size is under this share of the particles.
         log_scale_sd: spread of the depth's log-scale from image to image.
-        lasting_sd_m, lasting_sd_rad: standard deviations per axis of those errors of position and rotation that last
-            from frame to frame, as those of depth do. The particles do not know of them; the covariance states them.
         level: how depth is levelled on the corners that odometry follows; None leaves it as it is.
+        lasting: errors that last from frame to frame. The particles do not know of them; the covariance states them.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -48,8 +48,7 @@ class LocalizerConfig(BaseModel):
     motion_noise: MotionConfig = MotionConfig()
     odometry: OdometryConfig = OdometryConfig()
     level: LevelConfig | None = LevelConfig()
-    lasting_sd_m: float = Field(0.0, ge=0.0)
-    lasting_sd_rad: float = Field(0.0, ge=0.0)
+    lasting: LastingErrors = LastingErrors()
 
 
 class DepthSource(Protocol):
@@ -80,7 +79,18 @@ class Step:
 
 
 class Localizer:
-    """Follows one camera through one map; call :meth:`step` with every frame in order."""
+    """Follows one camera through one map; call :meth:`step` with every frame in order.
+
+    Args:
+        mixture: the map.
+        depth: of a frame.
+        camera: of the frames.
+        start: the first belief.
+        config: settings.
+        healthy: range of a pose that can be believed.
+        viewpoints: (V, 4, 4) ``T_world_camera`` of the frames that the room was built from, or none.
+        rng: of the particles and the scan.
+    """
 
     def __init__(
         self,
@@ -90,6 +100,7 @@ class Localizer:
         start: Particles,
         config: LocalizerConfig,
         healthy: HealthyRange,
+        viewpoints: FloatArray,
         rng: np.random.Generator,
     ) -> None:
         self.config = config
@@ -98,6 +109,7 @@ class Localizer:
         self._measurement = Measurement(mixture, config.measurement)
         self._odometry = VisualOdometry(camera, config.odometry) if config.motion == "visual" else None
         self._healthy = healthy
+        self._viewpoints = viewpoints
         self._rng = rng
         self._is_first = True
 
@@ -121,7 +133,7 @@ class Localizer:
             )
         self._is_first = False
         self.particles = self._weigh(scan, motion)
-        belief = estimate(self.particles, config.lasting_sd_m, config.lasting_sd_rad)
+        belief = config.lasting.widen(estimate(self.particles), self._viewpoints)
         self.particles = resample(self.particles, config.ess_fraction, self._rng)
         fit = self._fit(belief, scan)
         return Step(belief, fit, judge(fit, belief, self._healthy), motion, depth, scan)

@@ -18,7 +18,8 @@ from monoloc.errors import DataError
 from monoloc.evaluation.depth import DepthAccumulator
 from monoloc.evaluation.trajectory import coverage_95, summarise
 from monoloc.filter.health import HealthyRange, State
-from monoloc.filter.particles import scatter
+from monoloc.filter.lasting import LastingErrors
+from monoloc.filter.particles import Particles, scatter
 from monoloc.filter.weigh import MeasurementConfig
 from monoloc.geometry import FloatArray, invert, se3_exp
 from monoloc.localizer import Localizer, LocalizerConfig
@@ -32,8 +33,7 @@ START_M, START_DEG = 0.10, 3.0
 _SENSOR = {
     "log_scale_sd": 0.01,
     "level": None,
-    "lasting_sd_m": 0.015,
-    "lasting_sd_rad": 0.01,
+    "lasting": LastingErrors(near_sd_m=0.015, near_sd_rad=0.01),
     "measurement": MeasurementConfig(
         likelihood="volume", outlier_share=0.2, noise_sd_m=0.02, effective_points=60.0, effective_corners=0.0
     ),
@@ -54,6 +54,12 @@ class Start:
     pose: FloatArray
     position_sd_m: float = START_M
     rotation_sd_rad: float = np.deg2rad(START_DEG)
+
+    def scatter(self, config: LocalizerConfig, rng: np.random.Generator) -> Particles:
+        """The belief of one who knows no more."""
+        return scatter(
+            self.pose, config.particles, self.position_sd_m, self.rotation_sd_rad, config.log_scale_sd, rng
+        )
 
 
 @dataclass(frozen=True)
@@ -164,12 +170,12 @@ def localize(
     if use_sensor_depth:
         config = config.model_copy(update=_SENSOR)
     predictor = DepthPredictor(bundle.depth_model, recording.camera)
-    particles = scatter(
-        start.pose, config.particles, start.position_sd_m, start.rotation_sd_rad, config.log_scale_sd, rng
-    )
+    particles = start.scatter(config, rng)
     # What fits of a sensor's depth are healthy was not measured: its state is judged by the belief's spread alone.
     healthy = HealthyRange(low=-np.inf, lost=-np.inf) if use_sensor_depth else bundle.healthy
-    localizer = Localizer(bundle.adapted, predictor, recording.camera, particles, config, healthy, rng)
+    localizer = Localizer(
+        bundle.adapted, predictor, recording.camera, particles, config, healthy, bundle.viewpoints, rng
+    )
     built_from = set(bundle.provenance.frames.values())
     unseen = np.zeros(len(recording), dtype=np.bool_)
     accuracy = (DepthAccumulator(), DepthAccumulator()) if recording.has_depth else None

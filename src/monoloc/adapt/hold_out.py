@@ -1,25 +1,15 @@
-"""How far apart viewpoints are, and which frames are held out by it."""
+"""Which frames are held out from tuning: those to measure with."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.geometry import FloatArray, invert, rotation_angle
-
-_TURN_WORTH_M = 1.0  # a radian of rotation keeps as little of a frame in view as so many metres
+from monoloc.geometry import FloatArray, viewpoints_apart
 
 
-def viewpoints_apart(pose: FloatArray, others: FloatArray) -> FloatArray:
-    """Metres, with a radian of rotation for one more, between a camera (4, 4) and others (N, 4, 4): (N,)."""
-    relative = invert(pose) @ others
-    return np.asarray(
-        np.linalg.norm(relative[:, :3, 3], axis=1) + _TURN_WORTH_M * rotation_angle(relative[:, :3, :3])
-    )
-
-
-def hold_out_regions(poses: FloatArray, regions: int, share: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Split frames by where they were taken: (training, held out), the latter as regions of viewpoints.
+def hold_out_regions(poses: FloatArray, regions: int, share: float) -> list[NDArray[np.int64]]:
+    """Regions of viewpoints to be held out, frames of each in order.
 
     A region is a frame and those nearest to it, chosen so that any other frame is as far from the former as can be:
     what is measured there is measured away from what tuned, where neighbours in time show nearly the same picture.
@@ -37,13 +27,13 @@ def hold_out_regions(poses: FloatArray, regions: int, share: float) -> tuple[NDA
     outside = apart[1:].copy()
     np.put_along_axis(outside, members, np.inf, axis=1)
     margin = outside.min(axis=1)
-    held = np.zeros(len(poses), dtype=np.bool_)
+    held: list[NDArray[np.int64]] = []
     for _ in range(regions):
-        margin[held[members].any(axis=1)] = -1.0
+        margin[np.isin(members, held).any(axis=1)] = -1.0
         chosen = margin.argmax()
         if margin[chosen] >= 0.0:
-            held[members[chosen]] = True
-    return np.flatnonzero(~held), np.flatnonzero(held)
+            held.append(np.sort(members[chosen]))
+    return held
 
 
 def hold_out_blocks(frames: int, blocks: int, share: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

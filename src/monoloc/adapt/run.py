@@ -36,7 +36,7 @@ class AdaptResult:
         original, adapted: the map before and after; component i of one is component i of the other.
         depth_model: the network tuned on all frames.
         held_out_model: the rehearsal's, tuned without the held-out frames, to measure honestly with.
-        held_out: indices of those frames.
+        held_out: those frames, by region of viewpoints.
         scores: on the held-out frames, the first before tuning, the last of the state that was kept.
         steps: optimiser steps on all frames; none if the rehearsal never bettered the held-out frames.
         kl: KL(M || M_A), nats.
@@ -46,7 +46,7 @@ class AdaptResult:
     adapted: GaussianMixture
     depth_model: DepthModel
     held_out_model: DepthModel
-    held_out: NDArray[np.int64]
+    held_out: list[NDArray[np.int64]]
     scores: list[Score]
     steps: int
     kl: float
@@ -70,7 +70,9 @@ def adapt(
     """
     rng = np.random.default_rng(seed)
     assert recording.poses is not None
-    training_frames, held_out = hold_out_regions(recording.poses, _REGIONS, _HELD_OUT_SHARE)
+    regions = hold_out_regions(recording.poses, _REGIONS, _HELD_OUT_SHARE)
+    held_out = np.sort(np.concatenate(regions))
+    training_frames = np.setdiff1d(np.arange(len(recording)), held_out)
     network = load_network(network_file)
     depth_of = supervision(recording, cloud)
     synthesised = config.synthesised_views if config.tune in ("decoder", "all") else 0
@@ -102,7 +104,7 @@ def adapt(
         adapted=final.map.adapted_mixture(),
         depth_model=export_model(final.network, network_file.stem),
         held_out_model=held_out_model,
-        held_out=held_out,
+        held_out=regions,
         scores=[*scores, rehearsal.score(held_out_views, best)],
         steps=steps,
         kl=final.kl(),

@@ -12,13 +12,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from monoloc.adapt.hold_out import viewpoints_apart
 from monoloc.adapt.warp import ColoredPoints, forward_warp, points_of
 from monoloc.camera import Camera
 from monoloc.datasets.base import Recording
 from monoloc.depth.examples import network_input
 from monoloc.depth.spec import network_size
-from monoloc.geometry import FloatArray, se3_exp
+from monoloc.geometry import FloatArray, se3_exp, viewpoints_apart
 
 DepthImages = Callable[[int], NDArray[np.float32]]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -27,12 +26,10 @@ from monoloc.cli.common import (
     text_of,
 )
 from monoloc.config import override
-from monoloc.evaluation.clouds import cloud_distances, matched_clouds, summarise_distances
+from monoloc.evaluation.clouds import COMPARED_POINTS, compare_clouds
 from monoloc.evaluation.map_drawing import plot_map_change
 from monoloc.extras import require_plotting
-from monoloc.geometry import FloatArray
 from monoloc.map.cloud_files import read_cloud
-from monoloc.map.compare import compare_maps
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import ConsoleProgress
 from monoloc.viewer import show_map_change
@@ -43,7 +40,6 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-_COMPARED_POINTS = 50_000  # 2 cm apart in a room: finer than what adaptation moves
 _CLOUD_SUFFIXES = {".ply", ".pcd", ".xyz", ".npz"}
 
 
@@ -135,27 +131,13 @@ def compare(
     require_plotting()
     check_viewing(view, record)
     room = read_bundle(bundle)
-    original, adapted = matched_clouds(room.original, room.adapted, _COMPARED_POINTS, np.random.default_rng(seed))
-    distances_m = cloud_distances(original, adapted)
-    down = np.array(room.provenance.down_world)
+    clouds = compare_clouds(room.original, room.adapted, COMPARED_POINTS, np.random.default_rng(seed))
+    shown = clouds.original, clouds.adapted, clouds.distances_m, np.array(room.provenance.down_world)
     name = f"{bundle.name}: {room.provenance.recording}"
-    plot_map_change(out, original, adapted, distances_m, down, name)
-    show_map_change(name, view, record, original, adapted, distances_m, down)
-    content: dict[str, object] = {
-        "picture": str(out),
-        "points": _COMPARED_POINTS,
-        **asdict(summarise_distances(distances_m)),
-        "box_original_m": _box(original),
-        "box_adapted_m": _box(adapted),
-        "components": len(room.original),
-        **asdict(compare_maps(room.original, room.adapted)),
-    }
+    plot_map_change(out, *shown, name)
+    show_map_change(name, view, record, *shown)
+    content = {"picture": str(out), **clouds.figures}
     if json:
         print_json(content)
     else:
         print_table(str(bundle), ["", ""], [[name, text_of(value)] for name, value in content.items()])
-
-
-def _box(cloud: FloatArray) -> dict[str, object]:
-    """Corners of a cloud's box along the world's axes."""
-    return {"lower": cloud.min(axis=0).tolist(), "upper": cloud.max(axis=0).tolist()}

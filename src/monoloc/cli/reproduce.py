@@ -40,6 +40,15 @@ def reproduce(
     quick: Annotated[
         bool, typer.Option("--quick", help="Two sizes, shorter trainings, and without what costs most.")
     ] = False,
+    builds: Annotated[
+        int | None,
+        typer.Option(
+            "--builds",
+            min=1,
+            help="How often the room is built anew, for the spread of builds; 3 by default, 1 with --quick.",
+            show_default=False,
+        ),
+    ] = None,
     workers: Annotated[
         int | None,
         typer.Option(
@@ -70,7 +79,7 @@ def reproduce(
     Examples:
       monoloc reproduce --quick
       monoloc reproduce fig4d fig5b --data 7scenes:redkitchen --out kitchen
-      monoloc reproduce --data 7scenes:redkitchen --out kitchen --json > kitchen.json
+      monoloc reproduce --data 7scenes:redkitchen --builds 1 --out kitchen --json > kitchen.json
       monoloc reproduce --dask tcp://head:8786 --out /shared/reproduction
     """
     with training_extra():
@@ -85,7 +94,7 @@ def reproduce(
     if workers is not None and dask is not None:
         raise SettingError("--workers", "is of this machine, and --dask of others", "leave one of them out")
     require_reporting()
-    study = _study(data, quick, encoder)
+    study = _study(data, quick, builds, encoder)
     if dask is not None:
         check_scheduler(dask)
     wanted = [(figure, figure.tasks(study)) for figure in chosen]
@@ -114,11 +123,12 @@ def reproduce(
     stderr.print(f"{content['seconds']:.0f} s; report: {content['report']}")
 
 
-def _study(data: str, quick: bool, encoder: Path | None) -> Study:
+def _study(data: str, quick: bool, builds: int | None, encoder: Path | None) -> Study:
     """What is to be studied.
 
     Raises:
-        DataError, SettingError: a source that cannot be read, or has no poses or no depth; no such file of weights.
+        DataError, SettingError: a source that cannot be read, or has no poses or no depth; no such file of weights;
+            more builds than runs.
     """
     from dataclasses import replace
 
@@ -135,6 +145,12 @@ def _study(data: str, quick: bool, encoder: Path | None) -> Study:
         if lacking is not None:
             raise DataError(recording.name, f"has {lacking}", f"give --data {_BUILTIN}, or one with poses and depth")
         study = recorded(source, recording.name, len(recording), quick)
+    if builds is not None:
+        if builds > study.seeds:
+            raise SettingError(
+                "--builds", f"is {builds}, and runs have {study.seeds} seeds", "give no more than that"
+            )
+        study = replace(study, builds=builds)
     return study if encoder is None else replace(study, encoder_weights=str(encoder.resolve()))
 
 

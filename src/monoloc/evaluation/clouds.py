@@ -7,7 +7,8 @@ spacing of the points.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +16,10 @@ from numpy.typing import ArrayLike
 from monoloc.errors import MissingExtraError
 from monoloc.geometry import FloatArray
 from monoloc.map.arguments import float64
+from monoloc.map.compare import compare_maps
 from monoloc.map.mixture import GaussianMixture
+
+COMPARED_POINTS = 50_000  # 2 cm apart in a room: finer than what adaptation moves
 
 
 @dataclass(frozen=True)
@@ -25,6 +29,49 @@ class CloudDistance:
     c2c_median_m: float
     c2c_p95_m: float
     c2c_max_m: float
+
+
+@dataclass(frozen=True)
+class MapClouds:
+    """A map before and after adaptation, as clouds.
+
+    Attributes:
+        original, adapted: (N, 3) world frame, metres, see :func:`matched_clouds`.
+        distances_m: (N,) from points of the original to the nearest adapted one.
+        figures: as ``monoloc map compare --json`` names them: number of points and of components, C2C, the clouds'
+            boxes along the world's axes, and what the components did.
+    """
+
+    original: FloatArray
+    adapted: FloatArray
+    distances_m: FloatArray
+    figures: dict[str, Any]
+
+
+def compare_clouds(
+    original: GaussianMixture, adapted: GaussianMixture, count: int, rng: np.random.Generator
+) -> MapClouds:
+    """The clouds of two maps whose components correspond, held against one another.
+
+    Args:
+        original, adapted: K components each, world frame.
+        count: N, points to draw.
+
+    Raises:
+        MissingExtraError, ValueError: as :func:`cloud_distances` and :func:`matched_clouds`.
+    """
+    clouds = matched_clouds(original, adapted, count, rng)
+    distances_m = cloud_distances(*clouds)
+    boxes = [{"lower": cloud.min(axis=0).tolist(), "upper": cloud.max(axis=0).tolist()} for cloud in clouds]
+    figures = {
+        "points": count,
+        **asdict(summarise_distances(distances_m)),
+        "box_original_m": boxes[0],
+        "box_adapted_m": boxes[1],
+        "components": len(original),
+        **asdict(compare_maps(original, adapted)),
+    }
+    return MapClouds(*clouds, distances_m, figures)
 
 
 def cloud_distances(points: ArrayLike, reference: ArrayLike) -> FloatArray:

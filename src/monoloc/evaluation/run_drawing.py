@@ -152,7 +152,7 @@ def _draw_ways(axis: Axes, plane: list[int], run: Run) -> dict[str, Artist]:
     if run.truth is not None:
         draw("truth", run.truth, color=INK, linewidth=3.5, alpha=0.35)
     draw("estimate", run.estimated, color=BLUE, linewidth=1.3)
-    if run.unseen is not None:
+    if run.unseen is not None and not run.unseen.all():
         reference = run.estimated if run.truth is None else run.truth
         style = {"markersize": 3.2, "markerfacecolor": "none", "markeredgewidth": 0.8}
         draw("frames that built the map", reference[~run.unseen], "o", color=GREEN, **style)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from monoloc.geometry import FloatArray, invert, rotation_angle, se3_log
 
 CHI2_6_QUANTILE_95 = 12.591587  # 95 % quantile of the chi-squared distribution with 6 degrees of freedom
-_CHI2_MEDIAN_3 = 2.3659738843753377  # median of that with 3
+CHI2_MEDIAN_3 = 2.3659738843753377  # median of that with 3
 
 # Variances below this (1 micrometre, 1 microradian, squared) are rounding: poses in files carry no more.
 _VARIANCE_FLOOR = 1e-12
@@ -78,7 +78,7 @@ def axis_sd(errors: PoseErrors) -> tuple[float, float]:
         errors: of one pose at least.
     """
     position, rotation = (
-        float(np.median(values)) / np.sqrt(_CHI2_MEDIAN_3) for values in (errors.position_m, errors.rotation_rad)
+        float(np.median(values)) / np.sqrt(CHI2_MEDIAN_3) for values in (errors.position_m, errors.rotation_rad)
     )
     return float(position), float(rotation)
 

@@ -14,6 +14,7 @@ from monoloc.baselines.keypoints import KeypointConfig
 from monoloc.build import BuildConfig
 from monoloc.config import override
 from monoloc.depth.model import trainable_file
+from monoloc.evaluation.clouds import COMPARED_POINTS
 from monoloc.experiments.common import describe_recording
 from monoloc.experiments.source import source_sha256
 from monoloc.experiments.study import WIDTH, Split, Study, Walk
@@ -173,7 +174,7 @@ def clouds(bundle: Task) -> Task:
     The file has ``original`` and ``adapted`` (N, 3), metres, world frame; ``distances_m`` (N,), from points of the
     original to the nearest adapted one; ``down_world`` (3,).
     """
-    return _task("clouds", needs=(bundle,), points=50_000, seed=0)
+    return _task("clouds", needs=(bundle,), points=COMPARED_POINTS, seed=0)
 
 
 _START = {"position_m": START_M, "rotation_deg": START_DEG}

@@ -14,7 +14,7 @@ from monoloc.bundle import Bundle, read_bundle, read_network, write_bundle
 from monoloc.config import override
 from monoloc.depth.runtime import DepthPredictor
 from monoloc.errors import DataError
-from monoloc.evaluation.clouds import cloud_distances, matched_clouds, summarise_distances
+from monoloc.evaluation.clouds import compare_clouds
 from monoloc.evaluation.depth import depth_metrics
 from monoloc.experiments import work_baselines
 from monoloc.experiments.common import (
@@ -29,7 +29,6 @@ from monoloc.experiments.common import (
 from monoloc.experiments.task import Result
 from monoloc.geometry import FloatArray
 from monoloc.map.cloud import voxel_thin
-from monoloc.map.compare import compare_maps
 from monoloc.map.fit import fit_mixture
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress
@@ -115,21 +114,15 @@ def _depth(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[st
 def _clouds(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str, Any]:
     room = _read(needs[0])
     rng = np.random.default_rng(settings["seed"])
-    original, adapted = matched_clouds(room.original, room.adapted, settings["points"], rng)
-    distances_m = cloud_distances(original, adapted)
+    clouds = compare_clouds(room.original, room.adapted, settings["points"], rng)
     np.savez_compressed(
         folder / "clouds.npz",
-        original=original.astype(np.float32),
-        adapted=adapted.astype(np.float32),
-        distances_m=distances_m.astype(np.float32),
+        original=clouds.original.astype(np.float32),
+        adapted=clouds.adapted.astype(np.float32),
+        distances_m=clouds.distances_m.astype(np.float32),
         down_world=np.array(room.provenance.down_world),
     )
-    boxes = {
-        f"box_{name}_m": {"lower": cloud.min(axis=0).tolist(), "upper": cloud.max(axis=0).tolist()}
-        for name, cloud in (("original", original), ("adapted", adapted))
-    }
-    change = asdict(compare_maps(room.original, room.adapted))
-    return {"components": len(room.original), **asdict(summarise_distances(distances_m)), **boxes, **change}
+    return clouds.figures
 
 
 def octree_bytes(occupied: Any) -> int:

@@ -26,19 +26,11 @@ class Estimate:
     log_scale: float
 
 
-def estimate(particles: Particles, lasting_sd_m: float = 0.0, lasting_sd_rad: float = 0.0) -> Estimate:
-    """Weighted mean: arithmetic for position and log-scale, chordal for rotation (Hartley et al. 2013).
-
-    Args:
-        particles: the belief.
-        lasting_sd_m, lasting_sd_rad: standard deviations per axis of the errors of position and rotation that last
-            from frame to frame, of which the particles know nothing.
-    """
+def estimate(particles: Particles) -> Estimate:
+    """Weighted mean: arithmetic for position and log-scale, chordal for rotation (Hartley et al. 2013)."""
     weights = particles.weights
     position = weights @ particles.poses[:, :3, 3]
     rotation = nearest_rotation(np.einsum("n,nij->ij", weights, particles.poses[:, :3, :3]))
     pose = make_pose(rotation, position)
     twists = se3_log(invert(pose) @ particles.poses)
-    lasting = np.repeat([lasting_sd_m**2, lasting_sd_rad**2], 3)
-    covariance = (weights[:, None] * twists).T @ twists + np.diag(lasting)
-    return Estimate(pose, covariance, float(weights @ particles.log_scale))
+    return Estimate(pose, (weights[:, None] * twists).T @ twists, float(weights @ particles.log_scale))

@@ -1,0 +1,96 @@
+"""How wide the errors are that last, measured by following frames that tuned nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.datasets.base import Recording
+from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, axis_sd, pose_errors
+from monoloc.filter.lasting import LastingErrors
+from monoloc.geometry import FloatArray, viewpoints_apart
+from monoloc.localizer import Localizer
+from monoloc.progress import Progress
+
+_STAY = 60  # frames: the start is forgotten, and what is left is what the depth there says
+_LEAST_DISTANCE_M = 0.01
+
+# From a start, ``T_world_camera``, to a localizer whose network tuned on no held-out frame.
+StartsAt = Callable[[FloatArray], Localizer]
+
+
+def measure_lasting(
+    starts_at: StartsAt, recording: Recording, regions: list[NDArray[np.int64]], progress: Progress
+) -> LastingErrors:
+    """What lasts, near the viewpoints that tuned and away from them.
+
+    Near: the recording is followed from its first pose, and frames of no region count. Away: the camera stays in
+    each region, to and fro over its frames, since a filter that only passes through brings the pose it has along.
+    What exceeds the former in the latter is taken to grow with the distance from the nearest frame of no region.
+
+    Args:
+        starts_at: makes the localizer.
+        recording: posed frames.
+        regions: frames held out, by viewpoint, see :func:`monoloc.adapt.hold_out.hold_out_regions`; without any,
+            nothing grows.
+    """
+    poses = recording.poses
+    assert poses is not None
+    is_near = np.ones(len(recording), dtype=np.bool_)
+    is_near[np.concatenate([np.zeros(0, dtype=np.int64), *regions])] = False
+    whole, stays = np.arange(len(recording)), [_to_and_fro(region) for region in regions]
+    done = 0
+    with progress.task("covariances", len(whole) + sum(map(len, stays))) as show:
+
+        def follow(walk: NDArray[np.int64]) -> FloatArray:
+            """Poses (N, 4, 4) of the frames of a walk, one after the other."""
+            nonlocal done
+            localizer, found = starts_at(poses[walk[0]]), []
+            times = recording.timestamps_s[walk]
+            for index, elapsed_s in zip(walk.tolist(), np.abs(np.diff(times, prepend=times[:1])), strict=True):
+                found.append(localizer.step(recording.color(index), float(elapsed_s)).estimate.pose)
+                done += 1
+                show(done)
+            return np.stack(found)
+
+        near = pose_errors(follow(whole)[is_near], poses[is_near])
+        ways = [follow(stay) for stay in stays]
+    if not stays:
+        near_m, near_rad = axis_sd(near)
+        return LastingErrors(near_sd_m=near_m, near_sd_rad=near_rad)
+    settled = [slice(len(region), None) for region in regions]
+    frames = np.concatenate([stay[part] for stay, part in zip(stays, settled, strict=True)])
+    away = pose_errors(np.concatenate([way[part] for way, part in zip(ways, settled, strict=True)]), poses[frames])
+    distances_m = np.array([viewpoints_apart(pose, poses[is_near]).min() for pose in poses[frames]])
+    return lasting_errors(near, away, distances_m)
+
+
+def lasting_errors(near: PoseErrors, away: PoseErrors, distances_m: FloatArray) -> LastingErrors:
+    """Near errors' deviation, and the growth under which the median of those away is as large as it is.
+
+    Args:
+        near, away: one at least.
+        distances_m: of those away from where it is near, (N,).
+    """
+    near_m, near_rad = axis_sd(near)
+    return LastingErrors(
+        near_sd_m=near_m,
+        near_sd_rad=near_rad,
+        growth_m=_growth(away.position_m, near_m, distances_m),
+        growth_rad=_growth(away.rotation_rad, near_rad, distances_m),
+    )
+
+
+def _growth(errors: FloatArray, near_sd: float, distances_m: FloatArray) -> float:
+    """Of an error's deviation with distance, so that half of (N,) errors are under the median that it gives them."""
+    beyond = errors**2 / CHI2_MEDIAN_3 - near_sd**2
+    return math.sqrt(max(0.0, float(np.median(beyond / np.maximum(distances_m, _LEAST_DISTANCE_M) ** 2))))
+
+
+def _to_and_fro(region: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Frames of a region in order, back, and again, until the camera has stayed long enough after the first time."""
+    cycle = np.concatenate([region, region[-2:0:-1]])
+    return np.tile(cycle, 1 + math.ceil(_STAY / len(cycle)))

@@ -1,0 +1,40 @@
+"""Errors that last from frame to frame, as those of a network's depth do: of them the particles know nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from monoloc.filter.estimate import Estimate
+from monoloc.geometry import FloatArray, viewpoints_apart
+
+
+class LastingErrors(BaseModel):
+    """How wide they are: as measured at the viewpoints that a room was built from, and wider away from them.
+
+    A standard deviation per axis is ``sqrt(near^2 + (growth * distance)^2)``, with the distance of
+    :func:`monoloc.geometry.viewpoints_apart` to the nearest of those viewpoints.
+
+    Attributes:
+        near_sd_m, near_sd_rad: of position and rotation at the viewpoints.
+        growth_m, growth_rad: metres and radians a metre away from them.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    near_sd_m: float = Field(0.0, ge=0.0)
+    near_sd_rad: float = Field(0.0, ge=0.0)
+    growth_m: float = Field(0.0, ge=0.0)
+    growth_rad: float = Field(0.0, ge=0.0)
+
+    def covariance(self, distance_m: float) -> FloatArray:
+        """Of a twist (rho, phi), (6, 6), so far from the nearest viewpoint."""
+        sd = np.hypot([self.near_sd_m, self.near_sd_rad], distance_m * np.array([self.growth_m, self.growth_rad]))
+        return np.diag(np.repeat(sd**2, 3))
+
+    def widen(self, belief: Estimate, viewpoints: FloatArray) -> Estimate:
+        """A belief whose covariance has these errors too; viewpoints (V, 4, 4), those near where there are none."""
+        distance_m = float(viewpoints_apart(belief.pose, viewpoints).min()) if len(viewpoints) else 0.0
+        return replace(belief, covariance=belief.covariance + self.covariance(distance_m))

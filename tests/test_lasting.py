@@ -1,0 +1,122 @@
+"""Errors that last: what is stated of them near and away, and how it is measured."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from monoloc.adapt.lasting import lasting_errors, measure_lasting
+from monoloc.bundle import fingerprint
+from monoloc.depth.runtime import DepthPrediction, DepthPredictor
+from monoloc.evaluation.trajectory import PoseErrors
+from monoloc.filter.estimate import estimate
+from monoloc.filter.health import HealthyRange
+from monoloc.filter.lasting import LastingErrors
+from monoloc.filter.particles import scatter
+from monoloc.geometry import FloatArray, se3_exp
+from monoloc.localizer import Localizer
+from monoloc.progress import NoProgress
+from synthetic_room import (
+    CAMERA,
+    SETTINGS,
+    Room,
+    RoomRecording,
+    depth_from_blue,
+    make_path,
+    room_mixture,
+)
+
+sizes = st.floats(0.0, 1.0)
+
+
+@given(near=sizes, turned=sizes, growth=sizes, twisting=sizes, distance=st.floats(0.0, 5.0))
+def test_variances_of_near_and_away_add(
+    near: float, turned: float, growth: float, twisting: float, distance: float
+) -> None:
+    errors = LastingErrors(near_sd_m=near, near_sd_rad=turned, growth_m=growth, growth_rad=twisting)
+    expected = [near**2 + (growth * distance) ** 2] * 3 + [turned**2 + (twisting * distance) ** 2] * 3
+    np.testing.assert_allclose(errors.covariance(distance), np.diag(expected), rtol=1e-12, atol=1e-15)
+
+
+def test_they_widen_the_covariance_and_nothing_else() -> None:
+    pose = se3_exp([0.3, -0.2, 1.0, 0.2, 0.1, -0.3])
+    belief = estimate(scatter(pose, 200, 0.1, 0.05, 0.02, np.random.default_rng(0)))
+    errors = LastingErrors(near_sd_m=0.03, near_sd_rad=0.01, growth_m=0.1, growth_rad=0.2)
+    a_metre_away = belief.pose @ se3_exp([[0.0, 0.6, 0.8, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0, 0.0, 0.0]])
+    for viewpoints, distance in ((a_metre_away, 1.0), (belief.pose[None], 0.0), (np.zeros((0, 4, 4)), 0.0)):
+        wide = errors.widen(belief, viewpoints)
+        added = wide.covariance - belief.covariance
+        np.testing.assert_allclose(added, errors.covariance(distance), atol=1e-12)
+        assert wide.pose is belief.pose and wide.log_scale == belief.log_scale
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_errors_were_drawn_from_is_found(seed: int) -> None:
+    """Of 2000 errors each, the median's square is within some 5 % of the variance's, and the growth's within 10 %."""
+    rng = np.random.default_rng(seed)
+    drawn = LastingErrors(near_sd_m=0.03, near_sd_rad=0.01, growth_m=0.1, growth_rad=0.2)
+    distances = rng.uniform(0.1, 0.6, 2000)
+
+    def errors(distances_m: FloatArray) -> PoseErrors:
+        sd = [np.sqrt(np.diag(drawn.covariance(distance))) for distance in distances_m]
+        off = rng.normal(size=(len(distances_m), 6)) * np.array(sd)
+        return PoseErrors(np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(off[:, 3:], axis=1))
+
+    found = lasting_errors(errors(np.zeros(2000)), errors(distances), distances)
+    assert (found.near_sd_m, found.near_sd_rad) == pytest.approx((0.03, 0.01), rel=0.05)
+    assert (found.growth_m, found.growth_rad) == pytest.approx((0.1, 0.2), rel=0.12)
+
+
+def test_nothing_grows_where_errors_away_are_no_larger() -> None:
+    near, away = PoseErrors(np.full(9, 0.1), np.full(9, 0.1)), PoseErrors(np.full(9, 0.08), np.full(9, 0.12))
+    found = lasting_errors(near, away, np.full(9, 0.5))
+    assert found.growth_m == 0.0 and found.growth_rad > 0.0
+    assert LastingErrors().covariance(3.0).max() == 0.0
+
+
+class _Leaning:
+    """The room's depth, leaning in one region as if by an error that its viewpoints share."""
+
+    def __init__(self, recording: RoomRecording, leaning: set[int]) -> None:
+        self._index = {fingerprint(recording.color(index)): index for index in range(len(recording))}
+        self._leaning = leaning
+        self._exact = DepthPredictor(depth_from_blue(), CAMERA)
+        self.asked: list[int] = []
+
+    def __call__(self, color: np.ndarray) -> DepthPrediction:
+        index = self._index[fingerprint(color)]
+        self.asked.append(index)
+        depth = self._exact(color)
+        if index not in self._leaning:
+            return depth
+        across = depth.camera.pixel_rays()[..., 0].astype(np.float32)
+        return DepthPrediction(depth.depth_m * np.exp(0.25 * across), depth.camera)
+
+
+def test_the_camera_stays_where_depth_errs() -> None:
+    """Passing through four frames would show a part of what their leaning depth makes of the pose in the end."""
+    recording, mixture = RoomRecording(Room(), make_path(24)), room_mixture(Room())
+    region = np.arange(14, 18)
+    depth = _Leaning(recording, {*region.tolist()})
+    config = SETTINGS.model_copy(update={"level": None})
+
+    def starts_at(pose: FloatArray) -> Localizer:
+        rng = np.random.default_rng(0)
+        particles = scatter(pose, config.particles, 0.02, 0.01, config.log_scale_sd, rng)
+        healthy = HealthyRange(low=-9.0, lost=-99.0)
+        return Localizer(mixture, depth, CAMERA, particles, config, healthy, recording.poses, rng)
+
+    alone = measure_lasting(starts_at, recording, [], NoProgress())
+    assert depth.asked == list(range(24))
+    assert alone.growth_m == alone.growth_rad == 0.0
+    depth.asked.clear()
+    found = measure_lasting(starts_at, recording, [region], NoProgress())
+    assert depth.asked[:24] == list(range(24))
+    assert depth.asked[24:34] == [14, 15, 16, 17, 16, 15, 14, 15, 16, 17] and len(depth.asked) >= 24 + 64
+    assert found.near_sd_m <= 1.5 * alone.near_sd_m < 0.03
+    # A quarter of the depth across a metre of it turns a wall by some 14 degrees.
+    assert found.growth_rad > 0.1
+    one_frame = measure_lasting(starts_at, recording, [np.array([20])], NoProgress())
+    assert np.isfinite([one_frame.growth_m, one_frame.growth_rad]).all()
