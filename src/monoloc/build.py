@@ -26,7 +26,6 @@ from monoloc.depth.spec import DepthModel, network_images
 from monoloc.errors import DataError, SettingError
 from monoloc.evaluation.trajectory import PoseErrors, pose_errors
 from monoloc.extras import training_extra
-from monoloc.filter.lasting import LastingErrors
 from monoloc.geometry import FloatArray
 from monoloc.localizer import Localizer, LocalizerConfig
 from monoloc.map.cloud import cloud_from_recording, remove_outliers, voxel_thin
@@ -35,7 +34,7 @@ from monoloc.map.fit import choose_components, fit_mixture
 from monoloc.map.mixture import GaussianMixture
 from monoloc.models import DEFAULT
 from monoloc.progress import NoProgress, Progress
-from monoloc.runs import Start
+from monoloc.runs import Start, start_localizer
 
 _COMPONENT_LADDER = (50, 100, 200, 400, 800)
 _MIN_FRAMES = 5
@@ -193,7 +192,13 @@ def build_bundle(
         healthy=healthy,
         viewpoints=poses,
     )
-    lasting = _measure_lasting(bundle, predictor, regions, recording, seed, progress)
+    # With the network that saw no frame of the regions.
+    rehearsed = replace(bundle, depth_model=held_out_model)
+
+    def starts_at(pose: FloatArray) -> Localizer:
+        return start_localizer(rehearsed, recording.camera, Start(pose), np.random.default_rng(seed))
+
+    lasting = measure_lasting(starts_at, recording, regions, progress)
     bundle = replace(bundle, settings=settings.model_copy(update={"lasting": lasting}))
     report = BuildReport(
         frames=len(recording),
@@ -235,27 +240,6 @@ def _refined(
         refined = refine_poses(recording, mixture, again, prior, rng, step)
     assert refined.poses is not None and recording.poses is not None
     return refined, pose_errors(refined.poses, recording.poses)
-
-
-def _measure_lasting(
-    bundle: Bundle,
-    predictor: DepthPredictor,
-    regions: list[NDArray[np.int64]],
-    recording: Recording,
-    seed: int,
-    progress: Progress,
-) -> LastingErrors:
-    """What the bundle's filter errs by that lasts, with the network that was tuned without the frames of regions."""
-    config = bundle.settings
-
-    def starts_at(pose: FloatArray) -> Localizer:
-        rng = np.random.default_rng(seed)
-        start = Start(pose).scatter(config, rng)
-        return Localizer(
-            bundle.adapted, predictor, bundle.camera, start, config, bundle.healthy, bundle.viewpoints, rng
-        )
-
-    return measure_lasting(starts_at, recording, regions, progress)
 
 
 def _down(poses: FloatArray) -> tuple[float, float, float]:

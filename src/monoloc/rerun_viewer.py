@@ -50,8 +50,8 @@ class RerunViewer:
         self._healthy: HealthyRange | None = None
         self._ends: dict[str, FloatArray] = {}  # where each way has come to, (3,)
 
-    def begin(self, room: Bundle, recording: Recording, healthy: HealthyRange) -> None:
-        self._recording, self._healthy = recording, healthy
+    def begin(self, room: Bundle, recording: Recording) -> None:
+        self._recording, self._healthy = recording, room.healthy
         self._static("world", _upright(room.provenance.down_world))
         map_ = room.adapted
         self._static("world/map", _ellipsoids(map_.means, map_.covariances, _SURFACE_SIGMAS, _MAP, "solid"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import cv2
 import numpy as np
@@ -55,7 +55,7 @@ class Start:
     position_sd_m: float = START_M
     rotation_sd_rad: float = np.deg2rad(START_DEG)
 
-    def scatter(self, config: LocalizerConfig, rng: np.random.Generator) -> Particles:
+    def particles(self, config: LocalizerConfig, rng: np.random.Generator) -> Particles:
         """The belief of one who knows no more."""
         return scatter(
             self.pose, config.particles, self.position_sd_m, self.rotation_sd_rad, config.log_scale_sd, rng
@@ -143,6 +143,23 @@ def disturbed(pose: FloatArray, distance_m: float, angle_rad: float, rng: np.ran
     return np.asarray(pose @ se3_exp(twist))
 
 
+def start_localizer(
+    bundle: Bundle, camera: Camera, start: Start, rng: np.random.Generator, config: LocalizerConfig | None = None
+) -> Localizer:
+    """A localizer for one camera in a bundle's room.
+
+    Args:
+        camera: of the frames that it will be given.
+        config: settings in place of the bundle's.
+
+    Raises:
+        DataError: the bundle's network does not take the camera's images.
+    """
+    config = config or bundle.settings
+    predictor, particles = DepthPredictor(bundle.depth_model, camera), start.particles(config, rng)
+    return Localizer(bundle.adapted, predictor, camera, particles, config, bundle.healthy, bundle.viewpoints, rng)
+
+
 def localize(
     bundle: Bundle,
     recording: Recording,
@@ -169,20 +186,16 @@ def localize(
         raise DataError(recording.name, "has no depth", "leave out --depth sensor")
     if use_sensor_depth:
         config = config.model_copy(update=_SENSOR)
-    predictor = DepthPredictor(bundle.depth_model, recording.camera)
-    particles = start.scatter(config, rng)
-    # What fits of a sensor's depth are healthy was not measured: its state is judged by the belief's spread alone.
-    healthy = HealthyRange(low=-np.inf, lost=-np.inf) if use_sensor_depth else bundle.healthy
-    localizer = Localizer(
-        bundle.adapted, predictor, recording.camera, particles, config, healthy, bundle.viewpoints, rng
-    )
+        # What fits of a sensor's depth are healthy was not measured: the belief's spread alone tells its state.
+        bundle = replace(bundle, healthy=HealthyRange(low=-np.inf, lost=-np.inf))
+    localizer = start_localizer(bundle, recording.camera, start, rng, config)
     built_from = set(bundle.provenance.frames.values())
     unseen = np.zeros(len(recording), dtype=np.bool_)
     accuracy = (DepthAccumulator(), DepthAccumulator()) if recording.has_depth else None
     dead_reckoning = start.pose if recording.poses is None else recording.poses[0]
     steps, odometry, step_ms = [], [], []
     elapsed = np.diff(recording.timestamps_s, prepend=recording.timestamps_s[:1])
-    viewer.begin(bundle, recording, healthy)
+    viewer.begin(bundle, recording)
     with progress.task("localize", len(recording)) as show:
         for index in range(len(recording)):
             color = recording.color(index)

@@ -19,7 +19,6 @@ from monoloc.bundle import Bundle
 from monoloc.datasets.base import Recording
 from monoloc.errors import DataError, SettingError
 from monoloc.files import partial_of
-from monoloc.filter.health import HealthyRange
 from monoloc.filter.particles import Particles
 from monoloc.geometry import FloatArray
 from monoloc.localizer import Step
@@ -35,8 +34,8 @@ _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 class Viewer(Protocol):
     """Sees a run; who localises calls it always, and does not know who looks."""
 
-    def begin(self, room: Bundle, recording: Recording, healthy: HealthyRange) -> None:
-        """A run begins; ``healthy`` is the range that its fits are judged by."""
+    def begin(self, room: Bundle, recording: Recording) -> None:
+        """A run begins."""
         ...
 
     def show(
@@ -64,7 +63,7 @@ class Viewer(Protocol):
 class NoViewer:
     """Nobody looks."""
 
-    def begin(self, room: Bundle, recording: Recording, healthy: HealthyRange) -> None:
+    def begin(self, room: Bundle, recording: Recording) -> None:
         pass
 
     def show(

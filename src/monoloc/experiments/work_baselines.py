@@ -20,7 +20,6 @@ from monoloc.errors import SettingError
 from monoloc.experiments.common import BUNDLE, Settings, built_from, relighting, start_of, walked, write_way
 from monoloc.experiments.task import Result
 from monoloc.extras import training_extra
-from monoloc.filter.particles import scatter
 from monoloc.models import is_shipped, shipped_models
 from monoloc.progress import NoProgress
 
@@ -76,10 +75,8 @@ def filtered_run(settings: Settings, needs: Sequence[Result], folder: Path) -> d
     network, bundle = load_posenet(needs[0].folder / _NETWORK), read_bundle(needs[1].folder / BUNDLE)
     recording = walked(settings)
     rng = np.random.default_rng(settings["seed"])
-    start, config = start_of(settings, recording, rng), bundle.settings
-    particles = scatter(
-        start.pose, config.particles, start.position_sd_m, start.rotation_sd_rad, config.log_scale_sd, rng
-    )
+    config = bundle.settings
+    particles = start_of(settings, recording, rng).particles(config, rng)
     depth, measure = DepthPredictor(bundle.depth_model, recording.camera), PosePredictor(network, recording.camera)
     follower = PoseFilter(measure, network.error, depth, recording.camera, particles, config, rng)
     return _located(settings, recording, lambda color, elapsed_s: follower.step(color, elapsed_s).pose, folder)
