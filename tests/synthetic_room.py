@@ -20,6 +20,7 @@ from monoloc.camera import Camera
 from monoloc.depth.runtime import DepthPrediction
 from monoloc.depth.spec import FOCAL_KEY, DepthModel, monoloc_spec
 from monoloc.filter.health import HealthyRange
+from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.scan import scan_from_depth
 from monoloc.filter.weigh import Measurement, MeasurementConfig
 from monoloc.geometry import make_pose, so3_exp
@@ -182,6 +183,7 @@ SETTINGS = LocalizerConfig(
     log_scale_sd=0.03,
     level=None,
     measurement=MeasurementConfig(outlier_share=0.1, noise_sd_m=0.03, log_depth_sd=0.02, effective_points=100.0),
+    lasting=LastingErrors(near_sd_m=0.01, near_sd_rad=0.004),
 )
 
 

@@ -11,11 +11,10 @@ from monoloc.adapt.lasting import lasting_errors, measure_lasting
 from monoloc.bundle import fingerprint
 from monoloc.depth.runtime import DepthPrediction, DepthPredictor
 from monoloc.evaluation.trajectory import PoseErrors
-from monoloc.filter.estimate import estimate
 from monoloc.filter.health import HealthyRange
 from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.particles import scatter
-from monoloc.geometry import FloatArray, se3_exp
+from monoloc.geometry import FloatArray
 from monoloc.localizer import Localizer
 from monoloc.progress import NoProgress
 from synthetic_room import (
@@ -40,16 +39,11 @@ def test_variances_of_near_and_away_add(
     np.testing.assert_allclose(errors.covariance(distance), np.diag(expected), rtol=1e-12, atol=1e-15)
 
 
-def test_they_widen_the_covariance_and_nothing_else() -> None:
-    pose = se3_exp([0.3, -0.2, 1.0, 0.2, 0.1, -0.3])
-    belief = estimate(scatter(pose, 200, 0.1, 0.05, 0.02, np.random.default_rng(0)))
-    errors = LastingErrors(near_sd_m=0.03, near_sd_rad=0.01, growth_m=0.1, growth_rad=0.2)
-    a_metre_away = belief.pose @ se3_exp([[0.0, 0.6, 0.8, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0, 0.0, 0.0]])
-    for viewpoints, distance in ((a_metre_away, 1.0), (belief.pose[None], 0.0), (np.zeros((0, 4, 4)), 0.0)):
-        wide = errors.widen(belief, viewpoints)
-        added = wide.covariance - belief.covariance
-        np.testing.assert_allclose(added, errors.covariance(distance), atol=1e-12)
-        assert wide.pose is belief.pose and wide.log_scale == belief.log_scale
+@given(there=sizes, back=sizes)
+def test_correlations_of_two_steps_multiply(there: float, back: float) -> None:
+    errors = LastingErrors()
+    assert errors.kept(0.0) == 1.0 and errors.kept(there) <= 1.0
+    assert errors.kept(there + back) == pytest.approx(errors.kept(there) * errors.kept(back))
 
 
 @pytest.mark.parametrize("seed", range(4))

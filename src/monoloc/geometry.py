@@ -112,6 +112,19 @@ def rotation_angle(rotation: ArrayLike) -> FloatArray:
     return np.asarray(np.linalg.norm(so3_log(rotation), axis=-1))
 
 
+def adjoint(pose: ArrayLike) -> FloatArray:
+    """Matrix that carries twists from the right of a pose to its left: ``pose @ exp(x) == exp(adjoint @ x) @ pose``.
+
+    (..., 4, 4) -> (..., 6, 6).
+    """
+    matrix = np.asarray(pose, dtype=np.float64)
+    rotation = matrix[..., :3, :3]
+    result = np.zeros((*matrix.shape[:-2], 6, 6))
+    result[..., :3, :3] = result[..., 3:, 3:] = rotation
+    result[..., :3, 3:] = hat(matrix[..., :3, 3]) @ rotation
+    return result
+
+
 def viewpoints_apart(pose: FloatArray, others: FloatArray) -> FloatArray:
     """Metres, with a radian of rotation for one more, between a camera (4, 4) and others (N, 4, 4): (N,)."""
     relative = invert(pose) @ others

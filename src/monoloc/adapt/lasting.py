@@ -51,7 +51,7 @@ def measure_lasting(
             localizer, found = starts_at(poses[walk[0]]), []
             times = recording.timestamps_s[walk]
             for index, elapsed_s in zip(walk.tolist(), np.abs(np.diff(times, prepend=times[:1])), strict=True):
-                found.append(localizer.step(recording.color(index), float(elapsed_s)).estimate.pose)
+                found.append(localizer.step(recording.color(index), float(elapsed_s)).located.pose)
                 done += 1
                 show(done)
             return np.stack(found)

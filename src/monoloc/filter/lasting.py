@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from monoloc.filter.estimate import Estimate
-from monoloc.geometry import FloatArray, viewpoints_apart
+from monoloc.geometry import FloatArray
+
+_LENGTH_M = 2.0  # of a change of viewpoint, a radian for a metre, over which errors become others
 
 
 class LastingErrors(BaseModel):
@@ -34,7 +35,6 @@ class LastingErrors(BaseModel):
         sd = np.hypot([self.near_sd_m, self.near_sd_rad], distance_m * np.array([self.growth_m, self.growth_rad]))
         return np.diag(np.repeat(sd**2, 3))
 
-    def widen(self, belief: Estimate, viewpoints: FloatArray) -> Estimate:
-        """A belief whose covariance has these errors too; viewpoints (V, 4, 4), those near where there are none."""
-        distance_m = float(viewpoints_apart(belief.pose, viewpoints).min()) if len(viewpoints) else 0.0
-        return replace(belief, covariance=belief.covariance + self.covariance(distance_m))
+    def kept(self, step_m: float) -> float:
+        """Correlation of the errors of two viewpoints that are so far apart."""
+        return math.exp(-step_m / _LENGTH_M)

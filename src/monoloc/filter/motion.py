@@ -32,6 +32,16 @@ class MotionConfig(BaseModel):
     log_scale_correlation: float = Field(0.95, ge=0.0, lt=1.0)
 
 
+def motion_sd(motion: Motion | None, elapsed_s: float, config: MotionConfig) -> FloatArray:
+    """Standard deviations of a motion's twist in the new camera's frame, (6,): of odometry's, or of a random walk."""
+    if motion is None:
+        return np.repeat([config.speed_sd_m_s, config.turn_sd_rad_s], 3) * elapsed_s
+    delta = motion.T_previous_current
+    translation_sd = np.hypot(config.translation_sd_m, config.translation_sd_ratio * np.linalg.norm(delta[:3, 3]))
+    rotation_sd = np.hypot(config.rotation_sd_rad, config.rotation_sd_ratio * rotation_angle(delta[:3, :3]))
+    return np.repeat([float(translation_sd), float(rotation_sd)], 3)
+
+
 def predict(
     particles: Particles,
     motion: Motion | None,
@@ -46,18 +56,11 @@ def predict(
     The log-scale is a first-order autoregressive process whose spread stays ``log_scale_sd``.
     """
     count = len(particles)
-    noise = rng.standard_normal((count, 6))
-    if motion is None:
-        step = np.repeat([config.speed_sd_m_s, config.turn_sd_rad_s], 3) * elapsed_s
-        poses = particles.poses @ se3_exp(noise * step)
-    else:
-        delta = motion.T_previous_current
-        distance = float(np.linalg.norm(delta[:3, 3]))
-        angle = float(rotation_angle(delta[:3, :3]))
-        translation_sd = np.hypot(config.translation_sd_m, config.translation_sd_ratio * distance)
-        rotation_sd = np.hypot(config.rotation_sd_rad, config.rotation_sd_ratio * angle)
-        poses = particles.poses @ _scaled(delta, np.exp(particles.log_scale))
-        poses = poses @ se3_exp(noise * np.repeat([translation_sd, rotation_sd], 3))
+    noise = rng.standard_normal((count, 6)) * motion_sd(motion, elapsed_s, config)
+    poses = particles.poses
+    if motion is not None:
+        poses = poses @ _scaled(motion.T_previous_current, np.exp(particles.log_scale))
+    poses = poses @ se3_exp(noise)
     keep = config.log_scale_correlation**elapsed_s
     spread = log_scale_sd * np.sqrt(1.0 - keep**2)
     log_scale = keep * particles.log_scale + spread * rng.standard_normal(count)

@@ -1,0 +1,126 @@
+"""The particles' word joined with odometry: against a batch solution, and honest where errors are as stated."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from monoloc.filter.estimate import Estimate
+from monoloc.filter.joined import Joined
+from monoloc.filter.lasting import LastingErrors
+from monoloc.geometry import FloatArray, adjoint, invert, is_rigid, se3_exp, se3_log
+
+LASTING = LastingErrors(near_sd_m=0.05, near_sd_rad=0.03, growth_m=0.1, growth_rad=0.05)
+START_SD = np.repeat([0.1, 0.05], 3)
+STEP = se3_exp([0.03, -0.01, 0.05, 0.01, 0.04, -0.02])
+ODOMETRY_SD = np.repeat([0.004, 0.003], 3)
+SPREAD_SD = np.repeat([0.01, 0.006], 3)
+TOGETHER = 2.0  # noise counts twice, see the module
+
+
+def begun(pose: FloatArray, lasting: LastingErrors = LASTING) -> Joined:
+    return Joined.begin(Estimate(pose, np.diag(START_SD**2), 0.0), lasting, 0.0)
+
+
+def said(pose: FloatArray) -> Estimate:
+    return Estimate(pose, np.diag(SPREAD_SD**2) / TOGETHER**2, 0.0)
+
+
+def moved(joined: Joined, delta: FloatArray, lasting: LastingErrors = LASTING) -> Joined:
+    return joined.moved(delta, np.diag(ODOMETRY_SD**2) / TOGETHER**2, lasting, 0.0)
+
+
+def test_it_is_the_batch_solution_along_a_line() -> None:
+    """Without rotation all is linear: the last belief is that of least squares over all poses and biases at once."""
+    rng = np.random.default_rng(0)
+    frames, along = 12, 0.1
+    lasting = LastingErrors(near_sd_m=0.05)
+    words = along * np.arange(frames) + rng.normal(0.0, 0.06, frames)
+    step = np.eye(4)
+    step[0, 3] = along
+    kept = lasting.kept(along)
+    joined = begun(np.eye(4), lasting)
+    # Rows of a weighted system in positions and biases.
+    rows, values = [], []
+
+    def row(value: float, sd: float, **columns: float) -> None:
+        found = np.zeros(2 * frames)
+        for name, factor in columns.items():
+            found[(0 if name[0] == "x" else frames) + int(name[1:])] = factor / sd
+        rows.append(found)
+        values.append(value / sd)
+
+    row(0.0, START_SD[0], x0=1.0)
+    row(0.0, 0.05, b0=1.0)
+    for k in range(frames):
+        if k > 0:
+            joined = moved(joined, step, lasting)
+            row(along, ODOMETRY_SD[0], **{f"x{k}": 1.0, f"x{k - 1}": -1.0})
+            row(0.0, 0.05 * np.sqrt(1.0 - kept**2), **{f"b{k}": 1.0, f"b{k - 1}": -kept})
+        located = np.eye(4)
+        located[0, 3] = words[k]
+        joined = joined.told(said(located))
+        row(words[k], SPREAD_SD[0], **{f"x{k}": 1.0, f"b{k}": 1.0})
+    solution, *_ = np.linalg.lstsq(np.array(rows), np.array(values), rcond=None)
+    covariance = np.linalg.inv(np.array(rows).T @ np.array(rows))
+    last = [frames - 1, 2 * frames - 1]
+    np.testing.assert_allclose([joined.pose[0, 3], joined.bias[0]], solution[last], atol=1e-6)
+    np.testing.assert_allclose(
+        joined.covariance[np.ix_([0, 6], [0, 6])], covariance[np.ix_(last, last)], rtol=1e-4, atol=1e-9
+    )
+
+
+def drawn_way(rng: np.random.Generator, frames: int) -> tuple[FloatArray, Joined]:
+    """The last true pose of a way, and the belief, where all errors are drawn as they are stated."""
+    true = se3_exp(rng.normal(size=6))
+    joined = begun(true @ se3_exp(-rng.normal(size=6) * START_SD))
+    bias = rng.multivariate_normal(np.zeros(6), LASTING.covariance(0.0))
+    for k in range(frames):
+        if k > 0:
+            true = true @ STEP @ se3_exp(rng.normal(size=6) * ODOMETRY_SD)
+            joined = moved(joined, STEP)
+            kept = LASTING.kept(float(np.linalg.norm(STEP[:3, 3])) + float(np.linalg.norm(se3_log(STEP)[3:])))
+            bias = kept * bias + np.sqrt(1.0 - kept**2) * rng.multivariate_normal(
+                np.zeros(6), LASTING.covariance(0.0)
+            )
+        joined = joined.told(said(true @ se3_exp(bias) @ se3_exp(rng.normal(size=6) * SPREAD_SD)))
+    return true, joined
+
+
+def test_errors_are_as_large_as_stated() -> None:
+    """Squared errors in units of the covariance have six degrees of freedom; of 400 ways, the mean's sd is 0.17."""
+    rng = np.random.default_rng(1)
+    squares = []
+    for _ in range(400):
+        true, joined = drawn_way(rng, 25)
+        assert is_rigid(joined.pose).all()
+        error = se3_log(invert(joined.pose) @ true)
+        squares.append(error @ np.linalg.solve(joined.covariance[:6, :6], error))
+    assert np.mean(squares) == pytest.approx(6.0, abs=0.7)
+
+
+def test_a_wider_bias_moves_the_pose_less() -> None:
+    told = said(np.eye(4) @ se3_exp([0.2, 0.0, 0.0, 0.0, 0.1, 0.0]))
+    shifts = [
+        float(np.linalg.norm(se3_log(begun(np.eye(4), LastingErrors(near_sd_m=sd, near_sd_rad=sd)).told(told).pose)))
+        for sd in (0.0, 0.05, 0.2, 1.0)
+    ]
+    assert shifts == sorted(shifts, reverse=True)
+    assert shifts[0] == pytest.approx(float(np.linalg.norm(se3_log(told.pose))), rel=0.03)
+    assert shifts[-1] < 0.02
+
+
+def test_particles_that_are_all_one_are_taken_in() -> None:
+    """No spread, no bias: a singular covariance, and still a belief."""
+    pose = se3_exp([0.1, 0.2, 0.3, 0.1, 0.0, -0.2])
+    joined = begun(np.eye(4), LastingErrors()).told(Estimate(pose, np.zeros((6, 6)), 0.0))
+    np.testing.assert_allclose(joined.pose, pose, atol=1e-6)
+    assert np.isfinite(joined.covariance).all() and np.linalg.eigvalsh(joined.covariance)[0] > -1e-15
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_adjoint_carries_a_twist_to_the_other_side(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    poses, twists = se3_exp(rng.normal(size=(4, 6))), 0.3 * rng.normal(size=(4, 6))
+    carried = np.einsum("nij,nj->ni", adjoint(poses), twists)
+    np.testing.assert_allclose(poses @ se3_exp(twists), se3_exp(carried) @ poses, atol=1e-12)
