@@ -17,6 +17,7 @@ from monoloc.progress import Progress
 
 _STAY = 60  # frames: the start is forgotten, and what is left is what the depth there says
 _LEAST_DISTANCE_M = 0.01
+_USUAL_GROWTH = 0.1  # m and rad a metre away, of other networks and other parts of a room
 
 # From a start, ``T_world_camera``, to a localizer whose network tuned on no held-out frame.
 StartsAt = Callable[[FloatArray], Localizer]
@@ -69,7 +70,7 @@ def measure_lasting(
 
 
 def lasting_errors(near: PoseErrors, away: PoseErrors, distances_m: FloatArray) -> LastingErrors:
-    """Near errors' deviation, and the growth under which the median of those away is as large as it is.
+    """Near errors' deviation, and its growth, from what the median of those away asks for and from what is usual.
 
     Args:
         near, away: one at least.
@@ -85,9 +86,13 @@ def lasting_errors(near: PoseErrors, away: PoseErrors, distances_m: FloatArray) 
 
 
 def _growth(errors: FloatArray, near_sd: float, distances_m: FloatArray) -> float:
-    """Of an error's deviation with distance, so that half of (N,) errors are under the median that it gives them."""
+    """Of an error's deviation with distance, so that half of (N,) errors are under the median that it gives them.
+
+    A few regions can be lucky, so its square is averaged with that of the usual growth.
+    """
     beyond = errors**2 / CHI2_MEDIAN_3 - near_sd**2
-    return math.sqrt(max(0.0, float(np.median(beyond / np.maximum(distances_m, _LEAST_DISTANCE_M) ** 2))))
+    measured = max(0.0, float(np.median(beyond / np.maximum(distances_m, _LEAST_DISTANCE_M) ** 2)))
+    return math.sqrt(0.5 * (measured + _USUAL_GROWTH**2))
 
 
 def _to_and_fro(region: NDArray[np.int64]) -> NDArray[np.int64]:
