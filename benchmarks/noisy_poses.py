@@ -33,7 +33,7 @@ from monoloc.geometry import se3_exp
 from monoloc.map.mixture import GaussianMixture
 from monoloc.models import DEFAULT
 from monoloc.progress import NoProgress
-from monoloc.runs import START_DEG, START_M, Start, disturbed, localize
+from monoloc.runs import Start, localize
 
 _POSITION_SD_M, _ROTATION_SD_RAD = 0.02, np.deg2rad(1.0)
 _BUILD, _JUDGED = "0:200:4", {"between": "0:200", "away": "200:300"}
@@ -89,7 +89,7 @@ def run_once(bundle: Bundle, recording: Recording, seed: int, use_sensor: bool) 
     """Figures of one run from a start that is off."""
     assert recording.poses is not None
     rng = np.random.default_rng(seed)
-    start = Start(disturbed(recording.poses[0], START_M, np.deg2rad(START_DEG), rng))
+    start = Start.beside(recording.poses[0], rng)
     metrics = localize(bundle, recording, start, bundle.settings, rng, NoProgress(), use_sensor).metrics()
     return {key: value for key, value in metrics.items() if isinstance(value, float)}
 

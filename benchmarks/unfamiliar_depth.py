@@ -31,7 +31,7 @@ from monoloc.depth.train import TrainConfig, train_network
 from monoloc.experiments.tasks import VARIANTS
 from monoloc.models import shipped_file
 from monoloc.progress import ConsoleProgress, NoProgress
-from monoloc.runs import START_DEG, START_M, Start, disturbed, localize
+from monoloc.runs import Start, localize
 
 _BUILD, _JUDGED = "0:400:4", "0:400"
 _KEPT = 0.6  # of the image's width and height
@@ -95,7 +95,7 @@ def row(case: str, recording: Recording, network: str | Path, variant: str, seed
     runs = []
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
-        start = Start(disturbed(judged.poses[0], START_M, float(np.deg2rad(START_DEG)), rng))
+        start = Start.beside(judged.poses[0], rng)
         runs.append(localize(bundle, judged, start, bundle.settings, rng, NoProgress()).metrics())
 
     def values(name: str) -> list[float]:

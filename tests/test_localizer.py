@@ -15,7 +15,7 @@ from monoloc.filter.particles import scatter
 from monoloc.geometry import is_rigid, make_pose, so3_exp
 from monoloc.localizer import Localizer, LocalizerConfig, Step
 from monoloc.map.mixture import GaussianMixture
-from monoloc.runs import Run, disturbed
+from monoloc.runs import Run, Start
 from synthetic_room import (
     CAMERA,
     FRAME_RATE_HZ,
@@ -58,7 +58,7 @@ class _NoNetwork:
 def make_localizer(mixture, recording, healthy, seed=0, depth=None, **settings) -> Localizer:
     config = SETTINGS.model_copy(update=settings)
     rng = np.random.default_rng(seed)
-    start = disturbed(recording.poses[0], START_M, START_RAD, rng)
+    start = Start.beside(recording.poses[0], rng, START_M, START_RAD).pose
     particles = scatter(start, config.particles, START_M, START_RAD, config.log_scale_sd, rng)
     viewpoints = recording.poses[:1]
     return Localizer(mixture, depth or _NoNetwork(), recording.camera, particles, config, healthy, viewpoints, rng)
@@ -73,6 +73,18 @@ def follow(localizer: Localizer, recording: RoomRecording, frames: range = range
 
 def poses_of(steps: list[Step]):
     return np.stack([step.estimate.pose for step in steps])
+
+
+def test_a_start_is_as_far_off_as_it_says(recording):
+    """By its distance and its angle; particles are, root mean square."""
+    start = Start.beside(recording.poses[0], np.random.default_rng(0), 0.3, 0.2)
+    off = pose_errors(start.pose[None], recording.poses[:1])
+    assert (off.position_m[0], off.rotation_rad[0]) == pytest.approx((0.3, 0.2), rel=0.01)
+    config = SETTINGS.model_copy(update={"particles": 20_000})
+    particles = start.particles(config, np.random.default_rng(1))
+    spread = pose_errors(particles.poses, np.repeat(start.pose[None], len(particles), axis=0))
+    rms = [np.sqrt(np.mean(values**2)) for values in (spread.position_m, spread.rotation_rad)]
+    assert rms == pytest.approx([0.3, 0.2], rel=0.02)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -208,7 +220,7 @@ def test_another_room_is_not_called_tracking(recording, healthy):
 
 def test_far_from_the_truth_is_not_called_tracking(mixture, recording, healthy):
     rng = np.random.default_rng(0)
-    start = disturbed(recording.poses[0], 1.0, np.deg2rad(60.0), rng)
+    start = Start.beside(recording.poses[0], rng, 1.0, np.deg2rad(60.0)).pose
     particles = scatter(start, SETTINGS.particles, 0.02, 0.01, 0.0, rng)
     localizer = Localizer(mixture, _NoNetwork(), CAMERA, particles, SETTINGS, healthy, recording.poses, rng)
     steps = follow(localizer, recording, range(3))

@@ -48,18 +48,31 @@ class Start:
 
     Attributes:
         pose: ``T_world_camera`` of the first frame, (4, 4), as far as it is known.
-        position_sd_m, rotation_sd_rad: how far, per axis.
+        off_m, off_rad: how far it may be off: distance and angle, root mean square.
     """
 
     pose: FloatArray
-    position_sd_m: float = START_M
-    rotation_sd_rad: float = np.deg2rad(START_DEG)
+    off_m: float = START_M
+    off_rad: float = np.deg2rad(START_DEG)
+
+    @classmethod
+    def beside(
+        cls,
+        pose: FloatArray,
+        rng: np.random.Generator,
+        off_m: float = START_M,
+        off_rad: float = np.deg2rad(START_DEG),
+    ) -> Start:
+        """One that is so far off a true pose, in directions that are drawn."""
+        twist = rng.standard_normal(6)
+        twist[:3] *= off_m / np.linalg.norm(twist[:3])
+        twist[3:] *= off_rad / np.linalg.norm(twist[3:])
+        return cls(np.asarray(pose @ se3_exp(twist)), off_m, off_rad)
 
     def particles(self, config: LocalizerConfig, rng: np.random.Generator) -> Particles:
         """The belief of one who knows no more."""
-        return scatter(
-            self.pose, config.particles, self.position_sd_m, self.rotation_sd_rad, config.log_scale_sd, rng
-        )
+        sd_m, sd_rad = self.off_m / np.sqrt(3.0), self.off_rad / np.sqrt(3.0)  # an axis
+        return scatter(self.pose, config.particles, sd_m, sd_rad, config.log_scale_sd, rng)
 
 
 @dataclass(frozen=True)
@@ -133,14 +146,6 @@ class Run:
             return {}
         mean = self.depth[which].mean()
         return {"depth_absrel": mean.absrel, "depth_delta1": mean.delta1, "depth_ssim": mean.ssim}
-
-
-def disturbed(pose: FloatArray, distance_m: float, angle_rad: float, rng: np.random.Generator) -> FloatArray:
-    """A pose moved by a distance and turned by an angle, in random directions."""
-    twist = rng.standard_normal(6)
-    twist[:3] *= distance_m / np.linalg.norm(twist[:3])
-    twist[3:] *= angle_rad / np.linalg.norm(twist[3:])
-    return np.asarray(pose @ se3_exp(twist))
 
 
 def start_localizer(

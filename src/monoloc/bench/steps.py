@@ -26,7 +26,7 @@ from monoloc.depth.runtime import DepthPredictor
 from monoloc.filter.weigh import Measurement
 from monoloc.odometry import VisualOdometry
 from monoloc.progress import NoProgress
-from monoloc.runs import Start, disturbed, localize
+from monoloc.runs import Start, localize
 
 # A step and what makes it up: name, and where the function is looked up that does it.
 STAGES: list[tuple[str, Any, str]] = [
@@ -78,7 +78,7 @@ def measure(bundle: Path, source: str, frames: str, seed: int) -> dict[str, obje
     recording = select_frames(open_recording(source), frames)
     assert recording.poses is not None
     rng = np.random.default_rng(seed)
-    start = Start(disturbed(recording.poses[0], Start.position_sd_m, Start.rotation_sd_rad, rng))
+    start = Start.beside(recording.poses[0], rng)
     with timed_stages() as times:
         localize(room, recording, start, room.settings, rng, NoProgress())
     steps = times.pop("step")

@@ -32,7 +32,7 @@ from monoloc.models import DEFAULT
 from monoloc.outputs.tum import write_tum
 from monoloc.progress import ConsoleProgress
 from monoloc.rooms import BUILD, TESTS
-from monoloc.runs import START_DEG, START_M, Run, Start, disturbed, localize
+from monoloc.runs import Run, Start, localize
 from monoloc.viewer import run_viewer
 
 _RECORDED = "7scenes/redkitchen"
@@ -151,7 +151,7 @@ def _run(trial: _Trial, bundle: Bundle, seed: int, out: Path, view: bool) -> Run
     recording = open_source(trial.source, trial.frames)
     assert recording.poses is not None
     rng = np.random.default_rng(seed)
-    start = Start(disturbed(recording.poses[0], START_M, np.deg2rad(START_DEG), rng))
+    start = Start.beside(recording.poses[0], rng)
     progress = ConsoleProgress(stderr)
     with run_viewer(trial.name, view, None) as viewer:
         run = localize(bundle, recording, start, bundle.settings, rng, progress, trial.sensor_depth, viewer=viewer)

@@ -34,8 +34,10 @@ from monoloc.extras import require_plotting
 from monoloc.geometry import FloatArray, make_pose, quaternion_to_rotation
 from monoloc.outputs.tum import write_tum
 from monoloc.progress import ConsoleProgress
-from monoloc.runs import Run, Start, disturbed, localize
+from monoloc.runs import Run, Start, localize
 from monoloc.viewer import run_viewer
+
+_LEAST_OFF_M, _LEAST_OFF_RAD = 0.03, 0.015  # no start is known better
 
 
 def localize_command(
@@ -161,12 +163,13 @@ def _figure(metrics: dict[str, object], prefix: str, name: str, factor: float, u
 def _start(
     text: str | None, recording: Recording, error_m: float, error_rad: float, rng: np.random.Generator
 ) -> Start:
-    spread = {"position_sd_m": max(0.02, error_m), "rotation_sd_rad": max(0.01, error_rad)}
     if text is not None:
-        return Start(_parse_pose(text), **spread)
-    if recording.poses is None:
+        pose = _parse_pose(text)
+    elif recording.poses is not None:
+        pose = Start.beside(recording.poses[0], rng, error_m, error_rad).pose
+    else:
         raise DataError(recording.name, "has no poses to start from", "give --start TX,TY,TZ,QX,QY,QZ,QW")
-    return Start(disturbed(recording.poses[0], error_m, error_rad, rng), **spread)
+    return Start(pose, max(_LEAST_OFF_M, error_m), max(_LEAST_OFF_RAD, error_rad))
 
 
 def _parse_pose(text: str) -> FloatArray:

@@ -15,7 +15,7 @@ from monoloc.datasets.base import Recording, Relight, Selection
 from monoloc.datasets.registry import open_recording, select_frames
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
-from monoloc.runs import Start, disturbed
+from monoloc.runs import Start
 from monoloc.synth.light import LIGHTS, relit
 
 Settings = dict[str, Any]
@@ -80,7 +80,7 @@ def start_of(settings: Settings, recording: Recording, rng: np.random.Generator)
     """Where a run begins: off the first true pose, in a random direction."""
     assert recording.poses is not None
     position_m, rotation_rad = settings["start"]["position_m"], np.deg2rad(settings["start"]["rotation_deg"])
-    return Start(disturbed(recording.poses[0], position_m, rotation_rad, rng), position_m, rotation_rad)
+    return Start.beside(recording.poses[0], rng, position_m, rotation_rad)
 
 
 def write_way(
