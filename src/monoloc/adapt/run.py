@@ -38,7 +38,8 @@ class AdaptResult:
         held_out_model: the rehearsal's, tuned without the held-out frames, to measure honestly with.
         held_out: those frames, by region of viewpoints.
         scores: on the held-out frames, the first before tuning, the last of the state that was kept.
-        steps: optimiser steps on all frames; none if the rehearsal never bettered the held-out frames.
+        steps: optimiser steps on all frames; none where only likelihood is tuned for, and the rehearsal never
+            bettered the held-out frames.
         kl: KL(M || M_A), nats.
     """
 
@@ -75,7 +76,7 @@ def adapt(
     training_frames = np.setdiff1d(np.arange(len(recording)), held_out)
     network = load_network(network_file)
     depth_of = supervision(recording, cloud)
-    synthesised = config.synthesised_views if config.tune in ("decoder", "all") else 0
+    synthesised = config.synthesised_views if config.by_depth else 0
     with progress.task("views", len(recording) * (2 if synthesised else 1)) as step:
         views = make_views(recording, depth_of, network.config.focal_px, synthesised, held_out, rng, step)
     held_out_views = views.of_frames(held_out, only_whole=True)
@@ -94,8 +95,9 @@ def adapt(
     best = rehearsal.best_step(scores)
     held_out_model = export_model(network, network_file.stem)
 
-    # A schedule is worth taking whole: before its end, scores are those of a rate that is still high.
-    steps = config.most_steps if best else 0
+    # A schedule is worth taking whole: before its end, scores are those of a rate that is still high. What learns
+    # depth gains by it even where so short a rehearsal shows nothing; what only fits the map may lose.
+    steps = config.most_steps if best or config.by_depth else 0
     final = Adaptation(load_network(network_file), AdaptedMap(mixture, cloud), config)
     with progress.task("adapt: all frames", steps) as step:
         final.run(views, steps, _generator(seed), progress=step)

@@ -55,6 +55,11 @@ class AdaptConfig(BaseModel):
     inflation_m: float = Field(0.3, ge=0.0)
 
     @property
+    def by_depth(self) -> bool:
+        """Whether so much of the network is tuned that it can learn depth itself, not only to fit the map."""
+        return self.tune in ("decoder", "all")
+
+    @property
     def most_steps(self) -> int:
         """``steps``, or what suits ``tune``."""
         return _SUITED[self.tune][0] if self.steps is None else self.steps

@@ -52,15 +52,14 @@ class Adaptation:
         self.map = adapted_map
         self.config = config
         network.requires_grad_(False)
-        self._by_depth = config.tune in ("decoder", "all")  # enough is free to learn depth itself, not only the scan
         network.head.requires_grad_(config.tune != "none")
-        network.decoder.requires_grad_(self._by_depth)
+        network.decoder.requires_grad_(self.config.by_depth)
         network.encoder.requires_grad_(config.tune == "all")
         if network.error_head is not None:
-            network.error_head.requires_grad_(self._by_depth)
+            network.error_head.requires_grad_(self.config.by_depth)
         adapted_map.requires_grad_(config.map_transform)
         # Bending the cloud costs as much as the decoder, and beside the decoder the map hardly moves.
-        self._map_every = _DECODER_STEPS_A_MAP_STEP if self._by_depth else 1
+        self._map_every = _DECODER_STEPS_A_MAP_STEP if self.config.by_depth else 1
         self._bent = adapted_map.means, adapted_map.covariances
 
     @property
@@ -171,7 +170,7 @@ class Adaptation:
         return matched_kl(m.log_weights, m.means, m.covariances, m.log_weights, means, covariances)
 
     def _criterion(self, score: Score) -> float:
-        if self._by_depth:
+        if self.config.by_depth:
             return self.config.depth_weight * score.depth_loss + self.config.likelihood_weight * score.nll
         return score.nll
 
@@ -186,7 +185,7 @@ class Adaptation:
         inflation = (config.inflation_m * max(0.0, 1.0 - 2.0 * done)) ** 2 * torch.eye(3, dtype=torch.float64)
         pixels = torch.randint(log_depth[0].numel(), (config.pixels_per_view,), generator=generator)
         fit = self._log_likelihood(log_depth, views, means, covariances + inflation, pixels).mean()
-        if not self._by_depth:
+        if not self.config.by_depth:
             loss = -fit
         else:
             # The gradient term keeps planes smooth and steps sharp while the decoder moves.
@@ -197,7 +196,7 @@ class Adaptation:
                 loss = loss + laplace_loss(log_depth, self.network.error_head(features.detach()), views.depth_m)
         if moves_map:
             self._bent = means.detach(), covariances.detach()
-            weight = config.lambda_kl * (config.likelihood_weight if self._by_depth else 1.0)
+            weight = config.lambda_kl * (config.likelihood_weight if self.config.by_depth else 1.0)
             loss = loss + weight * self._kl(means, covariances)
         return loss
 
@@ -227,12 +226,12 @@ class Adaptation:
         parts = []
         for images in torch.split(views.images, _VIEWS_AT_ONCE):
             taps = self.network.encoder(images)
-            parts.append(taps if self._by_depth else [self.network.decoder(taps)])
+            parts.append(taps if self.config.by_depth else [self.network.decoder(taps)])
         return [torch.cat(part).contiguous(memory_format=torch.channels_last) for part in zip(*parts, strict=True)]
 
     def _features(self, inputs: list[Tensor]) -> Tensor:
         """What the last layer reads, from :meth:`_frozen`'s outputs, with gradients."""
-        if not self._by_depth:
+        if not self.config.by_depth:
             return inputs[0]
         with torch.autocast("cpu", dtype=torch.bfloat16):
             taps = self.network.encoder(inputs[0]) if self.config.tune == "all" else inputs
