@@ -833,7 +833,7 @@ def test_tuning_fits_depth_and_repeats(
         adaptation = start_adaptation(mapped_room, tune=tune, lambda_kl=0.1, inflation_m=0.1)
         adaptation.fit_bias(views)
         before = adaptation.score(views, 0)
-        adaptation.run(views, {"last": 80, "decoder": 30, "all": 12}[tune], generator())
+        adaptation.run(views, {"last": 80, "decoder": 80, "all": 12}[tune], generator())
         after = adaptation.score(views, 80)
         states.append({**adaptation.network.state_dict(), **adaptation.map.state_dict()})
     if tune == "last":

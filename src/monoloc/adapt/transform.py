@@ -34,8 +34,11 @@ class MapTransform(nn.Module):
         super().__init__()
         self.register_buffer("centre", centre.double())
         self.register_buffer("radius", torch.tensor(radius, dtype=torch.float64))
-        self.hidden = nn.Linear(3, _HIDDEN)
-        self.output = nn.Linear(_HIDDEN, 3)
+        self.hidden, self.output = nn.Linear(3, _HIDDEN), nn.Linear(_HIDDEN, 3)
+        # As PyTorch would draw them, but not from global state: the same map is bent in the same way, always.
+        generator = torch.Generator().manual_seed(0)
+        for parameter in self.hidden.parameters():
+            nn.init.uniform_(parameter, -(3.0**-0.5), 3.0**-0.5, generator=generator)
         nn.init.zeros_(self.output.weight)
         nn.init.zeros_(self.output.bias)
 
