@@ -66,7 +66,7 @@ class Step:
     Attributes:
         estimate: pose, covariance, depth scale.
         located: what the particles say of it by themselves.
-        fit: mean log-likelihood of a scan point at the estimate, nats; NaN for an empty scan.
+        fit: mean log-likelihood of a scan point where the particles are, nats; NaN for an empty scan.
         state: whether to believe it.
         motion: odometry's motion since the last frame, None where there was none.
         depth: the depth that was used, levelled.
@@ -145,7 +145,7 @@ class Localizer:
         self._joined, self._log_scale = self._joined.told(located), located.log_scale
         belief = self._joined.estimate(located.log_scale)
         self.particles = resample(self.particles, config.ess_fraction, self._rng)
-        fit = self._fit(belief, scan)
+        fit = self._fit(located, scan)  # where depth's lasting error is, the belief's covariance tells
         return Step(belief, located, fit, judge(fit, belief, self._healthy), motion, depth, scan)
 
     def _moved(self, motion: Motion | None, elapsed_s: float) -> Joined:
@@ -168,8 +168,8 @@ class Localizer:
         corners = scan_from_corners(motion, self.config.measurement.corner_doubt)
         return self._measurement.weigh_corners(particles, corners)
 
-    def _fit(self, belief: Estimate, scan: Scan) -> float:
+    def _fit(self, located: Estimate, scan: Scan) -> float:
         if len(scan) == 0:
             return float("nan")
-        pose: FloatArray = belief.pose[None]
-        return float(self._measurement.mean_log_likelihood(pose, np.array([belief.log_scale]), scan)[0])
+        pose: FloatArray = located.pose[None]
+        return float(self._measurement.mean_log_likelihood(pose, np.array([located.log_scale]), scan)[0])
