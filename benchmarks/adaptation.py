@@ -24,7 +24,7 @@ from monoloc.datasets.registry import absolute_source, open_recording
 from monoloc.experiments import tasks
 from monoloc.experiments.engine import carry_out
 from monoloc.experiments.fig4d import FROM_SAME_START
-from monoloc.experiments.gather import RMSE, ROTATION, depth_task, mean_depth, usual_light
+from monoloc.experiments.gather import RMSE, ROTATION, depth_of_variant, mean_depth, usual_light
 from monoloc.experiments.study import Split, Study, Walk, recorded
 from monoloc.experiments.task import Results, Task
 from monoloc.models import DEFAULT
@@ -73,7 +73,7 @@ def rows_of(study: Study, arguments: argparse.Namespace) -> list[Row]:
         walk = split.walks[usual_light(split)]
         for variant, (tuned, changed) in STUDIES[name].items():
             bundle = tasks.bundle(study, split, network, tuned, **changed)
-            depth = depth_task(network if tuned in ("unadapted", "map") else bundle, walk)
+            depth = depth_of_variant(tuned, bundle, walk)
             runs = [tasks.run(bundle, walk, seed, motion) for seed in range(arguments.seeds)]
             rows.append(Row((name, network, split.name, motion, variant), split, walk, bundle, depth, runs))
     return rows

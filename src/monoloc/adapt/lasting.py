@@ -41,7 +41,8 @@ def measure_lasting(
     poses = recording.poses
     assert poses is not None
     is_near = np.ones(len(recording), dtype=np.bool_)
-    is_near[np.concatenate([np.zeros(0, dtype=np.int64), *regions])] = False
+    for region in regions:
+        is_near[region] = False
     whole, stays = np.arange(len(recording)), [_to_and_fro(region) for region in regions]
     done = 0
     with progress.task("covariances", len(whole) + sum(map(len, stays))) as show:
@@ -58,13 +59,13 @@ def measure_lasting(
             return np.stack(found)
 
         near = pose_errors(follow(whole)[is_near], poses[is_near])
-        ways = [follow(stay) for stay in stays]
+        # The first time through a region still shows what was brought along.
+        ways = [follow(stay)[len(region) :] for region, stay in zip(regions, stays, strict=True)]
     if not stays:
         near_m, near_rad = axis_sd(near)
         return LastingErrors(near_sd_m=near_m, near_sd_rad=near_rad)
-    settled = [slice(len(region), None) for region in regions]
-    frames = np.concatenate([stay[part] for stay, part in zip(stays, settled, strict=True)])
-    away = pose_errors(np.concatenate([way[part] for way, part in zip(ways, settled, strict=True)]), poses[frames])
+    frames = np.concatenate([stay[len(region) :] for region, stay in zip(regions, stays, strict=True)])
+    away = pose_errors(np.concatenate(ways), poses[frames])
     distances_m = np.array([viewpoints_apart(pose, poses[is_near]).min() for pose in poses[frames]])
     return lasting_errors(near, away, distances_m)
 

@@ -106,6 +106,11 @@ def depth_task(source: Task | str, walk: Walk) -> Task:
     return tasks.depth(source, walk, tasks.DEPTH_STRIDE, shown_frames(walk))
 
 
+def depth_of_variant(variant: str, bundle: Task, walk: Walk) -> Task:
+    """Depth of a walk by a bundle's network, which is as it comes where nothing of it was tuned."""
+    return depth_task(bundle.settings["network"] if variant in ("unadapted", "map") else bundle, walk)
+
+
 @cache
 def shown_frames(walk: Walk) -> tuple[int, ...]:
     """Positions in the walk; of frames that are judged too, with sensor depth.

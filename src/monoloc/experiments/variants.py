@@ -15,10 +15,9 @@ from monoloc.experiments.gather import (
     RMSE,
     ROTATION,
     Spread,
-    depth_task,
+    depth_of_variant,
     in_split,
     mean_depth,
-    network_of,
     picture_path,
     seeds_of,
     size_labels,
@@ -49,8 +48,7 @@ def _runs(study: Study, split: Split, size: str, variant: str) -> list[Task]:
 
 
 def _depth(study: Study, split: Split, size: str, variant: str) -> Task:
-    source = network_of(size) if variant in ("unadapted", "map") else bundle_of(study, split, size, variant)
-    return depth_task(source, split.walks[usual_light(split)])
+    return depth_of_variant(variant, bundle_of(study, split, size, variant), split.walks[usual_light(split)])
 
 
 def tasks(study: Study) -> Sequence[Task]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from monoloc.filter.estimate import Estimate
 from monoloc.filter.lasting import LastingErrors
-from monoloc.geometry import FloatArray, adjoint, invert, rotation_angle, se3_exp, se3_log
+from monoloc.geometry import FloatArray, adjoint, invert, se3_exp, se3_log, viewpoints_apart
 
 # What odometry errs by, and where the particles happen to be, goes on for some frames: taken for new in each, its
 # deviation is twice as large.
@@ -59,8 +59,7 @@ class Joined:
             noise: its covariance, (6, 6), of a twist in the new camera's frame.
             lasting: how wide a new bias is, so far from where the room was built from.
         """
-        step = float(np.linalg.norm(T_previous_current[:3, 3]) + rotation_angle(T_previous_current[:3, :3]))
-        kept = lasting.kept(step)
+        kept = lasting.kept(float(viewpoints_apart(np.eye(4), T_previous_current[None])[0]))
         carried = np.zeros((12, 12))
         carried[:6, :6], carried[6:, 6:] = adjoint(invert(T_previous_current)), kept * np.eye(6)
         covariance = carried @ self.covariance @ carried.T
