@@ -44,6 +44,7 @@ def _strided(self: torch.nn.Conv2d, input: Tensor, weight: Tensor, bias: Tensor 
 _PLAIN: dict[str, Callable[[], object]] = {
     "pooling by the kernel": lambda: patch.object(networks, "max_pool5", _pooling),
     "normalisation folded": lambda: patch.object(networks, "_is_folded", lambda norm: False),
+    "last layer as a sum": lambda: patch.object(networks._LastLayer, "_conv_forward", torch.nn.Conv2d._conv_forward),
     "strided convolutions dense": lambda: patch.object(networks._SamePadConv, "_conv_forward", _strided),
 }
 

@@ -31,6 +31,7 @@ from monoloc.depth.network import (
     Encoder,
     NetworkConfig,
     _conv_bn,
+    _LastLayer,
     _Layers,
     _SamePadConv,
     load_encoder_weights,
@@ -453,6 +454,23 @@ def test_strided_convolution_is_the_same_with_and_without_gradients() -> None:
     x.grad = None
     (F.conv2d(F.pad(x, (0, 1, 0, 1)), conv.weight, stride=2, groups=6) * weight).sum().backward()
     torch.testing.assert_close(ours, x.grad)
+
+
+def test_the_last_layer_is_a_convolution_with_and_without_gradient() -> None:
+    torch.manual_seed(0)
+    layer = _LastLayer(5).double()
+    x = torch.randn(2, 5, 7, 9, dtype=torch.float64, requires_grad=True)
+    plain = F.conv2d(x, layer.weight, layer.bias, padding=1)
+    with torch.no_grad():
+        torch.testing.assert_close(layer(x), plain)
+    summed = layer(x)
+    torch.testing.assert_close(summed, plain)
+    weight = torch.randn_like(plain)
+    inputs = [x, *layer.parameters()]
+    for ours, expected in zip(
+        *(torch.autograd.grad((y * weight).sum(), inputs) for y in (summed, plain)), strict=True
+    ):
+        torch.testing.assert_close(ours, expected)
 
 
 def test_batch_normalisation_with_kept_statistics_is_folded_without_a_difference() -> None:

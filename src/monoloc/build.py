@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.adapt.calibrate import Sample, calibrate
 from monoloc.adapt.checks import check_frames
-from monoloc.adapt.lasting import measure_lasting
+from monoloc.adapt.lasting import StartsAt, measure_lasting
 from monoloc.adapt.map_depth import supervision
 from monoloc.adapt.poses import PosePrior, check_refinable, refine_poses, rounds
 from monoloc.adapt.settings import AdaptConfig
@@ -27,7 +27,7 @@ from monoloc.errors import DataError, SettingError
 from monoloc.evaluation.trajectory import PoseErrors, pose_errors
 from monoloc.extras import training_extra
 from monoloc.geometry import FloatArray
-from monoloc.localizer import Localizer, LocalizerConfig
+from monoloc.localizer import LocalizerConfig
 from monoloc.map.cloud import cloud_from_recording, remove_outliers, voxel_thin
 from monoloc.map.compare import compare_maps
 from monoloc.map.fit import choose_components, fit_mixture
@@ -192,13 +192,12 @@ def build_bundle(
         healthy=healthy,
         viewpoints=poses,
     )
-    # With the network that saw no frame of the regions.
-    rehearsed = replace(bundle, depth_model=held_out_model)
 
-    def starts_at(pose: FloatArray) -> Localizer:
-        return start_localizer(rehearsed, recording.camera, Start(pose), np.random.default_rng(seed))
+    def starts_with(model: DepthModel) -> StartsAt:
+        tuned = replace(bundle, depth_model=model)
+        return lambda pose: start_localizer(tuned, recording.camera, Start(pose), np.random.default_rng(seed))
 
-    lasting = measure_lasting(starts_at, recording, regions, progress)
+    lasting = measure_lasting(starts_with(depth_model), starts_with(held_out_model), recording, regions, progress)
     bundle = replace(bundle, settings=settings.model_copy(update={"lasting": lasting}))
     report = BuildReport(
         frames=len(recording),

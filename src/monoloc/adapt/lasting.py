@@ -19,21 +19,27 @@ _STAY = 60  # frames: the start is forgotten, and what is left is what the depth
 _LEAST_DISTANCE_M = 0.01
 _USUAL_GROWTH = 0.1  # m and rad a metre away, of other networks and other parts of a room
 
-# From a start, ``T_world_camera``, to a localizer whose network tuned on no held-out frame.
+# From a start, ``T_world_camera``, to a localizer.
 StartsAt = Callable[[FloatArray], Localizer]
 
 
 def measure_lasting(
-    starts_at: StartsAt, recording: Recording, regions: list[NDArray[np.int64]], progress: Progress
+    starts_at: StartsAt,
+    rehearsed_at: StartsAt,
+    recording: Recording,
+    regions: list[NDArray[np.int64]],
+    progress: Progress,
 ) -> LastingErrors:
     """What lasts, near the viewpoints that tuned and away from them.
 
-    Near: the recording is followed from its first pose, and frames of no region count. Away: the camera stays in
-    each region, to and fro over its frames, since a filter that only passes through brings the pose it has along.
-    What exceeds the former in the latter is taken to grow with the distance from the nearest frame of no region.
+    Near: the recording is followed from its first pose with the network that all its frames tuned. Away: with one
+    that no frame of the regions tuned, the camera stays in each of them, to and fro over its frames, since a filter
+    that only passes through brings the pose it has along. What exceeds that network's own error at the other frames
+    is taken to grow with the distance from the nearest of them.
 
     Args:
-        starts_at: makes the localizer.
+        starts_at: makes the localizer that is to be used.
+        rehearsed_at: makes one whose network tuned on no frame of the regions.
         recording: posed frames.
         regions: frames held out, by viewpoint, see :func:`monoloc.adapt.hold_out.hold_out_regions`; without any,
             nothing grows.
@@ -45,12 +51,12 @@ def measure_lasting(
         is_near[region] = False
     whole, stays = np.arange(len(recording)), [_to_and_fro(region) for region in regions]
     done = 0
-    with progress.task("covariances", len(whole) + sum(map(len, stays))) as show:
+    with progress.task("covariances", len(whole) * (2 if stays else 1) + sum(map(len, stays))) as show:
 
-        def follow(walk: NDArray[np.int64]) -> FloatArray:
+        def follow(at: StartsAt, walk: NDArray[np.int64]) -> FloatArray:
             """Poses (N, 4, 4) of the frames of a walk, one after the other."""
             nonlocal done
-            localizer, found = starts_at(poses[walk[0]]), []
+            localizer, found = at(poses[walk[0]]), []
             times = recording.timestamps_s[walk]
             for index, elapsed_s in zip(walk.tolist(), np.abs(np.diff(times, prepend=times[:1])), strict=True):
                 found.append(localizer.step(recording.color(index), float(elapsed_s)).located.pose)
@@ -58,31 +64,36 @@ def measure_lasting(
                 show(done)
             return np.stack(found)
 
-        near = pose_errors(follow(whole)[is_near], poses[is_near])
+        near = pose_errors(follow(starts_at, whole), poses)
+        if not stays:
+            near_m, near_rad = axis_sd(near)
+            return LastingErrors(near_sd_m=near_m, near_sd_rad=near_rad)
+        rehearsed = pose_errors(follow(rehearsed_at, whole)[is_near], poses[is_near])
         # The first time through a region still shows what was brought along.
-        ways = [follow(stay)[len(region) :] for region, stay in zip(regions, stays, strict=True)]
-    if not stays:
-        near_m, near_rad = axis_sd(near)
-        return LastingErrors(near_sd_m=near_m, near_sd_rad=near_rad)
+        ways = [follow(rehearsed_at, stay)[len(region) :] for region, stay in zip(regions, stays, strict=True)]
     frames = np.concatenate([stay[len(region) :] for region, stay in zip(regions, stays, strict=True)])
     away = pose_errors(np.concatenate(ways), poses[frames])
     distances_m = np.array([viewpoints_apart(pose, poses[is_near]).min() for pose in poses[frames]])
-    return lasting_errors(near, away, distances_m)
+    return lasting_errors(near, rehearsed, away, distances_m)
 
 
-def lasting_errors(near: PoseErrors, away: PoseErrors, distances_m: FloatArray) -> LastingErrors:
+def lasting_errors(
+    near: PoseErrors, rehearsed: PoseErrors, away: PoseErrors, distances_m: FloatArray
+) -> LastingErrors:
     """Near errors' deviation, and its growth, from what the median of those away asks for and from what is usual.
 
     Args:
-        near, away: one at least.
-        distances_m: of those away from where it is near, (N,).
+        near: with the network that all frames tuned, one at least.
+        rehearsed, away: with the other one, at frames that tuned it and at those that did not; one at least.
+        distances_m: of those away from the nearest that tuned it, (N,).
     """
     near_m, near_rad = axis_sd(near)
+    rehearsed_m, rehearsed_rad = axis_sd(rehearsed)
     return LastingErrors(
         near_sd_m=near_m,
         near_sd_rad=near_rad,
-        growth_m=_growth(away.position_m, near_m, distances_m),
-        growth_rad=_growth(away.rotation_rad, near_rad, distances_m),
+        growth_m=_growth(away.position_m, rehearsed_m, distances_m),
+        growth_rad=_growth(away.rotation_rad, rehearsed_rad, distances_m),
     )
 
 

@@ -7,6 +7,9 @@ import math
 import torch
 from torch import Tensor
 
+UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+"""Where the upper entries of a symmetric 3 x 3 matrix stand."""
+
 
 def matched_kl(
     log_weights: Tensor,
@@ -66,23 +69,35 @@ def ray_log_likelihood(
         log_depth_range: width of the outliers' uniform density in log-depth; 4 spans 0.15 m to 8 m.
     """
     lower = torch.linalg.cholesky(covariances)
-    inverse = torch.linalg.solve_triangular(lower, torch.eye(3, dtype=lower.dtype).expand_as(lower), upper=False)
-    # Whitened ray and offset, (P, K, 3): |w_ray d - w_offset|^2 is the Mahalanobis distance at depth d.
-    w_ray = torch.einsum("kij,pj->pki", inverse, rays_world)
-    w_offset = torch.einsum("kij,pkj->pki", inverse, means[None] - origins[:, None])
-    precision = w_ray.square().sum(-1)
-    best_depth = (w_ray * w_offset).sum(-1) / precision
-    closest = (w_offset - best_depth[..., None] * w_ray).square().sum(-1)
+    information = torch.cholesky_inverse(lower)
+    # Along a ray the squared Mahalanobis distance is a d^2 - 2 b d + c, and a, b, c are linear in what is known of a
+    # component: products of matrices, in half the time that whitened offsets, (P, K, 3), would take.
+    of_means = (information @ means[..., None])[..., 0]
+    a = _quadratic(rays_world, rays_world) @ _upper(information)
+    b = rays_world @ of_means.T - _quadratic(rays_world, origins) @ _upper(information)
+    c = _quadratic(origins, origins) @ _upper(information) - 2.0 * origins @ of_means.T + (of_means * means).sum(-1)
+    best_depth = b / a
     # log of weight times the component's peak along the ray; the (2 pi)^(3/2) is common to all and cancels.
-    log_peak = log_weights - _log_diagonal(lower) - 0.5 * closest
-    deviation = log_depth.exp()[:, None] - best_depth
-    log_joint = torch.logsumexp(log_peak - 0.5 * precision * deviation.square(), dim=1)
-    log_width = 0.5 * (math.log(2.0 * math.pi) - precision.log())
-    in_front = torch.special.log_ndtr(best_depth * precision.sqrt())
+    log_peak = log_weights - _log_diagonal(lower) - 0.5 * (c - best_depth * b)
+    log_joint = torch.logsumexp(log_peak - 0.5 * a * (log_depth.exp()[:, None] - best_depth).square(), dim=1)
+    log_width = 0.5 * (math.log(2.0 * math.pi) - a.log())
+    in_front = torch.special.log_ndtr(best_depth * a.sqrt())
     log_normaliser = torch.logsumexp(log_peak + log_width + in_front, dim=1)
     inlier = math.log1p(-outlier_share) + log_joint + log_depth - log_normaliser
     outlier = torch.full_like(inlier, math.log(outlier_share / log_depth_range))
     return torch.logaddexp(inlier, outlier)
+
+
+def _upper(symmetric: Tensor) -> Tensor:
+    """Upper entries of symmetric matrices, (K, 3, 3) -> (6, K)."""
+    return torch.stack([symmetric[:, i, j] for i, j in UPPER])
+
+
+def _quadratic(x: Tensor, y: Tensor) -> Tensor:
+    """Factors (P, 6) that give ``x^T S y`` from the upper entries of a symmetric S; x, y are (P, 3)."""
+    products = x[:, :, None] * y[:, None, :]
+    folded = products + products.mT
+    return torch.stack([folded[:, i, j] if i != j else products[:, i, i] for i, j in UPPER], dim=1)
 
 
 def _log_diagonal(lower: Tensor) -> Tensor:

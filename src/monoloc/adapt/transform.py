@@ -10,10 +10,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from monoloc.adapt.objective import UPPER
 from monoloc.map.mixture import GaussianMixture
 
 _HIDDEN = 128
-_UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _SYMMETRIC = (0, 1, 2, 1, 3, 4, 2, 4, 5)  # where the entries of a symmetric matrix stand among the upper ones
 _NEIGHBOURS = 8  # responsibilities kept a point; the rest weigh less than 1e-3 together on fitted maps
 
@@ -116,7 +116,7 @@ class AdaptedMap(nn.Module):
 
     def _moments(self, points: Tensor) -> tuple[Tensor, Tensor]:
         relative = points - self.transform.centre
-        upper = torch.stack([relative[:, i] * relative[:, j] for i, j in _UPPER], dim=1)
+        upper = torch.stack([relative[:, i] * relative[:, j] for i, j in UPPER], dim=1)
         averages: Tensor = _SparseProduct.apply(  # type: ignore[no-untyped-call]
             torch.cat([relative, upper], dim=1), self._averaging, self._averaging_transposed
         )

@@ -101,6 +101,24 @@ class _SamePadConv(nn.Conv2d):
         return y
 
 
+class _LastLayer(nn.Conv2d):
+    """3 x 3 convolution to one channel.
+
+    As nine 1 x 1 convolutions whose outputs are shifted and summed its gradient takes a third of the time.
+    """
+
+    def __init__(self, channels: int) -> None:
+        super().__init__(channels, 1, 3, padding=1)
+
+    def _conv_forward(self, input: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
+        if not torch.is_grad_enabled() or input.device.type != "cpu":
+            y: Tensor = super()._conv_forward(input, weight, bias)
+            return y
+        taps = F.conv2d(input, weight.flatten(2).permute(2, 1, 0).flip(0)[..., None])
+        y = F.fold(taps.flatten(2), input.shape[-2:], 3, padding=1)
+        return y if bias is None else y + bias
+
+
 class _Layers(nn.Sequential):
     """Layers in a row, where batch normalisation follows a convolution.
 
@@ -262,9 +280,9 @@ class DepthNetwork(nn.Module):
         ]
         kept = [(channels, pooling) for channels, pooling in levels if channels]
         self.decoder = Decoder([c for c, _ in kept], config.decoder_channels, [pooling for _, pooling in kept])
-        self.head = nn.Conv2d(config.decoder_channels, 1, 3, padding=1)
+        self.head = _LastLayer(config.decoder_channels)
         nn.init.constant_(self.head.bias, float(np.log(2.0)))  # type: ignore[arg-type]  # rooms are about 2 m deep
-        self.error_head = nn.Conv2d(config.decoder_channels, 1, 3, padding=1) if config.uncertainty else None
+        self.error_head = _LastLayer(config.decoder_channels) if config.uncertainty else None
         if self.error_head is not None:
             nn.init.zeros_(self.error_head.weight)
             nn.init.constant_(self.error_head.bias, float(np.log(0.2)))  # type: ignore[arg-type]
