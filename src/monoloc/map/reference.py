@@ -33,13 +33,14 @@ class Statistics(NamedTuple):
 
 def log_terms(points: FloatArray, weights: FloatArray, means: FloatArray, covariances: FloatArray) -> FloatArray:
     """``log(pi_k N(x_p; mu_k, Sigma_k))``: (P, 3) -> (P, K)."""
-    offsets = points[:, None, :] - means
     lower = np.linalg.cholesky(covariances)
-    whitened = np.linalg.solve(lower, offsets[..., None])[..., 0]
+    # One component after the other: in one (P, K, 3) array it takes ten times as long.
+    whitened = ((points - mean) @ inverse.T for mean, inverse in zip(means, np.linalg.inv(lower), strict=True))
+    squared_distances = np.stack([(z**2).sum(axis=-1) for z in whitened], axis=-1)
     log_determinant = 2.0 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(axis=-1)
     log_normaliser = -0.5 * (3.0 * np.log(2.0 * np.pi) + log_determinant)
     with np.errstate(divide="ignore"):  # a component of weight 0
-        return np.asarray(np.log(weights) + log_normaliser - 0.5 * (whitened**2).sum(axis=-1))
+        return np.asarray(np.log(weights) + log_normaliser - 0.5 * squared_distances)
 
 
 def log_sum_exp(terms: FloatArray) -> FloatArray:
