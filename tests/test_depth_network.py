@@ -466,11 +466,8 @@ def test_the_last_layer_is_a_convolution_with_and_without_gradient() -> None:
     summed = layer(x)
     torch.testing.assert_close(summed, plain)
     weight = torch.randn_like(plain)
-    inputs = [x, *layer.parameters()]
-    for ours, expected in zip(
-        *(torch.autograd.grad((y * weight).sum(), inputs) for y in (summed, plain)), strict=True
-    ):
-        torch.testing.assert_close(ours, expected)
+    ours, expected = (torch.autograd.grad((y * weight).sum(), [x, *layer.parameters()]) for y in (summed, plain))
+    torch.testing.assert_close(ours, expected)
 
 
 def test_batch_normalisation_with_kept_statistics_is_folded_without_a_difference() -> None:

@@ -72,10 +72,10 @@ def ray_log_likelihood(
     information = torch.cholesky_inverse(lower)
     # Along a ray the squared Mahalanobis distance is a d^2 - 2 b d + c, and a, b, c are linear in what is known of a
     # component: products of matrices, in half the time that whitened offsets, (P, K, 3), would take.
-    of_means = (information @ means[..., None])[..., 0]
-    a = _quadratic(rays_world, rays_world) @ _upper(information)
-    b = rays_world @ of_means.T - _quadratic(rays_world, origins) @ _upper(information)
-    c = _quadratic(origins, origins) @ _upper(information) - 2.0 * origins @ of_means.T + (of_means * means).sum(-1)
+    upper, of_means = _upper(information), (information @ means[..., None])[..., 0]
+    a = _quadratic(rays_world, rays_world) @ upper
+    b = rays_world @ of_means.T - _quadratic(rays_world, origins) @ upper
+    c = _quadratic(origins, origins) @ upper - 2.0 * origins @ of_means.T + (of_means * means).sum(-1)
     best_depth = b / a
     # log of weight times the component's peak along the ray; the (2 pi)^(3/2) is common to all and cancels.
     log_peak = log_weights - _log_diagonal(lower) - 0.5 * (c - best_depth * b)
