@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -300,21 +301,36 @@ def test_two_runs_do_not_share_a_folder(tmp_path: Path, log: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def cluster() -> Iterator[Callable[[int], str]]:
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[int], str]]:
     """The address of a scheduler of this machine, with two workers of so many threads each."""
     distributed = pytest.importorskip("distributed")
-    started: dict[int, Any] = {}
+    started: dict[int, str] = {}
+    with ExitStack() as stack:
 
-    def address(threads: int) -> str:
-        if threads not in started:
-            started[threads] = distributed.LocalCluster(
-                n_workers=2, threads_per_worker=threads, dashboard_address=":0", silence_logs=50
-            )
-        return str(started[threads].scheduler_address)
+        def address(threads: int) -> str:
+            if threads not in started:
+                at = tmp_path_factory.mktemp("cluster") / "scheduler.json"
+                stack.enter_context(_dask("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(at)))
+                _until(at.exists)
+                started[threads] = json.loads(at.read_text())["address"]
+                count = ("--nworkers", "2", "--nthreads", str(threads))
+                stack.enter_context(_dask("worker", started[threads], *count, "--no-dashboard"))
+                with distributed.Client(started[threads], set_as_default=False) as client:
+                    client.wait_for_workers(2, timeout=_WAIT_S)
+            return started[threads]
 
-    yield address
-    for local in started.values():
-        local.close()
+        yield address
+
+
+@contextmanager
+def _dask(*words: str) -> Iterator[None]:
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    command = [sys.executable, "-m", "dask", *words]
+    with subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL, start_new_session=True) as process:
+        try:
+            yield
+        finally:
+            os.killpg(process.pid, signal.SIGTERM)
 
 
 def test_a_scheduler_s_two_workers_share_the_work(tmp_path: Path, log: Path, cluster: Callable[[int], str]) -> None:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 
 _SAME_SURFACE = 0.05  # relative depth step across two pixels up to which they are taken for one surface
+_BLOCK = 8192  # pixels at a time, whose coordinates then stay in a core's cache
 
 
 class DepthRegistration:
@@ -26,21 +27,23 @@ class DepthRegistration:
         self.depth_camera = depth_camera
         self.color_camera = color_camera
         rays_color = depth_camera.pixel_rays() @ T_color_depth[:3, :3].T
-        self._rays = rays_color.reshape(-1, 3).astype(np.float32)
+        # (N, 3), but coordinate by coordinate in memory, where arithmetic is faster.
+        self._rays = np.asfortranarray(rays_color.reshape(-1, 3), dtype=np.float32)
         self._origin = T_color_depth[:3, 3].astype(np.float32)
 
     def __call__(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
         """Depth (h, w) float32 m in the depth camera -> (H, W) float32 m in the colour camera, 0 = none."""
-        flat = depth_m.reshape(-1)
-        seen = np.flatnonzero(flat)
-        points_color = flat[seen, None] * self._rays[seen] + self._origin
-        pixels = self.color_camera.project(points_color)
         width, height = self.color_camera.width, self.color_camera.height
-        u, v = pixels[:, 0] + 0.5, pixels[:, 1] + 0.5
-        inside = (u >= 0.0) & (u < width) & (v >= 0.0) & (v < height)
-        target = v[inside].astype(np.intp) * width + u[inside].astype(np.intp)
         nearest = np.full(height * width, np.inf, dtype=np.float32)
-        np.minimum.at(nearest, target, points_color[inside, 2])
+        flat = depth_m.reshape(-1)
+        for start in range(0, len(flat), _BLOCK):
+            depths, rays = flat[start : start + _BLOCK], self._rays[start : start + _BLOCK]
+            points_color = depths[:, None] * rays + self._origin
+            pixels = self.color_camera.project(points_color) + 0.5
+            u, v = pixels[:, 0], pixels[:, 1]
+            inside = (depths > 0.0) & (u >= 0.0) & (u < width) & (v >= 0.0) & (v < height)
+            target = v[inside].astype(np.intp) * width + u[inside].astype(np.intp)
+            np.minimum.at(nearest, target, points_color[inside, 2])
         image = _close_cracks(nearest.reshape(height, width))
         image[np.isinf(image)] = 0.0
         return image
