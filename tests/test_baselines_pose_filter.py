@@ -53,7 +53,7 @@ def follow(
 
     particles = scatter(start, config.particles, spread_m, 0.5 * spread_m, 0.0, rng)
     depth = DepthPredictor(depth_from_blue(), CAMERA)
-    follower = PoseFilter(measure, error, depth, CAMERA, particles, config, rng)
+    follower = PoseFilter(measure, error, depth, CAMERA, particles, config, poses_of(recording), rng)
     return np.stack([follower.step(recording.color(i), ELAPSED_S).pose for i in range(len(recording))])
 
 

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from monoloc.filter.estimate import Estimate
-from monoloc.filter.joined import Joined
+from monoloc.filter.joined import Joined, Joiner
 from monoloc.filter.lasting import LastingErrors
-from monoloc.geometry import FloatArray, adjoint, invert, is_rigid, se3_exp, se3_log
+from monoloc.filter.motion import MotionConfig
+from monoloc.geometry import FloatArray, adjoint, invert, is_rigid, se3_exp, se3_log, viewpoints_apart
+from monoloc.odometry import Motion
 
 LASTING = LastingErrors(near_sd_m=0.05, near_sd_rad=0.03, growth_m=0.1, growth_rad=0.05)
 START_SD = np.repeat([0.1, 0.05], 3)
@@ -19,7 +21,7 @@ TOGETHER = 2.0  # noise counts twice, see the module
 
 
 def begun(pose: FloatArray, lasting: LastingErrors = LASTING) -> Joined:
-    return Joined.begin(Estimate(pose, np.diag(START_SD**2), 0.0), lasting, 0.0)
+    return Joined.begin(Estimate(pose, np.diag(START_SD**2), 0.0), lasting.covariance(0.0))
 
 
 def said(pose: FloatArray) -> Estimate:
@@ -27,7 +29,8 @@ def said(pose: FloatArray) -> Estimate:
 
 
 def moved(joined: Joined, delta: FloatArray, lasting: LastingErrors = LASTING) -> Joined:
-    return joined.moved(delta, np.diag(ODOMETRY_SD**2) / TOGETHER**2, lasting, 0.0)
+    kept = lasting.kept(float(viewpoints_apart(np.eye(4), delta[None])[0]))
+    return joined.moved(delta, np.diag(ODOMETRY_SD**2) / TOGETHER**2, kept, lasting.covariance(0.0))
 
 
 def test_it_is_the_batch_solution_along_a_line() -> None:
@@ -116,6 +119,55 @@ def test_particles_that_are_all_one_are_taken_in() -> None:
     joined = begun(np.eye(4), LastingErrors()).told(Estimate(pose, np.zeros((6, 6)), 0.0))
     np.testing.assert_allclose(joined.pose, pose, atol=1e-6)
     assert np.isfinite(joined.covariance).all() and np.linalg.eigvalsh(joined.covariance)[0] > -1e-15
+
+
+# --- From frame to frame ---
+
+ELAPSED_S = 1.0 / 15.0
+
+
+def joiner(viewpoint: FloatArray, lasting: LastingErrors = LASTING) -> Joiner:
+    start = Estimate(np.eye(4), np.diag(START_SD**2), 0.0)
+    return Joiner(start, lasting, MotionConfig(), viewpoint[None])
+
+
+def test_without_odometry_the_belief_is_the_particles_and_as_wide_as_their_bias() -> None:
+    """Far from the viewpoints that is wide, and no start that was off stays in it."""
+    follower, truth = joiner(se3_exp([0.0, 2.0, 0.0, 0.0, 0.0, 0.0])), se3_exp([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+    follower.step(None, 0.0, said(truth), is_told=True)
+    for _ in range(10):
+        truth = truth @ STEP
+        belief = follower.step(None, ELAPSED_S, said(truth), is_told=True)
+    np.testing.assert_allclose(belief.pose, truth, atol=1e-12)
+    apart = float(viewpoints_apart(truth, se3_exp([0.0, 2.0, 0.0, 0.0, 0.0, 0.0])[None])[0])
+    expected = np.diag(SPREAD_SD**2) + LASTING.covariance(apart)
+    np.testing.assert_allclose(belief.covariance, expected, rtol=1e-6)
+
+
+def test_after_a_frame_without_odometry_it_is_the_batch_solution_again() -> None:
+    """A word whose bias is unknown, then perfect odometry and the same bias: of that, nothing new is learnt."""
+    lasting = LastingErrors(near_sd_m=0.05, near_sd_rad=0.03)
+    alone = Joined.alone(said(np.eye(4)), lasting.covariance(0.0))
+    again = alone.moved(np.eye(4), np.zeros((6, 6)), 1.0, lasting.covariance(0.0)).told(said(np.eye(4)))
+    widths = np.sqrt(np.diag(again.covariance))
+    np.testing.assert_allclose(widths[6:], np.sqrt(np.diag(lasting.covariance(0.0))), rtol=1e-6)
+    np.testing.assert_allclose(widths[:6], np.sqrt(SPREAD_SD**2 / 2.0 + np.diag(lasting.covariance(0.0))), rtol=1e-4)
+
+
+def test_a_frame_that_tells_nothing_narrows_nothing() -> None:
+    """In darkness the particles go on as odometry does: to hear them then would be to hear the old again."""
+    motion = Motion(STEP, 50, np.zeros((0, 3)), np.zeros(0))
+    deaf, hearing = joiner(np.eye(4)), joiner(np.eye(4))
+    pose = np.eye(4)
+    widths = []
+    for _ in range(20):
+        pose = pose @ STEP
+        for follower, is_told in ((deaf, False), (hearing, True)):
+            belief = follower.step(motion, ELAPSED_S, said(pose), is_told)
+            widths.append(float(belief.covariance[0, 0]))
+    np.testing.assert_allclose(deaf.step(None, ELAPSED_S, said(np.eye(4)), False).pose, pose, atol=1e-12)
+    assert widths[0::2] == sorted(widths[0::2])
+    assert widths[-1] < widths[-2]
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -1,4 +1,4 @@
-"""The online way, one page: frame -> depth -> motion -> scan -> predict -> weigh -> resample -> join."""
+"""The online way, one page: frame -> depth -> motion -> level -> scan -> predict -> weigh -> resample -> join."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from monoloc.camera import Camera
 from monoloc.depth.runtime import DepthPrediction
 from monoloc.filter.estimate import Estimate, estimate
 from monoloc.filter.health import HealthyRange, State, judge
-from monoloc.filter.joined import Joined
+from monoloc.filter.joined import Joiner
 from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.level import LevelConfig, level
-from monoloc.filter.motion import MotionConfig, motion_sd, predict
+from monoloc.filter.motion import MotionConfig, predict
 from monoloc.filter.particles import Particles
 from monoloc.filter.resample import resample
 from monoloc.filter.scan import Scan, scan_from_corners, scan_from_depth
 from monoloc.filter.weigh import Measurement, MeasurementConfig
-from monoloc.geometry import FloatArray, viewpoints_apart
+from monoloc.geometry import FloatArray
 from monoloc.map.mixture import GaussianMixture
 from monoloc.odometry import Motion, OdometryConfig, VisualOdometry
 
@@ -113,10 +113,7 @@ class Localizer:
         self._measurement = Measurement(mixture, config.measurement)
         self._odometry = VisualOdometry(camera, config.odometry) if config.motion == "visual" else None
         self._healthy = healthy
-        self._viewpoints = viewpoints
-        first = estimate(start)
-        self._log_scale = first.log_scale
-        self._joined = Joined.begin(first, config.lasting, self._distance_m(first.pose))
+        self._joiner = Joiner(estimate(start), config.lasting, config.motion_noise, viewpoints)
         self._rng = rng
         self._is_first = True
 
@@ -134,31 +131,19 @@ class Localizer:
         if motion is not None and config.level is not None:
             depth = level(depth, motion, config.level)
         scan = scan_from_depth(depth, config.scan_points, self._rng, config.measurement.error_power)
-        if not self._is_first:
-            self._joined = self._moved(motion, elapsed_s)
+        if self._is_first:
+            elapsed_s = 0.0
+        else:
             self.particles = predict(
                 self.particles, motion, elapsed_s, config.log_scale_sd, config.motion_noise, self._rng
             )
         self._is_first = False
         self.particles = self._weigh(scan, motion)
         located = estimate(self.particles)
-        self._joined, self._log_scale = self._joined.told(located), located.log_scale
-        belief = self._joined.estimate(located.log_scale)
+        belief = self._joiner.step(motion, elapsed_s, located, is_told=len(scan) > 0)
         self.particles = resample(self.particles, config.ess_fraction, self._rng)
         fit = self._fit(located, scan)  # where depth's lasting error is, the belief's covariance tells
         return Step(belief, located, fit, judge(fit, belief, self._healthy), motion, depth, scan)
-
-    def _moved(self, motion: Motion | None, elapsed_s: float) -> Joined:
-        """The joined belief after odometry's motion, whose translation was measured in predicted depth."""
-        delta = np.eye(4) if motion is None else motion.T_previous_current.copy()
-        delta[:3, 3] *= np.exp(self._log_scale)
-        sd = motion_sd(motion, elapsed_s, self.config.motion_noise)
-        distance_m = self._distance_m(self._joined.pose @ delta)
-        return self._joined.moved(delta, np.diag(sd**2), self.config.lasting, distance_m)
-
-    def _distance_m(self, pose: FloatArray) -> float:
-        """From where the room was built from; 0 where that is not known."""
-        return float(viewpoints_apart(pose, self._viewpoints).min()) if len(self._viewpoints) else 0.0
 
     def _weigh(self, scan: Scan, motion: Motion | None) -> Particles:
         """The particles under the evidence of the depth image and of the corners that parallax has measured."""

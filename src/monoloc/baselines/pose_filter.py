@@ -1,8 +1,9 @@
 """Poses that come one a frame, smoothed by monoloc's own particle filter and odometry.
 
-Particles, motion, resampling and estimate are those of the localizer; only the likelihood is another: that of the
-pose measured, in place of that of a scan in the map. So what the filter gives a pose network can be told apart
-from what the map gives monoloc. Free of PyTorch: where the poses come from does not matter.
+Particles, motion, resampling, estimate and how it is joined with odometry are those of the localizer; only the
+likelihood is another: that of the pose measured, in place of that of a scan in the map. So what the filter gives a
+pose network can be told apart from what the map gives monoloc. Free of PyTorch: where the poses come from does not
+matter.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from monoloc.camera import Camera
 from monoloc.filter.estimate import Estimate, estimate
+from monoloc.filter.joined import Joiner
 from monoloc.filter.motion import predict
 from monoloc.filter.particles import Particles, normalised
 from monoloc.filter.resample import resample
@@ -76,7 +78,8 @@ class PoseFilter:
         error: of what ``measure`` gives.
         depth: for the odometry; the localizer's, for a comparison that is fair.
         start: particles at the first frame.
-        config: the localizer's; of it, what concerns particles, motion and depth scale.
+        config: the localizer's; of it, what concerns particles, motion, depth scale and errors that last.
+        viewpoints: (V, 4, 4) ``T_world_camera`` of the frames that the network was trained on, or none.
     """
 
     def __init__(
@@ -87,11 +90,13 @@ class PoseFilter:
         camera: Camera,
         start: Particles,
         config: LocalizerConfig,
+        viewpoints: FloatArray,
         rng: np.random.Generator,
     ) -> None:
         self.particles = start
         self._measure, self._error, self._depth = measure, error, depth
         self._odometry = VisualOdometry(camera, config.odometry) if config.motion == "visual" else None
+        self._joiner = Joiner(estimate(start), config.lasting, config.motion_noise, viewpoints)
         self._config = config
         self._rng = rng
         self._is_first = True
@@ -103,7 +108,9 @@ class PoseFilter:
         if self._odometry is not None:
             depth = self._depth(color)
             motion = self._odometry.step(color, depth.depth_m, depth.camera)
-        if not self._is_first:
+        if self._is_first:
+            elapsed_s = 0.0
+        else:
             self.particles = predict(
                 self.particles, motion, elapsed_s, config.log_scale_sd, config.motion_noise, self._rng
             )
@@ -113,6 +120,6 @@ class PoseFilter:
             log_weights = normalised(self.particles.log_weights + fit)
             self.particles = Particles(self.particles.poses, self.particles.log_scale, log_weights)
         self._is_first = False
-        belief = estimate(self.particles)
+        belief = self._joiner.step(motion, elapsed_s, estimate(self.particles), is_told=measured is not None)
         self.particles = resample(self.particles, config.ess_fraction, self._rng)
         return belief

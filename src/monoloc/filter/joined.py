@@ -14,7 +14,9 @@ import numpy as np
 
 from monoloc.filter.estimate import Estimate
 from monoloc.filter.lasting import LastingErrors
+from monoloc.filter.motion import MotionConfig, motion_sd
 from monoloc.geometry import FloatArray, adjoint, invert, se3_exp, se3_log, viewpoints_apart
+from monoloc.odometry import Motion
 
 # What odometry errs by, and where the particles happen to be, goes on for some frames: taken for new in each, its
 # deviation is twice as large.
@@ -38,33 +40,32 @@ class Joined:
     covariance: FloatArray
 
     @classmethod
-    def begin(cls, start: Estimate, lasting: LastingErrors, distance_m: float) -> Joined:
-        """Before the first scan.
-
-        Args:
-            start: what is known of the pose.
-            lasting: how wide the bias is, so far from where the room was built from.
-        """
+    def begin(cls, start: Estimate, fresh: FloatArray) -> Joined:
+        """Before the first scan: what is known of the pose, and the covariance of the bias, (6, 6)."""
         covariance = np.zeros((12, 12))
-        covariance[:6, :6], covariance[6:, 6:] = start.covariance, lasting.covariance(distance_m)
+        covariance[:6, :6], covariance[6:, 6:] = start.covariance, fresh
         return cls(start.pose, np.zeros(6), covariance)
 
-    def moved(
-        self, T_previous_current: FloatArray, noise: FloatArray, lasting: LastingErrors, distance_m: float
-    ) -> Joined:
-        """After a motion: the pose goes along, and the bias is forgotten by as much as the view has changed.
+    @classmethod
+    def alone(cls, located: Estimate, fresh: FloatArray) -> Joined:
+        """By the particles' word and nothing else: the pose is off by as much as that is biased, the other way."""
+        noise = _TOGETHER**2 * located.covariance + _LEAST_VARIANCE * np.eye(6)
+        return cls(located.pose, np.zeros(6), np.block([[noise + fresh, -fresh], [-fresh, fresh]]))
+
+    def moved(self, T_previous_current: FloatArray, noise: FloatArray, kept: float, fresh: FloatArray) -> Joined:
+        """After a motion: the pose goes along, and some of the bias is forgotten.
 
         Args:
             T_previous_current: the motion, (4, 4).
             noise: its covariance, (6, 6), of a twist in the new camera's frame.
-            lasting: how wide a new bias is, so far from where the room was built from.
+            kept: correlation of the bias here and before.
+            fresh: covariance of a bias of which nothing is known, (6, 6).
         """
-        kept = lasting.kept(float(viewpoints_apart(np.eye(4), T_previous_current[None])[0]))
         carried = np.zeros((12, 12))
         carried[:6, :6], carried[6:, 6:] = adjoint(invert(T_previous_current)), kept * np.eye(6)
         covariance = carried @ self.covariance @ carried.T
         covariance[:6, :6] += _TOGETHER**2 * noise
-        covariance[6:, 6:] += (1.0 - kept**2) * lasting.covariance(distance_m)
+        covariance[6:, 6:] += (1.0 - kept**2) * fresh
         return Joined(self.pose @ T_previous_current, kept * self.bias, covariance)
 
     def told(self, located: Estimate) -> Joined:
@@ -81,3 +82,51 @@ class Joined:
 
     def estimate(self, log_scale: float) -> Estimate:
         return Estimate(self.pose, self.covariance[:6, :6], log_scale)
+
+
+class Joiner:
+    """Keeps the joined belief from frame to frame; call :meth:`step` with every frame in order.
+
+    Args:
+        start: what the particles know before the first frame.
+        lasting: how wide the bias is, and over how far it lasts.
+        noise: of the motions.
+        viewpoints: (V, 4, 4) ``T_world_camera`` of the frames that the room was built from, or none.
+    """
+
+    def __init__(self, start: Estimate, lasting: LastingErrors, noise: MotionConfig, viewpoints: FloatArray) -> None:
+        self._lasting = lasting
+        self._noise = noise
+        self._viewpoints = viewpoints
+        self._joined = Joined.begin(start, self._fresh(start.pose))
+        self._log_scale = start.log_scale
+
+    def step(self, motion: Motion | None, elapsed_s: float, located: Estimate, is_told: bool) -> Estimate:
+        """The belief at the next frame.
+
+        Args:
+            motion: odometry's since the frame before, None where there is none.
+            elapsed_s: since then; 0 at the first frame.
+            located: what the particles say.
+            is_told: whether this frame told the particles anything; what they knew before is not told again.
+        """
+        if motion is None and elapsed_s > 0.0 and is_told:  # nothing is left to join it with
+            self._joined = Joined.alone(located, self._fresh(located.pose))
+        else:
+            self._joined = self._moved(motion, elapsed_s)
+            if is_told:
+                self._joined = self._joined.told(located)
+        self._log_scale = located.log_scale
+        return self._joined.estimate(located.log_scale)
+
+    def _moved(self, motion: Motion | None, elapsed_s: float) -> Joined:
+        delta = np.eye(4) if motion is None else motion.T_previous_current.copy()
+        delta[:3, 3] *= np.exp(self._log_scale)  # its translation was measured in predicted depth
+        kept = self._lasting.kept(float(viewpoints_apart(np.eye(4), delta[None])[0]))
+        noise = np.diag(motion_sd(motion, elapsed_s, self._noise) ** 2)
+        return self._joined.moved(delta, noise, kept, self._fresh(self._joined.pose @ delta))
+
+    def _fresh(self, pose: FloatArray) -> FloatArray:
+        """Covariance of the bias at a pose; near the viewpoints where none are known."""
+        known = len(self._viewpoints) > 0
+        return self._lasting.covariance(float(viewpoints_apart(pose, self._viewpoints).min()) if known else 0.0)
