@@ -73,7 +73,7 @@ def main() -> None:
         target = arguments.out / name
         if target.exists():
             shutil.rmtree(target)
-        shutil.copytree(folder, target, ignore=shutil.ignore_patterns("linear", "settings.json"))
+        shutil.copytree(folder, target, ignore=shutil.ignore_patterns("linear", "settings.json", "room.json"))
     apart = np.linalg.norm(paths["test"][:, None, :3, 3] - paths["build"][None, :, :3, 3], axis=2).min(axis=1)
     size = sum(file.stat().st_size for file in arguments.out.rglob("*") if file.is_file())
     print(json.dumps({"bytes": size, "nearest_build_view_median_m": round(float(np.median(apart)), 3)}))

@@ -35,6 +35,7 @@ from monoloc.datasets.base import Selection
 from monoloc.depth.checkpoint import save_network
 from monoloc.depth.runtime import DepthPrediction, DepthPredictor
 from monoloc.depth_image import at_discontinuity
+from monoloc.errors import DataError
 from monoloc.filter.scan import scan_from_depth
 from monoloc.filter.weigh import Measurement, MeasurementConfig
 from monoloc.geometry import se3_exp, so3_exp, so3_log, viewpoints_apart
@@ -642,14 +643,14 @@ def test_map_depth_is_that_of_the_room(recording: RoomRecording) -> None:
         depth, exact = depth_of(index), recording.depth(index)
         seen = depth > 0.0
         assert depth.shape == exact.shape and depth.dtype == np.float32
-        assert seen.mean() > 0.2
+        assert seen.mean() > 0.5
         # A point lies in its pixel, not in the middle of it, and 5 % behind the nearest about it still counts.
         nearest, farthest = cv2.erode(exact, np.ones((3, 3))), cv2.dilate(exact, np.ones((3, 3)))
         assert (depth > 0.99 * nearest)[seen].all()
         assert np.mean((depth < 1.06 * farthest)[seen]) > 0.999  # few points are seen through gaps of what is close
         inside_surfaces = seen & ~(cv2.dilate(at_discontinuity(exact, 0.03).astype(np.uint8), np.ones((9, 9))) > 0)
         error = depth[inside_surfaces] - exact[inside_surfaces]
-        assert np.mean(np.abs(error) < spacing_m) > 0.999
+        assert np.mean(np.abs(error) < spacing_m) > 0.99  # what is drawn is half as wide as the frame
         assert np.abs(np.median(error)) < 0.003
 
 
@@ -665,6 +666,17 @@ def test_map_depth_does_not_see_through_surfaces() -> None:
     assert set(np.unique(left.round(3))) == {np.float32(0.0), np.float32(1.5)}
     assert set(np.unique(right.round(3))) == {np.float32(0.0), np.float32(3.0)}
     assert (left > 0).mean() > 0.5 and (right > 0).mean() > 0.9
+
+
+def test_what_a_lens_would_fold_back_into_the_image_is_not_seen() -> None:
+    """Of a point 74 degrees aside, Brown's polynomial makes a pixel near the middle."""
+    camera = Camera(320, 240, 260.0, 260.0, 159.5, 119.5, (-0.08, 0.0, 0.0, 0.0, 0.0))
+    aside, before = np.array([[3.5, 0.0, 1.0]]), np.array([[0.1, 0.0, 1.0]])
+    assert 0.0 < camera.project(aside)[0, 0] < 320.0
+    np.testing.assert_array_equal(camera.in_sight(np.concatenate([aside, before, -before])), [False, True, False])
+    recording = RoomRecording(ROOM, se3_exp(np.full((1, 6), 1e-9)), camera)
+    assert not map_depth(recording, aside)(0).any()
+    assert map_depth(recording, before)(0).any()
 
 
 # --- Held-out frames ---
@@ -1075,7 +1087,9 @@ def test_only_what_neighbouring_frames_share_widens_the_scale() -> None:
     walk = np.cumsum(rng.normal(0.0, 0.02, 400))
     frames = np.arange(400)
     assert slow_sd(rng.normal(0.0, 0.05, 400), frames) < 0.025
-    assert slow_sd(walk, frames) == pytest.approx(walk.std(), rel=0.05)
+    assert slow_sd(walk, frames) == pytest.approx(np.sqrt(np.mean(walk**2)), rel=0.05)
+    # The filter's prior is about 0, so what is steadily off needs as wide a one.
+    assert slow_sd(np.full(20, 0.15), np.arange(20)) == pytest.approx(0.15)
     # Of frames that do not follow one another nothing is known.
     assert slow_sd(walk, 2 * frames) == LEAST_LOG_SCALE_SD
     # Two regions, each steady, of different scales: the difference is slow, and the gap between them is no pair.
@@ -1104,12 +1118,11 @@ def test_healthy_range_tells_right_poses_from_wrong_ones() -> None:
     assert max(wrong) < healthy.lost < min(right)
 
 
-def test_calibration_without_depth_keeps_the_settings() -> None:
+def test_a_network_without_usable_depth_is_refused() -> None:
     sample = corner_samples(1, 0.0, 0.0, 0.0)[0]
     blind = Sample(0, DepthPrediction(np.zeros_like(sample.depth.depth_m), sample.depth.camera), sample.pose)
-    settings_, healthy = calibrate(CORNER, [blind], LocalizerConfig(), np.random.default_rng(0))
-    assert settings_ == LocalizerConfig()
-    assert healthy.low == healthy.lost == -np.inf
+    with pytest.raises(DataError, match=r"network: gives no usable depth on any of 1 frames; check output, metric"):
+        calibrate(CORNER, [blind], LocalizerConfig(), np.random.default_rng(0))
 
 
 # --- Memory ---

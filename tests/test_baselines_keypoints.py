@@ -60,6 +60,24 @@ def test_another_room_has_no_pose(recording: RoomRecording, kind: str) -> None:
     assert [localizer(elsewhere.color(index)) for index in range(3)] == [None] * 3
 
 
+@pytest.mark.parametrize(("true", "is_located"), [(8, False), (300, True)])
+def test_a_keypoint_counts_once_however_many_frames_show_it(
+    recording: RoomRecording, true: int, is_located: bool
+) -> None:
+    """Five frames of the map at one place, of whose points the first few alone are where they belong."""
+    config = KeypointConfig(retrieved=5, min_inliers=30)
+    room = build_keypoint_map(Selection(recording, [0]), config, NoProgress())
+    count = len(room.points)
+    rng = np.random.default_rng(0)
+    points = np.concatenate([room.points[:true], rng.uniform(-2.0, 2.0, (count - true, 3)).astype(np.float32)])
+    descriptors = np.repeat(room.descriptors[None], 5, axis=0)
+    for frame, keypoint in np.ndindex(5, count):  # each frame is the nearest to a fifth of them, and gets votes
+        descriptors[frame, keypoint, 0] ^= int(frame != keypoint % 5)
+    shown = KeypointMap(np.tile(points, (5, 1)), np.concatenate(descriptors), count * np.arange(6))
+    pose = KeypointLocalizer(shown, CAMERA, config)(recording.color(0))
+    assert (pose is not None) == is_located
+
+
 @pytest.mark.parametrize(("kind", "of_a_descriptor"), [("orb", 32), ("sift", 128)])
 def test_bytes_are_what_is_stored(recording: RoomRecording, kind: str, of_a_descriptor: int) -> None:
     room = map_of(recording, KeypointConfig.model_validate({"kind": kind, "keypoints": 100}))

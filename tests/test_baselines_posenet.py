@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +12,15 @@ import torch
 from pydantic import ValidationError
 
 from depth_helpers import FloatArray, looking_around, small_recording
+from monoloc.baselines import posenet_training
 from monoloc.baselines.posenet import HomoscedasticLoss, PoseCode, PoseNet, PoseNetConfig, posenet_config
 from monoloc.baselines.posenet_file import load_posenet, save_posenet
 from monoloc.baselines.posenet_training import PoseNetTraining, PosePredictor, TrainedPoseNet, train_posenet
 from monoloc.depth.augment import AugmentConfig
+from monoloc.depth.examples import network_input
 from monoloc.depth.family import SIZES, WIDTHS, network_config
 from monoloc.depth.network import DepthNetwork, load_encoder_weights
+from monoloc.depth.spec import image_tensor, network_size
 from monoloc.errors import DataError, SettingError
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.progress import NoProgress
@@ -177,6 +182,23 @@ def test_stated_error_is_of_the_size_of_the_held_out_one() -> None:
     assert 0.2 * trial.rotation_rad < np.sqrt(3.0) * trained.error.rotation_sd_rad < 2.0 * trial.rotation_rad
 
 
+def test_small_images_are_learned_as_they_are_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those that the network's input enlarges."""
+    recording = small_recording(8, camera=small_recording(1).camera.resized(48, 32))
+    learned: list[np.ndarray] = []
+
+    def listening(images: list[np.ndarray]) -> torch.Tensor:
+        learned.extend(images)
+        return network_input(images)
+
+    monkeypatch.setattr(posenet_training, "network_input", listening)
+    train(recording)
+    camera = recording.camera.resized(*network_size(recording.camera, TINY.focal_px))
+    seen = [image_tensor(recording.color(index), camera) for index in range(8)]
+    held_out = [network_input([image]).numpy() for image in learned]
+    assert any(np.allclose(one, other, atol=1e-6) for one in held_out for other in seen)
+
+
 def test_recording_without_poses() -> None:
     recording = small_recording(8)
     recording.poses = None
@@ -189,10 +211,31 @@ def test_too_few_frames() -> None:
         train(small_recording(7))
 
 
-def test_learning_rate_that_diverges_is_named() -> None:
-    config = QUICK.model_copy(update={"learning_rates": (1e30,), "search_epochs": 20})
-    with pytest.raises(SettingError, match=r"learning_rates: 1e\+30 made the loss infinite; lower it"):
+@pytest.mark.parametrize("search_epochs", [1, 20])
+def test_learning_rates_that_all_diverge_are_named(search_epochs: int) -> None:
+    config = QUICK.model_copy(update={"learning_rates": (1e30, 1e31), "search_epochs": search_epochs})
+    with pytest.raises(SettingError, match=r"^learning_rates: 1e\+30, 1e\+31 made the loss infinite; lower it$"):
         train(small_recording(8), config)
+
+
+def test_one_learning_rate_that_diverges_does_not_end_the_search(tmp_path: Path) -> None:
+    """It is kept among the trials, without errors, in what is written too."""
+    recording = small_recording(8)
+    config = QUICK.model_copy(update={"learning_rates": (1e30, 1e-2), "search_epochs": 3})
+    trained = train(recording, config)
+    diverged, other = trained.trials
+    assert (diverged.position_m, diverged.rotation_rad, diverged.score_m) == (None, None, np.inf)
+    alone = train(recording, config.model_copy(update={"learning_rates": (1e-2,)}))
+    assert [other] == alone.trials
+    np.testing.assert_array_equal(poses_of(trained, recording), poses_of(alone, recording))
+    json.dumps([asdict(trial) for trial in trained.trials], allow_nan=False)
+    save_posenet(trained, tmp_path / "net.safetensors")
+    assert load_posenet(tmp_path / "net.safetensors").trials == trained.trials
+
+
+def test_training_may_be_of_ten_steps() -> None:
+    """In the search one an epoch, and after it two: a tenth is a single step, less one of which torch divides by."""
+    train(small_recording(8), QUICK.model_copy(update={"search_epochs": 10, "epochs": 5}))
 
 
 # --- On disk ---

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -158,6 +159,7 @@ def test_what_is_timed_needs_neither_torch_nor_matplotlib() -> None:
     ("arguments", "message"),
     [
         (("kernels", "nowhere"), "nowhere: .*"),
+        (("kernels", "--frames", "::2"), "--frames: has no meaning for a made-up room; leave it out"),
         (("map", "walk", "--frames", "x"), "frames: 'x' is not START:STOP:STEP; .*"),
         (("pipeline", "walk", "--bundle", "nowhere"), "nowhere: is not a bundle .*; .*monoloc build"),
         (("pipeline",), "Missing argument 'SOURCE'.*"),
@@ -179,6 +181,17 @@ def test_bad_input_is_one_line(
     assert len(lines) == 1
     assert lines[0].startswith("monoloc: ")
     assert re.match(message, lines[0].removeprefix("monoloc: ")), lines[0]
+
+
+def test_a_frame_that_the_process_cannot_read_is_one_line(
+    capfd: pytest.CaptureFixture[str], made: Path, tmp_path: Path
+) -> None:
+    walk = shutil.copytree(made / "walk", tmp_path / "walk")
+    frame = walk / "color" / "000007.png"
+    frame.write_bytes(frame.read_bytes()[:2000])
+    capfd.readouterr()
+    assert invoke(["bench", "pipeline", str(walk), "--bundle", str(made / "room.monoloc")]) == 2
+    assert capfd.readouterr() == ("", f"monoloc: {frame}: is cut short; copy the file again\n")
 
 
 # --- What the figures are made of ---

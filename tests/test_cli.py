@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -236,12 +237,16 @@ def test_unknown_format(capfd, here):
 
 def test_no_poses(capfd, here):
     synthetic.write_video(here / "flight.avi")
-    refused(capfd, here, ("build", "flight.avi", "--out", "x.monoloc"), "flight", "has no poses", "with camera poses")
-    refused(
-        capfd, here, ("localize", "room.monoloc", "flight.avi"), "flight", "has no poses to start", "give --start"
-    )
+    camera = ("--intrinsics", "64,48,50,50,31,23")
+    build, localize = ("build", "flight.avi", "--out", "x.monoloc"), ("localize", "room.monoloc", "flight.avi")
+    refused(capfd, here, (*build, *camera), "flight", "has no poses", "with camera poses")
+    refused(capfd, here, (*localize, *camera), "flight", "has no poses to start", "give --start")
     write_tum(here / "way.txt", [0.0], np.eye(4)[None])
-    refused(capfd, here, ("evaluate", "way.txt", "flight.avi"), "flight", "has no poses", "recording or TUM")
+    for command in (localize, ("inspect", "flight.avi"), ("evaluate", "way.txt", "flight.avi")):
+        refused(capfd, here, command, "flight.avi", "says nothing of its camera", "--intrinsics 64,48,FX,FY,CX,CY")
+    toml = here / "walk" / "dataset.toml"
+    toml.write_text(toml.read_text().replace('"sequence"', '"pairs"'))
+    refused(capfd, here, ("evaluate", "way.txt", "walk"), "walk", "has no poses", "recording or TUM")
 
 
 def test_no_depth(capfd, here):
@@ -277,10 +282,21 @@ def test_poses_that_are_nan(capfd, here):
         refused(capfd, here, command, "walk/poses.txt", "holds NaN or infinity", "leave out frames")
 
 
-def test_depth_that_is_all_zero(capfd, here):
-    synthetic.write_depth(here / "walk/depth/000007.png", np.zeros((128, 160), dtype=np.uint16))
-    command = ("build", "walk", "--out", "x.monoloc", *QUICK)
-    refused(capfd, here, command, "walk/depth/000007.png", "has no depth at all", "--frames")
+@pytest.mark.filterwarnings("error")
+def test_frames_whose_depth_is_all_zero_do_not_stand_in_the_way(capfd, here):
+    for index in (0, 7):
+        synthetic.write_depth(here / f"walk/depth/{index:06d}.png", np.zeros((128, 160), dtype=np.uint16))
+    np.savetxt(here / "room.xyz", Room().cloud(0.04))
+    for more in ((), ("--refine-poses", "--cloud", "room.xyz")):
+        assert json_of(capfd, "build", "walk", "--out", "x.monoloc", *QUICK, *more)["frames"] == FRAMES
+    for depth in ("predicted", "sensor"):
+        metrics = json_of(capfd, "localize", "room.monoloc", "walk", "--depth", depth)
+        assert metrics["frames"] == FRAMES and metrics["depth_absrel"] < 0.02
+    evaluated = ("depth", "evaluate", "room.monoloc", "walk")
+    assert json_of(capfd, *evaluated, "--plot", "depth.png")["absrel"] < 0.02
+    refused(capfd, here, (*evaluated, "--frames", "7:8"), "blue", "gives no depth at any pixel of known", "--frames")
+    held = json_of(capfd, "inspect", "walk")
+    assert held["depth_share"] == 0.0 and held["depth_median_m"] is None
 
 
 def test_depth_of_another_size(capfd, here):
@@ -357,6 +373,19 @@ def test_depth_scale_that_leaves_nothing(capfd, here):
     refused(capfd, here, command, "depth_scale", "is 0.0", "> 0")
 
 
+def test_frames_of_what_has_none(capfd, here):
+    write_tum(here / "way.txt", [0.0], np.eye(4)[None])
+    np.savetxt(here / "room.xyz", Room().cloud(0.1))
+    for command, what in (
+        (("evaluate", "way.txt", "way.txt"), "a trajectory"),
+        (("map", "fit", "room.xyz", "--out", "m.npz"), "a cloud"),
+        (("inspect", "room.monoloc"), "a bundle"),
+    ):
+        refused(capfd, here, (*command, "--frames", "0:4"), "--frames", f"has no meaning for {what}", "leave it out")
+    command = ("inspect", "room.monoloc", "--intrinsics", "160,128,136,136,79.5,63.5")
+    refused(capfd, here, command, "--intrinsics", "has no meaning for a bundle", "leave it out")
+
+
 # --- Bundles, maps, networks, trajectories ---
 
 
@@ -403,13 +432,19 @@ def test_file_that_is_no_network(capfd, here):
     refused(capfd, here, ("depth", "evaluate", toml, "walk"), toml, "mean: Field required", "mend the field named")
     poses = "walk/poses.txt"
     refused(capfd, here, ("depth", "evaluate", poses, "walk"), poses, "cannot be loaded", "depth export")
-    build = ("build", "walk", "--out", "x.monoloc", "--network", "no.safetensors")
-    refused(capfd, here, build, "no.safetensors", "does not exist", "depth train")
+    build = ("build", "walk", "--out", "x.monoloc", "--network", "one-thrid-0.35")
+    refused(capfd, here, build, "one-thrid-0.35", "does not exist", "one of full-0.35, .*one-third-0.35")
 
 
 def test_file_that_is_no_trajectory(capfd, here):
     refused(capfd, here, ("evaluate", "no.txt", "walk"), "no.txt", "cannot be read", "TUM")
     refused(capfd, here, ("evaluate", "walk/dataset.toml", "walk"), "walk/dataset.toml", "line 1 has 3 columns", "8")
+
+
+def test_truth_that_goes_back_in_time(capfd, here):
+    write_tum(here / "way.txt", [1.0, 0.0], np.tile(np.eye(4), (2, 1, 1)))
+    command = ("evaluate", "way.txt", "way.txt")
+    refused(capfd, here, command, "way.txt", "the time stamp of entry 2 does not increase", "by time")
 
 
 def test_trajectory_of_another_clock(capfd, here):
@@ -612,12 +647,44 @@ def test_evaluate_agrees_with_localize(capfd, here):
     assert some["frames"] == 4 and some["unmatched"] == FRAMES - 4
 
 
+def test_long_trajectories_are_matched_without_a_table_of_all_pairs(capfd, here):
+    times, poses = np.arange(2000) / 100.0, np.tile(np.eye(4), (2000, 1, 1))
+    write_tum(here / "truth.txt", times, poses)
+    write_tum(here / "way.txt", times[::-1] + 0.004, poses)
+    tracemalloc.start()
+    metrics = json_of(capfd, "evaluate", "way.txt", "truth.txt")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert metrics["frames"] == 2000 and metrics["ate_max_m"] == 0.0
+    assert peak < 8 * 2000**2 / 2
+
+
+def test_paths_are_printed_as_they_are(capfd, here):
+    (here / "[kitchen]").mkdir()
+    assert invoke(["localize", "room.monoloc", "walk", "--frames", "0:2", "--out", "[kitchen]/:way:.txt"]) == 0
+    assert "written: [kitchen]/:way:.txt\n" in capfd.readouterr().err
+    shutil.copytree(here / "room.monoloc", here / "[kitchen]" / "[a]:x:")
+    assert "[kitchen]/[a]:x:" in succeeds(capfd, "map", "info", "[kitchen]/[a]:x:")
+
+
 def test_inspect_a_bundle(capfd, here):
     content = json_of(capfd, "inspect", "room.monoloc")
     assert content["kind"] == "bundle" and content["components"] == 250 and content["frames"] == FRAMES // 2
     assert content["map_bytes"] == 250 * 40
     assert content["bytes"] == sum(file.stat().st_size for file in (here / "room.monoloc").iterdir())
     assert np.allclose(content["size_m"], [5.0, 2.6, 5.0], atol=0.6)  # of the room, as far as Gaussians tell
+
+
+def test_inspect_a_video(capfd, here):
+    synthetic.write_video(here / "flight.avi")
+    content = json_of(capfd, "inspect", "flight.avi", "--intrinsics", "64,48,50,50,31,23")
+    assert content["frames"] == 6 and content["intrinsics"] == [50.0, 50.0, 31.0, 23.0]
+    assert not content["has_poses"] and not content["has_depth"]
+
+
+def test_inspect_checks_that_a_recording_s_files_are_there(capfd, here):
+    (here / "walk/color/000007.png").unlink()
+    refused(capfd, here, ("inspect", "walk"), "walk/color/000007.png", "is missing", "restore it")
 
 
 def test_inspect_a_recording(capfd, here, recording):

@@ -14,9 +14,11 @@ import pytest
 import synthetic_recordings as synthetic
 from monoloc import geometry
 from monoloc.camera import Camera
-from monoloc.datasets import nyu, seven_scenes, tum
+from monoloc.datasets import nyu, seven_scenes
 from monoloc.datasets.base import Recording
+from monoloc.datasets.images import read_depth
 from monoloc.datasets.options import ReaderOptions
+from monoloc.datasets.poses import nearest_times
 from monoloc.datasets.registration import DepthRegistration
 from monoloc.datasets.registry import FORMATS, open_recording, select_frames
 from monoloc.datasets.rgbd_scenes_v2 import read_pose_file
@@ -64,22 +66,20 @@ def test_seven_scenes_opens_one_sequence_and_keeps_the_frame_names(tmp_path):
     assert recording.frame_names == ["seq-02/frame-000000", "seq-02/frame-000002"]
 
 
-def test_seven_scenes_unregistered_is_the_depth_camera(tmp_path):
-    T_world_depth = synthetic.write_seven_scenes(tmp_path, frames=2)
-    recording = open_recording(str(tmp_path), ReaderOptions(register_depth=False))
-    depth_m = recording.depth(0)
-    assert recording.camera == seven_scenes.DEPTH_CAMERA
+def test_both_marks_of_no_depth_are_read(tmp_path):
+    synthetic.write_seven_scenes(tmp_path, frames=1)
+    depth_m = read_depth(tmp_path / "seq-01/frame-000000.depth.png", 1000.0, seven_scenes.DEPTH_CAMERA)
     assert not depth_m[:2].any()  # stored as 0 and as 65535
     assert (depth_m[2:] == 2.0).all()
-    np.testing.assert_allclose(recording.poses, T_world_depth, atol=1e-9)
 
 
 def test_seven_scenes_takes_the_depth_camera_from_the_scene(tmp_path):
     synthetic.write_seven_scenes(tmp_path, frames=1)
     np.savetxt(tmp_path / "camera-intrinsics.txt", [[600.0, 0, 321], [0, 601, 239], [0, 0, 1]])
     for path in (tmp_path, tmp_path / "seq-01"):
-        camera = open_recording(str(path), ReaderOptions(register_depth=False)).camera
-        assert camera == Camera(640, 480, 600.0, 601.0, 321.0, 239.0)
+        recording = open_recording(str(path))
+        assert recording.camera == seven_scenes.COLOR_CAMERA
+        assert recording.registration.depth_camera == Camera(640, 480, 600.0, 601.0, 321.0, 239.0)
 
 
 def test_seven_scenes_without_depth_images(tmp_path):
@@ -195,14 +195,14 @@ def depth_edges(depth_m: np.ndarray) -> np.ndarray:
 @pytest.mark.data
 def test_registration_brings_real_depth_edges_to_colour_edges(data_root):
     source = f"7scenes:{data_root}/7scenes/redkitchen"
-    registered = open_recording(source)
-    unregistered = open_recording(source, ReaderOptions(register_depth=False))
+    recording = open_recording(source)
     distances_px: dict[str, list[np.ndarray]] = {"before": [], "after": []}
     for index in range(0, 400, 80):
-        grey = cv2.GaussianBlur(cv2.cvtColor(registered.color(index), cv2.COLOR_RGB2GRAY), (0, 0), 1.5)
+        grey = cv2.GaussianBlur(cv2.cvtColor(recording.color(index), cv2.COLOR_RGB2GRAY), (0, 0), 1.5)
         to_color_edge = cv2.distanceTransform(255 - cv2.Canny(grey, 30, 90), cv2.DIST_L2, 3)
-        distances_px["before"].append(to_color_edge[depth_edges(unregistered.depth(index))])
-        distances_px["after"].append(to_color_edge[depth_edges(registered.depth(index))])
+        stored = read_depth(recording.depth_paths[index], recording.depth_scale, seven_scenes.DEPTH_CAMERA)
+        distances_px["before"].append(to_color_edge[depth_edges(stored)])
+        distances_px["after"].append(to_color_edge[depth_edges(recording.depth(index))])
     for before, after in zip(distances_px["before"], distances_px["after"], strict=True):
         assert after.mean() < before.mean()
     before, after = (np.concatenate(distances_px[key]) for key in ("before", "after"))
@@ -268,7 +268,7 @@ def test_nearest_times_agree_with_brute_force():
     for query_count, time_count in itertools.product((1, 5, 40), (1, 2, 30)):
         query, times = np.sort(rng.uniform(size=query_count)), np.sort(rng.uniform(size=time_count))
         brute = np.abs(query[:, None] - times).argmin(axis=1)
-        np.testing.assert_array_equal(tum._nearest(query, times), brute)
+        np.testing.assert_array_equal(nearest_times(query, times), brute)
 
 
 # --- RGB-D Scenes v2 ---
@@ -358,6 +358,15 @@ def test_nyu_labelled_mat(tmp_path):
     assert recording.camera.cx == pytest.approx(325.58 - left)
 
 
+def test_nyu_frame_without_depth(tmp_path):
+    path = tmp_path / "nyu.mat"
+    write_nyu_mat(path)
+    with h5py.File(path, "a") as file:
+        file["depths"][0] = np.nan
+    recording = open_recording(str(path))
+    assert not recording.depth(0).any() and recording.depth(1).all()
+
+
 # --- Described folders ---
 
 
@@ -371,6 +380,27 @@ def test_folder_sequence(tmp_path):
         np.testing.assert_allclose(recording.poses, expected, atol=1e-8)
         assert recording.depth(2).max() == 1.5
         assert recording.camera == Camera(32, 24, 30.0, 31.0, 15.5, 11.5, (0.1, -0.2, 0.0, 0.001, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("pattern", "names"),
+    [
+        ("{index:03d}/color.jpg", ["010/color", "015/color", "020/color"]),
+        ("f{index}/rgb/left.jpg", ["f10/rgb/left", "f15/rgb/left", "f20/rgb/left"]),
+        ("../images/{index}/0.jpg", ["../images/10/0", "../images/15/0", "../images/20/0"]),
+        ("color/frame.{index}", ["color/frame", "color/frame.15", "color/frame.20"]),
+    ],
+)
+def test_folder_frames_have_names_that_differ(tmp_path, pattern, names):
+    folder = tmp_path / "walk"
+    synthetic.write_folder(folder, synthetic.SEQUENCE_TOML.replace("color/{index:06d}.jpg", pattern))
+    for index in (10, 15, 20):
+        image = folder / pattern.format(index=index)
+        image.parent.mkdir(parents=True, exist_ok=True)
+        (folder / f"color/{index:06d}.jpg").rename(image)
+    recording = open_recording(str(folder))
+    check_protocol(recording, 3)
+    assert recording.frame_names == names
 
 
 def test_folder_with_stop_and_without_depth(tmp_path):
@@ -395,11 +425,15 @@ def test_real_nyu_pairs(data_root):
 # --- Video ---
 
 
+VIDEO = ReaderOptions(camera=Camera(64, 48, 50.0, 50.0, 31.0, 23.0))
+
+
 def test_video_is_read_in_any_order(tmp_path):
     path = tmp_path / "walk.avi"
     synthetic.write_video(path)
-    recording = open_recording(str(path))
+    recording = open_recording(str(path), VIDEO)
     check_protocol(recording, 6)
+    assert open_recording(f"video:{path}", VIDEO).camera == recording.camera == VIDEO.camera
     assert recording.poses is None
     assert not recording.has_depth
     np.testing.assert_allclose(recording.timestamps_s, np.arange(6) / 10.0)
@@ -407,19 +441,16 @@ def test_video_is_read_in_any_order(tmp_path):
         assert abs(recording.color(index).mean() - 20 * (index + 1)) < 3
 
 
-def test_video_camera_by_field_of_view_or_given(tmp_path):
-    path = tmp_path / "walk.avi"
-    synthetic.write_video(path, frames=1)
-    camera = open_recording(str(path), ReaderOptions(horizontal_fov_deg=90.0)).camera
-    assert camera.fx == pytest.approx(32.0)
-    # The rays to the image's left and right borders stand 90 degrees apart.
-    left, right = camera.rays([[-0.5, 24.0], [63.5, 24.0]])[:, 0]
-    assert (left, right) == pytest.approx((-1.0, 1.0))
-    given = Camera(64, 48, 50.0, 50.0, 31.0, 23.0)
-    assert open_recording(f"video:{path}", ReaderOptions(camera=given)).camera == given
-
-
 # --- Images, registry, selection ---
+
+
+@pytest.mark.parametrize("value", [0, 65535])
+def test_a_depth_image_may_have_no_depth(tmp_path, value):
+    synthetic.write_folder(tmp_path)
+    synthetic.write_depth(tmp_path / "depth/000015.png", np.full((24, 32), value, dtype=np.uint16))
+    recording = open_recording(str(tmp_path))
+    check_protocol(recording, 3)
+    assert not recording.depth(1).any() and recording.depth(2).any()
 
 
 @pytest.mark.parametrize("kind", ["grey", "rgba", "16-bit", "16-bit grey"])

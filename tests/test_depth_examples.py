@@ -19,7 +19,7 @@ from monoloc.datasets.base import Recording, Selection
 from monoloc.depth.augment import AugmentConfig, Exposure, View, expose, random_exposure, random_view, whole_view
 from monoloc.depth.examples import TrainingFrames, ValidationFrames
 from monoloc.depth.network import DepthNetwork
-from monoloc.depth.spec import network_size
+from monoloc.depth.spec import image_tensor, network_size
 from monoloc.errors import DataError
 from synthetic_room import RoomRecording
 
@@ -463,6 +463,24 @@ def test_validation_passes_over_frames_without_depth() -> None:
 def test_no_frame_to_validate_on() -> None:
     with pytest.raises(DataError, match="room: has no frame with depth to validate on; choose other frames"):
         ValidationFrames(Wall(2, 0.0), TINY.focal_px)
+
+
+@pytest.mark.parametrize("factor", [0.25, 0.8, 1.0])
+def test_validation_sees_what_the_runtime_would(factor: float) -> None:
+    """Where images are smaller than the network's input, too."""
+    camera = SMALL_CAMERA.resized(round(192 * factor), round(128 * factor))
+    recording = small_recording(2, camera=camera)
+    given: list[Tensor] = []
+
+    class Listening(DepthNetwork):
+        def forward(self, images: Tensor) -> Tensor:
+            given.append(images)
+            return super().forward(images)
+
+    validate(Listening(TINY), recording)
+    size = camera.resized(*network_size(camera, TINY.focal_px))
+    expected = np.concatenate([image_tensor(recording.color(index), size) for index in range(2)])
+    np.testing.assert_allclose(torch.cat(given).numpy(), expected, atol=1e-6)
 
 
 def test_judging_is_the_mean_over_images_of_their_errors() -> None:

@@ -24,7 +24,7 @@ from monoloc.depth.network import DepthNetwork
 from monoloc.depth.quantise import quantise
 from monoloc.depth.runtime import DepthPredictor
 from monoloc.depth.spec import FOCAL_KEY, DepthModel, image_tensor, monoloc_spec, network_size
-from monoloc.errors import MonolocError, SettingError
+from monoloc.errors import DataError, MonolocError, SettingError
 
 Image = NDArray[np.float32]
 
@@ -340,6 +340,11 @@ def test_quantising_says_nothing(
     quantise(lively[1], smooth_images(10))
     assert capfd.readouterr().out == ""
     assert [record.getMessage() for record in caplog.records] == []
+
+
+def test_eight_bits_are_not_quantised_again(small: bytes) -> None:
+    with pytest.raises(DataError, match=r"^network: is in 8 bits already; give it as it was before"):
+        quantise(small, smooth_images(10))
 
 
 def test_too_few_images_to_calibrate_on(lively: tuple[DepthNetwork, bytes]) -> None:

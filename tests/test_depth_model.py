@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import onnx
 import pytest
@@ -25,6 +26,7 @@ from monoloc.depth.runtime import DepthPrediction, DepthPredictor
 from monoloc.depth.spec import DepthModel, ModelSpec
 from monoloc.errors import BundleError, DataError, MonolocError, SettingError
 from monoloc.models import DEFAULT, shipped_file
+from synthetic_recordings import write_depth
 from synthetic_room import (
     BLUE_SPAN,
     CAMERA,
@@ -780,7 +782,22 @@ def test_evaluate_counts_what_is_missing(capfd, here):
     walk = RoomRecording(Room(), make_path(12), SMALL_CAMERA)
     near = np.mean([1.0 / walk.depth(index) > 0.41 for index in range(12)])  # the rest is beyond 100 m, or behind
     assert metrics["predicted_share"] == pytest.approx(near, abs=0.03)
+    assert json_of(capfd, "depth", "evaluate", "another.toml", "walk", "--plot", "depth.png") == metrics
+    assert (here / "depth.png").is_file()
     used = spec(scale=1.0, shift=-9.0)
     write_network(here, used, network(used, 1.0, 0.0))
     code, _, err = run(capfd, "depth", "evaluate", "another.toml", "walk")
     assert code == 2 and "another: gives no depth at any pixel of known depth" in err
+
+
+def test_evaluate_draws_frames_that_have_both_depths(capfd, here):
+    """Of the first frame, which would be drawn, the sensor sees only what is too far for the network."""
+    used = spec(scale=1.0, shift=-0.4)
+    write_network(here, used, network(used, 1.0, 0.0))
+    file = here / "walk/depth/000000.png"
+    stored = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    depth = RoomRecording(Room(), make_path(12), SMALL_CAMERA).depth(0)
+    beyond = cv2.erode((depth > 2.6).astype(np.uint8), np.ones((15, 15), np.uint8))  # where nothing is interpolated
+    write_depth(file, np.where(beyond, stored, 0))
+    assert json_of(capfd, "depth", "evaluate", "another.toml", "walk", "--plot", "depth.png")["frames"] == 12
+    assert (here / "depth.png").is_file()

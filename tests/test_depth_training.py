@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -21,8 +21,9 @@ from torch import Tensor
 import monoloc.depth.train as train_module
 from conftest import on_one_thread
 from depth_helpers import ROOM, SMALL_CAMERA, TINY, looking_around, small_recording
+from monoloc.cli.main import invoke
 from monoloc.config import load_settings
-from monoloc.datasets.base import Recording
+from monoloc.datasets.base import Recording, Selection
 from monoloc.datasets.registry import open_recording
 from monoloc.depth.augment import AugmentConfig
 from monoloc.depth.checkpoint import load_network, save_network
@@ -32,7 +33,8 @@ from monoloc.depth.model import read_model
 from monoloc.depth.network import DepthNetwork
 from monoloc.depth.runtime import DepthPredictor
 from monoloc.depth.train import EpochRecord, TrainConfig, train_network
-from monoloc.errors import DataError, MonolocError, SettingError
+from monoloc.errors import DataError, SettingError
+from monoloc.evaluation.plots import plot_training
 from monoloc.progress import Step
 from synthetic_room import RoomRecording, write_recording
 
@@ -310,7 +312,7 @@ def test_a_folder_of_a_run_with_other_settings_is_refused(
         train_network([training], validation, UNCERTAIN.model_copy(update=changes), folder)
     path = folder / "resume.pt"
     assert str(caught.value) == (
-        f"--out: {path} is of a run with other settings or frames; "
+        f"--out: {path} is of a run with other settings, start or frames; "
         f"remove {path} to start anew, or name another folder"
     )
     assert path.read_bytes() == before
@@ -320,7 +322,7 @@ def test_settings_of_another_version_are_other_settings(
     tmp_path: Path, training: Recording, validation: Recording
 ) -> None:
     torch.save({"run": '{"breadth": 1} on 8 frames'}, tmp_path / "resume.pt")
-    with pytest.raises(SettingError, match=r"--out: .*resume\.pt is of a run with other settings or frames; remove"):
+    with pytest.raises(SettingError, match=r"--out: .*resume\.pt is of a run with other settings, .*; remove"):
         train_network([training], validation, SHORT, tmp_path)
 
 
@@ -351,11 +353,47 @@ def test_a_state_that_cannot_be_read_is_named_in_one_line(
 
 
 def test_a_run_is_not_continued_on_other_frames(tmp_path: Path, training: Recording, validation: Recording) -> None:
-    """Half as many frames more make other epochs, of which the learning-rate schedule knows nothing."""
+    """More of them or as many: neither the learning-rate schedule nor the figures would be of one run."""
     interrupt(tmp_path, training, validation)
-    with pytest.raises(MonolocError) as caught:
-        train_network([FourfoldDepth(ROOM, looking_around(12), SMALL_CAMERA)], validation, UNCERTAIN, tmp_path)
-    assert "\n" not in str(caught.value)
+    more, others = (FourfoldDepth(ROOM, looking_around(n, seed=n - 8), SMALL_CAMERA) for n in (12, 8))
+    for recordings, judged_on in (
+        ([more], validation),
+        ([Selection(training, [*range(7), 6])], validation),
+        ([small_recording(8)], validation),  # the same pictures, other depth
+        ([Selection(training, range(4)), Selection(more, range(4))], validation),
+        ([training], Selection(others, [0, 1])),
+    ):
+        with pytest.raises(SettingError, match=r"resume\.pt is of a run with other settings, start or frames; rem"):
+            train_network(recordings, judged_on, UNCERTAIN, tmp_path)
+    assert len(train_network([training], validation, UNCERTAIN, tmp_path)) == UNCERTAIN.epochs
+
+
+@pytest.mark.parametrize("role", ["start", "encoder_weights"])
+def test_a_run_is_not_continued_from_another_start(
+    tmp_path: Path, training: Recording, validation: Recording, role: str
+) -> None:
+    """Nor is a finished one given for it."""
+    config = SHORT.model_copy(update={"epochs": 1})
+    file = tmp_path / ("start.safetensors" if role == "start" else "encoder.npz")
+
+    def write_start(seed: int) -> None:
+        torch.manual_seed(seed)
+        network = DepthNetwork(TINY)
+        if role == "start":
+            save_network(network, file)
+        else:
+            np.savez(file, **{name: tensor.numpy() for name, tensor in network.encoder.state_dict().items()})
+
+    def train(**start: Path) -> list[EpochRecord]:
+        return train_network([training], validation, config, tmp_path / "run", **start)
+
+    write_start(1)
+    history = train(**{role: file})
+    assert train(**{role: file}) == history
+    for seed in (2, 1):
+        write_start(seed)
+        with pytest.raises(SettingError, match=r"resume\.pt is of a run with other settings, start or frames; rem"):
+            train(**({role: file} if seed == 2 else {}))
 
 
 # --- Errors ---
@@ -462,6 +500,39 @@ def in_two_processes(folder: Path) -> dict[str, object]:
     figures = json.loads(result.stdout)  # of two that speak, the second would be too much
     assert isinstance(figures, dict)
     return figures
+
+
+def test_curves_are_drawn_after_every_epoch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that a run that is stopped has them, and once more when it goes on, or is asked for again."""
+    write_recording(tmp_path / "room", small_recording(8))
+    (tmp_path / "train.toml").write_text(NOTHING_RANDOM.replace("epochs = 1", "epochs = 3"))
+    monkeypatch.chdir(tmp_path)
+    command = ["depth", "train", "folder:room", "--settings", "train.toml", "--out", "out"]
+    judge, judged = ValidationFrames.judge, 0
+
+    def failing(frames: ValidationFrames, network: DepthNetwork, device: torch.device) -> tuple[float, float]:
+        nonlocal judged
+        judged += 1
+        if judged == 3:
+            raise KeyboardInterrupt
+        return judge(frames, network, device)
+
+    drawn: list[list[float]] = []
+
+    def plot(path: Path, history: Sequence[Mapping[str, float]]) -> None:
+        assert (tmp_path / "out" / "resume.pt").is_file()  # what was learned is kept before it is drawn
+        drawn.append([record["epoch"] for record in history])
+        plot_training(path, history)
+
+    monkeypatch.setattr("monoloc.cli.depth.plot_training", plot)
+    with monkeypatch.context() as patched:
+        patched.setattr(ValidationFrames, "judge", failing)
+        assert invoke(command) == 130
+    assert drawn == [[0], [0, 1]]
+    assert cv2.imread("out/curves.png") is not None
+    assert invoke(command) == 0 and drawn[2:] == [[0, 1], [0, 1, 2]]
+    Path("out/curves.png").unlink()
+    assert invoke(command) == 0 and cv2.imread("out/curves.png") is not None
 
 
 @pytest.mark.slow

@@ -94,6 +94,17 @@ def test_every_figure_is_drawn_with_its_numbers_beside_it(name: str, full: Study
     assert drawn.text.endswith(".") and not re.search(r"\bnan\b|\bNone\b", sentences)
 
 
+@pytest.mark.parametrize("name", ["fig1", "fig3", "fig4ab", "fig5top"])
+def test_figures_close_what_they_read(
+    name: str, quick: Study, made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = []
+    load = np.load
+    monkeypatch.setattr(np, "load", lambda *given, **named: opened.append(load(*given, **named)) or opened[-1])
+    drawn_from(chosen_figures([name])[0], quick, made, tmp_path)
+    assert opened and all(archive.zip is None for archive in opened)
+
+
 # --- Numbers ---
 
 

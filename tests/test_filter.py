@@ -15,7 +15,7 @@ from monoloc.depth.runtime import DepthPrediction
 from monoloc.depth_image import at_discontinuity
 from monoloc.filter.estimate import Estimate, estimate
 from monoloc.filter.health import HealthyRange, judge
-from monoloc.filter.motion import MotionConfig, predict
+from monoloc.filter.motion import MotionConfig, motion_sd, predict
 from monoloc.filter.particles import Particles, normalised, scatter
 from monoloc.filter.resample import resample, systematic_indices
 from monoloc.filter.scan import Scan, evenly, scan_from_corners, scan_from_depth
@@ -164,7 +164,7 @@ def test_odometry_moves_each_particle_in_its_own_frame_and_scale():
     rng = np.random.default_rng(1)
     before = particles_at(se3_exp(rng.normal(size=(6, 6))), log_scale=rng.normal(0.0, 0.3, 6), weights=[1 / 6] * 6)
     delta = make_pose(so3_exp([0.1, -0.3, 0.2]), [0.4, 0.1, -0.2])
-    after = predict(before, motion_of(delta), 0.1, 0.05, QUIET, rng)
+    after = predict(before, motion_of(delta), 0.1, 0.0, 0.05, QUIET, rng)
     for old, scale, new in zip(before.poses, before.log_scale, after.poses, strict=True):
         assert np.allclose(new[:3, :3], old[:3, :3] @ delta[:3, :3], atol=1e-6)
         assert np.allclose(new[:3, 3], old[:3, 3] + np.exp(scale) * old[:3, :3] @ delta[:3, 3], atol=1e-6)
@@ -178,7 +178,7 @@ def test_odometry_noise_grows_with_the_motion():
     spreads = []
     for delta in (np.eye(4), make_pose(so3_exp([0.0, 0.5, 0.0]), [1.0, 0.0, 0.0])):
         particles = particles_at(np.tile(POSE, (4000, 1, 1)))
-        after = predict(particles, motion_of(delta), 0.1, 0.0, config, np.random.default_rng(0))
+        after = predict(particles, motion_of(delta), 0.1, 0.0, 0.0, config, np.random.default_rng(0))
         spreads.append(se3_log(invert(POSE @ delta) @ after.poses).std(axis=0))
     assert np.allclose(spreads[0], [0.01] * 3 + [0.005] * 3, rtol=0.06)
     assert np.allclose(spreads[1], [np.hypot(0.01, 0.2)] * 3 + [np.hypot(0.005, 0.05)] * 3, rtol=0.06)
@@ -189,12 +189,20 @@ def test_random_walk_spreads_with_elapsed_time():
 
     def spread(elapsed_s):
         particles = particles_at(np.tile(POSE, (4000, 1, 1)))
-        after = predict(particles, None, elapsed_s, 0.05, config, np.random.default_rng(0))
+        after = predict(particles, None, elapsed_s, 0.0, 0.05, config, np.random.default_rng(0))
         return se3_log(invert(POSE) @ after.poses).std(axis=0)
 
     assert np.allclose(spread(0.0), 0.0)
     assert np.allclose(spread(0.1), [0.05] * 3 + [0.03] * 3, rtol=0.06)
     assert np.all(spread(0.2) > 1.3 * spread(0.1))
+
+
+@pytest.mark.parametrize("rate_hz", [1, 10, 30])
+def test_a_second_without_a_word_leads_as_far_astray_at_any_rate(rate_hz):
+    config = MotionConfig(speed_sd_m_s=0.5, turn_sd_rad_s=0.3)
+    elapsed_s = 1.0 / rate_hz
+    variances = [motion_sd(None, elapsed_s, index * elapsed_s, config) ** 2 for index in range(rate_hz)]
+    np.testing.assert_allclose(np.sqrt(np.sum(variances, axis=0)), [0.5] * 3 + [0.3] * 3)
 
 
 @pytest.mark.parametrize("elapsed_s", [1 / 30, 0.5])
@@ -206,7 +214,7 @@ def test_log_scale_keeps_its_spread_and_forgets_at_the_rate_given(elapsed_s, mot
     start = particles.log_scale
     steps = round(1.0 / elapsed_s)
     for _ in range(steps):
-        particles = predict(particles, motion, elapsed_s, 0.1, config, rng)
+        particles = predict(particles, motion, elapsed_s, 0.0, 0.1, config, rng)
     # One second on, whatever the frame rate; the standard errors are 0.5 % and 0.006.
     assert particles.log_scale.std() == pytest.approx(0.1, rel=0.025)
     assert np.corrcoef(start, particles.log_scale)[0, 1] == pytest.approx(0.6, abs=0.03)
@@ -216,7 +224,7 @@ def test_log_scale_returns_to_its_prior_from_anywhere():
     rng = np.random.default_rng(0)
     particles = particles_at(np.tile(np.eye(4), (5000, 1, 1)), log_scale=np.full(5000, 0.5))
     for _ in range(30):
-        particles = predict(particles, None, 1.0, 0.1, MotionConfig(log_scale_correlation=0.6), rng)
+        particles = predict(particles, None, 1.0, 0.0, 0.1, MotionConfig(log_scale_correlation=0.6), rng)
     assert abs(particles.log_scale.mean()) < 0.01
     assert particles.log_scale.std() == pytest.approx(0.1, rel=0.06)
 
@@ -568,7 +576,12 @@ def belief_of(spread_m: float) -> Estimate:
     ],
 )
 def test_state_of_the_localizer(fit, spread_m, state):
-    assert judge(fit, belief_of(spread_m), HealthyRange(low=-2.0, lost=-3.0)) == state
+    assert judge(fit, belief_of(spread_m), HealthyRange(low=-2.0, lost=-3.0), is_followed=True) == state
+
+
+@pytest.mark.parametrize(("fit", "state"), [(-1.0, "uncertain"), (-2.5, "uncertain"), (-3.5, "lost")])
+def test_a_camera_lost_sight_of_is_not_tracked(fit, state):
+    assert judge(fit, belief_of(0.05), HealthyRange(low=-2.0, lost=-3.0), is_followed=False) == state
 
 
 def test_healthy_range_is_measured():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from monoloc.bundle import read_network
 from monoloc.depth.runtime import DepthPrediction, DepthPredictor
 from monoloc.evaluation.trajectory import coverage_95, pose_errors
 from monoloc.filter.health import HealthyRange
@@ -244,24 +245,73 @@ def test_darkness_widens_the_belief_and_light_narrows_it(mixture, recording, hea
     after = follow(localizer, recording, range(SETTLED + 6, FRAMES))
     found = pose_errors(poses_of(after), recording.poses[SETTLED + 6 :])
     assert np.trace(after[-1].estimate.covariance[:3, :3]) < spreads[-1]
-    # Out of the dark it comes with errors of 7 to 21 cm over seeds 0..4, and has 3 to 10 a second and a half later:
-    # exact depth leaves few of the particles at once, and odometry's noise moves those slowly.
-    assert found.position_m[-1] < 0.6 * found.position_m[0] and found.position_m[-1] < 0.12
+    # Out of the dark it comes with errors of 2 to 6 cm over seeds 0..4, and has 0.4 to 2 a second and a half later.
+    assert found.position_m[0] < 0.12 and found.position_m[-1] < 0.04
     assert after[-1].state == "tracking"
 
 
-def test_darkness_through_the_network(mixture, recording, healthy):
+@pytest.mark.parametrize("seed", range(3))
+def test_a_vague_start_is_found(mixture, recording, healthy, seed):
+    """60 cm and 20 degrees off, as someone points at where a drone stands: none of the particles is near enough."""
+    rng = np.random.default_rng(seed)
+    start = Start.beside(recording.poses[0], rng, 0.6, np.deg2rad(20.0))
+    particles = start.particles(SETTINGS, rng)
+    localizer = Localizer(mixture, _NoNetwork(), CAMERA, particles, SETTINGS, healthy, recording.poses[:1], rng)
+    found = pose_errors(poses_of(follow(localizer, recording)), recording.poses)
+    assert np.median(found.position_m[SETTLED:]) < 0.05
+
+
+def covered(noise_seed: int | None) -> NDArray[np.uint8]:
+    """What a camera with its lens covered gives: black, or a sensor's noise."""
+    shape = (CAMERA.height, CAMERA.width, 3)
+    if noise_seed is None:
+        return np.zeros(shape, dtype=np.uint8)
+    return np.clip(np.random.default_rng(noise_seed).normal(4.0, 2.0, shape), 0.0, 255.0).astype(np.uint8)
+
+
+@pytest.mark.parametrize("is_noisy", [False, True])
+@pytest.mark.parametrize("network", ["blue", "tiny-0.35"])
+def test_covered_lens_through_the_network(mixture, recording, healthy, network, is_noisy):
     """A network says something even of black images; the localizer must neither fail nor claim to know."""
-    predictor = DepthPredictor(depth_from_blue(), CAMERA)
-    localizer = make_localizer(mixture, recording, healthy, depth=predictor)
-    black = np.zeros((CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
+    model = depth_from_blue() if network == "blue" else read_network(network)
+    localizer = make_localizer(mixture, recording, healthy, depth=DepthPredictor(model, CAMERA))
     for index in range(8):
-        step = localizer.step(recording.color(index), 1.0 / FRAME_RATE_HZ)
-    for _ in range(5):
-        step = localizer.step(black, 1.0 / FRAME_RATE_HZ)
-        assert step.motion is None
-        assert np.all(np.isfinite(step.estimate.pose)) and np.all(np.isfinite(step.estimate.covariance))
-    assert step.state != "tracking"
+        before = localizer.step(recording.color(index), 1.0 / FRAME_RATE_HZ)
+    # A camera of unknown velocity, half a metre a second along any axis, is anywhere in the room after four.
+    steps = [localizer.step(covered(index if is_noisy else None), 1.0 / FRAME_RATE_HZ) for index in range(60)]
+    assert all(step.motion is None and len(step.scan) == 0 and step.state != "tracking" for step in steps)
+    assert all(np.isfinite(step.estimate.covariance).all() for step in steps)
+    spreads = [np.trace(step.estimate.covariance[:3, :3]) for step in (before, *steps)]
+    assert np.all(np.diff(spreads) > 0.0)
+    assert steps[-1].state == "lost"
+
+
+def test_what_odometry_lost_sight_of_is_not_tracked(mixture, recording, healthy):
+    """Images that jump about in one room: depth fits, but nobody knows by which way the camera came there."""
+    localizer = make_localizer(mixture, recording, healthy)
+    steps = follow(localizer, recording, range(5))
+    assert steps[-1].state != "lost" and steps[-1].motion is not None
+    elsewhere = RoomRecording(Room(seed=5), make_path(FRAMES))  # painted otherwise: no corner is found again
+    step = localizer.step(elsewhere.color(5), 1.0 / FRAME_RATE_HZ, sparse_depth(elsewhere, 5))
+    assert step.motion is None and len(step.scan) > 0
+    assert step.state == "uncertain"
+
+
+@pytest.mark.parametrize("elapsed_s", [-0.01, np.nan, np.inf])
+def test_time_that_runs_backwards_changes_nothing(mixture, recording, healthy, elapsed_s):
+    localizer = make_localizer(mixture, recording, healthy)
+    follow(localizer, recording, range(2))
+    particles = localizer.particles
+    with pytest.raises(ValueError, match="elapsed_s must be finite and not negative"):
+        localizer.step(recording.color(2), elapsed_s, sparse_depth(recording, 2))
+    assert localizer.particles is particles
+    assert np.isfinite(follow(localizer, recording, range(2, 4))[-1].estimate.pose).all()
+
+
+@pytest.mark.parametrize("shape", [(512, 512, 3), (256, 320), (256, 320, 4)])
+def test_images_of_another_size_are_refused(mixture, recording, healthy, shape):
+    with pytest.raises(ValueError, match=r"color must have the camera's shape \(256, 320, 3\), got"):
+        make_localizer(mixture, recording, healthy).step(np.zeros(shape, dtype=np.uint8), 0.0)
 
 
 def test_black_from_the_first_frame(mixture, recording, healthy):

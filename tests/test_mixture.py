@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from map_helpers import make_mixture
 from monoloc.errors import DataError
 from monoloc.geometry import so3_exp
 from monoloc.map.mixture import GaussianMixture
+from monoloc.map.reference import log_sum_exp, log_terms
 
 
 def as_sklearn(mixture: GaussianMixture) -> SklearnMixture:
@@ -30,6 +32,22 @@ def test_density_and_responsibilities_equal_sklearn() -> None:
     oracle = as_sklearn(mixture)
     np.testing.assert_allclose(mixture.log_density(points), oracle.score_samples(points), rtol=1e-9)
     np.testing.assert_allclose(mixture.responsibilities(points), oracle.predict_proba(points), atol=1e-10)
+
+
+@pytest.mark.parametrize("count", [1, 4097, 40_001])
+def test_responsibilities_of_many_points_are_the_formula_s_and_take_little_more_than_themselves(count: int) -> None:
+    """To the last bit; at once they took three times their own memory."""
+    mixture = make_mixture(50)
+    points = mixture.sample(count, np.random.default_rng(0))
+    terms = log_terms(points, mixture.weights, mixture.means, mixture.covariances)
+    expected = np.exp(terms - log_sum_exp(terms)[:, None])
+    tracemalloc.start()
+    found = mixture.responsibilities(points)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    np.testing.assert_array_equal(found, expected)
+    if count > 40_000:
+        assert peak < 2 * found.nbytes
 
 
 def test_density_integrates_to_one() -> None:

@@ -11,7 +11,7 @@ from monoloc.depth.checkpoint import load_network
 from monoloc.depth.family import named_config
 from monoloc.depth.model import read_model, trainable_file
 from monoloc.depth.runtime import DepthPredictor
-from monoloc.errors import SettingError
+from monoloc.errors import DataError, SettingError
 from monoloc.models import DEFAULT, is_shipped, shipped_file, shipped_models
 from synthetic_room import CAMERA, Room, RoomRecording, make_path
 
@@ -65,6 +65,21 @@ def test_only_thirty_two_bits_can_be_tuned() -> None:
     for name in NAMES:
         assert trainable_file(name) == shipped_file(name)
         assert trainable_file(f"{name}-int8") is None
+
+
+def test_a_file_in_eight_bits_can_only_be_run_whatever_it_is_called(tmp_path: Path) -> None:
+    for bits in ("", "-int8"):
+        file = tmp_path / f"mine{len(bits)}.onnx"
+        file.write_bytes(shipped_file(f"tiny-0.35{bits}").read_bytes())
+        assert trainable_file(file) == (None if bits else file)
+
+
+def test_a_name_that_was_mistyped_is_answered_with_the_names() -> None:
+    for look_up in (trainable_file, read_model):
+        with pytest.raises(
+            DataError, match=r"^one-thrid-0\.35: does not exist; give .*or one of full-0\.35, .*tiny-0\.35$"
+        ):
+            look_up("one-thrid-0.35")
 
 
 @pytest.mark.parametrize("name", ["half-0.35", "full", "full-0.35-int4", "", str(Path("full-0.35.onnx"))])

@@ -111,6 +111,12 @@ def test_what_is_no_trajectory_is_not_written(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_name_that_leaves_no_room_for_a_partial_file_is_named(tmp_path: Path) -> None:
+    path = tmp_path / ("w" * 245 + ".txt")
+    with pytest.raises(DataError, match=r"w\.txt: cannot be written \(File name too long\)"):
+        write_tum(path, *trajectory(0, 1))
+
+
 def test_a_write_that_fails_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "out.txt"
     path.write_text("old")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import cv2
 import numpy as np
@@ -15,7 +15,8 @@ from monoloc.errors import DataError, MissingExtraError
 from monoloc.evaluation.clouds import cloud_distances
 from monoloc.evaluation.map_drawing import plot_map_change
 from monoloc.evaluation.plots import plot_depth, plot_localization, plot_training
-from monoloc.evaluation.run_drawing import view_axes
+from monoloc.evaluation.run_drawing import _STATE_COLOURS, view_axes
+from monoloc.filter.health import State
 from monoloc.geometry import make_pose, se3_exp, so3_exp
 
 FRAMES = 30
@@ -47,6 +48,10 @@ def run_of_a_camera() -> dict[str, Any]:
         "mixture": (rng.uniform(-2.0, 2.0, size=(12, 3)), roots @ roots.swapaxes(-1, -2)),
         "cloud": rng.uniform(-2.0, 2.0, size=(500, 3)),
     }
+
+
+def test_what_is_coloured_is_a_state_of_the_filter() -> None:
+    assert set(_STATE_COLOURS) == set(get_args(State)) - {"tracking"}
 
 
 @pytest.mark.parametrize(
@@ -119,6 +124,24 @@ def test_depth(tmp_path: Path, images: int) -> None:
         truth[:5] = 0.0
     plot_depth(tmp_path / "depth.png", colors, [np.full((24, 32), 2.0)] * images, truths)
     check_picture(tmp_path / "depth.png", 1500, 300 * images)
+
+
+def test_depth_with_holes_in_what_is_predicted(tmp_path: Path) -> None:
+    """They are drawn as what the sensor does not see is, and not judged."""
+    rng = np.random.default_rng(0)
+    color, truth = rng.integers(0, 255, size=(48, 64, 3), dtype=np.uint8), rng.uniform(1.0, 4.0, size=(24, 32))
+    predicted = truth.copy()
+    plot_depth(tmp_path / "depth.png", [color], [predicted], [truth])
+    whole = cv2.imread(str(tmp_path / "depth.png"))
+    predicted[:, :10] = 0.0
+    plot_depth(tmp_path / "depth.png", [color], [predicted], [truth])
+    check_picture(tmp_path / "depth.png", 1500, 300)
+    holed = cv2.imread(str(tmp_path / "depth.png"))
+    changed = np.any(holed != whole, axis=2)
+    grey = np.all(holed == 0xD0, axis=2)
+    assert changed.mean() > 0.05 and grey[changed].mean() > 0.9
+    with pytest.raises(ValueError, match="truth must have a pixel that is finite and positive, got none"):
+        plot_depth(tmp_path / "depth.png", [color], [np.zeros((24, 32))], [truth])
 
 
 def test_depth_refuses_unequal_numbers_of_images(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
@@ -191,6 +192,27 @@ def test_provenance_knows_machine_and_versions() -> None:
     made = provenance()
     assert made["numpy"] == np.__version__ and int(made["cores"]) >= 1
     assert made["processor"] and re.match(r"^(unknown|[0-9a-f]{12})", made["commit"])
+
+
+def test_provenance_counts_changes_of_tracked_files_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A report's own folder, in the tree by default, is no change of monoloc's."""
+
+    def git(*arguments: str) -> None:
+        who = ("-c", "user.name=a", "-c", "user.email=a@b")
+        subprocess.run(["git", *who, *arguments], cwd=tmp_path, capture_output=True, check=True)
+
+    source = tmp_path / "src" / "monoloc" / "experiments" / "provenance.py"
+    source.parent.mkdir(parents=True)
+    source.write_text("before")
+    git("init")
+    git("add", "src")
+    git("commit", "-m", "first")
+    monkeypatch.setattr("monoloc.experiments.provenance.__file__", str(source))
+    (tmp_path / "reproduction").mkdir()
+    (tmp_path / "reproduction" / "report.json").write_text("{}")
+    assert re.fullmatch("[0-9a-f]{12}", provenance()["commit"])
+    source.write_text("after")
+    assert re.fullmatch("[0-9a-f]{12}, with changes", provenance()["commit"])
 
 
 def test_missing_reportlab_is_said(

@@ -161,7 +161,8 @@ def test_what_needs_an_extra_says_which_before_it_works(here, arguments, extra):
     assert result.returncode == 2
     assert result.stdout == ""
     assert result.stderr.count("\n") == 1  # not even a finished task
-    assert f'needs the extra "{extra}"; install it with: pip install "monoloc[{extra}]"' in result.stderr
+    fix = f'install it, where the sources are, with: pip install ".[{extra}]"'
+    assert f'needs the extra "{extra}"; {fix}' in result.stderr
     assert sorted(path.name for path in here.iterdir()) == before
 
 

@@ -66,7 +66,7 @@ def test_same_seed_same_files(home, tmp_path):
 def test_rendering_without_mitsuba_names_the_extra(home, capfd, monkeypatch):
     monkeypatch.setitem(sys.modules, "mitsuba", None)
     for command in ("render", "views"):
-        refused(capfd, [command, "--out", str(home)], 'the extra "synth"', 'pip install "monoloc[synth]"')
+        refused(capfd, [command, "--out", str(home)], 'the extra "synth"', 'pip install ".[synth]"')
 
 
 def test_blur_is_of_the_whole_flight_not_of_the_frames_rendered(home, tmp_path, monkeypatch):

@@ -110,6 +110,21 @@ def test_flight_is_clear_of_everything(room, seed, times):
     assert room.clearance_m(flight.path(times)[:, :3]).min() > CONFIG.clearance_m - 0.005
 
 
+def test_a_long_flight_is_like_a_short_one(room):
+    config = FlightConfig(seconds=90.0)
+    flight, times = plan_flight(room, config, 0), np.arange(0.0, 90.0, 0.005)
+    assert len(flight.times_s) == 2700 and flight.path.duration_s >= 90.0
+    state, velocity, acceleration = (flight.path(times, derivative) for derivative in range(3))
+    assert room.clearance_m(state[::4, :3]).min() > config.clearance_m - 0.005
+    assert np.linalg.norm(velocity[:, :3], axis=1).max() <= config.speed * 1.001
+    assert np.linalg.norm(acceleration[:, :3], axis=1).max() <= config.acceleration * 1.001
+    # Nowhere a jump, of place, yaw, or how fast either changes.
+    np.testing.assert_allclose(np.diff(state, axis=0) / 0.005, velocity[:-1], atol=0.03)
+    np.testing.assert_allclose(np.diff(velocity, axis=0) / 0.005, acceleration[:-1], atol=0.15)
+    still = np.linalg.norm(velocity[:, :3], axis=1) < 0.01
+    assert 0.0 < still.mean() < 0.15
+
+
 def test_same_seed_same_bytes(room, flight):
     again = plan_flight(generate_room(1), CONFIG, 0)
     assert again.camera_poses().tobytes() == flight.camera_poses().tobytes()

@@ -34,7 +34,7 @@ from monoloc.synth.sequence import RenderConfig, render_sequence
 from monoloc.synth.views import render_views
 
 pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("mitsuba") is None, reason='rendering needs Mitsuba: pip install "monoloc[synth]"'
+    importlib.util.find_spec("mitsuba") is None, reason='rendering needs Mitsuba: pip install ".[synth]"'
 )
 
 # Off centre, and not square: mistakes of half a pixel or of a sign show.
@@ -298,6 +298,7 @@ def test_sensor_depth_has_holes_and_steps(room, poses, flight, monkeypatch):
 def test_two_renderings_are_not_mixed(room, poses, flight):
     with pytest.raises(DataError, match="holds a rendering of other settings; name another folder"):
         render(room.move("cube", (0.1, 0.0, 0.0)), poses, flight)
+    assert read_room(flight / "room.json") == room
 
 
 def test_training_views_are_pairs(room, tmp_path, monkeypatch):
@@ -313,6 +314,12 @@ def test_training_views_are_pairs(room, tmp_path, monkeypatch):
     render_views(rooms=2, views=1, samples=2, seed=0, out=tmp_path, progress=NoProgress())
     assert (tmp_path / "color" / "000000.jpg").stat().st_mtime_ns == before
     assert (tmp_path / "depth" / "000001.png").is_file()
+    for other in ({"seed": 1}, {"samples": 3}, {"views": 2}):
+        with pytest.raises(DataError, match="holds a rendering of other settings; name another folder"):
+            render_views(
+                **{"rooms": 2, "views": 1, "samples": 2, "seed": 0, **other}, out=tmp_path, progress=NoProgress()
+            )
+    render_views(rooms=1, views=1, samples=2, seed=0, out=tmp_path, progress=NoProgress())
 
 
 def test_render_command_writes_recordings(room, poses, tmp_path, capfd):
@@ -327,4 +334,8 @@ def test_render_command_writes_recordings(room, poses, tmp_path, capfd):
         recording = open_recording(f"folder:{folder}")
         assert (recording.camera.width, recording.camera.height) == (64, 48)
         np.testing.assert_allclose(recording.timestamps_s, [0.0, 2.0 / 30.0], atol=1e-6)
+    assert read_room(tmp_path / "out" / "room.json") == room
+    write_room(tmp_path / "room.json", room.move("cube", (0.1, 0.0, 0.0)))
+    assert invoke(["synth", "render", *given, *options, "--out", str(tmp_path / "out")]) == 2
+    assert "holds a rendering of other settings" in capfd.readouterr().err
     assert read_room(tmp_path / "out" / "room.json") == room

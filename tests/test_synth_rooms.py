@@ -215,7 +215,45 @@ def test_room_of_a_mesh(tmp_path, encoding):
     assert Room.from_json(room.to_json()) == room
 
 
-@pytest.mark.parametrize("content", [b"", b"ply\nformat ascii 1.0\n", b"solid x", cube_ply("ascii")[:-20]])
+@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian"])
+def test_mesh_whose_faces_have_more_than_corners(tmp_path, encoding):
+    """A colour before the corners, a list of numbers after them, and edges after the faces."""
+    header, _, body = cube_ply(encoding).partition(b"end_header\n")
+    corners = b"property list uchar int vertex_indices\n"
+    more = b"property uchar red\n" + corners + b"property list uchar float texcoord\n"
+    header = header.replace(corners, more + b"element edge 1\nproperty int vertex1\nproperty int vertex2\n")
+    if encoding == "ascii":
+        lines = body.decode().splitlines()
+        faces = [f"7 {line} {count} {'0.5 ' * count}" for count, line in enumerate(lines[8:])]
+        body = "\n".join([*lines[:8], *faces, "0 1"]).encode()
+    else:
+        vertices, quads = body[: 8 * 13], np.frombuffer(body[8 * 13 :], np.uint8).reshape(6, 17)
+        floats = [bytes([count]) + np.full(count, 0.5, "<f4").tobytes() for count in range(6)]
+        faces = [b"\x07" + quad.tobytes() + after for quad, after in zip(quads, floats, strict=True)]
+        body = vertices + b"".join(faces) + np.array([0, 1], "<i4").tobytes()
+    (tmp_path / "plain.ply").write_bytes(cube_ply(encoding))
+    (tmp_path / "scan.ply").write_bytes(header + b"end_header\n" + body)
+    plain, mesh = (read_mesh(tmp_path / f"{name}.ply") for name in ("plain", "scan"))
+    np.testing.assert_array_equal(mesh.vertices, plain.vertices)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"ply\nformat ascii 1.0\n",
+        b"solid x",
+        cube_ply("ascii")[:-20],
+        cube_ply("binary_little_endian")[:-20],
+        cube_ply("ascii").replace(b"format ascii 1.0\n", b""),
+        cube_ply("ascii").replace(b"ascii", b"binary_big_endian"),
+        cube_ply("ascii").replace(b"list uchar int", b"uchar"),
+        cube_ply("ascii").replace(b"vertex_indices", b"other"),
+        cube_ply("ascii").replace(b"4 0", b"-4 0"),
+        cube_ply("ascii").replace(b"4 0", b"4 nan"),
+        cube_ply("ascii").replace(b"4 0", b"inf 0"),
+    ],
+)
 def test_mesh_that_is_none(tmp_path, content):
     (tmp_path / "scan.ply").write_bytes(content)
     with pytest.raises(DataError, match=r"scan.ply: .*export it as a ply of triangles"):

@@ -131,11 +131,13 @@ def build_bundle(
         with training_extra():
             from monoloc.adapt.run import adapt  # the only door to PyTorch
     given = read_network(network)
-    if config.int8 and (trainable_file(network) is None):
-        raise SettingError("int8", f"is on, but {network} cannot be quantised", "choose one of ours in 32 bits")
+    if config.int8:
+        _check_8_bits(network, recording)
     DepthPredictor(given, recording.camera)  # what does not fit is said before the work
     rng = np.random.default_rng(seed)
     frames = {name: fingerprint(recording.color(index)) for index, name in enumerate(recording.frame_names)}
+    if len(frames) < len(recording):
+        raise DataError(recording.name, "has frames of the same name", "give every frame a name of its own")
     cloud_is_given = cloud is not None
     cloud, mixture = fit_map(recording, cloud, config, rng, progress)
     warnings = check_frames(recording, cloud, mixture, cloud_is_given, given, np.random.default_rng(seed))
@@ -150,12 +152,13 @@ def build_bundle(
     if adapts:
         result = adapt(recording, cloud, mixture, network_file, config.adapt, seed, progress)
         original, adapted = result.original, result.adapted
-        depth_model, held_out_model, regions = result.depth_model, result.held_out_model, result.held_out
+        depth_model, regions = result.depth_model, result.held_out
+        held_out_model, held_out_map = result.held_out_model, result.held_out_map
         held_out = np.sort(np.concatenate(regions))
         scores = result.scores
         kl, steps = result.kl, result.steps
     else:
-        original = adapted = mixture
+        original = adapted = held_out_map = mixture
         depth_model = given
         if given.spec.scale is None:
             with progress.task("depth scale", len(recording)) as step:
@@ -173,7 +176,7 @@ def build_bundle(
         for done, index in enumerate(held_out):
             samples.append(Sample(int(index), predictor(recording.color(int(index))), poses[index]))
             step(done + 1)
-        settings, healthy = calibrate(adapted, samples, config.localizer, rng)
+        settings, healthy = calibrate(held_out_map, samples, config.localizer, rng)
     bundle = Bundle(
         original=original,
         adapted=adapted,
@@ -193,11 +196,12 @@ def build_bundle(
         viewpoints=poses,
     )
 
-    def starts_with(model: DepthModel) -> StartsAt:
-        tuned = replace(bundle, depth_model=model)
+    def starts_with(model: DepthModel, room: GaussianMixture) -> StartsAt:
+        tuned = replace(bundle, depth_model=model, adapted=room)
         return lambda pose: start_localizer(tuned, recording.camera, Start(pose), np.random.default_rng(seed))
 
-    lasting = measure_lasting(starts_with(depth_model), starts_with(held_out_model), recording, regions, progress)
+    starts_at, rehearsed_at = starts_with(depth_model, adapted), starts_with(held_out_model, held_out_map)
+    lasting = measure_lasting(starts_at, rehearsed_at, recording, regions, progress)
     bundle = replace(bundle, settings=settings.model_copy(update={"lasting": lasting}))
     report = BuildReport(
         frames=len(recording),
@@ -264,6 +268,21 @@ def _tunable(network: str | Path, config: AdaptConfig) -> Path:
     return file
 
 
+def _check_8_bits(network: str | Path, recording: Recording) -> None:
+    """Refuse what could not be quantised, before the work is done.
+
+    Raises:
+        SettingError, DataError, MissingExtraError: it is not one of ours in 32 bits; too few frames; no ONNX.
+    """
+    if trainable_file(network) is None:
+        raise SettingError("int8", f"is on, but {network} cannot be quantised", "choose one of ours in 32 bits")
+    with training_extra():
+        from monoloc.depth.quantise import LEAST_IMAGES
+    if len(recording) < LEAST_IMAGES:
+        fix = f"build in 8 bits from at least {LEAST_IMAGES}"
+        raise DataError(recording.name, f"gives {len(recording)} frames", fix)
+
+
 def _in_8_bits(model: DepthModel, images: list[NDArray[np.float32]]) -> DepthModel:
     with training_extra():
         from monoloc.depth.quantise import quantise
@@ -306,8 +325,8 @@ def room_cloud(
                 recording, config.voxel_m, config.max_depth_m, progress=lambda done, _: step(done)
             )
     count = len(cloud)
-    cloud = remove_outliers(voxel_thin(cloud, config.voxel_m))
+    cloud = remove_outliers(voxel_thin(cloud, config.voxel_m), config.voxel_m)
     if len(cloud) == 0:
-        problem = f"none of {count} points has neighbours within a few centimetres"
+        problem = f"none of {count} points has neighbours within a few voxels"
         raise DataError("cloud", problem, "give a denser one, in metres")
     return cloud

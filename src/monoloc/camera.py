@@ -15,6 +15,9 @@ from monoloc.errors import SettingError
 
 FloatArray = NDArray[np.float64]
 
+_LEAST_DEPTH_M = 0.1  # nothing nearer is in sight
+_BORDER_RAYS = 9  # along a side; the widest of them bound the view
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -101,6 +104,18 @@ class Camera:
         normalised = points[..., :2] / np.where(z > 0.0, z, np.nan)
         pixels = self._distort(normalised) * np.array([self.fx, self.fy]) + np.array([self.cx, self.cy])
         return np.asarray(pixels)
+
+    def in_sight(self, points_camera: FloatArray) -> NDArray[np.bool_]:
+        """Whether points lie before the camera, and no farther aside than a pixel beyond its image: (N, 3) m -> (N,).
+
+        To be asked before :meth:`project`: distortion is a polynomial, which folds what lies far aside back into the
+        image.
+        """
+        columns, rows = (np.linspace(-1.0, size, _BORDER_RAYS) for size in (self.width, self.height))
+        most = np.abs(self.rays(np.stack(np.meshgrid(columns, rows), axis=-1))[..., :2]).max(axis=(0, 1))
+        z = points_camera[:, 2]
+        aside = np.abs(points_camera[:, :2])
+        return np.asarray((z > _LEAST_DEPTH_M) & np.all(aside < most * z[:, None], axis=1))
 
     def rays(self, pixels: ArrayLike) -> FloatArray:
         """Directions with z = 1 seen at pixels, (..., 2) px -> (..., 3): ``depth * ray`` is the point."""

@@ -37,4 +37,5 @@ class MissingExtraError(MonolocError):
     """A part of monoloc was asked for whose libraries are not installed."""
 
     def __init__(self, what: str, extra: str) -> None:
-        super().__init__(f'{what} needs the extra "{extra}"; install it with: pip install "monoloc[{extra}]"')
+        fix = f'install it, where the sources are, with: pip install ".[{extra}]"'
+        super().__init__(f'{what} needs the extra "{extra}"; {fix}')

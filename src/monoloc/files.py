@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -30,7 +31,8 @@ def write_whole(path: Path, content: bytes) -> None:
         fix = "name a file in a folder you can write to"
         raise DataError(path, f"cannot be written ({error.strerror})", fix) from error
     finally:
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            partial.unlink()
 
 
 def json_text(content: Mapping[str, object]) -> str:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.camera import Camera
+from monoloc.contrast import shows_something
 from monoloc.depth.runtime import DepthPrediction
 from monoloc.filter.estimate import Estimate, estimate
 from monoloc.filter.health import HealthyRange, State, judge
@@ -18,8 +19,9 @@ from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.level import LevelConfig, level
 from monoloc.filter.motion import MotionConfig, predict
 from monoloc.filter.particles import Particles
+from monoloc.filter.progressive import correct
 from monoloc.filter.resample import resample
-from monoloc.filter.scan import Scan, scan_from_corners, scan_from_depth
+from monoloc.filter.scan import NOTHING, Scan, scan_from_corners, scan_from_depth
 from monoloc.filter.weigh import Measurement, MeasurementConfig
 from monoloc.geometry import FloatArray
 from monoloc.map.mixture import GaussianMixture
@@ -109,6 +111,7 @@ class Localizer:
     ) -> None:
         self.config = config
         self.particles = start
+        self._camera = camera
         self._depth = depth
         self._measurement = Measurement(mixture, config.measurement)
         self._odometry = VisualOdometry(camera, config.odometry) if config.motion == "visual" else None
@@ -116,6 +119,7 @@ class Localizer:
         self._joiner = Joiner(estimate(start), config.lasting, config.motion_noise, viewpoints)
         self._rng = rng
         self._is_first = True
+        self._blind_s = 0.0  # for how long nothing has said where the camera is
 
     def step(self, color: NDArray[np.uint8], elapsed_s: float, measured_depth: DepthPrediction | None = None) -> Step:
         """Take one frame in.
@@ -124,30 +128,41 @@ class Localizer:
             color: (H, W, 3) uint8 RGB, of the camera given.
             elapsed_s: seconds since the previous frame; ignored at the first.
             measured_depth: a depth sensor's image, where there is one; None predicts it.
+
+        Raises:
+            ValueError: the image is not of the camera's size, or time runs backwards; nothing has changed then.
         """
         config = self.config
+        if color.shape != (self._camera.height, self._camera.width, 3):
+            size = f"({self._camera.height}, {self._camera.width}, 3)"
+            raise ValueError(f"color must have the camera's shape {size}, got {color.shape}")
+        elapsed_s = 0.0 if self._is_first else elapsed_s
+        if not 0.0 <= elapsed_s < np.inf:
+            raise ValueError(f"elapsed_s must be finite and not negative, got {elapsed_s}")
         depth = self._depth(color) if measured_depth is None else measured_depth
         motion = self._odometry.step(color, depth.depth_m, depth.camera) if self._odometry else None
         if motion is not None and config.level is not None:
             depth = level(depth, motion, config.level)
         scan = scan_from_depth(depth, config.scan_points, self._rng, config.measurement.error_power)
-        if self._is_first:
-            elapsed_s = 0.0
-        else:
+        if measured_depth is None and not shows_something(color):
+            scan = NOTHING
+        if not self._is_first:
             self.particles = predict(
-                self.particles, motion, elapsed_s, config.log_scale_sd, config.motion_noise, self._rng
+                self.particles, motion, elapsed_s, self._blind_s, config.log_scale_sd, config.motion_noise, self._rng
             )
-        self._is_first = False
-        self.particles = self._weigh(scan, motion)
+        self.particles = correct(self.particles, lambda particles: self._weigh(particles, scan, motion), self._rng)
         located = estimate(self.particles)
-        belief = self._joiner.step(motion, elapsed_s, located, is_told=len(scan) > 0)
+        belief = self._joiner.step(motion, elapsed_s, self._blind_s, located, is_told=len(scan) > 0)
         self.particles = resample(self.particles, config.ess_fraction, self._rng)
+        self._blind_s = self._blind_s + elapsed_s if motion is None and len(scan) == 0 else 0.0
         fit = self._fit(located, scan)  # where depth's lasting error is, the belief's covariance tells
-        return Step(belief, located, fit, judge(fit, belief, self._healthy), motion, depth, scan)
+        is_followed = self._is_first or self._odometry is None or motion is not None
+        self._is_first = False
+        return Step(belief, located, fit, judge(fit, belief, self._healthy, is_followed), motion, depth, scan)
 
-    def _weigh(self, scan: Scan, motion: Motion | None) -> Particles:
-        """The particles under the evidence of the depth image and of the corners that parallax has measured."""
-        particles = self._measurement.weigh_image(self.particles, scan)
+    def _weigh(self, particles: Particles, scan: Scan, motion: Motion | None) -> Particles:
+        """Particles under the evidence of the depth image and of the corners that parallax has measured."""
+        particles = self._measurement.weigh_image(particles, scan)
         if motion is None:
             return particles
         corners = scan_from_corners(motion, self.config.measurement.corner_doubt)

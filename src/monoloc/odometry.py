@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.camera import Camera
+from monoloc.contrast import shows_something
 from monoloc.depth_image import sample_depth
 from monoloc.geometry import FloatArray, invert, make_pose, so3_exp, transform
 from monoloc.window import Window, adjust
@@ -37,7 +38,7 @@ class OdometryConfig(BaseModel):
         search_px: Lucas-Kanade window.
         forward_backward_px: largest distance between a corner and its track there and back.
         reprojection_px: RANSAC's inlier threshold.
-        min_inliers: fewer than this is a failure.
+        min_inliers, min_inlier_share: fewer than this, or than this share of the corners tracked, is a failure.
         depth_jump: corners within a pixel of a relative depth jump above this are not lifted: they sit on an
             occlusion edge.
         keyframes: size of the adjusted window.
@@ -57,6 +58,7 @@ class OdometryConfig(BaseModel):
     forward_backward_px: float = Field(0.7, gt=0.0)
     reprojection_px: float = Field(1.5, gt=0.0)
     min_inliers: int = Field(15, ge=6)
+    min_inlier_share: float = Field(0.4, ge=0.0, le=1.0)
     depth_jump: float = Field(0.15, gt=0.0)
     keyframes: int = Field(12, ge=2)
     keyframe_motion_px: float = Field(10.0, gt=0.0)
@@ -128,13 +130,16 @@ class VisualOdometry:
         self._tracks: _Tracks | None = None
 
     def step(self, color: NDArray[np.uint8], depth_m: NDArray[np.float32], depth_camera: Camera) -> Motion | None:
-        """Motion since the previous frame; None for the first frame and where tracking fails.
+        """Motion since the previous frame; None for the first frame, where tracking fails, and in the dark.
 
         Args:
             color: (H, W, 3) uint8 RGB.
             depth_m: (h, w) depth of this frame, of any resolution; 0 where there is none.
             depth_camera: intrinsics of the depth image.
         """
+        if not shows_something(color):
+            self._tracks = None
+            return None
         gray = self._tracking_image(color)
         T_r_current = self._follow(gray)
         if T_r_current is None:
@@ -197,7 +202,8 @@ class VisualOdometry:
             confidence=0.999,
             flags=cv2.SOLVEPNP_EPNP,
         )
-        if not ok or inliers is None or len(inliers) < self.config.min_inliers:
+        least = max(self.config.min_inliers, self.config.min_inlier_share * len(points))
+        if not ok or inliers is None or len(inliers) < least:
             return None
         chosen = inliers.ravel().astype(np.int64)
         rotation, translation = cv2.solvePnPRefineLM(

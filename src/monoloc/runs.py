@@ -198,7 +198,7 @@ def localize(
     unseen = np.zeros(len(recording), dtype=np.bool_)
     accuracy = (DepthAccumulator(), DepthAccumulator()) if recording.has_depth else None
     dead_reckoning = start.pose if recording.poses is None else recording.poses[0]
-    steps, odometry, step_ms = [], [], []
+    estimates, states, fits, odometry, step_ms = [], [], [], [], []
     elapsed = np.diff(recording.timestamps_s, prepend=recording.timestamps_s[:1])
     viewer.begin(bundle, recording)
     with progress.task("localize", len(recording)) as show:
@@ -212,7 +212,9 @@ def localize(
             began = time.perf_counter()
             step = localizer.step(color, float(elapsed[index]), measured)
             step_ms.append((time.perf_counter() - began) * 1e3)
-            steps.append(step)
+            estimates.append(step.estimate)
+            states.append(step.state)
+            fits.append(step.fit)
             if step.motion is not None:
                 dead_reckoning = dead_reckoning @ step.motion.T_previous_current
             odometry.append(dead_reckoning)
@@ -225,13 +227,13 @@ def localize(
         recording=recording,
         config=config,
         start=start.pose,
-        poses=np.stack([step.estimate.pose for step in steps]),
-        covariances=np.stack([step.estimate.covariance for step in steps]),
+        poses=np.stack([estimate.pose for estimate in estimates]),
+        covariances=np.stack([estimate.covariance for estimate in estimates]),
         odometry=np.stack(odometry) if config.motion == "visual" else None,
         unseen=unseen,
-        states=[step.state for step in steps],
-        fits=np.array([step.fit for step in steps]),
-        log_scales=np.array([step.estimate.log_scale for step in steps]),
+        states=states,
+        fits=np.array(fits),
+        log_scales=np.array([estimate.log_scale for estimate in estimates]),
         step_ms=np.array(step_ms),
         depth=accuracy,
     )

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.depth.runtime import DepthPrediction
+from monoloc.errors import DataError
 from monoloc.filter.health import HealthyRange
 from monoloc.filter.scan import Scan, scan_from_depth
 from monoloc.filter.weigh import Measurement, MeasurementConfig
@@ -41,12 +42,17 @@ def calibrate(
     The width is that under which the held-out points are most likely, each frame at its own best depth scale; the
     slow part of those scales' spread is the prior of the filter's log-scale. The outlier share is not fitted: the
     most likely one is small, and a generous one tracks better, since the errors of one image go together.
+
+    Raises:
+        DataError: no frame's depth gives a scan.
     """
     scans = [scan_from_depth(s.depth, base.scan_points, rng, base.measurement.error_power) for s in samples]
     usable = [(scan, sample.pose) for scan, sample in zip(scans, samples, strict=True) if len(scan)]
     frames = np.array([sample.index for scan, sample in zip(scans, samples, strict=True) if len(scan)])
     if not usable:
-        return base, HealthyRange(low=-np.inf, lost=-np.inf)
+        problem = f"gives no usable depth on any of {len(samples)} frames"
+        fix = "check output, metric and scale in its TOML: depth must come out in metres"
+        raise DataError("network", problem, fix)
     best: tuple[float, MeasurementConfig, FloatArray, FloatArray] | None = None
     name, widths = _WIDTHS[base.measurement.likelihood]
     for width in widths:
@@ -72,12 +78,11 @@ def _fits(measurement: Measurement, scans: list[tuple[Scan, FloatArray]]) -> tup
 
 
 def slow_sd(log_scales: FloatArray, frames: NDArray[np.int64]) -> float:
-    """Standard deviation of what neighbouring frames share, of (N,) scales of frames in order: noise a frame cancels.
+    """Root mean square of what neighbouring frames share, of (N,) scales of frames in order: noise a frame cancels.
 
-    The square root of the autocovariance at lag one, of frames that follow one another. A wider prior lets the filter
-    trade the depth's scale against the distance to the walls.
+    By the product of frames that follow one another, about 0, where the filter's prior is centred. A wider prior lets
+    the filter trade the depth's scale against the distance to the walls.
     """
-    centred = log_scales - log_scales.mean()
-    products = (centred[1:] * centred[:-1])[np.diff(frames) == 1]
+    products = (log_scales[1:] * log_scales[:-1])[np.diff(frames) == 1]
     shared = float(products.mean()) if len(products) else 0.0
     return float(np.sqrt(max(shared, _LEAST_LOG_SCALE_SD**2)))

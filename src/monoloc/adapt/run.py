@@ -35,7 +35,7 @@ class AdaptResult:
     Attributes:
         original, adapted: the map before and after; component i of one is component i of the other.
         depth_model: the network tuned on all frames.
-        held_out_model: the rehearsal's, tuned without the held-out frames, to measure honestly with.
+        held_out_model, held_out_map: the rehearsal's, tuned without the held-out frames, to measure honestly with.
         held_out: those frames, by region of viewpoints.
         scores: on the held-out frames, the first before tuning, the last of the state that was kept.
         steps: optimiser steps on all frames; none where only likelihood is tuned for, and the rehearsal never
@@ -47,6 +47,7 @@ class AdaptResult:
     adapted: GaussianMixture
     depth_model: DepthModel
     held_out_model: DepthModel
+    held_out_map: GaussianMixture
     held_out: list[NDArray[np.int64]]
     scores: list[Score]
     steps: int
@@ -99,13 +100,15 @@ def adapt(
     # depth gains by it even where so short a rehearsal shows nothing; what only fits the map may lose.
     steps = config.most_steps if best or config.by_depth else 0
     final = Adaptation(load_network(network_file), AdaptedMap(mixture, cloud), config)
-    with progress.task("adapt: all frames", steps) as step:
-        final.run(views, steps, _generator(seed), progress=step)
+    if steps:
+        with progress.task("adapt: all frames", steps) as step:
+            final.run(views, steps, _generator(seed), progress=step)
     return AdaptResult(
         original=final.map.original_mixture(),
         adapted=final.map.adapted_mixture(),
         depth_model=export_model(final.network, network_file.stem),
         held_out_model=held_out_model,
+        held_out_map=rehearsal.map.adapted_mixture(),
         held_out=regions,
         scores=[*scores, rehearsal.score(held_out_views, best)],
         steps=steps,

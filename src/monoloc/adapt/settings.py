@@ -23,8 +23,10 @@ class AdaptConfig(BaseModel):
     Attributes:
         tune: what of the network is tuned: nothing, the last layer (the paper's), the decoder and it, or all.
         map_transform: whether the map is bent.
-        lambda_kl: weight of KL(M || M_A).
-        steps: most optimiser steps; held-out frames may stop it earlier. None is what suits ``tune``.
+        lambda_kl: weight of KL(M || M_A), beside the likelihood; so it is multiplied by ``likelihood_weight`` too,
+            where the network learns depth.
+        steps: optimiser steps; None is what suits ``tune``. Where only likelihood is tuned for, none are taken if a
+            rehearsal betters nothing on held-out frames.
         batch_views, pixels_per_view: size of one step.
         synthesised_views: views from nearby poses, a frame, made of the recording (for ``decoder`` and ``all``).
         relit_share: share of a step's views that are seen in another light, down to a sixteenth and less (for

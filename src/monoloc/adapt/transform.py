@@ -15,6 +15,7 @@ from monoloc.map.mixture import GaussianMixture
 
 _HIDDEN = 128
 _SYMMETRIC = (0, 1, 2, 1, 3, 4, 2, 4, 5)  # where the entries of a symmetric matrix stand among the upper ones
+_BLOCK = 4096
 _NEIGHBOURS = 8  # responsibilities kept a point; the rest weigh less than 1e-3 together on fitted maps
 
 
@@ -90,7 +91,9 @@ class AdaptedMap(nn.Module):
     def __init__(self, mixture: GaussianMixture, cloud: NDArray[np.float64], floor_m: float = 0.01) -> None:
         super().__init__()
         kept = min(_NEIGHBOURS, len(mixture.weights))
-        gamma, nearest = torch.from_numpy(mixture.responsibilities(cloud)).topk(kept, dim=1)
+        blocks = np.array_split(cloud, max(1, len(cloud) // _BLOCK))  # all points by all components would not fit
+        parts = [torch.from_numpy(mixture.responsibilities(block)).topk(kept, dim=1) for block in blocks]
+        gamma, nearest = torch.cat([part.values for part in parts]), torch.cat([part.indices for part in parts])
         gamma = gamma / gamma.sum(dim=1, keepdim=True)
         points = torch.from_numpy(np.asarray(cloud, dtype=np.float64))
         rows, columns = nearest.ravel(), torch.arange(len(points)).repeat_interleave(kept)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -16,7 +15,7 @@ from monoloc.adapt.warp import ColoredPoints, forward_warp, points_of
 from monoloc.camera import Camera
 from monoloc.datasets.base import Recording
 from monoloc.depth.examples import network_input
-from monoloc.depth.spec import network_size
+from monoloc.depth.spec import network_size, resize_image
 from monoloc.geometry import FloatArray, se3_exp, viewpoints_apart
 
 DepthImages = Callable[[int], NDArray[np.float32]]
@@ -104,14 +103,14 @@ def make_views(
     images, depths, view_poses, frame, whole = [], [], [], [], []
     for index in range(len(recording)):
         color, depth = recording.color(index), depth_of(index)
-        images.append(_resized(color, camera, cv2.INTER_AREA).astype(np.uint8))
-        depths.append(_resized(depth, camera, cv2.INTER_NEAREST_EXACT).astype(np.float32))
+        images.append(resize_image(color, (camera.width, camera.height)))
+        depths.append(_sampled(depth, camera))
         view_poses.append(poses[index])
         frame.append(index)
         whole.append(True)
         if synthesised:
-            small = _resized(color, fine, cv2.INTER_AREA).astype(np.uint8)
-            clouds.append(points_of(small, _resized(depth, fine, cv2.INTER_NEAREST_EXACT), fine, poses[index]))
+            small = resize_image(color, (fine.width, fine.height))
+            clouds.append(points_of(small, _sampled(depth, fine), fine, poses[index]))
         if progress is not None:
             progress(index + 1)
     usable = np.setdiff1d(np.arange(len(recording)), held_out)
@@ -162,8 +161,9 @@ def _synthesise(
     return color, depth, pose
 
 
-def _resized(image: NDArray[Any], camera: Camera, interpolation: int) -> NDArray[Any]:
-    return np.asarray(cv2.resize(image, (camera.width, camera.height), interpolation=interpolation))
+def _sampled(depth_m: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    size = (camera.width, camera.height)
+    return np.asarray(cv2.resize(depth_m, size, interpolation=cv2.INTER_NEAREST_EXACT), dtype=np.float32)
 
 
 def _output_rays(camera: Camera) -> FloatArray:

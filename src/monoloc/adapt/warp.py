@@ -15,8 +15,6 @@ from monoloc.geometry import FloatArray, invert, transform
 
 _FINE = 2  # points are drawn at this many times the view's size and averaged down
 _DEPTH_JUMP = 0.1  # pixels beside a larger one lie on neither surface and are left behind
-_LEAST_DEPTH_M = 0.1
-_RAYS = 9  # along a side; the widest of them bound the view
 _NOTHING = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
@@ -60,7 +58,7 @@ def forward_warp(
     fine = camera.resized(camera.width * _FINE, camera.height * _FINE)
     points = transform(invert(T_world_camera), np.concatenate([source.points for source in sources]))
     colors = np.concatenate([source.colors for source in sources])
-    index = np.flatnonzero(_in_sight(points, fine))
+    index = np.flatnonzero(fine.in_sight(points))
     pixels = np.floor(fine.project(points[index])).astype(np.int64) + 1  # counted from a margin of one pixel
     inside = np.all((pixels >= 0) & (pixels <= (fine.width, fine.height)), axis=1)
     index, pixels = index[inside], pixels[inside]
@@ -81,18 +79,6 @@ def forward_warp(
     image = np.zeros((*drawn.shape, 3), dtype=np.uint8)
     image[known] = colors[(drawn[known] & np.uint64(0xFFFFFFFF)).astype(np.int64)]
     return _averaged(image, depth_m, camera)
-
-
-def _in_sight(points: FloatArray, camera: Camera) -> NDArray[np.bool_]:
-    """(N,) of points (N, 3) in the camera's frame: before it, and no farther aside than a pixel beyond its image.
-
-    Distortion is a polynomial, which folds what lies far aside back into the image.
-    """
-    columns, rows = (np.linspace(-1.0, size, _RAYS) for size in (camera.width, camera.height))
-    pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
-    most = np.abs(camera.rays(pixels)[:, :2]).max(axis=0)
-    z = points[:, 2]
-    return np.asarray((z > _LEAST_DEPTH_M) & np.all(np.abs(points[:, :2]) < most * z[:, None], axis=1))
 
 
 def _averaged(

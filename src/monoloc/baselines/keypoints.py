@@ -36,7 +36,7 @@ class KeypointConfig(BaseModel):
         ratio: Lowe's ratio test: best over second best distance.
         reprojection_px: RANSAC's inlier threshold.
         iterations: of RANSAC, at most.
-        min_inliers: a pose on fewer is none.
+        min_inliers: a pose on fewer keypoints of the image is none, however many frames of the map show each.
         depth_jump: keypoints beside a relative jump of depth above this are left out of the map.
     """
 
@@ -118,9 +118,10 @@ class KeypointLocalizer:
         for frame in self._retrieve(descriptors):
             first, last = self._map.starts[frame], self._map.starts[frame + 1]
             query, index = _match(descriptors, self._map.descriptors[first:last], self._config)
-            seen.append(pixels[query])
+            seen.append(query)
             matched.append(self._map.points[first + index])
-        return self._solve(np.concatenate(matched).astype(np.float64), np.concatenate(seen).astype(np.float64))
+        points_world = np.concatenate(matched).astype(np.float64)
+        return self._solve(points_world, pixels.astype(np.float64), np.concatenate(seen))
 
     def _retrieve(self, descriptors: NDArray[np.uint8]) -> NDArray[np.int64]:
         """The frames of the map with the most votes, at least one each."""
@@ -130,10 +131,12 @@ class KeypointLocalizer:
         best = np.argsort(-votes, kind="stable")[: self._config.retrieved]
         return np.asarray(best[votes[best] > 0], dtype=np.int64)
 
-    def _solve(self, points_world: FloatArray, pixels: FloatArray) -> FloatArray | None:
+    def _solve(self, points_world: FloatArray, pixels: FloatArray, seen: NDArray[np.int64]) -> FloatArray | None:
+        """The pose of points (M, 3) m seen at pixels[seen], (N, 2) and (M,); a keypoint may stand for several."""
         config = self._config
-        if len(points_world) < config.min_inliers:
+        if len(np.unique(seen)) < config.min_inliers:
             return None
+        pixels = pixels[seen]
         K, distortion = self._camera.matrix, np.asarray(self._camera.distortion)
         ok, rotation, translation, inliers = cv2.solvePnPRansac(
             points_world,
@@ -145,7 +148,7 @@ class KeypointLocalizer:
             confidence=0.999,
             flags=cv2.SOLVEPNP_P3P,
         )
-        if not ok or inliers is None or len(inliers) < config.min_inliers:
+        if not ok or inliers is None or len(np.unique(seen[inliers])) < config.min_inliers:
             return None
         chosen = inliers.ravel()
         rotation, translation = cv2.solvePnPRefineLM(

@@ -100,19 +100,19 @@ class PoseFilter:
         self._config = config
         self._rng = rng
         self._is_first = True
+        self._blind_s = 0.0
 
     def step(self, color: NDArray[np.uint8], elapsed_s: float) -> Estimate:
         """Take one frame in: (H, W, 3) uint8 RGB, and the seconds since the one before, ignored at the first."""
         config = self._config
+        elapsed_s = 0.0 if self._is_first else elapsed_s
         motion = None
         if self._odometry is not None:
             depth = self._depth(color)
             motion = self._odometry.step(color, depth.depth_m, depth.camera)
-        if self._is_first:
-            elapsed_s = 0.0
-        else:
+        if not self._is_first:
             self.particles = predict(
-                self.particles, motion, elapsed_s, config.log_scale_sd, config.motion_noise, self._rng
+                self.particles, motion, elapsed_s, self._blind_s, config.log_scale_sd, config.motion_noise, self._rng
             )
         measured = self._measure(color)
         if measured is not None:
@@ -120,6 +120,8 @@ class PoseFilter:
             log_weights = normalised(self.particles.log_weights + fit)
             self.particles = Particles(self.particles.poses, self.particles.log_scale, log_weights)
         self._is_first = False
-        belief = self._joiner.step(motion, elapsed_s, estimate(self.particles), is_told=measured is not None)
+        is_told = measured is not None
+        belief = self._joiner.step(motion, elapsed_s, self._blind_s, estimate(self.particles), is_told)
+        self._blind_s = 0.0 if is_told or motion is not None else self._blind_s + elapsed_s
         self.particles = resample(self.particles, config.ess_fraction, self._rng)
         return belief

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -24,7 +23,8 @@ from monoloc.depth.augment import AugmentConfig, random_exposure
 from monoloc.depth.checkpoint import load_network
 from monoloc.depth.examples import network_input
 from monoloc.depth.network import load_encoder_weights
-from monoloc.depth.spec import image_tensor, network_size
+from monoloc.depth.schedule import one_cycle
+from monoloc.depth.spec import image_tensor, network_size, resize_image
 from monoloc.errors import DataError, SettingError
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray
@@ -33,7 +33,6 @@ from monoloc.progress import Progress
 
 _HELD_OUT_SHARE, _BLOCKS = 0.2, 4
 _TURN_WORTH_M = 1.0  # a radian moves what a camera sees about as far as so many metres
-_RISE = 0.1  # share of the steps over which the learning rate rises
 _AT_ONCE = 32
 
 
@@ -69,14 +68,16 @@ class PoseNetTraining(BaseModel):
 
 @dataclass(frozen=True)
 class Trial:
-    """Errors of one learning rate on the held-out frames: mean over frames."""
+    """Errors of one learning rate on the held-out frames: mean over frames; None where it made the loss infinite."""
 
     learning_rate: float
-    position_m: float
-    rotation_rad: float
+    position_m: float | None
+    rotation_rad: float | None
 
     @property
     def score_m(self) -> float:
+        if self.position_m is None or self.rotation_rad is None:
+            return np.inf
         return self.position_m + _TURN_WORTH_M * self.rotation_rad
 
 
@@ -111,6 +112,13 @@ class TrainedPoseNet:
     code: PoseCode
     error: PoseError
     trials: list[Trial]
+
+
+class _Diverged(SettingError):
+    """A learning rate made the loss, or the weights, infinite."""
+
+    def __init__(self, *rates: float) -> None:
+        super().__init__("learning_rates", f"{', '.join(map(str, rates))} made the loss infinite", "lower it")
 
 
 class PosePredictor:
@@ -148,7 +156,7 @@ def train_posenet(
     Raises:
         DataError: no poses, fewer frames than two batches, no depth to synthesise views with, or weights that do not
             fit.
-        SettingError: a learning rate made the loss infinite.
+        SettingError: every learning rate made the loss infinite.
     """
     poses = _checked(recording, config)
     search = search or search_rate(recording, config, seed, progress, encoder_weights)
@@ -165,19 +173,30 @@ def search_rate(
 ) -> Search:
     """Try every learning rate on some of the frames, and judge it on the others, held out in blocks.
 
+    A rate that makes the loss infinite is not the best one; it ends the search only if all of them do.
+
     Args and Raises: as :func:`train_posenet`.
     """
     poses = _checked(recording, config)
     training, held_out = hold_out_blocks(len(recording), _BLOCKS, _HELD_OUT_SHARE)
     frames = _Frames(recording, poses, config, held_out, seed)
-    trials, predictions = [], []
+    trials, located = [], {}
     for rate in config.learning_rates:
-        network = _train(frames, training, config, rate, config.search_epochs, seed, progress, encoder_weights)
-        predictions.append(frames.predict(network, held_out))
-        errors = pose_errors(predictions[-1], poses[held_out])
+        try:
+            network = _train(frames, training, config, rate, config.search_epochs, seed, progress, encoder_weights)
+            predicted = frames.predict(network, held_out)
+            if not np.isfinite(predicted).all():
+                raise _Diverged(rate)
+        except _Diverged:
+            trials.append(Trial(rate, None, None))
+            continue
+        errors = pose_errors(predicted, poses[held_out])
         trials.append(Trial(rate, float(errors.position_m.mean()), float(errors.rotation_rad.mean())))
-    best = min(range(len(trials)), key=lambda index: trials[index].score_m)
-    return Search(trials, PoseError.fit(predictions[best], poses[held_out]))
+        located[trials[-1]] = predicted
+    if not located:
+        raise _Diverged(*config.learning_rates)
+    best = min(located, key=lambda trial: trial.score_m)
+    return Search(trials, PoseError.fit(located[best], poses[held_out]))
 
 
 def _checked(recording: Recording, config: PoseNetTraining) -> FloatArray:
@@ -206,6 +225,8 @@ def _train(
     with progress.task(f"PoseNet at {rate:g}", epochs) as show:
         for epoch in _epochs(network, frames, chosen, config, rate, epochs, seed):
             show(epoch + 1)
+    if not all(tensor.isfinite().all() for tensor in network.state_dict().values()):
+        raise _Diverged(rate)  # in the last step, after which no loss is looked at
     return network.eval()
 
 
@@ -250,10 +271,7 @@ class _Frames:
             self._frame, seen_from = views.frame.numpy(), views.poses.numpy()
         else:
             size = network_size(recording.camera, focal_px)
-            self._images = [
-                np.asarray(cv2.resize(recording.color(index), size, interpolation=cv2.INTER_AREA), np.uint8)
-                for index in range(len(recording))
-            ]
+            self._images = [resize_image(recording.color(index), size) for index in range(len(recording))]
             self._frame, seen_from = np.arange(len(recording)), poses
         self._augment = config.augment
         self.code = PoseCode.of(poses)
@@ -295,13 +313,13 @@ def _epochs(
     ]
     optimizer = torch.optim.AdamW(groups, lr=rate, weight_decay=config.weight_decay)
     steps = epochs * max(1, len(chosen) // config.batch_size)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, total_steps=steps, pct_start=_RISE)
+    schedule = one_cycle(optimizer, steps)
     network.train()
     for epoch in range(epochs):
         for images, target in frames.batches(chosen, config.batch_size, seed, epoch):
             loss = criterion(network(images), target)
             if not torch.isfinite(loss):
-                raise SettingError("learning_rates", f"{rate} made the loss infinite", "lower it")
+                raise _Diverged(rate)
             optimizer.zero_grad(set_to_none=True)
             loss.backward()
             optimizer.step()

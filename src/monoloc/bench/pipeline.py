@@ -9,6 +9,8 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from monoloc.errors import MonolocError
+
 # Set before NumPy is imported, in the child: every library on one thread.
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -32,8 +34,12 @@ class PipelineFigures:
 def bench_pipeline(bundle: Path, source: str, frames: str, seed: int) -> PipelineFigures:
     """Localise a recording in a fresh process, on one thread, and time it.
 
-    The bundle and the recording have been opened before: what is wrong with them is said there.
+    Raises:
+        MonolocError: what the process says of its input.
     """
     command = [sys.executable, "-m", "monoloc.bench.steps", str(bundle), source, frames, str(seed)]
-    done = subprocess.run(command, env=os.environ | _ONE_THREAD, stdout=subprocess.PIPE, check=True)
+    done = subprocess.run(command, env=os.environ | _ONE_THREAD, stdout=subprocess.PIPE, text=True)
+    if done.returncode == 2:
+        raise MonolocError(done.stdout.strip())
+    done.check_returncode()
     return PipelineFigures(**json.loads(done.stdout))

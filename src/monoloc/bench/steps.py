@@ -2,7 +2,7 @@
 
     python -m monoloc.bench.steps BUNDLE SOURCE FRAMES SEED
 
-prints the figures as JSON.
+prints the figures as JSON, or, with exit code 2, what is wrong with the input.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from monoloc import localizer
 from monoloc.bundle import read_bundle
 from monoloc.datasets.registry import open_recording, select_frames
 from monoloc.depth.runtime import DepthPredictor
+from monoloc.errors import MonolocError
 from monoloc.filter.weigh import Measurement
 from monoloc.odometry import VisualOdometry
 from monoloc.progress import NoProgress
@@ -103,4 +104,8 @@ def peak_memory_mb() -> float:
 
 
 if __name__ == "__main__":
-    print(json.dumps(measure(Path(sys.argv[1]), sys.argv[2], sys.argv[3], int(sys.argv[4]))))
+    try:
+        print(json.dumps(measure(Path(sys.argv[1]), sys.argv[2], sys.argv[3], int(sys.argv[4]))))
+    except MonolocError as error:
+        print(error)
+        sys.exit(2)

@@ -24,6 +24,7 @@ from monoloc.cli.common import (
     open_source,
     print_json,
     print_table,
+    refuse_frames,
     stderr,
     text_of,
 )
@@ -116,6 +117,7 @@ def pipeline(
 def _cloud(source: str | None, frames: str, rng: np.random.Generator) -> FloatArray:
     """The cloud of a recording, as a build makes it, or of a made-up room."""
     if source is None:
+        refuse_frames(frames, "a made-up room")
         return made_up_cloud(_CLOUD_POINTS, rng)
     return room_cloud(open_source(source, frames), None, BuildConfig(), ConsoleProgress(stderr))
 

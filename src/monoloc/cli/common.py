@@ -21,7 +21,8 @@ from monoloc.extras import require_viewing
 from monoloc.files import json_text
 from monoloc.viewer import require_window
 
-stderr = Console(stderr=True, highlight=False)
+# Paths are printed as they are, whatever Rich would read in their brackets and colons.
+stderr = Console(stderr=True, highlight=False, markup=False, emoji=False)
 
 EXTENT_SIGMAS = math.sqrt(3.0)  # how far a surface reaches from its component's mean, if it is covered evenly
 
@@ -71,6 +72,16 @@ def _parse_camera(text: str) -> Camera:
         return Camera(int(width), int(height), fx, fy, cx, cy)
     except ValueError as error:
         raise SettingError("--intrinsics", f"is {text!r}", "write W,H,FX,FY,CX,CY in pixels") from error
+
+
+def refuse_frames(frames: str, what: str) -> None:
+    """Refuse a choice of frames where there are none to choose.
+
+    Raises:
+        SettingError: frames are chosen.
+    """
+    if frames.strip() != "::":
+        raise SettingError("--frames", f"has no meaning for {what}", "leave it out")
 
 
 def check_writable(path: Path | None, option: str) -> None:
@@ -133,7 +144,7 @@ def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
         table.add_column(column, justify="left" if index == 0 else "right")
     for row in rows:
         table.add_row(*row)
-    Console(highlight=False).print(table)
+    Console(highlight=False, markup=False, emoji=False).print(table)
 
 
 def text_of(value: object) -> str:

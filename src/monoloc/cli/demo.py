@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+from rich.text import Text
 
 from monoloc.adapt.settings import Tune
 from monoloc.build import BuildConfig, build_bundle
@@ -138,7 +139,7 @@ def _recorded(data: Path) -> _Study:
 def _build(study: _Study, adapted: bool, out: Path, seed: int) -> Bundle:
     path = out / ("adapted.monoloc" if adapted else "plain.monoloc")
     tune: Tune = "all" if adapted else "none"
-    stderr.print(f"[bold]build[/bold] {path.name} (--tune {tune})")
+    stderr.print(Text.assemble(("build", "bold"), f" {path.name} (--tune {tune})"))
     config = override(BuildConfig(), adapt={**study.adapt, "tune": tune, "map_transform": adapted})
     recording = open_source(study.source, study.frames)
     bundle, _ = build_bundle(recording, config, seed, ConsoleProgress(stderr), network=study.network)
@@ -147,7 +148,7 @@ def _build(study: _Study, adapted: bool, out: Path, seed: int) -> Bundle:
 
 
 def _run(trial: _Trial, bundle: Bundle, seed: int, out: Path, view: bool) -> Run:
-    stderr.print(f"[bold]localize[/bold] {trial.name}")
+    stderr.print(Text.assemble(("localize", "bold"), f" {trial.name}"))
     recording = open_source(trial.source, trial.frames)
     assert recording.poses is not None
     rng = np.random.default_rng(seed)

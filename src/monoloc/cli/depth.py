@@ -23,6 +23,7 @@ from monoloc.cli.common import (
     open_source,
     print_json,
     print_table,
+    refuse_frames,
     stderr,
 )
 from monoloc.config import load_settings, override
@@ -88,7 +89,7 @@ def train(
           --validate 1349: --settings one-third-0.35-finish.toml --out runs/with-rooms
     """
     with training_extra():
-        from monoloc.depth.train import TrainConfig, train_network
+        from monoloc.depth.train import EpochRecord, TrainConfig, train_network
     check_folder(out, "--out")
     if encoder is not None and start is not None:
         raise SettingError("--start", "and --encoder both say where to begin", "give one of them")
@@ -98,10 +99,14 @@ def train(
     validation = open_source(source, validate) if validate is not None else training[0]
     # Under torchrun, the first process of a run judges, writes and speaks.
     progress = ConsoleProgress(stderr) if os.environ.get("RANK", "0") == "0" else NoProgress()
-    history = train_network(training, validation, config, out, encoder, start, progress)
+
+    def draw(history: list[EpochRecord]) -> None:
+        records = [asdict(record) for record in history]
+        plot_training(out / "curves.png", [{k: v for k, v in r.items() if k != "seconds"} for r in records])
+
+    history = train_network(training, validation, config, out, encoder, start, progress, draw)
     if not history:
         return
-    plot_training(out / "curves.png", [{k: v for k, v in asdict(r).items() if k != "seconds"} for r in history])
     last = asdict(history[-1])
     if json:
         print_json({"network": str(out / "network.safetensors"), **last})
@@ -153,12 +158,14 @@ def evaluate(
     with progress.task("evaluate", len(recording)) as step:
         judgement = judge_network(predictor, recording, step)
     if plot is not None:
-        shown = np.linspace(0, len(recording) - 1, min(_PICTURES, len(recording))).astype(int)
+        judged = judgement.judged
+        places = np.linspace(0, len(judged) - 1, min(_PICTURES, len(judged))).astype(int)
+        shown = [judged[place] for place in places]
         plot_depth(
             plot,
-            [recording.color(int(i)) for i in shown],
-            [_predict(predictor, recording, int(i)) for i in shown],
-            [recording.depth(int(i)) for i in shown],
+            [recording.color(index) for index in shown],
+            [_predict(predictor, recording, index) for index in shown],
+            [recording.depth(index) for index in shown],
         )
     if calibration is not None:
         if judgement.calibration is None:
@@ -202,6 +209,8 @@ def export(
         from monoloc.depth.export import export_onnx
         from monoloc.depth.quantise import quantise
     check_writable(out, "--out")
+    if int8 is None:
+        refuse_frames(frames, "an export in 32 bits")
     loaded = load_network(network)
     content, report = export_onnx(loaded)
     result: dict[str, object] = asdict(report)

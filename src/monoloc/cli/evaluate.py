@@ -9,7 +9,8 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from monoloc.cli.common import FramesOption, JsonOption, open_source, print_json, print_table
+from monoloc.cli.common import FramesOption, JsonOption, open_source, print_json, print_table, refuse_frames
+from monoloc.datasets.poses import nearest_times, read_tum_poses
 from monoloc.errors import DataError
 from monoloc.evaluation.trajectory import relative_pose_errors, summarise
 from monoloc.geometry import FloatArray
@@ -35,7 +36,7 @@ def evaluate(
     """
     times, poses = read_tum(trajectory)
     true_times, true_poses = _read_truth(truth, frames)
-    nearest = np.abs(times[:, None] - true_times[None]).argmin(axis=1)
+    nearest = nearest_times(times, true_times)
     matched = np.abs(times - true_times[nearest]) <= _SAME_TIME_S
     if not matched.any():
         raise DataError(
@@ -60,7 +61,8 @@ def evaluate(
 
 def _read_truth(truth: str, frames: str) -> tuple[FloatArray, FloatArray]:
     if Path(truth).is_file() and Path(truth).suffix in {".txt", ".tum"}:
-        return read_tum(truth)
+        refuse_frames(frames, "a trajectory")
+        return read_tum_poses(Path(truth))
     recording = open_source(truth, frames)
     if recording.poses is None:
         raise DataError(recording.name, "has no poses", "give a recording or TUM trajectory that has them")

@@ -10,7 +10,19 @@ import numpy as np
 import typer
 
 from monoloc.bundle import read_bundle
-from monoloc.cli.common import EXTENT_SIGMAS, FramesOption, JsonOption, open_source, print_json, print_table, text_of
+from monoloc.cli.common import (
+    EXTENT_SIGMAS,
+    FramesOption,
+    IntrinsicsOption,
+    JsonOption,
+    open_source,
+    print_json,
+    print_table,
+    refuse_frames,
+    text_of,
+)
+from monoloc.datasets.base import Selection
+from monoloc.errors import SettingError
 from monoloc.map.compare import compare_maps
 
 
@@ -19,16 +31,26 @@ def inspect(
         str, typer.Argument(metavar="TARGET", help="A bundle, or a recording as SOURCE.", show_default=False)
     ],
     frames: FramesOption = "::",
+    intrinsics: IntrinsicsOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Say what a bundle or a recording holds, and check that it is whole.
+    """Say what a bundle or a recording holds.
+
+    Of a bundle every byte is checked; of a recording that its files are there, and that the first frame can be read.
 
     \b
     Examples:
       monoloc inspect kitchen.monoloc
       monoloc inspect 7scenes:redkitchen --json
+      monoloc inspect flight.mp4 --intrinsics 640,480,525,525,320,240
     """
-    content = _bundle(Path(target)) if (Path(target) / "manifest.json").is_file() else _recording(target, frames)
+    if (Path(target) / "manifest.json").is_file():
+        refuse_frames(frames, "a bundle")
+        if intrinsics is not None:
+            raise SettingError("--intrinsics", "has no meaning for a bundle", "leave it out")
+        content = _bundle(Path(target))
+    else:
+        content = _recording(open_source(target, frames, intrinsics))
     if json:
         print_json(content)
     else:
@@ -55,8 +77,7 @@ def _bundle(path: Path) -> dict[str, object]:
     }
 
 
-def _recording(source: str, frames: str) -> dict[str, object]:
-    recording = open_source(source, frames)
+def _recording(recording: Selection) -> dict[str, object]:
     camera = recording.camera
     content: dict[str, object] = {
         "kind": "recording",
@@ -76,5 +97,5 @@ def _recording(source: str, frames: str) -> dict[str, object]:
     if recording.has_depth:
         depth = recording.depth(0)
         content["depth_share"] = float((depth > 0.0).mean())
-        content["depth_median_m"] = float(np.median(depth[depth > 0.0]))
+        content["depth_median_m"] = float(np.median(depth[depth > 0.0])) if depth.any() else np.nan
     return content

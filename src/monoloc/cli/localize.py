@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
+import cv2
 import numpy as np
 import typer
 
@@ -82,7 +83,7 @@ def localize_command(
     Examples:
       monoloc localize kitchen.monoloc 7scenes:redkitchen --out way.txt --plot way.png
       monoloc localize kitchen.monoloc 7scenes:redkitchen --frames 0:400 --seed 0 --json
-      monoloc localize room.monoloc flight.mp4 --start 0.5,0.2,1.1,0,0,0,1 --out way.txt
+      monoloc localize room.monoloc flight.mp4 --intrinsics 640,480,525,525,320,240 --start 0.5,0.2,1.1,0,0,0,1
       monoloc localize room.monoloc tum:fr1_room --motion random-walk
       monoloc localize kitchen.monoloc 7scenes:redkitchen --view --record way.rrd
     """
@@ -97,6 +98,7 @@ def localize_command(
     rng = np.random.default_rng(seed)
     begin = _start(start, recording, start_error_cm / 100.0, np.deg2rad(start_error_deg), rng)
     name = f"{bundle.name}: {recording.name}"
+    cv2.setNumThreads(1)  # more make small images no faster, and a drone's other cores are not ours
     with run_viewer(name, view, record) as viewer:
         run = localize(room, recording, begin, config, rng, ConsoleProgress(stderr), depth == "sensor", viewer=viewer)
     if out is not None:

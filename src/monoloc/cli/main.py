@@ -33,7 +33,7 @@ app.add_typer(synth.app, name="synth")
 
 
 def run() -> None:
-    """Entry point: exit code 0 when done, 2 for bad input with one line on stderr, 1 for a fault of ours."""
+    """Entry point: exit code 0 when done, 2 for bad input with one line on stderr, 130 for Ctrl-C, 1 for a fault."""
     sys.exit(invoke(sys.argv[1:]))
 
 

@@ -22,6 +22,7 @@ from monoloc.cli.common import (
     open_source,
     print_json,
     print_table,
+    refuse_frames,
     stderr,
     text_of,
 )
@@ -61,7 +62,10 @@ def fit(
     """
     check_writable(out, "--out")
     config = override(BuildConfig(), components=components)
-    cloud = read_cloud(Path(source)) if Path(source).suffix.lower() in _CLOUD_SUFFIXES else None
+    is_cloud = Path(source).suffix.lower() in _CLOUD_SUFFIXES
+    if is_cloud:
+        refuse_frames(frames, "a cloud")
+    cloud = read_cloud(Path(source)) if is_cloud else None
     recording = None if cloud is not None else open_source(source, frames)
     cloud, mixture = fit_map(recording, cloud, config, np.random.default_rng(seed), ConsoleProgress(stderr))
     mixture.save(out)

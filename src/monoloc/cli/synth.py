@@ -21,7 +21,7 @@ from monoloc.synth.layout import generate_room, imported_room
 from monoloc.synth.light import LIGHTS, Light
 from monoloc.synth.render import require_mitsuba
 from monoloc.synth.rooms import Room, read_room, write_room
-from monoloc.synth.sequence import RenderConfig, render_sequence
+from monoloc.synth.sequence import ROOM, RenderConfig, render_sequence
 from monoloc.synth.views import render_views
 
 app = typer.Typer(
@@ -29,7 +29,7 @@ app = typer.Typer(
 )
 
 _FOCAL_SHARE = 0.854  # focal length over width: NYU's field of view of 61 degrees
-_ROOM, _FLIGHT = "room.json", "flight.txt"
+_FLIGHT = "flight.txt"
 
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder to write into.")]
 RoomOption = Annotated[
@@ -58,12 +58,12 @@ def room(
     check_folder(out, "--out")
     made = generate_room(seed) if mesh is None else imported_room(mesh)
     out.mkdir(exist_ok=True)
-    write_room(out / _ROOM, made)
+    write_room(out / ROOM, made)
     if json:
-        print_json({"room": str(out / _ROOM), "size_m": list(made.size), "objects": made.names})
+        print_json({"room": str(out / ROOM), "size_m": list(made.size), "objects": made.names})
     else:
         width, depth, height = made.size
-        stderr.print(f"{out / _ROOM}: {width:.2f} x {depth:.2f} x {height:.2f} m, {len(made.objects)} objects")
+        stderr.print(f"{out / ROOM}: {width:.2f} x {depth:.2f} x {height:.2f} m, {len(made.objects)} objects")
 
 
 @app.command()
@@ -89,7 +89,7 @@ def flight(
     rng = np.random.default_rng([seed, 0x1A1])
     poses = planned.camera_poses()
     out.mkdir(exist_ok=True)
-    write_room(out / _ROOM, made)
+    write_room(out / ROOM, made)
     write_tum(out / _FLIGHT, planned.times_s, poses)
     write_tum(out / "odometry.txt", planned.times_s, simulate_odometry(poses, OdometryModel(), rng))
     write_imu(out / "imu.csv", simulate_imu(planned, ImuModel(), rng))
@@ -144,8 +144,6 @@ def render(
     focal_px = _FOCAL_SHARE * width
     camera = Camera(width, height, focal_px, focal_px, (width - 1) / 2.0, (height - 1) / 2.0)
     config = RenderConfig(samples=samples, depth=depth)
-    out.mkdir(exist_ok=True)
-    write_room(out / _ROOM, made)
     progress = ConsoleProgress(stderr)
     rendered = (way[::every], times_s[::every], velocities(way, times_s)[::every])
     recordings = render_sequence(made, *rendered, camera, chosen, config, seed, out, progress)
@@ -185,7 +183,7 @@ def views(
 def _room(given: Path | None, out: Path, seed: int) -> Room:
     if given is not None:
         return read_room(given)
-    return read_room(out / _ROOM) if (out / _ROOM).is_file() else generate_room(seed)
+    return read_room(out / ROOM) if (out / ROOM).is_file() else generate_room(seed)
 
 
 def _way(given: Path | None, out: Path, room: Room, seconds: float, seed: int) -> tuple[FloatArray, FloatArray]:

@@ -27,7 +27,7 @@ import numpy as np
 
 from monoloc.camera import Camera
 from monoloc.datasets.files import read_text, require_file, require_folder
-from monoloc.datasets.images import ImageRecording
+from monoloc.datasets.images import ImageRecording, names_of
 from monoloc.datasets.options import ReaderOptions
 from monoloc.datasets.poses import read_tum_poses
 from monoloc.errors import DataError, SettingError
@@ -94,7 +94,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
         name=folder.resolve().name,
         folder=folder,
         camera=options.camera or description.camera(),
-        frame_names=[p.stem for p in color_paths],
+        frame_names=names_of(color_paths, folder),
         timestamps_s=timestamps_s,
         poses=poses,
         color_paths=color_paths,

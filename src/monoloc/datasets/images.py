@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -42,7 +44,7 @@ def read_depth(path: Path, depth_scale: float, camera: Camera) -> NDArray[np.flo
         camera: the camera whose size the image must have.
 
     Raises:
-        DataError: missing, cut short, not a depth image, not of the camera's size, or without any depth.
+        DataError: missing, cut short, not a depth image, or not of the camera's size.
     """
     stored = _decode(path, cv2.IMREAD_UNCHANGED)
     if stored.ndim != 2 or stored.dtype not in (np.uint8, np.uint16):
@@ -51,8 +53,6 @@ def read_depth(path: Path, depth_scale: float, camera: Camera) -> NDArray[np.flo
     depth_m = stored.astype(np.float32) / np.float32(depth_scale)
     if stored.dtype == np.uint16:
         depth_m[stored == _NO_DEPTH_16_BIT] = 0.0
-    if not depth_m.any():
-        raise DataError(path, "has no depth at all", "leave this frame out of --frames or record it again")
     return depth_m
 
 
@@ -78,6 +78,14 @@ def _check_size(path: Path, image: NDArray[np.integer | np.floating], camera: Ca
             f"is {width}x{height}, but the intrinsics are for {camera.width}x{camera.height}",
             "give the intrinsics of these images, or images of that size",
         )
+
+
+def names_of(files: Sequence[Path], folder: Path) -> list[str]:
+    """Each file's name without its suffix, or where names repeat, its path from the folder, so that all differ."""
+    stems = [file.stem for file in files]
+    if len(set(stems)) == len(stems):
+        return stems
+    return [os.path.relpath(file, folder).removesuffix(files[0].suffix) for file in files]
 
 
 @dataclass(eq=False)

@@ -79,8 +79,6 @@ class NyuRecording:
         """As :meth:`monoloc.datasets.base.Recording.depth`."""
         depth_m = np.ascontiguousarray(self._valid_window("depths", index), dtype=np.float32)
         depth_m[~np.isfinite(depth_m)] = 0.0
-        if not depth_m.any():
-            raise DataError(self._path, f"frame {index} has no depth at all", "leave this frame out of --frames")
         return depth_m
 
     def _valid_window(self, key: str, index: int) -> NDArray[Any]:

@@ -17,25 +17,17 @@ class ReaderOptions:
     Attributes:
         camera: intrinsics of the colour images as stored.
         depth_scale: stored depth value per metre (``metres = value / depth_scale``).
-        register_depth: whether depth of another camera is brought to the colour camera (7-Scenes).
-        horizontal_fov_deg: field of view across the image width, where the intrinsics are unknown (video).
 
     Raises:
-        SettingError: a scale or field of view that is not a usable number.
+        SettingError: a scale that is not a usable number.
     """
 
     camera: Camera | None = None
     depth_scale: float | None = None
-    register_depth: bool = True
-    horizontal_fov_deg: float | None = None
 
     def __post_init__(self) -> None:
         if self.depth_scale is not None and not (np.isfinite(self.depth_scale) and self.depth_scale > 0.0):
             raise SettingError("depth_scale", f"is {self.depth_scale}", "give the stored value of one metre, > 0")
-        if self.horizontal_fov_deg is not None and not 0.0 < self.horizontal_fov_deg < 180.0:
-            raise SettingError(
-                "horizontal_fov_deg", f"is {self.horizontal_fov_deg}", "give degrees between 0 and 180"
-            )
 
     def allow_only(self, reader: str, *names: str) -> None:
         """Refuse overrides that the reader would silently ignore.

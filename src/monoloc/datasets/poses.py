@@ -1,4 +1,4 @@
-"""Poses out of files: parsed, checked to be rigid, rid of rounding."""
+"""Poses out of files: parsed, checked to be rigid, rid of rounding; and which belong together in time."""
 
 from __future__ import annotations
 
@@ -96,3 +96,10 @@ def check_increasing(times_s: FloatArray, path: Path) -> None:
     if not (np.isfinite(times_s).all() and increases.all()):
         row = int(np.argmin(np.isfinite(times_s) & increases)) + 1
         raise DataError(path, f"the time stamp of entry {row} does not increase", "sort the entries by time")
+
+
+def nearest_times(query_s: FloatArray, times_s: FloatArray) -> NDArray[np.int64]:
+    """Index of the entry of ``times_s`` (N,), which increase, nearest to each query (Q,): (Q,)."""
+    after = np.searchsorted(times_s, query_s).clip(max=len(times_s) - 1)
+    before = (after - 1).clip(min=0)
+    return np.where(np.abs(query_s - times_s[before]) < np.abs(times_s[after] - query_s), before, after)

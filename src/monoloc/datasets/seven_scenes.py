@@ -57,16 +57,14 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
     """Recording of a scene folder (all its sequences, in order) or of one sequence folder.
 
     Depth is registered to the colour camera and the poses are the colour camera's,
-    ``T_world_color = T_world_depth @ inv(T_color_depth)``. With ``register_depth=False`` depth comes as
-    stored, and ``camera`` and ``poses`` are the depth camera's: right for building a cloud from depth alone,
-    but colour then fits neither (it is up to 35 pixels off at the border).
+    ``T_world_color = T_world_depth @ inv(T_color_depth)``.
     A ``camera-intrinsics.txt`` (3x3) in the scene folder replaces the depth camera's intrinsics.
 
     Raises:
         DataError: no frames, a frame without depth or pose, poses that are not rigid, images of another size.
         SettingError: an override that this format does not take.
     """
-    options.allow_only("7scenes", "camera", "depth_scale", "register_depth")
+    options.allow_only("7scenes", "camera", "depth_scale")
     require_folder(path)
     folders = _sequence_folders(path) or [path]
     color_paths: list[Path] = []
@@ -92,18 +90,18 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
         if not depth_path.is_file():
             raise DataError(depth_path, "is missing", "restore it or remove the frame's other files")
 
-    color_camera, depth_camera = options.camera or COLOR_CAMERA, _depth_camera(path)
+    color_camera = options.camera or COLOR_CAMERA
     return ImageRecording(
         name=path.resolve().name,
         folder=path,
-        camera=color_camera if options.register_depth else depth_camera,
+        camera=color_camera,
         frame_names=names,
         timestamps_s=np.array(times_s),
-        poses=T_world_depth @ geometry.invert(T_COLOR_DEPTH) if options.register_depth else T_world_depth,
+        poses=T_world_depth @ geometry.invert(T_COLOR_DEPTH),
         color_paths=color_paths,
         depth_paths=depth_paths if has_depth else None,
         depth_scale=options.depth_scale or 1000.0,
-        registration=DepthRegistration(depth_camera, color_camera, T_COLOR_DEPTH) if options.register_depth else None,
+        registration=DepthRegistration(_depth_camera(path), color_camera, T_COLOR_DEPTH),
     )
 
 

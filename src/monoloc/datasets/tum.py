@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from monoloc import geometry
 from monoloc.camera import Camera
 from monoloc.datasets.files import read_text, require_file, require_folder
-from monoloc.datasets.images import ImageRecording
+from monoloc.datasets.images import ImageRecording, names_of
 from monoloc.datasets.options import ReaderOptions
-from monoloc.datasets.poses import check_increasing, read_tum_poses
+from monoloc.datasets.poses import check_increasing, nearest_times, read_tum_poses
 from monoloc.errors import DataError
 
 FloatArray = NDArray[np.float64]
@@ -74,7 +74,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
         name=path.resolve().name,
         folder=path,
         camera=options.camera or _camera_of(path.resolve().name),
-        frame_names=[p.stem for p in kept_color_paths],
+        frame_names=names_of(kept_color_paths, path),
         timestamps_s=color_times[kept],
         poses=poses[kept],
         color_paths=kept_color_paths,
@@ -112,24 +112,17 @@ def _read_list(path: Path) -> tuple[FloatArray, list[Path]]:
     return times_s, files
 
 
-def _nearest(query_s: FloatArray, times_s: FloatArray) -> NDArray[np.int64]:
-    """Index of the entry of ``times_s`` (sorted) nearest to each query."""
-    after = np.searchsorted(times_s, query_s).clip(max=len(times_s) - 1)
-    before = (after - 1).clip(min=0)
-    return np.where(np.abs(query_s - times_s[before]) < np.abs(times_s[after] - query_s), before, after)
-
-
 def _mutual_nearest(color_s: FloatArray, depth_s: FloatArray) -> NDArray[np.int64]:
     """For each colour time the depth index that is its partner, or -1."""
-    partner = _nearest(color_s, depth_s)
-    mutual = _nearest(depth_s, color_s)[partner] == np.arange(len(color_s))
+    partner = nearest_times(color_s, depth_s)
+    mutual = nearest_times(depth_s, color_s)[partner] == np.arange(len(color_s))
     close = np.abs(depth_s[partner] - color_s) <= MAX_TIME_DIFFERENCE_S
     return np.where(mutual & close, partner, -1)
 
 
 def _poses_at(query_s: FloatArray, times_s: FloatArray, poses: FloatArray) -> tuple[NDArray[np.bool_], FloatArray]:
     """Whether the pose is known at each query (Q,), and the pose (Q, 4, 4) (meaningless where it is not)."""
-    nearest = _nearest(query_s, times_s)
+    nearest = nearest_times(query_s, times_s)
     known = np.abs(times_s[nearest] - query_s) <= MAX_TIME_DIFFERENCE_S
     result = poses[nearest]
 

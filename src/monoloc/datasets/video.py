@@ -17,8 +17,6 @@ from monoloc.errors import DataError, SettingError
 # The decoder's own complaints would stand beside our one line; it reads this (-8: silent) at its first use.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
-# What a phone's or an action camera's main lens sees in video mode, when nobody says better.
-DEFAULT_HORIZONTAL_FOV_DEG = 65.0
 _SUFFIXES = {".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpg", ".webm"}
 
 
@@ -28,14 +26,14 @@ def recognises(path: Path) -> bool:
 
 
 def read(path: Path, options: ReaderOptions) -> VideoRecording:
-    """Recording of a video file, its camera given, or a pinhole of the field of view given or assumed.
+    """Recording of a video file, whose camera must be given: the file says nothing of it.
 
     Raises:
-        DataError: missing or undecodable.
+        DataError: missing, undecodable, or without a camera.
         SettingError: an override that this format does not take, or a camera of another image size.
     """
-    options.allow_only("video", "camera", "horizontal_fov_deg")
-    return VideoRecording(path, options.camera, options.horizontal_fov_deg or DEFAULT_HORIZONTAL_FOV_DEG)
+    options.allow_only("video", "camera")
+    return VideoRecording(path, options.camera)
 
 
 class VideoRecording:
@@ -45,7 +43,7 @@ class VideoRecording:
     starts again from the first frame, because seeking in compressed video does not always hit the frame.
     """
 
-    def __init__(self, path: Path, camera: Camera | None, horizontal_fov_deg: float) -> None:
+    def __init__(self, path: Path, camera: Camera | None) -> None:
         require_file(path, "check the path")
         self._path = path
         self._rewind()
@@ -61,14 +59,17 @@ class VideoRecording:
         if count < 1 or not rate_hz > 0.0:
             raise DataError(path, "states no frame count or no frame rate", "convert it to .mp4")
         size = (int(width), int(height))
-        if camera is not None and (camera.width, camera.height) != size:
+        if camera is None:
+            fix = f"localise in it with --intrinsics {size[0]},{size[1]},FX,FY,CX,CY"
+            raise DataError(path, "is a video, which says nothing of its camera", fix)
+        if (camera.width, camera.height) != size:
             raise SettingError(
                 "camera",
                 f"is for {camera.width}x{camera.height}, but {path} is {size[0]}x{size[1]}",
                 "give the intrinsics of this video's images",
             )
         self.name = path.stem
-        self.camera = camera or _camera_of_field_of_view(*size, horizontal_fov_deg)
+        self.camera = camera
         self.frame_names = [f"{index:06d}" for index in range(int(count))]
         self.timestamps_s = np.arange(int(count)) / rate_hz
         self.poses: NDArray[np.float64] | None = None
@@ -104,8 +105,3 @@ class VideoRecording:
         self._next = 0
         if not self._capture.isOpened():
             raise DataError(self._path, "cannot be decoded as a video", "convert it to .mp4 or .avi")
-
-
-def _camera_of_field_of_view(width: int, height: int, horizontal_fov_deg: float) -> Camera:
-    focal_px = 0.5 * width / float(np.tan(np.radians(horizontal_fov_deg) / 2.0))
-    return Camera(width, height, focal_px, focal_px, (width - 1) / 2.0, (height - 1) / 2.0)

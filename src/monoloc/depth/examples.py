@@ -16,7 +16,7 @@ from monoloc.camera import Camera
 from monoloc.datasets.base import Recording
 from monoloc.depth.augment import AugmentConfig, random_exposure, random_view, whole_view
 from monoloc.depth.network import DepthNetwork
-from monoloc.depth.spec import network_size
+from monoloc.depth.spec import network_size, resize_image
 from monoloc.errors import DataError
 
 _BATCHES_AHEAD = 3
@@ -73,7 +73,7 @@ class TrainingFrames:
         camera = full.resized(round(full.width * factor), round(full.height * factor))
         shape = (camera.width, camera.height)
         return (
-            np.asarray(cv2.resize(color, shape, interpolation=cv2.INTER_AREA), np.uint8),
+            resize_image(color, shape),
             np.asarray(cv2.resize(depth, shape, interpolation=cv2.INTER_NEAREST_EXACT), np.float32),
             camera,
         )
@@ -134,8 +134,7 @@ class ValidationFrames:
         for index in range(len(recording)):
             truth = recording.depth(index)
             if (truth > 0.0).any():
-                color = cv2.resize(recording.color(index), (width, height), interpolation=cv2.INTER_AREA)
-                colors.append(np.asarray(color, dtype=np.uint8))
+                colors.append(resize_image(recording.color(index), (width, height)))
                 self._truths.append(truth)
         if not colors:
             raise DataError(recording.name, "has no frame with depth to validate on", "choose other frames")

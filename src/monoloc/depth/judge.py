@@ -10,7 +10,7 @@ import numpy as np
 from monoloc.datasets.base import Recording
 from monoloc.depth.runtime import DepthPredictor
 from monoloc.errors import DataError
-from monoloc.evaluation.depth import DepthAccumulator, DepthMetrics
+from monoloc.evaluation.depth import DepthAccumulator, DepthMetrics, truth_where_predicted
 from monoloc.evaluation.uncertainty import ErrorCalibration, error_calibration
 from monoloc.progress import Step
 
@@ -21,11 +21,13 @@ class Judgement:
 
     Attributes:
         metrics: means over frames, at pixels with true and predicted depth, at the size of the truth.
+        judged: indices of the frames with such a pixel.
         predicted_share: share of the pixels with true depth that got a prediction.
         calibration: of the error that the network states of itself; None if it states none.
     """
 
     metrics: DepthMetrics
+    judged: list[int]
     predicted_share: float
     calibration: ErrorCalibration | None
 
@@ -38,13 +40,15 @@ def judge_network(predictor: DepthPredictor, recording: Recording, progress: Ste
     """
     accumulator = DepthAccumulator()
     known = predicted = 0
-    errors, scales = [], []
+    judged, errors, scales = [], [], []
     for index in range(len(recording)):
         prediction, truth = predictor(recording.color(index)), recording.depth(index)
         depth = prediction.resized(recording.camera.width, recording.camera.height)
-        both = (truth > 0.0) & (depth > 0.0)
-        known, predicted = known + int(np.sum(truth > 0.0)), predicted + int(both.sum())
-        accumulator.add(depth, np.where(both, truth, 0.0))
+        compared = truth_where_predicted(depth, truth)
+        known, predicted = known + int(np.sum(truth > 0.0)), predicted + int(np.sum(compared > 0.0))
+        accumulator.add(depth, compared)
+        if compared.any():
+            judged.append(index)
         if prediction.log_error is not None:
             # At the network's own pixels: interpolation would make neighbours agree more than they do.
             size = prediction.depth_m.shape[::-1]
@@ -54,7 +58,7 @@ def judge_network(predictor: DepthPredictor, recording: Recording, progress: Ste
             scales.append(prediction.log_error[has_both])
         if progress is not None:
             progress(index + 1)
-    if not len(accumulator):
+    if not judged:
         raise DataError(predictor.name, "gives no depth at any pixel of known depth", "check its TOML, or --frames")
     calibration = error_calibration(np.concatenate(errors), np.concatenate(scales)) if errors else None
-    return Judgement(accumulator.mean(), predicted / known, calibration)
+    return Judgement(accumulator.mean(), judged, predicted / known, calibration)

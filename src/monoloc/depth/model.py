@@ -14,6 +14,8 @@ from monoloc.extras import training_extra
 from monoloc.models import is_quantised, is_shipped, shipped_file, shipped_models
 
 _TOML, _SAFETENSORS = ".toml", ".safetensors"
+# A tensor that every network of ours has, and none in 8 bits; looked for in the bytes, for onnx is an extra.
+_WEIGHTS = b"encoder.features.0.0.weight"
 
 
 class _Description(ModelSpec):
@@ -31,12 +33,7 @@ def read_model(network: str | Path) -> DepthModel:
     """
     if is_shipped(str(network)):
         return _own_model(shipped_file(str(network)).read_bytes(), str(network), str(network))
-    path = Path(network)
-    if not path.is_file():
-        names = ", ".join(model.name for model in shipped_models())
-        raise DataError(
-            path, "does not exist", f"give a .safetensors, .onnx or .toml file, a bundle, or one of {names}"
-        )
+    path = _checked_path(network)
     if path.suffix == _TOML:
         return _described_model(path)
     if path.suffix == _SAFETENSORS:
@@ -57,13 +54,27 @@ def trainable_file(network: str | Path) -> Path | None:
     if is_shipped(str(network)):
         file = shipped_file(str(network))
         return None if is_quantised(str(network)) else file
-    path = Path(network)
-    if path.suffix == _TOML or path.is_dir():
+    if Path(network).is_dir():
         return None
+    path = _checked_path(network)
+    if path.suffix == _TOML:
+        return None
+    if path.suffix == _SAFETENSORS:
+        return path
+    return path if _WEIGHTS in read_model(path).content else None
+
+
+def _checked_path(network: str | Path) -> Path:
+    """The file of a network that does not come with monoloc.
+
+    Raises:
+        DataError: it is not there.
+    """
+    path = Path(network)
     if not path.is_file():
-        raise DataError(path, "does not exist", "give a network.safetensors made by: monoloc depth train")
-    if path.suffix != _SAFETENSORS:
-        read_model(path)
+        names = ", ".join(model.name for model in shipped_models())
+        fix = f"give a .safetensors, .onnx or .toml file, a bundle, or one of {names}"
+        raise DataError(path, "does not exist", fix)
     return path
 
 

@@ -332,7 +332,7 @@ def load_encoder_weights(network: HasEncoder, path: Path) -> None:
         if name.endswith("num_batches_tracked"):
             continue
         if name not in arrays:
-            raise DataError(path, f"has no tensor {name}", "give weights under torchvision's MobileNetV2 names")
+            raise DataError(path, f"has no tensor {name}", "give an .npz under torchvision's MobileNetV2 names")
         if arrays[name].shape != tuple(target.shape):
             raise DataError(
                 path,

@@ -17,9 +17,9 @@ from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantTy
 from onnxruntime.quantization.shape_inference import quant_pre_process
 
 from monoloc.depth.last_layer import read_last_layer, replace_last_layer
-from monoloc.errors import SettingError
+from monoloc.errors import DataError, SettingError
 
-_LEAST_IMAGES = 10
+LEAST_IMAGES = 10
 # Log-depth itself is not squeezed into 256 steps, and the last layer stays replaceable.
 _IN_FLOAT = ("/head/Conv", "/error_head/Conv")
 
@@ -45,10 +45,13 @@ def quantise(content: bytes, images: Sequence[NDArray[np.float32]]) -> tuple[byt
         images: what the network will see, each (1, 3, H, W) float32 in [-1, 1], all of one size.
 
     Raises:
+        DataError: the network is in 8 bits already.
         SettingError: too few images.
     """
-    if len(images) < _LEAST_IMAGES:
-        raise SettingError("int8", f"has {len(images)} frames", f"calibrate on at least {_LEAST_IMAGES}")
+    if any(node.op_type == "QuantizeLinear" for node in onnx.load_from_string(content).graph.node):
+        raise DataError("network", "is in 8 bits already", "give it as it was before it was quantised")
+    if len(images) < LEAST_IMAGES:
+        raise SettingError("int8", f"has {len(images)} frames", f"calibrate on at least {LEAST_IMAGES}")
     calibration, judging = images[::2], images[1::2]
     with tempfile.TemporaryDirectory() as folder:
         source, prepared, target = (Path(folder) / name for name in ("source.onnx", "prepared.onnx", "target.onnx"))

@@ -135,6 +135,13 @@ def network_size(camera: Camera, focal_px: float, stride: int = STRIDE) -> tuple
     return width, height
 
 
+def resize_image(color: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
+    """An image (H, W, 3) uint8 at a network's size (width, height), the same in training as when it is run."""
+    enlarges = size[0] > color.shape[1] and size[1] > color.shape[0]
+    interpolation = cv2.INTER_LINEAR if enlarges else cv2.INTER_AREA  # which makes blocks when it enlarges
+    return np.asarray(cv2.resize(color, size, interpolation=interpolation), np.uint8)
+
+
 def image_tensor(
     color: NDArray[np.uint8], input_camera: Camera, spec: ModelSpec | None = None
 ) -> NDArray[np.float32]:
@@ -144,10 +151,7 @@ def image_tensor(
         input_camera: has the input's size.
         spec: normalisation, channels and layout; None is [-1, 1], RGB, channels first, as our networks take it.
     """
-    size = (input_camera.width, input_camera.height)
-    enlarges = size[0] > color.shape[1] and size[1] > color.shape[0]
-    interpolation = cv2.INTER_LINEAR if enlarges else cv2.INTER_AREA  # which makes blocks when it enlarges
-    values = np.asarray(cv2.resize(color, size, interpolation=interpolation), dtype=np.float32)
+    values = resize_image(color, (input_camera.width, input_camera.height)).astype(np.float32)
     if spec is None:
         spec = monoloc_spec(input_camera.focal_px)
     mean, std = np.array(spec.mean), np.array(spec.std)

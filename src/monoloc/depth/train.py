@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from pickle import UnpicklingError
@@ -22,8 +22,10 @@ from monoloc.depth.checkpoint import load_network, save_network
 from monoloc.depth.distributed import Worker, training_worker
 from monoloc.depth.examples import TrainingFrames, ValidationFrames
 from monoloc.depth.family import named_config
+from monoloc.depth.identity import file_sha256, recording_identity
 from monoloc.depth.losses import LossConfig, depth_loss, laplace_loss
 from monoloc.depth.network import DepthNetwork, NetworkConfig, load_encoder_weights
+from monoloc.depth.schedule import one_cycle
 from monoloc.errors import DataError, SettingError
 from monoloc.files import write_whole
 from monoloc.memory import keep_freed_memory
@@ -83,6 +85,7 @@ def train_network(
     encoder_weights: Path | None = None,
     start: Path | None = None,
     progress: Progress | None = None,
+    show: Callable[[list[EpochRecord]], None] | None = None,
 ) -> list[EpochRecord]:
     """Train from the encoder's weights, from a network or from nothing, and write the network and its history.
 
@@ -90,7 +93,8 @@ def train_network(
     where there are some, and on several under ``torchrun``; at the end the last layer's bias is set so that the
     median error on whole frames is none. After every epoch ``out_dir`` holds
     ``network.safetensors`` (the averaged weights), ``history.json`` (which is returned, by the first of several
-    processes) and what it takes to go on from there: called again with the same settings, training resumes.
+    processes) and what it takes to go on from there: called again with the same settings, training resumes. What
+    it starts from, and all frames, must be the same too.
 
     Args:
         training: recordings with depth, which are mixed, of one field of view; the first is of the kind that the
@@ -101,10 +105,11 @@ def train_network(
         encoder_weights: MobileNetV2 weights to start from, as :func:`load_encoder_weights` takes them.
         start: a whole network to start from, as :func:`load_network` takes it; in place of the former.
         progress: shows epochs and their figures.
+        show: called by the first process with the history so far, when training begins again and after every epoch.
 
     Raises:
         DataError: a recording without depth, or one that cannot be read; weights that do not fit.
-        SettingError: fewer frames than one batch, or ``out_dir`` holds a run with other settings.
+        SettingError: fewer frames than one batch, or ``out_dir`` holds another run.
     """
     for recording in (*training, validation):
         if not recording.has_depth:
@@ -113,9 +118,12 @@ def train_network(
     with training_worker() as worker:
         torch.manual_seed(config.seed)
         network = _initial(config.network, encoder_weights, start)
-        run = _Run(config, training, network, worker, progress or NoProgress())
+        identity = _identity(config, training, validation, encoder_weights, start)
+        run = _Run(config, training, network, identity, worker, progress or NoProgress())
         run.resume(out_dir)
         frames = ValidationFrames(validation, config.network.focal_px) if worker.is_first else None
+        if show is not None and worker.is_first and run.history:
+            show(run.history)
         with run.progress.task("train", config.epochs) as step:
             for epoch in range(len(run.history), config.epochs):
                 started = time.perf_counter()
@@ -126,6 +134,8 @@ def train_network(
                     absrel, delta1 = frames.judge(run.averaged_network, worker.device)
                     run.history.append(EpochRecord(epoch, loss, absrel, delta1, time.perf_counter() - started))
                     run.save(out_dir)
+                    if show is not None:
+                        show(run.history)
                     step(epoch + 1, f"AbsRel {absrel:.3f}, delta1 {delta1:.3f}")
         return run.history if worker.is_first else []
 
@@ -144,6 +154,24 @@ def _initial(config: NetworkConfig, encoder_weights: Path | None, start: Path | 
     return network
 
 
+def _identity(
+    config: TrainConfig,
+    training: Sequence[Recording],
+    validation: Recording,
+    encoder_weights: Path | None,
+    start: Path | None,
+) -> str:
+    """What a run must agree in to be the same."""
+    parts = {
+        "settings": config.model_dump(mode="json"),
+        "start": None if start is None else file_sha256(start),
+        "encoder": None if encoder_weights is None else file_sha256(encoder_weights),
+        "training": [recording_identity(recording) for recording in training],
+        "validation": recording_identity(validation),
+    }
+    return json.dumps(parts)
+
+
 class _Run:
     """A network with all that changes while it trains."""
 
@@ -152,10 +180,12 @@ class _Run:
         config: TrainConfig,
         training: Sequence[Recording],
         network: DepthNetwork,
+        identity: str,
         worker: Worker,
         progress: Progress,
     ) -> None:
         self.config = config
+        self.identity = identity
         self.worker = worker
         self.progress = progress
         self.history: list[EpochRecord] = []
@@ -182,11 +212,7 @@ class _Run:
             weight_decay=config.weight_decay,
             fused=True,
         )
-        steps = config.epochs * steps_per_epoch
-        rise = 0.1 if steps != 10 else 0.2  # torch divides by the rise's steps less one
-        self._schedule = torch.optim.lr_scheduler.OneCycleLR(
-            self._optimizer, rates, total_steps=steps, pct_start=rise
-        )
+        self._schedule = one_cycle(self._optimizer, config.epochs * steps_per_epoch)
         self._trained = worker.wrap(_WithError(self._network))
 
     @property
@@ -242,16 +268,16 @@ class _Run:
         save_network(self.averaged_network, out_dir / "network.safetensors")
         write_whole(out_dir / "history.json", json.dumps(history, indent=1).encode())
         state = {name: part.state_dict() for name, part in self._parts().items()}
-        content = {"run": self._identity(), "history": history, **state}
+        content = {"run": self.identity, "history": history, **state}
         buffer = io.BytesIO()
         torch.save(content, buffer)
         write_whole(out_dir / _STATE, buffer.getvalue())
 
     def resume(self, out_dir: Path) -> None:
-        """Go on where a run with the same settings stopped; nothing if ``out_dir`` holds none.
+        """Go on where the same run stopped; nothing if ``out_dir`` holds none.
 
         Raises:
-            SettingError: it holds a run with other settings, or one that cannot be read.
+            SettingError: it holds another run, or one that cannot be read.
         """
         path = out_dir / _STATE
         if not path.is_file():
@@ -262,15 +288,11 @@ class _Run:
             identity = content["run"]
         except (RuntimeError, EOFError, OSError, ValueError, TypeError, KeyError, UnpicklingError) as error:
             raise SettingError("--out", f"{path} cannot be read", fix) from error
-        if identity != self._identity():
-            raise SettingError("--out", f"{path} is of a run with other settings or frames", fix)
+        if identity != self.identity:
+            raise SettingError("--out", f"{path} is of a run with other settings, start or frames", fix)
         self.history = [EpochRecord(**record) for record in content["history"]]
         for name, part in self._parts().items():
             part.load_state_dict(content[name])
-
-    def _identity(self) -> str:
-        """What a run must agree in to be the same."""
-        return f"{self.config.model_dump_json()} on {len(self._frames)} frames"
 
     def _parts(self) -> dict[str, Any]:
         return {

@@ -7,6 +7,7 @@ averages of per-image values, so an image with many holes weighs as much as one 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import cv2
 import numpy as np
@@ -66,6 +67,12 @@ def depth_metrics(predicted_m: ArrayLike, truth_m: ArrayLike) -> DepthMetrics:
         log10=float(np.mean(np.abs(np.log10(p) - np.log10(t)))),
         ssim=depth_ssim(predicted, truth, valid, SSIM_RANGE_M),
     )
+
+
+def truth_where_predicted(predicted_m: ArrayLike, truth_m: ArrayLike) -> NDArray[Any]:
+    """True depth (H, W) metres, 0 where it is unknown or there is no prediction (0 or NaN) to compare with it."""
+    truth = np.asarray(truth_m)
+    return np.where(_has_truth(truth) & (np.asarray(predicted_m) > 0.0), truth, 0.0)
 
 
 def fit_scale(predicted_m: ArrayLike, truth_m: ArrayLike) -> float:

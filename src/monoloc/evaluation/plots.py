@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from monoloc.evaluation.depth import depth_metrics
+from monoloc.evaluation.depth import depth_metrics, truth_where_predicted
 from monoloc.evaluation.picture import BLUE, ORANGE, picture
 from monoloc.evaluation.run_drawing import Run, draw_errors, draw_views
 from monoloc.geometry import FloatArray
@@ -44,7 +44,7 @@ def plot_localization(
         covariances: (N, 6, 6) in the estimated camera's tangent space, order (rho, phi), m and rad.
         odometry: ``T_world_camera`` by odometry alone, (N, 4, 4), same world.
         unseen: (N,) True for frames that did not build the map.
-        states: N of "tracking", "uncertain", "lost", "map-changed".
+        states: N of "tracking", "uncertain", "lost".
         mixture: means (K, 3) and covariances (K, 3, 3) of the map, world frame, metres.
         cloud: (P, 3) points of the map, world frame, metres.
         title: written above all.
@@ -74,23 +74,21 @@ def plot_depth(
     Args:
         path: the PNG to write.
         colors: images (H, W, 3) uint8, RGB, of any size.
-        predicted_m: depth images (h, w), metres, positive wherever the truth is known.
+        predicted_m: depth images (h, w), metres; 0 where there is none, which is drawn grey and not judged.
         truth_m: depth images (h, w), metres; 0 or NaN where unknown, which is drawn grey.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
         DataError: the file cannot be written.
-        ValueError: no image, not as many of each, or depth that
-            :func:`~monoloc.evaluation.depth.depth_metrics` refuses.
+        ValueError: no image, not as many of each, or an image without a pixel that has both depths.
     """
     if not len(colors) == len(predicted_m) == len(truth_m) >= 1:
         raise ValueError(
             "colors, predicted_m and truth_m must be equally many and not none, "
             f"got {len(colors)}, {len(predicted_m)} and {len(truth_m)}"
         )
-    metrics = [depth_metrics(p, t) for p, t in zip(predicted_m, truth_m, strict=True)]
-    predictions = [np.asarray(p, dtype=np.float64) for p in predicted_m]
-    truths = [np.where(np.asarray(t) > 0.0, t, np.nan) for t in truth_m]
+    metrics = [depth_metrics(p, truth_where_predicted(p, t)) for p, t in zip(predicted_m, truth_m, strict=True)]
+    predictions, truths = ([np.where(np.asarray(d) > 0.0, d, np.nan) for d in ds] for ds in (predicted_m, truth_m))
     near_m, far_m = np.nanpercentile(np.concatenate([t.ravel() for t in truths]), [1.0, 99.0])
 
     aspect = colors[0].shape[0] / colors[0].shape[1]

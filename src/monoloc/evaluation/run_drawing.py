@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.evaluation.picture import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, VERMILION, YELLOW
+from monoloc.evaluation.picture import BLUE, GREEN, GREY, INK, ORANGE, VERMILION, YELLOW
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import SubFigure
 
-_STATE_COLOURS = {"uncertain": YELLOW, "lost": VERMILION, "map-changed": PURPLE}
+_STATE_COLOURS = {"uncertain": YELLOW, "lost": VERMILION}
 _DASHED = (0, (4, 2))
 _ELLIPSE_SIGMA = 1.5
 _VIEWS_ASPECT = 1.05  # height of both views together over their width, in the picture's left half

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
-import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.bundle import fingerprint
 from monoloc.datasets.base import Recording, Relight, Selection
 from monoloc.datasets.registry import open_recording, select_frames
+from monoloc.depth.identity import recording_identity
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
 from monoloc.runs import Start
@@ -31,19 +29,7 @@ def describe_recording(source: str, frames: str) -> Settings:
         DataError, SettingError: it cannot be read.
     """
     recording = select_frames(open_recording(source), frames)
-    looked_at = sorted({0, len(recording) // 2, len(recording) - 1})
-    poses = b"" if recording.poses is None else recording.poses.tobytes()
-    return {
-        "source": source,
-        "frames": frames,
-        "name": recording.name,
-        "length": len(recording),
-        "camera": repr(recording.camera),
-        "times_sha256": hashlib.sha256(recording.timestamps_s.tobytes()).hexdigest(),
-        "poses_sha256": hashlib.sha256(poses).hexdigest(),
-        "images": [fingerprint(recording.color(index)) for index in looked_at],
-        "depths": [zlib.crc32(recording.depth(index).tobytes()) for index in looked_at if recording.has_depth],
-    }
+    return {"source": source, "frames": frames, **recording_identity(recording)}
 
 
 def _open(described: Settings) -> Selection:

@@ -11,7 +11,15 @@ import numpy as np
 from monoloc.evaluation.picture import picture
 from monoloc.experiments.drawing import show_image
 from monoloc.experiments.figure import Drawn, Figure
-from monoloc.experiments.gather import depth_task, frame_depth, in_split, network_of, parameters_of, usual_light
+from monoloc.experiments.gather import (
+    depth_arrays,
+    depth_task,
+    frame_depth,
+    in_split,
+    network_of,
+    parameters_of,
+    usual_light,
+)
 from monoloc.experiments.methods import bundle_of
 from monoloc.experiments.study import Study
 from monoloc.experiments.task import Results, Task
@@ -33,7 +41,7 @@ def tasks(study: Study) -> Sequence[Task]:
 
 def draw(study: Study, results: Results, folder: Path) -> Drawn:
     pairs = _pairs(study)
-    files = [[np.load(results[task].folder / "depth.npz") for task in pair] for pair in pairs]
+    files = [[depth_arrays(results[task]) for task in pair] for pair in pairs]
     first = files[0][0]
     shown = [int(index) for index in first["index"]]
     truth = np.where(first["truth"] > 0.0, first["truth"], np.nan)

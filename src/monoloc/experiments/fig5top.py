@@ -11,7 +11,16 @@ import numpy as np
 from monoloc.evaluation.picture import picture
 from monoloc.experiments.drawing import show_image
 from monoloc.experiments.figure import Drawn, Figure
-from monoloc.experiments.gather import DARK, depth_task, frame_depth, joined, mean_depth, network_of, shown_frames
+from monoloc.experiments.gather import (
+    DARK,
+    depth_arrays,
+    depth_task,
+    frame_depth,
+    joined,
+    mean_depth,
+    network_of,
+    shown_frames,
+)
 from monoloc.experiments.methods import bundle_of
 from monoloc.experiments.study import Study
 from monoloc.experiments.task import Results, Task
@@ -46,7 +55,7 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
             for kind, task in zip(_KINDS, pair, strict=True)
         }
     path = folder / "fig5top.png"
-    files = {light: [np.load(results[task].folder / "depth.npz") for task in pair] for light, pair in pairs.items()}
+    files = {light: [depth_arrays(results[task]) for task in pair] for light, pair in pairs.items()}
     first = next(iter(files.values()))[0]
     truth = first["truth"][_PLACE]
     near_m, far_m = (float(value) for value in np.percentile(truth[truth > 0.0], [1.0, 99.0]))

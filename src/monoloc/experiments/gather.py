@@ -166,6 +166,12 @@ def way(result: Result) -> dict[str, Any]:
         return dict(arrays)
 
 
+def depth_arrays(result: Result) -> dict[str, Any]:
+    """The arrays of :func:`monoloc.experiments.tasks.depth`."""
+    with np.load(result.folder / "depth.npz") as arrays:
+        return dict(arrays)
+
+
 def room_map(result: Result) -> tuple[FloatArray, FloatArray]:
     """Means and covariances of a bundle's map as it was fitted."""
     from monoloc.bundle import read_bundle

@@ -34,7 +34,9 @@ def _commit() -> str:
         root = Path(_git(folder, "rev-parse", "--show-toplevel"))
         if not folder.is_relative_to(root / "src" / "monoloc"):
             return "unknown (installed)"
-        return f"{commit}, with changes" if _git(folder, "status", "--porcelain", "--", str(root)) else commit
+        # What git does not track is none of it: a report's own folder may lie in the tree.
+        changes = _git(folder, "status", "--porcelain", "--untracked-files=no", "--", str(root))
+        return f"{commit}, with changes" if changes else commit
     except (OSError, subprocess.CalledProcessError):
         return "unknown (not a repository)"
 

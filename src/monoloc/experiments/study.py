@@ -69,11 +69,6 @@ class Study:
     quick: bool
     encoder_weights: str | None = None
 
-    @property
-    def networks(self) -> tuple[str, ...]:
-        """Names of the depth networks, as ``full-0.35``."""
-        return tuple(f"{size}-{WIDTH}" for size in self.sizes)
-
 
 def builtin(quick: bool) -> Study:
     """The room that comes with monoloc: one flight to build from, another in three rendered lights."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -13,7 +12,7 @@ from monoloc.adapt.settings import AdaptConfig
 from monoloc.baselines.keypoints import KeypointConfig
 from monoloc.build import BuildConfig
 from monoloc.config import override
-from monoloc.depth.model import trainable_file
+from monoloc.depth.identity import file_sha256
 from monoloc.evaluation.clouds import COMPARED_POINTS
 from monoloc.experiments.common import describe_recording
 from monoloc.experiments.source import source_sha256
@@ -199,7 +198,7 @@ def _training(study: Study, size: str, views: bool) -> dict[str, Any]:
         "width": WIDTH,
         "training": config.model_dump(mode="json"),
         "encoder": weights or f"full-{WIDTH}",
-        "encoder_sha256": _sha256(Path(weights)) if weights else _content_of(f"full-{WIDTH}"),
+        "encoder_sha256": file_sha256(Path(weights)) if weights else _content_of(f"full-{WIDTH}"),
     }
 
 
@@ -211,10 +210,4 @@ _recording = cache(describe_recording)  # in a reproduction's lifetime, what lie
 
 
 def _content_of(network: str) -> str:
-    """Of the network that is run, and of the one that is tuned."""
-    files = [shipped_file(network) if is_shipped(network) else Path(network), trainable_file(network)]
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files if file is not None)).hexdigest()
-
-
-def _sha256(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()
+    return file_sha256(shipped_file(network) if is_shipped(network) else Path(network))

@@ -36,11 +36,16 @@ class HealthyRange(BaseModel):
         return cls(low=float(first), lost=float(2.0 * first - median))
 
 
-def judge(fit: float, belief: Estimate, healthy: HealthyRange) -> State:
-    """State of the localizer: an empty scan (fit NaN) or a wide belief is never ``tracking``."""
+def judge(fit: float, belief: Estimate, healthy: HealthyRange, is_followed: bool) -> State:
+    """State of the localizer: an empty scan (fit NaN), a wide belief or a camera lost sight of is not ``tracking``.
+
+    Args:
+        is_followed: whether odometry, if there is one, has followed the camera: a network's depth fits somewhere even
+            where it is invented.
+    """
     spread_m = math.sqrt(float(np.linalg.eigvalsh(belief.covariance[:3, :3])[-1]))
     if spread_m > _WIDE_SD_M or fit < healthy.lost:
         return "lost"
-    if math.isnan(fit) or fit < healthy.low:
+    if math.isnan(fit) or fit < healthy.low or not is_followed:
         return "uncertain"
     return "tracking"

@@ -79,6 +79,9 @@ def evenly(points: NDArray[np.float32]) -> Scan:
     return Scan(points, np.ones(len(points), dtype=np.float32))
 
 
+NOTHING = evenly(np.zeros((0, 3), dtype=np.float32))
+
+
 def _weights(log_error: NDArray[np.float32], power: float) -> NDArray[np.float32]:
     weights = np.exp(-power * (log_error - np.median(log_error)))
     weights = np.clip(weights, _LEAST_WEIGHT, _MOST_WEIGHT)

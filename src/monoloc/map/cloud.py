@@ -19,6 +19,7 @@ IntArray = NDArray[np.int64]
 # A neighbouring pixel this much nearer or farther, relative to depth, marks an edge between surfaces, where
 # sensors report depths of neither ("flying pixels"). A surface reaches it only when seen at under 2 degrees.
 DISCONTINUITY = 0.05
+_CELL_VOXELS, _LEAST_CELL_M = 5.0 / 3.0, 0.05  # of the cells in which neighbours are counted
 _KEY_BITS = 21  # voxel coordinates along one axis: +-2^20 voxels
 _MERGE_AT = 2_000_000  # voxels held back before they are merged
 
@@ -81,7 +82,8 @@ def voxel_thin(points: ArrayLike, voxel_m: float) -> FloatArray:
     """One point, the centroid, in each occupied voxel of a grid at the origin: (N, 3) m -> (M, 3) m.
 
     Raises:
-        ValueError: wrong shape, values that are not finite, or points too far out for the voxel size.
+        ValueError: wrong shape, or values that are not finite.
+        DataError: points too far from the origin for the voxel size.
         SettingError: a voxel size that is not positive.
     """
     thinner = VoxelThinner(voxel_m)
@@ -89,18 +91,18 @@ def voxel_thin(points: ArrayLike, voxel_m: float) -> FloatArray:
     return thinner.points()
 
 
-def remove_outliers(points: ArrayLike, radius_m: float = 0.05, neighbours: int = 5) -> FloatArray:
-    """Points with at least ``neighbours`` others in the 27 cells of ``radius_m`` around: (N, 3) -> (M, 3).
+def remove_outliers(points: ArrayLike, voxel_m: float = 0.03, neighbours: int = 5) -> FloatArray:
+    """Points with at least ``neighbours`` others in the 27 cells around: (N, 3) m -> (M, 3) m.
 
-    Meant for thinned clouds, whose density on a surface is known: thinned to 3 cm, a plane has about 25
-    points in this neighbourhood.
+    Cells have 5/3 of ``voxel_m``, to which the cloud was thinned, so that a plane has about 25 points in them at
+    any size; and 5 cm at least, for a cloud that came from elsewhere may be no denser than that.
 
     Raises:
-        ValueError: as for :func:`voxel_thin`.
-        SettingError: a radius that is not positive.
+        ValueError, DataError, SettingError: as for :func:`voxel_thin`.
     """
     cloud = float64("points", points, None, 3)
-    keys = _voxel_keys(cloud, radius_m, "radius_m")
+    _check_voxel(voxel_m)
+    keys = _voxel_keys(cloud, max(_LEAST_CELL_M, _CELL_VOXELS * voxel_m))
     cells, cell_of_point, counts = np.unique(keys, return_inverse=True, return_counts=True)
     around = np.zeros(len(cells), dtype=np.int64)
     steps = (-1, 0, 1)
@@ -121,8 +123,7 @@ class VoxelThinner:
     """
 
     def __init__(self, voxel_m: float) -> None:
-        if not 0.0 < voxel_m < np.inf:
-            raise SettingError("voxel_m", f"is {voxel_m}", "give a positive size in metres")
+        _check_voxel(voxel_m)
         self._voxel_m = voxel_m
         self._keys: list[IntArray] = []
         self._sums: list[FloatArray] = []  # (n, 4): weighted coordinates and weight
@@ -132,12 +133,13 @@ class VoxelThinner:
         """Add points (N, 3) m with weights (N,), ones by default.
 
         Raises:
-            ValueError: wrong shapes, values that are not finite, or points too far out.
+            ValueError: wrong shapes, or values that are not finite.
+            DataError: points too far from the origin.
         """
         cloud = float64("points", points, None, 3)
         w = np.ones(len(cloud)) if weights is None else float64("weights", weights, len(cloud))
         sums = np.column_stack([cloud * w[:, None], w])
-        keys, sums = _merge(_voxel_keys(cloud, self._voxel_m, "voxel_m"), sums)
+        keys, sums = _merge(_voxel_keys(cloud, self._voxel_m), sums)
         self._keys.append(keys)
         self._sums.append(sums)
         self._held_back += len(keys)
@@ -165,14 +167,19 @@ def _merge(keys: IntArray, sums: FloatArray) -> tuple[IntArray, FloatArray]:
     return unique, np.stack(merged, axis=1)
 
 
-def _voxel_keys(points: FloatArray, voxel_m: float, name: str) -> IntArray:
-    """One integer a voxel: (N, 3) m -> (N,)."""
+def _check_voxel(voxel_m: float) -> None:
     if not 0.0 < voxel_m < np.inf:
-        raise SettingError(name, f"is {voxel_m}", "give a positive size in metres")
+        raise SettingError("voxel_m", f"is {voxel_m}", "give a positive size in metres")
+
+
+def _voxel_keys(points: FloatArray, voxel_m: float) -> IntArray:
+    """One integer a voxel: (N, 3) m -> (N,)."""
     cells = np.floor(points / voxel_m)
     limit = 2 ** (_KEY_BITS - 1) - 2
     if np.abs(cells).max(initial=0.0) > limit:
-        raise ValueError(f"points must lie within {limit * voxel_m:.0f} m of the origin for voxels of {voxel_m} m")
+        far_km = float(np.abs(points).max()) / 1e3
+        problem = f"lies {far_km:.1f} km from the origin, too far for voxels of {voxel_m:g} m"
+        raise DataError("cloud", problem, "subtract an offset from cloud and poses")
     return _pack(cells.astype(np.int64) + 2 ** (_KEY_BITS - 1))
 
 

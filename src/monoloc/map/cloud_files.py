@@ -1,4 +1,4 @@
-"""Clouds in files: ply, pcd, xyz, npz in; ply out."""
+"""Clouds from files: ply, pcd, xyz, npz."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from io import BufferedReader
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from monoloc.errors import DataError
-from monoloc.map.arguments import float64
 
 FloatArray = NDArray[np.float64]
 Fields = list[tuple[str, str]]  # name and little-endian NumPy type of each number of a point
@@ -60,18 +59,6 @@ def read_cloud(path: Path) -> FloatArray:
     return points
 
 
-def write_ply(path: Path, points: ArrayLike) -> None:
-    """Write points (N, 3) m as binary little-endian ply with float properties x, y, z.
-
-    Raises:
-        ValueError: wrong shape, or a value that is not finite.
-    """
-    cloud = float64("points", points, None, 3)
-    properties = "".join(f"property float {axis}\n" for axis in "xyz")
-    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(cloud)}\n{properties}end_header\n"
-    Path(path).write_bytes(header.encode("ascii") + cloud.astype("<f4").tobytes())
-
-
 def _read_ply(path: Path) -> FloatArray:
     with path.open("rb") as file:
         if file.readline().strip() != b"ply":
@@ -109,8 +96,7 @@ def _read_pcd(path: Path) -> FloatArray:
         for name, size, kind, repeat in zip(header["FIELDS"], header["SIZE"], header["TYPE"], repeats, strict=True):
             if kind not in _PCD_KINDS:
                 raise ValueError(f"field {name!r} has the unknown type {kind!r}")
-            names = [name] if repeat == 1 else [f"{name}[{i}]" for i in range(repeat)]
-            fields += [(each, f"<{_PCD_KINDS[kind]}{size}") for each in names]
+            fields += [(name, f"<{_PCD_KINDS[kind]}{size}")] * repeat
         count, encoding = int(header["POINTS"][0]), header["DATA"][0]
         if encoding == "ascii":
             return _ascii_points(file, fields, count)
@@ -161,12 +147,13 @@ def _ascii_points(file: BufferedReader, fields: Fields, count: int) -> FloatArra
 
 
 def _binary_points(file: BufferedReader, fields: Fields, count: int) -> FloatArray:
-    x, y, z = (fields[i][0] for i in _positions(fields))
-    dtype = np.dtype([(name, kind) for name, kind in fields])
+    positions = _positions(fields)
+    # By number: padding has one name wherever it stands.
+    dtype = np.dtype([(str(index), kind) for index, (_, kind) in enumerate(fields)])
     data = file.read(max(count, 0) * dtype.itemsize)
     _check_count(len(data) // dtype.itemsize, count)
     vertices = np.frombuffer(data, dtype=dtype)
-    return np.column_stack([vertices[axis].astype(np.float64) for axis in (x, y, z)])
+    return np.column_stack([vertices[str(index)].astype(np.float64) for index in positions])
 
 
 def _check_count(got: int, count: int) -> None:

@@ -25,7 +25,6 @@ from monoloc.map.mixture import GaussianMixture
 FloatArray = NDArray[np.float64]
 Progress = Callable[[int, float], None]
 
-CANDIDATES = (25, 50, 100, 200, 400)  # components tried when none are given
 _ALIVE = 1.0  # a component that holds less than one point is empty
 _SPLIT = 0.8  # of a standard deviation: distance of the halves' means from the whole's
 
@@ -63,7 +62,7 @@ class _Moments:
 
 def fit_mixture(
     points: ArrayLike,
-    components: int | None,
+    components: int,
     rng: np.random.Generator,
     floor_m: float = 0.01,
     max_iterations: int = 100,
@@ -74,7 +73,7 @@ def fit_mixture(
 
     Args:
         points: (N, 3), world frame, metres.
-        components: K; None lets BIC choose among :data:`CANDIDATES`.
+        components: K.
         rng: source of the k-means++ start.
         floor_m: smallest standard deviation of a component in any direction.
         max_iterations: E-steps at most.
@@ -86,9 +85,6 @@ def fit_mixture(
         SettingError: a number of components that the cloud cannot carry, or a floor that is not positive.
     """
     cloud = float64("points", points, None, 3)
-    if components is None:
-        result, _ = choose_components(cloud, CANDIDATES, rng, floor_m, max_iterations, tolerance, progress)
-        return result
     if not 1 <= components <= len(cloud):
         raise SettingError(
             "components",
@@ -100,13 +96,7 @@ def fit_mixture(
 
 
 def choose_components(
-    points: ArrayLike,
-    candidates: Sequence[int],
-    rng: np.random.Generator,
-    floor_m: float = 0.01,
-    max_iterations: int = 100,
-    tolerance: float = 1e-4,
-    progress: Progress | None = None,
+    points: ArrayLike, candidates: Sequence[int], rng: np.random.Generator
 ) -> tuple[FitResult, dict[int, float]]:
     """The fit of smallest BIC among ``candidates``, tried in rising order until BIC rises.
 
@@ -127,7 +117,7 @@ def choose_components(
     best: FitResult | None = None
     scores: dict[int, float] = {}
     for count in usable:
-        result = fit_mixture(cloud, count, rng, floor_m, max_iterations, tolerance, progress)
+        result = fit_mixture(cloud, count, rng)
         scores[count] = result.bic(len(cloud))
         if best is not None and scores[count] >= min(list(scores.values())[:-1]):
             break

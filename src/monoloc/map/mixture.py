@@ -23,6 +23,7 @@ from monoloc.map.reference import log_sum_exp, log_terms
 FloatArray = NDArray[np.float64]
 
 BYTES_PER_COMPONENT = 40  # ten float32: weight, mean, Cholesky factor
+_POINTS_AT_ONCE = 4096
 _LOWER = np.tril_indices(3)  # order of the stored factor: (0,0) (1,0) (1,1) (2,0) (2,1) (2,2)
 _PARTS = {"weights": (None,), "means": (None, 3), "cholesky": (None, 6)}
 
@@ -82,8 +83,14 @@ class GaussianMixture:
         Raises:
             ValueError: as for :meth:`log_density`.
         """
-        terms = log_terms(float64("points", points, None, 3), self.weights, self.means, self.covariances)
-        return np.exp(terms - log_sum_exp(terms)[:, None])
+        cloud = float64("points", points, None, 3)
+        result = np.empty((len(cloud), len(self)))
+        # In blocks of points, or what is between would take several times the memory of the result.
+        blocks = max(1, len(cloud) // _POINTS_AT_ONCE)
+        for part, place in zip(np.array_split(cloud, blocks), np.array_split(result, blocks), strict=True):
+            terms = log_terms(part, self.weights, self.means, self.covariances)
+            np.exp(terms - log_sum_exp(terms)[:, None], out=place)
+        return result
 
     def sample(self, count: int, rng: np.random.Generator) -> FloatArray:
         """``count`` independent points, (count, 3), world frame, m."""

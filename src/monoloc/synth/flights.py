@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.errors import SettingError
 from monoloc.geometry import make_pose, so3_exp
-from monoloc.synth.minimum_snap import Spline, minimum_snap
+from monoloc.synth.minimum_snap import Spline, joined, minimum_snap
 from monoloc.synth.rooms import Room
 
 FloatArray = NDArray[np.float64]
@@ -18,6 +18,7 @@ FloatArray = NDArray[np.float64]
 GRAVITY = 9.81  # m/s^2
 CAMERA_RATE_HZ = 30.0
 _TRIES = 400
+_IN_ONE_S, _PIECE_S = 30.0, 10.0  # the longer a way that is drawn whole, the rarer is one that touches nothing
 _CHECK_EVERY_M, _CHECK_EVERY_S = 0.05, 0.02
 _STRETCH = 1.05  # durations grow by this until the limits are met
 
@@ -95,15 +96,18 @@ class Flight:
 def plan_flight(room: Room, config: FlightConfig, seed: int) -> Flight:
     """A flight through random free places of a room; the same seed gives the same flight.
 
+    One of more than half a minute is put together of pieces, and rests for an instant between them.
+
     Raises:
         SettingError: the room has no space for it.
     """
     rng = np.random.default_rng([seed, 0xF117])
-    for _ in range(_TRIES):
-        spline = _spline(room, config, rng)
-        if spline is not None:
-            return Flight(spline, config)
-    raise _no_space()
+    first_s = config.seconds if config.seconds <= _IN_ONE_S else _PIECE_S
+    pieces = [_piece(room, config, first_s, rng, None)]
+    while (left_s := config.seconds - sum(piece.duration_s for piece in pieces)) > 0.0:
+        end = pieces[-1]([pieces[-1].duration_s])[0]
+        pieces.append(_piece(room, config, min(_PIECE_S, left_s), rng, end))
+    return Flight(joined(pieces), config)
 
 
 def free_places(room: Room, config: FlightConfig, rng: np.random.Generator, count: int) -> FloatArray:
@@ -130,18 +134,31 @@ def _no_space() -> SettingError:
     return SettingError("clearance_m", "leaves no way through this room", "choose a smaller one, or another room")
 
 
-def _spline(room: Room, config: FlightConfig, rng: np.random.Generator) -> Spline | None:
-    waypoints = [free_places(room, config, rng, 1)[0]]
-    needed, seconds = config.seconds, 0.0
+def _piece(
+    room: Room, config: FlightConfig, least_s: float, rng: np.random.Generator, start: FloatArray | None
+) -> Spline:
+    """A way of at least so many seconds that touches nothing, from a start (x, y, z, yaw) or from anywhere."""
+    for _ in range(_TRIES):
+        spline = _spline(room, config, least_s, rng, start)
+        if spline is not None:
+            return spline
+    raise _no_space()
+
+
+def _spline(
+    room: Room, config: FlightConfig, least_s: float, rng: np.random.Generator, start: FloatArray | None
+) -> Spline | None:
+    waypoints = [free_places(room, config, rng, 1)[0] if start is None else start[:3]]
+    seconds = 0.0
     durations: list[float] = []
-    while seconds < needed:
+    while seconds < least_s:
         step = _next(room, config, waypoints, rng)
         if step is None:
             return None
         durations.append(max(1.2, 1.6 * float(np.linalg.norm(step - waypoints[-1])) / config.speed))
         waypoints.append(step)
         seconds += durations[-1]
-    yaws = _yaws(room, np.stack(waypoints), config, rng)
+    yaws = _yaws(room, np.stack(waypoints), config, rng, start)
     spline = minimum_snap(np.column_stack([waypoints, yaws]), durations)
     while not _gentle(spline, config):
         spline = spline.slowed(_STRETCH)
@@ -165,12 +182,16 @@ def _next(
     return None
 
 
-def _yaws(room: Room, waypoints: FloatArray, config: FlightConfig, rng: np.random.Generator) -> FloatArray:
+def _yaws(
+    room: Room, waypoints: FloatArray, config: FlightConfig, rng: np.random.Generator, start: FloatArray | None
+) -> FloatArray:
     """At every waypoint the camera looks across the room's middle, more or less, and turns the short way."""
     middle = np.array(room.size[:2]) / 2.0
     across = middle - waypoints[:, :2]
     yaws = np.arctan2(across[:, 1], across[:, 0])
     yaws += np.deg2rad(config.look_spread_deg) * rng.uniform(-1.0, 1.0, len(yaws))
+    if start is not None:
+        yaws[0] = start[3]
     return np.unwrap(yaws)
 
 

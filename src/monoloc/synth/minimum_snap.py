@@ -7,6 +7,7 @@ its first six derivatives are continuous at the waypoints, which is a square lin
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,6 +47,14 @@ class Spline:
     def slowed(self, factor: float) -> Spline:
         """The same way in ``factor`` times the time."""
         return replace(self, durations_s=self.durations_s * factor)
+
+
+def joined(splines: Sequence[Spline]) -> Spline:
+    """One after another: each at rest at both ends, and beginning where the one before ends."""
+    return Spline(
+        np.concatenate([spline.durations_s for spline in splines]),
+        np.concatenate([spline.coefficients for spline in splines]),
+    )
 
 
 def minimum_snap(waypoints: ArrayLike, durations_s: ArrayLike) -> Spline:

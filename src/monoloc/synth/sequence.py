@@ -4,6 +4,7 @@
 
     OUT/L1/dataset.toml, color/000000.jpg    one folder a light, which is the recording
     OUT/poses.txt, depth/000000.png          shared by the lights
+    OUT/room.json, settings.json             what is rendered
     OUT/linear/000000.npz                    light by group: another light costs no rendering
 """
 
@@ -12,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -32,9 +33,10 @@ from monoloc.synth.blur import motion_blurred
 from monoloc.synth.light import Light
 from monoloc.synth.materials import LightGroup
 from monoloc.synth.render import Picture, Renderer, illuminance, mixed
-from monoloc.synth.rooms import Room
+from monoloc.synth.rooms import Room, write_room
 from monoloc.synth.sensor import DepthSensorConfig, SensorConfig, metered, photograph, structured_light, white_balance
 
+ROOM = "room.json"
 _SETTINGS = "settings.json"
 _BALANCE_FRAMES = 8  # over which white balance is settled
 
@@ -84,8 +86,15 @@ def render_sequence(
         DataError: the folder holds a rendering of something else, or cannot be written.
         MissingExtraError: there is something to render and Mitsuba is not installed.
     """
-    out.mkdir(exist_ok=True)
-    _claim(out, room, poses, camera, config, seed)
+    settings = {
+        "room": hashlib.sha256(room.to_json().encode()).hexdigest(),
+        "poses": hashlib.sha256(np.ascontiguousarray(np.round(poses, 9)).tobytes()).hexdigest(),
+        "camera": asdict(camera),
+        "samples": config.samples,
+        "seed": seed,
+    }
+    claim(out, settings)
+    write_room(out / ROOM, room)
     (out / "linear").mkdir(exist_ok=True)
     frames = [out / "linear" / f"{index:06d}.npz" for index in range(len(poses))]
     lux_file = out / "linear" / "lux.json"
@@ -111,16 +120,14 @@ def render_sequence(
     return [out / light.name for light in lights]
 
 
-def _claim(out: Path, room: Room, poses: FloatArray, camera: Camera, config: RenderConfig, seed: int) -> None:
-    """Say in the folder what is rendered there, and refuse to mix two renderings."""
-    content = {
-        "room": hashlib.sha256(room.to_json().encode()).hexdigest(),
-        "poses": hashlib.sha256(np.ascontiguousarray(np.round(poses, 9)).tobytes()).hexdigest(),
-        "camera": asdict(camera),
-        "samples": config.samples,
-        "seed": seed,
-    }
-    text, path = json.dumps(content, indent=1), out / _SETTINGS
+def claim(out: Path, settings: Mapping[str, object]) -> None:
+    """Say in a folder, which is made, what is rendered there, and refuse to mix two renderings.
+
+    Raises:
+        DataError: it holds a rendering of other settings, or cannot be written.
+    """
+    out.mkdir(exist_ok=True)
+    text, path = json.dumps(settings, indent=1), out / _SETTINGS
     if path.is_file() and path.read_text() != text:
         raise DataError(out, "holds a rendering of other settings", "name another folder, or remove that one")
     write_whole(path, text.encode())

@@ -22,7 +22,7 @@ from monoloc.synth.light import Light
 from monoloc.synth.render import Picture, Renderer, illuminance, mixed
 from monoloc.synth.rooms import Room
 from monoloc.synth.sensor import SensorConfig, photograph
-from monoloc.synth.sequence import camera_lines, depth_png
+from monoloc.synth.sequence import camera_lines, claim, depth_png
 
 # NYU Depth v2's field of view at a small size, so that both sets make views of the same kind.
 CAMERA = Camera(208, 156, 177.6, 177.6, 103.5, 77.5)
@@ -65,10 +65,12 @@ def render_views(rooms: int, views: int, samples: int, seed: int, out: Path, pro
 
     Raises:
         MissingExtraError: Mitsuba is not installed.
-        DataError: a file cannot be written.
+        DataError: the folder holds a rendering of other settings than these, the number of rooms aside, or a file
+            cannot be written.
     """
+    claim(out, {"views": views, "samples": samples, "seed": seed})
     for name in ("color", "depth"):
-        (out / name).mkdir(parents=True, exist_ok=True)
+        (out / name).mkdir(exist_ok=True)
     with progress.task("views", rooms * views) as step:
         for number in range(rooms):
             done = number * views

@@ -1,0 +1,69 @@
+"""Evidence taken in by stages: against the exact posterior, and where a plain weighing leaves one particle."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from monoloc.filter.estimate import estimate
+from monoloc.filter.particles import Particles, normalised, scatter
+from monoloc.filter.progressive import correct
+from monoloc.geometry import FloatArray, is_rigid, se3_exp, se3_log
+
+COUNT = 500
+
+
+def prior(seed: int, sd_m: float = 0.5, sd_rad: float = 0.3) -> Particles:
+    return scatter(np.eye(4), COUNT, sd_m, sd_rad, 0.1, np.random.default_rng(seed))
+
+
+class Sharp:
+    """Says that the pose is one, to within so little along every axis; counts how often it is asked."""
+
+    def __init__(self, pose: FloatArray, sd_m: float, sd_rad: float) -> None:
+        self.pose, self.sd, self.asked = pose, np.repeat([sd_m, sd_rad], 3), 0
+
+    def __call__(self, particles: Particles) -> Particles:
+        self.asked += 1
+        off = se3_log(np.linalg.inv(self.pose) @ particles.poses) / self.sd
+        log_weights = normalised(particles.log_weights - 0.5 * np.sum(off**2, axis=1))
+        return Particles(particles.poses, particles.log_scale, log_weights)
+
+
+def test_what_enough_particles_bear_is_taken_at_once() -> None:
+    rng = np.random.default_rng(0)
+    before, particles, vague = rng.bit_generator.state, prior(0), Sharp(np.eye(4), 1.0, 0.6)
+    corrected = correct(particles, vague, rng)
+    assert vague.asked == 1 and rng.bit_generator.state == before
+    np.testing.assert_array_equal(corrected.log_weights, vague(particles).log_weights)
+    assert corrected.poses is particles.poses
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_sharp_evidence_draws_the_particles_to_it(seed: int) -> None:
+    """In six dimensions none of 500 particles lies within the posterior; progressive ones fill it."""
+    pose = se3_exp([0.4, -0.3, 0.5, 0.2, -0.3, 0.1])
+    sharp, particles = Sharp(pose, 0.03, 0.02), prior(seed)
+    plain = estimate(sharp(particles))
+    corrected = correct(particles, sharp, np.random.default_rng(seed))
+    found = estimate(corrected)
+    error, plain_error = (
+        np.linalg.norm(se3_log(np.linalg.inv(pose) @ each.pose) / sharp.sd) for each in (found, plain)
+    )
+    assert error < 2.4 and plain_error > 5.0 * error  # in standard deviations of six axes together
+    assert np.all(is_rigid(corrected.poses))
+    assert corrected.effective_sample_size >= 0.1 * COUNT
+    spread = np.sqrt(np.diag(found.covariance))
+    assert 0.7 < np.mean(spread / sharp.sd) < 1.4
+    assert np.exp(corrected.log_weights).sum() == pytest.approx(1.0)
+
+
+def test_evidence_that_only_one_bears_ends_in_finite_weights() -> None:
+    def only_the_first(particles: Particles) -> Particles:
+        gain = np.full(len(particles), -1e12)
+        gain[0] = 0.0
+        return Particles(particles.poses, particles.log_scale, normalised(particles.log_weights + gain))
+
+    corrected = correct(prior(0), only_the_first, np.random.default_rng(0))
+    assert np.isfinite(corrected.log_weights[0]) and not np.isnan(corrected.log_weights).any()
+    assert np.isfinite(corrected.poses).all()
