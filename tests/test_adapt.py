@@ -924,6 +924,16 @@ VARIANTS = {
         "steps": 120,
         "batch_views": 4,
     },
+    "all, no penalty": {"tune": "all", "lambda_kl": 0.0, "steps": 120, "batch_views": 4},
+    "all by likelihood, no penalty": {
+        "tune": "all",
+        "lambda_kl": 0.0,
+        "depth_weight": 0.0,
+        "likelihood_weight": 1.0,
+        "steps": 120,
+        "batch_views": 4,
+    },
+    "map alone, no penalty": {"tune": "none", "lambda_kl": 0.0, "steps": 200},
 }
 
 
