@@ -40,13 +40,14 @@ def test_source_that_cannot_be_read(tmp_path: Path, capfd: pytest.CaptureFixture
 
 
 def test_recording_without_poses_or_depth(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    synthetic.write_video(tmp_path / "walk.avi")
-    synthetic.write_folder(tmp_path / "walk")
-    description = tmp_path / "walk" / "dataset.toml"
-    lines = [line for line in description.read_text().splitlines() if not line.startswith("depth")]
-    description.write_text("\n".join(lines))
-    for source, lacking in (("walk.avi", "poses"), ("walk", "depth")):
-        said = refused(capfd, tmp_path / "out", "--data", str(tmp_path / source))
+    for lacking in ("poses", "depth"):
+        folder = tmp_path / lacking
+        synthetic.write_folder(folder)
+        description = folder / "dataset.toml"
+        lines = [line for line in description.read_text().splitlines() if not line.startswith(lacking)]
+        kept = "\n".join(lines)
+        description.write_text(kept.replace('"sequence"', '"pairs"') if lacking == "poses" else kept)
+        said = refused(capfd, tmp_path / "out", "--data", str(folder))
         assert f"has no {lacking}; give --data builtin, or one with poses and depth" in said
 
 

@@ -143,7 +143,7 @@ def test_odometry_makes_it_better_than_a_random_walk(mixture, recording, healthy
     for motion in ("visual", "random-walk"):
         steps = follow(make_localizer(mixture, recording, healthy, motion=motion), recording)
         medians[motion] = np.median(pose_errors(poses_of(steps), recording.poses).position_m[SETTLED:])
-    assert medians["visual"] < 0.5 * medians["random-walk"]
+    assert medians["visual"] < 0.7 * medians["random-walk"]
 
 
 @pytest.mark.parametrize("scale", [0.9, 1.1])

@@ -60,7 +60,7 @@ class VideoRecording:
             raise DataError(path, "states no frame count or no frame rate", "convert it to .mp4")
         size = (int(width), int(height))
         if camera is None:
-            fix = f"give --intrinsics {size[0]},{size[1]},FX,FY,CX,CY"
+            fix = f"localise in it with --intrinsics {size[0]},{size[1]},FX,FY,CX,CY"
             raise DataError(path, "is a video, which says nothing of its camera", fix)
         if (camera.width, camera.height) != size:
             raise SettingError(
