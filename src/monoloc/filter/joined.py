@@ -49,7 +49,7 @@ class Joined:
     @classmethod
     def alone(cls, located: Estimate, fresh: FloatArray) -> Joined:
         """By the particles' word and nothing else: the pose is off by as much as that is biased, the other way."""
-        noise = _TOGETHER**2 * located.covariance + _LEAST_VARIANCE * np.eye(6)
+        noise = _noise_of(located)
         return cls(located.pose, np.zeros(6), np.block([[noise + fresh, -fresh], [-fresh, fresh]]))
 
     def moved(self, T_previous_current: FloatArray, noise: FloatArray, kept: float, fresh: FloatArray) -> Joined:
@@ -71,7 +71,7 @@ class Joined:
     def told(self, located: Estimate) -> Joined:
         """After the particles' word, whose spread is noise."""
         innovation = se3_log(invert(self.pose) @ located.pose) - self.bias
-        noise = _TOGETHER**2 * located.covariance + _LEAST_VARIANCE * np.eye(6)
+        noise = _noise_of(located)
         spread = _OBSERVED @ self.covariance @ _OBSERVED.T + noise
         gain = np.linalg.solve(spread, _OBSERVED @ self.covariance).T
         correction = gain @ innovation
@@ -82,6 +82,11 @@ class Joined:
 
     def estimate(self, log_scale: float) -> Estimate:
         return Estimate(self.pose, self.covariance[:6, :6], log_scale)
+
+
+def _noise_of(located: Estimate) -> FloatArray:
+    """Covariance (6, 6) of what the particles say, but for their bias."""
+    return np.asarray(_TOGETHER**2 * located.covariance + _LEAST_VARIANCE * np.eye(6))
 
 
 class Joiner:
