@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import multivariate_t
 
-from monoloc.baselines.pose_filter import PoseError, PoseFilter
+from monoloc.baselines.pose_error import PoseError
+from monoloc.baselines.pose_filter import PoseFilter
 from monoloc.depth.runtime import DepthPredictor
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.filter.motion import MotionConfig

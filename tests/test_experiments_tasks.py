@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,8 @@ from monoloc.errors import DataError
 from monoloc.experiments import source, tasks
 from monoloc.experiments.study import Split, Study, Walk, recorded
 from monoloc.experiments.task import Result, Task
-from monoloc.experiments.work import KINDS, octree_bytes
+from monoloc.experiments.work import KINDS
+from monoloc.experiments.work_rooms import octree_bytes
 from monoloc.map.mixture import BYTES_PER_COMPONENT
 from monoloc.models import shipped_file, shipped_models
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path, write_recording
@@ -252,24 +254,42 @@ def test_in_changed_light_each_posenet_sees_noise_of_its_own(study: Study, away:
 def test_key_changes_with_our_own_source(
     study: Study, away: Split, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of what results depend on; not of what only draws them."""
+    """Of what makes the result, however it is imported; not of what uses or shows it."""
     package = tmp_path / "monoloc"
-    matter = ["__init__.py", "filter/weigh.py", "experiments/work.py", "_core.so"]
-    names = [*matter, "cli/main.py", "viewer.py", "experiments/fig1.py", "evaluation/run_drawing.py"]
-    for name in names:
-        (package / name).parent.mkdir(parents=True, exist_ok=True)
-        (package / name).write_text("before")
+    shutil.copytree(
+        Path(source.monoloc.__file__).parent,
+        package,
+        ignore=shutil.ignore_patterns("rooms", "*.onnx", "*.safetensors"),
+    )
+    (package / "_core.so").touch()
     monkeypatch.setattr(source.monoloc, "__file__", str(package / "__init__.py"))
     monkeypatch.setattr(source._core, "__file__", str(package / "_core.so"))
     monkeypatch.setattr(tasks, "source_sha256", source.source_sha256.__wrapped__)  # as another process finds it
 
-    def key() -> str:
-        return tasks.bundle(study, away, NETWORK).key
+    def keys() -> tuple[str, str, str]:
+        built = tasks.bundle(study, away, NETWORK)
+        return built.key, tasks.run(built, away.walks["as taken"], 0).key, tasks.posenet(study, away, "tiny", 0).key
 
-    for name in names:
-        before = key()
-        (package / name).write_text("after")
-        assert (key() != before) == (name in matter), name
+    for name, expected in {
+        "__init__.py": (True, True, True),
+        "_core.so": (True, True, True),
+        "datasets/tum.py": (True, True, True),
+        "adapt/__init__.py": (True, True, True),
+        "adapt/train.py": (True, True, False),  # imported only where it is needed
+        "filter/weigh.py": (True, True, False),
+        "experiments/work_runs.py": (False, True, False),
+        "baselines/posenet_training.py": (False, False, True),
+        "experiments/tasks.py": (False, False, False),
+        "experiments/fig1.py": (False, False, False),
+        "cli/main.py": (False, False, False),
+        "viewer.py": (False, False, False),
+        "rerun_viewer.py": (False, False, False),
+    }.items():
+        before = keys()
+        with (package / name).open("a") as file:
+            file.write("\n")
+        changed = tuple(one != other for one, other in zip(keys(), before, strict=True))
+        assert changed == expected, name
 
 
 # --- What they give ---

@@ -9,65 +9,20 @@ matter.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from monoloc.baselines.pose_error import PoseError
 from monoloc.camera import Camera
 from monoloc.filter.estimate import Estimate, estimate
 from monoloc.filter.joined import Joiner
 from monoloc.filter.motion import predict
 from monoloc.filter.particles import Particles, normalised
 from monoloc.filter.resample import resample
-from monoloc.geometry import FloatArray, rotation_angle
+from monoloc.geometry import FloatArray
 from monoloc.localizer import DepthSource, LocalizerConfig
 from monoloc.odometry import VisualOdometry
-
-_DEGREES_OF_FREEDOM = 4.0  # of the t distribution: a regressed pose is off by far now and then
-_FIT_ROUNDS = 50
-_DIMENSIONS = 6
-_LEAST_POSITION_SD_M, _LEAST_ROTATION_SD_RAD = 1e-3, 1e-3
-
-
-@dataclass(frozen=True)
-class PoseError:
-    """How far measured poses are from the truth: a t distribution, alike along all axes.
-
-    Attributes:
-        position_sd_m, rotation_sd_rad: its scales, per axis.
-    """
-
-    position_sd_m: float
-    rotation_sd_rad: float
-
-    @classmethod
-    def fit(cls, measured: FloatArray, truth: FloatArray) -> PoseError:
-        """The most likely scales of N >= 1 errors, by expectation-maximisation (Lange et al. 1989).
-
-        Args:
-            measured, truth: ``T_world_camera``, (N, 4, 4).
-        """
-        offset = measured[:, :3, 3] - truth[:, :3, 3]
-        angle = rotation_angle(np.swapaxes(measured[:, :3, :3], 1, 2) @ truth[:, :3, :3])
-        squares = np.stack([np.sum(offset**2, axis=1), angle**2]) / 3.0
-        variances = squares.mean(axis=1)
-        floor = np.array([_LEAST_POSITION_SD_M, _LEAST_ROTATION_SD_RAD]) ** 2
-        for _ in range(_FIT_ROUNDS):
-            variances = np.maximum(variances, floor)
-            distance = 3.0 * np.sum(squares / variances[:, None], axis=0)
-            weights = (_DEGREES_OF_FREEDOM + _DIMENSIONS) / (_DEGREES_OF_FREEDOM + distance)
-            variances = np.mean(weights * squares, axis=1)
-        position_sd_m, rotation_sd_rad = np.sqrt(np.maximum(variances, floor))
-        return cls(float(position_sd_m), float(rotation_sd_rad))
-
-    def log_likelihood(self, measured: FloatArray, poses: FloatArray) -> FloatArray:
-        """Of one measured pose (4, 4) at each pose (N, 4, 4), (N,) nats but for a constant."""
-        offset = poses[:, :3, 3] - measured[:3, 3]
-        angle = rotation_angle(measured[:3, :3].T @ poses[:, :3, :3])
-        distance = np.sum(offset**2, axis=1) / self.position_sd_m**2 + angle**2 / self.rotation_sd_rad**2
-        nats = -0.5 * (_DEGREES_OF_FREEDOM + _DIMENSIONS) * np.log1p(distance / _DEGREES_OF_FREEDOM)
-        return np.asarray(nats)
 
 
 class PoseFilter:

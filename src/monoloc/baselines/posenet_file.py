@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
-from monoloc.baselines.pose_filter import PoseError
+from monoloc.baselines.pose_error import PoseError
 from monoloc.baselines.posenet import PoseCode, PoseNet, PoseNetConfig
 from monoloc.baselines.posenet_training import TrainedPoseNet, Trial
 from monoloc.errors import DataError

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from monoloc.adapt.hold_out import hold_out_blocks
 from monoloc.adapt.views import colors_of, make_views
-from monoloc.baselines.pose_filter import PoseError
+from monoloc.baselines.pose_error import PoseError
 from monoloc.baselines.posenet import HomoscedasticLoss, PoseCode, PoseNet, PoseNetConfig, posenet_config
 from monoloc.camera import Camera
 from monoloc.datasets.base import Recording

@@ -1,4 +1,4 @@
-"""What tasks of several kinds read and write: frames, lights, starts, ways."""
+"""What tasks of several kinds read and write: frames, lights, ways."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ from monoloc.datasets.registry import open_recording, select_frames
 from monoloc.depth.identity import recording_identity
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
-from monoloc.runs import Start
 from monoloc.synth.light import LIGHTS, relit
 
 Settings = dict[str, Any]
 
-BUNDLE, WAY_FILE = "room.monoloc", "way.npz"
+BUNDLE, POSENET, WAY_FILE = "room.monoloc", "posenet.safetensors", "way.npz"
 _NOISE = 1  # of images, apart from the random numbers that a filter draws from the same seed
 
 
@@ -60,13 +59,6 @@ def walked(settings: Settings) -> Recording:
     if recording.poses is None:
         raise DataError(recording.name, "has no poses", "give a recording with poses, to be judged by")
     return recording
-
-
-def start_of(settings: Settings, recording: Recording, rng: np.random.Generator) -> Start:
-    """Where a run begins: off the first true pose, in a random direction."""
-    assert recording.poses is not None
-    position_m, rotation_rad = settings["start"]["position_m"], np.deg2rad(settings["start"]["rotation_deg"])
-    return Start.beside(recording.poses[0], rng, position_m, rotation_rad)
 
 
 def write_way(

@@ -2,38 +2,65 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
-from fnmatch import fnmatch
 from functools import cache
 from pathlib import Path
 
 import monoloc
 from monoloc import _core
 
-_SHOWS_ONLY = (
-    "cli/*",
-    "viewer.py",
-    "rerun_viewer.py",
-    "rooms/*",
-    "models/*",
-    "evaluation/*drawing*",
-    "evaluation/plots.py",
-    "evaluation/picture.py",
-    *(
-        f"experiments/{name}.py"
-        for name in ("fig*", "report*", "claims", "drawing", "sweep", "gather", "methods", "provenance")
-    ),
-    *(f"experiments/{name}.py" for name in ("variants", "map_size", "lambda_", "frames", "table1")),
-)
-"""What draws, parses, or chooses tasks by settings that are theirs; data is known by its content."""
+_SHOWS_ONLY = ("monoloc.viewer",)
+"""What no result depends on, nor on what it imports."""
 
 
 @cache
-def source_sha256() -> str:
-    """Of all modules that a result may depend on, the native one too; which may lie in another folder."""
-    folder = Path(monoloc.__file__).parent
-    files = {file.relative_to(folder).as_posix(): file for file in folder.rglob("*.py")}
-    files = {name: file for name, file in files.items() if not any(fnmatch(name, shows) for shows in _SHOWS_ONLY)}
-    files["_core"] = Path(_core.__file__)
+def source_sha256(module: str) -> str:
+    """Of a module, of all of monoloc that it imports, be it late, and of the native one.
+
+    What only uses the module may change, and so may data, which is known by its content.
+
+    Args:
+        module: as ``monoloc.build``.
+    """
+    files = _imported(module)
+    files["monoloc._core"] = Path(_core.__file__)  # which may lie in another folder
     lines = [f"{name} {hashlib.sha256(files[name].read_bytes()).hexdigest()}" for name in sorted(files)]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+
+def _imported(module: str) -> dict[str, Path]:
+    """Files, by name, of a module and of all modules of monoloc that it imports, directly or not."""
+    found: dict[str, Path] = {}
+    left = [module]
+    while left:
+        name = left.pop()
+        file = _file(name)
+        if file is None or name in found or name in _SHOWS_ONLY:
+            continue
+        found[name] = file
+        package, _, _ = name.rpartition(".")
+        left += [*_imports(file.read_text(encoding="utf-8")), package]  # a package is imported before what lies in it
+    return found
+
+
+def _file(name: str) -> Path | None:
+    """Of a module of monoloc; None for a name that is none."""
+    root, *parts = name.split(".")
+    if root != "monoloc":
+        return None
+    path = Path(monoloc.__file__).parent.joinpath(*parts)
+    files = (path / "__init__.py", path.with_suffix(".py") if parts else path)
+    return next((file for file in files if file.is_file()), None)
+
+
+@cache
+def _imports(text: str) -> tuple[str, ...]:
+    """Names that a module's text imports: modules, and things in modules, which may be modules."""
+    names = []
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module is not None:
+            names += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+    return tuple(names)

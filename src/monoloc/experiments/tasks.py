@@ -18,6 +18,7 @@ from monoloc.experiments.common import describe_recording
 from monoloc.experiments.source import source_sha256
 from monoloc.experiments.study import WIDTH, Split, Study, Walk
 from monoloc.experiments.task import Task
+from monoloc.experiments.work import KINDS
 from monoloc.extras import training_extra
 from monoloc.models import is_shipped, shipped_file
 from monoloc.runs import START_DEG, START_M
@@ -180,7 +181,7 @@ _START = {"position_m": START_M, "rotation_deg": START_DEG}
 
 
 def _task(kind: str, needs: Sequence[Task] = (), **settings: Any) -> Task:
-    return Task.of(kind, {"monoloc": __version__, "code": source_sha256(), **settings}, needs)
+    return Task.of(kind, {"monoloc": __version__, "code": source_sha256(KINDS[kind].__module__), **settings}, needs)
 
 
 def _training(study: Study, size: str, views: bool) -> dict[str, Any]:

@@ -1,62 +1,24 @@
-"""How the tasks of other methods are done: PoseNet, filtered PoseNet, keypoints."""
+"""How other methods locate a walk: PoseNet, filtered PoseNet, keypoints."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from monoloc.baselines.keypoints import KeypointConfig, KeypointLocalizer, build_keypoint_map
-from monoloc.baselines.pose_filter import PoseError, PoseFilter
+from monoloc.baselines.pose_filter import PoseFilter
 from monoloc.baselines.run import Locate, locate_all
 from monoloc.bundle import fingerprint, read_bundle
 from monoloc.datasets.base import Recording
-from monoloc.depth.model import trainable_file
 from monoloc.depth.runtime import DepthPredictor
-from monoloc.errors import SettingError
-from monoloc.experiments.common import BUNDLE, Settings, built_from, relighting, start_of, walked, write_way
+from monoloc.experiments.common import BUNDLE, POSENET, Settings, built_from, relighting, walked, write_way
 from monoloc.experiments.task import Result
+from monoloc.experiments.work_runs import start_of
 from monoloc.extras import training_extra
-from monoloc.models import is_shipped, shipped_models
 from monoloc.progress import NoProgress
-
-_NETWORK = "posenet.safetensors"
-
-
-def posenet_search(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str, Any]:
-    with training_extra():
-        from monoloc.baselines.posenet_training import search_rate
-    search = search_rate(
-        built_from(settings), _training(settings), settings["seed"], NoProgress(), _encoder(settings)
-    )
-    return {
-        "learning_rate": search.best.learning_rate,
-        "trials": [asdict(trial) for trial in search.trials],
-        "error": asdict(search.error),
-    }
-
-
-def posenet(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str, Any]:
-    with training_extra():
-        from monoloc.baselines.posenet_file import save_posenet
-        from monoloc.baselines.posenet_training import Search, Trial, train_posenet
-    found = needs[0].figures
-    search = Search([Trial(**trial) for trial in found["trials"]], PoseError(**found["error"]))
-    trained = train_posenet(
-        built_from(settings), _training(settings), settings["seed"], NoProgress(), _encoder(settings), search
-    )
-    save_posenet(trained, folder / _NETWORK)
-    equal = next(model for model in shipped_models() if model.name == f"{settings['size']}-{settings['width']}")
-    return {
-        "parameters": trained.network.parameter_count(),
-        "bytes": (folder / _NETWORK).stat().st_size,
-        "multiply_adds": trained.network.multiply_adds(equal.input_width, equal.input_height),
-        "learning_rate": found["learning_rate"],
-        "trials": found["trials"],
-    }
 
 
 def posenet_run(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str, Any]:
@@ -64,7 +26,7 @@ def posenet_run(settings: Settings, needs: Sequence[Result], folder: Path) -> di
         from monoloc.baselines.posenet_file import load_posenet
         from monoloc.baselines.posenet_training import PosePredictor
     recording = walked(settings)
-    pose_of = PosePredictor(load_posenet(needs[0].folder / _NETWORK), recording.camera)
+    pose_of = PosePredictor(load_posenet(needs[0].folder / POSENET), recording.camera)
     return _located(settings, recording, lambda color, _: pose_of(color), folder)
 
 
@@ -72,7 +34,7 @@ def filtered_run(settings: Settings, needs: Sequence[Result], folder: Path) -> d
     with training_extra():
         from monoloc.baselines.posenet_file import load_posenet
         from monoloc.baselines.posenet_training import PosePredictor
-    network, bundle = load_posenet(needs[0].folder / _NETWORK), read_bundle(needs[1].folder / BUNDLE)
+    network, bundle = load_posenet(needs[0].folder / POSENET), read_bundle(needs[1].folder / BUNDLE)
     recording = walked(settings)
     rng = np.random.default_rng(settings["seed"])
     config = bundle.settings
@@ -103,19 +65,3 @@ def _located(settings: Settings, recording: Recording, locate: Locate, folder: P
     if unseen.any():
         figures |= {f"unseen_{name}": value for name, value in run.metrics(recording.poses, unseen).items()}
     return figures
-
-
-def _training(settings: Settings) -> Any:
-    """The settings of a PoseNet's training."""
-    from monoloc.baselines.posenet_training import PoseNetTraining
-
-    return PoseNetTraining.model_validate(settings["training"])
-
-
-def _encoder(settings: Settings) -> Path:
-    """What the encoder starts from: a file of weights, or the file of a depth network that comes with monoloc."""
-    encoder = settings["encoder"]
-    file = trainable_file(encoder) if is_shipped(encoder) else Path(encoder)
-    if file is None:
-        raise SettingError("encoder", f"is {encoder}, which cannot be tuned", "give one in 32 bits")
-    return file
