@@ -55,8 +55,8 @@ class PoseNetTraining(BaseModel):
     augment: AugmentConfig = AugmentConfig()
     synthesised_views: int = Field(0, ge=0)
     learning_rates: tuple[float, ...] = Field((1e-3, 3e-3, 1e-2), min_length=1)
-    search_epochs: int = Field(60, ge=1)
-    epochs: int = Field(200, ge=1)
+    search_epochs: int = Field(40, ge=1)
+    epochs: int = Field(100, ge=1)
     batch_size: int = Field(16, ge=2)
     weight_decay: float = Field(1e-3, ge=0.0)
 

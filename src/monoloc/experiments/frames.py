@@ -19,14 +19,17 @@ _VARIANTS = {"unadapted": ("unadapted", ORANGE), "joint": ("network + map (monol
 
 
 def _counts(study: Study) -> list[int]:
-    split = study.splits[0]
-    recorded = len(frames_of(split.source, split.frames))
-    return [count for count in _COUNTS if count <= recorded]
+    return [count for count in _COUNTS if count <= _recorded(study)]
+
+
+def _recorded(study: Study) -> int:
+    return len(frames_of(study.splits[0].source, study.splits[0].frames))
 
 
 def _runs(study: Study, variant: str, count: int) -> list[Task]:
     split = study.splits[0]
-    bundle = factories.bundle(study, split, network_of(study.sizes[0]), variant, frames=count)
+    frames = None if count == _recorded(study) else count  # all of them: the room of the other figures
+    bundle = factories.bundle(study, split, network_of(study.sizes[0]), variant, frames=frames)
     return [factories.run(bundle, split.walks[usual_light(split)], seed) for seed in seeds_of(study)]
 
 

@@ -36,7 +36,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 DEPTH_STRIDE = 5
 """Of how many frames of a walk one is judged, where depth alone is in question."""
 
-_QUICK_POSENET: dict[str, Any] = {"epochs": 100, "learning_rates": (3e-3,), "search_epochs": 30}
+_QUICK_POSENET: dict[str, Any] = {"epochs": 60, "learning_rates": (1e-2,), "search_epochs": 30}
 
 
 def bundle(
