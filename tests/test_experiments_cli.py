@@ -92,6 +92,8 @@ def test_what_is_asked_for_must_go_together(tmp_path: Path, capfd: pytest.Captur
     assert "--workers: is of this machine, and --dask of others; leave one of them out" in said
     said = refused(capfd, tmp_path / "out", "--builds", "6")
     assert "--builds: is 6, and runs have 5 seeds; give no more than that" in said
+    said = refused(capfd, tmp_path / "out", "--size", "half")
+    assert "--size: there is no half; give some of full, two-thirds, one-third, tiny" in said
     said = refused(capfd, tmp_path / "out", "lambda", "frames", "--quick")
     assert "--quick: leaves out lambda, frames, and nothing else is asked for; run without it" in said
 
@@ -131,6 +133,7 @@ def test_a_figure_start_to_end(tmp_path: Path, capfd: pytest.CaptureFixture[str]
     write_recording(tmp_path / "walk", RoomRecording(Room(), make_path(48), SMALL_CAMERA))
     out = tmp_path / "out"
     asked = ["reproduce", "fig2", "--quick", "--builds", "2", "--data", f"folder:{tmp_path / 'walk'}"]
+    asked += ["--size", "tiny", "--size", "two-thirds"]
     arguments = [*asked, "--out", str(out), "--json"]
     assert invoke(arguments) == 0
     told = json.loads(capfd.readouterr().out)
@@ -141,4 +144,5 @@ def test_a_figure_start_to_end(tmp_path: Path, capfd: pytest.CaptureFixture[str]
     captured = capfd.readouterr()
     assert captured.out == "" and "report: " in captured.err  # no claim, no table
     assert json.loads((out / "fig2.json").read_text()) == told["figures"]["fig2"]["numbers"]
-    assert json.loads((out / "report.json").read_text())["study"]["builds"].startswith("2; ")
+    study = json.loads((out / "report.json").read_text())["study"]
+    assert study["builds"].startswith("2; ") and list(told["figures"]["fig2"]["numbers"]) == ["two-thirds", "tiny"]

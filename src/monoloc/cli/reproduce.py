@@ -45,8 +45,14 @@ def reproduce(
         typer.Option(
             "--builds",
             min=1,
-            help="How often the room is built anew, for the spread of builds; 3 by default, 1 with --quick.",
+            help="How often the room is built anew, for the spread of builds; 5 by default, 1 with --quick.",
             show_default=False,
+        ),
+    ] = None,
+    size: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--size", help="Of networks, may be repeated; all four by default, two with --quick.", show_default=False
         ),
     ] = None,
     workers: Annotated[
@@ -79,7 +85,7 @@ def reproduce(
     Examples:
       monoloc reproduce --quick
       monoloc reproduce fig4d fig5b --data 7scenes:redkitchen --out kitchen
-      monoloc reproduce --data 7scenes:redkitchen --builds 1 --out kitchen --json > kitchen.json
+      monoloc reproduce --data 7scenes:redkitchen --builds 1 --size full --size one-third --out kitchen --json
       monoloc reproduce --dask tcp://head:8786 --out /shared/reproduction
     """
     with training_extra():
@@ -94,7 +100,7 @@ def reproduce(
     if workers is not None and dask is not None:
         raise SettingError("--workers", "is of this machine, and --dask of others", "leave one of them out")
     require_reporting()
-    study = _study(data, quick, builds, encoder)
+    study = _study(data, quick, builds, size, encoder)
     if dask is not None:
         check_scheduler(dask)
     wanted = [(figure, figure.tasks(study)) for figure in chosen]
@@ -123,16 +129,16 @@ def reproduce(
     stderr.print(f"{content['seconds']:.0f} s; report: {content['report']}")
 
 
-def _study(data: str, quick: bool, builds: int | None, encoder: Path | None) -> Study:
+def _study(data: str, quick: bool, builds: int | None, sizes: list[str] | None, encoder: Path | None) -> Study:
     """What is to be studied.
 
     Raises:
         DataError, SettingError: a source that cannot be read, or has no poses or no depth; no such file of weights;
-            more builds than runs.
+            more builds than runs; a size that there is not.
     """
     from dataclasses import replace
 
-    from monoloc.experiments.study import builtin, recorded
+    from monoloc.experiments.study import SIZES, builtin, recorded
 
     if encoder is not None and not encoder.is_file():
         raise SettingError("--encoder", f"{encoder} does not exist", "give MobileNetV2 weights as .npz")
@@ -151,6 +157,11 @@ def _study(data: str, quick: bool, builds: int | None, encoder: Path | None) -> 
                 "--builds", f"is {builds}, and runs have {study.seeds} seeds", "give no more than that"
             )
         study = replace(study, builds=builds)
+    if sizes:
+        unknown = next((size for size in sizes if size not in SIZES), None)
+        if unknown is not None:
+            raise SettingError("--size", f"there is no {unknown}", f"give some of {', '.join(SIZES)}")
+        study = replace(study, sizes=tuple(size for size in SIZES if size in sizes))
     return study if encoder is None else replace(study, encoder_weights=str(encoder.resolve()))
 
 

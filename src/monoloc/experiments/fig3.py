@@ -12,7 +12,7 @@ from monoloc.evaluation.map_drawing import plot_map_change
 from monoloc.experiments import tasks as factories
 from monoloc.experiments.claims import map_moves_little
 from monoloc.experiments.figure import Drawn, Figure
-from monoloc.experiments.gather import Spread, in_split, network_of, picture_path, seeds_of, spread_of
+from monoloc.experiments.gather import Spread, in_split, network_of, picture_path, spread_of
 from monoloc.experiments.study import Split, Study
 from monoloc.experiments.task import Results, Task
 
@@ -21,12 +21,9 @@ _MEDIAN, _P95 = "c2c_median_m", "c2c_p95_m"
 
 
 def _bundles(study: Study, split: Split, variant: str) -> list[Task]:
-    """The largest network's, one a seed: how far the map moves is decided when it is adapted.
-
-    The paper's variant is built but once in a quick study.
-    """
-    seeds = range(1) if study.quick and variant != "joint" else seeds_of(study)
-    return [factories.bundle(study, split, network_of(study.sizes[0]), variant, seed=seed) for seed in seeds]
+    """The largest network's: how far the map moves is decided when it is adapted."""
+    network = network_of(study.sizes[0])
+    return [factories.bundle(study, split, network, variant, seed=seed) for seed in range(study.builds)]
 
 
 def _clouds(study: Study, split: Split, variant: str) -> list[Task]:

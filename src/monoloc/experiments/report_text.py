@@ -104,7 +104,7 @@ def study_settings(study: Study) -> dict[str, str]:
     settings = {
         "networks": f"{', '.join(study.sizes)} (width {WIDTH})",
         "seeds": f"0 to {study.seeds - 1}",
-        "builds": f"{study.builds}; a run with seed s is in build s modulo {study.builds}. Figure 3 has one a seed",
+        "builds": f"{study.builds}; a run with seed s is in build s modulo {study.builds}",
         "start": f"{100.0 * START_M:g} cm and {START_DEG:g}° off the truth, in a direction drawn from the seed",
         "adaptation": ", ".join(f"{name} {value}" for name, value in study.adapt.items()) or "default settings",
         "PoseNets' encoders start from": Path(study.encoder_weights).name

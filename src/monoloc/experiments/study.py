@@ -13,6 +13,7 @@ SIZES = tuple(model.name.rpartition("-")[0] for model in shipped_models() if mod
 """Of depth networks, largest first."""
 FRAMES_PER_BUILT = 4
 """Of how many frames of a recording one builds a room, in every split."""
+_SEEDS = 5
 
 
 @dataclass(frozen=True)
@@ -79,8 +80,8 @@ def builtin(quick: bool) -> Study:
         splits=(split,),
         sizes=("full", "one-third") if quick else SIZES,
         adapt={"steps": 200, "synthesised_views": 1} if quick else {},
-        seeds=5,
-        builds=1 if quick else 3,
+        seeds=_SEEDS,
+        builds=1 if quick else _SEEDS,
         quick=quick,
     )
 
@@ -108,8 +109,8 @@ def recorded(source: str, name: str, frames: int, quick: bool) -> Study:
         splits=splits[:1] if quick else splits,
         sizes=("full", "one-third") if quick else SIZES,
         adapt={"steps": 200, "synthesised_views": 1} if quick else {},
-        seeds=5,
-        builds=1 if quick else 3,
+        seeds=_SEEDS,
+        builds=1 if quick else _SEEDS,
         quick=quick,
     )
 
