@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -191,6 +192,22 @@ def test_ply_skips_other_properties_and_elements(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_cloud(path), POINTS)
 
 
+@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian"])
+def test_ply_whose_faces_come_first(tmp_path: Path, encoding: str) -> None:
+    path = tmp_path / "a.ply"
+    header = (
+        f"ply\nformat {encoding} 1.0\nelement face 2\nproperty list uchar int vertex_indices\nproperty float area\n"
+        "element vertex 3\nproperty double x\nproperty double y\nproperty double z\nend_header\n"
+    ).encode()
+    if encoding == "ascii":
+        body = b"3 0 1 2 0.5\n4 0 1 2 0 1.5\n\n" + "".join(f"{x} {y} {z}\n" for x, y, z in POINTS).encode()
+    else:
+        faces = [struct.pack("<B3if", 3, 0, 1, 2, 0.5), struct.pack("<B4if", 4, 0, 1, 2, 0, 1.5)]
+        body = b"".join(faces) + POINTS.tobytes()
+    path.write_bytes(header + body)
+    np.testing.assert_array_equal(read_cloud(path), POINTS)
+
+
 def pcd_header(data: str) -> bytes:
     return (
         "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z rgb extra\nSIZE 4 4 4 4 2\nTYPE F F F U I\nCOUNT 1 1 1 1 2\n"
@@ -249,23 +266,33 @@ def test_real_ply(data_root: Path) -> None:
 BAD_FILES: dict[str, tuple[bytes, str]] = {
     "a.obj": (b"", "has the unknown suffix '.obj'; give one of .npz, .pcd, .ply, .txt, .xyz"),
     "empty.ply": (b"", "cannot be read as ply .the first line is not 'ply'."),
-    "cut.ply": (ply_header("ascii") + b"7 1 0 1 1\n", "it ends after 1 of 3 points"),
-    "cutbinary.ply": (ply_header("binary_little_endian") + bytes(40), "it ends after 1 of 3 points"),
+    "cut.ply": (ply_header("ascii") + b"7 1 0 1 1\n", "it ends after 1 of 3 rows of 'vertex'"),
+    "cutbinary.ply": (ply_header("binary_little_endian") + bytes(40), "it ends after 1 of 3 rows of 'vertex'"),
     "none.ply": (ply_header("ascii", 0), "holds no points; export the cloud again"),
     "headless.ply": (b"ply\nformat ascii 1.0\n", "the header has no end_header"),
     "big.ply": (ply_header("binary_big_endian"), "format 'binary_big_endian' is neither"),
-    "order.ply": (b"ply\nformat ascii 1.0\nelement face 1\nend_header\n", "element 'face' comes before"),
-    "list.ply": (
-        b"ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar int a\nend_header\n",
-        "type 'list'",
+    "pixels.ply": (b"ply\nformat ascii 1.0\nelement face 1\nend_header\n\n", "it has no element 'vertex'"),
+    "lists.ply": (
+        b"ply\nformat ascii 1.0\nelement vertex 1\n"
+        b"property list uchar int x\nproperty int y\nproperty int z\nend_header\n2 5 5 6 7\n",
+        "x, y or z are lists",
+    ),
+    "wide.ply": (
+        ply_header("ascii") + 3 * b"7 1 0 1 1 255\n",
+        "rows of 'vertex' have not 5 numbers each, as the header has it",
+    ),
+    "words.ply": (ply_header("ascii") + 3 * b"7 1 0 one 1\n", "it has something that is no number"),
+    "type.ply": (
+        b"ply\nformat ascii 1.0\nelement vertex 1\nproperty half x\nend_header\n",
+        "the header's line 'property half x' cannot be understood",
     ),
     "noz.ply": (
         b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nend_header\n1 2\n",
         "points have no property 'z'",
     ),
     "uncounted.ply": (
-        b"ply\nformat binary_little_endian 1.0\nend_header\n",
-        "points have no property 'x'",
+        b"ply\nformat ascii 1.0\nelement vertex many\nend_header\n",
+        "the header's line 'element vertex many' cannot be understood",
     ),
     "compressed.pcd": (pcd_header("binary_compressed"), "DATA binary_compressed is neither ascii nor binary"),
     "nofields.pcd": (b"POINTS 3\nDATA ascii\n", "the header has no FIELDS"),

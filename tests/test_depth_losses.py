@@ -66,6 +66,30 @@ def test_gradient_loss_of_a_ramp() -> None:
     assert float(gradient_loss(ramp, zero, valid, steps=(2,))) == pytest.approx(0.2, rel=1e-5)
 
 
+@pytest.mark.parametrize("steps", [(1, 2, 4, 8), (3,), (12, 20)])
+def test_gradient_loss_is_what_autograd_makes_of_its_formula(steps: tuple[int, ...]) -> None:
+    """Also where there are fewer rows than a step, and no number where there is no truth."""
+    predicted, truth, valid = random_batch()
+    truth = torch.where(valid, truth, torch.nan)
+
+    def plain(x: Tensor) -> Tensor:
+        error, total = x - torch.nan_to_num(truth), torch.zeros((), dtype=torch.float64)
+        for step in steps:
+            x_known = valid[..., step:] & valid[..., :-step]
+            y_known = valid[..., step:, :] & valid[..., :-step, :]
+            total = total + masked_mean((error[..., step:] - error[..., :-step]).abs(), x_known)
+            total = total + masked_mean((error[..., step:, :] - error[..., :-step, :]).abs(), y_known)
+        return total / len(steps)
+
+    ours, theirs = (predicted.clone().requires_grad_(True) for _ in range(2))
+    loss, expected = 3.0 * gradient_loss(ours, truth, valid, steps), 3.0 * plain(theirs)
+    loss.backward()
+    expected.backward()
+    assert float(loss) > 0.0
+    torch.testing.assert_close(loss, expected)
+    torch.testing.assert_close(ours.grad, theirs.grad)
+
+
 # --- What no scale explains ---
 
 

@@ -12,16 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.errors import DataError
+from monoloc.ply import read_ply
 
 FloatArray = NDArray[np.float64]
 Fields = list[tuple[str, str]]  # name and little-endian NumPy type of each number of a point
 
-_PLY_TYPES = {
-    **{"char": "<i1", "int8": "<i1", "uchar": "<u1", "uint8": "<u1"},
-    **{"short": "<i2", "int16": "<i2", "ushort": "<u2", "uint16": "<u2"},
-    **{"int": "<i4", "int32": "<i4", "uint": "<u4", "uint32": "<u4"},
-    **{"float": "<f4", "float32": "<f4", "double": "<f8", "float64": "<f8"},
-}
 _PCD_KINDS = {"F": "f", "I": "i", "U": "u"}
 _AGAIN = "export the cloud again"
 # What NumPy and the parsing below raise on files that are cut short or no cloud at all.
@@ -60,29 +55,14 @@ def read_cloud(path: Path) -> FloatArray:
 
 
 def _read_ply(path: Path) -> FloatArray:
-    with path.open("rb") as file:
-        if file.readline().strip() != b"ply":
-            raise ValueError("the first line is not 'ply'")
-        encoding, count, fields = "", -1, []
-        in_vertices = False
-        for words in _header(file, "end_header"):
-            if words[0] == "format":
-                encoding = words[1]
-            elif words[0] == "element":
-                if count < 0 and words[1] != "vertex":
-                    raise ValueError(f"element {words[1]!r} comes before the vertices")
-                in_vertices = words[1] == "vertex"
-                if in_vertices:
-                    count = int(words[2])
-            elif words[0] == "property" and in_vertices:
-                if words[1] not in _PLY_TYPES:
-                    raise ValueError(f"vertices have a property of type {words[1]!r}")
-                fields.append((words[2], _PLY_TYPES[words[1]]))
-        if encoding == "ascii":
-            return _ascii_points(file, fields, count)
-        if encoding == "binary_little_endian":
-            return _binary_points(file, fields, count)
-        raise ValueError(f"format {encoding!r} is neither ascii nor binary_little_endian")
+    vertices = read_ply(path.read_bytes(), "vertex").get("vertex")
+    if vertices is None:
+        raise ValueError("it has no element 'vertex'")
+    _positions(list(vertices))
+    axes = [vertices[axis] for axis in "xyz"]
+    if any(isinstance(axis, list) for axis in axes):
+        raise ValueError("x, y or z are lists")
+    return np.stack(axes, axis=1)
 
 
 def _read_pcd(path: Path) -> FloatArray:
@@ -132,8 +112,7 @@ def _header(file: BufferedReader, last: str) -> list[list[str]]:
     raise ValueError(f"the header has no {last}")
 
 
-def _positions(fields: Fields) -> tuple[int, int, int]:
-    names = [name for name, _ in fields]
+def _positions(names: list[str]) -> tuple[int, int, int]:
     for axis in "xyz":
         if axis not in names:
             raise ValueError(f"points have no property {axis!r}")
@@ -141,13 +120,13 @@ def _positions(fields: Fields) -> tuple[int, int, int]:
 
 
 def _ascii_points(file: BufferedReader, fields: Fields, count: int) -> FloatArray:
-    points = _columns(file, _positions(fields), count)
+    points = _columns(file, _positions([name for name, _ in fields]), count)
     _check_count(len(points), count)
     return points
 
 
 def _binary_points(file: BufferedReader, fields: Fields, count: int) -> FloatArray:
-    positions = _positions(fields)
+    positions = _positions([name for name, _ in fields])
     # By number: padding has one name wherever it stands.
     dtype = np.dtype([(str(index), kind) for index, (_, kind) in enumerate(fields)])
     data = file.read(max(count, 0) * dtype.itemsize)

@@ -1,0 +1,169 @@
+"""Tables out of ply files: points of a cloud, triangles of a mesh."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import islice, repeat
+
+import numpy as np
+from numpy.lib.recfunctions import structured_to_unstructured
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+Column = FloatArray | list[FloatArray]
+# NumPy's type of every column, R -> the next R rows, or what is left.
+_Take = Callable[[Sequence[str], int], FloatArray]
+
+_TYPES = {
+    **{"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2"},
+    **{"uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4"},
+    **{"double": "f8", "float64": "f8"},
+}
+
+
+@dataclass(frozen=True)
+class _Property:
+    name: str
+    kind: str
+    length: str | None  # the type of a list's length
+
+
+@dataclass(frozen=True)
+class _Element:
+    name: str
+    count: int
+    properties: list[_Property]
+
+    @property
+    def has_lists(self) -> bool:
+        return any(each.length is not None for each in self.properties)
+
+
+_Read = Callable[[_Element], dict[str, Column]]  # the elements of a file, in its order
+
+
+def read_ply(content: bytes, *wanted: str) -> dict[str, dict[str, Column]]:
+    """Elements of an ascii or binary little-endian file.
+
+    Args:
+        content: of the file.
+        wanted: names of elements; what comes after them is not looked at.
+
+    Returns:
+        By the element's name, those before the last wanted one too: by the property's, its rows as numbers (N,), or
+        as N arrays where it is a list. An element that the file does not have is left out.
+
+    Raises:
+        ValueError: it is no ply, of another format, or ends before what its header announces.
+    """
+    if not re.match(rb"ply\s", content):
+        raise ValueError("the first line is not 'ply'")
+    match = re.match(rb"ply\s(.*?)^end_header\r?\n", content, re.DOTALL | re.MULTILINE)
+    if match is None:
+        raise ValueError("the header has no end_header")
+    encoding, elements = _header(match[1].decode("ascii", errors="replace"))
+    if encoding not in _ENCODINGS:
+        raise ValueError(f"format {encoding!r} is neither {' nor '.join(_ENCODINGS)}")
+    last = max((index for index, element in enumerate(elements) if element.name in wanted), default=-1)
+    columns = _ENCODINGS[encoding](content[match.end() :])
+    return {element.name: columns(element) for element in elements[: last + 1]}
+
+
+def _header(text: str) -> tuple[str, list[_Element]]:
+    encoding = ""
+    elements: list[_Element] = []
+    for words in (line.split() for line in text.splitlines()):
+        try:
+            if words[:1] == ["format"]:
+                encoding = words[1]
+            elif words[:1] == ["element"]:
+                elements.append(_Element(words[1], int(words[2]), []))
+            elif words[:1] == ["property"]:
+                length = _TYPES[words[2]] if words[1] == "list" else None
+                elements[-1].properties.append(_Property(words[-1], _TYPES[words[-2]], length))
+        except (LookupError, ValueError):
+            raise ValueError(f"the header's line {' '.join(words)!r} cannot be understood") from None
+    return encoding, elements
+
+
+def _ascii(body: bytes) -> _Read:
+    lines = (line for line in body.splitlines() if line.strip())
+
+    def read(element: _Element) -> dict[str, Column]:
+        rows, width = list(islice(lines, element.count)), len(element.properties)
+        if len(rows) < element.count:
+            raise _cut_short(element, len(rows))
+        if element.has_lists:
+            return _listed(element, [_cursor(_numbers(row)) for row in rows])
+        numbers = _numbers(b"\n".join(rows))
+        if len(numbers) != width * len(rows):
+            raise ValueError(f"rows of {element.name!r} have not {width} numbers each, as the header has it")
+        return _named(element, numbers.reshape(len(rows), width))
+
+    return read
+
+
+def _binary(body: bytes) -> _Read:
+    at = 0
+
+    def take(kinds: Sequence[str], rows: int) -> FloatArray:
+        nonlocal at
+        row = np.dtype(",".join(f"<{kind}" for kind in kinds))
+        got = min(max(rows, 0), (len(body) - at) // row.itemsize)
+        table = np.frombuffer(body, row, got, at)
+        at += got * row.itemsize
+        if row.names is None:  # a single column
+            return table.astype(np.float64)[:, None]
+        return structured_to_unstructured(table, dtype=np.float64)
+
+    def read(element: _Element) -> dict[str, Column]:
+        if element.has_lists:
+            return _listed(element, repeat(take, element.count))
+        table = take([each.kind for each in element.properties], element.count)
+        if len(table) < element.count:
+            raise _cut_short(element, len(table))
+        return _named(element, table)
+
+    return read
+
+
+_ENCODINGS = {"ascii": _ascii, "binary_little_endian": _binary}
+
+
+def _numbers(text: bytes) -> FloatArray:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DeprecationWarning)  # older NumPys' word for what is no number
+        try:
+            return np.fromstring(text, dtype=np.float64, sep=" ")
+        except (DeprecationWarning, ValueError):
+            raise ValueError("it has something that is no number") from None
+
+
+def _cursor(numbers: FloatArray) -> _Take:
+    left = iter(numbers)
+    return lambda kinds, rows: np.array(list(islice(left, max(rows, 0)))).reshape(-1, 1)
+
+
+def _named(element: _Element, table: FloatArray) -> dict[str, Column]:
+    return {each.name: column for each, column in zip(element.properties, table.T, strict=True)}
+
+
+def _listed(element: _Element, rows: Iterable[_Take]) -> dict[str, Column]:
+    """Of an element with lists, whose rows are not equally long: what the next row is taken by, for every row."""
+    values: list[list[FloatArray]] = [[] for _ in element.properties]
+    for row, take in enumerate(rows):
+        for column, each in zip(values, element.properties, strict=True):
+            length = np.ones((1, 1)) if each.length is None else take([each.length], 1)
+            found = take([each.kind], int(length[0, 0])) if len(length) else length
+            if len(length) == 0 or len(found) != length[0, 0]:
+                raise _cut_short(element, row)
+            column.append(found[:, 0])
+    pairs = zip(values, element.properties, strict=True)
+    return {each.name: column if each.length else np.ravel(column) for column, each in pairs}
+
+
+def _cut_short(element: _Element, got: int) -> ValueError:
+    return ValueError(f"it ends after {got} of {element.count} rows of {element.name!r}")
