@@ -1,6 +1,7 @@
 """Whether adaptation also holds for a camera that the network never saw, and for depth that is wrong by a rule.
 
     python benchmarks/unfamiliar_depth.py --data ../shared/data --out runs/unfamiliar --network one-third-0.35
+    python benchmarks/unfamiliar_depth.py --case "misjudged depth"
 
 RedKitchen, built from 0:400:4 and judged on the frames between, with visual odometry, from starts 10 cm and 3 degrees
 off; unadapted, with the paper's variant and with monoloc's default, in three cases:
@@ -36,6 +37,7 @@ from monoloc.runs import Start, localize
 _BUILD, _JUDGED = "0:400:4", "0:400"
 _KEPT = 0.6  # of the image's width and height
 _SHOWN = ("unadapted", "last+map", "joint")
+_CASES = ("as it is", "narrower lens", "misjudged depth")
 _COLUMNS = ("case", "variant", "median (seeds)", "RMSE", "rotation", "AbsRel")
 
 
@@ -118,19 +120,20 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/unfamiliar"))
     parser.add_argument("--network", default="one-third-0.35")
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--case", nargs="+", choices=_CASES, default=_CASES)
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     kitchen = open_recording(f"7scenes:{arguments.data}/7scenes/redkitchen")
-    pairs = open_recording(f"folder:{arguments.data}/nyu-labelled")
-    cases: dict[str, tuple[Recording, str | Path]] = {
-        "as it is": (kitchen, arguments.network),
-        "narrower lens": (Cropped(kitchen), arguments.network),
-        "misjudged depth": (kitchen, misjudging(arguments.network, pairs, arguments.out)),
-    }
     print("| " + " | ".join(_COLUMNS) + " |\n|" + "---|" * len(_COLUMNS))
-    for case, (recording, network) in cases.items():
+    for case in arguments.case:
+        recording: Recording = Cropped(kitchen) if case == "narrower lens" else kitchen
+        network: str | Path = arguments.network
+        if case == "misjudged depth":
+            pairs = open_recording(f"folder:{arguments.data}/nyu-labelled")
+            network = misjudging(arguments.network, pairs, arguments.out)
         for variant in _SHOWN:
-            print("| " + " | ".join(row(case, recording, network, variant, arguments.seeds, arguments.out)) + " |")
+            found = row(case, recording, network, variant, arguments.seeds, arguments.out)
+            print("| " + " | ".join(found) + " |", flush=True)
 
 
 if __name__ == "__main__":

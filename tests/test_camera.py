@@ -154,3 +154,15 @@ def test_impossible_intrinsics_are_refused(change, field):
     intrinsics = {"width": 640, "height": 480, "fx": 500.0, "fy": 500.0, "cx": 320.0, "cy": 240.0}
     with pytest.raises(SettingError, match=field):
         Camera(**(intrinsics | change))
+
+
+@given(st.floats(0.02, 2.0), st.floats(0.1, 0.9))
+def test_distortion_that_folds_the_image_is_refused(bend, share):
+    """Radius r becomes r - bend r^3, which grows up to r = (3 bend)^-1/2, where it is two thirds of that."""
+    farthest = 2.0 / 3.0 / np.sqrt(3.0 * bend)
+    width, height = 640, 480
+    corner_px = np.hypot(width / 2.0, height / 2.0)
+    inside, outside = (corner_px / (factor * farthest) for factor in (1.0 - 0.1 * share, 1.0 + 0.1 * share))
+    Camera(width, height, inside, inside, 319.5, 239.5, (-bend, 0.0, 0.0, 0.0, 0.0))
+    with pytest.raises(SettingError, match=r"camera\.distortion: .* folds the image onto itself; give k1"):
+        Camera(width, height, outside, outside, 319.5, 239.5, (-bend, 0.0, 0.0, 0.0, 0.0))

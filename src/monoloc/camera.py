@@ -7,6 +7,7 @@ of width w spans -0.5 .. w - 0.5. Depth is z, not range.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +18,7 @@ FloatArray = NDArray[np.float64]
 
 _LEAST_DEPTH_M = 0.1  # nothing nearer is in sight
 _BORDER_RAYS = 9  # along a side; the widest of them bound the view
+_CHECKED, _ALIKE = 17, 1e-9  # points along a side, and how far from one the way there and back may lead
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,18 @@ class Camera:
             )
         if len(self.distortion) != 5 or not np.all(np.isfinite(self.distortion)):
             raise SettingError("camera.distortion", f"is {self.distortion}", "give k1, k2, p1, p2, k3")
+        if self.is_distorted and not self._is_one_to_one():
+            raise SettingError(
+                "camera.distortion",
+                f"{self.distortion} folds the image onto itself",
+                "give k1, k2, p1, p2, k3 as they were measured with these focal lengths",
+            )
+
+    def _is_one_to_one(self) -> bool:
+        """Whether every pixel has its own ray: the polynomial's inverse is found, and on the side of the middle."""
+        ends = ((-0.5, self.width - 0.5, self.cx, self.fx), (-0.5, self.height - 0.5, self.cy, self.fy))
+        x, y = (((first - middle) / f, (last - middle) / f) for first, last, middle, f in ends)
+        return _is_one_to_one(tuple(self.distortion), *x, *y)
 
     @property
     def matrix(self) -> FloatArray:
@@ -141,36 +155,62 @@ class Camera:
         return depth[..., None] * self.pixel_rays()
 
     def _distort(self, normalised: FloatArray) -> FloatArray:
-        """Brown 1971 (as in OpenCV): undistorted to distorted image coordinates at z = 1, (..., 2)."""
-        if not self.is_distorted:
-            return normalised
-        k1, k2, p1, p2, k3 = self.distortion
-        x, y = normalised[..., 0], normalised[..., 1]
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        dx = 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
-        dy = p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
-        return np.stack([x * radial + dx, y * radial + dy], axis=-1)
+        return _distort(self.distortion, normalised) if self.is_distorted else normalised
 
     def _undistort(self, distorted: FloatArray) -> FloatArray:
-        """Inverse of :meth:`_distort` by Newton's method, whose Jacobian is symmetric for this model."""
-        if not self.is_distorted:
-            return distorted
-        k1, k2, p1, p2, k3 = self.distortion
-        normalised = distorted.copy()
-        for _ in range(20):
-            x, y = normalised[..., 0], normalised[..., 1]
-            r2 = x * x + y * y
-            radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-            slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
-            J_xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
-            J_xy = slope * x * y + 2.0 * (p1 * x + p2 * y)
-            J_yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
-            residual = distorted - self._distort(normalised)
-            dx, dy = residual[..., 0], residual[..., 1]
-            determinant = J_xx * J_yy - J_xy * J_xy
-            step = np.stack([J_yy * dx - J_xy * dy, J_xx * dy - J_xy * dx], axis=-1) / determinant[..., None]
-            normalised += step
-            if np.max(np.abs(step), initial=0.0) < 1e-12:
-                break
-        return normalised
+        return _undistort(self.distortion, distorted) if self.is_distorted else distorted
+
+
+Distortion = tuple[float, float, float, float, float]
+
+
+def _distort(distortion: Distortion, normalised: FloatArray) -> FloatArray:
+    """Brown 1971 (as in OpenCV): undistorted to distorted image coordinates at z = 1, (..., 2)."""
+    k1, k2, p1, p2, k3 = distortion
+    x, y = normalised[..., 0], normalised[..., 1]
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    dx = 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+    dy = p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+    return np.stack([x * radial + dx, y * radial + dy], axis=-1)
+
+
+def _jacobian(distortion: Distortion, normalised: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of :func:`_distort`, which is symmetric: its entries xx, xy and yy, (...)."""
+    k1, k2, p1, p2, k3 = distortion
+    x, y = normalised[..., 0], normalised[..., 1]
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
+    J_xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
+    J_xy = slope * x * y + 2.0 * (p1 * x + p2 * y)
+    J_yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+    return J_xx, J_xy, J_yy
+
+
+def _undistort(distortion: Distortion, distorted: FloatArray) -> FloatArray:
+    """Inverse of :func:`_distort` by Newton's method."""
+    normalised = distorted.copy()
+    for _ in range(20):
+        J_xx, J_xy, J_yy = _jacobian(distortion, normalised)
+        residual = distorted - _distort(distortion, normalised)
+        dx, dy = residual[..., 0], residual[..., 1]
+        determinant = J_xx * J_yy - J_xy * J_xy
+        step = np.stack([J_yy * dx - J_xy * dy, J_xx * dy - J_xy * dx], axis=-1) / determinant[..., None]
+        normalised += step
+        if np.max(np.abs(step), initial=0.0) < 1e-12:
+            break
+    return normalised
+
+
+@lru_cache(maxsize=256)
+def _is_one_to_one(distortion: Distortion, left: float, right: float, top: float, bottom: float) -> bool:
+    """Whether the inverse exists all over a rectangle of distorted coordinates, (0, 0) among them."""
+    grid = np.meshgrid(np.linspace(left, right, _CHECKED), np.linspace(top, bottom, _CHECKED))
+    points = np.stack(grid, axis=-1)
+    with np.errstate(all="ignore"):
+        found = _undistort(distortion, points)
+        J_xx, J_xy, J_yy = _jacobian(distortion, found)
+        residual = np.abs(_distort(distortion, found) - points).max()
+        # Both eigenvalues positive, as in the middle: before the first fold.
+        return bool(residual < _ALIKE and np.all(J_xx + J_yy > 0.0) and np.all(J_xx * J_yy - J_xy**2 > 0.0))
