@@ -134,10 +134,10 @@ def joiner(viewpoint: FloatArray, lasting: LastingErrors = LASTING) -> Joiner:
 def test_without_odometry_the_belief_is_the_particles_and_as_wide_as_their_bias() -> None:
     """Far from the viewpoints that is wide, and no start that was off stays in it."""
     follower, truth = joiner(se3_exp([0.0, 2.0, 0.0, 0.0, 0.0, 0.0])), se3_exp([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
-    follower.step(None, 0.0, 0.0, said(truth), is_told=True)
+    follower.step(None, 0.0, said(truth), is_told=True)
     for _ in range(10):
         truth = truth @ STEP
-        belief = follower.step(None, ELAPSED_S, 0.0, said(truth), is_told=True)
+        belief = follower.step(None, ELAPSED_S, said(truth), is_told=True)
     np.testing.assert_allclose(belief.pose, truth, atol=1e-12)
     apart = float(viewpoints_apart(truth, se3_exp([0.0, 2.0, 0.0, 0.0, 0.0, 0.0])[None])[0])
     expected = np.diag(SPREAD_SD**2) + LASTING.covariance(apart)
@@ -163,9 +163,10 @@ def test_a_frame_that_tells_nothing_narrows_nothing() -> None:
     for _ in range(20):
         pose = pose @ STEP
         for follower, is_told in ((deaf, False), (hearing, True)):
-            belief = follower.step(motion, ELAPSED_S, 0.0, said(pose), is_told)
+            belief = follower.step(motion, ELAPSED_S, said(pose), is_told)
             widths.append(float(belief.covariance[0, 0]))
-    np.testing.assert_allclose(deaf.step(None, ELAPSED_S, 0.0, said(np.eye(4)), False).pose, pose, atol=1e-12)
+    np.testing.assert_allclose(deaf.step(None, ELAPSED_S, said(np.eye(4)), False).pose, pose, atol=1e-12)
+    assert deaf.blind_s == ELAPSED_S and hearing.blind_s == 0.0
     assert widths[0::2] == sorted(widths[0::2])
     assert widths[-1] < widths[-2]
 

@@ -119,7 +119,6 @@ class Localizer:
         self._joiner = Joiner(estimate(start), config.lasting, config.motion_noise, viewpoints)
         self._rng = rng
         self._is_first = True
-        self._blind_s = 0.0  # for how long nothing has said where the camera is
 
     def step(self, color: NDArray[np.uint8], elapsed_s: float, measured_depth: DepthPrediction | None = None) -> Step:
         """Take one frame in.
@@ -147,14 +146,12 @@ class Localizer:
         if measured_depth is None and not shows_something(color):
             scan = NOTHING
         if not self._is_first:
-            self.particles = predict(
-                self.particles, motion, elapsed_s, self._blind_s, config.log_scale_sd, config.motion_noise, self._rng
-            )
+            spread, noise, blind_s = config.log_scale_sd, config.motion_noise, self._joiner.blind_s
+            self.particles = predict(self.particles, motion, elapsed_s, blind_s, spread, noise, self._rng)
         self.particles = correct(self.particles, lambda particles: self._weigh(particles, scan, motion), self._rng)
         located = estimate(self.particles)
-        belief = self._joiner.step(motion, elapsed_s, self._blind_s, located, is_told=len(scan) > 0)
+        belief = self._joiner.step(motion, elapsed_s, located, is_told=len(scan) > 0)
         self.particles = resample(self.particles, config.ess_fraction, self._rng)
-        self._blind_s = self._blind_s + elapsed_s if motion is None and len(scan) == 0 else 0.0
         fit = self._fit(located, scan)  # where depth's lasting error is, the belief's covariance tells
         is_followed = self._is_first or self._odometry is None or motion is not None
         self._is_first = False

@@ -55,7 +55,6 @@ class PoseFilter:
         self._config = config
         self._rng = rng
         self._is_first = True
-        self._blind_s = 0.0
 
     def step(self, color: NDArray[np.uint8], elapsed_s: float) -> Estimate:
         """Take one frame in: (H, W, 3) uint8 RGB, and the seconds since the one before, ignored at the first."""
@@ -66,17 +65,14 @@ class PoseFilter:
             depth = self._depth(color)
             motion = self._odometry.step(color, depth.depth_m, depth.camera)
         if not self._is_first:
-            self.particles = predict(
-                self.particles, motion, elapsed_s, self._blind_s, config.log_scale_sd, config.motion_noise, self._rng
-            )
+            spread, noise, blind_s = config.log_scale_sd, config.motion_noise, self._joiner.blind_s
+            self.particles = predict(self.particles, motion, elapsed_s, blind_s, spread, noise, self._rng)
         measured = self._measure(color)
         if measured is not None:
             fit = self._error.log_likelihood(measured, self.particles.poses)
             log_weights = normalised(self.particles.log_weights + fit)
             self.particles = Particles(self.particles.poses, self.particles.log_scale, log_weights)
         self._is_first = False
-        is_told = measured is not None
-        belief = self._joiner.step(motion, elapsed_s, self._blind_s, estimate(self.particles), is_told)
-        self._blind_s = 0.0 if is_told or motion is not None else self._blind_s + elapsed_s
+        belief = self._joiner.step(motion, elapsed_s, estimate(self.particles), is_told=measured is not None)
         self.particles = resample(self.particles, config.ess_fraction, self._rng)
         return belief

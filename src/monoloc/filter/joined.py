@@ -97,6 +97,9 @@ class Joiner:
         lasting: how wide the bias is, and over how far it lasts.
         noise: of the motions.
         viewpoints: (V, 4, 4) ``T_world_camera`` of the frames that the room was built from, or none.
+
+    Attributes:
+        blind_s: for how long nothing has said where the camera is.
     """
 
     def __init__(self, start: Estimate, lasting: LastingErrors, noise: MotionConfig, viewpoints: FloatArray) -> None:
@@ -105,32 +108,32 @@ class Joiner:
         self._viewpoints = viewpoints
         self._joined = Joined.begin(start, self._fresh(start.pose))
         self._log_scale = start.log_scale
+        self.blind_s = 0.0
 
-    def step(
-        self, motion: Motion | None, elapsed_s: float, blind_s: float, located: Estimate, is_told: bool
-    ) -> Estimate:
+    def step(self, motion: Motion | None, elapsed_s: float, located: Estimate, is_told: bool) -> Estimate:
         """The belief at the next frame.
 
         Args:
             motion: odometry's since the frame before, None where there is none.
-            elapsed_s, blind_s: as :func:`monoloc.filter.motion.motion_sd`; 0 at the first frame.
+            elapsed_s: since the frame before; 0 at the first.
             located: what the particles say.
             is_told: whether this frame told the particles anything; what they knew before is not told again.
         """
         if motion is None and elapsed_s > 0.0 and is_told:  # nothing is left to join it with
             self._joined = Joined.alone(located, self._fresh(located.pose))
         else:
-            self._joined = self._moved(motion, elapsed_s, blind_s)
+            self._joined = self._moved(motion, elapsed_s)
             if is_told:
                 self._joined = self._joined.told(located)
         self._log_scale = located.log_scale
+        self.blind_s = 0.0 if is_told or motion is not None else self.blind_s + elapsed_s
         return self._joined.estimate(located.log_scale)
 
-    def _moved(self, motion: Motion | None, elapsed_s: float, blind_s: float) -> Joined:
+    def _moved(self, motion: Motion | None, elapsed_s: float) -> Joined:
         delta = np.eye(4) if motion is None else motion.T_previous_current.copy()
         delta[:3, 3] *= np.exp(self._log_scale)  # its translation was measured in predicted depth
         kept = self._lasting.kept(float(viewpoints_apart(np.eye(4), delta[None])[0]))
-        noise = np.diag(motion_sd(motion, elapsed_s, blind_s, self._noise) ** 2)
+        noise = np.diag(motion_sd(motion, elapsed_s, self.blind_s, self._noise) ** 2)
         return self._joined.moved(delta, noise, kept, self._fresh(self._joined.pose @ delta))
 
     def _fresh(self, pose: FloatArray) -> FloatArray:
