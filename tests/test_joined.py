@@ -135,7 +135,7 @@ def test_without_odometry_the_belief_is_the_particles_and_as_wide_as_their_bias(
     """Far from the viewpoints that is wide, and no start that was off stays in it."""
     follower, truth = joiner(se3_exp([0.0, 2.0, 0.0, 0.0, 0.0, 0.0])), se3_exp([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
     follower.step(None, 0.0, said(truth), is_told=True)
-    for _ in range(10):
+    for _ in range(20):  # longer than odometry is waited for
         truth = truth @ STEP
         belief = follower.step(None, ELAPSED_S, said(truth), is_told=True)
     np.testing.assert_allclose(belief.pose, truth, atol=1e-12)
@@ -144,7 +144,24 @@ def test_without_odometry_the_belief_is_the_particles_and_as_wide_as_their_bias(
     np.testing.assert_allclose(belief.covariance, expected, rtol=1e-6)
 
 
-def test_after_a_frame_without_odometry_it_is_the_batch_solution_again() -> None:
+def test_a_frame_without_odometry_loses_no_bias() -> None:
+    """Of particles that err by 8 cm since the camera left the build's viewpoints, which odometry has told."""
+    step = se3_exp([0.015, -0.005, 0.018, 0.003, 0.01, -0.005])  # 0.36 m/s
+    motion = Motion(step, 50, np.zeros((0, 3)), np.zeros(0))
+    off = se3_exp([0.08, 0.0, 0.0, 0.0, 0.0, 0.0])
+    beliefs = []
+    for dropped in ((), (15,), (15, 20, 21, 22)):
+        follower, truth = joiner(np.eye(4), LastingErrors(near_sd_m=0.01, growth_m=0.1)), np.eye(4)
+        follower.step(None, 0.0, said(truth), is_told=True)
+        for frame in range(25):
+            truth = truth @ step
+            told = None if frame in dropped else motion
+            belief = follower.step(told, ELAPSED_S, said(truth if frame < 8 else truth @ off), is_told=True)
+        beliefs.append(np.linalg.norm(belief.pose[:3, 3] - truth[:3, 3]))
+    assert beliefs == pytest.approx([beliefs[0]] * 3, abs=0.01) and beliefs[0] < 0.06
+
+
+def test_batch_solution_after_the_particles_word_alone() -> None:
     """A word whose bias is unknown, then perfect odometry and the same bias: of that, nothing new is learnt."""
     lasting = LastingErrors(near_sd_m=0.05, near_sd_rad=0.03)
     alone = Joined.alone(said(np.eye(4)), lasting.covariance(0.0))

@@ -21,6 +21,9 @@ from monoloc.odometry import Motion
 # What odometry errs by, and where the particles happen to be, goes on for some frames: taken for new in each, its
 # deviation is twice as large.
 _TOGETHER = 2.0
+# So long the bias is remembered without odometry. Motion is taken for new in every frame then, which it is not: in
+# time, a steady flight would be taken for a bias.
+_LONG_S = 1.0
 _LEAST_VARIANCE = 1e-10  # of a measurement, m^2 and rad^2: particles may all be one
 _OBSERVED = np.hstack([np.eye(6), np.eye(6)])  # the particles' pose errs by the pose's error and by the bias
 
@@ -107,7 +110,8 @@ class Joiner:
         self._noise = noise
         self._viewpoints = viewpoints
         self._joined = Joined.begin(start, self._fresh(start.pose))
-        self._log_scale = start.log_scale
+        self._located = start
+        self._unmoved_s = 0.0  # for how long there has been no odometry
         self.blind_s = 0.0
 
     def step(self, motion: Motion | None, elapsed_s: float, located: Estimate, is_told: bool) -> Estimate:
@@ -119,20 +123,23 @@ class Joiner:
             located: what the particles say.
             is_told: whether this frame told the particles anything; what they knew before is not told again.
         """
-        if motion is None and elapsed_s > 0.0 and is_told:  # nothing is left to join it with
+        self._unmoved_s = self._unmoved_s + elapsed_s if motion is None else 0.0
+        if self._unmoved_s > _LONG_S and is_told:  # nothing is left to join it with
             self._joined = Joined.alone(located, self._fresh(located.pose))
         else:
-            self._joined = self._moved(motion, elapsed_s)
+            self._joined = self._moved(motion, elapsed_s, located)
             if is_told:
                 self._joined = self._joined.told(located)
-        self._log_scale = located.log_scale
+        self._located = located
         self.blind_s = 0.0 if is_told or motion is not None else self.blind_s + elapsed_s
         return self._joined.estimate(located.log_scale)
 
-    def _moved(self, motion: Motion | None, elapsed_s: float) -> Joined:
+    def _moved(self, motion: Motion | None, elapsed_s: float, located: Estimate) -> Joined:
         delta = np.eye(4) if motion is None else motion.T_previous_current.copy()
-        delta[:3, 3] *= np.exp(self._log_scale)  # its translation was measured in predicted depth
-        kept = self._lasting.kept(float(viewpoints_apart(np.eye(4), delta[None])[0]))
+        delta[:3, 3] *= np.exp(self._located.log_scale)  # its translation was measured in predicted depth
+        # How far it went is known well enough from the particles, where odometry does not tell.
+        gone = invert(self._located.pose) @ located.pose if motion is None else delta
+        kept = self._lasting.kept(float(viewpoints_apart(np.eye(4), gone[None])[0]))
         noise = np.diag(motion_sd(motion, elapsed_s, self.blind_s, self._noise) ** 2)
         return self._joined.moved(delta, noise, kept, self._fresh(self._joined.pose @ delta))
 
