@@ -85,7 +85,7 @@ def test_gradient_loss_is_what_autograd_makes_of_its_formula(steps: tuple[int, .
     loss, expected = 3.0 * gradient_loss(ours, truth, valid, steps), 3.0 * plain(theirs)
     loss.backward()
     expected.backward()
-    assert float(loss) > 0.0
+    assert loss.item() > 0.0
     torch.testing.assert_close(loss, expected)
     torch.testing.assert_close(ours.grad, theirs.grad)
 

@@ -179,7 +179,7 @@ def test_verdicts_agree_in_number(study: Study, claims: list[Claim], says: str) 
 
 def test_builds_are_told_as_figures_use_them(study: Study) -> None:
     assert study_settings(study)["builds"].startswith("1; ")
-    assert "Figure 3 has one a seed" in study_settings(study)["builds"]
+    assert "Figure 3" not in study_settings(study)["builds"]
 
 
 def test_repeats_are_left_empty_in_leading_cells_only() -> None:
