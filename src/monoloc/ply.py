@@ -10,9 +10,9 @@ from itertools import islice, repeat
 
 import numpy as np
 from numpy.lib.recfunctions import structured_to_unstructured
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from monoloc.geometry import FloatArray
+
 Column = FloatArray | list[FloatArray]
 # NumPy's type of every column, R -> the next R rows, or what is left.
 _Take = Callable[[Sequence[str], int], FloatArray]

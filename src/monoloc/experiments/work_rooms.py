@@ -25,9 +25,9 @@ _POINT_BYTES = 12  # three float32
 def bundle(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str, Any]:
     config = BuildConfig.model_validate(settings["config"])
     recording = built_from(settings)
-    bundle, report = build_bundle(recording, config, settings["seed"], NoProgress(), network=settings["network"])
-    write_bundle(folder / BUNDLE, bundle)
-    sizes = {"network_bytes": len(bundle.depth_model.content), "map_bytes": bundle.adapted.nbytes_stored}
+    room, report = build_bundle(recording, config, settings["seed"], NoProgress(), network=settings["network"])
+    write_bundle(folder / BUNDLE, room)
+    sizes = {"network_bytes": len(room.depth_model.content), "map_bytes": room.adapted.nbytes_stored}
     return asdict(report) | sizes
 
 

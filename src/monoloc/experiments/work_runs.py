@@ -26,12 +26,12 @@ def run(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str, 
     rng = np.random.default_rng(settings["seed"])
     start, config = start_of(settings, recording, rng), override(bundle.settings, motion=settings["motion"])
     relight = relighting(settings["walk"]["light"], settings["seed"])
-    run = localize(bundle, recording, start, config, rng, NoProgress(), settings["sensor"], relight)
-    further = {"covariances": run.covariances}
-    if run.odometry is not None:
-        further["odometry"] = run.odometry
-    write_way(folder, recording, run.poses, run.unseen, **further)
-    return run.metrics()
+    flown = localize(bundle, recording, start, config, rng, NoProgress(), settings["sensor"], relight)
+    further = {"covariances": flown.covariances}
+    if flown.odometry is not None:
+        further["odometry"] = flown.odometry
+    write_way(folder, recording, flown.poses, flown.unseen, **further)
+    return flown.metrics()
 
 
 def depth(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str, Any]:
@@ -67,15 +67,15 @@ def depth(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str
 def clouds(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str, Any]:
     room = _read(needs[0])
     rng = np.random.default_rng(settings["seed"])
-    clouds = compare_clouds(room.original, room.adapted, settings["points"], rng)
+    compared = compare_clouds(room.original, room.adapted, settings["points"], rng)
     np.savez_compressed(
         folder / "clouds.npz",
-        original=clouds.original.astype(np.float32),
-        adapted=clouds.adapted.astype(np.float32),
-        distances_m=clouds.distances_m.astype(np.float32),
+        original=compared.original.astype(np.float32),
+        adapted=compared.adapted.astype(np.float32),
+        distances_m=compared.distances_m.astype(np.float32),
         down_world=np.array(room.provenance.down_world),
     )
-    return clouds.figures
+    return compared.figures
 
 
 def start_of(settings: Settings, recording: Recording, rng: np.random.Generator) -> Start:

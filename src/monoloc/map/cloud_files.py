@@ -58,8 +58,8 @@ def _read_ply(path: Path) -> FloatArray:
     vertices = read_ply(path.read_bytes(), "vertex").get("vertex")
     if vertices is None:
         raise ValueError("it has no element 'vertex'")
-    _positions(list(vertices))
-    axes = [vertices[axis] for axis in "xyz"]
+    columns = list(vertices.values())
+    axes = [columns[position] for position in _positions(list(vertices))]
     if any(isinstance(axis, list) for axis in axes):
         raise ValueError("x, y or z are lists")
     return np.stack(axes, axis=1)
