@@ -937,6 +937,7 @@ VARIANTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_joint_adaptation_does_not_collapse(
     mapped_room: tuple[GaussianMixture, FloatArray], views: Views, variant: str
@@ -988,6 +989,7 @@ def network_file(tmp_path: Path) -> Path:
     return tmp_path / "network.safetensors"
 
 
+@pytest.mark.slow
 def test_adapt_tunes_on_depth_of_the_cloud_where_there_is_no_sensors(
     mapped_room: tuple[GaussianMixture, FloatArray], network_file: Path
 ) -> None:

@@ -143,6 +143,7 @@ def test_code_of_a_camera_that_stands_still() -> None:
 # --- Training ---
 
 
+@pytest.mark.slow
 def test_learns_its_frames_by_heart() -> None:
     """Wrong axes, scales or orders anywhere between pose and image would show as decimetres.
 
@@ -165,6 +166,7 @@ def test_same_seed_same_network_another_another() -> None:
     assert np.abs(first - other).max() > 1e-4
 
 
+@pytest.mark.slow
 def test_the_better_learning_rate_trains_on_all() -> None:
     recording = RoomRecording(Room(), make_path(16, start_s=0.1, rate_hz=4.0), small_recording(1).camera)
     both = QUICK.model_copy(update={"learning_rates": (1e-9, 1e-2), "search_epochs": 30, "augment": SAME_LIGHT})

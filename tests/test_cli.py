@@ -282,6 +282,7 @@ def test_poses_that_are_nan(capfd, here):
         refused(capfd, here, command, "walk/poses.txt", "holds NaN or infinity", "leave out frames")
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 def test_frames_whose_depth_is_all_zero_do_not_stand_in_the_way(capfd, here):
     for index in (0, 7):
@@ -335,6 +336,7 @@ def test_intrinsics_that_are_no_numbers(capfd, here, text):
     refused(capfd, here, command, "--intrinsics", f"is '{text}'", "W,H,FX,FY,CX,CY")
 
 
+@pytest.mark.slow
 def test_cloud_that_does_not_go_with_the_poses(capfd, here):
     def write(name: str, points: np.ndarray) -> tuple[str, ...]:
         np.savetxt(here / name, points, fmt="%.4f")

@@ -121,6 +121,7 @@ def test_training_learns_repeats_and_writes_what_it_learnt(
     assert other[0].train_loss != history[0].train_loss
 
 
+@pytest.mark.slow
 def test_recordings_are_mixed_and_the_first_one_centres(tmp_path: Path, validation: Recording) -> None:
     """Of two recordings, one reads four times too far: depth comes out between, but centred on the first."""
     true, fourfold = small_recording(6, seed=2), FourfoldDepth(ROOM, looking_around(6), SMALL_CAMERA)

@@ -257,6 +257,7 @@ carry_out([Task.of("linger", {"log": str(log)}, [first])], out, NoProgress(), 1,
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGINT])
 def test_a_run_that_is_cut_off_goes_on_where_it_was(tmp_path: Path, log: Path, sent: signal.Signals) -> None:
     script = [sys.executable, "-c", _RUN, str(tmp_path), str(log)]
@@ -333,6 +334,7 @@ def _dask(*words: str) -> Iterator[None]:
             os.killpg(process.pid, signal.SIGTERM)
 
 
+@pytest.mark.slow
 def test_a_scheduler_s_two_workers_share_the_work(tmp_path: Path, log: Path, cluster: Callable[[int], str]) -> None:
     pair = _pair(log)
     chain = Task.of("add", {"number": 3, "log": str(_made(tmp_path / "sums"))}, [number(_made(tmp_path / "ones"), 1)])

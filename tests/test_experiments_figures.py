@@ -77,6 +77,7 @@ def test_a_quick_study_leaves_out_what_costs_most(quick: Study, full: Study) -> 
     assert all(figure.tasks(full) is not None for figure in FIGURES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_every_figure_is_drawn_with_its_numbers_beside_it(name: str, full: Study, made: Made, tmp_path: Path) -> None:
     drawn = drawn_from(chosen_figures([name])[0], full, made, tmp_path)

@@ -295,6 +295,7 @@ def test_key_changes_with_our_own_source(
 # --- What they give ---
 
 
+@pytest.mark.slow
 def test_bundle_run_depth_and_clouds(study: Study, away: Split, done: dict[str, Result]) -> None:
     bundle = tasks.bundle(study, away, NETWORK, "unadapted")
     built = do(bundle, done)
@@ -332,6 +333,7 @@ def test_bundle_run_depth_and_clouds(study: Study, away: Split, done: dict[str, 
         assert np.linalg.norm(arrays["down_world"]) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_light_is_put_on_after_frames_are_known_again(study: Study, folder: Path, done: dict[str, Result]) -> None:
     """In the dark too, the frames that built the map are those that did."""
     split = Split("between", f"folder:{folder}", "0:48:4", {"L3": Walk(f"folder:{folder}", "0:24", "L3")})
@@ -357,6 +359,7 @@ def test_some_of_the_build_frames(study: Study, away: Split, done: dict[str, Res
         do(tasks.bundle(study, away, NETWORK, "unadapted", frames=13), done)
 
 
+@pytest.mark.slow
 def test_other_maps_of_the_same_room(study: Study, away: Split, done: dict[str, Result]) -> None:
     bundle = tasks.bundle(study, away, NETWORK, "network")
     built = do(bundle, done)
@@ -388,6 +391,7 @@ def test_bytes_of_an_octree() -> None:
     assert octree_bytes(full - 100) == header + 64 + 8 + 1
 
 
+@pytest.mark.slow
 def test_posenet_filtered_posenet_and_keypoints(
     folder: Path, done: dict[str, Result], study: Study, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -90,6 +90,7 @@ def drawn_way(rng: np.random.Generator, frames: int) -> tuple[FloatArray, Joined
     return true, joined
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_stated() -> None:
     """Squared errors in units of the covariance have six degrees of freedom; of 400 ways, the mean's sd is 0.17."""
     rng = np.random.default_rng(1)

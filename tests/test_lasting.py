@@ -94,6 +94,7 @@ class _Leaning:
         return DepthPrediction(depth.depth_m * np.exp(0.25 * across), depth.camera)
 
 
+@pytest.mark.slow
 def test_the_camera_stays_where_depth_errs() -> None:
     """Passing through four frames would show a part of what their leaning depth makes of the pose in the end."""
     recording, mixture = RoomRecording(Room(), make_path(24)), room_mixture(Room())

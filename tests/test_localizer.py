@@ -138,6 +138,7 @@ def test_random_walk_follows_too(mixture, recording, healthy, seed):
     assert np.linalg.norm(recording.poses[:, :3, 3] - recording.poses[0, :3, 3], axis=1).max() > 0.5
 
 
+@pytest.mark.slow
 def test_odometry_makes_it_better_than_a_random_walk(mixture, recording, healthy):
     medians = {}
     for motion in ("visual", "random-walk"):
@@ -158,6 +159,7 @@ def test_a_wrong_scale_of_depth_is_found(mixture, recording, healthy, scale):
     assert found.position_m[0] < 0.08
 
 
+@pytest.mark.slow
 def test_tilted_depth_is_levelled_on_the_way(mixture, recording, healthy):
     """What parallax shows of a tilt is taken out of the depth before it is weighed, and what was used is given."""
 
@@ -210,6 +212,7 @@ def test_predicted_depth_is_used_where_none_is_measured(mixture, recording, heal
 # --- What the filter says when it cannot know ---
 
 
+@pytest.mark.slow
 def test_another_room_is_not_called_tracking(recording, healthy):
     # A room half as wide again, and healthy as the right room is.
     other = room_mixture(Room(stretch=1.5))
@@ -250,6 +253,7 @@ def test_darkness_widens_the_belief_and_light_narrows_it(mixture, recording, hea
     assert after[-1].state == "tracking"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_a_vague_start_is_found(mixture, recording, healthy, seed):
     """60 cm and 20 degrees off, as someone points at where a drone stands: none of the particles is near enough."""

@@ -85,6 +85,7 @@ def test_drift_stays_far_below_the_sum_of_the_errors(recording):
     assert end.rotation_rad[0] < np.deg2rad(1.0)
 
 
+@pytest.mark.slow
 def test_references_are_renewed_when_the_view_changes(room):
     """A whole turn: no corner of the first frame is in the last but by way of new references."""
     count = 54

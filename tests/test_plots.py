@@ -105,6 +105,7 @@ def test_localization_refuses_truth_of_another_length(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("down", [[0.0, 1.0, 0.0], [0.1, 0.0, -1.0]])
 @pytest.mark.parametrize("shift_m", [0.0, 0.1])
 @pytest.mark.filterwarnings("error")

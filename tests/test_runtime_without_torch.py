@@ -118,6 +118,7 @@ def test_localize_from_the_command_line(here, recording):
     assert metrics["depth_absrel"] < 0.02  # by the network, not by luck
 
 
+@pytest.mark.slow
 def test_the_other_commands_of_the_online_way(here):
     assert monoloc(here, "localize", "room.monoloc", "walk", "--out", "way.txt").returncode == 0
     for command in (

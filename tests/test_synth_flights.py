@@ -110,6 +110,7 @@ def test_flight_is_clear_of_everything(room, seed, times):
     assert room.clearance_m(flight.path(times)[:, :3]).min() > CONFIG.clearance_m - 0.005
 
 
+@pytest.mark.slow
 def test_a_long_flight_is_like_a_short_one(room):
     config = FlightConfig(seconds=90.0)
     flight, times = plan_flight(room, config, 0), np.arange(0.0, 90.0, 0.005)

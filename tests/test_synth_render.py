@@ -33,9 +33,12 @@ from monoloc.synth.sensor import SensorConfig, photograph
 from monoloc.synth.sequence import RenderConfig, render_sequence
 from monoloc.synth.views import render_views
 
-pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("mitsuba") is None, reason='rendering needs Mitsuba: pip install ".[synth]"'
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        importlib.util.find_spec("mitsuba") is None, reason='rendering needs Mitsuba: pip install ".[synth]"'
+    ),
+]
 
 # Off centre, and not square: mistakes of half a pixel or of a sign show.
 CAMERA = Camera(96, 72, 82.0, 82.0, 45.3, 38.1)

@@ -118,6 +118,7 @@ def test_panel_shows_its_picture_upright_to_who_stands_before_it():
 # --- rooms ---
 
 
+@pytest.mark.slow
 def test_same_seed_same_bytes_other_seed_other_room(rooms):
     assert [generate_room(seed).to_json() for seed in SEEDS] == [room.to_json() for room in rooms]
     assert len({room.to_json() for room in rooms}) == len(rooms)
