@@ -71,8 +71,8 @@ def perturbed(mixture: GaussianMixture, size: float, rng: np.random.Generator) -
     )
 
 
-def generator() -> torch.Generator:
-    return torch.Generator().manual_seed(0)
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
 
 
 # --- KL of the matched mixtures ---
@@ -473,7 +473,7 @@ NONE_HELD_OUT = np.zeros(0, dtype=np.int64)
 @pytest.fixture(scope="module")
 def views(recording: RoomRecording) -> Views:
     """The whole view of every frame and two synthesised near it."""
-    return make_views(recording, recording.depth, TINY.focal_px, 2, NONE_HELD_OUT, np.random.default_rng(0))
+    return make_views(recording, recording.depth, TINY.focal_px, 24, NONE_HELD_OUT, np.random.default_rng(0))
 
 
 def test_views_know_their_frames(recording: RoomRecording, views: Views) -> None:
@@ -486,8 +486,8 @@ def test_views_know_their_frames(recording: RoomRecording, views: Views) -> None
     chosen = views.of_frames([2, 7])
     np.testing.assert_array_equal(chosen.frame, [2, 7, 2, 2, 7, 7])
     np.testing.assert_array_equal(views.of_frames(np.array([7, 2]), only_whole=True).frame, [2, 7])
-    for ours, theirs in ((chosen.rays_world, views.rays_world), (chosen.images, views.images)):
-        torch.testing.assert_close(ours[3], theirs[17])
+    torch.testing.assert_close(chosen.rays_world[3], views.rays_world[17])
+    np.testing.assert_array_equal(chosen.colors[3], views.colors[17])
     torch.testing.assert_close(chosen.depth_m[1], views.depth_m[7])
     torch.testing.assert_close(chosen.origins[5], views.origins[27])
 
@@ -495,17 +495,35 @@ def test_views_know_their_frames(recording: RoomRecording, views: Views) -> None
 def test_views_repeat_with_their_seed_and_only_then(recording: RoomRecording, views: Views) -> None:
     few = Selection(recording, [0, 1, 2])
     one, same, other = (
-        make_views(few, few.depth, TINY.focal_px, 1, NONE_HELD_OUT, np.random.default_rng(seed)) for seed in (0, 0, 1)
+        make_views(few, few.depth, TINY.focal_px, 3, NONE_HELD_OUT, np.random.default_rng(seed)) for seed in (0, 0, 1)
     )
-    for name in ("images", "depth_m", "rays_world", "poses"):
-        torch.testing.assert_close(getattr(same, name), getattr(one, name), rtol=0.0, atol=0.0)
-        torch.testing.assert_close(getattr(other, name)[:3], getattr(one, name)[:3], rtol=0.0, atol=0.0)
-        assert not torch.equal(getattr(other, name)[3:], getattr(one, name)[3:])
+    for name in ("colors", "depth_m", "rays_world", "poses"):
+        first, again, changed = (np.asarray(getattr(made, name)) for made in (one, same, other))
+        np.testing.assert_array_equal(again, first)
+        np.testing.assert_array_equal(changed[:3], first[:3])
+        assert not np.array_equal(changed[3:], first[3:])
+
+
+@pytest.mark.parametrize("synthesised", [1, 4, 6])
+def test_views_are_made_of_all_frames_alike(recording: RoomRecording, synthesised: int) -> None:
+    few = Selection(recording, [0, 1, 2])
+    made = make_views(few, few.depth, TINY.focal_px, synthesised, NONE_HELD_OUT, np.random.default_rng(0))
+    counts = np.bincount(made.frame[~made.whole], minlength=3)
+    assert counts.sum() == synthesised and counts.max() - counts.min() <= 1
+
+
+def test_frames_as_taken_are_learned_from_as_often_however_many_views_are_made(views: Views) -> None:
+    """A fifth of the time, and evenly; alone, where there is nothing else."""
+    assert float(views.odds.sum()) == pytest.approx(1.0)
+    assert float(views.odds[views.whole].sum()) == pytest.approx(0.2)
+    assert len(views.odds[views.whole].unique()) == len(views.odds[~views.whole].unique()) == 1
+    whole = views.of_frames(range(12), only_whole=True)
+    torch.testing.assert_close(whole.odds, torch.full((12,), 1.0 / 12.0))
 
 
 def test_every_frame_is_counted_once_as_it_is_and_once_for_what_is_made_of_it(recording: RoomRecording) -> None:
     few = Selection(recording, [0, 1, 2])
-    for synthesised, expected in ((0, [1, 2, 3]), (2, [1, 2, 3, 4, 5, 6])):
+    for synthesised, expected in ((0, [1, 2, 3]), (6, [1, 2, 3, 4, 5, 6])):
         done: list[int] = []
         rng = np.random.default_rng(0)
         make_views(few, few.depth, TINY.focal_px, synthesised, NONE_HELD_OUT, rng, done.append)
@@ -554,7 +572,7 @@ class RedAndNear(RoomRecording):
 
 def redness(views: Views) -> FloatArray:
     """Share of each view that is redder than what any frame but the odd ones shows."""
-    return (views.images[:, 0] > 0.2).double().mean((1, 2)).numpy()
+    return np.asarray((views.colors[..., 0] > 153).mean(axis=(1, 2)))
 
 
 def test_held_out_frames_are_seen_in_no_others_views() -> None:
@@ -564,7 +582,7 @@ def test_held_out_frames_are_seen_in_no_others_views() -> None:
     recording = RedAndNear(ROOM, poses, SMALL_CAMERA)
     others = np.setdiff1d(np.arange(12), recording.odd)
     apart, together = (
-        make_views(recording, recording.depth, TINY.focal_px, 3, held_out, np.random.default_rng(0))
+        make_views(recording, recording.depth, TINY.focal_px, 36, held_out, np.random.default_rng(0))
         for held_out in (recording.odd, NONE_HELD_OUT)
     )
     assert redness(apart.of_frames(others)).max() == 0.0
@@ -605,7 +623,7 @@ def test_back_projected_views_land_on_the_rooms_surfaces(views: Views) -> None:
 
 def test_views_have_the_focal_length_of_the_networks_input(recording: RoomRecording, views: Views) -> None:
     """Neighbouring rays part by its reciprocal."""
-    assert views.images.shape == (36, 3, 64, 96) and views.images.is_contiguous(memory_format=torch.channels_last)
+    assert views.colors.shape == (36, 64, 96, 3) and views.colors.dtype == np.uint8
     assert views.log_focal_ratio == pytest.approx(np.log(recording.camera.resized(96, 64).focal_px / TINY.focal_px))
     rays = views.rays_world.reshape(len(views), 16, 24, 3)
     middle = rays[:, 8, 12]
@@ -828,7 +846,7 @@ def test_without_depth_the_bias_stays(mapped_room: tuple[GaussianMixture, FloatA
         if keep is not None:
             depth_m[..., keep[0], keep[1]] = 2.0
         blind = Views(
-            views.images, depth_m, views.log_focal_ratio, views.rays_world, views.poses, views.frame, views.whole
+            views.colors, depth_m, views.log_focal_ratio, views.rays_world, views.poses, views.frame, views.whole
         )
         adaptation = start_adaptation(mapped_room, tune="last")
         before = adaptation.network.head.bias.detach().clone()
@@ -961,7 +979,7 @@ def test_plain_density_collapses(
     adaptation.fit_bias(views)
     nll_before = adaptation.score(views, 0).nll
     scale_before, distance_before = scale_and_distance(adaptation, views)
-    adaptation.run(views, adaptation.config.most_steps, generator())
+    adaptation.run(views, adaptation.config.most_steps, generator(1))
     scale, distance = scale_and_distance(adaptation, views)
     assert scale < 0.5 * scale_before
     assert distance < 0.7 * distance_before
@@ -994,7 +1012,7 @@ def test_adapt_tunes_on_depth_of_the_cloud_where_there_is_no_sensors(
     mapped_room: tuple[GaussianMixture, FloatArray], network_file: Path
 ) -> None:
     mixture, _ = mapped_room
-    config = AdaptConfig(steps=20, batch_views=4, pixels_per_view=16, synthesised_views=1, network_rate=0.003)
+    config = AdaptConfig(steps=20, batch_views=4, pixels_per_view=16, synthesised_views=12, network_rate=0.003)
     recording = small_recording(12, has_depth=False)
     result = adapt(recording, ROOM.cloud(0.1), mixture, network_file, config, 0, NoProgress())
     assert len(result.original) == len(result.adapted) == len(mixture)

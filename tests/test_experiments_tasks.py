@@ -47,7 +47,7 @@ def fresh() -> None:
 @pytest.fixture
 def study(folder: Path) -> Study:
     whole = recorded(f"folder:{folder}", "room", FRAMES, quick=True)
-    return replace(whole, adapt={"steps": 4, "synthesised_views": 1})
+    return replace(whole, adapt={"steps": 4, "synthesised_views": 4})
 
 
 @pytest.fixture
@@ -243,7 +243,7 @@ def test_posenets_share_one_search_and_quick_ones_train_less(study: Study, away:
     assert set(quick) == set(full) == set(PoseNetTraining.model_fields)  # resolved: a default that changes is another
     assert quick["epochs"] < full["epochs"] == PoseNetTraining().epochs
     seen = tasks.posenet(study, away, "tiny", 0, views=True)
-    assert seen.settings["training"]["synthesised_views"] == 1 and seen.needs != first.needs
+    assert seen.settings["training"]["synthesised_views"] == 4 and seen.needs != first.needs
 
 
 def test_in_changed_light_each_posenet_sees_noise_of_its_own(study: Study, away: Split) -> None:

@@ -34,7 +34,7 @@ QUICK_TOML = """\
 components = 100
 [adapt]
 steps = 60
-synthesised_views = 1
+synthesised_views = 25
 batch_views = 8
 """
 ACCURACY_KEYS = ("ate_rmse_m", "ate_median_m", "ate_max_m", "rot_rmse_deg", "rot_median_deg", "within_5cm_5deg")

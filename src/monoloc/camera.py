@@ -114,10 +114,9 @@ class Camera:
     def project(self, points_camera: ArrayLike) -> FloatArray:
         """Pixels of points in the camera's frame: (..., 3) m -> (..., 2) px; NaN for points with z <= 0."""
         points = np.asarray(points_camera, dtype=np.float64)
-        z = points[..., 2:]
-        normalised = points[..., :2] / np.where(z > 0.0, z, np.nan)
-        pixels = self._distort(normalised) * np.array([self.fx, self.fy]) + np.array([self.cx, self.cy])
-        return np.asarray(pixels)
+        z = np.where(points[..., 2] > 0.0, points[..., 2], np.nan)
+        x, y = self._distort(points[..., 0] / z, points[..., 1] / z)
+        return np.stack([x * self.fx + self.cx, y * self.fy + self.cy], axis=-1)
 
     def in_sight(self, points_camera: FloatArray) -> NDArray[np.bool_]:
         """Whether points lie before the camera, and no farther aside than a pixel beyond its image: (N, 3) m -> (N,).
@@ -126,10 +125,9 @@ class Camera:
         image.
         """
         columns, rows = (np.linspace(-1.0, size, _BORDER_RAYS) for size in (self.width, self.height))
-        most = np.abs(self.rays(np.stack(np.meshgrid(columns, rows), axis=-1))[..., :2]).max(axis=(0, 1))
-        z = points_camera[:, 2]
-        aside = np.abs(points_camera[:, :2])
-        return np.asarray((z > _LEAST_DEPTH_M) & np.all(aside < most * z[:, None], axis=1))
+        most = np.abs(self.rays(np.stack(np.meshgrid(columns, rows), axis=-1))).max(axis=(0, 1))
+        x, y, z = np.asarray(points_camera).T
+        return np.asarray((z > _LEAST_DEPTH_M) & (np.abs(x) < most[0] * z) & (np.abs(y) < most[1] * z))
 
     def rays(self, pixels: ArrayLike) -> FloatArray:
         """Directions with z = 1 seen at pixels, (..., 2) px -> (..., 3): ``depth * ray`` is the point."""
@@ -154,8 +152,8 @@ class Camera:
             raise ValueError(f"depth must have shape ({self.height}, {self.width}), got {depth.shape}")
         return depth[..., None] * self.pixel_rays()
 
-    def _distort(self, normalised: FloatArray) -> FloatArray:
-        return _distort(self.distortion, normalised) if self.is_distorted else normalised
+    def _distort(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return _distort(self.distortion, x, y) if self.is_distorted else (x, y)
 
     def _undistort(self, distorted: FloatArray) -> FloatArray:
         return _undistort(self.distortion, distorted) if self.is_distorted else distorted
@@ -164,21 +162,19 @@ class Camera:
 Distortion = tuple[float, float, float, float, float]
 
 
-def _distort(distortion: Distortion, normalised: FloatArray) -> FloatArray:
-    """Brown 1971 (as in OpenCV): undistorted to distorted image coordinates at z = 1, (..., 2)."""
+def _distort(distortion: Distortion, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Brown 1971 (as in OpenCV): undistorted to distorted image coordinates at z = 1, (...) each."""
     k1, k2, p1, p2, k3 = distortion
-    x, y = normalised[..., 0], normalised[..., 1]
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     dx = 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
     dy = p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
-    return np.stack([x * radial + dx, y * radial + dy], axis=-1)
+    return x * radial + dx, y * radial + dy
 
 
-def _jacobian(distortion: Distortion, normalised: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _jacobian(distortion: Distortion, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Of :func:`_distort`, which is symmetric: its entries xx, xy and yy, (...)."""
     k1, k2, p1, p2, k3 = distortion
-    x, y = normalised[..., 0], normalised[..., 1]
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
@@ -190,17 +186,17 @@ def _jacobian(distortion: Distortion, normalised: FloatArray) -> tuple[FloatArra
 
 def _undistort(distortion: Distortion, distorted: FloatArray) -> FloatArray:
     """Inverse of :func:`_distort` by Newton's method."""
-    normalised = distorted.copy()
+    x, y = distorted[..., 0], distorted[..., 1]
     for _ in range(20):
-        J_xx, J_xy, J_yy = _jacobian(distortion, normalised)
-        residual = distorted - _distort(distortion, normalised)
-        dx, dy = residual[..., 0], residual[..., 1]
+        J_xx, J_xy, J_yy = _jacobian(distortion, x, y)
+        there_x, there_y = _distort(distortion, x, y)
+        dx, dy = distorted[..., 0] - there_x, distorted[..., 1] - there_y
         determinant = J_xx * J_yy - J_xy * J_xy
-        step = np.stack([J_yy * dx - J_xy * dy, J_xx * dy - J_xy * dx], axis=-1) / determinant[..., None]
-        normalised += step
-        if np.max(np.abs(step), initial=0.0) < 1e-12:
+        step_x, step_y = (J_yy * dx - J_xy * dy) / determinant, (J_xx * dy - J_xy * dx) / determinant
+        x, y = x + step_x, y + step_y
+        if max(np.max(np.abs(step_x), initial=0.0), np.max(np.abs(step_y), initial=0.0)) < 1e-12:
             break
-    return normalised
+    return np.stack([x, y], axis=-1)
 
 
 @lru_cache(maxsize=256)
@@ -210,7 +206,7 @@ def _is_one_to_one(distortion: Distortion, left: float, right: float, top: float
     points = np.stack(grid, axis=-1)
     with np.errstate(all="ignore"):
         found = _undistort(distortion, points)
-        J_xx, J_xy, J_yy = _jacobian(distortion, found)
-        residual = np.abs(_distort(distortion, found) - points).max()
+        J_xx, J_xy, J_yy = _jacobian(distortion, found[..., 0], found[..., 1])
+        residual = np.abs(np.stack(_distort(distortion, found[..., 0], found[..., 1]), axis=-1) - points).max()
         # Both eigenvalues positive, as in the middle: before the first fold.
         return bool(residual < _ALIKE and np.all(J_xx + J_yy > 0.0) and np.all(J_xx * J_yy - J_xy**2 > 0.0))

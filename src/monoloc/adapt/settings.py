@@ -28,7 +28,7 @@ class AdaptConfig(BaseModel):
         steps: optimiser steps; None is what suits ``tune``. Where only likelihood is tuned for, none are taken if a
             rehearsal betters nothing on held-out frames.
         batch_views, pixels_per_view: size of one step.
-        synthesised_views: views from nearby poses, a frame, made of the recording (for ``decoder`` and ``all``).
+        synthesised_views: views from nearby poses, in all, made of the recording (for ``decoder`` and ``all``).
         relit_share: share of a step's views that are seen in another light, down to a sixteenth and less (for
             ``all``): what is tuned in good light alone forgets the dark.
         network_rate, map_rate: Adam's learning rates; None is what suits ``tune``.
@@ -47,7 +47,7 @@ class AdaptConfig(BaseModel):
     steps: int | None = Field(None, ge=1)
     batch_views: int = Field(16, ge=1)
     pixels_per_view: int = Field(32, ge=1)
-    synthesised_views: int = Field(4, ge=0)
+    synthesised_views: int = Field(1200, ge=0)
     relit_share: float = Field(0.25, ge=0.0, le=1.0)
     network_rate: float | None = Field(None, gt=0.0)
     map_rate: float = Field(1e-3, gt=0.0)

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from monoloc.adapt.objective import matched_kl, ray_log_likelihood
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.transform import AdaptedMap
-from monoloc.adapt.views import Views, colors_of
+from monoloc.adapt.views import Views
 from monoloc.depth.augment import AugmentConfig, random_exposure
 from monoloc.depth.examples import network_input
 from monoloc.depth.losses import LossConfig, depth_loss, laplace_loss
@@ -93,7 +94,8 @@ class Adaptation:
         scores = [self.score(held_out, 0)] if held_out is not None else []
         best = self._state() if held_out is not None else None
         self.fit_bias(training)
-        inputs = self._frozen(training)
+        frozen = self._frozen(training)
+        odds = training.odds
         optimizer = torch.optim.Adam(
             [
                 {
@@ -109,11 +111,11 @@ class Adaptation:
         )
         light = np.random.default_rng(generator.initial_seed())
         for step in range(steps):
-            chosen = torch.randint(len(training), (self.config.batch_views,), generator=generator)
-            seen = [part[chosen] for part in inputs]
+            chosen = torch.multinomial(odds, self.config.batch_views, replacement=True, generator=generator)
+            views, inputs = training[chosen], [part[chosen] for part in frozen]
             if self.config.tune == "all":
-                seen = [_relit(seen[0], self.config.relit_share, light)]
-            loss = self._loss(training[chosen], seen, step, steps, generator)
+                inputs = [network_input(_relit(views.colors, self.config.relit_share, light))]
+            loss = self._loss(views, inputs, step, steps, generator)
             optimizer.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]
             optimizer.step()
@@ -148,8 +150,7 @@ class Adaptation:
     @torch.no_grad()
     def predict(self, views: Views) -> Tensor:
         """Log-depth of views, (V, 1, h, w), metric."""
-        log_depth = torch.cat([self.network(images) for images in torch.split(views.images, _VIEWS_AT_ONCE)])
-        return log_depth + views.log_focal_ratio
+        return torch.cat([self.network(images) for images in _batches(views)]) + views.log_focal_ratio
 
     @torch.no_grad()
     def score(self, views: Views, step: int) -> Score:
@@ -221,17 +222,17 @@ class Adaptation:
 
     @torch.no_grad()
     def _frozen(self, views: Views) -> list[Tensor]:
-        """What the part of the network that is not tuned makes of the views, once for all steps."""
+        """What the part of the network that is not tuned makes of the views, once for all steps; none, if all is."""
         if self.config.tune == "all":
-            return [views.images]
+            return []
         parts = []
-        for images in torch.split(views.images, _VIEWS_AT_ONCE):
+        for images in _batches(views):
             taps = self.network.encoder(images)
             parts.append(taps if self.config.by_depth else [self.network.decoder(taps)])
         return [torch.cat(part).contiguous(memory_format=torch.channels_last) for part in zip(*parts, strict=True)]
 
     def _features(self, inputs: list[Tensor]) -> Tensor:
-        """What the last layer reads, from :meth:`_frozen`'s outputs, with gradients."""
+        """What the last layer reads, from :meth:`_frozen`'s outputs, or from images, with gradients."""
         if not self.config.by_depth:
             return inputs[0]
         with torch.autocast("cpu", dtype=torch.bfloat16):
@@ -247,13 +248,18 @@ class Adaptation:
         self.map.load_state_dict(state[1])
 
 
-def _relit(images: Tensor, share: float, rng: np.random.Generator) -> Tensor:
-    """Images (V, 3, H, W) in [-1, 1], a share of them in another light."""
-    chosen = np.flatnonzero(rng.uniform(size=len(images)) < share)
-    if len(chosen) == 0:
-        return images
-    relit = images.clone()
-    relit[chosen] = network_input([random_exposure(color, _LIGHT, rng) for color in colors_of(images[chosen])])
+def _batches(views: Views) -> Iterator[Tensor]:
+    """The network's input, some views at a time."""
+    for first in range(0, len(views), _VIEWS_AT_ONCE):
+        yield network_input(views.colors[first : first + _VIEWS_AT_ONCE])
+
+
+def _relit(colors: NDArray[np.uint8], share: float, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Images (V, H, W, 3), a share of them in another light."""
+    chosen = rng.uniform(size=len(colors)) < share
+    relit = colors.copy()
+    for index in np.flatnonzero(chosen):
+        relit[index] = random_exposure(colors[index], _LIGHT, rng)
     return relit
 
 

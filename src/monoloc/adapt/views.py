@@ -14,7 +14,6 @@ from torch import Tensor
 from monoloc.adapt.warp import ColoredPoints, forward_warp, points_of
 from monoloc.camera import Camera
 from monoloc.datasets.base import Recording
-from monoloc.depth.examples import network_input
 from monoloc.depth.spec import network_size, resize_image
 from monoloc.geometry import FloatArray, se3_exp, viewpoints_apart
 
@@ -22,6 +21,7 @@ DepthImages = Callable[[int], NDArray[np.float32]]
 
 _SHIFT_SD_M, _TURN_SD_RAD = 0.2, np.deg2rad(6.0)  # of a synthesised view from the frame it is made of
 _SOURCES = 3  # frames that a synthesised view is made of: the first, and the nearest to the view
+_WHOLE_SHARE = 0.2  # of what is learned from, frames as they were taken, however many views are synthesised
 _LEAST_SEEN, _TRIES = 0.7, 5  # of what its frame sees, share that a view must see; poses tried for it
 
 
@@ -30,7 +30,7 @@ class Views:
     """V views with pose and depth, all of one camera.
 
     Attributes:
-        images: (V, 3, H, W) in [-1, 1], the network's input.
+        colors: (V, H, W, 3) uint8 RGB at the network's size: a quarter of the memory that its input takes.
         depth_m: (V, 1, H, W) supervision, 0 where there is none.
         log_focal_ratio: to be added to the network's log-depth.
         rays_world: (V, h * w, 3) directions of the output's pixels with camera z = 1.
@@ -38,7 +38,7 @@ class Views:
         frame: (V,) index of the frame each view shows; ``whole`` (V,) whether it is that frame, not synthesised.
     """
 
-    images: Tensor
+    colors: NDArray[np.uint8]
     depth_m: Tensor
     log_focal_ratio: float
     rays_world: Tensor
@@ -54,6 +54,13 @@ class Views:
         """(V, 3) camera centres, world frame."""
         return self.poses[:, :3, 3]
 
+    @property
+    def odds(self) -> Tensor:
+        """(V,) how often each view is to be learned from, which adds up to one."""
+        if self.whole.all():
+            return torch.full((len(self),), 1.0 / len(self))
+        return torch.where(self.whole, _WHOLE_SHARE / self.whole.sum(), (1.0 - _WHOLE_SHARE) / (~self.whole).sum())
+
     def of_frames(self, frames: Sequence[int] | NDArray[np.int64], only_whole: bool = False) -> Views:
         """The views that show certain frames."""
         chosen = torch.isin(self.frame, torch.as_tensor(np.asarray(frames)))
@@ -61,7 +68,7 @@ class Views:
 
     def __getitem__(self, index: Tensor) -> Views:
         return Views(
-            self.images[index].contiguous(memory_format=torch.channels_last),
+            self.colors[index.numpy()],
             self.depth_m[index],
             self.log_focal_ratio,
             self.rays_world[index],
@@ -69,11 +76,6 @@ class Views:
             self.frame[index],
             self.whole[index],
         )
-
-
-def colors_of(images: Tensor) -> NDArray[np.uint8]:
-    """The network's input as images again, (V, 3, H, W) in [-1, 1] -> (V, H, W, 3) uint8 RGB."""
-    return np.asarray(((images + 1.0) * 127.5).round().byte().permute(0, 2, 3, 1).numpy())
 
 
 def make_views(
@@ -85,13 +87,13 @@ def make_views(
     rng: np.random.Generator,
     progress: Callable[[int], None] | None = None,
 ) -> Views:
-    """Every frame as the network will see it, and for each so many views synthesised nearby.
+    """Every frame as the network will see it, and views synthesised nearby, as many of each frame as of any other.
 
     Args:
         recording: posed frames.
         depth_of: supervision of frame i, (H, W) metres, 0 where there is none: sensor depth or the map's.
         focal_px: the network's canonical focal length.
-        synthesised: views synthesised a frame.
+        synthesised: how many, in all.
         held_out: frames that no other frame's synthesised views may show.
         progress: called with the frames read, and with those and the frames that have their synthesised views.
     """
@@ -114,8 +116,9 @@ def make_views(
         if progress is not None:
             progress(index + 1)
     usable = np.setdiff1d(np.arange(len(recording)), held_out)
-    for index in range(len(recording)) if synthesised else ():
-        for _ in range(synthesised):
+    shares = np.diff(np.arange(len(recording) + 1) * synthesised // len(recording))
+    for index, share in enumerate(shares if synthesised else ()):
+        for _ in range(share):
             image, depth, pose = _synthesise(index, poses, clouds, usable, camera, rng)
             images.append(image)
             depths.append(depth)
@@ -126,7 +129,7 @@ def make_views(
             progress(len(recording) + index + 1)
     stacked = np.stack(view_poses)
     return Views(
-        images=network_input(images),
+        colors=np.stack(images),
         depth_m=torch.from_numpy(np.stack(depths))[:, None],
         log_focal_ratio=float(np.log(camera.focal_px / focal_px)),
         rays_world=torch.from_numpy(_output_rays(camera) @ stacked[:, :3, :3].transpose(0, 2, 1)),

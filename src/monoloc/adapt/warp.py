@@ -56,29 +56,42 @@ def forward_warp(
         Colour (h, w, 3) uint8, with holes painted from their borders, and depth (h, w) float32 metres, 0 in holes.
     """
     fine = camera.resized(camera.width * _FINE, camera.height * _FINE)
-    points = transform(invert(T_world_camera), np.concatenate([source.points for source in sources]))
-    colors = np.concatenate([source.colors for source in sources])
-    index = np.flatnonzero(fine.in_sight(points))
-    pixels = np.floor(fine.project(points[index])).astype(np.int64) + 1  # counted from a margin of one pixel
-    inside = np.all((pixels >= 0) & (pixels <= (fine.width, fine.height)), axis=1)
-    index, pixels = index[inside], pixels[inside]
-    # Depth in the upper bits, for positive floats are ordered as their bits are, and whose it is in the lower: the
-    # least key at a pixel is the nearest point there.
-    depth_bits = points[index, 2].astype(np.float32).view(np.uint32).astype(np.uint64)
-    keys = (depth_bits << np.uint64(32)) | index.astype(np.uint64)
-    stride = fine.width + 2
+    T_camera_world = invert(T_world_camera)
+    stride = fine.width + 2  # pixels are counted from a margin of one
     nearest = np.full((fine.height + 2) * stride, _NOTHING)
-    corner = pixels[:, 1] * stride + pixels[:, 0]
-    for offset in (0, 1, stride, stride + 1):
-        # A point covers the four pixels about it, so that surfaces that come closer do not fall apart.
-        np.minimum.at(nearest, corner + offset, keys)
+    first = 0
+    for source in sources:
+        corner, keys = _drawn(transform(T_camera_world, source.points), first, fine)
+        for offset in (0, 1, stride, stride + 1):
+            # A point covers the four pixels about it, so that surfaces that come closer do not fall apart.
+            np.minimum.at(nearest, corner + offset, keys)
+        first += len(source.points)
     drawn = nearest.reshape(fine.height + 2, stride)[1:-1, 1:-1]
     known = drawn != _NOTHING
     depth_m = np.full(drawn.shape, np.inf, dtype=np.float32)
     depth_m[known] = (drawn[known] >> np.uint64(32)).astype(np.uint32).view(np.float32)
     image = np.zeros((*drawn.shape, 3), dtype=np.uint8)
+    colors = np.concatenate([source.colors for source in sources])
     image[known] = colors[(drawn[known] & np.uint64(0xFFFFFFFF)).astype(np.int64)]
     return _averaged(image, depth_m, camera)
+
+
+def _drawn(points_camera: FloatArray, first: int, fine: Camera) -> tuple[NDArray[np.int64], NDArray[np.uint64]]:
+    """Where points fall in a fine view, the corner of four pixels, and their keys, of which the least is nearest.
+
+    Depth is in a key's upper bits, for positive floats are ordered as their bits are, and whose it is in the lower.
+
+    Args:
+        points_camera: (N, 3).
+        first: number of the first point.
+    """
+    sight = np.flatnonzero(fine.in_sight(points_camera))
+    u, v = np.floor(fine.project(points_camera[sight])).T
+    inside = (u >= -1.0) & (v >= -1.0) & (u < fine.width) & (v < fine.height)
+    index = sight[inside]
+    depth_bits = points_camera[index, 2].astype(np.float32).view(np.uint32).astype(np.uint64)
+    corner = ((v[inside] + 1.0) * (fine.width + 2) + (u[inside] + 1.0)).astype(np.int64)
+    return corner, (depth_bits << np.uint64(32)) | (first + index).astype(np.uint64)
 
 
 def _averaged(

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
 from monoloc.adapt.hold_out import hold_out_blocks
-from monoloc.adapt.views import colors_of, make_views
+from monoloc.adapt.views import make_views
 from monoloc.baselines.pose_error import PoseError
 from monoloc.baselines.posenet import HomoscedasticLoss, PoseCode, PoseNet, PoseNetConfig, posenet_config
 from monoloc.camera import Camera
@@ -42,7 +42,7 @@ class PoseNetTraining(BaseModel):
     Attributes:
         network: what is trained.
         augment: its photometric ranges; views are not drawn, for a zoomed or mirrored image has no pose.
-        synthesised_views: views from nearby poses, a frame, made of the recording, as for the depth network.
+        synthesised_views: views from nearby poses, in all, made of the recording, as for the depth network.
         learning_rates: tried on some of the frames, judged on the others; the best trains on all.
         search_epochs, epochs: of each trial, and of the training on all frames. An epoch shows as many views as there
             are frames, synthesised or not.
@@ -267,11 +267,12 @@ class _Frames:
         focal_px, count = config.network.focal_px, config.synthesised_views
         if count:
             views = make_views(recording, recording.depth, focal_px, count, held_out, np.random.default_rng(seed))
-            self._images = list(colors_of(views.images))
+            self._images, self._odds = list(views.colors), views.odds.double().numpy()
             self._frame, seen_from = views.frame.numpy(), views.poses.numpy()
         else:
             size = network_size(recording.camera, focal_px)
             self._images = [resize_image(recording.color(index), size) for index in range(len(recording))]
+            self._odds = np.ones(len(recording))
             self._frame, seen_from = np.arange(len(recording)), poses
         self._augment = config.augment
         self.code = PoseCode.of(poses)
@@ -280,7 +281,8 @@ class _Frames:
     def batches(self, chosen: NDArray[np.int64], size: int, seed: int, epoch: int) -> Iterator[tuple[Tensor, Tensor]]:
         """As many views of the chosen frames as those are, in random order and light, by seed and epoch only."""
         views = np.flatnonzero(np.isin(self._frame, chosen))
-        order = np.random.default_rng([seed, epoch]).permutation(views)[: len(chosen)]
+        odds = self._odds[views] / self._odds[views].sum()
+        order = np.random.default_rng([seed, epoch]).choice(views, len(chosen), replace=False, p=odds)
         for batch in np.array_split(order, max(1, len(order) // size)):
             images = [
                 random_exposure(self._images[index], self._augment, np.random.default_rng([seed, epoch, index]))

@@ -118,7 +118,7 @@ def _embedded() -> _Study:
         for light, source in TESTS.items()
         for adapted in (False, True)
     )
-    adapt: dict[str, object] = {"steps": 200, "synthesised_views": 1}
+    adapt: dict[str, object] = {"steps": 200, "synthesised_views": 300}
     title = "rendered living room: built in L2 from one flight, localised on another"
     return _Study(title, f"folder:{BUILD}", "::2", "one-third-0.35", adapt, trials)
 

@@ -22,9 +22,9 @@ from monoloc.errors import DataError
 _BATCHES_AHEAD = 3
 
 
-def network_input(images: list[NDArray[np.uint8]]) -> Tensor:
+def network_input(images: list[NDArray[np.uint8]] | NDArray[np.uint8]) -> Tensor:
     """Images (H, W, 3) uint8 RGB of one size -> (B, 3, H, W) in [-1, 1], channels last in memory."""
-    batch = torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2)
+    batch = torch.from_numpy(np.asarray(images)).permute(0, 3, 1, 2)
     return (batch.float() / 127.5 - 1.0).contiguous(memory_format=torch.channels_last)
 
 
