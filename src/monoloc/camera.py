@@ -126,7 +126,7 @@ class Camera:
         """
         columns, rows = (np.linspace(-1.0, size, _BORDER_RAYS) for size in (self.width, self.height))
         most = np.abs(self.rays(np.stack(np.meshgrid(columns, rows), axis=-1))).max(axis=(0, 1))
-        x, y, z = np.asarray(points_camera).T
+        x, y, z = points_camera.T
         return np.asarray((z > _LEAST_DEPTH_M) & (np.abs(x) < most[0] * z) & (np.abs(y) < most[1] * z))
 
     def rays(self, pixels: ArrayLike) -> FloatArray:
@@ -206,7 +206,8 @@ def _is_one_to_one(distortion: Distortion, left: float, right: float, top: float
     points = np.stack(grid, axis=-1)
     with np.errstate(all="ignore"):
         found = _undistort(distortion, points)
-        J_xx, J_xy, J_yy = _jacobian(distortion, found[..., 0], found[..., 1])
-        residual = np.abs(np.stack(_distort(distortion, found[..., 0], found[..., 1]), axis=-1) - points).max()
+        x, y = found[..., 0], found[..., 1]
+        J_xx, J_xy, J_yy = _jacobian(distortion, x, y)
+        residual = np.abs(np.stack(_distort(distortion, x, y), axis=-1) - points).max()
         # Both eigenvalues positive, as in the middle: before the first fold.
         return bool(residual < _ALIKE and np.all(J_xx + J_yy > 0.0) and np.all(J_xx * J_yy - J_xy**2 > 0.0))

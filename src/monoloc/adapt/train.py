@@ -113,7 +113,7 @@ class Adaptation:
         for step in range(steps):
             chosen = torch.multinomial(odds, self.config.batch_views, replacement=True, generator=generator)
             views, inputs = training[chosen], [part[chosen] for part in frozen]
-            if self.config.tune == "all":
+            if not frozen:
                 inputs = [network_input(_relit(views.colors, self.config.relit_share, light))]
             loss = self._loss(views, inputs, step, steps, generator)
             optimizer.zero_grad(set_to_none=True)
@@ -256,9 +256,8 @@ def _batches(views: Views) -> Iterator[Tensor]:
 
 def _relit(colors: NDArray[np.uint8], share: float, rng: np.random.Generator) -> NDArray[np.uint8]:
     """Images (V, H, W, 3), a share of them in another light."""
-    chosen = rng.uniform(size=len(colors)) < share
     relit = colors.copy()
-    for index in np.flatnonzero(chosen):
+    for index in np.flatnonzero(rng.uniform(size=len(colors)) < share):
         relit[index] = random_exposure(colors[index], _LIGHT, rng)
     return relit
 

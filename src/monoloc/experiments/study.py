@@ -14,6 +14,7 @@ SIZES = tuple(model.name.rpartition("-")[0] for model in shipped_models() if mod
 FRAMES_PER_BUILT = 4
 """Of how many frames of a recording one builds a room, in every split."""
 _SEEDS = 5
+_QUICK_ADAPT: dict[str, Any] = {"steps": 200, "synthesised_views": 300}
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ def builtin(quick: bool) -> Study:
         title="rendered living room",
         splits=(split,),
         sizes=("full", "one-third") if quick else SIZES,
-        adapt={"steps": 200, "synthesised_views": 300} if quick else {},
+        adapt=_QUICK_ADAPT if quick else {},
         seeds=_SEEDS,
         builds=1 if quick else _SEEDS,
         quick=quick,
@@ -108,7 +109,7 @@ def recorded(source: str, name: str, frames: int, quick: bool) -> Study:
         title=name,
         splits=splits[:1] if quick else splits,
         sizes=("full", "one-third") if quick else SIZES,
-        adapt={"steps": 200, "synthesised_views": 300} if quick else {},
+        adapt=_QUICK_ADAPT if quick else {},
         seeds=_SEEDS,
         builds=1 if quick else _SEEDS,
         quick=quick,
