@@ -21,7 +21,8 @@ class AdaptConfig(BaseModel):
     """Settings of adaptation.
 
     Attributes:
-        tune: what of the network is tuned: nothing, the last layer (the paper's), the decoder and it, or all.
+        tune: what of the network is tuned: nothing, the last layer (the paper's), the decoder and it, or all but the
+            encoder's first layers, up to stride 4.
         map_transform: whether the map is bent.
         lambda_kl: weight of KL(M || M_A), beside the likelihood; so it is multiplied by ``likelihood_weight`` too,
             where the network learns depth.

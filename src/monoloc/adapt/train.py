@@ -56,6 +56,7 @@ class Adaptation:
         network.head.requires_grad_(config.tune != "none")
         network.decoder.requires_grad_(self.config.by_depth)
         network.encoder.requires_grad_(config.tune == "all")
+        network.encoder.first_layers.requires_grad_(False)
         if network.error_head is not None:
             network.error_head.requires_grad_(self.config.by_depth)
         adapted_map.requires_grad_(config.map_transform)
@@ -94,7 +95,7 @@ class Adaptation:
         scores = [self.score(held_out, 0)] if held_out is not None else []
         best = self._state() if held_out is not None else None
         self.fit_bias(training)
-        frozen = self._frozen(training)
+        frozen = self._frozen(training, np.random.default_rng(generator.initial_seed()))
         odds = training.odds
         optimizer = torch.optim.Adam(
             [
@@ -109,13 +110,13 @@ class Adaptation:
         schedule = torch.optim.lr_scheduler.LambdaLR(
             optimizer, lambda step: 0.5 * (1.0 + math.cos(math.pi * step / max(1, steps)))
         )
-        light = np.random.default_rng(generator.initial_seed())
         for step in range(steps):
             chosen = torch.multinomial(odds, self.config.batch_views, replacement=True, generator=generator)
-            views, inputs = training[chosen], [part[chosen] for part in frozen]
-            if not frozen:
-                inputs = [network_input(_relit(views.colors, self.config.relit_share, light))]
-            loss = self._loss(views, inputs, step, steps, generator)
+            shown = chosen
+            if self.config.tune == "all":
+                is_relit = torch.rand(len(chosen), generator=generator) < self.config.relit_share
+                shown = chosen + len(training) * is_relit
+            loss = self._loss(training[chosen], [part[shown] for part in frozen], step, steps, generator)
             optimizer.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]
             optimizer.step()
@@ -150,7 +151,7 @@ class Adaptation:
     @torch.no_grad()
     def predict(self, views: Views) -> Tensor:
         """Log-depth of views, (V, 1, h, w), metric."""
-        return torch.cat([self.network(images) for images in _batches(views)]) + views.log_focal_ratio
+        return torch.cat([self.network(images) for images in _batches(views.colors)]) + views.log_focal_ratio
 
     @torch.no_grad()
     def score(self, views: Views, step: int) -> Score:
@@ -221,22 +222,30 @@ class Adaptation:
         )
 
     @torch.no_grad()
-    def _frozen(self, views: Views) -> list[Tensor]:
-        """What the part of the network that is not tuned makes of the views, once for all steps; none, if all is."""
+    def _frozen(self, views: Views, light: np.random.Generator) -> list[Tensor]:
+        """What the part of the network that is not tuned makes of the views, once for all steps.
+
+        Where nearly all is tuned, (2 V, ...): after the views, all of them again in another light.
+        """
+        encoder, colors = self.network.encoder, views.colors
         if self.config.tune == "all":
-            return []
+            colors = np.concatenate([colors, [random_exposure(color, _LIGHT, light) for color in colors]])
         parts = []
-        for images in _batches(views):
-            taps = self.network.encoder(images)
-            parts.append(taps if self.config.by_depth else [self.network.decoder(taps)])
+        for images in _batches(colors):
+            if self.config.tune == "all":
+                part = [encoder.first_layers(images)]
+            else:
+                part = encoder(images) if self.config.by_depth else [self.network.decoder(encoder(images))]
+            # What is tuned by depth is computed in half the bits.
+            parts.append([tap.bfloat16() for tap in part] if self.config.by_depth else part)
         return [torch.cat(part).contiguous(memory_format=torch.channels_last) for part in zip(*parts, strict=True)]
 
     def _features(self, inputs: list[Tensor]) -> Tensor:
-        """What the last layer reads, from :meth:`_frozen`'s outputs, or from images, with gradients."""
+        """What the last layer reads, from :meth:`_frozen`'s outputs, with gradients."""
         if not self.config.by_depth:
             return inputs[0]
         with torch.autocast("cpu", dtype=torch.bfloat16):
-            taps = self.network.encoder(inputs[0]) if self.config.tune == "all" else inputs
+            taps = self.network.encoder.after_first(inputs[0]) if self.config.tune == "all" else inputs
             features: Tensor = self.network.decoder(taps)
         return features.float()
 
@@ -248,23 +257,15 @@ class Adaptation:
         self.map.load_state_dict(state[1])
 
 
-def _batches(views: Views) -> Iterator[Tensor]:
-    """The network's input, some views at a time."""
-    for first in range(0, len(views), _VIEWS_AT_ONCE):
-        yield network_input(views.colors[first : first + _VIEWS_AT_ONCE])
-
-
-def _relit(colors: NDArray[np.uint8], share: float, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Images (V, H, W, 3), a share of them in another light."""
-    relit = colors.copy()
-    for index in np.flatnonzero(rng.uniform(size=len(colors)) < share):
-        relit[index] = random_exposure(colors[index], _LIGHT, rng)
-    return relit
+def _batches(colors: NDArray[np.uint8]) -> Iterator[Tensor]:
+    """The network's input of images (V, H, W, 3), some at a time."""
+    for first in range(0, len(colors), _VIEWS_AT_ONCE):
+        yield network_input(colors[first : first + _VIEWS_AT_ONCE])
 
 
 def _log_ratio(log_depth: Tensor, truth: Tensor) -> Tensor:
     """Log of true over predicted depth at pixels with truth, (n,); the truth is read at the output's resolution."""
     # Block corners nearest to the centres of the output's pixels.
-    coarse = truth[..., 2::4, 2::4]
+    coarse = truth[..., 1::2, 1::2]
     valid = coarse > 0.0
     return torch.log(coarse[valid]) - log_depth[valid]

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from monoloc.adapt.warp import ColoredPoints, forward_warp, points_of
+from monoloc.adapt.warp import ColoredPoints, forward_warp, halved, points_of
 from monoloc.camera import Camera
 from monoloc.datasets.base import Recording
 from monoloc.depth.spec import network_size, resize_image
@@ -31,7 +31,7 @@ class Views:
 
     Attributes:
         colors: (V, H, W, 3) uint8 RGB at the network's size: a quarter of the memory that its input takes.
-        depth_m: (V, 1, H, W) supervision, 0 where there is none.
+        depth_m: (V, 1, H / 2, W / 2) supervision, 0 where there is none: twice the resolution of what is predicted.
         log_focal_ratio: to be added to the network's log-depth.
         rays_world: (V, h * w, 3) directions of the output's pixels with camera z = 1.
         poses: (V, 4, 4) ``T_world_camera``.
@@ -101,12 +101,13 @@ def make_views(
     assert poses is not None
     camera = recording.camera.resized(*network_size(recording.camera, focal_px))
     fine = camera.resized(2 * camera.width, 2 * camera.height)
+    coarse = camera.resized(camera.width // 2, camera.height // 2)
     clouds: list[ColoredPoints] = []
     images, depths, view_poses, frame, whole = [], [], [], [], []
     for index in range(len(recording)):
         color, depth = recording.color(index), depth_of(index)
         images.append(resize_image(color, (camera.width, camera.height)))
-        depths.append(_sampled(depth, camera))
+        depths.append(_sampled(depth, coarse))
         view_poses.append(poses[index])
         frame.append(index)
         whole.append(True)
@@ -121,7 +122,7 @@ def make_views(
         for _ in range(share):
             image, depth, pose = _synthesise(index, poses, clouds, usable, camera, rng)
             images.append(image)
-            depths.append(depth)
+            depths.append(halved(depth))
             view_poses.append(pose)
             frame.append(index)
             whole.append(False)

@@ -68,7 +68,7 @@ def forward_warp(
         first += len(source.points)
     drawn = nearest.reshape(fine.height + 2, stride)[1:-1, 1:-1]
     known = drawn != _NOTHING
-    depth_m = np.full(drawn.shape, np.inf, dtype=np.float32)
+    depth_m = np.zeros(drawn.shape, dtype=np.float32)
     depth_m[known] = (drawn[known] >> np.uint64(32)).astype(np.uint32).view(np.float32)
     image = np.zeros((*drawn.shape, 3), dtype=np.uint8)
     colors = np.concatenate([source.colors for source in sources])
@@ -97,22 +97,25 @@ def _drawn(points_camera: FloatArray, first: int, fine: Camera) -> tuple[NDArray
 def _averaged(
     image: NDArray[np.uint8], depth_m: NDArray[np.float32], camera: Camera
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """A fine view, depth infinite in holes, at the camera's size; holes in colour painted over."""
-    grid = depth_m.reshape(camera.height, _FINE, camera.width, _FINE).transpose(0, 2, 1, 3)
-    blocks = grid.reshape(camera.height, camera.width, -1)
-    nearest = blocks.min(axis=2)
-    depth = np.where(np.isfinite(nearest), _mean_near(blocks, nearest), 0.0).astype(np.float32)
+    """A fine view, depth 0 in holes, at the camera's size; holes in colour painted over."""
     size = (camera.width, camera.height)
-    known = np.isfinite(depth_m).astype(np.float32)
+    known = (depth_m > 0.0).astype(np.float32)
     share = cv2.resize(known, size, interpolation=cv2.INTER_AREA)
     total = cv2.resize(image * known[..., None], size, interpolation=cv2.INTER_AREA)
     color = np.asarray(total / np.maximum(share, 1e-6)[..., None] + 0.5, dtype=np.uint8)
     holes = (share == 0.0).astype(np.uint8)
-    return np.asarray(cv2.inpaint(color, holes, 2.0, cv2.INPAINT_NS), dtype=np.uint8), depth
+    return np.asarray(cv2.inpaint(color, holes, 2.0, cv2.INPAINT_NS), dtype=np.uint8), halved(depth_m)
 
 
-def _mean_near(blocks: NDArray[np.float32], nearest: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Mean of what lies on the nearest surface of every block, (h, w, n) -> (h, w): the minimum would be too near."""
-    on_surface = blocks <= (1.0 + _DEPTH_JUMP / 2.0) * nearest[..., None]
-    total = np.where(on_surface & np.isfinite(blocks), blocks, 0.0).sum(axis=2)
-    return np.asarray(total / np.maximum(1, (on_surface & np.isfinite(blocks)).sum(axis=2)))
+def halved(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Depth at half the size, (2 h, 2 w) -> (h, w), both 0 where there is none.
+
+    Of every four pixels, the mean of those on the nearest surface: their minimum would be too near.
+    """
+    height, width = depth_m.shape
+    grid = np.where(depth_m > 0.0, depth_m, np.float32(np.inf)).reshape(height // 2, 2, width // 2, 2)
+    blocks = grid.transpose(0, 2, 1, 3).reshape(height // 2, width // 2, 4)
+    nearest = blocks.min(axis=2, keepdims=True)
+    on_surface = np.isfinite(blocks) & (blocks <= (1.0 + _DEPTH_JUMP / 2.0) * nearest)
+    total = np.where(on_surface, blocks, 0.0).sum(axis=2)
+    return np.asarray(total / np.maximum(1, on_surface.sum(axis=2)), dtype=np.float32)

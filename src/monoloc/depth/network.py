@@ -16,7 +16,7 @@ import zipfile
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 import torch
@@ -202,10 +202,20 @@ class Encoder(nn.Module):
                 if stage >= 1 and block == blocks[stage] - 1:
                     self.taps[name] = channels
         self.features = nn.Sequential(OrderedDict(layers))
+        self._first_count = 1 + list(layers).index(next(iter(self.taps)))
 
-    def forward(self, x: Tensor) -> list[Tensor]:
-        taps = []
-        for name, block in self.features.named_children():
+    @property
+    def first_layers(self) -> nn.Sequential:
+        """Up to the first tap, at stride 4: what they see, edges and colours, is the same in every room."""
+        return cast(nn.Sequential, self.features[: self._first_count])
+
+    def forward(self, images: Tensor) -> list[Tensor]:
+        return self.after_first(self.first_layers(images))
+
+    def after_first(self, x: Tensor) -> list[Tensor]:
+        """All taps, from the first one, which is what :attr:`first_layers` gives."""
+        taps = [x]
+        for name, block in self.features[self._first_count :].named_children():
             x = block(x)
             if name in self.taps:
                 taps.append(x)

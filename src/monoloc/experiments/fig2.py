@@ -136,7 +136,7 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
         numbers=numbers,
         pictures=[path],
         tables={"Where the parameters are": (head, rows)},
-        text=_text(study, found),
+        text=_text(networks[study.sizes[0]], found[study.sizes[0]]),
     )
 
 
@@ -214,13 +214,14 @@ def _draw_lateral(axis: Axes, lateral: Layer, at: dict[str, float], level: int, 
     axis.annotate(count, (start + 0.12, lane), (0, 1.5), textcoords="offset points", fontsize=6.5, color="#666666")
 
 
-def _text(study: Study, found: dict[str, list[Layer]]) -> str:
-    large = study.sizes[0]
-    last = _sum(found[large], "last layer", "parameters")
+def _text(network: DepthNetwork, layers: Sequence[Layer]) -> str:
+    last = _sum(layers, "last layer", "parameters")
+    first = sum(parameter.numel() for parameter in network.encoder.first_layers.parameters())
     return (
         "MobileNetV2 bottlenecks, then Light-Weight RefineNet; smaller networks leave layers out. Numbers in the "
         "boxes are channels, below them parameters; a box is as high as the picture is large there, lines are 1×1 "
-        f"convolutions that carry an earlier picture over. The paper tunes the last layer alone, {last:,} parameters."
+        f"convolutions that carry an earlier picture over. The paper tunes the last layer, {last:,} parameters, "
+        f"monoloc all but the encoder's first layers up to stride 4, {first:,} parameters."
     )
 
 
