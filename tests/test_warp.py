@@ -26,7 +26,7 @@ RED, GREEN = np.array([[255, 0, 0]], dtype=np.uint8), np.array([[0, 255, 0]], dt
 
 
 def seen_from(pose: FloatArray) -> ColoredPoints:
-    return points_of(*ROOM.view(pose, FINE), FINE, pose)
+    return points_of(*ROOM.view(pose, FINE), FINE.pixel_rays(), pose)
 
 
 def rendered(pose: FloatArray) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
@@ -52,7 +52,7 @@ def test_points_lie_on_the_rooms_surfaces_in_the_colours_of_their_pixels() -> No
     pose = looking_around(6)[2]
     color, depth_m = ROOM.view(pose, FINE)
     depth_m[:20] = 0.0
-    points = points_of(color, depth_m, FINE, pose)
+    points = points_of(color, depth_m, FINE.pixel_rays(), pose)
     kept = (depth_m > 0.0) & ~at_discontinuity(depth_m, 0.1)
     assert points.points.shape == (kept.sum(), 3) and points.points.dtype == np.float64
     np.testing.assert_array_equal(points.colors, color[kept])
@@ -66,7 +66,7 @@ def test_pixels_beside_a_jump_are_left_behind() -> None:
     """They are mixtures of what is before and behind it, and would hang between the two."""
     depth_m = np.full((FINE.height, FINE.width), 2.0, dtype=np.float32)
     depth_m[:, 100:] = 3.0
-    points = points_of(np.zeros((FINE.height, FINE.width, 3), np.uint8), depth_m, FINE, IDENTITY)
+    points = points_of(np.zeros((FINE.height, FINE.width, 3), np.uint8), depth_m, FINE.pixel_rays(), IDENTITY)
     assert len(points.points) == FINE.height * (FINE.width - 2)
 
 
@@ -190,7 +190,7 @@ def test_a_surface_that_comes_closer_does_not_fall_apart() -> None:
     """Up to twice as near: then its pixels are as far apart as a point is wide."""
     pose = IDENTITY.copy()
     depth_m = np.full((FINE.height, FINE.width), 2.0, dtype=np.float32)
-    wall = points_of(np.full((FINE.height, FINE.width, 3), 200, np.uint8), depth_m, FINE, pose)
+    wall = points_of(np.full((FINE.height, FINE.width, 3), 200, np.uint8), depth_m, FINE.pixel_rays(), pose)
     pose[2, 3] = 0.95
     _, seen = forward_warp([wall], pose, VIEW)
     np.testing.assert_allclose(seen, 1.05, rtol=1e-6)

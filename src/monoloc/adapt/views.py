@@ -102,6 +102,7 @@ def make_views(
     camera = recording.camera.resized(*network_size(recording.camera, focal_px))
     fine = camera.resized(2 * camera.width, 2 * camera.height)
     coarse = camera.resized(camera.width // 2, camera.height // 2)
+    fine_rays = fine.pixel_rays()
     clouds: list[ColoredPoints] = []
     images, depths, view_poses, frame, whole = [], [], [], [], []
     for index in range(len(recording)):
@@ -113,7 +114,7 @@ def make_views(
         whole.append(True)
         if synthesised:
             small = resize_image(color, (fine.width, fine.height))
-            clouds.append(points_of(small, _sampled(depth, fine), fine, poses[index]))
+            clouds.append(points_of(small, _sampled(depth, fine), fine_rays, poses[index]))
         if progress is not None:
             progress(index + 1)
     usable = np.setdiff1d(np.arange(len(recording)), held_out)

@@ -27,18 +27,18 @@ class ColoredPoints:
 
 
 def points_of(
-    color: NDArray[np.uint8], depth_m: NDArray[np.float32], camera: Camera, T_world_camera: FloatArray
+    color: NDArray[np.uint8], depth_m: NDArray[np.float32], rays: FloatArray, T_world_camera: FloatArray
 ) -> ColoredPoints:
     """The pixels of a frame that have depth, as points.
 
     Args:
         color: (H, W, 3) uint8 RGB.
         depth_m: (H, W), 0 where there is none.
-        camera: of both.
+        rays: (H, W, 3) of its pixels, with z = 1.
         T_world_camera: (4, 4).
     """
     usable = (depth_m > 0.0) & ~at_discontinuity(depth_m, _DEPTH_JUMP)
-    points = camera.pixel_rays()[usable] * depth_m[usable, None]
+    points = rays[usable] * depth_m[usable, None]
     return ColoredPoints(transform(T_world_camera, points), color[usable])
 
 
