@@ -233,9 +233,13 @@ def _cluster(address: str) -> Iterator[Executor]:
     """The workers of a Dask scheduler; what they have not begun is called off when the block is left."""
     try:
         from distributed import Client
+        from distributed.comm.addressing import get_address_host_port
     except ImportError as error:
         raise MissingExtraError("spreading work over a cluster", "cluster") from error
     try:
+        # Asked first: a client that fails for its address closes itself whenever it is collected, which can
+        # hold up the next one's start.
+        get_address_host_port(address)
         connect: Any = Client  # which is not typed
         client = connect(address, timeout=_ANSWER_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
