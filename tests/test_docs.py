@@ -33,10 +33,15 @@ def recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> RoomRecording:
     return recording
 
 
-def run(document: str, recording: RoomRecording, **given: Any) -> dict[str, Any]:
-    """What the one piece of Python in a document leaves behind, with the recording's camera and start."""
+def python_of(document: str) -> str:
+    """The one piece of Python in a document."""
     (code,) = re.findall(r"```python\n(.*?)```", (REPOSITORY / document).read_text(encoding="utf-8"), re.DOTALL)
-    own, found = re.subn(r"camera = Camera\(640, 480, .*\)\n", "camera = given_camera\n", code)
+    return code
+
+
+def run(document: str, recording: RoomRecording, **given: Any) -> dict[str, Any]:
+    """What a document's Python leaves behind, with the recording's camera and start."""
+    own, found = re.subn(r"camera = Camera\(640, 480, .*\)\n", "camera = given_camera\n", python_of(document))
     assert found == 1
     names = {"given_camera": recording.camera, "T_world_camera": recording.poses[0], **given}
     exec(compile(own.replace("flight.mp4", "flight.avi"), document, "exec"), names)
@@ -72,3 +77,15 @@ def test_a_flight_controller_is_told_where_the_drone_is(recording: RoomRecording
     np.testing.assert_allclose(
         1e6 * np.cov(np.transpose(seen)) / np.outer(sd, sd), covariance / np.outer(sd, sd), atol=0.1
     )
+
+
+@pytest.mark.slow
+def test_a_likelihood_of_one_s_own_is_held_against_ours(
+    recording: RoomRecording, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = RoomRecording(Room(), make_path(FRAMES // 2))
+    monkeypatch.setattr("monoloc.datasets.registry.open_recording", {"folder:second-walk": short}.__getitem__)
+    exec(compile(python_of("docs/research.md"), "docs/research.md", "exec"), {})
+    lines = re.findall(r"(.*): (.*) cm \((.*) to (.*)\)\n", capsys.readouterr().out)
+    assert [name for name, *_ in lines] == ["along rays", "nearest component"]
+    assert lines[0][1:] != lines[1][1:] and all(float(median) < 12.0 for _, median, *_ in lines)

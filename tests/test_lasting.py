@@ -17,7 +17,7 @@ from monoloc.filter.health import HealthyRange
 from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.particles import scatter
 from monoloc.geometry import FloatArray
-from monoloc.localizer import Localizer
+from monoloc.localizer import Localizer, Parts
 from monoloc.progress import NoProgress
 from synthetic_room import (
     CAMERA,
@@ -106,7 +106,8 @@ def test_the_camera_stays_where_depth_errs() -> None:
         rng = np.random.default_rng(0)
         particles = scatter(pose, config.particles, 0.02, 0.01, config.log_scale_sd, rng)
         healthy = HealthyRange(low=-9.0, lost=-99.0)
-        return Localizer(mixture, depth, CAMERA, particles, config, healthy, recording.poses, rng)
+        parts = Parts.usual(mixture, depth, CAMERA, config)
+        return Localizer(parts, CAMERA, particles, config, healthy, recording.poses, rng)
 
     final_at, rehearsed_at = partial(starts_at, final), partial(starts_at, rehearsed)
     alone = measure_lasting(final_at, rehearsed_at, recording, [], NoProgress())

@@ -14,7 +14,7 @@ from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.level import LevelConfig
 from monoloc.filter.particles import scatter
 from monoloc.geometry import is_rigid, make_pose, so3_exp
-from monoloc.localizer import Localizer, LocalizerConfig, Step
+from monoloc.localizer import Localizer, LocalizerConfig, Parts, Step
 from monoloc.map.mixture import GaussianMixture
 from monoloc.runs import Run, Start
 from synthetic_room import (
@@ -62,7 +62,8 @@ def make_localizer(mixture, recording, healthy, seed=0, depth=None, **settings) 
     start = Start.beside(recording.poses[0], rng, START_M, START_RAD).pose
     particles = scatter(start, config.particles, START_M, START_RAD, config.log_scale_sd, rng)
     viewpoints = recording.poses[:1]
-    return Localizer(mixture, depth or _NoNetwork(), recording.camera, particles, config, healthy, viewpoints, rng)
+    parts = Parts.usual(mixture, depth or _NoNetwork(), recording.camera, config)
+    return Localizer(parts, recording.camera, particles, config, healthy, viewpoints, rng)
 
 
 def follow(localizer: Localizer, recording: RoomRecording, frames: range = range(FRAMES)) -> list[Step]:
@@ -226,7 +227,8 @@ def test_far_from_the_truth_is_not_called_tracking(mixture, recording, healthy):
     rng = np.random.default_rng(0)
     start = Start.beside(recording.poses[0], rng, 1.0, np.deg2rad(60.0)).pose
     particles = scatter(start, SETTINGS.particles, 0.02, 0.01, 0.0, rng)
-    localizer = Localizer(mixture, _NoNetwork(), CAMERA, particles, SETTINGS, healthy, recording.poses, rng)
+    parts = Parts.usual(mixture, _NoNetwork(), CAMERA, SETTINGS)
+    localizer = Localizer(parts, CAMERA, particles, SETTINGS, healthy, recording.poses, rng)
     steps = follow(localizer, recording, range(3))
     assert all(step.state in ("uncertain", "lost") for step in steps)
 
@@ -260,7 +262,8 @@ def test_a_vague_start_is_found(mixture, recording, healthy, seed):
     rng = np.random.default_rng(seed)
     start = Start.beside(recording.poses[0], rng, 0.6, np.deg2rad(20.0))
     particles = start.particles(SETTINGS, rng)
-    localizer = Localizer(mixture, _NoNetwork(), CAMERA, particles, SETTINGS, healthy, recording.poses[:1], rng)
+    parts = Parts.usual(mixture, _NoNetwork(), CAMERA, SETTINGS)
+    localizer = Localizer(parts, CAMERA, particles, SETTINGS, healthy, recording.poses[:1], rng)
     found = pose_errors(poses_of(follow(localizer, recording)), recording.poses)
     assert np.median(found.position_m[SETTLED:]) < 0.05
 

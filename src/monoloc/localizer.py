@@ -61,6 +61,33 @@ class DepthSource(Protocol):
     def __call__(self, color: NDArray[np.uint8]) -> DepthPrediction: ...
 
 
+class Odometry(Protocol):
+    """Motion of the camera from frame to frame; :class:`monoloc.odometry.VisualOdometry` is one."""
+
+    def step(self, color: NDArray[np.uint8], depth_m: NDArray[np.float32], depth_camera: Camera) -> Motion | None: ...
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What a localizer is put together of; each may be someone else's.
+
+    Attributes:
+        measurement: how well scans fit the map; one's own overrides :meth:`Measurement.mean_log_likelihood`.
+        depth: of a frame.
+        odometry: None for a random walk.
+    """
+
+    measurement: Measurement
+    depth: DepthSource
+    odometry: Odometry | None
+
+    @classmethod
+    def usual(cls, mixture: GaussianMixture, depth: DepthSource, camera: Camera, config: LocalizerConfig) -> Parts:
+        """monoloc's own, for one map and camera."""
+        odometry = VisualOdometry(camera, config.odometry) if config.motion == "visual" else None
+        return cls(Measurement(mixture, config.measurement), depth, odometry)
+
+
 @dataclass(frozen=True)
 class Step:
     """What one frame gave.
@@ -88,8 +115,7 @@ class Localizer:
     """Follows one camera through one map; call :meth:`step` with every frame in order.
 
     Args:
-        mixture: the map.
-        depth: of a frame.
+        parts: what it is put together of; they keep what they know of a run, so no other localizer may have them.
         camera: of the frames.
         start: the first belief.
         config: settings.
@@ -100,8 +126,7 @@ class Localizer:
 
     def __init__(
         self,
-        mixture: GaussianMixture,
-        depth: DepthSource,
+        parts: Parts,
         camera: Camera,
         start: Particles,
         config: LocalizerConfig,
@@ -112,9 +137,7 @@ class Localizer:
         self.config = config
         self.particles = start
         self._camera = camera
-        self._depth = depth
-        self._measurement = Measurement(mixture, config.measurement)
-        self._odometry = VisualOdometry(camera, config.odometry) if config.motion == "visual" else None
+        self._measurement, self._depth, self._odometry = parts.measurement, parts.depth, parts.odometry
         self._healthy = healthy
         self._joiner = Joiner(estimate(start), config.lasting, config.motion_noise, viewpoints)
         self._rng = rng
@@ -142,7 +165,7 @@ class Localizer:
         motion = self._odometry.step(color, depth.depth_m, depth.camera) if self._odometry else None
         if motion is not None and config.level is not None:
             depth = level(depth, motion, config.level)
-        scan = scan_from_depth(depth, config.scan_points, self._rng, config.measurement.error_power)
+        scan = scan_from_depth(depth, config.scan_points, self._rng, self._measurement.config.error_power)
         if measured_depth is None and not shows_something(color):
             scan = NOTHING
         if not self._is_first:
@@ -162,7 +185,7 @@ class Localizer:
         particles = self._measurement.weigh_image(particles, scan)
         if motion is None:
             return particles
-        corners = scan_from_corners(motion, self.config.measurement.corner_doubt)
+        corners = scan_from_corners(motion, self._measurement.config.corner_doubt)
         return self._measurement.weigh_corners(particles, corners)
 
     def _fit(self, located: Estimate, scan: Scan) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 
 import cv2
@@ -22,7 +23,7 @@ from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.particles import Particles, scatter
 from monoloc.filter.weigh import MeasurementConfig
 from monoloc.geometry import FloatArray, invert, se3_exp
-from monoloc.localizer import Localizer, LocalizerConfig
+from monoloc.localizer import Localizer, LocalizerConfig, Parts
 from monoloc.progress import Progress
 from monoloc.viewer import NoViewer, Viewer
 
@@ -148,21 +149,40 @@ class Run:
         return {"depth_absrel": mean.absrel, "depth_delta1": mean.delta1, "depth_ssim": mean.ssim}
 
 
+# From a bundle, a camera and settings to what a localizer is put together of.
+MakesParts = Callable[[Bundle, Camera, LocalizerConfig], Parts]
+
+
+def parts_of(bundle: Bundle, camera: Camera, config: LocalizerConfig) -> Parts:
+    """A bundle's network and map, and monoloc's odometry, for one run of a camera.
+
+    Raises:
+        DataError: the bundle's network does not take the camera's images.
+    """
+    return Parts.usual(bundle.adapted, DepthPredictor(bundle.depth_model, camera), camera, config)
+
+
 def start_localizer(
-    bundle: Bundle, camera: Camera, start: Start, rng: np.random.Generator, config: LocalizerConfig | None = None
+    bundle: Bundle,
+    camera: Camera,
+    start: Start,
+    rng: np.random.Generator,
+    config: LocalizerConfig | None = None,
+    parts: MakesParts = parts_of,
 ) -> Localizer:
     """A localizer for one camera in a bundle's room.
 
     Args:
         camera: of the frames that it will be given.
         config: settings in place of the bundle's.
+        parts: makes what it is put together of, for this run.
 
     Raises:
         DataError: the bundle's network does not take the camera's images.
     """
     config = config or bundle.settings
-    predictor, particles = DepthPredictor(bundle.depth_model, camera), start.particles(config, rng)
-    return Localizer(bundle.adapted, predictor, camera, particles, config, bundle.healthy, bundle.viewpoints, rng)
+    made, particles = parts(bundle, camera, config), start.particles(config, rng)
+    return Localizer(made, camera, particles, config, bundle.healthy, bundle.viewpoints, rng)
 
 
 def localize(
@@ -175,6 +195,7 @@ def localize(
     use_sensor_depth: bool = False,
     relight: Relight | None = None,
     viewer: Viewer = NoViewer(),
+    parts: MakesParts = parts_of,
 ) -> Run:
     """Localise every frame of a recording.
 
@@ -183,6 +204,7 @@ def localize(
             settings are then a sensor's, not the bundle's.
         relight: brings the images to another light; None leaves them.
         viewer: sees every frame; its time counts for no step.
+        parts: makes what the localizer is put together of.
 
     Raises:
         DataError: sensor depth is asked for and there is none, or a frame cannot be read.
@@ -193,7 +215,7 @@ def localize(
         config = config.model_copy(update=_SENSOR)
         # What fits of a sensor's depth are healthy was not measured: the belief's spread alone tells its state.
         bundle = replace(bundle, healthy=HealthyRange(low=-np.inf, lost=-np.inf))
-    localizer = start_localizer(bundle, recording.camera, start, rng, config)
+    localizer = start_localizer(bundle, recording.camera, start, rng, config, parts)
     built_from = set(bundle.provenance.frames.values())
     unseen = np.zeros(len(recording), dtype=np.bool_)
     accuracy = (DepthAccumulator(), DepthAccumulator()) if recording.has_depth else None
