@@ -8,7 +8,7 @@ import pytest
 from monoloc.filter.estimate import Estimate
 from monoloc.filter.joined import Joined, Joiner
 from monoloc.filter.lasting import LastingErrors
-from monoloc.filter.motion import MotionConfig
+from monoloc.filter.motion import MotionConfig, motion_sd
 from monoloc.geometry import FloatArray, adjoint, invert, is_rigid, se3_exp, se3_log, viewpoints_apart
 from monoloc.odometry import Motion
 
@@ -17,11 +17,11 @@ START_SD = np.repeat([0.1, 0.05], 3)
 STEP = se3_exp([0.03, -0.01, 0.05, 0.01, 0.04, -0.02])
 ODOMETRY_SD = np.repeat([0.004, 0.003], 3)
 SPREAD_SD = np.repeat([0.01, 0.006], 3)
-TOGETHER = 2.0  # noise counts twice, see the module
+TOGETHER, ODOMETRY_TOGETHER = 2.0, 4.0  # so many times the particles' spread and odometry's noise, see the module
 
 
 def begun(pose: FloatArray, lasting: LastingErrors = LASTING) -> Joined:
-    return Joined.begin(Estimate(pose, np.diag(START_SD**2), 0.0), lasting.covariance(0.0))
+    return Joined.begin(Estimate(pose, np.diag(START_SD**2), 0.0), lasting.widths(0.0))
 
 
 def said(pose: FloatArray) -> Estimate:
@@ -30,7 +30,7 @@ def said(pose: FloatArray) -> Estimate:
 
 def moved(joined: Joined, delta: FloatArray, lasting: LastingErrors = LASTING) -> Joined:
     kept = lasting.kept(float(viewpoints_apart(np.eye(4), delta[None])[0]))
-    return joined.moved(delta, np.diag(ODOMETRY_SD**2) / TOGETHER**2, kept, lasting.covariance(0.0))
+    return joined.moved(delta, np.diag(ODOMETRY_SD**2), kept, lasting.widths(0.0), lasting.widths(0.0))
 
 
 def test_it_is_the_batch_solution_along_a_line() -> None:
@@ -73,36 +73,6 @@ def test_it_is_the_batch_solution_along_a_line() -> None:
     )
 
 
-def drawn_way(rng: np.random.Generator, frames: int) -> tuple[FloatArray, Joined]:
-    """The last true pose of a way, and the belief, where all errors are drawn as they are stated."""
-    true = se3_exp(rng.normal(size=6))
-    joined = begun(true @ se3_exp(-rng.normal(size=6) * START_SD))
-    bias = rng.multivariate_normal(np.zeros(6), LASTING.covariance(0.0))
-    for k in range(frames):
-        if k > 0:
-            true = true @ STEP @ se3_exp(rng.normal(size=6) * ODOMETRY_SD)
-            joined = moved(joined, STEP)
-            kept = LASTING.kept(float(np.linalg.norm(STEP[:3, 3])) + float(np.linalg.norm(se3_log(STEP)[3:])))
-            bias = kept * bias + np.sqrt(1.0 - kept**2) * rng.multivariate_normal(
-                np.zeros(6), LASTING.covariance(0.0)
-            )
-        joined = joined.told(said(true @ se3_exp(bias) @ se3_exp(rng.normal(size=6) * SPREAD_SD)))
-    return true, joined
-
-
-@pytest.mark.slow
-def test_errors_are_as_large_as_stated() -> None:
-    """Squared errors in units of the covariance have six degrees of freedom; of 400 ways, the mean's sd is 0.17."""
-    rng = np.random.default_rng(1)
-    squares = []
-    for _ in range(400):
-        true, joined = drawn_way(rng, 25)
-        assert is_rigid(joined.pose).all()
-        error = se3_log(invert(joined.pose) @ true)
-        squares.append(error @ np.linalg.solve(joined.covariance[:6, :6], error))
-    assert np.mean(squares) == pytest.approx(6.0, abs=0.7)
-
-
 def test_a_wider_bias_moves_the_pose_less() -> None:
     told = said(np.eye(4) @ se3_exp([0.2, 0.0, 0.0, 0.0, 0.1, 0.0]))
     shifts = [
@@ -132,6 +102,95 @@ def joiner(viewpoint: FloatArray, lasting: LastingErrors = LASTING) -> Joiner:
     return Joiner(start, lasting, MotionConfig(), viewpoint[None])
 
 
+def motion_of(delta: FloatArray) -> Motion:
+    return Motion(delta, 50, np.zeros((0, 3)), np.zeros(0))
+
+
+def drawn_way(rng: np.random.Generator, steps: FloatArray, lasting: LastingErrors) -> tuple[FloatArray, Estimate]:
+    """The last true pose of a way from a viewpoint, and the belief, where all errors are drawn as they are stated."""
+    viewpoint = true = se3_exp(rng.normal(size=6))
+    start = Estimate(true @ se3_exp(-rng.normal(size=6) * START_SD), np.diag(START_SD**2), 0.0)
+    follower = Joiner(start, lasting, MotionConfig(), viewpoint[None])
+    bias = rng.normal(size=6)  # in units of its width
+    for k, step in enumerate([np.eye(4), *steps]):
+        apart = float(viewpoints_apart(np.eye(4), step[None])[0])
+        odometry_sd = ODOMETRY_TOGETHER * motion_sd(motion_of(step), ELAPSED_S, 0.0, MotionConfig())
+        true = true @ step @ se3_exp(rng.normal(size=6) * odometry_sd * (k > 0))
+        kept = lasting.kept(apart)
+        bias = kept * bias + np.sqrt(1.0 - kept**2) * rng.normal(size=6)
+        width = lasting.widths(float(viewpoints_apart(true, viewpoint[None])[0]))
+        told = said(true @ se3_exp(bias * width) @ se3_exp(rng.normal(size=6) * SPREAD_SD))
+        belief = follower.step(motion_of(step) if k > 0 else None, ELAPSED_S, told, is_told=True)
+    return true, belief
+
+
+ALONG = se3_exp([0.04, -0.01, 0.03, 0.002, 0.004, -0.002])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("steps", "lasting"),
+    [
+        ([STEP] * 25, LastingErrors(near_sd_m=0.05, near_sd_rad=0.03)),
+        ([ALONG] * 25, LastingErrors(near_sd_m=0.03, near_sd_rad=0.02, growth_m=0.2, growth_rad=0.1)),
+        ([ALONG] * 15 + [invert(ALONG)] * 15, LastingErrors(near_sd_m=0.03, near_sd_rad=0.02, growth_m=0.2)),
+    ],
+    ids=["as wide everywhere", "away", "away and back"],
+)
+def test_errors_are_as_large_as_stated(steps: FloatArray, lasting: LastingErrors) -> None:
+    """Squared errors in units of the covariance have six degrees of freedom; of 200 ways, the mean's sd is 0.25."""
+    rng = np.random.default_rng(1)
+    squares = []
+    for _ in range(200):
+        true, belief = drawn_way(rng, steps, lasting)
+        assert is_rigid(belief.pose).all()
+        error = se3_log(invert(belief.pose) @ true)
+        squares.append(error @ np.linalg.solve(belief.covariance, error))
+    assert np.mean(squares) == pytest.approx(6.0, abs=0.8)
+
+
+def test_odometry_goes_as_far_as_depth_is_wrong() -> None:
+    """Its translation was measured in predicted depth, which the particles say is too small by a fifth."""
+    follower = joiner(np.eye(4))
+    follower.step(None, 0.0, Estimate(np.eye(4), np.diag(SPREAD_SD**2), np.log(1.25)), is_told=True)
+    belief = follower.step(motion_of(ALONG), ELAPSED_S, said(np.eye(4)), is_told=False)
+    np.testing.assert_allclose(belief.pose[:3, 3], 1.25 * ALONG[:3, 3], atol=1e-12)
+
+
+def test_the_bias_is_that_of_the_nearest_viewpoint_where_the_camera_has_come_to() -> None:
+    """Of what the particles say by themselves, which is off by as much as it is wide there."""
+    lasting = LastingErrors(near_sd_m=0.02, near_sd_rad=0.01, growth_m=0.1, growth_rad=0.05)
+    near, far = np.eye(4), se3_exp([3.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    place = se3_exp([2.8, 0.0, 0.0, 0.0, 0.0, 0.0])
+    for viewpoints, apart in ((near[None], 2.8), (far[None], 0.2), (np.stack([near, far]), 0.2)):
+        start = Estimate(np.eye(4), np.eye(6), 0.0)
+        follower = Joiner(start, lasting, MotionConfig(), viewpoints)
+        follower.step(None, 0.0, said(np.eye(4)), is_told=False)
+        belief = follower.step(motion_of(place), ELAPSED_S, said(place), is_told=True)
+        sd = np.sqrt(np.diag(belief.covariance))
+        np.testing.assert_allclose(sd, np.hypot(SPREAD_SD, lasting.widths(apart)), rtol=0.1)
+
+
+def test_without_odometry_the_bias_is_forgotten_as_far_as_the_particles_went() -> None:
+    """What was learnt of it is worth less a metre on."""
+    off, biases = se3_exp([0.2, 0.0, 0.0, 0.0, 0.0, 0.0]), []
+    for gone_m in (0.0, 1.0):
+        follower = joiner(np.eye(4), LastingErrors(near_sd_m=0.1, near_sd_rad=0.1))
+        for _ in range(8):
+            follower.step(motion_of(np.eye(4)), ELAPSED_S, said(off), is_told=True)
+        follower.step(None, 0.5, said(off @ se3_exp([gone_m, 0.0, 0.0, 0.0, 0.0, 0.0])), is_told=False)
+        biases.append(follower._joined.bias[0])
+    assert biases[0] > 0.05 and biases[1] == pytest.approx(LASTING.kept(1.0) * biases[0], rel=1e-6)
+
+
+def test_the_belief_in_the_dark_is_as_wide_as_an_unknown_velocity_leads_astray() -> None:
+    follower, noise = joiner(np.eye(4)), MotionConfig()
+    for _ in range(15):
+        belief = follower.step(None, ELAPSED_S, said(np.eye(4)), is_told=False)
+    expected = np.hypot(START_SD, np.repeat([noise.speed_sd_m_s, noise.turn_sd_rad_s], 3))
+    np.testing.assert_allclose(np.sqrt(np.diag(belief.covariance)), expected, rtol=1e-6)
+
+
 def test_without_odometry_the_belief_is_the_particles_and_as_wide_as_their_bias() -> None:
     """Far from the viewpoints that is wide, and no start that was off stays in it."""
     follower, truth = joiner(se3_exp([0.0, 2.0, 0.0, 0.0, 0.0, 0.0])), se3_exp([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -141,14 +200,14 @@ def test_without_odometry_the_belief_is_the_particles_and_as_wide_as_their_bias(
         belief = follower.step(None, ELAPSED_S, said(truth), is_told=True)
     np.testing.assert_allclose(belief.pose, truth, atol=1e-12)
     apart = float(viewpoints_apart(truth, se3_exp([0.0, 2.0, 0.0, 0.0, 0.0, 0.0])[None])[0])
-    expected = np.diag(SPREAD_SD**2) + LASTING.covariance(apart)
+    expected = np.diag(SPREAD_SD**2 + LASTING.widths(apart) ** 2)
     np.testing.assert_allclose(belief.covariance, expected, rtol=1e-6)
 
 
 def test_a_frame_without_odometry_loses_no_bias() -> None:
     """Of particles that err by 8 cm since the camera left the build's viewpoints, which odometry has told."""
     step = se3_exp([0.015, -0.005, 0.018, 0.003, 0.01, -0.005])  # 0.36 m/s
-    motion = Motion(step, 50, np.zeros((0, 3)), np.zeros(0))
+    motion = motion_of(step)
     off = se3_exp([0.08, 0.0, 0.0, 0.0, 0.0, 0.0])
     beliefs = []
     for dropped in ((), (15,), (15, 20, 21, 22)):
@@ -165,16 +224,17 @@ def test_a_frame_without_odometry_loses_no_bias() -> None:
 def test_batch_solution_after_the_particles_word_alone() -> None:
     """A word whose bias is unknown, then perfect odometry and the same bias: of that, nothing new is learnt."""
     lasting = LastingErrors(near_sd_m=0.05, near_sd_rad=0.03)
-    alone = Joined.alone(said(np.eye(4)), lasting.covariance(0.0))
-    again = alone.moved(np.eye(4), np.zeros((6, 6)), 1.0, lasting.covariance(0.0)).told(said(np.eye(4)))
+    here = lasting.widths(0.0)
+    alone = Joined.alone(said(np.eye(4)), here)
+    again = alone.moved(np.eye(4), np.zeros((6, 6)), 1.0, here, here).told(said(np.eye(4)))
     widths = np.sqrt(np.diag(again.covariance))
-    np.testing.assert_allclose(widths[6:], np.sqrt(np.diag(lasting.covariance(0.0))), rtol=1e-6)
-    np.testing.assert_allclose(widths[:6], np.sqrt(SPREAD_SD**2 / 2.0 + np.diag(lasting.covariance(0.0))), rtol=1e-4)
+    np.testing.assert_allclose(widths[6:], here, rtol=1e-6)
+    np.testing.assert_allclose(widths[:6], np.hypot(SPREAD_SD / np.sqrt(2.0), here), rtol=1e-4)
 
 
 def test_a_frame_that_tells_nothing_narrows_nothing() -> None:
     """In darkness the particles go on as odometry does: to hear them then would be to hear the old again."""
-    motion = Motion(STEP, 50, np.zeros((0, 3)), np.zeros(0))
+    motion = motion_of(STEP)
     deaf, hearing = joiner(np.eye(4)), joiner(np.eye(4))
     pose = np.eye(4)
     widths = []

@@ -18,9 +18,9 @@ from monoloc.filter.motion import MotionConfig, motion_sd
 from monoloc.geometry import FloatArray, adjoint, invert, se3_exp, se3_log, viewpoints_apart
 from monoloc.odometry import Motion
 
-# What odometry errs by, and where the particles happen to be, goes on for some frames: taken for new in each, its
-# deviation is twice as large.
-_TOGETHER = 2.0
+# What odometry errs by goes on for a second or so, and where the particles happen to be for some frames: taken for
+# new in each frame, their deviations are so many times as large.
+_ODOMETRY_TOGETHER, _PARTICLES_TOGETHER = 4.0, 2.0
 # So long the bias is remembered without odometry. Motion is taken for new in every frame then, which it is not: in
 # time, a steady flight would be taken for a bias.
 _LONG_S = 1.0
@@ -43,33 +43,45 @@ class Joined:
     covariance: FloatArray
 
     @classmethod
-    def begin(cls, start: Estimate, fresh: FloatArray) -> Joined:
-        """Before the first scan: what is known of the pose, and the covariance of the bias, (6, 6)."""
+    def begin(cls, start: Estimate, widths: FloatArray) -> Joined:
+        """Before the first scan: what is known of the pose, and the standard deviations of the bias, (6,)."""
         covariance = np.zeros((12, 12))
-        covariance[:6, :6], covariance[6:, 6:] = start.covariance, fresh
+        covariance[:6, :6], covariance[6:, 6:] = start.covariance, np.diag(widths**2)
         return cls(start.pose, np.zeros(6), covariance)
 
     @classmethod
-    def alone(cls, located: Estimate, fresh: FloatArray) -> Joined:
+    def alone(cls, located: Estimate, widths: FloatArray) -> Joined:
         """By the particles' word and nothing else: the pose is off by as much as that is biased, the other way."""
-        noise = _noise_of(located)
+        noise, fresh = _noise_of(located), np.diag(widths**2)
         return cls(located.pose, np.zeros(6), np.block([[noise + fresh, -fresh], [-fresh, fresh]]))
 
-    def moved(self, T_previous_current: FloatArray, noise: FloatArray, kept: float, fresh: FloatArray) -> Joined:
+    def moved(
+        self,
+        T_previous_current: FloatArray,
+        noise: FloatArray,
+        kept: float,
+        widths: FloatArray,
+        before: FloatArray,
+    ) -> Joined:
         """After a motion: the pose goes along, and some of the bias is forgotten.
+
+        The bias is a first-order autoregressive process in units of its width, so that one of which nothing is known
+        is as wide as it is stated, wherever the camera has been.
 
         Args:
             T_previous_current: the motion, (4, 4).
             noise: its covariance, (6, 6), of a twist in the new camera's frame.
             kept: correlation of the bias here and before.
-            fresh: covariance of a bias of which nothing is known, (6, 6).
+            widths: standard deviations of a bias of which nothing is known, (6,).
+            before: the same where the camera was; where one is 0, so is the bias.
         """
+        grown = kept * np.divide(widths, before, out=np.zeros(6), where=before > 0.0)
         carried = np.zeros((12, 12))
-        carried[:6, :6], carried[6:, 6:] = adjoint(invert(T_previous_current)), kept * np.eye(6)
+        carried[:6, :6], carried[6:, 6:] = adjoint(invert(T_previous_current)), np.diag(grown)
         covariance = carried @ self.covariance @ carried.T
-        covariance[:6, :6] += _TOGETHER**2 * noise
-        covariance[6:, 6:] += (1.0 - kept**2) * fresh
-        return Joined(self.pose @ T_previous_current, kept * self.bias, covariance)
+        covariance[:6, :6] += noise
+        covariance[6:, 6:] += (1.0 - kept**2) * np.diag(widths**2)
+        return Joined(self.pose @ T_previous_current, grown * self.bias, covariance)
 
     def told(self, located: Estimate) -> Joined:
         """After the particles' word, whose spread is noise."""
@@ -89,7 +101,7 @@ class Joined:
 
 def _noise_of(located: Estimate) -> FloatArray:
     """Covariance (6, 6) of what the particles say, but for their bias."""
-    return np.asarray(_TOGETHER**2 * located.covariance + _LEAST_VARIANCE * np.eye(6))
+    return np.asarray(_PARTICLES_TOGETHER**2 * located.covariance + _LEAST_VARIANCE * np.eye(6))
 
 
 class Joiner:
@@ -109,7 +121,7 @@ class Joiner:
         self._lasting = lasting
         self._noise = noise
         self._viewpoints = viewpoints
-        self._joined = Joined.begin(start, self._fresh(start.pose))
+        self._joined = Joined.begin(start, self._widths(start.pose))
         self._located = start
         self._unmoved_s = 0.0  # for how long there has been no odometry
         self.blind_s = 0.0
@@ -125,7 +137,7 @@ class Joiner:
         """
         self._unmoved_s = self._unmoved_s + elapsed_s if motion is None else 0.0
         if self._unmoved_s > _LONG_S and is_told:  # nothing is left to join it with
-            self._joined = Joined.alone(located, self._fresh(located.pose))
+            self._joined = Joined.alone(located, self._widths(located.pose))
         else:
             self._joined = self._moved(motion, elapsed_s, located)
             if is_told:
@@ -140,10 +152,13 @@ class Joiner:
         # How far it went is known well enough from the particles, where odometry does not tell.
         gone = invert(self._located.pose) @ located.pose if motion is None else delta
         kept = self._lasting.kept(float(viewpoints_apart(np.eye(4), gone[None])[0]))
-        noise = np.diag(motion_sd(motion, elapsed_s, self.blind_s, self._noise) ** 2)
-        return self._joined.moved(delta, noise, kept, self._fresh(self._joined.pose @ delta))
+        sd = motion_sd(motion, elapsed_s, self.blind_s, self._noise)
+        if motion is not None:  # without one, it is already of frames that err together
+            sd = _ODOMETRY_TOGETHER * sd
+        before, widths = self._widths(self._joined.pose), self._widths(self._joined.pose @ delta)
+        return self._joined.moved(delta, np.diag(sd**2), kept, widths, before)
 
-    def _fresh(self, pose: FloatArray) -> FloatArray:
-        """Covariance of the bias at a pose; near the viewpoints where none are known."""
+    def _widths(self, pose: FloatArray) -> FloatArray:
+        """Standard deviations of the bias at a pose; those near the viewpoints where none are known."""
         known = len(self._viewpoints) > 0
-        return self._lasting.covariance(float(viewpoints_apart(pose, self._viewpoints).min()) if known else 0.0)
+        return self._lasting.widths(float(viewpoints_apart(pose, self._viewpoints).min()) if known else 0.0)

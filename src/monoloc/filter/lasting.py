@@ -30,10 +30,10 @@ class LastingErrors(BaseModel):
     growth_m: float = Field(0.0, ge=0.0)
     growth_rad: float = Field(0.0, ge=0.0)
 
-    def covariance(self, distance_m: float) -> FloatArray:
-        """Of a twist (rho, phi), (6, 6), so far from the nearest viewpoint."""
+    def widths(self, distance_m: float) -> FloatArray:
+        """Standard deviations of a twist (rho, phi), (6,), so far from the nearest viewpoint."""
         sd = np.hypot([self.near_sd_m, self.near_sd_rad], distance_m * np.array([self.growth_m, self.growth_rad]))
-        return np.diag(np.repeat(sd**2, 3))
+        return np.repeat(sd, 3)
 
     def kept(self, step_m: float) -> float:
         """Correlation of the errors of two viewpoints that are so far apart."""
