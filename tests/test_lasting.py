@@ -18,6 +18,7 @@ from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.particles import scatter
 from monoloc.geometry import FloatArray
 from monoloc.localizer import Localizer, Parts
+from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress
 from synthetic_room import (
     CAMERA,
@@ -37,8 +38,8 @@ def test_variances_of_near_and_away_add(
     near: float, turned: float, growth: float, twisting: float, distance: float
 ) -> None:
     errors = LastingErrors(near_sd_m=near, near_sd_rad=turned, growth_m=growth, growth_rad=twisting)
-    expected = [near**2 + (growth * distance) ** 2] * 3 + [turned**2 + (twisting * distance) ** 2] * 3
-    np.testing.assert_allclose(errors.covariance(distance), np.diag(expected), rtol=1e-12, atol=1e-15)
+    expected = [np.hypot(near, growth * distance)] * 3 + [np.hypot(turned, twisting * distance)] * 3
+    np.testing.assert_allclose(errors.widths(distance), expected, rtol=1e-12, atol=1e-15)
 
 
 @given(there=sizes, back=sizes)
@@ -58,8 +59,7 @@ def test_what_errors_were_drawn_from_is_found(seed: int) -> None:
     distances = rng.uniform(0.2, 0.8, 2000)
 
     def errors(of: LastingErrors, distances_m: FloatArray) -> PoseErrors:
-        sd = [np.sqrt(np.diag(of.covariance(distance))) for distance in distances_m]
-        off = rng.normal(size=(len(distances_m), 6)) * np.array(sd)
+        off = rng.normal(size=(len(distances_m), 6)) * [of.widths(distance) for distance in distances_m]
         return PoseErrors(np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(off[:, 3:], axis=1))
 
     here = np.zeros(2000)
@@ -94,22 +94,21 @@ class _Leaning:
         return DepthPrediction(depth.depth_m * np.exp(0.25 * across), depth.camera)
 
 
+def starts_at(mixture: GaussianMixture, viewpoints: FloatArray, depth: _Leaning, pose: FloatArray) -> Localizer:
+    config = SETTINGS.model_copy(update={"level": None})
+    rng = np.random.default_rng(0)
+    particles = scatter(pose, config.particles, 0.02, 0.01, config.log_scale_sd, rng)
+    parts = Parts.usual(mixture, depth, CAMERA, config)
+    return Localizer(parts, CAMERA, particles, config, HealthyRange(low=-9.0, lost=-99.0), viewpoints, rng)
+
+
 @pytest.mark.slow
 def test_the_camera_stays_where_depth_errs() -> None:
     """Passing through four frames would show a part of what their leaning depth makes of the pose in the end."""
     recording, mixture = RoomRecording(Room(), make_path(24)), room_mixture(Room())
     region = np.arange(14, 18)
     final, rehearsed = _Leaning(recording, set()), _Leaning(recording, {*region.tolist()})
-    config = SETTINGS.model_copy(update={"level": None})
-
-    def starts_at(depth: _Leaning, pose: FloatArray) -> Localizer:
-        rng = np.random.default_rng(0)
-        particles = scatter(pose, config.particles, 0.02, 0.01, config.log_scale_sd, rng)
-        healthy = HealthyRange(low=-9.0, lost=-99.0)
-        parts = Parts.usual(mixture, depth, CAMERA, config)
-        return Localizer(parts, CAMERA, particles, config, healthy, recording.poses, rng)
-
-    final_at, rehearsed_at = partial(starts_at, final), partial(starts_at, rehearsed)
+    final_at, rehearsed_at = (partial(starts_at, mixture, recording.poses, depth) for depth in (final, rehearsed))
     alone = measure_lasting(final_at, rehearsed_at, recording, [], NoProgress())
     assert final.asked == list(range(24)) and not rehearsed.asked
     assert alone.growth_m == alone.growth_rad == 0.0
@@ -121,3 +120,25 @@ def test_the_camera_stays_where_depth_errs() -> None:
     assert found.growth_rad > 0.1
     one_frame = measure_lasting(final_at, rehearsed_at, recording, [np.array([20])], NoProgress())
     assert np.isfinite([one_frame.growth_m, one_frame.growth_rad]).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pause_s", [20.0, 0.1])
+def test_walks_are_followed_one_by_one(pause_s: float) -> None:
+    """A pause, or a place elsewhere in the next frame, is no way that a camera was followed over."""
+    poses = np.concatenate([make_path(12), make_path(12, start_s=5.0 if pause_s > 1.0 else 2.5)])
+    recording, mixture = RoomRecording(Room(), poses), room_mixture(Room())
+    recording.timestamps_s = recording.timestamps_s + pause_s * (np.arange(24) >= 12)
+    depth, other = _Leaning(recording, set()), _Leaning(recording, set())
+    started: list[FloatArray] = []
+
+    def final_at(pose: FloatArray) -> Localizer:
+        started.append(pose)
+        return starts_at(mixture, poses, depth, pose)
+
+    # A region of two passes through one place: the camera stays in the one, then in the other.
+    region = np.array([4, 5, 16, 17])
+    found = measure_lasting(final_at, partial(starts_at, mixture, poses, other), recording, [region], NoProgress())
+    np.testing.assert_array_equal(started, poses[[0, 12]])
+    assert found.near_sd_m < 0.03 and found.near_sd_rad < 0.02
+    assert other.asked[24:28] == [4, 5, 4, 5] and other.asked[-2:] == [16, 17]

@@ -78,14 +78,17 @@ def adjust(
         iterations: Gauss-Newton steps.
 
     Returns:
-        Poses (W, 4, 4); points (N, 3); information (inverse covariance) of each point given the poses, (N, 3, 3).
+        Poses (W, 4, 4); points (N, 3); information (inverse covariance) of each point that its corner gives, given
+        the poses, (N, 3, 3). Predicted depth is left out of it: what it errs by is the same in all keyframes.
     """
     poses, points = window.poses.copy(), window.points.copy()
     count, frames = len(points), len(poses)
-    information = np.zeros((count, 3, 3))
+    of_corners = np.zeros((count, 3, 3))
     for _ in range(iterations):
         J_pose, J_point, residual = _linearise(window, poses, points, ray_sd, log_depth_sd)
         # Sums over one index as matrix products; einsum does none of these by one.
+        by_corner = J_point[:, :, :2].reshape(count, 2 * frames, 3)
+        of_corners = by_corner.swapaxes(1, 2) @ by_corner
         by_point = J_point.reshape(count, 3 * frames, 3).swapaxes(1, 2)
         information = by_point @ by_point.swapaxes(1, 2)
         damped = information * (1.0 + _DAMPING * np.eye(3)) + 1e-9 * np.eye(3)
@@ -108,7 +111,7 @@ def adjust(
         point_step = -np.einsum("nij,nj->ni", inverse, gradient_point + np.tensordot(cross, step, axes=(1, 0)))
         poses = poses @ se3_exp(step.reshape(frames, 6))
         points = points + point_step
-    return poses, points, information
+    return poses, points, of_corners
 
 
 def _linearise(

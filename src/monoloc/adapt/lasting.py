@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 
@@ -16,6 +17,7 @@ from monoloc.localizer import Localizer
 from monoloc.progress import Progress
 
 _STAY = 60  # frames: the start is forgotten, and what is left is what the depth there says
+_GAP_S, _GAP_M = 1.5, 0.5  # between frames, the latter with a radian for a metre: no camera is followed over more
 _LEAST_DISTANCE_M = 0.01
 _USUAL_GROWTH = 0.1  # m and rad a metre away, of other networks and other parts of a room
 
@@ -32,10 +34,11 @@ def measure_lasting(
 ) -> LastingErrors:
     """What lasts, near the viewpoints that tuned and away from them.
 
-    Near: the recording is followed from its first pose with the network that all its frames tuned. Away: with one
-    that no frame of the regions tuned, the camera stays in each of them, to and fro over its frames, since a filter
-    that only passes through brings the pose it has along. What exceeds that network's own error at the other frames
-    is taken to grow with the distance from the nearest of them.
+    Near: the recording is followed from its first pose with the network that all its frames tuned, and where it was
+    paused, or is of several walks, from the first pose afterwards. Away: with one that no frame of the regions tuned,
+    the camera stays in each of them, to and fro over its frames, since a filter that only passes through brings the
+    pose it has along. What exceeds that network's own error at the other frames is taken to grow with the distance
+    from the nearest of them.
 
     Args:
         starts_at: makes the localizer that is to be used.
@@ -49,9 +52,11 @@ def measure_lasting(
     is_near = np.ones(len(recording), dtype=np.bool_)
     for region in regions:
         is_near[region] = False
-    whole, stays = np.arange(len(recording)), [_to_and_fro(region) for region in regions]
+    walks = _unbroken(np.arange(len(recording)), recording.timestamps_s, poses)
+    places = [part for region in regions for part in _unbroken(region, recording.timestamps_s, poses)]
+    stays = [_to_and_fro(place) for place in places]
     done = 0
-    with progress.task("covariances", len(whole) * (2 if stays else 1) + sum(map(len, stays))) as show:
+    with progress.task("covariances", len(recording) * (2 if stays else 1) + sum(map(len, stays))) as show:
 
         def follow(at: StartsAt, walk: NDArray[np.int64]) -> FloatArray:
             """Poses (N, 4, 4) of the frames of a walk, one after the other."""
@@ -64,14 +69,15 @@ def measure_lasting(
                 show(done)
             return np.stack(found)
 
-        near = pose_errors(follow(starts_at, whole), poses)
+        near = pose_errors(np.concatenate([follow(starts_at, walk) for walk in walks]), poses)
         if not stays:
             near_m, near_rad = axis_sd(near)
             return LastingErrors(near_sd_m=near_m, near_sd_rad=near_rad)
-        rehearsed = pose_errors(follow(rehearsed_at, whole)[is_near], poses[is_near])
-        # The first time through a region still shows what was brought along.
-        ways = [follow(rehearsed_at, stay)[len(region) :] for region, stay in zip(regions, stays, strict=True)]
-    frames = np.concatenate([stay[len(region) :] for region, stay in zip(regions, stays, strict=True)])
+        followed = np.concatenate([follow(rehearsed_at, walk) for walk in walks])
+        rehearsed = pose_errors(followed[is_near], poses[is_near])
+        # The first time through a place still shows what was brought along.
+        ways = [follow(rehearsed_at, stay)[len(place) :] for place, stay in zip(places, stays, strict=True)]
+    frames = np.concatenate([stay[len(place) :] for place, stay in zip(places, stays, strict=True)])
     away = pose_errors(np.concatenate(ways), poses[frames])
     distances_m = np.array([viewpoints_apart(pose, poses[is_near]).min() for pose in poses[frames]])
     return lasting_errors(near, rehearsed, away, distances_m)
@@ -105,6 +111,13 @@ def _growth(errors: FloatArray, near_sd: float, distances_m: FloatArray) -> floa
     beyond = errors**2 / CHI2_MEDIAN_3 - near_sd**2
     measured = max(0.0, float(np.median(beyond / np.maximum(distances_m, _LEAST_DISTANCE_M) ** 2)))
     return math.sqrt(0.5 * (measured + _USUAL_GROWTH**2))
+
+
+def _unbroken(walk: NDArray[np.int64], times_s: FloatArray, poses: FloatArray) -> list[NDArray[np.int64]]:
+    """The parts of a walk over frames, in order of time, within which the camera can be followed."""
+    apart_m = np.array([viewpoints_apart(poses[a], poses[b][None])[0] for a, b in itertools.pairwise(walk)])
+    gaps = (np.diff(times_s[walk]) > _GAP_S) | (apart_m > _GAP_M)
+    return np.split(walk, 1 + np.flatnonzero(gaps))
 
 
 def _to_and_fro(region: NDArray[np.int64]) -> NDArray[np.int64]:

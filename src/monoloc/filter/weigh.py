@@ -24,7 +24,8 @@ class MeasurementConfig(BaseModel):
         noise_sd_m: standard deviation of the map itself, beyond its own spread; the map is smoothed by it.
         log_depth_sd: standard deviation of an inlier's log-depth (``ray``).
         effective_points: how many independent points a scan of the whole depth image is worth. Depth errors of one
-            image go together, so this is far below the number of points (tempering: tau = effective_points / P).
+            image go together, so this is far below the number of points (tempering: tau = effective_points / P, at
+            most 1).
         effective_corners: the same of the corners whose depth parallax has refined.
         error_power: how much the error that the network states of itself decides which points count: as its inverse
             to this power; 0 counts all alike.
@@ -106,9 +107,9 @@ class Measurement:
         return self._weigh(particles, scan, self.config.effective_corners, self.config.corner_log_depth_sd)
 
     def _weigh(self, particles: Particles, scan: Scan, effective_points: float, log_depth_sd: float) -> Particles:
-        """The evidence counts as that of so many points; an empty scan changes nothing."""
+        """The evidence counts as that of so many points, or of as many as there are."""
         if len(scan) == 0 or effective_points == 0.0:
             return particles
         fit = self.mean_log_likelihood(particles.poses, particles.log_scale, scan, log_depth_sd)
-        log_weights = particles.log_weights + effective_points * fit
+        log_weights = particles.log_weights + min(effective_points, len(scan)) * fit
         return Particles(particles.poses, particles.log_scale, normalised(log_weights))
