@@ -30,7 +30,7 @@ def said(pose: FloatArray) -> Estimate:
 
 def moved(joined: Joined, delta: FloatArray, lasting: LastingErrors = LASTING) -> Joined:
     kept = lasting.kept(float(viewpoints_apart(np.eye(4), delta[None])[0]))
-    return joined.moved(delta, np.diag(ODOMETRY_SD**2), kept, lasting.widths(0.0), lasting.widths(0.0))
+    return joined.moved(delta, np.diag(ODOMETRY_SD**2), kept, lasting.widths(0.0))
 
 
 def test_it_is_the_batch_solution_along_a_line() -> None:
@@ -111,15 +111,18 @@ def drawn_way(rng: np.random.Generator, steps: FloatArray, lasting: LastingError
     viewpoint = true = se3_exp(rng.normal(size=6))
     start = Estimate(true @ se3_exp(-rng.normal(size=6) * START_SD), np.diag(START_SD**2), 0.0)
     follower = Joiner(start, lasting, MotionConfig(), viewpoint[None])
-    bias = rng.normal(size=6)  # in units of its width
+    variances = lasting.widths(0.0) ** 2
+    bias = rng.normal(size=6) * np.sqrt(variances)
     for k, step in enumerate([np.eye(4), *steps]):
         apart = float(viewpoints_apart(np.eye(4), step[None])[0])
         odometry_sd = ODOMETRY_TOGETHER * motion_sd(motion_of(step), ELAPSED_S, 0.0, MotionConfig())
         true = true @ step @ se3_exp(rng.normal(size=6) * odometry_sd * (k > 0))
         kept = lasting.kept(apart)
-        bias = kept * bias + np.sqrt(1.0 - kept**2) * rng.normal(size=6)
-        width = lasting.widths(float(viewpoints_apart(true, viewpoint[None])[0]))
-        told = said(true @ se3_exp(bias * width) @ se3_exp(rng.normal(size=6) * SPREAD_SD))
+        # As wide as is stated, or wider by what is brought along.
+        brought, here = kept**2 * variances, lasting.widths(float(viewpoints_apart(true, viewpoint[None])[0])) ** 2
+        variances = np.maximum(brought + (1.0 - kept**2) * here, here)
+        bias = kept * bias + np.sqrt(variances - brought) * rng.normal(size=6)
+        told = said(true @ se3_exp(bias) @ se3_exp(rng.normal(size=6) * SPREAD_SD))
         belief = follower.step(motion_of(step) if k > 0 else None, ELAPSED_S, told, is_told=True)
     return true, belief
 
@@ -162,11 +165,14 @@ def test_the_bias_is_that_of_the_nearest_viewpoint_where_the_camera_has_come_to(
     lasting = LastingErrors(near_sd_m=0.02, near_sd_rad=0.01, growth_m=0.1, growth_rad=0.05)
     near, far = np.eye(4), se3_exp([3.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     place = se3_exp([2.8, 0.0, 0.0, 0.0, 0.0, 0.0])
-    for viewpoints, apart in ((near[None], 2.8), (far[None], 0.2), (np.stack([near, far]), 0.2)):
-        start = Estimate(np.eye(4), np.eye(6), 0.0)
-        follower = Joiner(start, lasting, MotionConfig(), viewpoints)
-        follower.step(None, 0.0, said(np.eye(4)), is_told=False)
-        belief = follower.step(motion_of(place), ELAPSED_S, said(place), is_told=True)
+    for viewpoints, begin, apart in (
+        (near[None], near, 2.8),
+        (far[None], far, 0.2),
+        (np.stack([near, far]), near, 0.2),
+    ):
+        follower = Joiner(Estimate(begin, np.eye(6), 0.0), lasting, MotionConfig(), viewpoints)
+        follower.step(None, 0.0, said(begin), is_told=False)
+        belief = follower.step(motion_of(invert(begin) @ place), ELAPSED_S, said(place), is_told=True)
         sd = np.sqrt(np.diag(belief.covariance))
         np.testing.assert_allclose(sd, np.hypot(SPREAD_SD, lasting.widths(apart)), rtol=0.1)
 
@@ -226,7 +232,7 @@ def test_batch_solution_after_the_particles_word_alone() -> None:
     lasting = LastingErrors(near_sd_m=0.05, near_sd_rad=0.03)
     here = lasting.widths(0.0)
     alone = Joined.alone(said(np.eye(4)), here)
-    again = alone.moved(np.eye(4), np.zeros((6, 6)), 1.0, here, here).told(said(np.eye(4)))
+    again = alone.moved(np.eye(4), np.zeros((6, 6)), 1.0, here).told(said(np.eye(4)))
     widths = np.sqrt(np.diag(again.covariance))
     np.testing.assert_allclose(widths[6:], here, rtol=1e-6)
     np.testing.assert_allclose(widths[:6], np.hypot(SPREAD_SD / np.sqrt(2.0), here), rtol=1e-4)

@@ -8,7 +8,7 @@ from the viewpoints that a room was built from: near them the map is followed, f
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,52 +36,47 @@ class Joined:
         pose: ``T_world_camera``, (4, 4).
         bias: (6,) twist in the camera's frame: the particles' pose is ``pose @ exp(bias)``, but for their spread.
         covariance: (12, 12), of the pose's twist as in :class:`Estimate`, and of the bias.
+        widths: standard deviations of a bias of which nothing were known, (6,), after the way so far.
     """
 
     pose: FloatArray
     bias: FloatArray
     covariance: FloatArray
+    widths: FloatArray
 
     @classmethod
     def begin(cls, start: Estimate, widths: FloatArray) -> Joined:
-        """Before the first scan: what is known of the pose, and the standard deviations of the bias, (6,)."""
+        """Before the first scan: what is known of the pose, and the standard deviations of the bias there, (6,)."""
         covariance = np.zeros((12, 12))
         covariance[:6, :6], covariance[6:, 6:] = start.covariance, np.diag(widths**2)
-        return cls(start.pose, np.zeros(6), covariance)
+        return cls(start.pose, np.zeros(6), covariance, widths)
 
     @classmethod
     def alone(cls, located: Estimate, widths: FloatArray) -> Joined:
         """By the particles' word and nothing else: the pose is off by as much as that is biased, the other way."""
         noise, fresh = _noise_of(located), np.diag(widths**2)
-        return cls(located.pose, np.zeros(6), np.block([[noise + fresh, -fresh], [-fresh, fresh]]))
+        return cls(located.pose, np.zeros(6), np.block([[noise + fresh, -fresh], [-fresh, fresh]]), widths)
 
-    def moved(
-        self,
-        T_previous_current: FloatArray,
-        noise: FloatArray,
-        kept: float,
-        widths: FloatArray,
-        before: FloatArray,
-    ) -> Joined:
+    def moved(self, T_previous_current: FloatArray, noise: FloatArray, kept: float, widths: FloatArray) -> Joined:
         """After a motion: the pose goes along, and some of the bias is forgotten.
 
-        The bias is a first-order autoregressive process in units of its width, so that one of which nothing is known
-        is as wide as it is stated, wherever the camera has been.
+        Where depth errs more, the bias is wider at once; where it errs less, particles still bring along what they
+        had, until that is forgotten.
 
         Args:
             T_previous_current: the motion, (4, 4).
             noise: its covariance, (6, 6), of a twist in the new camera's frame.
             kept: correlation of the bias here and before.
-            widths: standard deviations of a bias of which nothing is known, (6,).
-            before: the same where the camera was; where one is 0, so is the bias.
+            widths: standard deviations of the bias where the camera is now, (6,).
         """
-        grown = kept * np.divide(widths, before, out=np.zeros(6), where=before > 0.0)
+        brought = (kept * self.widths) ** 2
+        variances = np.maximum(brought + (1.0 - kept**2) * widths**2, widths**2)
         carried = np.zeros((12, 12))
-        carried[:6, :6], carried[6:, 6:] = adjoint(invert(T_previous_current)), np.diag(grown)
+        carried[:6, :6], carried[6:, 6:] = adjoint(invert(T_previous_current)), kept * np.eye(6)
         covariance = carried @ self.covariance @ carried.T
         covariance[:6, :6] += noise
-        covariance[6:, 6:] += (1.0 - kept**2) * np.diag(widths**2)
-        return Joined(self.pose @ T_previous_current, grown * self.bias, covariance)
+        covariance[6:, 6:] += np.diag(variances - brought)
+        return Joined(self.pose @ T_previous_current, kept * self.bias, covariance, np.sqrt(variances))
 
     def told(self, located: Estimate) -> Joined:
         """After the particles' word, whose spread is noise."""
@@ -93,7 +88,9 @@ class Joined:
         left = np.eye(12) - gain @ _OBSERVED
         # Joseph's form stays symmetric and positive.
         covariance = left @ self.covariance @ left.T + gain @ noise @ gain.T
-        return Joined(self.pose @ se3_exp(correction[:6]), self.bias + correction[6:], covariance)
+        return replace(
+            self, pose=self.pose @ se3_exp(correction[:6]), bias=self.bias + correction[6:], covariance=covariance
+        )
 
     def estimate(self, log_scale: float) -> Estimate:
         return Estimate(self.pose, self.covariance[:6, :6], log_scale)
@@ -155,8 +152,7 @@ class Joiner:
         sd = motion_sd(motion, elapsed_s, self.blind_s, self._noise)
         if motion is not None:  # without one, it is already of frames that err together
             sd = _ODOMETRY_TOGETHER * sd
-        before, widths = self._widths(self._joined.pose), self._widths(self._joined.pose @ delta)
-        return self._joined.moved(delta, np.diag(sd**2), kept, widths, before)
+        return self._joined.moved(delta, np.diag(sd**2), kept, self._widths(self._joined.pose @ delta))
 
     def _widths(self, pose: FloatArray) -> FloatArray:
         """Standard deviations of the bias at a pose; those near the viewpoints where none are known."""
