@@ -27,6 +27,8 @@ from monoloc.geometry import FloatArray
 from monoloc.map.mixture import GaussianMixture
 from monoloc.odometry import Motion, OdometryConfig, VisualOdometry
 
+_FEWEST_POINTS = 10  # of a scan that says where the camera is
+
 
 class LocalizerConfig(BaseModel):
     """Settings of the online way; the measured ones are written by ``monoloc build``.
@@ -152,12 +154,13 @@ class Localizer:
             measured_depth: a depth sensor's image, where there is one; None predicts it.
 
         Raises:
-            ValueError: the image is not of the camera's size, or time runs backwards; nothing has changed then.
+            ValueError: the image is no colour image of the camera's size, or time runs backwards; nothing has
+                changed then.
         """
         config = self.config
-        if color.shape != (self._camera.height, self._camera.width, 3):
-            size = f"({self._camera.height}, {self._camera.width}, 3)"
-            raise ValueError(f"color must have the camera's shape {size}, got {color.shape}")
+        if color.shape != (self._camera.height, self._camera.width, 3) or color.dtype != np.uint8:
+            shape = f"({self._camera.height}, {self._camera.width}, 3)"
+            raise ValueError(f"color must have the camera's shape {shape} as uint8, got {color.shape} {color.dtype}")
         elapsed_s = 0.0 if self._is_first else elapsed_s
         if not 0.0 <= elapsed_s < np.inf:
             raise ValueError(f"elapsed_s must be finite and not negative, got {elapsed_s}")
@@ -173,9 +176,11 @@ class Localizer:
             self.particles = predict(self.particles, motion, elapsed_s, blind_s, spread, noise, self._rng)
         self.particles = correct(self.particles, lambda particles: self._weigh(particles, scan, motion), self._rng)
         located = estimate(self.particles)
-        belief = self._joiner.step(motion, elapsed_s, located, is_told=len(scan) > 0)
-        self.particles = resample(self.particles, config.ess_fraction, self._rng)
         fit = self._fit(located, scan)  # where depth's lasting error is, the belief's covariance tells
+        # Particles that have lost the camera gather somewhere all the same: their word counts where the scan fits.
+        is_told = len(scan) >= _FEWEST_POINTS and fit >= self._healthy.lost
+        belief = self._joiner.step(motion, elapsed_s, located, is_told)
+        self.particles = resample(self.particles, config.ess_fraction, self._rng)
         is_followed = self._is_first or self._odometry is None or motion is not None
         self._is_first = False
         return Step(belief, located, fit, judge(fit, belief, self._healthy, is_followed), motion, depth, scan)

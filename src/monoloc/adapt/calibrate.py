@@ -27,7 +27,7 @@ _LEAST_LOG_SCALE_SD = 0.02  # between build frames it is less, but away from the
 
 @dataclass(frozen=True)
 class Sample:
-    """A held-out frame: its index, depth as the localizer will predict it, and the true ``T_world_camera``."""
+    """A held-out frame: its index, its depth before it is levelled, and the true ``T_world_camera``."""
 
     index: int
     depth: DepthPrediction

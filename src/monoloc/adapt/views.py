@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -23,6 +24,7 @@ _SHIFT_SD_M, _TURN_SD_RAD = 0.2, np.deg2rad(6.0)  # of a synthesised view from t
 _SOURCES = 3  # frames that a synthesised view is made of: the first, and the nearest to the view
 _WHOLE_SHARE = 0.2  # of what is learned from, frames as they were taken, however many views are synthesised
 _LEAST_SEEN, _TRIES = 0.7, 5  # of what its frame sees, share that a view must see; poses tried for it
+_CLOUDS_KEPT = 200  # of frames, some 2 MB each: views are made in the order of frames, whose neighbours they need
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,7 @@ def make_views(
     fine = camera.resized(2 * camera.width, 2 * camera.height)
     coarse = camera.resized(camera.width // 2, camera.height // 2)
     fine_rays = fine.pixel_rays()
-    clouds: list[ColoredPoints] = []
+    sources: list[tuple[NDArray[np.uint8], NDArray[np.float32]]] = []
     images, depths, view_poses, frame, whole = [], [], [], [], []
     for index in range(len(recording)):
         color, depth = recording.color(index), depth_of(index)
@@ -114,14 +116,19 @@ def make_views(
         whole.append(True)
         if synthesised:
             small = resize_image(color, (fine.width, fine.height))
-            clouds.append(points_of(small, _sampled(depth, fine), fine_rays, poses[index]))
+            sources.append((small, _sampled(depth, fine)))
         if progress is not None:
             progress(index + 1)
+
+    @lru_cache(_CLOUDS_KEPT)
+    def cloud_of(index: int) -> ColoredPoints:
+        return points_of(*sources[index], fine_rays, poses[index])
+
     usable = np.setdiff1d(np.arange(len(recording)), held_out)
     shares = np.diff(np.arange(len(recording) + 1) * synthesised // len(recording))
     for index, share in enumerate(shares if synthesised else ()):
         for _ in range(share):
-            image, depth, pose = _synthesise(index, poses, clouds, usable, camera, rng)
+            image, depth, pose = _synthesise(index, poses, cloud_of, usable, camera, rng)
             images.append(image)
             depths.append(halved(depth))
             view_poses.append(pose)
@@ -144,7 +151,7 @@ def make_views(
 def _synthesise(
     index: int,
     poses: FloatArray,
-    clouds: list[ColoredPoints],
+    cloud_of: Callable[[int], ColoredPoints],
     usable: NDArray[np.int64],
     camera: Camera,
     rng: np.random.Generator,
@@ -154,13 +161,13 @@ def _synthesise(
     The disturbance shrinks until enough of the view is known.
     """
     others = usable[usable != index]
-    enough = _LEAST_SEEN * len(clouds[index].points) / (4 * camera.width * camera.height)
+    enough = _LEAST_SEEN * len(cloud_of(index).points) / (4 * camera.width * camera.height)
     for attempt in range(_TRIES):
         spread = 1.0 - attempt / _TRIES
         sd = spread * np.repeat([_SHIFT_SD_M, _TURN_SD_RAD], 3)
         pose = poses[index] @ se3_exp(rng.normal(scale=sd))
         nearest = others[np.argsort(viewpoints_apart(pose, poses[others]))[: _SOURCES - 1]]
-        color, depth = forward_warp([clouds[i] for i in (index, *nearest)], pose, camera)
+        color, depth = forward_warp([cloud_of(int(i)) for i in (index, *nearest)], pose, camera)
         if np.mean(depth > 0.0) >= enough:
             break
     return color, depth, pose
