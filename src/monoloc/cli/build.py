@@ -18,12 +18,15 @@ from monoloc.cli.common import (
     JsonOption,
     SeedOption,
     SourceArgument,
+    check_apart,
     open_source,
     print_json,
     stderr,
 )
 from monoloc.config import load_settings, override
 from monoloc.depth.model import trainable_file
+from monoloc.errors import SettingError
+from monoloc.files import target_of
 from monoloc.map.cloud_files import read_cloud
 from monoloc.models import DEFAULT
 from monoloc.progress import ConsoleProgress
@@ -79,6 +82,9 @@ def build(
       monoloc build my-walk --network midas.toml --out midas.monoloc     (another's network: docs/depth-models.md)
     """
     check_target(out)
+    check_apart(out, "--out", (network,))
+    if out.suffix != ".monoloc":
+        raise SettingError("--out", f"{out} is not named as a bundle", "name it NAME.monoloc")
     config = BuildConfig() if settings is None else load_settings(settings, BuildConfig)
     if trainable_file(network) is None:
         # What can only be run is run, unless tuning was asked for in so many words.
@@ -95,7 +101,7 @@ def build(
     points = None if cloud is None else read_cloud(cloud)
     recording = open_source(source, frames, intrinsics, depth_scale)
     bundle, report = build_bundle(recording, config, seed, ConsoleProgress(stderr), points, network)
-    size = write_bundle(out, bundle)
+    size = write_bundle(target_of(out), bundle)  # through a link, as files are written
     for warning in report.warnings:
         stderr.print(f"warning: {recording.name}: {warning}", soft_wrap=True)
     if json:

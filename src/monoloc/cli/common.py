@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -15,10 +15,10 @@ from rich.table import Table
 from monoloc.camera import Camera
 from monoloc.datasets.base import Selection
 from monoloc.datasets.options import ReaderOptions
-from monoloc.datasets.registry import open_recording, select_frames
+from monoloc.datasets.registry import absolute_source, open_recording, select_frames
 from monoloc.errors import SettingError
-from monoloc.extras import require_viewing
-from monoloc.files import json_text
+from monoloc.extras import require_plotting, require_viewing
+from monoloc.files import json_text, target_of
 from monoloc.viewer import require_window
 
 # Paths are printed as they are, whatever Rich would read in their brackets and colons.
@@ -84,17 +84,63 @@ def refuse_frames(frames: str, what: str) -> None:
         raise SettingError("--frames", f"has no meaning for {what}", "leave it out")
 
 
-def check_writable(path: Path | None, option: str) -> None:
-    """Refuse an output file that cannot be written before the work is done.
+def check_outputs(outputs: Mapping[str, Path | None], inputs: Sequence[str | Path | None] = ()) -> None:
+    """Refuse output files that cannot be written, or in whose place something else lies, before the work is done.
+
+    Args:
+        outputs: by option, None where it is not given.
+        inputs: as :func:`check_apart` takes them.
 
     Raises:
         SettingError: naming the option.
     """
+    options: dict[Path, str] = {}
+    for option, path in outputs.items():
+        if path is None:
+            continue
+        if path.is_dir():
+            raise SettingError(option, f"{path} is a folder", "name a file")
+        if path.exists() and not path.is_file():
+            raise SettingError(option, f"{path} is neither a file nor a folder", "name a file")
+        _check_parent(target_of(path) if path.is_symlink() else path, option)
+        check_apart(path, option, inputs)
+        other = options.setdefault(target_of(path), option)
+        if other != option:
+            raise SettingError(option, f"{path} is what {other} writes", "name another file")
+
+
+def check_apart(path: Path, option: str, inputs: Sequence[str | Path | None]) -> None:
+    """Refuse an output in the place of an input, or within a bundle that is one.
+
+    Args:
+        inputs: files, folders and SOURCEs that the command reads; None where there is none.
+
+    Raises:
+        SettingError: naming the option.
+    """
+    target = target_of(path)
+    for given in inputs:
+        if given is None:
+            continue
+        source = Path("/" + absolute_source(str(given)).partition("/")[2])  # of FORMAT:/PATH, too
+        if source == target:
+            raise SettingError(option, f"{path} is read by this command", "name another place")
+        if source in target.parents and (source / "manifest.json").is_file():
+            raise SettingError(option, f"{path} lies in the bundle {given}", "name another place")
+
+
+def check_picture(path: Path | None, option: str) -> None:
+    """Refuse a picture under the name of something else, and one that nothing can draw, before the work is done.
+
+    Raises:
+        SettingError: naming the option.
+        MissingExtraError: matplotlib is not installed.
+    """
     if path is None:
         return
-    if path.is_dir():
-        raise SettingError(option, f"{path} is a folder", "name a file")
-    _check_parent(path, option)
+    if path.suffix.lower() != ".png":
+        raise SettingError(option, f"{path} is a PNG by another name", "name it NAME.png")
+    require_plotting()
 
 
 def check_folder(path: Path, option: str) -> None:
@@ -112,12 +158,11 @@ def check_folder(path: Path, option: str) -> None:
 
 
 def check_viewing(view: bool, record: Path | None = None) -> None:
-    """Refuse a window or a recording that cannot be had before the work is done.
+    """Refuse a window or a recording that there is nothing to show or write with, before the work is done.
 
     Raises:
         MissingExtraError, SettingError: naming the extra or the option.
     """
-    check_writable(record, "--record")
     if view or record is not None:
         require_viewing()
     if view:

@@ -19,7 +19,8 @@ from monoloc.cli.common import (
     JsonOption,
     SourceArgument,
     check_folder,
-    check_writable,
+    check_outputs,
+    check_picture,
     open_source,
     print_json,
     print_table,
@@ -140,10 +141,9 @@ def evaluate(
       monoloc depth evaluate full-0.35 7scenes:redkitchen --fit-scale --calibration error.png
       monoloc depth evaluate midas.toml 7scenes:redkitchen --frames ::10     (another's network)
     """
-    check_writable(plot, "--plot")
-    check_writable(calibration, "--calibration")
-    if plot is not None or calibration is not None:
-        require_plotting()
+    check_outputs({"--plot": plot, "--calibration": calibration}, (model, source))
+    check_picture(plot, "--plot")
+    check_picture(calibration, "--calibration")
     recording = open_source(source, frames, intrinsics, depth_scale)
     if not recording.has_depth:
         raise DataError(recording.name, "has no depth", "judge on a recording with depth images")
@@ -208,7 +208,7 @@ def export(
         from monoloc.depth.checkpoint import load_network
         from monoloc.depth.export import export_onnx
         from monoloc.depth.quantise import quantise
-    check_writable(out, "--out")
+    check_outputs({"--out": out}, (network, int8))
     if int8 is None:
         refuse_frames(frames, "an export in 32 bits")
     loaded = load_network(network)

@@ -20,8 +20,9 @@ from monoloc.cli.common import (
     SeedOption,
     SourceArgument,
     ViewOption,
+    check_outputs,
+    check_picture,
     check_viewing,
-    check_writable,
     open_source,
     print_json,
     print_table,
@@ -31,7 +32,6 @@ from monoloc.config import override
 from monoloc.datasets.base import Recording
 from monoloc.errors import DataError, SettingError
 from monoloc.evaluation.plots import plot_localization
-from monoloc.extras import require_plotting
 from monoloc.geometry import FloatArray, make_pose, quaternion_to_rotation
 from monoloc.outputs.tum import write_tum
 from monoloc.progress import ConsoleProgress
@@ -87,10 +87,8 @@ def localize_command(
       monoloc localize room.monoloc tum:fr1_room --motion random-walk
       monoloc localize kitchen.monoloc 7scenes:redkitchen --view --record way.rrd
     """
-    check_writable(out, "--out")
-    check_writable(plot, "--plot")
-    if plot is not None:
-        require_plotting()
+    check_outputs({"--out": out, "--plot": plot, "--record": record}, (bundle, source))
+    check_picture(plot, "--plot")
     check_viewing(view, record)
     room = read_bundle(bundle)
     recording = open_source(source, frames, intrinsics, depth_scale)

@@ -17,8 +17,9 @@ from monoloc.cli.common import (
     RecordOption,
     SeedOption,
     ViewOption,
+    check_outputs,
+    check_picture,
     check_viewing,
-    check_writable,
     open_source,
     print_json,
     print_table,
@@ -29,7 +30,6 @@ from monoloc.cli.common import (
 from monoloc.config import override
 from monoloc.evaluation.clouds import COMPARED_POINTS, compare_clouds
 from monoloc.evaluation.map_drawing import plot_map_change
-from monoloc.extras import require_plotting
 from monoloc.map.cloud_files import read_cloud
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import ConsoleProgress
@@ -60,7 +60,7 @@ def fit(
       monoloc map fit 7scenes:redkitchen --frames ::4 --out kitchen.npz
       monoloc map fit room.ply -k bic --out room.npz
     """
-    check_writable(out, "--out")
+    check_outputs({"--out": out}, (source,))
     config = override(BuildConfig(), components=components)
     is_cloud = Path(source).suffix.lower() in _CLOUD_SUFFIXES
     if is_cloud:
@@ -131,8 +131,8 @@ def compare(
       monoloc map compare kitchen.monoloc --out kitchen.png --json
       monoloc map compare kitchen.monoloc --view
     """
-    check_writable(out, "--out")
-    require_plotting()
+    check_outputs({"--out": out, "--record": record}, (bundle,))
+    check_picture(out, "--out")
     check_viewing(view, record)
     room = read_bundle(bundle)
     clouds = compare_clouds(room.original, room.adapted, COMPARED_POINTS, np.random.default_rng(seed))
