@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -105,3 +108,47 @@ def test_links_are_written_through(capfd, here):
 def test_a_file_may_be_written_again_and_beside_its_source(capfd, here):
     for _ in range(2):
         assert json_of(capfd, *LOCALIZE, "--out", "walk/way.txt")["frames"] == FRAMES
+
+
+def test_each_output_is_written_whatever_becomes_of_the_others(capfd, here, monkeypatch):
+    """As on a full disk, which is found out after the work."""
+
+    def full(path, *_, **__):
+        raise DataError(path, "cannot be written (No space left on device)", "name a file in a folder with space")
+
+    def fails(command: tuple[str, ...], *lost: str) -> str:
+        capfd.readouterr()
+        assert invoke(list(command)) == 2
+        out, err = capfd.readouterr()
+        told = [f"{name}: cannot be written (No space left on device); name a file" for name in lost]
+        assert err.splitlines()[-1].startswith("monoloc: ") and all(text in err.splitlines()[-1] for text in told)
+        assert err.count("monoloc: ") == 1 and not any(f"written: {name}" in err for name in lost)
+        return out
+
+    monkeypatch.setattr("monoloc.viewer._check_whole", lambda _: full("way.rrd"))
+    command = (*LOCALIZE, "--out", "way.txt", "--plot", "way.png", "--record", "way.rrd")
+    assert json.loads(fails((*command, "--json"), "way.rrd"))["frames"] == FRAMES
+    assert Path("way.txt").exists() and Path("way.png").exists() and not Path("way.rrd").exists()
+    compared = fails(("map", "compare", "room.monoloc", "--record", "way.rrd"), "way.rrd")
+    assert "c2c_median_m" in compared and Path("compare.png").exists()
+    monkeypatch.setattr("monoloc.cli.localize.write_tum", full)
+    assert "all frames" in fails(command, "way.txt", "way.rrd")
+    monkeypatch.undo()
+    monkeypatch.chdir(here)
+    monkeypatch.setattr("monoloc.cli.localize.plot_localization", full)
+    fails(command, "way.png")
+    assert Path("way.rrd").exists()
+
+
+def test_a_recording_on_a_full_disk_is_told_once(here):
+    """Not by Rerun's own lines as well."""
+    code = (
+        "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000))\n"
+        "from monoloc.cli.main import run; run()"
+    )
+    command = [sys.executable, "-c", code, *LOCALIZE, "--json", "--record", "way.rrd"]
+    told = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert told.returncode == 2 and json.loads(told.stdout)["frames"] == FRAMES
+    (line,) = (line for line in told.stderr.splitlines() if not line.startswith("localize: done"))
+    assert line.startswith("monoloc: way.rrd: cannot be written")

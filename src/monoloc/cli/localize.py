@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
@@ -30,7 +32,7 @@ from monoloc.cli.common import (
 )
 from monoloc.config import override
 from monoloc.datasets.base import Recording
-from monoloc.errors import DataError, SettingError
+from monoloc.errors import DataError, MonolocError, SettingError
 from monoloc.evaluation.plots import plot_localization
 from monoloc.geometry import FloatArray, make_pose, quaternion_to_rotation
 from monoloc.outputs.tum import write_tum
@@ -97,20 +99,41 @@ def localize_command(
     begin = _start(start, recording, start_error_cm / 100.0, np.deg2rad(start_error_deg), rng)
     name = f"{bundle.name}: {recording.name}"
     cv2.setNumThreads(1)  # more make small images no faster, and a drone's other cores are not ours
-    with run_viewer(name, view, record) as viewer:
+    with ExitStack() as viewing:
+        viewer = viewing.enter_context(run_viewer(name, view, record))
         run = localize(room, recording, begin, config, rng, ConsoleProgress(stderr), depth == "sensor", viewer=viewer)
-    if out is not None:
-        write_tum(out, recording.timestamps_s, run.poses)
-    if plot is not None:
-        draw(plot, run, room, name)
+        writers = [
+            (out, lambda path: write_tum(path, recording.timestamps_s, run.poses)),
+            (plot, lambda path: draw(path, run, room, name)),
+            (record, lambda _: viewing.close()),
+        ]
+        written, failures = _write_each(writers)
     metrics = run.metrics()
     if json:
         print_json(metrics)
     else:
         show(metrics)
-        for path in (out, plot, record):
-            if path is not None:
-                stderr.print(f"written: {path}")
+        for path in written:
+            stderr.print(f"written: {path}")
+    if failures:
+        raise MonolocError("; ".join(map(str, failures)))
+
+
+def _write_each(
+    writers: Iterable[tuple[Path | None, Callable[[Path], None]]],
+) -> tuple[list[Path], list[MonolocError]]:
+    """Write what is asked for, each file whatever becomes of the others: those written, and what went wrong."""
+    written, failures = [], []
+    for path, write in writers:
+        if path is None:
+            continue
+        try:
+            write(path)
+        except MonolocError as error:
+            failures.append(error)
+        else:
+            written.append(path)
+    return written, failures
 
 
 def draw(path: Path, run: Run, room: Bundle, title: str) -> None:

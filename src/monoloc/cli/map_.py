@@ -139,9 +139,9 @@ def compare(
     shown = clouds.original, clouds.adapted, clouds.distances_m, np.array(room.provenance.down_world)
     name = f"{bundle.name}: {room.provenance.recording}"
     plot_map_change(out, *shown, name)
-    show_map_change(name, view, record, *shown)
     content = {"picture": str(out), **clouds.figures}
     if json:
         print_json(content)
     else:
-        print_table(str(bundle), ["", ""], [[name, text_of(value)] for name, value in content.items()])
+        print_table(str(bundle), ["", ""], [[figure, text_of(value)] for figure, value in content.items()])
+    show_map_change(name, view, record, *shown)  # at the end: a recording that cannot be written loses nothing else
