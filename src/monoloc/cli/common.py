@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -40,7 +41,9 @@ SeedOption = Annotated[int, typer.Option("--seed", min=0, help="The same seed gi
 IntrinsicsOption = Annotated[
     str | None,
     typer.Option(
-        "--intrinsics", metavar="W,H,FX,FY,CX,CY", help="Of the colour images, where the files have none or err."
+        "--intrinsics",
+        metavar="W,H,FX,FY,CX,CY[,K1,K2,P1,P2,K3]",
+        help="Of the colour images, where the files have none or err; without K1 and so on, no distortion.",
     ),
 ]
 DepthScaleOption = Annotated[
@@ -53,25 +56,49 @@ RecordOption = Annotated[
 ]
 
 
+@contextmanager
+def naming(options: Mapping[str, str]) -> Iterator[None]:
+    """Problems of settings whose values came from options are those options': their names, by the settings'."""
+    try:
+        yield
+    except SettingError as error:
+        if error.field not in options:
+            raise
+        raise SettingError(options[error.field], error.problem, error.fix) from error
+
+
 def open_source(
-    source: str, frames: str, intrinsics: str | None = None, depth_scale: float | None = None
+    source: str,
+    frames: str,
+    intrinsics: str | None = None,
+    depth_scale: float | None = None,
+    frames_option: str = "--frames",
 ) -> Selection:
     """The chosen frames of a recording.
+
+    Args:
+        frames_option: by which they were chosen.
 
     Raises:
         DataError, SettingError: as the readers'.
     """
-    camera = None if intrinsics is None else _parse_camera(intrinsics)
-    return select_frames(open_recording(source, ReaderOptions(camera=camera, depth_scale=depth_scale)), frames)
+    with naming({"frames": frames_option, "camera": "--intrinsics", "depth_scale": "--depth-scale"}):
+        camera = None if intrinsics is None else _parse_camera(intrinsics)
+        return select_frames(open_recording(source, ReaderOptions(camera=camera, depth_scale=depth_scale)), frames)
 
 
 def _parse_camera(text: str) -> Camera:
     try:
         width, height, *rest = text.split(",")
-        fx, fy, cx, cy = (float(part) for part in rest)
-        return Camera(int(width), int(height), fx, fy, cx, cy)
+        fx, fy, cx, cy, *distortion = (float(part) for part in rest)
+        k1, k2, p1, p2, k3 = distortion or [0.0] * 5
+        return Camera(int(width), int(height), fx, fy, cx, cy, (k1, k2, p1, p2, k3))
     except ValueError as error:
-        raise SettingError("--intrinsics", f"is {text!r}", "write W,H,FX,FY,CX,CY in pixels") from error
+        fix = "write W,H,FX,FY,CX,CY in pixels, and K1,K2,P1,P2,K3 behind them for distortion"
+        raise SettingError("--intrinsics", f"is {text!r}", fix) from error
+    except SettingError as error:
+        part = error.field.removeprefix("camera.")
+        raise SettingError("--intrinsics", f"{part} {error.problem}", error.fix) from error
 
 
 def refuse_frames(frames: str, what: str) -> None:
@@ -184,19 +211,21 @@ def print_json(content: Mapping[str, object]) -> None:
 
 def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
     """A table for people: the result of a command without ``--json``, so on stdout."""
-    table = Table(title=title, title_justify="left", title_style="bold", header_style="")
+    table = Table(header_style="")
     for index, column in enumerate(columns):
         table.add_column(column, justify="left" if index == 0 else "right")
     for row in rows:
         table.add_row(*row)
-    Console(highlight=False, markup=False, emoji=False).print(table)
+    console = Console(highlight=False, markup=False, emoji=False)
+    console.print(title, style="bold", soft_wrap=True)  # not the table's own, which is wrapped to its width
+    console.print(table)
 
 
 def text_of(value: object) -> str:
-    """A value as a person reads it: three decimals, lists with commas, a dict's entries on lines."""
+    """A value as a person reads it: three decimals or digits, lists with commas, a dict's entries on lines."""
     if isinstance(value, float):
-        return f"{value:.3f}"
-    if isinstance(value, list):
+        return f"{value:.3f}" if abs(value) >= 0.1 else f"{value:.3g}"
+    if isinstance(value, (list, tuple)):
         return ", ".join(map(text_of, value))
     if isinstance(value, dict):
         return "\n".join(f"{name}: {text_of(item)}" for name, item in value.items())

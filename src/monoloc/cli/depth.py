@@ -21,6 +21,7 @@ from monoloc.cli.common import (
     check_folder,
     check_outputs,
     check_picture,
+    naming,
     open_source,
     print_json,
     print_table,
@@ -95,9 +96,10 @@ def train(
     if encoder is not None and start is not None:
         raise SettingError("--start", "and --encoder both say where to begin", "give one of them")
     require_plotting()
-    config = override(TrainConfig() if settings is None else load_settings(settings, TrainConfig), epochs=epochs)
+    with naming({"epochs": "--epochs"}):
+        config = override(TrainConfig() if settings is None else load_settings(settings, TrainConfig), epochs=epochs)
     training = [open_source(source, frames), *(open_source(other, "::") for other in also or ())]
-    validation = open_source(source, validate) if validate is not None else training[0]
+    validation = open_source(source, validate, frames_option="--validate") if validate is not None else training[0]
     # Under torchrun, the first process of a run judges, writes and speaks.
     progress = ConsoleProgress(stderr) if os.environ.get("RANK", "0") == "0" else NoProgress()
 

@@ -20,6 +20,7 @@ from monoloc.cli.common import (
     check_outputs,
     check_picture,
     check_viewing,
+    naming,
     open_source,
     print_json,
     print_table,
@@ -30,7 +31,7 @@ from monoloc.cli.common import (
 from monoloc.config import override
 from monoloc.evaluation.clouds import COMPARED_POINTS, compare_clouds
 from monoloc.evaluation.map_drawing import plot_map_change
-from monoloc.map.cloud_files import read_cloud
+from monoloc.map.cloud_files import CLOUD_SUFFIXES, read_cloud
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import ConsoleProgress
 from monoloc.viewer import show_map_change
@@ -41,12 +42,12 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-_CLOUD_SUFFIXES = {".ply", ".pcd", ".xyz", ".npz"}
-
 
 @app.command()
 def fit(
-    source: Annotated[str, typer.Argument(help="A recording, or a cloud (ply, pcd, xyz, npz).", show_default=False)],
+    source: Annotated[
+        str, typer.Argument(help="A recording, or a cloud (ply, pcd, xyz, txt, npz).", show_default=False)
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", help="The map to write, NAME.npz.")],
     frames: FramesOption = "::",
     components: Annotated[str, typer.Option("--components", "-k", help="Gaussians, or 'bic' to choose.")] = "200",
@@ -61,13 +62,14 @@ def fit(
       monoloc map fit room.ply -k bic --out room.npz
     """
     check_outputs({"--out": out}, (source,))
-    config = override(BuildConfig(), components=components)
-    is_cloud = Path(source).suffix.lower() in _CLOUD_SUFFIXES
+    is_cloud = Path(source).suffix.lower() in CLOUD_SUFFIXES
     if is_cloud:
         refuse_frames(frames, "a cloud")
-    cloud = read_cloud(Path(source)) if is_cloud else None
-    recording = None if cloud is not None else open_source(source, frames)
-    cloud, mixture = fit_map(recording, cloud, config, np.random.default_rng(seed), ConsoleProgress(stderr))
+    with naming({"components": "--components"}):
+        config = override(BuildConfig(), components=components)
+        cloud = read_cloud(Path(source)) if is_cloud else None
+        recording = None if cloud is not None else open_source(source, frames)
+        cloud, mixture = fit_map(recording, cloud, config, np.random.default_rng(seed), ConsoleProgress(stderr))
     mixture.save(out)
     fitted = {
         "map": str(out),
