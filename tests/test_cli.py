@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import re
@@ -126,6 +127,10 @@ def test_help_says_what_it_does_and_gives_examples_first(capfd, command):
     first = text[examples:].splitlines()[1]
     assert first.startswith(f"    {name}")
     assert "--json" in text
+
+
+def test_version(capfd):
+    assert succeeds(capfd, "--version") == f"monoloc {__version__}\n"
 
 
 def test_help_lists_every_command(capfd):
@@ -864,8 +869,11 @@ def test_what_can_only_be_run_is_not_tuned_and_this_is_said(capfd, here):
 # --- Ctrl-C, and faults of ours ---
 
 
-@pytest.mark.parametrize("older", [False, True])
-def test_interrupted_build_leaves_nothing_half_written(here, older):
+@pytest.mark.parametrize(
+    ("number", "older"),
+    [(signal.SIGINT, False), (signal.SIGINT, True), (signal.SIGTERM, False), (signal.SIGHUP, True)],
+)
+def test_interrupted_build_leaves_nothing_half_written(here, number, older):
     if not older:
         shutil.rmtree(here / "room.monoloc")
     before = listing(here)
@@ -878,17 +886,93 @@ def test_interrupted_build_leaves_nothing_half_written(here, older):
         stdout=subprocess.PIPE,
         text=True,
         cwd=here,
-        # Where the tests run in the background of a shell, Ctrl-C is ignored, which is inherited.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        # Where the tests run in the background of a shell or under nohup, signals are ignored, which is inherited.
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
     )
     assert process.stderr.readline().startswith("cloud: done")
     time.sleep(0.3)
     assert process.poll() is None, "the build ended before it could be interrupted"
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert out == "" and err == "monoloc: interrupted; nothing half-written is left\n"
     assert listing(here) == before
+
+
+def test_an_interrupted_write_leaves_no_partial_file(here):
+    """Of a file, which is written beside its place first."""
+    code = (
+        "import os, signal, pathlib, numpy as np\n"
+        "from monoloc.cli import app, main\n"
+        "from monoloc.outputs.tum import write_tum\n"
+        "write = pathlib.Path.write_bytes\n"
+        "def stopped(path, content):\n"
+        "    write(path, content[:10])\n"
+        "    os.kill(os.getpid(), signal.SIGTERM)\n"
+        "pathlib.Path.write_bytes = stopped\n"
+        "app.carry_out = lambda _: write_tum('way.txt', [0.0], np.eye(4)[None])\n"
+        "main.run()"
+    )
+    before = listing(here)
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=here, check=False)
+    assert (result.returncode, result.stderr) == (130, "monoloc: interrupted; nothing half-written is left\n")
+    assert listing(here) == before
+
+
+def test_ctrl_c_is_heard_while_the_rest_is_imported(here):
+    """Even where a library makes a failure of its own of it, as ONNX Runtime does."""
+    code = (
+        "import os, signal, sys\n"
+        "class Interrupted:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'onnxruntime':\n"
+        "            try:\n"
+        "                os.kill(os.getpid(), signal.SIGINT)\n"
+        "            except KeyboardInterrupt as error:\n"
+        "                raise ImportError('initialization failed') from error\n"
+        "sys.meta_path.insert(0, Interrupted())\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from monoloc.cli.main import run; run()"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=here, check=False)
+    assert (result.returncode, result.stderr) == (130, "monoloc: interrupted; nothing half-written is left\n")
+
+
+def test_nohup_is_heeded(here):
+    code = (
+        "import signal; from monoloc.cli.main import run\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+        "try: run()\n"
+        "finally: print(signal.getsignal(signal.SIGHUP) is signal.SIG_IGN)"
+    )
+    command = [sys.executable, "-c", code, "--version"]
+    told = subprocess.run(command, capture_output=True, text=True, cwd=here, check=True).stdout
+    assert told.splitlines()[1] == "True"
+
+
+def test_a_terminal_without_a_degree_sign_gets_another(here):
+    code = "from monoloc.cli.main import run; run()"
+    command = [sys.executable, "-c", code, "localize", "room.monoloc", "walk"]
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    result = subprocess.run(command, capture_output=True, text=True, cwd=here, env=environment, check=False)
+    assert result.returncode == 0, result.stderr
+    assert re.search(r"\d\.\d\?", result.stdout)
+
+
+@pytest.mark.parametrize(
+    "command", [("inspect", "walk"), ("localize", "room.monoloc", "walk"), ("evaluate", "walk/poses.txt", "walk")]
+)
+def test_what_may_not_be_read_is_named(capfd, here, monkeypatch, command):
+    """As folders without permissions are, whose files cannot even be asked for; root, whom tests may be, can."""
+
+    def closed(path: Path) -> bool:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "exists", closed)
+    monkeypatch.setattr(Path, "is_file", closed)
+    assert invoke(list(command)) == 2
+    (line,) = capfd.readouterr().err.splitlines()
+    assert re.fullmatch(r"monoloc: (walk|room.monoloc)\S*: Permission denied; check that .* you may use it", line)
 
 
 def test_a_fault_of_ours_is_no_bad_input(here, monkeypatch):
