@@ -372,6 +372,10 @@ def test_too_few_frames(capfd, here):
 )
 def test_impossible_frames(capfd, here, frames, problem):
     refused(capfd, here, ("localize", "room.monoloc", "walk", "--frames", frames), "--frames", problem)
+    train = ("depth", "train", "walk", "--out", "run", "--validate", frames)
+    refused(capfd, here, train, "--validate", problem)
+    evaluate = ("depth", "evaluate", "room.monoloc", "walk", "--frames", frames)
+    refused(capfd, here, evaluate, "--frames", problem)
 
 
 def test_depth_scale_that_leaves_nothing(capfd, here):

@@ -39,6 +39,7 @@ def made(tmp_path_factory) -> Path:
 def here(made, tmp_path, monkeypatch) -> Path:
     shutil.copytree(made, tmp_path, dirs_exist_ok=True)
     (tmp_path / "link.txt").symlink_to("room.xyz")
+    (tmp_path / "run").mkdir()
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -61,6 +62,11 @@ FLIGHT = ("localize", "room.monoloc", "fl.mp4")
         (("build", "walk", "--network", "room.monoloc", "--out", "room.monoloc"), "--out", "is read by this command"),
         ((*LOCALIZE, "--out", "a.png", "--plot", "./a.png"), "--plot", "a.png is what --out writes"),
         ((*LOCALIZE, "--out", "a", "--record", "walk/../a"), "--record", "a is what --out writes"),
+        (
+            ("depth", "train", "walk", "--start", "run/network.safetensors", "--out", "run"),
+            "--out",
+            "run/network.safetensors is read by this command",
+        ),
         ((*LOCALIZE, "--plot", "way.pdf"), "--plot", "way.pdf is a PNG by another name"),
         (("map", "compare", "room.monoloc", "--out", "a.jpg"), "--out", "a.jpg is a PNG by another name"),
         (("depth", "evaluate", "tiny-0.35", "walk", "--plot", "a"), "--plot", "a is a PNG by another name"),

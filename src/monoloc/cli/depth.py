@@ -18,6 +18,7 @@ from monoloc.cli.common import (
     IntrinsicsOption,
     JsonOption,
     SourceArgument,
+    check_apart,
     check_folder,
     check_outputs,
     check_picture,
@@ -93,6 +94,7 @@ def train(
     with training_extra():
         from monoloc.depth.train import EpochRecord, TrainConfig, train_network
     check_folder(out, "--out")
+    check_apart(out / "network.safetensors", "--out", (start,))
     if encoder is not None and start is not None:
         raise SettingError("--start", "and --encoder both say where to begin", "give one of them")
     require_plotting()
