@@ -41,6 +41,7 @@ def here(made, tmp_path, monkeypatch) -> Path:
     (tmp_path / "link.txt").symlink_to("room.xyz")
     (tmp_path / "run").mkdir()
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
     return tmp_path
 
 
@@ -60,6 +61,11 @@ FLIGHT = ("localize", "room.monoloc", "fl.mp4")
         (("map", "fit", "room.xyz", "--out", "link.txt"), "--out", "link.txt is read by this command"),
         (("depth", "export", "fl.mp4", "--out", "fl.mp4"), "--out", "fl.mp4 is read by this command"),
         (("build", "walk", "--network", "room.monoloc", "--out", "room.monoloc"), "--out", "is read by this command"),
+        (
+            ("localize", "room.monoloc", "video:~/fl.mp4", "--out", "fl.mp4"),
+            "--out",
+            "fl.mp4 is read by this command",
+        ),
         ((*LOCALIZE, "--out", "a.png", "--plot", "./a.png"), "--plot", "a.png is what --out writes"),
         ((*LOCALIZE, "--out", "a", "--record", "walk/../a"), "--record", "a is what --out writes"),
         (
@@ -109,6 +115,11 @@ def test_links_are_written_through(capfd, here):
         "way.rrd",
         "way.txt",
     ]
+
+
+def test_a_source_that_leads_nowhere_is_the_readers_to_refuse(capfd, here):
+    Path("loop").symlink_to("loop")
+    refused(capfd, here, ("localize", "room.monoloc", "loop", "--out", "way.txt"), "loop", "does not exist", "path")
 
 
 def test_a_file_may_be_written_again_and_beside_its_source(capfd, here):

@@ -16,7 +16,7 @@ from rich.table import Table
 from monoloc.camera import Camera
 from monoloc.datasets.base import Selection
 from monoloc.datasets.options import ReaderOptions
-from monoloc.datasets.registry import absolute_source, open_recording, select_frames
+from monoloc.datasets.registry import open_recording, select_frames
 from monoloc.errors import SettingError
 from monoloc.extras import require_plotting, require_viewing
 from monoloc.files import json_text, target_of
@@ -146,14 +146,13 @@ def check_apart(path: Path, option: str, inputs: Sequence[str | Path | None]) ->
         SettingError: naming the option.
     """
     target = target_of(path)
-    for given in inputs:
-        if given is None:
-            continue
-        source = Path("/" + absolute_source(str(given)).partition("/")[2])  # of FORMAT:/PATH, too
-        if source == target:
+    texts = [str(given) for given in inputs if given is not None]
+    for text in (*texts, *(text.partition(":")[2] for text in texts)):  # PATH or FORMAT:PATH
+        source = Path(os.path.realpath(os.path.expanduser(text)))  # noqa: PTH111 - pathlib's raise for odd paths
+        if text and source == target:
             raise SettingError(option, f"{path} is read by this command", "name another place")
-        if source in target.parents and (source / "manifest.json").is_file():
-            raise SettingError(option, f"{path} lies in the bundle {given}", "name another place")
+        if text and source in target.parents and (source / "manifest.json").is_file():
+            raise SettingError(option, f"{path} lies in the bundle {text}", "name another place")
 
 
 def check_picture(path: Path | None, option: str) -> None:
