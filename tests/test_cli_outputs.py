@@ -127,6 +127,7 @@ def test_a_file_may_be_written_again_and_beside_its_source(capfd, here):
         assert json_of(capfd, *LOCALIZE, "--out", "walk/way.txt")["frames"] == FRAMES
 
 
+@pytest.mark.slow
 def test_each_output_is_written_whatever_becomes_of_the_others(capfd, here, monkeypatch):
     """As on a full disk, which is found out after the work."""
 
