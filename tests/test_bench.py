@@ -160,7 +160,7 @@ def test_what_is_timed_needs_neither_torch_nor_matplotlib() -> None:
     [
         (("kernels", "nowhere"), "nowhere: .*"),
         (("kernels", "--frames", "::2"), "--frames: has no meaning for a made-up room; leave it out"),
-        (("map", "walk", "--frames", "x"), "frames: 'x' is not START:STOP:STEP; .*"),
+        (("map", "walk", "--frames", "x"), "--frames: 'x' is not START:STOP:STEP; .*"),
         (("pipeline", "walk", "--bundle", "nowhere"), "nowhere: is not a bundle .*; .*monoloc build"),
         (("pipeline",), "Missing argument 'SOURCE'.*"),
     ],

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import errno
 import io
-import json
 import os
 import re
 import shutil
@@ -15,7 +15,6 @@ import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -23,6 +22,8 @@ import pytest
 from rich.console import Console
 
 import synthetic_recordings as synthetic
+from cli_helpers import json_of, listing, refused, succeeds
+from monoloc import __version__
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.cli.main import invoke
 from monoloc.evaluation.trajectory import summarise
@@ -109,40 +110,6 @@ def here(made, tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
-def listing(folder: Path) -> dict[str, bytes | None]:
-    return {str(p.relative_to(folder)): p.read_bytes() if p.is_file() else None for p in sorted(folder.rglob("*"))}
-
-
-def succeeds(capfd, *arguments: str) -> str:
-    """Run a command that must succeed; returns its stdout."""
-    capfd.readouterr()
-    code = invoke(list(arguments))
-    out, err = capfd.readouterr()
-    assert code == 0, err
-    return out
-
-
-def json_of(capfd, *arguments: str) -> dict[str, Any]:
-    """The one JSON object on stdout of a command that must succeed."""
-    result = json.loads(succeeds(capfd, *arguments, "--json"))
-    assert isinstance(result, dict)
-    return result
-
-
-def refused(capfd, folder: Path, arguments: tuple[str, ...], names: str, problem: str, fix: str = "") -> None:
-    """The command ends with exit code 2 and one line (what it names, the problem, the fix), and leaves no trace."""
-    before = listing(folder)
-    capfd.readouterr()
-    code = invoke(list(arguments))
-    out, err = capfd.readouterr()
-    lines = [line for line in err.splitlines() if not re.fullmatch(r"[a-z: ]+: done in [\d.]+ s", line)]
-    assert code == 2, err
-    assert out == ""
-    assert len(lines) == 1, err
-    assert re.fullmatch(f"monoloc: {re.escape(names)}.*{problem}.*; .*{fix}.*", lines[0]), lines[0]
-    assert listing(folder) == before
-
-
 # --- Help ---
 
 
@@ -160,6 +127,10 @@ def test_help_says_what_it_does_and_gives_examples_first(capfd, command):
     first = text[examples:].splitlines()[1]
     assert first.startswith(f"    {name}")
     assert "--json" in text
+
+
+def test_version(capfd):
+    assert succeeds(capfd, "--version") == f"monoloc {__version__}\n"
 
 
 def test_help_lists_every_command(capfd):
@@ -199,7 +170,14 @@ def test_examples_in_help_have_options_that_exist(capfd):
         (("localize", "room.monoloc"), "Missing argument 'SOURCE'. (see: monoloc localize --help)"),
         (("build", "walk", "--out", "x", "--tune", "most"), "'--tune'.*'none', 'last', 'decoder'.*build --help"),
         (("localize", "room.monoloc", "walk", "--seed", "-1"), "'--seed'.*greater than or equal to 0"),
-        (("localize", "room.monoloc", "walk", "--start-error-cm", "nan"), "'--start-error-cm'"),
+        *(
+            (("localize", "room.monoloc", "walk", "--start-error-cm", v), "'--start-error-cm'")
+            for v in ("nan", "inf", "1e6")
+        ),
+        *(
+            (("localize", "room.monoloc", "walk", "--start-error-deg", v), "'--start-error-deg'")
+            for v in ("inf", "181")
+        ),
         (("localize", "room.monoloc", "walk", "--motion", "jump"), "'--motion'.*'visual', 'random-walk'"),
         (("localize", "room.monoloc", "walk", "--depth", "lidar"), "'--depth'.*'predicted', 'sensor'"),
     ],
@@ -330,10 +308,38 @@ def test_intrinsics_that_do_not_fit_the_image(capfd, here):
     refused(capfd, here, ("inspect", "walk"), "walk/dataset.toml", problem, "belong to this image size")
 
 
-@pytest.mark.parametrize("text", ["640,480,525", "a,b,c,d,e,f", "nan,480,525,525,320,240", "320.5,256,1,1,1,1", ""])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "640,480,525",
+        "a,b,c,d,e,f",
+        "nan,480,525,525,320,240",
+        "320.5,256,1,1,1,1",
+        "",
+        "64,48,50,50,31,23,0.1",
+        "64,48,50,50,31,23,0,0,0,0,0,0",
+    ],
+)
 def test_intrinsics_that_are_no_numbers(capfd, here, text):
     command = ("localize", "room.monoloc", "walk", "--intrinsics", text)
-    refused(capfd, here, command, "--intrinsics", f"is '{text}'", "W,H,FX,FY,CX,CY")
+    refused(capfd, here, command, "--intrinsics", f"is '{text}'", "W,H,FX,FY,CX,CY.*K1,K2,P1,P2,K3")
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("64,48,0,50,31,23", r"fx/fy is \(0.0, 50.0\)"),
+        ("64,48,50,50,99,23", r"cx/cy \(99.0, 23.0\) lies outside"),
+        ("0,48,50,50,31,23", "width/height is 0x48"),
+        ("64,48,50,50,31,23,-9,0,0,0,0", "distortion .*folds the image"),
+        ("160,128,136,136,79.5,63.5", "is for 160x128, but flight.avi is 64x48"),
+    ],
+)
+def test_intrinsics_that_are_no_camera(capfd, here, text, problem):
+    synthetic.write_video(here / "flight.avi")
+    refused(capfd, here, ("inspect", "flight.avi", "--intrinsics", text), "--intrinsics", problem)
+    given = ("build", "nyu:walk", "--out", "x.monoloc", "--depth-scale", "5")
+    refused(capfd, here, given, "--depth-scale", "has no meaning for a nyu recording", "leave this option out")
 
 
 @pytest.mark.slow
@@ -365,14 +371,18 @@ def test_too_few_frames(capfd, here):
     ("frames", "problem"), [("90:", "selects none of the 10"), ("wat", "is not START:STOP:STEP")]
 )
 def test_impossible_frames(capfd, here, frames, problem):
-    refused(capfd, here, ("localize", "room.monoloc", "walk", "--frames", frames), "frames", problem)
+    refused(capfd, here, ("localize", "room.monoloc", "walk", "--frames", frames), "--frames", problem)
+    train = ("depth", "train", "walk", "--out", "run", "--validate", frames)
+    refused(capfd, here, train, "--validate", problem)
+    evaluate = ("depth", "evaluate", "room.monoloc", "walk", "--frames", frames)
+    refused(capfd, here, evaluate, "--frames", problem)
 
 
 def test_depth_scale_that_leaves_nothing(capfd, here):
     command = ("build", "walk", "--out", "x.monoloc", *QUICK, "--depth-scale", "1")
     refused(capfd, here, command, "walk", "has no depth between 0 and", "check the depth scale")
     command = (*command[:-1], "0")
-    refused(capfd, here, command, "depth_scale", "is 0.0", "> 0")
+    refused(capfd, here, command, "--depth-scale", "is 0.0", "> 0")
 
 
 def test_frames_of_what_has_none(capfd, here):
@@ -443,18 +453,42 @@ def test_file_that_is_no_trajectory(capfd, here):
     refused(capfd, here, ("evaluate", "walk/dataset.toml", "walk"), "walk/dataset.toml", "line 1 has 3 columns", "8")
 
 
-def test_truth_that_goes_back_in_time(capfd, here):
-    write_tum(here / "way.txt", [1.0, 0.0], np.tile(np.eye(4), (2, 1, 1)))
-    command = ("evaluate", "way.txt", "way.txt")
-    refused(capfd, here, command, "way.txt", "the time stamp of entry 2 does not increase", "by time")
+@pytest.mark.parametrize("times", [(1.0, 0.0), (1.0, 1.0)])
+def test_trajectory_that_does_not_go_on_in_time(capfd, here, times):
+    write_tum(here / "way.txt", times, np.tile(np.eye(4), (2, 1, 1)))
+    for command in (("evaluate", "way.txt", "walk"), ("evaluate", "walk/poses.txt", "way.txt")):
+        refused(capfd, here, command, "way.txt", "the time stamp of entry 2 does not increase", "by time")
+
+
+@pytest.mark.parametrize("name", ["gt", "gt.csv"])
+def test_truth_of_another_name(capfd, here, name):
+    shutil.copy(here / "walk" / "poses.txt", here / name)
+    refused(capfd, here, ("evaluate", "walk/poses.txt", name), name, "is not recognised", "NAME.txt if it is a TUM")
 
 
 def test_trajectory_of_another_clock(capfd, here):
     write_tum(here / "way.txt", [1e6, 1e6 + 1], np.tile(np.eye(4), (2, 1, 1)))
-    refused(capfd, here, ("evaluate", "way.txt", "walk"), "way.txt", "has no pose within 0.02 s", "same clock")
+    command = ("evaluate", "way.txt", "walk")
+    refused(capfd, here, command, "way.txt", "has no pose within 0.02 s", "same clock$")
+    refused(
+        capfd, here, (*command, "--frames", "2:"), "way.txt", "has no pose within", "same clock, and that --frames"
+    )
 
 
-@pytest.mark.parametrize("start", ["1,2,3", "0,0,0,0,0,0,0", "nan,0,0,0,0,0,1", "here"])
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "start",
+    [
+        "1,2,3",
+        "0,0,0,0,0,0,0",
+        "nan,0,0,0,0,0,1",
+        "here",
+        "1e300,0,0,0,0,0,1",
+        "0,-1e7,0,0,0,0,1",
+        "0,0,0,0,0,0,1.02",
+        "0,0,0,0,0,0,1e300",
+    ],
+)
 def test_start_that_is_no_pose(capfd, here, start):
     refused(
         capfd, here, ("localize", "room.monoloc", "walk", "--start", start), "--start", f"is '{start}'", "TX,TY,TZ"
@@ -517,10 +551,10 @@ def test_missing_settings_file(capfd, here):
 @pytest.mark.parametrize(
     ("options", "field", "problem"),
     [
-        (("-k", "0"), "components", "greater than or equal to 1, or .*'bic'"),
-        (("-k", "forty"), "components", "valid integer.*or .*'bic'"),
-        (("--lambda", "nan"), "adapt.lambda_kl", "greater than or equal to 0"),
-        (("-k", "1000000", *PLAIN), "components", "is 1000000 for a cloud of"),
+        (("-k", "0"), "--components", "greater than or equal to 1, or .*'bic'"),
+        (("-k", "forty"), "--components", "valid integer.*or .*'bic'"),
+        (("--lambda", "nan"), "--lambda", "greater than or equal to 0"),
+        (("-k", "1000000", *PLAIN), "--components", "is 1000000 for a cloud of"),
     ],
 )
 def test_option_of_build_out_of_range(capfd, here, options, field, problem):
@@ -530,7 +564,14 @@ def test_option_of_build_out_of_range(capfd, here, options, field, problem):
 @pytest.mark.parametrize("option", ["--particles", "--scan-points"])
 def test_option_of_localize_out_of_range(capfd, here, option):
     command = ("localize", "room.monoloc", "walk", option, "3")
-    refused(capfd, here, command, option[2:].replace("-", "_"), "greater than or equal to 10", "--help")
+    refused(capfd, here, command, option, "greater than or equal to 10", "--help")
+
+
+def test_a_value_of_the_settings_file_is_not_called_an_option(capfd, here):
+    (here / "s.toml").write_text("components = 1000000\n")
+    command = ("build", "walk", "--out", "x.monoloc", "--settings", "s.toml", *PLAIN)
+    refused(capfd, here, command, "components", "is 1000000 for a cloud of")
+    refused(capfd, here, (*command, "-k", "2000000"), "--components", "is 2000000 for a cloud of")
 
 
 def test_settings_are_taken_and_options_go_before_them(capfd, here):
@@ -556,7 +597,7 @@ def test_build_and_localize(capfd, here, recording):
     # The room's own map: its means lie near the surfaces that were seen.
     assert np.median(Room().distance_m(bundle.adapted.means)) < 0.05
     metrics = json_of(capfd, "localize", "x.monoloc", "walk", "--depth", "sensor", "--out", "way.txt")
-    assert metrics["unseen_frames"] == FRAMES // 2
+    assert metrics["unseen_frames"] == FRAMES // 2 and metrics["depth"] == "sensor"
     assert read_tum(here / "way.txt")[1].shape == (FRAMES, 4, 4)
 
 
@@ -571,7 +612,7 @@ def test_build_knows_where_down_is_and_what_refining_moved(capfd, here):
     (here / "walk" / "dataset.toml").write_text(re.sub(r"depth = .*\n", "", text))
     np.savetxt(here / "room.xyz", Room().cloud(0.04))
     build = ("build", "walk", "--cloud", "room.xyz", "--refine-poses", "--out", "y.monoloc", *QUICK)
-    refused(capfd, here, build, "refine_poses", "needs depth", "leave it out")
+    refused(capfd, here, build, "--refine-poses", "needs depth", "leave it out")
 
 
 def test_localize_gives_all_figures(capfd, here, recording):
@@ -579,6 +620,8 @@ def test_localize_gives_all_figures(capfd, here, recording):
     metrics = json_of(capfd, *command)
     assert set(metrics) >= LOCALIZE_KEYS | {f"unseen_{key}" for key in ACCURACY_KEYS} | {"unseen_frames", "states"}
     assert metrics["frames"] == FRAMES and metrics["unseen_frames"] == FRAMES // 2
+    told = {"bundle": "room.monoloc", "source": "walk", "seed": 3, "depth": "network"}
+    assert {name: metrics[name] for name in told} == told
     assert metrics["motion"] == "visual" and metrics["particles"] == 1000 and metrics["scan_points"] == 300
     assert sum(metrics["states"].values()) == FRAMES
     assert metrics["depth_absrel"] < 0.02 and metrics["depth_delta1"] > 0.98
@@ -623,12 +666,15 @@ def test_localize_from_a_given_start_without_truth(capfd, here, recording):
 
 def test_localize_for_people(capfd, here):
     out = succeeds(capfd, "localize", "room.monoloc", "walk", "--out", "way.txt", "--plot", "way.png")
-    assert re.search(r"all frames.* cm .*°", out) and "unseen" in out
+    assert re.search(r"all .* cm .*°.* %.* %", out) and "unseen" in out and "coverage" in out
     picture = cv2.imread("way.png")
     assert picture is not None and min(picture.shape[:2]) > 300
     assert invoke(["localize", "room.monoloc", "walk", "--out", "way.txt"]) == 0
     err = capfd.readouterr().err
     assert "written: way.txt" in err
+    states = json_of(capfd, "localize", "room.monoloc", "walk")["states"]
+    told = ", ".join(f"{states.get(state, 0)} {state}" for state in ("tracking", "uncertain", "lost"))
+    assert f"{FRAMES} frames: {told}; " in err
 
 
 def test_plot_without_matplotlib_is_refused_before_the_work(capfd, here, monkeypatch):
@@ -641,18 +687,23 @@ def test_evaluate_agrees_with_localize(capfd, here):
     metrics = json_of(capfd, "localize", "room.monoloc", "walk", "--out", "way.txt")
     for truth in ("walk", "walk/poses.txt"):
         evaluated = json_of(capfd, "evaluate", "way.txt", truth)
-        assert evaluated["frames"] == FRAMES and evaluated["unmatched"] == 0
+        assert evaluated["frames"] == FRAMES and evaluated["unmatched"] == evaluated["missed"] == 0
         for key in ACCURACY_KEYS:
             assert evaluated[key] == pytest.approx(metrics[key], abs=1e-6)
         assert 0.0 < evaluated["rpe_rmse_m"] < 0.05 and 0.0 < evaluated["rpe_rot_rmse_deg"] < 2.0
     some = json_of(capfd, "evaluate", "way.txt", "walk", "--frames", "0:4")
-    assert some["frames"] == 4 and some["unmatched"] == FRAMES - 4
+    assert some["frames"] == 4 and some["unmatched"] == FRAMES - 4 and some["missed"] == 0
+    times, poses = read_tum(here / "way.txt")
+    write_tum(here / "half.txt", times[::2], poses[::2])
+    half = json_of(capfd, "evaluate", "half.txt", "walk")
+    assert half["frames"] == half["missed"] == FRAMES // 2 and half["unmatched"] == 0
+    assert re.search(rf"missed +│ +{FRAMES // 2} ", succeeds(capfd, "evaluate", "half.txt", "walk"))
 
 
 def test_long_trajectories_are_matched_without_a_table_of_all_pairs(capfd, here):
     times, poses = np.arange(2000) / 100.0, np.tile(np.eye(4), (2000, 1, 1))
     write_tum(here / "truth.txt", times, poses)
-    write_tum(here / "way.txt", times[::-1] + 0.004, poses)
+    write_tum(here / "way.txt", times + 0.004, poses)
     tracemalloc.start()
     metrics = json_of(capfd, "evaluate", "way.txt", "truth.txt")
     peak = tracemalloc.get_traced_memory()[1]
@@ -675,6 +726,22 @@ def test_inspect_a_bundle(capfd, here):
     assert content["map_bytes"] == 250 * 40
     assert content["bytes"] == sum(file.stat().st_size for file in (here / "room.monoloc").iterdir())
     assert np.allclose(content["size_m"], [5.0, 2.6, 5.0], atol=0.6)  # of the room, as far as Gaussians tell
+    assert content["monoloc_version"] == __version__
+    assert content["image"] == [160, 128] and content["intrinsics"] == [136.0, 136.0, 79.5, 63.5]
+    assert content["distortion"] == [0.0] * 5
+
+
+def test_tables_for_people_are_rounded_and_their_titles_whole(capfd, here):
+    bundle = read_bundle(here / "room.monoloc")
+    path = "a-room-whose-name-is-longer-than-the-table-below-it-is-wide.monoloc"
+    write_bundle(
+        here / path,
+        replace(
+            bundle, provenance=bundle.provenance.model_copy(update={"down_world": (1 / 3, -0.1234567, 0.0123456)})
+        ),
+    )
+    assert " 0.333, -0.123, 0.0123 " in succeeds(capfd, "inspect", path)
+    assert succeeds(capfd, "map", "info", path).startswith(f"{path}\n")
 
 
 def test_inspect_a_video(capfd, here):
@@ -682,6 +749,13 @@ def test_inspect_a_video(capfd, here):
     content = json_of(capfd, "inspect", "flight.avi", "--intrinsics", "64,48,50,50,31,23")
     assert content["frames"] == 6 and content["intrinsics"] == [50.0, 50.0, 31.0, 23.0]
     assert not content["has_poses"] and not content["has_depth"]
+
+
+def test_inspect_shows_distortion(capfd, here):
+    synthetic.write_video(here / "flight.avi")
+    inspect = ("inspect", "flight.avi", "--intrinsics", "64,48,50,50,31,23,-0.08,0.01,0.001,-0.002,0.0004")
+    assert json_of(capfd, *inspect)["distortion"] == [-0.08, 0.01, 0.001, -0.002, 0.0004]
+    assert "-0.08, 0.01, 0.001, -0.002, 0.0004" in succeeds(capfd, *inspect)
 
 
 def test_inspect_checks_that_a_recording_s_files_are_there(capfd, here):
@@ -715,6 +789,8 @@ def test_map_fit_and_info(capfd, here):
     (here / "room.xyz").write_text("\n".join(" ".join(f"{x:.4f}" for x in point) for point in cloud))
     of_cloud = json_of(capfd, "map", "fit", "room.xyz", "--out", "cloud.npz", "-k", "20")
     assert of_cloud["components"] == 20
+    shutil.copy(here / "room.xyz", here / "room.txt")
+    assert json_of(capfd, "map", "fit", "room.txt", "--out", "cloud.npz", "-k", "20") == of_cloud
 
 
 def test_map_compare(capfd, here):
@@ -779,14 +855,29 @@ def test_a_bundle_can_carry_its_network_in_eight_bits(capfd, here):
     exact, rounded = (json_of(capfd, "depth", "evaluate", f"{name}.monoloc", "walk") for name in ("wide", "small"))
     assert rounded["absrel"] == pytest.approx(exact["absrel"], abs=0.05)
     twice = ("build", "walk", "--out", "no.monoloc", *untuned[:-1], "tiny-0.35-int8", "--int8")
-    refused(capfd, here, twice, "int8", "cannot be quantised", "32 bits")
+    refused(capfd, here, twice, "--int8", "cannot be quantised", "32 bits")
+
+
+def test_what_can_only_be_run_is_not_tuned_and_this_is_said(capfd, here):
+    build = ("build", "walk", "--out", "x.monoloc", "-k", "30", "--network", "tiny-0.35-int8")
+    remark = (
+        "tiny-0.35-int8 can only be run: nothing of it was tuned; "
+        "for a tuned one in 8 bits: --network tiny-0.35 --int8"
+    )
+    assert json_of(capfd, *build)["warnings"][0] == remark
+    assert remark not in json_of(capfd, *build, "--tune", "none")["warnings"]
+    of_bundle = json_of(capfd, *build[:-1], "room.monoloc")["warnings"]
+    assert of_bundle[0] == "room.monoloc can only be run: nothing of it was tuned"
 
 
 # --- Ctrl-C, and faults of ours ---
 
 
-@pytest.mark.parametrize("older", [False, True])
-def test_interrupted_build_leaves_nothing_half_written(here, older):
+@pytest.mark.parametrize(
+    ("number", "older"),
+    [(signal.SIGINT, False), (signal.SIGINT, True), (signal.SIGTERM, False), (signal.SIGHUP, True)],
+)
+def test_interrupted_build_leaves_nothing_half_written(here, number, older):
     if not older:
         shutil.rmtree(here / "room.monoloc")
     before = listing(here)
@@ -799,17 +890,93 @@ def test_interrupted_build_leaves_nothing_half_written(here, older):
         stdout=subprocess.PIPE,
         text=True,
         cwd=here,
-        # Where the tests run in the background of a shell, Ctrl-C is ignored, which is inherited.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        # Where the tests run in the background of a shell or under nohup, signals are ignored, which is inherited.
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
     )
     assert process.stderr.readline().startswith("cloud: done")
     time.sleep(0.3)
     assert process.poll() is None, "the build ended before it could be interrupted"
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert out == "" and err == "monoloc: interrupted; nothing half-written is left\n"
     assert listing(here) == before
+
+
+def test_an_interrupted_write_leaves_no_partial_file(here):
+    """Of a file, which is written beside its place first."""
+    code = (
+        "import os, signal, pathlib, numpy as np\n"
+        "from monoloc.cli import app, main\n"
+        "from monoloc.outputs.tum import write_tum\n"
+        "write = pathlib.Path.write_bytes\n"
+        "def stopped(path, content):\n"
+        "    write(path, content[:10])\n"
+        "    os.kill(os.getpid(), signal.SIGTERM)\n"
+        "pathlib.Path.write_bytes = stopped\n"
+        "app.carry_out = lambda _: write_tum('way.txt', [0.0], np.eye(4)[None])\n"
+        "main.run()"
+    )
+    before = listing(here)
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=here, check=False)
+    assert (result.returncode, result.stderr) == (130, "monoloc: interrupted; nothing half-written is left\n")
+    assert listing(here) == before
+
+
+def test_ctrl_c_is_heard_while_the_rest_is_imported(here):
+    """Even where a library makes a failure of its own of it, as ONNX Runtime does."""
+    code = (
+        "import os, signal, sys\n"
+        "class Interrupted:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'onnxruntime':\n"
+        "            try:\n"
+        "                os.kill(os.getpid(), signal.SIGINT)\n"
+        "            except KeyboardInterrupt as error:\n"
+        "                raise ImportError('initialization failed') from error\n"
+        "sys.meta_path.insert(0, Interrupted())\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from monoloc.cli.main import run; run()"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=here, check=False)
+    assert (result.returncode, result.stderr) == (130, "monoloc: interrupted; nothing half-written is left\n")
+
+
+def test_nohup_is_heeded(here):
+    code = (
+        "import signal; from monoloc.cli.main import run\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+        "try: run()\n"
+        "finally: print(signal.getsignal(signal.SIGHUP) is signal.SIG_IGN)"
+    )
+    command = [sys.executable, "-c", code, "--version"]
+    told = subprocess.run(command, capture_output=True, text=True, cwd=here, check=True).stdout
+    assert told.splitlines()[1] == "True"
+
+
+def test_a_terminal_without_a_degree_sign_gets_another(here):
+    code = "from monoloc.cli.main import run; run()"
+    command = [sys.executable, "-c", code, "localize", "room.monoloc", "walk"]
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    result = subprocess.run(command, capture_output=True, text=True, cwd=here, env=environment, check=False)
+    assert result.returncode == 0, result.stderr
+    assert re.search(r"\d\.\d\?", result.stdout)
+
+
+@pytest.mark.parametrize(
+    "command", [("inspect", "walk"), ("localize", "room.monoloc", "walk"), ("evaluate", "walk/poses.txt", "walk")]
+)
+def test_what_may_not_be_read_is_named(capfd, here, monkeypatch, command):
+    """As folders without permissions are, whose files cannot even be asked for; root, whom tests may be, can."""
+
+    def closed(path: Path) -> bool:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "exists", closed)
+    monkeypatch.setattr(Path, "is_file", closed)
+    assert invoke(list(command)) == 2
+    (line,) = capfd.readouterr().err.splitlines()
+    assert re.fullmatch(r"monoloc: (walk|room.monoloc)\S*: Permission denied; check that .* you may use it", line)
 
 
 def test_a_fault_of_ours_is_no_bad_input(here, monkeypatch):

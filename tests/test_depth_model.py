@@ -713,9 +713,9 @@ def test_our_own_network_is_run_as_it_is(capfd, here):
 @pytest.mark.parametrize(
     ("options", "field", "problem"),
     [
-        (("--tune", "last"), "adapt.tune", "is last"),
-        (("--tune", "decoder", "--no-map-transform"), "adapt.tune", "is decoder"),
-        (("--map-transform",), "adapt.map_transform", "is on"),
+        (("--tune", "last"), "--tune", "is last"),
+        (("--tune", "decoder", "--no-map-transform"), "--tune", "is decoder"),
+        (("--map-transform",), "--map-transform", "is on"),
         (("--settings", "decoder.toml"), "adapt.tune", "is decoder"),
     ],
 )

@@ -124,7 +124,7 @@ def test_source_is_found_from_any_folder(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_the_command_is_offered_without_what_its_work_needs() -> None:
     heavy = ("torch", "joblib", "distributed", "dask", "matplotlib", "scipy", "reportlab")
-    script = f"import sys, monoloc.cli.main; sys.exit(', '.join(m for m in {heavy!r} if m in sys.modules) or 0)"
+    script = f"import sys, monoloc.cli.app; sys.exit(', '.join(m for m in {heavy!r} if m in sys.modules) or 0)"
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
 
 

@@ -68,6 +68,7 @@ ONLINE = [
     "monoloc.experiments.figures",
     "monoloc.bench.steps",
     "monoloc.cli.main",
+    "monoloc.cli.app",
 ]
 
 

@@ -97,6 +97,12 @@ def test_what_cannot_be(home, tmp_path, capfd):
     refused(
         capfd, ["room", "--out", str(tmp_path / "no" / "home")], "--out", "does not exist", "make the folder first"
     )
+    assert invoke(["synth", "flight", "--seconds", "3", "--out", str(home)]) == 0
+    assert invoke(["synth", "room", "--seed", "1", "--out", str(home)]) == 0  # the same again
+    for command in (["room", "--seed", "2"], ["flight", "--room", str(tmp_path / "else" / "room.json")]):
+        assert invoke(["synth", "room", "--seed", "2", "--out", str(tmp_path / "else")]) == 0
+        refused(capfd, [*command, "--out", str(home)], "--out", "room.json is another room", "name another folder")
+    assert read_room(home / "room.json") == generate_room(1)
     (tmp_path / "other.json").write_text("{}")
     refused(
         capfd, ["flight", "--room", str(tmp_path / "other.json"), "--out", str(home)], "other.json", "is not a room"

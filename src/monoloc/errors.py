@@ -25,7 +25,7 @@ class SettingError(MonolocError):
     """A setting or argument that cannot be used: ``field: what is wrong; how to mend it``."""
 
     def __init__(self, field: str, problem: str, fix: str) -> None:
-        self.field = field
+        self.field, self.problem, self.fix = field, problem, fix
         super().__init__(f"{field}: {problem}; {fix}")
 
 

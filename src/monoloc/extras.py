@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -26,6 +27,7 @@ def require_viewing() -> None:
     Raises:
         MissingExtraError: Rerun is not installed.
     """
+    os.environ.setdefault("RUST_LOG", "off")  # what goes wrong is said once, by us
     try:
         import rerun  # noqa: F401
     except ImportError as error:

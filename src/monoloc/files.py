@@ -17,16 +17,28 @@ def partial_of(path: Path) -> Path:
     return path.with_name(f".{path.name}.{os.getpid()}.partial")
 
 
+def target_of(path: Path) -> Path:
+    """The file that is replaced in writing to ``path``: of a link, what it leads to.
+
+    Raises:
+        DataError: something else is there, such as a device, in whose place a file would be put.
+    """
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise DataError(path, "is neither a file nor a folder", "name a file")
+    return Path(os.path.realpath(path))
+
+
 def write_whole(path: Path, content: bytes) -> None:
-    """Put ``content`` at ``path``; what was there stays as it was if anything fails.
+    """Put ``content`` at ``path``, through links; what was there stays as it was if anything fails.
 
     Raises:
         DataError: the file cannot be written.
     """
-    partial = partial_of(path)
+    target = target_of(path)
+    partial = partial_of(target)
     try:
         partial.write_bytes(content)
-        partial.replace(path)
+        partial.replace(target)
     except OSError as error:
         fix = "name a file in a folder you can write to"
         raise DataError(path, f"cannot be written ({error.strerror})", fix) from error

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from monoloc.bundle import Bundle
 from monoloc.datasets.base import Recording
 from monoloc.errors import DataError, SettingError
-from monoloc.files import partial_of
+from monoloc.files import partial_of, target_of
 from monoloc.filter.particles import Particles
 from monoloc.geometry import FloatArray
 from monoloc.localizer import Step
@@ -127,7 +127,8 @@ def _rerun_stream(
 
     if view:
         _open_window()
-    partial = None if record is None else partial_of(record)
+    target = None if record is None else target_of(record)
+    partial = None if target is None else partial_of(target)
     window = [rerun.GrpcSink(f"rerun+http://127.0.0.1:{_PORT}/proxy")] if view else []
     file_sink = [] if partial is None else [rerun.FileSink(partial)]
     stream = rerun.RecordingStream(application, recording_id=uuid4())
@@ -144,10 +145,10 @@ def _rerun_stream(
         stream.send_recording_name(name)
         yield stream
         stream.disconnect()
-        if record is not None and partial is not None:
+        if target is not None and partial is not None:
             with _writing(record):
                 _check_whole(partial)
-                partial.replace(record)
+                partial.replace(target)
     finally:
         stream.disconnect()
         if partial is not None:

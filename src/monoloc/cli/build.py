@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -18,15 +18,28 @@ from monoloc.cli.common import (
     JsonOption,
     SeedOption,
     SourceArgument,
+    check_apart,
+    naming,
     open_source,
     print_json,
     stderr,
 )
 from monoloc.config import load_settings, override
 from monoloc.depth.model import trainable_file
+from monoloc.errors import SettingError
+from monoloc.files import target_of
 from monoloc.map.cloud_files import read_cloud
-from monoloc.models import DEFAULT
+from monoloc.models import DEFAULT, is_shipped
 from monoloc.progress import ConsoleProgress
+
+_OPTIONS = {
+    "components": "--components",
+    "int8": "--int8",
+    "refine_poses": "--refine-poses",
+    "adapt.tune": "--tune",
+    "adapt.map_transform": "--map-transform",
+    "adapt.lambda_kl": "--lambda",
+}
 
 
 def build(
@@ -34,7 +47,7 @@ def build(
     out: Annotated[Path, typer.Option("--out", "-o", help="The bundle to write, NAME.monoloc.")],
     frames: FramesOption = "::",
     cloud: Annotated[
-        Path | None, typer.Option("--cloud", help="The room's cloud (ply, pcd, xyz, npz), in the poses' frame.")
+        Path | None, typer.Option("--cloud", help="The room's cloud (ply, pcd, xyz, txt, npz), in the poses' frame.")
     ] = None,
     components: Annotated[
         str | None, typer.Option("--components", "-k", help="Gaussians in the map, or 'bic' to choose. [200]")
@@ -79,23 +92,30 @@ def build(
       monoloc build my-walk --network midas.toml --out midas.monoloc     (another's network: docs/depth-models.md)
     """
     check_target(out)
+    check_apart(out, "--out", (network,))
+    if out.suffix != ".monoloc":
+        raise SettingError("--out", f"{out} is not named as a bundle", "name it NAME.monoloc")
     config = BuildConfig() if settings is None else load_settings(settings, BuildConfig)
+    remarks = []
     if trainable_file(network) is None:
         # What can only be run is run, unless tuning was asked for in so many words.
         only_run = {"tune": "none", "map_transform": False}
         unset = only_run.keys() - config.adapt.model_fields_set
         config = override(config, adapt={name: only_run[name] for name in unset})
-    config = override(
-        config,
-        components=components,
-        int8=int8,
-        refine_poses=refine_poses,
-        adapt={"tune": tune, "map_transform": map_transform, "lambda_kl": lambda_kl},
-    )
-    points = None if cloud is None else read_cloud(cloud)
-    recording = open_source(source, frames, intrinsics, depth_scale)
-    bundle, report = build_bundle(recording, config, seed, ConsoleProgress(stderr), points, network)
-    size = write_bundle(out, bundle)
+        if "tune" in unset and tune is None:
+            remarks.append(_not_tuned(network))
+    adapt = {"tune": tune, "map_transform": map_transform, "lambda_kl": lambda_kl}
+    given = {"components": components, "int8": int8, "refine_poses": refine_poses}
+    values = given | {f"adapt.{name}": value for name, value in adapt.items()}
+    # What the file does not say, the options do, be it by their defaults.
+    options = {name: _OPTIONS[name] for name, value in values.items() if value is not None or settings is None}
+    with naming(options):
+        config = override(config, **given, adapt=adapt)
+        points = None if cloud is None else read_cloud(cloud)
+        recording = open_source(source, frames, intrinsics, depth_scale)
+        bundle, report = build_bundle(recording, config, seed, ConsoleProgress(stderr), points, network)
+    size = write_bundle(target_of(out), bundle)  # through a link, as files are written
+    report = replace(report, warnings=remarks + report.warnings)
     for warning in report.warnings:
         stderr.print(f"warning: {recording.name}: {warning}", soft_wrap=True)
     if json:
@@ -113,3 +133,10 @@ def build(
     if report.depth_scale is not None:
         shift = "" if report.depth_shift is None else f" and shift {report.depth_shift:.4g}"
         stderr.print(f"{network} is used as it is, with scale {report.depth_scale:.4g}{shift} fitted on these frames")
+
+
+def _not_tuned(network: str) -> str:
+    remark = f"{network} can only be run: nothing of it was tuned"
+    if not is_shipped(network):
+        return remark
+    return f"{remark}; for a tuned one in 8 bits: --network {network.removesuffix('-int8')} --int8"

@@ -18,8 +18,11 @@ from monoloc.cli.common import (
     IntrinsicsOption,
     JsonOption,
     SourceArgument,
+    check_apart,
     check_folder,
-    check_writable,
+    check_outputs,
+    check_picture,
+    naming,
     open_source,
     print_json,
     print_table,
@@ -91,12 +94,14 @@ def train(
     with training_extra():
         from monoloc.depth.train import EpochRecord, TrainConfig, train_network
     check_folder(out, "--out")
+    check_apart(out / "network.safetensors", "--out", (start,))
     if encoder is not None and start is not None:
         raise SettingError("--start", "and --encoder both say where to begin", "give one of them")
     require_plotting()
-    config = override(TrainConfig() if settings is None else load_settings(settings, TrainConfig), epochs=epochs)
+    with naming({"epochs": "--epochs"}):
+        config = override(TrainConfig() if settings is None else load_settings(settings, TrainConfig), epochs=epochs)
     training = [open_source(source, frames), *(open_source(other, "::") for other in also or ())]
-    validation = open_source(source, validate) if validate is not None else training[0]
+    validation = open_source(source, validate, frames_option="--validate") if validate is not None else training[0]
     # Under torchrun, the first process of a run judges, writes and speaks.
     progress = ConsoleProgress(stderr) if os.environ.get("RANK", "0") == "0" else NoProgress()
 
@@ -140,10 +145,9 @@ def evaluate(
       monoloc depth evaluate full-0.35 7scenes:redkitchen --fit-scale --calibration error.png
       monoloc depth evaluate midas.toml 7scenes:redkitchen --frames ::10     (another's network)
     """
-    check_writable(plot, "--plot")
-    check_writable(calibration, "--calibration")
-    if plot is not None or calibration is not None:
-        require_plotting()
+    check_outputs({"--plot": plot, "--calibration": calibration}, (model, source))
+    check_picture(plot, "--plot")
+    check_picture(calibration, "--calibration")
     recording = open_source(source, frames, intrinsics, depth_scale)
     if not recording.has_depth:
         raise DataError(recording.name, "has no depth", "judge on a recording with depth images")
@@ -208,7 +212,7 @@ def export(
         from monoloc.depth.checkpoint import load_network
         from monoloc.depth.export import export_onnx
         from monoloc.depth.quantise import quantise
-    check_writable(out, "--out")
+    check_outputs({"--out": out}, (network, int8))
     if int8 is None:
         refuse_frames(frames, "an export in 32 bits")
     loaded = load_network(network)

@@ -11,10 +11,10 @@ import typer
 
 from monoloc.cli.common import FramesOption, JsonOption, open_source, print_json, print_table, refuse_frames
 from monoloc.datasets.poses import nearest_times, read_tum_poses
+from monoloc.datasets.registry import FORMATS
 from monoloc.errors import DataError
 from monoloc.evaluation.trajectory import relative_pose_errors, summarise
 from monoloc.geometry import FloatArray
-from monoloc.outputs.tum import read_tum
 
 _SAME_TIME_S = 0.02
 
@@ -29,23 +29,28 @@ def evaluate(
 ) -> None:
     """Compare a trajectory with the truth, in the map's frame, without any alignment.
 
+    Poses without a frame of the truth within 0.02 s are unmatched, frames of the truth without a pose are missed.
+
     \b
     Examples:
       monoloc evaluate way.txt 7scenes:redkitchen
       monoloc evaluate way.txt groundtruth.txt --json
     """
-    times, poses = read_tum(trajectory)
+    times, poses = read_tum_poses(trajectory)
     true_times, true_poses = _read_truth(truth, frames)
     nearest = nearest_times(times, true_times)
     matched = np.abs(times - true_times[nearest]) <= _SAME_TIME_S
     if not matched.any():
-        raise DataError(
-            trajectory, f"has no pose within {_SAME_TIME_S} s of the truth's", "check that both use the same clock"
-        )
+        fix = "check that both use the same clock"
+        if frames != "::":
+            fix += ", and that --frames chooses frames of this trajectory"
+        raise DataError(trajectory, f"has no pose within {_SAME_TIME_S} s of the truth's", fix)
+    missed = np.abs(true_times - times[nearest_times(true_times, times)]) > _SAME_TIME_S
     estimated, true = poses[matched], true_poses[nearest[matched]]
     metrics: dict[str, object] = {
         "frames": int(matched.sum()),
         "unmatched": int((~matched).sum()),
+        "missed": int(missed.sum()),
         **asdict(summarise(estimated, true)),
     }
     if len(estimated) > 1:
@@ -60,9 +65,13 @@ def evaluate(
 
 
 def _read_truth(truth: str, frames: str) -> tuple[FloatArray, FloatArray]:
-    if Path(truth).is_file() and Path(truth).suffix in {".txt", ".tum"}:
+    path = Path(truth)
+    if path.is_file() and path.suffix in {".txt", ".tum"}:
         refuse_frames(frames, "a trajectory")
-        return read_tum_poses(Path(truth))
+        return read_tum_poses(path)
+    if path.is_file() and not any(known.recognises(path) for known in FORMATS.values()):
+        fix = "name it NAME.txt if it is a TUM trajectory, or give a recording"
+        raise DataError(path, "is not recognised as a truth", fix)
     recording = open_source(truth, frames)
     if recording.poses is None:
         raise DataError(recording.name, "has no poses", "give a recording or TUM trajectory that has them")

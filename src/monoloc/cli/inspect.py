@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from json import loads
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,7 @@ import numpy as np
 import typer
 
 from monoloc.bundle import read_bundle
+from monoloc.camera import Camera
 from monoloc.cli.common import (
     EXTENT_SIGMAS,
     FramesOption,
@@ -62,6 +64,7 @@ def _bundle(path: Path) -> dict[str, object]:
     lower, upper = bundle.adapted.bounds_m(EXTENT_SIGMAS)
     return {
         "kind": "bundle",
+        "monoloc_version": loads((path / "manifest.json").read_bytes())["monoloc_version"],
         "bytes": sum(file.stat().st_size for file in path.iterdir()),
         "components": len(bundle.adapted),
         "map_bytes": bundle.adapted.nbytes_stored,
@@ -72,20 +75,19 @@ def _bundle(path: Path) -> dict[str, object]:
         "depth_bytes": len(bundle.depth_model.content),
         **bundle.provenance.model_dump(exclude={"frames"}),
         "frames": len(bundle.provenance.frames),
+        **_camera(bundle.camera),
         "healthy": bundle.healthy.model_dump(),
         "settings": bundle.settings.model_dump(mode="json"),
     }
 
 
 def _recording(recording: Selection) -> dict[str, object]:
-    camera = recording.camera
     content: dict[str, object] = {
         "kind": "recording",
         "name": recording.name,
         "frames": len(recording),
         "seconds": float(recording.timestamps_s[-1] - recording.timestamps_s[0]),
-        "image": [camera.width, camera.height],
-        "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
+        **_camera(recording.camera),
         "has_poses": recording.poses is not None,
         "has_depth": recording.has_depth,
         "first_frame": recording.frame_names[0],
@@ -99,3 +101,11 @@ def _recording(recording: Selection) -> dict[str, object]:
         content["depth_share"] = float((depth > 0.0).mean())
         content["depth_median_m"] = float(np.median(depth[depth > 0.0])) if depth.any() else np.nan
     return content
+
+
+def _camera(camera: Camera) -> dict[str, object]:
+    return {
+        "image": [camera.width, camera.height],
+        "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
+        "distortion": list(camera.distortion),
+    }

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import cv2
 import numpy as np
@@ -20,8 +23,10 @@ from monoloc.cli.common import (
     SeedOption,
     SourceArgument,
     ViewOption,
+    check_outputs,
+    check_picture,
     check_viewing,
-    check_writable,
+    naming,
     open_source,
     print_json,
     print_table,
@@ -29,16 +34,17 @@ from monoloc.cli.common import (
 )
 from monoloc.config import override
 from monoloc.datasets.base import Recording
-from monoloc.errors import DataError, SettingError
+from monoloc.errors import DataError, MonolocError, SettingError
 from monoloc.evaluation.plots import plot_localization
-from monoloc.extras import require_plotting
+from monoloc.filter.health import State
 from monoloc.geometry import FloatArray, make_pose, quaternion_to_rotation
-from monoloc.outputs.tum import write_tum
+from monoloc.outputs.tum import NORM_TOLERANCE, write_tum
 from monoloc.progress import ConsoleProgress
 from monoloc.runs import Run, Start, localize
 from monoloc.viewer import run_viewer
 
 _LEAST_OFF_M, _LEAST_OFF_RAD = 0.03, 0.015  # no start is known better
+_FARTHEST_M = 1e6  # of a start; no map reaches farther
 
 
 def localize_command(
@@ -52,10 +58,10 @@ def localize_command(
         ),
     ] = None,
     start_error_cm: Annotated[
-        float, typer.Option("--start-error-cm", min=0.0, help="How far the start is off, or may be.")
+        float, typer.Option("--start-error-cm", min=0.0, max=1e5, help="How far the start is off, or may be.")
     ] = 10.0,
     start_error_deg: Annotated[
-        float, typer.Option("--start-error-deg", min=0.0, help="How far it is turned, or may be.")
+        float, typer.Option("--start-error-deg", min=0.0, max=180.0, help="How far it is turned, or may be.")
     ] = 3.0,
     motion: Annotated[
         Literal["visual", "random-walk"] | None, typer.Option("--motion", help="Motion model. [visual]")
@@ -87,32 +93,53 @@ def localize_command(
       monoloc localize room.monoloc tum:fr1_room --motion random-walk
       monoloc localize kitchen.monoloc 7scenes:redkitchen --view --record way.rrd
     """
-    check_writable(out, "--out")
-    check_writable(plot, "--plot")
-    if plot is not None:
-        require_plotting()
+    check_outputs({"--out": out, "--plot": plot, "--record": record}, (bundle, source))
+    check_picture(plot, "--plot")
     check_viewing(view, record)
     room = read_bundle(bundle)
     recording = open_source(source, frames, intrinsics, depth_scale)
-    config = override(room.settings, motion=motion, particles=particles, scan_points=scan_points)
+    with naming({"particles": "--particles", "scan_points": "--scan-points"}):
+        config = override(room.settings, motion=motion, particles=particles, scan_points=scan_points)
     rng = np.random.default_rng(seed)
     begin = _start(start, recording, start_error_cm / 100.0, np.deg2rad(start_error_deg), rng)
     name = f"{bundle.name}: {recording.name}"
     cv2.setNumThreads(1)  # more make small images no faster, and a drone's other cores are not ours
-    with run_viewer(name, view, record) as viewer:
+    with ExitStack() as viewing:
+        viewer = viewing.enter_context(run_viewer(name, view, record))
         run = localize(room, recording, begin, config, rng, ConsoleProgress(stderr), depth == "sensor", viewer=viewer)
-    if out is not None:
-        write_tum(out, recording.timestamps_s, run.poses)
-    if plot is not None:
-        draw(plot, run, room, name)
+        writers = [
+            (out, lambda path: write_tum(path, recording.timestamps_s, run.poses)),
+            (plot, lambda path: draw(path, run, room, name)),
+            (record, lambda _: viewing.close()),
+        ]
+        written, failures = _write_each(writers)
     metrics = run.metrics()
     if json:
-        print_json(metrics)
+        used = "sensor" if depth == "sensor" else "network"
+        print_json({"bundle": str(bundle), "source": source, "seed": seed, "depth": used, **metrics})
     else:
         show(metrics)
-        for path in (out, plot, record):
-            if path is not None:
-                stderr.print(f"written: {path}")
+        for path in written:
+            stderr.print(f"written: {path}")
+    if failures:
+        raise MonolocError("; ".join(map(str, failures)))
+
+
+def _write_each(
+    writers: Iterable[tuple[Path | None, Callable[[Path], None]]],
+) -> tuple[list[Path], list[MonolocError]]:
+    """Write what is asked for, each file whatever becomes of the others: those written, and what went wrong."""
+    written, failures = [], []
+    for path, write in writers:
+        if path is None:
+            continue
+        try:
+            write(path)
+        except MonolocError as error:
+            failures.append(error)
+        else:
+            written.append(path)
+    return written, failures
 
 
 def draw(path: Path, run: Run, room: Bundle, title: str) -> None:
@@ -134,7 +161,7 @@ def draw(path: Path, run: Run, room: Bundle, title: str) -> None:
 def show(metrics: dict[str, object]) -> None:
     """The figures that matter, as a table."""
     rows = []
-    for prefix, label in (("", "all frames"), ("unseen_", "unseen frames")):
+    for prefix, label in (("", "all"), ("unseen_", "unseen")):
         if f"{prefix}ate_median_m" not in metrics:
             continue
         figure = partial(_figure, metrics, prefix)
@@ -146,13 +173,18 @@ def show(metrics: dict[str, object]) -> None:
                 figure("ate_max_m", 100.0, " cm"),
                 figure("rot_median_deg", 1.0, "°"),
                 figure("within_5cm_5deg", 100.0, " %"),
+                figure("coverage_95", 100.0, " %"),
                 figure("depth_absrel", 100.0, " %"),
             ]
         )
     if rows:
-        print_table("Accuracy", ["", "median", "RMSE", "max", "rotation", "in 5 cm, 5°", "depth error"], rows)
+        columns = ["frames", "median", "RMSE", "max", "rotation", "in 5 cm, 5°", "coverage", "depth error"]
+        print_table("Accuracy", columns, rows)
+    states = metrics["states"]
+    assert isinstance(states, dict)
+    told = ", ".join(f"{states.get(state, 0)} {state}" for state in get_args(State))
     stderr.print(
-        f"{metrics['frames']} frames, {metrics['lost_frames']} lost, "
+        f"{metrics['frames']} frames: {told}; "
         f"{metrics['step_ms_median']:.1f} ms a frame (95 %: {metrics['step_ms_p95']:.1f} ms)"
     )
 
@@ -179,6 +211,12 @@ def _parse_pose(text: str) -> FloatArray:
         values = np.array([float(part) for part in text.split(",")])
         if values.shape != (7,) or not np.all(np.isfinite(values)):
             raise ValueError
-        return make_pose(quaternion_to_rotation(values[3:]), values[:3])
     except ValueError as error:
         raise SettingError("--start", f"is {text!r}", "write TX,TY,TZ,QX,QY,QZ,QW in metres") from error
+    far_m, length = float(np.abs(values[:3]).max()), math.hypot(*values[3:])
+    if far_m > _FARTHEST_M:
+        raise SettingError("--start", f"is {text!r}, {far_m:.3g} m away", "write TX,TY,TZ,QX,QY,QZ,QW in metres")
+    if abs(length - 1.0) > NORM_TOLERANCE:
+        fix = "write TX,TY,TZ,QX,QY,QZ,QW, the last four of length 1"
+        raise SettingError("--start", f"is {text!r}, with a quaternion of length {length:.3g}", fix)
+    return make_pose(quaternion_to_rotation(values[3:]), values[:3])

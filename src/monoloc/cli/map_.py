@@ -17,8 +17,10 @@ from monoloc.cli.common import (
     RecordOption,
     SeedOption,
     ViewOption,
+    check_outputs,
+    check_picture,
     check_viewing,
-    check_writable,
+    naming,
     open_source,
     print_json,
     print_table,
@@ -29,8 +31,7 @@ from monoloc.cli.common import (
 from monoloc.config import override
 from monoloc.evaluation.clouds import COMPARED_POINTS, compare_clouds
 from monoloc.evaluation.map_drawing import plot_map_change
-from monoloc.extras import require_plotting
-from monoloc.map.cloud_files import read_cloud
+from monoloc.map.cloud_files import CLOUD_SUFFIXES, read_cloud
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import ConsoleProgress
 from monoloc.viewer import show_map_change
@@ -41,12 +42,12 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-_CLOUD_SUFFIXES = {".ply", ".pcd", ".xyz", ".npz"}
-
 
 @app.command()
 def fit(
-    source: Annotated[str, typer.Argument(help="A recording, or a cloud (ply, pcd, xyz, npz).", show_default=False)],
+    source: Annotated[
+        str, typer.Argument(help="A recording, or a cloud (ply, pcd, xyz, txt, npz).", show_default=False)
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", help="The map to write, NAME.npz.")],
     frames: FramesOption = "::",
     components: Annotated[str, typer.Option("--components", "-k", help="Gaussians, or 'bic' to choose.")] = "200",
@@ -60,14 +61,15 @@ def fit(
       monoloc map fit 7scenes:redkitchen --frames ::4 --out kitchen.npz
       monoloc map fit room.ply -k bic --out room.npz
     """
-    check_writable(out, "--out")
-    config = override(BuildConfig(), components=components)
-    is_cloud = Path(source).suffix.lower() in _CLOUD_SUFFIXES
+    check_outputs({"--out": out}, (source,))
+    is_cloud = Path(source).suffix.lower() in CLOUD_SUFFIXES
     if is_cloud:
         refuse_frames(frames, "a cloud")
-    cloud = read_cloud(Path(source)) if is_cloud else None
-    recording = None if cloud is not None else open_source(source, frames)
-    cloud, mixture = fit_map(recording, cloud, config, np.random.default_rng(seed), ConsoleProgress(stderr))
+    with naming({"components": "--components"}):
+        config = override(BuildConfig(), components=components)
+        cloud = read_cloud(Path(source)) if is_cloud else None
+        recording = None if cloud is not None else open_source(source, frames)
+        cloud, mixture = fit_map(recording, cloud, config, np.random.default_rng(seed), ConsoleProgress(stderr))
     mixture.save(out)
     fitted = {
         "map": str(out),
@@ -131,17 +133,17 @@ def compare(
       monoloc map compare kitchen.monoloc --out kitchen.png --json
       monoloc map compare kitchen.monoloc --view
     """
-    check_writable(out, "--out")
-    require_plotting()
+    check_outputs({"--out": out, "--record": record}, (bundle,))
+    check_picture(out, "--out")
     check_viewing(view, record)
     room = read_bundle(bundle)
     clouds = compare_clouds(room.original, room.adapted, COMPARED_POINTS, np.random.default_rng(seed))
     shown = clouds.original, clouds.adapted, clouds.distances_m, np.array(room.provenance.down_world)
     name = f"{bundle.name}: {room.provenance.recording}"
     plot_map_change(out, *shown, name)
-    show_map_change(name, view, record, *shown)
     content = {"picture": str(out), **clouds.figures}
     if json:
         print_json(content)
     else:
-        print_table(str(bundle), ["", ""], [[name, text_of(value)] for name, value in content.items()])
+        print_table(str(bundle), ["", ""], [[figure, text_of(value)] for figure, value in content.items()])
+    show_map_change(name, view, record, *shown)  # at the end: a recording that cannot be written loses nothing else

@@ -57,6 +57,7 @@ def room(
     """
     check_folder(out, "--out")
     made = generate_room(seed) if mesh is None else imported_room(mesh)
+    _check_same_room(out, made)
     out.mkdir(exist_ok=True)
     write_room(out / ROOM, made)
     if json:
@@ -182,8 +183,21 @@ def views(
 
 def _room(given: Path | None, out: Path, seed: int) -> Room:
     if given is not None:
-        return read_room(given)
+        room = read_room(given)
+        _check_same_room(out, room)
+        return room
     return read_room(out / ROOM) if (out / ROOM).is_file() else generate_room(seed)
+
+
+def _check_same_room(out: Path, room: Room) -> None:
+    """Refuse a folder of another room, whose flight and pictures would be left beside this one.
+
+    Raises:
+        SettingError: naming --out.
+    """
+    file = out / ROOM
+    if file.is_file() and read_room(file) != room:
+        raise SettingError("--out", f"{file} is another room", "name another folder, or remove this one")
 
 
 def _way(given: Path | None, out: Path, room: Room, seconds: float, seed: int) -> tuple[FloatArray, FloatArray]:

@@ -157,3 +157,4 @@ _READERS: dict[str, Callable[[Path], FloatArray]] = {
     ".txt": _read_xyz,
     ".npz": _read_npz,
 }
+CLOUD_SUFFIXES = frozenset(_READERS)

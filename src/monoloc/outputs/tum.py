@@ -19,7 +19,7 @@ _COLUMNS = "t tx ty tz qx qy qz qw"
 _LINE_FIX = f'each line must hold the 8 numbers "{_COLUMNS}"'
 
 # Files carry at least three decimals; a norm further off than this means columns in another order.
-_NORM_TOLERANCE = 0.01
+NORM_TOLERANCE = 0.01
 
 
 def write_tum(path: str | Path, timestamps_s: ArrayLike, poses: ArrayLike) -> None:
@@ -86,7 +86,7 @@ def _parse_line(path: Path, number: int, words: list[str]) -> list[float]:
     if not np.isfinite(values).all():
         raise DataError(path, f"line {number} holds NaN or infinity", "leave out frames without a pose")
     norm = float(np.linalg.norm(values[4:]))
-    if abs(norm - 1.0) > _NORM_TOLERANCE:
+    if abs(norm - 1.0) > NORM_TOLERANCE:
         raise DataError(path, f"line {number} has a quaternion of length {norm:.3g}", f'columns must be "{_COLUMNS}"')
     return values
 
