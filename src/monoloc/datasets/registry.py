@@ -54,7 +54,7 @@ def open_recording(source: str, options: ReaderOptions | None = None) -> Recordi
             raise SettingError("SOURCE", f"unknown format {name!r}", f"known formats: {', '.join(FORMATS)}")
         return FORMATS[name].read(path, options)
     if not path.exists():
-        raise DataError(path, "does not exist", "check the path, or write FORMAT:PATH")
+        raise DataError(path.absolute(), "does not exist", "check the path, or write FORMAT:PATH")
     for known in FORMATS.values():
         if known.recognises(path):
             return known.read(path, options)
