@@ -578,7 +578,7 @@ def test_video_without_intrinsics(tmp_path):
     path = tmp_path / "walk.avi"
     synthetic.write_video(path)
     problem = "without poses, without depth, and says nothing of its camera"
-    fails_to_open(path, path, problem, "monoloc localize, with --intrinsics 64,48,FX,FY,CX,CY")
+    fails_to_open(path, path, problem, "monoloc localize or inspect --intrinsics 64,48,FX,FY,CX,CY")
 
 
 def test_video_that_cannot_be_decoded(tmp_path, capfd):

@@ -54,7 +54,7 @@ class VideoRecording:
         size = tuple(int(self._capture.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
         if camera is None:
             problem = "is a video, without poses, without depth, and says nothing of its camera"
-            fix = f"give it to monoloc localize, with --intrinsics {size[0]},{size[1]},FX,FY,CX,CY"
+            fix = f"give monoloc localize or inspect --intrinsics {size[0]},{size[1]},FX,FY,CX,CY"
             raise DataError(path, problem, fix)
         if (camera.width, camera.height) != size:
             raise SettingError(
