@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import cv2
@@ -129,10 +130,38 @@ def write_folder(folder: Path, toml: str = SEQUENCE_TOML) -> FloatArray:
     return poses
 
 
-def write_video(path: Path, frames: int = 6) -> None:
-    """An MJPG video at 10 Hz whose frames are grey 20, 40, 60 and so on, 64x48."""
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (64, 48))
+def write_video(path: Path, frames: int = 6, codec: str = "MJPG") -> None:
+    """A video at 10 Hz whose frames are grey 20, 40, 60 and so on, 64x48."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), 10.0, (64, 48))
     assert writer.isOpened()
     for index in range(frames):
         writer.write(np.full((48, 64, 3), 20 * (index + 1), dtype=np.uint8))
     writer.release()
+
+
+def write_uneven_video(path: Path, shares: list[int]) -> None:
+    """As :func:`write_video`, an .mp4 whose frames last so many parts of the whole time each."""
+    write_video(path, len(shares), "mp4v")
+    data = path.read_bytes()
+    # Box stts: size, name, version, number of entries, then (frames, units of time) of each.
+    start = data.index(b"stts") - 4
+    size, _, version, entries, count, unit = struct.unpack_from(">I4sIIII", data, start)
+    assert (entries, count) == (1, len(shares))
+    units = [share * count * unit // sum(shares) for share in shares]
+    table = b"".join(struct.pack(">II", 1, each) for each in units)
+    longer = 8 * (count - 1)
+    box = struct.pack(">I4sII", size + longer, b"stts", version, count) + table
+    changed = bytearray(data[:start] + box + data[start + size :])
+    for name in (b"moov", b"trak", b"mdia", b"minf", b"stbl"):
+        at = data.index(name) - 4
+        struct.pack_into(">I", changed, at, struct.unpack_from(">I", data, at)[0] + longer)
+    assert data.index(b"mdat") < start  # or the frames would have moved
+    path.write_bytes(changed)
+
+
+def overstate_frames(path: Path, frames: int) -> None:
+    """Make the headers of an .avi count so many frames."""
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<I", data, data.index(b"avih") + 8 + 16, frames)
+    struct.pack_into("<I", data, data.index(b"strh") + 8 + 32, frames)
+    path.write_bytes(data)

@@ -326,6 +326,12 @@ def test_one_edited_character_of_the_manifest(written, old, new):
     refuses(lambda: read_bundle(written), file, "was edited")
 
 
+def test_manifest_that_is_too_deep(written):
+    file = written / "manifest.json"
+    file.write_text(100_000 * "[")
+    refuses(lambda: read_bundle(written), file, "is cut short or edited")
+
+
 def test_manifest_that_lost_its_seal(written):
     file = written / "manifest.json"
     body = json.loads(file.read_text())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import subprocess
 import sys
+from dataclasses import replace
 
 import cv2
 import h5py
@@ -86,6 +87,15 @@ def test_seven_scenes_without_depth_images(tmp_path):
     synthetic.write_seven_scenes(tmp_path, frames=1)
     (tmp_path / "seq-01" / "frame-000000.depth.png").unlink()
     assert not open_recording(str(tmp_path)).has_depth
+
+
+def test_seven_scenes_without_poses(tmp_path):
+    synthetic.write_seven_scenes(tmp_path, frames=2)
+    for path in (tmp_path / "seq-01").glob("*.pose.txt"):
+        path.unlink()
+    recording = open_recording(str(tmp_path))
+    check_protocol(recording, 2)
+    assert recording.poses is None and recording.has_depth
 
 
 @pytest.mark.data
@@ -263,6 +273,14 @@ def test_tum_knows_its_cameras_by_name(tmp_path, name, fx):
     assert not recording.has_depth
 
 
+def test_tum_without_poses(tmp_path):
+    synthetic.write_tum(tmp_path)
+    (tmp_path / "groundtruth.txt").unlink()
+    recording = open_recording(str(tmp_path))
+    check_protocol(recording, 4)
+    assert recording.poses is None and recording.has_depth
+
+
 def test_nearest_times_agree_with_brute_force():
     rng = np.random.default_rng(0)
     for query_count, time_count in itertools.product((1, 5, 40), (1, 2, 30)):
@@ -412,6 +430,21 @@ def test_folder_with_stop_and_without_depth(tmp_path):
     assert not recording.has_depth
 
 
+def test_folder_without_poses(tmp_path):
+    synthetic.write_folder(tmp_path, synthetic.SEQUENCE_TOML.replace('poses = "poses.txt"', "rate_hz = 20"))
+    recording = open_recording(str(tmp_path))
+    check_protocol(recording, 3)
+    assert recording.poses is None and recording.has_depth
+    np.testing.assert_allclose(recording.timestamps_s, [0.0, 0.05, 0.1])
+
+
+def test_a_byte_order_mark_is_no_text(tmp_path):
+    synthetic.write_folder(tmp_path)
+    path = tmp_path / "dataset.toml"
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    check_protocol(open_recording(str(tmp_path)), 3)
+
+
 @pytest.mark.data
 def test_real_nyu_pairs(data_root):
     recording = open_recording(str(data_root / "nyu-labelled"))
@@ -441,7 +474,53 @@ def test_video_is_read_in_any_order(tmp_path):
         assert abs(recording.color(index).mean() - 20 * (index + 1)) < 3
 
 
+def test_video_has_the_times_of_its_frames(tmp_path):
+    path = tmp_path / "walk.mp4"
+    synthetic.write_uneven_video(path, [1, 1, 4, 2, 2, 2])
+    recording = open_recording(str(path), VIDEO)
+    check_protocol(recording, 6)
+    np.testing.assert_allclose(recording.timestamps_s, [0.0, 0.05, 0.1, 0.3, 0.4, 0.5])
+
+
+def test_video_has_the_frames_that_can_be_decoded(tmp_path):
+    path = tmp_path / "walk.avi"
+    synthetic.write_video(path)
+    synthetic.overstate_frames(path, 9)
+    assert cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FRAME_COUNT) == 9
+    check_protocol(open_recording(str(path), VIDEO), 6)
+
+
 # --- Images, registry, selection ---
+
+
+BENT, STRAIGHT = (0.02, -0.01, 0.001, 0.0, 0.0), (0.0,) * 5
+
+
+@pytest.mark.parametrize(
+    ("format_name", "own"),
+    [
+        ("7scenes", seven_scenes.COLOR_CAMERA.distortion),
+        ("tum", (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
+        ("rgbd-scenes-v2", STRAIGHT),
+        ("folder", (0.1, -0.2, 0.0, 0.001, 0.0)),
+    ],
+)
+def test_given_intrinsics_leave_the_distortion_that_they_do_not_name(tmp_path, format_name, own):
+    folder = tmp_path / "freiburg1_desk"
+    write = {
+        "7scenes": synthetic.write_seven_scenes,
+        "tum": synthetic.write_tum,
+        "rgbd-scenes-v2": synthetic.write_rgbd_scenes_v2,
+        "folder": synthetic.write_folder,
+    }
+    folder.mkdir()
+    write[format_name](folder)
+    width, height = (32, 24) if format_name == "folder" else (640, 480)
+    given = Camera(width, height, 0.9 * width, 0.9 * width, (width - 1) / 2, (height - 1) / 2)
+    for distortion, expected in (((), own), (BENT, BENT), (STRAIGHT, STRAIGHT)):
+        camera = replace(given, distortion=distortion)
+        recording = open_recording(f"{format_name}:{folder}", ReaderOptions(camera=camera))
+        assert recording.camera == replace(given, distortion=expected)
 
 
 @pytest.mark.parametrize("value", [0, 65535])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from collections.abc import Callable
@@ -61,6 +62,12 @@ def test_missing_file_of_a_format(tmp_path, name):
     fails(lambda: open_recording(f"{name}:{tmp_path / 'no'}"), tmp_path / "no", "is missing", "")
 
 
+@pytest.mark.parametrize("source", ["no", "7scenes:no", "nyu:no", "video:no"])
+def test_a_missing_path_is_named_from_the_root(tmp_path, monkeypatch, source):
+    monkeypatch.chdir(tmp_path)
+    fails(lambda: open_recording(source), tmp_path / "no", "does not exist|is missing", "")
+
+
 def test_file_where_a_folder_is_meant(tmp_path):
     file = tmp_path / "rgb.txt"
     file.write_text("")
@@ -92,15 +99,16 @@ def test_frames_with_step_zero(tmp_path):
 def test_frames_that_select_nothing(tmp_path, frames):
     synthetic.write_folder(tmp_path)
     recording = open_recording(str(tmp_path))
-    refuses(lambda: select_frames(recording, frames), "frames", "none of the 3 frames", "START below both")
+    refuses(lambda: select_frames(recording, frames), "frames", "none of the 3 frames", "START below STOP and below 3")
 
 
 # --- Overrides ---
 
 
-@pytest.mark.parametrize("scale", [0.0, -1.0, np.nan, np.inf])
+@pytest.mark.parametrize("scale", [0.0, -1.0, np.nan, np.inf, 1e-300, 1e300])
 def test_impossible_depth_scale(scale):
-    refuses(lambda: ReaderOptions(depth_scale=scale), "depth_scale", "is", "> 0")
+    problem = re.escape(f"is {scale!r}, not from 1e-06 to 1e+09")
+    refuses(lambda: ReaderOptions(depth_scale=scale), "depth_scale", problem, "such as 1000")
 
 
 def test_override_that_a_format_does_not_take(tmp_path):
@@ -244,12 +252,6 @@ def test_seven_scenes_pose_that_is_not_four_rows(scene):
     fails_to_open(scene, path, "has 3 rows", "write a 4x4 camera-to-world matrix")
 
 
-def test_seven_scenes_without_any_pose(scene):
-    for path in (scene / "seq-01").glob("*.pose.txt"):
-        path.unlink()
-    fails_to_open(scene, scene, "has no poses", "restore the frame-NNNNNN.pose.txt files")
-
-
 def test_seven_scenes_with_one_pose_missing(scene):
     path = scene / "seq-01" / "frame-000002.pose.txt"
     path.unlink()
@@ -300,11 +302,6 @@ def sequence(tmp_path):
 
 def test_tum_without_list(tmp_path):
     fails(lambda: open_recording(f"tum:{tmp_path}"), tmp_path / "rgb.txt", "is missing", "TUM sequence")
-
-
-def test_tum_without_truth(sequence):
-    (sequence / "groundtruth.txt").unlink()
-    fails_to_open(sequence, sequence / "groundtruth.txt", "is missing", "has no poses")
 
 
 def test_tum_malformed_list(sequence):
@@ -458,6 +455,11 @@ def test_folder_description_that_is_not_toml(folder):
     fails_to_open(folder, folder / "dataset.toml", "is not valid TOML .*line 1", "correct that line")
 
 
+def test_folder_description_that_is_too_deep(folder):
+    (folder / "dataset.toml").write_text(f"kind = {100_000 * '['}")
+    fails_to_open(folder, folder / "dataset.toml", "is not valid TOML", "correct that line")
+
+
 def test_folder_unknown_key(folder):
     (folder / "dataset.toml").write_text(synthetic.SEQUENCE_TOML + "depthscale = 5000\n")
     fails_to_open(folder, folder / "dataset.toml", "depthscale is not a known", "known are: .*depth_scale")
@@ -489,6 +491,8 @@ def test_folder_pairs_without_depth(folder):
         ("color", "3", "is 3, not a text"),
         ("color", '"color/{number}.jpg"', "not a pattern of {index}"),
         ("color", '"color/{index:q}.jpg"', "not a pattern of {index}"),
+        ("color", '"color/{index:99999999999d}"', "not a pattern of {index}"),  # more than memory holds
+        ("color", '"color/{index:99999999999999999999d}"', "not a pattern of {index}"),
         ("color", '"color/000010.jpg"', "the same file for every index"),
         ("count", "3.5", "is 3.5, not a whole number"),
         ("count", "0", "leaves no frames"),
@@ -498,7 +502,8 @@ def test_folder_pairs_without_depth(folder):
         ("fx", '"30"', "is '30', not a number"),
         ("fx", "nan", "is nan, not a number"),
         ("fx", "true", "is True, not a number"),
-        ("depth_scale", "0", "is 0, not positive"),
+        ("depth_scale", "0", "is 0, not from 1e-06 to 1e+09"),
+        ("depth_scale", "1e-300", "is 1e-300, not from 1e-06 to 1e+09"),
         ("distortion", "[0.1, 0.2]", "not five numbers"),
         ("distortion", '["a", 0, 0, 0, 0]', "not five numbers"),
     ],
@@ -532,7 +537,35 @@ def test_folder_pose_file_missing(folder):
 def test_folder_poses_of_another_count(folder):
     lines = (folder / "poses.txt").read_text().splitlines(keepends=True)
     (folder / "poses.txt").write_text("".join(lines[:-1]))
-    fails_to_open(folder, folder / "poses.txt", "has 2 poses for 3 frames", "one line for each frame")
+    fix = "one line for each frame; without some, number the others' images anew, or give rate_hz"
+    fails_to_open(folder, folder / "poses.txt", "has 2 poses for 3 frames", fix)
+
+
+def test_folder_pose_that_is_not_known(folder):
+    """What is advised leads to a recording: of the frames that have poses, or of all without."""
+    path = folder / "poses.txt"
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join([*lines[:-1], "5.2 nan nan nan 0 0 0 1\n"]))
+    fails_to_open(folder, path, "line 4 holds NaN", "leave out frames without a pose")
+    path.write_text("".join(lines[:-1]))
+    description = folder / "dataset.toml"
+    description.write_text(synthetic.SEQUENCE_TOML.replace("count = 3", "count = 2"))
+    assert len(open_recording(str(folder)).poses) == 2
+    description.write_text(synthetic.SEQUENCE_TOML.replace('poses = "poses.txt"', "rate_hz = 10"))
+    assert open_recording(str(folder)).poses is None
+
+
+def test_folder_image_whose_name_is_too_long(folder):
+    (folder / "dataset.toml").write_text(synthetic.SEQUENCE_TOML.replace("06d}.png", "0999d}.png"))
+    with pytest.raises(DataError, match="is missing; restore it, or correct depth"):
+        open_recording(str(folder))
+
+
+@pytest.mark.parametrize("rate", ["0", "-1", "true", '"30"'])
+def test_folder_rate_in_place_of_poses(folder, rate):
+    toml = synthetic.SEQUENCE_TOML.replace('poses = "poses.txt"', f"rate_hz = {rate}")
+    (folder / "dataset.toml").write_text(toml)
+    fails_to_open(folder, folder / "dataset.toml", "rate_hz is .*, not (positive|a number)", "write rate_hz = 30")
 
 
 # --- Video ---
@@ -544,7 +577,8 @@ VIDEO = ReaderOptions(camera=Camera(64, 48, 50.0, 50.0, 31.0, 23.0))
 def test_video_without_intrinsics(tmp_path):
     path = tmp_path / "walk.avi"
     synthetic.write_video(path)
-    fails_to_open(path, path, "says nothing of its camera", "--intrinsics 64,48,FX,FY,CX,CY")
+    problem = "without poses, without depth, and says nothing of its camera"
+    fails_to_open(path, path, problem, "monoloc localize or inspect --intrinsics 64,48,FX,FY,CX,CY")
 
 
 def test_video_that_cannot_be_decoded(tmp_path, capfd):
@@ -555,15 +589,15 @@ def test_video_that_cannot_be_decoded(tmp_path, capfd):
 
 
 class Capture:
-    """A cv2.VideoCapture whose container states another number of frames. (Its subclasses crash.)"""
+    """A cv2.VideoCapture of a stream without times, and with another frame rate. (Its subclasses crash.)"""
 
-    stated_frames = 0.0
+    rate_hz = 0.0
 
     def __init__(self, path: str) -> None:
         self._capture = OpenCVCapture(path)
 
     def get(self, key: int) -> float:
-        return self.stated_frames if key == cv2.CAP_PROP_FRAME_COUNT else self._capture.get(key)
+        return {cv2.CAP_PROP_POS_MSEC: 0.0, cv2.CAP_PROP_FPS: self.rate_hz}.get(key, self._capture.get(key))
 
     def __getattr__(self, name: str):
         return getattr(self._capture, name)
@@ -572,22 +606,29 @@ class Capture:
 OpenCVCapture = cv2.VideoCapture
 
 
-def test_video_with_fewer_frames_than_it_states(tmp_path, monkeypatch):
-    path = tmp_path / "walk.avi"
-    synthetic.write_video(path, frames=6)
-    monkeypatch.setattr(Capture, "stated_frames", 9.0)
-    monkeypatch.setattr(cv2, "VideoCapture", Capture)
-    recording = open_recording(str(path), VIDEO)
-    for index in (8, 6):
-        fails(lambda index=index: recording.color(index), path, "cannot be decoded after frame 5", "0:6")
-    assert recording.color(5).mean() > 100
-
-
-def test_video_without_a_frame_count(tmp_path, monkeypatch):
+def test_video_without_times_or_rate(tmp_path, monkeypatch):
     path = tmp_path / "walk.avi"
     synthetic.write_video(path)
     monkeypatch.setattr(cv2, "VideoCapture", Capture)
-    fails_to_open(path, path, "states no frame count or no frame rate", "convert it to .mp4")
+    fails(lambda: open_recording(str(path), VIDEO), path, "states neither times .* nor a frame rate", "convert it")
+    monkeypatch.setattr(Capture, "rate_hz", 4.0)
+    np.testing.assert_allclose(open_recording(str(path), VIDEO).timestamps_s, np.arange(6) / 4.0)
+
+
+def test_video_that_was_cut_while_it_was_read(tmp_path):
+    path = tmp_path / "walk.avi"
+    synthetic.write_video(path)
+    recording = open_recording(str(path), VIDEO)
+    synthetic.write_video(path, frames=4)
+    recording.color(3)
+    recording.color(0)  # from the beginning, of what is there now
+    fails(lambda: recording.color(5), path, "cannot be decoded after frame 3", "0:4")
+
+
+def test_video_whose_name_opencv_cannot_take(tmp_path):
+    path = tmp_path / os.fsdecode(b"caf\xe9.avi")
+    path.write_bytes(b"")
+    fails(lambda: open_recording(str(path), VIDEO), path, "has a name that is not UTF-8", "rename the file")
 
 
 def test_video_with_a_camera_of_another_size(tmp_path):

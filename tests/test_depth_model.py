@@ -623,6 +623,12 @@ def test_relative_depth_is_not_taken_for_metric(recording):
             Camera(640, 480, 5000.0, 5000.0, 320.0, 240.0),
             "focal length of 5000 px, for blue 32x32; check the intrinsics",
         ),
+        # The network's image would take all memory.
+        (
+            Camera(640, 480, 0.82, 1.09, 320.0, 240.0),
+            "length of 0.945 px for images of 640x480; give it in pixels",
+        ),
+        (Camera(640, 480, 1e-320, 1e-320, 320.0, 240.0), "length of 0 px for images of 640x480; give it in pixels"),
     ],
 )
 def test_images_in_which_nothing_can_be_seen(camera, message):

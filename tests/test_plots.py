@@ -10,12 +10,13 @@ from typing import Any, get_args
 import cv2
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from monoloc.errors import DataError, MissingExtraError
 from monoloc.evaluation.clouds import cloud_distances
 from monoloc.evaluation.map_drawing import plot_map_change
 from monoloc.evaluation.plots import plot_depth, plot_localization, plot_training
-from monoloc.evaluation.run_drawing import _STATE_COLOURS, view_axes
+from monoloc.evaluation.run_drawing import _STATE_COLOURS, _beside, view_axes
 from monoloc.filter.health import State
 from monoloc.geometry import make_pose, se3_exp, so3_exp
 
@@ -93,6 +94,24 @@ def test_the_top_view_looks_down_and_is_not_mirrored(down: list[float], axes: tu
     np.testing.assert_array_equal(np.cross(np.eye(3)[right], np.eye(3)[forward]), sign * np.eye(3)[up])
 
 
+@pytest.mark.parametrize("turned", range(0, 360, 30))
+@pytest.mark.parametrize("flipped", [False, True])
+def test_the_name_of_an_end_hides_no_way_and_stays_inside(turned: float, flipped: bool) -> None:
+    """A straight way with arrows on one side of it leaves room on the other."""
+    angle = np.deg2rad(turned)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    way = np.stack([np.linspace(0.0, 2.0, 60), np.zeros(60)], axis=-1) @ turn.T
+    crowd = np.concatenate([way, way + turn @ [0.0, 0.2]])
+    axis = Figure().subplots()
+    axis.set_xlim(-2.5, 2.5)
+    axis.set_ylim(*([2.5, -2.5] if flipped else [-2.5, 2.5]))
+    (right_pt, up_pt), box = _beside(axis, way[0], crowd)
+    assert np.abs(box).max() < 2.5
+    low, high = box.min(axis=0), box.max(axis=0)
+    assert not np.any(np.all((crowd > low) & (crowd < high), axis=1))
+    np.testing.assert_array_equal(np.sign(box[0] - way[0]), np.sign([right_pt, -up_pt if flipped else up_pt]))
+
+
 def test_localization_refuses_truth_of_another_length(tmp_path: Path) -> None:
     run = run_of_a_camera()
     with pytest.raises(ValueError, match="estimated must have shape"):
@@ -148,6 +167,15 @@ def test_depth_with_holes_in_what_is_predicted(tmp_path: Path) -> None:
 def test_depth_refuses_unequal_numbers_of_images(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="equally many and not none, got 0, 1 and 1"):
         plot_depth(tmp_path / "depth.png", [], [np.ones((2, 2))], [np.ones((2, 2))])
+
+
+def test_a_dollar_in_a_name_is_no_formula(tmp_path: Path) -> None:
+    names = "k$\\frac{$", "train_$x^$"
+    plot_localization(tmp_path / "run.png", **run_of_a_camera(), title=names[0])
+    check_picture(tmp_path / "run.png", 1500, 900)
+    (tmp_path / "run.png").unlink()
+    plot_training(tmp_path / "training.png", [{"epoch": n, names[1]: 1.0 / (n + 1)} for n in range(9)])
+    check_picture(tmp_path / "training.png", 500, 400)
 
 
 def test_training(tmp_path: Path) -> None:

@@ -62,6 +62,26 @@ def test_steps_without_a_remark_are_counted_and_not_told(clock: Clock) -> None:
     assert log.getvalue().splitlines() == ["adapt: 20 of 40, half, 20 s remaining", "adapt: done in 20.0 s"]
 
 
+def test_a_log_is_not_silent_for_longer_than_half_a_minute(clock: Clock) -> None:
+    log = io.StringIO()
+    with ConsoleProgress(Console(file=log, width=200)).task("localize", 400) as step:
+        for done in range(1, 101):
+            clock.now_s += 0.7
+            step(done, "half-way" if done == 60 else "")
+    with ConsoleProgress(Console(file=log, width=200)).task("quantise", None) as step:
+        for done in range(1, 3):
+            clock.now_s += 40.0
+            step(done)
+    assert log.getvalue().splitlines() == [
+        "localize: 43 of 400 (11 %), 1.4/s, 250 s remaining",
+        "localize: 60 of 400, half-way, 238 s remaining",
+        "localize: done in 70.0 s",
+        "quantise: 1, 40.0 s each",
+        "quantise: 2, 40.0 s each",
+        "quantise: done in 80.0 s",
+    ]
+
+
 def test_of_a_task_of_unknown_length_nothing_is_said_to_remain(clock: Clock) -> None:
     log = io.StringIO()
     with ConsoleProgress(Console(file=log, width=200)).task("quantise", None) as step:

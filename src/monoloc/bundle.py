@@ -15,7 +15,7 @@ import shutil
 import tempfile
 import zipfile
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -140,7 +140,7 @@ def write_bundle(path: Path, bundle: Bundle) -> int:
         network=bundle.depth_model.name,
         network_spec=bundle.depth_model.spec,
         settings=bundle.settings,
-        camera=bundle.camera,
+        camera=replace(bundle.camera, distortion=bundle.camera.coefficients),
         provenance=bundle.provenance,
         healthy=bundle.healthy,
     )
@@ -246,7 +246,7 @@ def _read_manifest(path: Path) -> Manifest:
         raise BundleError(
             path, f"is not a bundle (no {_MANIFEST})", "give a folder made by: monoloc build"
         ) from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise BundleError(file, "is cut short or edited", "copy the bundle again or rebuild it") from error
     if not isinstance(body, dict) or body.get("schema_version") != SCHEMA:
         found = body.get("schema_version") if isinstance(body, dict) else None

@@ -20,7 +20,7 @@ def load_settings(path: Path, model: type[Settings]) -> Settings:
         DataError: unreadable, not TOML, an unknown field, or a value out of range; the field is named.
     """
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise DataError(path, "cannot be read", "give a TOML settings file") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

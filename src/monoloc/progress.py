@@ -11,6 +11,8 @@ from rich import progress as rich_progress
 from rich.console import Console
 from rich.text import Text
 
+_SILENCE_S = 30.0  # in a log; after that, people wonder
+
 
 class Step(Protocol):
     """Says that so many steps of a task are done, with a remark on how it goes where there is one."""
@@ -41,13 +43,15 @@ def _say_nothing(done: int, remark: str = "", /) -> None:
 class _Rate(rich_progress.ProgressColumn):
     def render(self, task: rich_progress.Task) -> Text:
         speed = task.finished_speed or task.speed
-        if not speed:
-            return Text("")
-        return Text(f"{speed:.1f}/s" if speed >= 1.0 else f"{1.0 / speed:.1f} s each", style="progress.data.speed")
+        return Text(_rate(speed), style="progress.data.speed") if speed else Text("")
+
+
+def _rate(steps_per_s: float) -> str:
+    return f"{steps_per_s:.1f}/s" if steps_per_s >= 1.0 else f"{1.0 / steps_per_s:.1f} s each"
 
 
 class ConsoleProgress:
-    """Bars on a console; where stderr is no terminal, one line a finished task and one a remark."""
+    """Bars on a console; where stderr is no terminal, one line a finished task, a remark, and at most 30 s."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -56,19 +60,23 @@ class ConsoleProgress:
     def task(self, name: str, total: int | None) -> Iterator[Step]:
         if not self._console.is_terminal:
             # A log, or another program: no bars, and nothing of a task that fails.
-            started = time.perf_counter()
+            started = told = time.perf_counter()
             first: int | None = None
 
             def log(done: int, remark: str = "", /) -> None:
-                nonlocal first
+                nonlocal first, told
                 first = done - 1 if first is None else first  # a resumed task does not begin at nothing
-                if not remark:
+                now = time.perf_counter()
+                if not remark and now - told < _SILENCE_S:
                     return
+                told = now
+                how = remark or _rate((done - first) / (now - started))
                 if total is None:
-                    self._console.print(f"{name}: {done}, {remark}")
+                    self._console.print(f"{name}: {done}, {how}")
                     return
-                remaining_s = (time.perf_counter() - started) * (total - done) / (done - first)
-                self._console.print(f"{name}: {done} of {total}, {remark}, {remaining_s:.0f} s remaining")
+                share = "" if remark else f" ({100.0 * done / total:.0f} %)"
+                remaining_s = (now - started) * (total - done) / (done - first)
+                self._console.print(f"{name}: {done} of {total}{share}, {how}, {remaining_s:.0f} s remaining")
 
             yield log
             self._console.print(f"{name}: done in {time.perf_counter() - started:.1f} s")

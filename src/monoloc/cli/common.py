@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -43,7 +44,7 @@ IntrinsicsOption = Annotated[
     typer.Option(
         "--intrinsics",
         metavar="W,H,FX,FY,CX,CY[,K1,K2,P1,P2,K3]",
-        help="Of the colour images, where the files have none or err; without K1 and so on, no distortion.",
+        help="Of the colour images, where the files have none or err; distortion stays theirs without K1 and so on.",
     ),
 ]
 DepthScaleOption = Annotated[
@@ -91,8 +92,11 @@ def _parse_camera(text: str) -> Camera:
     try:
         width, height, *rest = text.split(",")
         fx, fy, cx, cy, *distortion = (float(part) for part in rest)
-        k1, k2, p1, p2, k3 = distortion or [0.0] * 5
-        return Camera(int(width), int(height), fx, fy, cx, cy, (k1, k2, p1, p2, k3))
+        camera = Camera(int(width), int(height), fx, fy, cx, cy)
+        if not distortion:
+            return camera
+        k1, k2, p1, p2, k3 = distortion
+        return replace(camera, distortion=(k1, k2, p1, p2, k3))
     except ValueError as error:
         fix = "write W,H,FX,FY,CX,CY in pixels, and K1,K2,P1,P2,K3 behind them for distortion"
         raise SettingError("--intrinsics", f"is {text!r}", fix) from error

@@ -44,7 +44,7 @@ def inspect(
     Examples:
       monoloc inspect kitchen.monoloc
       monoloc inspect 7scenes:redkitchen --json
-      monoloc inspect flight.mp4 --intrinsics 640,480,525,525,320,240
+      monoloc inspect flight.mp4 --intrinsics 640,480,525,525,319.5,239.5
     """
     if (Path(target) / "manifest.json").is_file():
         refuse_frames(frames, "a bundle")

@@ -89,7 +89,7 @@ def localize_command(
     Examples:
       monoloc localize kitchen.monoloc 7scenes:redkitchen --out way.txt --plot way.png
       monoloc localize kitchen.monoloc 7scenes:redkitchen --frames 0:400 --seed 0 --json
-      monoloc localize room.monoloc flight.mp4 --intrinsics 640,480,525,525,320,240 --start 0.5,0.2,1.1,0,0,0,1
+      monoloc localize room.monoloc flight.mp4 --intrinsics 640,480,525,525,319.5,239.5 --start 0.5,0.2,1.1,0,0,0,1
       monoloc localize room.monoloc tum:fr1_room --motion random-walk
       monoloc localize kitchen.monoloc 7scenes:redkitchen --view --record way.rrd
     """

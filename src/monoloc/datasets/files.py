@@ -15,14 +15,18 @@ FloatArray = NDArray[np.float64]
 def require_folder(path: Path) -> None:
     """Raise DataError unless ``path`` is a folder."""
     if not path.exists():
-        raise DataError(path, "does not exist", "check the path")
+        raise DataError(path.absolute(), "does not exist", "check the path")
     if not path.is_dir():
         raise DataError(path, "is a file, not a folder", "give the folder that holds the recording")
 
 
 def require_file(path: Path, fix: str) -> None:
     """Raise DataError, with ``fix``, unless ``path`` is a file."""
-    if not path.is_file():
+    try:
+        is_there = path.is_file()
+    except OSError:  # its name is too long
+        is_there = False
+    if not is_there:
         raise DataError(path, "is missing", fix)
 
 
@@ -38,9 +42,9 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_text(path: Path) -> str:
-    """All text of a file; DataError where it cannot be read or is not text."""
+    """All text of a file, less a byte-order mark; DataError where it cannot be read or is not text."""
     try:
-        return read_bytes(path).decode("utf-8")
+        return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise DataError(path, "is not a text file", "copy the file again") from error
 

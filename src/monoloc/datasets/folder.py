@@ -1,4 +1,4 @@
-"""A folder of images that a ``dataset.toml`` describes: a posed sequence, or unposed pairs.
+"""A folder of images that a ``dataset.toml`` describes: a sequence, or unposed pairs.
 
 ::
 
@@ -15,6 +15,7 @@
     distortion = [0, 0, 0, 0, 0]      # optional: k1, k2, p1, p2, k3 of the images as stored
     depth_scale = 1000                # stored value of one metre; needed with depth
     poses = "poses.txt"               # of a sequence: one line a frame, t tx ty tz qx qy qz qw (TUM)
+    rate_hz = 30                      # in place of poses, where there are none
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ import numpy as np
 from monoloc.camera import Camera
 from monoloc.datasets.files import read_text, require_file, require_folder
 from monoloc.datasets.images import ImageRecording, names_of
-from monoloc.datasets.options import ReaderOptions
+from monoloc.datasets.options import ReaderOptions, depth_scale_problem
 from monoloc.datasets.poses import read_tum_poses
 from monoloc.errors import DataError, SettingError
 
@@ -50,6 +51,7 @@ _EXAMPLES = {
     "cy": "239.5",
     "distortion": "[0, 0, 0, 0, 0]",
     "depth_scale": "1000",
+    "rate_hz": "30",
 }
 
 
@@ -80,7 +82,9 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
     depth_paths = description.paths("depth", indices) if has_depth else None
 
     timestamps_s, poses = np.arange(len(indices), dtype=np.float64), None
-    if kind == "sequence":
+    if kind == "sequence" and not description.has("poses"):
+        timestamps_s /= description.rate_hz()
+    elif kind == "sequence":
         pose_path = folder / description.text("poses")
         require_file(pose_path, f"write it, or correct poses in {FILE_NAME}")
         timestamps_s, poses = read_tum_poses(pose_path)
@@ -88,12 +92,13 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
             raise DataError(
                 pose_path,
                 f"has {len(poses)} poses for {len(indices)} frames",
-                "write one line for each frame",
+                f"write one line for each frame; without some, number the others' images anew, or give "
+                f"rate_hz in place of poses in {FILE_NAME}, to localise alone",
             )
     return ImageRecording(
         name=folder.resolve().name,
         folder=folder,
-        camera=options.camera or description.camera(),
+        camera=options.camera_or(description.camera()),
         frame_names=names_of(color_paths, folder),
         timestamps_s=timestamps_s,
         poses=poses,
@@ -111,7 +116,7 @@ class _Description:
         require_file(path, "write one with kind, color, count, width, height, fx, fy, cx, cy")
         try:
             self._keys: dict[str, Any] = tomllib.loads(read_text(path))
-        except tomllib.TOMLDecodeError as error:
+        except (ValueError, RecursionError) as error:
             raise DataError(path, f"is not valid TOML ({error})", "correct that line") from error
         for key in self._keys:
             if key not in _EXAMPLES:
@@ -134,9 +139,18 @@ class _Description:
         # TOML's true is Python's True, which passes for a number.
         if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
             raise self.error(key, f"is {value!r}, not a number")
-        if key == "depth_scale" and value <= 0:
-            raise self.error(key, f"is {value!r}, not positive")
+        if key == "depth_scale" and (problem := depth_scale_problem(value)) is not None:
+            raise self.error(key, problem)
         return float(value)
+
+    def rate_hz(self) -> float:
+        """Of a sequence without poses, which would tell the frames' times."""
+        if not self.has("rate_hz"):
+            raise self.error("poses", "is missing, and so is rate_hz, which takes its place where there are no poses")
+        rate_hz = self.number("rate_hz")
+        if rate_hz <= 0.0:
+            raise self.error("rate_hz", f"is {rate_hz!r}, not positive")
+        return rate_hz
 
     def integer(self, key: str) -> int:
         value = self._value(key)
@@ -162,7 +176,7 @@ class _Description:
         pattern = self.text(key)
         try:
             names = [pattern.format(index=index) for index in indices]
-        except (KeyError, IndexError, ValueError, AttributeError) as error:
+        except (KeyError, IndexError, ValueError, AttributeError, OverflowError, MemoryError) as error:
             raise self.error(key, f"is {pattern!r}, not a pattern of {{index}}") from error
         if len(set(names)) < len(names):
             raise self.error(key, f"is {pattern!r}, the same file for every index")

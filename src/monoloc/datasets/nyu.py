@@ -37,7 +37,7 @@ def read(path: Path, options: ReaderOptions) -> NyuRecording:
         SettingError: an override that this format does not take.
     """
     options.allow_only("nyu", "camera")
-    return NyuRecording(path, options.camera or FULL_CAMERA)
+    return NyuRecording(path, options.camera_or(FULL_CAMERA))
 
 
 class NyuRecording:
@@ -48,7 +48,7 @@ class NyuRecording:
     """
 
     def __init__(self, path: Path, full_camera: Camera) -> None:
-        require_file(path, "give nyu_depth_v2_labeled.mat")
+        require_file(path.absolute(), "give nyu_depth_v2_labeled.mat")
         self._path = path
         with _open_hdf5(path) as file:
             size = (full_camera.width, full_camera.height)

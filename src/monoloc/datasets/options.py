@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-
-import numpy as np
+from dataclasses import dataclass, fields, replace
 
 from monoloc.camera import Camera
 from monoloc.errors import SettingError
+
+# Depth is divided in float32; these are far from its ends, and farther from what any camera stores.
+_LEAST_DEPTH_SCALE, _MOST_DEPTH_SCALE = 1e-6, 1e9
+
+
+def depth_scale_problem(value: float) -> str | None:
+    """What is wrong with a stored value of one metre; None where depth can be divided by it."""
+    if _LEAST_DEPTH_SCALE <= value <= _MOST_DEPTH_SCALE:  # which is not true of NaN
+        return None
+    return f"is {value!r}, not from {_LEAST_DEPTH_SCALE:g} to {_MOST_DEPTH_SCALE:g}"
 
 
 @dataclass(frozen=True)
@@ -15,19 +23,25 @@ class ReaderOptions:
     """Overrides of what a reader would take from the files or from the format's definition.
 
     Attributes:
-        camera: intrinsics of the colour images as stored.
+        camera: intrinsics of the colour images as stored; without distortion, that of the files or format stays.
         depth_scale: stored depth value per metre (``metres = value / depth_scale``).
 
     Raises:
-        SettingError: a scale that is not a usable number.
+        SettingError: a scale that depth cannot be divided by.
     """
 
     camera: Camera | None = None
     depth_scale: float | None = None
 
     def __post_init__(self) -> None:
-        if self.depth_scale is not None and not (np.isfinite(self.depth_scale) and self.depth_scale > 0.0):
-            raise SettingError("depth_scale", f"is {self.depth_scale}", "give the stored value of one metre, > 0")
+        problem = None if self.depth_scale is None else depth_scale_problem(self.depth_scale)
+        if problem is not None:
+            raise SettingError("depth_scale", problem, "give the stored value of one metre, such as 1000")
+
+    def camera_or(self, own: Camera) -> Camera:
+        """The camera given, or the recording's ``own``; its distortion is the first that is given of the two."""
+        camera = self.camera or own
+        return replace(camera, distortion=camera.distortion or own.coefficients)
 
     def allow_only(self, reader: str, *names: str) -> None:
         """Refuse overrides that the reader would silently ignore.

@@ -54,7 +54,7 @@ def open_recording(source: str, options: ReaderOptions | None = None) -> Recordi
             raise SettingError("SOURCE", f"unknown format {name!r}", f"known formats: {', '.join(FORMATS)}")
         return FORMATS[name].read(path, options)
     if not path.exists():
-        raise DataError(path, "does not exist", "check the path, or write FORMAT:PATH")
+        raise DataError(path.absolute(), "does not exist", "check the path, or write FORMAT:PATH")
     for known in FORMATS.values():
         if known.recognises(path):
             return known.read(path, options)
@@ -97,7 +97,6 @@ def select_frames(recording: Recording, frames: str) -> Selection:
         raise SettingError("frames", f"{frames!r} has step 0", "give a step of 1 or more")
     positions = range(len(recording))[start:stop:step]
     if not positions:
-        raise SettingError(
-            "frames", f"{frames!r} selects none of the {len(recording)} frames", "choose START below both"
-        )
+        fix = f"choose START below STOP and below {len(recording)}"
+        raise SettingError("frames", f"{frames!r} selects none of the {len(recording)} frames", fix)
     return Selection(recording, positions)

@@ -86,7 +86,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
     return ImageRecording(
         name=folder.resolve().name,
         folder=folder,
-        camera=options.camera or CAMERA,
+        camera=options.camera_or(CAMERA),
         frame_names=[p.name.removesuffix("-color.png") for p in color_paths],
         timestamps_s=np.array(numbers) / FRAME_RATE_HZ,
         poses=poses[numbers],

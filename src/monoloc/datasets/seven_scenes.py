@@ -59,9 +59,11 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
     Depth is registered to the colour camera and the poses are the colour camera's,
     ``T_world_color = T_world_depth @ inv(T_color_depth)``.
     A ``camera-intrinsics.txt`` (3x3) in the scene folder replaces the depth camera's intrinsics.
+    Without any depth image the recording has no depth, without any pose file no poses.
 
     Raises:
-        DataError: no frames, a frame without depth or pose, poses that are not rigid, images of another size.
+        DataError: no frames, a frame without the depth or pose that others have, poses that are not rigid, images of
+            another size.
         SettingError: an override that this format does not take.
     """
     options.allow_only("7scenes", "camera", "depth_scale")
@@ -79,10 +81,10 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
     names = [f"{p.resolve().parent.name}/{stem}" for p, stem in zip(color_paths, stems, strict=True)]
 
     pose_paths = [p.with_name(f"{stem}.pose.txt") for p, stem in zip(color_paths, stems, strict=True)]
-    if not any(p.is_file() for p in pose_paths):
-        raise DataError(path, "has no poses", "restore the frame-NNNNNN.pose.txt files, or read it as video")
-    matrices = np.stack([read_matrix_pose(p) for p in pose_paths])
-    T_world_depth = checked_poses(matrices, pose_paths, names)
+    poses = None
+    if any(p.is_file() for p in pose_paths):
+        matrices = np.stack([read_matrix_pose(p) for p in pose_paths])
+        poses = checked_poses(matrices, pose_paths, names) @ geometry.invert(T_COLOR_DEPTH)
 
     depth_paths = [p.with_name(f"{stem}.depth.png") for p, stem in zip(color_paths, stems, strict=True)]
     has_depth = any(p.is_file() for p in depth_paths)
@@ -90,14 +92,14 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
         if not depth_path.is_file():
             raise DataError(depth_path, "is missing", "restore it or remove the frame's other files")
 
-    color_camera = options.camera or COLOR_CAMERA
+    color_camera = options.camera_or(COLOR_CAMERA)
     return ImageRecording(
         name=path.resolve().name,
         folder=path,
         camera=color_camera,
         frame_names=names,
         timestamps_s=np.array(times_s),
-        poses=T_world_depth @ geometry.invert(T_COLOR_DEPTH),
+        poses=poses,
         color_paths=color_paths,
         depth_paths=depth_paths if has_depth else None,
         depth_scale=options.depth_scale or 1000.0,

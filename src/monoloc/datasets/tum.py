@@ -43,21 +43,20 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
 
     A colour frame is kept when a depth image lies within 20 ms (each the other's nearest, so one to one) and
     its pose is known: interpolated on SE(3) where the neighbouring ground-truth samples are at most 40 ms
-    apart, else the nearest sample within 20 ms. Without ``depth.txt`` the recording has no depth.
+    apart, else the nearest sample within 20 ms. Without ``depth.txt`` the recording has no depth, without
+    ``groundtruth.txt`` no poses.
 
     Raises:
-        DataError: missing or malformed lists, no ground truth, no frame left, images of another size.
+        DataError: missing or malformed lists, no frame left, images of another size.
         SettingError: an override that this format does not take.
     """
     options.allow_only("tum", "camera", "depth_scale")
     require_folder(path)
     color_times, color_paths = _read_list(path / "rgb.txt")
-    truth_path = path / "groundtruth.txt"
-    require_file(truth_path, "the recording has no poses; restore the file, or read it as video")
-    truth_times, truth_poses = read_tum_poses(truth_path)
-
-    kept, poses = _poses_at(color_times, truth_times, truth_poses)
-    depth_paths = None
+    kept, poses, depth_paths = np.ones(len(color_paths), dtype=np.bool_), None, None
+    if (path / "groundtruth.txt").is_file():
+        truth_times, truth_poses = read_tum_poses(path / "groundtruth.txt")
+        kept, poses = _poses_at(color_times, truth_times, truth_poses)
     if (path / "depth.txt").is_file():
         depth_times, all_depth_paths = _read_list(path / "depth.txt")
         partner = _mutual_nearest(color_times, depth_times)
@@ -73,10 +72,10 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
     return ImageRecording(
         name=path.resolve().name,
         folder=path,
-        camera=options.camera or _camera_of(path.resolve().name),
+        camera=options.camera_or(_camera_of(path.resolve().name)),
         frame_names=names_of(kept_color_paths, path),
         timestamps_s=color_times[kept],
-        poses=poses[kept],
+        poses=None if poses is None else poses[kept],
         color_paths=kept_color_paths,
         depth_paths=depth_paths,
         depth_scale=options.depth_scale or DEPTH_SCALE,

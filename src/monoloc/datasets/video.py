@@ -39,29 +39,23 @@ def read(path: Path, options: ReaderOptions) -> VideoRecording:
 class VideoRecording:
     """A :class:`~monoloc.datasets.base.Recording` without poses and depth.
 
+    Opening it goes through all frames once, for their times and their true number: containers state the one only as
+    a mean rate, and the other wrongly where a file was cut.
+
     Frames are decoded one after another. Going forward skips frames without converting them; going back
     starts again from the first frame, because seeking in compressed video does not always hit the frame.
     """
 
     def __init__(self, path: Path, camera: Camera | None) -> None:
-        require_file(path, "check the path")
+        require_file(path.absolute(), "check the path")
+        _check_name(path)
         self._path = path
         self._rewind()
-        count, rate_hz, width, height = (
-            self._capture.get(key)
-            for key in (
-                cv2.CAP_PROP_FRAME_COUNT,
-                cv2.CAP_PROP_FPS,
-                cv2.CAP_PROP_FRAME_WIDTH,
-                cv2.CAP_PROP_FRAME_HEIGHT,
-            )
-        )
-        if count < 1 or not rate_hz > 0.0:
-            raise DataError(path, "states no frame count or no frame rate", "convert it to .mp4")
-        size = (int(width), int(height))
+        size = tuple(int(self._capture.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
         if camera is None:
-            fix = f"localise in it with --intrinsics {size[0]},{size[1]},FX,FY,CX,CY"
-            raise DataError(path, "is a video, which says nothing of its camera", fix)
+            problem = "is a video, without poses, without depth, and says nothing of its camera"
+            fix = f"give monoloc localize or inspect --intrinsics {size[0]},{size[1]},FX,FY,CX,CY"
+            raise DataError(path, problem, fix)
         if (camera.width, camera.height) != size:
             raise SettingError(
                 "camera",
@@ -70,8 +64,8 @@ class VideoRecording:
             )
         self.name = path.stem
         self.camera = camera
-        self.frame_names = [f"{index:06d}" for index in range(int(count))]
-        self.timestamps_s = np.arange(int(count)) / rate_hz
+        self.timestamps_s = self._times_s()
+        self.frame_names = [f"{index:06d}" for index in range(len(self.timestamps_s))]
         self.poses: NDArray[np.float64] | None = None
         self.has_depth = False
 
@@ -100,8 +94,33 @@ class VideoRecording:
         """Always raises DataError: a video has no depth."""
         raise DataError(self._path, "is a video and has no depth", "use predicted depth")
 
+    def _times_s(self) -> NDArray[np.float64]:
+        """Time of every frame that can be decoded, (N,) seconds."""
+        times_ms = []
+        while self._capture.grab():
+            times_ms.append(self._capture.get(cv2.CAP_PROP_POS_MSEC))  # of the frame just grabbed
+        rate_hz = self._capture.get(cv2.CAP_PROP_FPS)
+        self._rewind()
+        if not times_ms:
+            raise DataError(self._path, "has no frame that can be decoded", "convert it to .mp4")
+        times_s = np.array(times_ms) / 1000.0
+        if np.all(np.diff(times_s) > 0.0):
+            return times_s
+        # A bare stream has no times of its own, and a broken one has some twice.
+        if not rate_hz > 0.0:
+            raise DataError(self._path, "states neither times that increase nor a frame rate", "convert it to .mp4")
+        return np.arange(len(times_s)) / rate_hz
+
     def _rewind(self) -> None:
         self._capture = cv2.VideoCapture(str(self._path))
         self._next = 0
         if not self._capture.isOpened():
             raise DataError(self._path, "cannot be decoded as a video", "convert it to .mp4 or .avi")
+
+
+def _check_name(path: Path) -> None:
+    """Raise DataError where OpenCV cannot open a path: it crashes on what is not UTF-8."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError as error:
+        raise DataError(path, "has a name that is not UTF-8", "rename the file, or the folder it is in") from error

@@ -58,7 +58,7 @@ class DepthPredictor:
 
     Raises:
         DataError: the network cannot be loaded or run, takes no image, or gives no depth image.
-        SettingError: the camera's images are too small.
+        SettingError: the camera's images are too small, or its focal length is.
     """
 
     def __init__(self, model: DepthModel, camera: Camera, threads: int = 1) -> None:
@@ -114,8 +114,8 @@ class DepthPredictor:
     def _probe(self) -> NDArray[np.float32]:
         """The first output for an image of noise, checked."""
         name, camera = self.name, self.input_camera
-        noise = np.random.default_rng(0).integers(0, 256, (camera.height, camera.width, 3), dtype=np.uint8)
         try:
+            noise = np.random.default_rng(0).integers(0, 256, (camera.height, camera.width, 3), dtype=np.uint8)
             raw, *log_error = self._infer(noise)
         except Exception as error:  # onnxruntime raises its own classes, all directly under Exception
             problem = f"cannot be run on images of {camera.width}x{camera.height} ({_reason(error)})"
@@ -182,7 +182,7 @@ def _checked_size(model: DepthModel, camera: Camera) -> tuple[int, int]:
     """Size of the network's input for a camera.
 
     Raises:
-        SettingError: images too small for depth to be seen in them.
+        SettingError: images too small for depth to be seen in them, or a focal length that is not in pixels.
     """
     image = f"{camera.width}x{camera.height}"
     if min(camera.width, camera.height) < _LEAST_IMAGE_PX:

@@ -13,10 +13,12 @@ from pydantic_core import PydanticCustomError
 
 from monoloc.camera import Camera
 from monoloc.datasets.base import Recording
+from monoloc.errors import SettingError
 
 STRIDE = 32  # our networks halve their input five times
 FOCAL_KEY = "monoloc_focal_px"
 LEAST_INPUT_PX = 64
+_WIDEST = 6.0  # image side over focal length: 143 degrees; what is wider was no focal length in pixels
 
 _Size = Annotated[int, Field(ge=LEAST_INPUT_PX)]
 _Positive = Annotated[float, Field(gt=0.0)]
@@ -128,7 +130,13 @@ def network_size(camera: Camera, focal_px: float, stride: int = STRIDE) -> tuple
     """(width, height) that bring a camera's image nearest to the canonical focal length, multiples of the stride.
 
     Rounding leaves the two focal lengths a few percent off; the runtime corrects depth for it.
+
+    Raises:
+        SettingError: a focal length so short that no memory would hold the network's image.
     """
+    if max(camera.width, camera.height) > _WIDEST * camera.focal_px:
+        problem = f"has a focal length of {camera.focal_px:.3g} px for images of {camera.width}x{camera.height}"
+        raise SettingError("camera", problem, "give it in pixels, fx and fy alike")
     scale = focal_px / camera.focal_px
     width = max(1, round(camera.width * scale / stride)) * stride
     height = max(1, round(camera.height * scale / stride)) * stride

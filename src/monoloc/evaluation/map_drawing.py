@@ -52,7 +52,8 @@ def plot_map_change(
     with picture(path, 12.0, 9.8) as figure:
         if title:
             figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold")
-        (merged, boxes), (coloured, histogram) = figure.subplots(2, 2)
+        # Room between the colour bar's name and the histogram's.
+        (merged, boxes), (coloured, histogram) = figure.subplots(2, 2, gridspec_kw={"wspace": 0.06})
         both = np.concatenate([_thinned(original), _thinned(adapted)])
         colours = np.repeat([BLUE, ORANGE], [len(_thinned(original)), len(_thinned(adapted))])
         _scatter(merged, eye, both, c=colours, alpha=0.6)
@@ -134,20 +135,22 @@ def _frame(axis: Axes, eye: _Eye, corners: FloatArray) -> None:
     page = eye.project(corners)
     low, high = page.min(axis=0)[:2], page.max(axis=0)[:2]
     margin = 0.04 * (high - low).max()
-    axis.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + 3.0 * margin))
+    bottom = low[1] - 2.0 * margin  # below the boxes, whose edges would cross the metre
+    axis.set(xlim=(low[0] - margin, high[0] + margin), ylim=(bottom - margin, high[1] + 3.0 * margin))
     axis.set(xticks=[], yticks=[])
     axis.set_aspect("equal")
     axis.spines[:].set_visible(False)
-    foot, reach = (low[0], low[1] + 2.5 * margin), 2.5 * margin
-    for number, world_axis in enumerate(eye.axes):
-        x, y = reach * eye.R_page_axes[:2, number] * (eye.up_sign if number == 2 else 1.0)
-        tip = (foot[0] + x, foot[1] + y)
-        arrow = {"arrowstyle": "->", "color": INK, "shrinkA": 0, "shrinkB": 0}
-        axis.annotate("", tip, foot, zorder=3, arrowprops=arrow)
-        axis.annotate("xyz"[world_axis], tip, (2, 2), textcoords="offset points", fontsize=9)
+    arrows = 2.5 * margin * eye.R_page_axes[:2].T * [[1.0], [1.0], [eye.up_sign]]
+    foot = np.array([low[0], bottom]) - np.minimum(0.0, arrows.min(axis=0))  # an arrow out of the panel is not drawn
+    for world_axis, arrow in zip(eye.axes, arrows, strict=True):
+        tip, shape = tuple(foot + arrow), {"arrowstyle": "->", "color": INK, "shrinkA": 0, "shrinkB": 0}
+        axis.annotate("", tip, tuple(foot), zorder=3, arrowprops=shape)
+        right_pt, up_pt = 7.0 * arrow / np.linalg.norm(arrow)
+        beyond: Any = {"xytext": (right_pt, up_pt), "textcoords": "offset points"}
+        axis.annotate("xyz"[world_axis], tip, **beyond, ha="center", va="center", fontsize=9)
     right = high[0]
-    axis.plot([right - 1.0, right], [foot[1]] * 2, color=INK, linewidth=2.0, solid_capstyle="butt")
-    axis.annotate("1 m", (right - 0.5, foot[1]), (0, 4), textcoords="offset points", ha="center", fontsize=9)
+    axis.plot([right - 1.0, right], [bottom] * 2, color=INK, linewidth=2.0, solid_capstyle="butt")
+    axis.annotate("1 m", (right - 0.5, bottom), (0, 4), textcoords="offset points", ha="center", fontsize=9)
     if axis.get_legend_handles_labels()[0]:
         axis.legend(loc="upper right")
 

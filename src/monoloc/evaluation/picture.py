@@ -37,6 +37,7 @@ _STYLE: Any = {  # matplotlib types its settings from 3.11 on, as a dict of lite
     "grid.color": "#E8E8E8",
     "legend.fontsize": 9,
     "legend.frameon": False,
+    "text.parse_math": False,  # a $ in a name is a $
 }
 
 

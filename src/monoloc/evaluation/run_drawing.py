@@ -27,6 +27,10 @@ _ELLIPSE_SIGMA = 1.5
 _VIEWS_ASPECT = 1.05  # height of both views together over their width, in the picture's left half
 _CLOUD_POINTS_DRAWN = 20_000
 _ARROWS_DRAWN = 16
+_ARROWS_PER_WIDTH = 22.0  # an arrow's length is one in so many of the view's width
+_VIEW_WIDTH_PT = 390.0  # nearly
+_NAME_PT = (15.0, 6.0)  # half of the width and height of "start"
+_GAP_PT = 4.0  # from a name to what it must not hide
 
 
 @dataclass(frozen=True)
@@ -61,14 +65,14 @@ def draw_views(figure: SubFigure, run: Run) -> dict[str, Artist]:
     for axis, plane in ((top, [right, forward]), (side, [right, up])):
         # matplotlib takes the step for turning arrows from the data's extent, which a single frame lacks.
         axis.update_datalim([low_m[plane], high_m[plane]])
-        _draw_map(axis, plane, run)
-        shown |= _draw_ways(axis, plane, run)
         axis.set_xlim(low_m[plane[0]], high_m[plane[0]])
         axis.set_ylim(low_m[plane[1]], high_m[plane[1]])
         axis.set_aspect("equal", anchor="W")
         axis.set(xlabel=f"{'xyz'[plane[0]]} (m)", ylabel=f"{'xyz'[plane[1]]} (m)")
-    if up_is_negative:
-        side.invert_yaxis()
+        if axis is side and up_is_negative:
+            axis.invert_yaxis()
+        _draw_map(axis, plane, run)
+        shown |= _draw_ways(axis, plane, run)
     top.set_title("From above (arrows: viewing direction)")
     side.set_title("From the side")
     return shown
@@ -148,7 +152,9 @@ def _draw_ways(axis: Axes, plane: list[int], run: Run) -> dict[str, Artist]:
         (shown[name],) = axis.plot(*poses[:, plane, 3].T, *style, **details)
 
     if run.odometry is not None:
-        draw("odometry alone", run.odometry, color=ORANGE, linestyle=_DASHED, linewidth=1.2)
+        # With a truth it begins there, which the estimate need not.
+        name = "odometry alone" if run.truth is None else "odometry alone, from the true start"
+        draw(name, run.odometry, color=ORANGE, linestyle=_DASHED, linewidth=1.2)
     if run.truth is not None:
         draw("truth", run.truth, color=INK, linewidth=3.5, alpha=0.35)
     draw("estimate", run.estimated, color=BLUE, linewidth=1.3)
@@ -165,18 +171,46 @@ def _draw_ways(axis: Axes, plane: list[int], run: Run) -> dict[str, Artist]:
         *some[:, plane, 3].T,
         *some[:, plane, 2].T,
         angles="xy",
-        scale=22.0,
+        scale=_ARROWS_PER_WIDTH,
         width=0.0035,
         color=BLUE,
         alpha=0.8,
     )
-    for pose, marker, name, below in (
-        (run.estimated[0], "o", "start", -14),
-        (run.estimated[-1], "s", "end", 6),
-    ):
-        axis.plot(*pose[plane, 3], marker, color=BLUE, markeredgecolor="white", markersize=8)
-        axis.annotate(name, pose[plane, 3], (6, below), textcoords="offset points", color=BLUE)
+    # What the names of the ends must not hide: the ways, the arrows along their length, and each other.
+    arrow = np.ptp(axis.get_xlim()) / _ARROWS_PER_WIDTH * some[:, plane, 2]
+    crowd = [T[:, plane, 3] for T in (run.estimated, run.truth, run.odometry) if T is not None]
+    crowd += [some[:, plane, 3] + share * arrow for share in (0.5, 1.0)]
+    for pose, marker, name in ((run.estimated[0], "o", "start"), (run.estimated[-1], "s", "end")):
+        at = pose[plane, 3]
+        axis.plot(*at, marker, color=BLUE, markeredgecolor="white", markersize=8)
+        (right_pt, up_pt), box = _beside(axis, at, np.concatenate(crowd))
+        place: Any = {"xytext": (right_pt, up_pt), "textcoords": "offset points"}
+        axis.annotate(name, at, **place, ha="center", va="center_baseline", color=BLUE)
+        crowd.append(box)
     return shown
+
+
+def _beside(axis: Axes, at: FloatArray, crowd: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Where a name beside a point (2,) hides no other points (N, 2), and then where it is farthest from them.
+
+    Returns:
+        Its offset in points (2,), and its box's middle and corners (5, 2), which are within the axis's limits.
+    """
+    low, high = (np.array(ends) for ends in zip(axis.get_xlim(), axis.get_ylim(), strict=True))
+    m_per_pt = np.sign(high - low) * (high[0] - low[0]) / _VIEW_WIDTH_PT
+    low_pt, high_pt, crowd_pt = (low - at) / m_per_pt, (high - at) / m_per_pt, (crowd - at) / m_per_pt
+    middle_pt = crowd_pt.mean(axis=0)
+
+    def merit(offset_pt: FloatArray) -> tuple[float, float]:
+        ends_pt = offset_pt - _NAME_PT, offset_pt + _NAME_PT
+        inside = np.all(ends_pt[0] > low_pt) and np.all(ends_pt[1] < high_pt)
+        gap_pt = np.min(np.max(np.abs(crowd_pt - offset_pt) - _NAME_PT, axis=1)) if inside else -np.inf
+        return min(float(gap_pt), _GAP_PT), float(np.linalg.norm(offset_pt - middle_pt))
+
+    sides = [np.array([x, y]) for x in (1.0, -1.0, 0.0) for y in (-1.0, 1.0, 0.0) if x or y]
+    best = max((side * (np.array(_NAME_PT) + _GAP_PT + 1.0) for side in sides), key=merit)
+    corners = np.array([(0, 0), (-1, -1), (-1, 1), (1, -1), (1, 1)])
+    return best, at + (best + corners * _NAME_PT) * m_per_pt
 
 
 # --- Errors over time ---

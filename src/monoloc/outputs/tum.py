@@ -62,7 +62,7 @@ def read_tum(path: str | Path) -> tuple[FloatArray, FloatArray]:
     """
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(path, f"cannot be read ({_reason(error)})", "give a TUM trajectory file") from error
 
