@@ -158,7 +158,7 @@ def test_what_is_timed_needs_neither_torch_nor_matplotlib() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("kernels", "nowhere"), "nowhere: .*"),
+        (("kernels", "nowhere"), ".*/nowhere: does not exist; .*"),
         (("kernels", "--frames", "::2"), "--frames: has no meaning for a made-up room; leave it out"),
         (("map", "walk", "--frames", "x"), "--frames: 'x' is not START:STOP:STEP; .*"),
         (("pipeline", "walk", "--bundle", "nowhere"), "nowhere: is not a bundle .*; .*monoloc build"),

@@ -1014,3 +1014,13 @@ def test_progress_on_a_terminal_is_a_bar():
     with progress.task("localize", 4) as step:
         step(2)
     assert "localize" in screen.getvalue() and "4/4" in screen.getvalue()
+
+
+def test_six_intrinsics_keep_the_distortion_of_the_file(capfd, here):
+    description = Path("walk/dataset.toml")
+    description.write_text(description.read_text() + "distortion = [-0.05, 0.0, 0.0, 0.0, 0.0]\n")
+    camera = json_of(capfd, "inspect", "walk")
+    size, (fx, fy, cx, cy) = camera["image"], camera["intrinsics"]
+    six = f"{size[0]},{size[1]},{fx},{fy},{cx},{cy}"
+    assert json_of(capfd, "inspect", "walk", "--intrinsics", six)["distortion"] == [-0.05, 0.0, 0.0, 0.0, 0.0]
+    assert json_of(capfd, "inspect", "walk", "--intrinsics", f"{six},0,0,0,0,0")["distortion"] == [0.0] * 5

@@ -119,7 +119,14 @@ def test_links_are_written_through(capfd, here):
 
 def test_a_source_that_leads_nowhere_is_the_readers_to_refuse(capfd, here):
     Path("loop").symlink_to("loop")
-    refused(capfd, here, ("localize", "room.monoloc", "loop", "--out", "way.txt"), str(here / "loop"), "does not exist", "path")
+    refused(
+        capfd,
+        here,
+        ("localize", "room.monoloc", "loop", "--out", "way.txt"),
+        str(here / "loop"),
+        "does not exist",
+        "path",
+    )
 
 
 def test_a_file_may_be_written_again_and_beside_its_source(capfd, here):

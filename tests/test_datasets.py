@@ -517,10 +517,9 @@ def test_given_intrinsics_leave_the_distortion_that_they_do_not_name(tmp_path, f
     write[format_name](folder)
     width, height = (32, 24) if format_name == "folder" else (640, 480)
     given = Camera(width, height, 0.9 * width, 0.9 * width, (width - 1) / 2, (height - 1) / 2)
-    for distortion, expected in (((), own), (BENT, BENT), (STRAIGHT, STRAIGHT)):
-        camera = replace(given, distortion=distortion)
-        recording = open_recording(f"{format_name}:{folder}", ReaderOptions(camera=camera))
-        assert recording.camera == replace(given, distortion=expected)
+    for distortion, is_kept, expected in ((STRAIGHT, True, own), (BENT, False, BENT), (STRAIGHT, False, STRAIGHT)):
+        options = ReaderOptions(replace(given, distortion=distortion), keeps_distortion=is_kept)
+        assert open_recording(f"{format_name}:{folder}", options).camera == replace(given, distortion=expected)
 
 
 @pytest.mark.parametrize("value", [0, 65535])

@@ -99,7 +99,9 @@ def test_frames_with_step_zero(tmp_path):
 def test_frames_that_select_nothing(tmp_path, frames):
     synthetic.write_folder(tmp_path)
     recording = open_recording(str(tmp_path))
-    refuses(lambda: select_frames(recording, frames), "frames", "none of the 3 frames", "START below STOP and below 3")
+    refuses(
+        lambda: select_frames(recording, frames), "frames", "none of the 3 frames", "START below STOP and below 3"
+    )
 
 
 # --- Overrides ---

@@ -340,5 +340,9 @@ def test_render_command_writes_recordings(room, poses, tmp_path, capfd):
     assert read_room(tmp_path / "out" / "room.json") == room
     write_room(tmp_path / "room.json", room.move("cube", (0.1, 0.0, 0.0)))
     assert invoke(["synth", "render", *given, *options, "--out", str(tmp_path / "out")]) == 2
+    assert "room.json is another room; name another folder" in capfd.readouterr().err
+    write_room(tmp_path / "room.json", room)
+    again = [*options[:-4], "--light", "L1", "--seed", "5"]
+    assert invoke(["synth", "render", *given, *again, "--out", str(tmp_path / "out")]) == 2
     assert "holds a rendering of other settings" in capfd.readouterr().err
     assert read_room(tmp_path / "out" / "room.json") == room

@@ -15,7 +15,7 @@ import shutil
 import tempfile
 import zipfile
 import zlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -140,7 +140,7 @@ def write_bundle(path: Path, bundle: Bundle) -> int:
         network=bundle.depth_model.name,
         network_spec=bundle.depth_model.spec,
         settings=bundle.settings,
-        camera=replace(bundle.camera, distortion=bundle.camera.coefficients),
+        camera=bundle.camera,
         provenance=bundle.provenance,
         healthy=bundle.healthy,
     )

@@ -15,9 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from monoloc.errors import SettingError
 
 FloatArray = NDArray[np.float64]
-Distortion = tuple[float, float, float, float, float]
 
-_PINHOLE: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
 _LEAST_DEPTH_M = 0.1  # nothing nearer is in sight
 _BORDER_RAYS = 9  # along a side; the widest of them bound the view
 _CHECKED, _ALIKE = 17, 1e-9  # points along a side, and how far from one the way there and back may lead
@@ -31,8 +29,7 @@ class Camera:
         width, height: image size, pixels.
         fx, fy: focal lengths, pixels.
         cx, cy: principal point, pixels, pixel centres at integers.
-        distortion: Brown coefficients (k1, k2, p1, p2, k3) in OpenCV's order; all zero for a pinhole, and empty where
-            they are not given, which is a pinhole too.
+        distortion: Brown coefficients (k1, k2, p1, p2, k3) in OpenCV's order; all zero for a pinhole.
 
     Raises:
         SettingError: sizes or focal lengths not positive and finite, or the principal point outside
@@ -45,7 +42,7 @@ class Camera:
     fy: float
     cx: float
     cy: float
-    distortion: Distortion | tuple[()] = ()
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
@@ -60,7 +57,7 @@ class Camera:
                 f"({self.cx}, {self.cy}) lies outside the {self.width}x{self.height} image",
                 "check that the intrinsics belong to this image size",
             )
-        if len(self.distortion) not in (0, 5) or not np.all(np.isfinite(self.distortion)):
+        if len(self.distortion) != 5 or not np.all(np.isfinite(self.distortion)):
             raise SettingError("camera.distortion", f"is {self.distortion}", "give k1, k2, p1, p2, k3")
         if self.is_distorted and not self._is_one_to_one():
             raise SettingError(
@@ -73,7 +70,7 @@ class Camera:
         """Whether every pixel has its own ray: the polynomial's inverse is found, and on the side of the middle."""
         ends = ((-0.5, self.width - 0.5, self.cx, self.fx), (-0.5, self.height - 0.5, self.cy, self.fy))
         x, y = (((first - middle) / f, (last - middle) / f) for first, last, middle, f in ends)
-        return _is_one_to_one(tuple(self.coefficients), *x, *y)
+        return _is_one_to_one(tuple(self.distortion), *x, *y)
 
     @property
     def matrix(self) -> FloatArray:
@@ -84,11 +81,6 @@ class Camera:
     def focal_px(self) -> float:
         """Geometric mean of the two focal lengths, pixels."""
         return float(np.sqrt(self.fx * self.fy))
-
-    @property
-    def coefficients(self) -> Distortion:
-        """Distortion, all zero where it is not given."""
-        return self.distortion or _PINHOLE
 
     @property
     def is_distorted(self) -> bool:
@@ -113,11 +105,11 @@ class Camera:
 
     def flipped(self) -> Camera:
         """The camera of the image mirrored left to right."""
-        k1, k2, p1, p2, k3 = self.coefficients
+        k1, k2, p1, p2, k3 = self.distortion
         return replace(self, cx=self.width - 1 - self.cx, distortion=(k1, k2, p1, -p2, k3))
 
     def without_distortion(self) -> Camera:
-        return replace(self, distortion=_PINHOLE)
+        return replace(self, distortion=(0.0, 0.0, 0.0, 0.0, 0.0))
 
     def project(self, points_camera: ArrayLike) -> FloatArray:
         """Pixels of points in the camera's frame: (..., 3) m -> (..., 2) px; NaN for points with z <= 0."""
@@ -161,10 +153,13 @@ class Camera:
         return depth[..., None] * self.pixel_rays()
 
     def _distort(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return _distort(self.coefficients, x, y) if self.is_distorted else (x, y)
+        return _distort(self.distortion, x, y) if self.is_distorted else (x, y)
 
     def _undistort(self, distorted: FloatArray) -> FloatArray:
-        return _undistort(self.coefficients, distorted) if self.is_distorted else distorted
+        return _undistort(self.distortion, distorted) if self.is_distorted else distorted
+
+
+Distortion = tuple[float, float, float, float, float]
 
 
 def _distort(distortion: Distortion, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:

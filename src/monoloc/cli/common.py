@@ -6,7 +6,6 @@ import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -84,19 +83,18 @@ def open_source(
         DataError, SettingError: as the readers'.
     """
     with naming({"frames": frames_option, "camera": "--intrinsics", "depth_scale": "--depth-scale"}):
-        camera = None if intrinsics is None else _parse_camera(intrinsics)
-        return select_frames(open_recording(source, ReaderOptions(camera=camera, depth_scale=depth_scale)), frames)
+        camera, keeps_distortion = (None, False) if intrinsics is None else _parse_camera(intrinsics)
+        options = ReaderOptions(camera, keeps_distortion, depth_scale)
+        return select_frames(open_recording(source, options), frames)
 
 
-def _parse_camera(text: str) -> Camera:
+def _parse_camera(text: str) -> tuple[Camera, bool]:
+    """The camera, and whether its distortion is left open."""
     try:
         width, height, *rest = text.split(",")
         fx, fy, cx, cy, *distortion = (float(part) for part in rest)
-        camera = Camera(int(width), int(height), fx, fy, cx, cy)
-        if not distortion:
-            return camera
-        k1, k2, p1, p2, k3 = distortion
-        return replace(camera, distortion=(k1, k2, p1, p2, k3))
+        k1, k2, p1, p2, k3 = distortion or [0.0] * 5
+        return Camera(int(width), int(height), fx, fy, cx, cy, (k1, k2, p1, p2, k3)), not distortion
     except ValueError as error:
         fix = "write W,H,FX,FY,CX,CY in pixels, and K1,K2,P1,P2,K3 behind them for distortion"
         raise SettingError("--intrinsics", f"is {text!r}", fix) from error

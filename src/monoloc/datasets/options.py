@@ -23,7 +23,8 @@ class ReaderOptions:
     """Overrides of what a reader would take from the files or from the format's definition.
 
     Attributes:
-        camera: intrinsics of the colour images as stored; without distortion, that of the files or format stays.
+        camera: intrinsics of the colour images as stored.
+        keeps_distortion: whether the distortion of the files or the format stays when ``camera`` is given.
         depth_scale: stored depth value per metre (``metres = value / depth_scale``).
 
     Raises:
@@ -31,6 +32,7 @@ class ReaderOptions:
     """
 
     camera: Camera | None = None
+    keeps_distortion: bool = False
     depth_scale: float | None = None
 
     def __post_init__(self) -> None:
@@ -39,9 +41,10 @@ class ReaderOptions:
             raise SettingError("depth_scale", problem, "give the stored value of one metre, such as 1000")
 
     def camera_or(self, own: Camera) -> Camera:
-        """The camera given, or the recording's ``own``; its distortion is the first that is given of the two."""
-        camera = self.camera or own
-        return replace(camera, distortion=camera.distortion or own.coefficients)
+        """The camera given, or the recording's ``own``."""
+        if self.camera is None:
+            return own
+        return replace(self.camera, distortion=own.distortion) if self.keeps_distortion else self.camera
 
     def allow_only(self, reader: str, *names: str) -> None:
         """Refuse overrides that the reader would silently ignore.
@@ -50,5 +53,5 @@ class ReaderOptions:
             SettingError: an option outside ``names`` differs from its default.
         """
         for field in fields(self):
-            if field.name not in names and getattr(self, field.name) != field.default:
+            if field.name not in (*names, "keeps_distortion") and getattr(self, field.name) != field.default:
                 raise SettingError(field.name, f"has no meaning for a {reader} recording", "leave this option out")

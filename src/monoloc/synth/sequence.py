@@ -89,7 +89,7 @@ def render_sequence(
     settings = {
         "room": hashlib.sha256(room.to_json().encode()).hexdigest(),
         "poses": hashlib.sha256(np.ascontiguousarray(np.round(poses, 9)).tobytes()).hexdigest(),
-        "camera": asdict(camera.without_distortion()),
+        "camera": asdict(camera),
         "samples": config.samples,
         "seed": seed,
     }
