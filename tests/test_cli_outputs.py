@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -163,17 +161,3 @@ def test_each_output_is_written_whatever_becomes_of_the_others(capfd, here, monk
     monkeypatch.setattr("monoloc.cli.localize.plot_localization", full)
     fails(command, "way.png")
     assert Path("way.rrd").exists()
-
-
-def test_a_recording_on_a_full_disk_is_told_once(here):
-    """Not by Rerun's own lines as well."""
-    code = (
-        "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000))\n"
-        "from monoloc.cli.main import run; run()"
-    )
-    command = [sys.executable, "-c", code, *LOCALIZE, "--json", "--record", "way.rrd"]
-    told = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert told.returncode == 2 and json.loads(told.stdout)["frames"] == FRAMES
-    (line,) = (line for line in told.stderr.splitlines() if not line.startswith("localize: done"))
-    assert line.startswith("monoloc: way.rrd: cannot be written")
