@@ -11,7 +11,7 @@ from monoloc import __version__
 from monoloc.cli import bench, build, demo, depth, evaluate, inspect, localize, map_, reproduce, synth
 from monoloc.errors import MonolocError
 
-_INTERRUPTED = 130  # what typer makes of Ctrl-C
+_OF_CTRL_C = 130  # the result that typer makes of it
 
 app = typer.Typer(
     name="monoloc",
@@ -66,6 +66,6 @@ def carry_out(arguments: list[str]) -> int:
             typer.echo(problem, err=True)
             return 2
         raise MonolocError(f"{problem} (see: {context.command_path if context else 'monoloc'} --help)") from error
-    if result == _INTERRUPTED:
+    if result == _OF_CTRL_C:
         raise KeyboardInterrupt
     return result if isinstance(result, int) else 0

@@ -53,5 +53,6 @@ class ReaderOptions:
             SettingError: an option outside ``names`` differs from its default.
         """
         for field in fields(self):
+            # keeps_distortion only says how a camera is taken, where one is.
             if field.name not in (*names, "keeps_distortion") and getattr(self, field.name) != field.default:
                 raise SettingError(field.name, f"has no meaning for a {reader} recording", "leave this option out")
