@@ -20,8 +20,10 @@ from monoloc.filter.level import LevelConfig, level
 from monoloc.filter.motion import MotionConfig, predict
 from monoloc.filter.particles import Particles
 from monoloc.filter.progressive import correct
+from monoloc.filter.recovery import Recovery
 from monoloc.filter.resample import resample
 from monoloc.filter.scan import NOTHING, Scan, scan_from_corners, scan_from_depth
+from monoloc.filter.search import Search
 from monoloc.filter.weigh import Measurement, MeasurementConfig
 from monoloc.geometry import FloatArray
 from monoloc.map.mixture import GaussianMixture
@@ -119,23 +121,33 @@ class Localizer:
     Args:
         parts: what it is put together of; they keep what they know of a run, so no other localizer may have them.
         camera: of the frames.
-        start: the first belief.
+        start: the first belief; None where nothing is known, and then the whole room is searched.
         config: settings.
         healthy: range of a pose that can be believed.
-        viewpoints: (V, 4, 4) ``T_world_camera`` of the frames that the room was built from, or none.
+        viewpoints: (V, 4, 4) ``T_world_camera`` of the frames that the room was built from, around which a lost
+            camera is looked for; or none.
         rng: of the particles and the scan.
+
+    Raises:
+        ValueError: neither a start nor a viewpoint is known.
     """
 
     def __init__(
         self,
         parts: Parts,
         camera: Camera,
-        start: Particles,
+        start: Particles | None,
         config: LocalizerConfig,
         healthy: HealthyRange,
         viewpoints: FloatArray,
         rng: np.random.Generator,
     ) -> None:
+        search = Search(parts.measurement, viewpoints, config.log_scale_sd) if len(viewpoints) else None
+        self._recovery = Recovery(search, healthy, is_lost=start is None)
+        if start is None:
+            if search is None:
+                raise ValueError("without a start there have to be viewpoints to look around")
+            start = search.anywhere(config.particles, rng)
         self.config = config
         self.particles = start
         self._camera = camera
@@ -174,16 +186,24 @@ class Localizer:
         if not self._is_first:
             spread, noise, blind_s = config.log_scale_sd, config.motion_noise, self._joiner.blind_s
             self.particles = predict(self.particles, motion, elapsed_s, blind_s, spread, noise, self._rng)
-        self.particles = correct(self.particles, lambda particles: self._weigh(particles, scan, motion), self._rng)
+        is_telling = len(scan) >= _FEWEST_POINTS
+        sought_in = scan if is_telling else NOTHING
+        self.particles, is_found = self._recovery.look(self.particles, sought_in, elapsed_s, self._rng)
+        if self._recovery.is_followed:
+            self.particles = correct(self.particles, lambda some: self._weigh(some, scan, motion), self._rng)
         located = estimate(self.particles)
         fit = self._fit(located, scan)  # where depth's lasting error is, the belief's covariance tells
         # Particles that have lost the camera gather somewhere all the same: their word counts where the scan fits.
-        is_told = len(scan) >= _FEWEST_POINTS and fit >= self._healthy.lost
+        is_told = is_telling and fit >= self._healthy.lost and not self._recovery.is_lost
         belief = self._joiner.step(motion, elapsed_s, located, is_told)
+        if is_found:
+            belief = self._joiner.begin_anew(located)
+        self._recovery.note(fit, belief, elapsed_s)
         self.particles = resample(self.particles, config.ess_fraction, self._rng)
         is_followed = self._is_first or self._odometry is None or motion is not None
+        state = "lost" if self._recovery.is_lost else judge(fit, belief, self._healthy, is_followed)
         self._is_first = False
-        return Step(belief, located, fit, judge(fit, belief, self._healthy, is_followed), motion, depth, scan)
+        return Step(belief, located, fit, state, motion, depth, scan)
 
     def _weigh(self, particles: Particles, scan: Scan, motion: Motion | None) -> Particles:
         """Particles under the evidence of the depth image and of the corners that parallax has measured."""

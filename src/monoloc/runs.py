@@ -81,9 +81,10 @@ class Run:
     """Every frame's result; N frames.
 
     Attributes:
-        start: ``T_world_camera`` where it began, (4, 4).
+        start: ``T_world_camera`` where it was said to begin, (4, 4); None where nothing was said.
         poses, covariances: (N, 4, 4) ``T_world_camera`` and (N, 6, 6), see :class:`Estimate`.
-        odometry: (N, 4, 4) dead reckoning from the first true pose (or the start), None for the random walk.
+        odometry: (N, 4, 4) dead reckoning from the first true pose (else from the start, or the first estimate), None
+            for the random walk.
         unseen: (N,) frames that did not build the bundle.
         states, fits, log_scales, step_ms: per frame.
         truth: (N, 4, 4) or None.
@@ -92,7 +93,7 @@ class Run:
 
     recording: Recording
     config: LocalizerConfig
-    start: FloatArray
+    start: FloatArray | None
     poses: FloatArray
     covariances: FloatArray
     odometry: FloatArray | None
@@ -137,9 +138,10 @@ class Run:
         if self.odometry is not None:
             drift = summarise(self.odometry[chosen], truth)
             figures |= {"odometry_ate_rmse_m": drift.ate_rmse_m, "odometry_ate_median_m": drift.ate_median_m}
-            # From where the filter began, which is what it would have done without a map.
-            alone = summarise((self.start @ invert(self.odometry[0]) @ self.odometry)[chosen], truth)
-            figures["odometry_from_start_ate_rmse_m"] = alone.ate_rmse_m
+            if self.start is not None:
+                # From where the filter began, which is what it would have done without a map.
+                alone = summarise((self.start @ invert(self.odometry[0]) @ self.odometry)[chosen], truth)
+                figures["odometry_from_start_ate_rmse_m"] = alone.ate_rmse_m
         return figures
 
     def _depth_accuracy(self, which: int) -> dict[str, object]:
@@ -165,7 +167,7 @@ def parts_of(bundle: Bundle, camera: Camera, config: LocalizerConfig) -> Parts:
 def start_localizer(
     bundle: Bundle,
     camera: Camera,
-    start: Start,
+    start: Start | None,
     rng: np.random.Generator,
     config: LocalizerConfig | None = None,
     parts: MakesParts = parts_of,
@@ -174,6 +176,8 @@ def start_localizer(
 
     Args:
         camera: of the frames that it will be given.
+        start: None where nothing is known of it; the room is searched then, and the state is *lost* until the camera
+            is found.
         config: settings in place of the bundle's.
         parts: makes what it is put together of, for this run.
 
@@ -181,14 +185,15 @@ def start_localizer(
         DataError: the bundle's network does not take the camera's images.
     """
     config = config or bundle.settings
-    made, particles = parts(bundle, camera, config), start.particles(config, rng)
+    made = parts(bundle, camera, config)
+    particles = None if start is None else start.particles(config, rng)
     return Localizer(made, camera, particles, config, bundle.healthy, bundle.viewpoints, rng)
 
 
 def localize(
     bundle: Bundle,
     recording: Recording,
-    start: Start,
+    start: Start | None,
     config: LocalizerConfig,
     rng: np.random.Generator,
     progress: Progress,
@@ -200,6 +205,7 @@ def localize(
     """Localise every frame of a recording.
 
     Args:
+        start: as for :func:`start_localizer`.
         use_sensor_depth: use the recording's depth in place of the network's: the upper bound. The measurement's
             settings are then a sensor's, not the bundle's.
         relight: brings the images to another light; None leaves them.
@@ -219,7 +225,8 @@ def localize(
     built_from = set(bundle.provenance.frames.values())
     unseen = np.zeros(len(recording), dtype=np.bool_)
     accuracy = (DepthAccumulator(), DepthAccumulator()) if recording.has_depth else None
-    dead_reckoning = start.pose if recording.poses is None else recording.poses[0]
+    said = None if start is None else start.pose
+    dead_reckoning = said if recording.poses is None else recording.poses[0]
     estimates, states, fits, odometry, step_ms = [], [], [], [], []
     elapsed = np.diff(recording.timestamps_s, prepend=recording.timestamps_s[:1])
     viewer.begin(bundle, recording)
@@ -237,7 +244,9 @@ def localize(
             estimates.append(step.estimate)
             states.append(step.state)
             fits.append(step.fit)
-            if step.motion is not None:
+            if dead_reckoning is None:
+                dead_reckoning = step.estimate.pose
+            elif step.motion is not None:
                 dead_reckoning = dead_reckoning @ step.motion.T_previous_current
             odometry.append(dead_reckoning)
             viewer.show(index, color, step, localizer.particles, dead_reckoning, step_ms[-1])
@@ -248,7 +257,7 @@ def localize(
     return Run(
         recording=recording,
         config=config,
-        start=start.pose,
+        start=said,
         poses=np.stack([estimate.pose for estimate in estimates]),
         covariances=np.stack([estimate.covariance for estimate in estimates]),
         odometry=np.stack(odometry) if config.motion == "visual" else None,

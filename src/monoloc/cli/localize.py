@@ -34,7 +34,7 @@ from monoloc.cli.common import (
 )
 from monoloc.config import override
 from monoloc.datasets.base import Recording
-from monoloc.errors import DataError, MonolocError, SettingError
+from monoloc.errors import MonolocError, SettingError
 from monoloc.evaluation.plots import plot_localization
 from monoloc.filter.health import State
 from monoloc.geometry import FloatArray, make_pose, quaternion_to_rotation
@@ -44,6 +44,7 @@ from monoloc.runs import Run, Start, localize
 from monoloc.viewer import run_viewer
 
 _LEAST_OFF_M, _LEAST_OFF_RAD = 0.03, 0.015  # no start is known better
+_UNKNOWN = "unknown"  # start
 _FARTHEST_M = 1e6  # of a start; no map reaches farther
 
 
@@ -54,7 +55,10 @@ def localize_command(
     start: Annotated[
         str | None,
         typer.Option(
-            "--start", metavar="TX,TY,TZ,QX,QY,QZ,QW", help="First camera pose, world frame. [the truth, disturbed]"
+            "--start",
+            metavar="TX,TY,TZ,QX,QY,QZ,QW",
+            help="First camera pose, world frame, or unknown: then the room is searched. "
+            "[the truth, disturbed; unknown without one]",
         ),
     ] = None,
     start_error_cm: Annotated[
@@ -89,8 +93,9 @@ def localize_command(
     Examples:
       monoloc localize kitchen.monoloc 7scenes:redkitchen --out way.txt --plot way.png
       monoloc localize kitchen.monoloc 7scenes:redkitchen --frames 0:400 --seed 0 --json
+      monoloc localize room.monoloc flight.mp4 --intrinsics 640,480,525,525,319.5,239.5 --out way.txt
       monoloc localize room.monoloc flight.mp4 --intrinsics 640,480,525,525,319.5,239.5 --start 0.5,0.2,1.1,0,0,0,1
-      monoloc localize room.monoloc tum:fr1_room --motion random-walk
+      monoloc localize room.monoloc tum:fr1_room --start unknown --motion random-walk
       monoloc localize kitchen.monoloc 7scenes:redkitchen --view --record way.rrd
     """
     check_outputs({"--out": out, "--plot": plot, "--record": record}, (bundle, source))
@@ -196,13 +201,15 @@ def _figure(metrics: dict[str, object], prefix: str, name: str, factor: float, u
 
 def _start(
     text: str | None, recording: Recording, error_m: float, error_rad: float, rng: np.random.Generator
-) -> Start:
+) -> Start | None:
+    if text == _UNKNOWN:
+        return None
     if text is not None:
         pose = _parse_pose(text)
     elif recording.poses is not None:
         pose = Start.beside(recording.poses[0], rng, error_m, error_rad).pose
     else:
-        raise DataError(recording.name, "has no poses to start from", "give --start TX,TY,TZ,QX,QY,QZ,QW")
+        return None
     return Start(pose, max(_LEAST_OFF_M, error_m), max(_LEAST_OFF_RAD, error_rad))
 
 
@@ -212,7 +219,8 @@ def _parse_pose(text: str) -> FloatArray:
         if values.shape != (7,) or not np.all(np.isfinite(values)):
             raise ValueError
     except ValueError as error:
-        raise SettingError("--start", f"is {text!r}", "write TX,TY,TZ,QX,QY,QZ,QW in metres") from error
+        fix = f"write TX,TY,TZ,QX,QY,QZ,QW in metres, or {_UNKNOWN}"
+        raise SettingError("--start", f"is {text!r}", fix) from error
     far_m, length = float(np.abs(values[:3]).max()), math.hypot(*values[3:])
     if far_m > _FARTHEST_M:
         raise SettingError("--start", f"is {text!r}, {far_m:.3g} m away", "write TX,TY,TZ,QX,QY,QZ,QW in metres")

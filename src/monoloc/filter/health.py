@@ -13,7 +13,7 @@ from monoloc.filter.estimate import Estimate
 
 State = Literal["tracking", "uncertain", "lost"]
 
-_WIDE_SD_M = 0.5  # a belief spread wider than this says nothing about where in a room the camera is
+_WIDE_SD_M = 0.5
 
 
 class HealthyRange(BaseModel):
@@ -36,6 +36,11 @@ class HealthyRange(BaseModel):
         return cls(low=float(first), lost=float(2.0 * first - median))
 
 
+def is_wide(belief: Estimate) -> bool:
+    """Whether a belief says nothing about where in a room the camera is."""
+    return math.sqrt(float(np.linalg.eigvalsh(belief.covariance[:3, :3])[-1])) > _WIDE_SD_M
+
+
 def judge(fit: float, belief: Estimate, healthy: HealthyRange, is_followed: bool) -> State:
     """State of the localizer: an empty scan (fit NaN), a wide belief or a camera lost sight of is not ``tracking``.
 
@@ -43,8 +48,7 @@ def judge(fit: float, belief: Estimate, healthy: HealthyRange, is_followed: bool
         is_followed: whether odometry, if there is one, has followed the camera: a network's depth fits somewhere even
             where it is invented.
     """
-    spread_m = math.sqrt(float(np.linalg.eigvalsh(belief.covariance[:3, :3])[-1]))
-    if spread_m > _WIDE_SD_M or fit < healthy.lost:
+    if is_wide(belief) or fit < healthy.lost:
         return "lost"
     if math.isnan(fit) or fit < healthy.low or not is_followed:
         return "uncertain"

@@ -143,6 +143,11 @@ class Joiner:
         self.blind_s = 0.0 if is_told or motion is not None else self.blind_s + elapsed_s
         return self._joined.estimate(located.log_scale)
 
+    def begin_anew(self, located: Estimate) -> Estimate:
+        """The belief where the camera was found again: what was known before is forgotten."""
+        self._joined = Joined.alone(located, self._widths(located.pose))
+        return self._joined.estimate(located.log_scale)
+
     def _moved(self, motion: Motion | None, elapsed_s: float, located: Estimate) -> Joined:
         delta = np.eye(4) if motion is None else motion.T_previous_current.copy()
         delta[:3, 3] *= np.exp(self._located.log_scale)  # its translation was measured in predicted depth

@@ -1,0 +1,93 @@
+"""What is done about a camera that is lost: it is looked for in the whole room, and what is found is put on trial."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from monoloc.filter.estimate import Estimate, estimate
+from monoloc.filter.health import HealthyRange, is_wide
+from monoloc.filter.particles import Particles
+from monoloc.filter.scan import Scan
+from monoloc.filter.search import Search
+from monoloc.geometry import viewpoints_apart
+
+_EVERY_S = 1.0  # the camera is looked for; as long, a scan has to fit nowhere near before the camera is lost
+_SAME_M = 0.3  # of two poses that are taken for one, a radian for a metre
+
+
+class Recovery:
+    """Knows whether a camera is lost, and looks for it; per frame, :meth:`look` and then :meth:`note`.
+
+    One scan may fit where the camera is not. So where it is found, it is on trial: followed for a second, and
+    believed if the whole room then has no better place for it.
+
+    Args:
+        search: of the room; None where there is nothing to look around, and then no camera is ever lost.
+        healthy: range of a pose that can be believed.
+        is_lost: whether where it starts is unknown.
+
+    Attributes:
+        is_lost: nothing but odometry is to move the belief.
+    """
+
+    def __init__(self, search: Search | None, healthy: HealthyRange, is_lost: bool) -> None:
+        self._search = search
+        self._healthy = healthy
+        self.is_lost = is_lost and search is not None
+        self._is_on_trial = False
+        self._misfit_s = 0.0
+        self._since_s = _EVERY_S  # the last search
+
+    @property
+    def is_followed(self) -> bool:
+        """Whether the particles are anywhere in particular, to be moved by a scan."""
+        return self._is_on_trial or not self.is_lost
+
+    def look(
+        self, particles: Particles, scan: Scan, elapsed_s: float, rng: np.random.Generator
+    ) -> tuple[Particles, bool]:
+        """Look for a lost camera, once a second.
+
+        Args:
+            particles: where they are at this frame, by motion alone.
+            scan: of this frame; of no points where it tells nothing.
+            elapsed_s: since the frame before.
+            rng: used only where the camera is lost.
+
+        Returns:
+            The particles, or others where the camera was found; and whether it is no longer lost.
+        """
+        self._since_s += elapsed_s
+        is_sought = self.is_lost or self._misfit_s >= _EVERY_S
+        if self._search is None or not is_sought or self._since_s < _EVERY_S or len(scan) == 0:
+            return particles, False
+        self._since_s = 0.0
+        here = estimate(particles)
+        found, fit = self._search(scan, here, rng)
+        if fit < self._healthy.lost:
+            self._is_on_trial = False
+            return particles, False
+        if self._is_on_trial and float(viewpoints_apart(here.pose, found.pose[None])[0]) < _SAME_M:
+            is_believed = fit >= self._healthy.low
+            if is_believed:
+                self.is_lost, self._is_on_trial, self._misfit_s = False, False, 0.0
+            return particles, is_believed
+        self.is_lost = self._is_on_trial = True
+        return self._search.around(found, len(particles), rng), False
+
+    def note(self, fit: float, belief: Estimate, elapsed_s: float) -> None:
+        """Take in what became of a frame.
+
+        Args:
+            fit: of its scan where the particles are, nats; NaN for an empty scan.
+            belief: the joined one.
+            elapsed_s: since the frame before.
+        """
+        if self._search is None:
+            return
+        if is_wide(belief):
+            self.is_lost = True
+        if not math.isnan(fit):
+            self._misfit_s = self._misfit_s + elapsed_s if fit < self._healthy.lost else 0.0

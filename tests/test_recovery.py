@@ -1,0 +1,260 @@
+"""A camera that is lost, or whose start is unknown, is looked for in the whole room."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from monoloc.depth.runtime import DepthPrediction
+from monoloc.evaluation.trajectory import pose_errors
+from monoloc.filter.estimate import Estimate
+from monoloc.filter.health import HealthyRange
+from monoloc.filter.particles import Particles, scatter
+from monoloc.filter.recovery import Recovery
+from monoloc.filter.scan import NOTHING, Scan, evenly, scan_from_depth
+from monoloc.filter.search import Search
+from monoloc.filter.weigh import Measurement
+from monoloc.geometry import make_pose, se3_exp, viewpoints_apart
+from monoloc.localizer import Localizer, Parts, Step
+from monoloc.map.mixture import GaussianMixture
+from synthetic_room import (
+    CAMERA,
+    FRAME_RATE_HZ,
+    SETTINGS,
+    Room,
+    RoomRecording,
+    healthy_range,
+    make_path,
+    room_mixture,
+    sparse_depth,
+)
+
+FRAMES = 60
+HEALTHY = HealthyRange(low=1.0, lost=0.0)
+SCAN = evenly(np.ones((20, 3), dtype=np.float32))
+FRAME_S = 1.0 / FRAME_RATE_HZ
+
+
+@pytest.fixture(scope="module")
+def recording() -> RoomRecording:
+    return RoomRecording(Room(), make_path(FRAMES))
+
+
+@pytest.fixture(scope="module")
+def mixture() -> GaussianMixture:
+    return room_mixture(Room())
+
+
+@pytest.fixture(scope="module")
+def healthy(mixture, recording) -> HealthyRange:
+    return healthy_range(mixture, recording)
+
+
+class _NoNetwork:
+    """Exact depth is given in these tests."""
+
+    def __call__(self, color):
+        raise AssertionError("predicted depth although it was measured")
+
+
+def make_localizer(mixture, healthy, start, viewpoints, seed=0) -> Localizer:
+    parts = Parts.usual(mixture, _NoNetwork(), CAMERA, SETTINGS)
+    return Localizer(parts, CAMERA, start, SETTINGS, healthy, viewpoints, np.random.default_rng(seed))
+
+
+def follow(localizer: Localizer, recording: RoomRecording, frames: range) -> list[Step]:
+    return [localizer.step(recording.color(index), FRAME_S, sparse_depth(recording, index)) for index in frames]
+
+
+def errors_m(steps: list[Step], recording: RoomRecording, frames: range):
+    return pose_errors(np.stack([step.estimate.pose for step in steps]), recording.poses[frames]).position_m
+
+
+def states(steps: list[Step]) -> list[str]:
+    return [step.state for step in steps]
+
+
+# The whole way, in a room whose depth is known exactly.
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_unknown_start_is_found_in_the_room(mixture, recording, healthy, seed):
+    localizer = make_localizer(mixture, healthy, None, recording.poses[10::15], seed)
+    steps = follow(localizer, recording, range(40))
+    trial = round(FRAME_RATE_HZ)  # a second, in which nothing is claimed
+    assert set(states(steps[:trial])) == {"lost"}
+    assert set(states(steps[trial + 1 :])) == {"tracking"}
+    assert np.all(errors_m(steps, recording, range(40))[trial + 1 :] < 0.08)
+    # Before, the belief is as wide as the viewpoints are spread, and wider than anyone would fly by.
+    spreads = [np.sqrt(np.trace(step.estimate.covariance[:3, :3])) for step in steps]
+    assert min(spreads[:trial]) > 0.3 and max(spreads[trial + 1 :]) < 0.1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_camera_that_was_carried_elsewhere_in_the_dark_is_found(mixture, recording, healthy, seed):
+    start = scatter(recording.poses[0], SETTINGS.particles, 0.03, 0.02, 0.0, np.random.default_rng(seed))
+    localizer = make_localizer(mixture, healthy, start, recording.poses[::10], seed)
+    assert follow(localizer, recording, range(5))[-1].state == "tracking"
+    black = np.zeros((CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
+    nothing = DepthPrediction(np.zeros((64, 80), dtype=np.float32), CAMERA.resized(80, 64))
+    for _ in range(60):
+        dark = localizer.step(black, FRAME_S, nothing)
+    assert dark.state == "lost"
+    frames = range(30, FRAMES)  # 0.7 m and 35 degrees from where it was
+    steps = follow(localizer, recording, frames)
+    assert set(states(steps[:15])) == {"lost"}
+    assert steps[-1].state == "tracking"
+    assert errors_m(steps, recording, frames)[-1] < 0.05
+
+
+def test_where_scans_do_not_fit_for_a_second_the_camera_is_looked_for(mixture, recording, healthy):
+    wrong = recording.poses[0] @ se3_exp(np.array([1.0, 0.0, 0.5, 0.0, 1.2, 0.0]))
+    start = scatter(wrong, SETTINGS.particles, 0.02, 0.01, 0.0, np.random.default_rng(0))
+    localizer = make_localizer(mixture, healthy, start, recording.poses[::10])
+    steps = follow(localizer, recording, range(FRAMES))
+    assert "tracking" not in states(steps[:30])
+    assert steps[-1].state == "tracking"
+    assert errors_m(steps, recording, range(FRAMES))[-1] < 0.05
+
+
+def test_in_another_room_it_stays_lost(recording, healthy):
+    localizer = make_localizer(room_mixture(Room(stretch=1.5)), healthy, None, recording.poses[::10])
+    assert set(states(follow(localizer, recording, range(40)))) == {"lost"}
+
+
+def test_without_start_and_viewpoints_there_is_nothing_to_look_around(mixture, healthy):
+    with pytest.raises(ValueError, match="without a start there have to be viewpoints to look around"):
+        make_localizer(mixture, healthy, None, np.zeros((0, 4, 4)))
+
+
+# The search.
+
+
+def test_the_search_finds_where_a_scan_was_taken(mixture, recording):
+    measurement = Measurement(mixture, SETTINGS.measurement)
+    search = Search(measurement, recording.poses[::10], SETTINGS.log_scale_sd)
+    far = Estimate(make_pose(np.eye(3), np.array([0.0, 0.0, -1.5])), np.eye(6), 0.0)
+    rng = np.random.default_rng(0)
+    for index in (5, 25, 45):
+        scan = scan_of(recording, index, rng)
+        found, fit = search(scan, far, rng)
+        error = pose_errors(found.pose[None], recording.poses[index][None])
+        assert error.position_m[0] < 0.3 and error.rotation_rad[0] < 0.2
+        there = measurement.mean_log_likelihood(found.pose[None], np.array([found.log_scale]), scan)[0]
+        assert fit == pytest.approx(there, abs=1e-4)  # particles that are weighed together share what is looked at
+        # The truth fits better than what was found, so among those judged it is what is found.
+        true = Estimate(recording.poses[index], np.eye(6), 0.0)
+        assert search(scan, true, rng)[0] is true
+
+
+def scan_of(recording: RoomRecording, index: int, rng: np.random.Generator) -> Scan:
+    return scan_from_depth(sparse_depth(recording, index), SETTINGS.scan_points, rng)
+
+
+@settings(max_examples=30, deadline=None)
+@given(count=st.integers(1, 60), spread_m=st.floats(0.0, 3.0), seed=st.integers(0, 1000))
+def test_particles_anywhere_are_near_a_viewpoint_and_near_every_viewpoint(count, spread_m, seed):
+    rng = np.random.default_rng(seed)
+    viewpoints = se3_exp(rng.standard_normal((count, 6)) * np.repeat([spread_m, 0.3 * spread_m], 3))
+    anywhere = Search(None, viewpoints, 0.05).anywhere(3000, rng)
+    assert len(anywhere) == 3000 and anywhere.weights.sum() == pytest.approx(1.0)
+    apart = np.stack([viewpoints_apart(pose, anywhere.poses) for pose in viewpoints])
+    # Drawn by 20 cm and 10 degrees an axis from viewpoints that are 30 cm from any other at most.
+    assert apart.min(axis=0).max() < 6.0 * (0.2 * np.sqrt(3.0) + np.deg2rad(10.0) * np.sqrt(3.0))
+    assert apart.min(axis=1).max() < 0.3 + 0.8
+
+
+# When it is looked for, and when it is believed; by a search whose answers are given.
+
+
+class _Answers:
+    """Stands for a search: one answer after another; an index along x and a fit."""
+
+    def __init__(self, *answers: tuple[float, float]) -> None:
+        self.left = list(answers)
+
+    def __call__(self, scan, here, rng):
+        x, fit = self.left.pop(0)
+        return at(x), fit
+
+    def around(self, found, count, rng):
+        return Particles(np.repeat(found.pose[None], count, axis=0), np.zeros(count), np.full(count, -np.log(count)))
+
+
+def at(x: float, sd_m: float = 0.1) -> Estimate:
+    return Estimate(make_pose(np.eye(3), np.array([x, 0.0, 0.0])), np.eye(6) * sd_m**2, 0.0)
+
+
+def particles_at(x: float) -> Particles:
+    return _Answers().around(at(x), 10, None)
+
+
+def look(recovery: Recovery, x: float, scan: Scan = SCAN, elapsed_s: float = 1.0) -> tuple[float, bool]:
+    particles, is_found = recovery.look(particles_at(x), scan, elapsed_s, np.random.default_rng(0))
+    assert len(particles) == 10
+    return float(particles.poses[:, 0, 3].mean()), is_found
+
+
+def test_what_is_found_twice_running_is_believed():
+    recovery = Recovery(_Answers((3.0, 2.0), (3.1, 2.0)), HEALTHY, is_lost=True)
+    assert recovery.is_lost and not recovery.is_followed
+    assert look(recovery, 0.0) == (3.0, False)
+    assert recovery.is_lost and recovery.is_followed
+    assert look(recovery, 3.2, elapsed_s=0.5) == (pytest.approx(3.2), False)  # not looked for yet
+    assert look(recovery, 3.2, elapsed_s=0.5) == (pytest.approx(3.2), True)
+    assert not recovery.is_lost and recovery.is_followed
+
+
+def test_what_is_found_elsewhere_is_on_trial_anew():
+    recovery = Recovery(_Answers((3.0, 2.0), (5.0, 2.0), (5.0, 2.0)), HEALTHY, is_lost=True)
+    assert look(recovery, 0.0) == (3.0, False)
+    assert look(recovery, 3.0) == (5.0, False)
+    assert recovery.is_lost
+    assert look(recovery, 5.0) == (5.0, True)
+
+
+def test_what_does_not_fit_is_not_followed_and_what_is_doubted_not_believed():
+    recovery = Recovery(_Answers((3.0, -0.1), (3.0, 0.1), (3.0, 0.9), (3.0, -0.1), (3.0, 0.1)), HEALTHY, is_lost=True)
+    assert look(recovery, 0.0) == (0.0, False)
+    assert not recovery.is_followed
+    assert look(recovery, 0.0) == (3.0, False)
+    assert look(recovery, 3.0) == (3.0, False)  # doubted, but followed on
+    assert recovery.is_lost and recovery.is_followed
+    assert look(recovery, 3.0) == (3.0, False)  # it fits nowhere: the trial is over
+    assert recovery.is_lost and not recovery.is_followed
+    assert look(recovery, 2.0) == (3.0, False) and recovery.is_followed
+
+
+def test_a_scan_of_nothing_says_nothing():
+    recovery = Recovery(_Answers((3.0, 2.0)), HEALTHY, is_lost=True)
+    assert look(recovery, 0.0, NOTHING) == (0.0, False)
+    assert look(recovery, 0.0, elapsed_s=0.0) == (3.0, False)  # at the first that shows something
+
+
+def test_a_camera_is_lost_by_a_wide_belief_and_looked_for_where_scans_do_not_fit_for_a_second():
+    recovery = Recovery(_Answers((3.0, 2.0)), HEALTHY, is_lost=False)
+    for fit in (-1.0, np.nan, -1.0, 0.1, -1.0):  # in all a second, but not at a stretch
+        recovery.note(fit, at(0.0), 0.4)
+        assert look(recovery, 0.0) == (0.0, False)
+    recovery.note(-1.0, at(0.0), 0.4)
+    assert look(recovery, 0.0) == (0.0, False)
+    recovery.note(-1.0, at(0.0), 0.4)
+    assert not recovery.is_lost  # its belief is worth what it was, until there is another
+    assert look(recovery, 0.0) == (3.0, False)
+    assert recovery.is_lost
+
+    recovery = Recovery(_Answers((3.0, 2.0)), HEALTHY, is_lost=False)
+    recovery.note(2.0, at(0.0, sd_m=0.49), 0.1)
+    assert not recovery.is_lost
+    recovery.note(2.0, at(0.0, sd_m=0.51), 0.1)
+    assert recovery.is_lost and not recovery.is_followed
+    assert look(recovery, 0.0, elapsed_s=0.0) == (3.0, False)  # at once
+
+
+def test_where_there_is_nothing_to_look_around_no_camera_is_lost():
+    recovery = Recovery(None, HEALTHY, is_lost=False)
+    recovery.note(-9.0, at(0.0, sd_m=5.0), 10.0)
+    assert not recovery.is_lost and recovery.is_followed
+    assert look(recovery, 0.0) == (0.0, False)
