@@ -353,7 +353,7 @@ def test_unknown_schema(written, schema):
     body = json.loads(file.read_text())
     body["schema_version"] = schema
     file.write_text(json.dumps(body))
-    refuses(lambda: read_bundle(written), file, f"has schema {schema}, this monoloc reads 4")
+    refuses(lambda: read_bundle(written), file, f"has schema {schema}, this monoloc reads 5")
 
 
 @pytest.mark.parametrize("content", ["[]", "3", '"bundle"', "null"])

@@ -26,11 +26,12 @@ from cli_helpers import json_of, listing, refused, succeeds
 from monoloc import __version__
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.cli.main import invoke
-from monoloc.evaluation.trajectory import summarise
+from monoloc.evaluation.trajectory import pose_errors, summarise
 from monoloc.map.mixture import GaussianMixture
 from monoloc.outputs.tum import read_tum, write_tum
 from monoloc.progress import ConsoleProgress
 from synthetic_room import (
+    FRAME_RATE_HZ,
     SMALL_CAMERA,
     Room,
     RoomRecording,
@@ -218,7 +219,6 @@ def test_no_poses(capfd, here):
     camera = ("--intrinsics", "64,48,50,50,31,23")
     build, localize = ("build", "flight.avi", "--out", "x.monoloc"), ("localize", "room.monoloc", "flight.avi")
     refused(capfd, here, (*build, *camera), "flight", "has no poses", "with camera poses")
-    refused(capfd, here, (*localize, *camera), "flight", "has no poses to start", "give --start")
     write_tum(here / "way.txt", [0.0], np.eye(4)[None])
     for command in (localize, ("inspect", "flight.avi"), ("evaluate", "way.txt", "flight.avi")):
         refused(capfd, here, command, "flight.avi", "says nothing of its camera", "--intrinsics 64,48,FX,FY,CX,CY")
@@ -662,6 +662,46 @@ def test_localize_from_a_given_start_without_truth(capfd, here, recording):
     assert metrics["frames"] == 6
     assert not any(key.startswith(("ate", "unseen_ate", "coverage")) for key in metrics)
     assert np.linalg.norm(read_tum(here / "way.txt")[1][0, :3, 3] - [x, y, z]) < 0.2
+
+
+@pytest.fixture(scope="module")
+def flight() -> RoomRecording:
+    """Two seconds, that begin where the bundle's frames were taken."""
+    return RoomRecording(Room(), make_path(30), SMALL_CAMERA)
+
+
+def test_localize_from_an_unknown_start(capfd, here, flight):
+    write_recording(here / "flight", flight)
+    metrics = json_of(capfd, "localize", "room.monoloc", "flight", "--start", "unknown", "--out", "way.txt")
+    trial = metrics["states"]["lost"]
+    assert round(FRAME_RATE_HZ) <= trial < 20  # a second, in which nothing is claimed
+    found = pose_errors(read_tum(here / "way.txt")[1][trial:], flight.poses[trial:])
+    assert found.position_m.max() < 0.1
+    assert "odometry_ate_rmse_m" in metrics and "odometry_from_start_ate_rmse_m" not in metrics
+
+
+def test_localize_from_an_unknown_start_where_places_cannot_be_told_apart(capfd, here):
+    room = read_bundle(here / "room.monoloc")
+    lasting = room.settings.lasting.model_copy(update={"found_sd_m": 0.97})
+    settings = room.settings.model_copy(update={"lasting": lasting})
+    write_bundle(here / "room.monoloc", replace(room, settings=settings))
+    command = ("localize", "room.monoloc", "walk", "--start", "unknown", "--out", "way.txt")
+    problem = "is unknown, and here one image tells where a camera is to 1.0 m only"
+    refused(capfd, here, command, "--start", problem, "write TX,TY,TZ,QX,QY,QZ,QW")
+    sensor = json_of(capfd, *command, "--depth", "sensor")
+    assert sensor["depth"] == "sensor" and sensor["frames"] == FRAMES
+
+
+def test_localize_searches_the_room_where_no_start_is_given_and_none_known(capfd, here, flight):
+    write_recording(here / "flight", flight)
+    description = here / "flight" / "dataset.toml"
+    description.write_text(description.read_text().replace('poses = "poses.txt"', f"rate_hz = {FRAME_RATE_HZ}"))
+    metrics = json_of(capfd, "localize", "room.monoloc", "flight", "--plot", "way.png", "--out", "way.txt")
+    trial = metrics["states"]["lost"]
+    assert trial < 20
+    found = pose_errors(read_tum(here / "way.txt")[1][trial:], flight.poses[trial:])
+    assert found.position_m.max() < 0.1
+    assert cv2.imread("way.png") is not None
 
 
 def test_localize_for_people(capfd, here):

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
+from hypothesis import settings as trials
 from hypothesis import strategies as st
 
+from monoloc.adapt.calibrate import Sample
+from monoloc.adapt.found import measure_found
 from monoloc.depth.runtime import DepthPrediction
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.filter.estimate import Estimate
@@ -17,8 +20,9 @@ from monoloc.filter.scan import NOTHING, Scan, evenly, scan_from_depth
 from monoloc.filter.search import Search
 from monoloc.filter.weigh import Measurement
 from monoloc.geometry import make_pose, se3_exp, viewpoints_apart
-from monoloc.localizer import Localizer, Parts, Step
+from monoloc.localizer import Localizer, LocalizerConfig, Parts, Step
 from monoloc.map.mixture import GaussianMixture
+from monoloc.progress import NoProgress
 from synthetic_room import (
     CAMERA,
     FRAME_RATE_HZ,
@@ -35,6 +39,8 @@ FRAMES = 60
 HEALTHY = HealthyRange(low=1.0, lost=0.0)
 SCAN = evenly(np.ones((20, 3), dtype=np.float32))
 FRAME_S = 1.0 / FRAME_RATE_HZ
+BLACK = np.zeros((CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
+NO_DEPTH = DepthPrediction(np.zeros((64, 80), dtype=np.float32), CAMERA.resized(80, 64))
 
 
 @pytest.fixture(scope="module")
@@ -59,9 +65,9 @@ class _NoNetwork:
         raise AssertionError("predicted depth although it was measured")
 
 
-def make_localizer(mixture, healthy, start, viewpoints, seed=0) -> Localizer:
-    parts = Parts.usual(mixture, _NoNetwork(), CAMERA, SETTINGS)
-    return Localizer(parts, CAMERA, start, SETTINGS, healthy, viewpoints, np.random.default_rng(seed))
+def make_localizer(mixture, healthy, start, viewpoints, seed=0, settings=SETTINGS) -> Localizer:
+    parts = Parts.usual(mixture, _NoNetwork(), CAMERA, settings)
+    return Localizer(parts, CAMERA, start, settings, healthy, viewpoints, np.random.default_rng(seed))
 
 
 def follow(localizer: Localizer, recording: RoomRecording, frames: range) -> list[Step]:
@@ -97,10 +103,8 @@ def test_a_camera_that_was_carried_elsewhere_in_the_dark_is_found(mixture, recor
     start = scatter(recording.poses[0], SETTINGS.particles, 0.03, 0.02, 0.0, np.random.default_rng(seed))
     localizer = make_localizer(mixture, healthy, start, recording.poses[::10], seed)
     assert follow(localizer, recording, range(5))[-1].state == "tracking"
-    black = np.zeros((CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
-    nothing = DepthPrediction(np.zeros((64, 80), dtype=np.float32), CAMERA.resized(80, 64))
     for _ in range(60):
-        dark = localizer.step(black, FRAME_S, nothing)
+        dark = localizer.step(BLACK, FRAME_S, NO_DEPTH)
     assert dark.state == "lost"
     frames = range(30, FRAMES)  # 0.7 m and 35 degrees from where it was
     steps = follow(localizer, recording, frames)
@@ -124,9 +128,63 @@ def test_in_another_room_it_stays_lost(recording, healthy):
     assert set(states(follow(localizer, recording, range(40)))) == {"lost"}
 
 
-def test_without_start_and_viewpoints_there_is_nothing_to_look_around(mixture, healthy):
-    with pytest.raises(ValueError, match="without a start there have to be viewpoints to look around"):
-        make_localizer(mixture, healthy, None, np.zeros((0, 4, 4)))
+@pytest.mark.parametrize(("viewpoints", "found_sd_m"), [(0, 0.1), (10, 0.6)])
+def test_without_a_start_there_has_to_be_a_room_to_find_the_camera_in(
+    mixture, recording, healthy, viewpoints, found_sd_m
+):
+    settings = with_found(found_sd_m, 0.1)
+    with pytest.raises(ValueError, match="without a start there has to be a room in which a camera can be found"):
+        make_localizer(mixture, healthy, None, recording.poses[:viewpoints], settings=settings)
+
+
+def test_where_places_are_hard_to_tell_apart_none_is_looked_for(mixture, recording, healthy):
+    """After a darkness the particles are on their own then, as they are without viewpoints."""
+    start = scatter(recording.poses[0], SETTINGS.particles, 0.03, 0.02, 0.0, np.random.default_rng(0))
+    ways = []
+    for viewpoints, found_sd_m in ((recording.poses[::10], 0.6), (recording.poses[:0], 0.0)):
+        settings = with_found(found_sd_m, 0.1).model_copy(update={"motion": "random-walk"})
+        localizer = make_localizer(mixture, healthy, start, viewpoints, settings=settings)
+        for _ in range(40):
+            localizer.step(BLACK, FRAME_S, NO_DEPTH)
+        ways.append([step.located.pose for step in follow(localizer, recording, range(3))])
+    np.testing.assert_array_equal(*ways)
+
+
+def test_where_a_camera_was_found_is_as_uncertain_as_was_measured(mixture, recording, healthy):
+    localizer = make_localizer(mixture, healthy, None, recording.poses[10::15], settings=with_found(0.2, 0.1))
+    steps = follow(localizer, recording, range(40))
+    first = states(steps).index("tracking")
+    sd = np.sqrt(np.diag(steps[first].estimate.covariance))
+    np.testing.assert_allclose(sd, np.repeat([0.2, 0.1], 3), rtol=0.3)
+    # It is forgotten on the way.
+    assert np.all(np.diag(steps[-1].estimate.covariance) < sd**2)
+
+
+def with_found(found_sd_m: float, found_sd_rad: float) -> LocalizerConfig:
+    lasting = SETTINGS.lasting.model_copy(update={"found_sd_m": found_sd_m, "found_sd_rad": found_sd_rad})
+    return SETTINGS.model_copy(update={"lasting": lasting})
+
+
+def test_how_far_off_a_camera_is_found_is_measured(mixture, recording):
+    """Exact depth tells places apart in its own room; in another one, it is farther off."""
+    samples = [Sample(index, sparse_depth(recording, index), recording.poses[index]) for index in range(0, FRAMES, 4)]
+    measured = {}
+    for stretch in (1.0, 1.5):
+        room = mixture if stretch == 1.0 else room_mixture(Room(stretch=stretch))
+        rng = np.random.default_rng(0)
+        measured[stretch] = measure_found(room, samples, recording.poses[::10], SETTINGS, rng, NoProgress())
+    assert 0.0 < measured[1.0][0] < 0.2 and 0.0 < measured[1.0][1] < 0.1
+    assert measured[1.5][0] > 2.0 * measured[1.0][0]
+
+
+def test_scans_of_nothing_are_not_measured(mixture, recording):
+    samples = [Sample(index, sparse_depth(recording, index), recording.poses[index]) for index in (3, 13)]
+    empty = [Sample(20, NO_DEPTH, recording.poses[20])]
+    results = [
+        measure_found(mixture, some, recording.poses[::10], SETTINGS, np.random.default_rng(0), NoProgress())
+        for some in (samples, samples + empty)
+    ]
+    assert results[0] == results[1]
 
 
 # The search.
@@ -153,7 +211,7 @@ def scan_of(recording: RoomRecording, index: int, rng: np.random.Generator) -> S
     return scan_from_depth(sparse_depth(recording, index), SETTINGS.scan_points, rng)
 
 
-@settings(max_examples=30, deadline=None)
+@trials(max_examples=30, deadline=None)
 @given(count=st.integers(1, 60), spread_m=st.floats(0.0, 3.0), seed=st.integers(0, 1000))
 def test_particles_anywhere_are_near_a_viewpoint_and_near_every_viewpoint(count, spread_m, seed):
     rng = np.random.default_rng(seed)

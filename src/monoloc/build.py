@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.adapt.calibrate import Sample, calibrate
 from monoloc.adapt.checks import check_frames
+from monoloc.adapt.found import measure_found
 from monoloc.adapt.lasting import StartsAt, measure_lasting
 from monoloc.adapt.map_depth import supervision
 from monoloc.adapt.poses import PosePrior, check_refinable, refine_poses, rounds
@@ -197,12 +198,18 @@ def build_bundle(
     )
 
     def starts_with(model: DepthModel, room: GaussianMixture) -> StartsAt:
-        tuned = replace(bundle, depth_model=model, adapted=room)
+        # A camera that goes astray is not looked for here: how far it goes is to be measured.
+        tuned = replace(bundle, depth_model=model, adapted=room, viewpoints=poses[:0])
         return lambda pose: start_localizer(tuned, recording.camera, Start(pose), np.random.default_rng(seed))
 
     starts_at, rehearsed_at = starts_with(depth_model, adapted), starts_with(held_out_model, held_out_map)
     lasting = measure_lasting(starts_at, rehearsed_at, recording, regions, progress)
-    bundle = replace(bundle, settings=settings.model_copy(update={"lasting": lasting}))
+    found_m, found_rad = measure_found(held_out_map, samples, poses, settings, rng, progress)
+    lasting = lasting.model_copy(update={"found_sd_m": found_m, "found_sd_rad": found_rad})
+    settings = settings.model_copy(update={"lasting": lasting})
+    bundle = replace(bundle, settings=settings)
+    if not settings.can_find:
+        warnings = [*warnings, f"one image tells where a camera is to {found_m:.1f} m only: flights need a start"]
     report = BuildReport(
         frames=len(recording),
         cloud_points=len(cloud),

@@ -35,7 +35,7 @@ from monoloc.localizer import LocalizerConfig
 from monoloc.map.mixture import GaussianMixture
 from monoloc.models import is_shipped
 
-SCHEMA = 4
+SCHEMA = 5
 _MANIFEST, _MAP, _DEPTH = "manifest.json", "map.npz", "depth.onnx"
 _VIEWPOINTS = "viewpoints"  # twists (V, 6), float32
 

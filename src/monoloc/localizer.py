@@ -13,7 +13,7 @@ from monoloc.camera import Camera
 from monoloc.contrast import shows_something
 from monoloc.depth.runtime import DepthPrediction
 from monoloc.filter.estimate import Estimate, estimate
-from monoloc.filter.health import HealthyRange, State, judge
+from monoloc.filter.health import WIDE_SD_M, HealthyRange, State, judge
 from monoloc.filter.joined import Joiner
 from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.level import LevelConfig, level
@@ -57,6 +57,11 @@ class LocalizerConfig(BaseModel):
     odometry: OdometryConfig = OdometryConfig()
     level: LevelConfig | None = LevelConfig()
     lasting: LastingErrors = LastingErrors()
+
+    @property
+    def can_find(self) -> bool:
+        """Whether a scan tells where in the room a lost camera is, near enough to be believed."""
+        return self.lasting.found_sd_m < WIDE_SD_M
 
 
 class DepthSource(Protocol):
@@ -129,7 +134,8 @@ class Localizer:
         rng: of the particles and the scan.
 
     Raises:
-        ValueError: neither a start nor a viewpoint is known.
+        ValueError: no start is given, and no camera could be found: ``config.can_find`` is not true, or there are no
+            viewpoints to look around.
     """
 
     def __init__(
@@ -142,11 +148,12 @@ class Localizer:
         viewpoints: FloatArray,
         rng: np.random.Generator,
     ) -> None:
-        search = Search(parts.measurement, viewpoints, config.log_scale_sd) if len(viewpoints) else None
+        can_find = config.can_find and len(viewpoints) > 0
+        search = Search(parts.measurement, viewpoints, config.log_scale_sd) if can_find else None
         self._recovery = Recovery(search, healthy, is_lost=start is None)
         if start is None:
             if search is None:
-                raise ValueError("without a start there have to be viewpoints to look around")
+                raise ValueError("without a start there has to be a room in which a camera can be found")
             start = search.anywhere(config.particles, rng)
         self.config = config
         self.particles = start

@@ -107,6 +107,9 @@ def localize_command(
         config = override(room.settings, motion=motion, particles=particles, scan_points=scan_points)
     rng = np.random.default_rng(seed)
     begin = _start(start, recording, start_error_cm / 100.0, np.deg2rad(start_error_deg), rng)
+    if begin is None and depth == "predicted" and not config.can_find:
+        problem = f"is unknown, and here one image tells where a camera is to {config.lasting.found_sd_m:.1f} m only"
+        raise SettingError("--start", problem, "write TX,TY,TZ,QX,QY,QZ,QW")
     name = f"{bundle.name}: {recording.name}"
     cv2.setNumThreads(1)  # more make small images no faster, and a drone's other cores are not ours
     with ExitStack() as viewing:

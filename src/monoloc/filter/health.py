@@ -13,7 +13,7 @@ from monoloc.filter.estimate import Estimate
 
 State = Literal["tracking", "uncertain", "lost"]
 
-_WIDE_SD_M = 0.5
+WIDE_SD_M = 0.5  # of a belief that says nothing about where in a room the camera is
 
 
 class HealthyRange(BaseModel):
@@ -38,7 +38,7 @@ class HealthyRange(BaseModel):
 
 def is_wide(belief: Estimate) -> bool:
     """Whether a belief says nothing about where in a room the camera is."""
-    return math.sqrt(float(np.linalg.eigvalsh(belief.covariance[:3, :3])[-1])) > _WIDE_SD_M
+    return math.sqrt(float(np.linalg.eigvalsh(belief.covariance[:3, :3])[-1])) > WIDE_SD_M
 
 
 def judge(fit: float, belief: Estimate, healthy: HealthyRange, is_followed: bool) -> State:

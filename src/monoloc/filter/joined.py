@@ -145,7 +145,8 @@ class Joiner:
 
     def begin_anew(self, located: Estimate) -> Estimate:
         """The belief where the camera was found again: what was known before is forgotten."""
-        self._joined = Joined.alone(located, self._widths(located.pose))
+        widths = self._lasting.found_widths(self._distance_m(located.pose))
+        self._joined = Joined.alone(located, widths)
         return self._joined.estimate(located.log_scale)
 
     def _moved(self, motion: Motion | None, elapsed_s: float, located: Estimate) -> Joined:
@@ -160,6 +161,9 @@ class Joiner:
         return self._joined.moved(delta, np.diag(sd**2), kept, self._widths(self._joined.pose @ delta))
 
     def _widths(self, pose: FloatArray) -> FloatArray:
-        """Standard deviations of the bias at a pose; those near the viewpoints where none are known."""
-        known = len(self._viewpoints) > 0
-        return self._lasting.widths(float(viewpoints_apart(pose, self._viewpoints).min()) if known else 0.0)
+        """Standard deviations of the bias at a pose, (6,)."""
+        return self._lasting.widths(self._distance_m(pose))
+
+    def _distance_m(self, pose: FloatArray) -> float:
+        """To the nearest viewpoint, a radian for a metre; none where no viewpoints are known."""
+        return float(viewpoints_apart(pose, self._viewpoints).min()) if len(self._viewpoints) else 0.0

@@ -21,6 +21,7 @@ class LastingErrors(BaseModel):
     Attributes:
         near_sd_m, near_sd_rad: of position and rotation at the viewpoints.
         growth_m, growth_rad: metres and radians a metre away from them.
+        found_sd_m, found_sd_rad: of where a lost camera was found, if that is wider.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -29,11 +30,18 @@ class LastingErrors(BaseModel):
     near_sd_rad: float = Field(0.0, ge=0.0)
     growth_m: float = Field(0.0, ge=0.0)
     growth_rad: float = Field(0.0, ge=0.0)
+    found_sd_m: float = Field(0.0, ge=0.0)
+    found_sd_rad: float = Field(0.0, ge=0.0)
 
     def widths(self, distance_m: float) -> FloatArray:
         """Standard deviations of a twist (rho, phi), (6,), so far from the nearest viewpoint."""
         sd = np.hypot([self.near_sd_m, self.near_sd_rad], distance_m * np.array([self.growth_m, self.growth_rad]))
         return np.repeat(sd, 3)
+
+    def found_widths(self, distance_m: float) -> FloatArray:
+        """The same where a lost camera was found: how far it is from the viewpoints, it may be wrong about."""
+        found = np.repeat([self.found_sd_m, self.found_sd_rad], 3)
+        return np.asarray(np.maximum(found, self.widths(distance_m)))
 
     def kept(self, step_m: float) -> float:
         """Correlation of the errors of two viewpoints that are so far apart."""

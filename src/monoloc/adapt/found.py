@@ -1,0 +1,64 @@
+"""How far off a lost camera is found, measured at frames that tuned nothing."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from monoloc.adapt.calibrate import Sample
+from monoloc.evaluation.trajectory import pose_errors
+from monoloc.filter.estimate import Estimate
+from monoloc.filter.scan import scan_from_depth
+from monoloc.filter.search import Search
+from monoloc.filter.weigh import Measurement
+from monoloc.geometry import FloatArray, viewpoints_apart
+from monoloc.localizer import LocalizerConfig
+from monoloc.map.mixture import GaussianMixture
+from monoloc.progress import Progress
+
+_SAMPLES = 30
+_BESIDE_M = 0.5  # viewpoints nearer than this are looked around from elsewhere only, a radian for a metre
+_SHARE, _CHI2_SHARE_3 = 80.0, 4.642  # percentile of errors, and of chi-squared with three degrees of freedom
+
+
+def measure_found(
+    mixture: GaussianMixture,
+    samples: list[Sample],
+    viewpoints: FloatArray,
+    config: LocalizerConfig,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> tuple[float, float]:
+    """Standard deviations per axis, metres and radians, of where one scan says that a lost camera is.
+
+    Each frame is looked for from viewpoints that are half a metre away or more, as if the camera were as far beside
+    the recorded path, where there are such; a network that saw no view from there may well take one for another. The
+    deviations are those of which four errors of five are within what they should be: the fifth is for the trial, in
+    which a camera is found again only if nothing fits better a second later.
+
+    Args:
+        mixture: of the room.
+        samples: frames that tuned nothing.
+        viewpoints: (V, 4, 4) ``T_world_camera`` of the frames that the room is built from.
+        config: of the localizer.
+    """
+    measurement = Measurement(mixture, config.measurement)
+    chosen = np.unique(np.linspace(0, len(samples) - 1, min(_SAMPLES, len(samples))).round().astype(np.int64))
+    found, true = [], []
+    with progress.task("searching", len(chosen)) as show:
+        for done, sample in enumerate(samples[index] for index in chosen.tolist()):
+            show(done + 1)
+            scan = scan_from_depth(sample.depth, config.scan_points, rng, config.measurement.error_power)
+            if len(scan) == 0:
+                continue
+            distances_m = viewpoints_apart(sample.pose, viewpoints)
+            is_beside = distances_m >= min(_BESIDE_M, float(distances_m.max()))
+            places = viewpoints[is_beside]
+            search = Search(measurement, places, config.log_scale_sd)
+            anywhere = Estimate(places[0], np.eye(6), 0.0)
+            found.append(search(scan, anywhere, rng)[0].pose)
+            true.append(sample.pose)
+    errors = pose_errors(np.stack(found), np.stack(true))
+    far_m, far_rad = (np.percentile(error, _SHARE) for error in (errors.position_m, errors.rotation_rad))
+    return float(far_m) / math.sqrt(_CHI2_SHARE_3), float(far_rad) / math.sqrt(_CHI2_SHARE_3)
