@@ -39,26 +39,24 @@ def measure_found(
 
     Args:
         mixture: of the room.
-        samples: frames that tuned nothing.
+        samples: frames that tuned nothing; one at least gives a scan.
         viewpoints: (V, 4, 4) ``T_world_camera`` of the frames that the room is built from.
         config: of the localizer.
     """
     measurement = Measurement(mixture, config.measurement)
-    chosen = np.unique(np.linspace(0, len(samples) - 1, min(_SAMPLES, len(samples))).round().astype(np.int64))
+    scans = [scan_from_depth(s.depth, config.scan_points, rng, config.measurement.error_power) for s in samples]
+    usable = [(scan, sample.pose) for scan, sample in zip(scans, samples, strict=True) if len(scan)]
+    chosen = np.unique(np.linspace(0, len(usable) - 1, min(_SAMPLES, len(usable))).round().astype(np.int64))
     found, true = [], []
     with progress.task("searching", len(chosen)) as show:
-        for done, sample in enumerate(samples[index] for index in chosen.tolist()):
-            show(done + 1)
-            scan = scan_from_depth(sample.depth, config.scan_points, rng, config.measurement.error_power)
-            if len(scan) == 0:
-                continue
-            distances_m = viewpoints_apart(sample.pose, viewpoints)
-            is_beside = distances_m >= min(_BESIDE_M, float(distances_m.max()))
-            places = viewpoints[is_beside]
+        for done, (scan, pose) in enumerate(usable[index] for index in chosen.tolist()):
+            distances_m = viewpoints_apart(pose, viewpoints)
+            places = viewpoints[distances_m >= min(_BESIDE_M, float(distances_m.max()))]
             search = Search(measurement, places, config.log_scale_sd)
             anywhere = Estimate(places[0], np.eye(6), 0.0)
             found.append(search(scan, anywhere, rng)[0].pose)
-            true.append(sample.pose)
+            true.append(pose)
+            show(done + 1)
     errors = pose_errors(np.stack(found), np.stack(true))
     far_m, far_rad = (np.percentile(error, _SHARE) for error in (errors.position_m, errors.rotation_rad))
     return float(far_m) / math.sqrt(_CHI2_SHARE_3), float(far_rad) / math.sqrt(_CHI2_SHARE_3)

@@ -58,7 +58,8 @@ class Search:
         """
         few = _some_of(scan, _FEW_POINTS)
         drawn = self._drawn_around(np.repeat(self._places, _DRAWN, axis=0), rng)
-        fits = self._measurement.mean_log_likelihood(drawn.poses, drawn.log_scale, few, _TOLERANT_LOG_DEPTH_SD)
+        tolerant_sd = max(_TOLERANT_LOG_DEPTH_SD, self._measurement.config.log_depth_sd)
+        fits = self._measurement.mean_log_likelihood(drawn.poses, drawn.log_scale, few, tolerant_sd)
         modes = [self._refined(pose, _NEAR_SD, _REFINING, few, rng) for pose in _best_apart(drawn.poses, fits)]
         mode, _ = self._best(modes, scan)
         return self._best([here, self._refined(mode.pose, _NEARER_SD, _REFINING_ALL, scan, rng)], scan)
