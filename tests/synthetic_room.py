@@ -187,6 +187,13 @@ SETTINGS = LocalizerConfig(
 )
 
 
+class NoNetwork:
+    """For tests that give exact depth: the network must not be asked."""
+
+    def __call__(self, color: NDArray[np.uint8]) -> DepthPrediction:
+        raise AssertionError("predicted depth although it was measured")
+
+
 def healthy_range(mixture: GaussianMixture, recording: RoomRecording) -> HealthyRange:
     """Measured on a recording's exact depth at its true poses, with room below for the poses that are estimated."""
     measurement, rng = Measurement(mixture, SETTINGS.measurement), np.random.default_rng(0)

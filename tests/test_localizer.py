@@ -21,6 +21,7 @@ from synthetic_room import (
     CAMERA,
     FRAME_RATE_HZ,
     SETTINGS,
+    NoNetwork,
     Room,
     RoomRecording,
     depth_from_blue,
@@ -49,19 +50,12 @@ def healthy(mixture, recording) -> HealthyRange:
     return healthy_range(mixture, recording)
 
 
-class _NoNetwork:
-    """Exact depth is given in these tests; the network must not be asked."""
-
-    def __call__(self, color: NDArray[np.uint8]) -> DepthPrediction:
-        raise AssertionError("predicted depth although it was measured")
-
-
 def make_localizer(mixture, recording, healthy, seed=0, depth=None, **settings) -> Localizer:
     config = SETTINGS.model_copy(update=settings)
     rng = np.random.default_rng(seed)
     particles = Start.beside(recording.poses[0], rng, START_M, START_RAD).particles(config, rng)
     viewpoints = recording.poses[:1]
-    parts = Parts.usual(mixture, depth or _NoNetwork(), recording.camera, config)
+    parts = Parts.usual(mixture, depth or NoNetwork(), recording.camera, config)
     return Localizer(parts, recording.camera, particles, config, healthy, viewpoints, rng)
 
 
@@ -226,7 +220,7 @@ def test_far_from_the_truth_is_not_called_tracking(mixture, recording, healthy):
     rng = np.random.default_rng(0)
     start = Start.beside(recording.poses[0], rng, 1.0, np.deg2rad(60.0)).pose
     particles = scatter(start, SETTINGS.particles, 0.02, 0.01, 0.0, rng)
-    parts = Parts.usual(mixture, _NoNetwork(), CAMERA, SETTINGS)
+    parts = Parts.usual(mixture, NoNetwork(), CAMERA, SETTINGS)
     localizer = Localizer(parts, CAMERA, particles, SETTINGS, healthy, recording.poses, rng)
     steps = follow(localizer, recording, range(3))
     assert all(step.state in ("uncertain", "lost") for step in steps)
@@ -263,7 +257,7 @@ def test_a_vague_start_is_found(mixture, recording, healthy, seed):
     rng = np.random.default_rng(seed)
     start = Start.beside(recording.poses[0], rng, 0.6, np.deg2rad(20.0))
     particles = start.particles(SETTINGS, rng)
-    parts = Parts.usual(mixture, _NoNetwork(), CAMERA, SETTINGS)
+    parts = Parts.usual(mixture, NoNetwork(), CAMERA, SETTINGS)
     localizer = Localizer(parts, CAMERA, particles, SETTINGS, healthy, recording.poses[:1], rng)
     found = pose_errors(poses_of(follow(localizer, recording)), recording.poses)
     assert np.median(found.position_m[SETTLED:]) < 0.05

@@ -27,6 +27,7 @@ from synthetic_room import (
     CAMERA,
     FRAME_RATE_HZ,
     SETTINGS,
+    NoNetwork,
     Room,
     RoomRecording,
     healthy_range,
@@ -58,15 +59,8 @@ def healthy(mixture, recording) -> HealthyRange:
     return healthy_range(mixture, recording)
 
 
-class _NoNetwork:
-    """Exact depth is given in these tests."""
-
-    def __call__(self, color):
-        raise AssertionError("predicted depth although it was measured")
-
-
 def make_localizer(mixture, healthy, start, viewpoints, seed=0, settings=SETTINGS) -> Localizer:
-    parts = Parts.usual(mixture, _NoNetwork(), CAMERA, settings)
+    parts = Parts.usual(mixture, NoNetwork(), CAMERA, settings)
     return Localizer(parts, CAMERA, start, settings, healthy, viewpoints, np.random.default_rng(seed))
 
 
