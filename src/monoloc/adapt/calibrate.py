@@ -34,6 +34,12 @@ class Sample:
     pose: FloatArray
 
 
+def scans_of(samples: list[Sample], config: LocalizerConfig, rng: np.random.Generator) -> list[tuple[Scan, Sample]]:
+    """The scans that a localizer would take of samples, where there are any points to take."""
+    scans = [scan_from_depth(s.depth, config.scan_points, rng, config.measurement.error_power) for s in samples]
+    return [(scan, sample) for scan, sample in zip(scans, samples, strict=True) if len(scan)]
+
+
 def calibrate(
     mixture: GaussianMixture, samples: list[Sample], base: LocalizerConfig, rng: np.random.Generator
 ) -> tuple[LocalizerConfig, HealthyRange]:
@@ -46,9 +52,8 @@ def calibrate(
     Raises:
         DataError: no frame's depth gives a scan.
     """
-    scans = [scan_from_depth(s.depth, base.scan_points, rng, base.measurement.error_power) for s in samples]
-    usable = [(scan, sample.pose) for scan, sample in zip(scans, samples, strict=True) if len(scan)]
-    frames = np.array([sample.index for scan, sample in zip(scans, samples, strict=True) if len(scan)])
+    usable = scans_of(samples, base, rng)
+    frames = np.array([sample.index for _, sample in usable])
     if not usable:
         problem = f"gives no usable depth on any of {len(samples)} frames"
         fix = "check output, metric and scale in its TOML: depth must come out in metres"
@@ -66,11 +71,11 @@ def calibrate(
     return settings, HealthyRange.from_fits(fits)
 
 
-def _fits(measurement: Measurement, scans: list[tuple[Scan, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+def _fits(measurement: Measurement, scans: list[tuple[Scan, Sample]]) -> tuple[FloatArray, FloatArray]:
     """Best mean log-likelihood of every scan over the depth's scale, and the log-scale that gives it."""
     fits, scales = [], []
-    for scan, pose in scans:
-        poses = np.repeat(pose[None], len(_LOG_SCALES), axis=0)
+    for scan, sample in scans:
+        poses = np.repeat(sample.pose[None], len(_LOG_SCALES), axis=0)
         values = measurement.mean_log_likelihood(poses, _LOG_SCALES, scan)
         fits.append(values.max())
         scales.append(_LOG_SCALES[values.argmax()])

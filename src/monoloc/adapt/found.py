@@ -6,10 +6,9 @@ import math
 
 import numpy as np
 
-from monoloc.adapt.calibrate import Sample
+from monoloc.adapt.calibrate import Sample, scans_of
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.filter.estimate import Estimate
-from monoloc.filter.scan import scan_from_depth
 from monoloc.filter.search import Search
 from monoloc.filter.weigh import Measurement
 from monoloc.geometry import FloatArray, viewpoints_apart
@@ -44,18 +43,17 @@ def measure_found(
         config: of the localizer.
     """
     measurement = Measurement(mixture, config.measurement)
-    scans = [scan_from_depth(s.depth, config.scan_points, rng, config.measurement.error_power) for s in samples]
-    usable = [(scan, sample.pose) for scan, sample in zip(scans, samples, strict=True) if len(scan)]
+    usable = scans_of(samples, config, rng)
     chosen = np.unique(np.linspace(0, len(usable) - 1, min(_SAMPLES, len(usable))).round().astype(np.int64))
     found, true = [], []
     with progress.task("searching", len(chosen)) as show:
-        for done, (scan, pose) in enumerate(usable[index] for index in chosen.tolist()):
-            distances_m = viewpoints_apart(pose, viewpoints)
+        for done, (scan, sample) in enumerate(usable[index] for index in chosen.tolist()):
+            distances_m = viewpoints_apart(sample.pose, viewpoints)
             places = viewpoints[distances_m >= min(_BESIDE_M, float(distances_m.max()))]
             search = Search(measurement, places, config.log_scale_sd)
             anywhere = Estimate(places[0], np.eye(6), 0.0)
             found.append(search(scan, anywhere, rng)[0].pose)
-            true.append(pose)
+            true.append(sample.pose)
             show(done + 1)
     errors = pose_errors(np.stack(found), np.stack(true))
     far_m, far_rad = (np.percentile(error, _SHARE) for error in (errors.position_m, errors.rotation_rad))
