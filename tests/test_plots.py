@@ -16,7 +16,7 @@ from monoloc.errors import DataError, MissingExtraError
 from monoloc.evaluation.clouds import cloud_distances
 from monoloc.evaluation.map_drawing import plot_map_change
 from monoloc.evaluation.plots import plot_depth, plot_localization, plot_training
-from monoloc.evaluation.run_drawing import _STATE_COLOURS, _beside, view_axes
+from monoloc.evaluation.run_drawing import _STATE_COLOURS, Run, _beside, draw_errors, view_axes
 from monoloc.filter.health import State
 from monoloc.geometry import make_pose, se3_exp, so3_exp
 
@@ -74,6 +74,16 @@ def test_localization_of_a_single_frame(tmp_path: Path) -> None:
     pose = np.eye(4)[None]
     plot_localization(tmp_path / "run.png", estimated=pose, truth=pose, timestamps_s=np.zeros(1), states=["lost"])
     check_picture(tmp_path / "run.png", 1500, 900)
+
+
+def test_how_far_off_a_lost_camera_is_sets_no_axis() -> None:
+    run = run_of_a_camera() | {"states": ["lost"] * 5 + ["tracking"] * (FRAMES - 5)}
+    run["estimated"][:5, :3, 3] += 100.0
+    run["covariances"][:5] = 100.0 * np.eye(6)
+    for states, least_cm, most_cm in ((run["states"], 3.0, 50.0), (["lost"] * FRAMES, 1e4, 1e5)):
+        figure = Figure()
+        draw_errors(figure.subfigures(), Run(**run | {"states": states}))
+        assert least_cm < figure.axes[0].get_ylim()[1] < most_cm
 
 
 @pytest.mark.parametrize(

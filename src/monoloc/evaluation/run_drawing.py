@@ -157,7 +157,8 @@ def _draw_ways(axis: Axes, plane: list[int], run: Run) -> dict[str, Artist]:
         draw(name, run.odometry, color=ORANGE, linestyle=_DASHED, linewidth=1.2)
     if run.truth is not None:
         draw("truth", run.truth, color=INK, linewidth=3.5, alpha=0.35)
-    draw("estimate", run.estimated, color=BLUE, linewidth=1.3)
+    lost = run.in_state("lost")
+    draw("estimate", np.where(lost[:, None, None], np.nan, run.estimated), color=BLUE, linewidth=1.3)
     if run.unseen is not None and not run.unseen.all():
         reference = run.estimated if run.truth is None else run.truth
         style = {"markersize": 3.2, "markerfacecolor": "none", "markeredgewidth": 0.8}
@@ -259,7 +260,10 @@ def _draw_error(
         axis.plot(built_s, foot, "|", color=GREEN, markersize=6, transform=axis.get_xaxis_transform())
     axis.set_title(_error_title(name, unit, error, run.unseen))
     axis.set_ylabel(f"{name.lower()} error ({unit.strip()})")
-    axis.set_ylim(0.0, _error_limit(error, drift, bound))
+    counts = ~run.in_state("lost")  # how far off a lost camera's pose is, tells nobody anything
+    counts |= not counts.any()
+    curves = (None if curve is None else curve[counts] for curve in (error, drift, bound))
+    axis.set_ylim(0.0, _error_limit(*curves))
     axis.margins(x=0.01)
     return shown
 
@@ -278,7 +282,7 @@ def _error_title(name: str, unit: str, error: FloatArray | None, unseen: NDArray
 
 
 def _error_limit(error: FloatArray | None, drift: FloatArray | None, bound: FloatArray | None) -> float:
-    """Top of the axis: all of the error, and of the rest as much as leaves the error legible."""
+    """Top of the axis: all of these errors, and of the rest as much as leaves the error legible."""
     rest = max((float(np.max(v)) for v in (drift, bound) if v is not None), default=0.0)
     highest = rest if error is None else max(float(np.max(error)), min(rest, 3.0 * float(np.max(error))))
     return 1.08 * highest or 1.0
