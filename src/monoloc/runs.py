@@ -109,7 +109,7 @@ class Run:
         return self.recording.poses
 
     def metrics(self) -> dict[str, object]:
-        """The run's figures, ready for JSON; keys of DESIGN, and with ``unseen_`` on unseen frames."""
+        """The run's figures, ready for JSON, as docs/research.md lists them; with ``unseen_`` on unseen frames."""
         everything = np.ones(len(self.poses), dtype=np.bool_)
         figures: dict[str, object] = {
             "frames": len(self.poses),
@@ -183,6 +183,7 @@ def start_localizer(
 
     Raises:
         DataError: the bundle's network does not take the camera's images.
+        ValueError: no start, and ``config.can_find`` is not true.
     """
     config = config or bundle.settings
     made = parts(bundle, camera, config)
