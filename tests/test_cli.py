@@ -26,9 +26,10 @@ from cli_helpers import json_of, listing, refused, succeeds
 from monoloc import __version__
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.cli.main import invoke
+from monoloc.datasets.poses import read_tum
 from monoloc.evaluation.trajectory import pose_errors, summarise
 from monoloc.map.mixture import GaussianMixture
-from monoloc.outputs.tum import read_tum, write_tum
+from monoloc.outputs.tum import write_tum
 from monoloc.progress import ConsoleProgress
 from synthetic_room import (
     FRAME_RATE_HZ,
@@ -246,7 +247,7 @@ def spoil_poses(folder: Path, change: Callable[[np.ndarray], None]) -> Path:
 
 def test_poses_that_are_not_rigid(capfd, here):
     spoil_poses(here / "walk", lambda rows: rows[3].__setitem__(slice(4, 8), [2.0, 0.0, 0.0, 2.0]))
-    refused(capfd, here, ("build", "walk", "--out", "x.monoloc", *QUICK), "walk/poses.txt", "a quaternion of length")
+    refused(capfd, here, ("build", "walk", "--out", "x.monoloc", *QUICK), "walk/poses.txt", "its quaternion has length")
     scene = here / "scene"
     synthetic.write_seven_scenes(scene, frames=2)
     np.savetxt(scene / "seq-01" / "frame-000002.pose.txt", np.diag([1.0, 1.0, -1.0, 1.0]))

@@ -13,8 +13,9 @@ import pytest
 from cli_helpers import json_of, listing, refused, succeeds
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.cli.main import invoke
+from monoloc.datasets.poses import read_tum
 from monoloc.errors import DataError
-from monoloc.outputs.tum import read_tum, write_tum
+from monoloc.outputs.tum import write_tum
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture, write_recording
 
 FRAMES = 6

@@ -340,9 +340,9 @@ def test_tum_clocks_that_differ(sequence):
 @pytest.mark.parametrize(
     ("column", "value", "problem"),
     [
-        (1, np.nan, "line 3 holds NaN"),
-        (7, np.inf, "line 3 holds NaN"),
-        (7, 5.0, "line 3 has a quaternion of length 5"),
+        (1, np.nan, "pose 3 is NaN or infinite"),
+        (7, np.inf, "pose 3 is NaN or infinite"),
+        (7, 5.0, "pose 3 is not rigid: its quaternion has length 5"),
     ],
 )
 def test_tum_impossible_pose(sequence, column, value, problem):
@@ -548,7 +548,7 @@ def test_folder_pose_that_is_not_known(folder):
     path = folder / "poses.txt"
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join([*lines[:-1], "5.2 nan nan nan 0 0 0 1\n"]))
-    fails_to_open(folder, path, "line 4 holds NaN", "leave out frames without a pose")
+    fails_to_open(folder, path, "pose 3 is NaN", "leave out frames without a pose")
     path.write_text("".join(lines[:-1]))
     description = folder / "dataset.toml"
     description.write_text(synthetic.SEQUENCE_TOML.replace("count = 3", "count = 2"))

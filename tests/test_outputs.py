@@ -10,9 +10,10 @@ from evo.tools import file_interface
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from monoloc.datasets.poses import read_tum
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, se3_exp
-from monoloc.outputs.tum import read_tum, write_tum
+from monoloc.outputs.tum import write_tum
 
 GOOD_LINE = "1.5 1 2 3 0 0 0 1"
 
@@ -60,14 +61,14 @@ def test_rounded_quaternions_give_proper_rotations(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "problem"),
     [
-        (f"{GOOD_LINE}\n2.5 1 2 3\n", "line 2 has 4 columns"),
-        (f"# comment\n{GOOD_LINE} 9\n", "line 2 has 9 columns"),
-        ("1.5 1 two 3 0 0 0 1\n", "line 1 holds something that is not a number"),
-        ("1.5 1 nan 3 0 0 0 1\n", "line 1 holds NaN or infinity"),
-        ("1.5 1 2 3 0 0 0 0\n", "line 1 has a quaternion of length 0"),
-        ("1.5 1 2 3 0.5 0 0 3\n", "line 1 has a quaternion of length 3.04"),
-        ("# nothing\n", "holds no poses"),
-        ("", "holds no poses"),
+        (f"{GOOD_LINE}\n2.5 1 2 3\n", "line 2 is not 8 numbers"),
+        (f"# comment\n{GOOD_LINE} 9\n", "line 2 is not 8 numbers"),
+        ("1.5 1 two 3 0 0 0 1\n", "line 1 is not 8 numbers"),
+        ("1.5 1 nan 3 0 0 0 1\n", "pose 1 is NaN or infinite"),
+        ("1.5 1 2 3 0 0 0 0\n", "pose 1 is not rigid: its quaternion has length 0"),
+        ("1.5 1 2 3 0.5 0 0 3\n", "pose 1 is not rigid: its quaternion has length 3.04"),
+        ("# nothing\n", "has no lines of numbers"),
+        ("", "is empty"),
     ],
 )
 def test_a_broken_file_is_named_with_its_line(tmp_path: Path, content: str, problem: str) -> None:
@@ -84,7 +85,7 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"none\.txt: cannot be read \(No such file or directory\); "):
         read_tum(tmp_path / "none.txt")
     (tmp_path / "binary.txt").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(DataError, match=r"binary\.txt: cannot be read \(not text\); "):
+    with pytest.raises(DataError, match=r"binary\.txt: is not a text file; "):
         read_tum(tmp_path / "binary.txt")
 
 

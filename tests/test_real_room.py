@@ -16,6 +16,7 @@ from monoloc.adapt.poses import PosePrior, refine_poses
 from monoloc.build import BuildConfig, fit_map
 from monoloc.bundle import read_bundle
 from monoloc.datasets.base import Selection
+from monoloc.datasets.poses import read_tum
 from monoloc.datasets.registry import open_recording, select_frames
 from monoloc.depth.model import read_model
 from monoloc.depth.runtime import DepthPredictor
@@ -23,7 +24,6 @@ from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import se3_exp
 from monoloc.map.mixture import GaussianMixture
 from monoloc.models import DEFAULT, shipped_file
-from monoloc.outputs.tum import read_tum
 from monoloc.progress import NoProgress
 
 pytestmark = [pytest.mark.data, pytest.mark.slow]

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from monoloc.bundle import read_bundle, write_bundle
+from monoloc.datasets.poses import read_tum
 from monoloc.evaluation.trajectory import pose_errors
-from monoloc.outputs.tum import read_tum
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture, write_recording
 
 # Everything that is no dependency of the bare package.

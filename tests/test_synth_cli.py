@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from monoloc.cli.main import invoke
-from monoloc.outputs.tum import read_tum
+from monoloc.datasets.poses import read_tum
 from monoloc.synth.blur import velocities
 from monoloc.synth.layout import generate_room
 from monoloc.synth.rooms import read_room

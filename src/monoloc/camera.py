@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from monoloc.errors import SettingError
-
-FloatArray = NDArray[np.float64]
+from monoloc.geometry import FloatArray
 
 _LEAST_DEPTH_M = 0.1  # nothing nearer is in sight
 _BORDER_RAYS = 9  # along a side; the widest of them bound the view

@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 from monoloc.cli.common import FramesOption, JsonOption, open_source, print_json, print_table, refuse_frames
-from monoloc.datasets.poses import nearest_times, read_tum_poses
+from monoloc.datasets.poses import nearest_times, read_tum
 from monoloc.datasets.registry import FORMATS
 from monoloc.errors import DataError
 from monoloc.evaluation.trajectory import relative_pose_errors, summarise
@@ -36,7 +36,7 @@ def evaluate(
       monoloc evaluate way.txt 7scenes:redkitchen
       monoloc evaluate way.txt groundtruth.txt --json
     """
-    times, poses = read_tum_poses(trajectory)
+    times, poses = read_tum(trajectory)
     true_times, true_poses = _read_truth(truth, frames)
     nearest = nearest_times(times, true_times)
     matched = np.abs(times - true_times[nearest]) <= _SAME_TIME_S
@@ -68,7 +68,7 @@ def _read_truth(truth: str, frames: str) -> tuple[FloatArray, FloatArray]:
     path = Path(truth)
     if path.is_file() and path.suffix in {".txt", ".tum"}:
         refuse_frames(frames, "a trajectory")
-        return read_tum_poses(path)
+        return read_tum(path)
     if path.is_file() and not any(known.recognises(path) for known in FORMATS.values()):
         fix = "name it NAME.txt if it is a TUM trajectory, or give a recording"
         raise DataError(path, "is not recognised as a truth", fix)

@@ -34,11 +34,12 @@ from monoloc.cli.common import (
 )
 from monoloc.config import override
 from monoloc.datasets.base import Recording
+from monoloc.datasets.poses import UNIT_TOLERANCE
 from monoloc.errors import MonolocError, SettingError
 from monoloc.evaluation.plots import plot_localization
 from monoloc.filter.health import State
 from monoloc.geometry import FloatArray, make_pose, quaternion_to_rotation
-from monoloc.outputs.tum import NORM_TOLERANCE, write_tum
+from monoloc.outputs.tum import write_tum
 from monoloc.progress import ConsoleProgress
 from monoloc.runs import Run, Start, localize
 from monoloc.viewer import run_viewer
@@ -227,7 +228,7 @@ def _parse_pose(text: str) -> FloatArray:
     far_m, length = float(np.abs(values[:3]).max()), math.hypot(*values[3:])
     if far_m > _FARTHEST_M:
         raise SettingError("--start", f"is {text!r}, {far_m:.3g} m away", "write TX,TY,TZ,QX,QY,QZ,QW in metres")
-    if abs(length - 1.0) > NORM_TOLERANCE:
+    if abs(length - 1.0) > UNIT_TOLERANCE:
         fix = "write TX,TY,TZ,QX,QY,QZ,QW, the last four of length 1"
         raise SettingError("--start", f"is {text!r}, with a quaternion of length {length:.3g}", fix)
     return make_pose(quaternion_to_rotation(values[3:]), values[:3])

@@ -10,9 +10,10 @@ import typer
 
 from monoloc.camera import Camera
 from monoloc.cli.common import JsonOption, SeedOption, check_folder, print_json, stderr
+from monoloc.datasets.poses import read_tum
 from monoloc.errors import SettingError
 from monoloc.geometry import FloatArray
-from monoloc.outputs.tum import read_tum, write_tum
+from monoloc.outputs.tum import write_tum
 from monoloc.progress import ConsoleProgress
 from monoloc.synth.blur import velocities
 from monoloc.synth.flights import FlightConfig, plan_flight

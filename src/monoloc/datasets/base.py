@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
+from monoloc.geometry import FloatArray
 
-FloatArray = NDArray[np.float64]
 # A frame's image as another light would have given it: (H, W, 3) uint8 RGB both.
 Relight = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 

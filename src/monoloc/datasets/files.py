@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from monoloc.errors import DataError
-
-FloatArray = NDArray[np.float64]
+from monoloc.geometry import FloatArray
 
 
 def require_folder(path: Path) -> None:

@@ -30,7 +30,7 @@ from monoloc.camera import Camera
 from monoloc.datasets.files import read_text, require_file, require_folder
 from monoloc.datasets.images import ImageRecording, names_of
 from monoloc.datasets.options import ReaderOptions, depth_scale_problem
-from monoloc.datasets.poses import read_tum_poses
+from monoloc.datasets.poses import read_tum
 from monoloc.errors import DataError, SettingError
 
 FILE_NAME = "dataset.toml"
@@ -87,7 +87,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
     elif kind == "sequence":
         pose_path = folder / description.text("poses")
         require_file(pose_path, f"write it, or correct poses in {FILE_NAME}")
-        timestamps_s, poses = read_tum_poses(pose_path)
+        timestamps_s, poses = read_tum(pose_path)
         if len(poses) != len(indices):
             raise DataError(
                 pose_path,

@@ -15,8 +15,7 @@ from monoloc.camera import Camera
 from monoloc.datasets.files import read_bytes
 from monoloc.datasets.registration import DepthRegistration
 from monoloc.errors import DataError
-
-FloatArray = NDArray[np.float64]
+from monoloc.geometry import FloatArray
 
 _PNG_START, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
 _JPEG_START, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"

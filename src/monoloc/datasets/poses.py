@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from monoloc import geometry
 from monoloc.datasets.files import read_rows
 from monoloc.errors import DataError
-from monoloc.outputs.tum import read_tum
+from monoloc.geometry import FloatArray
 
-FloatArray = NDArray[np.float64]
-
-_QUATERNION_NORM_TOLERANCE = 1e-2  # files carry 4 to 6 digits; what is further off is not a unit quaternion
+# Of a quaternion's length: files carry 3 to 6 digits; what is further off is columns in another order.
+UNIT_TOLERANCE = 1e-2
 
 
 def checked_poses(poses: FloatArray, files: Sequence[Path], names: Sequence[str]) -> FloatArray:
@@ -66,9 +65,9 @@ def poses_from_quaternions(quaternions_xyzw: FloatArray, translations_m: FloatAr
     finite = np.isfinite(quaternions_xyzw).all(axis=1) & np.isfinite(translations_m).all(axis=1)
     if not finite.all():
         row = int(np.argmin(finite)) + 1
-        raise DataError(file, f"pose {row} is NaN or infinite", "correct it or remove the frame")
+        raise DataError(file, f"pose {row} is NaN or infinite", "correct it, or leave out frames without a pose")
     norms = np.linalg.norm(quaternions_xyzw, axis=1)
-    unit = np.abs(norms - 1.0) < _QUATERNION_NORM_TOLERANCE
+    unit = np.abs(norms - 1.0) < UNIT_TOLERANCE
     if not unit.all():
         row = int(np.argmin(unit))
         raise DataError(
@@ -79,15 +78,15 @@ def poses_from_quaternions(quaternions_xyzw: FloatArray, translations_m: FloatAr
     return geometry.make_pose(geometry.quaternion_to_rotation(quaternions_xyzw), translations_m)
 
 
-def read_tum_poses(path: Path) -> tuple[FloatArray, FloatArray]:
-    """Time stamps (N,) in seconds and poses (N, 4, 4) of a trajectory file in TUM's format.
+def read_tum(path: Path) -> tuple[FloatArray, FloatArray]:
+    """A trajectory in TUM's format: time stamps (N,) in seconds, which increase, and poses (N, 4, 4), N >= 1.
 
     Raises:
-        DataError: as :func:`monoloc.outputs.tum.read_tum`, or time does not increase.
+        DataError: the file cannot be read, a line of it is no pose, or time does not increase.
     """
-    times_s, poses = read_tum(path)
-    check_increasing(times_s, path)
-    return times_s, poses
+    rows = read_rows(path, 8, "t tx ty tz qx qy qz qw")
+    check_increasing(rows[:, 0], path)
+    return rows[:, 0], poses_from_quaternions(rows[:, 4:], rows[:, 1:4], path)
 
 
 def check_increasing(times_s: FloatArray, path: Path) -> None:

@@ -16,10 +16,9 @@ from monoloc.camera import Camera
 from monoloc.datasets.files import read_text, require_file, require_folder
 from monoloc.datasets.images import ImageRecording, names_of
 from monoloc.datasets.options import ReaderOptions
-from monoloc.datasets.poses import check_increasing, nearest_times, read_tum_poses
+from monoloc.datasets.poses import check_increasing, nearest_times, read_tum
 from monoloc.errors import DataError
-
-FloatArray = NDArray[np.float64]
+from monoloc.geometry import FloatArray
 
 DEPTH_SCALE = 5000.0
 MAX_TIME_DIFFERENCE_S = 0.02  # the benchmark's own tolerance for association
@@ -55,7 +54,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
     color_times, color_paths = _read_list(path / "rgb.txt")
     kept, poses, depth_paths = np.ones(len(color_paths), dtype=np.bool_), None, None
     if (path / "groundtruth.txt").is_file():
-        truth_times, truth_poses = read_tum_poses(path / "groundtruth.txt")
+        truth_times, truth_poses = read_tum(path / "groundtruth.txt")
         kept, poses = _poses_at(color_times, truth_times, truth_poses)
     if (path / "depth.txt").is_file():
         depth_times, all_depth_paths = _read_list(path / "depth.txt")

@@ -10,10 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from monoloc.datasets.base import Recording
 from monoloc.depth_image import at_discontinuity
 from monoloc.errors import DataError, SettingError
-from monoloc.geometry import transform
+from monoloc.geometry import FloatArray, transform
 from monoloc.map.arguments import float64
 
-FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 # A neighbouring pixel this much nearer or farther, relative to depth, marks an edge between surfaces, where

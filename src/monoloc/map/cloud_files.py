@@ -9,12 +9,11 @@ from io import BufferedReader
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from monoloc.errors import DataError
+from monoloc.geometry import FloatArray
 from monoloc.ply import read_ply
 
-FloatArray = NDArray[np.float64]
 Fields = list[tuple[str, str]]  # name and little-endian NumPy type of each number of a point
 
 _PCD_KINDS = {"F": "f", "I": "i", "U": "u"}

@@ -18,11 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from monoloc import _core
 from monoloc.errors import SettingError
+from monoloc.geometry import FloatArray
 from monoloc.map.arguments import float64
 from monoloc.map.kmeans import kmeans, nearest
 from monoloc.map.mixture import GaussianMixture
 
-FloatArray = NDArray[np.float64]
 Progress = Callable[[int, float], None]
 
 _ALIVE = 1.0  # a component that holds less than one point is empty

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from monoloc import _core
+from monoloc.geometry import FloatArray
 from monoloc.map.arguments import check_outliers_and_threads, float32, float64
-
-FloatArray = NDArray[np.float64]
 
 
 class MixtureIndex:

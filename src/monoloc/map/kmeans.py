@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from monoloc.geometry import FloatArray
 
 LLOYD_STEPS = 4  # EM refines the clusters anyway; more steps did not raise its final likelihood
 _CHUNK = 4096  # points whose distances to all centres are held at once

@@ -15,12 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 from monoloc import _core
 from monoloc.errors import DataError
 from monoloc.files import write_whole
+from monoloc.geometry import FloatArray
 from monoloc.map.arguments import float64
 from monoloc.map.index import MixtureIndex
 from monoloc.map.rays import RayMixture
 from monoloc.map.reference import log_sum_exp, log_terms
-
-FloatArray = NDArray[np.float64]
 
 BYTES_PER_COMPONENT = 40  # ten float32: weight, mean, Cholesky factor
 _POINTS_AT_ONCE = 4096

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from monoloc import _core
+from monoloc.geometry import FloatArray
 from monoloc.map.arguments import check_outliers_and_threads, float32, float64
-from monoloc.map.index import FloatArray
 
 LOG_DEPTH_RANGE = 4.0  # outliers are uniform in log-depth over so much: 0.15 m to 8 m
 

@@ -8,11 +8,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from monoloc.geometry import transform
-
-FloatArray = NDArray[np.float64]
+from monoloc.geometry import FloatArray, transform
 
 
 class Statistics(NamedTuple):

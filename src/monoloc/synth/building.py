@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from monoloc.geometry import make_pose, so3_exp
+from monoloc.geometry import FloatArray, make_pose, so3_exp
 from monoloc.synth import fittings
 from monoloc.synth.fittings import Opening
 from monoloc.synth.furniture import CLOTHS, WOODS, Parts, a_color, box
 from monoloc.synth.materials import Material, lacquer, paint, wood
 from monoloc.synth.rooms import Object, Room, Vector
-
-FloatArray = NDArray[np.float64]
 
 _SKY = 5000.0  # cd/m^2 of a bright overcast sky (CIE standard overcast, about 15 klx outdoors)
 _SILL, _DOOR_WIDTH, _DOOR_HEIGHT = 0.9, 0.86, 2.03

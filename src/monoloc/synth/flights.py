@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.errors import SettingError
-from monoloc.geometry import make_pose, so3_exp
+from monoloc.geometry import FloatArray, make_pose, so3_exp
 from monoloc.synth.minimum_snap import Spline, joined, minimum_snap
 from monoloc.synth.rooms import Room
-
-FloatArray = NDArray[np.float64]
 
 GRAVITY = 9.81  # m/s^2
 CAMERA_RATE_HZ = 30.0

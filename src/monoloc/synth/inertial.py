@@ -6,13 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from monoloc.files import write_whole
-from monoloc.geometry import invert, se3_exp, so3_log
+from monoloc.geometry import FloatArray, invert, se3_exp, so3_log
 from monoloc.synth.flights import GRAVITY, Flight
-
-FloatArray = NDArray[np.float64]
 
 _DIFFERENCE_S = 1e-4  # for the angular velocity, by central differences
 

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from monoloc.geometry import FloatArray
 
 _COEFFICIENTS = 8
 _AT_REST = 3  # derivatives that vanish at both ends: velocity, acceleration, jerk

@@ -12,19 +12,18 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import TypeAdapter, ValidationError
 
 from monoloc.config import describe
 from monoloc.errors import DataError, SettingError
 from monoloc.files import write_whole
-from monoloc.geometry import make_pose, so3_exp, transform
+from monoloc.geometry import FloatArray, make_pose, so3_exp, transform
 from monoloc.synth.boxes import Boxes
 from monoloc.synth.materials import Material
 from monoloc.synth.mesh_files import read_mesh
 from monoloc.synth.shapes import sample_surface
 
-FloatArray = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 _SPACING_M = 0.08  # of points that stand for a mesh's surface

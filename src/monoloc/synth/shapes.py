@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from monoloc.geometry import FloatArray
 
 _SEGMENTS = 28  # of a circle: its outline looks round at the sizes that are rendered
 _BEVEL_STEPS = 3
