@@ -247,7 +247,9 @@ def spoil_poses(folder: Path, change: Callable[[np.ndarray], None]) -> Path:
 
 def test_poses_that_are_not_rigid(capfd, here):
     spoil_poses(here / "walk", lambda rows: rows[3].__setitem__(slice(4, 8), [2.0, 0.0, 0.0, 2.0]))
-    refused(capfd, here, ("build", "walk", "--out", "x.monoloc", *QUICK), "walk/poses.txt", "its quaternion has length")
+    refused(
+        capfd, here, ("build", "walk", "--out", "x.monoloc", *QUICK), "walk/poses.txt", "its quaternion has length"
+    )
     scene = here / "scene"
     synthetic.write_seven_scenes(scene, frames=2)
     np.savetxt(scene / "seq-01" / "frame-000002.pose.txt", np.diag([1.0, 1.0, -1.0, 1.0]))

@@ -589,3 +589,10 @@ def test_healthy_range_is_measured():
     assert healthy.low == pytest.approx(-1.99)
     assert healthy.lost < healthy.low
     assert healthy.low - healthy.lost == pytest.approx(-1.5 - healthy.low)
+
+
+def test_a_healthy_range_of_few_frames_is_not_taken_for_what_they_happen_to_span():
+    healthy = HealthyRange.from_fits([1.0, 1.02])
+    assert healthy.low < 0.7 and healthy.lost < 0.3
+    wide = HealthyRange.from_fits(np.linspace(0.0, 2.0, 5))  # as measured
+    assert wide.low == pytest.approx(0.02)

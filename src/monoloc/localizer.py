@@ -191,7 +191,8 @@ class Localizer:
         if measured_depth is None and not shows_something(color):
             scan = NOTHING
         if not self._is_first:
-            spread, noise, blind_s = config.log_scale_sd, config.motion_noise, self._joiner.blind_s
+            spread, noise = config.log_scale_sd, config.motion_noise
+            blind_s = 0.0 if self._recovery.is_on_trial else self._joiner.blind_s
             self.particles = predict(self.particles, motion, elapsed_s, blind_s, spread, noise, self._rng)
         is_telling = len(scan) >= _FEWEST_POINTS
         sought_in = scan if is_telling else NOTHING

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from monoloc.progress import Progress
 _STAY = 60  # frames: the start is forgotten, and what is left is what the depth there says
 _GAP_S, _GAP_M = 1.5, 0.5  # between frames, the latter with a radian for a metre: no camera is followed over more
 _LEAST_DISTANCE_M = 0.01
+_MOST_WALKS = 20  # that are followed
 _USUAL_GROWTH = 0.1  # m and rad a metre away, of other networks and other parts of a room
 
 # From a start, ``T_world_camera``, to a localizer.
@@ -35,10 +37,10 @@ def measure_lasting(
     """What lasts, near the viewpoints that tuned and away from them.
 
     Near: the recording is followed from its first pose with the network that all its frames tuned, and where it was
-    paused, or is of several walks, from the first pose afterwards. Away: with one that no frame of the regions tuned,
-    the camera stays in each of them, to and fro over its frames, since a filter that only passes through brings the
-    pose it has along. What exceeds that network's own error at the other frames is taken to grow with the distance
-    from the nearest of them.
+    paused, or is of several walks, from the first pose afterwards; walks so short that their start is not forgotten
+    are gone to and fro. Away: with one that no frame of the regions tuned, the camera stays in each of them, to and
+    fro over its frames, since a filter that only passes through brings the pose it has along. What exceeds that
+    network's own error at the other frames is taken to grow with the distance from the nearest of them.
 
     Args:
         starts_at: makes the localizer that is to be used.
@@ -52,33 +54,37 @@ def measure_lasting(
     is_near = np.ones(len(recording), dtype=np.bool_)
     for region in regions:
         is_near[region] = False
-    walks = _unbroken(np.arange(len(recording)), recording.timestamps_s, poses)
-    places = [part for region in regions for part in _unbroken(region, recording.timestamps_s, poses)]
-    stays = [_to_and_fro(place) for place in places]
-    done = 0
-    with progress.task("covariances", len(recording) * (2 if stays else 1) + sum(map(len, stays))) as show:
+    times_s = recording.timestamps_s
+    walks = _some([_way(walk) for walk in _unbroken(np.arange(len(recording)), times_s, poses)])
+    stays = [_stay(place) for region in regions for place in _unbroken(region, times_s, poses)]
+    done, total = 0, sum(len(way.frames) for way in [*walks, *(walks if stays else []), *stays])
+    with progress.task("covariances", total) as show:
 
-        def follow(at: StartsAt, walk: NDArray[np.int64]) -> FloatArray:
-            """Poses (N, 4, 4) of the frames of a walk, one after the other."""
+        def follow(at: StartsAt, ways: list[_Way]) -> tuple[FloatArray, NDArray[np.int64]]:
+            """Poses (N, 4, 4) at the frames (N,) of ways that count."""
             nonlocal done
-            localizer, found = at(poses[walk[0]]), []
-            times = recording.timestamps_s[walk]
-            for index, elapsed_s in zip(walk.tolist(), np.abs(np.diff(times, prepend=times[:1])), strict=True):
-                found.append(localizer.step(recording.color(index), float(elapsed_s)).located.pose)
-                done += 1
-                show(done)
-            return np.stack(found)
+            found, frames = [], []
+            for way in ways:
+                localizer = at(poses[way.frames[0]])
+                elapsed_s = np.abs(np.diff(times_s[way.frames], prepend=times_s[way.frames[:1]]))
+                for place, index in enumerate(way.frames.tolist()):
+                    pose = localizer.step(recording.color(index), float(elapsed_s[place])).located.pose
+                    if place >= way.passed:
+                        found.append(pose)
+                        frames.append(index)
+                    done += 1
+                    show(done)
+            return np.stack(found), np.array(frames)
 
-        near = pose_errors(np.concatenate([follow(starts_at, walk) for walk in walks]), poses)
+        followed, frames = follow(starts_at, walks)
+        near = pose_errors(followed, poses[frames])
         if not stays:
             near_m, near_rad = axis_sd(near)
             return LastingErrors(near_sd_m=near_m, near_sd_rad=near_rad)
-        followed = np.concatenate([follow(rehearsed_at, walk) for walk in walks])
-        rehearsed = pose_errors(followed[is_near], poses[is_near])
-        # The first time through a place still shows what was brought along.
-        ways = [follow(rehearsed_at, stay)[len(place) :] for place, stay in zip(places, stays, strict=True)]
-    frames = np.concatenate([stay[len(place) :] for place, stay in zip(places, stays, strict=True)])
-    away = pose_errors(np.concatenate(ways), poses[frames])
+        followed, frames = follow(rehearsed_at, walks)
+        rehearsed = pose_errors(followed[is_near[frames]], poses[frames[is_near[frames]]])
+        followed, frames = follow(rehearsed_at, stays)
+    away = pose_errors(followed, poses[frames])
     distances_m = np.array([viewpoints_apart(pose, poses[is_near]).min() for pose in poses[frames]])
     return lasting_errors(near, rehearsed, away, distances_m)
 
@@ -120,7 +126,28 @@ def _unbroken(walk: NDArray[np.int64], times_s: FloatArray, poses: FloatArray) -
     return np.split(walk, 1 + np.flatnonzero(gaps))
 
 
-def _to_and_fro(region: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Frames of a region in order, back, and again, until the camera has stayed long enough after the first time."""
-    cycle = np.concatenate([region, region[-2:0:-1]])
-    return np.tile(cycle, 1 + math.ceil(_STAY / len(cycle)))
+@dataclass(frozen=True)
+class _Way:
+    """Frames (N,) to be followed one after another, of which the first ``passed`` do not count."""
+
+    frames: NDArray[np.int64]
+    passed: int
+
+
+def _way(walk: NDArray[np.int64]) -> _Way:
+    """A walk once, or, where the start would not be forgotten, as :func:`_stay`."""
+    return _Way(walk, 0) if len(walk) >= _STAY else _stay(walk)
+
+
+def _stay(place: NDArray[np.int64]) -> _Way:
+    """Frames in order, back, and again, until the camera has stayed long enough after the first time.
+
+    The first time through a place still shows what was brought along.
+    """
+    cycle = np.concatenate([place, place[-2:0:-1]])
+    return _Way(np.tile(cycle, 1 + math.ceil(_STAY / len(cycle))), len(place))
+
+
+def _some(ways: list[_Way]) -> list[_Way]:
+    """Evenly chosen, so many at most: frames that each stand alone would be followed for minutes."""
+    return ways[:: math.ceil(len(ways) / _MOST_WALKS)]

@@ -80,7 +80,8 @@ class AdaptedMap(nn.Module):
     Args:
         mixture: the original map M.
         cloud: (N, 3) float64 points that M was fitted to, metres, world frame.
-        floor_m: standard deviation added to every covariance, as in the fit.
+        floor_m: its square is added to every variance, so that covariances stay positive; the fit clamps them
+            there instead, which is no function to be followed backwards.
     """
 
     cloud: Tensor
@@ -108,7 +109,7 @@ class AdaptedMap(nn.Module):
         self.register_buffer("cloud", points)
         self.register_buffer("log_weights", torch.from_numpy(mixture.weights).log())
         self._floor = floor_m**2 * torch.eye(3, dtype=torch.float64)
-        # The original, by the same sums: M itself up to EM's last step, so that the identity has a KL of zero.
+        # The original by the same sums, so that the identity has a KL of zero: M up to EM's last step and the floor.
         means, covariances = self._moments(points)
         self.register_buffer("means", means)
         self.register_buffer("covariances", covariances)

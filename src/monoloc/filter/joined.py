@@ -134,7 +134,8 @@ class Joiner:
         """
         self._unmoved_s = self._unmoved_s + elapsed_s if motion is None else 0.0
         if self._unmoved_s > _LONG_S and is_told:  # nothing is left to join it with
-            self._joined = Joined.alone(located, self._widths(located.pose))
+            brought = self._moved(motion, elapsed_s, located).widths
+            self._joined = Joined.alone(located, np.maximum(brought, self._widths(located.pose)))
         else:
             self._joined = self._moved(motion, elapsed_s, located)
             if is_told:

@@ -30,20 +30,21 @@ class Recovery:
 
     Attributes:
         is_lost: nothing but odometry is to move the belief.
+        is_on_trial: the particles are where a lost camera was found, and scans move them.
     """
 
     def __init__(self, search: Search | None, healthy: HealthyRange, is_lost: bool) -> None:
         self._search = search
         self._healthy = healthy
         self.is_lost = is_lost and search is not None
-        self._is_on_trial = False
+        self.is_on_trial = False
         self._misfit_s = 0.0
         self._since_s = _EVERY_S  # the last search
 
     @property
     def is_followed(self) -> bool:
         """Whether the particles are anywhere in particular, to be moved by a scan."""
-        return self._is_on_trial or not self.is_lost
+        return self.is_on_trial or not self.is_lost
 
     def look(
         self, particles: Particles, scan: Scan, elapsed_s: float, rng: np.random.Generator
@@ -67,14 +68,14 @@ class Recovery:
         here = estimate(particles)
         found, fit = self._search(scan, here, rng)
         if fit < self._healthy.lost:
-            self._is_on_trial = False
+            self.is_on_trial = False
             return particles, False
-        if self._is_on_trial and float(viewpoints_apart(here.pose, found.pose[None])[0]) < _SAME_M:
+        if self.is_on_trial and float(viewpoints_apart(here.pose, found.pose[None])[0]) < _SAME_M:
             is_believed = fit >= self._healthy.low
             if is_believed:
-                self.is_lost, self._is_on_trial, self._misfit_s = False, False, 0.0
+                self.is_lost, self.is_on_trial, self._misfit_s = False, False, 0.0
             return particles, is_believed
-        self.is_lost = self._is_on_trial = True
+        self.is_lost = self.is_on_trial = True
         return self._search.around(found, len(particles), rng), False
 
     def note(self, fit: float, belief: Estimate, elapsed_s: float) -> None:
