@@ -47,7 +47,6 @@ def run_of_a_camera() -> dict[str, Any]:
         "unseen": np.arange(FRAMES) % 4 != 0,
         "states": ["tracking"] * 20 + ["uncertain"] * 5 + ["lost"] * 5,
         "mixture": (rng.uniform(-2.0, 2.0, size=(12, 3)), roots @ roots.swapaxes(-1, -2)),
-        "cloud": rng.uniform(-2.0, 2.0, size=(500, 3)),
     }
 
 
@@ -60,7 +59,7 @@ def test_what_is_coloured_is_a_state_of_the_filter() -> None:
     [
         (),
         ("truth", "odometry"),
-        ("truth", "covariances", "odometry", "unseen", "states", "mixture", "cloud"),
+        ("truth", "covariances", "odometry", "unseen", "states", "mixture"),
     ],
 )
 def test_localization(tmp_path: Path, left_out: tuple[str, ...]) -> None:

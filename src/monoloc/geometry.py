@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 FloatArray = NDArray[np.float64]
 
 _SMALL_ANGLE = 1e-4  # below it sin and cos quotients are replaced by their series
-_TURN_WORTH_M = 1.0  # a radian of rotation keeps as little of a view in sight as so many metres
+TURN_WORTH_M = 1.0  # a radian of rotation keeps as little of a view in sight as so many metres
 
 
 def hat(vector: ArrayLike) -> FloatArray:
@@ -128,9 +128,7 @@ def adjoint(pose: ArrayLike) -> FloatArray:
 def viewpoints_apart(pose: FloatArray, others: FloatArray) -> FloatArray:
     """Metres, with a radian of rotation for one more, between a camera (4, 4) and others (N, 4, 4): (N,)."""
     relative = invert(pose) @ others
-    return np.asarray(
-        np.linalg.norm(relative[:, :3, 3], axis=1) + _TURN_WORTH_M * rotation_angle(relative[:, :3, :3])
-    )
+    return np.asarray(np.linalg.norm(relative[:, :3, 3], axis=1) + TURN_WORTH_M * rotation_angle(relative[:, :3, :3]))
 
 
 def is_rigid(pose: ArrayLike, tolerance: float = 1e-3) -> NDArray[np.bool_]:

@@ -27,12 +27,11 @@ from monoloc.depth.schedule import one_cycle
 from monoloc.depth.spec import image_tensor, network_size, resize_image
 from monoloc.errors import DataError, SettingError
 from monoloc.evaluation.trajectory import pose_errors
-from monoloc.geometry import FloatArray
+from monoloc.geometry import TURN_WORTH_M, FloatArray
 from monoloc.memory import keep_freed_memory
 from monoloc.progress import Progress
 
 _HELD_OUT_SHARE, _BLOCKS = 0.2, 4
-_TURN_WORTH_M = 1.0  # a radian moves what a camera sees about as far as so many metres
 _AT_ONCE = 32
 
 
@@ -78,7 +77,7 @@ class Trial:
     def score_m(self) -> float:
         if self.position_m is None or self.rotation_rad is None:
             return np.inf
-        return self.position_m + _TURN_WORTH_M * self.rotation_rad
+        return self.position_m + TURN_WORTH_M * self.rotation_rad
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,10 @@ import typer
 from monoloc.cli.common import FramesOption, JsonOption, open_source, print_json, print_table, refuse_frames
 from monoloc.datasets.poses import nearest_times, read_tum
 from monoloc.datasets.registry import FORMATS
+from monoloc.datasets.tum import MAX_TIME_DIFFERENCE_S
 from monoloc.errors import DataError
 from monoloc.evaluation.trajectory import relative_pose_errors, summarise
 from monoloc.geometry import FloatArray
-
-_SAME_TIME_S = 0.02
 
 
 def evaluate(
@@ -39,13 +38,13 @@ def evaluate(
     times, poses = read_tum(trajectory)
     true_times, true_poses = _read_truth(truth, frames)
     nearest = nearest_times(times, true_times)
-    matched = np.abs(times - true_times[nearest]) <= _SAME_TIME_S
+    matched = np.abs(times - true_times[nearest]) <= MAX_TIME_DIFFERENCE_S
     if not matched.any():
         fix = "check that both use the same clock"
         if frames != "::":
             fix += ", and that --frames chooses frames of this trajectory"
-        raise DataError(trajectory, f"has no pose within {_SAME_TIME_S} s of the truth's", fix)
-    missed = np.abs(true_times - times[nearest_times(true_times, times)]) > _SAME_TIME_S
+        raise DataError(trajectory, f"has no pose within {MAX_TIME_DIFFERENCE_S} s of the truth's", fix)
+    missed = np.abs(true_times - times[nearest_times(true_times, times)]) > MAX_TIME_DIFFERENCE_S
     estimated, true = poses[matched], true_poses[nearest[matched]]
     metrics: dict[str, object] = {
         "frames": int(matched.sum()),

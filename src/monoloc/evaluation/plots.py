@@ -28,7 +28,6 @@ def plot_localization(
     unseen: NDArray[np.bool_] | None = None,
     states: Sequence[str] | None = None,
     mixture: tuple[FloatArray, FloatArray] | None = None,
-    cloud: FloatArray | None = None,
     title: str = "",
 ) -> None:
     """The camera's way over the map, from above and from the side, and its errors over time.
@@ -46,7 +45,6 @@ def plot_localization(
         unseen: (N,) True for frames that did not build the map.
         states: N of "tracking", "uncertain", "lost".
         mixture: means (K, 3) and covariances (K, 3, 3) of the map, world frame, metres.
-        cloud: (P, 3) points of the map, world frame, metres.
         title: written above all.
 
     Raises:
@@ -54,7 +52,7 @@ def plot_localization(
         DataError: the file cannot be written.
         ValueError: arrays that do not fit the estimate, or poses that are not finite.
     """
-    run = Run(estimated, timestamps_s, truth, covariances, odometry, unseen, states, mixture, cloud)
+    run = Run(estimated, timestamps_s, truth, covariances, odometry, unseen, states, mixture)
     with picture(path, 13.0, 7.8) as figure:
         if title:
             figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold")

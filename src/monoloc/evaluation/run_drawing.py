@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.evaluation.picture import BLUE, GREEN, GREY, INK, ORANGE, VERMILION, YELLOW
+from monoloc.evaluation.picture import BLUE, GREEN, INK, ORANGE, VERMILION, YELLOW
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray
 
@@ -25,7 +25,6 @@ _STATE_COLOURS = {"uncertain": YELLOW, "lost": VERMILION}
 _DASHED = (0, (4, 2))
 _ELLIPSE_SIGMA = 1.5
 _VIEWS_ASPECT = 1.05  # height of both views together over their width, in the picture's left half
-_CLOUD_POINTS_DRAWN = 20_000
 _ARROWS_DRAWN = 16
 _ARROWS_PER_WIDTH = 22.0  # an arrow's length is one in so many of the view's width
 _VIEW_WIDTH_PT = 390.0  # nearly
@@ -45,7 +44,6 @@ class Run:
     unseen: NDArray[np.bool_] | None
     states: Sequence[str] | None
     mixture: tuple[FloatArray, FloatArray] | None
-    cloud: FloatArray | None
 
     def in_state(self, state: str) -> NDArray[np.bool_]:
         """(N,) whether each frame is in the state; none is where the states are unknown."""
@@ -100,9 +98,8 @@ def _bounds(run: Run, axes: tuple[int, int, int]) -> tuple[FloatArray, FloatArra
     It is widened until the two views, one above the other and to one scale, fill their half of the picture.
     """
     corners = [T[:, :3, 3] for T in (run.estimated, run.truth, run.odometry) if T is not None]
-    for points in (None if run.mixture is None else run.mixture[0], run.cloud):
-        if points is not None:
-            corners.append(np.percentile(points, [2.0, 98.0], axis=0))
+    if run.mixture is not None:
+        corners.append(np.percentile(run.mixture[0], [2.0, 98.0], axis=0))
     every = np.concatenate(corners)
     centre_m = 0.5 * (every.min(axis=0) + every.max(axis=0))
     extent_m = np.ptp(every, axis=0)
@@ -117,9 +114,6 @@ def _bounds(run: Run, axes: tuple[int, int, int]) -> tuple[FloatArray, FloatArra
 
 
 def _draw_map(axis: Axes, plane: list[int], run: Run) -> None:
-    if run.cloud is not None:
-        thinned = run.cloud[:: max(1, len(run.cloud) // _CLOUD_POINTS_DRAWN)]
-        axis.plot(*thinned[:, plane].T, ",", color=GREY, alpha=0.5, zorder=0)
     if run.mixture is not None:
         draw_mixture(axis, plane, *run.mixture)
 

@@ -43,7 +43,6 @@ class MixtureIndex:
             if not 0.0 < value < np.inf:
                 raise ValueError(f"{name} must be positive and finite, got {value}")
         self._native = _core.MixtureIndex(weights, means, covariances, voxel_m, floor_density, tolerance)
-        self.floor_density = floor_density
 
     def log_density(self, points: ArrayLike) -> FloatArray:
         """Approximate ``log M(x)``, nats: (P, 3) world frame, m -> (P,); -inf outside the stored voxels.

@@ -81,9 +81,9 @@ class Flight:
         left /= np.linalg.norm(left, axis=1, keepdims=True)
         return make_pose(np.stack([np.cross(left, up), left, up], axis=-1), state[:, :3])
 
-    def camera_poses(self, times_s: FloatArray | None = None) -> FloatArray:
-        """``T_world_camera`` at (N,) times, by default the frames', (N, 4, 4)."""
-        return self.body_poses(self.times_s if times_s is None else times_s) @ self.T_body_camera
+    def camera_poses(self) -> FloatArray:
+        """``T_world_camera`` of the frames, (N, 4, 4)."""
+        return self.body_poses(self.times_s) @ self.T_body_camera
 
     def tilt_rad(self, times_s: FloatArray) -> FloatArray:
         """Angle of thrust against the vertical, (N,)."""

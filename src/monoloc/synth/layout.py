@@ -80,17 +80,17 @@ class _Builder:
         self.room = self.room.add(thing)
         return True
 
-    def against(self, name: str, parts: Parts, wall: Wall | None = None, z: float = 0.0) -> Object | None:
+    def against(self, name: str, parts: Parts) -> Object | None:
         """Set an object with its back to a wall, anywhere along it where there is room."""
-        low, high = Object("", parts).boxes.corners().reshape(-1, 3).min(0), None
-        high = Object("", parts).boxes.corners().reshape(-1, 3).max(0)
+        corners = Object("", parts).boxes.corners().reshape(-1, 3)
+        low, high = corners.min(0), corners.max(0)
         for _ in range(_TRIES):
-            chosen = wall or self.walls[self.rng.integers(4)]
+            chosen = self.walls[self.rng.integers(4)]
             slack = chosen.width / 2.0 - (high[0] - low[0]) / 2.0 - 0.05
             if slack <= 0.0:
                 continue
             along = float(self.rng.uniform(-slack, slack))
-            position = chosen.at(along, float(high[1]) + _GAP_M, z)
+            position = chosen.at(along, float(high[1]) + _GAP_M)
             if self.put(name, parts, position, chosen.yaw_rad):
                 return self.room.objects[-1]
         return None
@@ -137,12 +137,12 @@ class _Builder:
             boards = round(height / 0.36)
             self.against("bookcase", furniture.shelf(width, height, boards, body, body, self.rng))
 
-    def sideboard(self, wall: Wall | None = None) -> Object | None:
+    def sideboard(self) -> Object | None:
         width = float(self.rng.uniform(1.0, 1.5))
         body = a_wood(self.rng)
         front = body if self.rng.uniform() < 0.5 else furniture.lacquered(self.rng)
         chest = self.against(
-            "sideboard", furniture.cabinet(width, 0.42, float(self.rng.uniform(0.7, 0.9)), body, front, 3), wall
+            "sideboard", furniture.cabinet(width, 0.42, float(self.rng.uniform(0.7, 0.9)), body, front, 3)
         )
         if chest is not None:
             self.upon("vase", furniture.vase(self.rng), chest, (-0.35 * width, 0.0))

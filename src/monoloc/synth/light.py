@@ -80,14 +80,12 @@ def levels(light: Light, sensor: SensorConfig) -> Levels:
     return Levels(float(np.log2(scale * light.luminance / sensor.key)), electrons)
 
 
-def relit(
-    color: NDArray[np.uint8], light: Light, rng: np.random.Generator, sensor: SensorConfig | None = None
-) -> NDArray[np.uint8]:
+def relit(color: NDArray[np.uint8], light: Light, rng: np.random.Generator) -> NDArray[np.uint8]:
     """A well exposed image as the camera would have taken it in another light: (H, W, 3) uint8 RGB -> the same.
 
     Where light comes from does not change; how much of it there is, and its noise, do.
     """
-    sensor = sensor or SensorConfig()
+    sensor = SensorConfig()
     reached = levels(light, sensor)
     exposure = Exposure(stops=reached.stops, electrons=reached.electrons, read_noise=sensor.read_noise)
     return expose(color, exposure, rng)
