@@ -1,9 +1,11 @@
-"""What tests of the command line share: a command that must succeed, and one that must be refused."""
+"""What tests of the command line share: commands that must succeed or be refused, and Python of its own process."""
 
 from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,12 @@ def json_of(capfd, *arguments: str) -> dict[str, Any]:
     result = json.loads(succeeds(capfd, *arguments, "--json"))
     assert isinstance(result, dict)
     return result
+
+
+def python(code: str, *arguments: str | Path, here: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Code in a process of its own."""
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=here, timeout=600, check=False)
 
 
 def refused(capfd, folder: Path, arguments: tuple[str, ...], names: str, problem: str, fix: str = "") -> None:

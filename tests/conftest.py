@@ -10,6 +10,10 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from monoloc.filter.health import HealthyRange
+from monoloc.map.mixture import GaussianMixture
+from synthetic_room import Room, RoomRecording, healthy_range, make_path, room_mixture
+
 # A busy machine must not fail a property; time is watched elsewhere.
 settings.register_profile("monoloc", deadline=None)
 settings.load_profile("monoloc")
@@ -33,6 +37,24 @@ def weights_file(data_root: Path) -> Path:
     if not path.is_file():
         pytest.skip(f"no ImageNet weights at {path}")
     return path
+
+
+# The room that the online way is followed through; a module says by FRAMES how far.
+
+
+@pytest.fixture(scope="module")
+def recording(request: pytest.FixtureRequest) -> RoomRecording:
+    return RoomRecording(Room(), make_path(request.module.FRAMES))
+
+
+@pytest.fixture(scope="module")
+def mixture() -> GaussianMixture:
+    return room_mixture(Room())
+
+
+@pytest.fixture(scope="module")
+def healthy(mixture: GaussianMixture, recording: RoomRecording) -> HealthyRange:
+    return healthy_range(mixture, recording)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Mixtures and particles for the tests of the map."""
+"""Mixtures, particles and motions for the tests of map and filter."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from monoloc.geometry import se3_exp, so3_exp
 from monoloc.map.mixture import GaussianMixture
+from monoloc.odometry import Motion
 
 FloatArray = NDArray[np.float64]
 
@@ -26,6 +27,11 @@ def make_particles(count: int, rng: np.random.Generator) -> tuple[FloatArray, Fl
     """Poses (count, 4, 4) a few centimetres and degrees about the identity, and log-scales (count,)."""
     poses = se3_exp(rng.normal(size=(count, 6)) * np.array([0.05, 0.05, 0.05, 0.02, 0.02, 0.02]))
     return poses, rng.normal(0.0, 0.03, count)
+
+
+def motion_of(delta: FloatArray) -> Motion:
+    """A motion ``T_previous_current`` of which no corner is known."""
+    return Motion(delta, 50, np.zeros((0, 3)), np.zeros(0))
 
 
 def nats_with_outliers(log_density: FloatArray, share: float, volume_m3: float) -> FloatArray:

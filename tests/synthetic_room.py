@@ -1,4 +1,4 @@
-"""A textured room of known shape: exact depth and colour from any pose, and recordings made of them.
+"""A textured room of known shape: depth and colour from any pose, recordings of them, and the online way through it.
 
 The blue channel of an image is its log-depth, so a network of two operators (:func:`depth_from_blue`) predicts depth
 as well as 8 bits allow, and the whole online way can be tested without a trained one.
@@ -6,6 +6,8 @@ as well as 8 bits allow, and the whole online way can be tested without a traine
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cache, cached_property
 from pathlib import Path
 
 import cv2
@@ -21,10 +23,11 @@ from monoloc.depth.runtime import DepthPrediction
 from monoloc.depth.spec import FOCAL_KEY, DepthModel, monoloc_spec
 from monoloc.filter.health import HealthyRange
 from monoloc.filter.lasting import LastingErrors
+from monoloc.filter.particles import Particles
 from monoloc.filter.scan import scan_from_depth
 from monoloc.filter.weigh import Measurement, MeasurementConfig
 from monoloc.geometry import make_pose, so3_exp
-from monoloc.localizer import LocalizerConfig
+from monoloc.localizer import DepthSource, Localizer, LocalizerConfig, Parts, Step
 from monoloc.map.fit import fit_mixture
 from monoloc.map.mixture import GaussianMixture
 
@@ -35,6 +38,7 @@ CAMERA = Camera(320, 256, 272.0, 272.0, 159.5, 127.5)
 FOCAL_PX = 136.0
 SMALL_CAMERA = CAMERA.resized(160, 128)  # the network's input itself, for tests that write many files
 FRAME_RATE_HZ = 15.0
+FRAME_S = 1.0 / FRAME_RATE_HZ
 
 _WALLS = np.array([[-2.5, -1.4, -2.0], [2.5, 1.2, 3.0]])
 _BOXES = np.array(
@@ -50,22 +54,33 @@ NEAREST_M = 0.3  # depth at which blue is 0; it is 255 at 8 m
 BLUE_SPAN = float(np.log(8.0 / NEAREST_M))
 
 
+@dataclass(frozen=True)
 class Room:
     """Four walls, floor, ceiling and four boxes; y points down. Another seed paints it differently.
 
-    Args:
+    Attributes:
         stretch: factor on all lengths along x, for a room of another shape.
     """
 
-    def __init__(self, seed: int = 0, stretch: float = 1.0) -> None:
-        rng = np.random.default_rng(seed)
+    seed: int = 0
+    stretch: float = 1.0
+
+    @cached_property
+    def _texture(self) -> NDArray[np.float32]:
+        rng = np.random.default_rng(self.seed)
         noise = sum(
             cv2.GaussianBlur(rng.standard_normal((1024, 1024)), (0, 0), sigma, borderType=cv2.BORDER_REFLECT) * sigma
             for sigma in (1.5, 4.0, 12.0)
         )
-        self._texture = np.clip(128.0 + 60.0 * noise / np.std(noise), 10.0, 245.0).astype(np.float32)
-        factors = np.array([stretch, 1.0, 1.0])
-        self._walls, self._boxes = _WALLS * factors, _BOXES * factors
+        return np.clip(128.0 + 60.0 * noise / np.std(noise), 10.0, 245.0).astype(np.float32)
+
+    @property
+    def _walls(self) -> FloatArray:
+        return _WALLS * (self.stretch, 1.0, 1.0)
+
+    @property
+    def _boxes(self) -> FloatArray:
+        return _BOXES * (self.stretch, 1.0, 1.0)
 
     def view(self, pose: FloatArray, camera: Camera = CAMERA) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """Colour (H, W, 3) RGB and exact depth (H, W) seen from ``T_world_camera``."""
@@ -170,7 +185,9 @@ def sparse_depth(recording: RoomRecording, index: int, stride: int = 4) -> Depth
     return DepthPrediction(depth, small)
 
 
+@cache
 def room_mixture(room: Room, components: int = 250) -> GaussianMixture:
+    """The map of a room; fitted once, so nobody may change its arrays."""
     return fit_mixture(room.cloud(), components, np.random.default_rng(0)).mixture
 
 
@@ -192,6 +209,36 @@ class NoNetwork:
 
     def __call__(self, color: NDArray[np.uint8]) -> DepthPrediction:
         raise AssertionError("predicted depth although it was measured")
+
+
+# What a camera sees with its lens covered, and a depth sensor beside it.
+BLACK = np.zeros((CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
+NO_DEPTH = DepthPrediction(np.zeros((64, 80), dtype=np.float32), CAMERA.resized(80, 64))
+
+
+def make_localizer(
+    mixture: GaussianMixture,
+    healthy: HealthyRange,
+    start: Particles | None,
+    viewpoints: FloatArray,
+    seed: int | np.random.Generator = 0,
+    settings: LocalizerConfig = SETTINGS,
+    depth: DepthSource = NoNetwork(),
+) -> Localizer:
+    """monoloc's own for :data:`CAMERA`; arguments as of :class:`Localizer`."""
+    parts = Parts.usual(mixture, depth, CAMERA, settings)
+    return Localizer(parts, CAMERA, start, settings, healthy, viewpoints, np.random.default_rng(seed))
+
+
+def follow(localizer: Localizer, recording: RoomRecording, frames: range | None = None) -> list[Step]:
+    """Steps over frames of a recording, or all, with their exact depth."""
+    frames = range(len(recording)) if frames is None else frames
+    return [localizer.step(recording.color(index), FRAME_S, sparse_depth(recording, index)) for index in frames]
+
+
+def poses_of(steps: list[Step]) -> FloatArray:
+    """Estimated poses, (N, 4, 4)."""
+    return np.stack([step.estimate.pose for step in steps])
 
 
 def healthy_range(mixture: GaussianMixture, recording: RoomRecording) -> HealthyRange:

@@ -10,12 +10,12 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from sklearn.exceptions import ConvergenceWarning
 
+from cli_helpers import json_of
 from map_helpers import make_mixture
 from monoloc.bench import timing
 from monoloc.bench.alternatives import DenseWeigher, sklearn_mixture, sklearn_scorer
@@ -73,16 +73,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_recording(folder / "walk", recording)
     write_bundle(folder / "room.monoloc", make_bundle(room_mixture(Room()), recording))
     return folder
-
-
-def json_of(capfd: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
-    capfd.readouterr()
-    code = invoke([*arguments, "--json"])
-    out, err = capfd.readouterr()
-    assert code == 0, err
-    result = json.loads(out)
-    assert isinstance(result, dict)
-    return result
 
 
 @pytest.mark.usefixtures("small")

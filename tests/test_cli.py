@@ -22,7 +22,7 @@ import pytest
 from rich.console import Console
 
 import synthetic_recordings as synthetic
-from cli_helpers import json_of, listing, refused, succeeds
+from cli_helpers import json_of, listing, python, refused, succeeds
 from monoloc import __version__
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.cli.main import invoke
@@ -961,7 +961,7 @@ def test_an_interrupted_write_leaves_no_partial_file(here):
         "main.run()"
     )
     before = listing(here)
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=here, check=False)
+    result = python(code, here=here)
     assert (result.returncode, result.stderr) == (130, "monoloc: interrupted; nothing half-written is left\n")
     assert listing(here) == before
 
@@ -981,7 +981,7 @@ def test_ctrl_c_is_heard_while_the_rest_is_imported(here):
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from monoloc.cli.main import run; run()"
     )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=here, check=False)
+    result = python(code, here=here)
     assert (result.returncode, result.stderr) == (130, "monoloc: interrupted; nothing half-written is left\n")
 
 
@@ -992,8 +992,7 @@ def test_nohup_is_heeded(here):
         "try: run()\n"
         "finally: print(signal.getsignal(signal.SIGHUP) is signal.SIG_IGN)"
     )
-    command = [sys.executable, "-c", code, "--version"]
-    told = subprocess.run(command, capture_output=True, text=True, cwd=here, check=True).stdout
+    told = python(code, "--version", here=here).stdout
     assert told.splitlines()[1] == "True"
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 from pydantic import ValidationError
 
+from cli_helpers import json_of
 from monoloc.bundle import read_bundle, read_network
 from monoloc.camera import Camera
 from monoloc.cli.main import invoke
@@ -656,12 +657,6 @@ def run(capfd, *arguments: str) -> tuple[int, str, str]:
     capfd.readouterr()
     code = invoke(list(arguments))
     return code, *capfd.readouterr()
-
-
-def json_of(capfd, *arguments: str) -> dict[str, Any]:
-    code, out, err = run(capfd, *arguments, "--json")
-    assert code == 0, err
-    return dict(json.loads(out))
 
 
 BUILD = ("build", "walk", "--out", "x.monoloc", "-k", "120", "--network")

@@ -19,18 +19,22 @@ from synthetic_room import Room, RoomRecording, make_bundle, make_path, room_mix
 FRAMES = 12
 
 
-@pytest.fixture
-def recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> RoomRecording:
-    """Frames of a room, in a folder with ``room.monoloc`` and ``flight.avi``."""
-    recording = RoomRecording(Room(), make_path(FRAMES))
-    write_bundle(tmp_path / "room.monoloc", make_bundle(room_mixture(Room()), recording, range(0, FRAMES, 2)))
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory, recording: RoomRecording) -> Path:
+    """A folder with ``room.monoloc`` and ``flight.avi``, which documents only read."""
+    folder = tmp_path_factory.mktemp("docs")
+    write_bundle(folder / "room.monoloc", make_bundle(room_mixture(Room()), recording, range(0, FRAMES, 2)))
     size = (recording.camera.width, recording.camera.height)
-    writer = cv2.VideoWriter(str(tmp_path / "flight.avi"), cv2.VideoWriter.fourcc(*"FFV1"), 15.0, size)
+    writer = cv2.VideoWriter(str(folder / "flight.avi"), cv2.VideoWriter.fourcc(*"FFV1"), 15.0, size)
     for index in range(FRAMES):
         writer.write(cv2.cvtColor(recording.color(index), cv2.COLOR_RGB2BGR))
     writer.release()
-    monkeypatch.chdir(tmp_path)
-    return recording
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def _there(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(made)
 
 
 def python_of(document: str) -> str:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.stats import norm
 
-from map_helpers import make_mixture, make_particles, nats_with_outliers
+from map_helpers import make_mixture, make_particles, motion_of, nats_with_outliers
 from monoloc.camera import Camera
 from monoloc.depth.runtime import DepthPrediction
 from monoloc.depth_image import at_discontinuity
@@ -20,12 +20,12 @@ from monoloc.filter.particles import Particles, normalised, scatter
 from monoloc.filter.resample import resample, systematic_indices
 from monoloc.filter.scan import Scan, evenly, scan_from_corners, scan_from_depth
 from monoloc.filter.weigh import Measurement, MeasurementConfig
-from monoloc.geometry import FloatArray, invert, make_pose, se3_exp, se3_log, so3_exp, transform
+from monoloc.geometry import invert, make_pose, se3_exp, se3_log, so3_exp, transform
 from monoloc.map.mixture import GaussianMixture
 from monoloc.map.rays import LOG_DEPTH_RANGE
 from monoloc.map.reference import weigh_rays
 from monoloc.odometry import Motion
-from synthetic_room import CAMERA, SETTINGS, Room, make_path, room_mixture
+from synthetic_room import CAMERA, SETTINGS, Room, make_path
 
 POSE = make_pose(so3_exp([0.4, -1.1, 0.3]), [1.0, -2.0, 0.5])
 QUIET = MotionConfig(translation_sd_m=1e-9, translation_sd_ratio=0.0, rotation_sd_rad=1e-9, rotation_sd_ratio=0.0)
@@ -44,10 +44,6 @@ def scan_ahead(mixture: GaussianMixture, count: int, rng: np.random.Generator) -
     """Points of the mixture, those that a camera at the origin can see: at least 20 cm before it."""
     points = mixture.sample(8 * count, rng)
     return evenly(points[points[:, 2] > 0.2][:count].astype(np.float32))
-
-
-def motion_of(delta: FloatArray) -> Motion:
-    return Motion(delta, 50, np.zeros((0, 3)), np.zeros(0))
 
 
 # Weights as a filter has them: of very different sizes, some of them zero.
@@ -405,11 +401,6 @@ def test_scan_from_corners_takes_those_that_parallax_has_measured():
 
 
 # --- Weighing ---
-
-
-@pytest.fixture(scope="module")
-def mixture(room):
-    return room_mixture(room)
 
 
 @pytest.mark.parametrize("start_s", [0.0, 1.0, 2.5])

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from map_helpers import motion_of
 from monoloc.filter.estimate import Estimate
 from monoloc.filter.joined import Joined, Joiner
 from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.motion import MotionConfig, motion_sd
 from monoloc.geometry import FloatArray, adjoint, invert, is_rigid, se3_exp, se3_log, viewpoints_apart
-from monoloc.odometry import Motion
 
 LASTING = LastingErrors(near_sd_m=0.05, near_sd_rad=0.03, growth_m=0.1, growth_rad=0.05)
 START_SD = np.repeat([0.1, 0.05], 3)
@@ -100,10 +100,6 @@ ELAPSED_S = 1.0 / 15.0
 def joiner(viewpoint: FloatArray, lasting: LastingErrors = LASTING) -> Joiner:
     start = Estimate(np.eye(4), np.diag(START_SD**2), 0.0)
     return Joiner(start, lasting, MotionConfig(), viewpoint[None])
-
-
-def motion_of(delta: FloatArray) -> Motion:
-    return Motion(delta, 50, np.zeros((0, 3)), np.zeros(0))
 
 
 def drawn_way(rng: np.random.Generator, steps: FloatArray, lasting: LastingErrors) -> tuple[FloatArray, Estimate]:

@@ -19,7 +19,7 @@ from monoloc.filter.health import HealthyRange
 from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.particles import scatter
 from monoloc.geometry import FloatArray
-from monoloc.localizer import Localizer, Parts
+from monoloc.localizer import Localizer
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress
 from synthetic_room import (
@@ -28,6 +28,7 @@ from synthetic_room import (
     Room,
     RoomRecording,
     depth_from_blue,
+    make_localizer,
     make_path,
     room_mixture,
 )
@@ -100,8 +101,7 @@ def starts_at(mixture: GaussianMixture, viewpoints: FloatArray, depth: _Leaning,
     config = SETTINGS.model_copy(update={"level": None})
     rng = np.random.default_rng(0)
     particles = scatter(pose, config.particles, 0.02, 0.01, config.log_scale_sd, rng)
-    parts = Parts.usual(mixture, depth, CAMERA, config)
-    return Localizer(parts, CAMERA, particles, config, HealthyRange(low=-9.0, lost=-99.0), viewpoints, rng)
+    return make_localizer(mixture, HealthyRange(low=-9.0, lost=-99.0), particles, viewpoints, rng, config, depth)
 
 
 @pytest.mark.slow

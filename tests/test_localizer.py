@@ -9,24 +9,26 @@ from numpy.typing import NDArray
 from monoloc.bundle import read_network
 from monoloc.depth.runtime import DepthPrediction, DepthPredictor
 from monoloc.evaluation.trajectory import coverage_95, pose_errors
-from monoloc.filter.health import HealthyRange
 from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.level import LevelConfig
 from monoloc.filter.particles import scatter
 from monoloc.geometry import is_rigid, make_pose, so3_exp
-from monoloc.localizer import Localizer, LocalizerConfig, Parts, Step
-from monoloc.map.mixture import GaussianMixture
+from monoloc.localizer import Localizer, LocalizerConfig
 from monoloc.runs import Run, Start
 from synthetic_room import (
+    BLACK,
     CAMERA,
-    FRAME_RATE_HZ,
+    FRAME_S,
+    NO_DEPTH,
     SETTINGS,
     NoNetwork,
     Room,
     RoomRecording,
     depth_from_blue,
-    healthy_range,
+    follow,
+    make_localizer,
     make_path,
+    poses_of,
     room_mixture,
     sparse_depth,
 )
@@ -35,39 +37,11 @@ FRAMES, SETTLED = 45, 15
 START_M, START_RAD = 0.1, np.deg2rad(3.0)
 
 
-@pytest.fixture(scope="module")
-def recording() -> RoomRecording:
-    return RoomRecording(Room(), make_path(FRAMES))
-
-
-@pytest.fixture(scope="module")
-def mixture() -> GaussianMixture:
-    return room_mixture(Room())
-
-
-@pytest.fixture(scope="module")
-def healthy(mixture, recording) -> HealthyRange:
-    return healthy_range(mixture, recording)
-
-
-def make_localizer(mixture, recording, healthy, seed=0, depth=None, **settings) -> Localizer:
+def start_beside(mixture, recording, healthy, seed=0, depth=NoNetwork(), **settings) -> Localizer:
     config = SETTINGS.model_copy(update=settings)
     rng = np.random.default_rng(seed)
     particles = Start.beside(recording.poses[0], rng, START_M, START_RAD).particles(config, rng)
-    viewpoints = recording.poses[:1]
-    parts = Parts.usual(mixture, depth or NoNetwork(), recording.camera, config)
-    return Localizer(parts, recording.camera, particles, config, healthy, viewpoints, rng)
-
-
-def follow(localizer: Localizer, recording: RoomRecording, frames: range = range(FRAMES)) -> list[Step]:
-    return [
-        localizer.step(recording.color(index), 1.0 / FRAME_RATE_HZ, sparse_depth(recording, index))
-        for index in frames
-    ]
-
-
-def poses_of(steps: list[Step]):
-    return np.stack([step.estimate.pose for step in steps])
+    return make_localizer(mixture, healthy, particles, recording.poses[:1], rng, config, depth)
 
 
 def test_a_start_is_as_far_off_as_it_says(recording):
@@ -84,7 +58,7 @@ def test_a_start_is_as_far_off_as_it_says(recording):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_converges_from_a_disturbed_start_and_stays(mixture, recording, healthy, seed):
-    steps = follow(make_localizer(mixture, recording, healthy, seed), recording)
+    steps = follow(start_beside(mixture, recording, healthy, seed), recording)
     found = pose_errors(poses_of(steps), recording.poses)
     # Over seeds 0..5: medians of 0.7 to 1.8 cm and 0.11 to 0.33 degrees, largest 3.4 cm. The map's 250 components
     # bound it: the mean one is 40 cm across.
@@ -101,7 +75,7 @@ def test_converges_from_a_disturbed_start_and_stays(mixture, recording, healthy,
 
 @pytest.mark.parametrize("seed", [0, 3])
 def test_covariance_covers_the_error_once_settled(mixture, recording, healthy, seed):
-    steps = follow(make_localizer(mixture, recording, healthy, seed), recording)
+    steps = follow(start_beside(mixture, recording, healthy, seed), recording)
     poses = poses_of(steps)
     covariances = np.stack([step.estimate.covariance for step in steps])
     assert np.all(is_rigid(poses))
@@ -114,7 +88,7 @@ def test_covariance_covers_the_error_once_settled(mixture, recording, healthy, s
 def test_same_seed_same_trajectory_another_seed_another(mixture, recording, healthy):
     frames = range(12)
     first, again, other = (
-        poses_of(follow(make_localizer(mixture, recording, healthy, seed), recording, frames)) for seed in (3, 3, 4)
+        poses_of(follow(start_beside(mixture, recording, healthy, seed), recording, frames)) for seed in (3, 3, 4)
     )
     assert np.array_equal(first, again)
     assert not np.allclose(first[1:], other[1:], atol=1e-4)
@@ -122,7 +96,7 @@ def test_same_seed_same_trajectory_another_seed_another(mixture, recording, heal
 
 @pytest.mark.parametrize("seed", range(2))
 def test_random_walk_follows_too(mixture, recording, healthy, seed):
-    localizer = make_localizer(mixture, recording, healthy, seed, motion="random-walk")
+    localizer = start_beside(mixture, recording, healthy, seed, motion="random-walk")
     steps = follow(localizer, recording)
     assert all(step.motion is None for step in steps)
     found = pose_errors(poses_of(steps), recording.poses)
@@ -136,18 +110,18 @@ def test_random_walk_follows_too(mixture, recording, healthy, seed):
 def test_odometry_makes_it_better_than_a_random_walk(mixture, recording, healthy):
     medians = {}
     for motion in ("visual", "random-walk"):
-        steps = follow(make_localizer(mixture, recording, healthy, motion=motion), recording)
+        steps = follow(start_beside(mixture, recording, healthy, motion=motion), recording)
         medians[motion] = np.median(pose_errors(poses_of(steps), recording.poses).position_m[SETTLED:])
     assert medians["visual"] < 0.7 * medians["random-walk"]
 
 
 @pytest.mark.parametrize("scale", [0.9, 1.1])
 def test_a_wrong_scale_of_depth_is_found(mixture, recording, healthy, scale):
-    localizer = make_localizer(mixture, recording, healthy, log_scale_sd=0.1)
+    localizer = start_beside(mixture, recording, healthy, log_scale_sd=0.1)
     for index in range(FRAMES):
         exact = sparse_depth(recording, index)
         wrong = DepthPrediction((exact.depth_m * np.float32(scale)).astype(np.float32), exact.camera)
-        step = localizer.step(recording.color(index), 1.0 / FRAME_RATE_HZ, wrong)
+        step = localizer.step(recording.color(index), FRAME_S, wrong)
     assert step.estimate.log_scale == pytest.approx(-np.log(scale), abs=0.03)
     found = pose_errors(step.estimate.pose[None], recording.poses[-1:])
     assert found.position_m[0] < 0.08
@@ -158,13 +132,13 @@ def test_tilted_depth_is_levelled_on_the_way(mixture, recording, healthy):
     """What parallax shows of a tilt is taken out of the depth before it is weighed, and what was used is given."""
 
     def error(level):
-        localizer = make_localizer(mixture, recording, healthy, level=level)
+        localizer = start_beside(mixture, recording, healthy, level=level)
         errors = []
         for index in range(25):
             exact = sparse_depth(recording, index)
             tilt = np.exp(0.15 * exact.camera.pixel_rays()[..., 0]).astype(np.float32)
             tilted = DepthPrediction(exact.depth_m * tilt, exact.camera)
-            step = localizer.step(recording.color(index), 1.0 / FRAME_RATE_HZ, tilted)
+            step = localizer.step(recording.color(index), FRAME_S, tilted)
             errors.append(np.std(np.log(step.depth.depth_m / exact.depth_m)))
         return np.median(errors[SETTLED:])
 
@@ -178,7 +152,7 @@ def test_the_wider_lasting_errors_are_the_more_odometry_is_followed(mixture, rec
     frames = range(SETTLED)
     narrow, wide = LastingErrors(near_sd_m=0.01), LastingErrors(near_sd_m=0.01, growth_m=50.0, growth_rad=50.0)
     followed, doubted = (
-        follow(make_localizer(mixture, recording, healthy, lasting=lasting), recording, frames)
+        follow(start_beside(mixture, recording, healthy, lasting=lasting), recording, frames)
         for lasting in (narrow, wide)
     )
     assert all(
@@ -195,8 +169,8 @@ def test_the_wider_lasting_errors_are_the_more_odometry_is_followed(mixture, rec
 
 def test_predicted_depth_is_used_where_none_is_measured(mixture, recording, healthy):
     predictor = DepthPredictor(depth_from_blue(), CAMERA)
-    localizer = make_localizer(mixture, recording, healthy, depth=predictor)
-    steps = [localizer.step(recording.color(index), 1.0 / FRAME_RATE_HZ) for index in range(FRAMES)]
+    localizer = start_beside(mixture, recording, healthy, depth=predictor)
+    steps = [localizer.step(recording.color(index), FRAME_S) for index in range(FRAMES)]
     assert steps[0].depth.depth_m.shape == (32, 40)
     found = pose_errors(poses_of(steps), recording.poses)
     # Eight bits of blue: as accurate as measured depth.
@@ -210,7 +184,7 @@ def test_predicted_depth_is_used_where_none_is_measured(mixture, recording, heal
 def test_another_room_is_not_called_tracking(recording, healthy):
     # A room half as wide again, and healthy as the right room is.
     other = room_mixture(Room(stretch=1.5))
-    steps = follow(make_localizer(other, recording, healthy), recording, range(20))
+    steps = follow(start_beside(other, recording, healthy), recording, range(20))
     assert all(step.state != "tracking" for step in steps[5:])
     assert any(step.state == "lost" for step in steps)
     assert all(np.all(np.isfinite(step.estimate.pose)) for step in steps)
@@ -220,18 +194,15 @@ def test_far_from_the_truth_is_not_called_tracking(mixture, recording, healthy):
     rng = np.random.default_rng(0)
     start = Start.beside(recording.poses[0], rng, 1.0, np.deg2rad(60.0)).pose
     particles = scatter(start, SETTINGS.particles, 0.02, 0.01, 0.0, rng)
-    parts = Parts.usual(mixture, NoNetwork(), CAMERA, SETTINGS)
-    localizer = Localizer(parts, CAMERA, particles, SETTINGS, healthy, recording.poses, rng)
+    localizer = make_localizer(mixture, healthy, particles, recording.poses, rng)
     steps = follow(localizer, recording, range(3))
     assert all(step.state in ("uncertain", "lost") for step in steps)
 
 
 def test_darkness_widens_the_belief_and_light_narrows_it(mixture, recording, healthy):
-    localizer = make_localizer(mixture, recording, healthy)
+    localizer = start_beside(mixture, recording, healthy)
     before = follow(localizer, recording, range(SETTLED))[-1]
-    black = np.zeros((CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
-    nothing = DepthPrediction(np.zeros((64, 80), dtype=np.float32), CAMERA.resized(80, 64))
-    dark = [localizer.step(black, 1.0 / FRAME_RATE_HZ, nothing) for _ in range(6)]
+    dark = [localizer.step(BLACK, FRAME_S, NO_DEPTH) for _ in range(6)]
     for step in dark:
         assert step.motion is None
         assert np.isnan(step.fit)
@@ -257,8 +228,7 @@ def test_a_vague_start_is_found(mixture, recording, healthy, seed):
     rng = np.random.default_rng(seed)
     start = Start.beside(recording.poses[0], rng, 0.6, np.deg2rad(20.0))
     particles = start.particles(SETTINGS, rng)
-    parts = Parts.usual(mixture, NoNetwork(), CAMERA, SETTINGS)
-    localizer = Localizer(parts, CAMERA, particles, SETTINGS, healthy, recording.poses[:1], rng)
+    localizer = make_localizer(mixture, healthy, particles, recording.poses[:1], rng)
     found = pose_errors(poses_of(follow(localizer, recording)), recording.poses)
     assert np.median(found.position_m[SETTLED:]) < 0.05
 
@@ -270,14 +240,13 @@ def test_out_of_a_long_darkness_nothing_is_made_up(mixture, recording, healthy, 
 
     Either it is found, or the belief is as wide as the darkness made it.
     """
-    localizer = make_localizer(mixture, recording, healthy, seed=seed)
+    localizer = start_beside(mixture, recording, healthy, seed=seed)
     follow(localizer, recording, range(SETTLED))
-    nothing = DepthPrediction(np.zeros((64, 80), dtype=np.float32), CAMERA.resized(80, 64))
     for _ in range(60):
-        dark = localizer.step(covered(None), 1.0 / FRAME_RATE_HZ, nothing)
+        dark = localizer.step(BLACK, FRAME_S, NO_DEPTH)
     assert dark.state == "lost"
     for _ in range(25):
-        step = localizer.step(recording.color(SETTLED), 1.0 / FRAME_RATE_HZ, sparse_depth(recording, SETTLED))
+        step = localizer.step(recording.color(SETTLED), FRAME_S, sparse_depth(recording, SETTLED))
         off_m = float(np.linalg.norm(step.estimate.pose[:3, 3] - recording.poses[SETTLED][:3, 3]))
         spread_m = np.sqrt(np.trace(step.estimate.covariance[:3, :3]))
         assert off_m < 0.1 or spread_m > 0.5
@@ -285,10 +254,9 @@ def test_out_of_a_long_darkness_nothing_is_made_up(mixture, recording, healthy, 
 
 def covered(noise_seed: int | None) -> NDArray[np.uint8]:
     """What a camera with its lens covered gives: black, or a sensor's noise."""
-    shape = (CAMERA.height, CAMERA.width, 3)
     if noise_seed is None:
-        return np.zeros(shape, dtype=np.uint8)
-    return np.clip(np.random.default_rng(noise_seed).normal(4.0, 2.0, shape), 0.0, 255.0).astype(np.uint8)
+        return BLACK
+    return np.clip(np.random.default_rng(noise_seed).normal(4.0, 2.0, BLACK.shape), 0.0, 255.0).astype(np.uint8)
 
 
 @pytest.mark.parametrize("is_noisy", [False, True])
@@ -296,11 +264,11 @@ def covered(noise_seed: int | None) -> NDArray[np.uint8]:
 def test_covered_lens_through_the_network(mixture, recording, healthy, network, is_noisy):
     """A network says something even of black images; the localizer must neither fail nor claim to know."""
     model = depth_from_blue() if network == "blue" else read_network(network)
-    localizer = make_localizer(mixture, recording, healthy, depth=DepthPredictor(model, CAMERA))
+    localizer = start_beside(mixture, recording, healthy, depth=DepthPredictor(model, CAMERA))
     for index in range(8):
-        before = localizer.step(recording.color(index), 1.0 / FRAME_RATE_HZ)
+        before = localizer.step(recording.color(index), FRAME_S)
     # A camera of unknown velocity, half a metre a second along any axis, is anywhere in the room after four.
-    steps = [localizer.step(covered(index if is_noisy else None), 1.0 / FRAME_RATE_HZ) for index in range(60)]
+    steps = [localizer.step(covered(index if is_noisy else None), FRAME_S) for index in range(60)]
     assert all(step.motion is None and len(step.scan) == 0 and step.state != "tracking" for step in steps)
     assert all(np.isfinite(step.estimate.covariance).all() for step in steps)
     spreads = [np.trace(step.estimate.covariance[:3, :3]) for step in (before, *steps)]
@@ -310,18 +278,18 @@ def test_covered_lens_through_the_network(mixture, recording, healthy, network, 
 
 def test_what_odometry_lost_sight_of_is_not_tracked(mixture, recording, healthy):
     """Images that jump about in one room: depth fits, but nobody knows by which way the camera came there."""
-    localizer = make_localizer(mixture, recording, healthy)
+    localizer = start_beside(mixture, recording, healthy)
     steps = follow(localizer, recording, range(5))
     assert steps[-1].state != "lost" and steps[-1].motion is not None
     elsewhere = RoomRecording(Room(seed=5), make_path(FRAMES))  # painted otherwise: no corner is found again
-    step = localizer.step(elsewhere.color(5), 1.0 / FRAME_RATE_HZ, sparse_depth(elsewhere, 5))
+    step = localizer.step(elsewhere.color(5), FRAME_S, sparse_depth(elsewhere, 5))
     assert step.motion is None and len(step.scan) > 0
     assert step.state == "uncertain"
 
 
 @pytest.mark.parametrize("elapsed_s", [-0.01, np.nan, np.inf])
 def test_time_that_runs_backwards_changes_nothing(mixture, recording, healthy, elapsed_s):
-    localizer, twin = (make_localizer(mixture, recording, healthy) for _ in range(2))
+    localizer, twin = (start_beside(mixture, recording, healthy) for _ in range(2))
     for each in (localizer, twin):
         follow(each, recording, range(2))
     with pytest.raises(ValueError, match="elapsed_s must be finite and not negative"):
@@ -336,13 +304,12 @@ def test_time_that_runs_backwards_changes_nothing(mixture, recording, healthy, e
 )
 def test_images_of_another_size_or_kind_are_refused(mixture, recording, healthy, shape, dtype):
     with pytest.raises(ValueError, match=r"color must have the camera's shape \(256, 320, 3\) as uint8, got"):
-        make_localizer(mixture, recording, healthy).step(np.zeros(shape, dtype=dtype), 0.0)
+        start_beside(mixture, recording, healthy).step(np.zeros(shape, dtype=dtype), 0.0)
 
 
 def test_black_from_the_first_frame(mixture, recording, healthy):
-    localizer = make_localizer(mixture, recording, healthy)
-    nothing = DepthPrediction(np.zeros((64, 80), dtype=np.float32), CAMERA.resized(80, 64))
-    step = localizer.step(np.zeros((256, 320, 3), dtype=np.uint8), 0.0, nothing)
+    localizer = start_beside(mixture, recording, healthy)
+    step = localizer.step(BLACK, 0.0, NO_DEPTH)
     assert step.motion is None and step.state == "uncertain"
     found = pose_errors(step.estimate.pose[None], recording.poses[:1])
     assert found.position_m[0] < START_M + 0.05  # the start is all that is known
@@ -350,7 +317,7 @@ def test_black_from_the_first_frame(mixture, recording, healthy):
 
 @pytest.mark.parametrize("count", [10, 50])
 def test_few_particles_do_not_break_it(mixture, recording, healthy, count):
-    steps = follow(make_localizer(mixture, recording, healthy, particles=count), recording, range(10))
+    steps = follow(start_beside(mixture, recording, healthy, particles=count), recording, range(10))
     assert np.all(is_rigid(poses_of(steps)))
 
 

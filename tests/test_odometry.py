@@ -14,7 +14,7 @@ from monoloc.depth_image import at_discontinuity, sample_depth
 from monoloc.evaluation.trajectory import PoseErrors, pose_errors
 from monoloc.geometry import FloatArray, invert
 from monoloc.odometry import Motion, VisualOdometry
-from synthetic_room import CAMERA, Room, RoomRecording, make_path
+from synthetic_room import BLACK, CAMERA, Room, RoomRecording, make_path
 
 # Measured over the path below with exact depth: median 1.3 mm and 0.025 degrees a frame, largest 5.2 mm and 0.081.
 # A frame moves 3 cm and 1.2 degrees, so what is allowed is far below doing nothing.
@@ -191,7 +191,7 @@ def test_ignoring_distortion_would_show(room):
 
 
 def black(_: RoomRecording, rng: np.random.Generator) -> NDArray[np.uint8]:
-    return np.zeros((CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
+    return BLACK
 
 
 def blank(_: RoomRecording, rng: np.random.Generator) -> NDArray[np.uint8]:

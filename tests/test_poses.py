@@ -51,15 +51,15 @@ def errors(recording: Recording, truth: FloatArray) -> PoseErrors:
 
 
 @pytest.fixture(scope="module")
-def room_mixture() -> GaussianMixture:
+def mixture() -> GaussianMixture:
     return fit_mixture(Room().cloud(0.04), 200, np.random.default_rng(0)).mixture
 
 
 def test_poses_are_refined_against_a_map_that_is_given(
-    noisy: RoomRecording, truth: FloatArray, room_mixture: GaussianMixture
+    noisy: RoomRecording, truth: FloatArray, mixture: GaussianMixture
 ) -> None:
     done: list[int] = []
-    refined = refine_poses(noisy, room_mixture, None, PRIOR, np.random.default_rng(0), done.append)
+    refined = refine_poses(noisy, mixture, None, PRIOR, np.random.default_rng(0), done.append)
     before, after = errors(noisy, truth), errors(refined, truth)
     assert np.median(after.position_m) < 0.5 * np.median(before.position_m)
     assert np.median(after.rotation_rad) < 0.5 * np.median(before.rotation_rad)
@@ -79,26 +79,26 @@ def test_poses_are_refined_against_the_map_that_they_make(noisy: RoomRecording, 
     assert np.median(after.rotation_rad) < 0.6 * np.median(before.rotation_rad)
 
 
-def test_poses_that_are_right_stay(truth: FloatArray, room_mixture: GaussianMixture) -> None:
+def test_poses_that_are_right_stay(truth: FloatArray, mixture: GaussianMixture) -> None:
     recording = RoomRecording(Room(), truth, SMALL_CAMERA)
-    moved = errors(refine_poses(recording, room_mixture, None, PRIOR, np.random.default_rng(0)), truth)
+    moved = errors(refine_poses(recording, mixture, None, PRIOR, np.random.default_rng(0)), truth)
     assert np.median(moved.position_m) < 0.012 and np.median(moved.rotation_rad) < np.deg2rad(0.4)
 
 
-def test_poses_that_are_certain_do_not_move(noisy: RoomRecording, room_mixture: GaussianMixture) -> None:
+def test_poses_that_are_certain_do_not_move(noisy: RoomRecording, mixture: GaussianMixture) -> None:
     certain = PosePrior(1e-6, 1e-6)
-    refined = refine_poses(noisy, room_mixture, None, certain, np.random.default_rng(0))
+    refined = refine_poses(noisy, mixture, None, certain, np.random.default_rng(0))
     assert noisy.poses is not None and refined.poses is not None
     np.testing.assert_allclose(refined.poses, noisy.poses, atol=1e-5)
 
 
-def test_a_frame_without_depth_keeps_its_pose(truth: FloatArray, room_mixture: GaussianMixture) -> None:
+def test_a_frame_without_depth_keeps_its_pose(truth: FloatArray, mixture: GaussianMixture) -> None:
     class Dark(RoomRecording):
         def depth(self, index: int) -> NDArray[np.float32]:
             return super().depth(index) * np.float32(index != 2)
 
     recording = Dark(Room(), truth, SMALL_CAMERA)
-    refined = refine_poses(recording, room_mixture, None, PRIOR, np.random.default_rng(0))
+    refined = refine_poses(recording, mixture, None, PRIOR, np.random.default_rng(0))
     assert refined.poses is not None
     np.testing.assert_array_equal(refined.poses[2], truth[2])
     assert not np.array_equal(refined.poses[3], truth[3])
@@ -119,7 +119,7 @@ def test_the_step_follows_the_gradient_of_the_likelihood() -> None:
     assert np.linalg.eigvalsh(information)[0] > 0.0
 
 
-def test_a_recording_without_depth_is_refused(truth: FloatArray, room_mixture: GaussianMixture) -> None:
+def test_a_recording_without_depth_is_refused(truth: FloatArray, mixture: GaussianMixture) -> None:
     blind = RoomRecording(Room(), truth, SMALL_CAMERA, has_depth=False)
     with pytest.raises(SettingError, match="refine_poses: needs depth, and the recording has none; leave it out"):
-        refine_poses(blind, room_mixture, None, PRIOR, np.random.default_rng(0))
+        refine_poses(blind, mixture, None, PRIOR, np.random.default_rng(0))

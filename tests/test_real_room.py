@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from cli_helpers import python
 from monoloc.adapt.poses import PosePrior, refine_poses
 from monoloc.build import BuildConfig, fit_map
 from monoloc.bundle import read_bundle
@@ -42,8 +41,7 @@ ACCURACY_KEYS = ("ate_rmse_m", "ate_median_m", "ate_max_m", "rot_rmse_deg", "rot
 
 def monoloc(*arguments: str | Path) -> dict[str, Any]:
     """The JSON of a command that must succeed, run as a person runs it."""
-    command = [sys.executable, "-c", "from monoloc.cli.main import run; run()", *map(str, arguments), "--json"]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    result = python("from monoloc.cli.main import run; run()", *arguments, "--json")
     assert result.returncode == 0, result.stderr
     parsed = json.loads(result.stdout)
     assert isinstance(parsed, dict)

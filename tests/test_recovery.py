@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from monoloc.adapt.calibrate import Sample
 from monoloc.adapt.found import measure_found
-from monoloc.depth.runtime import DepthPrediction
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.filter.estimate import Estimate
 from monoloc.filter.health import HealthyRange
@@ -20,18 +19,19 @@ from monoloc.filter.scan import NOTHING, Scan, evenly, scan_from_depth
 from monoloc.filter.search import Search
 from monoloc.filter.weigh import Measurement
 from monoloc.geometry import make_pose, se3_exp, viewpoints_apart
-from monoloc.localizer import Localizer, LocalizerConfig, Parts, Step
-from monoloc.map.mixture import GaussianMixture
+from monoloc.localizer import LocalizerConfig, Step
 from monoloc.progress import NoProgress
 from synthetic_room import (
-    CAMERA,
+    BLACK,
     FRAME_RATE_HZ,
+    FRAME_S,
+    NO_DEPTH,
     SETTINGS,
-    NoNetwork,
     Room,
     RoomRecording,
-    healthy_range,
-    make_path,
+    follow,
+    make_localizer,
+    poses_of,
     room_mixture,
     sparse_depth,
 )
@@ -39,37 +39,10 @@ from synthetic_room import (
 FRAMES = 60
 HEALTHY = HealthyRange(low=1.0, lost=0.0)
 SCAN = evenly(np.ones((20, 3), dtype=np.float32))
-FRAME_S = 1.0 / FRAME_RATE_HZ
-BLACK = np.zeros((CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
-NO_DEPTH = DepthPrediction(np.zeros((64, 80), dtype=np.float32), CAMERA.resized(80, 64))
-
-
-@pytest.fixture(scope="module")
-def recording() -> RoomRecording:
-    return RoomRecording(Room(), make_path(FRAMES))
-
-
-@pytest.fixture(scope="module")
-def mixture() -> GaussianMixture:
-    return room_mixture(Room())
-
-
-@pytest.fixture(scope="module")
-def healthy(mixture, recording) -> HealthyRange:
-    return healthy_range(mixture, recording)
-
-
-def make_localizer(mixture, healthy, start, viewpoints, seed=0, settings=SETTINGS) -> Localizer:
-    parts = Parts.usual(mixture, NoNetwork(), CAMERA, settings)
-    return Localizer(parts, CAMERA, start, settings, healthy, viewpoints, np.random.default_rng(seed))
-
-
-def follow(localizer: Localizer, recording: RoomRecording, frames: range) -> list[Step]:
-    return [localizer.step(recording.color(index), FRAME_S, sparse_depth(recording, index)) for index in frames]
 
 
 def errors_m(steps: list[Step], recording: RoomRecording, frames: range):
-    return pose_errors(np.stack([step.estimate.pose for step in steps]), recording.poses[frames]).position_m
+    return pose_errors(poses_of(steps), recording.poses[frames]).position_m
 
 
 def states(steps: list[Step]) -> list[str]:

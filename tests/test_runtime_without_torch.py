@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from cli_helpers import python
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.datasets.poses import read_tum
 from monoloc.evaluation.trajectory import pose_errors
@@ -83,11 +83,6 @@ def here(tmp_path_factory, recording) -> Path:
     write_recording(folder / "walk", recording)
     write_bundle(folder / "room.monoloc", make_bundle(room_mixture(Room()), recording))
     return folder
-
-
-def python(code: str, *arguments: str, here: Path | None = None) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", code, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, cwd=here, timeout=120, check=False)
 
 
 def monoloc(here: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
