@@ -6,6 +6,7 @@ import copy
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -35,6 +36,7 @@ from monoloc.camera import Camera
 from monoloc.datasets.base import Selection
 from monoloc.depth.checkpoint import save_network
 from monoloc.depth.runtime import DepthPrediction, DepthPredictor
+from monoloc.depth.spec import DepthModel
 from monoloc.depth_image import at_discontinuity
 from monoloc.errors import DataError
 from monoloc.filter.scan import scan_from_depth
@@ -1033,29 +1035,103 @@ def network_file(tmp_path: Path) -> Path:
     return tmp_path / "network.safetensors"
 
 
+def first_depth(model: DepthModel, recording: RoomRecording) -> NDArray[np.float32]:
+    return DepthPredictor(model, recording.camera)(recording.color(0)).depth_m
+
+
+def absrel_of(model: DepthModel, recording: RoomRecording) -> float:
+    """Over all frames."""
+    predictor, errors = DepthPredictor(model, recording.camera), []
+    for index in range(len(recording)):
+        depth_m = predictor(recording.color(index)).depth_m
+        truth = cv2.resize(recording.depth(index), depth_m.shape[::-1], interpolation=cv2.INTER_AREA)
+        errors.append(np.abs(depth_m / truth - 1.0))
+    return float(np.mean(errors))
+
+
 @pytest.mark.slow
 def test_adapt_tunes_on_depth_of_the_cloud_where_there_is_no_sensors(
-    mapped_room: tuple[GaussianMixture, FloatArray], network_file: Path
+    mapped_room: tuple[GaussianMixture, FloatArray], recording: RoomRecording, network_file: Path
 ) -> None:
     mixture, _ = mapped_room
+    network = tiny_network()
+    with torch.no_grad():
+        network.head.bias += 0.8
+    save_network(network, network_file)
     config = AdaptConfig(steps=20, batch_views=4, pixels_per_view=16, synthesised_views=12, network_rate=0.003)
-    recording = small_recording(12, has_depth=False)
-    result = adapt(recording, ROOM.cloud(0.1), mixture, network_file, config, 0, NoProgress())
+    without_depth = small_recording(12, has_depth=False)
+    result = adapt(without_depth, ROOM.cloud(0.1), mixture, network_file, config, 0, NoProgress())
     assert len(result.original) == len(result.adapted) == len(mixture)
     assert {*np.concatenate(result.held_out)} < {*range(12)}
-    rehearsed = result.scores[-1].step
-    assert rehearsed <= 10 and result.steps == 20
-    assert result.scores[-1].nll == pytest.approx(
-        next(score.nll for score in result.scores if score.step == rehearsed)
-    )
+    scores, kept = result.scores[:-1], result.scores[-1]
+    assert [score.step for score in scores] == list(range(11)) and result.steps == 20
+    assert kept.nll == pytest.approx(scores[kept.step].nll)
     assert result.kl >= 0.0
-    absrel = {}
-    for name, model in (("tuned", result.depth_model), ("held out", result.held_out_model)):
-        predictor = DepthPredictor(model, recording.camera)
-        depth = predictor(recording.color(0))
-        truth = cv2.resize(small_recording(12).depth(0), depth.depth_m.shape[::-1], interpolation=cv2.INTER_AREA)
-        absrel[name] = float(np.mean(np.abs(depth.depth_m / truth - 1.0)))
-    assert max(absrel.values()) < 0.5
+    # From 1.3, twice too far, to 0.20 to 0.24 over four networks and two seeds: so few steps set the scale right.
+    untuned = absrel_of(exported_model(network), recording)
+    assert max(absrel_of(model, recording) for model in (result.depth_model, result.held_out_model)) < 0.25 * untuned
+    assert kept.absrel < 0.25 * scores[0].absrel
+
+
+@pytest.mark.parametrize(("best", "steps"), [(5, 20), (0, 0)])
+def test_what_only_fits_the_map_is_tuned_where_a_rehearsal_bettered_held_out_frames(
+    mapped_room: tuple[GaussianMixture, FloatArray],
+    recording: RoomRecording,
+    network_file: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    best: int,
+    steps: int,
+) -> None:
+    """The paper's variant, as a whole."""
+    monkeypatch.setattr(Adaptation, "best_step", lambda *_: best)
+    config = AdaptConfig(tune="last", steps=20, batch_views=4, pixels_per_view=16)
+    result = adapt(recording, mapped_room[1], mapped_room[0], network_file, config, 0, NoProgress())
+    assert result.steps == steps
+    assert (result.kl > 1e-9) == (steps > 0)
+    untouched = first_depth(exported_model(tiny_network()), recording)
+    assert np.allclose(first_depth(result.depth_model, recording), untouched, rtol=1e-5) == (steps == 0)
+
+
+def test_a_rehearsal_sees_no_held_out_frame_and_is_what_is_measured_with(
+    mapped_room: tuple[GaussianMixture, FloatArray], network_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And what tunes on all frames is another; by depth it does so whatever the rehearsal bettered."""
+    seen: list[tuple[Views, Views | None]] = []
+
+    @torch.no_grad()
+    def run(
+        self: Adaptation,
+        training: Views,
+        steps: int,
+        _: object,
+        held_out: Views | None = None,
+        *__: object,
+        **___: object,
+    ) -> list[Score]:
+        seen.append((training, held_out))
+        self.network.head.bias += 0.1 * len(seen)
+        self.map.transform.output.bias += 0.01 * len(seen)
+        return [] if held_out is None else [self.score(held_out, 0)]
+
+    monkeypatch.setattr(Adaptation, "run", run)
+    recording = RedAndNear(ROOM, looking_around(12), SMALL_CAMERA)
+    recording.odd = np.concatenate(hold_out_regions(recording.poses, 2, 0.15))
+    config = AdaptConfig(tune="decoder", steps=2, synthesised_views=24)
+    result = adapt(recording, mapped_room[1], mapped_room[0], network_file, config, 0, NoProgress())
+    held_out = np.sort(np.concatenate(result.held_out))
+    (rehearsed, judged), (tuned, unjudged) = seen
+    assert judged is not None and unjudged is None
+    np.testing.assert_array_equal(held_out, np.sort(recording.odd))
+    np.testing.assert_array_equal(np.unique(rehearsed.frame), np.setdiff1d(np.arange(12), held_out))
+    np.testing.assert_array_equal(judged.frame, held_out)
+    np.testing.assert_array_equal(np.unique(tuned.frame), np.arange(12))
+    assert bool(judged.whole.all()) and len(tuned) == 36 and len(rehearsed) == 36 - 3 * len(held_out)
+    assert redness(judged).min() > 0.3 and redness(rehearsed).max() == 0.0
+    untouched = first_depth(exported_model(tiny_network()), recording)
+    np.testing.assert_allclose(first_depth(result.held_out_model, recording), np.exp(0.1) * untouched, rtol=1e-4)
+    np.testing.assert_allclose(first_depth(result.depth_model, recording), np.exp(0.2) * untouched, rtol=1e-4)
+    np.testing.assert_allclose(result.held_out_map.means, result.original.means + 0.01, atol=1e-6)
+    np.testing.assert_allclose(result.adapted.means, result.original.means + 0.02, atol=1e-6)
 
 
 def test_adapting_nothing_gives_back_what_came(
@@ -1065,9 +1141,8 @@ def test_adapting_nothing_gives_back_what_came(
     result = adapt(recording, mapped_room[1], mapped_room[0], network_file, config, 0, NoProgress())
     np.testing.assert_allclose(result.adapted.means, result.original.means, atol=1e-9)
     assert result.steps == 0 and result.kl == pytest.approx(0.0, abs=1e-9)
-    untouched = DepthPredictor(exported_model(tiny_network()), recording.camera)(recording.color(0))
-    given_back = DepthPredictor(result.depth_model, recording.camera)(recording.color(0))
-    np.testing.assert_allclose(given_back.depth_m, untouched.depth_m, rtol=1e-5)
+    untouched = first_depth(exported_model(tiny_network()), recording)
+    np.testing.assert_allclose(first_depth(result.depth_model, recording), untouched, rtol=1e-5)
 
 
 # --- Calibration ---
@@ -1184,10 +1259,22 @@ def test_a_network_without_usable_depth_is_refused() -> None:
 # --- Memory ---
 
 
-def test_keeping_freed_memory_is_harmless() -> None:
-    for _ in range(2):
-        keep_freed_memory()
-    block = torch.ones(4_000_000)
-    assert float(block.sum()) == 4_000_000.0
-    del block
-    assert float(torch.zeros(4_000_000).sum()) == 0.0
+@pytest.mark.parametrize(
+    ("platform", "options"), [("linux", {(-1, 2**31 - 1), (-3, 2**30)}), ("darwin", set()), ("win32", set())]
+)
+def test_glibc_is_asked_to_keep_freed_memory_and_no_other_system(
+    monkeypatch: pytest.MonkeyPatch, platform: str, options: set[tuple[int, int]]
+) -> None:
+    """M_TRIM_THRESHOLD is -1 and M_MMAP_THRESHOLD -3 in glibc's malloc.h, and values are C's int."""
+    asked: set[tuple[int, int]] = set()
+    itself = SimpleNamespace(mallopt=lambda *option: asked.add(option))
+    monkeypatch.setattr("ctypes.CDLL", {None: itself}.__getitem__)
+    monkeypatch.setattr("sys.platform", platform)
+    keep_freed_memory()
+    assert asked == options
+
+
+def test_where_there_is_no_glibc_nothing_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ctypes.CDLL", lambda name: SimpleNamespace())
+    monkeypatch.setattr("sys.platform", "linux")
+    keep_freed_memory()
