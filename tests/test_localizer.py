@@ -9,11 +9,15 @@ from numpy.typing import NDArray
 from monoloc.bundle import read_network
 from monoloc.depth.runtime import DepthPrediction, DepthPredictor
 from monoloc.evaluation.trajectory import coverage_95, pose_errors
+from monoloc.filter.estimate import estimate
 from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.level import LevelConfig
-from monoloc.filter.particles import scatter
+from monoloc.filter.particles import Particles, scatter
+from monoloc.filter.scan import Scan, scan_from_corners
+from monoloc.filter.weigh import Measurement
 from monoloc.geometry import is_rigid, make_pose, so3_exp
-from monoloc.localizer import Localizer, LocalizerConfig
+from monoloc.localizer import Localizer, LocalizerConfig, Parts
+from monoloc.odometry import VisualOdometry
 from monoloc.runs import Run, Start
 from synthetic_room import (
     BLACK,
@@ -165,6 +169,56 @@ def test_the_wider_lasting_errors_are_the_more_odometry_is_followed(mixture, rec
     )
     spread = [np.sqrt(step.estimate.covariance[0, 0]) for step in (followed[-1], doubted[-1])]
     assert spread[0] < 0.02 and spread[1] > 0.06
+
+
+class _Recording(Measurement):
+    """Keeps what it is asked to weigh, and what came of it."""
+
+    def __init__(self, mixture, config) -> None:
+        super().__init__(mixture, config)
+        self.images: list[tuple[Particles, Scan, Particles]] = []
+        self.corners: list[tuple[Particles, Scan, Particles]] = []
+
+    def weigh_image(self, particles, scan):
+        self.images.append((particles, scan, super().weigh_image(particles, scan)))
+        return self.images[-1][-1]
+
+    def weigh_corners(self, particles, scan):
+        self.corners.append((particles, scan, super().weigh_corners(particles, scan)))
+        return self.corners[-1][-1]
+
+
+def doubtful_across(color: NDArray[np.uint8]) -> DepthPrediction:
+    """Depth that is tilted, by a network that states the larger an error the farther right it looks."""
+    depth = DepthPredictor(depth_from_blue(), CAMERA)(color)
+    across = depth.camera.pixel_rays()[..., 0].astype(np.float32)
+    return DepthPrediction(depth.depth_m * np.exp(0.15 * across), depth.camera, across - 2.0)
+
+
+def test_what_is_weighed_is_levelled_depth_as_it_is_trusted_and_then_corners(mixture, recording, healthy):
+    # So little evidence that it is taken in at once.
+    trust = SETTINGS.measurement.model_copy(update={"effective_points": 10.0, "effective_corners": 5.0})
+    config = SETTINGS.model_copy(update={"level": LevelConfig(tilt_sd=0.15), "measurement": trust})
+    measurement = _Recording(mixture, config.measurement)
+    parts = Parts(measurement, doubtful_across, VisualOdometry(CAMERA, config.odometry))
+    rng = np.random.default_rng(0)
+    start = scatter(recording.poses[0], config.particles, 0.02, 0.01, 0.0, rng)
+    localizer = Localizer(parts, CAMERA, start, config, healthy, recording.poses[:1], rng)
+    for index in range(SETTLED):
+        measurement.images.clear()
+        measurement.corners.clear()
+        step = localizer.step(recording.color(index), FRAME_S)
+    untouched = doubtful_across(recording.color(index))
+    assert np.std(np.log(step.depth.depth_m / untouched.depth_m)) > 0.01
+    ((_, scan, of_image),), ((given, corners, of_both),) = measurement.images, measurement.corners
+    columns, rows = np.rint(step.depth.camera.project(scan.points.astype(np.float64))).astype(int).T
+    np.testing.assert_allclose(scan.points[:, 2], step.depth.depth_m[rows, columns], rtol=1e-5)
+    by_trust = np.argsort(step.depth.log_error[rows, columns], kind="stable")
+    assert np.all(np.diff(scan.weights[by_trust]) <= 0.0) and np.ptp(scan.weights) > 0.5
+    seen = scan_from_corners(step.motion, config.measurement.corner_doubt)
+    assert len(seen) > 10 and given is of_image
+    np.testing.assert_array_equal(corners.points, seen.points)
+    np.testing.assert_array_equal(step.located.pose, estimate(of_both).pose)
 
 
 def test_predicted_depth_is_used_where_none_is_measured(mixture, recording, healthy):
