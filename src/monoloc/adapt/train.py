@@ -1,4 +1,4 @@
-"""Tuning the depth network's last layers and the map's transform together."""
+"""Tuning the depth network and the map's transform together."""
 
 from __future__ import annotations
 
