@@ -21,7 +21,7 @@ from monoloc.bench import timing
 from monoloc.bench.alternatives import DenseWeigher, sklearn_mixture, sklearn_scorer
 from monoloc.bench.fitting import FitSizes
 from monoloc.bench.kernels import KernelSizes, peak_gflops, weigh_flops
-from monoloc.bench.scenes import building, near_surface, room_cloud, weighing
+from monoloc.bench.scenes import building, made_up_cloud, near_surface, weighing
 from monoloc.bundle import write_bundle
 from monoloc.cli import bench as bench_command
 from monoloc.cli.main import invoke
@@ -48,7 +48,7 @@ PIPELINE_KEYS = {"step_ms_median", "step_ms_p95", "stage_ms", "peak_memory_mb"}
 
 @pytest.fixture(scope="module")
 def cloud() -> np.ndarray:
-    return room_cloud(3000, np.random.default_rng(0))
+    return made_up_cloud(3000, np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ _HALF_VIEW = np.cos(np.deg2rad(35.0))
 _POSITION_SD_M, _ROTATION_SD, _LOG_SCALE_SD = 0.1, np.deg2rad(3.0), 0.05
 
 
-def room_cloud(count: int, rng: np.random.Generator) -> FloatArray:
+def made_up_cloud(count: int, rng: np.random.Generator) -> FloatArray:
     """Points on the walls of a room and on the boxes in it, (count, 3), world frame, metres."""
     sizes = rng.uniform([0.3, 0.3, 0.3], [1.2, 1.5, 1.2], (_FURNITURE, 3))
     corners = rng.uniform(0.0, 1.0, (_FURNITURE, 3)) * (_ROOM_M - sizes)

@@ -13,7 +13,7 @@ import typer
 from monoloc.bench.fitting import FitFigures, FitSizes, bench_fit
 from monoloc.bench.kernels import KernelFigures, KernelSizes, bench_kernels
 from monoloc.bench.pipeline import PipelineFigures, bench_pipeline
-from monoloc.bench.scenes import room_cloud as made_up_cloud
+from monoloc.bench.scenes import made_up_cloud
 from monoloc.build import BuildConfig, build_bundle, room_cloud
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.cli.common import (

@@ -13,6 +13,7 @@ from monoloc.datasets.registry import open_recording, select_frames
 from monoloc.depth.identity import recording_identity
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
+from monoloc.models import is_shipped, shipped_file
 from monoloc.synth.light import LIGHTS, relit
 
 Settings = dict[str, Any]
@@ -40,6 +41,11 @@ def _open(described: Settings) -> Selection:
             source, "is not what it was when this run began", "run it again, with the same data everywhere"
         )
     return select_frames(open_recording(source), frames)
+
+
+def network_file(network: str) -> Path:
+    """Of a network that comes with monoloc, by its name, or of one's own."""
+    return shipped_file(network) if is_shipped(network) else Path(network)
 
 
 def built_from(settings: Settings) -> Recording:

@@ -14,13 +14,12 @@ from monoloc.build import BuildConfig
 from monoloc.config import override
 from monoloc.depth.identity import file_sha256
 from monoloc.evaluation.clouds import COMPARED_POINTS
-from monoloc.experiments.common import describe_recording
+from monoloc.experiments.common import describe_recording, network_file
 from monoloc.experiments.source import source_sha256
 from monoloc.experiments.study import WIDTH, Split, Study, Walk
 from monoloc.experiments.task import Task
 from monoloc.experiments.work import KINDS
 from monoloc.extras import training_extra
-from monoloc.models import is_shipped, shipped_file
 from monoloc.runs import START_DEG, START_M
 
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -211,4 +210,4 @@ _recording = cache(describe_recording)  # in a reproduction's lifetime, what lie
 
 
 def _content_of(network: str) -> str:
-    return file_sha256(shipped_file(network) if is_shipped(network) else Path(network))
+    return file_sha256(network_file(network))

@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from monoloc.baselines.pose_error import PoseError
-from monoloc.depth.model import trainable_file
-from monoloc.errors import SettingError
-from monoloc.experiments.common import POSENET, Settings, built_from
+from monoloc.experiments.common import POSENET, Settings, built_from, network_file
 from monoloc.experiments.task import Result
 from monoloc.extras import training_extra
-from monoloc.models import is_shipped, shipped_models
+from monoloc.models import shipped_models
 from monoloc.progress import NoProgress
 
 
@@ -21,7 +19,7 @@ def posenet_search(settings: Settings, needs: Sequence[Result], folder: Path) ->
     with training_extra():
         from monoloc.baselines.posenet_training import search_rate
     search = search_rate(
-        built_from(settings), _training(settings), settings["seed"], NoProgress(), _encoder(settings)
+        built_from(settings), _training(settings), settings["seed"], NoProgress(), network_file(settings["encoder"])
     )
     return {
         "learning_rate": search.best.learning_rate,
@@ -37,7 +35,12 @@ def posenet(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[s
     found = needs[0].figures
     search = Search([Trial(**trial) for trial in found["trials"]], PoseError(**found["error"]))
     trained = train_posenet(
-        built_from(settings), _training(settings), settings["seed"], NoProgress(), _encoder(settings), search
+        built_from(settings),
+        _training(settings),
+        settings["seed"],
+        NoProgress(),
+        network_file(settings["encoder"]),
+        search,
     )
     save_posenet(trained, folder / POSENET)
     equal = next(model for model in shipped_models() if model.name == f"{settings['size']}-{settings['width']}")
@@ -55,12 +58,3 @@ def _training(settings: Settings) -> Any:
     from monoloc.baselines.posenet_training import PoseNetTraining
 
     return PoseNetTraining.model_validate(settings["training"])
-
-
-def _encoder(settings: Settings) -> Path:
-    """What the encoder starts from: a file of weights, or the file of a depth network that comes with monoloc."""
-    encoder = settings["encoder"]
-    file = trainable_file(encoder) if is_shipped(encoder) else Path(encoder)
-    if file is None:
-        raise SettingError("encoder", f"is {encoder}, which cannot be tuned", "give one in 32 bits")
-    return file

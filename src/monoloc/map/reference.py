@@ -1,6 +1,7 @@
 """The native kernels, written as their formulas: NumPy twins for tests and benchmarks.
 
-Dense and slow on purpose. The tests hold ``monoloc._core`` equal to these.
+Dense and slow on purpose. The tests hold ``monoloc._core`` equal to these. The formulas that they share,
+:func:`log_terms` and :func:`log_sum_exp`, serve whatever is not hot, too.
 """
 
 from __future__ import annotations
