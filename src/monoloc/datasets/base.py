@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from collections.abc import Sequence as Indexable
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from monoloc.geometry import FloatArray
 Relight = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 
 
+@runtime_checkable
 class Recording(Protocol):
     """Frames of one camera, read lazily, in order of time.
 
