@@ -260,7 +260,7 @@ def test_poses_that_are_not_rigid(capfd, here):
 def test_poses_that_are_nan(capfd, here):
     spoil_poses(here / "walk", lambda rows: rows[5].__setitem__(1, np.nan))
     for command in (("build", "walk", "--out", "x.monoloc", *QUICK), ("localize", "room.monoloc", "walk")):
-        refused(capfd, here, command, "walk/poses.txt", "holds NaN or infinity", "leave out frames")
+        refused(capfd, here, command, "walk/poses.txt", "pose 6 is NaN or infinite", "leave out frames")
 
 
 @pytest.mark.slow
@@ -452,8 +452,9 @@ def test_file_that_is_no_network(capfd, here):
 
 
 def test_file_that_is_no_trajectory(capfd, here):
-    refused(capfd, here, ("evaluate", "no.txt", "walk"), "no.txt", "cannot be read", "TUM")
-    refused(capfd, here, ("evaluate", "walk/dataset.toml", "walk"), "walk/dataset.toml", "line 1 has 3 columns", "8")
+    refused(capfd, here, ("evaluate", "no.txt", "walk"), "no.txt", "cannot be read", "check the path")
+    command = ("evaluate", "walk/dataset.toml", "walk")
+    refused(capfd, here, command, "walk/dataset.toml", "line 1 is not 8 numbers", "tx ty tz")
 
 
 @pytest.mark.parametrize("times", [(1.0, 0.0), (1.0, 1.0)])

@@ -33,7 +33,7 @@ def read_bytes(path: Path) -> bytes:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise DataError(path, f"cannot be read ({error.strerror})", "restore the file") from error
+        raise DataError(path, f"cannot be read ({error.strerror})", "check the path, or restore the file") from error
     if not data:
         raise DataError(path, "is empty", "copy the file again")
     return data

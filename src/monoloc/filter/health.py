@@ -14,16 +14,16 @@ from monoloc.filter.estimate import Estimate
 State = Literal["tracking", "uncertain", "lost"]
 
 WIDE_SD_M = 0.5  # of a belief that says nothing about where in a room the camera is
-# From the median to the first percentile: 0.4 to 0.6 with fifteen frames held out in a real room, while the least of
-# three frames is near their median by chance.
-_LEAST_RANGE = 0.4
+# With fifteen frames held out in a real room, it is 0.4 to 0.6 from the median to the first percentile; the least of a
+# few frames is near their median by chance.
+_FEW, _LEAST_RANGE = 10, 0.4
 
 
 class HealthyRange(BaseModel):
     """Range of a scan's mean log-likelihood at the true pose, measured on frames that tuned nothing.
 
     Attributes:
-        low: its first percentile, and well below its median; below it the pose is doubted.
+        low: its first percentile, of few frames well below their median; below it the pose is doubted.
         lost: as far below ``low`` as ``low`` is below the median; below it the pose is not believed.
     """
 
@@ -35,8 +35,10 @@ class HealthyRange(BaseModel):
     @classmethod
     def from_fits(cls, fits: ArrayLike) -> HealthyRange:
         """Measure the range on fits (N,) at true poses, nats."""
-        first, median = np.percentile(np.asarray(fits, dtype=np.float64), [1.0, 50.0])
-        low = min(first, median - _LEAST_RANGE)
+        values = np.asarray(fits, dtype=np.float64)
+        low, median = np.percentile(values, [1.0, 50.0])
+        if len(values) < _FEW:
+            low = min(low, median - _LEAST_RANGE)
         return cls(low=float(low), lost=float(2.0 * low - median))
 
 
