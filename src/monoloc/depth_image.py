@@ -43,13 +43,11 @@ def sample_depth(
         relative: a pixel whose four depth neighbours differ by more than this share of the nearest gets none.
 
     Returns:
-        (N,) metres; 0 outside, where a neighbour has no depth, and on depth edges.
+        (N,) metres, outside those of the nearest border; 0 where a neighbour has no depth, and on depth edges.
     """
     scale = np.array([depth_camera.width / camera.width, depth_camera.height / camera.height])
     xy = (pixels + 0.5) * scale - 0.5
-    size = np.array([depth_camera.width, depth_camera.height])
-    inside = np.all((xy >= -0.5) & (xy <= size - 0.5), axis=1)
-    xy = np.clip(xy, 0.0, size - 1)
+    xy = np.clip(xy, 0.0, np.array([depth_camera.width - 1, depth_camera.height - 1]))
     x0 = np.minimum(xy[:, 0].astype(np.int64), depth_camera.width - 2)
     y0 = np.minimum(xy[:, 1].astype(np.int64), depth_camera.height - 2)
     fx, fy = xy[:, 0] - x0, xy[:, 1] - y0
@@ -57,5 +55,5 @@ def sample_depth(
     weights = np.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy], axis=1)
     depth = np.sum(weights * corners, axis=1)
     nearest, farthest = corners.min(axis=1), corners.max(axis=1)
-    usable = inside & (nearest > 0.0) & (farthest <= (1.0 + relative) * nearest)
+    usable = (nearest > 0.0) & (farthest <= (1.0 + relative) * nearest)
     return np.asarray(np.where(usable, depth, 0.0), dtype=np.float64)

@@ -14,8 +14,8 @@ from monoloc.filter.estimate import Estimate
 State = Literal["tracking", "uncertain", "lost"]
 
 WIDE_SD_M = 0.5  # of a belief that says nothing about where in a room the camera is
-# With fifteen frames held out in a real room, it is 0.4 to 0.6 from the median to the first percentile; the least of a
-# few frames is near their median by chance.
+# From the median to the first percentile. Of fifteen frames of a real room it is 0.4 to 0.6; of a few, the least is
+# near the median by chance.
 _FEW, _LEAST_RANGE = 10, 0.4
 
 
