@@ -82,7 +82,8 @@ def measure_lasting(
             near_m, near_rad = axis_sd(near)
             return LastingErrors(near_sd_m=near_m, near_sd_rad=near_rad)
         followed, frames = follow(rehearsed_at, walks)
-        rehearsed = pose_errors(followed[is_near[frames]], poses[frames[is_near[frames]]])
+        counts = is_near[frames]
+        rehearsed = pose_errors(followed[counts], poses[frames[counts]])
         followed, frames = follow(rehearsed_at, stays)
     away = pose_errors(followed, poses[frames])
     distances_m = np.array([viewpoints_apart(pose, poses[is_near]).min() for pose in poses[frames]])

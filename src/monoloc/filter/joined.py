@@ -133,13 +133,11 @@ class Joiner:
             is_told: whether this frame told the particles anything; what they knew before is not told again.
         """
         self._unmoved_s = self._unmoved_s + elapsed_s if motion is None else 0.0
+        moved = self._moved(motion, elapsed_s, located)
         if self._unmoved_s > _LONG_S and is_told:  # nothing is left to join it with
-            brought = self._moved(motion, elapsed_s, located).widths
-            self._joined = Joined.alone(located, np.maximum(brought, self._widths(located.pose)))
+            self._joined = Joined.alone(located, np.maximum(moved.widths, self._widths(located.pose)))
         else:
-            self._joined = self._moved(motion, elapsed_s, located)
-            if is_told:
-                self._joined = self._joined.told(located)
+            self._joined = moved.told(located) if is_told else moved
         self._located = located
         self.blind_s = 0.0 if is_told or motion is not None else self.blind_s + elapsed_s
         return self._joined.estimate(located.log_scale)
