@@ -1,0 +1,155 @@
+"""A flight as the localizer lives it, as a film for the documents; also an example of a viewer of one's own.
+
+monoloc build folder:src/monoloc/rooms/living/build --out room.monoloc
+monoloc build folder:src/monoloc/rooms/living/build --out plain.monoloc --tune none --no-map-transform
+python benchmarks/flight_film.py room.monoloc plain.monoloc folder:src/monoloc/rooms/living/test/L3 \\
+    --out docs/pictures/flight.webp
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image
+
+from monoloc.bundle import Bundle, read_bundle
+from monoloc.cli.common import open_source, stderr
+from monoloc.datasets.base import Recording
+from monoloc.evaluation.picture import BLUE, GREEN, INK, ORANGE
+from monoloc.evaluation.run_drawing import draw_mixture, norm_bound_95, page_axes
+from monoloc.files import write_whole
+from monoloc.filter.particles import Particles
+from monoloc.geometry import FloatArray, transform
+from monoloc.localizer import Step
+from monoloc.progress import ConsoleProgress
+from monoloc.runs import Run, Start, localize
+from monoloc.viewer import NoViewer, Viewer
+
+_SIZE_IN, _DPI = (8.8, 4.4), 100
+_DEPTH_M = (0.5, 5.0)
+_EVERY = 2  # frames
+_SIGMAS_95 = 2.448  # ellipse of 95 % in two dimensions: the root of chi-squared's quantile
+
+
+class Film:
+    """Draws every other frame of a recording with true poses; a :class:`monoloc.viewer.Viewer`.
+
+    Args:
+        unadapted: (N, 4, 4) the same flight with a network and a map that nothing adapted.
+    """
+
+    def __init__(self, unadapted: FloatArray) -> None:
+        self._unadapted = unadapted
+        self._pictures: list[Image.Image] = []
+        self._way: list[FloatArray] = []
+
+    def begin(self, room: Bundle, recording: Recording) -> None:
+        assert recording.poses is not None
+        self._map, self._truth = room.adapted, recording.poses
+        self._period_ms = round(1e3 * _EVERY * float(np.median(np.diff(recording.timestamps_s))))
+        right, forward, _, _ = page_axes(np.asarray(room.provenance.down_world))
+        self._plane = [right, forward]
+
+    def show(
+        self,
+        index: int,
+        color: NDArray[np.uint8],
+        step: Step,
+        particles: Particles,
+        odometry: FloatArray,
+        step_ms: float,
+    ) -> None:
+        self._way.append(step.estimate.pose)
+        if index % _EVERY:
+            return
+        figure = Figure(figsize=_SIZE_IN, dpi=_DPI, facecolor="white")
+        image, depth, plan = (
+            figure.add_axes(box, frame_on=False, xticks=[], yticks=[], anchor="NW")
+            for box in ((0.01, 0.5, 0.33, 0.44), (0.01, 0.01, 0.33, 0.44), (0.345, 0.01, 0.645, 0.93))
+        )
+        image.imshow(color)
+        image.set_title("what the camera sees", loc="left", fontsize=10)
+        near_m, far_m = _DEPTH_M
+        depth.imshow(step.depth.depth_m, vmin=near_m, vmax=far_m, extent=image.get_images()[0].get_extent())
+        depth.set_title("its depth, as a small network sees it", loc="left", fontsize=10)
+        self._draw_plan(plan, index, step)
+        content = io.BytesIO()
+        figure.savefig(content, format="png")
+        self._pictures.append(Image.open(content).convert("RGB"))
+
+    def _draw_plan(self, axis: Axes, index: int, step: Step) -> None:
+        pose, covariance, plane = step.estimate.pose, step.estimate.covariance[:3, :3], self._plane
+        low_m, high_m = np.percentile(self._map.means[:, plane], [0.5, 99.5], axis=0)
+        axis.set(xlim=(low_m[0] - 0.3, high_m[0] + 0.3), ylim=(low_m[1] - 0.3, high_m[1] + 0.3), aspect="equal")
+        draw_mixture(axis, plane, self._map.means, self._map.covariances)
+
+        scan = transform(pose, np.exp(step.estimate.log_scale) * step.scan.points)
+        axis.plot(*scan[:, plane].T, ".", color=GREEN, markersize=3, label="scan")
+        ways: list[tuple[str, FloatArray, dict[str, Any]]] = [
+            ("truth", self._truth, {"color": INK, "linewidth": 4.0, "alpha": 0.35}),
+            ("unadapted", self._unadapted, {"color": ORANGE, "linewidth": 1.4, "linestyle": "--"}),
+            ("adapted", np.array(self._way), {"color": BLUE, "linewidth": 1.8}),
+        ]
+        for name, way, style in ways:
+            axis.plot(*way[: index + 1, plane, 3].T, **style, label=name)
+
+        angles = np.linspace(0.0, 2.0 * np.pi, 60)
+        in_world = (pose[:3, :3] @ covariance @ pose[:3, :3].T)[np.ix_(plane, plane)]
+        ring = _SIGMAS_95 * np.linalg.cholesky(in_world) @ [np.cos(angles), np.sin(angles)]
+        axis.fill(*(pose[plane, 3, None] + ring), color=BLUE, alpha=0.15)
+        axis.quiver(*pose[plane, 3], *pose[plane, 2], color=BLUE, angles="xy", scale=12.0, width=0.008, zorder=5)
+
+        off_cm, unadapted_cm = (
+            100.0 * np.linalg.norm(estimate[:3, 3] - self._truth[index, :3, 3])
+            for estimate in (pose, self._unadapted[index])
+        )
+        bound_cm = 100.0 * norm_bound_95(covariance[None])[0]
+        title = f"{off_cm:.0f} cm off (stated 95 % bound {bound_cm:.0f}), unadapted {unadapted_cm:.0f}"
+        axis.set_title(title, loc="left", fontsize=10)
+        axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=9, frameon=False)
+
+    def webp(self) -> bytes:
+        """An animated WebP, which browsers play."""
+        content, (first, *others) = io.BytesIO(), self._pictures
+        first.save(
+            content,
+            "webp",
+            save_all=True,
+            append_images=others,
+            duration=self._period_ms,
+            loop=0,
+            quality=70,
+            method=6,
+        )
+        return content.getvalue()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("adapted", type=Path, help="bundle")
+    parser.add_argument("unadapted", type=Path, help="bundle of the same room")
+    parser.add_argument("source", help="recording with true poses")
+    parser.add_argument("--out", type=Path, required=True)
+    arguments = parser.parse_args()
+    recording = open_source(arguments.source, "::")
+    assert recording.poses is not None
+    start = Start.beside(recording.poses[0], np.random.default_rng(0))
+
+    def fly(bundle: Path, viewer: Viewer) -> Run:
+        room, rng = read_bundle(bundle), np.random.default_rng(0)
+        return localize(room, recording, start, room.settings, rng, ConsoleProgress(stderr), viewer=viewer)
+
+    film = Film(fly(arguments.unadapted, NoViewer()).poses)
+    fly(arguments.adapted, film)
+    write_whole(arguments.out, film.webp())
+
+
+if __name__ == "__main__":
+    main()
