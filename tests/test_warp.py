@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from depth_helpers import ROOM, SMALL_CAMERA, looking_around
+from monoloc import _core
 from monoloc.adapt.warp import ColoredPoints, forward_warp, points_of
 from monoloc.camera import Camera
 from monoloc.depth_image import at_discontinuity
@@ -21,6 +22,7 @@ FloatArray = NDArray[np.float64]
 
 VIEW = SMALL_CAMERA.resized(96, 64)
 FINE = SMALL_CAMERA  # twice as large: frames are given as views are drawn
+CAMERA = Camera(16, 12, 14.0, 14.0, 7.5, 5.5)
 IDENTITY = np.eye(4)
 RED, GREEN = np.array([[255, 0, 0]], dtype=np.uint8), np.array([[0, 255, 0]], dtype=np.uint8)
 
@@ -43,6 +45,44 @@ def moved(pose: FloatArray, seed: int) -> FloatArray:
 def contrast(color: NDArray[np.uint8]) -> float:
     """Mean difference of a picture from one that has nothing to do with it."""
     return float(np.abs(color.astype(float) - color[::-1, ::-1]).mean())
+
+
+# --- The kernel and its twin ---
+
+NOTHING = np.uint64(2**64 - 1)
+
+
+def drawn_by_numpy(points: FloatArray, T_camera_world: FloatArray, camera: Camera, first: int) -> NDArray[np.uint64]:
+    """Keys of an image with a margin of one: depth above, the point's number below, the least in every pixel."""
+    in_camera = transform(T_camera_world, points)
+    sight = np.flatnonzero(camera.in_sight(in_camera))
+    u, v = np.floor(camera.project(in_camera[sight])).T
+    inside = (u >= -1.0) & (v >= -1.0) & (u < camera.width) & (v < camera.height)
+    index = sight[inside]
+    depth_bits = in_camera[index, 2].astype(np.float32).view(np.uint32).astype(np.uint64)
+    keys = (depth_bits << np.uint64(32)) | (first + index).astype(np.uint64)
+    rows, columns = v[inside].astype(np.int64) + 1, u[inside].astype(np.int64) + 1
+    nearest = np.full((camera.height + 2, camera.width + 2), NOTHING)
+    for row in (0, 1):
+        for column in (0, 1):
+            np.minimum.at(nearest, (rows + row, columns + column), keys)
+    return nearest
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=20)
+def test_the_kernel_draws_as_numpy_does(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    bend = tuple(rng.normal(scale=[0.1, 0.02, 0.01, 0.01, 0.002]))
+    camera = replace(CAMERA.resized(64, 48), distortion=bend)  # type: ignore[arg-type]
+    points, pose = rng.normal(scale=2.0, size=(10_000, 3)), se3_exp(rng.normal(size=6))
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion])
+    nearest = np.full((camera.height + 2, camera.width + 2), NOTHING)
+    _core.draw_nearest(points, pose, lens, np.array(camera.sight()), 7, nearest)
+    expected = drawn_by_numpy(points, pose, camera, 7)
+    assert np.mean(expected != NOTHING) > 0.1
+    # Where a compiler fuses multiplications and additions, a point on a pixel's border may fall to its other side.
+    assert np.mean(nearest != expected) < 1e-3
 
 
 # --- Points of a frame ---
@@ -132,8 +172,6 @@ def test_a_view_shows_nothing_sideways_of_where_it_is() -> None:
 
 
 # --- Occlusion and holes ---
-
-CAMERA = Camera(16, 12, 14.0, 14.0, 7.5, 5.5)
 
 
 def sheet(z_m: float, color: NDArray[np.uint8], spacing_m: float = 0.02) -> ColoredPoints:

@@ -17,3 +17,4 @@ void test_rays(const monoloc::Kernels& kernels);
 void test_ray_mixture();
 void test_largest_of_five(const monoloc::Kernels& kernels);
 void test_pooling();
+void test_drawing();

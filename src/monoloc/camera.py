@@ -123,10 +123,15 @@ class Camera:
         To be asked before :meth:`project`: distortion is a polynomial, which folds what lies far aside back into the
         image.
         """
+        least_m, most_x, most_y = self.sight()
+        x, y, z = points_camera.T
+        return np.asarray((z > least_m) & (np.abs(x) < most_x * z) & (np.abs(y) < most_y * z))
+
+    def sight(self) -> tuple[float, float, float]:
+        """What bounds :meth:`in_sight`: the least depth, m, and how far aside in x and y at a depth of one."""
         columns, rows = (np.linspace(-1.0, size, _BORDER_RAYS) for size in (self.width, self.height))
         most = np.abs(self.rays(np.stack(np.meshgrid(columns, rows), axis=-1))).max(axis=(0, 1))
-        x, y, z = points_camera.T
-        return np.asarray((z > _LEAST_DEPTH_M) & (np.abs(x) < most[0] * z) & (np.abs(y) < most[1] * z))
+        return _LEAST_DEPTH_M, float(most[0]), float(most[1])
 
     def rays(self, pixels: ArrayLike) -> FloatArray:
         """Directions with z = 1 seen at pixels, (..., 2) px -> (..., 3): ``depth * ray`` is the point."""

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from monoloc import _core
 from monoloc.camera import Camera
 from monoloc.depth_image import at_discontinuity
 from monoloc.geometry import FloatArray, invert, transform
@@ -56,42 +58,20 @@ def forward_warp(
         Colour (h, w, 3) uint8, with holes painted from their borders, and depth (h, w) float32 metres, 0 in holes.
     """
     fine = camera.resized(camera.width * _FINE, camera.height * _FINE)
+    lens, sight = np.array([fine.fx, fine.fy, fine.cx, fine.cy, *fine.distortion]), np.array(fine.sight())
     T_camera_world = invert(T_world_camera)
-    stride = fine.width + 2  # pixels are counted from a margin of one
-    nearest = np.full((fine.height + 2) * stride, _NOTHING)
+    nearest = np.full((fine.height + 2, fine.width + 2), _NOTHING)  # with a margin of one
     first = 0
     for source in sources:
-        corner, keys = _drawn(transform(T_camera_world, source.points), first, fine)
-        for offset in (0, 1, stride, stride + 1):
-            # A point covers the four pixels about it, so that surfaces that come closer do not fall apart.
-            np.minimum.at(nearest, corner + offset, keys)
+        # A point covers the four pixels about it, so that surfaces that come closer do not fall apart.
+        _core.draw_nearest(source.points, T_camera_world, lens, sight, first, nearest)
         first += len(source.points)
-    drawn = nearest.reshape(fine.height + 2, stride)[1:-1, 1:-1]
+    drawn = nearest[1:-1, 1:-1]
     known = drawn != _NOTHING
-    depth_m = np.zeros(drawn.shape, dtype=np.float32)
-    depth_m[known] = (drawn[known] >> np.uint64(32)).astype(np.uint32).view(np.float32)
-    image = np.zeros((*drawn.shape, 3), dtype=np.uint8)
-    colors = np.concatenate([source.colors for source in sources])
-    image[known] = colors[(drawn[known] & np.uint64(0xFFFFFFFF)).astype(np.int64)]
+    depth_m = np.where(known, (drawn >> np.uint64(32)).astype(np.uint32).view(np.float32), np.float32(0.0))
+    colors = np.concatenate([*(source.colors for source in sources), np.zeros((1, 3), dtype=np.uint8)])
+    image = np.take(colors, np.where(known, drawn & np.uint64(0xFFFFFFFF), np.uint64(first)).astype(np.int64), axis=0)
     return _averaged(image, depth_m, camera)
-
-
-def _drawn(points_camera: FloatArray, first: int, fine: Camera) -> tuple[NDArray[np.int64], NDArray[np.uint64]]:
-    """Where points fall in a fine view, the corner of four pixels, and their keys, of which the least is nearest.
-
-    Depth is in a key's upper bits, for positive floats are ordered as their bits are, and whose it is in the lower.
-
-    Args:
-        points_camera: (N, 3).
-        first: number of the first point.
-    """
-    sight = np.flatnonzero(fine.in_sight(points_camera))
-    u, v = np.floor(fine.project(points_camera[sight])).T
-    inside = (u >= -1.0) & (v >= -1.0) & (u < fine.width) & (v < fine.height)
-    index = sight[inside]
-    depth_bits = points_camera[index, 2].astype(np.float32).view(np.uint32).astype(np.uint64)
-    corner = ((v[inside] + 1.0) * (fine.width + 2) + (u[inside] + 1.0)).astype(np.int64)
-    return corner, (depth_bits << np.uint64(32)) | (first + index).astype(np.uint64)
 
 
 def _averaged(
@@ -112,10 +92,12 @@ def halved(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
 
     Of every four pixels, the mean of those on the nearest surface: their minimum would be too near.
     """
-    height, width = depth_m.shape
-    grid = np.where(depth_m > 0.0, depth_m, np.float32(np.inf)).reshape(height // 2, 2, width // 2, 2)
-    blocks = grid.transpose(0, 2, 1, 3).reshape(height // 2, width // 2, 4)
-    nearest = blocks.min(axis=2, keepdims=True)
-    on_surface = np.isfinite(blocks) & (blocks <= (1.0 + _DEPTH_JUMP / 2.0) * nearest)
-    total = np.where(on_surface, blocks, 0.0).sum(axis=2)
-    return np.asarray(total / np.maximum(1, on_surface.sum(axis=2)), dtype=np.float32)
+    depth_m = np.where(depth_m > 0.0, depth_m, np.float32(np.inf))
+    corners = [depth_m[row::2, column::2] for row in (0, 1) for column in (0, 1)]
+    farthest = (1.0 + _DEPTH_JUMP / 2.0) * reduce(np.minimum, corners)
+    total, count = np.zeros(farthest.shape, dtype=np.float32), np.zeros(farthest.shape, dtype=np.float32)
+    for corner in corners:
+        on_surface = np.isfinite(corner) & (corner <= farthest)
+        total += np.where(on_surface, corner, np.float32(0.0))
+        count += on_surface
+    return np.asarray(total / np.maximum(count, np.float32(1.0)), dtype=np.float32)
