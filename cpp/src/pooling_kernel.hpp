@@ -1,4 +1,4 @@
-// The largest of five values in a row, of integer keys; part of kernels.cpp, see there.
+// Keys of bfloat16 values and of the pixels that have them, and the largest of five; part of kernels.cpp, see there.
 #pragma once
 
 #include <cstddef>
@@ -8,6 +8,36 @@ namespace monoloc {
 namespace {
 
 // Plain loops over contiguous integers: the compiler makes vectors of them.
+
+constexpr std::uint16_t kNegativeZero = 0x8000u;
+
+// A negative number's bits but for its sign are the other way about: flipped, integers are ordered as the values are.
+// The same brings them back.
+std::uint16_t flipped(std::uint16_t bits) {
+  return static_cast<std::uint16_t>(bits ^ ((static_cast<std::int16_t>(bits) >> 15) & 0x7FFF));
+}
+
+void to_keys(const std::uint16_t* values, std::size_t columns, std::size_t channels, std::size_t first_pixel,
+             std::int32_t* keys) {
+  for (std::size_t column = 0; column < columns; ++column) {
+    const std::uint32_t place = 0xFFFFu - static_cast<std::uint32_t>(first_pixel + column);
+    const std::uint16_t* given = values + column * channels;
+    std::int32_t* out = keys + column * channels;
+    for (std::size_t c = 0; c < channels; ++c) {
+      const std::uint16_t bits = given[c] == kNegativeZero ? std::uint16_t{0} : given[c];  // which equals it
+      out[c] = static_cast<std::int32_t>((static_cast<std::uint32_t>(flipped(bits)) << 16) | place);
+    }
+  }
+}
+
+void from_keys(const std::int32_t* keys, std::size_t count, std::uint16_t* values, std::uint16_t* pixels) {
+  for (std::size_t i = 0; i < count; ++i) {
+    const auto key = static_cast<std::uint32_t>(keys[i]);
+    values[i] = flipped(static_cast<std::uint16_t>(key >> 16));
+    pixels[i] = static_cast<std::uint16_t>(0xFFFFu - (key & 0xFFFFu));
+  }
+}
+
 void largest_of_five(const std::int32_t* const* rows, std::size_t count, std::int32_t* out) {
   const std::int32_t *a = rows[0], *b = rows[1], *c = rows[2], *d = rows[3], *e = rows[4];
   for (std::size_t i = 0; i < count; ++i) {

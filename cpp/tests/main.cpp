@@ -22,6 +22,7 @@ int main() {
     test_selection(**k);
     test_kernels(**k);
     test_rays(**k);
+    test_keys(**k);
     test_largest_of_five(**k);
   }
   if (failures == 0) std::printf("all passed\n");

@@ -34,6 +34,29 @@ std::vector<std::uint16_t> whole_numbers(std::size_t count) {
 
 }  // namespace
 
+void test_keys(const monoloc::Kernels& kernels) {
+  // Three pixels of all values that are numbers, one channel a value.
+  std::vector<std::uint16_t> numbers;
+  for (std::uint32_t bits = 0; bits < 65536; ++bits) {
+    const auto half = static_cast<std::uint16_t>(bits);
+    if (to_float(half) == to_float(half)) numbers.push_back(half);
+  }
+  constexpr std::size_t kPixels = 3, kFirst = 40000;
+  const std::size_t channels = numbers.size(), count = kPixels * channels;
+  std::vector<std::uint16_t> values, back(count), pixels(count);
+  for (std::size_t p = 0; p < kPixels; ++p) values.insert(values.end(), numbers.begin(), numbers.end());
+  std::vector<std::int32_t> keys(count);
+  kernels.to_keys(values.data(), kPixels, channels, kFirst, keys.data());
+  kernels.from_keys(keys.data(), count, back.data(), pixels.data());
+  for (std::size_t i = 0; i < count; ++i) {
+    CHECK(to_float(back[i]) == to_float(values[i]) && back[i] != 0x8000u);
+    CHECK(pixels[i] == kFirst + i / channels);
+    const std::size_t j = (i + 7919) % count;
+    const float a = to_float(values[i]), b = to_float(values[j]);
+    CHECK((keys[i] > keys[j]) == (a > b || (a == b && pixels[i] < pixels[j])));
+  }
+}
+
 void test_largest_of_five(const monoloc::Kernels& kernels) {
   constexpr std::size_t kCount = 37;
   std::vector<std::int32_t> values(5 * kCount), out(kCount);

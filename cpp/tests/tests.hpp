@@ -15,6 +15,7 @@ void test_threads();
 void test_kernels(const monoloc::Kernels& kernels);
 void test_rays(const monoloc::Kernels& kernels);
 void test_ray_mixture();
+void test_keys(const monoloc::Kernels& kernels);
 void test_largest_of_five(const monoloc::Kernels& kernels);
 void test_pooling();
 void test_drawing();

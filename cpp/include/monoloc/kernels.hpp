@@ -107,6 +107,14 @@ struct Kernels {
                      const std::size_t* first_candidate, float log_depth_sd, float inlier_share,
                      float outlier_density, float* scratch, double* out);
 
+  // A row's values, bfloat16 as its bits, as keys: the value in the upper half, as an integer of the same order, and
+  // the pixel in the lower, so that of equal values the first pixel has the largest key. One maximum then finds both.
+  void (*to_keys)(const std::uint16_t* values, std::size_t columns, std::size_t channels, std::size_t first_pixel,
+                  std::int32_t* keys);
+
+  // The values of keys, and the pixels that have them.
+  void (*from_keys)(const std::int32_t* keys, std::size_t count, std::uint16_t* values, std::uint16_t* pixels);
+
   // The largest of five rows' keys, element by element.
   void (*largest_of_five)(const std::int32_t* const* rows, std::size_t count, std::int32_t* out);
 
