@@ -1,4 +1,4 @@
-"""What a step of tuning costs, and what it costs without each of the things that make it cheaper.
+"""What a step of tuning costs, and a synthesised view, and each without what makes it cheaper.
 
     OMP_NUM_THREADS=1 python benchmarks/tuning_speed.py --data ../shared/data --threads 1
 
@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import patch
 
 import numpy as np
@@ -20,10 +21,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from monoloc.adapt import warp
 from monoloc.adapt.map_depth import supervision
+from monoloc.adapt.reference import draw_nearest
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.train import Adaptation
-from monoloc.adapt.transform import AdaptedMap
+from monoloc.adapt.transform import AdaptedMap, MapTransform
 from monoloc.adapt.views import make_views
 from monoloc.build import BuildConfig, fit_map
 from monoloc.datasets.registry import open_recording, select_frames
@@ -31,6 +34,8 @@ from monoloc.depth import network as networks
 from monoloc.depth.checkpoint import load_network
 from monoloc.models import DEFAULT, shipped_file
 from monoloc.progress import NoProgress
+
+_VIEWS = 60
 
 
 def _pooling(x: Tensor) -> Tensor:
@@ -46,7 +51,14 @@ _PLAIN: dict[str, Callable[[], object]] = {
     "normalisation folded": lambda: patch.object(networks, "_is_folded", lambda norm: False),
     "last layer as a sum": lambda: patch.object(networks._LastLayer, "_conv_forward", torch.nn.Conv2d._conv_forward),
     "strided convolutions dense": lambda: patch.object(networks._SamePadConv, "_conv_forward", _strided),
+    "bent points as columns": lambda: patch.object(MapTransform, "forward", _rows),
 }
+
+
+def _rows(self: MapTransform, points: Tensor) -> Tensor:
+    normalised = ((points - self.centre) / self.radius).to(self.hidden.weight.dtype)
+    displacement: Tensor = self.output(torch.tanh(self.hidden(normalised)))
+    return points + displacement
 
 
 @contextmanager
@@ -86,18 +98,32 @@ def main() -> None:
             )
         return (done[-1] - done[0]) / steps
 
+    def view() -> float:
+        """Seconds a synthesised view, with a frame's share of being read."""
+        began = time.perf_counter()
+        make_views(few, supervision(few, cloud), network.config.focal_px, _VIEWS, nobody, np.random.default_rng(0))
+        return (time.perf_counter() - began) / _VIEWS
+
+    few = select_frames(recording, f"::{len(recording) // 5}")
+    plain = SimpleNamespace(draw_nearest=draw_nearest)
     ways: dict[str, tuple[str, ...]] = {
         "as it is": (),
         **{f"without: {name}": (name,) for name in _PLAIN},
         "without all of these": tuple(_PLAIN),
     }
     fastest = dict.fromkeys(ways, float("inf"))
+    drawn, drawn_by_numpy = float("inf"), float("inf")
     for _ in range(arguments.turns):
+        drawn = min(drawn, view())
+        with patch.object(warp, "_core", plain):
+            drawn_by_numpy = min(drawn_by_numpy, view())
         for name, left_out in ways.items():
             fastest[name] = min(fastest[name], turn(left_out))
     print(f"| a step, {arguments.threads} thread(s) | ms | ratio |\n|---|---|---|")
     for name, seconds in fastest.items():
         print(f"| {name} | {1e3 * seconds:.0f} | {seconds / fastest['as it is']:.2f} |")
+    print(f"| a view | {1e3 * drawn:.0f} | 1.00 |")
+    print(f"| a view without: drawn by the kernel | {1e3 * drawn_by_numpy:.0f} | {drawn_by_numpy / drawn:.2f} |")
 
 
 if __name__ == "__main__":
