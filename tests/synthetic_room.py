@@ -224,10 +224,11 @@ def make_localizer(
     seed: int | np.random.Generator = 0,
     settings: LocalizerConfig = SETTINGS,
     depth: DepthSource = NoNetwork(),
+    down: FloatArray | None = None,
 ) -> Localizer:
     """monoloc's own for :data:`CAMERA`; arguments as of :class:`Localizer`."""
     parts = Parts.usual(mixture, depth, CAMERA, settings)
-    return Localizer(parts, CAMERA, start, settings, healthy, viewpoints, np.random.default_rng(seed))
+    return Localizer(parts, CAMERA, start, settings, healthy, viewpoints, np.random.default_rng(seed), down)
 
 
 def follow(localizer: Localizer, recording: RoomRecording, frames: range | None = None) -> list[Step]:

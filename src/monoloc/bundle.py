@@ -16,6 +16,7 @@ import tempfile
 import zipfile
 import zlib
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from monoloc.errors import BundleError
 from monoloc.filter.health import HealthyRange
 from monoloc.geometry import FloatArray, se3_exp, se3_log
 from monoloc.localizer import LocalizerConfig
+from monoloc.map.down import down_of
 from monoloc.map.mixture import GaussianMixture
 from monoloc.models import is_shipped
 
@@ -100,6 +102,11 @@ class Bundle:
     provenance: Provenance
     healthy: HealthyRange
     viewpoints: FloatArray
+
+    @cached_property
+    def down(self) -> FloatArray | None:
+        """Which way is down in the room, (3,) unit vector, world frame; None where its surfaces do not tell."""
+        return down_of(self.original, np.asarray(self.provenance.down_world))
 
 
 def fingerprint(color: NDArray[np.uint8]) -> int:

@@ -24,6 +24,7 @@ from monoloc.filter.recovery import Recovery
 from monoloc.filter.resample import resample
 from monoloc.filter.scan import NOTHING, Scan, scan_from_corners, scan_from_depth
 from monoloc.filter.search import Search
+from monoloc.filter.upright import turned_about_m, upright
 from monoloc.filter.weigh import Measurement, MeasurementConfig
 from monoloc.geometry import FloatArray
 from monoloc.map.mixture import GaussianMixture
@@ -132,6 +133,7 @@ class Localizer:
         viewpoints: (V, 4, 4) ``T_world_camera`` of the frames that the room was built from, around which a lost
             camera is looked for; or none.
         rng: of the particles and the scan.
+        down: which way is down in the room, (3,) unit vector, world frame; None where nobody knows.
 
     Raises:
         ValueError: no start is given, and no camera could be found: ``config.can_find`` is not true, or there are no
@@ -147,6 +149,7 @@ class Localizer:
         healthy: HealthyRange,
         viewpoints: FloatArray,
         rng: np.random.Generator,
+        down: FloatArray | None = None,
     ) -> None:
         can_find = config.can_find and len(viewpoints) > 0
         search = Search(parts.measurement, viewpoints, config.log_scale_sd) if can_find else None
@@ -162,19 +165,28 @@ class Localizer:
         self._healthy = healthy
         self._joiner = Joiner(estimate(start), config.lasting, config.motion_noise, viewpoints)
         self._rng = rng
+        self._down = down
         self._is_first = True
 
-    def step(self, color: NDArray[np.uint8], elapsed_s: float, measured_depth: DepthPrediction | None = None) -> Step:
+    def step(
+        self,
+        color: NDArray[np.uint8],
+        elapsed_s: float,
+        measured_depth: DepthPrediction | None = None,
+        down: FloatArray | None = None,
+    ) -> Step:
         """Take one frame in.
 
         Args:
             color: (H, W, 3) uint8 RGB, of the camera given.
             elapsed_s: seconds since the previous frame; ignored at the first.
             measured_depth: a depth sensor's image, where there is one; None predicts it.
+            down: which way is down in the camera's frame, (3,) of any length, where something tells, as a flight
+                controller's attitude does; it is taken to be a degree off.
 
         Raises:
-            ValueError: the image is no colour image of the camera's size, or time runs backwards; nothing has
-                changed then.
+            ValueError: the image is no colour image of the camera's size, time runs backwards, or down is no
+                direction or not known of the room; nothing has changed then.
         """
         config = self.config
         if color.shape != (self._camera.height, self._camera.width, 3) or color.dtype != np.uint8:
@@ -183,6 +195,8 @@ class Localizer:
         elapsed_s = 0.0 if self._is_first else elapsed_s
         if not 0.0 <= elapsed_s < np.inf:
             raise ValueError(f"elapsed_s must be finite and not negative, got {elapsed_s}")
+        if down is not None:
+            down = self._direction(down)
         depth = self._depth(color) if measured_depth is None else measured_depth
         motion = self._odometry.step(color, depth.depth_m, depth.camera) if self._odometry else None
         if motion is not None and config.level is not None:
@@ -203,15 +217,32 @@ class Localizer:
         fit = self._fit(located, scan)  # where depth's lasting error is, the belief's covariance tells
         # Particles that have lost the camera gather somewhere all the same: their word counts where the scan fits.
         is_told = is_telling and fit >= self._healthy.lost and not self._recovery.is_lost
-        belief = self._joiner.step(motion, elapsed_s, located, is_told)
+        told = located
+        if is_told and down is not None and self._down is not None:
+            ahead_m = turned_about_m(scan, located.log_scale)
+            told = upright(located, down, self._down, ahead_m, self._joiner.rotation_sd(located))
+        belief = self._joiner.step(motion, elapsed_s, told, is_told)
         if is_found:
-            belief = self._joiner.begin_anew(located)
+            belief = self._joiner.begin_anew(told)
         self._recovery.note(fit, belief, elapsed_s)
         self.particles = resample(self.particles, config.ess_fraction, self._rng)
         is_followed = self._is_first or self._odometry is None or motion is not None
         state = "lost" if self._recovery.is_lost else judge(fit, belief, self._healthy, is_followed)
         self._is_first = False
         return Step(belief, located, fit, state, motion, depth, scan)
+
+    def _direction(self, down: FloatArray) -> FloatArray:
+        """A unit vector of what was given for down.
+
+        Raises:
+            ValueError: it is none, or not known of the room.
+        """
+        if self._down is None:
+            raise ValueError("down is given, and the room's surfaces do not tell where it is: leave it out")
+        length = float(np.linalg.norm(down)) if np.shape(down) == (3,) else 0.0
+        if not 0.0 < length < np.inf:
+            raise ValueError(f"down must be three finite numbers, not all zero, got {down}")
+        return np.asarray(down, dtype=np.float64) / length
 
     def _weigh(self, particles: Particles, scan: Scan, motion: Motion | None) -> Particles:
         """Particles under the evidence of the depth image and of the corners that parallax has measured."""

@@ -188,7 +188,7 @@ def start_localizer(
     config = config or bundle.settings
     made = parts(bundle, camera, config)
     particles = None if start is None else start.particles(config, rng)
-    return Localizer(made, camera, particles, config, bundle.healthy, bundle.viewpoints, rng)
+    return Localizer(made, camera, particles, config, bundle.healthy, bundle.viewpoints, rng, bundle.down)
 
 
 def localize(
@@ -202,6 +202,7 @@ def localize(
     relight: Relight | None = None,
     viewer: Viewer = NoViewer(),
     parts: MakesParts = parts_of,
+    down: FloatArray | None = None,
 ) -> Run:
     """Localise every frame of a recording.
 
@@ -212,6 +213,7 @@ def localize(
         relight: brings the images to another light; None leaves them.
         viewer: sees every frame; its time counts for no step.
         parts: makes what the localizer is put together of.
+        down: (N, 3) as :meth:`Localizer.step` takes it, frame by frame.
 
     Raises:
         DataError: sensor depth is asked for and there is none, or a frame cannot be read.
@@ -240,7 +242,7 @@ def localize(
             if relight is not None:
                 color = relight(color)
             began = time.perf_counter()
-            step = localizer.step(color, float(elapsed[index]), measured)
+            step = localizer.step(color, float(elapsed[index]), measured, None if down is None else down[index])
             step_ms.append((time.perf_counter() - began) * 1e3)
             estimates.append(step.estimate)
             states.append(step.state)

@@ -142,6 +142,11 @@ class Joiner:
         self.blind_s = 0.0 if is_told or motion is not None else self.blind_s + elapsed_s
         return self._joined.estimate(located.log_scale)
 
+    def rotation_sd(self, located: Estimate) -> float:
+        """What the rotation that the particles say may be off by, rad an axis: their spread, and what lasts."""
+        spread = float(np.trace(located.covariance[3:, 3:])) / 3.0
+        return float(np.sqrt(self._widths(located.pose)[3] ** 2 + spread))
+
     def begin_anew(self, located: Estimate) -> Estimate:
         """The belief where the camera was found again: what was known before is forgotten."""
         widths = self._lasting.found_widths(self._distance_m(located.pose))
