@@ -27,7 +27,7 @@ _STYLES: dict[_Kind, tuple[str, str, str]] = {
     "voxels": ("occupied voxels, as an octree (edge)", ORANGE, "s"),
     "points": ("points (spacing)", VERMILION, "D"),
 }
-_LABELS: dict[_Kind, int] = {"mixture": 7, "voxels": -14, "points": 7}  # points above or below the markers
+_LABELS: dict[_Kind, int] = {"mixture": 7, "voxels": -14, "points": 7}  # points above or below the bars
 
 
 def _map(study: Study, kind: _Kind, size: float) -> Task:
@@ -75,7 +75,8 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
             by_size = {amount / 1e3: spread for amount, spread in points[kind].items()}
             draw_sweep(axis, name, colour, by_size, marker=marker)
             for size, (amount_kb, spread) in zip(_SIZES[kind], by_size.items(), strict=True):
-                at = (amount_kb, 100.0 * spread.median)
+                # At the end of the bar, clear of the lines.
+                at = (amount_kb, 100.0 * spread.range[_LABELS[kind] > 0])
                 axis.annotate(
                     _labelled(kind, size),
                     at,
@@ -85,6 +86,7 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
                     fontsize=8,
                     color=colour,
                 )
+        axis.margins(y=0.1)
         axis.set(xlabel="the map's bytes (kB)", ylabel="position RMSE (cm)")
         axis.set_title(f"Size of the map against accuracy, {study.splits[0].name}, {study.sizes[0]}")
         legend_below(figure, [axis], 3)
