@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from map_helpers import make_mixture
+from monoloc.datasets.registry import select_frames
 from monoloc.depth.runtime import DepthPrediction
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.filter.estimate import Estimate
@@ -20,8 +21,19 @@ from monoloc.filter.upright import turned_about_m, upright
 from monoloc.geometry import FloatArray, rotation_angle, se3_exp, so3_exp, transform
 from monoloc.map.down import down_of
 from monoloc.map.mixture import GaussianMixture
-from monoloc.runs import Start
-from synthetic_room import FRAME_S, SETTINGS, NoNetwork, Room, follow, make_localizer, room_mixture, sparse_depth
+from monoloc.progress import NoProgress
+from monoloc.runs import Start, localize
+from synthetic_room import (
+    FRAME_S,
+    SETTINGS,
+    NoNetwork,
+    Room,
+    follow,
+    make_bundle,
+    make_localizer,
+    room_mixture,
+    sparse_depth,
+)
 
 DOWN = np.array([0.0, 1.0, 0.0])  # of the made-up room
 FRAMES, SETTLED = 30, 15
@@ -149,6 +161,21 @@ def test_a_flight_whose_depth_errs_is_nearer_where_down_is_known(mixture, record
     # Over seeds 0..2: 17, 14 and 23 cm become 7, 4 and 11.
     assert unknown_m > 0.12 and known_m < 0.6 * unknown_m
     assert known_rad < 0.8 * unknown_rad
+
+
+def test_a_bundle_knows_which_way_is_down_and_a_run_is_told(recording) -> None:
+    room = make_bundle(room_mixture(Room()), recording, range(0, FRAMES, 5))
+    assert room.down is not None and np.rad2deg(np.arccos(min(1.0, room.down @ DOWN))) < 0.5
+    leaning = so3_exp([0.2, 0.0, 0.0]) @ np.swapaxes(recording.poses[:, :3, :3], 1, 2) @ DOWN
+
+    def first_pose(down: FloatArray | None) -> FloatArray:
+        few, rng = select_frames(recording, ":2"), np.random.default_rng(0)
+        start = Start(recording.poses[0])
+        return localize(room, few, start, room.settings, rng, NoProgress(), down=down).poses[0]
+
+    # By eleven degrees, of which the share counts that a start's three ask for.
+    turned_rad = rotation_angle(first_pose(None)[:3, :3].T @ first_pose(leaning)[:3, :3])
+    assert 0.01 < turned_rad < 0.2
 
 
 @pytest.mark.parametrize("down", [np.zeros(3), np.array([0.0, np.nan, 1.0]), np.ones(2), np.full(3, np.inf)])

@@ -130,7 +130,8 @@ void draw_nearest(const Vectors& points, const Pose& camera_from_world, const Ar
 }  // namespace
 
 NB_MODULE(_core, m) {
-  m.doc() = "Native kernels of monoloc: mixture density, E-step of EM, weighing of particles, max-pooling, drawing of points.";
+  m.doc() =
+      "Native kernels of monoloc: mixture density, E-step of EM, weighing of particles, max-pooling, drawing of points.";
   m.def("log_density", &log_density, "points"_a, "weights"_a, "means"_a, "covariances"_a);
   m.def("expectation", &expectation, "points"_a, "weights"_a, "means"_a, "covariances"_a);
   m.attr("MOST_POOLED_PIXELS") = monoloc::kMostPooledPixels;
