@@ -47,7 +47,7 @@ class MapTransform(nn.Module):
         """Bent points: (..., 3) -> (..., 3), metres, world frame."""
         normalised = ((points - self.centre) / self.radius).to(self.hidden.weight.dtype)
         # The displacement is small, so the perceptron's own precision is enough for it; the sum is in float64. A
-        # point is a column, not a row: the products take half the time, and their gradients a quarter.
+        # point is a column, not a row: the gradients of products so narrow take a quarter of the time.
         columns = normalised.reshape(-1, 3).T.contiguous()
         hidden = torch.tanh(torch.addmm(self.hidden.bias[:, None], self.hidden.weight, columns))
         displacement = torch.addmm(self.output.bias[:, None], self.output.weight, hidden)

@@ -76,7 +76,8 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
             draw_sweep(axis, name, colour, by_size, marker=marker)
             for size, (amount_kb, spread) in zip(_SIZES[kind], by_size.items(), strict=True):
                 # At the end of the bar, clear of the lines.
-                at = (amount_kb, 100.0 * spread.range[_LABELS[kind] > 0])
+                smallest, largest = spread.range
+                at = (amount_kb, 100.0 * (largest if _LABELS[kind] > 0 else smallest))
                 axis.annotate(
                     _labelled(kind, size),
                     at,

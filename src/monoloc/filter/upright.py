@@ -45,7 +45,7 @@ def upright(
     expected = located.pose[:3, :3].T @ down_world
     axis = np.cross(down_camera, expected)
     sine = np.linalg.norm(axis)
-    if sine == 0.0:  # as it should be, or upside down, which nothing says how to mend
+    if sine == 0.0:  # as it should be, or just upside down, when nothing says which way to turn
         return located
     share = rotation_sd**2 / (rotation_sd**2 + _DOWN_SD_RAD**2)
     turn = so3_exp(share * np.arctan2(sine, down_camera @ expected) * axis / sine)
