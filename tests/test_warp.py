@@ -57,7 +57,7 @@ NOTHING = np.uint64(2**64 - 1)
 @settings(max_examples=20)
 def test_the_kernel_draws_as_numpy_does(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    bend = tuple(rng.normal(scale=[0.1, 0.02, 0.01, 0.01, 0.002]))
+    bend = tuple(rng.normal(scale=[0.05, 0.01, 0.005, 0.005, 0.001]))  # that folds the image for no seed
     camera = replace(CAMERA.resized(64, 48), distortion=bend)  # type: ignore[arg-type]
     points, pose = rng.normal(scale=2.0, size=(10_000, 3)), se3_exp(rng.normal(size=6))
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion])
@@ -65,7 +65,7 @@ def test_the_kernel_draws_as_numpy_does(seed: int) -> None:
     for draw, keys in ((_core.draw_nearest, nearest), (draw_nearest, expected)):
         for first in (7, 50_000):  # the second time the same points are as near, and come later
             draw(points, pose, lens, np.array(camera.sight()), first, keys)
-    assert np.mean(expected != NOTHING) > 0.1
+    assert np.mean(expected != NOTHING) > 0.01  # 0.013 at least, over all seeds
     # Where a compiler fuses multiplications and additions, a point on a pixel's border may fall to its other side.
     assert np.mean(nearest != expected) < 1e-3
 

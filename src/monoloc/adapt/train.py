@@ -60,7 +60,7 @@ class Adaptation:
         if network.error_head is not None:
             network.error_head.requires_grad_(self.config.by_depth)
         adapted_map.requires_grad_(config.map_transform)
-        # Bending the cloud costs half a step, and beside the network's learning the map hardly moves.
+        # Bending the cloud costs as much as the decoder, and beside the decoder the map hardly moves.
         self._map_every = _DECODER_STEPS_A_MAP_STEP if self.config.by_depth else 1
         self._bent = adapted_map.means, adapted_map.covariances
 
@@ -231,14 +231,13 @@ class Adaptation:
         if self.config.tune == "all":
             colors = np.concatenate([colors, [random_exposure(color, _LIGHT, light) for color in colors]])
         parts = []
-        # What is tuned by depth is computed in half the bits, here too.
-        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self.config.by_depth):
-            for images in _batches(colors):
-                if self.config.tune == "all":
-                    part = [encoder.first_layers(images)]
-                else:
-                    part = encoder(images) if self.config.by_depth else [self.network.decoder(encoder(images))]
-                parts.append([tap.bfloat16() for tap in part] if self.config.by_depth else part)
+        for images in _batches(colors):
+            if self.config.tune == "all":
+                part = [encoder.first_layers(images)]
+            else:
+                part = encoder(images) if self.config.by_depth else [self.network.decoder(encoder(images))]
+            # What is tuned by depth is computed in half the bits.
+            parts.append([tap.bfloat16() for tap in part] if self.config.by_depth else part)
         return [torch.cat(part).contiguous(memory_format=torch.channels_last) for part in zip(*parts, strict=True)]
 
     def _features(self, inputs: list[Tensor]) -> Tensor:
