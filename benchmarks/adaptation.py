@@ -3,6 +3,7 @@
     python benchmarks/adaptation.py --data ../shared/data --out runs/adaptation --study annealing rates
     python benchmarks/adaptation.py --out runs/adaptation --study variants --network full-0.35 one-third-0.35 \
         --motion visual random-walk --seeds 10
+    python benchmarks/adaptation.py --out runs/adaptation --study default --builds 5 --seeds 5
 
 The splits are those of ``monoloc reproduce``, whose engine does the work: what is there is not done again, and
 results of its own ``--out`` serve here too.
@@ -24,7 +25,7 @@ from monoloc.datasets.registry import absolute_source, open_recording
 from monoloc.experiments import tasks
 from monoloc.experiments.engine import carry_out
 from monoloc.experiments.fig4d import FROM_SAME_START
-from monoloc.experiments.gather import RMSE, ROTATION, depth_of_variant, mean_depth, usual_light
+from monoloc.experiments.gather import RMSE, ROTATION, depth_of_variant, mean_depth
 from monoloc.experiments.study import Split, Study, Walk, recorded
 from monoloc.experiments.task import Results, Task
 from monoloc.models import DEFAULT
@@ -34,7 +35,9 @@ MOTIONS = ("visual", "random-walk")
 _BOTH = ("last+map", "joint")
 # By study and name: the variant, and what of adaptation, or of the map, is changed.
 STUDIES: dict[str, dict[str, tuple[str, dict[str, Any]]]] = {
+    "default": {"joint": ("joint", {})},
     "variants": {name: (name, {}) for name in tasks.VARIANTS if name != "network"},
+    "pose steps": {f"joint, weight {value:g}": ("joint", {"pose_weight": value}) for value in (0.0, 1.0)},
     "components": {f"K {count}": ("joint", {"components": count}) for count in (50, 100, 200, 400, 800)},
     "annealing": {
         f"{variant}, {value:g} m at first": (variant, {"inflation_m": value})
@@ -44,8 +47,8 @@ STUDIES: dict[str, dict[str, tuple[str, dict[str, Any]]]] = {
     "rates": {f"joint, rate {value:g}": ("joint", {"network_rate": value}) for value in (3e-4, 1e-3, 3e-3)},
 }
 _COLUMNS = (
-    *("study", "network", "split", "motion", "variant", "median (seeds)", "RMSE", "of odometry's", "rotation"),
-    *("AbsRel", "SSIM", "shift", "matches kept", "KL"),
+    *("study", "network", "split", "light", "motion", "variant", "median (seeds)", "RMSE", "of odometry's"),
+    *("rotation", "coverage", "AbsRel", "SSIM", "shift", "matches kept", "KL"),
 )
 
 
@@ -55,36 +58,50 @@ class Row:
 
     Attributes:
         labels: the first columns.
-        bundle, depth: a build, and its depth on the walk.
-        runs: one a seed.
+        bundles, depths: one a build, and its depth on the walk.
+        runs: one a seed; that of seed s is in build s modulo their number.
     """
 
     labels: tuple[str, ...]
     split: Split
     walk: Walk
-    bundle: Task
-    depth: Task
+    bundles: list[Task]
+    depths: list[Task]
     runs: list[Task]
 
 
 def rows_of(study: Study, arguments: argparse.Namespace) -> list[Row]:
     rows = []
-    for name, network, split, motion in product(arguments.study, arguments.network, study.splits, arguments.motion):
-        walk = split.walks[usual_light(split)]
+    for name, network, split, light, motion in product(
+        arguments.study, arguments.network, study.splits, arguments.light, arguments.motion
+    ):
+        walk = split.walks[light]
         for variant, (tuned, changed) in STUDIES[name].items():
-            bundle = tasks.bundle(study, split, network, tuned, **changed)
-            depth = depth_of_variant(tuned, bundle, walk)
-            runs = [tasks.run(bundle, walk, seed, motion) for seed in range(arguments.seeds)]
-            rows.append(Row((name, network, split.name, motion, variant), split, walk, bundle, depth, runs))
+            bundles = [
+                tasks.bundle(study, split, network, tuned, seed=build, **changed) for build in range(arguments.builds)
+            ]
+            depths = [depth_of_variant(tuned, bundle, walk) for bundle in bundles]
+            runs = [tasks.run(bundles[seed % len(bundles)], walk, seed, motion) for seed in range(arguments.seeds)]
+            labels = (name, network, split.name, light, motion, variant)
+            rows.append(Row(labels, split, walk, bundles, depths, runs))
     return rows
 
 
 def cells_of(row: Row, results: Results) -> list[str]:
-    """Medians over seeds; the position's smallest and largest in brackets, and the worst ratio to odometry."""
-    build, figures = results[row.bundle].figures, [results[run].figures for run in row.runs]
+    """Medians over seeds and builds; in brackets the least and largest position, the worst ratio to odometry."""
+    figures = [results[run].figures for run in row.runs]
     position = [100.0 * figure["unseen_ate_median_m"] for figure in figures]
-    absrel, ssim = (mean_depth(results[row.depth], row.split, row.walk, metric) for metric in ("absrel", "ssim"))
-    rmse, rotation = (np.median([figure[name] for figure in figures]) for name in (RMSE, ROTATION))
+    absrel, ssim = (
+        np.median([mean_depth(results[depth], row.split, row.walk, metric) for depth in row.depths])
+        for metric in ("absrel", "ssim")
+    )
+    rmse, rotation, coverage = (
+        np.median([figure[name] for figure in figures]) for name in (RMSE, ROTATION, "unseen_coverage_95")
+    )
+    shift, kept, kl = (
+        np.median([results[bundle].figures[name] for bundle in row.bundles])
+        for name in ("shift_median_m", "correspondence_kept", "kl")
+    )
     # Without odometry there is nothing to compare with.
     ratios = [figure[RMSE] / figure[FROM_SAME_START] for figure in figures if figure.get(FROM_SAME_START)]
     return [
@@ -93,11 +110,12 @@ def cells_of(row: Row, results: Results) -> list[str]:
         f"{100.0 * rmse:.1f} cm",
         f"{np.median(ratios):.2f} ({max(ratios):.2f})" if ratios else "",
         f"{rotation:.1f}°",
+        f"{coverage:.2f}",
         f"{100.0 * absrel:.1f} %",
         f"{ssim:.3f}",
-        f"{100.0 * build['shift_median_m']:.1f} cm",
-        f"{build['correspondence_kept']:.3f}",
-        f"{build['kl']:.2f}",
+        f"{100.0 * shift:.1f} cm",
+        f"{kept:.3f}",
+        f"{kl:.2f}",
     ]
 
 
@@ -108,13 +126,15 @@ def main() -> None:
     parser.add_argument("--study", nargs="+", choices=list(STUDIES), default=["annealing", "rates"])
     parser.add_argument("--network", nargs="+", default=[DEFAULT])
     parser.add_argument("--motion", nargs="+", choices=MOTIONS, default=["visual"])
+    parser.add_argument("--light", nargs="+", default=["as taken"], help="as taken, L1, L2 or L3")
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--builds", type=int, default=1)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     arguments = parser.parse_args()
     source = absolute_source(f"7scenes:{arguments.data}/7scenes/redkitchen")
     recording = open_recording(source)
     rows = rows_of(recorded(source, recording.name, len(recording), quick=False), arguments)
-    wanted = [task for row in rows for task in (*row.runs, row.depth)]
+    wanted = [task for row in rows for task in (*row.runs, *row.depths)]
     arguments.out.mkdir(parents=True, exist_ok=True)
     progress = ConsoleProgress(Console(stderr=True))
     results = carry_out(wanted, arguments.out.resolve(), progress, arguments.workers)

@@ -23,7 +23,7 @@ from torch.nn import functional as F
 
 from monoloc.adapt import warp
 from monoloc.adapt.map_depth import supervision
-from monoloc.adapt.reference import draw_nearest
+from monoloc.adapt.reference import draw_points
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.train import Adaptation
 from monoloc.adapt.transform import AdaptedMap, MapTransform
@@ -105,7 +105,7 @@ def main() -> None:
         return (time.perf_counter() - began) / _VIEWS
 
     few = select_frames(recording, f"::{len(recording) // 5}")
-    plain = SimpleNamespace(draw_nearest=draw_nearest)
+    plain = SimpleNamespace(draw_points=draw_points)
     ways: dict[str, tuple[str, ...]] = {
         "as it is": (),
         **{f"without: {name}": (name,) for name in _PLAIN},

@@ -27,6 +27,7 @@ from monoloc.adapt.calibrate import Sample, calibrate, slow_sd
 from monoloc.adapt.hold_out import hold_out_blocks, hold_out_regions
 from monoloc.adapt.map_depth import map_depth
 from monoloc.adapt.objective import matched_kl, ray_log_likelihood
+from monoloc.adapt.pose_step import pose_step_loss, pose_steps
 from monoloc.adapt.run import adapt
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.train import Adaptation, Score
@@ -888,7 +889,8 @@ def test_tuning_fits_depth_and_repeats(
 ) -> None:
     states = []
     for _ in range(2):
-        adaptation = start_adaptation(mapped_room, tune=tune, lambda_kl=0.1, inflation_m=0.1)
+        # So small a network learns little of depth while it learns of poses.
+        adaptation = start_adaptation(mapped_room, tune=tune, lambda_kl=0.1, inflation_m=0.1, pose_weight=0.0)
         adaptation.fit_bias(views)
         before = adaptation.score(views, 0)
         adaptation.run(views, {"last": 80, "decoder": 80, "all": 12}[tune], generator())
@@ -900,6 +902,19 @@ def test_tuning_fits_depth_and_repeats(
         assert after.depth_loss < before.depth_loss
     for name, tensor in states[0].items():
         torch.testing.assert_close(states[1][name], tensor, rtol=0.0, atol=0.0)
+
+
+def test_errors_that_would_move_the_camera_are_learned_away(
+    mapped_room: tuple[GaussianMixture, FloatArray], views: Views
+) -> None:
+    truth = views.output_depth_m
+    steps = pose_steps(truth[:, 0].numpy(), views.rays)
+    lengths = []
+    for weight in (0.0, 3.0):
+        adaptation = start_adaptation(mapped_room, map_transform=False, pose_weight=weight)
+        adaptation.run(views, 60, generator())
+        lengths.append(pose_step_loss(adaptation.predict(views), truth, steps).item())
+    assert lengths[1] < 0.95 * lengths[0]
 
 
 @pytest.mark.parametrize("tune", ["last", "decoder", "all"])
@@ -966,6 +981,7 @@ VARIANTS = {
         "tune": "decoder",
         "lambda_kl": 0.0,
         "depth_weight": 0.0,
+        "pose_weight": 0.0,
         "likelihood_weight": 1.0,
         "steps": 120,
         "batch_views": 4,
@@ -975,6 +991,7 @@ VARIANTS = {
         "tune": "all",
         "lambda_kl": 0.0,
         "depth_weight": 0.0,
+        "pose_weight": 0.0,
         "likelihood_weight": 1.0,
         "steps": 120,
         "batch_views": 4,

@@ -30,7 +30,8 @@ using Floats = Array<float, nb::shape<-1>>;
 using FloatVectors = Array<float, nb::shape<-1, 3>>;
 using Images = Array<std::uint16_t, nb::shape<-1, -1, -1, -1>>;
 using WritableImages = nb::ndarray<std::uint16_t, nb::shape<-1, -1, -1, -1>, nb::c_contig, nb::device::cpu>;
-using WritableKeys = nb::ndarray<std::uint64_t, nb::shape<-1, -1>, nb::c_contig, nb::device::cpu>;
+using WritableNumbers = nb::ndarray<std::uint32_t, nb::shape<-1, -1>, nb::c_contig, nb::device::cpu>;
+using WritableDepth = nb::ndarray<float, nb::shape<-1, -1>, nb::c_contig, nb::device::cpu>;
 using Result = nb::ndarray<nb::numpy, double>;
 
 // A NumPy array that owns the values.
@@ -118,13 +119,14 @@ void max_pool_gradient(const Images& gradient, const Images& from, std::size_t t
                              out.data());
 }
 
-void draw_nearest(const Vectors& points, const Pose& camera_from_world, const Array<double, nb::shape<9>>& camera,
-                  const Array<double, nb::shape<3>>& sight, std::uint32_t first, const WritableKeys& nearest) {
+void draw_points(const Vectors& points, const Pose& camera_from_world, const Array<double, nb::shape<9>>& camera,
+                 const Array<double, nb::shape<3>>& sight, double behind, const WritableNumbers& front,
+                 const WritableDepth& depth) {
   const double *c = camera.data(), *s = sight.data();
   nb::gil_scoped_release release;
-  monoloc::draw_nearest(points.data(), points.shape(0), camera_from_world.data(),
-                        {c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8]}, {s[0], s[1], s[2]}, first,
-                        nearest.shape(0) - 2, nearest.shape(1) - 2, nearest.data());
+  monoloc::draw_points(points.data(), points.shape(0), camera_from_world.data(),
+                       {c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8]}, {s[0], s[1], s[2]}, behind,
+                       front.shape(0), front.shape(1), front.data(), depth.data());
 }
 
 }  // namespace
@@ -139,8 +141,8 @@ NB_MODULE(_core, m) {
         "from_"_a.noconvert());
   m.def("max_pool_gradient", &max_pool_gradient, "gradient"_a, "from_"_a, "threads"_a,
         "out"_a.noconvert());
-  m.def("draw_nearest", &draw_nearest, "points"_a, "camera_from_world"_a, "camera"_a, "sight"_a, "first"_a,
-        "nearest"_a.noconvert());
+  m.def("draw_points", &draw_points, "points"_a, "camera_from_world"_a, "camera"_a, "sight"_a, "behind"_a,
+        "front"_a.noconvert(), "depth"_a.noconvert());
   m.def("instruction_set", [] { return monoloc::kernels().name; });
   m.def(
       "multiply_add",

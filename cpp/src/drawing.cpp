@@ -1,28 +1,43 @@
 #include "monoloc/drawing.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstring>
+#include <vector>
 
 namespace monoloc {
 namespace {
 
-// Positive floats are ordered as their bits are.
-std::uint64_t to_key(double depth, std::uint32_t number) {
-  const auto single = static_cast<float>(depth);
+constexpr std::uint64_t kNothing = ~std::uint64_t{0};
+
+// Positive floats are ordered as their bits are; below them the point's number.
+std::uint64_t to_key(float depth, std::uint32_t number) {
   std::uint32_t bits;
-  std::memcpy(&bits, &single, sizeof bits);
+  std::memcpy(&bits, &depth, sizeof bits);
   return (static_cast<std::uint64_t>(bits) << 32) | number;
 }
 
-}  // namespace
+float depth_of(std::uint64_t key) {
+  const auto bits = static_cast<std::uint32_t>(key >> 32);
+  float depth;
+  std::memcpy(&depth, &bits, sizeof depth);
+  return depth;
+}
 
-void draw_nearest(const double* points, std::size_t count, const double* camera_from_world, const Pinhole& camera,
-                  const Sight& sight, std::uint32_t first, std::size_t rows, std::size_t columns,
-                  std::uint64_t* nearest) {
+// A point that is seen: the first of the four pixels that it covers, in an image with a margin of one pixel on every
+// side, and its depth.
+struct Seen {
+  std::uint32_t corner, number;
+  float depth;
+};
+
+std::vector<Seen> project(const double* points, std::size_t count, const double* camera_from_world,
+                          const Pinhole& camera, const Sight& sight, std::size_t rows, std::size_t columns) {
   const double* m = camera_from_world;  // (4, 4), row by row
   const auto most_u = static_cast<double>(columns), most_v = static_cast<double>(rows);
-  const std::size_t stride = columns + 2;
+  std::vector<Seen> seen;
+  seen.reserve(count);
   for (std::size_t i = 0; i < count; ++i) {
     const double* p = points + 3 * i;
     const double z = m[8] * p[0] + m[9] * p[1] + m[10] * p[2] + m[11];
@@ -36,10 +51,49 @@ void draw_nearest(const double* points, std::size_t count, const double* camera_
     const double bent_y = y * radial + camera.p1 * (r2 + 2.0 * y * y) + 2.0 * camera.p2 * x * y;
     const double u = std::floor(bent_x * camera.fx + camera.cx), v = std::floor(bent_y * camera.fy + camera.cy);
     if (!(u >= -1.0 && v >= -1.0 && u < most_u && v < most_v)) continue;
-    const std::uint64_t key = to_key(z, first + static_cast<std::uint32_t>(i));
-    std::uint64_t* corner = nearest + static_cast<std::size_t>(v + 1.0) * stride + static_cast<std::size_t>(u + 1.0);
-    for (std::uint64_t* pixel : {corner, corner + 1, corner + stride, corner + stride + 1}) {
-      *pixel = std::min(*pixel, key);
+    const std::size_t corner = static_cast<std::size_t>(v + 1.0) * (columns + 2) + static_cast<std::size_t>(u + 1.0);
+    seen.push_back({static_cast<std::uint32_t>(corner), static_cast<std::uint32_t>(i), static_cast<float>(z)});
+  }
+  return seen;
+}
+
+}  // namespace
+
+void draw_points(const double* points, std::size_t count, const double* camera_from_world, const Pinhole& camera,
+                 const Sight& sight, double behind, std::size_t rows, std::size_t columns, std::uint32_t* front,
+                 float* depth) {
+  const std::size_t stride = columns + 2, size = (rows + 2) * stride;
+  const std::array<std::size_t, 4> covered{0, 1, stride, stride + 1};
+  const std::vector<Seen> seen = project(points, count, camera_from_world, camera, sight, rows, columns);
+
+  std::vector<std::uint64_t> nearest(size, kNothing);
+  for (const Seen& point : seen) {
+    const std::uint64_t key = to_key(point.depth, point.number);
+    for (const std::size_t step : covered) nearest[point.corner + step] = std::min(nearest[point.corner + step], key);
+  }
+
+  struct Sum {
+    float farthest, total, number;
+  };
+  std::vector<Sum> sums(size, Sum{0.0f, 0.0f, 0.0f});
+  const auto reach = static_cast<float>(1.0 + behind);
+  for (std::size_t pixel = 0; pixel < size; ++pixel) {
+    if (nearest[pixel] != kNothing) sums[pixel].farthest = reach * depth_of(nearest[pixel]);
+  }
+  for (const Seen& point : seen) {
+    for (const std::size_t step : covered) {
+      Sum& sum = sums[point.corner + step];
+      const float counts = point.depth <= sum.farthest ? 1.0f : 0.0f;
+      sum.total += counts * point.depth;
+      sum.number += counts;
+    }
+  }
+
+  for (std::size_t row = 0; row < rows; ++row) {
+    for (std::size_t column = 0; column < columns; ++column) {
+      const std::size_t pixel = (row + 1) * stride + column + 1, out = row * columns + column;
+      front[out] = static_cast<std::uint32_t>(nearest[pixel]);  // of kNothing, kNoPoint
+      depth[out] = sums[pixel].number > 0.0f ? sums[pixel].total / sums[pixel].number : 0.0f;
     }
   }
 }

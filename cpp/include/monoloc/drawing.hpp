@@ -18,13 +18,14 @@ struct Sight {
   double least_depth, most_x, most_y;
 };
 
-constexpr std::uint64_t kNothing = ~std::uint64_t{0};
+constexpr std::uint32_t kNoPoint = ~std::uint32_t{0};
 
-// Draws points, each on the four pixels about it, into an image of keys with a margin of one pixel on every side. A
-// key is the depth's bits as a float, and below them the point's number, `first` for the first: the least key is the
-// nearest point's, and of several as near the first's. `nearest`, (rows + 2) * (columns + 2), begins as kNothing.
-void draw_nearest(const double* points, std::size_t count, const double* camera_from_world, const Pinhole& camera,
-                  const Sight& sight, std::uint32_t first, std::size_t rows, std::size_t columns,
-                  std::uint64_t* nearest);
+// Draws points, each on the four pixels about it, into images of (rows, columns) pixels. `front` takes the number of the
+// nearest of those that cover a pixel, of several as near the first's, or kNoPoint; `depth` the mean depth of those that
+// lie no farther behind the nearest than the share `behind` of its depth, or 0: they are of one surface, and the nearest
+// of many that err, or of a slanted surface, is too near. There are fewer than 2^32 points and pixels.
+void draw_points(const double* points, std::size_t count, const double* camera_from_world, const Pinhole& camera,
+                 const Sight& sight, double behind, std::size_t rows, std::size_t columns, std::uint32_t* front,
+                 float* depth);
 
 }  // namespace monoloc

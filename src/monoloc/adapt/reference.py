@@ -8,29 +8,32 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 from monoloc.geometry import FloatArray, transform
 
+NO_POINT = 0xFFFFFFFF
+_DOWN, _ACROSS = (0, 0, 1, 1), (0, 1, 0, 1)  # to the four pixels about a point
 
-def draw_nearest(
+
+def draw_points(
     points: FloatArray,
     camera_from_world: FloatArray,
     camera: FloatArray,
     sight: FloatArray,
-    first: int,
-    nearest: NDArray[np.uint64],
+    behind: float,
+    front: NDArray[np.uint32],
+    depth: NDArray[np.float32],
 ) -> None:
-    """Draw points, each on the four pixels about it, into keys of which the least is the nearest point's.
-
-    A key is the depth's bits as a float32, which for positive numbers are ordered as these are, and below them the
-    point's number.
+    """Draw points, each on the four pixels about it: the number of the nearest, and the depth of its surface.
 
     Args:
         points: (N, 3) world frame, metres.
         camera_from_world: (4, 4).
         camera: fx, fy, cx, cy, k1, k2, p1, p2, k3.
         sight: see :meth:`monoloc.camera.Camera.sight`.
-        first: number of the first point.
-        nearest: (height + 2, width + 2), with a margin of one pixel; changed in place.
+        behind: points that lie no farther behind the nearest than this share of its depth are of its surface.
+        front: (height, width), takes the number of the nearest point that covers a pixel, of several as near the
+            first's; 2^32 - 1 where there is none.
+        depth: (height, width), takes the mean depth of those of its surface, 0 where there is none.
     """
-    height, width = nearest.shape[0] - 2, nearest.shape[1] - 2
+    height, width = front.shape
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = camera.tolist()
     pinhole = Camera(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
     in_camera = transform(camera_from_world, points)
@@ -39,10 +42,19 @@ def draw_nearest(
     seen = np.flatnonzero((z > least_m) & (np.abs(x) < most_x * z) & (np.abs(y) < most_y * z))
     u, v = np.floor(pinhole.project(in_camera[seen])).T
     inside = (u >= -1.0) & (v >= -1.0) & (u < width) & (v < height)
-    index = seen[inside]
-    depth_bits = in_camera[index, 2].astype(np.float32).view(np.uint32).astype(np.uint64)
-    keys = (depth_bits << np.uint64(32)) | (first + index).astype(np.uint64)
-    rows, columns = v[inside].astype(np.int64) + 1, u[inside].astype(np.int64) + 1
-    for row in (0, 1):
-        for column in (0, 1):
-            np.minimum.at(nearest, (rows + row, columns + column), keys)
+    # Every point four times, once a pixel that it covers, in an image with a margin of one pixel.
+    number = np.tile(seen[inside], 4)
+    rows = np.concatenate([v[inside].astype(np.int64) + 1 + down for down in _DOWN])
+    columns = np.concatenate([u[inside].astype(np.int64) + 1 + across for across in _ACROSS])
+    z = in_camera[number, 2].astype(np.float32)
+    nearest = np.full((height + 2, width + 2), np.inf, dtype=np.float32)
+    np.minimum.at(nearest, (rows, columns), z)
+    first = np.full(nearest.shape, NO_POINT, dtype=np.int64)
+    is_nearest = z == nearest[rows, columns]
+    np.minimum.at(first, (rows[is_nearest], columns[is_nearest]), number[is_nearest])
+    of_surface = z <= np.float32(1.0 + behind) * nearest[rows, columns]
+    total, count = np.zeros(nearest.shape), np.zeros(nearest.shape)
+    np.add.at(total, (rows[of_surface], columns[of_surface]), z[of_surface])
+    np.add.at(count, (rows[of_surface], columns[of_surface]), 1)
+    front[:] = first[1:-1, 1:-1]
+    depth[:] = (total / np.maximum(count, 1))[1:-1, 1:-1]

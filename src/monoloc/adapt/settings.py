@@ -33,8 +33,8 @@ class AdaptConfig(BaseModel):
         relit_share: share of a step's views that are seen in another light, down to a sixteenth and less (for
             ``all``): what is tuned in good light alone forgets the dark.
         network_rate, map_rate: Adam's learning rates; None is what suits ``tune``.
-        likelihood_weight, depth_weight: weights of the ray likelihood and, for ``decoder`` and ``all``, of the depth
-            loss.
+        likelihood_weight, depth_weight, pose_weight: weights of the ray likelihood and, for ``decoder`` and ``all``,
+            of the depth loss and of the steps that errors of depth would make the camera take.
         outlier_share: epsilon of the ray likelihood.
         inflation_m: standard deviation added to the map's components at the start, annealed to zero: it gives
             far-off depth a gradient.
@@ -54,6 +54,7 @@ class AdaptConfig(BaseModel):
     map_rate: float = Field(1e-3, gt=0.0)
     likelihood_weight: float = Field(0.05, ge=0.0)
     depth_weight: float = Field(1.0, ge=0.0)
+    pose_weight: float = Field(1.0, ge=0.0)
     outlier_share: float = Field(0.1, gt=0.0, lt=1.0)
     inflation_m: float = Field(0.3, ge=0.0)
 

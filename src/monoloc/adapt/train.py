@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from monoloc.adapt.objective import matched_kl, ray_log_likelihood
+from monoloc.adapt.pose_step import pose_step_loss, pose_steps
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.transform import AdaptedMap
 from monoloc.adapt.views import Views
@@ -97,6 +98,8 @@ class Adaptation:
         self.fit_bias(training)
         frozen = self._frozen(training, np.random.default_rng(generator.initial_seed()))
         odds = training.odds
+        poses_weigh = self.config.by_depth and self.config.pose_weight > 0.0
+        pose_step = pose_steps(training.output_depth_m[:, 0].numpy(), training.rays) if poses_weigh else None
         optimizer = torch.optim.Adam(
             [
                 {
@@ -116,7 +119,9 @@ class Adaptation:
             if self.config.tune == "all":
                 is_relit = torch.rand(len(chosen), generator=generator) < self.config.relit_share
                 shown = chosen + len(training) * is_relit
-            loss = self._loss(training[chosen], [part[shown] for part in frozen], step, steps, generator)
+            inputs = [part[shown] for part in frozen]
+            moves = None if pose_step is None else pose_step[chosen]
+            loss = self._loss(training[chosen], inputs, moves, step, steps, generator)
             optimizer.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]
             optimizer.step()
@@ -143,7 +148,7 @@ class Adaptation:
         if self.config.tune == "none":
             return
         whole = views[torch.nonzero(views.whole).ravel()]
-        ratio = _log_ratio(self.predict(whole), whole.depth_m)
+        ratio = _log_ratio(self.predict(whole), whole.output_depth_m)
         assert self.network.head.bias is not None
         if ratio.numel():
             self.network.head.bias += ratio.median()
@@ -158,7 +163,7 @@ class Adaptation:
         log_depth = self.predict(views)
         means, covariances = self.map()
         nll = -self._log_likelihood(log_depth, views, means, covariances, None).mean()
-        ratio = _log_ratio(log_depth, views.depth_m)
+        ratio = _log_ratio(log_depth, views.output_depth_m)
         absrel = (torch.expm1(-ratio)).abs().mean() if ratio.numel() else torch.tensor(float("nan"))
         loss = depth_loss(log_depth, views.depth_m, LossConfig(gradient=0.0))
         return Score(step, float(nll), float(loss), float(absrel))
@@ -177,7 +182,15 @@ class Adaptation:
             return self.config.depth_weight * score.depth_loss + self.config.likelihood_weight * score.nll
         return score.nll
 
-    def _loss(self, views: Views, inputs: list[Tensor], step: int, steps: int, generator: torch.Generator) -> Tensor:
+    def _loss(
+        self,
+        views: Views,
+        inputs: list[Tensor],
+        moves: Tensor | None,
+        step: int,
+        steps: int,
+        generator: torch.Generator,
+    ) -> Tensor:
         config, done = self.config, step / steps
         features = self._features(inputs)
         log_depth = self.network.head(features) + views.log_focal_ratio
@@ -194,6 +207,8 @@ class Adaptation:
             # The gradient term keeps planes smooth and steps sharp while the decoder moves.
             of_depth = depth_loss(log_depth, views.depth_m, LossConfig(scale_invariant=0.5))
             loss = config.depth_weight * of_depth - config.likelihood_weight * fit
+            if moves is not None:
+                loss = loss + config.pose_weight * pose_step_loss(log_depth, views.output_depth_m, moves)
             if self.network.error_head is not None:
                 # Features move, so what is read from them must follow.
                 loss = loss + laplace_loss(log_depth, self.network.error_head(features.detach()), views.depth_m)
@@ -264,8 +279,6 @@ def _batches(colors: NDArray[np.uint8]) -> Iterator[Tensor]:
 
 
 def _log_ratio(log_depth: Tensor, truth: Tensor) -> Tensor:
-    """Log of true over predicted depth at pixels with truth, (n,); the truth is read at the output's resolution."""
-    # Block corners nearest to the centres of the output's pixels.
-    coarse = truth[..., 1::2, 1::2]
-    valid = coarse > 0.0
-    return torch.log(coarse[valid]) - log_depth[valid]
+    """Log of true over predicted depth at pixels with truth, (n,)."""
+    valid = truth > 0.0
+    return torch.log(truth[valid]) - log_depth[valid]

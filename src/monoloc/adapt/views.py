@@ -57,6 +57,18 @@ class Views:
         return self.poses[:, :3, 3]
 
     @property
+    def rays(self) -> FloatArray:
+        """(h, w, 3) directions of the output's pixels with z = 1, camera frame: the same for all views."""
+        height, width = self.output_depth_m.shape[-2:]
+        return (self.rays_world[0] @ self.poses[0, :3, :3]).reshape(height, width, 3).numpy()
+
+    @property
+    def output_depth_m(self) -> Tensor:
+        """(V, 1, h, w) supervision at the output's resolution, 0 where there is none."""
+        # Block corners nearest to the centres of the output's pixels.
+        return self.depth_m[..., 1::2, 1::2]
+
+    @property
     def odds(self) -> Tensor:
         """(V,) how often each view is to be learned from, which adds up to one."""
         if self.whole.all():

@@ -17,7 +17,7 @@ from monoloc.geometry import FloatArray, invert, transform
 
 _FINE = 2  # points are drawn at this many times the view's size and averaged down
 _DEPTH_JUMP = 0.1  # pixels beside a larger one lie on neither surface and are left behind
-_NOTHING = np.uint64(0xFFFFFFFFFFFFFFFF)
+_SAME_SURFACE = 0.05  # points no farther behind the nearest, as a share of its depth, are of one surface with it
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,10 @@ def points_of(
 def forward_warp(
     sources: Sequence[ColoredPoints], T_world_camera: FloatArray, camera: Camera
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """What a camera at another pose would see of them; the nearest point wins in every pixel.
+    """What a camera at another pose would see of them; in every pixel the nearest surface's.
+
+    Its colour is the nearest point's, its depth the mean of all its points': the nearest of many that err, each by a
+    sensor's noise and its frame's pose, would be too near, by 0.6 % in a real room.
 
     Args:
         sources: at least one.
@@ -59,18 +62,13 @@ def forward_warp(
     """
     fine = camera.resized(camera.width * _FINE, camera.height * _FINE)
     lens, sight = np.array([fine.fx, fine.fy, fine.cx, fine.cy, *fine.distortion]), np.array(fine.sight())
-    T_camera_world = invert(T_world_camera)
-    nearest = np.full((fine.height + 2, fine.width + 2), _NOTHING)  # with a margin of one
-    first = 0
-    for source in sources:
-        # A point covers the four pixels about it, so that surfaces that come closer do not fall apart.
-        _core.draw_nearest(source.points, T_camera_world, lens, sight, first, nearest)
-        first += len(source.points)
-    drawn = nearest[1:-1, 1:-1]
-    known = drawn != _NOTHING
-    depth_m = np.where(known, (drawn >> np.uint64(32)).astype(np.uint32).view(np.float32), np.float32(0.0))
+    points = np.concatenate([source.points for source in sources])
     colors = np.concatenate([*(source.colors for source in sources), np.zeros((1, 3), dtype=np.uint8)])
-    image = np.take(colors, np.where(known, drawn & np.uint64(0xFFFFFFFF), np.uint64(first)).astype(np.int64), axis=0)
+    front = np.empty((fine.height, fine.width), dtype=np.uint32)
+    depth_m = np.empty((fine.height, fine.width), dtype=np.float32)
+    # A point covers the four pixels about it, so that surfaces that come closer do not fall apart.
+    _core.draw_points(points, invert(T_world_camera), lens, sight, _SAME_SURFACE, front, depth_m)
+    image = np.take(colors, np.minimum(front, len(points)), axis=0)
     return _averaged(image, depth_m, camera)
 
 
@@ -94,7 +92,7 @@ def halved(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
     """
     depth_m = np.where(depth_m > 0.0, depth_m, np.float32(np.inf))
     corners = [depth_m[row::2, column::2] for row in (0, 1) for column in (0, 1)]
-    farthest = (1.0 + _DEPTH_JUMP / 2.0) * reduce(np.minimum, corners)
+    farthest = (1.0 + _SAME_SURFACE) * reduce(np.minimum, corners)
     total, count = np.zeros(farthest.shape, dtype=np.float32), np.zeros(farthest.shape, dtype=np.float32)
     for corner in corners:
         on_surface = np.isfinite(corner) & (corner <= farthest)
