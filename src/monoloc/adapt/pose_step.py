@@ -17,14 +17,14 @@ from monoloc.geometry import FloatArray
 _DEPTH_SD = 0.08  # of log-depth, as small networks err once they are tuned
 _SURFACE_SD_M = 0.03  # across a surface: what a map of a few hundred components knows of it
 _INDEPENDENT = 30.0  # points that an image is worth, for its errors go together
-_PRIOR_SD = np.repeat([0.1, 0.1], 3)  # what is known of a pose without the scan, m and rad
+_PRIOR_SD = 0.1  # of what is known of a pose without the scan, m and rad
 _DEPTH_JUMP = 0.2  # of log-depth from one pixel to the next but one; beyond it there are two surfaces
 _LEAST_COSINE = 0.15  # between ray and normal
 _MOST_ERROR = 0.3  # of log-depth; more of it moves a pose no farther, as in the filter
 _ROUNDING = 1e-6  # m^2: a length has no gradient at zero
 
 
-def pose_steps(depth_m: NDArray[np.float32], rays: FloatArray) -> Tensor:
+def pose_steps(depth_m: NDArray[np.float32], rays: FloatArray, prior_sd: float = _PRIOR_SD) -> Tensor:
     """Matrices that take a view's errors of log-depth to the camera's step: (V, h, w), (h, w, 3) -> (V, 6, h * w).
 
     Where a surface with normal n is seen at x, a motion (v, w) of the camera changes the logarithm of the depth along
@@ -35,14 +35,15 @@ def pose_steps(depth_m: NDArray[np.float32], rays: FloatArray) -> Tensor:
     Args:
         depth_m: true depth, 0 where there is none.
         rays: of its pixels, camera frame, with z = 1.
+        prior_sd: how far a pose may be off that the scan does not tell, m and rad.
 
     Returns:
         Rows are a twist in the camera's frame, metres and radians; columns of pixels that tell nothing are zero.
     """
-    return torch.from_numpy(np.stack([_pose_step(depth, rays).astype(np.float32) for depth in depth_m]))
+    return torch.from_numpy(np.stack([_pose_step(depth, rays, prior_sd).astype(np.float32) for depth in depth_m]))
 
 
-def _pose_step(depth_m: NDArray[np.float32], rays: FloatArray) -> FloatArray:
+def _pose_step(depth_m: NDArray[np.float32], rays: FloatArray, prior_sd: float) -> FloatArray:
     points = rays * depth_m[..., None].astype(np.float64)
     normals = np.zeros_like(points)
     across, down = points[1:-1, 2:] - points[1:-1, :-2], points[2:, 1:-1] - points[:-2, 1:-1]
@@ -60,7 +61,7 @@ def _pose_step(depth_m: NDArray[np.float32], rays: FloatArray) -> FloatArray:
     along_m = distance.ravel()[chosen] * cosine.ravel()[chosen]
     weight = _INDEPENDENT / len(chosen) / (_DEPTH_SD**2 + (_SURFACE_SD_M / along_m) ** 2)
     weighted = jacobian * weight[:, None]
-    step[:, chosen] = np.linalg.solve(jacobian.T @ weighted + np.diag(_PRIOR_SD**-2.0), weighted.T)
+    step[:, chosen] = np.linalg.solve(jacobian.T @ weighted + prior_sd**-2.0 * np.eye(6), weighted.T)
     return step
 
 
@@ -77,8 +78,8 @@ def _is_one_surface(depth_m: NDArray[np.float32]) -> NDArray[np.bool_]:
     return inner
 
 
-def pose_step_loss(log_depth: Tensor, depth_m: Tensor, steps: Tensor) -> Tensor:
-    """Mean length of the steps that a prediction's errors would cause, a radian counted as a metre.
+def pose_twists(log_depth: Tensor, depth_m: Tensor, steps: Tensor) -> Tensor:
+    """The steps that a prediction's errors would cause, (B, 6) twists in the camera's frame.
 
     Args:
         log_depth: (B, 1, h, w) predicted.
@@ -86,5 +87,10 @@ def pose_step_loss(log_depth: Tensor, depth_m: Tensor, steps: Tensor) -> Tensor:
         steps: (B, 6, h * w), of :func:`pose_steps` for the same depth.
     """
     error = torch.where(depth_m > 0.0, log_depth - depth_m.clamp(min=1e-3).log(), 0.0)
-    twists = (steps @ error.clamp(-_MOST_ERROR, _MOST_ERROR).flatten(1)[..., None])[..., 0]
+    return (steps @ error.clamp(-_MOST_ERROR, _MOST_ERROR).flatten(1)[..., None])[..., 0]
+
+
+def pose_step_loss(log_depth: Tensor, depth_m: Tensor, steps: Tensor) -> Tensor:
+    """Mean length of :func:`pose_twists`, a radian counted as a metre."""
+    twists = pose_twists(log_depth, depth_m, steps)
     return (twists.square().sum(1) + _ROUNDING).sqrt().mean()
