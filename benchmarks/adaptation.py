@@ -1,11 +1,12 @@
-"""What a setting of adaptation is worth on RedKitchen, where ``monoloc reproduce`` has no figure of it.
+"""What a setting of adaptation is worth, where ``monoloc reproduce`` has no figure of it.
 
     python benchmarks/adaptation.py --data ../shared/data --out runs/adaptation --study annealing rates
     python benchmarks/adaptation.py --out runs/adaptation --study variants --network full-0.35 one-third-0.35 \
         --motion visual random-walk --seeds 10
     python benchmarks/adaptation.py --out runs/adaptation --study default --builds 5 --seeds 5
+    python benchmarks/adaptation.py --out runs/adaptation --study default --builtin --light L1 L2 L3
 
-The splits are those of ``monoloc reproduce``, whose engine does the work: what is there is not done again, and
+RedKitchen, or the rendered room that comes with monoloc. The splits are those of ``monoloc reproduce``, whose engine does the work: what is there is not done again, and
 results of its own ``--out`` serve here too.
 """
 
@@ -26,7 +27,7 @@ from monoloc.experiments import tasks
 from monoloc.experiments.engine import carry_out
 from monoloc.experiments.fig4d import FROM_SAME_START
 from monoloc.experiments.gather import RMSE, ROTATION, depth_of_variant, mean_depth
-from monoloc.experiments.study import Split, Study, Walk, recorded
+from monoloc.experiments.study import Split, Study, Walk, builtin, recorded
 from monoloc.experiments.task import Results, Task
 from monoloc.models import DEFAULT
 from monoloc.progress import ConsoleProgress
@@ -122,18 +123,23 @@ def cells_of(row: Row, results: Results) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
+    parser.add_argument("--builtin", action="store_true", help="the rendered room in place of RedKitchen")
     parser.add_argument("--out", type=Path, default=Path("runs/adaptation"))
     parser.add_argument("--study", nargs="+", choices=list(STUDIES), default=["annealing", "rates"])
     parser.add_argument("--network", nargs="+", default=[DEFAULT])
     parser.add_argument("--motion", nargs="+", choices=MOTIONS, default=["visual"])
-    parser.add_argument("--light", nargs="+", default=["as taken"], help="as taken, L1, L2 or L3")
+    parser.add_argument("--light", nargs="+", default=["as taken"], help="as taken (RedKitchen only), L1, L2 or L3")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--builds", type=int, default=1)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     arguments = parser.parse_args()
-    source = absolute_source(f"7scenes:{arguments.data}/7scenes/redkitchen")
-    recording = open_recording(source)
-    rows = rows_of(recorded(source, recording.name, len(recording), quick=False), arguments)
+    if arguments.builtin:
+        study = builtin(quick=False)
+    else:
+        source = absolute_source(f"7scenes:{arguments.data}/7scenes/redkitchen")
+        recording = open_recording(source)
+        study = recorded(source, recording.name, len(recording), quick=False)
+    rows = rows_of(study, arguments)
     wanted = [task for row in rows for task in (*row.runs, *row.depths)]
     arguments.out.mkdir(parents=True, exist_ok=True)
     progress = ConsoleProgress(Console(stderr=True))
