@@ -6,8 +6,8 @@
     python benchmarks/adaptation.py --out runs/adaptation --study default --builds 5 --seeds 5
     python benchmarks/adaptation.py --out runs/adaptation --study default --builtin --light L1 L2 L3
 
-RedKitchen, or the rendered room that comes with monoloc. The splits are those of ``monoloc reproduce``, whose engine does the work: what is there is not done again, and
-results of its own ``--out`` serve here too.
+RedKitchen, or the rendered room that comes with monoloc. The splits are those of ``monoloc reproduce``, whose engine
+does the work: what is there is not done again, and results of its own ``--out`` serve here too.
 """
 
 from __future__ import annotations
