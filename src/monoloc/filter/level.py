@@ -38,7 +38,7 @@ class LevelConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     scale_sd: float = Field(0.02, gt=0.0)
-    tilt_sd: float = Field(0.05, gt=0.0)
+    tilt_sd: float = Field(0.02, gt=0.0)
     corner_sd: float = Field(0.05, gt=0.0)
     corner_doubt: float = Field(0.15, gt=0.0)
     effective_corners: float = Field(20.0, gt=0.0)
