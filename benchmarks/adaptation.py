@@ -26,7 +26,7 @@ from monoloc.datasets.registry import absolute_source, open_recording
 from monoloc.experiments import tasks
 from monoloc.experiments.engine import carry_out
 from monoloc.experiments.fig4d import FROM_SAME_START
-from monoloc.experiments.gather import RMSE, ROTATION, depth_of_variant, mean_depth
+from monoloc.experiments.gather import RMSE, ROTATION, depth_of_variant, mean_depth, usual_light
 from monoloc.experiments.study import Split, Study, Walk, builtin, recorded
 from monoloc.experiments.task import Results, Task
 from monoloc.models import DEFAULT
@@ -73,11 +73,9 @@ class Row:
 
 def rows_of(study: Study, arguments: argparse.Namespace) -> list[Row]:
     rows = []
-    for name, network, split, light, motion in product(
-        arguments.study, arguments.network, study.splits, arguments.light, arguments.motion
-    ):
-        walk = split.walks[light]
-        for variant, (tuned, changed) in STUDIES[name].items():
+    for name, network, split, motion in product(arguments.study, arguments.network, study.splits, arguments.motion):
+        for light, variant in product(arguments.light or [usual_light(split)], STUDIES[name]):
+            walk, (tuned, changed) = split.walks[light], STUDIES[name][variant]
             bundles = [
                 tasks.bundle(study, split, network, tuned, seed=build, **changed) for build in range(arguments.builds)
             ]
@@ -128,7 +126,7 @@ def main() -> None:
     parser.add_argument("--study", nargs="+", choices=list(STUDIES), default=["annealing", "rates"])
     parser.add_argument("--network", nargs="+", default=[DEFAULT])
     parser.add_argument("--motion", nargs="+", choices=MOTIONS, default=["visual"])
-    parser.add_argument("--light", nargs="+", default=["as taken"], help="as taken (RedKitchen only), L1, L2 or L3")
+    parser.add_argument("--light", nargs="+", help="as taken (RedKitchen), L1, L2, L3; the usual one if left out")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--builds", type=int, default=1)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))

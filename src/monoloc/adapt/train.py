@@ -98,8 +98,9 @@ class Adaptation:
         self.fit_bias(training)
         frozen = self._frozen(training, np.random.default_rng(generator.initial_seed()))
         odds = training.odds
-        poses_weigh = self.config.by_depth and self.config.pose_weight > 0.0
-        pose_step = pose_steps(training.output_depth_m[:, 0].numpy(), training.rays) if poses_weigh else None
+        of_poses = None  # matrices from a view's errors of depth to the camera's step
+        if self.config.by_depth and self.config.pose_weight > 0.0:
+            of_poses = pose_steps(training.output_depth_m[:, 0].numpy(), training.rays)
         optimizer = torch.optim.Adam(
             [
                 {
@@ -120,8 +121,8 @@ class Adaptation:
                 is_relit = torch.rand(len(chosen), generator=generator) < self.config.relit_share
                 shown = chosen + len(training) * is_relit
             inputs = [part[shown] for part in frozen]
-            moves = None if pose_step is None else pose_step[chosen]
-            loss = self._loss(training[chosen], inputs, moves, step, steps, generator)
+            of_chosen = None if of_poses is None else of_poses[chosen]
+            loss = self._loss(training[chosen], inputs, of_chosen, step, steps, generator)
             optimizer.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]
             optimizer.step()
@@ -186,7 +187,7 @@ class Adaptation:
         self,
         views: Views,
         inputs: list[Tensor],
-        moves: Tensor | None,
+        of_poses: Tensor | None,
         step: int,
         steps: int,
         generator: torch.Generator,
@@ -207,8 +208,8 @@ class Adaptation:
             # The gradient term keeps planes smooth and steps sharp while the decoder moves.
             of_depth = depth_loss(log_depth, views.depth_m, LossConfig(scale_invariant=0.5))
             loss = config.depth_weight * of_depth - config.likelihood_weight * fit
-            if moves is not None:
-                loss = loss + config.pose_weight * pose_step_loss(log_depth, views.output_depth_m, moves)
+            if of_poses is not None:
+                loss = loss + config.pose_weight * pose_step_loss(log_depth, views.output_depth_m, of_poses)
             if self.network.error_head is not None:
                 # Features move, so what is read from them must follow.
                 loss = loss + laplace_loss(log_depth, self.network.error_head(features.detach()), views.depth_m)
