@@ -15,7 +15,7 @@ from monoloc.filter.level import LevelConfig
 from monoloc.filter.particles import Particles, scatter
 from monoloc.filter.scan import Scan, scan_from_corners
 from monoloc.filter.weigh import Measurement
-from monoloc.geometry import is_rigid, make_pose, so3_exp
+from monoloc.geometry import invert, is_rigid, make_pose, se3_log, so3_exp
 from monoloc.localizer import Localizer, LocalizerConfig, Parts
 from monoloc.odometry import VisualOdometry
 from monoloc.runs import Run, Start
@@ -169,6 +169,20 @@ def test_the_wider_lasting_errors_are_the_more_odometry_is_followed(mixture, rec
     )
     spread = [np.sqrt(step.estimate.covariance[0, 0]) for step in (followed[-1], doubted[-1])]
     assert spread[0] < 0.02 and spread[1] > 0.06
+
+
+def test_what_errors_are_in_the_mean_is_taken_off_the_belief_and_not_off_the_particles(mixture, recording, healthy):
+    mean = (0.02, -0.03, 0.01, 0.02, 0.0, -0.01)
+    frames = range(SETTLED)
+    as_they_are, corrected = (
+        follow(start_beside(mixture, recording, healthy, lasting=lasting), recording, frames)
+        for lasting in (SETTINGS.lasting, SETTINGS.lasting.model_copy(update={"mean": mean}))
+    )
+    for one, other in zip(as_they_are, corrected, strict=True):
+        np.testing.assert_array_equal(one.located.pose, other.located.pose)
+    # Depth is exact, so the belief ends as far off, the other way: but for the centimetre that a bias may have.
+    apart = se3_log(invert(as_they_are[-1].estimate.pose) @ corrected[-1].estimate.pose)
+    np.testing.assert_allclose(apart, -np.array(mean), atol=0.006)
 
 
 class _Recording(Measurement):

@@ -217,10 +217,10 @@ class Localizer:
         fit = self._fit(located, scan)  # where depth's lasting error is, the belief's covariance tells
         # Particles that have lost the camera gather somewhere all the same: their word counts where the scan fits.
         is_told = is_telling and fit >= self._healthy.lost and not self._recovery.is_lost
-        told = located
+        told = config.lasting.without_mean(located)
         if is_told and down is not None and self._down is not None:
             ahead_m = turned_about_m(scan, located.log_scale)
-            told = upright(located, down, self._down, ahead_m, self._joiner.rotation_sd(located))
+            told = upright(told, down, self._down, ahead_m, self._joiner.rotation_sd(located))
         belief = self._joiner.step(motion, elapsed_s, told, is_told)
         if is_found:
             belief = self._joiner.begin_anew(told)

@@ -1,4 +1,4 @@
-"""How wide the errors are that last, measured by following frames that tuned nothing."""
+"""What the errors are that last, in the mean and how wide, measured by following frames that tuned nothing."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from monoloc.datasets.base import Recording
 from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, axis_sd, pose_errors
 from monoloc.filter.lasting import LastingErrors
-from monoloc.geometry import FloatArray, viewpoints_apart
+from monoloc.geometry import FloatArray, invert, se3_exp, se3_log, viewpoints_apart
 from monoloc.localizer import Localizer
 from monoloc.progress import Progress
 
@@ -22,6 +22,8 @@ _GAP_S, _GAP_M = 1.5, 0.5  # between frames, the latter with a radian for a metr
 _LEAST_DISTANCE_M = 0.01
 _MOST_WALKS = 20  # that are followed
 _USUAL_GROWTH = 0.1  # m and rad a metre away, of other networks and other parts of a room
+_PIECE_M = 1.0  # of a way, a radian for a metre: errors so far apart are nearly others
+_FEWEST_PIECES = 4  # fewer do not tell an error in the mean from one of a place
 
 # From a start, ``T_world_camera``, to a localizer.
 StartsAt = Callable[[FloatArray], Localizer]
@@ -34,13 +36,13 @@ def measure_lasting(
     regions: list[NDArray[np.int64]],
     progress: Progress,
 ) -> LastingErrors:
-    """What lasts, near the viewpoints that tuned and away from them.
+    """What lasts: in the mean, near the viewpoints that tuned, and away from them.
 
-    Near: the recording is followed from its first pose with the network that all its frames tuned, and where it was
-    paused, or is of several walks, from the first pose afterwards; walks so short that their start is not forgotten
-    are gone to and fro. Away: with one that no frame of the regions tuned, the camera stays in each of them, to and
-    fro over its frames, since a filter that only passes through brings the pose it has along. What exceeds that
-    network's own error at the other frames is taken to grow with the distance from the nearest of them.
+    Near, and in the mean: the recording is followed from its first pose with the network that all its frames tuned,
+    and where it was paused, or is of several walks, from the first pose afterwards; walks so short that their start
+    is not forgotten are gone to and fro. Away: with one that no frame of the regions tuned, the camera stays in each
+    of them, to and fro over its frames, since a filter that only passes through brings the pose it has along. What
+    exceeds that network's own error at the other frames is taken to grow with the distance from the nearest of them.
 
     Args:
         starts_at: makes the localizer that is to be used.
@@ -77,17 +79,41 @@ def measure_lasting(
             return np.stack(found), np.array(frames)
 
         followed, frames = follow(starts_at, walks)
-        near = pose_errors(followed, poses[frames])
+        once = np.bincount(frames, minlength=len(poses))[frames] == 1  # to and fro is no way
+        mean = mean_error(followed[once], poses[frames[once]])
+        near = pose_errors(followed @ se3_exp(-mean), poses[frames])
         if not stays:
             near_m, near_rad = axis_sd(near)
-            return LastingErrors(near_sd_m=near_m, near_sd_rad=near_rad)
+            return LastingErrors(mean=mean.tolist(), near_sd_m=near_m, near_sd_rad=near_rad)
         followed, frames = follow(rehearsed_at, walks)
         counts = is_near[frames]
         rehearsed = pose_errors(followed[counts], poses[frames[counts]])
         followed, frames = follow(rehearsed_at, stays)
     away = pose_errors(followed, poses[frames])
     distances_m = np.array([viewpoints_apart(pose, poses[is_near]).min() for pose in poses[frames]])
-    return lasting_errors(near, rehearsed, away, distances_m)
+    return lasting_errors(near, rehearsed, away, distances_m).model_copy(update={"mean": tuple(mean.tolist())})
+
+
+def mean_error(found: FloatArray, truth: FloatArray) -> FloatArray:
+    """What poses along a way err by in the mean, a twist (6,) in the camera's frame, as far as that is sure.
+
+    The way is cut into pieces, whose means are held to be independent (batch means); each axis counts by the share
+    ``1 - se^2 / mean^2`` that is no chance (James and Stein 1961), and a short way has none.
+
+    Args:
+        found, truth: ``T_world_camera``, (N, 4, 4), in order along the way.
+    """
+    # Where another walk begins the camera is elsewhere, however far that is.
+    steps_m = [min(_GAP_M, float(viewpoints_apart(a, b[None])[0])) for a, b in itertools.pairwise(truth)]
+    way_m = np.cumsum([0.0, *steps_m])
+    pieces = int(way_m[-1] / _PIECE_M)
+    if pieces < _FEWEST_PIECES:
+        return np.zeros(6)
+    twists = se3_log(invert(truth) @ found)
+    cuts = np.searchsorted(way_m, np.linspace(0.0, way_m[-1], pieces + 1)[1:-1])
+    means = np.stack([piece.mean(axis=0) for piece in np.split(twists, cuts)])
+    mean, variance = means.mean(axis=0), means.var(axis=0, ddof=1) / len(means)
+    return np.asarray(mean * np.maximum(0.0, 1.0 - variance / np.maximum(mean**2, 1e-12)))
 
 
 def lasting_errors(

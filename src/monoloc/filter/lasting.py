@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from monoloc.geometry import FloatArray
+from monoloc.filter.estimate import Estimate
+from monoloc.geometry import FloatArray, se3_exp
+
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
+Twist = tuple[_Finite, _Finite, _Finite, _Finite, _Finite, _Finite]
 
 _LENGTH_M = 2.0  # of a change of viewpoint, a radian for a metre, over which errors become others
 
 
 class LastingErrors(BaseModel):
-    """How wide they are: as measured at the viewpoints that a room was built from, and wider away from them.
+    """What they are in the mean, and how wide: as measured at the viewpoints of a build, and wider away from them.
 
-    A standard deviation per axis is ``sqrt(near^2 + (growth * distance)^2)``, with the distance of
+    A standard deviation per axis, about the mean, is ``sqrt(near^2 + (growth * distance)^2)``, with the distance of
     :func:`monoloc.geometry.viewpoints_apart` to the nearest of those viewpoints.
 
     Attributes:
+        mean: twist (rho, phi) in the camera's frame, metres and radians: the particles' pose is the true one times
+            its exponential, wherever the camera is.
         near_sd_m, near_sd_rad: of position and rotation at the viewpoints.
         growth_m, growth_rad: metres and radians a metre away from them.
         found_sd_m, found_sd_rad: of where a lost camera was found, if that is wider.
@@ -26,12 +34,17 @@ class LastingErrors(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    mean: Twist = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     near_sd_m: float = Field(0.0, ge=0.0)
     near_sd_rad: float = Field(0.0, ge=0.0)
     growth_m: float = Field(0.0, ge=0.0)
     growth_rad: float = Field(0.0, ge=0.0)
     found_sd_m: float = Field(0.0, ge=0.0)
     found_sd_rad: float = Field(0.0, ge=0.0)
+
+    def without_mean(self, located: Estimate) -> Estimate:
+        """What the particles say, less what they err by in the mean."""
+        return replace(located, pose=located.pose @ se3_exp(-np.array(self.mean)))
 
     def widths(self, distance_m: float) -> FloatArray:
         """Standard deviations of a twist (rho, phi), (6,), so far from the nearest viewpoint."""
