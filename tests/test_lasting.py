@@ -250,20 +250,21 @@ def test_walks_are_long_enough_to_forget_their_start(places: int, walked: int) -
     assert len(visited) <= 20 * 70
 
 
-def test_what_a_walk_is_off_by_in_the_mean_is_no_width() -> None:
-    """A decimetre everywhere along six metres; to and fro over the same metre and a half it is that place's."""
-    for length_m, expected in ((6.0, 0.1), (1.5, 0.0)):
-        poses = np.tile(np.eye(4), (200, 1, 1))
-        poses[:, 2, 3] = np.linspace(0.0, length_m, 200)
-        found = measure_lasting(
-            lambda _, way=poses: _Forgetful(way, []),
-            lambda _: pytest.fail("no regions"),
-            _Bare(poses),
-            [],
-            NoProgress(),
-        )
-        assert found.mean[0] == pytest.approx(expected, abs=0.02) and not any(found.mean[1:])
-        assert found.near_sd_m == pytest.approx((0.1 - found.mean[0]) / np.sqrt(CHI2_MEDIAN_3), abs=0.003)
+@pytest.mark.parametrize(
+    ("length_m", "regions", "expected"), [(6.0, [[90, 91]], 0.1), (1.5, [[90, 91]], 0.0), (6.0, [], 0.0)]
+)
+def test_what_a_walk_is_off_by_in_the_mean_is_no_width(
+    length_m: float, regions: list[list[int]], expected: float
+) -> None:
+    """A decimetre everywhere along six metres; along one and a half, or untuned, it is that place's."""
+    poses = np.tile(np.eye(4), (200, 1, 1))
+    poses[:, 2, 3] = np.linspace(0.0, length_m, 200)
+    recording, held_out = _Bare(poses), [np.array(region) for region in regions]
+    found = measure_lasting(
+        lambda _: _Forgetful(poses, []), lambda _: _Forgetful(poses, []), recording, held_out, NoProgress()
+    )
+    assert found.mean[0] == pytest.approx(expected, abs=0.02) and not any(found.mean[1:])
+    assert found.near_sd_m == pytest.approx((0.1 - found.mean[0]) / np.sqrt(CHI2_MEDIAN_3), abs=0.003)
 
 
 @pytest.mark.slow

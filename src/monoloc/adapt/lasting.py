@@ -49,7 +49,7 @@ def measure_lasting(
         rehearsed_at: makes one whose network tuned on no frame of the regions.
         recording: posed frames.
         regions: frames held out, by viewpoint, see :func:`monoloc.adapt.hold_out.hold_out_regions`; without any,
-            nothing grows.
+            nothing was tuned: nothing grows, and there is no mean, for such a network's is of the place.
     """
     poses = recording.poses
     assert poses is not None
@@ -79,12 +79,12 @@ def measure_lasting(
             return np.stack(found), np.array(frames)
 
         followed, frames = follow(starts_at, walks)
+        if not stays:
+            near_m, near_rad = axis_sd(pose_errors(followed, poses[frames]))
+            return LastingErrors(near_sd_m=near_m, near_sd_rad=near_rad)
         once = np.bincount(frames, minlength=len(poses))[frames] == 1  # to and fro is no way
         mean = mean_error(followed[once], poses[frames[once]])
         near = pose_errors(followed @ se3_exp(-mean), poses[frames])
-        if not stays:
-            near_m, near_rad = axis_sd(near)
-            return LastingErrors(mean=mean.tolist(), near_sd_m=near_m, near_sd_rad=near_rad)
         followed, frames = follow(rehearsed_at, walks)
         counts = is_near[frames]
         rehearsed = pose_errors(followed[counts], poses[frames[counts]])

@@ -25,8 +25,8 @@ class LastingErrors(BaseModel):
     :func:`monoloc.geometry.viewpoints_apart` to the nearest of those viewpoints.
 
     Attributes:
-        mean: twist (rho, phi) in the camera's frame, metres and radians: the particles' pose is the true one times
-            its exponential, wherever the camera is.
+        mean: twist (rho, phi) in the camera's frame, metres and radians: but for what varies, the particles' pose
+            is the true one times its exponential.
         near_sd_m, near_sd_rad: of position and rotation at the viewpoints.
         growth_m, growth_rad: metres and radians a metre away from them.
         found_sd_m, found_sd_rad: of where a lost camera was found, if that is wider.
