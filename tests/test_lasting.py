@@ -86,14 +86,22 @@ twists = st.tuples(*[st.floats(-0.1, 0.1)] * 6)
 @given(mean=twists, at=twists)
 def test_what_errors_are_in_the_mean_is_taken_off(mean: tuple[float, ...], at: tuple[float, ...]) -> None:
     pose, covariance = se3_exp(10.0 * np.array(at)), np.eye(6)
-    told = LastingErrors(mean=mean).without_mean(Estimate(pose @ se3_exp(mean), covariance, 0.3))
+    told = LastingErrors(mean=mean).without_mean(Estimate(pose @ se3_exp(mean), covariance, 0.3), 0.0)
     np.testing.assert_allclose(told.pose, pose, atol=1e-12)
     assert told.covariance is covariance and told.log_scale == 0.3
 
 
+@given(near=st.floats(0.01, 0.2), growth=st.floats(0.0, 1.0), distance=st.floats(0.0, 3.0))
+def test_away_the_mean_counts_by_its_share_of_the_variance(near: float, growth: float, distance: float) -> None:
+    errors = LastingErrors(mean=(0.0, -0.02, 0.0, 0.0, 0.0, 0.0), near_sd_m=near, near_sd_rad=0.01, growth_m=growth)
+    told = errors.without_mean(Estimate(np.eye(4), np.eye(6), 0.0), distance)
+    share = near**2 / (near**2 + (growth * distance) ** 2)
+    np.testing.assert_allclose(told.pose[:3, 3], [0.0, 0.02 * share, 0.0], atol=1e-12)
+
+
 def test_without_a_mean_a_pose_stays_what_it_is() -> None:
     pose = se3_exp([0.3, 0.1, -0.2, 0.4, 0.2, 0.1])
-    np.testing.assert_array_equal(LastingErrors().without_mean(Estimate(pose, np.eye(6), 0.0)).pose, pose)
+    np.testing.assert_array_equal(LastingErrors().without_mean(Estimate(pose, np.eye(6), 0.0), 1.0).pose, pose)
 
 
 @pytest.mark.parametrize("mean", [(np.nan, 0, 0, 0, 0, 0), (0, 0, 0, 0, 0, np.inf), (0.1, 0.2, 0.3)])

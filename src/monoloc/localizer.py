@@ -217,7 +217,7 @@ class Localizer:
         fit = self._fit(located, scan)  # where depth's lasting error is, the belief's covariance tells
         # Particles that have lost the camera gather somewhere all the same: their word counts where the scan fits.
         is_told = is_telling and fit >= self._healthy.lost and not self._recovery.is_lost
-        told = config.lasting.without_mean(located)
+        told = self._joiner.without_mean(located)
         if is_told and down is not None and self._down is not None:
             ahead_m = turned_about_m(scan, located.log_scale)
             told = upright(told, down, self._down, ahead_m, self._joiner.rotation_sd(located))

@@ -142,6 +142,10 @@ class Joiner:
         self.blind_s = 0.0 if is_told or motion is not None else self.blind_s + elapsed_s
         return self._joined.estimate(located.log_scale)
 
+    def without_mean(self, located: Estimate) -> Estimate:
+        """What the particles say, less what they err by in the mean where they are."""
+        return self._lasting.without_mean(located, self._distance_m(located.pose))
+
     def rotation_sd(self, located: Estimate) -> float:
         """What the rotation that the particles say may be off by, rad an axis: their spread, and what lasts."""
         spread = float(np.trace(located.covariance[3:, 3:])) / 3.0

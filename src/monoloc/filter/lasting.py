@@ -26,7 +26,7 @@ class LastingErrors(BaseModel):
 
     Attributes:
         mean: twist (rho, phi) in the camera's frame, metres and radians: but for what varies, the particles' pose
-            is the true one times its exponential.
+            at the viewpoints is the true one times its exponential.
         near_sd_m, near_sd_rad: of position and rotation at the viewpoints.
         growth_m, growth_rad: metres and radians a metre away from them.
         found_sd_m, found_sd_rad: of where a lost camera was found, if that is wider.
@@ -42,9 +42,15 @@ class LastingErrors(BaseModel):
     found_sd_m: float = Field(0.0, ge=0.0)
     found_sd_rad: float = Field(0.0, ge=0.0)
 
-    def without_mean(self, located: Estimate) -> Estimate:
-        """What the particles say, less what they err by in the mean."""
-        return replace(located, pose=located.pose @ se3_exp(-np.array(self.mean)))
+    def without_mean(self, located: Estimate, distance_m: float) -> Estimate:
+        """What the particles say so far from the nearest viewpoint, less what they err by in the mean.
+
+        The mean was found at the viewpoints: away from them it counts by the share that the errors there have of
+        all variance.
+        """
+        near, widths = self.widths(0.0), self.widths(distance_m)
+        share = np.divide(near, widths, out=np.ones(6), where=widths > 0.0) ** 2
+        return replace(located, pose=located.pose @ se3_exp(-share * np.array(self.mean)))
 
     def widths(self, distance_m: float) -> FloatArray:
         """Standard deviations of a twist (rho, phi), (6,), so far from the nearest viewpoint."""
