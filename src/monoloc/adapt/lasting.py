@@ -1,4 +1,4 @@
-"""What the errors are that last, in the mean and how wide, measured by following frames that tuned nothing."""
+"""What the errors are that last, in the mean and how wide, measured by following a build's own frames."""
 
 from __future__ import annotations
 
@@ -104,8 +104,7 @@ def mean_error(found: FloatArray, truth: FloatArray) -> FloatArray:
         found, truth: ``T_world_camera``, (N, 4, 4), in order along the way.
     """
     # Where another walk begins the camera is elsewhere, however far that is.
-    steps_m = [min(_GAP_M, float(viewpoints_apart(a, b[None])[0])) for a, b in itertools.pairwise(truth)]
-    way_m = np.cumsum([0.0, *steps_m])
+    way_m = np.cumsum([0.0, *np.minimum(_GAP_M, _steps_m(truth))])
     pieces = int(way_m[-1] / _PIECE_M)
     if pieces < _FEWEST_PIECES:
         return np.zeros(6)
@@ -146,10 +145,14 @@ def _growth(errors: FloatArray, near_sd: float, distances_m: FloatArray) -> floa
     return math.sqrt(0.5 * (measured + _USUAL_GROWTH**2))
 
 
+def _steps_m(poses: FloatArray) -> FloatArray:
+    """From each of (N, 4, 4) poses to the next, (N - 1,), metres, with a radian of rotation for one more."""
+    return np.array([viewpoints_apart(a, b[None])[0] for a, b in itertools.pairwise(poses)], np.float64)
+
+
 def _unbroken(walk: NDArray[np.int64], times_s: FloatArray, poses: FloatArray) -> list[NDArray[np.int64]]:
     """The parts of a walk over frames, in order of time, within which the camera can be followed."""
-    apart_m = np.array([viewpoints_apart(poses[a], poses[b][None])[0] for a, b in itertools.pairwise(walk)])
-    gaps = (np.diff(times_s[walk]) > _GAP_S) | (apart_m > _GAP_M)
+    gaps = (np.diff(times_s[walk]) > _GAP_S) | (_steps_m(poses[walk]) > _GAP_M)
     return np.split(walk, 1 + np.flatnonzero(gaps))
 
 

@@ -13,7 +13,7 @@ from monoloc.filter.estimate import Estimate
 from monoloc.geometry import FloatArray, se3_exp
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
-Twist = tuple[_Finite, _Finite, _Finite, _Finite, _Finite, _Finite]
+_Twist = tuple[_Finite, _Finite, _Finite, _Finite, _Finite, _Finite]
 
 _LENGTH_M = 2.0  # of a change of viewpoint, a radian for a metre, over which errors become others
 
@@ -34,7 +34,7 @@ class LastingErrors(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    mean: Twist = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    mean: _Twist = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     near_sd_m: float = Field(0.0, ge=0.0)
     near_sd_rad: float = Field(0.0, ge=0.0)
     growth_m: float = Field(0.0, ge=0.0)
@@ -45,8 +45,7 @@ class LastingErrors(BaseModel):
     def without_mean(self, located: Estimate, distance_m: float) -> Estimate:
         """What the particles say so far from the nearest viewpoint, less what they err by in the mean.
 
-        The mean was found at the viewpoints: away from them it counts by the share that the errors there have of
-        all variance.
+        The mean was found at the viewpoints: away from them it counts by near errors' share of the variance.
         """
         near, widths = self.widths(0.0), self.widths(distance_m)
         share = np.divide(near, widths, out=np.ones(6), where=widths > 0.0) ** 2
