@@ -16,6 +16,7 @@ from monoloc.depth.spec import DepthModel, monoloc_spec
 from monoloc.experiments.gather import frames_of
 from monoloc.experiments.task import RESULT, Result, Task
 from monoloc.filter.health import HealthyRange
+from monoloc.filter.viewpoints import Viewpoints
 from monoloc.geometry import se3_exp
 from monoloc.localizer import LocalizerConfig
 
@@ -81,7 +82,7 @@ def _bundle(task: Task, folder: Path, rmse: Error) -> dict[str, Any]:
             camera=camera,
             provenance=provenance,
             healthy=HealthyRange(low=-2.0, lost=-4.0),
-            viewpoints=np.eye(4)[None],
+            viewpoints=Viewpoints.of(np.eye(4)[None]),
         ),
     )
     return {

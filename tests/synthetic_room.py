@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import onnx
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 import synthetic_recordings as synthetic
@@ -25,6 +25,7 @@ from monoloc.filter.health import HealthyRange
 from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.particles import Particles
 from monoloc.filter.scan import scan_from_depth
+from monoloc.filter.viewpoints import Viewpoints
 from monoloc.filter.weigh import Measurement, MeasurementConfig
 from monoloc.geometry import make_pose, so3_exp
 from monoloc.localizer import DepthSource, Localizer, LocalizerConfig, Parts, Step
@@ -225,10 +226,12 @@ def make_localizer(
     settings: LocalizerConfig = SETTINGS,
     depth: DepthSource = NoNetwork(),
     down: FloatArray | None = None,
+    errors: ArrayLike = 0.0,
 ) -> Localizer:
-    """monoloc's own for :data:`CAMERA`; arguments as of :class:`Localizer`."""
+    """monoloc's own for :data:`CAMERA`; arguments as of :class:`Localizer`, viewpoints by poses and errors."""
     parts = Parts.usual(mixture, depth, CAMERA, settings)
-    return Localizer(parts, CAMERA, start, settings, healthy, viewpoints, np.random.default_rng(seed), down)
+    known = Viewpoints(viewpoints, np.broadcast_to(errors, (len(viewpoints), 6)))
+    return Localizer(parts, CAMERA, start, settings, healthy, known, np.random.default_rng(seed), down)
 
 
 def follow(localizer: Localizer, recording: RoomRecording, frames: range | None = None) -> list[Step]:
@@ -288,7 +291,7 @@ def make_bundle(mixture: GaussianMixture, recording: RoomRecording, built_from: 
             recording=recording.name, frames=frames, tune="none", map_transform=False, lambda_kl=0.1, seed=0
         ),
         healthy=healthy_range(mixture, recording),
-        viewpoints=recording.poses[list(built_from)],
+        viewpoints=Viewpoints.of(recording.poses[list(built_from)]),
     )
 
 

@@ -16,6 +16,7 @@ from monoloc.depth.runtime import DepthPredictor
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.filter.motion import MotionConfig
 from monoloc.filter.particles import scatter
+from monoloc.filter.viewpoints import Viewpoints
 from monoloc.geometry import FloatArray, make_pose, se3_exp, so3_exp
 from monoloc.localizer import LocalizerConfig
 from monoloc.odometry import VisualOdometry
@@ -54,7 +55,7 @@ def follow(
 
     particles = scatter(start, config.particles, spread_m, 0.5 * spread_m, 0.0, rng)
     depth = DepthPredictor(depth_from_blue(), CAMERA)
-    follower = PoseFilter(measure, error, depth, CAMERA, particles, config, poses_of(recording), rng)
+    follower = PoseFilter(measure, error, depth, CAMERA, particles, config, Viewpoints.of(poses_of(recording)), rng)
     return np.stack([follower.step(recording.color(i), ELAPSED_S).pose for i in range(len(recording))])
 
 

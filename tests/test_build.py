@@ -42,6 +42,7 @@ RESULT = AdaptResult(
 )
 HEALTHY = HealthyRange(low=-1.0, lost=-2.0)
 LASTING = LastingErrors(near_sd_m=0.03, near_sd_rad=0.02, growth_m=0.2, growth_rad=0.4)
+ERRORS = np.random.default_rng(0).normal(0.0, 0.02, (FRAMES, 6))
 REMARK = "what was said of the frames"
 
 
@@ -63,11 +64,11 @@ class Measured:
 
     def measure_lasting(
         self, starts_at: Callable, rehearsed_at: Callable, recording: RoomRecording, regions: list, _: Any
-    ) -> LastingErrors:
+    ) -> tuple[LastingErrors, FloatArray]:
         self.regions = regions
         starts_at(recording.poses[0])
         rehearsed_at(recording.poses[1])
-        return LASTING
+        return LASTING, ERRORS
 
     def measure_found(
         self, mixture: GaussianMixture, samples: list, viewpoints: FloatArray, config: LocalizerConfig, *_: Any
@@ -133,7 +134,8 @@ def test_what_tuned_on_a_frame_is_not_judged_by_it(recording: RoomRecording, mea
         assert started.settings.log_scale_sd == 0.123 and started.healthy == HEALTHY
         np.testing.assert_array_equal(start.pose, recording.poses[index])
     assert bundle.depth_model == final and bundle.adapted is RESULT.adapted and bundle.original is RESULT.original
-    np.testing.assert_array_equal(bundle.viewpoints, recording.poses)
+    np.testing.assert_array_equal(bundle.viewpoints.poses, recording.poses)
+    np.testing.assert_array_equal(bundle.viewpoints.errors, ERRORS)
 
 
 @pytest.mark.parametrize(

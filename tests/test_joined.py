@@ -10,6 +10,7 @@ from monoloc.filter.estimate import Estimate
 from monoloc.filter.joined import Joined, Joiner
 from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.motion import MotionConfig, motion_sd
+from monoloc.filter.viewpoints import Viewpoints
 from monoloc.geometry import FloatArray, adjoint, invert, is_rigid, se3_exp, se3_log, viewpoints_apart
 
 LASTING = LastingErrors(near_sd_m=0.05, near_sd_rad=0.03, growth_m=0.1, growth_rad=0.05)
@@ -99,14 +100,14 @@ ELAPSED_S = 1.0 / 15.0
 
 def joiner(viewpoint: FloatArray, lasting: LastingErrors = LASTING) -> Joiner:
     start = Estimate(np.eye(4), np.diag(START_SD**2), 0.0)
-    return Joiner(start, lasting, MotionConfig(), viewpoint[None])
+    return Joiner(start, lasting, MotionConfig(), Viewpoints.of(viewpoint[None]))
 
 
 def drawn_way(rng: np.random.Generator, steps: FloatArray, lasting: LastingErrors) -> tuple[FloatArray, Estimate]:
     """The last true pose of a way from a viewpoint, and the belief, where all errors are drawn as they are stated."""
     viewpoint = true = se3_exp(rng.normal(size=6))
     start = Estimate(true @ se3_exp(-rng.normal(size=6) * START_SD), np.diag(START_SD**2), 0.0)
-    follower = Joiner(start, lasting, MotionConfig(), viewpoint[None])
+    follower = Joiner(start, lasting, MotionConfig(), Viewpoints.of(viewpoint[None]))
     variances = lasting.widths(0.0) ** 2
     bias = rng.normal(size=6) * np.sqrt(variances)
     for k, step in enumerate([np.eye(4), *steps]):
@@ -166,11 +167,25 @@ def test_the_bias_is_that_of_the_nearest_viewpoint_where_the_camera_has_come_to(
         (far[None], far, 0.2),
         (np.stack([near, far]), near, 0.2),
     ):
-        follower = Joiner(Estimate(begin, np.eye(6), 0.0), lasting, MotionConfig(), viewpoints)
+        follower = Joiner(Estimate(begin, np.eye(6), 0.0), lasting, MotionConfig(), Viewpoints.of(viewpoints))
         follower.step(None, 0.0, said(begin), is_told=False)
         belief = follower.step(motion_of(invert(begin) @ place), ELAPSED_S, said(place), is_told=True)
         sd = np.sqrt(np.diag(belief.covariance))
         np.testing.assert_allclose(sd, np.hypot(SPREAD_SD, lasting.widths(apart)), rtol=0.1)
+
+
+def test_a_viewpoint_s_error_is_taken_off_and_less_of_it_away() -> None:
+    lasting = LastingErrors(near_sd_m=0.03, near_sd_rad=0.03, growth_m=0.1, growth_rad=0.1)
+    viewpoint, error = se3_exp([0.5, -1.0, 2.0, 0.3, 0.2, -0.4]), np.array([0.02, -0.03, 0.01, 0.01, 0.02, -0.02])
+    known = Viewpoints(viewpoint[None], error[None])
+    follower = Joiner(Estimate(viewpoint, np.eye(6), 0.0), lasting, MotionConfig(), known)
+    for away_m, share in ((0.0, 1.0), (0.3, 0.5)):
+        true = viewpoint @ se3_exp([0.0, away_m, 0.0, 0.0, 0.0, 0.0])
+        told = said(true @ se3_exp(share * error))
+        corrected = follower.corrected(told)
+        # At a distance that it errs by itself, which is at most a few centimetres beside three decimetres.
+        np.testing.assert_allclose(corrected.pose, true, atol=0.004)
+        assert corrected.covariance is told.covariance and corrected.log_scale == told.log_scale
 
 
 def test_without_odometry_the_bias_is_forgotten_as_far_as_the_particles_went() -> None:

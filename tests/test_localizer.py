@@ -14,6 +14,7 @@ from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.level import LevelConfig
 from monoloc.filter.particles import Particles, scatter
 from monoloc.filter.scan import Scan, scan_from_corners
+from monoloc.filter.viewpoints import Viewpoints
 from monoloc.filter.weigh import Measurement
 from monoloc.geometry import invert, is_rigid, make_pose, se3_log, so3_exp
 from monoloc.localizer import Localizer, LocalizerConfig, Parts
@@ -41,11 +42,11 @@ FRAMES, SETTLED = 45, 15
 START_M, START_RAD = 0.1, np.deg2rad(3.0)
 
 
-def start_beside(mixture, recording, healthy, seed=0, depth=NoNetwork(), **settings) -> Localizer:
+def start_beside(mixture, recording, healthy, seed=0, depth=NoNetwork(), errors=0.0, **settings) -> Localizer:
     config = SETTINGS.model_copy(update=settings)
     rng = np.random.default_rng(seed)
     particles = Start.beside(recording.poses[0], rng, START_M, START_RAD).particles(config, rng)
-    return make_localizer(mixture, healthy, particles, recording.poses[:1], rng, config, depth)
+    return make_localizer(mixture, healthy, particles, recording.poses[:1], rng, config, depth, errors=errors)
 
 
 def test_a_start_is_as_far_off_as_it_says(recording):
@@ -171,18 +172,17 @@ def test_the_wider_lasting_errors_are_the_more_odometry_is_followed(mixture, rec
     assert spread[0] < 0.02 and spread[1] > 0.06
 
 
-def test_what_errors_are_in_the_mean_is_taken_off_the_belief_and_not_off_the_particles(mixture, recording, healthy):
-    mean = (0.02, -0.03, 0.01, 0.02, 0.0, -0.01)
+def test_a_viewpoint_s_error_is_taken_off_the_belief_and_not_off_the_particles(mixture, recording, healthy):
+    error = np.array([0.02, -0.03, 0.01, 0.02, 0.0, -0.01])
     frames = range(SETTLED)
     as_they_are, corrected = (
-        follow(start_beside(mixture, recording, healthy, lasting=lasting), recording, frames)
-        for lasting in (SETTINGS.lasting, SETTINGS.lasting.model_copy(update={"mean": mean}))
+        follow(start_beside(mixture, recording, healthy, errors=errors), recording, frames) for errors in (0.0, error)
     )
     for one, other in zip(as_they_are, corrected, strict=True):
         np.testing.assert_array_equal(one.located.pose, other.located.pose)
     # Depth is exact, so the belief ends as far off, the other way: but for the centimetre that a bias may have.
     apart = se3_log(invert(as_they_are[-1].estimate.pose) @ corrected[-1].estimate.pose)
-    np.testing.assert_allclose(apart, -np.array(mean), atol=0.006)
+    np.testing.assert_allclose(apart, -error, atol=0.006)
 
 
 class _Recording(Measurement):
@@ -217,7 +217,7 @@ def test_what_is_weighed_is_levelled_depth_as_it_is_trusted_and_then_corners(mix
     parts = Parts(measurement, doubtful_across, VisualOdometry(CAMERA, config.odometry))
     rng = np.random.default_rng(0)
     start = scatter(recording.poses[0], config.particles, 0.02, 0.01, 0.0, rng)
-    localizer = Localizer(parts, CAMERA, start, config, healthy, recording.poses[:1], rng)
+    localizer = Localizer(parts, CAMERA, start, config, healthy, Viewpoints.of(recording.poses[:1]), rng)
     for index in range(SETTLED):
         measurement.images.clear()
         measurement.corners.clear()

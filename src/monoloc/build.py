@@ -27,6 +27,7 @@ from monoloc.depth.spec import DepthModel, network_images
 from monoloc.errors import DataError, SettingError
 from monoloc.evaluation.trajectory import PoseErrors, pose_errors
 from monoloc.extras import training_extra
+from monoloc.filter.viewpoints import Viewpoints
 from monoloc.geometry import FloatArray
 from monoloc.localizer import LocalizerConfig
 from monoloc.map.cloud import cloud_from_recording, remove_outliers, voxel_thin
@@ -194,20 +195,20 @@ def build_bundle(
             down_world=_down(poses),
         ),
         healthy=healthy,
-        viewpoints=poses,
+        viewpoints=Viewpoints.of(poses),
     )
 
     def starts_with(model: DepthModel, room: GaussianMixture) -> StartsAt:
         # A camera that goes astray is not looked for here: how far it goes is to be measured.
-        tuned = replace(bundle, depth_model=model, adapted=room, viewpoints=poses[:0])
+        tuned = replace(bundle, depth_model=model, adapted=room, viewpoints=Viewpoints.none())
         return lambda pose: start_localizer(tuned, recording.camera, Start(pose), np.random.default_rng(seed))
 
     starts_at, rehearsed_at = starts_with(depth_model, adapted), starts_with(held_out_model, held_out_map)
-    lasting = measure_lasting(starts_at, rehearsed_at, recording, regions, progress)
+    lasting, errors = measure_lasting(starts_at, rehearsed_at, recording, regions, progress)
     found_m, found_rad = measure_found(held_out_map, samples, poses, settings, rng, progress)
     lasting = lasting.model_copy(update={"found_sd_m": found_m, "found_sd_rad": found_rad})
     settings = settings.model_copy(update={"lasting": lasting})
-    bundle = replace(bundle, settings=settings)
+    bundle = replace(bundle, settings=settings, viewpoints=Viewpoints(poses, errors))
     if not settings.can_find:
         warnings = [*warnings, f"one image tells where a camera is to {found_m:.1f} m only: flights need a start"]
     report = BuildReport(

@@ -1,8 +1,8 @@
 """What is carried to the drone: a folder ``NAME.monoloc`` of a few megabytes.
 
 ``manifest.json`` (schema, SHA-256 of every file, how the network is used, settings, camera, provenance, healthy
-range), ``map.npz`` (original and adapted mixture, viewpoints) and ``depth.onnx``. Written whole or not at all; read
-only if every byte is as it was written.
+range), ``map.npz`` (original and adapted mixture, viewpoints and the errors there) and ``depth.onnx``. Written whole
+or not at all; read only if every byte is as it was written.
 """
 
 from __future__ import annotations
@@ -31,15 +31,16 @@ from monoloc.depth.model import read_model
 from monoloc.depth.spec import DepthModel, ModelSpec
 from monoloc.errors import BundleError
 from monoloc.filter.health import HealthyRange
+from monoloc.filter.viewpoints import Viewpoints
 from monoloc.geometry import FloatArray, se3_exp, se3_log
 from monoloc.localizer import LocalizerConfig
 from monoloc.map.down import down_of
 from monoloc.map.mixture import GaussianMixture
 from monoloc.models import is_shipped
 
-SCHEMA = 5
+SCHEMA = 6
 _MANIFEST, _MAP, _DEPTH = "manifest.json", "map.npz", "depth.onnx"
-_VIEWPOINTS = "viewpoints"  # twists (V, 6), float32
+_VIEWPOINTS, _ERRORS = "viewpoints", "viewpoint_errors"  # twists (V, 6), float32
 
 
 class Provenance(BaseModel):
@@ -91,7 +92,7 @@ class Bundle:
         camera: the colour camera of the build recording.
         provenance: what built it.
         healthy: likelihood range of a pose that can be believed.
-        viewpoints: (V, 4, 4) ``T_world_camera`` of the frames that built it.
+        viewpoints: of the frames that built it.
     """
 
     original: GaussianMixture
@@ -101,7 +102,7 @@ class Bundle:
     camera: Camera
     provenance: Provenance
     healthy: HealthyRange
-    viewpoints: FloatArray
+    viewpoints: Viewpoints
 
     @cached_property
     def down(self) -> FloatArray | None:
@@ -199,7 +200,7 @@ def read_bundle(path: Path) -> Bundle:
     try:
         with np.load(io.BytesIO(contents[_MAP]), allow_pickle=False) as arrays:
             original, adapted = (GaussianMixture.from_arrays(arrays, name) for name in ("original_", "adapted_"))
-            viewpoints = se3_exp(arrays[_VIEWPOINTS].reshape(-1, 6).astype(np.float64))
+            poses, errors = (arrays[name].reshape(-1, 6).astype(np.float64) for name in (_VIEWPOINTS, _ERRORS))
     except (KeyError, ValueError, zipfile.BadZipFile) as error:
         raise BundleError(path / _MAP, f"is no map ({error})", "rebuild it with this version") from error
     return Bundle(
@@ -210,7 +211,7 @@ def read_bundle(path: Path) -> Bundle:
         camera=manifest.camera,
         provenance=manifest.provenance,
         healthy=manifest.healthy,
-        viewpoints=viewpoints,
+        viewpoints=Viewpoints(se3_exp(poses), errors),
     )
 
 
@@ -229,7 +230,8 @@ def read_network(network: str | Path) -> DepthModel:
 def _pack_maps(bundle: Bundle) -> bytes:
     buffer = io.BytesIO()
     arrays: dict[str, Any] = bundle.original.to_arrays("original_") | bundle.adapted.to_arrays("adapted_")
-    arrays[_VIEWPOINTS] = se3_log(bundle.viewpoints).astype(np.float32)
+    arrays[_VIEWPOINTS] = se3_log(bundle.viewpoints.poses).astype(np.float32)
+    arrays[_ERRORS] = bundle.viewpoints.errors.astype(np.float32)
     np.savez(buffer, **arrays)
     return buffer.getvalue()
 

@@ -25,6 +25,7 @@ from monoloc.filter.resample import resample
 from monoloc.filter.scan import NOTHING, Scan, scan_from_corners, scan_from_depth
 from monoloc.filter.search import Search
 from monoloc.filter.upright import turned_about_m, upright
+from monoloc.filter.viewpoints import Viewpoints
 from monoloc.filter.weigh import Measurement, MeasurementConfig
 from monoloc.geometry import FloatArray
 from monoloc.map.mixture import GaussianMixture
@@ -130,8 +131,7 @@ class Localizer:
         start: the first belief; None where nothing is known, and then the whole room is searched.
         config: settings.
         healthy: range of a pose that can be believed.
-        viewpoints: (V, 4, 4) ``T_world_camera`` of the frames that the room was built from, around which a lost
-            camera is looked for; or none.
+        viewpoints: that the room was built from, around which a lost camera is looked for; or none.
         rng: of the particles and the scan.
         down: which way is down in the room, (3,) unit vector, world frame; None where nobody knows.
 
@@ -147,12 +147,12 @@ class Localizer:
         start: Particles | None,
         config: LocalizerConfig,
         healthy: HealthyRange,
-        viewpoints: FloatArray,
+        viewpoints: Viewpoints,
         rng: np.random.Generator,
         down: FloatArray | None = None,
     ) -> None:
         can_find = config.can_find and len(viewpoints) > 0
-        search = Search(parts.measurement, viewpoints, config.log_scale_sd) if can_find else None
+        search = Search(parts.measurement, viewpoints.poses, config.log_scale_sd) if can_find else None
         self._recovery = Recovery(search, healthy, is_lost=start is None)
         if start is None:
             if search is None:
@@ -217,7 +217,7 @@ class Localizer:
         fit = self._fit(located, scan)  # where depth's lasting error is, the belief's covariance tells
         # Particles that have lost the camera gather somewhere all the same: their word counts where the scan fits.
         is_told = is_telling and fit >= self._healthy.lost and not self._recovery.is_lost
-        told = self._joiner.without_mean(located)
+        told = self._joiner.corrected(located)
         if is_told and down is not None and self._down is not None:
             ahead_m = turned_about_m(scan, located.log_scale)
             told = upright(told, down, self._down, ahead_m, self._joiner.rotation_sd(located))

@@ -20,6 +20,7 @@ from monoloc.filter.joined import Joiner
 from monoloc.filter.motion import predict
 from monoloc.filter.particles import Particles, normalised
 from monoloc.filter.resample import resample
+from monoloc.filter.viewpoints import Viewpoints
 from monoloc.geometry import FloatArray
 from monoloc.localizer import DepthSource, LocalizerConfig
 from monoloc.odometry import VisualOdometry
@@ -34,7 +35,7 @@ class PoseFilter:
         depth: for the odometry; the localizer's, for a comparison that is fair.
         start: particles at the first frame.
         config: the localizer's; of it, what concerns particles, motion, depth scale and errors that last.
-        viewpoints: (V, 4, 4) ``T_world_camera`` of the frames that the network was trained on, or none.
+        viewpoints: that the network was trained on, or none.
     """
 
     def __init__(
@@ -45,7 +46,7 @@ class PoseFilter:
         camera: Camera,
         start: Particles,
         config: LocalizerConfig,
-        viewpoints: FloatArray,
+        viewpoints: Viewpoints,
         rng: np.random.Generator,
     ) -> None:
         self.particles = start

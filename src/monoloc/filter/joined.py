@@ -15,6 +15,7 @@ import numpy as np
 from monoloc.filter.estimate import Estimate
 from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.motion import MotionConfig, motion_sd
+from monoloc.filter.viewpoints import Viewpoints
 from monoloc.geometry import FloatArray, adjoint, invert, se3_exp, se3_log, viewpoints_apart
 from monoloc.odometry import Motion
 
@@ -108,13 +109,13 @@ class Joiner:
         start: what the particles know before the first frame.
         lasting: how wide the bias is, and over how far it lasts.
         noise: of the motions.
-        viewpoints: (V, 4, 4) ``T_world_camera`` of the frames that the room was built from, or none.
+        viewpoints: that the room was built from, or none.
 
     Attributes:
         blind_s: for how long nothing has said where the camera is.
     """
 
-    def __init__(self, start: Estimate, lasting: LastingErrors, noise: MotionConfig, viewpoints: FloatArray) -> None:
+    def __init__(self, start: Estimate, lasting: LastingErrors, noise: MotionConfig, viewpoints: Viewpoints) -> None:
         self._lasting = lasting
         self._noise = noise
         self._viewpoints = viewpoints
@@ -142,9 +143,13 @@ class Joiner:
         self.blind_s = 0.0 if is_told or motion is not None else self.blind_s + elapsed_s
         return self._joined.estimate(located.log_scale)
 
-    def without_mean(self, located: Estimate) -> Estimate:
-        """What the particles say, less what they err by in the mean where they are."""
-        return self._lasting.without_mean(located, self._distance_m(located.pose))
+    def corrected(self, located: Estimate) -> Estimate:
+        """What the particles say, less what they were measured to err by at the viewpoints next to them.
+
+        Away from those that counts by near errors' share of the variance.
+        """
+        share = self._lasting.near_share(self._viewpoints.distance_m(located.pose))
+        return replace(located, pose=located.pose @ se3_exp(-share * self._viewpoints.error_at(located.pose)))
 
     def rotation_sd(self, located: Estimate) -> float:
         """What the rotation that the particles say may be off by, rad an axis: their spread, and what lasts."""
@@ -153,7 +158,7 @@ class Joiner:
 
     def begin_anew(self, located: Estimate) -> Estimate:
         """The belief where the camera was found again: what was known before is forgotten."""
-        widths = self._lasting.found_widths(self._distance_m(located.pose))
+        widths = self._lasting.found_widths(self._viewpoints.distance_m(located.pose))
         self._joined = Joined.alone(located, widths)
         return self._joined.estimate(located.log_scale)
 
@@ -170,8 +175,4 @@ class Joiner:
 
     def _widths(self, pose: FloatArray) -> FloatArray:
         """Standard deviations of the bias at a pose, (6,)."""
-        return self._lasting.widths(self._distance_m(pose))
-
-    def _distance_m(self, pose: FloatArray) -> float:
-        """To the nearest viewpoint, a radian for a metre; none where no viewpoints are known."""
-        return float(viewpoints_apart(pose, self._viewpoints).min()) if len(self._viewpoints) else 0.0
+        return self._lasting.widths(self._viewpoints.distance_m(pose))

@@ -1,0 +1,64 @@
+"""Ways over a build's frames, on which a localizer is followed to see what it errs by."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.geometry import FloatArray, viewpoints_apart
+
+_LONG = 60  # frames: after so many the start is forgotten, and what is left is what the depth there says
+_GAP_S, _GAP_M = 1.5, 0.5  # between frames, the latter with a radian for a metre: no camera is followed over more
+_MOST_WALKS = 20  # that are followed
+
+
+@dataclass(frozen=True)
+class Way:
+    """Frames (N,) to be followed one after another, of which the first ``passed`` do not count."""
+
+    frames: NDArray[np.int64]
+    passed: int = 0
+
+    @property
+    def counted(self) -> NDArray[np.int64]:
+        return self.frames[self.passed :]
+
+
+def walks_of(times_s: FloatArray, poses: FloatArray) -> list[NDArray[np.int64]]:
+    """The walks that a recording of N frames is of, evenly chosen where there are many, as frames in order.
+
+    Frames that each stand alone would be followed for minutes, were all of them chosen.
+    """
+    walks = unbroken(np.arange(len(poses)), times_s, poses)
+    return walks[:: math.ceil(len(walks) / _MOST_WALKS)]
+
+
+def unbroken(frames: NDArray[np.int64], times_s: FloatArray, poses: FloatArray) -> list[NDArray[np.int64]]:
+    """The parts of frames, in order of time, within which the camera can be followed."""
+    steps_m = [viewpoints_apart(a, b[None])[0] for a, b in itertools.pairwise(poses[frames])]
+    gaps = (np.diff(times_s[frames]) > _GAP_S) | (np.array(steps_m) > _GAP_M)
+    return np.split(frames, 1 + np.flatnonzero(gaps))
+
+
+def is_long(walk: NDArray[np.int64]) -> bool:
+    """Whether the start is forgotten on it."""
+    return len(walk) >= _LONG
+
+
+def there_and_back(walk: NDArray[np.int64]) -> Way:
+    """A long walk in order and then in reverse, after its first part in reverse, so that the start is forgotten."""
+    lead = walk[:_LONG][::-1]
+    return Way(np.concatenate([lead, walk, walk[::-1]]), len(lead))
+
+
+def stay(place: NDArray[np.int64]) -> Way:
+    """Frames in order, back, and again, until the camera has stayed long enough after the first time.
+
+    The first time through a place still shows what was brought along.
+    """
+    cycle = np.concatenate([place, place[-2:0:-1]])
+    return Way(np.tile(cycle, 1 + math.ceil(_LONG / len(cycle))), len(place))
