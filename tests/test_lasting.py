@@ -156,6 +156,7 @@ def starts_at(mixture: GaussianMixture, viewpoints: FloatArray, depth: _Leaning,
 @pytest.mark.slow
 def test_the_camera_stays_where_depth_errs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Passing through four frames would show a part of what their leaning depth makes of the pose in the end."""
+    monkeypatch.setattr(ways, "_FORGOTTEN", 24)
     monkeypatch.setattr(ways, "_LONG", 24)  # the walk is long enough
     recording, mixture = RoomRecording(Room(), make_path(24)), room_mixture(Room())
     region = np.arange(14, 18)
@@ -235,7 +236,7 @@ class _Erring:
         return SimpleNamespace(located=SimpleNamespace(pose=pose))
 
 
-@pytest.mark.parametrize(("frames", "regions"), [(200, [[90, 91]]), (50, [[20, 21]]), (200, [])])
+@pytest.mark.parametrize(("frames", "regions"), [(200, [[90, 91]]), (30, [[20, 21]]), (29, [[20, 21]]), (200, [])])
 def test_what_is_of_the_place_is_known_at_each_viewpoint_and_no_width(frames: int, regions: list[list[int]]) -> None:
     """On a long walk, after tuning: a short one, or an untuned network's, is only known to be so wide."""
     poses = np.tile(np.eye(4), (frames, 1, 1))
@@ -244,7 +245,7 @@ def test_what_is_of_the_place_is_known_at_each_viewpoint_and_no_width(frames: in
     recording, held_out = _Bare(poses), [np.array(region) for region in regions]
     localizer = _Erring(poses, off_m)
     found, errors = measure_lasting(lambda _: localizer, lambda _: localizer, recording, held_out, NoProgress())
-    is_known = frames == 200 and len(regions) > 0
+    is_known = frames >= 30 and len(regions) > 0
     np.testing.assert_allclose(errors[:, 0], off_m if is_known else 0.0, atol=1e-12)
     np.testing.assert_allclose(errors[:, 1:], 0.0, atol=1e-3)  # where the walk turns it is the same twice
     # What goes with the way is never known.
@@ -256,6 +257,7 @@ def test_what_is_of_the_place_is_known_at_each_viewpoint_and_no_width(frames: in
 @pytest.mark.parametrize("pause_s", [20.0, 0.1])
 def test_walks_are_followed_one_by_one(monkeypatch: pytest.MonkeyPatch, pause_s: float) -> None:
     """A pause, or a place elsewhere in the next frame, is no way that a camera was followed over."""
+    monkeypatch.setattr(ways, "_FORGOTTEN", 12)
     monkeypatch.setattr(ways, "_LONG", 12)
     poses = np.concatenate([make_path(12), make_path(12, start_s=5.0 if pause_s > 1.0 else 2.5)])
     recording, mixture = RoomRecording(Room(), poses), room_mixture(Room())

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.adapt.ways import Way, is_long, stay, there_and_back, unbroken, walks_of
+from monoloc.adapt.ways import Way, is_long, once, stay, there_and_back, unbroken, walks_of
 from monoloc.datasets.base import Recording
 from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, axis_sd, pose_errors
 from monoloc.filter.lasting import LastingErrors
@@ -51,51 +51,57 @@ def measure_lasting(
     """
     poses = recording.poses
     assert poses is not None
-    is_near = np.ones(len(recording), dtype=np.bool_)
-    for region in regions:
-        is_near[region] = False
     times_s = recording.timestamps_s
     walks = walks_of(times_s, poses)
-    long = [walk for walk in walks if is_long(walk)]
-    short = [stay(walk) for walk in walks if not is_long(walk)]
-    once, twice = [*[Way(walk) for walk in long], *short], [there_and_back(walk) for walk in long]
+    long, short = [walk for walk in walks if is_long(walk)], [walk for walk in walks if not is_long(walk)]
+    single, double = [once(walk) for walk in walks], [there_and_back(walk) for walk in long]
+    lingering = [stay(walk) for walk in short]
     stays = [stay(place) for region in regions for place in unbroken(region, times_s, poses)]
-    done, total = 0, sum(len(way.frames) for way in ([*twice, *short, *once, *stays] if stays else once))
-    with progress.task("covariances", total) as show:
-
-        def follow(at: StartsAt, ways: list[Way]) -> list[FloatArray]:
-            """Of each way, errors at its frames that count, twists (M, 6)."""
-            nonlocal done
-            errors = []
-            for way in ways:
-                localizer = at(poses[way.frames[0]])
-                elapsed_s = np.abs(np.diff(times_s[way.frames], prepend=times_s[way.frames[:1]]))
-                found = []
-                for index, since_s in zip(way.frames.tolist(), elapsed_s.tolist(), strict=True):
-                    found.append(localizer.step(recording.color(index), since_s).located.pose)
-                    done += 1
-                    show(done)
-                errors.append(se3_log(invert(poses[way.counted]) @ np.stack(found)[way.passed :]))
-            return errors
-
-        if not stays:
-            near_m, near_rad = axis_sd(_sizes(follow(starts_at, once)))
-            return LastingErrors(near_sd_m=near_m, near_sd_rad=near_rad), np.zeros((len(recording), 6))
-        passes = [np.split(both, 2) for both in follow(starts_at, twice)]
-        near = follow(starts_at, short)
-        rehearsed = follow(rehearsed_at, once)
-        away = follow(rehearsed_at, stays)
     errors = np.zeros((len(recording), 6))
-    if long:
-        there, back = np.concatenate([one for one, _ in passes]), np.concatenate([other[::-1] for _, other in passes])
-        foretold = likeness(there, back)
-        errors[np.concatenate(long)] = in_common(there, back, foretold)
-        # Of a pass that is still to come, what one of these foretells is known.
-        near += [_less(there, foretold * back), _less(back, foretold * there)]
-    counts = is_near[np.concatenate([way.counted for way in once])]
-    distances_m = [viewpoints_apart(pose, poses[is_near]).min() for way in stays for pose in poses[way.counted]]
-    rehearsed_near = np.concatenate(rehearsed)[counts]
-    return lasting_errors(_sizes(near), _sizes([rehearsed_near]), _sizes(away), np.array(distances_m)), errors
+    total = sum(len(way.frames) for way in ([*single, *double, *lingering, *stays] if stays else single))
+    with progress.task("covariances", total) as show:
+        follow = _Follower(recording, poses, show)
+        if not stays:
+            near_m, near_rad = axis_sd(_sizes(follow(starts_at, single)))
+            return LastingErrors(near_sd_m=near_m, near_sd_rad=near_rad), errors
+        near = follow(starts_at, lingering)
+        if long:
+            there, back = _passes(follow(starts_at, double))
+            alike = likeness(there, back)
+            errors[np.concatenate(long)] = in_common(there, back, alike)
+            # Of a pass that is still to come, what one of these foretells is known.
+            near += [_less(there, alike * back), _less(back, alike * there)]
+        rehearsed, away = follow(rehearsed_at, single), follow(rehearsed_at, stays)
+    is_near = np.ones(len(recording), dtype=np.bool_)
+    is_near[np.concatenate(regions)] = False
+    counts = is_near[_counted(single)]
+    distances_m = [viewpoints_apart(pose, poses[is_near]).min() for pose in poses[_counted(stays)]]
+    rehearsed_near = _sizes([np.concatenate(rehearsed)[counts]])
+    return lasting_errors(_sizes(near), rehearsed_near, _sizes(away), np.array(distances_m)), errors
+
+
+class _Follower:
+    """Follows ways over a recording, and shows how many frames are done."""
+
+    def __init__(self, recording: Recording, poses: FloatArray, show: Callable[[int], None]) -> None:
+        self._recording, self._poses, self._show = recording, poses, show
+        self._done = 0
+
+    def __call__(self, at: StartsAt, ways: list[Way]) -> list[FloatArray]:
+        """Of each way, errors at its frames that count, twists (M, 6)."""
+        return [se3_log(invert(self._poses[way.counted]) @ self._found(at, way)[way.passed :]) for way in ways]
+
+    def _found(self, at: StartsAt, way: Way) -> FloatArray:
+        """What the particles say at each frame, (N, 4, 4)."""
+        localizer = at(self._poses[way.frames[0]])
+        times_s = self._recording.timestamps_s[way.frames]
+        elapsed_s = np.abs(np.diff(times_s, prepend=times_s[:1]))
+        found = []
+        for index, since_s in zip(way.frames.tolist(), elapsed_s.tolist(), strict=True):
+            found.append(localizer.step(self._recording.color(index), since_s).located.pose)
+            self._done += 1
+            self._show(self._done)
+        return np.stack(found)
 
 
 def likeness(there: FloatArray, back: FloatArray) -> FloatArray:
@@ -150,6 +156,16 @@ def _growth(errors: FloatArray, near_sd: float, distances_m: FloatArray) -> floa
     beyond = errors**2 / CHI2_MEDIAN_3 - near_sd**2
     measured = max(0.0, float(np.median(beyond / np.maximum(distances_m, _LEAST_DISTANCE_M) ** 2)))
     return math.sqrt(0.5 * (measured + _USUAL_GROWTH**2))
+
+
+def _passes(ways: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Errors there and errors back, (N, 6) each, frame by frame, of :func:`there_and_back` ways."""
+    both = [np.split(way, 2) for way in ways]
+    return np.concatenate([there for there, _ in both]), np.concatenate([back[::-1] for _, back in both])
+
+
+def _counted(ways: list[Way]) -> NDArray[np.int64]:
+    return np.concatenate([way.counted for way in ways])
 
 
 def _less(errors: FloatArray, foretold: FloatArray) -> FloatArray:

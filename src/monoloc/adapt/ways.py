@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from monoloc.geometry import FloatArray, viewpoints_apart
 
-_LONG = 60  # frames: after so many the start is forgotten, and what is left is what the depth there says
+_FORGOTTEN = 60  # frames: after so many the start is, and what is left is what the depth there says
+_LONG = 30  # frames: on fewer, what is of the place and what is of the way cannot be told apart
 _GAP_S, _GAP_M = 1.5, 0.5  # between frames, the latter with a radian for a metre: no camera is followed over more
 _MOST_WALKS = 20  # that are followed
 
@@ -45,14 +46,20 @@ def unbroken(frames: NDArray[np.int64], times_s: FloatArray, poses: FloatArray) 
 
 
 def is_long(walk: NDArray[np.int64]) -> bool:
-    """Whether the start is forgotten on it."""
+    """Whether to go there and back tells what is of the place."""
     return len(walk) >= _LONG
 
 
 def there_and_back(walk: NDArray[np.int64]) -> Way:
-    """A long walk in order and then in reverse, after its first part in reverse, so that the start is forgotten."""
-    lead = walk[:_LONG][::-1]
-    return Way(np.concatenate([lead, walk, walk[::-1]]), len(lead))
+    """A walk in order and then in reverse, after as much of that as it takes to forget the start."""
+    both = np.concatenate([walk, walk[::-1]])
+    lead = np.tile(both, math.ceil(_FORGOTTEN / len(both)))[-_FORGOTTEN:]
+    return Way(np.concatenate([lead, both]), _FORGOTTEN)
+
+
+def once(walk: NDArray[np.int64]) -> Way:
+    """A walk in order, or, where the start would not be forgotten, as :func:`stay`."""
+    return Way(walk) if len(walk) >= _FORGOTTEN else stay(walk)
 
 
 def stay(place: NDArray[np.int64]) -> Way:
@@ -61,4 +68,4 @@ def stay(place: NDArray[np.int64]) -> Way:
     The first time through a place still shows what was brought along.
     """
     cycle = np.concatenate([place, place[-2:0:-1]])
-    return Way(np.tile(cycle, 1 + math.ceil(_LONG / len(cycle))), len(place))
+    return Way(np.tile(cycle, 1 + math.ceil(_FORGOTTEN / len(cycle))), len(place))
