@@ -28,6 +28,7 @@ from monoloc.bundle import read_bundle, write_bundle
 from monoloc.cli.main import invoke
 from monoloc.datasets.poses import read_tum
 from monoloc.evaluation.trajectory import pose_errors, summarise
+from monoloc.filter.viewpoints import Viewpoints
 from monoloc.map.mixture import GaussianMixture
 from monoloc.outputs.tum import write_tum
 from monoloc.progress import ConsoleProgress
@@ -773,6 +774,20 @@ def test_inspect_a_bundle(capfd, here):
     assert content["monoloc_version"] == __version__
     assert content["image"] == [160, 128] and content["intrinsics"] == [136.0, 136.0, 79.5, 63.5]
     assert content["distortion"] == [0.0] * 5
+
+
+def test_inspect_says_what_is_known_at_viewpoints(capfd, here):
+    content = json_of(capfd, "inspect", "room.monoloc")
+    assert content["viewpoint_error_m"] is None and content["viewpoint_error_deg"] is None
+    bundle = read_bundle(here / "room.monoloc")
+    errors = np.zeros((len(bundle.viewpoints), 6))
+    errors[::2] = [0.03, 0.0, -0.04, 0.0, np.deg2rad(2.0), 0.0]
+    write_bundle(here / "known.monoloc", replace(bundle, viewpoints=Viewpoints(bundle.viewpoints.poses, errors)))
+    content = json_of(capfd, "inspect", "known.monoloc")
+    share = np.sqrt(np.mean(np.arange(len(errors)) % 2 == 0))
+    # A screw's translation is its twist's to first order.
+    assert content["viewpoint_error_m"] == pytest.approx(0.05 * share, rel=0.01)
+    assert content["viewpoint_error_deg"] == pytest.approx(2.0 * share, rel=1e-6)
 
 
 def test_tables_for_people_are_rounded_and_their_titles_whole(capfd, here):

@@ -25,6 +25,9 @@ from monoloc.cli.common import (
 )
 from monoloc.datasets.base import Selection
 from monoloc.errors import SettingError
+from monoloc.evaluation.trajectory import pose_errors
+from monoloc.filter.viewpoints import Viewpoints
+from monoloc.geometry import se3_exp
 from monoloc.map.compare import compare_maps
 
 
@@ -75,9 +78,21 @@ def _bundle(path: Path) -> dict[str, object]:
         "depth_bytes": len(bundle.depth_model.content),
         **bundle.provenance.model_dump(exclude={"frames"}),
         "frames": len(bundle.provenance.frames),
+        **_viewpoint_errors(bundle.viewpoints),
         **_camera(bundle.camera),
         "healthy": bundle.healthy.model_dump(),
         "settings": bundle.settings.model_dump(mode="json"),
+    }
+
+
+def _viewpoint_errors(viewpoints: Viewpoints) -> dict[str, object]:
+    """What is taken off poses at the build's frames, root mean square; None where no error of any is known."""
+    if not viewpoints.errors.any():
+        return {"viewpoint_error_m": None, "viewpoint_error_deg": None}
+    known = pose_errors(se3_exp(viewpoints.errors), np.broadcast_to(np.eye(4), viewpoints.poses.shape))
+    return {
+        "viewpoint_error_m": float(np.sqrt(np.mean(known.position_m**2))),
+        "viewpoint_error_deg": float(np.rad2deg(np.sqrt(np.mean(known.rotation_rad**2)))),
     }
 
 
