@@ -230,7 +230,8 @@ def make_localizer(
 ) -> Localizer:
     """monoloc's own for :data:`CAMERA`; arguments as of :class:`Localizer`, viewpoints by poses and errors."""
     parts = Parts.usual(mixture, depth, CAMERA, settings)
-    known = Viewpoints(viewpoints, np.broadcast_to(errors, (len(viewpoints), 6)))
+    both = np.broadcast_to(errors, (len(viewpoints), 6))
+    known = Viewpoints(viewpoints, both, both)
     return Localizer(parts, CAMERA, start, settings, healthy, known, np.random.default_rng(seed), down)
 
 

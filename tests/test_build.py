@@ -20,6 +20,7 @@ from monoloc.camera import Camera
 from monoloc.depth.spec import DepthModel
 from monoloc.filter.health import HealthyRange
 from monoloc.filter.lasting import LastingErrors
+from monoloc.filter.viewpoints import Viewpoints
 from monoloc.geometry import FloatArray
 from monoloc.localizer import LocalizerConfig
 from monoloc.map.mixture import GaussianMixture
@@ -42,7 +43,7 @@ RESULT = AdaptResult(
 )
 HEALTHY = HealthyRange(low=-1.0, lost=-2.0)
 LASTING = LastingErrors(near_sd_m=0.03, near_sd_rad=0.02, growth_m=0.2, growth_rad=0.4)
-ERRORS = np.random.default_rng(0).normal(0.0, 0.02, (FRAMES, 6))
+ERRORS = np.random.default_rng(0).normal(0.0, 0.02, (2, FRAMES, 6))
 REMARK = "what was said of the frames"
 
 
@@ -64,11 +65,11 @@ class Measured:
 
     def measure_lasting(
         self, starts_at: Callable, rehearsed_at: Callable, recording: RoomRecording, regions: list, _: Any
-    ) -> tuple[LastingErrors, FloatArray]:
+    ) -> tuple[LastingErrors, Viewpoints]:
         self.regions = regions
         starts_at(recording.poses[0])
         rehearsed_at(recording.poses[1])
-        return LASTING, ERRORS
+        return LASTING, Viewpoints(recording.poses, *ERRORS)
 
     def measure_found(
         self, mixture: GaussianMixture, samples: list, viewpoints: FloatArray, config: LocalizerConfig, *_: Any
@@ -135,7 +136,7 @@ def test_what_tuned_on_a_frame_is_not_judged_by_it(recording: RoomRecording, mea
         np.testing.assert_array_equal(start.pose, recording.poses[index])
     assert bundle.depth_model == final and bundle.adapted is RESULT.adapted and bundle.original is RESULT.original
     np.testing.assert_array_equal(bundle.viewpoints.poses, recording.poses)
-    np.testing.assert_array_equal(bundle.viewpoints.errors, ERRORS)
+    np.testing.assert_array_equal([bundle.viewpoints.there, bundle.viewpoints.back], ERRORS)
 
 
 @pytest.mark.parametrize(

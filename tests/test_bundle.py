@@ -66,7 +66,7 @@ def make_bundle(seed: int = 0) -> Bundle:
             seed=7,
         ),
         healthy=HealthyRange(low=-1.5, lost=-2.25),
-        viewpoints=Viewpoints(se3_exp(rng.normal(size=(5, 6))), 0.02 * rng.normal(size=(5, 6))),
+        viewpoints=Viewpoints(se3_exp(rng.normal(size=(5, 6))), *(0.02 * rng.normal(size=(2, 5, 6)))),
     )
 
 
@@ -109,7 +109,7 @@ def test_round_trip(written):
     assert bundle.camera == expected.camera
     assert bundle.provenance == expected.provenance
     assert bundle.healthy == expected.healthy
-    for name in ("poses", "errors"):  # single precision
+    for name in ("poses", "there", "back"):  # single precision
         read, wrote = getattr(bundle.viewpoints, name), getattr(expected.viewpoints, name)
         np.testing.assert_allclose(read, wrote, atol=1e-6)
 
@@ -132,7 +132,7 @@ def test_size_is_what_lies_there(tmp_path):
 def test_map_holds_no_pickle(written):
     with np.load(io.BytesIO((written / "map.npz").read_bytes()), allow_pickle=False) as arrays:
         assert all(arrays[name].dtype == np.float32 for name in arrays.files)
-        assert sum(arrays[name].nbytes for name in arrays.files) == 2 * 12 * 40 + 2 * 5 * 24
+        assert sum(arrays[name].nbytes for name in arrays.files) == 2 * 12 * 40 + 3 * 5 * 24
 
 
 def test_others_may_read_it(written):

@@ -28,7 +28,6 @@ from monoloc.bundle import read_bundle, write_bundle
 from monoloc.cli.main import invoke
 from monoloc.datasets.poses import read_tum
 from monoloc.evaluation.trajectory import pose_errors, summarise
-from monoloc.filter.viewpoints import Viewpoints
 from monoloc.map.mixture import GaussianMixture
 from monoloc.outputs.tum import write_tum
 from monoloc.progress import ConsoleProgress
@@ -782,7 +781,8 @@ def test_inspect_says_what_is_known_at_viewpoints(capfd, here):
     bundle = read_bundle(here / "room.monoloc")
     errors = np.zeros((len(bundle.viewpoints), 6))
     errors[::2] = [0.03, 0.0, -0.04, 0.0, np.deg2rad(2.0), 0.0]
-    write_bundle(here / "known.monoloc", replace(bundle, viewpoints=Viewpoints(bundle.viewpoints.poses, errors)))
+    viewpoints = replace(bundle.viewpoints, there=errors, back=errors)
+    write_bundle(here / "known.monoloc", replace(bundle, viewpoints=viewpoints))
     content = json_of(capfd, "inspect", "known.monoloc")
     share = np.sqrt(np.mean(np.arange(len(errors)) % 2 == 0))
     # A screw's translation is its twist's to first order.

@@ -177,7 +177,7 @@ def test_the_bias_is_that_of_the_nearest_viewpoint_where_the_camera_has_come_to(
 def test_a_viewpoint_s_error_is_taken_off_and_less_of_it_away() -> None:
     lasting = LastingErrors(near_sd_m=0.03, near_sd_rad=0.03, growth_m=0.1, growth_rad=0.1)
     viewpoint, error = se3_exp([0.5, -1.0, 2.0, 0.3, 0.2, -0.4]), np.array([0.02, -0.03, 0.01, 0.01, 0.02, -0.02])
-    known = Viewpoints(viewpoint[None], error[None])
+    known = Viewpoints(viewpoint[None], error[None], error[None])
     follower = Joiner(Estimate(viewpoint, np.eye(6), 0.0), lasting, MotionConfig(), known)
     for away_m, share in ((0.0, 1.0), (0.3, 0.5)):
         true = viewpoint @ se3_exp([0.0, away_m, 0.0, 0.0, 0.0, 0.0])
@@ -186,6 +186,24 @@ def test_a_viewpoint_s_error_is_taken_off_and_less_of_it_away() -> None:
         # At a distance that it errs by itself, which is at most a few centimetres beside three decimetres.
         np.testing.assert_allclose(corrected.pose, true, atol=0.004)
         assert corrected.covariance is told.covariance and corrected.log_scale == told.log_scale
+
+
+@pytest.mark.parametrize("has_odometry", [True, False])
+@pytest.mark.parametrize("way_m", [0.04, -0.04])
+def test_what_is_taken_off_is_of_the_way_that_the_camera_came(way_m: float, has_odometry: bool) -> None:
+    """Along twenty viewpoints in order or in reverse, whose errors are opposite."""
+    lasting = LastingErrors(near_sd_m=0.03, near_sd_rad=0.03)
+    poses = np.tile(np.eye(4), (20, 1, 1))
+    poses[:, 0, 3] = 0.05 * np.arange(20)
+    there = np.tile([0.0, 0.02, 0.0, 0.0, 0.0, 0.0], (20, 1))
+    follower = Joiner(said(poses[10]), lasting, MotionConfig(), Viewpoints(poses, there, -there))
+    np.testing.assert_array_equal(follower.corrected(said(poses[10])).pose, poses[10])  # it has not come any way
+    step, pose = se3_exp([way_m, 0.0, 0.0, 0.0, 0.0, 0.0]), poses[10]
+    for _ in range(8):
+        pose = pose @ step
+        follower.step(motion_of(step) if has_odometry else None, ELAPSED_S, said(pose), is_told=True)
+    off_m = follower.corrected(said(pose)).pose[1, 3]
+    assert off_m == pytest.approx(-np.sign(way_m) * 0.02, rel=0.12)
 
 
 def test_without_odometry_the_bias_is_forgotten_as_far_as_the_particles_went() -> None:

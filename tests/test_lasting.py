@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from monoloc.adapt import ways
-from monoloc.adapt.lasting import in_common, lasting_errors, likeness, measure_lasting
+from monoloc.adapt.lasting import lasting_errors, measure_lasting
 from monoloc.bundle import fingerprint
 from monoloc.depth.runtime import DepthPrediction, DepthPredictor
 from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors
@@ -89,42 +88,6 @@ def test_near_errors_have_a_share_of_the_variance_away(near: float, growth: floa
 def test_where_errors_have_no_width_the_share_is_all() -> None:
     np.testing.assert_array_equal(LastingErrors().near_share(1.0), np.ones(6))
     assert LastingErrors(growth_m=0.1).near_share(1.0)[0] == 0.0
-
-
-passes = arrays(np.float64, (2, 9, 6), elements=st.floats(-0.1, 0.1))
-
-
-@given(both=passes)
-def test_what_two_passes_have_in_common_lies_between_them_and_zero(both: FloatArray) -> None:
-    there, back = both
-    alike = likeness(there, back)
-    assert np.all((alike >= 0.0) & (alike <= 1.0 + 1e-12))
-    np.testing.assert_array_equal(likeness(back, there), alike)
-    found = in_common(there, back, alike)
-    assert np.all(found <= np.maximum(0.0, both.max(axis=0)) + 1e-12)
-    assert np.all(found >= np.minimum(0.0, both.min(axis=0)) - 1e-12)
-
-
-@given(one=arrays(np.float64, (9, 6), elements=st.floats(-0.1, 0.1)))
-def test_the_same_twice_is_of_the_place_and_the_opposite_is_not(one: FloatArray) -> None:
-    np.testing.assert_allclose(in_common(one, one, likeness(one, one)), one, atol=1e-12)
-    np.testing.assert_array_equal(in_common(one, -one, likeness(one, -one)), np.zeros((9, 6)))
-
-
-@pytest.mark.parametrize("of_the_place", [0.0, 0.5, 1.0, 2.0])
-def test_what_is_taken_off_leaves_least_of_another_pass(of_the_place: float) -> None:
-    """Errors of the place, and as large ones of the way: no other share of the two passes' mean would leave less."""
-    rng = np.random.default_rng(0)
-    place = of_the_place * rng.normal(size=(4000, 6))
-    there, back, another = (place + rng.normal(size=(4000, 6)) for _ in range(3))
-    alike = likeness(there, back)
-    np.testing.assert_allclose(alike, of_the_place**2 / (1.0 + of_the_place**2), atol=0.05)
-
-    def left(share: float) -> float:
-        return float(np.mean((another - share * 0.5 * (there + back)) ** 2))
-
-    found = float(np.mean((another - in_common(there, back, alike)) ** 2))
-    assert found <= 1.005 * min(map(left, np.linspace(0.0, 1.0, 21)))
 
 
 class _Leaning:
@@ -212,14 +175,14 @@ def test_walks_are_long_enough_to_forget_their_start(places: int, walked: int) -
     poses[:, 2, 3] = np.repeat(5.0 * np.arange(places), walked)
     recording = _Bare(poses)
     visited: list[int] = []
-    found, errors = measure_lasting(
+    found, viewpoints = measure_lasting(
         lambda _: _Forgetful(poses, visited), lambda _: _Forgetful(poses, visited), recording, [], NoProgress()
     )
     # The median of the lengths of Gaussian errors, each axis with this deviation, is the decimetre.
     assert found.near_sd_m == pytest.approx(0.1 / np.sqrt(CHI2_MEDIAN_3), rel=0.1)
     assert len({index // walked for index in visited}) >= min(places, 15)
     assert len(visited) <= 20 * 70
-    assert not errors.any()
+    assert not viewpoints.there.any() and not viewpoints.back.any()
 
 
 class _Erring:
@@ -244,11 +207,18 @@ def test_what_is_of_the_place_is_known_at_each_viewpoint_and_no_width(frames: in
     off_m = 0.1 * np.sin(np.linspace(0.0, 9.0, frames))
     recording, held_out = _Bare(poses), [np.array(region) for region in regions]
     localizer = _Erring(poses, off_m)
-    found, errors = measure_lasting(lambda _: localizer, lambda _: localizer, recording, held_out, NoProgress())
+    found, viewpoints = measure_lasting(lambda _: localizer, lambda _: localizer, recording, held_out, NoProgress())
     is_known = frames >= 30 and len(regions) > 0
-    np.testing.assert_allclose(errors[:, 0], off_m if is_known else 0.0, atol=1e-12)
-    np.testing.assert_allclose(errors[:, 1:], 0.0, atol=1e-3)  # where the walk turns it is the same twice
-    # What goes with the way is never known.
+    np.testing.assert_array_equal(viewpoints.poses, poses)
+    for passed, sideways_m in ((viewpoints.there, 0.05), (viewpoints.back, -0.05)):
+        np.testing.assert_allclose(passed[:, 0], off_m if is_known else 0.0, atol=1e-12)
+        np.testing.assert_allclose(passed[1:-1, 1], sideways_m if is_known else 0.0, atol=1e-12)
+        assert not passed[:, 2:].any()
+    np.testing.assert_allclose(viewpoints.in_common[:, 0], off_m if is_known else 0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        viewpoints.in_common[:, 1], 0.0, atol=1e-3
+    )  # where the walk turns it is the same twice
+    # What goes with the way is not known of another.
     lengths = np.full(frames, 0.05) if is_known else np.hypot(0.05, off_m)
     assert found.near_sd_m == pytest.approx(np.median(lengths) / np.sqrt(CHI2_MEDIAN_3), rel=0.05)
 

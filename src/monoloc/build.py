@@ -204,11 +204,11 @@ def build_bundle(
         return lambda pose: start_localizer(tuned, recording.camera, Start(pose), np.random.default_rng(seed))
 
     starts_at, rehearsed_at = starts_with(depth_model, adapted), starts_with(held_out_model, held_out_map)
-    lasting, errors = measure_lasting(starts_at, rehearsed_at, recording, regions, progress)
+    lasting, viewpoints = measure_lasting(starts_at, rehearsed_at, recording, regions, progress)
     found_m, found_rad = measure_found(held_out_map, samples, poses, settings, rng, progress)
     lasting = lasting.model_copy(update={"found_sd_m": found_m, "found_sd_rad": found_rad})
     settings = settings.model_copy(update={"lasting": lasting})
-    bundle = replace(bundle, settings=settings, viewpoints=Viewpoints(poses, errors))
+    bundle = replace(bundle, settings=settings, viewpoints=viewpoints)
     if not settings.can_find:
         warnings = [*warnings, f"one image tells where a camera is to {found_m:.1f} m only: flights need a start"]
     report = BuildReport(

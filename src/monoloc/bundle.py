@@ -40,7 +40,7 @@ from monoloc.models import is_shipped
 
 SCHEMA = 6
 _MANIFEST, _MAP, _DEPTH = "manifest.json", "map.npz", "depth.onnx"
-_VIEWPOINTS, _ERRORS = "viewpoints", "viewpoint_errors"  # twists (V, 6), float32
+_VIEWPOINTS = ("viewpoints", "errors_there", "errors_back")  # twists (V, 6), float32
 
 
 class Provenance(BaseModel):
@@ -200,7 +200,7 @@ def read_bundle(path: Path) -> Bundle:
     try:
         with np.load(io.BytesIO(contents[_MAP]), allow_pickle=False) as arrays:
             original, adapted = (GaussianMixture.from_arrays(arrays, name) for name in ("original_", "adapted_"))
-            poses, errors = (arrays[name].reshape(-1, 6).astype(np.float64) for name in (_VIEWPOINTS, _ERRORS))
+            poses, there, back = (arrays[name].reshape(-1, 6).astype(np.float64) for name in _VIEWPOINTS)
     except (KeyError, ValueError, zipfile.BadZipFile) as error:
         raise BundleError(path / _MAP, f"is no map ({error})", "rebuild it with this version") from error
     return Bundle(
@@ -211,7 +211,7 @@ def read_bundle(path: Path) -> Bundle:
         camera=manifest.camera,
         provenance=manifest.provenance,
         healthy=manifest.healthy,
-        viewpoints=Viewpoints(se3_exp(poses), errors),
+        viewpoints=Viewpoints(se3_exp(poses), there, back),
     )
 
 
@@ -230,8 +230,9 @@ def read_network(network: str | Path) -> DepthModel:
 def _pack_maps(bundle: Bundle) -> bytes:
     buffer = io.BytesIO()
     arrays: dict[str, Any] = bundle.original.to_arrays("original_") | bundle.adapted.to_arrays("adapted_")
-    arrays[_VIEWPOINTS] = se3_log(bundle.viewpoints.poses).astype(np.float32)
-    arrays[_ERRORS] = bundle.viewpoints.errors.astype(np.float32)
+    known = bundle.viewpoints
+    for name, twists in zip(_VIEWPOINTS, (se3_log(known.poses), known.there, known.back), strict=True):
+        arrays[name] = twists.astype(np.float32)
     np.savez(buffer, **arrays)
     return buffer.getvalue()
 

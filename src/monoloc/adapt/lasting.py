@@ -12,6 +12,7 @@ from monoloc.adapt.ways import Way, is_long, once, stay, there_and_back, unbroke
 from monoloc.datasets.base import Recording
 from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, axis_sd, pose_errors
 from monoloc.filter.lasting import LastingErrors
+from monoloc.filter.viewpoints import Viewpoints, likeness
 from monoloc.geometry import FloatArray, invert, se3_exp, se3_log, viewpoints_apart
 from monoloc.localizer import Localizer
 from monoloc.progress import Progress
@@ -29,7 +30,7 @@ def measure_lasting(
     recording: Recording,
     regions: list[NDArray[np.int64]],
     progress: Progress,
-) -> tuple[LastingErrors, FloatArray]:
+) -> tuple[LastingErrors, Viewpoints]:
     """How wide lasting errors are, near the viewpoints that tuned and away from them, and what they are at each.
 
     Near: the recording is followed there and back with the network that all its frames tuned, and where it was
@@ -46,8 +47,8 @@ def measure_lasting(
             nothing was tuned: nothing grows, and no viewpoint's error is known.
 
     Returns:
-        The widths, about what is known of the errors; and that, twists (N, 6) as of
-        :class:`monoloc.filter.viewpoints.Viewpoints`, zero on walks that are short.
+        The widths, about what is known of the errors; and that, at the recording's N viewpoints: nothing on walks
+        that are short.
     """
     poses = recording.poses
     assert poses is not None
@@ -57,19 +58,20 @@ def measure_lasting(
     single, double = [once(walk) for walk in walks], [there_and_back(walk) for walk in long]
     lingering = [stay(walk) for walk in short]
     stays = [stay(place) for region in regions for place in unbroken(region, times_s, poses)]
-    errors = np.zeros((len(recording), 6))
+    viewpoints = Viewpoints.of(poses)
     total = sum(len(way.frames) for way in ([*single, *double, *lingering, *stays] if stays else single))
     with progress.task("covariances", total) as show:
         follow = _Follower(recording, poses, show)
         if not stays:
             near_m, near_rad = axis_sd(_sizes(follow(starts_at, single)))
-            return LastingErrors(near_sd_m=near_m, near_sd_rad=near_rad), errors
+            return LastingErrors(near_sd_m=near_m, near_sd_rad=near_rad), viewpoints
         near = follow(starts_at, lingering)
         if long:
             there, back = _passes(follow(starts_at, double))
+            known = np.concatenate(long)
+            viewpoints.there[known], viewpoints.back[known] = there, back
+            # Of a flight that is still to come, and takes another way, what one of these foretells is known.
             alike = likeness(there, back)
-            errors[np.concatenate(long)] = in_common(there, back, alike)
-            # Of a pass that is still to come, what one of these foretells is known.
             near += [_less(there, alike * back), _less(back, alike * there)]
         rehearsed, away = follow(rehearsed_at, single), follow(rehearsed_at, stays)
     is_near = np.ones(len(recording), dtype=np.bool_)
@@ -77,7 +79,7 @@ def measure_lasting(
     counts = is_near[_counted(single)]
     distances_m = [viewpoints_apart(pose, poses[is_near]).min() for pose in poses[_counted(stays)]]
     rehearsed_near = _sizes([np.concatenate(rehearsed)[counts]])
-    return lasting_errors(_sizes(near), rehearsed_near, _sizes(away), np.array(distances_m)), errors
+    return lasting_errors(_sizes(near), rehearsed_near, _sizes(away), np.array(distances_m)), viewpoints
 
 
 class _Follower:
@@ -102,30 +104,6 @@ class _Follower:
             self._done += 1
             self._show(self._done)
         return np.stack(found)
-
-
-def likeness(there: FloatArray, back: FloatArray) -> FloatArray:
-    """Correlation (6,) of what two passes err by at the same N frames, twists (N, 6) each: 0 to 1.
-
-    What is the same in both passes is of the place, and the rest of the way that was taken. About zero and not about
-    the means, for those are in common too.
-    """
-    squares = 0.5 * (there**2 + back**2).sum(axis=0)
-    both = np.maximum(0.0, (there * back).sum(axis=0))
-    return np.asarray(np.divide(both, squares, out=np.zeros(6), where=squares > 0.0))
-
-
-def in_common(there: FloatArray, back: FloatArray, alike: FloatArray) -> FloatArray:
-    """What another pass is to be expected to err by at each of N frames, (N, 6).
-
-    The mean of the two passes, by its share that is no chance: the reliability of a mean of two (Spearman 1910, Brown
-    1910).
-
-    Args:
-        there, back: twists (N, 6).
-        alike: their :func:`likeness`, (6,).
-    """
-    return np.asarray(2.0 * alike / (1.0 + alike) * 0.5 * (there + back))
 
 
 def lasting_errors(

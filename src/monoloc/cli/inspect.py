@@ -86,10 +86,10 @@ def _bundle(path: Path) -> dict[str, object]:
 
 
 def _viewpoint_errors(viewpoints: Viewpoints) -> dict[str, object]:
-    """What is taken off poses at the build's frames, root mean square; None where no error of any is known."""
-    if not viewpoints.errors.any():
+    """What flights have in common that they err by at the build's frames, root mean square; None where nothing is."""
+    if not viewpoints.in_common.any():
         return {"viewpoint_error_m": None, "viewpoint_error_deg": None}
-    known = pose_errors(se3_exp(viewpoints.errors), np.broadcast_to(np.eye(4), viewpoints.poses.shape))
+    known = pose_errors(se3_exp(viewpoints.in_common), np.broadcast_to(np.eye(4), viewpoints.poses.shape))
     return {
         "viewpoint_error_m": float(np.sqrt(np.mean(known.position_m**2))),
         "viewpoint_error_deg": float(np.rad2deg(np.sqrt(np.mean(known.rotation_rad**2)))),

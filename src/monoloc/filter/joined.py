@@ -8,6 +8,7 @@ from the viewpoints that a room was built from: near them the map is followed, f
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +26,7 @@ _ODOMETRY_TOGETHER, _PARTICLES_TOGETHER = 4.0, 2.0
 # So long the bias is remembered without odometry. Motion is taken for new in every frame then, which it is not: in
 # time, a steady flight would be taken for a bias.
 _LONG_S = 1.0
+_LATE_S = 1.0  # the way that the camera came within about so long is that on which particles came to err as they do
 _LEAST_VARIANCE = 1e-10  # of a measurement, m^2 and rad^2: particles may all be one
 _OBSERVED = np.hstack([np.eye(6), np.eye(6)])  # the particles' pose errs by the pose's error and by the bias
 
@@ -122,6 +124,7 @@ class Joiner:
         self._joined = Joined.begin(start, self._widths(start.pose))
         self._located = start
         self._unmoved_s = 0.0  # for how long there has been no odometry
+        self._way = np.zeros(6)  # of late, a twist in the camera's frame
         self.blind_s = 0.0
 
     def step(self, motion: Motion | None, elapsed_s: float, located: Estimate, is_told: bool) -> Estimate:
@@ -149,7 +152,8 @@ class Joiner:
         Away from those that counts by near errors' share of the variance.
         """
         share = self._lasting.near_share(self._viewpoints.distance_m(located.pose))
-        return replace(located, pose=located.pose @ se3_exp(-share * self._viewpoints.error_at(located.pose)))
+        known = self._viewpoints.error_at(located.pose, self._way)
+        return replace(located, pose=located.pose @ se3_exp(-share * known))
 
     def rotation_sd(self, located: Estimate) -> float:
         """What the rotation that the particles say may be off by, rad an axis: their spread, and what lasts."""
@@ -167,6 +171,7 @@ class Joiner:
         delta[:3, 3] *= np.exp(self._located.log_scale)  # its translation was measured in predicted depth
         # How far it went is known well enough from the particles, where odometry does not tell.
         gone = invert(self._located.pose) @ located.pose if motion is None else delta
+        self._way = math.exp(-elapsed_s / _LATE_S) * self._way + se3_log(gone)
         kept = self._lasting.kept(float(viewpoints_apart(np.eye(4), gone[None])[0]))
         sd = motion_sd(motion, elapsed_s, self.blind_s, self._noise)
         if motion is not None:  # without one, it is already of frames that err together
