@@ -58,18 +58,17 @@ def measure_lasting(
     single, double = [once(walk) for walk in walks], [there_and_back(walk) for walk in long]
     lingering = [stay(walk) for walk in short]
     stays = [stay(place) for region in regions for place in unbroken(region, times_s, poses)]
-    viewpoints = Viewpoints.of(poses)
+    errors = np.zeros((2, len(recording), 6))  # there and back
     total = sum(len(way.frames) for way in ([*single, *double, *lingering, *stays] if stays else single))
     with progress.task("covariances", total) as show:
         follow = _Follower(recording, poses, show)
         if not stays:
             near_m, near_rad = axis_sd(_sizes(follow(starts_at, single)))
-            return LastingErrors(near_sd_m=near_m, near_sd_rad=near_rad), viewpoints
+            return LastingErrors(near_sd_m=near_m, near_sd_rad=near_rad), Viewpoints(poses, *errors)
         near = follow(starts_at, lingering)
         if long:
             there, back = _passes(follow(starts_at, double))
-            known = np.concatenate(long)
-            viewpoints.there[known], viewpoints.back[known] = there, back
+            errors[:, np.concatenate(long)] = there, back
             # Of a flight that is still to come, and takes another way, what one of these foretells is known.
             alike = likeness(there, back)
             near += [_less(there, alike * back), _less(back, alike * there)]
@@ -79,7 +78,8 @@ def measure_lasting(
     counts = is_near[_counted(single)]
     distances_m = [viewpoints_apart(pose, poses[is_near]).min() for pose in poses[_counted(stays)]]
     rehearsed_near = _sizes([np.concatenate(rehearsed)[counts]])
-    return lasting_errors(_sizes(near), rehearsed_near, _sizes(away), np.array(distances_m)), viewpoints
+    widths = lasting_errors(_sizes(near), rehearsed_near, _sizes(away), np.array(distances_m))
+    return widths, Viewpoints(poses, *errors)
 
 
 class _Follower:
