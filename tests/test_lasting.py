@@ -215,9 +215,8 @@ def test_what_is_of_the_place_is_known_at_each_viewpoint_and_no_width(frames: in
         np.testing.assert_allclose(passed[1:-1, 1], sideways_m if is_known else 0.0, atol=1e-12)
         assert not passed[:, 2:].any()
     np.testing.assert_allclose(viewpoints.in_common[:, 0], off_m if is_known else 0.0, atol=1e-12)
-    np.testing.assert_allclose(
-        viewpoints.in_common[:, 1], 0.0, atol=1e-3
-    )  # where the walk turns it is the same twice
+    # Where the walk turns, what is of the way is the same twice.
+    np.testing.assert_allclose(viewpoints.in_common[:, 1], 0.0, atol=1e-3)
     # What goes with the way is not known of another.
     lengths = np.full(frames, 0.05) if is_known else np.hypot(0.05, off_m)
     assert found.near_sd_m == pytest.approx(np.median(lengths) / np.sqrt(CHI2_MEDIAN_3), rel=0.05)

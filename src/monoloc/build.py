@@ -195,12 +195,12 @@ def build_bundle(
             down_world=_down(poses),
         ),
         healthy=healthy,
-        viewpoints=Viewpoints.of(poses),
+        viewpoints=Viewpoints.none(),
     )
 
     def starts_with(model: DepthModel, room: GaussianMixture) -> StartsAt:
-        # A camera that goes astray is not looked for here: how far it goes is to be measured.
-        tuned = replace(bundle, depth_model=model, adapted=room, viewpoints=Viewpoints.none())
+        # Without viewpoints a camera that goes astray is not looked for: how far it goes is to be measured.
+        tuned = replace(bundle, depth_model=model, adapted=room)
         return lambda pose: start_localizer(tuned, recording.camera, Start(pose), np.random.default_rng(seed))
 
     starts_at, rehearsed_at = starts_with(depth_model, adapted), starts_with(held_out_model, held_out_map)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from monoloc.adapt.ways import Way, is_long, once, stay, there_and_back, unbroken, walks_of
 from monoloc.datasets.base import Recording
-from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, axis_sd, pose_errors
+from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, axis_sd, twist_errors
 from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.viewpoints import Viewpoints, likeness
 from monoloc.geometry import FloatArray, invert, se3_exp, se3_log, viewpoints_apart
@@ -58,14 +58,14 @@ def measure_lasting(
     single, double = [once(walk) for walk in walks], [there_and_back(walk) for walk in long]
     lingering = [stay(walk) for walk in short]
     stays = [stay(place) for region in regions for place in unbroken(region, times_s, poses)]
-    errors = np.zeros((2, len(recording), 6))  # there and back
     total = sum(len(way.frames) for way in ([*single, *double, *lingering, *stays] if stays else single))
     with progress.task("covariances", total) as show:
         follow = _Follower(recording, poses, show)
         if not stays:
             near_m, near_rad = axis_sd(_sizes(follow(starts_at, single)))
-            return LastingErrors(near_sd_m=near_m, near_sd_rad=near_rad), Viewpoints(poses, *errors)
+            return LastingErrors(near_sd_m=near_m, near_sd_rad=near_rad), Viewpoints.of(poses)
         near = follow(starts_at, lingering)
+        errors = np.zeros((2, len(recording), 6))  # there and back
         if long:
             there, back = _passes(follow(starts_at, double))
             errors[:, np.concatenate(long)] = there, back
@@ -77,7 +77,7 @@ def measure_lasting(
     is_near[np.concatenate(regions)] = False
     counts = is_near[_counted(single)]
     distances_m = [viewpoints_apart(pose, poses[is_near]).min() for pose in poses[_counted(stays)]]
-    rehearsed_near = _sizes([np.concatenate(rehearsed)[counts]])
+    rehearsed_near = twist_errors(np.concatenate(rehearsed)[counts])
     widths = lasting_errors(_sizes(near), rehearsed_near, _sizes(away), np.array(distances_m))
     return widths, Viewpoints(poses, *errors)
 
@@ -152,6 +152,5 @@ def _less(errors: FloatArray, foretold: FloatArray) -> FloatArray:
 
 
 def _sizes(errors: list[FloatArray]) -> PoseErrors:
-    """Of twists (N, 6), as a whole."""
-    off = se3_exp(np.concatenate(errors))
-    return pose_errors(off, np.broadcast_to(np.eye(4), off.shape))
+    """Of twists (N, 6) of several ways, all together."""
+    return twist_errors(np.concatenate(errors))

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from monoloc.filter.viewpoints import STEP_M
 from monoloc.geometry import FloatArray, viewpoints_apart
 
 _FORGOTTEN = 60  # frames: after so many the start is, and what is left is what the depth there says
 _LONG = 30  # frames: on fewer, what is of the place and what is of the way cannot be told apart
-_GAP_S, _GAP_M = 1.5, 0.5  # between frames, the latter with a radian for a metre: no camera is followed over more
+_GAP_S = 1.5  # between frames: no camera is followed over more
 _MOST_WALKS = 20  # that are followed
 
 
@@ -41,7 +42,7 @@ def walks_of(times_s: FloatArray, poses: FloatArray) -> list[NDArray[np.int64]]:
 def unbroken(frames: NDArray[np.int64], times_s: FloatArray, poses: FloatArray) -> list[NDArray[np.int64]]:
     """The parts of frames, in order of time, within which the camera can be followed."""
     steps_m = [viewpoints_apart(a, b[None])[0] for a, b in itertools.pairwise(poses[frames])]
-    gaps = (np.diff(times_s[frames]) > _GAP_S) | (np.array(steps_m) > _GAP_M)
+    gaps = (np.diff(times_s[frames]) > _GAP_S) | (np.array(steps_m) > STEP_M)
     return np.split(frames, 1 + np.flatnonzero(gaps))
 
 

@@ -25,9 +25,8 @@ from monoloc.cli.common import (
 )
 from monoloc.datasets.base import Selection
 from monoloc.errors import SettingError
-from monoloc.evaluation.trajectory import pose_errors
+from monoloc.evaluation.trajectory import twist_errors
 from monoloc.filter.viewpoints import Viewpoints
-from monoloc.geometry import se3_exp
 from monoloc.map.compare import compare_maps
 
 
@@ -89,7 +88,7 @@ def _viewpoint_errors(viewpoints: Viewpoints) -> dict[str, object]:
     """What flights have in common that they err by at the build's frames, root mean square; None where nothing is."""
     if not viewpoints.in_common.any():
         return {"viewpoint_error_m": None, "viewpoint_error_deg": None}
-    known = pose_errors(se3_exp(viewpoints.in_common), np.broadcast_to(np.eye(4), viewpoints.poses.shape))
+    known = twist_errors(viewpoints.in_common)
     return {
         "viewpoint_error_m": float(np.sqrt(np.mean(known.position_m**2))),
         "viewpoint_error_deg": float(np.rad2deg(np.sqrt(np.mean(known.rotation_rad**2)))),

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from monoloc.geometry import FloatArray, invert, rotation_angle, se3_log
+from monoloc.geometry import FloatArray, invert, rotation_angle, se3_exp, se3_log
 
 CHI2_6_QUANTILE_95 = 12.591587  # 95 % quantile of the chi-squared distribution with 6 degrees of freedom
 CHI2_MEDIAN_3 = 2.3659738843753377  # median of that with 3
@@ -66,6 +66,12 @@ def pose_errors(estimated: ArrayLike, truth: ArrayLike) -> PoseErrors:
     offset_m = T_world_estimated[:, :3, 3] - T_world_truth[:, :3, 3]
     R_estimated_truth = np.swapaxes(T_world_estimated[:, :3, :3], -1, -2) @ T_world_truth[:, :3, :3]
     return PoseErrors(np.linalg.norm(offset_m, axis=-1), rotation_angle(R_estimated_truth))
+
+
+def twist_errors(twists: FloatArray) -> PoseErrors:
+    """Of poses that are off from the true ones by the exponentials of twists (N, 6), in the camera's frame."""
+    off = se3_exp(twists)
+    return PoseErrors(np.linalg.norm(off[..., :3, 3], axis=-1), rotation_angle(off[..., :3, :3]))
 
 
 def axis_sd(errors: PoseErrors) -> tuple[float, float]:

@@ -10,7 +10,7 @@ import numpy as np
 from monoloc.geometry import FloatArray, invert, se3_log, viewpoints_apart
 
 _ALIKE_M = 0.1  # farther than the nearest, a radian for a metre: by then a viewpoint's word counts 1 / e as much
-_STEP_M = 0.5  # from one to the next: what is farther is no motion of the camera
+STEP_M = 0.5  # from one to the next, a radian for a metre: over more no camera is followed
 _STILL_M = 0.02  # of a way, a radian for a metre: on a shorter one the camera goes nowhere
 
 
@@ -81,7 +81,7 @@ class Viewpoints:
     def _ahead(self) -> FloatArray:
         """Where a flight in order moves at each viewpoint, twists (V, 6) of unit length, or zero."""
         steps = se3_log(invert(self.poses[:-1]) @ self.poses[1:])
-        steps[np.linalg.norm(steps, axis=1) > _STEP_M] = 0.0
+        steps[np.linalg.norm(steps, axis=1) > STEP_M] = 0.0
         ways = np.zeros((len(self), 6))
         ways[:-1] += steps
         ways[1:] += steps
