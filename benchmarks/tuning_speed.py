@@ -30,6 +30,7 @@ from monoloc.adapt.transform import AdaptedMap, MapTransform
 from monoloc.adapt.views import make_views
 from monoloc.build import BuildConfig, fit_map
 from monoloc.datasets.registry import open_recording, select_frames
+from monoloc.depth import mobilenet
 from monoloc.depth import network as networks
 from monoloc.depth.checkpoint import load_network
 from monoloc.models import DEFAULT, shipped_file
@@ -48,9 +49,9 @@ def _strided(self: torch.nn.Conv2d, input: Tensor, weight: Tensor, bias: Tensor 
 
 _PLAIN: dict[str, Callable[[], object]] = {
     "pooling by the kernel": lambda: patch.object(networks, "max_pool5", _pooling),
-    "normalisation folded": lambda: patch.object(networks, "_is_folded", lambda norm: False),
+    "normalisation folded": lambda: patch.object(mobilenet, "_is_folded", lambda norm: False),
     "last layer as a sum": lambda: patch.object(networks._LastLayer, "_conv_forward", torch.nn.Conv2d._conv_forward),
-    "strided convolutions dense": lambda: patch.object(networks._SamePadConv, "_conv_forward", _strided),
+    "strided convolutions dense": lambda: patch.object(mobilenet._SamePadConv, "_conv_forward", _strided),
     "bent points as columns": lambda: patch.object(MapTransform, "forward", _rows),
 }
 

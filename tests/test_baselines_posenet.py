@@ -19,7 +19,8 @@ from monoloc.baselines.posenet_training import PoseNetTraining, PosePredictor, T
 from monoloc.depth.augment import AugmentConfig
 from monoloc.depth.examples import network_input
 from monoloc.depth.family import SIZES, WIDTHS, network_config
-from monoloc.depth.network import DepthNetwork, load_encoder_weights
+from monoloc.depth.mobilenet import load_encoder_weights
+from monoloc.depth.network import DepthNetwork
 from monoloc.depth.spec import image_tensor, network_size
 from monoloc.errors import DataError, SettingError
 from monoloc.evaluation.trajectory import pose_errors

@@ -13,7 +13,8 @@ from torch import Tensor
 from monoloc.config import load_settings
 from monoloc.depth.family import SIZES, WIDTHS, named_config, network_config
 from monoloc.depth.losses import LossConfig, depth_loss, laplace_loss
-from monoloc.depth.network import DepthNetwork, load_encoder_weights
+from monoloc.depth.mobilenet import load_encoder_weights
+from monoloc.depth.network import DepthNetwork
 from monoloc.depth.train import TrainConfig
 from monoloc.errors import SettingError
 

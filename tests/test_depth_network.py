@@ -26,16 +26,8 @@ from monoloc.camera import Camera
 from monoloc.config import describe
 from monoloc.depth.checkpoint import load_network, save_network
 from monoloc.depth.export import export_onnx
-from monoloc.depth.network import (
-    DepthNetwork,
-    Encoder,
-    NetworkConfig,
-    _conv_bn,
-    _LastLayer,
-    _Layers,
-    _SamePadConv,
-    load_encoder_weights,
-)
+from monoloc.depth.mobilenet import Encoder, _conv_bn, _Layers, _SamePadConv, load_encoder_weights
+from monoloc.depth.network import DepthNetwork, NetworkConfig, _LastLayer
 from monoloc.depth.quantise import quantise
 from monoloc.depth.spec import image_tensor
 from monoloc.errors import DataError

@@ -22,7 +22,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from monoloc.depth.family import network_config
-from monoloc.depth.network import DepthNetwork, Encoder, check_encoder_blocks
+from monoloc.depth.mobilenet import Encoder, check_encoder_blocks
+from monoloc.depth.network import DepthNetwork
 from monoloc.depth.work import multiply_adds
 from monoloc.geometry import FloatArray, make_pose, nearest_rotation, so3_exp, so3_log
 

@@ -22,7 +22,7 @@ from monoloc.datasets.base import Recording
 from monoloc.depth.augment import AugmentConfig, random_exposure
 from monoloc.depth.checkpoint import load_network
 from monoloc.depth.examples import network_input
-from monoloc.depth.network import load_encoder_weights
+from monoloc.depth.mobilenet import load_encoder_weights
 from monoloc.depth.schedule import one_cycle
 from monoloc.depth.spec import image_tensor, network_size, resize_image
 from monoloc.errors import DataError, SettingError

@@ -24,7 +24,8 @@ from monoloc.depth.examples import TrainingFrames, ValidationFrames
 from monoloc.depth.family import named_config
 from monoloc.depth.identity import file_sha256, recording_identity
 from monoloc.depth.losses import LossConfig, depth_loss, laplace_loss
-from monoloc.depth.network import DepthNetwork, NetworkConfig, load_encoder_weights
+from monoloc.depth.mobilenet import load_encoder_weights
+from monoloc.depth.network import DepthNetwork, NetworkConfig
 from monoloc.depth.schedule import one_cycle
 from monoloc.errors import DataError, SettingError
 from monoloc.files import write_whole
