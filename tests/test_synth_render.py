@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib.util
 import json
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +20,7 @@ from monoloc.datasets.registry import open_recording
 from monoloc.errors import DataError, SettingError
 from monoloc.geometry import FloatArray, invert, make_pose, so3_exp, transform
 from monoloc.outputs.tum import write_tum
-from monoloc.progress import NoProgress
+from monoloc.progress import NoProgress, Step
 from monoloc.synth import sequence as sequences
 from monoloc.synth import views as training
 from monoloc.synth.blur import velocities
@@ -304,9 +306,22 @@ def test_two_renderings_are_not_mixed(room, poses, flight):
     assert read_room(flight / "room.json") == room
 
 
+class _Told(NoProgress):
+    """Keeps which steps it is told of."""
+
+    def __init__(self) -> None:
+        self.steps: list[int] = []
+
+    @contextmanager
+    def task(self, name: str, total: int | None) -> Iterator[Step]:
+        yield lambda done, remark="": self.steps.append(done)
+
+
 def test_training_views_are_pairs(room, tmp_path, monkeypatch):
     monkeypatch.setattr(training, "generate_room", lambda seed: room)
-    render_views(rooms=2, views=1, samples=2, seed=0, out=tmp_path, progress=NoProgress())
+    told = _Told()
+    render_views(rooms=2, views=1, samples=2, seed=0, out=tmp_path, progress=told)
+    assert told.steps == [1, 2]
     pairs = open_recording(f"folder:{tmp_path}")
     assert len(pairs) == 2 and pairs.poses is None
     for index in range(2):
@@ -314,7 +329,9 @@ def test_training_views_are_pairs(room, tmp_path, monkeypatch):
         assert np.median(pairs.depth(index)) > 1.0
     before = (tmp_path / "color" / "000000.jpg").stat().st_mtime_ns
     (tmp_path / "depth" / "000001.png").unlink()
-    render_views(rooms=2, views=1, samples=2, seed=0, out=tmp_path, progress=NoProgress())
+    told = _Told()
+    render_views(rooms=2, views=1, samples=2, seed=0, out=tmp_path, progress=told)
+    assert told.steps == [2]
     assert (tmp_path / "color" / "000000.jpg").stat().st_mtime_ns == before
     assert (tmp_path / "depth" / "000001.png").is_file()
     for other in ({"seed": 1}, {"samples": 3}, {"views": 2}):

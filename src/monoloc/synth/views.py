@@ -15,7 +15,7 @@ from monoloc.camera import Camera
 from monoloc.datasets.folder import FILE_NAME
 from monoloc.files import write_whole
 from monoloc.geometry import FloatArray, make_pose, so3_exp
-from monoloc.progress import Progress
+from monoloc.progress import Progress, Step
 from monoloc.synth.flights import FlightConfig, free_places
 from monoloc.synth.layout import generate_room
 from monoloc.synth.light import Light
@@ -73,10 +73,9 @@ def render_views(rooms: int, views: int, samples: int, seed: int, out: Path, pro
         (out / name).mkdir(exist_ok=True)
     with progress.task("views", rooms * views) as step:
         for number in range(rooms):
-            done = number * views
-            if not (out / "depth" / f"{done + views - 1:06d}.png").is_file():
-                _render_room(seed + number, views, samples, out, done)
-            step(done + views)
+            first = number * views
+            if not (out / "depth" / f"{first + views - 1:06d}.png").is_file():
+                _render_room(seed + number, views, samples, out, first, step)
     description = f"""\
 kind = "pairs"
 color = "color/{{index:06d}}.jpg"
@@ -88,7 +87,7 @@ depth_scale = {DEPTH_SCALE}
     write_whole(out / FILE_NAME, description.encode())
 
 
-def _render_room(seed: int, views: int, samples: int, out: Path, first: int) -> None:
+def _render_room(seed: int, views: int, samples: int, out: Path, first: int, step: Step) -> None:
     rng = np.random.default_rng([seed, 0x71E5])
     room = generate_room(seed)
     renderer = Renderer(room, samples)
@@ -104,6 +103,7 @@ def _render_room(seed: int, views: int, samples: int, out: Path, first: int) -> 
         write_whole(out / "color" / f"{index:06d}.jpg", _jpeg(color))
         write_whole(out / "depth" / f"{index:06d}.png", depth_png(picture.depth_m, DEPTH_SCALE))
         index += 1
+        step(index)
 
 
 def _jpeg(color: NDArray[np.uint8]) -> bytes:
