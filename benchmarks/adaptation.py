@@ -3,7 +3,7 @@
     python benchmarks/adaptation.py --data ../shared/data --out runs/adaptation --study annealing rates
     python benchmarks/adaptation.py --out runs/adaptation --study variants --network full-0.35 one-third-0.35 \
         --motion visual random-walk --seeds 10
-    python benchmarks/adaptation.py --out runs/adaptation --study default --builds 5 --seeds 5
+    python benchmarks/adaptation.py --out runs/adaptation --study default unadapted --builds 5 --seeds 5
     python benchmarks/adaptation.py --out runs/adaptation --study default --builtin --light L1 L2 L3
 
 RedKitchen, or the rendered room that comes with monoloc. The splits are those of ``monoloc reproduce``, whose engine
@@ -37,6 +37,7 @@ _BOTH = ("last+map", "joint")
 # By study and name: the variant, and what of adaptation, or of the map, is changed.
 STUDIES: dict[str, dict[str, tuple[str, dict[str, Any]]]] = {
     "default": {"joint": ("joint", {})},
+    "unadapted": {"unadapted": ("unadapted", {})},
     "variants": {name: (name, {}) for name in tasks.VARIANTS if name != "network"},
     "pose steps": {f"joint, weight {value:g}": ("joint", {"pose_weight": value}) for value in (0.0, 1.0)},
     "components": {f"K {count}": ("joint", {"components": count}) for count in (50, 100, 200, 400, 800)},
