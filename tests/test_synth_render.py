@@ -342,6 +342,13 @@ def test_training_views_are_pairs(room, tmp_path, monkeypatch):
     render_views(rooms=1, views=1, samples=2, seed=0, out=tmp_path, progress=NoProgress())
 
 
+def test_progress_of_training_views_is_by_the_view(room, tmp_path, monkeypatch):
+    monkeypatch.setattr(training, "generate_room", lambda seed: room)
+    told = _Told()
+    render_views(rooms=1, views=2, samples=1, seed=0, out=tmp_path, progress=told)
+    assert told.steps == [1, 2]
+
+
 def test_render_command_writes_recordings(room, poses, tmp_path, capfd):
     write_room(tmp_path / "room.json", room)
     write_tum(tmp_path / "way.txt", np.arange(3) / 30.0, poses)

@@ -24,6 +24,7 @@ from monoloc.errors import DataError
 _STAGES = ((1, 16, 1), (6, 24, 2), (6, 32, 2), (6, 64, 2), (6, 96, 1), (6, 160, 2), (6, 320, 1))
 BLOCKS = (1, 2, 3, 4, 3, 3, 1)
 """Inverted residuals of each of the seven stages of the whole encoder."""
+
 # Index in torchvision's ``features`` of every stage's first block.
 _FIRST_INDEX = tuple(1 + sum(BLOCKS[:stage]) for stage in range(len(BLOCKS)))
 _BATCH_NORM_EPS = 1e-3  # as the ImageNet weights were trained

@@ -1,7 +1,7 @@
 """The depth network: MobileNetV2 encoder, Light-Weight RefineNet decoder, one log-depth map out.
 
 Sources: Nekrasov et al., *Light-Weight RefineNet* (BMVC 2018) and *Real-Time Joint Semantic Segmentation and Depth
-Estimation* (ICRA 2019); the encoder's are with it (:mod:`monoloc.depth.mobilenet`).
+Estimation* (ICRA 2019). The encoder, :mod:`monoloc.depth.mobilenet`, names its own.
 
 Inputs are RGB in [-1, 1], (B, 3, H, W) with H and W multiples of 32. The output is the natural logarithm of
 *canonical* depth, (B, 1, H/4, W/4): the depth the scene would have were it seen at ``focal_px``
