@@ -1,6 +1,7 @@
 """What a step of tuning costs, and a synthesised view, and each without what makes it cheaper.
 
     OMP_NUM_THREADS=1 python benchmarks/tuning_speed.py --data ../shared/data --threads 1
+    ONEDNN_MAX_CPU_ISA=AVX2 ATEN_CPU_CAPABILITY=avx2 python benchmarks/tuning_speed.py     (as without AVX-512)
 
 Steps of the default adaptation on RedKitchen's frames 0:200:3. Each way takes its turn, several times over; the
 fastest turn counts.
@@ -21,6 +22,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from monoloc.adapt import train as adapt_train
 from monoloc.adapt import warp
 from monoloc.adapt.map_depth import supervision
 from monoloc.adapt.reference import draw_points
@@ -33,6 +35,7 @@ from monoloc.datasets.registry import open_recording, select_frames
 from monoloc.depth import mobilenet
 from monoloc.depth import network as networks
 from monoloc.depth.checkpoint import load_network
+from monoloc.depth.precision import learns_in_bfloat16
 from monoloc.models import DEFAULT, shipped_file
 from monoloc.progress import NoProgress
 
@@ -53,6 +56,7 @@ _PLAIN: dict[str, Callable[[], object]] = {
     "last layer as a sum": lambda: patch.object(networks._LastLayer, "_conv_forward", torch.nn.Conv2d._conv_forward),
     "strided convolutions dense": lambda: patch.object(mobilenet._SamePadConv, "_conv_forward", _strided),
     "bent points as columns": lambda: patch.object(MapTransform, "forward", _rows),
+    "the precision that suits the processor": lambda: patch.object(adapt_train, "learns_in_bfloat16", _unsuited),
 }
 
 
@@ -60,6 +64,10 @@ def _rows(self: MapTransform, points: Tensor) -> Tensor:
     normalised = ((points - self.centre) / self.radius).to(self.hidden.weight.dtype)
     displacement: Tensor = self.output(torch.tanh(self.hidden(normalised)))
     return points + displacement
+
+
+def _unsuited(device_type: str) -> bool:
+    return not learns_in_bfloat16(device_type)
 
 
 @contextmanager

@@ -904,6 +904,25 @@ def test_tuning_fits_depth_and_repeats(
         torch.testing.assert_close(states[1][name], tensor, rtol=0.0, atol=0.0)
 
 
+@pytest.mark.parametrize(("capability", "precision"), [("AVX2", torch.float32), ("AVX512", torch.bfloat16)])
+def test_tuning_learns_depth_in_the_precision_that_suits_the_processor(
+    mapped_room: tuple[GaussianMixture, FloatArray],
+    views: Views,
+    capability: str,
+    precision: torch.dtype,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: capability)
+    adaptation = start_adaptation(mapped_room, tune="all", inflation_m=0.1, pose_weight=0.0)
+    adaptation.fit_bias(views)
+    before = adaptation.score(views, 0)
+    features: list[torch.dtype] = []
+    adaptation.network.decoder.register_forward_hook(lambda _, __, output: features.append(output.dtype))
+    adaptation.run(views, 12, generator())
+    assert features[1:] == [precision] * 12  # the first is of the bias
+    assert adaptation.score(views, 12).depth_loss < before.depth_loss
+
+
 def test_errors_that_would_move_the_camera_are_learned_away(
     mapped_room: tuple[GaussianMixture, FloatArray], views: Views
 ) -> None:

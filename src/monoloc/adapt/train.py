@@ -21,6 +21,7 @@ from monoloc.depth.augment import AugmentConfig, random_exposure
 from monoloc.depth.examples import network_input
 from monoloc.depth.losses import LossConfig, depth_loss, laplace_loss
 from monoloc.depth.network import DepthNetwork
+from monoloc.depth.precision import learns_in_bfloat16
 from monoloc.memory import keep_freed_memory
 
 _DECODER_STEPS_A_MAP_STEP = 4
@@ -252,15 +253,16 @@ class Adaptation:
                 part = [encoder.first_layers(images)]
             else:
                 part = encoder(images) if self.config.by_depth else [self.network.decoder(encoder(images))]
-            # What is tuned by depth is computed in half the bits.
-            parts.append([tap.bfloat16() for tap in part] if self.config.by_depth else part)
+            # What is tuned by depth is computed in half the bits, where that is faster.
+            in_half = self.config.by_depth and learns_in_bfloat16("cpu")
+            parts.append([tap.bfloat16() for tap in part] if in_half else part)
         return [torch.cat(part).contiguous(memory_format=torch.channels_last) for part in zip(*parts, strict=True)]
 
     def _features(self, inputs: list[Tensor]) -> Tensor:
         """What the last layer reads, from :meth:`_frozen`'s outputs, with gradients."""
         if not self.config.by_depth:
             return inputs[0]
-        with torch.autocast("cpu", dtype=torch.bfloat16):
+        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=learns_in_bfloat16("cpu")):
             taps = self.network.encoder.after_first(inputs[0]) if self.config.tune == "all" else inputs
             features: Tensor = self.network.decoder(taps)
         return features.float()

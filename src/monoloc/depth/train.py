@@ -26,6 +26,7 @@ from monoloc.depth.identity import file_sha256, recording_identity
 from monoloc.depth.losses import LossConfig, depth_loss, laplace_loss
 from monoloc.depth.mobilenet import load_encoder_weights
 from monoloc.depth.network import DepthNetwork, NetworkConfig
+from monoloc.depth.precision import learns_in_bfloat16
 from monoloc.depth.schedule import one_cycle
 from monoloc.errors import DataError, SettingError
 from monoloc.files import write_whole
@@ -90,9 +91,9 @@ def train_network(
 ) -> list[EpochRecord]:
     """Train from the encoder's weights, from a network or from nothing, and write the network and its history.
 
-    AdamW, one-cycle learning rate, exponential moving average of the weights, bfloat16 convolutions; on GPUs
-    where there are some, and on several under ``torchrun``; at the end the last layer's bias is set so that the
-    median error on whole frames is none. After every epoch ``out_dir`` holds
+    AdamW, one-cycle learning rate, exponential moving average of the weights; bfloat16 convolutions where they are
+    the faster; on GPUs where there are some, and on several under ``torchrun``; at the end the last layer's bias is
+    set so that the median error on whole frames is none. After every epoch ``out_dir`` holds
     ``network.safetensors`` (the averaged weights), ``history.json`` (which is returned, by the first of several
     processes) and what it takes to go on from there: called again with the same settings, training resumes. What
     it starts from, and all frames, must be the same too.
@@ -227,7 +228,8 @@ class _Run:
         losses = []
         for images, depth in self._frames.epoch(config.seed, epoch, config.batch_size, worker.rank, worker.count):
             images, depth = images.to(worker.device), depth.to(worker.device)
-            with torch.autocast(worker.device.type, dtype=torch.bfloat16):
+            kind = worker.device.type
+            with torch.autocast(kind, dtype=torch.bfloat16, enabled=learns_in_bfloat16(kind)):
                 log_depth, log_scale = self._trained(images)
             loss = depth_loss(log_depth.float(), depth, config.loss, config.network.focal_px)
             if log_scale is not None:
