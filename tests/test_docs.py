@@ -37,9 +37,14 @@ def _there(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(made)
 
 
+def pieces_of(document: str) -> list[str]:
+    """The pieces of Python in a document."""
+    return re.findall(r"```python\n(.*?)```", (REPOSITORY / document).read_text(encoding="utf-8"), re.DOTALL)
+
+
 def python_of(document: str) -> str:
     """The one piece of Python in a document."""
-    (code,) = re.findall(r"```python\n(.*?)```", (REPOSITORY / document).read_text(encoding="utf-8"), re.DOTALL)
+    (code,) = pieces_of(document)
     return code
 
 
@@ -81,6 +86,12 @@ def test_a_flight_controller_is_told_where_the_drone_is(recording: RoomRecording
     np.testing.assert_allclose(
         1e6 * np.cov(np.transpose(seen)) / np.outer(sd, sd), covariance / np.outer(sd, sd), atol=0.1
     )
+
+
+def test_a_rendered_room_is_edited() -> None:
+    names: dict[str, Any] = {}
+    exec(compile(pieces_of("docs/synth.md")[0], "docs/synth.md", "exec"), names)
+    assert names["moved"] != names["room"] and set(names["room"].names) - set(names["emptier"].names) == {"plant"}
 
 
 @pytest.mark.slow
