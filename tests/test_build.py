@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from map_helpers import make_mixture
 from monoloc.adapt.calibrate import Sample
 from monoloc.adapt.run import AdaptResult
+from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.train import Score
 from monoloc.build import BuildConfig, BuildReport, build_bundle
 from monoloc.bundle import Bundle, fingerprint
@@ -55,6 +56,7 @@ class Measured:
     calibrated: list[tuple[GaussianMixture, list[Sample]]] = field(default_factory=list)
     found: list[tuple[GaussianMixture, list[Sample], FloatArray, LocalizerConfig]] = field(default_factory=list)
     regions: list[NDArray[np.int64]] = field(default_factory=list)
+    is_tuned: bool = False
     started: list[tuple[Bundle, Start]] = field(default_factory=list)
 
     def calibrate(
@@ -64,9 +66,15 @@ class Measured:
         return base.model_copy(update={"log_scale_sd": 0.123}), HEALTHY
 
     def measure_lasting(
-        self, starts_at: Callable, rehearsed_at: Callable, recording: RoomRecording, regions: list, _: Any
+        self,
+        starts_at: Callable,
+        rehearsed_at: Callable,
+        recording: RoomRecording,
+        regions: list,
+        tuned: bool,
+        _: Any,
     ) -> tuple[LastingErrors, Viewpoints]:
-        self.regions = regions
+        self.regions, self.is_tuned = regions, tuned
         starts_at(recording.poses[0])
         rehearsed_at(recording.poses[1])
         return LASTING, Viewpoints(recording.poses, *ERRORS)
@@ -107,6 +115,15 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> Measured:
 def build(recording: RoomRecording, **settings: Any) -> tuple[Bundle, BuildReport]:
     config = BuildConfig(components=8, voxel_m=0.1, **settings)
     return build_bundle(recording, config, 0, NoProgress(), Room().cloud(0.1), "tiny-0.35")
+
+
+@pytest.mark.parametrize(("tune", "steps"), [("all", 20), ("last", 20), ("last", 0), ("none", 20)])
+def test_what_poses_err_by_is_known_of_a_network_that_learned_of_the_frames(
+    recording: RoomRecording, measured: Measured, monkeypatch: pytest.MonkeyPatch, tune: str, steps: int
+) -> None:
+    monkeypatch.setattr("monoloc.adapt.run.adapt", lambda *_: replace(RESULT, steps=steps))
+    build(recording, adapt=AdaptConfig(tune=tune))
+    assert measured.is_tuned == (tune != "none" and steps > 0)
 
 
 @pytest.mark.parametrize("int8", [False, True])

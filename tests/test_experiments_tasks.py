@@ -23,6 +23,7 @@ from monoloc.experiments.study import Split, Study, Walk, recorded
 from monoloc.experiments.task import Result, Task
 from monoloc.experiments.work import KINDS
 from monoloc.experiments.work_rooms import octree_bytes
+from monoloc.localizer import LocalizerConfig
 from monoloc.map.mixture import BYTES_PER_COMPONENT
 from monoloc.models import shipped_file, shipped_models
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path, write_recording
@@ -367,7 +368,15 @@ def test_other_maps_of_the_same_room(study: Study, away: Split, done: dict[str, 
     same = read_bundle(do(tasks.remapped(bundle, "mixture", 200), done).folder / "room.monoloc")
     # An adapted map has its components' moments taken once more, see AdaptedMap.
     np.testing.assert_allclose(same.adapted.means, given.adapted.means, atol=0.01)
-    assert same.depth_model == given.depth_model and same.settings == given.settings
+    assert same.depth_model == given.depth_model
+
+    def but_near(settings: LocalizerConfig) -> LocalizerConfig:
+        any_near = settings.lasting.model_copy(update={"near_sd_m": 0.0, "near_sd_rad": 0.0})
+        return settings.model_copy(update={"lasting": any_near})
+
+    # What is of network and map together is measured anew.
+    assert but_near(same.settings) == but_near(given.settings)
+    assert same.settings.lasting.near_sd_m == pytest.approx(given.settings.lasting.near_sd_m, rel=0.3)
     fewer = do(tasks.remapped(bundle, "mixture", 25), done)
     assert fewer.figures == {"components": 25, "map_bytes": 1000}
     voxels = do(tasks.remapped(bundle, "voxels", 0.25), done)
@@ -379,6 +388,8 @@ def test_other_maps_of_the_same_room(study: Study, away: Split, done: dict[str, 
     assert points.figures["map_bytes"] == 12 * points.figures["components"]
     coarse = read_bundle(points.folder / "room.monoloc").adapted
     np.testing.assert_allclose(coarse.covariances[0], 0.125**2 * np.eye(3), rtol=1e-5)
+    near_sd_m = read_bundle(points.folder / "room.monoloc").settings.lasting.near_sd_m
+    assert near_sd_m != given.settings.lasting.near_sd_m
 
 
 def test_bytes_of_an_octree() -> None:

@@ -206,6 +206,36 @@ def test_what_is_taken_off_is_of_the_way_that_the_camera_came(way_m: float, has_
     assert off_m == pytest.approx(-np.sign(way_m) * 0.02, rel=0.12)
 
 
+def test_a_jump_of_the_particles_is_no_way() -> None:
+    """Neither the first scan's correction of the start, nor to where a lost camera was found."""
+    poses = np.tile(np.eye(4), (20, 1, 1))
+    poses[:, 0, 3] = 0.05 * np.arange(20)
+    there = np.tile([0.0, 0.02, 0.0, 0.0, 0.0, 0.0], (20, 1))
+    follower = Joiner(said(poses[10]), LASTING, MotionConfig(), Viewpoints(poses, there, -there))
+    follower.step(None, 0.0, said(poses[14]), is_told=True)
+    np.testing.assert_array_equal(follower.corrected(said(poses[10])).pose, poses[10])
+    follower.step(None, ELAPSED_S, said(se3_exp([4.0, 0.0, 0.0, 0.0, 0.0, 0.0])), is_told=True)
+    np.testing.assert_array_equal(follower.corrected(said(poses[10])).pose, poses[10])
+
+
+def test_what_is_foreseen_is_what_comes_of_a_frame_that_tells_nothing() -> None:
+    follower = joiner(np.eye(4))
+    foreseen = follower.foreseen(2.0)
+    np.testing.assert_array_equal(follower.foreseen(2.0).covariance, foreseen.covariance)  # nothing has changed
+    belief = follower.step(None, 2.0, said(np.eye(4)), is_told=False)
+    np.testing.assert_array_equal(belief.pose, foreseen.pose)
+    np.testing.assert_array_equal(belief.covariance, foreseen.covariance)
+
+
+def test_where_the_camera_was_found_its_rotation_is_as_uncertain_as_that() -> None:
+    lasting = LastingErrors(near_sd_m=0.01, near_sd_rad=0.01, found_sd_m=0.2, found_sd_rad=0.2)
+    follower, here = joiner(np.eye(4), lasting), said(np.eye(4))
+    spread = np.sqrt(here.covariance[3, 3])
+    assert follower.rotation_sd(here) == pytest.approx(np.hypot(0.01, spread), rel=1e-6)
+    follower.begin_anew(here)
+    assert follower.rotation_sd(here) == pytest.approx(np.hypot(0.2, spread), rel=1e-6)
+
+
 def test_without_odometry_the_bias_is_forgotten_as_far_as_the_particles_went() -> None:
     """What was learnt of it is worth less a metre on."""
     off, biases = se3_exp([0.2, 0.0, 0.0, 0.0, 0.0, 0.0]), []

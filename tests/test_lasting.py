@@ -125,17 +125,17 @@ def test_the_camera_stays_where_depth_errs(monkeypatch: pytest.MonkeyPatch) -> N
     region = np.arange(14, 18)
     final, rehearsed = _Leaning(recording, set()), _Leaning(recording, {*region.tolist()})
     final_at, rehearsed_at = (partial(starts_at, mixture, recording.poses, depth) for depth in (final, rehearsed))
-    alone, _ = measure_lasting(final_at, rehearsed_at, recording, [], NoProgress())
+    alone, _ = measure_lasting(final_at, rehearsed_at, recording, [], False, NoProgress())
     assert final.asked == list(range(24)) and not rehearsed.asked
     assert alone.growth_m == alone.growth_rad == 0.0
-    found, _ = measure_lasting(final_at, rehearsed_at, recording, [region], NoProgress())
+    found, _ = measure_lasting(final_at, rehearsed_at, recording, [region], True, NoProgress())
     walk = list(range(24))
     assert final.asked == [*walk, *walk[::-1], *walk, *walk[::-1]] and rehearsed.asked[:24] == list(range(24))
     assert rehearsed.asked[24:34] == [14, 15, 16, 17, 16, 15, 14, 15, 16, 17] and len(rehearsed.asked) >= 24 + 28
     assert found.near_sd_m < 0.03 and alone.near_sd_m < 0.03
     # A quarter of the depth across a metre of it turns a wall by some 14 degrees.
     assert found.growth_rad > 0.1
-    one_frame, _ = measure_lasting(final_at, rehearsed_at, recording, [np.array([20])], NoProgress())
+    one_frame, _ = measure_lasting(final_at, rehearsed_at, recording, [np.array([20])], True, NoProgress())
     assert np.isfinite([one_frame.growth_m, one_frame.growth_rad]).all()
 
 
@@ -176,7 +176,7 @@ def test_walks_are_long_enough_to_forget_their_start(places: int, walked: int) -
     recording = _Bare(poses)
     visited: list[int] = []
     found, viewpoints = measure_lasting(
-        lambda _: _Forgetful(poses, visited), lambda _: _Forgetful(poses, visited), recording, [], NoProgress()
+        lambda _: _Forgetful(poses, visited), lambda _: _Forgetful(poses, visited), recording, [], False, NoProgress()
     )
     # The median of the lengths of Gaussian errors, each axis with this deviation, is the decimetre.
     assert found.near_sd_m == pytest.approx(0.1 / np.sqrt(CHI2_MEDIAN_3), rel=0.1)
@@ -199,16 +199,29 @@ class _Erring:
         return SimpleNamespace(located=SimpleNamespace(pose=pose))
 
 
-@pytest.mark.parametrize(("frames", "regions"), [(200, [[90, 91]]), (30, [[20, 21]]), (29, [[20, 21]]), (200, [])])
-def test_what_is_of_the_place_is_known_at_each_viewpoint_and_no_width(frames: int, regions: list[list[int]]) -> None:
+@pytest.mark.parametrize(
+    ("frames", "regions", "is_tuned"),
+    [
+        (200, [[90, 91]], True),
+        (30, [[20, 21]], True),
+        (29, [[20, 21]], True),
+        (200, [], False),
+        (200, [[90, 91]], False),
+    ],
+)
+def test_what_is_of_the_place_is_known_at_each_viewpoint_and_no_width(
+    frames: int, regions: list[list[int]], is_tuned: bool
+) -> None:
     """On a long walk, after tuning: a short one, or an untuned network's, is only known to be so wide."""
     poses = np.tile(np.eye(4), (frames, 1, 1))
     poses[:, 2, 3] = np.linspace(0.0, 4.0, frames)
     off_m = 0.1 * np.sin(np.linspace(0.0, 9.0, frames))
     recording, held_out = _Bare(poses), [np.array(region) for region in regions]
     localizer = _Erring(poses, off_m)
-    found, viewpoints = measure_lasting(lambda _: localizer, lambda _: localizer, recording, held_out, NoProgress())
-    is_known = frames >= 30 and len(regions) > 0
+    found, viewpoints = measure_lasting(
+        lambda _: localizer, lambda _: localizer, recording, held_out, is_tuned, NoProgress()
+    )
+    is_known = frames >= 30 and is_tuned
     np.testing.assert_array_equal(viewpoints.poses, poses)
     for passed, sideways_m in ((viewpoints.there, 0.05), (viewpoints.back, -0.05)):
         np.testing.assert_allclose(passed[:, 0], off_m if is_known else 0.0, atol=1e-12)
@@ -220,6 +233,17 @@ def test_what_is_of_the_place_is_known_at_each_viewpoint_and_no_width(frames: in
     # What goes with the way is not known of another.
     lengths = np.full(frames, 0.05) if is_known else np.hypot(0.05, off_m)
     assert found.near_sd_m == pytest.approx(np.median(lengths) / np.sqrt(CHI2_MEDIAN_3), rel=0.05)
+
+
+@given(st.lists(st.integers(1, 60), min_size=1, max_size=60))
+def test_long_walks_are_followed_before_frames_that_stand_alone(lengths: list[int]) -> None:
+    poses = np.tile(np.eye(4), (sum(lengths), 1, 1))
+    poses[:, 2, 3] = np.repeat(5.0 * np.arange(len(lengths)), lengths)
+    walks = ways.walks_of(0.1 * np.arange(len(poses)), poses)
+    assert [int(walk[0]) for walk in walks] == sorted(int(walk[0]) for walk in walks)
+    long, followed = sum(length >= 30 for length in lengths), sum(len(walk) >= 30 for walk in walks)
+    assert followed == long or (long > 20 and followed > 10)
+    assert min(len(lengths), 10) <= len(walks) <= 20
 
 
 @pytest.mark.slow
@@ -240,7 +264,8 @@ def test_walks_are_followed_one_by_one(monkeypatch: pytest.MonkeyPatch, pause_s:
 
     # A region of two passes through one place: the camera stays in the one, then in the other.
     region = np.array([4, 5, 16, 17])
-    found, _ = measure_lasting(final_at, partial(starts_at, mixture, poses, other), recording, [region], NoProgress())
+    other_at = partial(starts_at, mixture, poses, other)
+    found, _ = measure_lasting(final_at, other_at, recording, [region], True, NoProgress())
     np.testing.assert_array_equal(started, poses[[11, 23]])  # each is gone back on first
     assert found.near_sd_m < 0.03 and found.near_sd_rad < 0.02
     assert other.asked[24:28] == [4, 5, 4, 5] and other.asked[-2:] == [16, 17]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -19,18 +21,21 @@ from monoloc.filter.weigh import Measurement
 from monoloc.geometry import invert, is_rigid, make_pose, se3_log, so3_exp
 from monoloc.localizer import Localizer, LocalizerConfig, Parts
 from monoloc.odometry import VisualOdometry
-from monoloc.runs import Run, Start
+from monoloc.progress import NoProgress
+from monoloc.runs import Run, Start, localize
 from synthetic_room import (
     BLACK,
     CAMERA,
     FRAME_S,
     NO_DEPTH,
     SETTINGS,
+    SMALL_CAMERA,
     NoNetwork,
     Room,
     RoomRecording,
     depth_from_blue,
     follow,
+    make_bundle,
     make_localizer,
     make_path,
     poses_of,
@@ -249,6 +254,18 @@ def test_predicted_depth_is_used_where_none_is_measured(mixture, recording, heal
 
 
 @pytest.mark.slow
+def test_what_is_known_of_a_network_is_not_taken_off_a_sensors_poses(mixture):
+    walk = RoomRecording(Room(), make_path(6), SMALL_CAMERA)
+    ways = []
+    for error_m in (0.0, 0.1):
+        bundle = make_bundle(mixture, walk)
+        errors = np.full((len(walk), 6), error_m)
+        bundle = replace(bundle, viewpoints=Viewpoints(walk.poses, errors, errors))
+        rng, start = np.random.default_rng(0), Start(walk.poses[0])
+        ways.append(localize(bundle, walk, start, bundle.settings, rng, NoProgress(), use_sensor_depth=True).poses)
+    np.testing.assert_array_equal(*ways)
+
+
 def test_another_room_is_not_called_tracking(recording, healthy):
     # A room half as wide again, and healthy as the right room is.
     other = room_mixture(Room(stretch=1.5))

@@ -85,6 +85,22 @@ def test_a_camera_that_was_carried_elsewhere_in_the_dark_is_found(mixture, recor
     assert errors_m(steps, recording, frames)[-1] < 0.05
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_gap_is_as_a_darkness(mixture, recording, healthy, seed):
+    """A picture that comes four seconds late tells as little as one after four seconds in the dark."""
+    start = scatter(recording.poses[0], SETTINGS.particles, 0.03, 0.02, 0.0, np.random.default_rng(seed))
+    localizer = make_localizer(mixture, healthy, start, recording.poses[::10], seed)
+    assert follow(localizer, recording, range(5))[-1].state == "tracking"
+    late = localizer.step(recording.color(30), 4.0, sparse_depth(recording, 30))
+    there = [late, *follow(localizer, recording, range(31, FRAMES))]
+    back = range(FRAMES - 1, 29, -1)
+    steps = follow(localizer, recording, back)
+    assert set(states(there[:15])) == {"lost"}
+    assert steps[-1].state == "tracking"
+    is_tracked = np.array(states(steps)) == "tracking"
+    assert np.all(errors_m(steps, recording, back)[is_tracked] < 0.05)
+
+
 def test_where_scans_do_not_fit_for_a_second_the_camera_is_looked_for(mixture, recording, healthy):
     wrong = recording.poses[0] @ se3_exp(np.array([1.0, 0.0, 0.5, 0.0, 1.2, 0.0]))
     start = scatter(wrong, SETTINGS.particles, 0.02, 0.01, 0.0, np.random.default_rng(0))
@@ -351,9 +367,14 @@ def test_a_camera_is_lost_by_a_wide_belief_and_looked_for_where_scans_do_not_fit
     assert recovery.is_lost and not recovery.is_followed
     assert look(recovery, 0.0, elapsed_s=0.0) == (3.0, False)  # at once
 
+    recovery = Recovery(_Answers((3.0, 2.0)), HEALTHY, is_lost=False)
+    recovery.lose()
+    assert recovery.is_lost and look(recovery, 0.0, elapsed_s=0.0) == (3.0, False)
+
 
 def test_where_there_is_nothing_to_look_around_no_camera_is_lost():
     recovery = Recovery(None, HEALTHY, is_lost=False)
     recovery.note(-9.0, at(0.0, sd_m=5.0), 10.0)
+    recovery.lose()
     assert not recovery.is_lost and recovery.is_followed
     assert look(recovery, 0.0) == (0.0, False)

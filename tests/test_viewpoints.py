@@ -70,6 +70,13 @@ def test_from_one_walk_to_the_next_is_no_way() -> None:
     np.testing.assert_allclose(known.error_at(poses[0], np.array([1.0, 0, 0, 0, 0, 0])), known.in_common[0])
 
 
+def test_a_camera_that_stands_goes_nowhere() -> None:
+    """What poses differ by in rounding is no way."""
+    poses = se3_exp(1e-9 * np.random.default_rng(0).normal(size=(5, 6)))
+    known = Viewpoints(poses, np.full((5, 6), 0.1), np.full((5, 6), -0.1))
+    np.testing.assert_array_equal(known.error_at(poses[2], np.full(6, 1.0)), np.zeros(6))
+
+
 def test_of_poses_alone_no_error_is_known_and_nowhere_is_far_from_none() -> None:
     poses, ahead = se3_exp(np.random.default_rng(0).normal(size=(3, 6))), np.ones(6)
     assert not Viewpoints.of(poses).error_at(poses[0], ahead).any() and len(Viewpoints.of(poses)) == 3

@@ -198,13 +198,11 @@ def build_bundle(
         viewpoints=Viewpoints.none(),
     )
 
-    def starts_with(model: DepthModel, room: GaussianMixture) -> StartsAt:
-        # Without viewpoints a camera that goes astray is not looked for: how far it goes is to be measured.
-        tuned = replace(bundle, depth_model=model, adapted=room)
-        return lambda pose: start_localizer(tuned, recording.camera, Start(pose), np.random.default_rng(seed))
-
-    starts_at, rehearsed_at = starts_with(depth_model, adapted), starts_with(held_out_model, held_out_map)
-    lasting, viewpoints = measure_lasting(starts_at, rehearsed_at, recording, regions, progress)
+    rehearsed = replace(bundle, depth_model=held_out_model, adapted=held_out_map)
+    is_tuned = steps > 0 and config.adapt.tune != "none"
+    lasting, viewpoints = measure_lasting(
+        starts_in(bundle, seed), starts_in(rehearsed, seed), recording, regions, is_tuned, progress
+    )
     found_m, found_rad = measure_found(held_out_map, samples, poses, settings, rng, progress)
     lasting = lasting.model_copy(update={"found_sd_m": found_m, "found_sd_rad": found_rad})
     settings = settings.model_copy(update={"lasting": lasting})
@@ -230,6 +228,15 @@ def build_bundle(
         warnings=warnings,
     )
     return bundle, report
+
+
+def starts_in(bundle: Bundle, seed: int) -> StartsAt:
+    """Makes localizers of a bundle, for the camera that built it, to see what they err by.
+
+    None looks for a camera that goes astray, as if there were no viewpoints: how far it goes is to be measured.
+    """
+    room = replace(bundle, viewpoints=Viewpoints.none())
+    return lambda pose: start_localizer(room, room.camera, Start(pose), np.random.default_rng(seed))
 
 
 def _refined(

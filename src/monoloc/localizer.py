@@ -13,7 +13,7 @@ from monoloc.camera import Camera
 from monoloc.contrast import shows_something
 from monoloc.depth.runtime import DepthPrediction
 from monoloc.filter.estimate import Estimate, estimate
-from monoloc.filter.health import WIDE_SD_M, HealthyRange, State, judge
+from monoloc.filter.health import WIDE_SD_M, HealthyRange, State, is_wide, judge
 from monoloc.filter.joined import Joiner
 from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.level import LevelConfig, level
@@ -208,6 +208,8 @@ class Localizer:
             spread, noise = config.log_scale_sd, config.motion_noise
             blind_s = 0.0 if self._recovery.is_on_trial else self._joiner.blind_s
             self.particles = predict(self.particles, motion, elapsed_s, blind_s, spread, noise, self._rng)
+            if motion is None and is_wide(self._joiner.foreseen(elapsed_s)):
+                self._recovery.lose()  # after a gap as after darkness: particles metres apart gather somewhere
         is_telling = len(scan) >= _FEWEST_POINTS
         sought_in = scan if is_telling else NOTHING
         self.particles, is_found = self._recovery.look(self.particles, sought_in, elapsed_s, self._rng)

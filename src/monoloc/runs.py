@@ -21,6 +21,7 @@ from monoloc.evaluation.trajectory import coverage_95, summarise
 from monoloc.filter.health import HealthyRange, State
 from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.particles import Particles, scatter
+from monoloc.filter.viewpoints import Viewpoints
 from monoloc.filter.weigh import MeasurementConfig
 from monoloc.geometry import FloatArray, invert, se3_exp
 from monoloc.localizer import Localizer, LocalizerConfig, Parts
@@ -222,8 +223,10 @@ def localize(
         raise DataError(recording.name, "has no depth", "leave out --depth sensor")
     if use_sensor_depth:
         config = config.model_copy(update=_SENSOR)
-        # What fits of a sensor's depth are healthy was not measured: the belief's spread alone tells its state.
-        bundle = replace(bundle, healthy=HealthyRange(low=-np.inf, lost=-np.inf))
+        # What fits of a sensor's depth are healthy was not measured: the belief's spread alone tells its state. And
+        # what poses err by at the viewpoints was measured with the network.
+        anything, viewpoints = HealthyRange(low=-np.inf, lost=-np.inf), Viewpoints.of(bundle.viewpoints.poses)
+        bundle = replace(bundle, healthy=anything, viewpoints=viewpoints)
     localizer = start_localizer(bundle, recording.camera, start, rng, config, parts)
     built_from = set(bundle.provenance.frames.values())
     unseen = np.zeros(len(recording), dtype=np.bool_)

@@ -29,57 +29,96 @@ def measure_lasting(
     rehearsed_at: StartsAt,
     recording: Recording,
     regions: list[NDArray[np.int64]],
+    is_tuned: bool,
     progress: Progress,
 ) -> tuple[LastingErrors, Viewpoints]:
     """How wide lasting errors are, near the viewpoints that tuned and away from them, and what they are at each.
 
-    Near: the recording is followed there and back with the network that all its frames tuned, and where it was
-    paused, or is of several walks, each of those; walks so short that their start is not forgotten are gone to and
-    fro. Away: with one that no frame of the regions tuned, the camera stays in each of them, to and fro over its
-    frames, since a filter that only passes through brings the pose it has along. What exceeds that network's own
-    error at the other frames is taken to grow with the distance from the nearest of them.
+    Near: see :func:`measure_near`. Away: with a network that no frame of the regions tuned, the camera stays in each
+    of them, to and fro over its frames, since a filter that only passes through brings the pose it has along. What
+    exceeds that network's own error at the other frames is taken to grow with the distance from the nearest of them.
 
     Args:
         starts_at: makes the localizer that is to be used.
         rehearsed_at: makes one whose network tuned on no frame of the regions.
         recording: posed frames, N of them.
         regions: frames held out, by viewpoint, see :func:`monoloc.adapt.hold_out.hold_out_regions`; without any,
-            nothing was tuned: nothing grows, and no viewpoint's error is known.
+            nothing was adapted, and nothing grows.
+        is_tuned: whether the network learned of the frames, see :func:`measure_near`.
 
     Returns:
-        The widths, about what is known of the errors; and that, at the recording's N viewpoints: nothing on walks
-        that are short.
+        The widths, about what is known of the errors; and that, at the recording's N viewpoints.
     """
     poses = recording.poses
     assert poses is not None
     times_s = recording.timestamps_s
     walks = walks_of(times_s, poses)
-    long, short = [walk for walk in walks if is_long(walk)], [walk for walk in walks if not is_long(walk)]
-    single, double = [once(walk) for walk in walks], [there_and_back(walk) for walk in long]
-    lingering = [stay(walk) for walk in short]
     stays = [stay(place) for region in regions for place in unbroken(region, times_s, poses)]
-    total = sum(len(way.frames) for way in ([*single, *double, *lingering, *stays] if stays else single))
+    if not stays:
+        return measure_near(starts_at, recording, is_tuned, progress)
+    single = [once(walk) for walk in walks]
+    total = sum(len(way.frames) for way in [*_near_ways(walks, is_tuned), *single, *stays])
     with progress.task("covariances", total) as show:
         follow = _Follower(recording, poses, show)
-        if not stays:
-            near_m, near_rad = axis_sd(_sizes(follow(starts_at, single)))
-            return LastingErrors(near_sd_m=near_m, near_sd_rad=near_rad), Viewpoints.of(poses)
-        near = follow(starts_at, lingering)
-        errors = np.zeros((2, len(recording), 6))  # there and back
-        if long:
-            there, back = _passes(follow(starts_at, double))
-            errors[:, np.concatenate(long)] = there, back
-            # Of a flight that is still to come, and takes another way, what one of these foretells is known.
-            alike = likeness(there, back)
-            near += [_less(there, alike * back), _less(back, alike * there)]
+        near, viewpoints = _near(follow, starts_at, walks, poses, is_tuned)
         rehearsed, away = follow(rehearsed_at, single), follow(rehearsed_at, stays)
     is_near = np.ones(len(recording), dtype=np.bool_)
     is_near[np.concatenate(regions)] = False
     counts = is_near[_counted(single)]
     distances_m = [viewpoints_apart(pose, poses[is_near]).min() for pose in poses[_counted(stays)]]
     rehearsed_near = twist_errors(np.concatenate(rehearsed)[counts])
-    widths = lasting_errors(_sizes(near), rehearsed_near, _sizes(away), np.array(distances_m))
-    return widths, Viewpoints(poses, *errors)
+    return lasting_errors(_sizes(near), rehearsed_near, _sizes(away), np.array(distances_m)), viewpoints
+
+
+def measure_near(
+    starts_at: StartsAt, recording: Recording, is_tuned: bool, progress: Progress
+) -> tuple[LastingErrors, Viewpoints]:
+    """How wide lasting errors are at the viewpoints of a recording, and what they are at each.
+
+    The recording is followed there and back, and where it was paused, or is of several walks, each of those; walks so
+    short that their start is not forgotten are gone to and fro, and no viewpoint's error is known of them.
+
+    Args:
+        starts_at: makes the localizer that is to be used.
+        recording: posed frames, N of them.
+        is_tuned: whether the network learned of the frames: if not, errors there are another flight's only sometimes,
+            so none is known of any viewpoint, and the recording is followed once.
+
+    Returns:
+        The widths, about what is known of the errors, without growth; and that, at the N viewpoints.
+    """
+    poses = recording.poses
+    assert poses is not None
+    walks = walks_of(recording.timestamps_s, poses)
+    with progress.task("covariances", sum(len(way.frames) for way in _near_ways(walks, is_tuned))) as show:
+        near, viewpoints = _near(_Follower(recording, poses, show), starts_at, walks, poses, is_tuned)
+    near_m, near_rad = axis_sd(_sizes(near))
+    return LastingErrors(near_sd_m=near_m, near_sd_rad=near_rad), viewpoints
+
+
+def _near_ways(walks: list[NDArray[np.int64]], is_tuned: bool) -> list[Way]:
+    """Of long walks first."""
+    if not is_tuned:
+        return [once(walk) for walk in walks]
+    long, short = [walk for walk in walks if is_long(walk)], [walk for walk in walks if not is_long(walk)]
+    return [*(there_and_back(walk) for walk in long), *(stay(walk) for walk in short)]
+
+
+def _near(
+    follow: _Follower, starts_at: StartsAt, walks: list[NDArray[np.int64]], poses: FloatArray, is_tuned: bool
+) -> tuple[list[FloatArray], Viewpoints]:
+    """Errors about what is known of them, of each way twists (M, 6); and the viewpoints."""
+    near = follow(starts_at, _near_ways(walks, is_tuned))
+    long = [walk for walk in walks if is_long(walk)]
+    if not is_tuned or not long:
+        return near, Viewpoints.of(poses)
+    there, back = _passes(near[: len(long)])
+    errors = np.zeros((2, len(poses), 6))
+    errors[:, np.concatenate(long)] = there, back
+    # Of a flight that is still to come, and takes another way, what one of these foretells is known.
+    alike = likeness(there, back)
+    left = [_less(there, alike * back), _less(back, alike * there)]
+    return [*left, *near[len(long) :]], Viewpoints(poses, *errors)
 
 
 class _Follower:

@@ -31,12 +31,18 @@ class Way:
 
 
 def walks_of(times_s: FloatArray, poses: FloatArray) -> list[NDArray[np.int64]]:
-    """The walks that a recording of N frames is of, evenly chosen where there are many, as frames in order.
+    """The walks that a recording of N frames is of, as frames in order; where there are many, evenly chosen ones.
 
-    Frames that each stand alone would be followed for minutes, were all of them chosen.
+    Long ones are chosen first. Frames that each stand alone would be followed for minutes, were all of them chosen.
     """
     walks = unbroken(np.arange(len(poses)), times_s, poses)
-    return walks[:: math.ceil(len(walks) / _MOST_WALKS)]
+    long = _some([walk for walk in walks if is_long(walk)], _MOST_WALKS)
+    short = _some([walk for walk in walks if not is_long(walk)], _MOST_WALKS - len(long))
+    return sorted([*long, *short], key=lambda walk: int(walk[0]))
+
+
+def _some(walks: list[NDArray[np.int64]], most: int) -> list[NDArray[np.int64]]:
+    return walks[:: max(1, math.ceil(len(walks) / most))] if most else []
 
 
 def unbroken(frames: NDArray[np.int64], times_s: FloatArray, poses: FloatArray) -> list[NDArray[np.int64]]:

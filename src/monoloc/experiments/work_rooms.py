@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from monoloc.build import BuildConfig, build_bundle, room_cloud
+from monoloc.adapt.lasting import measure_near
+from monoloc.build import BuildConfig, build_bundle, room_cloud, starts_in
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.experiments.common import BUNDLE, Settings, built_from
 from monoloc.experiments.task import Result
@@ -32,13 +33,15 @@ def bundle(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[st
 
 
 def remapped(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str, Any]:
-    """What was calibrated stays: it is the width of depth's errors, and a map's own coarseness is in its covariances.
+    """What poses err by near the build's viewpoints is measured anew, for it is of network and map together.
 
-    It could not be measured anew either: by now the network has been tuned on every frame.
+    The rest of what was calibrated stays: it is of depth's errors, and a map's own coarseness is in its covariances.
+    It could not be measured anew: by now the network has been tuned on every frame.
     """
     config = BuildConfig.model_validate(settings["config"])
     rng = np.random.default_rng(settings["seed"])
-    cloud = room_cloud(built_from(settings), None, config, NoProgress())
+    recording = built_from(settings)
+    cloud = room_cloud(recording, None, config, NoProgress())
     size = settings["size"]
     if settings["map"] == "mixture":
         room = fit_mixture(cloud, int(size), rng).mixture
@@ -49,7 +52,12 @@ def remapped(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[
     else:
         points = voxel_thin(cloud, size)
         room, stored = _alike(points, size / 2.0), _POINT_BYTES * len(points)
-    write_bundle(folder / BUNDLE, replace(read_bundle(needs[0].folder / BUNDLE), original=room, adapted=room))
+    bundle = replace(read_bundle(needs[0].folder / BUNDLE), original=room, adapted=room)
+    near, viewpoints = measure_near(starts_in(bundle, settings["seed"]), recording, True, NoProgress())
+    widths = {"near_sd_m": near.near_sd_m, "near_sd_rad": near.near_sd_rad}
+    kept = bundle.settings
+    measured = kept.model_copy(update={"lasting": kept.lasting.model_copy(update=widths)})
+    write_bundle(folder / BUNDLE, replace(bundle, settings=measured, viewpoints=viewpoints))
     return {"components": len(room), "map_bytes": stored}
 
 

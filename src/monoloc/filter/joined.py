@@ -16,7 +16,7 @@ import numpy as np
 from monoloc.filter.estimate import Estimate
 from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.motion import MotionConfig, motion_sd
-from monoloc.filter.viewpoints import Viewpoints
+from monoloc.filter.viewpoints import STEP_M, Viewpoints
 from monoloc.geometry import FloatArray, adjoint, invert, se3_exp, se3_log, viewpoints_apart
 from monoloc.odometry import Motion
 
@@ -137,7 +137,13 @@ class Joiner:
             is_told: whether this frame told the particles anything; what they knew before is not told again.
         """
         self._unmoved_s = self._unmoved_s + elapsed_s if motion is None else 0.0
-        moved = self._moved(motion, elapsed_s, located)
+        delta = self._delta(motion)
+        # How far it went is known well enough from the particles, where odometry does not tell.
+        gone = invert(self._located.pose) @ located.pose if motion is None else delta
+        step_m = float(viewpoints_apart(np.eye(4), gone[None])[0])
+        is_jump = motion is None and (elapsed_s == 0.0 or step_m > STEP_M)  # of the particles, not of the camera
+        self._way = math.exp(-elapsed_s / _LATE_S) * self._way + (np.zeros(6) if is_jump else se3_log(gone))
+        moved = self._moved(delta, motion, elapsed_s, step_m)
         if self._unmoved_s > _LONG_S and is_told:  # nothing is left to join it with
             self._joined = Joined.alone(located, np.maximum(moved.widths, self._widths(located.pose)))
         else:
@@ -145,6 +151,10 @@ class Joiner:
         self._located = located
         self.blind_s = 0.0 if is_told or motion is not None else self.blind_s + elapsed_s
         return self._joined.estimate(located.log_scale)
+
+    def foreseen(self, elapsed_s: float) -> Estimate:
+        """The belief at the next frame, where odometry tells nothing of it, before the particles do."""
+        return self._moved(np.eye(4), None, elapsed_s, 0.0).estimate(self._located.log_scale)
 
     def corrected(self, located: Estimate) -> Estimate:
         """What the particles say, less what they were measured to err by at the viewpoints next to them.
@@ -158,7 +168,8 @@ class Joiner:
     def rotation_sd(self, located: Estimate) -> float:
         """What the rotation that the particles say may be off by, rad an axis: their spread, and what lasts."""
         spread = float(np.trace(located.covariance[3:, 3:])) / 3.0
-        return float(np.sqrt(self._widths(located.pose)[3] ** 2 + spread))
+        lasting = max(self._widths(located.pose)[3], self._joined.widths[3])  # what was brought along, after a find
+        return float(np.sqrt(lasting**2 + spread))
 
     def begin_anew(self, located: Estimate) -> Estimate:
         """The belief where the camera was found again: what was known before is forgotten."""
@@ -166,13 +177,13 @@ class Joiner:
         self._joined = Joined.alone(located, widths)
         return self._joined.estimate(located.log_scale)
 
-    def _moved(self, motion: Motion | None, elapsed_s: float, located: Estimate) -> Joined:
+    def _delta(self, motion: Motion | None) -> FloatArray:
         delta = np.eye(4) if motion is None else motion.T_previous_current.copy()
         delta[:3, 3] *= np.exp(self._located.log_scale)  # its translation was measured in predicted depth
-        # How far it went is known well enough from the particles, where odometry does not tell.
-        gone = invert(self._located.pose) @ located.pose if motion is None else delta
-        self._way = math.exp(-elapsed_s / _LATE_S) * self._way + se3_log(gone)
-        kept = self._lasting.kept(float(viewpoints_apart(np.eye(4), gone[None])[0]))
+        return delta
+
+    def _moved(self, delta: FloatArray, motion: Motion | None, elapsed_s: float, step_m: float) -> Joined:
+        kept = self._lasting.kept(step_m)
         sd = motion_sd(motion, elapsed_s, self.blind_s, self._noise)
         if motion is not None:  # without one, it is already of frames that err together
             sd = _ODOMETRY_TOGETHER * sd

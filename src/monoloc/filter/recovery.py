@@ -46,6 +46,10 @@ class Recovery:
         """Whether the particles are anywhere in particular, to be moved by a scan."""
         return self.is_on_trial or not self.is_lost
 
+    def lose(self) -> None:
+        """Where the camera is, nothing says any more; it is looked for, if it can be."""
+        self.is_lost = self._search is not None
+
     def look(
         self, particles: Particles, scan: Scan, elapsed_s: float, rng: np.random.Generator
     ) -> tuple[Particles, bool]:
@@ -89,6 +93,6 @@ class Recovery:
         if self._search is None:
             return
         if is_wide(belief):
-            self.is_lost = True
+            self.lose()
         if not math.isnan(fit):
             self._misfit_s = self._misfit_s + elapsed_s if fit < self._healthy.lost else 0.0

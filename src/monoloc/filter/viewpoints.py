@@ -12,6 +12,7 @@ from monoloc.geometry import FloatArray, invert, se3_log, viewpoints_apart
 _ALIKE_M = 0.1  # farther than the nearest, a radian for a metre: by then a viewpoint's word counts 1 / e as much
 STEP_M = 0.5  # from one to the next, a radian for a metre: over more no camera is followed
 _STILL_M = 0.02  # of a way, a radian for a metre: on a shorter one the camera goes nowhere
+_ROUNDING_M = 1e-4  # of a step, a radian for a metre: shorter ones have no direction
 
 
 @dataclass(frozen=True)
@@ -79,14 +80,14 @@ class Viewpoints:
 
     @cached_property
     def _ahead(self) -> FloatArray:
-        """Where a flight in order moves at each viewpoint, twists (V, 6) of unit length, or zero."""
+        """Where a flight in order moves at each viewpoint, twists (V, 6) of unit length, or zero where it stands."""
         steps = se3_log(invert(self.poses[:-1]) @ self.poses[1:])
         steps[np.linalg.norm(steps, axis=1) > STEP_M] = 0.0
         ways = np.zeros((len(self), 6))
         ways[:-1] += steps
         ways[1:] += steps
         lengths = np.linalg.norm(ways, axis=1, keepdims=True)
-        return np.asarray(np.divide(ways, lengths, out=np.zeros_like(ways), where=lengths > 0.0))
+        return np.asarray(np.divide(ways, lengths, out=np.zeros_like(ways), where=lengths > _ROUNDING_M))
 
 
 def likeness(there: FloatArray, back: FloatArray) -> FloatArray:
