@@ -253,7 +253,6 @@ def test_predicted_depth_is_used_where_none_is_measured(mixture, recording, heal
 # --- What the filter says when it cannot know ---
 
 
-@pytest.mark.slow
 def test_what_is_known_of_a_network_is_not_taken_off_a_sensors_poses(mixture):
     walk = RoomRecording(Room(), make_path(6), SMALL_CAMERA)
     ways = []
@@ -266,6 +265,7 @@ def test_what_is_known_of_a_network_is_not_taken_off_a_sensors_poses(mixture):
     np.testing.assert_array_equal(*ways)
 
 
+@pytest.mark.slow
 def test_another_room_is_not_called_tracking(recording, healthy):
     # A room half as wide again, and healthy as the right room is.
     other = room_mixture(Room(stretch=1.5))

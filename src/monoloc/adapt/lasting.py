@@ -56,12 +56,12 @@ def measure_lasting(
     stays = [stay(place) for region in regions for place in unbroken(region, times_s, poses)]
     if not stays:
         return measure_near(starts_at, recording, is_tuned, progress)
-    single = [once(walk) for walk in walks]
-    total = sum(len(way.frames) for way in [*_near_ways(walks, is_tuned), *single, *stays])
-    with progress.task("covariances", total) as show:
+    ways, single = _near_ways(walks, is_tuned), [once(walk) for walk in walks]
+    with progress.task("covariances", _frames_of([*ways, *single, *stays])) as show:
         follow = _Follower(recording, poses, show)
-        near, viewpoints = _near(follow, starts_at, walks, poses, is_tuned)
+        errors = follow(starts_at, ways)
         rehearsed, away = follow(rehearsed_at, single), follow(rehearsed_at, stays)
+    near, viewpoints = _what_is_known(errors, walks, poses, is_tuned)
     is_near = np.ones(len(recording), dtype=np.bool_)
     is_near[np.concatenate(regions)] = False
     counts = is_near[_counted(single)]
@@ -90,35 +90,35 @@ def measure_near(
     poses = recording.poses
     assert poses is not None
     walks = walks_of(recording.timestamps_s, poses)
-    with progress.task("covariances", sum(len(way.frames) for way in _near_ways(walks, is_tuned))) as show:
-        near, viewpoints = _near(_Follower(recording, poses, show), starts_at, walks, poses, is_tuned)
+    ways = _near_ways(walks, is_tuned)
+    with progress.task("covariances", _frames_of(ways)) as show:
+        errors = _Follower(recording, poses, show)(starts_at, ways)
+    near, viewpoints = _what_is_known(errors, walks, poses, is_tuned)
     near_m, near_rad = axis_sd(_sizes(near))
     return LastingErrors(near_sd_m=near_m, near_sd_rad=near_rad), viewpoints
 
 
 def _near_ways(walks: list[NDArray[np.int64]], is_tuned: bool) -> list[Way]:
-    """Of long walks first."""
+    """One of each walk, in order."""
     if not is_tuned:
         return [once(walk) for walk in walks]
-    long, short = [walk for walk in walks if is_long(walk)], [walk for walk in walks if not is_long(walk)]
-    return [*(there_and_back(walk) for walk in long), *(stay(walk) for walk in short)]
+    return [there_and_back(walk) if is_long(walk) else stay(walk) for walk in walks]
 
 
-def _near(
-    follow: _Follower, starts_at: StartsAt, walks: list[NDArray[np.int64]], poses: FloatArray, is_tuned: bool
+def _what_is_known(
+    errors: list[FloatArray], walks: list[NDArray[np.int64]], poses: FloatArray, is_tuned: bool
 ) -> tuple[list[FloatArray], Viewpoints]:
-    """Errors about what is known of them, of each way twists (M, 6); and the viewpoints."""
-    near = follow(starts_at, _near_ways(walks, is_tuned))
+    """Of errors on :func:`_near_ways`, twists (M, 6) each, what is left about what is known; and the viewpoints."""
     long = [walk for walk in walks if is_long(walk)]
     if not is_tuned or not long:
-        return near, Viewpoints.of(poses)
-    there, back = _passes(near[: len(long)])
-    errors = np.zeros((2, len(poses), 6))
-    errors[:, np.concatenate(long)] = there, back
+        return errors, Viewpoints.of(poses)
+    there, back = _passes([way for way, walk in zip(errors, walks, strict=True) if is_long(walk)])
+    known = np.zeros((2, len(poses), 6))
+    known[:, np.concatenate(long)] = there, back
     # Of a flight that is still to come, and takes another way, what one of these foretells is known.
     alike = likeness(there, back)
-    left = [_less(there, alike * back), _less(back, alike * there)]
-    return [*left, *near[len(long) :]], Viewpoints(poses, *errors)
+    short = [way for way, walk in zip(errors, walks, strict=True) if not is_long(walk)]
+    return [_less(there, alike * back), _less(back, alike * there), *short], Viewpoints(poses, *known)
 
 
 class _Follower:
@@ -179,6 +179,10 @@ def _passes(ways: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
     """Errors there and errors back, (N, 6) each, frame by frame, of :func:`there_and_back` ways."""
     both = [np.split(way, 2) for way in ways]
     return np.concatenate([there for there, _ in both]), np.concatenate([back[::-1] for _, back in both])
+
+
+def _frames_of(ways: list[Way]) -> int:
+    return sum(len(way.frames) for way in ways)
 
 
 def _counted(ways: list[Way]) -> NDArray[np.int64]:

@@ -247,14 +247,14 @@ class Adaptation:
         encoder, colors = self.network.encoder, views.colors
         if self.config.tune == "all":
             colors = np.concatenate([colors, [random_exposure(color, _LIGHT, light) for color in colors]])
+        # What is tuned by depth is computed in half the bits, where that is faster.
+        in_half = self.config.by_depth and learns_in_bfloat16("cpu")
         parts = []
         for images in _batches(colors):
             if self.config.tune == "all":
                 part = [encoder.first_layers(images)]
             else:
                 part = encoder(images) if self.config.by_depth else [self.network.decoder(encoder(images))]
-            # What is tuned by depth is computed in half the bits, where that is faster.
-            in_half = self.config.by_depth and learns_in_bfloat16("cpu")
             parts.append([tap.bfloat16() for tap in part] if in_half else part)
         return [torch.cat(part).contiguous(memory_format=torch.channels_last) for part in zip(*parts, strict=True)]
 
