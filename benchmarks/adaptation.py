@@ -36,7 +36,8 @@ MOTIONS = ("visual", "random-walk")
 _BOTH = ("last+map", "joint")
 # By study and name: the variant, and what of adaptation, or of the map, is changed.
 STUDIES: dict[str, dict[str, tuple[str, dict[str, Any]]]] = {
-    "default": {"joint": ("joint", {})},
+    "default": {"joint, landmarks": ("joint", {"landmarks": True})},
+    "depth alone": {"joint": ("joint", {})},
     "unadapted": {"unadapted": ("unadapted", {})},
     "variants": {name: (name, {}) for name in tasks.VARIANTS if name != "network"},
     "pose steps": {f"joint, weight {value:g}": ("joint", {"pose_weight": value}) for value in (0.0, 1.0)},

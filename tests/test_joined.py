@@ -22,7 +22,7 @@ TOGETHER, ODOMETRY_TOGETHER = 2.0, 4.0  # so many times the particles' spread an
 
 
 def begun(pose: FloatArray, lasting: LastingErrors = LASTING) -> Joined:
-    return Joined.begin(Estimate(pose, np.diag(START_SD**2), 0.0), lasting.widths(0.0))
+    return Joined.begin(Estimate(pose, np.diag(START_SD**2), 0.0), lasting.widths(0.0)[None])
 
 
 def said(pose: FloatArray) -> Estimate:
@@ -31,7 +31,7 @@ def said(pose: FloatArray) -> Estimate:
 
 def moved(joined: Joined, delta: FloatArray, lasting: LastingErrors = LASTING) -> Joined:
     kept = lasting.kept(float(viewpoints_apart(np.eye(4), delta[None])[0]))
-    return joined.moved(delta, np.diag(ODOMETRY_SD**2), kept, lasting.widths(0.0))
+    return joined.moved(delta, np.diag(ODOMETRY_SD**2), kept, lasting.widths(0.0)[None])
 
 
 def test_it_is_the_batch_solution_along_a_line() -> None:
@@ -68,7 +68,7 @@ def test_it_is_the_batch_solution_along_a_line() -> None:
     solution, *_ = np.linalg.lstsq(np.array(rows), np.array(values), rcond=None)
     covariance = np.linalg.inv(np.array(rows).T @ np.array(rows))
     last = [frames - 1, 2 * frames - 1]
-    np.testing.assert_allclose([joined.pose[0, 3], joined.bias[0]], solution[last], atol=1e-6)
+    np.testing.assert_allclose([joined.pose[0, 3], joined.biases[0, 0]], solution[last], atol=1e-6)
     np.testing.assert_allclose(
         joined.covariance[np.ix_([0, 6], [0, 6])], covariance[np.ix_(last, last)], rtol=1e-4, atol=1e-9
     )
@@ -244,7 +244,7 @@ def test_without_odometry_the_bias_is_forgotten_as_far_as_the_particles_went() -
         for _ in range(8):
             follower.step(motion_of(np.eye(4)), ELAPSED_S, said(off), is_told=True)
         follower.step(None, 0.5, said(off @ se3_exp([gone_m, 0.0, 0.0, 0.0, 0.0, 0.0])), is_told=False)
-        biases.append(follower._joined.bias[0])
+        biases.append(follower._joined.biases[0, 0])
     assert biases[0] > 0.05 and biases[1] == pytest.approx(LASTING.kept(1.0) * biases[0], rel=1e-6)
 
 
@@ -292,7 +292,7 @@ def test_a_frame_without_odometry_loses_no_bias() -> None:
 def test_batch_solution_after_the_particles_word_alone() -> None:
     """A word whose bias is unknown, then perfect odometry and the same bias: of that, nothing new is learnt."""
     lasting = LastingErrors(near_sd_m=0.05, near_sd_rad=0.03)
-    here = lasting.widths(0.0)
+    here = lasting.widths(0.0)[None]
     alone = Joined.alone(said(np.eye(4)), here)
     again = alone.moved(np.eye(4), np.zeros((6, 6)), 1.0, here).told(said(np.eye(4)))
     widths = np.sqrt(np.diag(again.covariance))

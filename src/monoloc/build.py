@@ -1,4 +1,4 @@
-"""The offline way, one page: recording -> cloud -> mixture map -> adapt (or fit) -> calibrate -> bundle."""
+"""The offline way, one page: recording -> cloud -> map -> adapt (or fit) -> calibrate -> landmarks -> bundle."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from monoloc.adapt.calibrate import Sample, calibrate
 from monoloc.adapt.checks import check_frames
 from monoloc.adapt.found import measure_found
+from monoloc.adapt.landmarks import build_landmarks
 from monoloc.adapt.lasting import StartsAt, measure_lasting
 from monoloc.adapt.map_depth import supervision
 from monoloc.adapt.poses import PosePrior, check_refinable, refine_poses, rounds
@@ -27,8 +28,10 @@ from monoloc.depth.spec import DepthModel, network_images
 from monoloc.errors import DataError, SettingError
 from monoloc.evaluation.trajectory import PoseErrors, pose_errors
 from monoloc.extras import training_extra
+from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.viewpoints import Viewpoints
 from monoloc.geometry import FloatArray
+from monoloc.landmarks import Landmarks
 from monoloc.localizer import LocalizerConfig
 from monoloc.map.cloud import cloud_from_recording, remove_outliers, voxel_thin
 from monoloc.map.compare import compare_maps
@@ -52,6 +55,7 @@ class BuildConfig(BaseModel):
         adapt: what is tuned and how.
         refine_poses: whether the frames' poses are aligned with the map first, for poses that another system gave.
         pose_sd_m, pose_sd_deg: how far those are off, per axis.
+        landmarks: whether the bundle keeps corners that the frames saw, for what depth alone does not tell.
         int8: whether the network goes into the bundle in 8 bits, calibrated on the frames.
         localizer: settings written into the bundle, before calibration.
     """
@@ -65,6 +69,7 @@ class BuildConfig(BaseModel):
     refine_poses: bool = False
     pose_sd_m: float = Field(0.02, gt=0.0)
     pose_sd_deg: float = Field(1.0, gt=0.0)
+    landmarks: bool = True
     int8: bool = False
     localizer: LocalizerConfig = LocalizerConfig()
 
@@ -88,6 +93,7 @@ class BuildReport:
     shift_p95_m: float
     correspondence_kept: float
     size_ratio_median: float
+    landmarks: int
     depth_absrel_before: float | None
     depth_absrel_after: float | None
     depth_scale: float | None
@@ -205,8 +211,13 @@ def build_bundle(
     )
     found_m, found_rad = measure_found(held_out_map, samples, poses, settings, rng, progress)
     lasting = lasting.model_copy(update={"found_sd_m": found_m, "found_sd_rad": found_rad})
-    settings = settings.model_copy(update={"lasting": lasting})
-    bundle = replace(bundle, settings=settings, viewpoints=viewpoints)
+    landmarks, sighted = Landmarks.none(), LastingErrors()
+    if config.landmarks:
+        landmarks, sighted = build_landmarks(recording, supervision(recording, cloud), progress)
+        if len(landmarks) == 0:
+            warnings = [*warnings, "frames see no corners of one another that tell a pose: there are no landmarks"]
+    settings = settings.model_copy(update={"lasting": lasting, "sighted": sighted})
+    bundle = replace(bundle, settings=settings, viewpoints=viewpoints, landmarks=landmarks)
     if not settings.can_find:
         warnings = [*warnings, f"one image tells where a camera is to {found_m:.1f} m only: flights need a start"]
     report = BuildReport(
@@ -217,6 +228,7 @@ def build_bundle(
         nll_end=scores[-1].nll if scores else None,
         kl=kl,
         **asdict(compare_maps(original, adapted)),
+        landmarks=len(landmarks),
         depth_absrel_before=scores[0].absrel if scores else None,
         depth_absrel_after=scores[-1].absrel if scores else None,
         depth_scale=fitted.scale if fitted else None,
@@ -233,9 +245,10 @@ def build_bundle(
 def starts_in(bundle: Bundle, seed: int) -> StartsAt:
     """Makes localizers of a bundle, for the camera that built it, to see what they err by.
 
-    None looks for a camera that goes astray, as if there were no viewpoints: how far it goes is to be measured.
+    None looks for a camera that goes astray, as if there were no viewpoints: how far it goes is to be measured. And
+    none sees landmarks, which say nothing of what particles err by.
     """
-    room = replace(bundle, viewpoints=Viewpoints.none())
+    room = replace(bundle, viewpoints=Viewpoints.none(), landmarks=Landmarks.none())
     return lambda pose: start_localizer(room, room.camera, Start(pose), np.random.default_rng(seed))
 
 

@@ -1,8 +1,8 @@
 """What is carried to the drone: a folder ``NAME.monoloc`` of a few megabytes.
 
 ``manifest.json`` (schema, SHA-256 of every file, how the network is used, settings, camera, provenance, healthy
-range), ``map.npz`` (original and adapted mixture, viewpoints and the errors there) and ``depth.onnx``. Written whole
-or not at all; read only if every byte is as it was written.
+range), ``map.npz`` (original and adapted mixture, viewpoints and the errors there), ``landmarks.npz`` and
+``depth.onnx``. Written whole or not at all; read only if every byte is as it was written.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import shutil
 import tempfile
 import zipfile
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -33,13 +33,15 @@ from monoloc.errors import BundleError
 from monoloc.filter.health import HealthyRange
 from monoloc.filter.viewpoints import Viewpoints
 from monoloc.geometry import FloatArray, se3_exp, se3_log
+from monoloc.landmarks import Landmarks
 from monoloc.localizer import LocalizerConfig
 from monoloc.map.down import down_of
 from monoloc.map.mixture import GaussianMixture
 from monoloc.models import is_shipped
 
-SCHEMA = 6
-_MANIFEST, _MAP, _DEPTH = "manifest.json", "map.npz", "depth.onnx"
+SCHEMA = 7
+_MANIFEST, _MAP, _LANDMARKS, _DEPTH = "manifest.json", "map.npz", "landmarks.npz", "depth.onnx"
+_CONTENTS = (_MAP, _LANDMARKS, _DEPTH)
 _VIEWPOINTS = ("viewpoints", "errors_there", "errors_back")  # twists (V, 6), float32
 
 
@@ -93,6 +95,7 @@ class Bundle:
         provenance: what built it.
         healthy: likelihood range of a pose that can be believed.
         viewpoints: of the frames that built it.
+        landmarks: that they saw.
     """
 
     original: GaussianMixture
@@ -103,6 +106,7 @@ class Bundle:
     provenance: Provenance
     healthy: HealthyRange
     viewpoints: Viewpoints
+    landmarks: Landmarks = field(default_factory=Landmarks.none)
 
     @cached_property
     def down(self) -> FloatArray | None:
@@ -128,7 +132,7 @@ def check_target(path: Path) -> None:
     if path.exists() and not (path / _MANIFEST).is_file():
         raise BundleError(path, "exists and is not a bundle", "choose another name")
     # A folder is replaced whole: what monoloc did not put there must not go with it.
-    others = sorted({file.name for file in path.iterdir()} - {_MANIFEST, _MAP, _DEPTH}) if path.exists() else []
+    others = sorted({file.name for file in path.iterdir()} - {_MANIFEST, *_CONTENTS}) if path.exists() else []
     if others:
         raise BundleError(path, f"holds more than a bundle ({others[0]})", "move that away or choose another name")
 
@@ -140,7 +144,11 @@ def write_bundle(path: Path, bundle: Bundle) -> int:
         BundleError: as :func:`check_target`, or the disk does not take it.
     """
     check_target(path)
-    contents = {_MAP: _pack_maps(bundle), _DEPTH: bundle.depth_model.content}
+    contents = {
+        _MAP: _pack_maps(bundle),
+        _LANDMARKS: _packed({"points": bundle.landmarks.points, "descriptors": bundle.landmarks.descriptors}),
+        _DEPTH: bundle.depth_model.content,
+    }
     manifest = Manifest(
         schema_version=SCHEMA,
         monoloc_version=__version__,
@@ -190,7 +198,7 @@ def read_bundle(path: Path) -> Bundle:
     """
     manifest = _read_manifest(path)
     contents = {}
-    for name in (_MAP, _DEPTH):
+    for name in _CONTENTS:
         try:
             contents[name] = (path / name).read_bytes()
         except OSError as error:
@@ -203,6 +211,12 @@ def read_bundle(path: Path) -> Bundle:
             poses, there, back = (arrays[name].reshape(-1, 6).astype(np.float64) for name in _VIEWPOINTS)
     except (KeyError, ValueError, zipfile.BadZipFile) as error:
         raise BundleError(path / _MAP, f"is no map ({error})", "rebuild it with this version") from error
+    try:
+        with np.load(io.BytesIO(contents[_LANDMARKS]), allow_pickle=False) as arrays:
+            landmarks = Landmarks(arrays["points"], arrays["descriptors"])
+    except (KeyError, ValueError, zipfile.BadZipFile) as error:
+        fix = "rebuild it with this version"
+        raise BundleError(path / _LANDMARKS, f"holds no landmarks ({error})", fix) from error
     return Bundle(
         original=original,
         adapted=adapted,
@@ -212,6 +226,7 @@ def read_bundle(path: Path) -> Bundle:
         provenance=manifest.provenance,
         healthy=manifest.healthy,
         viewpoints=Viewpoints(se3_exp(poses), there, back),
+        landmarks=landmarks,
     )
 
 
@@ -228,11 +243,15 @@ def read_network(network: str | Path) -> DepthModel:
 
 
 def _pack_maps(bundle: Bundle) -> bytes:
-    buffer = io.BytesIO()
     arrays: dict[str, Any] = bundle.original.to_arrays("original_") | bundle.adapted.to_arrays("adapted_")
     known = bundle.viewpoints
     for name, twists in zip(_VIEWPOINTS, (se3_log(known.poses), known.there, known.back), strict=True):
         arrays[name] = twists.astype(np.float32)
+    return _packed(arrays)
+
+
+def _packed(arrays: dict[str, Any]) -> bytes:
+    buffer = io.BytesIO()
     np.savez(buffer, **arrays)
     return buffer.getvalue()
 

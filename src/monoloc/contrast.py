@@ -1,4 +1,4 @@
-"""Whether an image shows anything at all."""
+"""Contrast of images: whether there is any at all, and the same everywhere."""
 
 from __future__ import annotations
 
@@ -17,3 +17,8 @@ def shows_something(color: NDArray[np.uint8]) -> bool:
     """
     small = np.asarray(cv2.resize(color, _SIZE, interpolation=cv2.INTER_AREA), dtype=np.float64)
     return bool(small.mean(axis=2).std() >= _LEAST_SD)
+
+
+def equaliser() -> cv2.CLAHE:
+    """Brings gray images to one contrast everywhere, without which dim ones have no corners (Zuiderveld 1994)."""
+    return cv2.createCLAHE(clipLimit=3.0, tileGridSize=(8, 8))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal, Protocol
 
 import numpy as np
@@ -28,8 +29,10 @@ from monoloc.filter.upright import turned_about_m, upright
 from monoloc.filter.viewpoints import Viewpoints
 from monoloc.filter.weigh import Measurement, MeasurementConfig
 from monoloc.geometry import FloatArray
+from monoloc.landmarks import Landmarks
 from monoloc.map.mixture import GaussianMixture
 from monoloc.odometry import Motion, OdometryConfig, VisualOdometry
+from monoloc.sighting import LandmarkSight, Sighting
 
 _FEWEST_POINTS = 10  # of a scan that says where the camera is
 
@@ -45,6 +48,7 @@ class LocalizerConfig(BaseModel):
         level: how depth is levelled on the corners that odometry follows; None leaves it as it is.
         lasting: errors that last from frame to frame, of which the particles know nothing; see
             :mod:`monoloc.filter.joined`.
+        sighted: the same of what landmarks say.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -59,6 +63,7 @@ class LocalizerConfig(BaseModel):
     odometry: OdometryConfig = OdometryConfig()
     level: LevelConfig | None = LevelConfig()
     lasting: LastingErrors = LastingErrors()
+    sighted: LastingErrors = LastingErrors()
 
     @property
     def can_find(self) -> bool:
@@ -78,6 +83,13 @@ class Odometry(Protocol):
     def step(self, color: NDArray[np.uint8], depth_m: NDArray[np.float32], depth_camera: Camera) -> Motion | None: ...
 
 
+class Sight(Protocol):
+    """Where a camera is by landmarks, as :class:`monoloc.sighting.LandmarkSight` says."""
+
+    def __call__(self, color: NDArray[np.uint8], belief: FloatArray, covariance: FloatArray) -> Sighting | None: ...
+    def anywhere(self, color: NDArray[np.uint8]) -> Sighting | None: ...
+
+
 @dataclass(frozen=True)
 class Parts:
     """What a localizer is put together of; each may be someone else's.
@@ -86,17 +98,27 @@ class Parts:
         measurement: how well scans fit the map; one's own overrides :meth:`Measurement.mean_log_likelihood`.
         depth: of a frame.
         odometry: None for a random walk.
+        sight: finds landmarks; None where there are none.
     """
 
     measurement: Measurement
     depth: DepthSource
     odometry: Odometry | None
+    sight: Sight | None = None
 
     @classmethod
-    def usual(cls, mixture: GaussianMixture, depth: DepthSource, camera: Camera, config: LocalizerConfig) -> Parts:
+    def usual(
+        cls,
+        mixture: GaussianMixture,
+        depth: DepthSource,
+        camera: Camera,
+        config: LocalizerConfig,
+        landmarks: Landmarks = Landmarks.none(),
+    ) -> Parts:
         """monoloc's own, for one map and camera."""
         odometry = VisualOdometry(camera, config.odometry) if config.motion == "visual" else None
-        return cls(Measurement(mixture, config.measurement), depth, odometry)
+        sight = LandmarkSight(landmarks, camera) if len(landmarks) else None
+        return cls(Measurement(mixture, config.measurement), depth, odometry, sight)
 
 
 @dataclass(frozen=True)
@@ -111,6 +133,7 @@ class Step:
         motion: odometry's motion since the last frame, None where there was none.
         depth: the depth that was used, levelled.
         scan: the points of it that were held against the map.
+        sighting: what landmarks say, None where there are none or too few are seen.
     """
 
     estimate: Estimate
@@ -120,6 +143,7 @@ class Step:
     motion: Motion | None
     depth: DepthPrediction
     scan: Scan
+    sighting: Sighting | None
 
 
 class Localizer:
@@ -162,8 +186,9 @@ class Localizer:
         self.particles = start
         self._camera = camera
         self._measurement, self._depth, self._odometry = parts.measurement, parts.depth, parts.odometry
+        self._sight = parts.sight
         self._healthy = healthy
-        self._joiner = Joiner(estimate(start), config.lasting, config.motion_noise, viewpoints)
+        self._joiner = Joiner(estimate(start), config.lasting, config.motion_noise, viewpoints, config.sighted)
         self._rng = rng
         self._down = down
         self._is_first = True
@@ -212,7 +237,8 @@ class Localizer:
                 self._recovery.lose()  # after a gap as after darkness: particles metres apart gather somewhere
         is_telling = len(scan) >= _FEWEST_POINTS
         sought_in = scan if is_telling else NOTHING
-        self.particles, is_found = self._recovery.look(self.particles, sought_in, elapsed_s, self._rng)
+        anywhere = (lambda: None) if self._sight is None else partial(self._sight.anywhere, color)
+        self.particles, is_found = self._recovery.look(self.particles, sought_in, elapsed_s, self._rng, anywhere)
         if self._recovery.is_followed:
             self.particles = correct(self.particles, lambda some: self._weigh(some, scan, motion), self._rng)
         located = estimate(self.particles)
@@ -226,12 +252,17 @@ class Localizer:
         belief = self._joiner.step(motion, elapsed_s, told, is_told)
         if is_found:
             belief = self._joiner.begin_anew(told)
+        sighting = None
+        if self._sight is not None and not self._recovery.is_lost:
+            sighting = self._sight(color, belief.pose, belief.covariance)
+        if sighting is not None:
+            belief = self._joiner.sighted(sighting)
         self._recovery.note(fit, belief, elapsed_s)
         self.particles = resample(self.particles, config.ess_fraction, self._rng)
         is_followed = self._is_first or self._odometry is None or motion is not None
         state = "lost" if self._recovery.is_lost else judge(fit, belief, self._healthy, is_followed)
         self._is_first = False
-        return Step(belief, located, fit, state, motion, depth, scan)
+        return Step(belief, located, fit, state, motion, depth, scan, sighting)
 
     def _direction(self, down: FloatArray) -> FloatArray:
         """A unit vector of what was given for down.

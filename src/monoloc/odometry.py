@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.camera import Camera
-from monoloc.contrast import shows_something
+from monoloc.contrast import equaliser, shows_something
 from monoloc.depth_image import sample_depth
 from monoloc.geometry import FloatArray, invert, make_pose, so3_exp, transform
 from monoloc.window import Window, adjust
@@ -124,7 +124,7 @@ class VisualOdometry:
         self.config = config or OdometryConfig()
         width = min(self.config.width, camera.width)
         self._camera = camera.resized(width, round(camera.height * width / camera.width))
-        self._equalise = cv2.createCLAHE(clipLimit=3.0, tileGridSize=(8, 8))
+        self._equalise = equaliser()
         self._gray: NDArray[np.uint8] | None = None
         self._T_r_previous = np.eye(4)
         self._tracks: _Tracks | None = None

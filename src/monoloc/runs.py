@@ -157,12 +157,13 @@ MakesParts = Callable[[Bundle, Camera, LocalizerConfig], Parts]
 
 
 def parts_of(bundle: Bundle, camera: Camera, config: LocalizerConfig) -> Parts:
-    """A bundle's network and map, and monoloc's odometry, for one run of a camera.
+    """A bundle's network, map and landmarks, and monoloc's odometry, for one run of a camera.
 
     Raises:
         DataError: the bundle's network does not take the camera's images.
     """
-    return Parts.usual(bundle.adapted, DepthPredictor(bundle.depth_model, camera), camera, config)
+    depth = DepthPredictor(bundle.depth_model, camera)
+    return Parts.usual(bundle.adapted, depth, camera, config, bundle.landmarks)
 
 
 def start_localizer(

@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from monoloc.geometry import FloatArray, viewpoints_apart
 
+HELD_OUT_SHARE, REGIONS = 0.15, 2  # of a build's frames
+
 
 def hold_out_regions(poses: FloatArray, regions: int, share: float) -> list[NDArray[np.int64]]:
     """Regions of viewpoints to be held out, frames of each in order.

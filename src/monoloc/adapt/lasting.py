@@ -152,7 +152,7 @@ def lasting_errors(
 
     Args:
         near: with the network that all frames tuned, one at least.
-        rehearsed, away: with the other one, at frames that tuned it and at those that did not; one at least.
+        rehearsed, away: with the other one, at frames that tuned it, one at least, and at those that did not.
         distances_m: of those away from the nearest that tuned it, (N,).
     """
     near_m, near_rad = axis_sd(near)
@@ -168,8 +168,11 @@ def lasting_errors(
 def _growth(errors: FloatArray, near_sd: float, distances_m: FloatArray) -> float:
     """Of an error's deviation with distance, so that half of (N,) errors are under the median that it gives them.
 
-    A few regions can be lucky, so its square is averaged with that of the usual growth.
+    A few regions can be lucky, so its square is averaged with that of the usual growth, which is all there is without
+    errors.
     """
+    if len(errors) == 0:
+        return _USUAL_GROWTH
     beyond = errors**2 / CHI2_MEDIAN_3 - near_sd**2
     measured = max(0.0, float(np.median(beyond / np.maximum(distances_m, _LEAST_DISTANCE_M) ** 2)))
     return math.sqrt(0.5 * (measured + _USUAL_GROWTH**2))

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from monoloc.adapt.hold_out import hold_out_regions
+from monoloc.adapt.hold_out import HELD_OUT_SHARE, REGIONS, hold_out_regions
 from monoloc.adapt.map_depth import supervision
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.train import Adaptation, Score
@@ -23,7 +23,6 @@ from monoloc.geometry import FloatArray
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import Progress
 
-_HELD_OUT_SHARE, _REGIONS = 0.15, 2
 _EVALUATIONS = 10
 _REHEARSAL_SHARE = 0.5  # of the steps: it is there to measure with
 
@@ -72,7 +71,7 @@ def adapt(
     """
     rng = np.random.default_rng(seed)
     assert recording.poses is not None
-    regions = hold_out_regions(recording.poses, _REGIONS, _HELD_OUT_SHARE)
+    regions = hold_out_regions(recording.poses, REGIONS, HELD_OUT_SHARE)
     held_out = np.sort(np.concatenate(regions))
     training_frames = np.setdiff1d(np.arange(len(recording)), held_out)
     network = load_network(network_file)

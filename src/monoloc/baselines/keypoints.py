@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.camera import Camera
+from monoloc.contrast import equaliser
 from monoloc.datasets.base import Recording
 from monoloc.depth_image import sample_depth
 from monoloc.errors import DataError
@@ -166,7 +167,7 @@ class _Detector:
         create = {"orb": library.ORB_create, "sift": library.SIFT_create}[config.kind]
         self._feature = create(nfeatures=config.keypoints)
         # As monoloc's own odometry does: without it, dim images have no keypoints.
-        self._equalise = cv2.createCLAHE(clipLimit=3.0, tileGridSize=(8, 8))
+        self._equalise = equaliser()
 
     def __call__(self, color: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Pixels (N, 2) and descriptors (N, D) of an image (H, W, 3) RGB."""

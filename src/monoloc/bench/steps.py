@@ -28,6 +28,7 @@ from monoloc.filter.weigh import Measurement
 from monoloc.odometry import VisualOdometry
 from monoloc.progress import NoProgress
 from monoloc.runs import Start, localize
+from monoloc.sighting import LandmarkSight
 
 # A step and what makes it up: name, and where the function is looked up that does it.
 STAGES: list[tuple[str, Any, str]] = [
@@ -37,6 +38,7 @@ STAGES: list[tuple[str, Any, str]] = [
     ("odometry", VisualOdometry, "step"),
     ("level", localizer, "level"),
     ("scan", localizer, "scan_from_corners"),
+    ("landmarks", LandmarkSight, "__call__"),
     ("predict", localizer, "predict"),
     ("weigh", Measurement, "mean_log_likelihood"),
     ("estimate", localizer, "estimate"),

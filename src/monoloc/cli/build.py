@@ -35,6 +35,7 @@ from monoloc.progress import ConsoleProgress
 _OPTIONS = {
     "components": "--components",
     "int8": "--int8",
+    "landmarks": "--landmarks",
     "refine_poses": "--refine-poses",
     "adapt.tune": "--tune",
     "adapt.map_transform": "--map-transform",
@@ -70,6 +71,10 @@ def build(
             help="A name of depth list, a .safetensors or .onnx, a bundle, or another's as .toml.",
         ),
     ] = DEFAULT,
+    landmarks: Annotated[
+        bool | None,
+        typer.Option("--landmarks/--no-landmarks", help="Whether corners that frames saw are kept. [yes]"),
+    ] = None,
     int8: Annotated[
         bool | None, typer.Option("--int8/--no-int8", help="Whether the network is quantised to 8 bits. [no]")
     ] = None,
@@ -87,8 +92,8 @@ def build(
       monoloc build tum:rgbd_dataset_freiburg1_room --out room.monoloc -k 400
       monoloc build my-walk --cloud room.ply --out room.monoloc
       monoloc build my-walk --refine-poses --out room.monoloc     (poses by another system, 2 cm and 1 degree off)
-      monoloc build my-walk --tune last --out paper.monoloc     (the paper's variant)
-      monoloc build my-walk --tune none --no-map-transform --out plain.monoloc
+      monoloc build my-walk --tune last --no-landmarks --out paper.monoloc     (the paper's variant)
+      monoloc build my-walk --tune none --no-map-transform --no-landmarks --out plain.monoloc
       monoloc build my-walk --network midas.toml --out midas.monoloc     (another's network: docs/depth-models.md)
     """
     check_target(out)
@@ -105,7 +110,7 @@ def build(
         if "tune" in unset and tune is None:
             remarks.append(_not_tuned(network))
     adapt = {"tune": tune, "map_transform": map_transform, "lambda_kl": lambda_kl}
-    given = {"components": components, "int8": int8, "refine_poses": refine_poses}
+    given = {"components": components, "int8": int8, "landmarks": landmarks, "refine_poses": refine_poses}
     values = given | {f"adapt.{name}": value for name, value in adapt.items()}
     # What the file does not say, the options do, be it by their defaults.
     options = {name: _OPTIONS[name] for name, value in values.items() if value is not None or settings is None}
@@ -123,7 +128,8 @@ def build(
         return
     stderr.print(
         f"{out}: {size / 1e6:.1f} MB, map of {report.components} components in "
-        f"{bundle.adapted.nbytes_stored / 1e3:.0f} kB, from {report.frames} frames in {report.seconds:.0f} s"
+        f"{bundle.adapted.nbytes_stored / 1e3:.0f} kB, {report.landmarks} landmarks in "
+        f"{bundle.landmarks.bytes / 1e3:.0f} kB, from {report.frames} frames in {report.seconds:.0f} s"
     )
     if report.depth_absrel_before is not None and report.depth_absrel_after is not None:
         stderr.print(

@@ -140,7 +140,8 @@ def _build(study: _Study, adapted: bool, out: Path, seed: int) -> Bundle:
     path = out / ("adapted.monoloc" if adapted else "plain.monoloc")
     tune: Tune = "all" if adapted else "none"
     stderr.print(Text.assemble(("build", "bold"), f" {path.name} (--tune {tune})"))
-    config = override(BuildConfig(), adapt={**study.adapt, "tune": tune, "map_transform": adapted})
+    adapt = {**study.adapt, "tune": tune, "map_transform": adapted}
+    config = override(BuildConfig(), adapt=adapt, landmarks=adapted)
     recording = open_source(study.source, study.frames)
     bundle, _ = build_bundle(recording, config, seed, ConsoleProgress(stderr), network=study.network)
     write_bundle(path, bundle)

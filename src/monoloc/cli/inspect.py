@@ -72,6 +72,8 @@ def _bundle(path: Path) -> dict[str, object]:
         "map_bytes": bundle.adapted.nbytes_stored,
         "size_m": [float(value) for value in upper - lower],
         **asdict(compare_maps(bundle.original, bundle.adapted)),
+        "landmarks": len(bundle.landmarks),
+        "landmark_bytes": bundle.landmarks.bytes,
         "network": bundle.depth_model.name,
         "network_spec": bundle.depth_model.spec.model_dump(mode="json", exclude_none=True),
         "depth_bytes": len(bundle.depth_model.content),

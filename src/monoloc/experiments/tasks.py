@@ -46,6 +46,7 @@ def bundle(
     seed: int = 0,
     components: int = 200,
     frames: int | None = None,
+    landmarks: bool = False,
     **adapt: Any,
 ) -> Task:
     """A bundle built from a split: ``room.monoloc``.
@@ -55,11 +56,13 @@ def bundle(
     Args:
         variant: key of :data:`VARIANTS`.
         frames: how many of the split's build frames, evenly out of them; None for all.
+        landmarks: whether they are kept; they find a camera whatever its depth is like, so what depth is worth is
+            told without them.
         adapt: settings of adaptation beside the variant's and, before them, the study's.
     """
     untuned = variant == "unadapted"  # so no setting of tuning is any of its result
     settings = {**({} if untuned else study.adapt | adapt), **VARIANTS[variant]}
-    config = override(BuildConfig(), components=components, adapt=settings)
+    config = override(BuildConfig(), components=components, landmarks=landmarks, adapt=settings)
     return _task(
         "bundle",
         build=_recording(split.source, split.frames),

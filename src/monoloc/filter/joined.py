@@ -19,84 +19,99 @@ from monoloc.filter.motion import MotionConfig, motion_sd
 from monoloc.filter.viewpoints import STEP_M, Viewpoints
 from monoloc.geometry import FloatArray, adjoint, invert, se3_exp, se3_log, viewpoints_apart
 from monoloc.odometry import Motion
+from monoloc.sighting import Sighting
 
 # What odometry errs by goes on for a second or so, and where the particles happen to be for some frames: taken for
 # new in each frame, their deviations are so many times as large.
-_ODOMETRY_TOGETHER, _PARTICLES_TOGETHER = 4.0, 2.0
+_ODOMETRY_TOGETHER, _PARTICLES_TOGETHER, _LANDMARKS_TOGETHER = 4.0, 2.0, 2.0
 # So long the bias is remembered without odometry. Motion is taken for new in every frame then, which it is not: in
 # time, a steady flight would be taken for a bias.
 _LONG_S = 1.0
 _LATE_S = 1.0  # the way that the camera came within about so long is that on which particles came to err as they do
 _LEAST_VARIANCE = 1e-10  # of a measurement, m^2 and rad^2: particles may all be one
-_OBSERVED = np.hstack([np.eye(6), np.eye(6)])  # the particles' pose errs by the pose's error and by the bias
+_PARTICLES, _LANDMARKS = 0, 1  # which say where the camera is, each with a bias of its own
 
 
 @dataclass(frozen=True)
 class Joined:
-    """The belief of pose and bias.
+    """The belief of the pose, and of the biases of S sources that say where the camera is.
 
     Attributes:
         pose: ``T_world_camera``, (4, 4).
-        bias: (6,) twist in the camera's frame: the particles' pose is ``pose @ exp(bias)``, but for their spread.
-        covariance: (12, 12), of the pose's twist as in :class:`Estimate`, and of the bias.
-        widths: standard deviations of a bias of which nothing were known, (6,), after the way so far.
+        biases: (S, 6) twists in the camera's frame: a source's pose is ``pose @ exp(bias)``, but for its noise.
+        covariance: (6 + 6 S, 6 + 6 S), of the pose's twist as in :class:`Estimate`, and of the biases.
+        widths: standard deviations of biases of which nothing were known, (S, 6), after the way so far.
     """
 
     pose: FloatArray
-    bias: FloatArray
+    biases: FloatArray
     covariance: FloatArray
     widths: FloatArray
 
     @classmethod
     def begin(cls, start: Estimate, widths: FloatArray) -> Joined:
-        """Before the first scan: what is known of the pose, and the standard deviations of the bias there, (6,)."""
-        covariance = np.zeros((12, 12))
-        covariance[:6, :6], covariance[6:, 6:] = start.covariance, np.diag(widths**2)
-        return cls(start.pose, np.zeros(6), covariance, widths)
+        """Before the first scan: what is known of the pose, and the biases' standard deviations there, (S, 6)."""
+        return cls(start.pose, np.zeros_like(widths), _apart(start.covariance, np.diag(widths.ravel() ** 2)), widths)
 
     @classmethod
     def alone(cls, located: Estimate, widths: FloatArray) -> Joined:
-        """By the particles' word and nothing else: the pose is off by as much as that is biased, the other way."""
-        noise, fresh = _noise_of(located), np.diag(widths**2)
-        return cls(located.pose, np.zeros(6), np.block([[noise + fresh, -fresh], [-fresh, fresh]]), widths)
+        """By the word of the first source and nothing else: the pose is off by as much as that, the other way."""
+        noise, fresh = _noise_of(located), np.diag(widths[0] ** 2)
+        covariance = _apart(noise + fresh, np.diag(widths.ravel() ** 2))
+        covariance[:6, 6:12] = covariance[6:12, :6] = -fresh
+        return cls(located.pose, np.zeros_like(widths), covariance, widths)
 
     def moved(self, T_previous_current: FloatArray, noise: FloatArray, kept: float, widths: FloatArray) -> Joined:
-        """After a motion: the pose goes along, and some of the bias is forgotten.
+        """After a motion: the pose goes along, and some of the biases is forgotten.
 
-        Where depth errs more, the bias is wider at once; where it errs less, particles still bring along what they
-        had, until that is forgotten.
+        Where a source errs more, its bias is wider at once; where it errs less, it still brings along what it had,
+        until that is forgotten.
 
         Args:
             T_previous_current: the motion, (4, 4).
             noise: its covariance, (6, 6), of a twist in the new camera's frame.
-            kept: correlation of the bias here and before.
-            widths: standard deviations of the bias where the camera is now, (6,).
+            kept: correlation of the biases here and before.
+            widths: standard deviations of the biases where the camera is now, (S, 6).
         """
         brought = (kept * self.widths) ** 2
         variances = np.maximum(brought + (1.0 - kept**2) * widths**2, widths**2)
-        carried = np.zeros((12, 12))
-        carried[:6, :6], carried[6:, 6:] = adjoint(invert(T_previous_current)), kept * np.eye(6)
-        covariance = carried @ self.covariance @ carried.T
-        covariance[:6, :6] += noise
-        covariance[6:, 6:] += np.diag(variances - brought)
-        return Joined(self.pose @ T_previous_current, kept * self.bias, covariance, np.sqrt(variances))
+        carried = _apart(adjoint(invert(T_previous_current)), kept * np.eye(widths.size))
+        covariance = carried @ self.covariance @ carried.T + _apart(noise, np.diag((variances - brought).ravel()))
+        return Joined(self.pose @ T_previous_current, kept * self.biases, covariance, np.sqrt(variances))
 
     def told(self, located: Estimate) -> Joined:
         """After the particles' word, whose spread is noise."""
-        innovation = se3_log(invert(self.pose) @ located.pose) - self.bias
-        noise = _noise_of(located)
-        spread = _OBSERVED @ self.covariance @ _OBSERVED.T + noise
-        gain = np.linalg.solve(spread, _OBSERVED @ self.covariance).T
+        return self._told(_PARTICLES, located.pose, _noise_of(located))
+
+    def sighted(self, sighting: Sighting) -> Joined:
+        """After that of the landmarks, for whose errors' slowness the second source's bias stands."""
+        noise = _LANDMARKS_TOGETHER**2 * sighting.covariance + _LEAST_VARIANCE * np.eye(6)
+        return self._told(_LANDMARKS, sighting.pose, noise)
+
+    def _told(self, source: int, pose: FloatArray, noise: FloatArray) -> Joined:
+        """After a source's word, ``T_world_camera`` (4, 4), with its noise, (6, 6)."""
+        innovation = se3_log(invert(self.pose) @ pose) - self.biases[source]
+        observed = np.zeros((6, len(self.covariance)))  # it errs by the pose's error and by the bias
+        observed[:, :6] = observed[:, 6 + 6 * source :][:, :6] = np.eye(6)
+        spread = observed @ self.covariance @ observed.T + noise
+        gain = np.linalg.solve(spread, observed @ self.covariance).T
         correction = gain @ innovation
-        left = np.eye(12) - gain @ _OBSERVED
+        left = np.eye(len(self.covariance)) - gain @ observed
         # Joseph's form stays symmetric and positive.
         covariance = left @ self.covariance @ left.T + gain @ noise @ gain.T
-        return replace(
-            self, pose=self.pose @ se3_exp(correction[:6]), bias=self.bias + correction[6:], covariance=covariance
-        )
+        biases = self.biases + correction[6:].reshape(-1, 6)
+        return replace(self, pose=self.pose @ se3_exp(correction[:6]), biases=biases, covariance=covariance)
 
     def estimate(self, log_scale: float) -> Estimate:
         return Estimate(self.pose, self.covariance[:6, :6], log_scale)
+
+
+def _apart(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Two square matrices on the diagonal of one."""
+    size = len(first) + len(second)
+    both = np.zeros((size, size))
+    both[: len(first), : len(first)], both[len(first) :, len(first) :] = first, second
+    return both
 
 
 def _noise_of(located: Estimate) -> FloatArray:
@@ -112,13 +127,21 @@ class Joiner:
         lasting: how wide the bias is, and over how far it lasts.
         noise: of the motions.
         viewpoints: that the room was built from, or none.
+        sighted: how wide the bias of what landmarks say is.
 
     Attributes:
         blind_s: for how long nothing has said where the camera is.
     """
 
-    def __init__(self, start: Estimate, lasting: LastingErrors, noise: MotionConfig, viewpoints: Viewpoints) -> None:
-        self._lasting = lasting
+    def __init__(
+        self,
+        start: Estimate,
+        lasting: LastingErrors,
+        noise: MotionConfig,
+        viewpoints: Viewpoints,
+        sighted: LastingErrors = LastingErrors(),
+    ) -> None:
+        self._lasting, self._sighted = lasting, sighted
         self._noise = noise
         self._viewpoints = viewpoints
         self._joined = Joined.begin(start, self._widths(start.pose))
@@ -152,6 +175,12 @@ class Joiner:
         self.blind_s = 0.0 if is_told or motion is not None else self.blind_s + elapsed_s
         return self._joined.estimate(located.log_scale)
 
+    def sighted(self, sighting: Sighting) -> Estimate:
+        """The belief after what landmarks say of the same frame."""
+        self._joined = self._joined.sighted(sighting)
+        self.blind_s = 0.0
+        return self._joined.estimate(self._located.log_scale)
+
     def foreseen(self, elapsed_s: float) -> Estimate:
         """The belief at the next frame, where odometry tells nothing of it, before the particles do."""
         return self._moved(np.eye(4), None, elapsed_s, 0.0).estimate(self._located.log_scale)
@@ -168,12 +197,15 @@ class Joiner:
     def rotation_sd(self, located: Estimate) -> float:
         """What the rotation that the particles say may be off by, rad an axis: their spread, and what lasts."""
         spread = float(np.trace(located.covariance[3:, 3:])) / 3.0
-        lasting = max(self._widths(located.pose)[3], self._joined.widths[3])  # what was brought along, after a find
+        lasting = max(
+            self._widths(located.pose)[_PARTICLES, 3], self._joined.widths[_PARTICLES, 3]
+        )  # what was brought along, after a find
         return float(np.sqrt(lasting**2 + spread))
 
     def begin_anew(self, located: Estimate) -> Estimate:
         """The belief where the camera was found again: what was known before is forgotten."""
-        widths = self._lasting.found_widths(self._viewpoints.distance_m(located.pose))
+        widths = self._widths(located.pose)
+        widths[_PARTICLES] = self._lasting.found_widths(self._viewpoints.distance_m(located.pose))
         self._joined = Joined.alone(located, widths)
         return self._joined.estimate(located.log_scale)
 
@@ -190,5 +222,6 @@ class Joiner:
         return self._joined.moved(delta, np.diag(sd**2), kept, self._widths(self._joined.pose @ delta))
 
     def _widths(self, pose: FloatArray) -> FloatArray:
-        """Standard deviations of the bias at a pose, (6,)."""
-        return self._lasting.widths(self._viewpoints.distance_m(pose))
+        """Standard deviations of the biases at a pose, (S, 6)."""
+        distance_m = self._viewpoints.distance_m(pose)
+        return np.stack([self._lasting.widths(distance_m), self._sighted.widths(distance_m)])

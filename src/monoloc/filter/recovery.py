@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from monoloc.filter.particles import Particles
 from monoloc.filter.scan import Scan
 from monoloc.filter.search import Search
 from monoloc.geometry import viewpoints_apart
+from monoloc.sighting import Sighting
 
 _EVERY_S = 1.0  # the camera is looked for; as long, a scan has to fit nowhere near before the camera is lost
 _SAME_M = 0.3  # of two poses that are taken for one, a radian for a metre
@@ -51,15 +53,21 @@ class Recovery:
         self.is_lost = self._search is not None
 
     def look(
-        self, particles: Particles, scan: Scan, elapsed_s: float, rng: np.random.Generator
+        self,
+        particles: Particles,
+        scan: Scan,
+        elapsed_s: float,
+        rng: np.random.Generator,
+        sighted: Callable[[], Sighting | None] = lambda: None,
     ) -> tuple[Particles, bool]:
-        """Look for a lost camera, once a second.
+        """Look for a lost camera, once a second: where landmarks say that it is, or else where its scan fits.
 
         Args:
             particles: where they are at this frame, by motion alone.
             scan: of this frame; of no points where it tells nothing.
             elapsed_s: since the frame before.
             rng: used only where the camera is lost.
+            sighted: asked only then.
 
         Returns:
             The particles, or others where the camera was found; and whether it is no longer lost.
@@ -70,7 +78,11 @@ class Recovery:
             return particles, False
         self._since_s = 0.0
         here = estimate(particles)
-        found, fit = self._search(scan, here, rng)
+        seen = sighted()
+        if seen is None:
+            found, fit = self._search(scan, here, rng)
+        else:
+            found, fit = self._search.at(Estimate(seen.pose, seen.covariance, here.log_scale), scan)
         if fit < self._healthy.lost:
             self.is_on_trial = False
             return particles, False

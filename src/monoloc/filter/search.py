@@ -64,6 +64,10 @@ class Search:
         mode, _ = self._best(modes, scan)
         return self._best([here, self._refined(mode.pose, _NEARER_SD, _REFINING_ALL, scan, rng)], scan)
 
+    def at(self, place: Estimate, scan: Scan) -> tuple[Estimate, float]:
+        """A place, and how well a scan of at least one point fits there."""
+        return self._best([place], scan)
+
     def _drawn_around(self, places: FloatArray, rng: np.random.Generator) -> Particles:
         count = len(places)
         poses = places @ se3_exp(rng.standard_normal((count, 6)) * _DRAWN_SD)

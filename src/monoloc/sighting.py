@@ -1,0 +1,181 @@
+"""Where a camera is by the landmarks that it sees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.camera import Camera
+from monoloc.geometry import FloatArray, hat, invert, make_pose, se3_exp, se3_log, so3_exp, transform
+from monoloc.landmarks import ALIKE_BITS, KeypointDetector, Keypoints, Landmarks, pairs
+
+_LEAST_REACH_PX, _MOST_REACH_PX = 6.0, 40.0
+_FEWEST = 15  # landmarks that tell a pose
+_BETTER = 0.85  # of two landmarks that look like a corner anywhere, the one, for the other not to count
+_INLIER_PX, _FEWEST_ANYWHERE, _FEWEST_FOUND = 3.0, 8, 20
+_FOUND_COVARIANCE = np.diag([0.05, 0.05, 0.05, 0.03, 0.03, 0.03]) ** 2  # of a pose by landmarks from anywhere
+_WIDTHS = (24.0, 12.0, 6.0, 3.0, 3.0, 3.0)  # standard deviations at which a landmark counts a quarter, step by step
+_LEAST_VARIANCE = 1e-8  # of a belief, m^2 and rad^2: a start may be said to be exact
+_OPEN_SD = 0.3  # m or rad: what landmarks leave open by as much, they do not tell
+_NEAREST_M = 0.05  # that a landmark may be before the camera
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """Where the camera is by the landmarks that it sees.
+
+    Attributes:
+        pose: ``T_world_camera``, (4, 4).
+        covariance: (6, 6) of its twist (rho, phi) in the camera's frame, as far as corners' places err.
+        landmarks: how many agree with it.
+    """
+
+    pose: FloatArray
+    covariance: FloatArray
+    landmarks: int
+
+
+class LandmarkSight:
+    """Finds a room's landmarks in the images of one camera.
+
+    Where the belief tells where they should be seen, they are looked for there; where it does not, anywhere, as in
+    :mod:`monoloc.baselines.keypoints`, by triples (Gao et al. 2003) and RANSAC (Fischler & Bolles 1981).
+    """
+
+    def __init__(self, landmarks: Landmarks, camera: Camera) -> None:
+        self._landmarks = landmarks
+        self._detect = KeypointDetector(camera)
+
+    def __call__(self, color: NDArray[np.uint8], belief: FloatArray, covariance: FloatArray) -> Sighting | None:
+        """The pose by the landmarks that are where the belief says, or not far from there; None where too few are.
+
+        Args:
+            color: (H, W, 3) uint8 RGB.
+            belief: ``T_world_camera``, (4, 4), and its covariance, (6, 6).
+        """
+        if self._reach_px(belief, covariance) > _MOST_REACH_PX:
+            return self.anywhere(color)
+        return self._near(self._detect(color), belief, covariance, _FEWEST)
+
+    def anywhere(self, color: NDArray[np.uint8]) -> Sighting | None:
+        """The pose by landmarks wherever they are, for a camera of which nothing is known; None where too few agree.
+
+        Args:
+            color: (H, W, 3) uint8 RGB.
+        """
+        seen = self._detect(color)
+        place = self._place(seen)
+        return None if place is None else self._near(seen, place, _FOUND_COVARIANCE, _FEWEST_FOUND)
+
+    def _near(self, seen: Keypoints, belief: FloatArray, covariance: FloatArray, fewest: int) -> Sighting | None:
+        """By the landmarks that are near where a belief says."""
+        camera, room = self._detect.camera, self._landmarks
+        local = transform(invert(belief), room.points)
+        ahead = np.flatnonzero(camera.in_sight(local))
+        reach_px = self._reach_px(belief, covariance)
+        which, where = pairs(
+            camera.project(local[ahead]), room.descriptors[ahead], seen.pixels, seen.descriptors, reach_px
+        )
+        points = room.points[ahead[which]].astype(np.float64)
+        found = solve(points, seen.pixels[where], seen.sd_px[where], camera, belief, covariance)
+        return None if found is None or found.landmarks < fewest else found
+
+    def _reach_px(self, belief: FloatArray, covariance: FloatArray) -> float:
+        """How far from where they are expected landmarks in sight may be, three standard deviations."""
+        camera = self._detect.camera
+        z = transform(invert(belief), self._landmarks.points)[:, 2]
+        depth_m = float(np.median(z[z > 0.0])) if np.any(z > 0.0) else 1.0
+        return max(_LEAST_REACH_PX, 3.0 * camera.focal_px * _turn_sd(covariance, depth_m))
+
+    def _place(self, seen: Keypoints) -> FloatArray | None:
+        """A pose, ``T_world_camera``, by what landmarks look like alone; None where too few agree."""
+        known = self._landmarks.descriptors
+        if min(len(seen.descriptors), len(known)) < _FEWEST:
+            return None
+        bits, nearest = cv2.batchDistance(seen.descriptors, known, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=2)
+        alike = np.flatnonzero((bits[:, 0] < ALIKE_BITS) & (bits[:, 0] < _BETTER * bits[:, 1]))
+        if len(alike) < _FEWEST:
+            return None
+        camera = self._detect.camera
+        ok, rotation, translation, inliers = cv2.solvePnPRansac(
+            self._landmarks.points[nearest[alike, 0]].astype(np.float64),
+            seen.pixels[alike],
+            camera.matrix,
+            np.asarray(camera.distortion),
+            iterationsCount=1000,
+            reprojectionError=_INLIER_PX,
+            confidence=0.999,
+            flags=cv2.SOLVEPNP_P3P,
+        )
+        if not ok or inliers is None or len(inliers) < _FEWEST_ANYWHERE:
+            return None
+        T_camera_world = make_pose(so3_exp(rotation.ravel()), translation.ravel())
+        return invert(T_camera_world) if np.all(np.isfinite(T_camera_world)) else None
+
+
+def solve(
+    points: FloatArray,
+    pixels: FloatArray,
+    sd_px: FloatArray,
+    camera: Camera,
+    belief: FloatArray,
+    covariance: FloatArray,
+) -> Sighting | None:
+    """The pose of a camera that sees points (M, 3), world frame, at pixels (M, 2), though some of them are others.
+
+    Which, is decided with the belief at hand, by Geman and McClure's weights that begin wide (Yang et al., *Graduated
+    Non-Convexity for Robust Spatial Perception*, 2020). The pose is what the points say without the belief, which is
+    joined with it afterwards and would count twice.
+
+    Returns:
+        None where too few agree, or where those that do leave a direction open.
+    """
+    rays = camera.rays(pixels)[:, :2]
+    sd = sd_px[:, None] / camera.focal_px
+    pose: FloatArray = belief
+    prior = np.asarray(np.linalg.inv(covariance + _LEAST_VARIANCE * np.eye(6)), dtype=np.float64)
+    for width in _WIDTHS:
+        normal, gradient, _ = _evidence(pose, points, rays, sd, width)
+        off = se3_log(invert(belief) @ pose)
+        pose = pose @ se3_exp(-np.linalg.solve(normal + prior, gradient + prior @ off))
+    normal, gradient, weights = _evidence(pose, points, rays, sd, _WIDTHS[-1])
+    agree = int(np.count_nonzero(weights > 0.25))
+    if agree < _FEWEST or np.linalg.eigvalsh(normal)[0] < 1.0 / _OPEN_SD**2:
+        return None
+    spread = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    return Sighting(pose @ se3_exp(-spread @ gradient), spread, agree)
+
+
+def _evidence(
+    pose: FloatArray, points: FloatArray, rays: FloatArray, sd: FloatArray, width: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of a pose's twist the normal matrix (6, 6) and gradient (6,), and of points the weights (M,).
+
+    These are a quarter for a residual of ``width`` standard deviations.
+    """
+    local = transform(invert(pose), points)
+    local[:, 2] = np.maximum(local[:, 2], _NEAREST_M)
+    residuals = (local[:, :2] / local[:, 2:] - rays) / sd
+    weights = (1.0 + np.sum(residuals**2, axis=1) / width**2) ** -2
+    slopes = (_slopes(local) / sd[..., None]).reshape(-1, 6)
+    weighted = slopes * np.repeat(weights, 2)[:, None]
+    return weighted.T @ slopes, weighted.T @ residuals.ravel(), weights
+
+
+def _slopes(local: FloatArray) -> FloatArray:
+    """Of rays' x and y by the camera's twist, (M, 2, 6), for points (M, 3) in its frame."""
+    z = local[:, 2]
+    by_point = np.zeros((len(local), 2, 3))
+    by_point[:, 0, 0] = by_point[:, 1, 1] = 1.0 / z
+    by_point[:, :, 2] = -local[:, :2] / z[:, None] ** 2
+    return np.concatenate([-by_point, by_point @ hat(local)], axis=2)
+
+
+def _turn_sd(covariance: FloatArray, depth_m: float) -> float:
+    """Standard deviation of the direction, rad, in which something at a depth is expected."""
+    aside_m2 = float(np.linalg.eigvalsh(covariance[:3, :3])[-1])
+    turned = float(np.linalg.eigvalsh(covariance[3:, 3:])[-1])
+    return float(np.sqrt(aside_m2 / depth_m**2 + turned))
