@@ -1,7 +1,7 @@
 """A flight as the localizer lives it, as a film for the documents; also an example of a viewer of one's own.
 
-monoloc build folder:src/monoloc/rooms/living/build --out room.monoloc
-monoloc build folder:src/monoloc/rooms/living/build --out plain.monoloc --tune none --no-map-transform
+monoloc build folder:src/monoloc/rooms/living/build --out room.monoloc --no-landmarks
+monoloc build folder:src/monoloc/rooms/living/build --out plain.monoloc --tune none --no-map-transform --no-landmarks
 python benchmarks/flight_film.py room.monoloc plain.monoloc folder:src/monoloc/rooms/living/test/L3 \\
     --out docs/pictures/flight.webp
 """

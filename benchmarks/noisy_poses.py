@@ -146,6 +146,7 @@ def main() -> None:
     for name, (noisy, refined) in VARIANTS.items():
         recording = with_noise(frames, np.random.default_rng(0)) if noisy else frames
         config = BuildConfig(
+            landmarks=False,
             adapt=AdaptConfig(tune=arguments.tune, map_transform=arguments.tune != "none", steps=arguments.steps),
             refine_poses=refined,
             pose_sd_m=_POSITION_SD_M,

@@ -89,7 +89,7 @@ def row(case: str, recording: Recording, network: str | Path, variant: str, seed
     """Medians over seeds; position's smallest and largest in brackets."""
     path = out / f"{Path(network).stem}-{case.replace(' ', '-')}-{variant}.monoloc"
     if not path.exists():
-        config = override(BuildConfig(), adapt=VARIANTS[variant])
+        config = override(BuildConfig(), landmarks=False, adapt=VARIANTS[variant])
         built = select_frames(recording, _BUILD)
         write_bundle(path, build_bundle(built, config, 0, NoProgress(), network=network)[0])
     bundle, judged = read_bundle(path), select_frames(recording, _JUDGED)

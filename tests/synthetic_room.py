@@ -28,6 +28,7 @@ from monoloc.filter.scan import scan_from_depth
 from monoloc.filter.viewpoints import Viewpoints
 from monoloc.filter.weigh import Measurement, MeasurementConfig
 from monoloc.geometry import make_pose, so3_exp
+from monoloc.landmarks import Landmarks
 from monoloc.localizer import DepthSource, Localizer, LocalizerConfig, Parts, Step
 from monoloc.map.fit import fit_mixture
 from monoloc.map.mixture import GaussianMixture
@@ -227,9 +228,10 @@ def make_localizer(
     depth: DepthSource = NoNetwork(),
     down: FloatArray | None = None,
     errors: ArrayLike = 0.0,
+    landmarks: Landmarks = Landmarks.none(),
 ) -> Localizer:
     """monoloc's own for :data:`CAMERA`; arguments as of :class:`Localizer`, viewpoints by poses and errors."""
-    parts = Parts.usual(mixture, depth, CAMERA, settings)
+    parts = Parts.usual(mixture, depth, CAMERA, settings, landmarks)
     both = np.broadcast_to(errors, (len(viewpoints), 6))
     known = Viewpoints(viewpoints, both, both)
     return Localizer(parts, CAMERA, start, settings, healthy, known, np.random.default_rng(seed), down)

@@ -26,6 +26,7 @@ from monoloc.filter.motion import MotionConfig
 from monoloc.filter.viewpoints import Viewpoints
 from monoloc.filter.weigh import MeasurementConfig
 from monoloc.geometry import se3_exp
+from monoloc.landmarks import Landmarks
 from monoloc.localizer import LocalizerConfig
 
 
@@ -67,6 +68,9 @@ def make_bundle(seed: int = 0) -> Bundle:
         ),
         healthy=HealthyRange(low=-1.5, lost=-2.25),
         viewpoints=Viewpoints(se3_exp(rng.normal(size=(5, 6))), *(0.02 * rng.normal(size=(2, 5, 6)))),
+        landmarks=Landmarks(
+            rng.normal(size=(7, 3)).astype(np.float32), rng.integers(0, 256, (7, 32)).astype(np.uint8)
+        ),
     )
 
 
@@ -112,6 +116,8 @@ def test_round_trip(written):
     for name in ("poses", "there", "back"):  # single precision
         read, wrote = getattr(bundle.viewpoints, name), getattr(expected.viewpoints, name)
         np.testing.assert_allclose(read, wrote, atol=1e-6)
+    np.testing.assert_array_equal(bundle.landmarks.points, expected.landmarks.points)
+    np.testing.assert_array_equal(bundle.landmarks.descriptors, expected.landmarks.descriptors)
 
 
 def test_a_bundle_written_again_is_the_same(written, tmp_path):
@@ -126,7 +132,7 @@ def test_size_is_what_lies_there(tmp_path):
     path = tmp_path / "room.monoloc"
     size = write_bundle(path, make_bundle())
     assert size == sum(len(content) for content in contents(path).values())
-    assert sorted(contents(path)) == ["depth.onnx", "manifest.json", "map.npz"]
+    assert sorted(contents(path)) == ["depth.onnx", "landmarks.npz", "manifest.json", "map.npz"]
 
 
 def test_map_holds_no_pickle(written):
@@ -223,7 +229,7 @@ def failing_write(monkeypatch, on: str, error: BaseException) -> None:
     monkeypatch.setattr(Path, "write_bytes", fail)
 
 
-@pytest.mark.parametrize("on", ["map.npz", "depth.onnx", "manifest.json"])
+@pytest.mark.parametrize("on", ["map.npz", "landmarks.npz", "depth.onnx", "manifest.json"])
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
 def test_failure_while_writing_leaves_the_older_bundle(written, tmp_path, monkeypatch, on, error):
     before = contents(written)
@@ -268,7 +274,7 @@ def test_full_disk_is_one_line(tmp_path, monkeypatch):
 # --- Bundles that are not what was written ---
 
 
-@pytest.mark.parametrize("name", ["map.npz", "depth.onnx", "manifest.json"])
+@pytest.mark.parametrize("name", ["map.npz", "landmarks.npz", "depth.onnx", "manifest.json"])
 @pytest.mark.parametrize("kept", [0.0, 0.5, 0.999])
 def test_cut_short(written, name, kept):
     content = (written / name).read_bytes()
@@ -278,7 +284,7 @@ def test_cut_short(written, name, kept):
     )
 
 
-@pytest.mark.parametrize("name", ["map.npz", "depth.onnx"])
+@pytest.mark.parametrize("name", ["map.npz", "landmarks.npz", "depth.onnx"])
 def test_one_changed_byte(written, name):
     content = bytearray((written / name).read_bytes())
     content[len(content) // 2] ^= 1
@@ -286,7 +292,7 @@ def test_one_changed_byte(written, name):
     refuses(lambda: read_bundle(written), written / name, "is not what was written")
 
 
-@pytest.mark.parametrize("name", ["map.npz", "depth.onnx"])
+@pytest.mark.parametrize("name", ["map.npz", "landmarks.npz", "depth.onnx"])
 def test_missing_part(written, name):
     (written / name).unlink()
     refuses(lambda: read_bundle(written), written / name, "is missing")
@@ -357,7 +363,7 @@ def test_unknown_schema(written, schema):
     body = json.loads(file.read_text())
     body["schema_version"] = schema
     file.write_text(json.dumps(body))
-    refuses(lambda: read_bundle(written), file, f"has schema {schema}, this monoloc reads 6")
+    refuses(lambda: read_bundle(written), file, f"has schema {schema}, this monoloc reads 7")
 
 
 @pytest.mark.parametrize("content", ["[]", "3", '"bundle"', "null"])
@@ -377,18 +383,38 @@ def test_manifest_that_is_sealed_but_of_other_fields(written):
     refuses(lambda: read_bundle(written), file, "settings.teleport")
 
 
-def test_map_that_is_sealed_but_holds_no_mixture(written):
-    """Bytes that fit their checksum and still are no map: as another version might have written them."""
+def seal(written: Path, name: str, **arrays: object) -> None:
+    """Put arrays in a file's place, with a checksum that fits."""
     buffer = io.BytesIO()
-    np.savez(buffer, something=np.zeros(3))
-    (written / "map.npz").write_bytes(buffer.getvalue())
+    np.savez(buffer, **arrays)
+    (written / name).write_bytes(buffer.getvalue())
     file = written / "manifest.json"
     body = json.loads(file.read_text())
-    body["sha256"]["map.npz"] = hashlib.sha256(buffer.getvalue()).hexdigest()
+    body["sha256"][name] = hashlib.sha256(buffer.getvalue()).hexdigest()
     del body["manifest_sha256"]
     body["manifest_sha256"] = bundle_module._digest(body)
     file.write_text(json.dumps(body))
+
+
+def test_map_that_is_sealed_but_holds_no_mixture(written):
+    """Bytes that fit their checksum and still are no map: as another version might have written them."""
+    seal(written, "map.npz", something=np.zeros(3))
     refuses(lambda: read_bundle(written), written / "map.npz", "key 'original_weights' is missing")
+
+
+@pytest.mark.parametrize(
+    ("arrays", "problem"),
+    [
+        ({"points": np.zeros((4, 3), np.float32)}, "descriptors"),
+        (
+            {"points": np.zeros((4, 3), np.float32), "descriptors": np.zeros((5, 32), np.uint8)},
+            "points and descriptors must be (L, 3) and (L, 32), got (4, 3) and (5, 32)",
+        ),
+    ],
+)
+def test_landmarks_that_are_sealed_but_none(written, arrays, problem):
+    seal(written, "landmarks.npz", **arrays)
+    refuses(lambda: read_bundle(written), written / "landmarks.npz", problem)
 
 
 # --- Frames known again ---

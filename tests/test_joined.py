@@ -12,6 +12,7 @@ from monoloc.filter.lasting import LastingErrors
 from monoloc.filter.motion import MotionConfig, motion_sd
 from monoloc.filter.viewpoints import Viewpoints
 from monoloc.geometry import FloatArray, adjoint, invert, is_rigid, se3_exp, se3_log, viewpoints_apart
+from monoloc.sighting import Sighting
 
 LASTING = LastingErrors(near_sd_m=0.05, near_sd_rad=0.03, growth_m=0.1, growth_rad=0.05)
 START_SD = np.repeat([0.1, 0.05], 3)
@@ -296,8 +297,63 @@ def test_batch_solution_after_the_particles_word_alone() -> None:
     alone = Joined.alone(said(np.eye(4)), here)
     again = alone.moved(np.eye(4), np.zeros((6, 6)), 1.0, here).told(said(np.eye(4)))
     widths = np.sqrt(np.diag(again.covariance))
-    np.testing.assert_allclose(widths[6:], here, rtol=1e-6)
-    np.testing.assert_allclose(widths[:6], np.hypot(SPREAD_SD / np.sqrt(2.0), here), rtol=1e-4)
+    np.testing.assert_allclose(widths[6:], here[0], rtol=1e-6)
+    np.testing.assert_allclose(widths[:6], np.hypot(SPREAD_SD / np.sqrt(2.0), here[0]), rtol=1e-4)
+
+
+SIGHTED = LastingErrors(near_sd_m=0.01, near_sd_rad=0.006)
+
+
+def seen(pose: FloatArray) -> Sighting:
+    return Sighting(pose, np.diag((SPREAD_SD / TOGETHER) ** 2), np.zeros((50, 3)))
+
+
+@pytest.mark.slow
+def test_errors_are_as_large_as_stated_with_landmarks_too() -> None:
+    """As above; landmarks have a bias of their own, and are seen in every other frame."""
+    rng = np.random.default_rng(2)
+    squares, alone = [], []
+    for _ in range(200):
+        viewpoint = true = se3_exp(rng.normal(size=6))
+        start = Estimate(true @ se3_exp(-rng.normal(size=6) * START_SD), np.diag(START_SD**2), 0.0)
+        follower = Joiner(start, LASTING, MotionConfig(), Viewpoints.of(viewpoint[None]), SIGHTED)
+        widths = np.stack([lasting.widths(0.0) for lasting in (LASTING, SIGHTED)])
+        biases = rng.normal(size=(2, 6)) * widths
+        for frame in range(20):
+            odometry_sd = ODOMETRY_TOGETHER * motion_sd(motion_of(np.eye(4)), ELAPSED_S, 0.0, MotionConfig())
+            true = true @ se3_exp(rng.normal(size=6) * odometry_sd * (frame > 0))
+            told, sighted = (true @ se3_exp(bias) @ se3_exp(rng.normal(size=6) * SPREAD_SD) for bias in biases)
+            belief = follower.step(motion_of(np.eye(4)) if frame else None, ELAPSED_S, said(told), is_told=True)
+            if frame % 2 == 0:
+                belief = follower.sighted(seen(sighted))
+        error = se3_log(invert(belief.pose) @ true)
+        squares.append(error @ np.linalg.solve(belief.covariance, error))
+        alone.append(np.linalg.norm(error[:3]))
+    assert np.mean(squares) == pytest.approx(6.0, abs=0.9)
+    assert np.median(alone) < 0.02  # of landmarks' bias, where the particles' is five times as wide
+
+
+def test_landmarks_teach_what_the_particles_err_by() -> None:
+    """Where none is seen any more, the particles' word is corrected by what was learnt while some were."""
+    off = se3_exp([0.08, 0.0, -0.05, 0.0, 0.04, 0.0])
+    ends = {}
+    for frames in (0, 10):
+        start = Estimate(np.eye(4), np.diag(START_SD**2), 0.0)
+        follower = Joiner(start, LASTING, MotionConfig(), Viewpoints.of(np.eye(4)[None]), SIGHTED)
+        for frame in range(60):
+            belief = follower.step(motion_of(np.eye(4)), ELAPSED_S, said(off), is_told=True)
+            if frame < frames:
+                belief = follower.sighted(seen(np.eye(4)))
+        ends[frames] = np.linalg.norm(belief.pose[:3, 3])
+    assert ends[10] < 0.03 < 0.05 < ends[0]
+
+
+def test_a_camera_that_landmarks_tell_is_not_blind() -> None:
+    follower = joiner(np.eye(4))
+    follower.step(None, ELAPSED_S, said(np.eye(4)), is_told=False)
+    assert follower.blind_s == ELAPSED_S
+    follower.sighted(seen(np.eye(4)))
+    assert follower.blind_s == 0.0
 
 
 def test_a_frame_that_tells_nothing_narrows_nothing() -> None:

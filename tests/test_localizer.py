@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from monoloc.adapt.landmarks import build_landmarks
 from monoloc.bundle import read_network
 from monoloc.depth.runtime import DepthPrediction, DepthPredictor
 from monoloc.evaluation.trajectory import coverage_95, pose_errors
@@ -19,6 +20,7 @@ from monoloc.filter.scan import Scan, scan_from_corners
 from monoloc.filter.viewpoints import Viewpoints
 from monoloc.filter.weigh import Measurement
 from monoloc.geometry import invert, is_rigid, make_pose, se3_log, so3_exp
+from monoloc.landmarks import Landmarks
 from monoloc.localizer import Localizer, LocalizerConfig, Parts
 from monoloc.odometry import VisualOdometry
 from monoloc.progress import NoProgress
@@ -52,6 +54,40 @@ def start_beside(mixture, recording, healthy, seed=0, depth=NoNetwork(), errors=
     rng = np.random.default_rng(seed)
     particles = Start.beside(recording.poses[0], rng, START_M, START_RAD).particles(config, rng)
     return make_localizer(mixture, healthy, particles, recording.poses[:1], rng, config, depth, errors=errors)
+
+
+@pytest.fixture(scope="module")
+def landmarks(recording) -> Landmarks:
+    built = RoomRecording(Room(), make_path(FRAMES, start_s=0.03))
+    return build_landmarks(built, built.depth, NoProgress())[0]
+
+
+def test_landmarks_hold_what_depth_would_draw_away(mixture, recording, healthy, landmarks):
+    """Depth whose errors look like a step aside; a lasting error of 10 cm is known to be possible."""
+    frames, step = range(FRAMES), make_pose(np.eye(3), np.array([0.06, 0.0, 0.08]))
+    lasting, sighted = (
+        LastingErrors(near_sd_m=0.1, near_sd_rad=0.05),
+        LastingErrors(near_sd_m=0.005, near_sd_rad=0.003),
+    )
+    ends = []
+    for known in (Landmarks.none(), landmarks):
+        config = SETTINGS.model_copy(update={"lasting": lasting, "sighted": sighted})
+        rng = np.random.default_rng(0)
+        start = Start.beside(recording.poses[0], rng, START_M, START_RAD).particles(config, rng)
+        localizer = make_localizer(mixture, healthy, start, recording.poses[:1], rng, config, landmarks=known)
+        steps = [
+            localizer.step(recording.color(index), FRAME_S, seen_from_beside(recording.poses[index] @ step))
+            for index in frames
+        ]
+        assert all((step.sighting is None) == (len(known) == 0) for step in steps)
+        assert localizer.step(BLACK, FRAME_S, NO_DEPTH).sighting is None
+        ends.append(pose_errors(poses_of(steps), recording.poses).position_m[SETTLED:])
+    assert np.median(ends[1]) < 0.02 < 0.05 < np.median(ends[0])
+
+
+def seen_from_beside(pose) -> DepthPrediction:
+    camera = CAMERA.resized(80, 64)
+    return DepthPrediction(Room().view(pose, camera)[1], camera)
 
 
 def test_a_start_is_as_far_off_as_it_says(recording):
@@ -434,6 +470,7 @@ def test_dead_reckoning_is_judged_from_the_truth_and_from_where_the_run_began(re
             fits=np.zeros(count),
             log_scales=np.zeros(count),
             step_ms=np.ones(count),
+            sighted=np.zeros(count, dtype=np.bool_),
             depth=None,
         ).metrics()
 

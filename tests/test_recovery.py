@@ -25,6 +25,7 @@ from monoloc.filter.weigh import Measurement
 from monoloc.geometry import FloatArray, make_pose, se3_exp, so3_exp, viewpoints_apart
 from monoloc.localizer import LocalizerConfig, Step
 from monoloc.progress import NoProgress
+from monoloc.sighting import Sighting
 from synthetic_room import (
     BLACK,
     CAMERA,
@@ -109,6 +110,44 @@ def test_where_scans_do_not_fit_for_a_second_the_camera_is_looked_for(mixture, r
     assert "tracking" not in states(steps[:30])
     assert steps[-1].state == "tracking"
     assert errors_m(steps, recording, range(FRAMES))[-1] < 0.05
+
+
+class _Says:
+    """Stands for a search by scans: the camera is where nobody would think."""
+
+    def __init__(self, wrong) -> None:
+        self.wrong, self.asked = Estimate(wrong, np.eye(6), 0.0), 0
+
+    def __call__(self, scan, here, rng):
+        self.asked += 1
+        return self.wrong, 0.0
+
+    def at(self, place, scan):
+        return place, 0.0
+
+    def around(self, found, count, rng):
+        return scatter(found.pose, count, 0.01, 0.01, 0.0, rng)
+
+
+def test_where_landmarks_say_that_the_camera_is_it_is_looked_for_first(recording, healthy):
+    """And then confirmed by them a second later; scans are asked where landmarks say nothing."""
+    search, rng = _Says(recording.poses[20]), np.random.default_rng(0)
+    recovery = Recovery(search, HealthyRange(low=-1.0, lost=-2.0), is_lost=True)
+    scan = scan_from_depth(sparse_depth(recording, 0), 100, rng)
+    particles = scatter(recording.poses[40], 50, 0.01, 0.01, 0.0, rng)
+    sighting = Sighting(recording.poses[0], 1e-6 * np.eye(6), np.zeros((80, 3)))
+    particles, is_found = recovery.look(particles, scan, 1.0, rng, lambda: sighting)
+    assert not is_found and recovery.is_on_trial and search.asked == 0
+    assert pose_errors(particles.poses, recording.poses[:1].repeat(50, axis=0)).position_m.max() < 0.1
+    asked = []
+    recovery.look(particles, scan, 0.5, rng, lambda: asked.append(1))
+    assert not asked  # not yet
+    particles, is_found = recovery.look(particles, scan, 0.5, rng, lambda: sighting)
+    assert is_found and not recovery.is_lost and search.asked == 0
+    recovery.lose()
+    particles, _ = recovery.look(particles, scan, 1.0, rng, lambda: None)
+    assert search.asked == 1
+    assert pose_errors(particles.poses, recording.poses[20:21].repeat(50, axis=0)).position_m.max() < 0.1
 
 
 def test_in_another_room_it_stays_lost(recording, healthy):

@@ -32,10 +32,19 @@ class Landmarks:
     Attributes:
         points: (L, 3) float32, world frame, metres.
         descriptors: (L, 32) uint8, binary.
+
+    Raises:
+        ValueError: they are of other shapes.
     """
 
     points: NDArray[np.float32]
     descriptors: NDArray[np.uint8]
+
+    def __post_init__(self) -> None:
+        count = len(self.points)
+        if self.points.shape != (count, 3) or self.descriptors.shape != (count, 32):
+            shapes = f"{self.points.shape} and {self.descriptors.shape}"
+            raise ValueError(f"points and descriptors must be (L, 3) and (L, 32), got {shapes}")
 
     @classmethod
     def none(cls) -> Landmarks:

@@ -20,6 +20,7 @@ from monoloc.localizer import Step
 
 # Okabe and Ito's colours (2008) that can be seen on Rerun's dark ground, RGBA.
 _TRUTH, _ESTIMATE, _ODOMETRY, _SCAN = 0xE6E6E6FF, 0x56B4E9FF, 0xE69F00FF, 0x00C78FFF
+_LANDMARKS, _SEEN = 0xCC79A760, 0xCC79A7FF
 _ORIGINAL, _ADAPTED = 0x56B4E9FF, 0xE69F00FF
 _MAP, _COVARIANCE = 0xA0A0A01C, 0x56B4E9A0
 _STATES: dict[State, int] = {"tracking": 0x009E73FF, "uncertain": 0xF0E442FF, "lost": 0xD55E00FF}
@@ -55,6 +56,8 @@ class RerunViewer:
         self._static("world", _upright(room.provenance.down_world))
         map_ = room.adapted
         self._static("world/map", _ellipsoids(map_.means, map_.covariances, _SURFACE_SIGMAS, _MAP, "solid"))
+        landmarks = rr.Points3D(room.landmarks.points, colors=_LANDMARKS, radii=rr.Radius.ui_points(1.0))
+        self._static("world/landmarks", landmarks)
         if recording.poses is not None:
             truth = rr.LineStrips3D([recording.poses[:, :3, 3]], colors=_TRUTH, radii=rr.Radius.ui_points(1.0))
             self._static("world/truth", truth)
@@ -106,6 +109,8 @@ class RerunViewer:
         self._stream.log("world/particles", cloud)
         scan = transform(pose, np.exp(step.estimate.log_scale) * step.scan.points)
         self._stream.log("world/scan", rr.Points3D(scan, colors=_SCAN, radii=rr.Radius.ui_points(2.0)))
+        seen = np.zeros((0, 3)) if step.sighting is None else step.sighting.points
+        self._stream.log("world/seen", rr.Points3D(seen, colors=_SEEN, radii=rr.Radius.ui_points(3.0)))
 
     def _show_way(self, name: str, pose: FloatArray, truth: FloatArray | None, color: int) -> None:
         """The last piece of a way, of which the layout shows all up to the cursor, and its error."""

@@ -88,6 +88,7 @@ class Run:
             for the random walk.
         unseen: (N,) frames that did not build the bundle.
         states, fits, log_scales, step_ms: per frame.
+        sighted: (N,) frames in which landmarks told where the camera is.
         truth: (N, 4, 4) or None.
         depth: per-frame accuracy of the depth used, over all and over unseen frames; None without sensor depth.
     """
@@ -103,6 +104,7 @@ class Run:
     fits: FloatArray
     log_scales: FloatArray
     step_ms: FloatArray
+    sighted: NDArray[np.bool_]
     depth: tuple[DepthAccumulator, DepthAccumulator] | None
 
     @property
@@ -117,6 +119,7 @@ class Run:
             **self._accuracy(everything),
             "lost_frames": self.states.count("lost"),
             "states": dict(Counter(self.states)),
+            "sighted_frames": int(self.sighted.sum()),
             "step_ms_median": float(np.median(self.step_ms)),
             "step_ms_p95": float(np.percentile(self.step_ms, 95.0)),
             "particles": self.config.particles,
@@ -234,7 +237,7 @@ def localize(
     accuracy = (DepthAccumulator(), DepthAccumulator()) if recording.has_depth else None
     said = None if start is None else start.pose
     dead_reckoning = said if recording.poses is None else recording.poses[0]
-    estimates, states, fits, odometry, step_ms = [], [], [], [], []
+    estimates, states, fits, odometry, step_ms, sighted = [], [], [], [], [], []
     elapsed = np.diff(recording.timestamps_s, prepend=recording.timestamps_s[:1])
     viewer.begin(bundle, recording)
     with progress.task("localize", len(recording)) as show:
@@ -251,6 +254,7 @@ def localize(
             estimates.append(step.estimate)
             states.append(step.state)
             fits.append(step.fit)
+            sighted.append(step.sighting is not None)
             if dead_reckoning is None:
                 dead_reckoning = step.estimate.pose
             elif step.motion is not None:
@@ -273,6 +277,7 @@ def localize(
         fits=np.array(fits),
         log_scales=np.array([estimate.log_scale for estimate in estimates]),
         step_ms=np.array(step_ms),
+        sighted=np.array(sighted),
         depth=accuracy,
     )
 

@@ -30,12 +30,12 @@ class Sighting:
     Attributes:
         pose: ``T_world_camera``, (4, 4).
         covariance: (6, 6) of its twist (rho, phi) in the camera's frame, as far as corners' places err.
-        landmarks: how many agree with it.
+        points: (M, 3) of the landmarks that agree with it, world frame, metres.
     """
 
     pose: FloatArray
     covariance: FloatArray
-    landmarks: int
+    points: FloatArray
 
 
 class LandmarkSight:
@@ -58,7 +58,7 @@ class LandmarkSight:
         """
         if self._reach_px(belief, covariance) > _MOST_REACH_PX:
             return self.anywhere(color)
-        return self._near(self._detect(color), belief, covariance, _FEWEST)
+        return self.near(self._detect(color), belief, covariance)
 
     def anywhere(self, color: NDArray[np.uint8]) -> Sighting | None:
         """The pose by landmarks wherever they are, for a camera of which nothing is known; None where too few agree.
@@ -68,10 +68,11 @@ class LandmarkSight:
         """
         seen = self._detect(color)
         place = self._place(seen)
-        return None if place is None else self._near(seen, place, _FOUND_COVARIANCE, _FEWEST_FOUND)
+        found = None if place is None else self.near(seen, place, _FOUND_COVARIANCE)
+        return None if found is None or len(found.points) < _FEWEST_FOUND else found
 
-    def _near(self, seen: Keypoints, belief: FloatArray, covariance: FloatArray, fewest: int) -> Sighting | None:
-        """By the landmarks that are near where a belief says."""
+    def near(self, seen: Keypoints, belief: FloatArray, covariance: FloatArray) -> Sighting | None:
+        """The pose by the landmarks that are near where a belief says, of keypoints that were found already."""
         camera, room = self._detect.camera, self._landmarks
         local = transform(invert(belief), room.points)
         ahead = np.flatnonzero(camera.in_sight(local))
@@ -80,8 +81,7 @@ class LandmarkSight:
             camera.project(local[ahead]), room.descriptors[ahead], seen.pixels, seen.descriptors, reach_px
         )
         points = room.points[ahead[which]].astype(np.float64)
-        found = solve(points, seen.pixels[where], seen.sd_px[where], camera, belief, covariance)
-        return None if found is None or found.landmarks < fewest else found
+        return solve(points, seen.pixels[where], seen.sd_px[where], camera, belief, covariance)
 
     def _reach_px(self, belief: FloatArray, covariance: FloatArray) -> float:
         """How far from where they are expected landmarks in sight may be, three standard deviations."""
@@ -142,8 +142,8 @@ def solve(
         off = se3_log(invert(belief) @ pose)
         pose = pose @ se3_exp(-np.linalg.solve(normal + prior, gradient + prior @ off))
     normal, gradient, weights = _evidence(pose, points, rays, sd, _WIDTHS[-1])
-    agree = int(np.count_nonzero(weights > 0.25))
-    if agree < _FEWEST or np.linalg.eigvalsh(normal)[0] < 1.0 / _OPEN_SD**2:
+    agree = points[weights > 0.25]
+    if len(agree) < _FEWEST or np.linalg.eigvalsh(normal)[0] < 1.0 / _OPEN_SD**2:
         return None
     spread = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     return Sighting(pose @ se3_exp(-spread @ gradient), spread, agree)
