@@ -39,6 +39,7 @@ STUDIES: dict[str, dict[str, tuple[str, dict[str, Any]]]] = {
     "default": {"joint, landmarks": ("joint", {"landmarks": True})},
     "depth alone": {"joint": ("joint", {})},
     "unadapted": {"unadapted": ("unadapted", {})},
+    "landmarks alone": {"unadapted, landmarks": ("unadapted", {"landmarks": True})},
     "variants": {name: (name, {}) for name in tasks.VARIANTS if name != "network"},
     "pose steps": {f"joint, weight {value:g}": ("joint", {"pose_weight": value}) for value in (0.0, 1.0)},
     "components": {f"K {count}": ("joint", {"components": count}) for count in (50, 100, 200, 400, 800)},

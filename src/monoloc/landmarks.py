@@ -18,7 +18,7 @@ from monoloc.camera import Camera
 from monoloc.contrast import equaliser
 from monoloc.geometry import FloatArray
 
-FOCAL_PX = 260.0  # at which corners are looked for, or at the image's own if that is less: so theirs are of one size
+FOCAL_PX = 260.0  # at which corners are looked for, so that theirs are of one size; small images are enlarged
 ALIKE_BITS = 64  # of 256, by which descriptors of one corner may differ
 _KEYPOINTS = 600
 _CORNER_SD_PX = 1.0  # of a keypoint's place, at the pyramid's lowest level
@@ -81,7 +81,7 @@ class KeypointDetector:
     """
 
     def __init__(self, camera: Camera) -> None:
-        share = min(1.0, FOCAL_PX / camera.focal_px)
+        share = FOCAL_PX / camera.focal_px
         self.camera = camera.resized(round(camera.width * share), round(camera.height * share))
         self._equalise = equaliser()
         library: Any = cv2  # whose stubs lack it

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from monoloc.adapt.lasting import lasting_errors
 from monoloc.camera import Camera
 from monoloc.datasets.base import Recording
 from monoloc.depth_image import sample_depth
-from monoloc.evaluation.trajectory import twist_errors
+from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, twist_errors
 from monoloc.filter.lasting import LastingErrors
 from monoloc.geometry import FloatArray, invert, se3_log, transform, viewpoints_apart
 from monoloc.landmarks import KeypointDetector, Keypoints, Landmarks, pairs
@@ -27,6 +27,7 @@ _HUBER, _STEPS = 2.0, 5
 _NEAREST_M, _LEAST_INFORMATION = 1e-3, 1e-6  # of a corner that ends up behind a camera; of one on a single ray
 _AGREE_SD = 2.5  # standard deviations within which half of a landmark's corners have to be
 _A_FRAME = 100  # landmarks that a frame is to see of its own
+_USUAL_GROWTH = 0.05  # m and rad a metre away, of landmarks in other parts of a room
 _LOOKED_FOR = np.diag([0.05, 0.05, 0.05, 0.03, 0.03, 0.03]) ** 2  # how far beside the true pose, to be measured
 
 
@@ -77,23 +78,36 @@ def _measured(corners: list[Corners], camera: Camera, detected: Camera, poses: F
         camera, detected: of the recording, and of the images in which corners were looked for.
     """
 
-    def errors(by: NDArray[np.int64], of: NDArray[np.int64]) -> tuple[FloatArray, NDArray[np.int64]]:
-        """Twists (M, 6) of the frames that see landmarks of others, and which frames those are."""
+    def errors(by: NDArray[np.int64], of: NDArray[np.int64]) -> tuple[PoseErrors, NDArray[np.int64]]:
+        """Of the frames that see landmarks of others, what lasts of their errors, and which frames those are."""
         sight = LandmarkSight(landmarks_of([corners[index] for index in by], detected, poses[by]), camera)
         told = {index: sight.near(corners[index].keypoints, poses[index], _LOOKED_FOR) for index in of.tolist()}
-        seen = {index: sighting.pose for index, sighting in told.items() if sighting is not None}
-        twists = [se3_log(invert(poses[index]) @ pose) for index, pose in seen.items()]
-        return np.reshape(twists, (-1, 6)), np.array(list(seen), dtype=np.int64)
+        seen = {index: sighting for index, sighting in told.items() if sighting is not None}
+        twists = [se3_log(invert(poses[index]) @ sighting.pose) for index, sighting in seen.items()]
+        stated = [np.diag(sighting.covariance) for sighting in seen.values()]
+        lasting = _lasting(twist_errors(np.reshape(twists, (-1, 6))), np.reshape(stated, (-1, 6)))
+        return lasting, np.array(list(seen), dtype=np.int64)
 
     frames = np.arange(len(corners))
-    near = twist_errors(np.concatenate([errors(frames[::2], frames[1::2])[0], errors(frames[1::2], frames[::2])[0]]))
+    both = errors(frames[::2], frames[1::2])[0], errors(frames[1::2], frames[::2])[0]
+    near = PoseErrors(*(np.concatenate(parts) for parts in zip(*map(astuple, both), strict=True)))
     if 2 * len(near.position_m) < len(frames):
         return None
     held_out = np.sort(np.concatenate(hold_out_regions(poses, REGIONS, HELD_OUT_SHARE)))
     others = np.setdiff1d(frames, held_out)
     away, seen = errors(others, held_out)
     distances_m = np.array([viewpoints_apart(poses[index], poses[others]).min() for index in seen])
-    return lasting_errors(near, near, twist_errors(away), distances_m)
+    return lasting_errors(near, near, away, distances_m, _USUAL_GROWTH)
+
+
+def _lasting(errors: PoseErrors, stated: FloatArray) -> PoseErrors:
+    """What errors exceed their stated noise by, variances of twists (N, 6), but a third of them at least."""
+
+    def beyond(errors: FloatArray, variances: FloatArray) -> FloatArray:
+        noise = CHI2_MEDIAN_3 * variances.mean(axis=1)
+        return np.asarray(np.sqrt(np.maximum(errors**2 - noise, (errors / 3.0) ** 2)))
+
+    return PoseErrors(beyond(errors.position_m, stated[:, :3]), beyond(errors.rotation_rad, stated[:, 3:]))
 
 
 def landmarks_of(corners: list[Corners], camera: Camera, poses: FloatArray) -> Landmarks:

@@ -18,7 +18,7 @@ from monoloc.localizer import Localizer
 from monoloc.progress import Progress
 
 _LEAST_DISTANCE_M = 0.01
-_USUAL_GROWTH = 0.1  # m and rad a metre away, of other networks and other parts of a room
+_USUAL_GROWTH = 0.1  # m and rad a metre away, of networks in other parts of a room
 
 # From a start, ``T_world_camera``, to a localizer.
 StartsAt = Callable[[FloatArray], Localizer]
@@ -146,7 +146,11 @@ class _Follower:
 
 
 def lasting_errors(
-    near: PoseErrors, rehearsed: PoseErrors, away: PoseErrors, distances_m: FloatArray
+    near: PoseErrors,
+    rehearsed: PoseErrors,
+    away: PoseErrors,
+    distances_m: FloatArray,
+    usual_growth: float = _USUAL_GROWTH,
 ) -> LastingErrors:
     """Near errors' deviation, and its growth, from what the median of those away asks for and from what is usual.
 
@@ -154,28 +158,29 @@ def lasting_errors(
         near: with the network that all frames tuned, one at least.
         rehearsed, away: with the other one, at frames that tuned it, one at least, and at those that did not.
         distances_m: of those away from the nearest that tuned it, (N,).
+        usual_growth: of both, m and rad a metre.
     """
     near_m, near_rad = axis_sd(near)
     rehearsed_m, rehearsed_rad = axis_sd(rehearsed)
     return LastingErrors(
         near_sd_m=near_m,
         near_sd_rad=near_rad,
-        growth_m=_growth(away.position_m, rehearsed_m, distances_m),
-        growth_rad=_growth(away.rotation_rad, rehearsed_rad, distances_m),
+        growth_m=_growth(away.position_m, rehearsed_m, distances_m, usual_growth),
+        growth_rad=_growth(away.rotation_rad, rehearsed_rad, distances_m, usual_growth),
     )
 
 
-def _growth(errors: FloatArray, near_sd: float, distances_m: FloatArray) -> float:
+def _growth(errors: FloatArray, near_sd: float, distances_m: FloatArray, usual: float) -> float:
     """Of an error's deviation with distance, so that half of (N,) errors are under the median that it gives them.
 
     A few regions can be lucky, so its square is averaged with that of the usual growth, which is all there is without
     errors.
     """
     if len(errors) == 0:
-        return _USUAL_GROWTH
+        return usual
     beyond = errors**2 / CHI2_MEDIAN_3 - near_sd**2
     measured = max(0.0, float(np.median(beyond / np.maximum(distances_m, _LEAST_DISTANCE_M) ** 2)))
-    return math.sqrt(0.5 * (measured + _USUAL_GROWTH**2))
+    return math.sqrt(0.5 * (measured + usual**2))
 
 
 def _passes(ways: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
