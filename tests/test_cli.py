@@ -78,6 +78,7 @@ ACCURACY_KEYS = {
 LOCALIZE_KEYS = ACCURACY_KEYS | {
     "frames",
     "lost_frames",
+    "sighted_frames",
     "coverage_95",
     "step_ms_median",
     "step_ms_p95",
@@ -603,6 +604,20 @@ def test_build_and_localize(capfd, here, recording):
     metrics = json_of(capfd, "localize", "x.monoloc", "walk", "--depth", "sensor", "--out", "way.txt")
     assert metrics["unseen_frames"] == FRAMES // 2 and metrics["depth"] == "sensor"
     assert read_tum(here / "way.txt")[1].shape == (FRAMES, 4, 4)
+
+
+def test_landmarks_are_kept_unless_they_are_not_wanted(capfd, here):
+    for options, are_kept in (((), True), (("--no-landmarks",), False)):
+        report = json_of(capfd, "build", "walk", "--frames", "::2", "--out", "x.monoloc", *QUICK, *options)
+        landmarks = read_bundle(here / "x.monoloc").landmarks
+        assert report["landmarks"] == len(landmarks) and (len(landmarks) > 50) == are_kept
+        said = json_of(capfd, "inspect", "x.monoloc")
+        assert said["landmarks"] == len(landmarks) and said["landmark_bytes"] == 44 * len(landmarks)
+        assert (said["settings"]["sighted"]["near_sd_m"] > 0.0) == are_kept
+        metrics = json_of(capfd, "localize", "x.monoloc", "walk")
+        assert metrics["sighted_frames"] == (FRAMES if are_kept else 0)
+        # An untuned network: without landmarks its depth is all there is.
+        assert (metrics["ate_median_m"] < 0.03) == are_kept
 
 
 def test_build_knows_where_down_is_and_what_refining_moved(capfd, here):

@@ -348,6 +348,44 @@ def test_landmarks_teach_what_the_particles_err_by() -> None:
     assert ends[10] < 0.03 < 0.05 < ends[0]
 
 
+def test_the_particles_word_alone_says_nothing_of_landmarks() -> None:
+    """Whose bias is fresh and independent; what they say then is weighed against it."""
+    widths = np.stack([LASTING.widths(0.0), SIGHTED.widths(0.0)])
+    alone = Joined.alone(said(np.eye(4)), widths)
+    np.testing.assert_array_equal(alone.covariance[:12, 12:], 0.0)
+    np.testing.assert_allclose(np.sqrt(np.diag(alone.covariance)[6:]), widths.ravel())
+    off = 0.04
+    told = alone.sighted(seen(se3_exp([off, 0.0, 0.0, 0.0, 0.0, 0.0])))
+    own, other = SPREAD_SD[0] ** 2 + widths[0, 0] ** 2, SPREAD_SD[0] ** 2 + widths[1, 0] ** 2
+    assert told.pose[0, 3] == pytest.approx(off * own / (own + other), rel=1e-3)
+    # What the particles were off by is now known to be the other way.
+    assert told.biases[0, 0] == pytest.approx(-off * widths[0, 0] ** 2 / (own + other), rel=1e-3)
+
+
+def test_a_sighting_that_cannot_be_hardly_counts() -> None:
+    """A metre off a belief of centimetres; but one that says so again and again is believed in the end."""
+    follower = Joiner(said(np.eye(4)), LASTING, MotionConfig(), Viewpoints.of(np.eye(4)[None]), SIGHTED)
+    wrong = se3_exp([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    follower.step(None, 0.0, said(np.eye(4)), is_told=True)
+    once = follower.sighted(seen(wrong))
+    assert np.linalg.norm(once.pose[:3, 3]) < 0.1
+    for _ in range(100):
+        follower.step(motion_of(np.eye(4)), ELAPSED_S, said(wrong), is_told=True)
+        again = follower.sighted(seen(wrong))
+    assert np.linalg.norm(again.pose[:3, 3] - wrong[:3, 3]) < 0.15
+
+
+def test_without_odometry_what_landmarks_said_is_kept() -> None:
+    """They are something to join the particles with: their word alone is not taken after that."""
+    off = se3_exp([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+    follower = Joiner(said(np.eye(4)), LASTING, MotionConfig(), Viewpoints.of(np.eye(4)[None]), SIGHTED)
+    for frame in range(60):
+        belief = follower.step(None, ELAPSED_S, said(off), is_told=True)
+        if frame % 3 == 0:
+            follower.sighted(seen(np.eye(4)))
+    assert np.linalg.norm(belief.pose[:3, 3]) < 0.05
+
+
 def test_a_camera_that_landmarks_tell_is_not_blind() -> None:
     follower = joiner(np.eye(4))
     follower.step(None, ELAPSED_S, said(np.eye(4)), is_told=False)

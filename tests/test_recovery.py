@@ -13,6 +13,7 @@ from scipy.stats import chi2
 
 from monoloc.adapt.calibrate import Sample
 from monoloc.adapt.found import measure_found
+from monoloc.adapt.landmarks import build_landmarks
 from monoloc.depth.runtime import DepthPrediction
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.filter.estimate import Estimate
@@ -116,14 +117,14 @@ class _Says:
     """Stands for a search by scans: the camera is where nobody would think."""
 
     def __init__(self, wrong) -> None:
-        self.wrong, self.asked = Estimate(wrong, np.eye(6), 0.0), 0
+        self.wrong, self.asked, self.fit = Estimate(wrong, np.eye(6), 0.0), 0, 0.0
 
     def __call__(self, scan, here, rng):
         self.asked += 1
         return self.wrong, 0.0
 
-    def at(self, place, scan):
-        return place, 0.0
+    def at(self, place, scan, rng):
+        return place, self.fit
 
     def around(self, found, count, rng):
         return scatter(found.pose, count, 0.01, 0.01, 0.0, rng)
@@ -148,6 +149,30 @@ def test_where_landmarks_say_that_the_camera_is_it_is_looked_for_first(recording
     particles, _ = recovery.look(particles, scan, 1.0, rng, lambda: None)
     assert search.asked == 1
     assert pose_errors(particles.poses, recording.poses[20:21].repeat(50, axis=0)).position_m.max() < 0.1
+    search.fit = -3.0  # and where no scan fits what landmarks say
+    recovery.look(particles, scan, 1.0, rng, lambda: sighting)
+    assert search.asked == 2
+
+
+@pytest.mark.parametrize("log_scale", [0.0, -0.05])
+def test_a_camera_whose_depth_is_misjudged_is_found_by_landmarks(mixture, recording, healthy, log_scale):
+    """The place is theirs at once; its scan is judged at the scale that the depth asks for."""
+    built = RoomRecording(Room(), recording.poses[:60:2])
+    landmarks, sighted = build_landmarks(built, built.depth, NoProgress())
+    settings = with_found(0.2, 0.1).model_copy(update={"log_scale_sd": 0.05, "sighted": sighted})
+    localizer = make_localizer(
+        mixture, healthy, None, recording.poses[:60:10], settings=settings, landmarks=landmarks
+    )
+    steps = []
+    for index in range(30, FRAMES):
+        exact = sparse_depth(recording, index)
+        depth = DepthPrediction(np.exp(log_scale).astype(np.float32) * exact.depth_m, exact.camera)
+        steps.append(localizer.step(recording.color(index), FRAME_S, depth))
+    told = [index for index, step in enumerate(steps) if step.state != "lost"]
+    assert told and told[0] < 20
+    assert errors_m(steps, recording, range(30, FRAMES))[told[0] :].max() < 0.02
+    # Not as wide as scans would leave it: 20 cm.
+    assert np.sqrt(np.trace(steps[told[0]].estimate.covariance[:3, :3])) < 0.05
 
 
 def test_in_another_room_it_stays_lost(recording, healthy):

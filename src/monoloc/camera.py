@@ -94,8 +94,8 @@ class Camera:
             height=height,
             fx=self.fx * sx,
             fy=self.fy * sy,
-            cx=(self.cx + 0.5) * sx - 0.5,
-            cy=(self.cy + 0.5) * sy - 0.5,
+            cx=min((self.cx + 0.5) * sx, float(width)) - 0.5,  # rounding must not take it out of the image
+            cy=min((self.cy + 0.5) * sy, float(height)) - 0.5,
         )
 
     def cropped(self, left: int, top: int, width: int, height: int) -> Camera:

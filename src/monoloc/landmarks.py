@@ -20,6 +20,7 @@ from monoloc.geometry import FloatArray
 
 FOCAL_PX = 260.0  # at which corners are looked for, so that theirs are of one size; small images are enlarged
 ALIKE_BITS = 64  # of 256, by which descriptors of one corner may differ
+_LEAST_SIDE_PX = 96.0  # of an image in which corners are looked for: ORB leaves a margin of 31 px out
 _KEYPOINTS = 600
 _CORNER_SD_PX = 1.0  # of a keypoint's place, at the pyramid's lowest level
 _ONES = np.array([bin(byte).count("1") for byte in range(256)], dtype=np.uint8)
@@ -34,17 +35,20 @@ class Landmarks:
         descriptors: (L, 32) uint8, binary.
 
     Raises:
-        ValueError: they are of other shapes.
+        ValueError: they are of other shapes or types.
     """
 
     points: NDArray[np.float32]
     descriptors: NDArray[np.uint8]
 
     def __post_init__(self) -> None:
-        count = len(self.points)
-        if self.points.shape != (count, 3) or self.descriptors.shape != (count, 32):
-            shapes = f"{self.points.shape} and {self.descriptors.shape}"
+        points, descriptors = self.points, self.descriptors
+        shapes = f"{points.shape} and {descriptors.shape}"
+        if points.shape[1:] != (3,) or descriptors.shape[1:] != (32,) or len(points) != len(descriptors):
             raise ValueError(f"points and descriptors must be (L, 3) and (L, 32), got {shapes}")
+        if points.dtype != np.float32 or descriptors.dtype != np.uint8:
+            types = f"{points.dtype} and {descriptors.dtype}"
+            raise ValueError(f"points and descriptors must be float32 and uint8, got {types}")
 
     @classmethod
     def none(cls) -> Landmarks:
@@ -72,6 +76,15 @@ class Keypoints:
     descriptors: NDArray[np.uint8]
     sd_px: FloatArray
 
+    def select(self, chosen: NDArray[np.int64]) -> Keypoints:
+        return Keypoints(self.pixels[chosen], self.descriptors[chosen], self.sd_px[chosen])
+
+    def rays(self, camera: Camera) -> tuple[FloatArray, FloatArray]:
+        """At a depth of one, x and y, (N, 2), and their standard deviations, (N, 2); of the camera of the pixels."""
+        rays = camera.rays(self.pixels)[:, :2]
+        aside = (camera.rays(self.pixels + self.sd_px[:, None] * step)[:, :2] - rays for step in np.eye(2))
+        return rays, np.stack([np.abs(off[:, axis]) for axis, off in enumerate(aside)], axis=1)
+
 
 class KeypointDetector:
     """Corners of a camera's images.
@@ -81,8 +94,10 @@ class KeypointDetector:
     """
 
     def __init__(self, camera: Camera) -> None:
-        share = FOCAL_PX / camera.focal_px
-        self.camera = camera.resized(round(camera.width * share), round(camera.height * share))
+        width, height = camera.width, camera.height
+        share = max(FOCAL_PX / camera.focal_px, _LEAST_SIDE_PX / min(width, height))
+        self.camera = camera.resized(round(width * share), round(height * share))
+        self._interpolation = cv2.INTER_AREA if share < 1.0 else cv2.INTER_LINEAR
         self._equalise = equaliser()
         library: Any = cv2  # whose stubs lack it
         self._orb = library.ORB_create(nfeatures=_KEYPOINTS, scaleFactor=1.25, nlevels=6, fastThreshold=5)
@@ -91,7 +106,7 @@ class KeypointDetector:
     def __call__(self, color: NDArray[np.uint8]) -> Keypoints:
         """Of an image (H, W, 3) uint8 RGB."""
         size = (self.camera.width, self.camera.height)
-        gray = cv2.cvtColor(cv2.resize(color, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY)
+        gray = cv2.cvtColor(cv2.resize(color, size, interpolation=self._interpolation), cv2.COLOR_RGB2GRAY)
         found, descriptors = self._orb.detectAndCompute(self._equalise.apply(gray), None)
         if descriptors is None:
             return Keypoints(np.zeros((0, 2)), np.zeros((0, 32), np.uint8), np.zeros(0))

@@ -14,7 +14,8 @@ from monoloc.landmarks import ALIKE_BITS, KeypointDetector, Keypoints, Landmarks
 
 _LEAST_REACH_PX, _MOST_REACH_PX = 6.0, 40.0
 _FEWEST = 15  # landmarks that tell a pose
-_BETTER = 0.85  # of two landmarks that look like a corner anywhere, the one, for the other not to count
+_BETTER = 0.85  # of a corner's likest landmark anywhere, than the likest at another place, for this not to count
+_LIKEST, _APART_M = 8, 0.05  # landmarks among which another place is looked for, and how far away that is
 _INLIER_PX, _FEWEST_ANYWHERE, _FEWEST_FOUND = 3.0, 8, 20
 _FOUND_COVARIANCE = np.diag([0.05, 0.05, 0.05, 0.03, 0.03, 0.03]) ** 2  # of a pose by landmarks from anywhere
 _WIDTHS = (24.0, 12.0, 6.0, 3.0, 3.0, 3.0)  # standard deviations at which a landmark counts a quarter, step by step
@@ -56,7 +57,8 @@ class LandmarkSight:
             color: (H, W, 3) uint8 RGB.
             belief: ``T_world_camera``, (4, 4), and its covariance, (6, 6).
         """
-        if self._reach_px(belief, covariance) > _MOST_REACH_PX:
+        local = transform(invert(belief), self._landmarks.points)
+        if self._reach_px(local[self._detect.camera.in_sight(local)], covariance) > _MOST_REACH_PX:
             return self.anywhere(color)
         return self.near(self._detect(color), belief, covariance)
 
@@ -76,27 +78,29 @@ class LandmarkSight:
         camera, room = self._detect.camera, self._landmarks
         local = transform(invert(belief), room.points)
         ahead = np.flatnonzero(camera.in_sight(local))
-        reach_px = self._reach_px(belief, covariance)
+        reach_px = self._reach_px(local[ahead], covariance)
         which, where = pairs(
             camera.project(local[ahead]), room.descriptors[ahead], seen.pixels, seen.descriptors, reach_px
         )
         points = room.points[ahead[which]].astype(np.float64)
-        return solve(points, seen.pixels[where], seen.sd_px[where], camera, belief, covariance)
+        return solve(points, seen.select(where), camera, belief, covariance)
 
-    def _reach_px(self, belief: FloatArray, covariance: FloatArray) -> float:
-        """How far from where they are expected landmarks in sight may be, three standard deviations."""
-        camera = self._detect.camera
-        z = transform(invert(belief), self._landmarks.points)[:, 2]
-        depth_m = float(np.median(z[z > 0.0])) if np.any(z > 0.0) else 1.0
-        return max(_LEAST_REACH_PX, 3.0 * camera.focal_px * _turn_sd(covariance, depth_m))
+    def _reach_px(self, in_sight: FloatArray, covariance: FloatArray) -> float:
+        """How far landmarks may be from where they are expected, (M, 3) in the camera's frame, as a rule: 3 sigma."""
+        depth_m = float(np.median(in_sight[:, 2])) if len(in_sight) else 1.0
+        return max(_LEAST_REACH_PX, 3.0 * self._detect.camera.focal_px * _turn_sd(covariance, depth_m))
 
     def _place(self, seen: Keypoints) -> FloatArray | None:
         """A pose, ``T_world_camera``, by what landmarks look like alone; None where too few agree."""
         known = self._landmarks.descriptors
         if min(len(seen.descriptors), len(known)) < _FEWEST:
             return None
-        bits, nearest = cv2.batchDistance(seen.descriptors, known, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=2)
-        alike = np.flatnonzero((bits[:, 0] < ALIKE_BITS) & (bits[:, 0] < _BETTER * bits[:, 1]))
+        bits, nearest = cv2.batchDistance(seen.descriptors, known, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=_LIKEST)
+        # Of one corner there may be several landmarks, by its sizes: the next best is one at another place.
+        found = self._landmarks.points[nearest]
+        is_elsewhere = np.linalg.norm(found - found[:, :1], axis=2) > _APART_M
+        others = np.where(is_elsewhere, bits, 256).min(axis=1)
+        alike = np.flatnonzero((bits[:, 0] < ALIKE_BITS) & (bits[:, 0] < _BETTER * others))
         if len(alike) < _FEWEST:
             return None
         camera = self._detect.camera
@@ -117,14 +121,9 @@ class LandmarkSight:
 
 
 def solve(
-    points: FloatArray,
-    pixels: FloatArray,
-    sd_px: FloatArray,
-    camera: Camera,
-    belief: FloatArray,
-    covariance: FloatArray,
+    points: FloatArray, seen: Keypoints, camera: Camera, belief: FloatArray, covariance: FloatArray
 ) -> Sighting | None:
-    """The pose of a camera that sees points (M, 3), world frame, at pixels (M, 2), though some of them are others.
+    """The pose of a camera that sees points (M, 3), world frame, as M keypoints, though some of these are others.
 
     Which, is decided with the belief at hand, by Geman and McClure's weights that begin wide (Yang et al., *Graduated
     Non-Convexity for Robust Spatial Perception*, 2020). The pose is what the points say without the belief, which is
@@ -133,8 +132,7 @@ def solve(
     Returns:
         None where too few agree, or where those that do leave a direction open.
     """
-    rays = camera.rays(pixels)[:, :2]
-    sd = sd_px[:, None] / camera.focal_px
+    rays, sd = seen.rays(camera)
     pose: FloatArray = belief
     prior = np.asarray(np.linalg.inv(covariance + _LEAST_VARIANCE * np.eye(6)), dtype=np.float64)
     for width in _WIDTHS:

@@ -26,7 +26,9 @@ _DEPTH_SD = 0.01  # of measured depth, as a share of it
 _HUBER, _STEPS = 2.0, 5
 _NEAREST_M, _LEAST_INFORMATION = 1e-3, 1e-6  # of a corner that ends up behind a camera; of one on a single ray
 _AGREE_SD = 2.5  # standard deviations within which half of a landmark's corners have to be
+_MOST_FRAMES = 300  # that landmarks are made of: a room has no more to show, and time grows with their square
 _A_FRAME = 100  # landmarks that a frame is to see of its own
+_LEAST_M, _LEAST_RAD = 0.001, 0.0005  # that errors are taken to be, be it of a camera that stood still
 _USUAL_GROWTH = 0.05  # m and rad a metre away, of landmarks in other parts of a room
 _LOOKED_FOR = np.diag([0.05, 0.05, 0.05, 0.03, 0.03, 0.03]) ** 2  # how far beside the true pose, to be measured
 
@@ -40,7 +42,7 @@ def build_landmarks(
     landmarks that no frame there saw.
 
     Args:
-        recording: posed frames, five at least.
+        recording: posed frames, five at least; of many, some hundred are taken, evenly out of them.
         depth_of: a frame's depth, (H, W) m, 0 where there is none.
 
     Returns:
@@ -49,14 +51,16 @@ def build_landmarks(
     poses = recording.poses
     assert poses is not None
     detect = KeypointDetector(recording.camera)
-    with progress.task("landmarks", len(recording)) as show:
+    frames = np.unique(np.linspace(0, len(recording) - 1, min(_MOST_FRAMES, len(recording))).round().astype(np.int64))
+    poses = poses[frames]
+    with progress.task("landmarks", len(frames)) as show:
         corners = []
-        for index in range(len(recording)):
+        for index in frames.tolist():
             keypoints = detect(recording.color(index))
             pixels = keypoints.pixels.astype(np.float32)
             depth = sample_depth(pixels, detect.camera, depth_of(index), recording.camera, _DEPTH_JUMP)
             corners.append(Corners(keypoints, depth))
-            show(index + 1)
+            show(len(corners))
         lasting = _measured(corners, recording.camera, detect.camera, poses)
         if lasting is None:
             return Landmarks.none(), LastingErrors()
@@ -103,11 +107,15 @@ def _measured(corners: list[Corners], camera: Camera, detected: Camera, poses: F
 def _lasting(errors: PoseErrors, stated: FloatArray) -> PoseErrors:
     """What errors exceed their stated noise by, variances of twists (N, 6), but a third of them at least."""
 
-    def beyond(errors: FloatArray, variances: FloatArray) -> FloatArray:
+    def beyond(errors: FloatArray, variances: FloatArray, least: float) -> FloatArray:
         noise = CHI2_MEDIAN_3 * variances.mean(axis=1)
-        return np.asarray(np.sqrt(np.maximum(errors**2 - noise, (errors / 3.0) ** 2)))
+        return np.asarray(
+            np.sqrt(np.maximum.reduce([errors**2 - noise, (errors / 3.0) ** 2, np.full(len(errors), least**2)]))
+        )
 
-    return PoseErrors(beyond(errors.position_m, stated[:, :3]), beyond(errors.rotation_rad, stated[:, 3:]))
+    return PoseErrors(
+        beyond(errors.position_m, stated[:, :3], _LEAST_M), beyond(errors.rotation_rad, stated[:, 3:], _LEAST_RAD)
+    )
 
 
 def landmarks_of(corners: list[Corners], camera: Camera, poses: FloatArray) -> Landmarks:
@@ -125,7 +133,7 @@ class _Seen:
     Attributes:
         points: (L, 3) as first lifted, world frame.
         landmark, frame: (O,) of which place a corner is, and in which frame.
-        rays: (O, 2) at a depth of one; ``sd``: (O,) their standard deviation.
+        rays: (O, 2) at a depth of one; ``sd``: (O, 2) their standard deviations.
         depth_m: (O,) 0 where there is none.
         descriptors: (O, 32).
     """
@@ -152,11 +160,11 @@ def _gathered(corners: list[Corners], camera: Camera, poses: FloatArray) -> _See
         fresh = np.setdiff1d(np.flatnonzero(each.depth_m > 0.0), again)
         corner = np.concatenate([again, fresh])
         landmark = np.concatenate([ahead[which], len(points) + np.arange(len(fresh))])
-        rays = camera.rays(keypoints.pixels)
-        sd = keypoints.sd_px / camera.focal_px
-        columns = (rays[:, :2], sd, each.depth_m, keypoints.descriptors)
+        rays, sd = keypoints.rays(camera)
+        columns = (rays, sd, each.depth_m, keypoints.descriptors)
         rows.append((landmark, np.full(len(corner), index), *(column[corner] for column in columns)))
-        points = np.concatenate([points, transform(pose, rays[fresh] * each.depth_m[fresh, None])])
+        lifted = np.column_stack([rays[fresh], np.ones(len(fresh))]) * each.depth_m[fresh, None]
+        points = np.concatenate([points, transform(pose, lifted)])
         known = np.concatenate([known, keypoints.descriptors[fresh]])
     return _Seen(points, *(np.concatenate(column) for column in zip(*rows, strict=True)))
 
@@ -170,7 +178,7 @@ def _placed(seen: _Seen, poses: FloatArray) -> tuple[FloatArray, NDArray[np.bool
     R_camera_world = T_camera_world[:, :3, :3]
     has_depth = seen.depth_m > 0.0
     log_depth = np.log(np.where(has_depth, seen.depth_m, 1.0))
-    scale = np.stack([1.0 / seen.sd, 1.0 / seen.sd, has_depth / _DEPTH_SD], axis=1)
+    scale = np.column_stack([1.0 / seen.sd, has_depth / _DEPTH_SD])
     points = seen.points.copy()
     for _ in range(_STEPS):
         local = np.einsum("oij,oj->oi", R_camera_world, points[seen.landmark]) + T_camera_world[:, :3, 3]
@@ -209,7 +217,7 @@ def _looks(seen: _Seen, chosen: NDArray[np.int64]) -> NDArray[np.uint8]:
     number = np.full(len(seen.points), -1)
     number[chosen] = np.arange(len(chosen))
     row = number[seen.landmark]
-    votes = np.zeros((len(chosen), 256), dtype=np.int64)
-    bits = np.unpackbits(seen.descriptors[row >= 0], axis=1).astype(np.int64)
+    votes = np.zeros((len(chosen), 256), dtype=np.int32)
+    bits = np.unpackbits(seen.descriptors[row >= 0], axis=1).astype(np.int8)
     np.add.at(votes, row[row >= 0], 2 * bits - 1)
     return np.packbits(votes >= 0, axis=1)

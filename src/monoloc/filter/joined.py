@@ -29,6 +29,7 @@ _ODOMETRY_TOGETHER, _PARTICLES_TOGETHER, _LANDMARKS_TOGETHER = 4.0, 2.0, 2.0
 _LONG_S = 1.0
 _LATE_S = 1.0  # the way that the camera came within about so long is that on which particles came to err as they do
 _LEAST_VARIANCE = 1e-10  # of a measurement, m^2 and rad^2: particles may all be one
+_UNLIKELY = 16.8  # squared, of six degrees of freedom: farther off than 99 of 100, a sighting counts for less
 _PARTICLES, _LANDMARKS = 0, 1  # which say where the camera is, each with a bias of its own
 
 
@@ -86,14 +87,14 @@ class Joined:
     def sighted(self, sighting: Sighting) -> Joined:
         """After that of the landmarks, for whose errors' slowness the second source's bias stands."""
         noise = _LANDMARKS_TOGETHER**2 * sighting.covariance + _LEAST_VARIANCE * np.eye(6)
-        return self._told(_LANDMARKS, sighting.pose, noise)
+        innovation, spread = self._innovation(_LANDMARKS, sighting.pose, noise)
+        surprise = float(innovation @ np.linalg.solve(spread, innovation)) / _UNLIKELY
+        return self._told(_LANDMARKS, sighting.pose, max(1.0, surprise) * noise)
 
     def _told(self, source: int, pose: FloatArray, noise: FloatArray) -> Joined:
         """After a source's word, ``T_world_camera`` (4, 4), with its noise, (6, 6)."""
-        innovation = se3_log(invert(self.pose) @ pose) - self.biases[source]
-        observed = np.zeros((6, len(self.covariance)))  # it errs by the pose's error and by the bias
-        observed[:, :6] = observed[:, 6 + 6 * source :][:, :6] = np.eye(6)
-        spread = observed @ self.covariance @ observed.T + noise
+        innovation, spread = self._innovation(source, pose, noise)
+        observed = self._observed(source)
         gain = np.linalg.solve(spread, observed @ self.covariance).T
         correction = gain @ innovation
         left = np.eye(len(self.covariance)) - gain @ observed
@@ -101,6 +102,18 @@ class Joined:
         covariance = left @ self.covariance @ left.T + gain @ noise @ gain.T
         biases = self.biases + correction[6:].reshape(-1, 6)
         return replace(self, pose=self.pose @ se3_exp(correction[:6]), biases=biases, covariance=covariance)
+
+    def _innovation(self, source: int, pose: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What a source's word says beyond what was expected of it, (6,), and how much that may be, (6, 6)."""
+        observed = self._observed(source)
+        innovation: FloatArray = se3_log(invert(self.pose) @ pose) - self.biases[source]
+        return innovation, observed @ self.covariance @ observed.T + noise
+
+    def _observed(self, source: int) -> FloatArray:
+        """A source's word errs by the pose's error and by its bias: (6, 6 + 6 S)."""
+        observed = np.zeros((6, len(self.covariance)))
+        observed[:, :6] = observed[:, 6 + 6 * source :][:, :6] = np.eye(6)
+        return observed
 
     def estimate(self, log_scale: float) -> Estimate:
         return Estimate(self.pose, self.covariance[:6, :6], log_scale)
@@ -178,7 +191,7 @@ class Joiner:
     def sighted(self, sighting: Sighting) -> Estimate:
         """The belief after what landmarks say of the same frame."""
         self._joined = self._joined.sighted(sighting)
-        self.blind_s = 0.0
+        self.blind_s = self._unmoved_s = 0.0
         return self._joined.estimate(self._located.log_scale)
 
     def foreseen(self, elapsed_s: float) -> Estimate:

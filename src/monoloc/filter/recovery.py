@@ -78,11 +78,7 @@ class Recovery:
             return particles, False
         self._since_s = 0.0
         here = estimate(particles)
-        seen = sighted()
-        if seen is None:
-            found, fit = self._search(scan, here, rng)
-        else:
-            found, fit = self._search.at(Estimate(seen.pose, seen.covariance, here.log_scale), scan)
+        found, fit = self._looked_for(self._search, scan, here, rng, sighted())
         if fit < self._healthy.lost:
             self.is_on_trial = False
             return particles, False
@@ -93,6 +89,16 @@ class Recovery:
             return particles, is_believed
         self.is_lost = self.is_on_trial = True
         return self._search.around(found, len(particles), rng), False
+
+    def _looked_for(
+        self, search: Search, scan: Scan, here: Estimate, rng: np.random.Generator, seen: Sighting | None
+    ) -> tuple[Estimate, float]:
+        """The place that landmarks say, where the scan fits there, or else the best for the scan; and how it fits."""
+        if seen is not None:
+            found, fit = search.at(Estimate(seen.pose, seen.covariance, here.log_scale), scan, rng)
+            if fit >= self._healthy.lost:
+                return found, fit
+        return search(scan, here, rng)
 
     def note(self, fit: float, belief: Estimate, elapsed_s: float) -> None:
         """Take in what became of a frame.

@@ -64,9 +64,9 @@ class Search:
         mode, _ = self._best(modes, scan)
         return self._best([here, self._refined(mode.pose, _NEARER_SD, _REFINING_ALL, scan, rng)], scan)
 
-    def at(self, place: Estimate, scan: Scan) -> tuple[Estimate, float]:
-        """A place, and how well a scan of at least one point fits there."""
-        return self._best([place], scan)
+    def at(self, place: Estimate, scan: Scan, rng: np.random.Generator) -> tuple[Estimate, float]:
+        """A place that is known from elsewhere, brought to where a scan of at least one point fits, and how well."""
+        return self._best([place, self._refined(place.pose, _NEARER_SD, _REFINING_ALL, scan, rng)], scan)
 
     def _drawn_around(self, places: FloatArray, rng: np.random.Generator) -> Particles:
         count = len(places)
