@@ -123,8 +123,8 @@ class _Says:
         self.asked += 1
         return self.wrong, 0.0
 
-    def at(self, place, scan, rng):
-        return place, self.fit
+    def fit_near(self, place, scan, rng):
+        return self.fit
 
     def around(self, found, count, rng):
         return scatter(found.pose, count, 0.01, 0.01, 0.0, rng)

@@ -17,6 +17,11 @@ from monoloc.sighting import Sighting
 
 _EVERY_S = 1.0  # the camera is looked for; as long, a scan has to fit nowhere near before the camera is lost
 _SAME_M = 0.3  # of two poses that are taken for one, a radian for a metre
+_SEEN_AGAIN_M = 0.6  # the same of two that landmarks told: between them, particles have followed what depth says
+
+
+def _apart_m(one: Estimate, other: Estimate) -> float:
+    return float(viewpoints_apart(one.pose, other.pose[None])[0])
 
 
 class Recovery:
@@ -78,27 +83,28 @@ class Recovery:
             return particles, False
         self._since_s = 0.0
         here = estimate(particles)
-        found, fit = self._looked_for(self._search, scan, here, rng, sighted())
+        seen = sighted()
+        if seen is not None:
+            # Where depth errs, the scan fits beside: as well as it must, and the place stays the landmarks'.
+            place = Estimate(seen.pose, seen.covariance, here.log_scale)
+            if self._search.fit_near(place, scan, rng) >= self._healthy.lost:
+                is_believed = self.is_on_trial and _apart_m(here, place) < _SEEN_AGAIN_M
+                return self._search.around(place, len(particles), rng), self._tried(is_believed)
+        found, fit = self._search(scan, here, rng)
         if fit < self._healthy.lost:
             self.is_on_trial = False
             return particles, False
-        if self.is_on_trial and float(viewpoints_apart(here.pose, found.pose[None])[0]) < _SAME_M:
+        if self.is_on_trial and _apart_m(here, found) < _SAME_M:
             is_believed = fit >= self._healthy.low
-            if is_believed:
-                self.is_lost, self.is_on_trial, self._misfit_s = False, False, 0.0
-            return particles, is_believed
-        self.is_lost = self.is_on_trial = True
-        return self._search.around(found, len(particles), rng), False
+            return particles, is_believed and self._tried(is_believed)
+        return self._search.around(found, len(particles), rng), self._tried(False)
 
-    def _looked_for(
-        self, search: Search, scan: Scan, here: Estimate, rng: np.random.Generator, seen: Sighting | None
-    ) -> tuple[Estimate, float]:
-        """The place that landmarks say, where the scan fits there, or else the best for the scan; and how it fits."""
-        if seen is not None:
-            found, fit = search.at(Estimate(seen.pose, seen.covariance, here.log_scale), scan, rng)
-            if fit >= self._healthy.lost:
-                return found, fit
-        return search(scan, here, rng)
+    def _tried(self, is_believed: bool) -> bool:
+        """After a trial that was passed, or at the beginning of one; says which."""
+        self.is_lost = self.is_on_trial = not is_believed
+        if is_believed:
+            self._misfit_s = 0.0
+        return is_believed
 
     def note(self, fit: float, belief: Estimate, elapsed_s: float) -> None:
         """Take in what became of a frame.
