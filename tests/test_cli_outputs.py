@@ -109,6 +109,7 @@ def test_links_are_written_through(capfd, here):
     assert sorted(listing(here / "elsewhere")) == [
         "there.monoloc",
         "there.monoloc/depth.onnx",
+        "there.monoloc/landmarks.npz",
         "there.monoloc/manifest.json",
         "there.monoloc/map.npz",
         "way.rrd",

@@ -215,7 +215,7 @@ def build_bundle(
     if config.landmarks:
         landmarks, sighted = build_landmarks(recording, supervision(recording, cloud), progress)
         if len(landmarks) == 0:
-            warnings = [*warnings, "frames see no corners of one another that tell a pose: there are no landmarks"]
+            warnings = [*warnings, "too few corners are seen by several frames: there are no landmarks"]
     settings = settings.model_copy(update={"lasting": lasting, "sighted": sighted})
     bundle = replace(bundle, settings=settings, viewpoints=viewpoints, landmarks=landmarks)
     if not settings.can_find:

@@ -1,9 +1,10 @@
-"""What the particles say joined with odometry, knowing that the former errs for long in the same way.
+"""What particles and landmarks say joined with odometry, knowing that both err for long in the same way.
 
 A Kalman filter of the pose and of the bias of the particles' pose (Friedland, *Treatment of bias in recursive
 filtering*, 1969). The particles alone hold a scan against the map as if the next one erred anew, so in a few frames
 they come to stand where depth's lasting error puts them. Here that error has a width of its own, which grows away
 from the viewpoints that a room was built from: near them the map is followed, far from them odometry for a while.
+Landmarks have such a bias of their own, which is narrower; while some are seen, they show what the particles' is.
 """
 
 from __future__ import annotations
