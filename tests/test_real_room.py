@@ -204,6 +204,13 @@ def test_landmarks_hold_the_camera_though_depth_is_a_fifth_off(kitchen, landmark
     assert 0.003 < read_bundle(path).settings.sighted.near_sd_m < 0.03
 
 
+@pytest.mark.parametrize("frames", ["0:120", "100:220", "200:300", "300:400"])
+def test_no_sequence_is_followed_worse_than_by_its_own_odometry(kitchen, landmarked, frames):
+    """By more than a tenth, that is; with landmarks, though nothing adapted depth. It is 0.1 to 0.6 of it."""
+    run = monoloc("localize", landmarked[0], kitchen, "--frames", frames)
+    assert run["unseen_ate_rmse_m"] < 1.1 * run["unseen_odometry_from_start_ate_rmse_m"]
+
+
 def test_landmarks_find_a_camera_of_which_nothing_is_known(kitchen, landmarked):
     """By images that built nothing, in usual light; a pose that is told is one of centimetres, or none is."""
     room, recording = read_bundle(landmarked[0]), open_recording(kitchen)
