@@ -85,6 +85,23 @@ def test_landmarks_hold_what_depth_would_draw_away(mixture, recording, healthy, 
     assert np.median(ends[1]) < 0.02 < 0.05 < np.median(ends[0])
 
 
+def test_depth_that_fits_nowhere_is_doubted_and_not_lost_where_landmarks_are_seen(
+    mixture, recording, healthy, landmarks
+):
+    """Depth of half the size, in the first half second, before the room is searched."""
+    for known, state in ((Landmarks.none(), "lost"), (landmarks, "uncertain")):
+        rng = np.random.default_rng(0)
+        start = scatter(recording.poses[0], SETTINGS.particles, 0.01, 0.01, 0.0, rng)
+        localizer = make_localizer(mixture, healthy, start, recording.poses[:1], rng, landmarks=known)
+        for index in range(8):
+            exact = sparse_depth(recording, index)
+            depth = DepthPrediction(np.float32(0.5) * exact.depth_m, exact.camera)
+            step = localizer.step(recording.color(index), FRAME_S, depth)
+        assert step.fit < healthy.lost and step.state == state
+    # Odometry goes by half, too.
+    assert pose_errors(step.estimate.pose[None], recording.poses[7:8]).position_m[0] < 0.05
+
+
 def seen_from_beside(pose) -> DepthPrediction:
     camera = CAMERA.resized(80, 64)
     return DepthPrediction(Room().view(pose, camera)[1], camera)

@@ -117,14 +117,11 @@ class _Says:
     """Stands for a search by scans: the camera is where nobody would think."""
 
     def __init__(self, wrong) -> None:
-        self.wrong, self.asked, self.fit = Estimate(wrong, np.eye(6), 0.0), 0, 0.0
+        self.wrong, self.asked = Estimate(wrong, np.eye(6), 0.0), 0
 
     def __call__(self, scan, here, rng):
         self.asked += 1
         return self.wrong, 0.0
-
-    def fit_near(self, place, scan, rng):
-        return self.fit
 
     def around(self, found, count, rng):
         return scatter(found.pose, count, 0.01, 0.01, 0.0, rng)
@@ -149,9 +146,25 @@ def test_where_landmarks_say_that_the_camera_is_it_is_looked_for_first(recording
     particles, _ = recovery.look(particles, scan, 1.0, rng, lambda: None)
     assert search.asked == 1
     assert pose_errors(particles.poses, recording.poses[20:21].repeat(50, axis=0)).position_m.max() < 0.1
-    search.fit = -3.0  # and where no scan fits what landmarks say
-    recovery.look(particles, scan, 1.0, rng, lambda: sighting)
-    assert search.asked == 2
+
+
+def test_landmarks_clear_a_camera_that_scans_suspect(recording):
+    """Where depth errs, no scan fits, and the camera is where landmarks say; elsewhere it is put on trial."""
+    search, rng = _Says(recording.poses[20]), np.random.default_rng(0)
+    scan = scan_from_depth(sparse_depth(recording, 0), 100, rng)
+    for far, is_cleared in ((0, True), (40, False)):
+        recovery = Recovery(search, HealthyRange(low=-1.0, lost=-2.0), is_lost=False)
+        belief = Estimate(recording.poses[0], 1e-4 * np.eye(6), 0.0)
+        for _ in range(2):
+            recovery.note(-5.0, belief, 0.6)
+        particles = scatter(recording.poses[0], 50, 0.01, 0.01, 0.0, rng)
+        place = recording.poses[far] @ se3_exp([0.0, 0.0, 0.0, 0.0, 0.0 if is_cleared else 1.5, 0.0])
+        sighting = Sighting(place, 1e-6 * np.eye(6), np.zeros((80, 3)))
+        particles, is_found = recovery.look(particles, scan, 0.1, rng, lambda sighting=sighting: sighting)
+        assert not is_found and search.asked == 0  # it was not lost: what is believed goes on
+        assert recovery.is_lost == recovery.is_on_trial == (not is_cleared)
+        near = pose_errors(particles.poses, np.repeat(place[None], 50, axis=0)).position_m
+        assert near.max() < 0.1
 
 
 @pytest.mark.parametrize("log_scale", [0.0, -0.05])

@@ -260,7 +260,9 @@ class Localizer:
         self._recovery.note(fit, belief, elapsed_s)
         self.particles = resample(self.particles, config.ess_fraction, self._rng)
         is_followed = self._is_first or self._odometry is None or motion is not None
-        state = "lost" if self._recovery.is_lost else judge(fit, belief, self._healthy, is_followed)
+        # Landmarks that are where they should be tell the pose, even if depth does not fit.
+        fits = fit if sighting is None else max(fit, self._healthy.lost)
+        state = "lost" if self._recovery.is_lost else judge(fits, belief, self._healthy, is_followed)
         self._is_first = False
         return Step(belief, located, fit, state, motion, depth, scan, sighting)
 

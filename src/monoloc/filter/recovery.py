@@ -17,7 +17,7 @@ from monoloc.sighting import Sighting
 
 _EVERY_S = 1.0  # the camera is looked for; as long, a scan has to fit nowhere near before the camera is lost
 _SAME_M = 0.3  # of two poses that are taken for one, a radian for a metre
-_SEEN_AGAIN_M = 0.6  # the same of two that landmarks told: between them, particles have followed what depth says
+_SEEN_AGAIN_M = 1.0  # the same of two that landmarks told: between them, particles have followed what depth says
 
 
 def _apart_m(one: Estimate, other: Estimate) -> float:
@@ -67,6 +67,8 @@ class Recovery:
     ) -> tuple[Particles, bool]:
         """Look for a lost camera, once a second: where landmarks say that it is, or else where its scan fits.
 
+        One that is only suspected to be lost, by scans, is not if landmarks, anywhere, say where it is thought to be.
+
         Args:
             particles: where they are at this frame, by motion alone.
             scan: of this frame; of no points where it tells nothing.
@@ -85,11 +87,11 @@ class Recovery:
         here = estimate(particles)
         seen = sighted()
         if seen is not None:
-            # Where depth errs, the scan fits beside: as well as it must, and the place stays the landmarks'.
-            place = Estimate(seen.pose, seen.covariance, here.log_scale)
-            if self._search.fit_near(place, scan, rng) >= self._healthy.lost:
-                is_believed = self.is_on_trial and _apart_m(here, place) < _SEEN_AGAIN_M
-                return self._search.around(place, len(particles), rng), self._tried(is_believed)
+            # However the scan fits there: landmarks are for where depth errs.
+            place, was_lost = Estimate(seen.pose, seen.covariance, here.log_scale), self.is_lost
+            is_known = self.is_on_trial or not was_lost
+            is_believed = self._tried(is_known and _apart_m(here, place) < _SEEN_AGAIN_M)
+            return self._search.around(place, len(particles), rng), is_believed and was_lost
         found, fit = self._search(scan, here, rng)
         if fit < self._healthy.lost:
             self.is_on_trial = False

@@ -64,10 +64,6 @@ class Search:
         mode, _ = self._best(modes, scan)
         return self._best([here, self._refined(mode.pose, _NEARER_SD, _REFINING_ALL, scan, rng)], scan)
 
-    def fit_near(self, place: Estimate, scan: Scan, rng: np.random.Generator) -> float:
-        """How well a scan of at least one point fits at a place that is known from elsewhere, or right beside it."""
-        return self._best([place, self._refined(place.pose, _NEARER_SD, _REFINING_ALL, scan, rng)], scan)[1]
-
     def _drawn_around(self, places: FloatArray, rng: np.random.Generator) -> Particles:
         count = len(places)
         poses = places @ se3_exp(rng.standard_normal((count, 6)) * _DRAWN_SD)
