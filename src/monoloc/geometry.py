@@ -125,6 +125,15 @@ def adjoint(pose: ArrayLike) -> FloatArray:
     return result
 
 
+def ray_slopes(points: FloatArray) -> FloatArray:
+    """Derivatives of x / z and y / z by a point: (N, 3) -> (N, 2, 3)."""
+    z = points[:, 2]
+    slopes = np.zeros((len(points), 2, 3))
+    slopes[:, 0, 0] = slopes[:, 1, 1] = 1.0 / z
+    slopes[:, :, 2] = -points[:, :2] / z[:, None] ** 2
+    return slopes
+
+
 def viewpoints_apart(pose: FloatArray, others: FloatArray) -> FloatArray:
     """Metres, with a radian of rotation for one more, between a camera (4, 4) and others (N, 4, 4): (N,)."""
     relative = invert(pose) @ others

@@ -9,15 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
-from monoloc.geometry import FloatArray, hat, invert, make_pose, se3_exp, se3_log, so3_exp, transform
+from monoloc.geometry import FloatArray, hat, invert, make_pose, ray_slopes, se3_exp, se3_log, so3_exp, transform
 from monoloc.landmarks import ALIKE_BITS, KeypointDetector, Keypoints, Landmarks, pairs
+
+BESIDE = np.diag([0.05, 0.05, 0.05, 0.03, 0.03, 0.03]) ** 2
+"""Covariance of a pose, (6, 6), beside which landmarks are looked for where no belief has its own."""
 
 _LEAST_REACH_PX, _MOST_REACH_PX = 6.0, 40.0
 _FEWEST = 15  # landmarks that tell a pose
 _BETTER = 0.85  # of a corner's likest landmark anywhere, than the likest at another place, for this not to count
 _LIKEST, _APART_M = 8, 0.05  # landmarks among which another place is looked for, and how far away that is
 _INLIER_PX, _FEWEST_ANYWHERE, _FEWEST_FOUND = 3.0, 8, 20
-_FOUND_COVARIANCE = np.diag([0.05, 0.05, 0.05, 0.03, 0.03, 0.03]) ** 2  # of a pose by landmarks from anywhere
 _WIDTHS = (24.0, 12.0, 6.0, 3.0, 3.0, 3.0)  # standard deviations at which a landmark counts a quarter, step by step
 _LEAST_VARIANCE = 1e-8  # of a belief, m^2 and rad^2: a start may be said to be exact
 _OPEN_SD = 0.3  # m or rad: what landmarks leave open by as much, they do not tell
@@ -57,10 +59,11 @@ class LandmarkSight:
             color: (H, W, 3) uint8 RGB.
             belief: ``T_world_camera``, (4, 4), and its covariance, (6, 6).
         """
-        local = transform(invert(belief), self._landmarks.points)
-        if self._reach_px(local[self._detect.camera.in_sight(local)], covariance) > _MOST_REACH_PX:
+        ahead, local = self._in_sight(belief)
+        reach_px = self._reach_px(local, covariance)
+        if reach_px > _MOST_REACH_PX:
             return self.anywhere(color)
-        return self.near(self._detect(color), belief, covariance)
+        return self._among(ahead, local, reach_px, self._detect(color), belief, covariance)
 
     def anywhere(self, color: NDArray[np.uint8]) -> Sighting | None:
         """The pose by landmarks wherever they are, for a camera of which nothing is known; None where too few agree.
@@ -70,18 +73,33 @@ class LandmarkSight:
         """
         seen = self._detect(color)
         place = self._place(seen)
-        found = None if place is None else self.near(seen, place, _FOUND_COVARIANCE)
+        found = None if place is None else self.near(seen, place, BESIDE)
         return None if found is None or len(found.points) < _FEWEST_FOUND else found
 
     def near(self, seen: Keypoints, belief: FloatArray, covariance: FloatArray) -> Sighting | None:
         """The pose by the landmarks that are near where a belief says, of keypoints that were found already."""
+        ahead, local = self._in_sight(belief)
+        return self._among(ahead, local, self._reach_px(local, covariance), seen, belief, covariance)
+
+    def _in_sight(self, belief: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+        """Landmarks that a camera at the belief has before it, (M,), and where, (M, 3) in its frame."""
+        local = transform(invert(belief), self._landmarks.points)
+        ahead = np.flatnonzero(self._detect.camera.in_sight(local))
+        return ahead, local[ahead]
+
+    def _among(
+        self,
+        ahead: NDArray[np.int64],
+        local: FloatArray,
+        reach_px: float,
+        seen: Keypoints,
+        belief: FloatArray,
+        covariance: FloatArray,
+    ) -> Sighting | None:
+        """The pose by some landmarks, which are expected at ``local``."""
         camera, room = self._detect.camera, self._landmarks
-        local = transform(invert(belief), room.points)
-        ahead = np.flatnonzero(camera.in_sight(local))
-        reach_px = self._reach_px(local[ahead], covariance)
-        which, where = pairs(
-            camera.project(local[ahead]), room.descriptors[ahead], seen.pixels, seen.descriptors, reach_px
-        )
+        expected = camera.project(local)
+        which, where = pairs(expected, room.descriptors[ahead], seen.pixels, seen.descriptors, reach_px)
         points = room.points[ahead[which]].astype(np.float64)
         return solve(points, seen.select(where), camera, belief, covariance)
 
@@ -165,10 +183,7 @@ def _evidence(
 
 def _slopes(local: FloatArray) -> FloatArray:
     """Of rays' x and y by the camera's twist, (M, 2, 6), for points (M, 3) in its frame."""
-    z = local[:, 2]
-    by_point = np.zeros((len(local), 2, 3))
-    by_point[:, 0, 0] = by_point[:, 1, 1] = 1.0 / z
-    by_point[:, :, 2] = -local[:, :2] / z[:, None] ** 2
+    by_point = ray_slopes(local)
     return np.concatenate([-by_point, by_point @ hat(local)], axis=2)
 
 

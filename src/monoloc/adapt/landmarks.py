@@ -15,10 +15,10 @@ from monoloc.datasets.base import Recording
 from monoloc.depth_image import sample_depth
 from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, twist_errors
 from monoloc.filter.lasting import LastingErrors
-from monoloc.geometry import FloatArray, invert, se3_log, transform, viewpoints_apart
+from monoloc.geometry import FloatArray, invert, ray_slopes, se3_log, transform, viewpoints_apart
 from monoloc.landmarks import KeypointDetector, Keypoints, Landmarks, pairs
 from monoloc.progress import Progress
-from monoloc.sighting import LandmarkSight
+from monoloc.sighting import BESIDE, LandmarkSight
 
 _REACH_PX = 6.0  # from where a corner should be, by a frame's pose and another's depth
 _DEPTH_JUMP = 0.15  # corners beside a larger relative jump of depth sit on an edge
@@ -30,7 +30,6 @@ _MOST_FRAMES = 300  # that landmarks are made of: a room has no more to show, an
 _A_FRAME = 100  # landmarks that a frame is to see of its own
 _LEAST_M, _LEAST_RAD = 0.001, 0.0005  # that errors are taken to be, be it of a camera that stood still
 _USUAL_GROWTH = 0.05  # m and rad a metre away, of landmarks in other parts of a room
-_LOOKED_FOR = np.diag([0.05, 0.05, 0.05, 0.03, 0.03, 0.03]) ** 2  # how far beside the true pose, to be measured
 
 
 def build_landmarks(
@@ -85,7 +84,7 @@ def _measured(corners: list[Corners], camera: Camera, detected: Camera, poses: F
     def errors(by: NDArray[np.int64], of: NDArray[np.int64]) -> tuple[PoseErrors, NDArray[np.int64]]:
         """Of the frames that see landmarks of others, what lasts of their errors, and which frames those are."""
         sight = LandmarkSight(landmarks_of([corners[index] for index in by], detected, poses[by]), camera)
-        told = {index: sight.near(corners[index].keypoints, poses[index], _LOOKED_FOR) for index in of.tolist()}
+        told = {index: sight.near(corners[index].keypoints, poses[index], BESIDE) for index in of.tolist()}
         seen = {index: sighting for index, sighting in told.items() if sighting is not None}
         twists = [se3_log(invert(poses[index]) @ sighting.pose) for index, sighting in seen.items()]
         stated = [np.diag(sighting.covariance) for sighting in seen.values()]
@@ -182,11 +181,11 @@ def _placed(seen: _Seen, poses: FloatArray) -> tuple[FloatArray, NDArray[np.bool
     points = seen.points.copy()
     for _ in range(_STEPS):
         local = np.einsum("oij,oj->oi", R_camera_world, points[seen.landmark]) + T_camera_world[:, :3, 3]
-        z = np.maximum(local[:, 2], _NEAREST_M)
+        local[:, 2] = np.maximum(local[:, 2], _NEAREST_M)
+        z = local[:, 2]
         off = np.concatenate([local[:, :2] / z[:, None] - seen.rays, (np.log(z) - log_depth)[:, None]], axis=1)
         slopes = np.zeros((len(z), 3, 3))
-        slopes[:, [0, 1, 2], [0, 1, 2]] = 1.0 / z[:, None]
-        slopes[:, :2, 2] = -local[:, :2] / z[:, None] ** 2
+        slopes[:, :2], slopes[:, 2, 2] = ray_slopes(local), 1.0 / z
         residuals, slopes = scale * off, scale[..., None] * slopes @ R_camera_world
         weights = np.minimum(1.0, _HUBER / np.maximum(np.abs(residuals), _HUBER))
         normal, gradient = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
