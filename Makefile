@@ -22,9 +22,9 @@ native-test: $(VENV)/installed
 	$(BIN)/cmake --build build/cpp -j 2
 	$(BIN)/ctest --test-dir build/cpp --output-on-failure
 
-$(VENV)/installed: pyproject.toml constraints.txt $(NATIVE)
+$(VENV)/installed: pyproject.toml lab/pyproject.toml constraints.txt $(NATIVE)
 	$(PYTHON) -m venv $(VENV)
-	PIP_CONSTRAINT=constraints.txt $(BIN)/pip install --quiet --disable-pip-version-check --editable ".[dev]"
+	PIP_CONSTRAINT=constraints.txt $(BIN)/pip install --quiet --disable-pip-version-check --editable ".[dev]" --editable "lab[cluster,synth]"
 	touch $@
 
 clean:

@@ -22,15 +22,15 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from monoloc.datasets.registry import absolute_source, open_recording
-from monoloc.experiments import tasks
-from monoloc.experiments.engine import carry_out
-from monoloc.experiments.fig4d import FROM_SAME_START
-from monoloc.experiments.gather import RMSE, ROTATION, depth_of_variant, mean_depth, usual_light
-from monoloc.experiments.study import Split, Study, Walk, builtin, recorded
-from monoloc.experiments.task import Results, Task
-from monoloc.models import DEFAULT
+from monoloc.depth.models import DEFAULT
+from monoloc.io.registry import absolute_source, open_recording
 from monoloc.progress import ConsoleProgress
+from monoloc_lab.experiments import tasks
+from monoloc_lab.experiments.engine import carry_out
+from monoloc_lab.experiments.fig4d import FROM_SAME_START
+from monoloc_lab.experiments.gather import RMSE, ROTATION, depth_of_variant, mean_depth, usual_light
+from monoloc_lab.experiments.study import Split, Study, Walk, builtin, recorded
+from monoloc_lab.experiments.task import Results, Task
 
 MOTIONS = ("visual", "random-walk")
 _BOTH = ("last+map", "joint")

@@ -19,15 +19,15 @@ import cv2
 import numpy as np
 
 from monoloc.cli.common import stderr
-from monoloc.datasets.base import Recording
-from monoloc.datasets.registry import open_recording, select_frames
-from monoloc.depth.augment import AugmentConfig, Exposure, expose
-from monoloc.depth.family import network_config
-from monoloc.depth.losses import LossConfig
-from monoloc.depth.model import read_model
-from monoloc.depth.runtime import DepthPredictor
-from monoloc.depth.train import TrainConfig, train_network
-from monoloc.evaluation.depth import DepthAccumulator, fit_scale
+from monoloc.depth.model_files import read_model
+from monoloc.depth.predictor import DepthPredictor
+from monoloc.depth.training.augment import AugmentConfig, Exposure, expose
+from monoloc.depth.training.family import network_config
+from monoloc.depth.training.losses import LossConfig
+from monoloc.depth.training.train import TrainConfig, train_network
+from monoloc.evaluation.depth_metrics import DepthAccumulator, fit_scale
+from monoloc.io.recording import Recording
+from monoloc.io.registry import open_recording, select_frames
 from monoloc.progress import ConsoleProgress
 
 _EPOCHS = 20

@@ -3,7 +3,7 @@
     python benchmarks/depth_family.py pack --runs runs/family --data ../shared/data
     python benchmarks/depth_family.py measure --data ../shared/data --out runs/figures
 
-``pack`` exports every ``runs/family/NAME/network.safetensors`` in 32 and 8 bits into ``src/monoloc/models`` and
+``pack`` exports every ``runs/family/NAME/network.safetensors`` in 32 and 8 bits into ``src/monoloc/depth/models`` and
 writes the catalogue. ``measure`` prints the report's tables: accuracy on NYU's last 100 pairs and on RedKitchen,
 whose camera and room were not trained on, latency on one core, and where the time goes.
 """
@@ -24,20 +24,20 @@ import onnxruntime
 import torch
 from numpy.typing import NDArray
 
-from monoloc.datasets.base import Recording
-from monoloc.datasets.registry import open_recording, select_frames
-from monoloc.depth.checkpoint import load_network
-from monoloc.depth.export import export_onnx
-from monoloc.depth.family import SIZES
-from monoloc.depth.fit import fit_to_depth
-from monoloc.depth.judge import Judgement, judge_network
-from monoloc.depth.model import DepthModel, read_model
-from monoloc.depth.quantise import quantise
-from monoloc.depth.runtime import DepthPredictor
+from monoloc.depth.model_files import DepthModel, read_model
+from monoloc.depth.models import DEFAULT, ShippedModel, shipped_models
+from monoloc.depth.network_evaluation import Judgement, judge_network
+from monoloc.depth.predictor import DepthPredictor
+from monoloc.depth.scale_fit import fit_to_depth
 from monoloc.depth.spec import monoloc_spec, network_images, network_size
-from monoloc.evaluation.plots import plot_depth
+from monoloc.depth.training.checkpoint import load_network
+from monoloc.depth.training.export import export_onnx
+from monoloc.depth.training.family import SIZES
+from monoloc.depth.training.quantise import quantise
 from monoloc.evaluation.uncertainty import plot_calibration
-from monoloc.models import DEFAULT, ShippedModel, shipped_models
+from monoloc.io.recording import Recording
+from monoloc.io.registry import open_recording, select_frames
+from monoloc.viz.plots import plot_depth
 
 _MODELS = Path(__file__).parents[1] / "src" / "monoloc" / "models"
 _TRAINING, _VALIDATION = "0:1349", "1349:"

@@ -1,8 +1,9 @@
 """A flight as the localizer lives it, as a film for the documents; also an example of a viewer of one's own.
 
-monoloc build folder:src/monoloc/rooms/living/build --out room.monoloc --no-landmarks
-monoloc build folder:src/monoloc/rooms/living/build --out plain.monoloc --tune none --no-map-transform --no-landmarks
-python benchmarks/flight_film.py room.monoloc plain.monoloc folder:src/monoloc/rooms/living/test/L3 \\
+monoloc build folder:lab/monoloc_lab/rooms/living/build --out room.monoloc --no-landmarks
+monoloc build folder:lab/monoloc_lab/rooms/living/build --out plain.monoloc
+    --tune none --no-map-transform --no-landmarks
+python benchmarks/flight_film.py room.monoloc plain.monoloc folder:lab/monoloc_lab/rooms/living/test/L3 \\
     --out docs/pictures/flight.webp
 """
 
@@ -21,16 +22,16 @@ from PIL import Image
 
 from monoloc.bundle import Bundle, read_bundle
 from monoloc.cli.common import open_source, stderr
-from monoloc.datasets.base import Recording
-from monoloc.evaluation.picture import BLUE, GREEN, INK, ORANGE
-from monoloc.evaluation.run_drawing import draw_mixture, norm_bound_95, page_axes
 from monoloc.files import write_whole
-from monoloc.filter.particles import Particles
 from monoloc.geometry import FloatArray, transform
+from monoloc.io.recording import Recording
 from monoloc.localizer import Step
+from monoloc.particle_filter.particles import Particles
 from monoloc.progress import ConsoleProgress
-from monoloc.runs import Run, Start, localize
-from monoloc.viewer import NoViewer, Viewer
+from monoloc.run import Run, Start, localize
+from monoloc.viz.picture import BLUE, GREEN, INK, ORANGE
+from monoloc.viz.run_drawing import draw_mixture, norm_bound_95, page_axes
+from monoloc.viz.viewer import NoViewer, Viewer
 
 _SIZE_IN, _DPI = (8.8, 4.4), 100
 _DEPTH_M = (0.5, 5.0)
@@ -39,7 +40,7 @@ _SIGMAS_95 = 2.448  # ellipse of 95 % in two dimensions: the root of chi-squared
 
 
 class Film:
-    """Draws every other frame of a recording with true poses; a :class:`monoloc.viewer.Viewer`.
+    """Draws every other frame of a recording with true poses; a :class:`monoloc.viz.viewer.Viewer`.
 
     Args:
         unadapted: (N, 4, 4) the same flight with a network and a map that nothing adapted.

@@ -1,6 +1,6 @@
 """What it is worth to know which way is down: flights with a made-up flight controller's attitude, and without.
 
-    python benchmarks/known_down.py room.monoloc folder:src/monoloc/rooms/living/test/L2 --down 0 0 -1
+    python benchmarks/known_down.py room.monoloc folder:lab/monoloc_lab/rooms/living/test/L2 --down 0 0 -1
 
 The attitude errs by half a degree an axis all flight long, and by 0.3 degrees anew in every frame.
 """
@@ -17,7 +17,7 @@ from monoloc.cli.common import open_source
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray, so3_exp
 from monoloc.progress import NoProgress
-from monoloc.runs import Run, Start, localize
+from monoloc.run import Run, Start, localize
 
 _LASTING_RAD, _NOISE_RAD = np.deg2rad(0.5), np.deg2rad(0.3)
 

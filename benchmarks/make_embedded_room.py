@@ -1,6 +1,6 @@
 """Make the room that comes with monoloc: a build flight in L2, and a test flight in L1, L2 and L3.
 
-    python benchmarks/make_embedded_room.py --work runs/embedded --out src/monoloc/rooms/living
+    python benchmarks/make_embedded_room.py --work runs/embedded --out lab/monoloc_lab/rooms/living
 
 Called again, it goes on where it stopped; about ten minutes on two cores. The flights are of one room and of
 different seeds: the build flight takes 30 s, an image every fifth of a second, with depth as a structured-light
@@ -21,11 +21,11 @@ from rich.console import Console
 
 from monoloc.camera import Camera
 from monoloc.progress import ConsoleProgress
-from monoloc.synth.blur import velocities
-from monoloc.synth.flights import FlightConfig, plan_flight
-from monoloc.synth.layout import generate_room
-from monoloc.synth.light import LIGHTS
-from monoloc.synth.sequence import RenderConfig, render_sequence
+from monoloc_lab.synth.blur import velocities
+from monoloc_lab.synth.flights import FlightConfig, plan_flight
+from monoloc_lab.synth.layout import generate_room
+from monoloc_lab.synth.light import LIGHTS
+from monoloc_lab.synth.sequence import RenderConfig, render_sequence
 
 ROOM_SEED = 3
 CAMERA = Camera(160, 120, 136.6, 136.6, 79.5, 59.5)  # NYU's field of view

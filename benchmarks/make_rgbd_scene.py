@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
-from monoloc.datasets.rgbd_scenes_v2 import CAMERA, DEPTH_SCALE, read_pose_file
 from monoloc.geometry import FloatArray, transform
+from monoloc.io.rgbd_scenes_v2 import CAMERA, DEPTH_SCALE, read_pose_file
 
 SCENE = "03"
 _RADIUS_M = 0.04  # points are 3.4 cm apart in the median, 4.6 at most but for one in twenty

@@ -19,18 +19,18 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from monoloc.adapt.map_depth import supervision
+from monoloc.adapt.map_transform import AdaptedMap
 from monoloc.adapt.pose_step import pose_steps, pose_twists
 from monoloc.adapt.settings import AdaptConfig
-from monoloc.adapt.train import Adaptation
-from monoloc.adapt.transform import AdaptedMap
-from monoloc.adapt.views import Views, make_views
-from monoloc.build import BuildConfig, fit_map
-from monoloc.datasets.base import Recording
-from monoloc.datasets.registry import open_recording, select_frames
-from monoloc.depth.checkpoint import load_network
-from monoloc.depth.model import trainable_file
-from monoloc.models import DEFAULT
+from monoloc.adapt.training_views import Views, make_views
+from monoloc.adapt.tuning import Adaptation
+from monoloc.build.pipeline import BuildConfig, fit_map
+from monoloc.depth.model_files import trainable_file
+from monoloc.depth.models import DEFAULT
+from monoloc.depth.training.checkpoint import load_network
+from monoloc.io.recording import Recording
+from monoloc.io.registry import open_recording, select_frames
+from monoloc.map.depth_rendering import supervision
 from monoloc.progress import NoProgress
 
 _UNKNOWN = 10.0  # m and rad; no prior

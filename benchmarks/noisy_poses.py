@@ -20,20 +20,20 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.adapt.poses import PosePrior, refine_poses
 from monoloc.adapt.settings import AdaptConfig
-from monoloc.build import BuildConfig, build_bundle, fit_map
+from monoloc.build.pipeline import BuildConfig, build_bundle, fit_map
+from monoloc.build.pose_refinement import PosePrior, refine_poses
 from monoloc.bundle import Bundle, read_bundle, read_network, write_bundle
-from monoloc.datasets.base import Recording, Selection
-from monoloc.datasets.registry import open_recording, select_frames
-from monoloc.depth.runtime import DepthPredictor
+from monoloc.depth.models import DEFAULT
+from monoloc.depth.predictor import DepthPredictor
 from monoloc.depth.spec import DepthModel
 from monoloc.evaluation.trajectory import PoseErrors, pose_errors
 from monoloc.geometry import se3_exp
+from monoloc.io.recording import Recording, Selection
+from monoloc.io.registry import open_recording, select_frames
 from monoloc.map.mixture import GaussianMixture
-from monoloc.models import DEFAULT
 from monoloc.progress import NoProgress
-from monoloc.runs import Start, localize
+from monoloc.run import Start, localize
 
 _POSITION_SD_M, _ROTATION_SD_RAD = 0.02, np.deg2rad(1.0)
 _BUILD, _JUDGED = "0:200:4", {"between": "0:200", "away": "200:300"}

@@ -19,15 +19,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from monoloc.bench.alternatives import DenseWeigher, sklearn_scorer
-from monoloc.bench.kernels import weigher
-from monoloc.bench.scenes import Weighing, building, weighing
-from monoloc.bench.timing import Work, fastest_s, one_thread
-from monoloc.build import BuildConfig, fit_map
-from monoloc.datasets.registry import open_recording, select_frames
-from monoloc.map.fit import fit_mixture
+from monoloc.build.pipeline import BuildConfig, fit_map
+from monoloc.io.registry import open_recording, select_frames
+from monoloc.map.em import fit_mixture
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress
+from monoloc_lab.bench.alternatives import DenseWeigher, sklearn_scorer
+from monoloc_lab.bench.kernels import weigher
+from monoloc_lab.bench.scenes import Weighing, building, weighing
+from monoloc_lab.bench.timing import Work, fastest_s, one_thread
 
 PARTICLES, POINTS, COMPONENTS = 1000, 200, 200
 ROOM_COMPONENTS = (100, 200, 500, 1000, 2000)

@@ -13,11 +13,11 @@ import numpy as np
 
 from monoloc.camera import Camera
 from monoloc.files import write_whole
-from monoloc.synth.layout import generate_room
-from monoloc.synth.light import LIGHTS
-from monoloc.synth.render import Renderer, illuminance, mixed
-from monoloc.synth.sensor import SensorConfig, photograph, white_balance
-from monoloc.synth.views import random_views, shows_a_room
+from monoloc_lab.synth.layout import generate_room
+from monoloc_lab.synth.light import LIGHTS
+from monoloc_lab.synth.random_views import random_views, shows_a_room
+from monoloc_lab.synth.render import Renderer, illuminance, mixed
+from monoloc_lab.synth.sensor import SensorConfig, photograph, white_balance
 
 ROOM_SEEDS, VIEWS_EACH, SAMPLES = (1, 2, 3, 4, 6, 9), 2, 32
 CAMERA = Camera(200, 150, 150.0, 150.0, 99.5, 74.5)

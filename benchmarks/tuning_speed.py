@@ -22,21 +22,20 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from monoloc.adapt import train as adapt_train
-from monoloc.adapt import warp
-from monoloc.adapt.map_depth import supervision
-from monoloc.adapt.reference import draw_points
+from monoloc.adapt import tuning, warp
+from monoloc.adapt.draw_points import draw_points
+from monoloc.adapt.map_transform import AdaptedMap, MapTransform
 from monoloc.adapt.settings import AdaptConfig
-from monoloc.adapt.train import Adaptation
-from monoloc.adapt.transform import AdaptedMap, MapTransform
-from monoloc.adapt.views import make_views
-from monoloc.build import BuildConfig, fit_map
-from monoloc.datasets.registry import open_recording, select_frames
-from monoloc.depth import mobilenet
-from monoloc.depth import network as networks
-from monoloc.depth.checkpoint import load_network
-from monoloc.depth.precision import learns_in_bfloat16
-from monoloc.models import DEFAULT, shipped_file
+from monoloc.adapt.training_views import make_views
+from monoloc.adapt.tuning import Adaptation
+from monoloc.build.pipeline import BuildConfig, fit_map
+from monoloc.depth.models import DEFAULT, shipped_file
+from monoloc.depth.training import mobilenet
+from monoloc.depth.training import network as networks
+from monoloc.depth.training.checkpoint import load_network
+from monoloc.depth.training.precision import learns_in_bfloat16
+from monoloc.io.registry import open_recording, select_frames
+from monoloc.map.depth_rendering import supervision
 from monoloc.progress import NoProgress
 
 _VIEWS = 60
@@ -56,7 +55,7 @@ _PLAIN: dict[str, Callable[[], object]] = {
     "last layer as a sum": lambda: patch.object(networks._LastLayer, "_conv_forward", torch.nn.Conv2d._conv_forward),
     "strided convolutions dense": lambda: patch.object(mobilenet._SamePadConv, "_conv_forward", _strided),
     "bent points as columns": lambda: patch.object(MapTransform, "forward", _rows),
-    "the precision that suits the processor": lambda: patch.object(adapt_train, "learns_in_bfloat16", _unsuited),
+    "the precision that suits the processor": lambda: patch.object(tuning, "learns_in_bfloat16", _unsuited),
 }
 
 

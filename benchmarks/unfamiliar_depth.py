@@ -22,17 +22,17 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from monoloc.build import BuildConfig, build_bundle
+from monoloc.build.pipeline import BuildConfig, build_bundle
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.config import override
-from monoloc.datasets.base import Recording, Selection
-from monoloc.datasets.registry import open_recording, select_frames
-from monoloc.depth.checkpoint import load_network
-from monoloc.depth.train import TrainConfig, train_network
-from monoloc.experiments.tasks import VARIANTS
-from monoloc.models import shipped_file
+from monoloc.depth.models import shipped_file
+from monoloc.depth.training.checkpoint import load_network
+from monoloc.depth.training.train import TrainConfig, train_network
+from monoloc.io.recording import Recording, Selection
+from monoloc.io.registry import open_recording, select_frames
 from monoloc.progress import ConsoleProgress, NoProgress
-from monoloc.runs import Start, localize
+from monoloc.run import Start, localize
+from monoloc_lab.experiments.tasks import VARIANTS
 
 _BUILD, _JUDGED = "0:400:4", "0:400"
 _KEPT = 0.6  # of the image's width and height

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from monoloc.filter.health import HealthyRange
 from monoloc.map.mixture import GaussianMixture
+from monoloc.supervision.state import HealthyRange
 from synthetic_room import Room, RoomRecording, healthy_range, make_path, room_mixture
 
 # A busy machine must not fail a property; time is watched elsewhere.

@@ -7,9 +7,9 @@ import torch
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
-from monoloc.depth.export import export_model
-from monoloc.depth.network import DepthNetwork, NetworkConfig
 from monoloc.depth.spec import DepthModel
+from monoloc.depth.training.export import export_model
+from monoloc.depth.training.network import DepthNetwork, NetworkConfig
 from monoloc.geometry import make_pose, so3_exp
 from synthetic_room import Room, RoomRecording
 

@@ -13,12 +13,12 @@ from map_helpers import make_mixture
 from monoloc.bundle import Bundle, Provenance, write_bundle
 from monoloc.camera import Camera
 from monoloc.depth.spec import DepthModel, monoloc_spec
-from monoloc.experiments.gather import frames_of
-from monoloc.experiments.task import RESULT, Result, Task
-from monoloc.filter.health import HealthyRange
-from monoloc.filter.viewpoints import Viewpoints
+from monoloc.fusion.reference_poses import Viewpoints
 from monoloc.geometry import se3_exp
 from monoloc.localizer import LocalizerConfig
+from monoloc.supervision.state import HealthyRange
+from monoloc_lab.experiments.gather import frames_of
+from monoloc_lab.experiments.task import RESULT, Result, Task
 
 # A task that locates a walk -> its position RMSE on unseen frames, metres.
 Error = Callable[[Task], float]

@@ -19,19 +19,19 @@ from onnx import TensorProto, helper, numpy_helper
 import synthetic_recordings as synthetic
 from monoloc.bundle import Bundle, Provenance, fingerprint
 from monoloc.camera import Camera
-from monoloc.depth.runtime import DepthPrediction
+from monoloc.depth.predictor import DepthPrediction
 from monoloc.depth.spec import FOCAL_KEY, DepthModel, monoloc_spec
-from monoloc.filter.health import HealthyRange
-from monoloc.filter.lasting import LastingErrors
-from monoloc.filter.particles import Particles
-from monoloc.filter.scan import scan_from_depth
-from monoloc.filter.viewpoints import Viewpoints
-from monoloc.filter.weigh import Measurement, MeasurementConfig
+from monoloc.fusion.bias_model import LastingErrors
+from monoloc.fusion.reference_poses import Viewpoints
 from monoloc.geometry import make_pose, so3_exp
-from monoloc.landmarks import Landmarks
+from monoloc.landmarks.features import Landmarks
+from monoloc.likelihood.scan import scan_from_depth
+from monoloc.likelihood.scan_likelihood import Measurement, MeasurementConfig
 from monoloc.localizer import DepthSource, Localizer, LocalizerConfig, Parts, Step
-from monoloc.map.fit import fit_mixture
+from monoloc.map.em import fit_mixture
 from monoloc.map.mixture import GaussianMixture
+from monoloc.particle_filter.particles import Particles
+from monoloc.supervision.state import HealthyRange
 
 FloatArray = NDArray[np.float64]
 
@@ -157,7 +157,7 @@ def make_path(count: int, start_s: float = 0.0, rate_hz: float = FRAME_RATE_HZ) 
 
 
 class RoomRecording:
-    """A :class:`monoloc.datasets.base.Recording` of a room, rendered once."""
+    """A :class:`monoloc.io.recording.Recording` of a room, rendered once."""
 
     def __init__(self, room: Room, poses: FloatArray, camera: Camera = CAMERA, has_depth: bool = True) -> None:
         self.name = "room"

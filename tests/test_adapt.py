@@ -22,29 +22,29 @@ from torch.autograd import gradcheck
 
 from depth_helpers import ROOM, SMALL_CAMERA, TINY, exported_model, looking_around, small_recording, tiny_network
 from map_helpers import make_mixture
-from monoloc.adapt import train as adapt_train
-from monoloc.adapt.calibrate import Sample, calibrate, slow_sd
-from monoloc.adapt.hold_out import hold_out_blocks, hold_out_regions
-from monoloc.adapt.map_depth import map_depth
+from monoloc.adapt import tuning
+from monoloc.adapt.adaptation import adapt
+from monoloc.adapt.map_transform import AdaptedMap, MapTransform
 from monoloc.adapt.objective import matched_kl, ray_log_likelihood
 from monoloc.adapt.pose_step import pose_step_loss, pose_steps
-from monoloc.adapt.run import adapt
 from monoloc.adapt.settings import AdaptConfig
-from monoloc.adapt.train import Adaptation, Score
-from monoloc.adapt.transform import AdaptedMap, MapTransform
-from monoloc.adapt.views import Views, make_views
+from monoloc.adapt.training_views import Views, make_views
+from monoloc.adapt.tuning import Adaptation, Score
+from monoloc.build.calibrate import Sample, calibrate, slow_sd
 from monoloc.camera import Camera
-from monoloc.datasets.base import Selection
-from monoloc.depth.checkpoint import save_network
-from monoloc.depth.runtime import DepthPrediction, DepthPredictor
+from monoloc.depth.depth_image import at_discontinuity
+from monoloc.depth.predictor import DepthPrediction, DepthPredictor
 from monoloc.depth.spec import DepthModel
-from monoloc.depth_image import at_discontinuity
+from monoloc.depth.training.checkpoint import save_network
 from monoloc.errors import DataError
-from monoloc.filter.scan import scan_from_depth
-from monoloc.filter.weigh import Measurement, MeasurementConfig
+from monoloc.evaluation.hold_out import hold_out_blocks, hold_out_regions
 from monoloc.geometry import se3_exp, so3_exp, so3_log, viewpoints_apart
+from monoloc.io.recording import Selection
+from monoloc.likelihood.scan import scan_from_depth
+from monoloc.likelihood.scan_likelihood import Measurement, MeasurementConfig
 from monoloc.localizer import LocalizerConfig
-from monoloc.map.fit import fit_mixture
+from monoloc.map.depth_rendering import map_depth
+from monoloc.map.em import fit_mixture
 from monoloc.map.mixture import GaussianMixture
 from monoloc.memory import keep_freed_memory
 from monoloc.progress import NoProgress
@@ -822,7 +822,7 @@ def test_a_share_of_what_is_learned_from_is_in_another_light(
     mapped_room: tuple[GaussianMixture, FloatArray], views: Views, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All of it, here, and as if the views had been taken in that light."""
-    monkeypatch.setattr(adapt_train, "random_exposure", lambda color, *_: color // 8)
+    monkeypatch.setattr(tuning, "random_exposure", lambda color, *_: color // 8)
     monkeypatch.setattr(Adaptation, "fit_bias", lambda *_: None)  # which looks at the views as they are
     dark = replace(views, colors=views.colors // 8)
 
@@ -1038,7 +1038,7 @@ def test_plain_density_collapses(
     mapped_room: tuple[GaussianMixture, FloatArray], views: Views, variant: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What the test above guards against is real: the same steps on the paper's likelihood."""
-    monkeypatch.setattr(adapt_train, "ray_log_likelihood", plain_log_likelihood)
+    monkeypatch.setattr(tuning, "ray_log_likelihood", plain_log_likelihood)
     adaptation = start_adaptation(mapped_room, **VARIANTS[variant])
     adaptation.fit_bias(views)
     nll_before = adaptation.score(views, 0).nll

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monoloc.baselines.keypoints import KeypointConfig, KeypointLocalizer, KeypointMap, build_keypoint_map
-from monoloc.baselines.run import PoseRun, locate_all
-from monoloc.datasets.base import Selection
 from monoloc.errors import DataError
 from monoloc.evaluation.trajectory import pose_errors, summarise
 from monoloc.geometry import FloatArray, se3_exp
+from monoloc.io.recording import Selection
 from monoloc.progress import NoProgress
+from monoloc_lab.baselines.keypoints import KeypointConfig, KeypointLocalizer, KeypointMap, build_keypoint_map
+from monoloc_lab.baselines.pose_run import PoseRun, locate_all
 from synthetic_room import CAMERA, Room, RoomRecording, make_path
 
 KINDS = ("orb", "sift")

@@ -10,16 +10,16 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import multivariate_t
 
-from monoloc.baselines.pose_error import PoseError
-from monoloc.baselines.pose_filter import PoseFilter
-from monoloc.depth.runtime import DepthPredictor
+from monoloc.depth.predictor import DepthPredictor
 from monoloc.evaluation.trajectory import pose_errors
-from monoloc.filter.motion import MotionConfig
-from monoloc.filter.particles import scatter
-from monoloc.filter.viewpoints import Viewpoints
+from monoloc.fusion.reference_poses import Viewpoints
 from monoloc.geometry import FloatArray, make_pose, se3_exp, so3_exp
 from monoloc.localizer import LocalizerConfig
-from monoloc.odometry import VisualOdometry
+from monoloc.odometry.visual import VisualOdometry
+from monoloc.particle_filter.motion_model import MotionConfig
+from monoloc.particle_filter.particles import scatter
+from monoloc_lab.baselines.pose_error import PoseError
+from monoloc_lab.baselines.pose_filter import PoseFilter
 from synthetic_room import CAMERA, FRAME_RATE_HZ, Room, RoomRecording, depth_from_blue, make_path
 
 QUIET = MotionConfig(translation_sd_m=1e-9, translation_sd_ratio=0.0, rotation_sd_rad=1e-9, rotation_sd_ratio=0.0)
@@ -150,6 +150,6 @@ def test_likelihood_is_student_s() -> None:
 
 
 def test_what_needs_no_network_needs_no_torch() -> None:
-    modules = "monoloc.baselines.keypoints, monoloc.baselines.pose_filter, monoloc.baselines.run"
+    modules = "monoloc_lab.baselines.keypoints, monoloc_lab.baselines.pose_filter, monoloc_lab.baselines.pose_run"
     code = f"import sys, {modules}; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

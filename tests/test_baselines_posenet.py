@@ -12,19 +12,19 @@ import torch
 from pydantic import ValidationError
 
 from depth_helpers import FloatArray, looking_around, small_recording
-from monoloc.baselines import posenet_training
-from monoloc.baselines.posenet import HomoscedasticLoss, PoseCode, PoseNet, PoseNetConfig, posenet_config
-from monoloc.baselines.posenet_file import load_posenet, save_posenet
-from monoloc.baselines.posenet_training import PoseNetTraining, PosePredictor, TrainedPoseNet, train_posenet
-from monoloc.depth.augment import AugmentConfig
-from monoloc.depth.examples import network_input
-from monoloc.depth.family import SIZES, WIDTHS, network_config
-from monoloc.depth.mobilenet import load_encoder_weights
-from monoloc.depth.network import DepthNetwork
 from monoloc.depth.spec import image_tensor, network_size
+from monoloc.depth.training.augment import AugmentConfig
+from monoloc.depth.training.examples import network_input
+from monoloc.depth.training.family import SIZES, WIDTHS, network_config
+from monoloc.depth.training.mobilenet import load_encoder_weights
+from monoloc.depth.training.network import DepthNetwork
 from monoloc.errors import DataError, SettingError
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.progress import NoProgress
+from monoloc_lab.baselines import posenet_training
+from monoloc_lab.baselines.posenet import HomoscedasticLoss, PoseCode, PoseNet, PoseNetConfig, posenet_config
+from monoloc_lab.baselines.posenet_file import load_posenet, save_posenet
+from monoloc_lab.baselines.posenet_training import PoseNetTraining, PosePredictor, TrainedPoseNet, train_posenet
 from synthetic_room import Room, RoomRecording, make_path
 
 TINY = PoseNetConfig(width=0.1, encoder_blocks=(1, 1, 1, 1, 1, 1, 0), features=64, focal_px=46.0)
@@ -263,7 +263,7 @@ def test_file_that_is_no_posenet(tmp_path: Path, damage: str) -> None:
         save_posenet(train(small_recording(8)), path)
         path.write_bytes(path.read_bytes()[:-100])
     elif damage == "a depth network":
-        from monoloc.depth.checkpoint import save_network
+        from monoloc.depth.training.checkpoint import save_network
 
         save_network(DepthNetwork(network_config("tiny", 0.35)), path)
     with pytest.raises(DataError, match=r"net\.safetensors: is not a PoseNet of monoloc .*; train it again"):

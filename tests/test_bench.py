@@ -17,16 +17,16 @@ from sklearn.exceptions import ConvergenceWarning
 
 from cli_helpers import json_of
 from map_helpers import make_mixture
-from monoloc.bench import timing
-from monoloc.bench.alternatives import DenseWeigher, sklearn_mixture, sklearn_scorer
-from monoloc.bench.fitting import FitSizes
-from monoloc.bench.kernels import KernelSizes, peak_gflops, weigh_flops
-from monoloc.bench.scenes import building, made_up_cloud, near_surface, weighing
 from monoloc.bundle import write_bundle
-from monoloc.cli import bench as bench_command
 from monoloc.cli.main import invoke
-from monoloc.map.fit import fit_mixture, initial_mixture
+from monoloc.map.em import fit_mixture, initial_mixture
 from monoloc.map.mixture import GaussianMixture
+from monoloc_lab.bench import timing
+from monoloc_lab.bench.alternatives import DenseWeigher, sklearn_mixture, sklearn_scorer
+from monoloc_lab.bench.fitting import FitSizes
+from monoloc_lab.bench.kernels import KernelSizes, peak_gflops, weigh_flops
+from monoloc_lab.bench.scenes import building, made_up_cloud, near_surface, weighing
+from monoloc_lab.cli import bench as bench_command
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture, write_recording
 
 FRAMES = 12
@@ -153,7 +153,7 @@ def test_pipeline_builds_a_bundle_where_none_is_given(capfd: pytest.CaptureFixtu
 
 
 def test_what_is_timed_needs_neither_torch_nor_matplotlib() -> None:
-    script = "import sys, monoloc.bench.steps; print(*{'torch', 'matplotlib', 'sklearn'} & set(sys.modules))"
+    script = "import sys, monoloc_lab.bench.steps; print(*{'torch', 'matplotlib', 'sklearn'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == ""
 

@@ -11,22 +11,22 @@ import pytest
 from numpy.typing import NDArray
 
 from map_helpers import make_mixture
-from monoloc.adapt.calibrate import Sample
-from monoloc.adapt.run import AdaptResult
+from monoloc.adapt.adaptation import AdaptResult
 from monoloc.adapt.settings import AdaptConfig
-from monoloc.adapt.train import Score
-from monoloc.build import BuildConfig, BuildReport, build_bundle
+from monoloc.adapt.tuning import Score
+from monoloc.build.calibrate import Sample
+from monoloc.build.pipeline import BuildConfig, BuildReport, build_bundle
 from monoloc.bundle import Bundle, fingerprint
 from monoloc.camera import Camera
 from monoloc.depth.spec import DepthModel
-from monoloc.filter.health import HealthyRange
-from monoloc.filter.lasting import LastingErrors
-from monoloc.filter.viewpoints import Viewpoints
+from monoloc.fusion.bias_model import LastingErrors
+from monoloc.fusion.reference_poses import Viewpoints
 from monoloc.geometry import FloatArray
 from monoloc.localizer import LocalizerConfig
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress
-from monoloc.runs import Start
+from monoloc.run import Start
+from monoloc.supervision.state import HealthyRange
 from synthetic_room import Room, RoomRecording, depth_from_blue
 
 FRAMES = 16
@@ -103,12 +103,14 @@ class _Predictor:
 def measured(monkeypatch: pytest.MonkeyPatch) -> Measured:
     """A build that adapts to :data:`RESULT` and measures nothing."""
     measured = Measured()
-    monkeypatch.setattr("monoloc.adapt.run.adapt", lambda *_: RESULT)
-    monkeypatch.setattr("monoloc.build.check_frames", lambda *_: [REMARK])
-    monkeypatch.setattr("monoloc.build.DepthPredictor", _Predictor)
+    monkeypatch.setattr("monoloc.adapt.adaptation.adapt", lambda *_: RESULT)
+    monkeypatch.setattr("monoloc.build.pipeline.check_frames", lambda *_: [REMARK])
+    monkeypatch.setattr("monoloc.build.pipeline.DepthPredictor", _Predictor)
     for name in ("calibrate", "measure_lasting", "measure_found", "start_localizer"):
-        monkeypatch.setattr(f"monoloc.build.{name}", getattr(measured, name))
-    monkeypatch.setattr("monoloc.depth.quantise.quantise", lambda content, _: (b"8 bits of " + content, None))
+        monkeypatch.setattr(f"monoloc.build.pipeline.{name}", getattr(measured, name))
+    monkeypatch.setattr(
+        "monoloc.depth.training.quantise.quantise", lambda content, _: (b"8 bits of " + content, None)
+    )
     return measured
 
 
@@ -121,7 +123,7 @@ def build(recording: RoomRecording, **settings: Any) -> tuple[Bundle, BuildRepor
 def test_what_poses_err_by_is_known_of_a_network_that_learned_of_the_frames(
     recording: RoomRecording, measured: Measured, monkeypatch: pytest.MonkeyPatch, tune: str, steps: int
 ) -> None:
-    monkeypatch.setattr("monoloc.adapt.run.adapt", lambda *_: replace(RESULT, steps=steps))
+    monkeypatch.setattr("monoloc.adapt.adaptation.adapt", lambda *_: replace(RESULT, steps=steps))
     build(recording, adapt=AdaptConfig(tune=tune))
     assert measured.is_tuned == (tune != "none" and steps > 0)
 

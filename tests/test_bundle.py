@@ -20,14 +20,14 @@ from monoloc.bundle import Bundle, Provenance, check_target, fingerprint, read_b
 from monoloc.camera import Camera
 from monoloc.depth.spec import DepthModel, ModelSpec
 from monoloc.errors import BundleError
-from monoloc.filter.health import HealthyRange
-from monoloc.filter.lasting import LastingErrors
-from monoloc.filter.motion import MotionConfig
-from monoloc.filter.viewpoints import Viewpoints
-from monoloc.filter.weigh import MeasurementConfig
+from monoloc.fusion.bias_model import LastingErrors
+from monoloc.fusion.reference_poses import Viewpoints
 from monoloc.geometry import se3_exp
-from monoloc.landmarks import Landmarks
+from monoloc.landmarks.features import Landmarks
+from monoloc.likelihood.scan_likelihood import MeasurementConfig
 from monoloc.localizer import LocalizerConfig
+from monoloc.particle_filter.motion_model import MotionConfig
+from monoloc.supervision.state import HealthyRange
 
 
 def make_bundle(seed: int = 0) -> Bundle:

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from monoloc.adapt.checks import check_frames
-from monoloc.build import BuildConfig, fit_map
-from monoloc.datasets.base import Recording
+from monoloc.build.checks import check_frames
+from monoloc.build.pipeline import BuildConfig, fit_map
 from monoloc.errors import DataError
 from monoloc.geometry import invert, make_pose, so3_exp
-from monoloc.map.fit import fit_mixture
+from monoloc.io.recording import Recording
+from monoloc.map.em import fit_mixture
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, depth_from_blue, make_path

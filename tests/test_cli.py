@@ -26,10 +26,10 @@ from cli_helpers import json_of, listing, python, refused, succeeds
 from monoloc import __version__
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.cli.main import invoke
-from monoloc.datasets.poses import read_tum
 from monoloc.evaluation.trajectory import pose_errors, summarise
+from monoloc.io.pose_files import read_tum
+from monoloc.io.tum_trajectory import write_tum
 from monoloc.map.mixture import GaussianMixture
-from monoloc.outputs.tum import write_tum
 from monoloc.progress import ConsoleProgress
 from synthetic_room import (
     FRAME_RATE_HZ,
@@ -982,7 +982,7 @@ def test_an_interrupted_write_leaves_no_partial_file(here):
     code = (
         "import os, signal, pathlib, numpy as np\n"
         "from monoloc.cli import app, main\n"
-        "from monoloc.outputs.tum import write_tum\n"
+        "from monoloc.io.tum_trajectory import write_tum\n"
         "write = pathlib.Path.write_bytes\n"
         "def stopped(path, content):\n"
         "    write(path, content[:10])\n"
@@ -1056,9 +1056,7 @@ def test_a_fault_of_ours_is_no_bad_input(here, monkeypatch):
     """An unexpected exception is not dressed up: it ends with a traceback, which Python gives exit code 1."""
     environment = os.environ | {"PYTHONPATH": str(here)}
     (here / "sitecustomize.py").write_text(
-        "import monoloc.runs\n"
-        "def fail(*_, **__): raise RuntimeError('a fault of ours')\n"
-        "monoloc.runs.localize = fail\n"
+        "import monoloc.run\ndef fail(*_, **__): raise RuntimeError('a fault of ours')\nmonoloc.run.localize = fail\n"
     )
     command = [sys.executable, "-c", "from monoloc.cli.main import run; run()", "localize", "room.monoloc", "walk"]
     result = subprocess.run(command, capture_output=True, text=True, cwd=here, env=environment)

@@ -13,9 +13,9 @@ import pytest
 from cli_helpers import json_of, listing, refused, succeeds
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.cli.main import invoke
-from monoloc.datasets.poses import read_tum
 from monoloc.errors import DataError
-from monoloc.outputs.tum import write_tum
+from monoloc.io.pose_files import read_tum
+from monoloc.io.tum_trajectory import write_tum
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture, write_recording
 
 FRAMES = 6
@@ -150,7 +150,7 @@ def test_each_output_is_written_whatever_becomes_of_the_others(capfd, here, monk
         assert err.count("monoloc: ") == 1 and not any(f"written: {name}" in err for name in lost)
         return out
 
-    monkeypatch.setattr("monoloc.viewer._check_whole", lambda _: full("way.rrd"))
+    monkeypatch.setattr("monoloc.viz.viewer._check_whole", lambda _: full("way.rrd"))
     command = (*LOCALIZE, "--out", "way.txt", "--plot", "way.png", "--record", "way.rrd")
     assert json.loads(fails((*command, "--json"), "way.rrd"))["frames"] == FRAMES
     assert Path("way.txt").exists() and Path("way.png").exists() and not Path("way.rrd").exists()

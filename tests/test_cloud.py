@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
-from monoloc.depth_image import at_discontinuity
+from monoloc.depth.depth_image import at_discontinuity
 from monoloc.errors import DataError, SettingError
 from monoloc.geometry import invert, se3_exp, transform
+from monoloc.io.cloud_files import read_cloud
 from monoloc.map.cloud import (
     DISCONTINUITY,
     VoxelThinner,
@@ -22,7 +23,6 @@ from monoloc.map.cloud import (
     remove_outliers,
     voxel_thin,
 )
-from monoloc.map.cloud_files import read_cloud
 from synthetic_room import Room
 
 

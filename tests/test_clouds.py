@@ -12,7 +12,7 @@ from sklearn.neighbors import NearestNeighbors
 
 from map_helpers import make_mixture
 from monoloc.errors import MissingExtraError
-from monoloc.evaluation.clouds import cloud_distances, matched_clouds, summarise_distances
+from monoloc.evaluation.cloud_metrics import cloud_distances, matched_clouds, summarise_distances
 from monoloc.geometry import so3_exp
 from monoloc.map.mixture import GaussianMixture
 

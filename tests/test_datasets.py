@@ -15,14 +15,14 @@ import pytest
 import synthetic_recordings as synthetic
 from monoloc import geometry
 from monoloc.camera import Camera
-from monoloc.datasets import nyu, seven_scenes
-from monoloc.datasets.base import Recording
-from monoloc.datasets.images import read_depth
-from monoloc.datasets.options import ReaderOptions
-from monoloc.datasets.poses import nearest_times
-from monoloc.datasets.registration import DepthRegistration
-from monoloc.datasets.registry import FORMATS, open_recording, select_frames
-from monoloc.datasets.rgbd_scenes_v2 import read_pose_file
+from monoloc.io import nyu, seven_scenes
+from monoloc.io.images import read_depth
+from monoloc.io.pose_files import nearest_times
+from monoloc.io.reader_options import ReaderOptions
+from monoloc.io.recording import Recording
+from monoloc.io.registration import DepthRegistration
+from monoloc.io.registry import FORMATS, open_recording, select_frames
+from monoloc.io.rgbd_scenes_v2 import read_pose_file
 
 
 def check_protocol(recording, frames: int) -> None:
@@ -580,7 +580,7 @@ def test_select_frames(tmp_path, frames, expected):
 
 def test_readers_import_neither_torch_nor_h5py():
     code = (
-        "import sys, monoloc.datasets.registry; "
+        "import sys, monoloc.io.registry; "
         "assert not {'torch', 'h5py', 'scipy'} & set(sys.modules), sorted(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

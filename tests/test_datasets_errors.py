@@ -15,11 +15,11 @@ import pytest
 
 import synthetic_recordings as synthetic
 from monoloc.camera import Camera
-from monoloc.datasets.files import read_rows
-from monoloc.datasets.options import ReaderOptions
-from monoloc.datasets.registry import open_recording, select_frames
-from monoloc.datasets.rgbd_scenes_v2 import read_pose_file
 from monoloc.errors import DataError, MissingExtraError, SettingError
+from monoloc.io.file_access import read_rows
+from monoloc.io.reader_options import ReaderOptions
+from monoloc.io.registry import open_recording, select_frames
+from monoloc.io.rgbd_scenes_v2 import read_pose_file
 
 
 def fails(action: Callable[[], object], path: Path, problem: str, fix: str) -> None:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from monoloc.cli.main import invoke
-from monoloc.datasets.registry import open_recording
 from monoloc.geometry import rotation_angle
-from monoloc.rooms import BUILD, TESTS
+from monoloc.io.registry import open_recording
+from monoloc_lab.rooms import BUILD, TESTS
 
 LARGEST_BYTES = 8_000_000
 LIGHTS = ["L1", "L2", "L3"]

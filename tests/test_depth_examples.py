@@ -15,12 +15,20 @@ from torch import Tensor
 
 from depth_helpers import ROOM, SMALL_CAMERA, TINY, looking_around, small_recording
 from monoloc.camera import Camera
-from monoloc.datasets.base import Recording, Selection
-from monoloc.depth.augment import AugmentConfig, Exposure, View, expose, random_exposure, random_view, whole_view
-from monoloc.depth.examples import TrainingFrames, ValidationFrames
-from monoloc.depth.network import DepthNetwork
 from monoloc.depth.spec import image_tensor, network_size
+from monoloc.depth.training.augment import (
+    AugmentConfig,
+    Exposure,
+    View,
+    expose,
+    random_exposure,
+    random_view,
+    whole_view,
+)
+from monoloc.depth.training.examples import TrainingFrames, ValidationFrames
+from monoloc.depth.training.network import DepthNetwork
 from monoloc.errors import DataError
+from monoloc.io.recording import Recording, Selection
 from synthetic_room import RoomRecording
 
 pytestmark = pytest.mark.usefixtures("one_thread")

@@ -16,14 +16,14 @@ from torch import Tensor
 
 from depth_helpers import TINY, exported_model, tiny_network
 from monoloc.camera import Camera
-from monoloc.depth.checkpoint import NETWORK_KEY
-from monoloc.depth.examples import network_input
-from monoloc.depth.export import export_onnx
-from monoloc.depth.last_layer import read_last_layer, replace_last_layer
-from monoloc.depth.network import DepthNetwork
-from monoloc.depth.quantise import quantise
-from monoloc.depth.runtime import DepthPredictor
+from monoloc.depth.predictor import DepthPredictor
 from monoloc.depth.spec import FOCAL_KEY, DepthModel, image_tensor, monoloc_spec, network_size
+from monoloc.depth.training.checkpoint import NETWORK_KEY
+from monoloc.depth.training.examples import network_input
+from monoloc.depth.training.export import export_onnx
+from monoloc.depth.training.last_layer import read_last_layer, replace_last_layer
+from monoloc.depth.training.network import DepthNetwork
+from monoloc.depth.training.quantise import quantise
 from monoloc.errors import DataError, MonolocError, SettingError
 
 Image = NDArray[np.float32]
@@ -89,7 +89,7 @@ def test_an_export_that_differs_is_not_given_out(monkeypatch: pytest.MonkeyPatch
         def forward(self, images: Tensor) -> Tensor:
             return self.network(images) + 0.01
 
-    monkeypatch.setattr("monoloc.depth.export._AllOutputs", Wrong)
+    monkeypatch.setattr("monoloc.depth.training.export._AllOutputs", Wrong)
     with pytest.raises(
         MonolocError, match=r"the exported network differs from the original by 1\.00e-02 in log-depth"
     ):

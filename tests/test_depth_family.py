@@ -11,11 +11,11 @@ import torch
 from torch import Tensor
 
 from monoloc.config import load_settings
-from monoloc.depth.family import SIZES, WIDTHS, named_config, network_config
-from monoloc.depth.losses import LossConfig, depth_loss, laplace_loss
-from monoloc.depth.mobilenet import load_encoder_weights
-from monoloc.depth.network import DepthNetwork
-from monoloc.depth.train import TrainConfig
+from monoloc.depth.training.family import SIZES, WIDTHS, named_config, network_config
+from monoloc.depth.training.losses import LossConfig, depth_loss, laplace_loss
+from monoloc.depth.training.mobilenet import load_encoder_weights
+from monoloc.depth.training.network import DepthNetwork
+from monoloc.depth.training.train import TrainConfig
 from monoloc.errors import SettingError
 
 pytestmark = pytest.mark.usefixtures("one_thread")

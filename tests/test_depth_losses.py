@@ -15,7 +15,7 @@ from scipy.stats import laplace
 from torch import Tensor
 
 from monoloc.camera import Camera
-from monoloc.depth.losses import (
+from monoloc.depth.training.losses import (
     LossConfig,
     depth_loss,
     gradient_loss,

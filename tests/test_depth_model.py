@@ -21,12 +21,12 @@ from cli_helpers import json_of
 from monoloc.bundle import read_bundle, read_network
 from monoloc.camera import Camera
 from monoloc.cli.main import invoke
-from monoloc.depth.fit import fit_to_depth, fitted_spec
-from monoloc.depth.model import read_model
-from monoloc.depth.runtime import DepthPrediction, DepthPredictor
+from monoloc.depth.model_files import read_model
+from monoloc.depth.models import DEFAULT, shipped_file
+from monoloc.depth.predictor import DepthPrediction, DepthPredictor
+from monoloc.depth.scale_fit import fit_to_depth, fitted_spec
 from monoloc.depth.spec import DepthModel, ModelSpec
 from monoloc.errors import BundleError, DataError, MonolocError, SettingError
-from monoloc.models import DEFAULT, shipped_file
 from synthetic_recordings import write_depth
 from synthetic_room import (
     BLUE_SPAN,

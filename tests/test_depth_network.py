@@ -24,12 +24,12 @@ from torch.utils.flop_counter import FlopCounterMode
 from depth_helpers import TINY, tiny_network
 from monoloc.camera import Camera
 from monoloc.config import describe
-from monoloc.depth.checkpoint import load_network, save_network
-from monoloc.depth.export import export_onnx
-from monoloc.depth.mobilenet import Encoder, _conv_bn, _Layers, _SamePadConv, load_encoder_weights
-from monoloc.depth.network import DepthNetwork, NetworkConfig, _LastLayer
-from monoloc.depth.quantise import quantise
 from monoloc.depth.spec import image_tensor
+from monoloc.depth.training.checkpoint import load_network, save_network
+from monoloc.depth.training.export import export_onnx
+from monoloc.depth.training.mobilenet import Encoder, _conv_bn, _Layers, _SamePadConv, load_encoder_weights
+from monoloc.depth.training.network import DepthNetwork, NetworkConfig, _LastLayer
+from monoloc.depth.training.quantise import quantise
 from monoloc.errors import DataError
 
 pytestmark = pytest.mark.usefixtures("one_thread")

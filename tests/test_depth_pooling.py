@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.nn import functional as F
 
-from monoloc.depth.pooling import max_pool5
+from monoloc.depth.training.pooling import max_pool5
 
 
 def image(shape: tuple[int, ...], seed: int, whole: bool) -> torch.Tensor:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from monoloc.depth.precision import learns_in_bfloat16
+from monoloc.depth.training.precision import learns_in_bfloat16
 
 
 @pytest.mark.parametrize("capability", ["AVX2", "AVX512", "DEFAULT", "NO AVX", "SVE256"])

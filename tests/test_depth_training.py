@@ -18,24 +18,24 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-import monoloc.depth.train as train_module
+import monoloc.depth.training.train as train_module
 from conftest import on_one_thread
 from depth_helpers import ROOM, SMALL_CAMERA, TINY, looking_around, small_recording
 from monoloc.cli.main import invoke
 from monoloc.config import load_settings
-from monoloc.datasets.base import Recording, Selection
-from monoloc.datasets.registry import open_recording
-from monoloc.depth.augment import AugmentConfig
-from monoloc.depth.checkpoint import load_network, save_network
-from monoloc.depth.examples import TrainingFrames, ValidationFrames
-from monoloc.depth.export import export_onnx
-from monoloc.depth.model import read_model
-from monoloc.depth.network import DepthNetwork
-from monoloc.depth.runtime import DepthPredictor
-from monoloc.depth.train import EpochRecord, TrainConfig, train_network
+from monoloc.depth.model_files import read_model
+from monoloc.depth.predictor import DepthPredictor
+from monoloc.depth.training.augment import AugmentConfig
+from monoloc.depth.training.checkpoint import load_network, save_network
+from monoloc.depth.training.examples import TrainingFrames, ValidationFrames
+from monoloc.depth.training.export import export_onnx
+from monoloc.depth.training.network import DepthNetwork
+from monoloc.depth.training.train import EpochRecord, TrainConfig, train_network
 from monoloc.errors import DataError, SettingError
-from monoloc.evaluation.plots import plot_training
+from monoloc.io.recording import Recording, Selection
+from monoloc.io.registry import open_recording
 from monoloc.progress import Step
+from monoloc.viz.plots import plot_training
 from synthetic_room import RoomRecording, write_recording
 
 pytestmark = pytest.mark.usefixtures("one_thread")

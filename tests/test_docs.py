@@ -99,7 +99,7 @@ def test_a_likelihood_of_one_s_own_is_held_against_ours(
     recording: RoomRecording, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     short = RoomRecording(Room(), make_path(FRAMES // 2))
-    monkeypatch.setattr("monoloc.datasets.registry.open_recording", {"folder:second-walk": short}.__getitem__)
+    monkeypatch.setattr("monoloc.io.registry.open_recording", {"folder:second-walk": short}.__getitem__)
     exec(compile(python_of("docs/research.md"), "docs/research.md", "exec"), {})
     lines = re.findall(r"(.*): (.*) cm \((.*) to (.*)\)\n", capsys.readouterr().out)
     assert [name for name, *_ in lines] == ["along rays", "nearest component"]

@@ -13,8 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skimage.metrics import structural_similarity
 
-from monoloc.evaluation.depth import DepthAccumulator, depth_metrics, depth_ssim, fit_scale
-from monoloc.evaluation.run_drawing import norm_bound_95
+from monoloc.evaluation.depth_metrics import DepthAccumulator, depth_metrics, depth_ssim, fit_scale
 from monoloc.evaluation.trajectory import (
     PoseErrors,
     axis_sd,
@@ -24,6 +23,7 @@ from monoloc.evaluation.trajectory import (
     summarise,
 )
 from monoloc.geometry import FloatArray, se3_exp
+from monoloc.viz.run_drawing import norm_bound_95
 
 seeds = st.integers(0, 2**32 - 1)
 

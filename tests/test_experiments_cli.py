@@ -13,9 +13,9 @@ import pytest
 import synthetic_recordings as synthetic
 from monoloc.cli.common import check_folder
 from monoloc.cli.main import invoke
-from monoloc.datasets.registry import absolute_source
 from monoloc.errors import SettingError
-from monoloc.experiments.study import recorded
+from monoloc.io.registry import absolute_source
+from monoloc_lab.experiments.study import recorded
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path, write_recording
 
 
@@ -54,7 +54,7 @@ def test_recording_without_poses_or_depth(tmp_path: Path, capfd: pytest.CaptureF
 def test_scheduler_that_does_not_answer(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("monoloc.experiments.engine._ANSWER_S", 0.5)
+    monkeypatch.setattr("monoloc_lab.experiments.engine._ANSWER_S", 0.5)
     said = refused(capfd, tmp_path / "out", "--dask", "tcp://127.0.0.1:1")
     assert "--dask: no scheduler answers at tcp://127.0.0.1:1; start one with: dask scheduler" in said
 

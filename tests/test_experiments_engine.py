@@ -17,9 +17,9 @@ from typing import Any
 import pytest
 
 from monoloc.errors import DataError, SettingError
-from monoloc.experiments.engine import TaskError, carry_out, check_scheduler, describe_task, do_task, in_order
-from monoloc.experiments.task import RESULT, TASK, Result, Task, read_result
 from monoloc.progress import NoProgress
+from monoloc_lab.experiments.engine import TaskError, carry_out, check_scheduler, describe_task, do_task, in_order
+from monoloc_lab.experiments.task import RESULT, TASK, Result, Task, read_result
 
 Settings = dict[str, Any]
 _WAIT_S = 20.0
@@ -247,8 +247,8 @@ def test_a_description_says_what_a_person_would(log: Path) -> None:
 _RUN = """
 import sys
 from pathlib import Path
-from monoloc.experiments.engine import carry_out
-from monoloc.experiments.task import Task
+from monoloc_lab.experiments.engine import carry_out
+from monoloc_lab.experiments.task import Task
 from monoloc.progress import NoProgress
 from test_experiments_engine import KINDS, number
 out, log = map(Path, sys.argv[1:])
@@ -359,7 +359,7 @@ def test_what_a_cluster_has_not_begun_is_called_off_with_the_run(
         _until(lambda: len(list(log.iterdir())) == 2)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("monoloc.experiments.engine.wait", cut_off)
+    monkeypatch.setattr("monoloc_lab.experiments.engine.wait", cut_off)
     with pytest.raises(KeyboardInterrupt):
         do([Task.of("nap", {"log": str(log), "name": name}) for name in ("a", "b", "c")], tmp_path, 1, cluster(1))
     time.sleep(1.5)
@@ -375,7 +375,7 @@ def test_workers_of_several_threads_are_refused(cluster: Callable[[int], str]) -
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense:/", "127.0.0.1"])
 def test_no_scheduler(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("monoloc.experiments.engine._ANSWER_S", 0.5)
+    monkeypatch.setattr("monoloc_lab.experiments.engine._ANSWER_S", 0.5)
     with pytest.raises(SettingError, match=f"--dask: no scheduler answers at {address}; start one with"):
         check_scheduler(address)
 

@@ -13,17 +13,25 @@ import numpy as np
 import pytest
 
 from experiment_helpers import is_dark, made_up, plausible_rmse
-from monoloc.depth.family import network_config
+from monoloc.depth.training.family import network_config
 from monoloc.errors import DataError, SettingError
-from monoloc.experiments import claims, fig2, fig4d, fig5b, lambda_, map_size, variants
-from monoloc.experiments.claims import Dark, Smaller, half_in_the_dark, map_moves_little, smaller_is_as_good
-from monoloc.experiments.figure import Drawn, Figure
-from monoloc.experiments.figures import FIGURES, chosen_figures, draw_figure
-from monoloc.experiments.gather import RMSE, Spread, frames_of, joined, nearest_build_m, shown_frames, unseen_frames
-from monoloc.experiments.methods import JOINT, POSENET, UNADAPTED
-from monoloc.experiments.study import Split, Study, Walk, builtin
-from monoloc.experiments.task import Result, Task
-from monoloc.rooms import BUILD
+from monoloc_lab.experiments import claims, fig2, fig4d, fig5b, kl_weight, map_size, variants
+from monoloc_lab.experiments.claims import Dark, Smaller, half_in_the_dark, map_moves_little, smaller_is_as_good
+from monoloc_lab.experiments.figure import Drawn, Figure
+from monoloc_lab.experiments.figures import FIGURES, chosen_figures, draw_figure
+from monoloc_lab.experiments.gather import (
+    RMSE,
+    Spread,
+    frames_of,
+    joined,
+    nearest_build_m,
+    shown_frames,
+    unseen_frames,
+)
+from monoloc_lab.experiments.methods import JOINT, POSENET, UNADAPTED
+from monoloc_lab.experiments.study import Split, Study, Walk, builtin
+from monoloc_lab.experiments.task import Result, Task
+from monoloc_lab.rooms import BUILD
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path, write_recording
 
 NAMES = ["fig1", "fig2", "fig3", "fig4ab", "fig4c", "fig4d", "fig5top", "fig5a", "fig5b", "table1", "variants"]
@@ -164,7 +172,7 @@ def test_sweeps_have_a_point_for_every_setting(full: Study, made: Made, tmp_path
     sizes = drawn_from(map_size.FIGURE, full, made, tmp_path).numbers
     assert [entry["map_bytes"] for entry in sizes["mixture"]] == [1000, 2000, 4000, 8000, 16000, 32000]
     assert len(sizes["voxels"]) == len(sizes["points"]) == 4
-    swept = drawn_from(lambda_.FIGURE, full, made, tmp_path).numbers
+    swept = drawn_from(kl_weight.FIGURE, full, made, tmp_path).numbers
     values = [float(value) for value in swept["joint"]]
     assert max(values) / min(values) == pytest.approx(1e5)  # five decades
     assert str(swept["default"]) in swept["joint"]
@@ -172,7 +180,7 @@ def test_sweeps_have_a_point_for_every_setting(full: Study, made: Made, tmp_path
 
 @pytest.mark.parametrize("size", ["full", "tiny"])
 def test_architecture_is_read_off_the_network(size: str) -> None:
-    from monoloc.depth.network import DepthNetwork
+    from monoloc.depth.training.network import DepthNetwork
 
     network = DepthNetwork(network_config(size, 0.35))
     layers = fig2.layers_of(network)

@@ -14,18 +14,19 @@ import numpy as np
 import pytest
 
 from monoloc.adapt.settings import AdaptConfig
-from monoloc.baselines.posenet import PoseNet, posenet_config
-from monoloc.baselines.posenet_training import PoseNetTraining
 from monoloc.bundle import fingerprint, read_bundle
+from monoloc.depth.models import shipped_file, shipped_models
 from monoloc.errors import DataError
-from monoloc.experiments import source, tasks
-from monoloc.experiments.study import Split, Study, Walk, recorded
-from monoloc.experiments.task import Result, Task
-from monoloc.experiments.work import KINDS
-from monoloc.experiments.work_rooms import octree_bytes
 from monoloc.localizer import LocalizerConfig
 from monoloc.map.mixture import BYTES_PER_COMPONENT
-from monoloc.models import shipped_file, shipped_models
+from monoloc_lab.baselines.posenet import PoseNet, posenet_config
+from monoloc_lab.baselines.posenet_training import PoseNetTraining
+from monoloc_lab.experiments import source_version as source
+from monoloc_lab.experiments import tasks
+from monoloc_lab.experiments.study import Split, Study, Walk, recorded
+from monoloc_lab.experiments.task import Result, Task
+from monoloc_lab.experiments.work import KINDS
+from monoloc_lab.experiments.work_rooms import octree_bytes
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path, write_recording
 
 NETWORK = "tiny-0.35"

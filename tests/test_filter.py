@@ -11,20 +11,20 @@ from scipy.stats import norm
 
 from map_helpers import make_mixture, make_particles, motion_of, nats_with_outliers
 from monoloc.camera import Camera
-from monoloc.depth.runtime import DepthPrediction
-from monoloc.depth_image import at_discontinuity
-from monoloc.filter.estimate import Estimate, estimate
-from monoloc.filter.health import HealthyRange, judge
-from monoloc.filter.motion import MotionConfig, motion_sd, predict
-from monoloc.filter.particles import Particles, normalised, scatter
-from monoloc.filter.resample import resample, systematic_indices
-from monoloc.filter.scan import Scan, evenly, scan_from_corners, scan_from_depth
-from monoloc.filter.weigh import Measurement, MeasurementConfig
+from monoloc.depth.depth_image import at_discontinuity
+from monoloc.depth.predictor import DepthPrediction
 from monoloc.geometry import invert, make_pose, se3_exp, se3_log, so3_exp, transform
+from monoloc.likelihood.scan import Scan, evenly, scan_from_corners, scan_from_depth
+from monoloc.likelihood.scan_likelihood import Measurement, MeasurementConfig
 from monoloc.map.mixture import GaussianMixture
+from monoloc.map.numpy_twins import weigh_rays
 from monoloc.map.rays import LOG_DEPTH_RANGE
-from monoloc.map.reference import weigh_rays
-from monoloc.odometry import Motion
+from monoloc.odometry.visual import Motion
+from monoloc.particle_filter.estimate import Estimate, estimate
+from monoloc.particle_filter.motion_model import MotionConfig, motion_sd, predict
+from monoloc.particle_filter.particles import Particles, normalised, scatter
+from monoloc.particle_filter.resampling import resample, systematic_indices
+from monoloc.supervision.state import HealthyRange, judge
 from synthetic_room import CAMERA, SETTINGS, Room, make_path
 
 POSE = make_pose(so3_exp([0.4, -1.1, 0.3]), [1.0, -2.0, 0.5])

@@ -12,8 +12,8 @@ from sklearn.mixture import GaussianMixture as SklearnMixture
 
 from map_helpers import make_mixture
 from monoloc.errors import SettingError
-from monoloc.map.cloud_files import read_cloud
-from monoloc.map.fit import (
+from monoloc.io.cloud_files import read_cloud
+from monoloc.map.em import (
     choose_components,
     clamp_covariances,
     fit_mixture,

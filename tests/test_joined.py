@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from map_helpers import motion_of
-from monoloc.filter.estimate import Estimate
-from monoloc.filter.joined import Joined, Joiner
-from monoloc.filter.lasting import LastingErrors
-from monoloc.filter.motion import MotionConfig, motion_sd
-from monoloc.filter.viewpoints import Viewpoints
+from monoloc.fusion.bias_filter import Joined, Joiner
+from monoloc.fusion.bias_model import LastingErrors
+from monoloc.fusion.reference_poses import Viewpoints
 from monoloc.geometry import FloatArray, adjoint, invert, is_rigid, se3_exp, se3_log, viewpoints_apart
-from monoloc.sighting import Sighting
+from monoloc.landmarks.pnp import Sighting
+from monoloc.particle_filter.estimate import Estimate
+from monoloc.particle_filter.motion_model import MotionConfig, motion_sd
 
 LASTING = LastingErrors(near_sd_m=0.05, near_sd_rad=0.03, growth_m=0.1, growth_rad=0.05)
 START_SD = np.repeat([0.1, 0.05], 3)

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from monoloc.adapt.landmarks import build_landmarks
+from monoloc.build.landmark_mapping import build_landmarks
 from monoloc.camera import Camera
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray, invert, se3_exp, se3_log, transform
-from monoloc.landmarks import ALIKE_BITS, KeypointDetector, Keypoints, Landmarks, pairs
+from monoloc.landmarks.features import ALIKE_BITS, KeypointDetector, Keypoints, Landmarks, pairs
+from monoloc.landmarks.pnp import LandmarkSight, solve
 from monoloc.progress import NoProgress
-from monoloc.sighting import LandmarkSight, solve
 from synthetic_room import BLACK, CAMERA, Room, RoomRecording, make_path
 
 BUILT, FLOWN = make_path(60), make_path(60, start_s=0.03)  # two walks along one way, half a frame apart
@@ -284,7 +284,7 @@ def test_images_of_any_shape_have_corners(width, height, focal_px):
 
 
 def test_of_many_frames_some_are_enough(walk, built, monkeypatch):
-    monkeypatch.setattr("monoloc.adapt.landmarks._MOST_FRAMES", 20)
+    monkeypatch.setattr("monoloc.build.landmark_mapping._MOST_FRAMES", 20)
     landmarks, lasting = build_landmarks(walk, walk.depth, NoProgress())
     assert 100 < len(landmarks) < len(built[0]) and lasting.near_sd_m < 0.01
 

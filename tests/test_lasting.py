@@ -10,18 +10,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from monoloc.adapt import ways
-from monoloc.adapt.lasting import lasting_errors, measure_lasting
+from monoloc.build import trajectories as ways
+from monoloc.build.bias import lasting_errors, measure_lasting
 from monoloc.bundle import fingerprint
-from monoloc.depth.runtime import DepthPrediction, DepthPredictor
+from monoloc.depth.predictor import DepthPrediction, DepthPredictor
 from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors
-from monoloc.filter.health import HealthyRange
-from monoloc.filter.lasting import LastingErrors
-from monoloc.filter.particles import scatter
+from monoloc.fusion.bias_model import LastingErrors
 from monoloc.geometry import FloatArray, se3_exp
 from monoloc.localizer import Localizer
 from monoloc.map.mixture import GaussianMixture
+from monoloc.particle_filter.particles import scatter
 from monoloc.progress import NoProgress
+from monoloc.supervision.state import HealthyRange
 from synthetic_room import (
     CAMERA,
     SETTINGS,

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from monoloc.camera import Camera
-from monoloc.depth.runtime import DepthPrediction
-from monoloc.filter.level import LevelConfig, level
+from monoloc.depth.predictor import DepthPrediction
 from monoloc.geometry import FloatArray
-from monoloc.odometry import Motion
+from monoloc.odometry.scale_tilt import LevelConfig, level
+from monoloc.odometry.visual import Motion
 
 PINHOLE = Camera(80, 60, 70.0, 70.0, 39.5, 29.5)
 DISTORTED = Camera(80, 60, 70.0, 70.0, 39.0, 30.0, (-0.2, 0.03, 0.001, -0.002, 0.0))

@@ -8,23 +8,23 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from monoloc.adapt.landmarks import build_landmarks
+from monoloc.build.landmark_mapping import build_landmarks
 from monoloc.bundle import read_network
-from monoloc.depth.runtime import DepthPrediction, DepthPredictor
+from monoloc.depth.predictor import DepthPrediction, DepthPredictor
 from monoloc.evaluation.trajectory import coverage_95, pose_errors
-from monoloc.filter.estimate import estimate
-from monoloc.filter.lasting import LastingErrors
-from monoloc.filter.level import LevelConfig
-from monoloc.filter.particles import Particles, scatter
-from monoloc.filter.scan import Scan, scan_from_corners
-from monoloc.filter.viewpoints import Viewpoints
-from monoloc.filter.weigh import Measurement
+from monoloc.fusion.bias_model import LastingErrors
+from monoloc.fusion.reference_poses import Viewpoints
 from monoloc.geometry import invert, is_rigid, make_pose, se3_log, so3_exp
-from monoloc.landmarks import Landmarks
+from monoloc.landmarks.features import Landmarks
+from monoloc.likelihood.scan import Scan, scan_from_corners
+from monoloc.likelihood.scan_likelihood import Measurement
 from monoloc.localizer import Localizer, LocalizerConfig, Parts
-from monoloc.odometry import VisualOdometry
+from monoloc.odometry.scale_tilt import LevelConfig
+from monoloc.odometry.visual import VisualOdometry
+from monoloc.particle_filter.estimate import estimate
+from monoloc.particle_filter.particles import Particles, scatter
 from monoloc.progress import NoProgress
-from monoloc.runs import Run, Start, localize
+from monoloc.run import Run, Start, localize
 from synthetic_room import (
     BLACK,
     CAMERA,

@@ -15,7 +15,7 @@ from map_helpers import make_mixture
 from monoloc.errors import DataError
 from monoloc.geometry import so3_exp
 from monoloc.map.mixture import GaussianMixture
-from monoloc.map.reference import log_sum_exp, log_terms
+from monoloc.map.numpy_twins import log_sum_exp, log_terms
 
 
 def as_sklearn(mixture: GaussianMixture) -> SklearnMixture:

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from monoloc.depth.checkpoint import load_network
-from monoloc.depth.family import named_config
-from monoloc.depth.model import read_model, trainable_file
-from monoloc.depth.runtime import DepthPredictor
+from monoloc.depth.model_files import read_model, trainable_file
+from monoloc.depth.models import DEFAULT, is_shipped, shipped_file, shipped_models
+from monoloc.depth.predictor import DepthPredictor
+from monoloc.depth.training.checkpoint import load_network
+from monoloc.depth.training.family import named_config
 from monoloc.errors import DataError, SettingError
-from monoloc.models import DEFAULT, is_shipped, shipped_file, shipped_models
 from synthetic_room import CAMERA, Room, RoomRecording, make_path
 
 NAMES = ["full-0.35", "two-thirds-0.35", "one-third-0.35", "tiny-0.35"]

@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 
 from map_helpers import make_mixture, make_particles, nats_with_outliers
 from monoloc import _core
-from monoloc.bench.scenes import building
-from monoloc.map import reference
-from monoloc.map.cloud_files import read_cloud
-from monoloc.map.fit import fit_mixture
+from monoloc.io.cloud_files import read_cloud
+from monoloc.map import numpy_twins
+from monoloc.map.em import fit_mixture
 from monoloc.map.mixture import GaussianMixture
+from monoloc_lab.bench.scenes import building
 
 
 @settings(max_examples=30, deadline=None)
@@ -31,7 +31,7 @@ def test_log_density_equals_twin(components: int, count: int, seed: int) -> None
     if count == 0:
         assert native.shape == (0,)
         return
-    twin = reference.log_density(points, mixture.weights, mixture.means, mixture.covariances)
+    twin = numpy_twins.log_density(points, mixture.weights, mixture.means, mixture.covariances)
     np.testing.assert_allclose(native, twin, rtol=1e-10, atol=1e-10)
 
 
@@ -42,7 +42,7 @@ def test_expectation_equals_twin(components: int, count: int, seed: int) -> None
     points = mixture.sample(count, np.random.default_rng(seed))
     arguments = points, mixture.weights, mixture.means, mixture.covariances
     mass, first, second, log_likelihood = _core.expectation(*arguments)
-    twin = reference.expectation(*arguments)
+    twin = numpy_twins.expectation(*arguments)
     np.testing.assert_allclose(mass, twin.mass, atol=1e-10)
     np.testing.assert_allclose(first, twin.first, atol=1e-10)
     np.testing.assert_allclose(second, twin.second[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]], atol=1e-10)
@@ -54,7 +54,7 @@ def test_far_points_and_negligible_weights_stay_finite() -> None:
         np.array([1.0, 0.0]), np.array([[0.0, 0, 0], [1.0, 0, 0]]), np.tile(1e-4 * np.eye(3), (2, 1, 1))
     )
     values = mixture.log_density([[0.0, 0, 0], [50.0, 0, 0], [1.0, 0, 0]])
-    twin = reference.log_density(
+    twin = numpy_twins.log_density(
         np.array([[0.0, 0, 0], [50.0, 0, 0]]), mixture.weights, mixture.means, mixture.covariances
     )
     np.testing.assert_allclose(values[:2], twin, rtol=1e-12)
@@ -73,7 +73,7 @@ def test_weigh_equals_twin(particles: int, with_weights: bool) -> None:
     native = mixture.index().weigh(
         poses, log_scales, scan, outlier_share=share, volume_m3=volume, point_weights=weights
     )
-    twin = reference.weigh(
+    twin = numpy_twins.weigh(
         poses,
         log_scales,
         scan.astype(np.float64),

@@ -13,13 +13,13 @@ from torch import Tensor, nn
 from torch.autograd import gradcheck
 
 from depth_helpers import ROOM, TINY, small_recording, tiny_network
+from monoloc.adapt.map_transform import AdaptedMap, MapTransform
 from monoloc.adapt.objective import matched_kl, ray_log_likelihood
 from monoloc.adapt.settings import AdaptConfig
-from monoloc.adapt.train import Adaptation
-from monoloc.adapt.transform import AdaptedMap, MapTransform
-from monoloc.adapt.views import Views, make_views
+from monoloc.adapt.training_views import Views, make_views
+from monoloc.adapt.tuning import Adaptation
 from monoloc.map.compare import MapChange, compare_maps
-from monoloc.map.fit import fit_mixture
+from monoloc.map.em import fit_mixture
 from monoloc.map.mixture import GaussianMixture
 
 FloatArray = NDArray[np.float64]

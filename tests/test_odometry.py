@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
-from monoloc.depth_image import at_discontinuity, sample_depth
+from monoloc.depth.depth_image import at_discontinuity, sample_depth
 from monoloc.evaluation.trajectory import PoseErrors, pose_errors
 from monoloc.geometry import FloatArray, invert
-from monoloc.odometry import Motion, VisualOdometry
+from monoloc.odometry.visual import Motion, VisualOdometry
 from synthetic_room import BLACK, CAMERA, Room, RoomRecording, make_path
 
 # Measured over the path below with exact depth: median 1.3 mm and 0.025 degrees a frame, largest 5.2 mm and 0.081.

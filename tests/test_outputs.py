@@ -10,10 +10,10 @@ from evo.tools import file_interface
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from monoloc.datasets.poses import read_tum
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, se3_exp
-from monoloc.outputs.tum import write_tum
+from monoloc.io.pose_files import read_tum
+from monoloc.io.tum_trajectory import write_tum
 
 GOOD_LINE = "1.5 1 2 3 0 0 0 1"
 

@@ -13,12 +13,12 @@ import pytest
 from matplotlib.figure import Figure
 
 from monoloc.errors import DataError, MissingExtraError
-from monoloc.evaluation.clouds import cloud_distances
-from monoloc.evaluation.map_drawing import plot_map_change
-from monoloc.evaluation.plots import plot_depth, plot_localization, plot_training
-from monoloc.evaluation.run_drawing import _STATE_COLOURS, Run, _beside, draw_errors, view_axes
-from monoloc.filter.health import State
+from monoloc.evaluation.cloud_metrics import cloud_distances
 from monoloc.geometry import make_pose, se3_exp, so3_exp
+from monoloc.supervision.state import State
+from monoloc.viz.map_drawing import plot_map_change
+from monoloc.viz.plots import plot_depth, plot_localization, plot_training
+from monoloc.viz.run_drawing import _STATE_COLOURS, Run, _beside, draw_errors, view_axes
 
 FRAMES = 30
 
@@ -213,5 +213,5 @@ def test_the_missing_library_is_named(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_matplotlib_is_not_imported_before_a_picture_is_made() -> None:
-    code = "import sys, monoloc.evaluation.plots; sys.exit('matplotlib' in sys.modules)"
+    code = "import sys, monoloc.viz.plots; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

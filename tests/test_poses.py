@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from scipy.optimize import approx_fprime
 
 from map_helpers import make_mixture
-from monoloc.adapt.poses import PosePrior, _Target, refine_poses
-from monoloc.build import BuildConfig, fit_map
-from monoloc.datasets.base import Recording
+from monoloc.build.pipeline import BuildConfig, fit_map
+from monoloc.build.pose_refinement import PosePrior, _Target, refine_poses
 from monoloc.errors import SettingError
 from monoloc.evaluation.trajectory import PoseErrors, pose_errors
 from monoloc.geometry import make_pose, se3_exp, so3_exp
-from monoloc.map.fit import fit_mixture
+from monoloc.io.recording import Recording
+from monoloc.map.em import fit_mixture
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording

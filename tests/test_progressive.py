@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monoloc.filter.estimate import estimate
-from monoloc.filter.particles import Particles, normalised, scatter
-from monoloc.filter.progressive import correct
 from monoloc.geometry import FloatArray, is_rigid, se3_exp, se3_log
+from monoloc.particle_filter.estimate import estimate
+from monoloc.particle_filter.particles import Particles, normalised, scatter
+from monoloc.particle_filter.tempering import correct
 
 COUNT = 500
 

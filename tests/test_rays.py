@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from map_helpers import make_mixture
 from monoloc.geometry import FloatArray, se3_exp, so3_exp
 from monoloc.map.mixture import GaussianMixture
+from monoloc.map.numpy_twins import weigh_rays
 from monoloc.map.rays import LOG_DEPTH_RANGE
-from monoloc.map.reference import weigh_rays
 
 NOWHERE = 1e-30  # an outlier share of as good as nothing, so that what is left is the density of the map
 

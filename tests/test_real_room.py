@@ -11,20 +11,20 @@ import numpy as np
 import pytest
 
 from cli_helpers import python
-from monoloc.adapt.poses import PosePrior, refine_poses
-from monoloc.build import BuildConfig, fit_map
+from monoloc.build.pipeline import BuildConfig, fit_map
+from monoloc.build.pose_refinement import PosePrior, refine_poses
 from monoloc.bundle import read_bundle
-from monoloc.datasets.base import Selection
-from monoloc.datasets.poses import read_tum
-from monoloc.datasets.registry import open_recording, select_frames
-from monoloc.depth.model import read_model
-from monoloc.depth.runtime import DepthPredictor
+from monoloc.depth.model_files import read_model
+from monoloc.depth.models import DEFAULT, shipped_file
+from monoloc.depth.predictor import DepthPredictor
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import se3_exp
+from monoloc.io.pose_files import read_tum
+from monoloc.io.recording import Selection
+from monoloc.io.registry import open_recording, select_frames
+from monoloc.landmarks.pnp import LandmarkSight
 from monoloc.map.mixture import GaussianMixture
-from monoloc.models import DEFAULT, shipped_file
 from monoloc.progress import NoProgress
-from monoloc.sighting import LandmarkSight
 
 pytestmark = [pytest.mark.data, pytest.mark.slow]
 

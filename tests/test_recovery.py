@@ -11,22 +11,22 @@ from hypothesis import settings as trials
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from monoloc.adapt.calibrate import Sample
-from monoloc.adapt.found import measure_found
-from monoloc.adapt.landmarks import build_landmarks
-from monoloc.depth.runtime import DepthPrediction
+from monoloc.build.calibrate import Sample
+from monoloc.build.landmark_mapping import build_landmarks
+from monoloc.build.relocalization_error import measure_found
+from monoloc.depth.predictor import DepthPrediction
 from monoloc.evaluation.trajectory import pose_errors
-from monoloc.filter.estimate import Estimate
-from monoloc.filter.health import HealthyRange
-from monoloc.filter.particles import Particles, scatter
-from monoloc.filter.recovery import Recovery
-from monoloc.filter.scan import NOTHING, Scan, evenly, scan_from_depth
-from monoloc.filter.search import Search
-from monoloc.filter.weigh import Measurement
 from monoloc.geometry import FloatArray, make_pose, se3_exp, so3_exp, viewpoints_apart
+from monoloc.landmarks.pnp import Sighting
+from monoloc.likelihood.scan import NOTHING, Scan, evenly, scan_from_depth
+from monoloc.likelihood.scan_likelihood import Measurement
 from monoloc.localizer import LocalizerConfig, Step
+from monoloc.particle_filter.estimate import Estimate
+from monoloc.particle_filter.particles import Particles, scatter
 from monoloc.progress import NoProgress
-from monoloc.sighting import Sighting
+from monoloc.relocalization.search import Search
+from monoloc.relocalization.state_machine import Recovery
+from monoloc.supervision.state import HealthyRange
 from synthetic_room import (
     BLACK,
     CAMERA,
@@ -286,7 +286,7 @@ def test_how_far_off_a_camera_is_found_from_elsewhere_is_measured(mixture, monke
     viewpoints = along_a_line(101, 0.03)
     off_m, off_rad = rng.uniform(0.1, 0.9, 25), rng.uniform(0.02, 0.2, 25)
     search = _Astray(viewpoints[12:87:3], off_m, off_rad)
-    monkeypatch.setattr("monoloc.adapt.found.Search", search)
+    monkeypatch.setattr("monoloc.build.relocalization_error.Search", search)
     samples = [Sample(index, wall(index), search.truth[index]) for index in range(25)]
     samples.insert(4, Sample(25, NO_DEPTH, viewpoints[0]))
     measured = measure_found(mixture, samples, viewpoints, SETTINGS, rng, NoProgress())
@@ -303,7 +303,7 @@ def test_how_far_off_a_camera_is_found_from_elsewhere_is_measured(mixture, monke
 def test_where_no_viewpoint_is_half_a_metre_away_a_camera_is_looked_for_from_the_farthest(mixture, monkeypatch):
     viewpoints = along_a_line(4, 0.11)
     search = _Astray(viewpoints[:1], np.array([0.1]), np.array([0.1]))
-    monkeypatch.setattr("monoloc.adapt.found.Search", search)
+    monkeypatch.setattr("monoloc.build.relocalization_error.Search", search)
     rng = np.random.default_rng(0)
     measure_found(mixture, [Sample(0, wall(0), viewpoints[0])], viewpoints, SETTINGS, rng, NoProgress())
     np.testing.assert_array_equal(search.looked_from[0], viewpoints[3:])

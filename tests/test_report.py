@@ -16,12 +16,19 @@ import numpy as np
 import pytest
 
 from monoloc.errors import MissingExtraError
-from monoloc.experiments.figure import Claim, Drawn, Figure
-from monoloc.experiments.provenance import provenance
-from monoloc.experiments.report import REPORT_HTML, REPORT_JSON, REPORT_PDF, write_report
-from monoloc.experiments.report_text import Heading, Paragraph, Table, report_blocks, study_settings, without_repeats
-from monoloc.experiments.study import Study, builtin
-from monoloc.rooms import BUILD
+from monoloc_lab.experiments.figure import Claim, Drawn, Figure
+from monoloc_lab.experiments.provenance import provenance
+from monoloc_lab.experiments.report import REPORT_HTML, REPORT_JSON, REPORT_PDF, write_report
+from monoloc_lab.experiments.report_text import (
+    Heading,
+    Paragraph,
+    Table,
+    report_blocks,
+    study_settings,
+    without_repeats,
+)
+from monoloc_lab.experiments.study import Study, builtin
+from monoloc_lab.rooms import BUILD
 
 pypdf = pytest.importorskip("pypdf")
 
@@ -207,7 +214,7 @@ def test_provenance_counts_changes_of_tracked_files_only(tmp_path: Path, monkeyp
     git("init")
     git("add", "src")
     git("commit", "-m", "first")
-    monkeypatch.setattr("monoloc.experiments.provenance.__file__", str(source))
+    monkeypatch.setattr("monoloc_lab.experiments.provenance.__file__", str(source))
     (tmp_path / "reproduction").mkdir()
     (tmp_path / "reproduction" / "report.json").write_text("{}")
     assert re.fullmatch("[0-9a-f]{12}", provenance()["commit"])
@@ -218,7 +225,7 @@ def test_provenance_counts_changes_of_tracked_files_only(tmp_path: Path, monkeyp
 def test_missing_reportlab_is_said(
     written: tuple[Path, dict[str, Any]], study: Study, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from monoloc.experiments.report_pdf import pdf_file
+    from monoloc_lab.experiments.report_pdf import pdf_file
 
     for name in [name for name in sys.modules if name.startswith("reportlab")]:
         monkeypatch.delitem(sys.modules, name)

@@ -12,14 +12,14 @@ import pytest
 
 from conftest import REPOSITORY
 from monoloc.cli.main import invoke
-from monoloc.datasets.registry import open_recording
-from monoloc.datasets.rgbd_scenes_v2 import CAMERA, read_pose_file
-from monoloc.experiments import tasks
-from monoloc.experiments.engine import carry_out
-from monoloc.experiments.study import recorded
 from monoloc.geometry import transform
-from monoloc.map.cloud_files import read_cloud
+from monoloc.io.cloud_files import read_cloud
+from monoloc.io.registry import open_recording
+from monoloc.io.rgbd_scenes_v2 import CAMERA, read_pose_file
 from monoloc.progress import NoProgress
+from monoloc_lab.experiments import tasks
+from monoloc_lab.experiments.engine import carry_out
+from monoloc_lab.experiments.study import recorded
 
 pytestmark = [pytest.mark.data, pytest.mark.slow]
 NUMBERS = range(0, 96, 4)

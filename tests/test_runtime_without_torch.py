@@ -11,8 +11,8 @@ import pytest
 
 from cli_helpers import python
 from monoloc.bundle import read_bundle, write_bundle
-from monoloc.datasets.poses import read_tum
 from monoloc.evaluation.trajectory import pose_errors
+from monoloc.io.pose_files import read_tum
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture, write_recording
 
 # Everything that is no dependency of the bare package.
@@ -49,24 +49,24 @@ sys.meta_path.insert(0, Absent())
 ONLINE = [
     "monoloc",
     "monoloc.localizer",
-    "monoloc.runs",
+    "monoloc.run",
     "monoloc.bundle",
-    "monoloc.build",
-    "monoloc.odometry",
-    "monoloc.depth.runtime",
-    "monoloc.depth.model",
-    "monoloc.depth.fit",
-    "monoloc.datasets.registry",
-    "monoloc.evaluation.depth",
-    "monoloc.evaluation.plots",
-    "monoloc.map.fit",
-    "monoloc.outputs.tum",
-    "monoloc.viewer",
+    "monoloc.build.pipeline",
+    "monoloc.odometry.visual",
+    "monoloc.depth.predictor",
+    "monoloc.depth.model_files",
+    "monoloc.depth.scale_fit",
+    "monoloc.io.registry",
+    "monoloc.evaluation.depth_metrics",
+    "monoloc.viz.plots",
+    "monoloc.map.em",
+    "monoloc.io.tum_trajectory",
+    "monoloc.viz.viewer",
     "monoloc.adapt.settings",
-    "monoloc.adapt.calibrate",
-    "monoloc.experiments.engine",
-    "monoloc.experiments.figures",
-    "monoloc.bench.steps",
+    "monoloc.build.calibrate",
+    "monoloc_lab.experiments.engine",
+    "monoloc_lab.experiments.figures",
+    "monoloc_lab.bench.steps",
     "monoloc.cli.main",
     "monoloc.cli.app",
 ]
@@ -91,7 +91,7 @@ def monoloc(here: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize(
-    "name", ["torch", "onnx.helper", "scipy.optimize", "monoloc.adapt.run", "monoloc.depth.train"]
+    "name", ["torch", "onnx.helper", "scipy.optimize", "monoloc.adapt.adaptation", "monoloc.depth.training.train"]
 )
 def test_the_extras_are_really_absent(name):
     result = python(FORBID + f"import {name}")

@@ -7,7 +7,7 @@ import pytest
 
 from monoloc.camera import Camera
 from monoloc.geometry import se3_exp
-from monoloc.synth.blur import motion_blurred, velocities
+from monoloc_lab.synth.blur import motion_blurred, velocities
 
 CAMERA = Camera(160, 120, 136.6, 136.6, 79.5, 59.5)
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from monoloc.cli.main import invoke
-from monoloc.datasets.poses import read_tum
-from monoloc.synth.blur import velocities
-from monoloc.synth.layout import generate_room
-from monoloc.synth.rooms import read_room
+from monoloc.io.pose_files import read_tum
+from monoloc_lab.synth.blur import velocities
+from monoloc_lab.synth.layout import generate_room
+from monoloc_lab.synth.rooms import read_room
 
 
 @pytest.fixture(scope="module")
@@ -76,8 +76,8 @@ def test_blur_is_of_the_whole_flight_not_of_the_frames_rendered(home, tmp_path, 
         given.update(poses=poses, times_s=timestamps_s, velocities=velocities)
         return []
 
-    monkeypatch.setattr("monoloc.cli.synth.render_sequence", noted)
-    monkeypatch.setattr("monoloc.cli.synth.require_mitsuba", lambda: None)
+    monkeypatch.setattr("monoloc_lab.cli.synth.render_sequence", noted)
+    monkeypatch.setattr("monoloc_lab.cli.synth.require_mitsuba", lambda: None)
     out = tmp_path / "flight"
     assert invoke(["synth", "flight", "--seconds", "3", "--room", str(home / "room.json"), "--out", str(out)]) == 0
     times_s, poses = read_tum(out / "flight.txt")

@@ -7,13 +7,13 @@ import pytest
 
 from monoloc.errors import SettingError
 from monoloc.geometry import is_rigid, so3_exp, so3_log
-from monoloc.synth.flights import CAMERA_RATE_HZ, GRAVITY, Flight, FlightConfig, plan_flight
-from monoloc.synth.furniture import table
-from monoloc.synth.inertial import ImuModel, OdometryModel, simulate_imu, simulate_odometry, write_imu
-from monoloc.synth.layout import generate_room
-from monoloc.synth.materials import BLACK_PLASTIC
-from monoloc.synth.minimum_snap import minimum_snap
-from monoloc.synth.rooms import Object, Room
+from monoloc_lab.synth.flights import CAMERA_RATE_HZ, GRAVITY, Flight, FlightConfig, plan_flight
+from monoloc_lab.synth.furniture import table
+from monoloc_lab.synth.inertial import ImuModel, OdometryModel, simulate_imu, simulate_odometry, write_imu
+from monoloc_lab.synth.layout import generate_room
+from monoloc_lab.synth.materials import BLACK_PLASTIC
+from monoloc_lab.synth.minimum_snap import minimum_snap
+from monoloc_lab.synth.rooms import Object, Room
 
 CONFIG = FlightConfig(seconds=8.0)
 PERFECT = ImuModel(gyro_density=0.0, gyro_walk=0.0, accel_density=0.0, accel_walk=0.0, gyro_bias=0.0, accel_bias=0.0)

@@ -6,9 +6,16 @@ import numpy as np
 import pytest
 
 from monoloc.camera import Camera
-from monoloc.synth.denoise import Guide, denoised
-from monoloc.synth.light import LIGHTS, Light, levels, relit
-from monoloc.synth.sensor import DepthSensorConfig, SensorConfig, metered, photograph, structured_light, white_balance
+from monoloc_lab.synth.denoise import Guide, denoised
+from monoloc_lab.synth.light import LIGHTS, Light, levels, relit
+from monoloc_lab.synth.sensor import (
+    DepthSensorConfig,
+    SensorConfig,
+    metered,
+    photograph,
+    structured_light,
+    white_balance,
+)
 
 SENSOR = SensorConfig()
 FLAT = SensorConfig(vignetting=0.0, adapted=0.0)

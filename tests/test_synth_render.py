@@ -16,24 +16,24 @@ import pytest
 
 from monoloc.camera import Camera
 from monoloc.cli.main import invoke
-from monoloc.datasets.registry import open_recording
 from monoloc.errors import DataError, SettingError
 from monoloc.geometry import FloatArray, invert, make_pose, so3_exp, transform
-from monoloc.outputs.tum import write_tum
+from monoloc.io.registry import open_recording
+from monoloc.io.tum_trajectory import write_tum
 from monoloc.progress import NoProgress, Step
-from monoloc.synth import sequence as sequences
-from monoloc.synth import views as training
-from monoloc.synth.blur import velocities
-from monoloc.synth.building import empty_room, make_walls
-from monoloc.synth.fittings import Opening, pendant
-from monoloc.synth.furniture import box
-from monoloc.synth.light import LIGHTS, relit
-from monoloc.synth.materials import Material, paint
-from monoloc.synth.render import Picture, Renderer, illuminance, mixed
-from monoloc.synth.rooms import Object, Room, read_room, write_room
-from monoloc.synth.sensor import SensorConfig, photograph
-from monoloc.synth.sequence import RenderConfig, render_sequence
-from monoloc.synth.views import render_views
+from monoloc_lab.synth import random_views as training
+from monoloc_lab.synth import sequence as sequences
+from monoloc_lab.synth.blur import velocities
+from monoloc_lab.synth.building import empty_room, make_walls
+from monoloc_lab.synth.fittings import Opening, pendant
+from monoloc_lab.synth.furniture import box
+from monoloc_lab.synth.light import LIGHTS, relit
+from monoloc_lab.synth.materials import Material, paint
+from monoloc_lab.synth.random_views import render_views
+from monoloc_lab.synth.render import Picture, Renderer, illuminance, mixed
+from monoloc_lab.synth.rooms import Object, Room, read_room, write_room
+from monoloc_lab.synth.sensor import SensorConfig, photograph
+from monoloc_lab.synth.sequence import RenderConfig, render_sequence
 
 pytestmark = [
     pytest.mark.slow,

@@ -9,15 +9,15 @@ import pytest
 
 from monoloc.errors import DataError, SettingError
 from monoloc.geometry import make_pose, so3_exp
-from monoloc.synth.boxes import Boxes
-from monoloc.synth.furniture import chair, table
-from monoloc.synth.layout import generate_room, imported_room
-from monoloc.synth.materials import Material, wood
-from monoloc.synth.mesh_files import read_mesh
-from monoloc.synth.rooms import Object, Room, read_room, write_room
-from monoloc.synth.scene import room_meshes
-from monoloc.synth.shapes import Mesh, box, cylinder, ellipsoid, panel
-from monoloc.synth.textures import TEXTURES, texture
+from monoloc_lab.synth.boxes import Boxes
+from monoloc_lab.synth.furniture import chair, table
+from monoloc_lab.synth.layout import generate_room, imported_room
+from monoloc_lab.synth.materials import Material, wood
+from monoloc_lab.synth.mesh_files import read_mesh
+from monoloc_lab.synth.rooms import Object, Room, read_room, write_room
+from monoloc_lab.synth.scene import room_meshes
+from monoloc_lab.synth.shapes import Mesh, box, cylinder, ellipsoid, panel
+from monoloc_lab.synth.textures import TEXTURES, texture
 
 SEEDS = range(8)
 OAK = wood((0.8, 0.6, 0.4), (0.6, 0.4, 0.3))

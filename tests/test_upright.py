@@ -11,18 +11,18 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from map_helpers import make_mixture
-from monoloc.datasets.registry import select_frames
-from monoloc.depth.runtime import DepthPrediction
+from monoloc.depth.predictor import DepthPrediction
 from monoloc.evaluation.trajectory import pose_errors
-from monoloc.filter.estimate import Estimate
-from monoloc.filter.lasting import LastingErrors
-from monoloc.filter.scan import Scan
-from monoloc.filter.upright import turned_about_m, upright
+from monoloc.fusion.bias_model import LastingErrors
+from monoloc.fusion.gravity import turned_about_m, upright
 from monoloc.geometry import FloatArray, is_rigid, rotation_angle, se3_exp, so3_exp, transform
-from monoloc.map.down import down_of
+from monoloc.io.registry import select_frames
+from monoloc.likelihood.scan import Scan
+from monoloc.map.down_direction import down_of
 from monoloc.map.mixture import GaussianMixture
+from monoloc.particle_filter.estimate import Estimate
 from monoloc.progress import NoProgress
-from monoloc.runs import Start, localize
+from monoloc.run import Start, localize
 from synthetic_room import (
     FRAME_S,
     SETTINGS,

@@ -21,16 +21,16 @@ import rerun_cli
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
-from monoloc import viewer
 from monoloc.bundle import Bundle, read_bundle, write_bundle
-from monoloc.cli import demo
 from monoloc.cli.main import invoke
 from monoloc.errors import DataError, SettingError
-from monoloc.evaluation.clouds import cloud_distances, matched_clouds
+from monoloc.evaluation.cloud_metrics import cloud_distances, matched_clouds
 from monoloc.geometry import quaternion_to_rotation, transform
 from monoloc.progress import NoProgress
-from monoloc.runs import Run, Start, localize
-from monoloc.viewer import NoViewer, Viewer, run_viewer
+from monoloc.run import Run, Start, localize
+from monoloc.viz import viewer
+from monoloc.viz.viewer import NoViewer, Viewer, run_viewer
+from monoloc_lab.cli import demo
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture, write_recording
 
 FRAMES = 8

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from monoloc.filter.viewpoints import Viewpoints, likeness
+from monoloc.fusion.reference_poses import Viewpoints, likeness
 from monoloc.geometry import FloatArray, se3_exp, viewpoints_apart
 
 twists = arrays(np.float64, (5, 6), elements=st.floats(-1.0, 1.0))

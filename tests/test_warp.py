@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from depth_helpers import ROOM, SMALL_CAMERA, looking_around
 from monoloc import _core
-from monoloc.adapt.reference import NO_POINT, draw_points
+from monoloc.adapt.draw_points import NO_POINT, draw_points
 from monoloc.adapt.warp import ColoredPoints, forward_warp, points_of
 from monoloc.camera import Camera
-from monoloc.depth_image import at_discontinuity
+from monoloc.depth.depth_image import at_discontinuity
 from monoloc.geometry import invert, se3_exp, transform
 
 FloatArray = NDArray[np.float64]

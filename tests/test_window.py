@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from monoloc.geometry import FloatArray, invert, se3_exp, so3_exp, transform
-from monoloc.window import Window, _linearise, adjust
+from monoloc.odometry.window import Window, _linearise, adjust
 
 FRAMES, CORNERS = 6, 120
 RAY_SD, LOG_DEPTH_SD = 0.002, 0.3

@@ -27,17 +27,17 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from monoloc import __version__
 from monoloc.camera import Camera
 from monoloc.config import describe
-from monoloc.depth.model import read_model
+from monoloc.depth.model_files import read_model
+from monoloc.depth.models import is_shipped
 from monoloc.depth.spec import DepthModel, ModelSpec
 from monoloc.errors import BundleError
-from monoloc.filter.health import HealthyRange
-from monoloc.filter.viewpoints import Viewpoints
+from monoloc.fusion.reference_poses import Viewpoints
 from monoloc.geometry import FloatArray, se3_exp, se3_log
-from monoloc.landmarks import Landmarks
+from monoloc.landmarks.features import Landmarks
 from monoloc.localizer import LocalizerConfig
-from monoloc.map.down import down_of
+from monoloc.map.down_direction import down_of
 from monoloc.map.mixture import GaussianMixture
-from monoloc.models import is_shipped
+from monoloc.supervision.state import HealthyRange
 
 SCHEMA = 7
 _MANIFEST, _MAP, _LANDMARKS, _DEPTH = "manifest.json", "map.npz", "landmarks.npz", "depth.onnx"
@@ -231,11 +231,11 @@ def read_bundle(path: Path) -> Bundle:
 
 
 def read_network(network: str | Path) -> DepthModel:
-    """A depth network by bundle, or as :func:`monoloc.depth.model.read_model` takes it.
+    """A depth network by bundle, or as :func:`monoloc.depth.model_files.read_model` takes it.
 
     Raises:
         BundleError: a folder that is no bundle.
-        DataError, MissingExtraError: as :func:`monoloc.depth.model.read_model`.
+        DataError, MissingExtraError: as :func:`monoloc.depth.model_files.read_model`.
     """
     if Path(network).is_dir() and not is_shipped(str(network)):
         return read_bundle(Path(network)).depth_model

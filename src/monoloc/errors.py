@@ -34,8 +34,15 @@ class BundleError(DataError):
 
 
 class MissingExtraError(MonolocError):
-    """A part of monoloc was asked for whose libraries are not installed."""
+    """Something was asked for whose libraries are not installed.
 
-    def __init__(self, what: str, extra: str) -> None:
-        fix = f'install it, where the sources are, with: pip install ".[{extra}]"'
-        super().__init__(f'{what} needs the extra "{extra}"; {fix}')
+    Args:
+        what: needs them.
+        extra: of the package, which brings them.
+        package: ``monoloc`` or ``monoloc-lab``.
+    """
+
+    def __init__(self, what: str, extra: str, package: str = "monoloc") -> None:
+        folder = {"monoloc": ".", "monoloc-lab": "./lab"}[package]
+        fix = f'in a checkout of monoloc, run: pip install "{folder}[{extra}]"'
+        super().__init__(f'{what} needs the extra "{extra}" of {package}; {fix}')

@@ -34,20 +34,6 @@ def require_viewing() -> None:
         raise MissingExtraError("the viewer", "view") from error
 
 
-def require_reporting() -> None:
-    """Say before the work is done that something of ``monoloc reproduce`` is not installed.
-
-    Raises:
-        MissingExtraError: matplotlib, joblib or ReportLab is not installed.
-    """
-    require_plotting()
-    try:
-        import joblib  # noqa: F401
-        import reportlab  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("reports", "report") from error
-
-
 @contextmanager
 def training_extra() -> Iterator[None]:
     """Imports of PyTorch and its company, with a clear word where they are missing."""

@@ -12,27 +12,27 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.camera import Camera
 from monoloc.contrast import shows_something
-from monoloc.depth.runtime import DepthPrediction
-from monoloc.filter.estimate import Estimate, estimate
-from monoloc.filter.health import WIDE_SD_M, HealthyRange, State, is_wide, judge
-from monoloc.filter.joined import Joiner
-from monoloc.filter.lasting import LastingErrors
-from monoloc.filter.level import LevelConfig, level
-from monoloc.filter.motion import MotionConfig, predict
-from monoloc.filter.particles import Particles
-from monoloc.filter.progressive import correct
-from monoloc.filter.recovery import Recovery
-from monoloc.filter.resample import resample
-from monoloc.filter.scan import NOTHING, Scan, scan_from_corners, scan_from_depth
-from monoloc.filter.search import Search
-from monoloc.filter.upright import turned_about_m, upright
-from monoloc.filter.viewpoints import Viewpoints
-from monoloc.filter.weigh import Measurement, MeasurementConfig
+from monoloc.depth.predictor import DepthPrediction
+from monoloc.fusion.bias_filter import Joiner
+from monoloc.fusion.bias_model import LastingErrors
+from monoloc.fusion.gravity import turned_about_m, upright
+from monoloc.fusion.reference_poses import Viewpoints
 from monoloc.geometry import FloatArray
-from monoloc.landmarks import Landmarks
+from monoloc.landmarks.features import Landmarks
+from monoloc.landmarks.pnp import LandmarkSight, Sighting
+from monoloc.likelihood.scan import NOTHING, Scan, scan_from_corners, scan_from_depth
+from monoloc.likelihood.scan_likelihood import Measurement, MeasurementConfig
 from monoloc.map.mixture import GaussianMixture
-from monoloc.odometry import Motion, OdometryConfig, VisualOdometry
-from monoloc.sighting import LandmarkSight, Sighting
+from monoloc.odometry.scale_tilt import LevelConfig, level
+from monoloc.odometry.visual import Motion, OdometryConfig, VisualOdometry
+from monoloc.particle_filter.estimate import Estimate, estimate
+from monoloc.particle_filter.motion_model import MotionConfig, predict
+from monoloc.particle_filter.particles import Particles
+from monoloc.particle_filter.resampling import resample
+from monoloc.particle_filter.tempering import correct
+from monoloc.relocalization.search import Search
+from monoloc.relocalization.state_machine import Recovery
+from monoloc.supervision.state import WIDE_SD_M, HealthyRange, State, is_wide, judge
 
 _FEWEST_POINTS = 10  # of a scan that says where the camera is
 
@@ -47,7 +47,7 @@ class LocalizerConfig(BaseModel):
         log_scale_sd: spread of the depth's log-scale from image to image.
         level: how depth is levelled on the corners that odometry follows; None leaves it as it is.
         lasting: errors that last from frame to frame, of which the particles know nothing; see
-            :mod:`monoloc.filter.joined`.
+            :mod:`monoloc.fusion.bias_filter`.
         sighted: the same of what landmarks say.
     """
 
@@ -72,19 +72,19 @@ class LocalizerConfig(BaseModel):
 
 
 class DepthSource(Protocol):
-    """Depth of a colour image; :class:`monoloc.depth.runtime.DepthPredictor` is one."""
+    """Depth of a colour image; :class:`monoloc.depth.predictor.DepthPredictor` is one."""
 
     def __call__(self, color: NDArray[np.uint8]) -> DepthPrediction: ...
 
 
 class Odometry(Protocol):
-    """Motion of the camera from frame to frame; :class:`monoloc.odometry.VisualOdometry` is one."""
+    """Motion of the camera from frame to frame; :class:`monoloc.odometry.visual.VisualOdometry` is one."""
 
     def step(self, color: NDArray[np.uint8], depth_m: NDArray[np.float32], depth_camera: Camera) -> Motion | None: ...
 
 
 class Sight(Protocol):
-    """Where a camera is by landmarks, as :class:`monoloc.sighting.LandmarkSight` says."""
+    """Where a camera is by landmarks, as :class:`monoloc.landmarks.pnp.LandmarkSight` says."""
 
     def __call__(self, color: NDArray[np.uint8], belief: FloatArray, covariance: FloatArray) -> Sighting | None: ...
     def anywhere(self, color: NDArray[np.uint8]) -> Sighting | None: ...

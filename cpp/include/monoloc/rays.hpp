@@ -19,7 +19,7 @@ class RayMixture {
  public:
   explicit RayMixture(const std::vector<Component>& mixture);
 
-  // For every particle: sum_p w_p log p(log d_p | ray), see monoloc.map.reference.weigh_rays.
+  // For every particle: sum_p w_p log p(log d_p | ray), see monoloc.map.numpy_twins.weigh_rays.
   //   poses (N, 4, 4) T_world_camera; log_scales (N); scan (P, 3) in the camera's frame, z > 0; point_weights (P), or
   //   nullptr for ones; threads: share the particles, the result is the same for any number.
   void weigh(const double* poses, const double* log_scales, std::size_t particles, const float* scan,

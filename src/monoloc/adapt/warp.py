@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from monoloc import _core
 from monoloc.camera import Camera
-from monoloc.depth_image import at_discontinuity
+from monoloc.depth.depth_image import at_discontinuity
 from monoloc.geometry import FloatArray, invert, transform
 
 _FINE = 2  # points are drawn at this many times the view's size and averaged down

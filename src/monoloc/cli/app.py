@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from importlib.metadata import entry_points
 from typing import Annotated
 
 import typer
 from typer.exceptions import Abort, TyperException
 
 from monoloc import __version__
-from monoloc.cli import bench, build, demo, depth, evaluate, inspect, localize, map_, reproduce, synth
+from monoloc.cli import build, depth, evaluate, inspect, localize, map_
 from monoloc.errors import MonolocError
 
 _OF_CTRL_C = 130  # the result that typer makes of it
+_LAB_COMMANDS = ("bench", "demo", "reproduce", "synth")
 
 app = typer.Typer(
     name="monoloc",
@@ -21,16 +23,25 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-app.command("demo")(demo.demo)
 app.command("build")(build.build)
 app.command("localize")(localize.localize_command)
 app.command("evaluate")(evaluate.evaluate)
-app.command("reproduce")(reproduce.reproduce)
 app.command("inspect")(inspect.inspect)
 app.add_typer(map_.app, name="map")
 app.add_typer(depth.app, name="depth")
-app.add_typer(bench.app, name="bench")
-app.add_typer(synth.app, name="synth")
+
+
+def _add_installed_commands() -> None:
+    """Commands of other packages, as their entry points in the group ``monoloc.commands`` name them."""
+    for entry in sorted(entry_points(group="monoloc.commands"), key=lambda entry: entry.name):
+        command = entry.load()
+        if isinstance(command, typer.Typer):
+            app.add_typer(command, name=entry.name)
+        else:
+            app.command(entry.name)(command)
+
+
+_add_installed_commands()
 
 
 def _show_version(is_asked: bool) -> None:
@@ -62,6 +73,9 @@ def carry_out(arguments: list[str]) -> int:
     except TyperException as error:
         context = getattr(error, "ctx", None)
         problem = error.format_message()
+        if arguments and arguments[0] in _LAB_COMMANDS and context is not None and context.parent is None:
+            fix = "in a checkout of monoloc, run: pip install ./lab"
+            raise MonolocError(f"monoloc {arguments[0]} comes with monoloc-lab; {fix}") from error
         if "\n" in problem:  # a group alone: the answer is its help
             typer.echo(problem, err=True)
             return 2

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from monoloc.adapt.settings import Tune
-from monoloc.build import BuildConfig, build_bundle
+from monoloc.build.pipeline import BuildConfig, build_bundle
 from monoloc.bundle import check_target, write_bundle
 from monoloc.cli.common import (
     DepthScaleOption,
@@ -25,11 +25,11 @@ from monoloc.cli.common import (
     stderr,
 )
 from monoloc.config import load_settings, override
-from monoloc.depth.model import trainable_file
+from monoloc.depth.model_files import trainable_file
+from monoloc.depth.models import DEFAULT, is_shipped
 from monoloc.errors import SettingError
 from monoloc.files import target_of
-from monoloc.map.cloud_files import read_cloud
-from monoloc.models import DEFAULT, is_shipped
+from monoloc.io.cloud_files import read_cloud
 from monoloc.progress import ConsoleProgress
 
 _OPTIONS = {

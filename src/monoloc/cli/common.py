@@ -14,13 +14,13 @@ from rich.console import Console
 from rich.table import Table
 
 from monoloc.camera import Camera
-from monoloc.datasets.base import Selection
-from monoloc.datasets.options import ReaderOptions
-from monoloc.datasets.registry import open_recording, select_frames
 from monoloc.errors import SettingError
 from monoloc.extras import require_plotting, require_viewing
 from monoloc.files import json_text, target_of
-from monoloc.viewer import require_window
+from monoloc.io.reader_options import ReaderOptions
+from monoloc.io.recording import Selection
+from monoloc.io.registry import open_recording, select_frames
+from monoloc.viz.viewer import require_window
 
 # Paths are printed as they are, whatever Rich would read in their brackets and colons.
 stderr = Console(stderr=True, highlight=False, markup=False, emoji=False)

@@ -30,18 +30,18 @@ from monoloc.cli.common import (
     stderr,
 )
 from monoloc.config import load_settings, override
-from monoloc.datasets.base import Recording
-from monoloc.depth.fit import fit_to_depth
-from monoloc.depth.judge import judge_network
-from monoloc.depth.runtime import DepthPredictor
+from monoloc.depth.models import shipped_models
+from monoloc.depth.network_evaluation import judge_network
+from monoloc.depth.predictor import DepthPredictor
+from monoloc.depth.scale_fit import fit_to_depth
 from monoloc.depth.spec import monoloc_spec, network_images
 from monoloc.errors import DataError, SettingError
-from monoloc.evaluation.plots import plot_depth, plot_training
 from monoloc.evaluation.uncertainty import plot_calibration
 from monoloc.extras import require_plotting, training_extra
 from monoloc.files import write_whole
-from monoloc.models import shipped_models
+from monoloc.io.recording import Recording
 from monoloc.progress import ConsoleProgress, NoProgress
+from monoloc.viz.plots import plot_depth, plot_training
 
 app = typer.Typer(help="Train, judge and export depth networks.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -92,7 +92,7 @@ def train(
           --validate 1349: --settings one-third-0.35-finish.toml --out runs/with-rooms
     """
     with training_extra():
-        from monoloc.depth.train import EpochRecord, TrainConfig, train_network
+        from monoloc.depth.training.train import EpochRecord, TrainConfig, train_network
     check_folder(out, "--out")
     check_apart(out / "network.safetensors", "--out", (start,))
     if encoder is not None and start is not None:
@@ -209,9 +209,9 @@ def export(
       monoloc depth export runs/nyu/network.safetensors --out small.onnx --int8 folder:nyu-labelled --frames ::10
     """
     with training_extra():
-        from monoloc.depth.checkpoint import load_network
-        from monoloc.depth.export import export_onnx
-        from monoloc.depth.quantise import quantise
+        from monoloc.depth.training.checkpoint import load_network
+        from monoloc.depth.training.export import export_onnx
+        from monoloc.depth.training.quantise import quantise
     check_outputs({"--out": out}, (network, int8))
     if int8 is None:
         refuse_frames(frames, "an export in 32 bits")

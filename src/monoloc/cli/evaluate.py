@@ -10,12 +10,12 @@ import numpy as np
 import typer
 
 from monoloc.cli.common import FramesOption, JsonOption, open_source, print_json, print_table, refuse_frames
-from monoloc.datasets.poses import nearest_times, read_tum
-from monoloc.datasets.registry import FORMATS
-from monoloc.datasets.tum import MAX_TIME_DIFFERENCE_S
 from monoloc.errors import DataError
 from monoloc.evaluation.trajectory import relative_pose_errors, summarise
 from monoloc.geometry import FloatArray
+from monoloc.io.pose_files import nearest_times, read_tum
+from monoloc.io.registry import FORMATS
+from monoloc.io.tum_recording import MAX_TIME_DIFFERENCE_S
 
 
 def evaluate(

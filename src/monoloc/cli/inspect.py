@@ -23,10 +23,10 @@ from monoloc.cli.common import (
     refuse_frames,
     text_of,
 )
-from monoloc.datasets.base import Selection
 from monoloc.errors import SettingError
 from monoloc.evaluation.trajectory import twist_errors
-from monoloc.filter.viewpoints import Viewpoints
+from monoloc.fusion.reference_poses import Viewpoints
+from monoloc.io.recording import Selection
 from monoloc.map.compare import compare_maps
 
 

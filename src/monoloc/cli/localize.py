@@ -33,16 +33,16 @@ from monoloc.cli.common import (
     stderr,
 )
 from monoloc.config import override
-from monoloc.datasets.base import Recording
-from monoloc.datasets.poses import UNIT_TOLERANCE
 from monoloc.errors import MonolocError, SettingError
-from monoloc.evaluation.plots import plot_localization
-from monoloc.filter.health import State
 from monoloc.geometry import FloatArray, make_pose, quaternion_to_rotation
-from monoloc.outputs.tum import write_tum
+from monoloc.io.pose_files import UNIT_TOLERANCE
+from monoloc.io.recording import Recording
+from monoloc.io.tum_trajectory import write_tum
 from monoloc.progress import ConsoleProgress
-from monoloc.runs import Run, Start, localize
-from monoloc.viewer import run_viewer
+from monoloc.run import Run, Start, localize
+from monoloc.supervision.state import State
+from monoloc.viz.plots import plot_localization
+from monoloc.viz.viewer import run_viewer
 
 _LEAST_OFF_M, _LEAST_OFF_RAD = 0.03, 0.015  # no start is known better
 _UNKNOWN = "unknown"  # start

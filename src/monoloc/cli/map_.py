@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from monoloc.build import BuildConfig, fit_map
+from monoloc.build.pipeline import BuildConfig, fit_map
 from monoloc.bundle import read_bundle
 from monoloc.cli.common import (
     EXTENT_SIGMAS,
@@ -29,12 +29,12 @@ from monoloc.cli.common import (
     text_of,
 )
 from monoloc.config import override
-from monoloc.evaluation.clouds import COMPARED_POINTS, compare_clouds
-from monoloc.evaluation.map_drawing import plot_map_change
-from monoloc.map.cloud_files import CLOUD_SUFFIXES, read_cloud
+from monoloc.evaluation.cloud_metrics import COMPARED_POINTS, compare_clouds
+from monoloc.io.cloud_files import CLOUD_SUFFIXES, read_cloud
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import ConsoleProgress
-from monoloc.viewer import show_map_change
+from monoloc.viz.map_drawing import plot_map_change
+from monoloc.viz.viewer import show_map_change
 
 app = typer.Typer(
     help="Fit a map to a room, look at one, and see what adaptation did to it.",

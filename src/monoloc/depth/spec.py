@@ -12,8 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validat
 from pydantic_core import PydanticCustomError
 
 from monoloc.camera import Camera
-from monoloc.datasets.base import Recording
 from monoloc.errors import SettingError
+from monoloc.io.recording import Recording
 
 STRIDE = 32  # our networks halve their input five times
 FOCAL_KEY = "monoloc_focal_px"

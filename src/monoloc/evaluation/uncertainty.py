@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from monoloc.evaluation.picture import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, picture
 from monoloc.geometry import FloatArray
+from monoloc.viz.picture import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, picture
 
 _BINS = 10
 _COLOURS = (BLUE, ORANGE, GREEN, VERMILION, PURPLE)

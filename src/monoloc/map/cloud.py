@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from monoloc.datasets.base import Recording
-from monoloc.depth_image import at_discontinuity
+from monoloc.depth.depth_image import at_discontinuity
 from monoloc.errors import DataError, SettingError
 from monoloc.geometry import FloatArray, transform
+from monoloc.io.recording import Recording
 from monoloc.map.arguments import float64
 
 IntArray = NDArray[np.int64]

@@ -72,7 +72,7 @@ class MixtureIndex:
         threads: int = 1,
     ) -> FloatArray:
         """Log-likelihood of a scan for every particle, not tempered:
-        ``sum_p w_p log((1 - eps) M(T e^s x_p) + eps / V)``. Twin: :func:`monoloc.map.reference.weigh`.
+        ``sum_p w_p log((1 - eps) M(T e^s x_p) + eps / V)``. Twin: :func:`monoloc.map.numpy_twins.weigh`.
 
         Args:
             poses: ``T_world_camera``, (N, 4, 4).

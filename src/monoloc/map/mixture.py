@@ -18,8 +18,8 @@ from monoloc.files import write_whole
 from monoloc.geometry import FloatArray
 from monoloc.map.arguments import float64
 from monoloc.map.index import MixtureIndex
+from monoloc.map.numpy_twins import log_sum_exp, log_terms
 from monoloc.map.rays import RayMixture
-from monoloc.map.reference import log_sum_exp, log_terms
 
 BYTES_PER_COMPONENT = 40  # ten float32: weight, mean, Cholesky factor
 _POINTS_AT_ONCE = 4096

@@ -40,7 +40,7 @@ class RayMixture:
 
         ``sum_p w_p log((1 - eps) d p(d | ray) + eps / range)`` with d the particle's scale times predicted depth and
         p that of the map cut by the ray, widened by the error of depth. Twin, and formula:
-        :func:`monoloc.map.reference.weigh_rays`.
+        :func:`monoloc.map.numpy_twins.weigh_rays`.
 
         Args:
             poses: ``T_world_camera``, (N, 4, 4).

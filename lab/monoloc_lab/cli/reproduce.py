@@ -1,0 +1,185 @@
+"""``monoloc reproduce``: the source paper's figures and table, and what goes beyond them, on a room of choice."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from monoloc.cli.common import JsonOption, check_folder, print_json, print_table, stderr
+from monoloc.errors import DataError, SettingError
+from monoloc.extras import require_plotting, training_extra
+from monoloc.io.registry import absolute_source, open_recording
+from monoloc.progress import ConsoleProgress
+
+if TYPE_CHECKING:
+    from monoloc_lab.experiments.study import Study
+    from monoloc_lab.experiments.task import Task
+
+_BUILTIN = "builtin"
+
+
+def reproduce(
+    figures: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[FIGURE]...", help="Some of them, such as fig4d; all of them for none."),
+    ] = None,
+    data: Annotated[
+        str,
+        typer.Option(
+            "--data", help=f"{_BUILTIN}, the rendered room that comes with monoloc, or a SOURCE with poses and depth."
+        ),
+    ] = _BUILTIN,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for results, pictures and the report.")] = Path(
+        "reproduction"
+    ),
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Two sizes, shorter trainings, and without what costs most.")
+    ] = False,
+    builds: Annotated[
+        int | None,
+        typer.Option(
+            "--builds",
+            min=1,
+            help="How often the room is built anew, for the spread of builds; 5 by default, 1 with --quick.",
+            show_default=False,
+        ),
+    ] = None,
+    size: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--size", help="Of networks, may be repeated; all four by default, two with --quick.", show_default=False
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers", min=1, help="Processes of one thread each; one a core by default.", show_default=False
+        ),
+    ] = None,
+    dask: Annotated[
+        str | None,
+        typer.Option(
+            "--dask", metavar="ADDRESS", help="A Dask scheduler whose workers do the work, tcp://HOST:8786."
+        ),
+    ] = None,
+    encoder: Annotated[
+        Path | None,
+        typer.Option(
+            "--encoder",
+            help="MobileNetV2 weights (.npz) that PoseNets start from; by default the depth network's encoder.",
+        ),
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Make the source paper's figures and table, and say which of its claims hold here.
+
+    What was done before is not done again, so a run that was cut off goes on, and figures can be asked for one by
+    one. With --dask, all machines need the same monoloc, the same data, and the folder --out.
+
+    \b
+    Examples:
+      monoloc reproduce --quick
+      monoloc reproduce fig4d fig5b --data 7scenes:redkitchen --out kitchen
+      monoloc reproduce --data 7scenes:redkitchen --builds 1 --size full --size one-third --out kitchen --json
+      monoloc reproduce --dask tcp://head:8786 --out /shared/reproduction
+    """
+    with training_extra():
+        import torch  # noqa: F401
+    from monoloc_lab.experiments.engine import carry_out, check_scheduler
+    from monoloc_lab.experiments.figures import chosen_figures, draw_figure
+    from monoloc_lab.experiments.report import write_report
+
+    started = time.perf_counter()
+    chosen = chosen_figures(figures or [])
+    check_folder(out, "--out")
+    if workers is not None and dask is not None:
+        raise SettingError("--workers", "is of this machine, and --dask of others", "leave one of them out")
+    require_plotting()
+    study = _study(data, quick, builds, size, encoder)
+    if dask is not None:
+        check_scheduler(dask)
+    wanted = [(figure, figure.tasks(study)) for figure in chosen]
+    drawable = [(figure, tasks) for figure, tasks in wanted if tasks is not None]
+    left_out = [figure for figure, tasks in wanted if tasks is None]
+    if not drawable:
+        names = ", ".join(figure.name for figure in left_out)
+        raise SettingError("--quick", f"leaves out {names}, and nothing else is asked for", "run without it")
+    tasks = [task for _, tasks in drawable for task in tasks]
+    _check_length(tasks)
+    out = out.resolve()
+    out.mkdir(exist_ok=True)
+    results = carry_out(tasks, out, ConsoleProgress(stderr), workers or len(os.sched_getaffinity(0)), dask)
+    drawn = [(figure, draw_figure(figure, study, results, out)) for figure, _ in drawable]
+    worked_s = sum(result.seconds for result in results.values())
+    content = write_report(out, study, drawn, left_out, time.perf_counter() - started, worked_s)
+    if json:
+        print_json({name: content[name] for name in ("claims", "figures", "report", "seconds")})
+        return
+    if content["claims"]:
+        print_table(
+            f"{study.title}: claims of the source paper",
+            ["", "holds", "measured"],
+            [[claim["name"], "yes" if claim["holds"] else "no", claim["figure"]] for claim in content["claims"]],
+        )
+    stderr.print(f"{content['seconds']:.0f} s; report: {content['report']}")
+
+
+def _study(data: str, quick: bool, builds: int | None, sizes: list[str] | None, encoder: Path | None) -> Study:
+    """What is to be studied.
+
+    Raises:
+        DataError, SettingError: a source that cannot be read, or has no poses or no depth; no such file of weights;
+            more builds than runs; a size that there is not.
+    """
+    from dataclasses import replace
+
+    from monoloc_lab.experiments.study import SIZES, builtin, recorded
+
+    if encoder is not None and not encoder.is_file():
+        raise SettingError("--encoder", f"{encoder} does not exist", "give MobileNetV2 weights as .npz")
+    if data == _BUILTIN:
+        study = builtin(quick)
+    else:
+        source = absolute_source(data)
+        recording = open_recording(source)
+        lacking = "no poses" if recording.poses is None else None if recording.has_depth else "no depth"
+        if lacking is not None:
+            raise DataError(recording.name, f"has {lacking}", f"give --data {_BUILTIN}, or one with poses and depth")
+        study = recorded(source, recording.name, len(recording), quick)
+    if builds is not None:
+        if builds > study.seeds:
+            raise SettingError(
+                "--builds", f"is {builds}, and runs have {study.seeds} seeds", "give no more than that"
+            )
+        study = replace(study, builds=builds)
+    if sizes:
+        unknown = next((size for size in sizes if size not in SIZES), None)
+        if unknown is not None:
+            raise SettingError("--size", f"there is no {unknown}", f"give some of {', '.join(SIZES)}")
+        study = replace(study, sizes=tuple(size for size in SIZES if size in sizes))
+    return study if encoder is None else replace(study, encoder_weights=str(encoder.resolve()))
+
+
+def _check_length(tasks: Sequence[Task]) -> None:
+    """Refuse a recording that is too short for the PoseNets asked for, before the work is done.
+
+    Raises:
+        DataError: saying how many frames it takes.
+    """
+    from monoloc_lab.baselines.posenet_training import PoseNetTraining
+    from monoloc_lab.experiments.engine import in_order
+    from monoloc_lab.experiments.study import FRAMES_PER_BUILT
+
+    for task in in_order(tasks):
+        if task.kind == "posenet-search":
+            built = task.settings["build"]
+            least = PoseNetTraining.model_validate(task.settings["training"]).least_frames
+            if built["length"] < least:
+                problem = f"gives {built['length']} frames to build from, and PoseNets need {least}"
+                fix = f"give one of {FRAMES_PER_BUILT * least} frames or more, or ask for figures without PoseNets"
+                raise DataError(built["name"], problem, fix)

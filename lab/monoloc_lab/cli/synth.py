@@ -1,0 +1,214 @@
+"""``monoloc synth``: rooms, flights through them, and what a camera sees on the way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import typer
+
+from monoloc.camera import Camera
+from monoloc.cli.common import JsonOption, SeedOption, check_folder, print_json, stderr
+from monoloc.errors import SettingError
+from monoloc.geometry import FloatArray
+from monoloc.io.pose_files import read_tum
+from monoloc.io.tum_trajectory import write_tum
+from monoloc.progress import ConsoleProgress
+from monoloc_lab.synth.blur import velocities
+from monoloc_lab.synth.flights import FlightConfig, plan_flight
+from monoloc_lab.synth.inertial import ImuModel, OdometryModel, simulate_imu, simulate_odometry, write_imu
+from monoloc_lab.synth.layout import generate_room, imported_room
+from monoloc_lab.synth.light import LIGHTS, Light
+from monoloc_lab.synth.random_views import render_views
+from monoloc_lab.synth.render import require_mitsuba
+from monoloc_lab.synth.rooms import Room, read_room, write_room
+from monoloc_lab.synth.sequence import ROOM, RenderConfig, render_sequence
+
+app = typer.Typer(
+    help="Make rooms, fly through them, render the flights.", no_args_is_help=True, rich_markup_mode=None
+)
+
+_FOCAL_SHARE = 0.854  # focal length over width: NYU's field of view of 61 degrees
+_FLIGHT = "flight.txt"
+
+OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder to write into.")]
+RoomOption = Annotated[
+    Path | None, typer.Option("--room", help="A room.json. [OUT/room.json, or a room made from the seed]")
+]
+SecondsOption = Annotated[float, typer.Option("--seconds", min=1.0, max=600.0, help="Length of the flight.")]
+SamplesOption = Annotated[int, typer.Option("--samples", min=1, help="Paths a pixel and light group.")]
+
+
+@app.command()
+def room(
+    out: OutOption,
+    seed: SeedOption = 0,
+    mesh: Annotated[
+        Path | None, typer.Option("--mesh", help="A ply of triangles (metres, z up) to take for the room.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Make a furnished room.
+
+    \b
+    Examples:
+      monoloc synth room --seed 3 --out home
+      monoloc synth room --mesh scan.ply --out scanned
+    """
+    check_folder(out, "--out")
+    made = generate_room(seed) if mesh is None else imported_room(mesh)
+    _check_same_room(out, made)
+    out.mkdir(exist_ok=True)
+    write_room(out / ROOM, made)
+    if json:
+        print_json({"room": str(out / ROOM), "size_m": list(made.size), "objects": made.names})
+    else:
+        width, depth, height = made.size
+        stderr.print(f"{out / ROOM}: {width:.2f} x {depth:.2f} x {height:.2f} m, {len(made.objects)} objects")
+
+
+@app.command()
+def flight(
+    out: OutOption,
+    seed: SeedOption = 0,
+    room: RoomOption = None,
+    seconds: SecondsOption = 10.0,
+    json: JsonOption = False,
+) -> None:
+    """Plan a drone's flight: camera poses at 30 Hz, and what its IMU and odometer would have said.
+
+    OUT/flight.txt and OUT/odometry.txt are TUM trajectories, OUT/imu.csv has 200 samples a second.
+
+    \b
+    Examples:
+      monoloc synth flight --seed 3 --out home
+      monoloc synth flight --seed 4 --room home/room.json --seconds 30 --out second-flight
+    """
+    check_folder(out, "--out")
+    made = _room(room, out, seed)
+    planned = plan_flight(made, FlightConfig(seconds=seconds), seed)
+    rng = np.random.default_rng([seed, 0x1A1])
+    poses = planned.camera_poses()
+    out.mkdir(exist_ok=True)
+    write_room(out / ROOM, made)
+    write_tum(out / _FLIGHT, planned.times_s, poses)
+    write_tum(out / "odometry.txt", planned.times_s, simulate_odometry(poses, OdometryModel(), rng))
+    write_imu(out / "imu.csv", simulate_imu(planned, ImuModel(), rng))
+    length = float(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum())
+    if json:
+        files = {"flight": str(out / _FLIGHT), "odometry": str(out / "odometry.txt"), "imu": str(out / "imu.csv")}
+        print_json({**files, "frames": len(poses), "length_m": length})
+    else:
+        stderr.print(f"{out / _FLIGHT}: {len(poses)} poses, {length:.1f} m")
+
+
+@app.command()
+def render(
+    out: OutOption,
+    seed: SeedOption = 0,
+    room: RoomOption = None,
+    poses: Annotated[
+        Path | None, typer.Option("--poses", help="A TUM trajectory. [OUT/flight.txt, or a flight from the seed]")
+    ] = None,
+    seconds: SecondsOption = 10.0,
+    every: Annotated[int, typer.Option("--every", min=1, help="Render every so many poses.")] = 2,
+    lights: Annotated[
+        list[str] | None, typer.Option("--light", help="L1, L2 or L3; may be given several times. [all three]")
+    ] = None,
+    width: Annotated[
+        int, typer.Option("--width", min=32, max=1920, help="Of the images; height is 3/4 of it.")
+    ] = 320,
+    samples: SamplesOption = 64,
+    depth: Annotated[
+        Literal["exact", "sensor"],
+        typer.Option("--depth", help="Exact, or as a structured-light sensor measures it."),
+    ] = "exact",
+    json: JsonOption = False,
+) -> None:
+    """Render a flight through a room in the paper's lights: recordings OUT/L1, OUT/L2, OUT/L3.
+
+    Called again, it goes on where it stopped. Needs the extra "synth"; with LLVM 17 or newer it is several times
+    faster.
+
+    \b
+    Examples:
+      monoloc synth render --seed 3 --out home
+      monoloc synth render --room home/room.json --poses my-way.txt --light L3 --depth sensor --out dark
+      monoloc build folder:home/L2 --out home.monoloc
+    """
+    check_folder(out, "--out")
+    chosen = [_light(name) for name in lights or list(LIGHTS)]
+    require_mitsuba()
+    made = _room(room, out, seed)
+    times_s, way = _way(poses, out, made, seconds, seed)
+    height = round(0.75 * width)
+    focal_px = _FOCAL_SHARE * width
+    camera = Camera(width, height, focal_px, focal_px, (width - 1) / 2.0, (height - 1) / 2.0)
+    config = RenderConfig(samples=samples, depth=depth)
+    progress = ConsoleProgress(stderr)
+    rendered = (way[::every], times_s[::every], velocities(way, times_s)[::every])
+    recordings = render_sequence(made, *rendered, camera, chosen, config, seed, out, progress)
+    if json:
+        print_json({"recordings": [str(path) for path in recordings], "frames": len(way[::every])})
+    else:
+        stderr.print("recordings: " + ", ".join(f"folder:{path}" for path in recordings))
+
+
+@app.command()
+def views(
+    out: OutOption,
+    seed: SeedOption = 0,
+    rooms: Annotated[int, typer.Option("--rooms", min=1, help="How many rooms.")] = 40,
+    count: Annotated[int, typer.Option("--views", min=1, help="Views of each room.")] = 60,
+    samples: SamplesOption = 32,
+    json: JsonOption = False,
+) -> None:
+    """Render a training set for depth networks: random views of many rooms in varied light, as pairs.
+
+    Called again, it goes on with the first room that is not finished.
+
+    \b
+    Examples:
+      monoloc synth views --rooms 40 --views 60 --out rooms
+      monoloc synth views --seed 1000 --rooms 4 --views 25 --out validation-rooms
+    """
+    check_folder(out, "--out")
+    require_mitsuba()
+    render_views(rooms, count, samples, seed, out, ConsoleProgress(stderr))
+    if json:
+        print_json({"recording": str(out), "pairs": rooms * count})
+    else:
+        stderr.print(f"folder:{out}: {rooms * count} pairs")
+
+
+def _room(given: Path | None, out: Path, seed: int) -> Room:
+    if given is not None:
+        room = read_room(given)
+        _check_same_room(out, room)
+        return room
+    return read_room(out / ROOM) if (out / ROOM).is_file() else generate_room(seed)
+
+
+def _check_same_room(out: Path, room: Room) -> None:
+    """Refuse a folder of another room, whose flight and pictures would be left beside this one.
+
+    Raises:
+        SettingError: naming --out.
+    """
+    file = out / ROOM
+    if file.is_file() and read_room(file) != room:
+        raise SettingError("--out", f"{file} is another room", "name another folder, or remove this one")
+
+
+def _way(given: Path | None, out: Path, room: Room, seconds: float, seed: int) -> tuple[FloatArray, FloatArray]:
+    if given is not None or (out / _FLIGHT).is_file():
+        return read_tum(given or out / _FLIGHT)
+    planned = plan_flight(room, FlightConfig(seconds=seconds), seed)
+    return planned.times_s, planned.camera_poses()
+
+
+def _light(name: str) -> Light:
+    if name not in LIGHTS:
+        raise SettingError("--light", f"is {name!r}", f"choose one of {', '.join(LIGHTS)}")
+    return LIGHTS[name]

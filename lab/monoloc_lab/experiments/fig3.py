@@ -1,0 +1,89 @@
+"""The map before and after adaptation: clouds, boxes, distances (the paper's figure 3)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from monoloc.viz.map_drawing import plot_map_change
+from monoloc_lab.experiments import tasks as factories
+from monoloc_lab.experiments.claims import map_moves_little
+from monoloc_lab.experiments.figure import Drawn, Figure
+from monoloc_lab.experiments.gather import Spread, in_split, network_of, picture_path, spread_of
+from monoloc_lab.experiments.study import Split, Study
+from monoloc_lab.experiments.task import Results, Task
+
+_VARIANTS = {"joint": "network + map (monoloc)", "last+map": "last layer + map (paper's)"}
+_MEDIAN, _P95 = "c2c_median_m", "c2c_p95_m"
+
+
+def _bundles(study: Study, split: Split, variant: str) -> list[Task]:
+    """The largest network's: how far the map moves is decided when it is adapted."""
+    network = network_of(study.sizes[0])
+    return [factories.bundle(study, split, network, variant, seed=seed) for seed in range(study.builds)]
+
+
+def _clouds(study: Study, split: Split, variant: str) -> list[Task]:
+    return [factories.clouds(bundle) for bundle in _bundles(study, split, variant)]
+
+
+def tasks(study: Study) -> Sequence[Task]:
+    each = [(split, variant) for split in study.splits for variant in _VARIANTS]
+    return [task for pair in each for task in (*_bundles(study, *pair), *_clouds(study, *pair))]
+
+
+def draw(study: Study, results: Results, folder: Path) -> Drawn:
+    numbers: dict[str, Any] = {}
+    pictures, rows, claims, sentences = [], [], [], []
+    for split in study.splits:
+        numbers[split.name] = {}
+        for variant, name in _VARIANTS.items():
+            clouds, built = _clouds(study, split, variant), _bundles(study, split, variant)
+            median, p95 = spread_of(results, clouds, _MEDIAN), spread_of(results, clouds, _P95)
+            before = spread_of(results, built, "depth_absrel_before")
+            kept = spread_of(results, clouds, "correspondence_kept")
+            numbers[split.name][variant] = {
+                _MEDIAN: median.numbers(),
+                _P95: p95.numbers(),
+                "depth_absrel_before": before.numbers(),
+                "correspondence_kept": kept.numbers(),
+            }
+            share = f"{100.0 * kept.median:.0f} %"
+            rows.append((split.name, name, median.centimetres(), p95.centimetres(), share, str(len(clouds))))
+            if variant == "joint":
+                title = f"The room's map and the adapted one{in_split(study, split)}: {name}"
+                pictures.append(_draw(study, results[clouds[0]].folder, folder, split, title))
+                claims.append(map_moves_little(split.name, network_of(study.sizes[0]), median, before))
+                sentences.append(_sentence(split, median, p95))
+    head = ("split", "what was tuned", "median C2C", "95th percentile", "components that kept their match", "builds")
+    return Drawn(
+        numbers=numbers,
+        pictures=pictures,
+        tables={"How far the map moved (median over builds; smallest to largest)": (head, rows)},
+        text=" ".join(sentences),
+        claims=claims,
+    )
+
+
+def _draw(study: Study, source: Path, folder: Path, split: Split, title: str) -> Path:
+    path = picture_path(study, folder, "fig3", split)
+    with np.load(source / "clouds.npz") as arrays:
+        original, adapted, distances_m, down = (
+            np.asarray(arrays[name], dtype=np.float64)
+            for name in ("original", "adapted", "distances_m", "down_world")
+        )
+    plot_map_change(path, original, adapted, distances_m, down, title)
+    return path
+
+
+def _sentence(split: Split, median: Spread, p95: Spread) -> str:
+    middle = (
+        f"In {split.name}, half of the map's points lie within {100.0 * median.median:.1f} cm of the adapted cloud"
+    )
+    return f"{middle} and 95 % within {100.0 * p95.median:.1f} cm."
+
+
+FIGURE = Figure("fig3", "The map before and after adaptation", "Figure 3", tasks, draw)

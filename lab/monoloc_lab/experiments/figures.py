@@ -1,0 +1,70 @@
+"""All figures and tables, in the report's order, and how they are drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from monoloc.errors import SettingError
+from monoloc.files import json_text, write_whole
+from monoloc_lab.experiments import (
+    fig1,
+    fig2,
+    fig3,
+    fig4ab,
+    fig4c,
+    fig4d,
+    fig5a,
+    fig5b,
+    fig5top,
+    frames,
+    kl_weight,
+    map_size,
+    table1,
+    variants,
+)
+from monoloc_lab.experiments.figure import Drawn, Figure
+from monoloc_lab.experiments.study import Study
+from monoloc_lab.experiments.task import Results
+
+FIGURES: tuple[Figure, ...] = (
+    fig1.FIGURE,
+    fig2.FIGURE,
+    fig3.FIGURE,
+    fig4ab.FIGURE,
+    fig4c.FIGURE,
+    fig4d.FIGURE,
+    fig5top.FIGURE,
+    fig5a.FIGURE,
+    fig5b.FIGURE,
+    table1.FIGURE,
+    variants.FIGURE,
+    map_size.FIGURE,
+    kl_weight.FIGURE,
+    frames.FIGURE,
+)
+
+
+def chosen_figures(names: Sequence[str]) -> list[Figure]:
+    """Figures by name, in the report's order; all of them for no name.
+
+    Raises:
+        SettingError: no such figure.
+    """
+    known = [figure.name for figure in FIGURES]
+    for name in names:
+        if name not in known:
+            raise SettingError("FIGURE", f"is {name!r}", f"choose from {', '.join(known)}")
+    return [figure for figure in FIGURES if not names or figure.name in names]
+
+
+def draw_figure(figure: Figure, study: Study, results: Results, folder: Path) -> Drawn:
+    """Draw a figure into a folder, with ``NAME.json`` of its numbers beside it.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        DataError: a file cannot be written.
+    """
+    drawn = figure.draw(study, results, folder)
+    write_whole(folder / f"{figure.name}.json", (json_text(drawn.numbers) + "\n").encode())
+    return drawn

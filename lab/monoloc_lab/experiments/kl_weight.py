@@ -1,0 +1,84 @@
+"""How much the map is held to the original: lambda over five decades."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from monoloc.adapt.settings import AdaptConfig
+from monoloc.viz.picture import BLUE, GREEN, picture
+from monoloc_lab.experiments import tasks as factories
+from monoloc_lab.experiments.drawing import legend_below
+from monoloc_lab.experiments.figure import Drawn, Figure
+from monoloc_lab.experiments.gather import RMSE, Spread, network_of, seeds_of, spread_of, usual_light
+from monoloc_lab.experiments.study import Study
+from monoloc_lab.experiments.sweep import draw_sweep, least, mark_default, row_of
+from monoloc_lab.experiments.task import Results, Task
+
+_LAMBDAS = (1e-3, 1e-2, 1e-1, 1.0, 10.0, 100.0)
+_VARIANTS = {"last+map": ("last layer + map (paper's)", GREEN), "joint": ("network + map (monoloc)", BLUE)}
+_SHIFT = "shift_median_m"
+
+
+def _bundle(study: Study, variant: str, value: float) -> Task:
+    return factories.bundle(study, study.splits[0], network_of(study.sizes[0]), variant, lambda_kl=value)
+
+
+def _runs(study: Study, variant: str, value: float) -> list[Task]:
+    split = study.splits[0]
+    walk = split.walks[usual_light(split)]
+    return [factories.run(_bundle(study, variant, value), walk, seed) for seed in seeds_of(study)]
+
+
+def tasks(study: Study) -> Sequence[Task] | None:
+    if study.quick:
+        return None
+    return [task for variant in _VARIANTS for value in _LAMBDAS for task in _runs(study, variant, value)]
+
+
+def draw(study: Study, results: Results, folder: Path) -> Drawn:
+    numbers: dict[str, Any] = {"default": AdaptConfig().lambda_kl}
+    rows = []
+    errors: dict[str, dict[float, Spread]] = {}
+    shifts: dict[str, dict[float, Spread]] = {}
+    for variant, (name, _) in _VARIANTS.items():
+        errors[variant], shifts[variant], numbers[variant] = {}, {}, {}
+        for value in _LAMBDAS:
+            error = spread_of(results, _runs(study, variant, value), RMSE)
+            shift = spread_of(results, [_bundle(study, variant, value)], _SHIFT)
+            errors[variant][value], shifts[variant][value] = error, shift
+            numbers[variant][f"{value:g}"] = {RMSE: error.numbers(), _SHIFT: shift.median}
+            rows.append(row_of((name, f"{value:g}"), error, shift))
+    path = folder / "lambda.png"
+    with picture(path, 9.6, 4.4) as figure:
+        axes = list(figure.subplots(1, 2))
+        for variant, (name, colour) in _VARIANTS.items():
+            draw_sweep(axes[0], name, colour, errors[variant])
+            # What did not move at all has no place on a logarithmic axis.
+            moved = {value: shift for value, shift in shifts[variant].items() if shift.median > 0.0}
+            draw_sweep(axes[1], name, colour, moved)
+        for axis in axes:
+            mark_default(axis, numbers["default"])
+            axis.set_xticks(_LAMBDAS, [f"{value:g}" for value in _LAMBDAS])
+            axis.set_xlabel("lambda")
+        axes[0].set(ylabel="position RMSE (cm)")
+        axes[0].set_title("Position error")
+        axes[1].set(ylabel="median shift of components (cm)")
+        axes[1].set_title("How far the map moved")
+        legend_below(figure, axes, 2)
+    text = (
+        "The weight of the divergence between original and adapted map, over five decades, in one build each. "
+        f"Least RMSE where the last layer is tuned at lambda {least(errors['last+map']):g}, where the whole "
+        f"network is at {least(errors['joint']):g}; the default is {numbers['default']:g}."
+    )
+    head = ("what was tuned", "lambda", "RMSE", "median shift")
+    return Drawn(
+        numbers=numbers,
+        pictures=[path],
+        tables={"Errors by lambda (median over seeds; smallest to largest)": (head, rows)},
+        text=text,
+    )
+
+
+FIGURE = Figure("lambda", "How firmly the map is held", None, tasks, draw)

@@ -1,0 +1,68 @@
+"""The report: claims, figures and tables, with all that they depend on, as a page, as a PDF and as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from monoloc.files import json_text, write_whole
+from monoloc_lab.experiments.figure import Drawn, Figure
+from monoloc_lab.experiments.provenance import provenance
+from monoloc_lab.experiments.report_html import html_page
+from monoloc_lab.experiments.report_pdf import pdf_file
+from monoloc_lab.experiments.report_text import report_blocks, study_settings
+from monoloc_lab.experiments.study import Study
+
+REPORT_JSON, REPORT_HTML, REPORT_PDF = "report.json", "report.html", "report.pdf"
+
+
+def write_report(
+    out: Path,
+    study: Study,
+    drawn: Sequence[tuple[Figure, Drawn]],
+    left_out: Sequence[Figure],
+    seconds: float,
+    worked_s: float,
+) -> dict[str, Any]:
+    """Write the report's three files.
+
+    Args:
+        out: the folder; pictures lie within it.
+        drawn: figures as they came, in the report's order.
+        left_out: figures that were asked for and that the study leaves out.
+        seconds: what the command took, which may have found work done before.
+        worked_s: what all the work took, on one core.
+
+    Returns:
+        What ``report.json`` holds: ``claims``, ``figures`` by name, ``report`` (there relative, here as ``out`` is),
+        ``seconds``, ``worked_s``, ``left_out``, ``study``, ``provenance``.
+
+    Raises:
+        MissingExtraError: ReportLab or matplotlib is not installed.
+        DataError: a file cannot be written.
+    """
+    made = provenance()
+    blocks = report_blocks(study, drawn, left_out, made, seconds, worked_s)
+    write_whole(out / REPORT_HTML, html_page(study, blocks).encode())
+    write_whole(out / REPORT_PDF, pdf_file(study, blocks))
+    content: dict[str, Any] = {
+        "claims": [asdict(claim) for _, one in drawn for claim in one.claims],
+        "figures": {
+            figure.name: {
+                "title": figure.title,
+                "pictures": [str(path.relative_to(out)) for path in one.pictures],
+                "numbers": one.numbers,
+            }
+            for figure, one in drawn
+        },
+        "report": REPORT_HTML,
+        "seconds": seconds,
+        "worked_s": worked_s,
+        "left_out": [figure.name for figure in left_out],
+        "study": {"title": study.title, "quick": study.quick, **study_settings(study)},
+        "provenance": made,
+    }
+    write_whole(out / REPORT_JSON, (json_text(content) + "\n").encode())
+    return content | {"report": str(out / REPORT_HTML)}

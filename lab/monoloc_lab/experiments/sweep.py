@@ -1,0 +1,56 @@
+"""One setting varied, all else left: the errors and what else is of interest, against it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from monoloc_lab.experiments.drawing import logarithmic
+from monoloc_lab.experiments.gather import Spread
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+def draw_sweep(
+    axis: Axes, name: str, colour: str, points: Mapping[float, Spread], factor: float = 100.0, marker: str = "o"
+) -> None:
+    """Medians over seeds joined by a line, smallest to largest as bars; both axes logarithmic.
+
+    Args:
+        points: by the setting's value, which is positive.
+        factor: from what the spreads hold to what the axis shows; metres to centimetres.
+    """
+    found = {value: spread for value, spread in points.items() if spread.values}
+    values = list(found)
+    medians = [factor * spread.median for spread in found.values()]
+    low, high = ([factor * spread.range[end] for spread in found.values()] for end in (0, 1))
+    axis.vlines(values, low, high, color=colour, alpha=0.3, linewidth=5.0)
+    axis.plot(values, medians, marker, linestyle="-", color=colour, markeredgecolor="white", markersize=7, label=name)
+    logarithmic(axis.xaxis)
+    logarithmic(axis.yaxis)
+
+
+def mark_default(axis: Axes, value: float) -> None:
+    """A line where monoloc's setting is."""
+    axis.axvline(value, color="#666666", linewidth=1.0, linestyle=(0, (2, 2)), zorder=0)
+    axis.annotate(
+        "default",
+        (value, 1.0),
+        (3, -3),
+        xycoords=axis.get_xaxis_transform(),
+        textcoords="offset points",
+        va="top",
+        fontsize=8,
+        color="#666666",
+    )
+
+
+def least(points: Mapping[float, Spread]) -> float:
+    """The value with the least median."""
+    return min((value for value in points if points[value].values), key=lambda value: points[value].median)
+
+
+def row_of(label: Sequence[str], *spreads: Spread) -> tuple[str, ...]:
+    """A table's row of errors in centimetres."""
+    return (*label, *(spread.centimetres() for spread in spreads))

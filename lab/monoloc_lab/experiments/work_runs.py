@@ -1,0 +1,93 @@
+"""How rooms are flown through, and what their depth and maps are worth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from monoloc.bundle import Bundle, read_bundle, read_network
+from monoloc.config import override
+from monoloc.depth.predictor import DepthPredictor
+from monoloc.errors import DataError
+from monoloc.evaluation.cloud_metrics import compare_clouds
+from monoloc.evaluation.depth_metrics import depth_metrics
+from monoloc.io.recording import Recording
+from monoloc.progress import NoProgress
+from monoloc.run import Start, comparable, localize
+from monoloc_lab.experiments.task import Result
+from monoloc_lab.experiments.task_inputs import BUNDLE, Settings, relighting, walked, write_way
+
+
+def run(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str, Any]:
+    bundle, recording = _read(needs[0]), walked(settings)
+    rng = np.random.default_rng(settings["seed"])
+    start, config = start_of(settings, recording, rng), override(bundle.settings, motion=settings["motion"])
+    relight = relighting(settings["walk"]["light"], settings["seed"])
+    flown = localize(bundle, recording, start, config, rng, NoProgress(), settings["sensor"], relight)
+    further = {"covariances": flown.covariances}
+    if flown.odometry is not None:
+        further["odometry"] = flown.odometry
+    write_way(folder, recording, flown.poses, flown.unseen, **further)
+    return flown.metrics()
+
+
+def depth(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str, Any]:
+    recording = walked(settings)
+    if not recording.has_depth:
+        raise DataError(recording.name, "has no depth", "give a recording whose depth can be compared")
+    model = _read(needs[0]).depth_model if needs else read_network(settings["network"])
+    predictor = DepthPredictor(model, recording.camera)
+    relight = relighting(settings["walk"]["light"], settings["seed"])
+    names = ("absrel", "delta1", "ssim")
+    per_frame: dict[str, list[Any]] = {name: [] for name in ("index", *names)}
+    pictures: dict[str, list[Any]] = {name: [] for name in ("index", "color", "predicted", "truth")}
+    for index in sorted({*range(0, len(recording), settings["stride"]), *settings["shown"]}):
+        color = relight(recording.color(index)) if relight else recording.color(index)
+        predicted, truth = comparable(predictor(color), recording.depth(index))
+        if index % settings["stride"] == 0 and truth.any():
+            metrics = depth_metrics(predicted, truth)
+            for name in names:
+                per_frame[name].append(getattr(metrics, name))
+            per_frame["index"].append(index)
+        if index in settings["shown"]:
+            for name, value in zip(pictures, (index, color, predicted, truth), strict=True):
+                pictures[name].append(value)
+    if not per_frame["index"]:
+        raise DataError(recording.name, "has no frame with depth", "give one that can be compared")
+    arrays: dict[str, Any] = {name: np.array(values) for name, values in pictures.items()}
+    np.savez_compressed(folder / "depth.npz", **arrays)
+    # SSIM alone can be undefined: where the sensor's holes leave no whole window.
+    means = {name: _mean([value for value in per_frame[name] if value is not None]) for name in names}
+    return {**means, "frames": len(per_frame["index"]), "per_frame": per_frame}
+
+
+def clouds(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str, Any]:
+    room = _read(needs[0])
+    rng = np.random.default_rng(settings["seed"])
+    compared = compare_clouds(room.original, room.adapted, settings["points"], rng)
+    np.savez_compressed(
+        folder / "clouds.npz",
+        original=compared.original.astype(np.float32),
+        adapted=compared.adapted.astype(np.float32),
+        distances_m=compared.distances_m.astype(np.float32),
+        down_world=np.array(room.provenance.down_world),
+    )
+    return compared.figures
+
+
+def start_of(settings: Settings, recording: Recording, rng: np.random.Generator) -> Start:
+    """Where a run begins: off the first true pose, in a random direction."""
+    assert recording.poses is not None
+    position_m, rotation_rad = settings["start"]["position_m"], np.deg2rad(settings["start"]["rotation_deg"])
+    return Start.beside(recording.poses[0], rng, position_m, rotation_rad)
+
+
+def _read(needed: Result) -> Bundle:
+    return read_bundle(needed.folder / BUNDLE)
+
+
+def _mean(values: list[float]) -> float | None:
+    return float(np.mean(values)) if values else None

@@ -1,0 +1,91 @@
+"""The paper's three lights, rendered and as a change of real images.
+
+A light is a mixture of daylight and lamps with a mean illuminance of what is seen. A rendered room is lit by it; an
+image that was well exposed is brought to it by the exposure that a camera with the same limits would have chosen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.depth.training.augment import Exposure, expose
+from monoloc_lab.synth.materials import LightGroup
+from monoloc_lab.synth.sensor import SensorConfig
+
+_ALBEDO = 0.5  # of rooms on the whole: luminance = illuminance * albedo / pi for matt surfaces
+
+
+@dataclass(frozen=True)
+class Light:
+    """A light.
+
+    Attributes:
+        lux: mean illuminance of the surfaces seen.
+        daylight: share of it that comes through windows; the rest comes from lamps.
+        bias_stops: exposure that the camera is set to beyond its automatic choice.
+    """
+
+    name: str
+    lux: float
+    daylight: float
+    bias_stops: float = 0.0
+
+    @property
+    def luminance(self) -> float:
+        """Mean luminance of the surfaces, cd/m^2."""
+        return self.lux * _ALBEDO / np.pi
+
+    def exposed(self, sensor: SensorConfig) -> SensorConfig:
+        """The camera as it is set for this light."""
+        return sensor.model_copy(update={"key": min(0.95, sensor.key * 2.0**self.bias_stops)})
+
+    def factors(self, lux: Mapping[LightGroup, float]) -> dict[LightGroup, float]:
+        """How much of each light group's light makes this one, given the illuminance that each gives by itself."""
+        shares: dict[LightGroup, float] = {"daylight": self.daylight, "lamps": 1.0 - self.daylight}
+        if min(lux.values()) <= 0.0:  # a room without windows, or without lamps
+            shares = {group: float(value > 0.0) for group, value in lux.items()}
+        return {group: self.lux * share / lux[group] if lux[group] > 0.0 else 0.0 for group, share in shares.items()}
+
+
+LIGHTS: dict[str, Light] = {
+    light.name: light
+    for light in (
+        Light("L1", lux=1500.0, daylight=0.85, bias_stops=0.8),  # a bright day at the window
+        Light("L2", lux=150.0, daylight=0.35),  # lamps on a dull afternoon
+        Light("L3", lux=1.0, daylight=0.15),  # a lamp dimmed at night
+    )
+}
+
+
+@dataclass(frozen=True)
+class Levels:
+    """What a light comes to in a camera.
+
+    Attributes:
+        stops: of the image against a well exposed one.
+        electrons: photoelectrons of full scale.
+    """
+
+    stops: float
+    electrons: float
+
+
+def levels(light: Light, sensor: SensorConfig) -> Levels:
+    """Exposure of a light by a camera within its limits."""
+    scale, electrons = light.exposed(sensor).scale(light.luminance)
+    return Levels(float(np.log2(scale * light.luminance / sensor.key)), electrons)
+
+
+def relit(color: NDArray[np.uint8], light: Light, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """A well exposed image as the camera would have taken it in another light: (H, W, 3) uint8 RGB -> the same.
+
+    Where light comes from does not change; how much of it there is, and its noise, do.
+    """
+    sensor = SensorConfig()
+    reached = levels(light, sensor)
+    exposure = Exposure(stops=reached.stops, electrons=reached.electrons, read_noise=sensor.read_noise)
+    return expose(color, exposure, rng)

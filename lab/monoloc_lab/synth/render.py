@@ -1,0 +1,256 @@
+"""Path tracing with Mitsuba 3 (Jakob et al. 2022): linear light by light group, exact depth, normals.
+
+Light adds up, so the daylight and the lamps are rendered apart, and every mixture of the two is a sum of pictures
+that are there already. Radiance is in cd/m^2 (of each primary; white has equal parts), so exposure can be stated.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.camera import Camera
+from monoloc.errors import MissingExtraError, SettingError
+from monoloc.geometry import FloatArray, invert, make_pose
+from monoloc_lab.synth.denoise import Guide, denoised
+from monoloc_lab.synth.materials import LightGroup, Material
+from monoloc_lab.synth.rooms import Room
+from monoloc_lab.synth.scene import linear, room_meshes
+from monoloc_lab.synth.shapes import Mesh
+from monoloc_lab.synth.textures import texture
+
+LIGHT_GROUPS: tuple[LightGroup, ...] = get_args(LightGroup)
+
+# Older ones cannot select the instructions that Dr.Jit 1.x emits, and end the process.
+_LEAST_LLVM = 17
+_MATT = 0.85  # roughness beyond which a surface has no highlight worth its time
+_GROUP_PAINT = {"daylight": (1.0, 0.0, 0.0), "lamps": (0.0, 1.0, 0.0), None: (0.0, 0.0, 0.0)}
+_BOUNCES = 6  # diffuse light beyond them is a few percent in rooms with bright walls
+_AXES = np.diag([-1.0, -1.0, 1.0, 1.0])  # Mitsuba's cameras look along z with x to the left and y up
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One view in linear light.
+
+    Attributes:
+        light: of each light group, (H, W, 3) float32, cd/m^2.
+        depth_m: (H, W) float32, z of what the pixel's centre sees; 0 where that is nothing.
+        normals: (H, W, 3) float32, world frame, of the same points.
+        albedo: (H, W, 3) float32, mean over the pixel.
+        shines, glass: (H, W) whether the centre sees a lamp or a window's pane; only the pane.
+    """
+
+    light: dict[LightGroup, NDArray[np.float32]]
+    depth_m: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    albedo: NDArray[np.float32]
+    shines: NDArray[np.bool_]
+    glass: NDArray[np.bool_]
+
+
+def require_mitsuba() -> str:
+    """The variant of Mitsuba that will render: vectorised where LLVM is there, else scalar.
+
+    Raises:
+        MissingExtraError: Mitsuba is not installed.
+    """
+    try:
+        import mitsuba  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("rendering", "synth", "monoloc-lab") from error
+    return _variant()
+
+
+@cache
+def _variant() -> str:
+    if "DRJIT_LIBLLVM_PATH" not in os.environ:
+        library = _llvm()
+        if library is None:
+            return "scalar_rgb"
+        os.environ["DRJIT_LIBLLVM_PATH"] = str(library)
+    # A library that does not fit ends the process instead of raising: another process finds out.
+    probe = "import mitsuba as mi; mi.set_variant('llvm_ad_rgb'); import drjit as dr; dr.eval(dr.sin(mi.Float(1, 2)))"
+    works = subprocess.run([sys.executable, "-c", probe], capture_output=True, check=False).returncode == 0
+    return "llvm_ad_rgb" if works else "scalar_rgb"
+
+
+def _llvm() -> Path | None:
+    """The newest LLVM library of the system that is new enough."""
+    found: dict[int, Path] = {}
+    for folder in (
+        "/usr/lib/x86_64-linux-gnu",
+        "/usr/lib/aarch64-linux-gnu",
+        "/usr/lib64",
+        "/usr/lib",
+        "/opt/homebrew/opt/llvm/lib",
+    ):
+        for path in Path(folder).glob("libLLVM*"):
+            match = re.fullmatch(r"libLLVM(?:-|\.so\.|\.)(\d+)[\w.-]*", path.name)
+            if match and int(match[1]) >= _LEAST_LLVM:
+                found.setdefault(int(match[1]), path)
+    return found[max(found)] if found else None
+
+
+class Renderer:
+    """A room made ready once, and pictures of it.
+
+    Args:
+        samples: paths a pixel and light group.
+
+    Raises:
+        MissingExtraError: Mitsuba is not installed.
+    """
+
+    def __init__(self, room: Room, samples: int) -> None:
+        variant = require_mitsuba()
+        import mitsuba as mi
+
+        mi.set_variant(variant)
+        self._mi: Any = mi
+        self._samples = samples
+        meshes = room_meshes(room)
+        surfaces = {material: mi.load_dict(_surface(material, self._bitmap)) for material in meshes}
+        self._scenes = {group: self._scene(meshes, surfaces, group) for group in LIGHT_GROUPS}
+        # Painted by light group, so that "albedo" says which pixels see a lamp or a window.
+        painted = {m: mi.load_dict({"type": "diffuse", "reflectance": _rgb(_GROUP_PAINT[m.group])}) for m in meshes}
+        self._painted = self._scene(meshes, painted, None)
+        path = {"type": "path", "max_depth": _BOUNCES, "rr_depth": 3}
+        self._path = mi.load_dict({"type": "aov", "aovs": "of:albedo", "light": path})
+        self._geometry = mi.load_dict({"type": "aov", "aovs": "at:position,facing:sh_normal,group:albedo"})
+
+    def picture(self, camera: Camera, T_world_camera: FloatArray, seed: int) -> Picture:
+        """What a camera sees from a pose; another seed gives other noise.
+
+        Raises:
+            SettingError: a camera with distortion or with pixels that are not square.
+        """
+        mi = self._mi
+        sensor = self._sensor(camera, T_world_camera, "independent")
+        traced = {
+            group: np.array(mi.render(scene, sensor=sensor, integrator=self._path, seed=seed, spp=self._samples))
+            for group, scene in self._scenes.items()
+        }
+        centres = self._sensor(camera, T_world_camera, "stratified")
+        seen = np.array(self._mi.render(self._painted, sensor=centres, integrator=self._geometry, spp=1))
+        points, normals, paint = np.split(seen, 3, axis=-1)
+        T_camera_world = invert(T_world_camera)
+        depth = points @ T_camera_world[2, :3] + T_camera_world[2, 3]
+        hit = np.linalg.norm(normals, axis=-1) > 0.5
+        guide = Guide(traced["lamps"][..., -3:], normals, points, paint.max(axis=-1) > 0.5)
+        return Picture(
+            light={group: denoised(image[..., :3], guide) for group, image in traced.items()},
+            depth_m=np.where(hit, depth, 0.0).astype(np.float32),
+            normals=normals.astype(np.float32),
+            albedo=guide.albedo.astype(np.float32),
+            shines=guide.shines,
+            glass=paint[..., 0] > 0.5,
+        )
+
+    def _sensor(self, camera: Camera, T_world_camera: FloatArray, sampler: str) -> Any:
+        if camera.is_distorted or abs(camera.fx / camera.fy - 1.0) > 1e-6:
+            raise SettingError("camera", "has distortion or fx other than fy", "render with a plain camera")
+        mi = self._mi
+        return mi.load_dict(
+            {
+                "type": "perspective",
+                "fov": float(np.rad2deg(2.0 * np.arctan(camera.width / 2.0 / camera.fx))),
+                "fov_axis": "x",
+                "near_clip": 0.01,
+                "principal_point_offset_x": 0.5 - (camera.cx + 0.5) / camera.width,
+                "principal_point_offset_y": 0.5 - (camera.cy + 0.5) / camera.height,
+                "to_world": mi.ScalarTransform4f(T_world_camera @ _AXES),
+                # One sample in the middle of each pixel gives its centre's depth, not a mean over edges.
+                "sampler": {
+                    "type": sampler,
+                    "sample_count": 1,
+                    **({"jitter": False} if sampler == "stratified" else {}),
+                },
+                "film": {
+                    "type": "hdrfilm",
+                    "width": camera.width,
+                    "height": camera.height,
+                    "rfilter": {"type": "box"},
+                    "pixel_format": "rgb",
+                    "component_format": "float32",
+                },
+            }
+        )
+
+    def _scene(self, meshes: dict[Material, Mesh], surfaces: dict[Material, Any], group: LightGroup | None) -> Any:
+        content: dict[str, Any] = {"type": "scene"}
+        for number, (material, mesh) in enumerate(meshes.items()):
+            radiance = self._bitmap(material, material.luminance) if group and material.group == group else None
+            content[f"shape{number}"] = self._shape(f"shape{number}", mesh, surfaces[material], radiance)
+        return self._mi.load_dict(content)
+
+    def _shape(self, name: str, mesh: Mesh, surface: Any, radiance: dict[str, Any] | None) -> Any:
+        mi = self._mi
+        properties = mi.Properties()
+        properties["mesh_bsdf"] = surface
+        if radiance is not None:
+            properties["mesh_emitter"] = mi.load_dict({"type": "area", "radiance": radiance})
+        counts = {"vertex_count": len(mesh.vertices), "face_count": len(mesh.faces)}
+        shape = mi.Mesh(name, **counts, props=properties, has_vertex_normals=True, has_vertex_texcoords=True)
+        parameters = mi.traverse(shape)
+        parameters["vertex_positions"] = np.ravel(mesh.vertices).astype(np.float32)
+        parameters["vertex_normals"] = np.ravel(mesh.normals).astype(np.float32)
+        parameters["vertex_texcoords"] = np.ravel(mesh.span).astype(np.float32)
+        parameters["faces"] = np.ravel(mesh.faces).astype(np.uint32)
+        parameters.update()
+        return shape
+
+    def _bitmap(self, material: Material, factor: float) -> dict[str, Any]:
+        image = linear(texture(material))[::-1] * np.float32(factor)  # v runs up, rows run down
+        if material.texture == "plain":
+            return _rgb(tuple(float(c) for c in image[0, 0]))
+        return {"type": "bitmap", "bitmap": self._mi.Bitmap(np.ascontiguousarray(image)), "raw": True}
+
+
+def _rgb(color: tuple[float, ...]) -> dict[str, Any]:
+    return {"type": "rgb", "value": list(color)}
+
+
+def _surface(material: Material, bitmap: Callable[[Material, float], dict[str, Any]]) -> dict[str, Any]:
+    if material.group is not None:
+        # A lamp's glass or shade, or a window's pane: its own light is all that matters.
+        return {"type": "diffuse", "reflectance": _rgb((0.3, 0.3, 0.3))}
+    color = bitmap(material, 1.0)
+    if material.roughness >= _MATT:
+        return {"type": "diffuse", "reflectance": color}
+    gloss = {"roughness": material.roughness, "metallic": material.metallic, "specular": 0.5}
+    return {"type": "principled", "base_color": color, **gloss}
+
+
+def illuminance(renderer: Renderer, room: Room) -> dict[LightGroup, float]:
+    """Mean illuminance of what is seen from the room's middle, by light group, lux.
+
+    Matt surfaces of albedo a and luminance L are lit by pi L / a.
+    """
+    camera = Camera(48, 48, 24.0, 24.0, 23.5, 23.5)
+    eye = np.array([room.size[0] / 2.0, room.size[1] / 2.0, 1.2])
+    found: dict[LightGroup, list[float]] = {group: [] for group in LIGHT_GROUPS}
+    for index in range(4):
+        right, forward = ([np.cos(a), np.sin(a), 0.0] for a in (index * np.pi / 2.0, (index + 1) * np.pi / 2.0))
+        view = renderer.picture(camera, make_pose(np.stack([right, [0.0, 0.0, -1.0], forward], axis=1), eye), index)
+        for group in LIGHT_GROUPS:
+            lit = np.pi * view.light[group].mean(axis=2) / np.maximum(view.albedo.mean(axis=2), 0.05)
+            found[group].append(float(lit[~view.shines].mean()))
+    return {group: float(np.mean(values)) for group, values in found.items()}
+
+
+def mixed(
+    light: Mapping[LightGroup, NDArray[np.float32]], factors: Mapping[LightGroup, float]
+) -> NDArray[np.float32]:
+    """One light of the groups' lights, each with its factor: (H, W, 3) float32, cd/m^2."""
+    return np.asarray(sum(np.float32(factors[group]) * image for group, image in light.items()), dtype=np.float32)

@@ -1,0 +1,196 @@
+"""What the network and the map are tuned on: the build frames, and views synthesised from them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from monoloc.adapt.warp import ColoredPoints, forward_warp, halved, points_of
+from monoloc.camera import Camera
+from monoloc.depth.spec import network_size, resize_image
+from monoloc.geometry import FloatArray, se3_exp, viewpoints_apart
+from monoloc.io.recording import Recording
+
+DepthImages = Callable[[int], NDArray[np.float32]]
+
+_SHIFT_SD_M, _TURN_SD_RAD = 0.2, np.deg2rad(6.0)  # of a synthesised view from the frame it is made of
+_SOURCES = 3  # frames that a synthesised view is made of: the first, and the nearest to the view
+_WHOLE_SHARE = 0.2  # of what is learned from, frames as they were taken, however many views are synthesised
+_LEAST_SEEN, _TRIES = 0.7, 5  # of what its frame sees, share that a view must see; poses tried for it
+_CLOUDS_KEPT = 200  # of frames, some 2 MB each: views are made in the order of frames, whose neighbours they need
+
+
+@dataclass(frozen=True)
+class Views:
+    """V views with pose and depth, all of one camera.
+
+    Attributes:
+        colors: (V, H, W, 3) uint8 RGB at the network's size: a quarter of the memory that its input takes.
+        depth_m: (V, 1, H / 2, W / 2) supervision, 0 where there is none: twice the resolution of what is predicted.
+        log_focal_ratio: to be added to the network's log-depth.
+        rays_world: (V, h * w, 3) directions of the output's pixels with camera z = 1.
+        poses: (V, 4, 4) ``T_world_camera``.
+        frame: (V,) index of the frame each view shows; ``whole`` (V,) whether it is that frame, not synthesised.
+    """
+
+    colors: NDArray[np.uint8]
+    depth_m: Tensor
+    log_focal_ratio: float
+    rays_world: Tensor
+    poses: Tensor
+    frame: Tensor
+    whole: Tensor
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    @property
+    def origins(self) -> Tensor:
+        """(V, 3) camera centres, world frame."""
+        return self.poses[:, :3, 3]
+
+    @property
+    def rays(self) -> FloatArray:
+        """(h, w, 3) directions of the output's pixels with z = 1, camera frame: the same for all views."""
+        height, width = self.output_depth_m.shape[-2:]
+        return (self.rays_world[0] @ self.poses[0, :3, :3]).reshape(height, width, 3).numpy()
+
+    @property
+    def output_depth_m(self) -> Tensor:
+        """(V, 1, h, w) supervision at the output's resolution, 0 where there is none."""
+        # Block corners nearest to the centres of the output's pixels.
+        return self.depth_m[..., 1::2, 1::2]
+
+    @property
+    def odds(self) -> Tensor:
+        """(V,) how often each view is to be learned from, which adds up to one."""
+        if self.whole.all():
+            return torch.full((len(self),), 1.0 / len(self))
+        return torch.where(self.whole, _WHOLE_SHARE / self.whole.sum(), (1.0 - _WHOLE_SHARE) / (~self.whole).sum())
+
+    def of_frames(self, frames: Sequence[int] | NDArray[np.int64], only_whole: bool = False) -> Views:
+        """The views that show certain frames."""
+        chosen = torch.isin(self.frame, torch.as_tensor(np.asarray(frames)))
+        return self[torch.nonzero(chosen & self.whole if only_whole else chosen).ravel()]
+
+    def __getitem__(self, index: Tensor) -> Views:
+        return Views(
+            self.colors[index.numpy()],
+            self.depth_m[index],
+            self.log_focal_ratio,
+            self.rays_world[index],
+            self.poses[index],
+            self.frame[index],
+            self.whole[index],
+        )
+
+
+def make_views(
+    recording: Recording,
+    depth_of: DepthImages,
+    focal_px: float,
+    synthesised: int,
+    held_out: NDArray[np.int64],
+    rng: np.random.Generator,
+    progress: Callable[[int], None] | None = None,
+) -> Views:
+    """Every frame as the network will see it, and views synthesised nearby, as many of each frame as of any other.
+
+    Args:
+        recording: posed frames.
+        depth_of: supervision of frame i, (H, W) metres, 0 where there is none: sensor depth or the map's.
+        focal_px: the network's canonical focal length.
+        synthesised: how many, in all.
+        held_out: frames that no other frame's synthesised views may show.
+        progress: called with the frames read, and with those and the frames that have their synthesised views.
+    """
+    poses = recording.poses
+    assert poses is not None
+    camera = recording.camera.resized(*network_size(recording.camera, focal_px))
+    fine = camera.resized(2 * camera.width, 2 * camera.height)
+    coarse = camera.resized(camera.width // 2, camera.height // 2)
+    fine_rays = fine.pixel_rays()
+    sources: list[tuple[NDArray[np.uint8], NDArray[np.float32]]] = []
+    images, depths, view_poses, frame, whole = [], [], [], [], []
+    for index in range(len(recording)):
+        color, depth = recording.color(index), depth_of(index)
+        images.append(resize_image(color, (camera.width, camera.height)))
+        depths.append(_sampled(depth, coarse))
+        view_poses.append(poses[index])
+        frame.append(index)
+        whole.append(True)
+        if synthesised:
+            small = resize_image(color, (fine.width, fine.height))
+            sources.append((small, _sampled(depth, fine)))
+        if progress is not None:
+            progress(index + 1)
+
+    @lru_cache(_CLOUDS_KEPT)
+    def cloud_of(index: int) -> ColoredPoints:
+        return points_of(*sources[index], fine_rays, poses[index])
+
+    usable = np.setdiff1d(np.arange(len(recording)), held_out)
+    shares = np.diff(np.arange(len(recording) + 1) * synthesised // len(recording))
+    for index, share in enumerate(shares if synthesised else ()):
+        for _ in range(share):
+            image, depth, pose = _synthesise(index, poses, cloud_of, usable, camera, rng)
+            images.append(image)
+            depths.append(halved(depth))
+            view_poses.append(pose)
+            frame.append(index)
+            whole.append(False)
+        if progress is not None:
+            progress(len(recording) + index + 1)
+    stacked = np.stack(view_poses)
+    return Views(
+        colors=np.stack(images),
+        depth_m=torch.from_numpy(np.stack(depths))[:, None],
+        log_focal_ratio=float(np.log(camera.focal_px / focal_px)),
+        rays_world=torch.from_numpy(_output_rays(camera) @ stacked[:, :3, :3].transpose(0, 2, 1)),
+        poses=torch.from_numpy(stacked),
+        frame=torch.tensor(frame),
+        whole=torch.tensor(whole),
+    )
+
+
+def _synthesise(
+    index: int,
+    poses: FloatArray,
+    cloud_of: Callable[[int], ColoredPoints],
+    usable: NDArray[np.int64],
+    camera: Camera,
+    rng: np.random.Generator,
+) -> tuple[NDArray[np.uint8], NDArray[np.float32], FloatArray]:
+    """A view from near a frame, of it and the usable frames nearest to the view: colour, depth, ``T_world_camera``.
+
+    The disturbance shrinks until enough of the view is known.
+    """
+    others = usable[usable != index]
+    enough = _LEAST_SEEN * len(cloud_of(index).points) / (4 * camera.width * camera.height)
+    for attempt in range(_TRIES):
+        spread = 1.0 - attempt / _TRIES
+        sd = spread * np.repeat([_SHIFT_SD_M, _TURN_SD_RAD], 3)
+        pose = poses[index] @ se3_exp(rng.normal(scale=sd))
+        nearest = others[np.argsort(viewpoints_apart(pose, poses[others]))[: _SOURCES - 1]]
+        color, depth = forward_warp([cloud_of(int(i)) for i in (index, *nearest)], pose, camera)
+        if np.mean(depth > 0.0) >= enough:
+            break
+    return color, depth, pose
+
+
+def _sampled(depth_m: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    size = (camera.width, camera.height)
+    return np.asarray(cv2.resize(depth_m, size, interpolation=cv2.INTER_NEAREST_EXACT), dtype=np.float32)
+
+
+def _output_rays(camera: Camera) -> FloatArray:
+    """Rays of the network's output pixels, a quarter of the input's size, in the camera's frame: (h * w, 3)."""
+    v, u = np.mgrid[0 : camera.height // 4, 0 : camera.width // 4].reshape(2, -1)
+    return camera.rays(4.0 * np.stack([u, v], axis=1) + 1.5)

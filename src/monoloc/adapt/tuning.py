@@ -1,0 +1,287 @@
+"""Tuning the depth network and the map's transform together."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from monoloc.adapt.map_transform import AdaptedMap
+from monoloc.adapt.objective import matched_kl, ray_log_likelihood
+from monoloc.adapt.pose_step import pose_step_loss, pose_steps
+from monoloc.adapt.settings import AdaptConfig
+from monoloc.adapt.training_views import Views
+from monoloc.depth.training.augment import AugmentConfig, random_exposure
+from monoloc.depth.training.examples import network_input
+from monoloc.depth.training.losses import LossConfig, depth_loss, laplace_loss
+from monoloc.depth.training.network import DepthNetwork
+from monoloc.depth.training.precision import learns_in_bfloat16
+from monoloc.memory import keep_freed_memory
+
+_DECODER_STEPS_A_MAP_STEP = 4
+_VIEWS_AT_ONCE = 32
+_LIGHT = AugmentConfig(dim_share=0.6)
+_NO_DIFFERENCE = 0.05  # of what tuning gains on held-out frames; what is tuned for longer is better elsewhere
+
+
+@dataclass(frozen=True)
+class Score:
+    """Quality on a set of whole views: mean ray log-likelihood's negative, depth loss, AbsRel."""
+
+    step: int
+    nll: float
+    depth_loss: float
+    absrel: float
+
+
+class Adaptation:
+    """A network and a map being tuned together; :meth:`run` does it.
+
+    Args:
+        network: starts from its present weights and is changed in place; its batch normalisation keeps the
+            statistics it was trained with.
+        adapted_map: changed in place when the map transform is on.
+        config: what to tune and how.
+    """
+
+    def __init__(self, network: DepthNetwork, adapted_map: AdaptedMap, config: AdaptConfig) -> None:
+        self.network = network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.map = adapted_map
+        self.config = config
+        network.requires_grad_(False)
+        network.head.requires_grad_(config.tune != "none")
+        network.decoder.requires_grad_(self.config.by_depth)
+        network.encoder.requires_grad_(config.tune == "all")
+        network.encoder.first_layers.requires_grad_(False)
+        if network.error_head is not None:
+            network.error_head.requires_grad_(self.config.by_depth)
+        adapted_map.requires_grad_(config.map_transform)
+        # Bending the cloud costs as much as the decoder, and beside the decoder the map hardly moves.
+        self._map_every = _DECODER_STEPS_A_MAP_STEP if self.config.by_depth else 1
+        self._bent = adapted_map.means, adapted_map.covariances
+
+    @property
+    def is_trivial(self) -> bool:
+        return self.config.tune == "none" and not self.config.map_transform
+
+    def run(
+        self,
+        training: Views,
+        steps: int,
+        generator: torch.Generator,
+        held_out: Views | None = None,
+        evaluate_every: int = 100,
+        progress: Callable[[int], None] | None = None,
+    ) -> list[Score]:
+        """Tune for ``steps``; with held-out views, keep the state that was best on them.
+
+        Args:
+            training: views to tune on.
+            steps: optimiser steps, over which the learning rate falls to nothing.
+            generator: for the choice of views and pixels.
+            held_out: views to judge on, every ``evaluate_every`` steps.
+            progress: called with the steps done.
+
+        Returns:
+            Scores on the held-out views, the first before any step; empty without held-out views.
+        """
+        keep_freed_memory()
+        if self.is_trivial:
+            return [self.score(held_out, 0)] if held_out is not None else []
+        scores = [self.score(held_out, 0)] if held_out is not None else []
+        best = self._state() if held_out is not None else None
+        self.fit_bias(training)
+        frozen = self._frozen(training, np.random.default_rng(generator.initial_seed()))
+        odds = training.odds
+        of_poses = None  # matrices from a view's errors of depth to the camera's step
+        if self.config.by_depth and self.config.pose_weight > 0.0:
+            of_poses = pose_steps(training.output_depth_m[:, 0].numpy(), training.rays)
+        optimizer = torch.optim.Adam(
+            [
+                {
+                    "params": [p for p in self.network.parameters() if p.requires_grad],
+                    "lr": self.config.rate,
+                },
+                {"params": [p for p in self.map.parameters() if p.requires_grad], "lr": self.config.map_rate},
+            ],
+            fused=True,  # one call for all tensors, of which there are some two hundred
+        )
+        schedule = torch.optim.lr_scheduler.LambdaLR(
+            optimizer, lambda step: 0.5 * (1.0 + math.cos(math.pi * step / max(1, steps)))
+        )
+        for step in range(steps):
+            chosen = torch.multinomial(odds, self.config.batch_views, replacement=True, generator=generator)
+            shown = chosen
+            if self.config.tune == "all":
+                is_relit = torch.rand(len(chosen), generator=generator) < self.config.relit_share
+                shown = chosen + len(training) * is_relit
+            inputs = [part[shown] for part in frozen]
+            of_chosen = None if of_poses is None else of_poses[chosen]
+            loss = self._loss(training[chosen], inputs, of_chosen, step, steps, generator)
+            optimizer.zero_grad(set_to_none=True)
+            loss.backward()  # type: ignore[no-untyped-call]
+            optimizer.step()
+            schedule.step()
+            if held_out is not None and ((step + 1) % evaluate_every == 0 or step + 1 == steps):
+                scores.append(self.score(held_out, step + 1))
+                if self.best_step(scores) == step + 1:
+                    best = self._state()
+            if progress is not None:
+                progress(step + 1)
+        if best is not None:
+            self._restore(best)
+        return scores
+
+    def best_step(self, scores: list[Score]) -> int:
+        """The last step that has nearly all of what the best one gains over the first."""
+        values = [self._criterion(score) for score in scores]
+        enough = min(values) + _NO_DIFFERENCE * (values[0] - min(values))
+        return max(score.step for score, value in zip(scores, values, strict=True) if value <= enough)
+
+    @torch.no_grad()
+    def fit_bias(self, views: Views) -> None:
+        """Shift the last layer's bias to the median log ratio of true to predicted depth, the first step."""
+        if self.config.tune == "none":
+            return
+        whole = views[torch.nonzero(views.whole).ravel()]
+        ratio = _log_ratio(self.predict(whole), whole.output_depth_m)
+        assert self.network.head.bias is not None
+        if ratio.numel():
+            self.network.head.bias += ratio.median()
+
+    @torch.no_grad()
+    def predict(self, views: Views) -> Tensor:
+        """Log-depth of views, (V, 1, h, w), metric."""
+        return torch.cat([self.network(images) for images in _batches(views.colors)]) + views.log_focal_ratio
+
+    @torch.no_grad()
+    def score(self, views: Views, step: int) -> Score:
+        log_depth = self.predict(views)
+        means, covariances = self.map()
+        nll = -self._log_likelihood(log_depth, views, means, covariances, None).mean()
+        ratio = _log_ratio(log_depth, views.output_depth_m)
+        absrel = (torch.expm1(-ratio)).abs().mean() if ratio.numel() else torch.tensor(float("nan"))
+        loss = depth_loss(log_depth, views.depth_m, LossConfig(gradient=0.0))
+        return Score(step, float(nll), float(loss), float(absrel))
+
+    @torch.no_grad()
+    def kl(self) -> float:
+        """KL(M || M_A) now, nats."""
+        return float(self._kl(*self.map()))
+
+    def _kl(self, means: Tensor, covariances: Tensor) -> Tensor:
+        m = self.map
+        return matched_kl(m.log_weights, m.means, m.covariances, m.log_weights, means, covariances)
+
+    def _criterion(self, score: Score) -> float:
+        if self.config.by_depth:
+            return self.config.depth_weight * score.depth_loss + self.config.likelihood_weight * score.nll
+        return score.nll
+
+    def _loss(
+        self,
+        views: Views,
+        inputs: list[Tensor],
+        of_poses: Tensor | None,
+        step: int,
+        steps: int,
+        generator: torch.Generator,
+    ) -> Tensor:
+        config, done = self.config, step / steps
+        features = self._features(inputs)
+        log_depth = self.network.head(features) + views.log_focal_ratio
+        moves_map = config.map_transform and step % self._map_every == 0
+        if moves_map:
+            self._bent = self.map()
+        means, covariances = self._bent
+        inflation = (config.inflation_m * max(0.0, 1.0 - 2.0 * done)) ** 2 * torch.eye(3, dtype=torch.float64)
+        pixels = torch.randint(log_depth[0].numel(), (config.pixels_per_view,), generator=generator)
+        fit = self._log_likelihood(log_depth, views, means, covariances + inflation, pixels).mean()
+        if not self.config.by_depth:
+            loss = -fit
+        else:
+            # The gradient term keeps planes smooth and steps sharp while the decoder moves.
+            of_depth = depth_loss(log_depth, views.depth_m, LossConfig(scale_invariant=0.5))
+            loss = config.depth_weight * of_depth - config.likelihood_weight * fit
+            if of_poses is not None:
+                loss = loss + config.pose_weight * pose_step_loss(log_depth, views.output_depth_m, of_poses)
+            if self.network.error_head is not None:
+                # Features move, so what is read from them must follow.
+                loss = loss + laplace_loss(log_depth, self.network.error_head(features.detach()), views.depth_m)
+        if moves_map:
+            self._bent = means.detach(), covariances.detach()
+            weight = config.lambda_kl * (config.likelihood_weight if self.config.by_depth else 1.0)
+            loss = loss + weight * self._kl(means, covariances)
+        return loss
+
+    def _log_likelihood(
+        self, log_depth: Tensor, views: Views, means: Tensor, covariances: Tensor, pixels: Tensor | None
+    ) -> Tensor:
+        flat, rays = log_depth.reshape(len(views), -1).double(), views.rays_world
+        if pixels is None:
+            pixels = torch.arange(0, flat.shape[1], 7)
+        flat, rays = flat[:, pixels], rays[:, pixels]
+        origins = views.origins[:, None].expand_as(rays)
+        return ray_log_likelihood(
+            flat.reshape(-1),
+            rays.reshape(-1, 3),
+            origins.reshape(-1, 3),
+            self.map.log_weights,
+            means,
+            covariances,
+            self.config.outlier_share,
+        )
+
+    @torch.no_grad()
+    def _frozen(self, views: Views, light: np.random.Generator) -> list[Tensor]:
+        """What the part of the network that is not tuned makes of the views, once for all steps.
+
+        Where nearly all is tuned, (2 V, ...): after the views, all of them again in another light.
+        """
+        encoder, colors = self.network.encoder, views.colors
+        if self.config.tune == "all":
+            colors = np.concatenate([colors, [random_exposure(color, _LIGHT, light) for color in colors]])
+        # What is tuned by depth is computed in half the bits, where that is faster.
+        in_half = self.config.by_depth and learns_in_bfloat16("cpu")
+        parts = []
+        for images in _batches(colors):
+            if self.config.tune == "all":
+                part = [encoder.first_layers(images)]
+            else:
+                part = encoder(images) if self.config.by_depth else [self.network.decoder(encoder(images))]
+            parts.append([tap.bfloat16() for tap in part] if in_half else part)
+        return [torch.cat(part).contiguous(memory_format=torch.channels_last) for part in zip(*parts, strict=True)]
+
+    def _features(self, inputs: list[Tensor]) -> Tensor:
+        """What the last layer reads, from :meth:`_frozen`'s outputs, with gradients."""
+        if not self.config.by_depth:
+            return inputs[0]
+        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=learns_in_bfloat16("cpu")):
+            taps = self.network.encoder.after_first(inputs[0]) if self.config.tune == "all" else inputs
+            features: Tensor = self.network.decoder(taps)
+        return features.float()
+
+    def _state(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        return copy.deepcopy(self.network.state_dict()), copy.deepcopy(self.map.state_dict())
+
+    def _restore(self, state: tuple[dict[str, Tensor], dict[str, Tensor]]) -> None:
+        self.network.load_state_dict(state[0])
+        self.map.load_state_dict(state[1])
+
+
+def _batches(colors: NDArray[np.uint8]) -> Iterator[Tensor]:
+    """The network's input of images (V, H, W, 3), some at a time."""
+    for first in range(0, len(colors), _VIEWS_AT_ONCE):
+        yield network_input(colors[first : first + _VIEWS_AT_ONCE])
+
+
+def _log_ratio(log_depth: Tensor, truth: Tensor) -> Tensor:
+    """Log of true over predicted depth at pixels with truth, (n,)."""
+    valid = truth > 0.0
+    return torch.log(truth[valid]) - log_depth[valid]

@@ -1,0 +1,222 @@
+"""Landmarks of a build's frames: corners that several of them saw in one place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import astuple, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.build.bias import lasting_errors
+from monoloc.camera import Camera
+from monoloc.depth.depth_image import sample_depth
+from monoloc.evaluation.hold_out import HELD_OUT_SHARE, REGIONS, hold_out_regions
+from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, twist_errors
+from monoloc.fusion.bias_model import LastingErrors
+from monoloc.geometry import FloatArray, invert, ray_slopes, se3_log, transform, viewpoints_apart
+from monoloc.io.recording import Recording
+from monoloc.landmarks.features import KeypointDetector, Keypoints, Landmarks, pairs
+from monoloc.landmarks.pnp import BESIDE, LandmarkSight
+from monoloc.progress import Progress
+
+_REACH_PX = 6.0  # from where a corner should be, by a frame's pose and another's depth
+_DEPTH_JUMP = 0.15  # corners beside a larger relative jump of depth sit on an edge
+_DEPTH_SD = 0.01  # of measured depth, as a share of it
+_HUBER, _STEPS = 2.0, 5
+_NEAREST_M, _LEAST_INFORMATION = 1e-3, 1e-6  # of a corner that ends up behind a camera; of one on a single ray
+_AGREE_SD = 2.5  # standard deviations within which half of a landmark's corners have to be
+_MOST_FRAMES = 300  # that landmarks are made of: a room has no more to show, and time grows with their square
+_A_FRAME = 100  # landmarks that a frame is to see of its own
+_LEAST_M, _LEAST_RAD = 0.001, 0.0005  # that errors are taken to be, be it of a camera that stood still
+_USUAL_GROWTH = 0.05  # m and rad a metre away, of landmarks in other parts of a room
+
+
+def build_landmarks(
+    recording: Recording, depth_of: Callable[[int], NDArray[np.float32]], progress: Progress
+) -> tuple[Landmarks, LastingErrors]:
+    """Landmarks of a recording, and how wide the errors are of what they say, near its viewpoints and away from them.
+
+    Near: every other frame is looked at by the landmarks of the others. Away: frames of regions that are held out by
+    landmarks that no frame there saw.
+
+    Args:
+        recording: posed frames, five at least; of many, some hundred are taken, evenly out of them.
+        depth_of: a frame's depth, (H, W) m, 0 where there is none.
+
+    Returns:
+        No landmarks where too few are seen again to tell a pose.
+    """
+    poses = recording.poses
+    assert poses is not None
+    detect = KeypointDetector(recording.camera)
+    frames = np.unique(np.linspace(0, len(recording) - 1, min(_MOST_FRAMES, len(recording))).round().astype(np.int64))
+    poses = poses[frames]
+    with progress.task("landmarks", len(frames)) as show:
+        corners = []
+        for index in frames.tolist():
+            keypoints = detect(recording.color(index))
+            pixels = keypoints.pixels.astype(np.float32)
+            depth = sample_depth(pixels, detect.camera, depth_of(index), recording.camera, _DEPTH_JUMP)
+            corners.append(Corners(keypoints, depth))
+            show(len(corners))
+        lasting = _measured(corners, recording.camera, detect.camera, poses)
+        if lasting is None:
+            return Landmarks.none(), LastingErrors()
+        return landmarks_of(corners, detect.camera, poses), lasting
+
+
+@dataclass(frozen=True)
+class Corners:
+    """Keypoints of one frame with their depth, (N,) m, 0 where there is none."""
+
+    keypoints: Keypoints
+    depth_m: FloatArray
+
+
+def _measured(corners: list[Corners], camera: Camera, detected: Camera, poses: FloatArray) -> LastingErrors | None:
+    """What frames err by that others' landmarks tell the poses of; None where that is not half of them.
+
+    Args:
+        camera, detected: of the recording, and of the images in which corners were looked for.
+    """
+
+    def errors(by: NDArray[np.int64], of: NDArray[np.int64]) -> tuple[PoseErrors, NDArray[np.int64]]:
+        """Of the frames that see landmarks of others, what lasts of their errors, and which frames those are."""
+        sight = LandmarkSight(landmarks_of([corners[index] for index in by], detected, poses[by]), camera)
+        told = {index: sight.near(corners[index].keypoints, poses[index], BESIDE) for index in of.tolist()}
+        seen = {index: sighting for index, sighting in told.items() if sighting is not None}
+        twists = [se3_log(invert(poses[index]) @ sighting.pose) for index, sighting in seen.items()]
+        stated = [np.diag(sighting.covariance) for sighting in seen.values()]
+        lasting = _lasting(twist_errors(np.reshape(twists, (-1, 6))), np.reshape(stated, (-1, 6)))
+        return lasting, np.array(list(seen), dtype=np.int64)
+
+    frames = np.arange(len(corners))
+    both = errors(frames[::2], frames[1::2])[0], errors(frames[1::2], frames[::2])[0]
+    near = PoseErrors(*(np.concatenate(parts) for parts in zip(*map(astuple, both), strict=True)))
+    if 2 * len(near.position_m) < len(frames):
+        return None
+    held_out = np.sort(np.concatenate(hold_out_regions(poses, REGIONS, HELD_OUT_SHARE)))
+    others = np.setdiff1d(frames, held_out)
+    away, seen = errors(others, held_out)
+    distances_m = np.array([viewpoints_apart(poses[index], poses[others]).min() for index in seen])
+    return lasting_errors(near, near, away, distances_m, _USUAL_GROWTH)
+
+
+def _lasting(errors: PoseErrors, stated: FloatArray) -> PoseErrors:
+    """What errors exceed their stated noise by, variances of twists (N, 6), but a third of them at least."""
+
+    def beyond(errors: FloatArray, variances: FloatArray, least: float) -> FloatArray:
+        noise = CHI2_MEDIAN_3 * variances.mean(axis=1)
+        return np.asarray(
+            np.sqrt(np.maximum.reduce([errors**2 - noise, (errors / 3.0) ** 2, np.full(len(errors), least**2)]))
+        )
+
+    return PoseErrors(
+        beyond(errors.position_m, stated[:, :3], _LEAST_M), beyond(errors.rotation_rad, stated[:, 3:], _LEAST_RAD)
+    )
+
+
+def landmarks_of(corners: list[Corners], camera: Camera, poses: FloatArray) -> Landmarks:
+    """Landmarks of frames (N, 4, 4) ``T_world_camera`` of a camera: corners that two or more of them saw."""
+    seen = _gathered(corners, camera, poses)
+    points, is_one_place = _placed(seen, poses)
+    chosen = _chosen(seen, is_one_place, len(corners))
+    return Landmarks(points[chosen].astype(np.float32), _looks(seen, chosen))
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """L places where there may be a landmark, and O corners that may be of them.
+
+    Attributes:
+        points: (L, 3) as first lifted, world frame.
+        landmark, frame: (O,) of which place a corner is, and in which frame.
+        rays: (O, 2) at a depth of one; ``sd``: (O, 2) their standard deviations.
+        depth_m: (O,) 0 where there is none.
+        descriptors: (O, 32).
+    """
+
+    points: FloatArray
+    landmark: NDArray[np.int64]
+    frame: NDArray[np.int64]
+    rays: FloatArray
+    sd: FloatArray
+    depth_m: FloatArray
+    descriptors: NDArray[np.uint8]
+
+
+def _gathered(corners: list[Corners], camera: Camera, poses: FloatArray) -> _Seen:
+    """Frame by frame, corners that look like a landmark near which they are, and new landmarks of the others."""
+    points, known = np.zeros((0, 3)), np.zeros((0, 32), np.uint8)
+    rows = []
+    for index, (each, pose) in enumerate(zip(corners, poses, strict=True)):
+        keypoints = each.keypoints
+        local = transform(invert(pose), points)
+        ahead = np.flatnonzero(camera.in_sight(local))
+        expected = camera.project(local[ahead])
+        which, again = pairs(expected, known[ahead], keypoints.pixels, keypoints.descriptors, _REACH_PX)
+        fresh = np.setdiff1d(np.flatnonzero(each.depth_m > 0.0), again)
+        corner = np.concatenate([again, fresh])
+        landmark = np.concatenate([ahead[which], len(points) + np.arange(len(fresh))])
+        rays, sd = keypoints.rays(camera)
+        columns = (rays, sd, each.depth_m, keypoints.descriptors)
+        rows.append((landmark, np.full(len(corner), index), *(column[corner] for column in columns)))
+        lifted = np.column_stack([rays[fresh], np.ones(len(fresh))]) * each.depth_m[fresh, None]
+        points = np.concatenate([points, transform(pose, lifted)])
+        known = np.concatenate([known, keypoints.descriptors[fresh]])
+    return _Seen(points, *(np.concatenate(column) for column in zip(*rows, strict=True)))
+
+
+def _placed(seen: _Seen, poses: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Where landmarks are likeliest, (L, 3), and whether half of their corners agree, (L,).
+
+    Gauss-Newton, of the rays to a corner and the logarithm of its depth, with Huber's weights.
+    """
+    T_camera_world = invert(poses)[seen.frame]
+    R_camera_world = T_camera_world[:, :3, :3]
+    has_depth = seen.depth_m > 0.0
+    log_depth = np.log(np.where(has_depth, seen.depth_m, 1.0))
+    scale = np.column_stack([1.0 / seen.sd, has_depth / _DEPTH_SD])
+    points = seen.points.copy()
+    for _ in range(_STEPS):
+        local = np.einsum("oij,oj->oi", R_camera_world, points[seen.landmark]) + T_camera_world[:, :3, 3]
+        local[:, 2] = np.maximum(local[:, 2], _NEAREST_M)
+        z = local[:, 2]
+        off = np.concatenate([local[:, :2] / z[:, None] - seen.rays, (np.log(z) - log_depth)[:, None]], axis=1)
+        slopes = np.zeros((len(z), 3, 3))
+        slopes[:, :2], slopes[:, 2, 2] = ray_slopes(local), 1.0 / z
+        residuals, slopes = scale * off, scale[..., None] * slopes @ R_camera_world
+        weights = np.minimum(1.0, _HUBER / np.maximum(np.abs(residuals), _HUBER))
+        normal, gradient = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
+        np.add.at(normal, seen.landmark, np.einsum("oij,oi,oik->ojk", slopes, weights, slopes))
+        np.add.at(gradient, seen.landmark, np.einsum("oij,oi->oj", slopes, weights * residuals))
+        points -= np.linalg.solve(normal + _LEAST_INFORMATION * np.eye(3), gradient[..., None])[..., 0]
+    agree = np.bincount(seen.landmark, np.linalg.norm(residuals[:, :2], axis=1) < _AGREE_SD, len(points))
+    return points, agree >= 0.5 * np.bincount(seen.landmark, minlength=len(points))
+
+
+def _chosen(seen: _Seen, is_one_place: NDArray[np.bool_], frames: int) -> NDArray[np.int64]:
+    """Those that most frames saw, two at least, until each frame has enough."""
+    counts = np.bincount(seen.landmark, minlength=len(is_one_place))
+    order = np.argsort(seen.landmark, kind="stable")
+    saw = np.split(seen.frame[order], np.cumsum(counts)[:-1])
+    candidates = np.flatnonzero(is_one_place & (counts >= 2))
+    has = np.zeros(frames, dtype=np.int64)
+    chosen = []
+    for index in candidates[np.argsort(-counts[candidates], kind="stable")].tolist():
+        if np.any(has[saw[index]] < _A_FRAME):
+            has[saw[index]] += 1
+            chosen.append(index)
+    return np.array(sorted(chosen), dtype=np.int64)
+
+
+def _looks(seen: _Seen, chosen: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Of C landmarks what most of their corners look like, bit by bit, (C, 32)."""
+    number = np.full(len(seen.points), -1)
+    number[chosen] = np.arange(len(chosen))
+    row = number[seen.landmark]
+    votes = np.zeros((len(chosen), 256), dtype=np.int32)
+    bits = np.unpackbits(seen.descriptors[row >= 0], axis=1).astype(np.int8)
+    np.add.at(votes, row[row >= 0], 2 * bits - 1)
+    return np.packbits(votes >= 0, axis=1)

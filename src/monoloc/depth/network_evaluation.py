@@ -1,0 +1,64 @@
+"""How good a depth network is on a recording with depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from monoloc.depth.predictor import DepthPredictor
+from monoloc.errors import DataError
+from monoloc.evaluation.depth_metrics import DepthAccumulator, DepthMetrics, truth_where_predicted
+from monoloc.evaluation.uncertainty import ErrorCalibration, error_calibration
+from monoloc.io.recording import Recording
+from monoloc.progress import Step
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A network's figures.
+
+    Attributes:
+        metrics: means over frames, at pixels with true and predicted depth, at the size of the truth.
+        judged: indices of the frames with such a pixel.
+        predicted_share: share of the pixels with true depth that got a prediction.
+        calibration: of the error that the network states of itself; None if it states none.
+    """
+
+    metrics: DepthMetrics
+    judged: list[int]
+    predicted_share: float
+    calibration: ErrorCalibration | None
+
+
+def judge_network(predictor: DepthPredictor, recording: Recording, progress: Step | None = None) -> Judgement:
+    """Compare predicted with measured depth over all frames.
+
+    Raises:
+        DataError: no pixel has both.
+    """
+    accumulator = DepthAccumulator()
+    known = predicted = 0
+    judged, errors, scales = [], [], []
+    for index in range(len(recording)):
+        prediction, truth = predictor(recording.color(index)), recording.depth(index)
+        depth = prediction.resized(recording.camera.width, recording.camera.height)
+        compared = truth_where_predicted(depth, truth)
+        known, predicted = known + int(np.sum(truth > 0.0)), predicted + int(np.sum(compared > 0.0))
+        accumulator.add(depth, compared)
+        if compared.any():
+            judged.append(index)
+        if prediction.log_error is not None:
+            # At the network's own pixels: interpolation would make neighbours agree more than they do.
+            size = prediction.depth_m.shape[::-1]
+            small = cv2.resize(truth, size, interpolation=cv2.INTER_NEAREST_EXACT)
+            has_both = (small > 0.0) & (prediction.depth_m > 0.0)
+            errors.append(np.log(prediction.depth_m[has_both] / small[has_both]))
+            scales.append(prediction.log_error[has_both])
+        if progress is not None:
+            progress(index + 1)
+    if not judged:
+        raise DataError(predictor.name, "gives no depth at any pixel of known depth", "check its TOML, or --frames")
+    calibration = error_calibration(np.concatenate(errors), np.concatenate(scales)) if errors else None
+    return Judgement(accumulator.mean(), judged, predicted / known, calibration)

@@ -1,0 +1,66 @@
+"""Networks on disk, never pickled: safetensors with the settings inside, or the ONNX file that the drone runs.
+
+An exported network keeps every tensor under its name (batch normalisation is folded only when it is loaded to
+run), so the one file serves to run and to tune from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import onnx
+import torch
+from google.protobuf.message import DecodeError
+from pydantic import ValidationError
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+
+from monoloc.depth.training.network import DepthNetwork, NetworkConfig
+from monoloc.errors import DataError
+from monoloc.files import write_whole
+
+NETWORK_KEY = "monoloc_network"
+
+
+def save_network(network: DepthNetwork, path: Path) -> None:
+    """Write weights and settings as safetensors, whole or not at all."""
+    tensors = {name: tensor.contiguous() for name, tensor in network.state_dict().items()}
+    write_whole(path, save(tensors, metadata={NETWORK_KEY: network.config.model_dump_json()}))
+
+
+def load_network(path: Path) -> DepthNetwork:
+    """Read a network written by :func:`save_network` or exported to ONNX, in evaluation mode.
+
+    Raises:
+        DataError: not such a file, cut short, quantised, or of tensors that its settings do not call for.
+    """
+    read = _read_onnx if path.suffix == ".onnx" else _read_safetensors
+    try:
+        settings, tensors = read(path)
+        network = DepthNetwork(NetworkConfig.model_validate_json(settings))
+        missing, unexpected = network.load_state_dict(dict(tensors), strict=False)
+    except (OSError, SafetensorError, DecodeError, KeyError, ValidationError, RuntimeError) as error:
+        reason = str(error).splitlines()[0]
+        raise DataError(path, f"is not a monoloc network ({reason})", "give a network.safetensors") from error
+    lacking = [name for name in missing if not name.endswith("num_batches_tracked")]  # counts nothing when tuned
+    if lacking or unexpected:
+        odd = f"lacks {lacking[0]}" if lacking else f"has {unexpected[0]}"
+        fix = "give the network as it was before quantisation, or train it with this version"
+        raise DataError(path, f"{odd}, which its settings do not agree with", fix)
+    return network.eval()
+
+
+def _read_safetensors(path: Path) -> tuple[str, Mapping[str, torch.Tensor]]:
+    with safe_open(path, framework="pt") as archive:
+        settings = (archive.metadata() or {})[NETWORK_KEY]
+        return settings, {name: archive.get_tensor(name) for name in archive.keys()}  # noqa: SIM118
+
+
+def _read_onnx(path: Path) -> tuple[str, Mapping[str, torch.Tensor]]:
+    model = onnx.load(path)
+    settings = {entry.key: entry.value for entry in model.metadata_props}[NETWORK_KEY]
+    tensors = {t.name: torch.from_numpy(onnx.numpy_helper.to_array(t).copy()) for t in model.graph.initializer}
+    # Constants of the graph have names of their own; the network's begin with those of its parts.
+    parts = ("encoder.", "decoder.", "head.", "error_head.")
+    return settings, {name: tensor for name, tensor in tensors.items() if name.startswith(parts)}

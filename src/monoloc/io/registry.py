@@ -1,0 +1,102 @@
+"""From what a user types to a recording: formats, SOURCE and --frames."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from monoloc.errors import DataError, SettingError
+from monoloc.io import folder, nyu, rgbd_scenes_v2, seven_scenes, tum_recording, video
+from monoloc.io.reader_options import ReaderOptions
+from monoloc.io.recording import Recording, Selection
+
+
+@dataclass(frozen=True)
+class Format:
+    """A way in which recordings are stored.
+
+    Attributes:
+        read: opens the recording at a path; raises DataError and SettingError.
+        recognises: whether a path looks like this format, by its name and what lies there.
+    """
+
+    read: Callable[[Path, ReaderOptions], Recording]
+    recognises: Callable[[Path], bool]
+
+
+# In the order in which they are tried on a path without a format: the most explicit first.
+FORMATS: dict[str, Format] = {
+    "folder": Format(folder.read, folder.recognises),
+    "tum": Format(tum_recording.read, tum_recording.recognises),
+    "7scenes": Format(seven_scenes.read, seven_scenes.recognises),
+    "rgbd-scenes-v2": Format(rgbd_scenes_v2.read, rgbd_scenes_v2.recognises),
+    "nyu": Format(nyu.read, nyu.recognises),
+    "video": Format(video.read, video.recognises),
+}
+
+_SOURCE = re.compile(r"([A-Za-z0-9_-]{2,}):(.+)")  # two letters or more: C:\ is a drive
+_FRAMES = re.compile(r"(\d*):(\d*)(?::(\d*))?")
+
+
+def open_recording(source: str, options: ReaderOptions | None = None) -> Recording:
+    """The recording at SOURCE, ``FORMAT:PATH`` or a path whose format is recognised by what lies there.
+
+    Raises:
+        SettingError: an unknown format, or an override that the format does not take.
+        DataError: the path does not exist, is not recognised, or holds an unusable recording.
+    """
+    options = options or ReaderOptions()
+    name, path = _parted(source)
+    if name is not None:
+        if name not in FORMATS:
+            raise SettingError("SOURCE", f"unknown format {name!r}", f"known formats: {', '.join(FORMATS)}")
+        return FORMATS[name].read(path, options)
+    if not path.exists():
+        raise DataError(path.absolute(), "does not exist", "check the path, or write FORMAT:PATH")
+    for known in FORMATS.values():
+        if known.recognises(path):
+            return known.read(path, options)
+    raise DataError(
+        path,
+        "is not recognised as a recording",
+        f"write FORMAT:PATH with one of {', '.join(FORMATS)}",
+    )
+
+
+def absolute_source(source: str) -> str:
+    """The same SOURCE for a process that works in another folder."""
+    name, path = _parted(source)
+    return str(path.resolve()) if name is None else f"{name}:{path.resolve()}"
+
+
+def _parted(source: str) -> tuple[str | None, Path]:
+    """Format, None where none is given, and path."""
+    match = _SOURCE.fullmatch(source)
+    if match and not Path(source).exists():
+        return match[1], Path(match[2]).expanduser()
+    return None, Path(source).expanduser()
+
+
+def select_frames(recording: Recording, frames: str) -> Selection:
+    """The frames START:STOP:STEP of a recording; each part may be left out, STOP is exclusive.
+
+    A STOP beyond the end means the end.
+
+    Raises:
+        SettingError: malformed, or no frame is left.
+    """
+    match = _FRAMES.fullmatch(frames.strip())
+    if match is None:
+        raise SettingError(
+            "frames", f"{frames!r} is not START:STOP:STEP", "write whole numbers, such as 0:400:4 or 100:"
+        )
+    start, stop, step = (int(part) if part else None for part in match.groups())
+    if step == 0:
+        raise SettingError("frames", f"{frames!r} has step 0", "give a step of 1 or more")
+    positions = range(len(recording))[start:stop:step]
+    if not positions:
+        fix = f"choose START below STOP and below {len(recording)}"
+        raise SettingError("frames", f"{frames!r} selects none of the {len(recording)} frames", fix)
+    return Selection(recording, positions)

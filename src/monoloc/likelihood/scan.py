@@ -1,0 +1,88 @@
+"""The scan: a few hundred points of a depth image, and the corners that parallax has measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.depth.depth_image import at_discontinuity
+from monoloc.depth.predictor import DepthPrediction
+from monoloc.odometry.visual import Motion
+
+_LEAST_WEIGHT, _MOST_WEIGHT = 0.25, 4.0  # no point is to decide alone, or to be there for nothing
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Points to hold against the map.
+
+    Attributes:
+        points: (P, 3) float32, camera's frame, metres.
+        weights: (P,) float32, positive: how much each counts, 1 on average.
+    """
+
+    points: NDArray[np.float32]
+    weights: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+def scan_from_depth(
+    depth: DepthPrediction,
+    count: int,
+    rng: np.random.Generator,
+    error_power: float = 0.0,
+    max_depth_m: float = 8.0,
+    depth_jump: float = 0.15,
+) -> Scan:
+    """A scan of points spread evenly over the usable pixels.
+
+    Pixels on depth edges are left out: interpolation across an occlusion makes points in mid-air.
+
+    Args:
+        depth: of one frame.
+        count: number of points; all usable pixels if there are fewer.
+        error_power: a point counts as the inverse of its stated error to this power, where the network states one.
+        max_depth_m: farther pixels are left out.
+        depth_jump: pixels beside a relative jump above this are left out.
+
+    Returns:
+        P <= count points; P = 0 when no pixel is usable.
+    """
+    depth_m, camera = depth.depth_m, depth.camera
+    usable = (depth_m > 0.0) & (depth_m <= max_depth_m) & ~at_discontinuity(depth_m, depth_jump)
+    candidates = np.flatnonzero(usable)
+    if len(candidates) > count:
+        # One from each of `count` runs of neighbouring pixels: even over the image, different every frame.
+        bounds = np.linspace(0.0, len(candidates), count + 1)
+        candidates = candidates[(bounds[:-1] + rng.uniform(size=count) * np.diff(bounds)).astype(np.int64)]
+    rows, columns = np.divmod(candidates, depth_m.shape[1])
+    rays = camera.rays(np.stack([columns, rows], axis=1))
+    points = np.asarray(rays * depth_m.ravel()[candidates, None], dtype=np.float32)
+    if depth.log_error is None or error_power == 0.0 or len(points) == 0:
+        return evenly(points)
+    return Scan(points, _weights(depth.log_error.ravel()[candidates], error_power))
+
+
+def scan_from_corners(motion: Motion, doubt: float, max_depth_m: float = 8.0) -> Scan:
+    """Tracked corners before the camera whose log-depth has a standard deviation below ``doubt``."""
+    z = motion.points[:, 2]
+    chosen = (motion.log_depth_sd < doubt) & (z > 0.0) & (z <= max_depth_m)
+    return evenly(np.asarray(motion.points[chosen], dtype=np.float32))
+
+
+def evenly(points: NDArray[np.float32]) -> Scan:
+    """A scan of points (P, 3) that all count the same."""
+    return Scan(points, np.ones(len(points), dtype=np.float32))
+
+
+NOTHING = evenly(np.zeros((0, 3), dtype=np.float32))
+
+
+def _weights(log_error: NDArray[np.float32], power: float) -> NDArray[np.float32]:
+    weights = np.exp(-power * (log_error - np.median(log_error)))
+    weights = np.clip(weights, _LEAST_WEIGHT, _MOST_WEIGHT)
+    return np.asarray(weights / weights.mean(), dtype=np.float32)

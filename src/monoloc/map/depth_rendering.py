@@ -1,0 +1,69 @@
+"""Depth of the map's cloud seen from a pose: supervision where the recording's sensor saw nothing, or has none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.geometry import FloatArray, invert, transform
+from monoloc.io.recording import Recording
+
+_WIDTH = 160  # of the image drawn: about that of a network's input, so that what it is tuned on has few gaps
+_CELL_PX = 4.0  # points of a 3 cm cloud lie closer than this at room distances, so surfaces have no gaps
+_SAME_SURFACE = 1.05
+
+
+def supervision(recording: Recording, cloud: FloatArray) -> Callable[[int], NDArray[np.float32]]:
+    """Function from a frame's index to its (H, W) depth: the sensor's, and the cloud's where the sensor has none.
+
+    Sensors miss dark, shiny and far surfaces in all frames alike; left alone there, the network's depth would be
+    anything, and a quarter of the scan with it.
+    """
+    from_map = map_depth(recording, cloud)
+
+    def depth_of(index: int) -> NDArray[np.float32]:
+        depth = from_map(index)
+        if recording.has_depth:
+            measured = recording.depth(index)
+            depth = np.where(measured > 0.0, measured, depth)
+        return depth
+
+    return depth_of
+
+
+def map_depth(recording: Recording, cloud: FloatArray) -> Callable[[int], NDArray[np.float32]]:
+    """Function from a frame's index to its (H, W) depth by the cloud, 0 where no point is seen.
+
+    It is drawn 160 pixels wide, and every pixel of the frame takes what is drawn there. A point is seen when no other
+    in its cell of the image is nearer by more than 5 %: cells are wide enough that a surface in front leaves no gap
+    for what is behind it.
+
+    Args:
+        recording: posed frames.
+        cloud: (N, 3) world frame, metres.
+    """
+    size = (recording.camera.width, recording.camera.height)
+    camera = recording.camera.resized(_WIDTH, max(1, round(_WIDTH * size[1] / size[0])))
+    columns, rows = int(camera.width / _CELL_PX) + 1, int(camera.height / _CELL_PX) + 1
+    poses = recording.poses
+    assert poses is not None
+
+    def depth_of(index: int) -> NDArray[np.float32]:
+        points = transform(invert(poses[index]), cloud)
+        points = points[camera.in_sight(points)]
+        pixels = np.round(camera.project(points)).astype(np.int64)
+        inside = (pixels >= 0).all(axis=1) & (pixels < [camera.width, camera.height]).all(axis=1)
+        u, v, z = pixels[inside, 0], pixels[inside, 1], points[inside, 2]
+        cell = (v / _CELL_PX).astype(np.int64) * columns + (u / _CELL_PX).astype(np.int64)
+        nearest = np.full(rows * columns, np.inf)
+        np.minimum.at(nearest, cell, z)
+        seen = z <= _SAME_SURFACE * nearest[cell]
+        pixel, count = v[seen] * camera.width + u[seen], camera.width * camera.height
+        drawn = np.bincount(pixel, z[seen], count) / np.maximum(1, np.bincount(pixel, minlength=count))
+        image = drawn.reshape(camera.height, camera.width).astype(np.float32)
+        return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_NEAREST_EXACT))
+
+    return depth_of

@@ -1,0 +1,286 @@
+"""Camera motion, and the depth of corners, from tracked corners and depth of any source.
+
+Corners are lifted with the depth of the keyframe in which they appear and tracked from frame to frame; the camera's
+pose is the perspective-n-point solution over the tracks. The last keyframes are adjusted together
+(:mod:`monoloc.odometry.window`), so that parallax corrects the shape of the depth. Its scale remains the depth
+source's, on average over some seconds; where that is wrong by a factor, so is the translation, by the same factor,
+which the filter estimates.
+
+Sources: Shi & Tomasi 1994 (corners); Bouguet 2000 (pyramidal Lucas-Kanade); Kalal et al. 2010 (forward-backward
+check); Fischler & Bolles 1981 (RANSAC); Forster et al. 2014 and Loo et al. 2019 (depth filters of corners, started
+from a network's prediction).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from monoloc.camera import Camera
+from monoloc.contrast import equaliser, shows_something
+from monoloc.depth.depth_image import sample_depth
+from monoloc.geometry import FloatArray, invert, make_pose, so3_exp, transform
+from monoloc.odometry.window import Window, adjust
+
+
+class OdometryConfig(BaseModel):
+    """Settings of the visual odometry; pixels are of the tracking image, ``width`` wide.
+
+    Attributes:
+        width: width at which corners are tracked.
+        corners: most corners tracked at a time.
+        min_distance_px: least distance between corners.
+        search_px: Lucas-Kanade window.
+        forward_backward_px: largest distance between a corner and its track there and back.
+        reprojection_px: RANSAC's inlier threshold.
+        min_inliers, min_inlier_share: fewer than this, or than this share of the corners tracked, is a failure.
+        depth_jump: corners within a pixel of a relative depth jump above this are not lifted: they sit on an
+            occlusion edge.
+        keyframes: size of the adjusted window.
+        keyframe_motion_px: a keyframe is taken when corners have moved this far, in the median, since the last.
+        keyframe_share: or when fewer than this share of the last keyframe's corners are still seen.
+        corner_sd_px: standard deviation of a corner's place.
+        log_depth_sd: standard deviation of the logarithm of the depth source, from corner to corner.
+        scale_memory: share of the window's scale that a new keyframe keeps; the rest is the depth source's.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    width: int = Field(320, ge=80)
+    corners: int = Field(300, ge=20)
+    min_distance_px: float = Field(7.0, gt=0.0)
+    search_px: int = Field(15, ge=5)
+    forward_backward_px: float = Field(0.7, gt=0.0)
+    reprojection_px: float = Field(1.5, gt=0.0)
+    min_inliers: int = Field(15, ge=6)
+    min_inlier_share: float = Field(0.4, ge=0.0, le=1.0)
+    depth_jump: float = Field(0.15, gt=0.0)
+    keyframes: int = Field(12, ge=2)
+    keyframe_motion_px: float = Field(10.0, gt=0.0)
+    keyframe_share: float = Field(0.75, gt=0.0, le=1.0)
+    corner_sd_px: float = Field(0.7, gt=0.0)
+    log_depth_sd: float = Field(0.3, gt=0.0)
+    scale_memory: float = Field(0.95, ge=0.0, le=1.0)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Motion of the camera between two frames, and what was seen on the way.
+
+    Attributes:
+        T_previous_current: (4, 4), translation in units of the depth it was computed from.
+        inliers: tracks that agree with it.
+        points: (N, 3) corners in the current camera's frame, depth refined by parallax, in the same units.
+        log_depth_sd: (N,) standard deviation of the logarithm of their depth.
+    """
+
+    T_previous_current: FloatArray
+    inliers: int
+    points: FloatArray
+    log_depth_sd: FloatArray
+
+
+@dataclass(frozen=True)
+class _Tracks:
+    """N corners that are being followed; r is the frame of the window's first keyframe.
+
+    Attributes:
+        window: the keyframes that saw them.
+        pixels: (N, 2) where the latest frame sees them.
+        log_depth_sd: (N,) standard deviation of their log-depth.
+        keyframe_pixels: (N, 2) where the last keyframe saw them; ``keyframe_count`` how many it saw.
+    """
+
+    window: Window
+    pixels: NDArray[np.float32]
+    log_depth_sd: FloatArray
+    keyframe_pixels: NDArray[np.float32]
+    keyframe_count: int
+
+    @property
+    def points(self) -> FloatArray:
+        """(N, 3) in r."""
+        return self.window.points
+
+    def select(self, chosen: NDArray[Any]) -> _Tracks:
+        return replace(
+            self,
+            window=self.window.select(chosen),
+            pixels=self.pixels[chosen],
+            log_depth_sd=self.log_depth_sd[chosen],
+            keyframe_pixels=self.keyframe_pixels[chosen],
+        )
+
+
+class VisualOdometry:
+    """Frame-to-frame camera motion; call :meth:`step` with every frame in order."""
+
+    def __init__(self, camera: Camera, config: OdometryConfig | None = None) -> None:
+        self.config = config or OdometryConfig()
+        width = min(self.config.width, camera.width)
+        self._camera = camera.resized(width, round(camera.height * width / camera.width))
+        self._equalise = equaliser()
+        self._gray: NDArray[np.uint8] | None = None
+        self._T_r_previous = np.eye(4)
+        self._tracks: _Tracks | None = None
+
+    def step(self, color: NDArray[np.uint8], depth_m: NDArray[np.float32], depth_camera: Camera) -> Motion | None:
+        """Motion since the previous frame; None for the first frame, where tracking fails, and in the dark.
+
+        Args:
+            color: (H, W, 3) uint8 RGB.
+            depth_m: (h, w) depth of this frame, of any resolution; 0 where there is none.
+            depth_camera: intrinsics of the depth image.
+        """
+        if not shows_something(color):
+            self._tracks = None
+            return None
+        gray = self._tracking_image(color)
+        T_r_current = self._follow(gray)
+        if T_r_current is None:
+            self._tracks, self._T_r_previous = None, np.eye(4)
+            self._add_keyframe(gray, np.eye(4), depth_m, depth_camera)
+            self._gray = gray
+            return None
+        # Within the window's frame r before it is adjusted, where the previous pose is still valid.
+        T_previous_current = invert(self._T_r_previous) @ T_r_current
+        assert self._tracks is not None
+        inliers = len(self._tracks.points)
+        if self._needs_keyframe():
+            T_r_current = self._add_keyframe(gray, T_r_current, depth_m, depth_camera)
+        self._gray, self._T_r_previous = gray, T_r_current
+        points = transform(invert(T_r_current), self._tracks.points)
+        return Motion(T_previous_current, inliers, points, self._tracks.log_depth_sd)
+
+    def _tracking_image(self, color: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        size = (self._camera.width, self._camera.height)
+        gray = cv2.cvtColor(cv2.resize(color, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY)
+        return np.asarray(self._equalise.apply(gray), dtype=np.uint8)
+
+    def _follow(self, gray: NDArray[np.uint8]) -> FloatArray | None:
+        """Track the corners into ``gray`` and solve for its ``T_r_camera``; drops the tracks that disagree."""
+        if self._tracks is None or self._gray is None or len(self._tracks.points) < self.config.min_inliers:
+            return None
+        pixels, kept = self._track(self._gray, gray, self._tracks.pixels)
+        tracks = replace(self._tracks, pixels=pixels).select(kept)
+        solution = self._solve(tracks.points, tracks.pixels)
+        if solution is None:
+            return None
+        T_r_current, inliers = solution
+        self._tracks = tracks.select(inliers)
+        return T_r_current
+
+    def _track(
+        self, before: NDArray[np.uint8], after: NDArray[np.uint8], pixels: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        size = (self.config.search_px, self.config.search_px)
+        forward, found, _ = cv2.calcOpticalFlowPyrLK(before, after, pixels, pixels.copy(), winSize=size, maxLevel=3)
+        back, found_back, _ = cv2.calcOpticalFlowPyrLK(
+            after, before, forward, forward.copy(), winSize=size, maxLevel=3
+        )
+        distance = np.linalg.norm(back - pixels, axis=1)
+        kept = (found[:, 0] == 1) & (found_back[:, 0] == 1) & (distance < self.config.forward_backward_px)
+        return np.asarray(forward, dtype=np.float32), kept
+
+    def _solve(self, points: FloatArray, pixels: NDArray[np.float32]) -> tuple[FloatArray, NDArray[np.int64]] | None:
+        """``T_r_current`` and the inliers' indices, or None."""
+        if len(points) < self.config.min_inliers:
+            return None
+        K, distortion = self._camera.matrix, np.asarray(self._camera.distortion)
+        ok, rotation, translation, inliers = cv2.solvePnPRansac(
+            points,
+            pixels.astype(np.float64),
+            K,
+            distortion,
+            iterationsCount=100,
+            reprojectionError=self.config.reprojection_px,
+            confidence=0.999,
+            flags=cv2.SOLVEPNP_EPNP,
+        )
+        least = max(self.config.min_inliers, self.config.min_inlier_share * len(points))
+        if not ok or inliers is None or len(inliers) < least:
+            return None
+        chosen = inliers.ravel().astype(np.int64)
+        rotation, translation = cv2.solvePnPRefineLM(
+            points[chosen], pixels[chosen].astype(np.float64), K, distortion, rotation, translation
+        )
+        T_current_r = make_pose(so3_exp(rotation.ravel()), translation.ravel())
+        return (invert(T_current_r), chosen) if np.all(np.isfinite(T_current_r)) else None
+
+    def _needs_keyframe(self) -> bool:
+        tracks = self._tracks
+        assert tracks is not None
+        moved = np.median(np.linalg.norm(tracks.pixels - tracks.keyframe_pixels, axis=1))
+        is_worn = len(tracks.points) < self.config.keyframe_share * tracks.keyframe_count
+        return bool(moved > self.config.keyframe_motion_px) or is_worn
+
+    def _add_keyframe(
+        self, gray: NDArray[np.uint8], T_r_camera: FloatArray, depth_m: NDArray[np.float32], depth_camera: Camera
+    ) -> FloatArray:
+        """Take the current frame into the window, adjust the window, and return the frame's pose after it."""
+        config, camera = self.config, self._camera
+        known = self._tracks
+        window = Window.empty() if known is None else known.window
+        pixels = np.zeros((0, 2), dtype=np.float32) if known is None else known.pixels
+        fresh = self._new_corners(gray, pixels)
+        log_depth = self._log_depth(np.concatenate([pixels, fresh]), depth_m, depth_camera)
+        # The window's scale goes on: predicted depth is brought to it, but for a small share.
+        z = transform(invert(T_r_camera), window.points)[:, 2]
+        ratio = np.log(np.maximum(z, 1e-3)) - log_depth[: len(pixels)]
+        if np.isfinite(ratio).any():
+            log_depth += config.scale_memory * np.nanmedian(ratio)
+        used = np.isfinite(log_depth) | (np.arange(len(log_depth)) < len(pixels))
+        fresh, log_depth = fresh[used[len(pixels) :]], log_depth[used]
+        tracked = np.concatenate([pixels, fresh])
+        rays = camera.rays(tracked)[:, :2]
+        lifted = np.column_stack([rays, np.ones(len(rays))]) * np.exp(log_depth)[:, None]
+        new_points = transform(T_r_camera, lifted[len(pixels) :])
+        window = window.with_keyframe(T_r_camera, new_points, rays, log_depth, config.keyframes)
+        information = np.zeros((len(tracked), 3, 3))
+        if len(window.poses) > 1 and len(tracked):
+            ray_sd = config.corner_sd_px / camera.focal_px
+            poses, points, information = adjust(window, ray_sd, config.log_depth_sd, iterations=3)
+            window = replace(window, poses=poses, points=points)
+        T_r_adjusted = window.poses[-1]
+        sd = _log_depth_sd(T_r_adjusted, window.points, information, config.log_depth_sd)
+        tracks = _Tracks(window, tracked, sd, keyframe_pixels=tracked, keyframe_count=len(tracked))
+        in_front = transform(invert(T_r_adjusted), window.points)[:, 2] > 0.05
+        self._tracks = tracks.select(in_front)
+        return np.asarray(T_r_adjusted)
+
+    def _log_depth(
+        self, pixels: NDArray[np.float32], depth_m: NDArray[np.float32], depth_camera: Camera
+    ) -> FloatArray:
+        """Logarithm of the depth at pixels of the tracking image, (N, 2) -> (N,); NaN where there is none."""
+        depth = sample_depth(pixels, self._camera, depth_m, depth_camera, self.config.depth_jump)
+        with np.errstate(divide="ignore"):
+            return np.where(depth > 0.0, np.log(depth), np.nan)
+
+    def _new_corners(self, gray: NDArray[np.uint8], known: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Corners away from the known ones, (N, 2), as many as there is room for."""
+        wanted = self.config.corners - len(known)
+        if wanted <= 0:
+            return np.zeros((0, 2), dtype=np.float32)
+        free = np.full(gray.shape, 255, dtype=np.uint8)
+        for x, y in known:
+            cv2.circle(free, (int(x), int(y)), int(self.config.min_distance_px), 0, -1)
+        corners: Any = cv2.goodFeaturesToTrack(
+            gray, wanted, qualityLevel=0.005, minDistance=self.config.min_distance_px, mask=free
+        )
+        if corners is None or len(corners) == 0:
+            return np.zeros((0, 2), dtype=np.float32)
+        return np.asarray(corners, dtype=np.float32).reshape(-1, 2)
+
+
+def _log_depth_sd(T_r_camera: FloatArray, points: FloatArray, information: FloatArray, prior_sd: float) -> FloatArray:
+    """Standard deviation of each point's log-depth in a camera, (N,), never above that of the prediction."""
+    local = transform(invert(T_r_camera), points)
+    direction = local / np.maximum(np.linalg.norm(local, axis=1), 1e-6)[:, None] @ T_r_camera[:3, :3].T
+    # Moving a point along its ray by t changes log-depth by t / range.
+    along = np.einsum("ni,nij,nj->n", direction, information, direction) * np.sum(local**2, axis=1)
+    return np.asarray(1.0 / np.sqrt(along + 1.0 / prior_sd**2))

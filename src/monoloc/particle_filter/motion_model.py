@@ -1,0 +1,83 @@
+"""Where the particles go between two frames."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from monoloc.geometry import FloatArray, rotation_angle, se3_exp
+from monoloc.odometry.visual import Motion
+from monoloc.particle_filter.particles import Particles
+
+
+class MotionConfig(BaseModel):
+    """Noise of the motion models and of the depth's scale.
+
+    Attributes:
+        speed_sd_m_s, turn_sd_rad_s: for frames without odometry: standard deviation of the velocity per axis, which
+            is another after every frame that says where the camera is, and lasts while none does.
+        translation_sd_m, translation_sd_ratio: odometry's translation noise, per axis: constant and share of
+            the distance moved.
+        rotation_sd_rad, rotation_sd_ratio: its rotation noise, likewise.
+        log_scale_correlation: correlation of the depth's log-scale over one second.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    speed_sd_m_s: float = Field(0.35, gt=0.0)
+    turn_sd_rad_s: float = Field(0.5, gt=0.0)
+    translation_sd_m: float = Field(0.002, gt=0.0)
+    translation_sd_ratio: float = Field(0.1, ge=0.0)
+    rotation_sd_rad: float = Field(0.0015, gt=0.0)
+    rotation_sd_ratio: float = Field(0.05, ge=0.0)
+    log_scale_correlation: float = Field(0.95, ge=0.0, lt=1.0)
+
+
+def motion_sd(motion: Motion | None, elapsed_s: float, blind_s: float, config: MotionConfig) -> FloatArray:
+    """Standard deviations of a motion's twist in the new camera's frame, (6,).
+
+    Args:
+        motion: odometry's, or None: then by how much more an unknown velocity has led astray in the last
+            ``elapsed_s`` of ``blind_s + elapsed_s`` without a word.
+        blind_s: for how long nothing has said where the camera is, before this frame.
+    """
+    if motion is None:
+        walked_s = float(np.sqrt((blind_s + elapsed_s) ** 2 - blind_s**2))
+        return np.repeat([config.speed_sd_m_s, config.turn_sd_rad_s], 3) * walked_s
+    delta = motion.T_previous_current
+    translation_sd = np.hypot(config.translation_sd_m, config.translation_sd_ratio * np.linalg.norm(delta[:3, 3]))
+    rotation_sd = np.hypot(config.rotation_sd_rad, config.rotation_sd_ratio * rotation_angle(delta[:3, :3]))
+    return np.repeat([float(translation_sd), float(rotation_sd)], 3)
+
+
+def predict(
+    particles: Particles,
+    motion: Motion | None,
+    elapsed_s: float,
+    blind_s: float,
+    log_scale_sd: float,
+    config: MotionConfig,
+    rng: np.random.Generator,
+) -> Particles:
+    """Move every particle by odometry where there is some, else at random, see :func:`motion_sd`.
+
+    Odometry's translation was measured in predicted depth, so each particle scales it by its own depth scale.
+    The log-scale is a first-order autoregressive process whose spread stays ``log_scale_sd``.
+    """
+    count = len(particles)
+    noise = rng.standard_normal((count, 6)) * motion_sd(motion, elapsed_s, blind_s, config)
+    poses = particles.poses
+    if motion is not None:
+        poses = poses @ _scaled(motion.T_previous_current, np.exp(particles.log_scale))
+    poses = poses @ se3_exp(noise)
+    keep = config.log_scale_correlation**elapsed_s
+    spread = log_scale_sd * np.sqrt(1.0 - keep**2)
+    log_scale = keep * particles.log_scale + spread * rng.standard_normal(count)
+    return Particles(poses, log_scale, particles.log_weights)
+
+
+def _scaled(pose: FloatArray, factors: FloatArray) -> FloatArray:
+    """A pose with its translation multiplied by each factor: (4, 4), (N,) -> (N, 4, 4)."""
+    poses = np.repeat(pose[None], len(factors), axis=0)
+    poses[:, :3, 3] *= factors[:, None]
+    return poses

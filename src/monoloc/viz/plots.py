@@ -1,0 +1,142 @@
+"""Pictures for people: where the camera went and how sure it was, what the network saw, how training went.
+
+Every function writes one PNG whole, or leaves what was there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from monoloc.evaluation.depth_metrics import depth_metrics, truth_where_predicted
+from monoloc.geometry import FloatArray
+from monoloc.viz.picture import BLUE, ORANGE, picture
+from monoloc.viz.run_drawing import Run, draw_errors, draw_views
+
+
+def plot_localization(
+    path: str | Path,
+    *,
+    estimated: FloatArray,
+    timestamps_s: FloatArray,
+    truth: FloatArray | None = None,
+    covariances: FloatArray | None = None,
+    odometry: FloatArray | None = None,
+    unseen: NDArray[np.bool_] | None = None,
+    states: Sequence[str] | None = None,
+    mixture: tuple[FloatArray, FloatArray] | None = None,
+    title: str = "",
+) -> None:
+    """The camera's way over the map, from above and from the side, and its errors over time.
+
+    Up is the world axis most opposed to the cameras' mean y axis, so that worlds with y down and with z up
+    are both seen from above. Without truth the right half shows the covariance's bounds alone.
+
+    Args:
+        path: the PNG to write.
+        estimated: ``T_world_camera``, (N, 4, 4).
+        timestamps_s: (N,) seconds.
+        truth: ``T_world_camera``, (N, 4, 4), same world.
+        covariances: (N, 6, 6) in the estimated camera's tangent space, order (rho, phi), m and rad.
+        odometry: ``T_world_camera`` by odometry alone, (N, 4, 4), same world.
+        unseen: (N,) True for frames that did not build the map.
+        states: N of "tracking", "uncertain", "lost".
+        mixture: means (K, 3) and covariances (K, 3, 3) of the map, world frame, metres.
+        title: written above all.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        DataError: the file cannot be written.
+        ValueError: arrays that do not fit the estimate, or poses that are not finite.
+    """
+    run = Run(estimated, timestamps_s, truth, covariances, odometry, unseen, states, mixture)
+    with picture(path, 13.0, 7.8) as figure:
+        if title:
+            figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold")
+        maps, errors = figure.subfigures(1, 2, squeeze=False, width_ratios=[1.0, 1.1], wspace=0.03)[0]
+        shown = draw_views(maps, run) | draw_errors(errors, run)
+        figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=8)
+
+
+def plot_depth(
+    path: str | Path,
+    colors: Sequence[NDArray[np.uint8]],
+    predicted_m: Sequence[ArrayLike],
+    truth_m: Sequence[ArrayLike],
+) -> None:
+    """One row an image: colour, predicted depth, true depth, and signed relative error.
+
+    Args:
+        path: the PNG to write.
+        colors: images (H, W, 3) uint8, RGB, of any size.
+        predicted_m: depth images (h, w), metres; 0 where there is none, which is drawn grey and not judged.
+        truth_m: depth images (h, w), metres; 0 or NaN where unknown, which is drawn grey.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        DataError: the file cannot be written.
+        ValueError: no image, not as many of each, or an image without a pixel that has both depths.
+    """
+    if not len(colors) == len(predicted_m) == len(truth_m) >= 1:
+        raise ValueError(
+            "colors, predicted_m and truth_m must be equally many and not none, "
+            f"got {len(colors)}, {len(predicted_m)} and {len(truth_m)}"
+        )
+    metrics = [depth_metrics(p, truth_where_predicted(p, t)) for p, t in zip(predicted_m, truth_m, strict=True)]
+    predictions, truths = ([np.where(np.asarray(d) > 0.0, d, np.nan) for d in ds] for ds in (predicted_m, truth_m))
+    near_m, far_m = np.nanpercentile(np.concatenate([t.ravel() for t in truths]), [1.0, 99.0])
+
+    aspect = colors[0].shape[0] / colors[0].shape[1]
+    with picture(path, 13.0, 3.3 * aspect * len(colors) + 1.0) as figure:
+        grid = figure.subplots(len(colors), 4, squeeze=False)
+        for row, color, predicted, truth, metric in zip(grid, colors, predictions, truths, metrics, strict=True):
+            row[0].imshow(color)
+            for axis, image in ((row[1], predicted), (row[2], truth)):
+                depth = axis.imshow(image, cmap="viridis", vmin=near_m, vmax=far_m)
+            error = row[3].imshow(100.0 * (predicted - truth) / truth, cmap="PuOr", vmin=-50.0, vmax=50.0)
+            row[3].set_title(f"AbsRel {metric.absrel:.3f}, δ1 {metric.delta1:.3f}", loc="right", fontsize=9)
+            for axis in row:
+                axis.set(xticks=[], yticks=[], facecolor="#D0D0D0")
+                axis.grid(False)
+        for axis, name in zip(grid[0], ("Colour", "Predicted depth", "True depth", "Error"), strict=True):
+            axis.set_title(name)
+        # Room is taken below the colour column too, or it would not stay level with the others.
+        figure.colorbar(
+            depth, ax=grid[:, :3], location="bottom", label="depth (m)", extend="both",
+            shrink=0.66, anchor=(1.0, 1.0), aspect=40,
+        )  # fmt: skip
+        figure.colorbar(error, ax=grid[:, 3], location="bottom", label="(predicted - true) / true (%)", extend="both")
+
+
+def plot_training(path: str | Path, history: Sequence[Mapping[str, float]]) -> None:
+    """One panel a quantity, over epochs or steps; ``train_x`` and ``validation_x`` share the panel of ``x``.
+
+    Args:
+        path: the PNG to write.
+        history: one record an epoch or step, all with the same keys, the first of which is the horizontal
+            axis. NaN leaves a gap.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        DataError: the file cannot be written.
+        ValueError: an empty history, or records of nothing but their number.
+    """
+    if not history or len(history[0]) < 2:
+        raise ValueError("history must hold records of a step and at least one quantity")
+    step, *names = history[0]
+    quantities = {name: name.removeprefix("train_").removeprefix("validation_") for name in names}
+    panels = list(dict.fromkeys(quantities.values()))
+    with picture(path, 3.8 * len(panels) + 0.4, 3.6) as figure:
+        axes = dict(zip(panels, figure.subplots(1, len(panels), squeeze=False)[0], strict=True))
+        steps = [record[step] for record in history]
+        for name, quantity in quantities.items():
+            colour = ORANGE if name.startswith("train_") else BLUE
+            values = [record[name] for record in history]
+            axes[quantity].plot(steps, values, ".-", color=colour, linewidth=1.5, label=name.replace("_", " "))
+        for panel, axis in axes.items():
+            axis.set(title=panel.replace("_", " "), xlabel=step)
+            if len(axis.lines) > 1:
+                axis.legend()

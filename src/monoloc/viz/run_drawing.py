@@ -1,0 +1,305 @@
+"""The two halves of the localization picture: views of the map, and errors over time.
+
+Drawing functions return what they drew by its name, for one legend below both halves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.evaluation.trajectory import pose_errors
+from monoloc.geometry import FloatArray
+from monoloc.viz.picture import BLUE, GREEN, INK, ORANGE, VERMILION, YELLOW
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import SubFigure
+
+_STATE_COLOURS = {"uncertain": YELLOW, "lost": VERMILION}
+_DASHED = (0, (4, 2))
+_ELLIPSE_SIGMA = 1.5
+_VIEWS_ASPECT = 1.05  # height of both views together over their width, in the picture's left half
+_ARROWS_DRAWN = 16
+_ARROWS_PER_WIDTH = 22.0  # an arrow's length is one in so many of the view's width
+_VIEW_WIDTH_PT = 390.0  # nearly
+_NAME_PT = (15.0, 6.0)  # half of the width and height of "start"
+_GAP_PT = 4.0  # from a name to what it must not hide
+
+
+@dataclass(frozen=True)
+class Run:
+    """What :func:`~monoloc.viz.plots.plot_localization` was given, under the same names."""
+
+    estimated: FloatArray
+    timestamps_s: FloatArray
+    truth: FloatArray | None
+    covariances: FloatArray | None
+    odometry: FloatArray | None
+    unseen: NDArray[np.bool_] | None
+    states: Sequence[str] | None
+    mixture: tuple[FloatArray, FloatArray] | None
+
+    def in_state(self, state: str) -> NDArray[np.bool_]:
+        """(N,) whether each frame is in the state; none is where the states are unknown."""
+        return np.array([s == state for s in self.states or [""] * len(self.estimated)])
+
+
+# --- Views of the map ---
+
+
+def draw_views(figure: SubFigure, run: Run) -> dict[str, Artist]:
+    """Draw the way over the map from above and from the side."""
+    right, forward, up, up_is_negative = view_axes(run.estimated)
+    low_m, high_m = _bounds(run, (right, forward, up))
+    heights = [high_m[axis] - low_m[axis] for axis in (forward, up)]
+    top, side = figure.subplots(2, 1, height_ratios=heights)
+    shown: dict[str, Artist] = {}
+    for axis, plane in ((top, [right, forward]), (side, [right, up])):
+        # matplotlib takes the step for turning arrows from the data's extent, which a single frame lacks.
+        axis.update_datalim([low_m[plane], high_m[plane]])
+        axis.set_xlim(low_m[plane[0]], high_m[plane[0]])
+        axis.set_ylim(low_m[plane[1]], high_m[plane[1]])
+        axis.set_aspect("equal", anchor="W")
+        axis.set(xlabel=f"{'xyz'[plane[0]]} (m)", ylabel=f"{'xyz'[plane[1]]} (m)")
+        if axis is side and up_is_negative:
+            axis.invert_yaxis()
+        _draw_map(axis, plane, run)
+        shown |= _draw_ways(axis, plane, run)
+    top.set_title("From above (arrows: viewing direction)")
+    side.set_title("From the side")
+    return shown
+
+
+def view_axes(poses: FloatArray) -> tuple[int, int, int, bool]:
+    """:func:`page_axes` for cameras (N, 4, 4) that were held upright on the whole."""
+    return page_axes(poses[:, :3, 1].mean(axis=0))  # the camera's y axis, in the world
+
+
+def page_axes(down: FloatArray) -> tuple[int, int, int, bool]:
+    """World axes that point right, forward and up on the page, and whether up is that axis's negative end.
+
+    Args:
+        down: (3,) where down is in the world, of any length.
+    """
+    up = int(np.argmax(np.abs(down)))
+    right, forward = (up + 1) % 3, (up + 2) % 3  # right x forward = +up, so nothing is mirrored
+    return (forward, right, up, True) if down[up] > 0.0 else (right, forward, up, False)
+
+
+def _bounds(run: Run, axes: tuple[int, int, int]) -> tuple[FloatArray, FloatArray]:
+    """Two corners (3,) of the box to show: all of the way, and the map but for its stray points.
+
+    It is widened until the two views, one above the other and to one scale, fill their half of the picture.
+    """
+    corners = [T[:, :3, 3] for T in (run.estimated, run.truth, run.odometry) if T is not None]
+    if run.mixture is not None:
+        corners.append(np.percentile(run.mixture[0], [2.0, 98.0], axis=0))
+    every = np.concatenate(corners)
+    centre_m = 0.5 * (every.min(axis=0) + every.max(axis=0))
+    extent_m = np.ptp(every, axis=0)
+    extent_m += 0.1 * extent_m.max() + 0.1
+
+    right, forward, up = axes
+    extent_m[up] = max(extent_m[up], 0.3 * extent_m[forward])
+    height_m, width_m = extent_m[forward] + extent_m[up], extent_m[right]
+    extent_m[right] = max(width_m, height_m / _VIEWS_ASPECT)
+    extent_m[[forward, up]] *= max(1.0, width_m * _VIEWS_ASPECT / height_m)
+    return centre_m - 0.5 * extent_m, centre_m + 0.5 * extent_m
+
+
+def _draw_map(axis: Axes, plane: list[int], run: Run) -> None:
+    if run.mixture is not None:
+        draw_mixture(axis, plane, *run.mixture)
+
+
+def draw_mixture(axis: Axes, plane: list[int], means: FloatArray, covariances: FloatArray) -> None:
+    """Draw a map's components as ellipses behind all else: means (K, 3), covariances (K, 3, 3), world frame."""
+    from matplotlib.collections import EllipseCollection
+
+    variances, vectors = np.linalg.eigh(covariances[:, plane][:, :, plane])
+    minor_m, major_m = 2.0 * _ELLIPSE_SIGMA * np.sqrt(np.maximum(variances, 0.0)).T
+    ellipses = EllipseCollection(
+        major_m,
+        minor_m,
+        np.rad2deg(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1])),
+        units="xy",
+        offsets=means[:, plane],
+        offset_transform=axis.transData,
+        facecolor=(0.5, 0.5, 0.5, 0.07),
+        edgecolor=(0.5, 0.5, 0.5, 0.35),
+        linewidth=0.6,
+        zorder=0,
+    )
+    axis.add_collection(ellipses, autolim=False)
+
+
+def _draw_ways(axis: Axes, plane: list[int], run: Run) -> dict[str, Artist]:
+    shown: dict[str, Artist] = {}
+
+    def draw(name: str, poses: FloatArray, *style: str, **details: Any) -> None:
+        (shown[name],) = axis.plot(*poses[:, plane, 3].T, *style, **details)
+
+    if run.odometry is not None:
+        # With a truth it begins there, which the estimate need not.
+        name = "odometry alone" if run.truth is None else "odometry alone, from the true start"
+        draw(name, run.odometry, color=ORANGE, linestyle=_DASHED, linewidth=1.2)
+    if run.truth is not None:
+        draw("truth", run.truth, color=INK, linewidth=3.5, alpha=0.35)
+    lost = run.in_state("lost")
+    draw("estimate", np.where(lost[:, None, None], np.nan, run.estimated), color=BLUE, linewidth=1.3)
+    if run.unseen is not None and not run.unseen.all():
+        reference = run.estimated if run.truth is None else run.truth
+        style = {"markersize": 3.2, "markerfacecolor": "none", "markeredgewidth": 0.8}
+        draw("frames that built the map", reference[~run.unseen], "o", color=GREEN, **style)
+    for state, colour in _STATE_COLOURS.items():
+        if (there := run.in_state(state)).any():
+            axis.plot(*run.estimated[there][:, plane, 3].T, "x", color=colour, markersize=5)
+
+    some = run.estimated[:: max(1, len(run.estimated) // _ARROWS_DRAWN)]
+    axis.quiver(
+        *some[:, plane, 3].T,
+        *some[:, plane, 2].T,
+        angles="xy",
+        scale=_ARROWS_PER_WIDTH,
+        width=0.0035,
+        color=BLUE,
+        alpha=0.8,
+    )
+    # What the names of the ends must not hide: the ways, the arrows along their length, and each other.
+    arrow = np.ptp(axis.get_xlim()) / _ARROWS_PER_WIDTH * some[:, plane, 2]
+    crowd = [T[:, plane, 3] for T in (run.estimated, run.truth, run.odometry) if T is not None]
+    crowd += [some[:, plane, 3] + share * arrow for share in (0.5, 1.0)]
+    for pose, marker, name in ((run.estimated[0], "o", "start"), (run.estimated[-1], "s", "end")):
+        at = pose[plane, 3]
+        axis.plot(*at, marker, color=BLUE, markeredgecolor="white", markersize=8)
+        (right_pt, up_pt), box = _beside(axis, at, np.concatenate(crowd))
+        place: Any = {"xytext": (right_pt, up_pt), "textcoords": "offset points"}
+        axis.annotate(name, at, **place, ha="center", va="center_baseline", color=BLUE)
+        crowd.append(box)
+    return shown
+
+
+def _beside(axis: Axes, at: FloatArray, crowd: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Where a name beside a point (2,) hides no other points (N, 2), and then where it is farthest from them.
+
+    Returns:
+        Its offset in points (2,), and its box's middle and corners (5, 2), which are within the axis's limits.
+    """
+    low, high = (np.array(ends) for ends in zip(axis.get_xlim(), axis.get_ylim(), strict=True))
+    m_per_pt = np.sign(high - low) * (high[0] - low[0]) / _VIEW_WIDTH_PT
+    low_pt, high_pt, crowd_pt = (low - at) / m_per_pt, (high - at) / m_per_pt, (crowd - at) / m_per_pt
+    middle_pt = crowd_pt.mean(axis=0)
+
+    def merit(offset_pt: FloatArray) -> tuple[float, float]:
+        ends_pt = offset_pt - _NAME_PT, offset_pt + _NAME_PT
+        inside = np.all(ends_pt[0] > low_pt) and np.all(ends_pt[1] < high_pt)
+        gap_pt = np.min(np.max(np.abs(crowd_pt - offset_pt) - _NAME_PT, axis=1)) if inside else -np.inf
+        return min(float(gap_pt), _GAP_PT), float(np.linalg.norm(offset_pt - middle_pt))
+
+    sides = [np.array([x, y]) for x in (1.0, -1.0, 0.0) for y in (-1.0, 1.0, 0.0) if x or y]
+    best = max((side * (np.array(_NAME_PT) + _GAP_PT + 1.0) for side in sides), key=merit)
+    corners = np.array([(0, 0), (-1, -1), (-1, 1), (1, -1), (1, 1)])
+    return best, at + (best + corners * _NAME_PT) * m_per_pt
+
+
+# --- Errors over time ---
+
+
+def draw_errors(figure: SubFigure, run: Run) -> dict[str, Artist]:
+    """Draw position and rotation errors over time, under the bounds that the covariances state."""
+    nothing = (None, None)
+    own = nothing if run.truth is None else _errors_cm_deg(run.estimated, run.truth)
+    drift = nothing if run.truth is None or run.odometry is None else _errors_cm_deg(run.odometry, run.truth)
+    bounds = nothing if run.covariances is None else _bounds_cm_deg(run.covariances)
+
+    position, rotation = figure.subplots(2, 1, sharex=True)
+    shown = _draw_error(position, "Position", " cm", run, own[0], drift[0], bounds[0])
+    _draw_error(rotation, "Rotation", "°", run, own[1], drift[1], bounds[1])
+    rotation.set_xlabel("time (s)")
+    return shown
+
+
+def _draw_error(
+    axis: Axes,
+    name: str,
+    unit: str,
+    run: Run,
+    error: FloatArray | None,
+    drift: FloatArray | None,
+    bound: FloatArray | None,
+) -> dict[str, Artist]:
+    shown: dict[str, Artist] = {}
+    time_s = run.timestamps_s - run.timestamps_s[0]
+    if bound is not None:
+        shown["stated 95 % bound"] = axis.fill_between(time_s, bound, color=BLUE, alpha=0.15, linewidth=0.0)
+    if drift is not None:
+        axis.plot(time_s, drift, color=ORANGE, linestyle=_DASHED, linewidth=1.2)
+    if error is not None:
+        axis.plot(time_s, error, color=BLUE, linewidth=1.3)
+    for state, colour in _STATE_COLOURS.items():
+        # A frame's state holds until the next frame; edges of the mask are starts and ends of stretches.
+        edges = np.flatnonzero(np.diff(run.in_state(state).astype(np.int8), prepend=0, append=0))
+        for start, end in edges.reshape(-1, 2):
+            until_s = time_s[min(end, len(time_s) - 1)]
+            shown[state] = axis.axvspan(time_s[start], until_s, color=colour, alpha=0.3, linewidth=0.0)
+    if run.unseen is not None:
+        built_s = time_s[~run.unseen]
+        foot = np.full_like(built_s, 0.012)
+        axis.plot(built_s, foot, "|", color=GREEN, markersize=6, transform=axis.get_xaxis_transform())
+    axis.set_title(_error_title(name, unit, error, run.unseen))
+    axis.set_ylabel(f"{name.lower()} error ({unit.strip()})")
+    counts = ~run.in_state("lost")  # how far off a lost camera's pose is, tells nobody anything
+    counts |= not counts.any()
+    curves = (None if curve is None else curve[counts] for curve in (error, drift, bound))
+    axis.set_ylim(0.0, _error_limit(*curves))
+    axis.margins(x=0.01)
+    return shown
+
+
+def _error_title(name: str, unit: str, error: FloatArray | None, unseen: NDArray[np.bool_] | None) -> str:
+    if error is None:
+        return f"{name}: no truth was given"
+
+    def numbers(e: FloatArray) -> str:
+        return f"median {np.median(e):.1f}{unit}, RMSE {np.sqrt(np.mean(e**2)):.1f}{unit}"
+
+    text = f"{name} error: {numbers(error)}"
+    if unseen is not None and unseen.any() and not unseen.all():
+        text += f"\nframes that did not build the map: {numbers(error[unseen])}"
+    return text
+
+
+def _error_limit(error: FloatArray | None, drift: FloatArray | None, bound: FloatArray | None) -> float:
+    """Top of the axis: all of these errors, and of the rest as much as leaves the error legible."""
+    rest = max((float(np.max(v)) for v in (drift, bound) if v is not None), default=0.0)
+    highest = rest if error is None else max(float(np.max(error)), min(rest, 3.0 * float(np.max(error))))
+    return 1.08 * highest or 1.0
+
+
+def _errors_cm_deg(poses: FloatArray, truth: FloatArray) -> tuple[FloatArray, FloatArray]:
+    errors = pose_errors(poses, truth)
+    return 100.0 * errors.position_m, np.rad2deg(errors.rotation_rad)
+
+
+def _bounds_cm_deg(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return 100.0 * norm_bound_95(covariances[:, :3, :3]), np.rad2deg(norm_bound_95(covariances[:, 3:, 3:]))
+
+
+def norm_bound_95(covariances: FloatArray) -> FloatArray:
+    """Length that a zero-mean Gaussian vector stays below 95 % of the time: (N, 3, 3) -> (N,).
+
+    The squared length is matched to a scaled chi-squared by its first two moments (Satterthwaite 1946),
+    whose quantile is Wilson and Hilferty's (1931): within about 2 % of the exact length.
+    """
+    mean = np.trace(covariances, axis1=-2, axis2=-1)
+    half_variance = np.sum(covariances**2, axis=(-1, -2))
+    # A covariance of zero has no degrees of freedom; any number does, as its mean makes the bound zero.
+    dof = np.where(half_variance > 0.0, mean**2 / np.where(half_variance > 0.0, half_variance, 1.0), 1.0)
+    spread = 2.0 / (9.0 * dof)
+    return np.asarray(np.sqrt(mean * (1.0 - spread + 1.6449 * np.sqrt(spread)) ** 3))

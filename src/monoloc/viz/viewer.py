@@ -1,0 +1,212 @@
+"""Who looks on while a camera is localised: nobody, or Rerun's viewer."""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+from uuid import uuid4
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.bundle import Bundle
+from monoloc.errors import DataError, SettingError
+from monoloc.files import partial_of, target_of
+from monoloc.geometry import FloatArray
+from monoloc.io.recording import Recording
+from monoloc.localizer import Step
+from monoloc.particle_filter.particles import Particles
+
+if TYPE_CHECKING:
+    from rerun import RecordingStream
+    from rerun.blueprint import Blueprint
+
+_PORT = 9876  # Rerun's own; a viewer that listens there, even one forwarded from another machine, is used
+_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
+
+
+class Viewer(Protocol):
+    """Sees a run; who localises calls it always, and does not know who looks."""
+
+    def begin(self, room: Bundle, recording: Recording) -> None:
+        """A run begins."""
+        ...
+
+    def show(
+        self,
+        index: int,
+        color: NDArray[np.uint8],
+        step: Step,
+        particles: Particles,
+        odometry: FloatArray,
+        step_ms: float,
+    ) -> None:
+        """A frame is done.
+
+        Args:
+            index: of the frame in the recording.
+            color: (H, W, 3) uint8 RGB, as the localizer got it.
+            step: what it made of it.
+            particles: the belief after it.
+            odometry: (4, 4) ``T_world_camera`` by dead reckoning.
+            step_ms: what the step took.
+        """
+        ...
+
+
+class NoViewer:
+    """Nobody looks."""
+
+    def begin(self, room: Bundle, recording: Recording) -> None:
+        pass
+
+    def show(
+        self,
+        index: int,
+        color: NDArray[np.uint8],
+        step: Step,
+        particles: Particles,
+        odometry: FloatArray,
+        step_ms: float,
+    ) -> None:
+        pass
+
+
+@contextmanager
+def run_viewer(name: str, view: bool, record: Path | None) -> Iterator[Viewer]:
+    """A viewer of one run, with its window and its file if they are wanted; see :func:`_rerun_stream`."""
+    if not view and record is None:
+        yield NoViewer()
+        return
+    from monoloc.viz.rerun_viewer import RerunViewer, run_blueprint
+
+    with _rerun_stream("monoloc localize", name, run_blueprint(), view, record) as stream:
+        yield RerunViewer(stream)
+
+
+def show_map_change(
+    name: str,
+    view: bool,
+    record: Path | None,
+    original: FloatArray,
+    adapted: FloatArray,
+    distances_m: FloatArray,
+    down: FloatArray,
+) -> None:
+    """Two clouds in the window and the file that are wanted; see :func:`monoloc.viz.rerun_viewer.draw_map_change`."""
+    if not view and record is None:
+        return
+    from monoloc.viz.rerun_viewer import draw_map_change, map_blueprint
+
+    with _rerun_stream("monoloc map compare", name, map_blueprint(), view, record) as stream:
+        draw_map_change(stream, original, adapted, distances_m, down)
+
+
+@contextmanager
+def _rerun_stream(
+    application: str, name: str, blueprint: Blueprint, view: bool, record: Path | None
+) -> Iterator[RecordingStream]:
+    """A stream to Rerun's window, to a file, or to both; the file is there when the block ends without an error.
+
+    Args:
+        application: recordings of one application share a layout.
+        name: of this recording, for people.
+        blueprint: the layout, unless the viewer has one of the application's already.
+
+    Raises:
+        DataError: the file cannot be written.
+        SettingError: the window cannot be opened.
+    """
+    import rerun
+
+    if view:
+        _open_window()
+    target = None if record is None else target_of(record)
+    partial = None if target is None else partial_of(target)
+    window = [rerun.GrpcSink(f"rerun+http://127.0.0.1:{_PORT}/proxy")] if view else []
+    file_sink = [] if partial is None else [rerun.FileSink(partial)]
+    stream = rerun.RecordingStream(application, recording_id=uuid4())
+    stream.set_log_tick_enabled(False)
+    stream.set_log_time_enabled(False)
+    try:
+        with _writing(record):
+            try:
+                stream.set_sinks(*window, *file_sink, default_blueprint=blueprint)
+            except (RuntimeError, OSError) as error:
+                if view and (partial is None or partial.exists()):  # then the file is begun, and it is the window
+                    raise SettingError("--view", f"the window is lost ({error})", "try again") from error
+                raise
+        stream.send_recording_name(name)
+        yield stream
+        stream.disconnect()
+        if target is not None and partial is not None:
+            with _writing(record):
+                _check_whole(partial)
+                partial.replace(target)
+    finally:
+        stream.disconnect()
+        if partial is not None:
+            partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def _writing(record: Path | None) -> Iterator[None]:
+    """Rerun's errors about the file in our words."""
+    try:
+        yield
+    except (RuntimeError, OSError) as error:
+        if record is None:
+            raise
+        raise DataError(record, f"cannot be written ({error})", "name a file in a folder with space") from error
+
+
+def _check_whole(path: Path) -> None:
+    """Refuse a file whose end, an index, is missing: Rerun only logs it when a disk is full.
+
+    Raises:
+        RuntimeError: it is not whole.
+    """
+    from rerun.chunk import RrdReader
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that there is no index is told by the error
+        RrdReader(path).store()
+
+
+def require_window() -> None:
+    """Say that no window can be opened before the work is done.
+
+    Raises:
+        SettingError: there is neither a display nor a viewer that listens.
+    """
+    if sys.platform == "linux" and not any(os.environ.get(name) for name in _DISPLAYS) and not _is_listening():
+        fix = f"give --record FILE.rrd and open that elsewhere, or forward a viewer's port {_PORT} to here"
+        raise SettingError("--view", "there is no display", fix)
+
+
+def _open_window() -> None:
+    require_window()
+    if _is_listening():
+        return
+    import rerun
+
+    try:
+        rerun.spawn(port=_PORT, connect=False, hide_welcome_screen=True)
+    except RuntimeError as error:
+        raise SettingError("--view", f"Rerun does not start ({error})", "see that 'rerun' does") from error
+    if not _is_listening():
+        raise SettingError("--view", "Rerun did not open its window in time", "see that 'rerun' does, and try again")
+
+
+def _is_listening() -> bool:
+    try:
+        with socket.create_connection(("127.0.0.1", _PORT), timeout=1.0):
+            return True
+    except OSError:
+        return False
