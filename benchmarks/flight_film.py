@@ -28,7 +28,8 @@ from monoloc.io.recording import Recording
 from monoloc.localizer import Step
 from monoloc.particle_filter.particles import Particles
 from monoloc.progress import ConsoleProgress
-from monoloc.run import Run, Start, localize
+from monoloc.run import Run, localize
+from monoloc.start import Start
 from monoloc.viz.picture import BLUE, GREEN, INK, ORANGE
 from monoloc.viz.run_drawing import draw_mixture, norm_bound_95, page_axes
 from monoloc.viz.viewer import NoViewer, Viewer
@@ -141,7 +142,7 @@ def main() -> None:
     arguments = parser.parse_args()
     recording = open_source(arguments.source, "::")
     assert recording.poses is not None
-    start = Start.beside(recording.poses[0], np.random.default_rng(0))
+    start = Start.disturbed(recording.poses[0], np.random.default_rng(0))
 
     def fly(bundle: Path, viewer: Viewer) -> Run:
         room, rng = read_bundle(bundle), np.random.default_rng(0)

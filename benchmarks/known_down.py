@@ -17,7 +17,8 @@ from monoloc.cli.common import open_source
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray, so3_exp
 from monoloc.progress import NoProgress
-from monoloc.run import Run, Start, localize
+from monoloc.run import Run, localize
+from monoloc.start import Start
 
 _LASTING_RAD, _NOISE_RAD = np.deg2rad(0.5), np.deg2rad(0.3)
 
@@ -46,7 +47,7 @@ def main() -> None:
         runs: list[Run] = []
         for seed in range(arguments.seeds):
             rng = np.random.default_rng(seed)
-            start = Start.beside(poses[0], rng)
+            start = Start.disturbed(poses[0], rng)
             seen = measured(poses, down, np.random.default_rng(seed)) if name == "known" else None
             runs.append(localize(room, recording, start, room.settings, rng, NoProgress(), down=seen))
         errors = [pose_errors(run.poses, poses) for run in runs]

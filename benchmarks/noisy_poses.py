@@ -21,8 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.adapt.settings import AdaptConfig
-from monoloc.build.pipeline import BuildConfig, build_bundle, fit_map
+from monoloc.build.build_config import BuildConfig
+from monoloc.build.pipeline import build_bundle
 from monoloc.build.pose_refinement import PosePrior, refine_poses
+from monoloc.build.room_map import fit_map
 from monoloc.bundle import Bundle, read_bundle, read_network, write_bundle
 from monoloc.depth.models import DEFAULT
 from monoloc.depth.predictor import DepthPredictor
@@ -33,7 +35,8 @@ from monoloc.io.recording import Recording, Selection
 from monoloc.io.registry import open_recording, select_frames
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress
-from monoloc.run import Start, localize
+from monoloc.run import localize
+from monoloc.start import Start
 
 _POSITION_SD_M, _ROTATION_SD_RAD = 0.02, np.deg2rad(1.0)
 _BUILD, _JUDGED = "0:200:4", {"between": "0:200", "away": "200:300"}
@@ -89,7 +92,7 @@ def run_once(bundle: Bundle, recording: Recording, seed: int, use_sensor: bool) 
     """Figures of one run from a start that is off."""
     assert recording.poses is not None
     rng = np.random.default_rng(seed)
-    start = Start.beside(recording.poses[0], rng)
+    start = Start.disturbed(recording.poses[0], rng)
     metrics = localize(bundle, recording, start, bundle.settings, rng, NoProgress(), use_sensor).metrics()
     return {key: value for key, value in metrics.items() if isinstance(value, float)}
 

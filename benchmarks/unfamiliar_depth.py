@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from monoloc.build.pipeline import BuildConfig, build_bundle
+from monoloc.build.build_config import BuildConfig
+from monoloc.build.pipeline import build_bundle
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.config import override
 from monoloc.depth.models import shipped_file
@@ -31,7 +32,8 @@ from monoloc.depth.training.train import TrainConfig, train_network
 from monoloc.io.recording import Recording, Selection
 from monoloc.io.registry import open_recording, select_frames
 from monoloc.progress import ConsoleProgress, NoProgress
-from monoloc.run import Start, localize
+from monoloc.run import localize
+from monoloc.start import Start
 from monoloc_lab.experiments.tasks import VARIANTS
 
 _BUILD, _JUDGED = "0:400:4", "0:400"
@@ -97,7 +99,7 @@ def row(case: str, recording: Recording, network: str | Path, variant: str, seed
     runs = []
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
-        start = Start.beside(judged.poses[0], rng)
+        start = Start.disturbed(judged.poses[0], rng)
         runs.append(localize(bundle, judged, start, bundle.settings, rng, NoProgress()).metrics())
 
     def values(name: str) -> list[float]:

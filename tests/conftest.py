@@ -11,7 +11,7 @@ import pytest
 from hypothesis import settings
 
 from monoloc.map.mixture import GaussianMixture
-from monoloc.supervision.state import HealthyRange
+from monoloc.supervision.state import LikelihoodThresholds
 from synthetic_room import Room, RoomRecording, healthy_range, make_path, room_mixture
 
 # A busy machine must not fail a property; time is watched elsewhere.
@@ -53,7 +53,7 @@ def mixture() -> GaussianMixture:
 
 
 @pytest.fixture(scope="module")
-def healthy(mixture: GaussianMixture, recording: RoomRecording) -> HealthyRange:
+def healthy(mixture: GaussianMixture, recording: RoomRecording) -> LikelihoodThresholds:
     return healthy_range(mixture, recording)
 
 

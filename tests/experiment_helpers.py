@@ -13,10 +13,10 @@ from map_helpers import make_mixture
 from monoloc.bundle import Bundle, Provenance, write_bundle
 from monoloc.camera import Camera
 from monoloc.depth.spec import DepthModel, monoloc_spec
-from monoloc.fusion.reference_poses import Viewpoints
+from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import se3_exp
 from monoloc.localizer import LocalizerConfig
-from monoloc.supervision.state import HealthyRange
+from monoloc.supervision.state import LikelihoodThresholds
 from monoloc_lab.experiments.gather import frames_of
 from monoloc_lab.experiments.task import RESULT, Result, Task
 
@@ -81,8 +81,8 @@ def _bundle(task: Task, folder: Path, rmse: Error) -> dict[str, Any]:
             settings=LocalizerConfig(),
             camera=camera,
             provenance=provenance,
-            healthy=HealthyRange(low=-2.0, lost=-4.0),
-            viewpoints=Viewpoints.of(np.eye(4)[None]),
+            healthy=LikelihoodThresholds(low=-2.0, lost=-4.0),
+            viewpoints=ReferencePoses.of(np.eye(4)[None]),
         ),
     )
     return {

@@ -13,6 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import onnx
+from monoloc.likelihood.scan_likelihood import LikelihoodConfig, Measurement
 from numpy.typing import ArrayLike, NDArray
 from onnx import TensorProto, helper, numpy_helper
 
@@ -21,17 +22,16 @@ from monoloc.bundle import Bundle, Provenance, fingerprint
 from monoloc.camera import Camera
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.depth.spec import FOCAL_KEY, DepthModel, monoloc_spec
-from monoloc.fusion.bias_model import LastingErrors
-from monoloc.fusion.reference_poses import Viewpoints
+from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import make_pose, so3_exp
-from monoloc.landmarks.features import Landmarks
+from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.likelihood.scan import scan_from_depth
-from monoloc.likelihood.scan_likelihood import Measurement, MeasurementConfig
 from monoloc.localizer import DepthSource, Localizer, LocalizerConfig, Parts, Step
 from monoloc.map.em import fit_mixture
 from monoloc.map.mixture import GaussianMixture
 from monoloc.particle_filter.particles import Particles
-from monoloc.supervision.state import HealthyRange
+from monoloc.supervision.state import LikelihoodThresholds
 
 FloatArray = NDArray[np.float64]
 
@@ -201,8 +201,8 @@ SETTINGS = LocalizerConfig(
     scan_points=300,
     log_scale_sd=0.03,
     level=None,
-    measurement=MeasurementConfig(outlier_share=0.1, noise_sd_m=0.03, log_depth_sd=0.02, effective_points=100.0),
-    lasting=LastingErrors(near_sd_m=0.01, near_sd_rad=0.004),
+    measurement=LikelihoodConfig(outlier_share=0.1, noise_sd_m=0.03, log_depth_sd=0.02, effective_points=100.0),
+    lasting=BiasModel(sd_at_reference_m=0.01, sd_at_reference_rad=0.004),
 )
 
 
@@ -220,7 +220,7 @@ NO_DEPTH = DepthPrediction(np.zeros((64, 80), dtype=np.float32), CAMERA.resized(
 
 def make_localizer(
     mixture: GaussianMixture,
-    healthy: HealthyRange,
+    healthy: LikelihoodThresholds,
     start: Particles | None,
     viewpoints: FloatArray,
     seed: int | np.random.Generator = 0,
@@ -233,7 +233,7 @@ def make_localizer(
     """monoloc's own for :data:`CAMERA`; arguments as of :class:`Localizer`, viewpoints by poses and errors."""
     parts = Parts.usual(mixture, depth, CAMERA, settings, landmarks)
     both = np.broadcast_to(errors, (len(viewpoints), 6))
-    known = Viewpoints(viewpoints, both, both)
+    known = ReferencePoses(viewpoints, both, both)
     return Localizer(parts, CAMERA, start, settings, healthy, known, np.random.default_rng(seed), down)
 
 
@@ -248,7 +248,7 @@ def poses_of(steps: list[Step]) -> FloatArray:
     return np.stack([step.estimate.pose for step in steps])
 
 
-def healthy_range(mixture: GaussianMixture, recording: RoomRecording) -> HealthyRange:
+def healthy_range(mixture: GaussianMixture, recording: RoomRecording) -> LikelihoodThresholds:
     """Measured on a recording's exact depth at its true poses, with room below for the poses that are estimated."""
     measurement, rng = Measurement(mixture, SETTINGS.measurement), np.random.default_rng(0)
     assert recording.poses is not None
@@ -257,8 +257,8 @@ def healthy_range(mixture: GaussianMixture, recording: RoomRecording) -> Healthy
         depth = sparse_depth(recording, index)
         scan = scan_from_depth(depth, SETTINGS.scan_points, rng)
         fits.append(measurement.mean_log_likelihood(pose[None], np.zeros(1), scan)[0])
-    measured = HealthyRange.from_fits(np.array(fits))
-    return HealthyRange(low=measured.low - 0.1, lost=measured.lost - 0.2)
+    measured = LikelihoodThresholds.from_log_likelihoods(np.array(fits))
+    return LikelihoodThresholds(low=measured.low - 0.1, lost=measured.lost - 0.2)
 
 
 def depth_from_blue() -> DepthModel:
@@ -294,7 +294,7 @@ def make_bundle(mixture: GaussianMixture, recording: RoomRecording, built_from: 
             recording=recording.name, frames=frames, tune="none", map_transform=False, lambda_kl=0.1, seed=0
         ),
         healthy=healthy_range(mixture, recording),
-        viewpoints=Viewpoints.of(recording.poses[list(built_from)]),
+        viewpoints=ReferencePoses.of(recording.poses[list(built_from)]),
     )
 
 

@@ -14,6 +14,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from monoloc.likelihood.scan_likelihood import LikelihoodConfig, Measurement
 from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal
@@ -38,10 +39,9 @@ from monoloc.depth.spec import DepthModel
 from monoloc.depth.training.checkpoint import save_network
 from monoloc.errors import DataError
 from monoloc.evaluation.hold_out import hold_out_blocks, hold_out_regions
-from monoloc.geometry import se3_exp, so3_exp, so3_log, viewpoints_apart
+from monoloc.geometry import pose_distance_m, se3_exp, so3_exp, so3_log
 from monoloc.io.recording import Selection
 from monoloc.likelihood.scan import scan_from_depth
-from monoloc.likelihood.scan_likelihood import Measurement, MeasurementConfig
 from monoloc.localizer import LocalizerConfig
 from monoloc.map.depth_rendering import map_depth
 from monoloc.map.em import fit_mixture
@@ -742,9 +742,9 @@ def test_held_out_regions(frames: int, regions: int, share: float, seed: int) ->
     size, rest = len(found[0]), np.setdiff1d(np.arange(frames), found[0])
     margins = []
     for centre in range(1, frames):
-        apart = viewpoints_apart(poses[centre], poses)
+        apart = pose_distance_m(poses[centre], poses)
         margins.append(min(apart[0], np.sort(apart[1:])[size]))
-    assert max(viewpoints_apart(poses[i], poses[rest]).min() for i in found[0]) >= max(margins)
+    assert max(pose_distance_m(poses[i], poses[rest]).min() for i in found[0]) >= max(margins)
 
 
 def test_a_region_is_where_the_camera_was_alone() -> None:
@@ -770,7 +770,7 @@ def test_regions_of_a_straight_way_are_apart() -> None:
 def test_viewpoints_are_apart_by_way_and_turn() -> None:
     moved = se3_exp(np.array([[0.3, 0.4, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.2, 0.0]]))
     anywhere = se3_exp(np.array([1.0, 2.0, 3.0, 0.3, 0.2, 0.1]))
-    np.testing.assert_allclose(viewpoints_apart(anywhere, anywhere @ moved), [0.5, 0.2], atol=1e-9)
+    np.testing.assert_allclose(pose_distance_m(anywhere, anywhere @ moved), [0.5, 0.2], atol=1e-9)
 
 
 # --- Tuning ---
@@ -1217,7 +1217,7 @@ def corner_samples(count: int, noise: float, outlier_share: float, scale_sd: flo
 
 
 def calibrated(likelihood: str, *errors: float) -> LocalizerConfig:
-    base = LocalizerConfig(measurement=MeasurementConfig(likelihood=likelihood, outlier_share=0.1))
+    base = LocalizerConfig(measurement=LikelihoodConfig(likelihood=likelihood, outlier_share=0.1))
     return calibrate(CORNER, corner_samples(10, *errors), base, np.random.default_rng(0))[0]
 
 
@@ -1226,8 +1226,8 @@ def test_calibration_finds_the_width_of_depth_errors(noise: float) -> None:
     """The ladder's steps are a third to a half; the width found is no farther from the true one than the next."""
     found = calibrated("ray", noise, 0.0, 0.0).measurement
     assert noise / 1.5 <= found.log_depth_sd <= 1.5 * noise
-    untouched = found.model_copy(update={"log_depth_sd": MeasurementConfig().log_depth_sd})
-    assert untouched == MeasurementConfig(outlier_share=0.1)  # one setting is fitted and no other
+    untouched = found.model_copy(update={"log_depth_sd": LikelihoodConfig().log_depth_sd})
+    assert untouched == LikelihoodConfig(outlier_share=0.1)  # one setting is fitted and no other
 
 
 @pytest.mark.parametrize("likelihood", ["ray", "volume"])

@@ -12,7 +12,7 @@ from scipy.stats import multivariate_t
 
 from monoloc.depth.predictor import DepthPredictor
 from monoloc.evaluation.trajectory import pose_errors
-from monoloc.fusion.reference_poses import Viewpoints
+from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray, make_pose, se3_exp, so3_exp
 from monoloc.localizer import LocalizerConfig
 from monoloc.odometry.visual import VisualOdometry
@@ -55,7 +55,9 @@ def follow(
 
     particles = scatter(start, config.particles, spread_m, 0.5 * spread_m, 0.0, rng)
     depth = DepthPredictor(depth_from_blue(), CAMERA)
-    follower = PoseFilter(measure, error, depth, CAMERA, particles, config, Viewpoints.of(poses_of(recording)), rng)
+    follower = PoseFilter(
+        measure, error, depth, CAMERA, particles, config, ReferencePoses.of(poses_of(recording)), rng
+    )
     return np.stack([follower.step(recording.color(i), ELAPSED_S).pose for i in range(len(recording))])
 
 

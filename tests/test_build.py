@@ -14,19 +14,20 @@ from map_helpers import make_mixture
 from monoloc.adapt.adaptation import AdaptResult
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.tuning import Score
+from monoloc.build.build_config import BuildConfig, BuildReport
 from monoloc.build.calibrate import Sample
-from monoloc.build.pipeline import BuildConfig, BuildReport, build_bundle
+from monoloc.build.pipeline import build_bundle
 from monoloc.bundle import Bundle, fingerprint
 from monoloc.camera import Camera
 from monoloc.depth.spec import DepthModel
-from monoloc.fusion.bias_model import LastingErrors
-from monoloc.fusion.reference_poses import Viewpoints
+from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray
 from monoloc.localizer import LocalizerConfig
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress
-from monoloc.run import Start
-from monoloc.supervision.state import HealthyRange
+from monoloc.start import Start
+from monoloc.supervision.state import LikelihoodThresholds
 from synthetic_room import Room, RoomRecording, depth_from_blue
 
 FRAMES = 16
@@ -42,8 +43,8 @@ RESULT = AdaptResult(
     steps=20,
     kl=0.5,
 )
-HEALTHY = HealthyRange(low=-1.0, lost=-2.0)
-LASTING = LastingErrors(near_sd_m=0.03, near_sd_rad=0.02, growth_m=0.2, growth_rad=0.4)
+HEALTHY = LikelihoodThresholds(low=-1.0, lost=-2.0)
+LASTING = BiasModel(sd_at_reference_m=0.03, sd_at_reference_rad=0.02, sd_growth_m=0.2, sd_growth_rad=0.4)
 ERRORS = np.random.default_rng(0).normal(0.0, 0.02, (2, FRAMES, 6))
 REMARK = "what was said of the frames"
 
@@ -61,11 +62,11 @@ class Measured:
 
     def calibrate(
         self, mixture: GaussianMixture, samples: list[Sample], base: LocalizerConfig, _: np.random.Generator
-    ) -> tuple[LocalizerConfig, HealthyRange]:
+    ) -> tuple[LocalizerConfig, LikelihoodThresholds]:
         self.calibrated.append((mixture, samples))
         return base.model_copy(update={"log_scale_sd": 0.123}), HEALTHY
 
-    def measure_lasting(
+    def measure_bias(
         self,
         starts_at: Callable,
         rehearsed_at: Callable,
@@ -73,13 +74,13 @@ class Measured:
         regions: list,
         tuned: bool,
         _: Any,
-    ) -> tuple[LastingErrors, Viewpoints]:
+    ) -> tuple[BiasModel, ReferencePoses]:
         self.regions, self.is_tuned = regions, tuned
         starts_at(recording.poses[0])
         rehearsed_at(recording.poses[1])
-        return LASTING, Viewpoints(recording.poses, *ERRORS)
+        return LASTING, ReferencePoses(recording.poses, *ERRORS)
 
-    def measure_found(
+    def measure_relocalization_error(
         self, mixture: GaussianMixture, samples: list, viewpoints: FloatArray, config: LocalizerConfig, *_: Any
     ) -> tuple[float, float]:
         self.found.append((mixture, samples, viewpoints, config))
@@ -106,7 +107,7 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> Measured:
     monkeypatch.setattr("monoloc.adapt.adaptation.adapt", lambda *_: RESULT)
     monkeypatch.setattr("monoloc.build.pipeline.check_frames", lambda *_: [REMARK])
     monkeypatch.setattr("monoloc.build.pipeline.DepthPredictor", _Predictor)
-    for name in ("calibrate", "measure_lasting", "measure_found", "start_localizer"):
+    for name in ("calibrate", "measure_bias", "measure_relocalization_error", "start_localizer"):
         monkeypatch.setattr(f"monoloc.build.pipeline.{name}", getattr(measured, name))
     monkeypatch.setattr(
         "monoloc.depth.training.quantise.quantise", lambda content, _: (b"8 bits of " + content, None)
@@ -167,10 +168,10 @@ def test_what_was_measured_is_in_the_bundle_and_a_weak_search_is_warned_of(
 ) -> None:
     measured.found_sd = found_sd
     bundle, report = build(recording)
-    stated = {"found_sd_m": found_sd[0], "found_sd_rad": found_sd[1]}
+    stated = {"relocalization_sd_m": found_sd[0], "relocalization_sd_rad": found_sd[1]}
     assert bundle.settings.lasting == LASTING.model_copy(update=stated)
     assert bundle.settings.log_scale_sd == 0.123 and bundle.healthy == HEALTHY
-    assert bundle.settings.can_find == (not doubts)
+    assert bundle.settings.supports_relocalization == (not doubts)
     assert report.warnings == [REMARK, *doubts]
     figures = (report.nll_start, report.nll_end, report.depth_absrel_before, report.depth_absrel_after)
     assert figures == (2.0, 1.0, 0.2, 0.1)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from monoloc.likelihood.scan_likelihood import LikelihoodConfig
 
 from map_helpers import make_mixture
 from monoloc import bundle as bundle_module
@@ -20,14 +21,13 @@ from monoloc.bundle import Bundle, Provenance, check_target, fingerprint, read_b
 from monoloc.camera import Camera
 from monoloc.depth.spec import DepthModel, ModelSpec
 from monoloc.errors import BundleError
-from monoloc.fusion.bias_model import LastingErrors
-from monoloc.fusion.reference_poses import Viewpoints
+from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import se3_exp
-from monoloc.landmarks.features import Landmarks
-from monoloc.likelihood.scan_likelihood import MeasurementConfig
+from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.localizer import LocalizerConfig
 from monoloc.particle_filter.motion_model import MotionConfig
-from monoloc.supervision.state import HealthyRange
+from monoloc.supervision.state import LikelihoodThresholds
 
 
 def make_bundle(seed: int = 0) -> Bundle:
@@ -53,8 +53,8 @@ def make_bundle(seed: int = 0) -> Bundle:
         settings=LocalizerConfig(
             particles=321,
             motion="random-walk",
-            measurement=MeasurementConfig(noise_sd_m=0.1 / 3.0),
-            lasting=LastingErrors(near_sd_m=0.1 / 3.0, growth_rad=1.0 / 7.0),
+            measurement=LikelihoodConfig(noise_sd_m=0.1 / 3.0),
+            lasting=BiasModel(sd_at_reference_m=0.1 / 3.0, sd_growth_rad=1.0 / 7.0),
             motion_noise=MotionConfig(speed_sd_m_s=1.0 / 7.0),
         ),
         camera=Camera(640, 480, 525.5, 526.1, 320.0, 240.0, (0.1, -0.2, 0.0, 0.001, 0.0)),
@@ -66,8 +66,8 @@ def make_bundle(seed: int = 0) -> Bundle:
             lambda_kl=0.1,
             seed=7,
         ),
-        healthy=HealthyRange(low=-1.5, lost=-2.25),
-        viewpoints=Viewpoints(se3_exp(rng.normal(size=(5, 6))), *(0.02 * rng.normal(size=(2, 5, 6)))),
+        healthy=LikelihoodThresholds(low=-1.5, lost=-2.25),
+        viewpoints=ReferencePoses(se3_exp(rng.normal(size=(5, 6))), *(0.02 * rng.normal(size=(2, 5, 6)))),
         landmarks=Landmarks(
             rng.normal(size=(7, 3)).astype(np.float32), rng.integers(0, 256, (7, 32)).astype(np.uint8)
         ),

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from monoloc.build.build_config import BuildConfig
 from monoloc.build.checks import check_frames
-from monoloc.build.pipeline import BuildConfig, fit_map
+from monoloc.build.room_map import fit_map
 from monoloc.errors import DataError
 from monoloc.geometry import invert, make_pose, so3_exp
 from monoloc.io.recording import Recording

@@ -78,7 +78,7 @@ ACCURACY_KEYS = {
 LOCALIZE_KEYS = ACCURACY_KEYS | {
     "frames",
     "lost_frames",
-    "sighted_frames",
+    "landmark_used_frames",
     "coverage_95",
     "step_ms_median",
     "step_ms_p95",
@@ -613,9 +613,9 @@ def test_landmarks_are_kept_unless_they_are_not_wanted(capfd, here):
         assert report["landmarks"] == len(landmarks) and (len(landmarks) > 50) == are_kept
         said = json_of(capfd, "inspect", "x.monoloc")
         assert said["landmarks"] == len(landmarks) and said["landmark_bytes"] == 44 * len(landmarks)
-        assert (said["settings"]["sighted"]["near_sd_m"] > 0.0) == are_kept
+        assert (said["settings"]["sighted"]["sd_at_reference_m"] > 0.0) == are_kept
         metrics = json_of(capfd, "localize", "x.monoloc", "walk")
-        assert metrics["sighted_frames"] == (FRAMES if are_kept else 0)
+        assert metrics["landmark_used_frames"] == (FRAMES if are_kept else 0)
         # An untuned network: without landmarks its depth is all there is.
         assert (metrics["ate_median_m"] < 0.03) == are_kept
 
@@ -701,7 +701,7 @@ def test_localize_from_an_unknown_start(capfd, here, flight):
 
 def test_localize_from_an_unknown_start_where_places_cannot_be_told_apart(capfd, here):
     room = read_bundle(here / "room.monoloc")
-    lasting = room.settings.lasting.model_copy(update={"found_sd_m": 0.97})
+    lasting = room.settings.lasting.model_copy(update={"relocalization_sd_m": 0.97})
     settings = room.settings.model_copy(update={"lasting": lasting})
     write_bundle(here / "room.monoloc", replace(room, settings=settings))
     command = ("localize", "room.monoloc", "walk", "--start", "unknown", "--out", "way.txt")

@@ -372,12 +372,12 @@ def test_other_maps_of_the_same_room(study: Study, away: Split, done: dict[str, 
     assert same.depth_model == given.depth_model
 
     def but_near(settings: LocalizerConfig) -> LocalizerConfig:
-        any_near = settings.lasting.model_copy(update={"near_sd_m": 0.0, "near_sd_rad": 0.0})
+        any_near = settings.lasting.model_copy(update={"sd_at_reference_m": 0.0, "sd_at_reference_rad": 0.0})
         return settings.model_copy(update={"lasting": any_near})
 
     # What is of network and map together is measured anew.
     assert but_near(same.settings) == but_near(given.settings)
-    assert same.settings.lasting.near_sd_m == pytest.approx(given.settings.lasting.near_sd_m, rel=0.3)
+    assert same.settings.lasting.sd_at_reference_m == pytest.approx(given.settings.lasting.sd_at_reference_m, rel=0.3)
     fewer = do(tasks.remapped(bundle, "mixture", 25), done)
     assert fewer.figures == {"components": 25, "map_bytes": 1000}
     voxels = do(tasks.remapped(bundle, "voxels", 0.25), done)
@@ -389,8 +389,8 @@ def test_other_maps_of_the_same_room(study: Study, away: Split, done: dict[str, 
     assert points.figures["map_bytes"] == 12 * points.figures["components"]
     coarse = read_bundle(points.folder / "room.monoloc").adapted
     np.testing.assert_allclose(coarse.covariances[0], 0.125**2 * np.eye(3), rtol=1e-5)
-    near_sd_m = read_bundle(points.folder / "room.monoloc").settings.lasting.near_sd_m
-    assert near_sd_m != given.settings.lasting.near_sd_m
+    sd_at_reference_m = read_bundle(points.folder / "room.monoloc").settings.lasting.sd_at_reference_m
+    assert sd_at_reference_m != given.settings.lasting.sd_at_reference_m
 
 
 def test_bytes_of_an_octree() -> None:

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from monoloc.likelihood.scan_likelihood import LikelihoodConfig, Measurement
 from scipy.stats import norm
 
 from map_helpers import make_mixture, make_particles, motion_of, nats_with_outliers
@@ -14,8 +15,7 @@ from monoloc.camera import Camera
 from monoloc.depth.depth_image import at_discontinuity
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.geometry import invert, make_pose, se3_exp, se3_log, so3_exp, transform
-from monoloc.likelihood.scan import Scan, evenly, scan_from_corners, scan_from_depth
-from monoloc.likelihood.scan_likelihood import Measurement, MeasurementConfig
+from monoloc.likelihood.scan import Scan, scan_from_corners, scan_from_depth, uniform_scan
 from monoloc.map.mixture import GaussianMixture
 from monoloc.map.numpy_twins import weigh_rays
 from monoloc.map.rays import LOG_DEPTH_RANGE
@@ -24,7 +24,7 @@ from monoloc.particle_filter.estimate import Estimate, estimate
 from monoloc.particle_filter.motion_model import MotionConfig, motion_sd, predict
 from monoloc.particle_filter.particles import Particles, normalised, scatter
 from monoloc.particle_filter.resampling import resample, systematic_indices
-from monoloc.supervision.state import HealthyRange, judge
+from monoloc.supervision.state import LikelihoodThresholds, judge
 from synthetic_room import CAMERA, SETTINGS, Room, make_path
 
 POSE = make_pose(so3_exp([0.4, -1.1, 0.3]), [1.0, -2.0, 0.5])
@@ -43,7 +43,7 @@ def particles_at(poses, log_scale=None, weights=None) -> Particles:
 def scan_ahead(mixture: GaussianMixture, count: int, rng: np.random.Generator) -> Scan:
     """Points of the mixture, those that a camera at the origin can see: at least 20 cm before it."""
     points = mixture.sample(8 * count, rng)
-    return evenly(points[points[:, 2] > 0.2][:count].astype(np.float32))
+    return uniform_scan(points[points[:, 2] > 0.2][:count].astype(np.float32))
 
 
 # Weights as a filter has them: of very different sizes, some of them zero.
@@ -382,8 +382,8 @@ def test_the_likelihood_weighs_points(likelihood):
     poses, log_scale = make_particles(20, rng)
     points = scan_ahead(mixture, 60, rng).points
     weights = rng.uniform(0.5, 2.0, len(points)).astype(np.float32)
-    measurement = Measurement(mixture, MeasurementConfig(likelihood=likelihood))
-    single = [measurement.mean_log_likelihood(poses, log_scale, evenly(point[None])) for point in points]
+    measurement = Measurement(mixture, LikelihoodConfig(likelihood=likelihood))
+    single = [measurement.mean_log_likelihood(poses, log_scale, uniform_scan(point[None])) for point in points]
     weighed = measurement.mean_log_likelihood(poses, log_scale, Scan(points, weights))
     assert np.allclose(weighed, np.average(single, axis=0, weights=weights), atol=1e-4)
 
@@ -428,7 +428,7 @@ def test_ray_likelihood_is_the_formula():
     mixture, rng = make_mixture(30), np.random.default_rng(0)
     poses, log_scale = make_particles(20, rng)
     scan = scan_ahead(mixture, 60, rng)
-    config = MeasurementConfig(outlier_share=0.25, noise_sd_m=0.06, log_depth_sd=0.05)
+    config = LikelihoodConfig(outlier_share=0.25, noise_sd_m=0.06, log_depth_sd=0.05)
     measurement = Measurement(mixture, config)
     for log_depth_sd in (0.05, 0.11):
         expected = weigh_rays(
@@ -452,8 +452,8 @@ def test_ray_likelihood_is_the_formula():
 def test_volume_likelihood_is_the_formula():
     mixture, rng = make_mixture(30), np.random.default_rng(0)
     poses, log_scale = make_particles(20, rng)
-    scan = evenly(mixture.sample(60, rng).astype(np.float32))
-    config = MeasurementConfig(likelihood="volume", outlier_share=0.25, noise_sd_m=0.06)
+    scan = uniform_scan(mixture.sample(60, rng).astype(np.float32))
+    config = LikelihoodConfig(likelihood="volume", outlier_share=0.25, noise_sd_m=0.06)
     smoothed = type(mixture)(mixture.weights, mixture.means, mixture.covariances + 0.06**2 * np.eye(3))
     expected = []
     for pose, scale in zip(poses, log_scale, strict=True):
@@ -468,9 +468,9 @@ def test_noise_does_not_shrink_the_scan_in_the_volume():
     """The scale that fits noisy depth best is the true one; without its factor it is less by the noise's variance."""
     noise, distance = 0.1, 2.0
     wall = GaussianMixture(np.ones(1), np.array([[0.0, 0.0, distance]]), np.diag([1.0, 1.0, 1e-6])[None])
-    config = MeasurementConfig(likelihood="volume", outlier_share=1e-6, noise_sd_m=noise * distance)
+    config = LikelihoodConfig(likelihood="volume", outlier_share=1e-6, noise_sd_m=noise * distance)
     depth = distance * (1.0 + noise * norm.ppf((np.arange(2000) + 0.5) / 2000))
-    scan = evenly(np.column_stack([np.zeros(2000), np.zeros(2000), depth]).astype(np.float32))
+    scan = uniform_scan(np.column_stack([np.zeros(2000), np.zeros(2000), depth]).astype(np.float32))
     log_scale = np.linspace(-0.05, 0.05, 101)
     fit = Measurement(wall, config).mean_log_likelihood(np.repeat(np.eye(4)[None], 101, axis=0), log_scale, scan)
     assert log_scale[np.argmax(fit)] == pytest.approx(0.0, abs=0.0015)
@@ -483,9 +483,9 @@ def test_noise_does_not_shrink_the_scan_along_rays():
     log_scale = np.linspace(-0.05, 0.05, 101)
     for distance in (1.0, 2.0, 4.0):
         wall = GaussianMixture(np.ones(1), np.array([[0.0, 0.0, distance]]), np.diag([1.0, 1.0, 1e-6])[None])
-        config = MeasurementConfig(outlier_share=1e-6, noise_sd_m=0.0, log_depth_sd=noise)
+        config = LikelihoodConfig(outlier_share=1e-6, noise_sd_m=0.0, log_depth_sd=noise)
         depth = distance * (1.0 + noise * norm.ppf((np.arange(2000) + 0.5) / 2000))
-        scan = evenly(np.column_stack([np.zeros(2000), np.zeros(2000), depth]).astype(np.float32))
+        scan = uniform_scan(np.column_stack([np.zeros(2000), np.zeros(2000), depth]).astype(np.float32))
         fit = Measurement(wall, config).mean_log_likelihood(np.repeat(np.eye(4)[None], 101, axis=0), log_scale, scan)
         assert log_scale[np.argmax(fit)] == pytest.approx(0.0, abs=0.0015)
 
@@ -501,7 +501,7 @@ def test_tempering_scales_log_weights(kind, count, width):
     scan = scan_ahead(mixture, 60, rng)
     evidence = []
     for points in (5.0, 10.0):
-        measurement = Measurement(mixture, MeasurementConfig(**{count: points, width: 0.09}))
+        measurement = Measurement(mixture, LikelihoodConfig(**{count: points, width: 0.09}))
         after = getattr(measurement, f"weigh_{kind}")(Particles(poses, log_scale, prior), scan)
         assert after.weights.sum() == pytest.approx(1.0)
         assert after.poses is poses and after.log_scale is log_scale
@@ -517,29 +517,29 @@ def test_more_points_of_one_image_do_not_make_the_filter_surer():
     mixture, rng = make_mixture(30), np.random.default_rng(0)
     particles = Particles(*make_particles(50, rng), np.full(50, -np.log(50)))
     scan = scan_ahead(mixture, 60, rng)
-    measurement = Measurement(mixture, MeasurementConfig(effective_points=10.0))
-    once, thrice = (measurement.weigh_image(particles, evenly(np.tile(scan.points, (n, 1)))) for n in (1, 3))
+    measurement = Measurement(mixture, LikelihoodConfig(effective_points=10.0))
+    once, thrice = (measurement.weigh_image(particles, uniform_scan(np.tile(scan.points, (n, 1)))) for n in (1, 3))
     assert np.allclose(once.log_weights, thrice.log_weights, atol=1e-6)
 
 
 @pytest.mark.parametrize("likelihood", ["ray", "volume"])
 def test_no_evidence_says_nothing(likelihood):
     particles = Particles(*make_particles(5, np.random.default_rng(0)), np.full(5, -np.log(5)))
-    measurement = Measurement(make_mixture(3), MeasurementConfig(likelihood=likelihood))
-    empty = evenly(np.zeros((0, 3), dtype=np.float32))
+    measurement = Measurement(make_mixture(3), LikelihoodConfig(likelihood=likelihood))
+    empty = uniform_scan(np.zeros((0, 3), dtype=np.float32))
     assert measurement.weigh_image(particles, empty) is particles
     assert measurement.weigh_corners(particles, empty) is particles
-    deaf = Measurement(make_mixture(3), MeasurementConfig(effective_points=0.0, effective_corners=0.0))
-    scan = evenly(np.array([[0.0, 0.0, 1.0]], dtype=np.float32))
+    deaf = Measurement(make_mixture(3), LikelihoodConfig(effective_points=0.0, effective_corners=0.0))
+    scan = uniform_scan(np.array([[0.0, 0.0, 1.0]], dtype=np.float32))
     assert deaf.weigh_image(particles, scan) is particles
     assert deaf.weigh_corners(particles, scan) is particles
 
 
 def test_settings_of_the_likelihood_are_checked():
     with pytest.raises(ValueError, match="likelihood"):
-        MeasurementConfig(likelihood="area")
+        LikelihoodConfig(likelihood="area")
     with pytest.raises(ValueError, match="log_depth_sd"):
-        MeasurementConfig(log_depth_sd=0.0)
+        LikelihoodConfig(log_depth_sd=0.0)
 
 
 # --- Health ---
@@ -567,23 +567,23 @@ def belief_of(spread_m: float) -> Estimate:
     ],
 )
 def test_state_of_the_localizer(fit, spread_m, state):
-    assert judge(fit, belief_of(spread_m), HealthyRange(low=-2.0, lost=-3.0), is_followed=True) == state
+    assert judge(fit, belief_of(spread_m), LikelihoodThresholds(low=-2.0, lost=-3.0), is_followed=True) == state
 
 
 @pytest.mark.parametrize(("fit", "state"), [(-1.0, "uncertain"), (-2.5, "uncertain"), (-3.5, "lost")])
 def test_a_camera_lost_sight_of_is_not_tracked(fit, state):
-    assert judge(fit, belief_of(0.05), HealthyRange(low=-2.0, lost=-3.0), is_followed=False) == state
+    assert judge(fit, belief_of(0.05), LikelihoodThresholds(low=-2.0, lost=-3.0), is_followed=False) == state
 
 
 def test_healthy_range_is_measured():
-    healthy = HealthyRange.from_fits(np.linspace(-2.0, -1.0, 101))
+    healthy = LikelihoodThresholds.from_log_likelihoods(np.linspace(-2.0, -1.0, 101))
     assert healthy.low == pytest.approx(-1.99)
     assert healthy.lost < healthy.low
     assert healthy.low - healthy.lost == pytest.approx(-1.5 - healthy.low)
 
 
 def test_a_healthy_range_of_few_frames_is_not_taken_for_what_they_happen_to_span():
-    healthy = HealthyRange.from_fits([1.0, 1.02])
+    healthy = LikelihoodThresholds.from_log_likelihoods([1.0, 1.02])
     assert healthy.low < 0.7 and healthy.lost < 0.3
-    wide = HealthyRange.from_fits(np.linspace(0.0, 2.0, 5))  # as measured
+    wide = LikelihoodThresholds.from_log_likelihoods(np.linspace(0.0, 2.0, 5))  # as measured
     assert wide.low == pytest.approx(0.02)

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from map_helpers import motion_of
-from monoloc.fusion.bias_filter import Joined, Joiner
-from monoloc.fusion.bias_model import LastingErrors
-from monoloc.fusion.reference_poses import Viewpoints
-from monoloc.geometry import FloatArray, adjoint, invert, is_rigid, se3_exp, se3_log, viewpoints_apart
-from monoloc.landmarks.pnp import Sighting
+from monoloc.fusion.bias_filter import BiasAugmentedFilter, BiasAugmentedState
+from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.reference_poses import ReferencePoses
+from monoloc.geometry import FloatArray, adjoint, invert, is_rigid, pose_distance_m, se3_exp, se3_log
+from monoloc.landmarks.pnp import LandmarkPose
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.particle_filter.motion_model import MotionConfig, motion_sd
 
-LASTING = LastingErrors(near_sd_m=0.05, near_sd_rad=0.03, growth_m=0.1, growth_rad=0.05)
+LASTING = BiasModel(sd_at_reference_m=0.05, sd_at_reference_rad=0.03, sd_growth_m=0.1, sd_growth_rad=0.05)
 START_SD = np.repeat([0.1, 0.05], 3)
 STEP = se3_exp([0.03, -0.01, 0.05, 0.01, 0.04, -0.02])
 ODOMETRY_SD = np.repeat([0.004, 0.003], 3)
@@ -22,16 +22,16 @@ SPREAD_SD = np.repeat([0.01, 0.006], 3)
 TOGETHER, ODOMETRY_TOGETHER = 2.0, 4.0  # so many times the particles' spread and odometry's noise, see the module
 
 
-def begun(pose: FloatArray, lasting: LastingErrors = LASTING) -> Joined:
-    return Joined.begin(Estimate(pose, np.diag(START_SD**2), 0.0), lasting.widths(0.0)[None])
+def begun(pose: FloatArray, lasting: BiasModel = LASTING) -> BiasAugmentedState:
+    return BiasAugmentedState.begin(Estimate(pose, np.diag(START_SD**2), 0.0), lasting.widths(0.0)[None])
 
 
 def said(pose: FloatArray) -> Estimate:
     return Estimate(pose, np.diag(SPREAD_SD**2) / TOGETHER**2, 0.0)
 
 
-def moved(joined: Joined, delta: FloatArray, lasting: LastingErrors = LASTING) -> Joined:
-    kept = lasting.kept(float(viewpoints_apart(np.eye(4), delta[None])[0]))
+def moved(joined: BiasAugmentedState, delta: FloatArray, lasting: BiasModel = LASTING) -> BiasAugmentedState:
+    kept = lasting.kept(float(pose_distance_m(np.eye(4), delta[None])[0]))
     return joined.moved(delta, np.diag(ODOMETRY_SD**2), kept, lasting.widths(0.0)[None])
 
 
@@ -39,7 +39,7 @@ def test_it_is_the_batch_solution_along_a_line() -> None:
     """Without rotation all is linear: the last belief is that of least squares over all poses and biases at once."""
     rng = np.random.default_rng(0)
     frames, along = 12, 0.1
-    lasting = LastingErrors(near_sd_m=0.05)
+    lasting = BiasModel(sd_at_reference_m=0.05)
     words = along * np.arange(frames) + rng.normal(0.0, 0.06, frames)
     step = np.eye(4)
     step[0, 3] = along
@@ -78,7 +78,11 @@ def test_it_is_the_batch_solution_along_a_line() -> None:
 def test_a_wider_bias_moves_the_pose_less() -> None:
     told = said(np.eye(4) @ se3_exp([0.2, 0.0, 0.0, 0.0, 0.1, 0.0]))
     shifts = [
-        float(np.linalg.norm(se3_log(begun(np.eye(4), LastingErrors(near_sd_m=sd, near_sd_rad=sd)).told(told).pose)))
+        float(
+            np.linalg.norm(
+                se3_log(begun(np.eye(4), BiasModel(sd_at_reference_m=sd, sd_at_reference_rad=sd)).told(told).pose)
+            )
+        )
         for sd in (0.0, 0.05, 0.2, 1.0)
     ]
     assert shifts == sorted(shifts, reverse=True)
@@ -89,7 +93,7 @@ def test_a_wider_bias_moves_the_pose_less() -> None:
 def test_particles_that_are_all_one_are_taken_in() -> None:
     """No spread, no bias: a singular covariance, and still a belief."""
     pose = se3_exp([0.1, 0.2, 0.3, 0.1, 0.0, -0.2])
-    joined = begun(np.eye(4), LastingErrors()).told(Estimate(pose, np.zeros((6, 6)), 0.0))
+    joined = begun(np.eye(4), BiasModel()).told(Estimate(pose, np.zeros((6, 6)), 0.0))
     np.testing.assert_allclose(joined.pose, pose, atol=1e-6)
     assert np.isfinite(joined.covariance).all() and np.linalg.eigvalsh(joined.covariance)[0] > -1e-15
 
@@ -99,25 +103,25 @@ def test_particles_that_are_all_one_are_taken_in() -> None:
 ELAPSED_S = 1.0 / 15.0
 
 
-def joiner(viewpoint: FloatArray, lasting: LastingErrors = LASTING) -> Joiner:
+def joiner(viewpoint: FloatArray, lasting: BiasModel = LASTING) -> BiasAugmentedFilter:
     start = Estimate(np.eye(4), np.diag(START_SD**2), 0.0)
-    return Joiner(start, lasting, MotionConfig(), Viewpoints.of(viewpoint[None]))
+    return BiasAugmentedFilter(start, lasting, MotionConfig(), ReferencePoses.of(viewpoint[None]))
 
 
-def drawn_way(rng: np.random.Generator, steps: FloatArray, lasting: LastingErrors) -> tuple[FloatArray, Estimate]:
+def drawn_way(rng: np.random.Generator, steps: FloatArray, lasting: BiasModel) -> tuple[FloatArray, Estimate]:
     """The last true pose of a way from a viewpoint, and the belief, where all errors are drawn as they are stated."""
     viewpoint = true = se3_exp(rng.normal(size=6))
     start = Estimate(true @ se3_exp(-rng.normal(size=6) * START_SD), np.diag(START_SD**2), 0.0)
-    follower = Joiner(start, lasting, MotionConfig(), Viewpoints.of(viewpoint[None]))
+    follower = BiasAugmentedFilter(start, lasting, MotionConfig(), ReferencePoses.of(viewpoint[None]))
     variances = lasting.widths(0.0) ** 2
     bias = rng.normal(size=6) * np.sqrt(variances)
     for k, step in enumerate([np.eye(4), *steps]):
-        apart = float(viewpoints_apart(np.eye(4), step[None])[0])
+        apart = float(pose_distance_m(np.eye(4), step[None])[0])
         odometry_sd = ODOMETRY_TOGETHER * motion_sd(motion_of(step), ELAPSED_S, 0.0, MotionConfig())
         true = true @ step @ se3_exp(rng.normal(size=6) * odometry_sd * (k > 0))
         kept = lasting.kept(apart)
         # As wide as is stated, or wider by what is brought along.
-        brought, here = kept**2 * variances, lasting.widths(float(viewpoints_apart(true, viewpoint[None])[0])) ** 2
+        brought, here = kept**2 * variances, lasting.widths(float(pose_distance_m(true, viewpoint[None])[0])) ** 2
         variances = np.maximum(brought + (1.0 - kept**2) * here, here)
         bias = kept * bias + np.sqrt(variances - brought) * rng.normal(size=6)
         told = said(true @ se3_exp(bias) @ se3_exp(rng.normal(size=6) * SPREAD_SD))
@@ -132,13 +136,19 @@ ALONG = se3_exp([0.04, -0.01, 0.03, 0.002, 0.004, -0.002])
 @pytest.mark.parametrize(
     ("steps", "lasting"),
     [
-        ([STEP] * 25, LastingErrors(near_sd_m=0.05, near_sd_rad=0.03)),
-        ([ALONG] * 25, LastingErrors(near_sd_m=0.03, near_sd_rad=0.02, growth_m=0.2, growth_rad=0.1)),
-        ([ALONG] * 15 + [invert(ALONG)] * 15, LastingErrors(near_sd_m=0.03, near_sd_rad=0.02, growth_m=0.2)),
+        ([STEP] * 25, BiasModel(sd_at_reference_m=0.05, sd_at_reference_rad=0.03)),
+        (
+            [ALONG] * 25,
+            BiasModel(sd_at_reference_m=0.03, sd_at_reference_rad=0.02, sd_growth_m=0.2, sd_growth_rad=0.1),
+        ),
+        (
+            [ALONG] * 15 + [invert(ALONG)] * 15,
+            BiasModel(sd_at_reference_m=0.03, sd_at_reference_rad=0.02, sd_growth_m=0.2),
+        ),
     ],
     ids=["as wide everywhere", "away", "away and back"],
 )
-def test_errors_are_as_large_as_stated(steps: FloatArray, lasting: LastingErrors) -> None:
+def test_errors_are_as_large_as_stated(steps: FloatArray, lasting: BiasModel) -> None:
     """Squared errors in units of the covariance have six degrees of freedom; of 200 ways, the mean's sd is 0.25."""
     rng = np.random.default_rng(1)
     squares = []
@@ -160,7 +170,7 @@ def test_odometry_goes_as_far_as_depth_is_wrong() -> None:
 
 def test_the_bias_is_that_of_the_nearest_viewpoint_where_the_camera_has_come_to() -> None:
     """Of what the particles say by themselves, which is off by as much as it is wide there."""
-    lasting = LastingErrors(near_sd_m=0.02, near_sd_rad=0.01, growth_m=0.1, growth_rad=0.05)
+    lasting = BiasModel(sd_at_reference_m=0.02, sd_at_reference_rad=0.01, sd_growth_m=0.1, sd_growth_rad=0.05)
     near, far = np.eye(4), se3_exp([3.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     place = se3_exp([2.8, 0.0, 0.0, 0.0, 0.0, 0.0])
     for viewpoints, begin, apart in (
@@ -168,7 +178,9 @@ def test_the_bias_is_that_of_the_nearest_viewpoint_where_the_camera_has_come_to(
         (far[None], far, 0.2),
         (np.stack([near, far]), near, 0.2),
     ):
-        follower = Joiner(Estimate(begin, np.eye(6), 0.0), lasting, MotionConfig(), Viewpoints.of(viewpoints))
+        follower = BiasAugmentedFilter(
+            Estimate(begin, np.eye(6), 0.0), lasting, MotionConfig(), ReferencePoses.of(viewpoints)
+        )
         follower.step(None, 0.0, said(begin), is_told=False)
         belief = follower.step(motion_of(invert(begin) @ place), ELAPSED_S, said(place), is_told=True)
         sd = np.sqrt(np.diag(belief.covariance))
@@ -176,10 +188,10 @@ def test_the_bias_is_that_of_the_nearest_viewpoint_where_the_camera_has_come_to(
 
 
 def test_a_viewpoint_s_error_is_taken_off_and_less_of_it_away() -> None:
-    lasting = LastingErrors(near_sd_m=0.03, near_sd_rad=0.03, growth_m=0.1, growth_rad=0.1)
+    lasting = BiasModel(sd_at_reference_m=0.03, sd_at_reference_rad=0.03, sd_growth_m=0.1, sd_growth_rad=0.1)
     viewpoint, error = se3_exp([0.5, -1.0, 2.0, 0.3, 0.2, -0.4]), np.array([0.02, -0.03, 0.01, 0.01, 0.02, -0.02])
-    known = Viewpoints(viewpoint[None], error[None], error[None])
-    follower = Joiner(Estimate(viewpoint, np.eye(6), 0.0), lasting, MotionConfig(), known)
+    known = ReferencePoses(viewpoint[None], error[None], error[None])
+    follower = BiasAugmentedFilter(Estimate(viewpoint, np.eye(6), 0.0), lasting, MotionConfig(), known)
     for away_m, share in ((0.0, 1.0), (0.3, 0.5)):
         true = viewpoint @ se3_exp([0.0, away_m, 0.0, 0.0, 0.0, 0.0])
         told = said(true @ se3_exp(share * error))
@@ -193,11 +205,11 @@ def test_a_viewpoint_s_error_is_taken_off_and_less_of_it_away() -> None:
 @pytest.mark.parametrize("way_m", [0.04, -0.04])
 def test_what_is_taken_off_is_of_the_way_that_the_camera_came(way_m: float, has_odometry: bool) -> None:
     """Along twenty viewpoints in order or in reverse, whose errors are opposite."""
-    lasting = LastingErrors(near_sd_m=0.03, near_sd_rad=0.03)
+    lasting = BiasModel(sd_at_reference_m=0.03, sd_at_reference_rad=0.03)
     poses = np.tile(np.eye(4), (20, 1, 1))
     poses[:, 0, 3] = 0.05 * np.arange(20)
     there = np.tile([0.0, 0.02, 0.0, 0.0, 0.0, 0.0], (20, 1))
-    follower = Joiner(said(poses[10]), lasting, MotionConfig(), Viewpoints(poses, there, -there))
+    follower = BiasAugmentedFilter(said(poses[10]), lasting, MotionConfig(), ReferencePoses(poses, there, -there))
     np.testing.assert_array_equal(follower.corrected(said(poses[10])).pose, poses[10])  # it has not come any way
     step, pose = se3_exp([way_m, 0.0, 0.0, 0.0, 0.0, 0.0]), poses[10]
     for _ in range(8):
@@ -212,7 +224,7 @@ def test_a_jump_of_the_particles_is_no_way() -> None:
     poses = np.tile(np.eye(4), (20, 1, 1))
     poses[:, 0, 3] = 0.05 * np.arange(20)
     there = np.tile([0.0, 0.02, 0.0, 0.0, 0.0, 0.0], (20, 1))
-    follower = Joiner(said(poses[10]), LASTING, MotionConfig(), Viewpoints(poses, there, -there))
+    follower = BiasAugmentedFilter(said(poses[10]), LASTING, MotionConfig(), ReferencePoses(poses, there, -there))
     follower.step(None, 0.0, said(poses[14]), is_told=True)
     np.testing.assert_array_equal(follower.corrected(said(poses[10])).pose, poses[10])
     follower.step(None, ELAPSED_S, said(se3_exp([4.0, 0.0, 0.0, 0.0, 0.0, 0.0])), is_told=True)
@@ -229,11 +241,13 @@ def test_what_is_foreseen_is_what_comes_of_a_frame_that_tells_nothing() -> None:
 
 
 def test_where_the_camera_was_found_its_rotation_is_as_uncertain_as_that() -> None:
-    lasting = LastingErrors(near_sd_m=0.01, near_sd_rad=0.01, found_sd_m=0.2, found_sd_rad=0.2)
+    lasting = BiasModel(
+        sd_at_reference_m=0.01, sd_at_reference_rad=0.01, relocalization_sd_m=0.2, relocalization_sd_rad=0.2
+    )
     follower, here = joiner(np.eye(4), lasting), said(np.eye(4))
     spread = np.sqrt(here.covariance[3, 3])
     assert follower.rotation_sd(here) == pytest.approx(np.hypot(0.01, spread), rel=1e-6)
-    follower.begin_anew(here)
+    follower.reinitialise(here)
     assert follower.rotation_sd(here) == pytest.approx(np.hypot(0.2, spread), rel=1e-6)
 
 
@@ -241,7 +255,7 @@ def test_without_odometry_the_bias_is_forgotten_as_far_as_the_particles_went() -
     """What was learnt of it is worth less a metre on."""
     off, biases = se3_exp([0.2, 0.0, 0.0, 0.0, 0.0, 0.0]), []
     for gone_m in (0.0, 1.0):
-        follower = joiner(np.eye(4), LastingErrors(near_sd_m=0.1, near_sd_rad=0.1))
+        follower = joiner(np.eye(4), BiasModel(sd_at_reference_m=0.1, sd_at_reference_rad=0.1))
         for _ in range(8):
             follower.step(motion_of(np.eye(4)), ELAPSED_S, said(off), is_told=True)
         follower.step(None, 0.5, said(off @ se3_exp([gone_m, 0.0, 0.0, 0.0, 0.0, 0.0])), is_told=False)
@@ -266,7 +280,7 @@ def test_without_odometry_the_belief_is_the_particles_and_as_wide_as_their_bias(
     for _ in range(20):  # longer than odometry is waited for
         truth = truth @ STEP
         belief = follower.step(None, ELAPSED_S, said(truth), is_told=True)
-        widths.append(LASTING.widths(float(viewpoints_apart(truth, viewpoint[None])[0])))
+        widths.append(LASTING.widths(float(pose_distance_m(truth, viewpoint[None])[0])))
     np.testing.assert_allclose(belief.pose, truth, atol=1e-12)
     variances = np.diag(belief.covariance) - SPREAD_SD**2
     np.testing.assert_allclose(belief.covariance, np.diag(np.diag(belief.covariance)), atol=1e-12)
@@ -280,7 +294,7 @@ def test_a_frame_without_odometry_loses_no_bias() -> None:
     off = se3_exp([0.08, 0.0, 0.0, 0.0, 0.0, 0.0])
     beliefs = []
     for dropped in ((), (15,), (15, 20, 21, 22)):
-        follower, truth = joiner(np.eye(4), LastingErrors(near_sd_m=0.01, growth_m=0.1)), np.eye(4)
+        follower, truth = joiner(np.eye(4), BiasModel(sd_at_reference_m=0.01, sd_growth_m=0.1)), np.eye(4)
         follower.step(None, 0.0, said(truth), is_told=True)
         for frame in range(25):
             truth = truth @ step
@@ -292,20 +306,20 @@ def test_a_frame_without_odometry_loses_no_bias() -> None:
 
 def test_batch_solution_after_the_particles_word_alone() -> None:
     """A word whose bias is unknown, then perfect odometry and the same bias: of that, nothing new is learnt."""
-    lasting = LastingErrors(near_sd_m=0.05, near_sd_rad=0.03)
+    lasting = BiasModel(sd_at_reference_m=0.05, sd_at_reference_rad=0.03)
     here = lasting.widths(0.0)[None]
-    alone = Joined.alone(said(np.eye(4)), here)
+    alone = BiasAugmentedState.alone(said(np.eye(4)), here)
     again = alone.moved(np.eye(4), np.zeros((6, 6)), 1.0, here).told(said(np.eye(4)))
     widths = np.sqrt(np.diag(again.covariance))
     np.testing.assert_allclose(widths[6:], here[0], rtol=1e-6)
     np.testing.assert_allclose(widths[:6], np.hypot(SPREAD_SD / np.sqrt(2.0), here[0]), rtol=1e-4)
 
 
-SIGHTED = LastingErrors(near_sd_m=0.01, near_sd_rad=0.006)
+SIGHTED = BiasModel(sd_at_reference_m=0.01, sd_at_reference_rad=0.006)
 
 
-def seen(pose: FloatArray) -> Sighting:
-    return Sighting(pose, np.diag((SPREAD_SD / TOGETHER) ** 2), np.zeros((50, 3)))
+def seen(pose: FloatArray) -> LandmarkPose:
+    return LandmarkPose(pose, np.diag((SPREAD_SD / TOGETHER) ** 2), np.zeros((50, 3)))
 
 
 @pytest.mark.slow
@@ -316,7 +330,7 @@ def test_errors_are_as_large_as_stated_with_landmarks_too() -> None:
     for _ in range(200):
         viewpoint = true = se3_exp(rng.normal(size=6))
         start = Estimate(true @ se3_exp(-rng.normal(size=6) * START_SD), np.diag(START_SD**2), 0.0)
-        follower = Joiner(start, LASTING, MotionConfig(), Viewpoints.of(viewpoint[None]), SIGHTED)
+        follower = BiasAugmentedFilter(start, LASTING, MotionConfig(), ReferencePoses.of(viewpoint[None]), SIGHTED)
         widths = np.stack([lasting.widths(0.0) for lasting in (LASTING, SIGHTED)])
         biases = rng.normal(size=(2, 6)) * widths
         for frame in range(20):
@@ -339,7 +353,7 @@ def test_landmarks_teach_what_the_particles_err_by() -> None:
     ends = {}
     for frames in (0, 10):
         start = Estimate(np.eye(4), np.diag(START_SD**2), 0.0)
-        follower = Joiner(start, LASTING, MotionConfig(), Viewpoints.of(np.eye(4)[None]), SIGHTED)
+        follower = BiasAugmentedFilter(start, LASTING, MotionConfig(), ReferencePoses.of(np.eye(4)[None]), SIGHTED)
         for frame in range(60):
             belief = follower.step(motion_of(np.eye(4)), ELAPSED_S, said(off), is_told=True)
             if frame < frames:
@@ -351,7 +365,7 @@ def test_landmarks_teach_what_the_particles_err_by() -> None:
 def test_the_particles_word_alone_says_nothing_of_landmarks() -> None:
     """Whose bias is fresh and independent; what they say then is weighed against it."""
     widths = np.stack([LASTING.widths(0.0), SIGHTED.widths(0.0)])
-    alone = Joined.alone(said(np.eye(4)), widths)
+    alone = BiasAugmentedState.alone(said(np.eye(4)), widths)
     np.testing.assert_array_equal(alone.covariance[:12, 12:], 0.0)
     np.testing.assert_allclose(np.sqrt(np.diag(alone.covariance)[6:]), widths.ravel())
     off = 0.04
@@ -364,7 +378,9 @@ def test_the_particles_word_alone_says_nothing_of_landmarks() -> None:
 
 def test_a_sighting_that_cannot_be_hardly_counts() -> None:
     """A metre off a belief of centimetres; but one that says so again and again is believed in the end."""
-    follower = Joiner(said(np.eye(4)), LASTING, MotionConfig(), Viewpoints.of(np.eye(4)[None]), SIGHTED)
+    follower = BiasAugmentedFilter(
+        said(np.eye(4)), LASTING, MotionConfig(), ReferencePoses.of(np.eye(4)[None]), SIGHTED
+    )
     wrong = se3_exp([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     follower.step(None, 0.0, said(np.eye(4)), is_told=True)
     once = follower.sighted(seen(wrong))
@@ -378,7 +394,9 @@ def test_a_sighting_that_cannot_be_hardly_counts() -> None:
 def test_without_odometry_what_landmarks_said_is_kept() -> None:
     """They are something to join the particles with: their word alone is not taken after that."""
     off = se3_exp([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
-    follower = Joiner(said(np.eye(4)), LASTING, MotionConfig(), Viewpoints.of(np.eye(4)[None]), SIGHTED)
+    follower = BiasAugmentedFilter(
+        said(np.eye(4)), LASTING, MotionConfig(), ReferencePoses.of(np.eye(4)[None]), SIGHTED
+    )
     for frame in range(60):
         belief = follower.step(None, ELAPSED_S, said(off), is_told=True)
         if frame % 3 == 0:
@@ -389,9 +407,9 @@ def test_without_odometry_what_landmarks_said_is_kept() -> None:
 def test_a_camera_that_landmarks_tell_is_not_blind() -> None:
     follower = joiner(np.eye(4))
     follower.step(None, ELAPSED_S, said(np.eye(4)), is_told=False)
-    assert follower.blind_s == ELAPSED_S
+    assert follower.time_since_update_s == ELAPSED_S
     follower.sighted(seen(np.eye(4)))
-    assert follower.blind_s == 0.0
+    assert follower.time_since_update_s == 0.0
 
 
 def test_a_frame_that_tells_nothing_narrows_nothing() -> None:
@@ -406,7 +424,7 @@ def test_a_frame_that_tells_nothing_narrows_nothing() -> None:
             belief = follower.step(motion, ELAPSED_S, said(pose), is_told)
             widths.append(float(belief.covariance[0, 0]))
     np.testing.assert_allclose(deaf.step(None, ELAPSED_S, said(np.eye(4)), False).pose, pose, atol=1e-12)
-    assert deaf.blind_s == ELAPSED_S and hearing.blind_s == 0.0
+    assert deaf.time_since_update_s == ELAPSED_S and hearing.time_since_update_s == 0.0
     assert widths[0::2] == sorted(widths[0::2])
     assert widths[-1] < widths[-2]
 

@@ -12,8 +12,9 @@ from monoloc.build.landmark_mapping import build_landmarks
 from monoloc.camera import Camera
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray, invert, se3_exp, se3_log, transform
-from monoloc.landmarks.features import ALIKE_BITS, KeypointDetector, Keypoints, Landmarks, pairs
-from monoloc.landmarks.pnp import LandmarkSight, solve
+from monoloc.landmarks.features import MATCH_BITS, KeypointDetector, Keypoints, match_descriptors
+from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.landmarks.pnp import OrbLandmarkLocalizer, solve
 from monoloc.progress import NoProgress
 from synthetic_room import BLACK, CAMERA, Room, RoomRecording, make_path
 
@@ -33,8 +34,8 @@ def built(walk):
 
 
 @pytest.fixture(scope="module")
-def sight(built) -> LandmarkSight:
-    return LandmarkSight(built[0], CAMERA)
+def sight(built) -> OrbLandmarkLocalizer:
+    return OrbLandmarkLocalizer(built[0], CAMERA)
 
 
 def beside(pose: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -57,8 +58,8 @@ def test_pairs_are_each_others_likest_within_reach(seed, landmarks, keypoints):
     )
     bits = np.unpackbits(known[:, None] ^ seen[None], axis=2).sum(axis=2, dtype=int)
     far = np.abs(expected[:, None] - pixels[None]).max(axis=2) >= 10.0
-    bits[far | (bits >= ALIKE_BITS)] = 999
-    which, where = pairs(expected, known, pixels, seen, 10.0)
+    bits[far | (bits >= MATCH_BITS)] = 999
+    which, where = match_descriptors(expected, known, pixels, seen, 10.0)
     assert len(set(which.tolist())) == len(which) and len(set(where.tolist())) == len(where)
     for landmark, keypoint in zip(which, where, strict=True):
         assert bits[landmark, keypoint] == bits[landmark].min() == bits[:, keypoint].min() < 999
@@ -174,8 +175,8 @@ def test_errors_at_the_viewpoints_are_as_measured(built, sight):
         error = se3_log(invert(sighting.pose) @ pose)
         squares.append(error @ np.linalg.solve(sighting.covariance + np.diag(lasting.widths(0.0) ** 2), error))
     assert 0.4 < np.mean(squares) < 6.0
-    assert lasting.near_sd_m < 0.005 and lasting.near_sd_rad < 0.003
-    assert lasting.growth_m > 0.0 and lasting.growth_rad > 0.0 and lasting.found_sd_m == 0.0
+    assert lasting.sd_at_reference_m < 0.005 and lasting.sd_at_reference_rad < 0.003
+    assert lasting.sd_growth_m > 0.0 and lasting.sd_growth_rad > 0.0 and lasting.relocalization_sd_m == 0.0
 
 
 def test_poses_that_err_make_landmarks_that_do(built):
@@ -186,7 +187,10 @@ def test_poses_that_err_make_landmarks_that_do(built):
     landmarks, lasting = build_landmarks(noisy, noisy.depth, NoProgress())
     assert len(landmarks) > 100
     exact = built[1]
-    assert 2.0 * exact.near_sd_m < lasting.near_sd_m < 0.03 and 0.002 < lasting.near_sd_rad < 0.015
+    assert (
+        2.0 * exact.sd_at_reference_m < lasting.sd_at_reference_m < 0.03
+        and 0.002 < lasting.sd_at_reference_rad < 0.015
+    )
 
 
 def test_without_a_belief_a_camera_is_found_by_one_image(sight):
@@ -217,7 +221,7 @@ def test_dim_images_have_the_same_landmarks(sight):
 
 def test_a_camera_of_another_focal_length_sees_them(sight, built):
     """Corners are looked for at one focal length in pixels, so that they have one size."""
-    near, pose = LandmarkSight(built[0], Camera(640, 480, 700.0, 700.0, 319.5, 239.5)), FLOWN[20]
+    near, pose = OrbLandmarkLocalizer(built[0], Camera(640, 480, 700.0, 700.0, 319.5, 239.5)), FLOWN[20]
     sharper = Camera(640, 480, 700.0, 700.0, 319.5, 239.5)
     sighting = near(Room().view(pose, sharper)[0], pose @ se3_exp(np.full(6, 0.02)), NEAR)
     assert sighting is not None
@@ -242,7 +246,7 @@ def test_frames_that_show_nothing_have_no_landmarks():
     walk = RoomRecording(Room(), make_path(6))
     walk._views = [(BLACK, depth) for _, depth in walk._views]
     landmarks, lasting = build_landmarks(walk, walk.depth, NoProgress())
-    assert len(landmarks) == 0 and lasting.near_sd_m == 0.0
+    assert len(landmarks) == 0 and lasting.sd_at_reference_m == 0.0
 
 
 def test_frames_without_depth_have_none_either():
@@ -262,7 +266,7 @@ def test_near_a_wall_landmarks_are_looked_for_as_far_as_they_may_be():
         np.concatenate([near, aside]).astype(np.float32), rng.integers(0, 256, (520, 32)).astype(np.uint8)
     )
     sight, at = (
-        LandmarkSight(landmarks, CAMERA),
+        OrbLandmarkLocalizer(landmarks, CAMERA),
         Keypoints(camera.project(near), landmarks.descriptors[:120], np.ones(120)),
     )
     believed = se3_exp([0.03, -0.03, 0.0, 0.0, 0.0, 0.0])  # 16 pixels for what is near, one or two for the rest
@@ -286,13 +290,13 @@ def test_images_of_any_shape_have_corners(width, height, focal_px):
 def test_of_many_frames_some_are_enough(walk, built, monkeypatch):
     monkeypatch.setattr("monoloc.build.landmark_mapping._MOST_FRAMES", 20)
     landmarks, lasting = build_landmarks(walk, walk.depth, NoProgress())
-    assert 100 < len(landmarks) < len(built[0]) and lasting.near_sd_m < 0.01
+    assert 100 < len(landmarks) < len(built[0]) and lasting.sd_at_reference_m < 0.01
 
 
 def test_a_camera_that_stands_still_is_not_taken_for_an_exact_one():
     still = RoomRecording(Room(), np.repeat(make_path(1), 6, axis=0))
     _, lasting = build_landmarks(still, still.depth, NoProgress())
-    assert lasting.near_sd_m > 3e-4 and lasting.near_sd_rad > 1e-4
+    assert lasting.sd_at_reference_m > 3e-4 and lasting.sd_at_reference_rad > 1e-4
 
 
 def test_types_are_checked():

@@ -8,7 +8,7 @@ import pytest
 from monoloc.camera import Camera
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.geometry import FloatArray
-from monoloc.odometry.scale_tilt import LevelConfig, level
+from monoloc.odometry.scale_tilt import ScaleTiltConfig, level
 from monoloc.odometry.visual import Motion
 
 PINHOLE = Camera(80, 60, 70.0, 70.0, 39.5, 29.5)
@@ -53,7 +53,7 @@ def change(before: DepthPrediction, after: DepthPrediction) -> FloatArray:
 @pytest.mark.parametrize("count", [10, 15, 120])
 def test_scale_and_tilt_are_those_of_the_ridge_regression(camera: Camera, count: int) -> None:
     """Small errors that Huber's loss leaves square: the prior as rows of an ordinary least-squares problem."""
-    config = LevelConfig()
+    config = ScaleTiltConfig()
     depth, motion = tilted(camera, 0.2 * TILT), corners(camera, count)
     after = level(depth, motion, config)
     rays = motion.points / motion.points[:, 2:]
@@ -68,7 +68,7 @@ def test_scale_and_tilt_are_those_of_the_ridge_regression(camera: Camera, count:
 
 @CAMERAS
 def test_a_wide_prior_finds_all_of_it(camera: Camera) -> None:
-    trusting = LevelConfig(scale_sd=10.0, tilt_sd=10.0, effective_corners=1000.0)
+    trusting = ScaleTiltConfig(scale_sd=10.0, tilt_sd=10.0, effective_corners=1000.0)
     depth = tilted(camera)
     after = level(depth, corners(camera, 100), trusting)
     np.testing.assert_allclose(after.depth_m, slanted(camera, camera.pixel_rays()), rtol=1e-4)
@@ -78,7 +78,7 @@ def test_corners_that_are_surer_count_more() -> None:
     """Half of the corners say near, half say far, in the same places."""
     rays = corners(PINHOLE, 30).points
     points = np.concatenate([1.05 * rays, rays / 1.05])
-    config = LevelConfig(corner_sd=0.01, scale_sd=1.0, effective_corners=1000.0)
+    config = ScaleTiltConfig(corner_sd=0.01, scale_sd=1.0, effective_corners=1000.0)
     depth = tilted(PINHOLE, np.zeros(3))
 
     def moved(near_sd: float, far_sd: float) -> float:
@@ -92,7 +92,7 @@ def test_corners_that_are_surer_count_more() -> None:
 
 def test_more_corners_than_count_do_not_make_it_surer() -> None:
     depth, few = tilted(PINHOLE, 0.2 * TILT), corners(PINHOLE, 40)
-    config = LevelConfig(effective_corners=20.0)
+    config = ScaleTiltConfig(effective_corners=20.0)
     many = Motion(few.T_previous_current, 120, np.tile(few.points, (3, 1)), np.tile(few.log_depth_sd, 3))
     once, thrice = level(depth, few, config), level(depth, many, config)
     np.testing.assert_allclose(thrice.depth_m, once.depth_m, rtol=1e-6)
@@ -102,10 +102,10 @@ def test_more_corners_than_count_do_not_make_it_surer() -> None:
 @pytest.mark.parametrize("factor", [0.3, 3.0])
 def test_a_fifth_of_gross_outliers_hardly_moves_it(camera: Camera, factor: float) -> None:
     depth, motion = tilted(camera), corners(camera, 100)
-    clean = level(depth, motion, LevelConfig())
+    clean = level(depth, motion, ScaleTiltConfig())
     spoilt = motion.points.copy()
     spoilt[::5] *= factor  # along their rays: only their depth is wrong
-    after = level(depth, with_points(motion, spoilt), LevelConfig())
+    after = level(depth, with_points(motion, spoilt), ScaleTiltConfig())
     # The outliers' mean is a fifth of log 3, or 0.22; least squares with the same prior follows it by 0.16.
     assert np.abs(change(clean, after)).mean() < 0.02
     # And it is better than nothing still.
@@ -132,36 +132,36 @@ def too_near(points: FloatArray) -> FloatArray:
 @CAMERAS
 def test_nine_corners_say_nothing(camera: Camera) -> None:
     depth = tilted(camera)
-    assert level(depth, corners(camera, 9), LevelConfig()) is depth
+    assert level(depth, corners(camera, 9), ScaleTiltConfig()) is depth
     nothing = Motion(np.eye(4), 0, np.zeros((0, 3)), np.zeros(0))
-    assert level(depth, nothing, LevelConfig()) is depth
-    assert level(depth, corners(camera, 10), LevelConfig()) is not depth
+    assert level(depth, nothing, ScaleTiltConfig()) is depth
+    assert level(depth, corners(camera, 10), ScaleTiltConfig()) is not depth
 
 
 @CAMERAS
 @pytest.mark.parametrize("elsewhere", [off_image, behind, too_near])
 def test_corners_out_of_sight_say_nothing(camera: Camera, elsewhere) -> None:
     depth, motion = tilted(camera), corners(camera, 50)
-    assert level(depth, with_points(motion, elsewhere(motion.points)), LevelConfig()) is depth
+    assert level(depth, with_points(motion, elsewhere(motion.points)), ScaleTiltConfig()) is depth
     # Beside good ones they change nothing.
     good = corners(camera, 20, seed=1)
     points = np.concatenate([good.points, elsewhere(motion.points)])
     both = Motion(np.eye(4), 70, points, np.concatenate([good.log_depth_sd, motion.log_depth_sd]))
-    alone = level(depth, good, LevelConfig())
-    np.testing.assert_array_equal(level(depth, both, LevelConfig()).depth_m, alone.depth_m)
+    alone = level(depth, good, ScaleTiltConfig())
+    np.testing.assert_array_equal(level(depth, both, ScaleTiltConfig()).depth_m, alone.depth_m)
 
 
 def test_corners_in_doubt_say_nothing() -> None:
     depth = tilted(PINHOLE)
-    assert level(depth, corners(PINHOLE, 50, sd=0.16), LevelConfig(corner_doubt=0.15)) is depth
-    assert level(depth, corners(PINHOLE, 50, sd=0.14), LevelConfig(corner_doubt=0.15)) is not depth
+    assert level(depth, corners(PINHOLE, 50, sd=0.16), ScaleTiltConfig(corner_doubt=0.15)) is depth
+    assert level(depth, corners(PINHOLE, 50, sd=0.14), ScaleTiltConfig(corner_doubt=0.15)) is not depth
 
 
 @CAMERAS
 def test_corners_on_empty_depth_say_nothing(camera: Camera) -> None:
     motion = corners(camera, 50)
     empty = DepthPrediction(np.zeros((60, 80), dtype=np.float32), camera)
-    assert level(empty, motion, LevelConfig()) is empty
+    assert level(empty, motion, ScaleTiltConfig()) is empty
     # Nor do those at a hole's border, where interpolation would mix depth with nothing.
     depth = tilted(camera, np.zeros(3))
     half = depth.depth_m.copy()
@@ -170,7 +170,7 @@ def test_corners_on_empty_depth_say_nothing(camera: Camera) -> None:
     rays = camera.rays(pixels)
     border = Motion(np.eye(4), 20, rays * slanted(camera, rays)[:, None], np.full(20, 0.02))
     holed = DepthPrediction(half, camera)
-    assert level(holed, border, LevelConfig()) is holed
+    assert level(holed, border, ScaleTiltConfig()) is holed
 
 
 # --- What it keeps ---
@@ -183,7 +183,7 @@ def test_what_is_empty_stays_empty_and_stated_errors_stay() -> None:
     log_error = np.linspace(-3.0, 0.0, 4800, dtype=np.float32).reshape(60, 80)
     given = DepthPrediction(holed, PINHOLE, log_error)
     before = holed.copy()
-    after = level(given, corners(PINHOLE, 80), LevelConfig())
+    after = level(given, corners(PINHOLE, 80), ScaleTiltConfig())
     assert after is not given
     assert np.array_equal(after.depth_m == 0.0, holed == 0.0)
     assert after.log_error is log_error and after.camera is PINHOLE
@@ -193,10 +193,12 @@ def test_what_is_empty_stays_empty_and_stated_errors_stay() -> None:
 
 def test_depth_that_agrees_with_its_corners_stays() -> None:
     depth = tilted(PINHOLE, np.zeros(3))
-    np.testing.assert_allclose(level(depth, corners(PINHOLE, 60), LevelConfig()).depth_m, depth.depth_m, rtol=1e-5)
+    np.testing.assert_allclose(
+        level(depth, corners(PINHOLE, 60), ScaleTiltConfig()).depth_m, depth.depth_m, rtol=1e-5
+    )
 
 
 @pytest.mark.parametrize("name", ["scale_sd", "tilt_sd", "corner_sd", "corner_doubt", "effective_corners"])
 def test_settings_are_positive(name: str) -> None:
     with pytest.raises(ValueError, match=name):
-        LevelConfig(**{name: 0.0})
+        ScaleTiltConfig(**{name: 0.0})

@@ -6,25 +6,26 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from monoloc.likelihood.scan_likelihood import Measurement
 from numpy.typing import NDArray
 
 from monoloc.build.landmark_mapping import build_landmarks
 from monoloc.bundle import read_network
 from monoloc.depth.predictor import DepthPrediction, DepthPredictor
 from monoloc.evaluation.trajectory import coverage_95, pose_errors
-from monoloc.fusion.bias_model import LastingErrors
-from monoloc.fusion.reference_poses import Viewpoints
+from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import invert, is_rigid, make_pose, se3_log, so3_exp
-from monoloc.landmarks.features import Landmarks
+from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.likelihood.scan import Scan, scan_from_corners
-from monoloc.likelihood.scan_likelihood import Measurement
 from monoloc.localizer import Localizer, LocalizerConfig, Parts
-from monoloc.odometry.scale_tilt import LevelConfig
+from monoloc.odometry.scale_tilt import ScaleTiltConfig
 from monoloc.odometry.visual import VisualOdometry
 from monoloc.particle_filter.estimate import estimate
 from monoloc.particle_filter.particles import Particles, scatter
 from monoloc.progress import NoProgress
-from monoloc.run import Run, Start, localize
+from monoloc.run import Run, localize
+from monoloc.start import Start
 from synthetic_room import (
     BLACK,
     CAMERA,
@@ -46,13 +47,13 @@ from synthetic_room import (
 )
 
 FRAMES, SETTLED = 45, 15
-START_M, START_RAD = 0.1, np.deg2rad(3.0)
+START_ERROR_M, START_RAD = 0.1, np.deg2rad(3.0)
 
 
 def start_beside(mixture, recording, healthy, seed=0, depth=NoNetwork(), errors=0.0, **settings) -> Localizer:
     config = SETTINGS.model_copy(update=settings)
     rng = np.random.default_rng(seed)
-    particles = Start.beside(recording.poses[0], rng, START_M, START_RAD).particles(config, rng)
+    particles = Start.disturbed(recording.poses[0], rng, START_ERROR_M, START_RAD).particles(config, rng)
     return make_localizer(mixture, healthy, particles, recording.poses[:1], rng, config, depth, errors=errors)
 
 
@@ -66,14 +67,14 @@ def test_landmarks_hold_what_depth_would_draw_away(mixture, recording, healthy, 
     """Depth whose errors look like a step aside; a lasting error of 10 cm is known to be possible."""
     frames, step = range(FRAMES), make_pose(np.eye(3), np.array([0.06, 0.0, 0.08]))
     lasting, sighted = (
-        LastingErrors(near_sd_m=0.1, near_sd_rad=0.05),
-        LastingErrors(near_sd_m=0.005, near_sd_rad=0.003),
+        BiasModel(sd_at_reference_m=0.1, sd_at_reference_rad=0.05),
+        BiasModel(sd_at_reference_m=0.005, sd_at_reference_rad=0.003),
     )
     ends = []
     for known in (Landmarks.none(), landmarks):
         config = SETTINGS.model_copy(update={"lasting": lasting, "sighted": sighted})
         rng = np.random.default_rng(0)
-        start = Start.beside(recording.poses[0], rng, START_M, START_RAD).particles(config, rng)
+        start = Start.disturbed(recording.poses[0], rng, START_ERROR_M, START_RAD).particles(config, rng)
         localizer = make_localizer(mixture, healthy, start, recording.poses[:1], rng, config, landmarks=known)
         steps = [
             localizer.step(recording.color(index), FRAME_S, seen_from_beside(recording.poses[index] @ step))
@@ -109,7 +110,7 @@ def seen_from_beside(pose) -> DepthPrediction:
 
 def test_a_start_is_as_far_off_as_it_says(recording):
     """By its distance and its angle; particles are, root mean square."""
-    start = Start.beside(recording.poses[0], np.random.default_rng(0), 0.3, 0.2)
+    start = Start.disturbed(recording.poses[0], np.random.default_rng(0), 0.3, 0.2)
     off = pose_errors(start.pose[None], recording.poses[:1])
     assert (off.position_m[0], off.rotation_rad[0]) == pytest.approx((0.3, 0.2), rel=0.01)
     config = SETTINGS.model_copy(update={"particles": 20_000})
@@ -127,7 +128,7 @@ def test_converges_from_a_disturbed_start_and_stays(mixture, recording, healthy,
     # bound it: the mean one is 40 cm across.
     assert np.median(found.position_m[SETTLED:]) < 0.025
     assert found.position_m[SETTLED:].max() < 0.06
-    # Joined with odometry, they turn more slowly.
+    # BiasAugmentedState with odometry, they turn more slowly.
     assert np.median(found.rotation_rad[SETTLED:]) < np.deg2rad(0.6)
     by_themselves = pose_errors(np.stack([step.located.pose for step in steps]), recording.poses)
     assert np.median(by_themselves.rotation_rad[SETTLED:]) < np.deg2rad(0.4)
@@ -205,7 +206,7 @@ def test_tilted_depth_is_levelled_on_the_way(mixture, recording, healthy):
             errors.append(np.std(np.log(step.depth.depth_m / exact.depth_m)))
         return np.median(errors[SETTLED:])
 
-    as_it_is, levelled = error(None), error(LevelConfig(tilt_sd=0.15))
+    as_it_is, levelled = error(None), error(ScaleTiltConfig(tilt_sd=0.15))
     assert as_it_is == pytest.approx(0.15 * np.std(CAMERA.pixel_rays()[..., 0]), rel=0.05)
     assert levelled < 0.6 * as_it_is
 
@@ -213,7 +214,10 @@ def test_tilted_depth_is_levelled_on_the_way(mixture, recording, healthy):
 def test_the_wider_lasting_errors_are_the_more_odometry_is_followed(mixture, recording, healthy):
     """And particles are the same whatever comes after them."""
     frames = range(SETTLED)
-    narrow, wide = LastingErrors(near_sd_m=0.01), LastingErrors(near_sd_m=0.01, growth_m=50.0, growth_rad=50.0)
+    narrow, wide = (
+        BiasModel(sd_at_reference_m=0.01),
+        BiasModel(sd_at_reference_m=0.01, sd_growth_m=50.0, sd_growth_rad=50.0),
+    )
     followed, doubted = (
         follow(start_beside(mixture, recording, healthy, lasting=lasting), recording, frames)
         for lasting in (narrow, wide)
@@ -270,12 +274,12 @@ def doubtful_across(color: NDArray[np.uint8]) -> DepthPrediction:
 def test_what_is_weighed_is_levelled_depth_as_it_is_trusted_and_then_corners(mixture, recording, healthy):
     # So little evidence that it is taken in at once.
     trust = SETTINGS.measurement.model_copy(update={"effective_points": 10.0, "effective_corners": 5.0})
-    config = SETTINGS.model_copy(update={"level": LevelConfig(tilt_sd=0.15), "measurement": trust})
+    config = SETTINGS.model_copy(update={"level": ScaleTiltConfig(tilt_sd=0.15), "measurement": trust})
     measurement = _Recording(mixture, config.measurement)
     parts = Parts(measurement, doubtful_across, VisualOdometry(CAMERA, config.odometry))
     rng = np.random.default_rng(0)
     start = scatter(recording.poses[0], config.particles, 0.02, 0.01, 0.0, rng)
-    localizer = Localizer(parts, CAMERA, start, config, healthy, Viewpoints.of(recording.poses[:1]), rng)
+    localizer = Localizer(parts, CAMERA, start, config, healthy, ReferencePoses.of(recording.poses[:1]), rng)
     for index in range(SETTLED):
         measurement.images.clear()
         measurement.corners.clear()
@@ -312,7 +316,7 @@ def test_what_is_known_of_a_network_is_not_taken_off_a_sensors_poses(mixture):
     for error_m in (0.0, 0.1):
         bundle = make_bundle(mixture, walk)
         errors = np.full((len(walk), 6), error_m)
-        bundle = replace(bundle, viewpoints=Viewpoints(walk.poses, errors, errors))
+        bundle = replace(bundle, viewpoints=ReferencePoses(walk.poses, errors, errors))
         rng, start = np.random.default_rng(0), Start(walk.poses[0])
         ways.append(localize(bundle, walk, start, bundle.settings, rng, NoProgress(), use_sensor_depth=True).poses)
     np.testing.assert_array_equal(*ways)
@@ -330,7 +334,7 @@ def test_another_room_is_not_called_tracking(recording, healthy):
 
 def test_far_from_the_truth_is_not_called_tracking(mixture, recording, healthy):
     rng = np.random.default_rng(0)
-    start = Start.beside(recording.poses[0], rng, 1.0, np.deg2rad(60.0)).pose
+    start = Start.disturbed(recording.poses[0], rng, 1.0, np.deg2rad(60.0)).pose
     particles = scatter(start, SETTINGS.particles, 0.02, 0.01, 0.0, rng)
     localizer = make_localizer(mixture, healthy, particles, recording.poses, rng)
     steps = follow(localizer, recording, range(3))
@@ -364,7 +368,7 @@ def test_darkness_widens_the_belief_and_light_narrows_it(mixture, recording, hea
 def test_a_vague_start_is_found(mixture, recording, healthy, seed):
     """60 cm and 20 degrees off, as someone points at where a drone stands: none of the particles is near enough."""
     rng = np.random.default_rng(seed)
-    start = Start.beside(recording.poses[0], rng, 0.6, np.deg2rad(20.0))
+    start = Start.disturbed(recording.poses[0], rng, 0.6, np.deg2rad(20.0))
     particles = start.particles(SETTINGS, rng)
     localizer = make_localizer(mixture, healthy, particles, recording.poses[:1], rng)
     found = pose_errors(poses_of(follow(localizer, recording)), recording.poses)
@@ -450,7 +454,7 @@ def test_black_from_the_first_frame(mixture, recording, healthy):
     step = localizer.step(BLACK, 0.0, NO_DEPTH)
     assert step.motion is None and step.state == "uncertain"
     found = pose_errors(step.estimate.pose[None], recording.poses[:1])
-    assert found.position_m[0] < START_M + 0.05  # the start is all that is known
+    assert found.position_m[0] < START_ERROR_M + 0.05  # the start is all that is known
 
 
 @pytest.mark.parametrize("count", [10, 50])

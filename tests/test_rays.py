@@ -56,7 +56,7 @@ def twin(
 
 @settings(max_examples=60, deadline=None)
 @given(
-    is_wide=st.booleans(),
+    position_is_unknown=st.booleans(),
     components=st.integers(1, 60),
     particles=st.integers(1, 32),
     points=st.integers(0, 30),
@@ -66,7 +66,7 @@ def twin(
     seed=st.integers(0, 10_000),
 )
 def test_weigh_equals_twin(
-    is_wide: bool,
+    position_is_unknown: bool,
     components: int,
     particles: int,
     points: int,
@@ -78,7 +78,7 @@ def test_weigh_equals_twin(
     """Up to 32 particles, which all have a say in the choice of components, whether they share it or not."""
     rng = np.random.default_rng(seed)
     mixture = make_mixture(components, seed)
-    poses, log_scales = cloud_of(particles, rng, *((1.0, 2.0) if is_wide else (0.1, 0.05)))
+    poses, log_scales = cloud_of(particles, rng, *((1.0, 2.0) if position_is_unknown else (0.1, 0.05)))
     scan = random_scan(points, rng)
     noise: dict[str, Any] = {"log_depth_sd": log_depth_sd, "outlier_share": outlier_share}
     if is_weighted:

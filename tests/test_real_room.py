@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from cli_helpers import python
-from monoloc.build.pipeline import BuildConfig, fit_map
+from monoloc.build.build_config import BuildConfig
 from monoloc.build.pose_refinement import PosePrior, refine_poses
+from monoloc.build.room_map import fit_map
 from monoloc.bundle import read_bundle
 from monoloc.depth.model_files import read_model
 from monoloc.depth.models import DEFAULT, shipped_file
@@ -22,7 +23,7 @@ from monoloc.geometry import se3_exp
 from monoloc.io.pose_files import read_tum
 from monoloc.io.recording import Selection
 from monoloc.io.registry import open_recording, select_frames
-from monoloc.landmarks.pnp import LandmarkSight
+from monoloc.landmarks.pnp import OrbLandmarkLocalizer
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress
 
@@ -198,10 +199,10 @@ def test_landmarks_hold_the_camera_though_depth_is_a_fifth_off(kitchen, landmark
     path, report = landmarked
     assert 400 < report["landmarks"] < 2500
     run = monoloc("localize", path, kitchen, "--frames", RUN_FRAMES)
-    assert run["depth_absrel"] > 0.15 and run["sighted_frames"] >= 110
+    assert run["depth_absrel"] > 0.15 and run["landmark_used_frames"] >= 110
     assert run["unseen_ate_median_m"] < 0.04 and run["unseen_rot_median_deg"] < 1.5
     assert run["unseen_ate_rmse_m"] < 0.3 * run["unseen_odometry_from_start_ate_rmse_m"]
-    assert 0.003 < read_bundle(path).settings.sighted.near_sd_m < 0.03
+    assert 0.003 < read_bundle(path).settings.sighted.sd_at_reference_m < 0.03
 
 
 @pytest.mark.parametrize("frames", ["0:120", "100:220", "200:300", "300:400"])
@@ -214,7 +215,7 @@ def test_no_sequence_is_followed_worse_than_by_its_own_odometry(kitchen, landmar
 def test_landmarks_find_a_camera_of_which_nothing_is_known(kitchen, landmarked):
     """By images that built nothing, in usual light; a pose that is told is one of centimetres, or none is."""
     room, recording = read_bundle(landmarked[0]), open_recording(kitchen)
-    sight, found = LandmarkSight(room.landmarks, recording.camera), []
+    sight, found = OrbLandmarkLocalizer(room.landmarks, recording.camera), []
     for index in range(4, 200, 16):
         sighting = sight.anywhere(recording.color(index))
         if sighting is not None:

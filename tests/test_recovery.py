@@ -9,24 +9,24 @@ import pytest
 from hypothesis import given
 from hypothesis import settings as trials
 from hypothesis import strategies as st
+from monoloc.likelihood.scan_likelihood import Measurement
 from scipy.stats import chi2
 
 from monoloc.build.calibrate import Sample
 from monoloc.build.landmark_mapping import build_landmarks
-from monoloc.build.relocalization_error import measure_found
+from monoloc.build.relocalization_error import measure_relocalization_error
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.evaluation.trajectory import pose_errors
-from monoloc.geometry import FloatArray, make_pose, se3_exp, so3_exp, viewpoints_apart
-from monoloc.landmarks.pnp import Sighting
-from monoloc.likelihood.scan import NOTHING, Scan, evenly, scan_from_depth
-from monoloc.likelihood.scan_likelihood import Measurement
+from monoloc.geometry import FloatArray, make_pose, pose_distance_m, se3_exp, so3_exp
+from monoloc.landmarks.pnp import LandmarkPose
+from monoloc.likelihood.scan import EMPTY_SCAN, Scan, scan_from_depth, uniform_scan
 from monoloc.localizer import LocalizerConfig, Step
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.particle_filter.particles import Particles, scatter
 from monoloc.progress import NoProgress
 from monoloc.relocalization.search import Search
-from monoloc.relocalization.state_machine import Recovery
-from monoloc.supervision.state import HealthyRange
+from monoloc.relocalization.state_machine import RelocalizationStateMachine
+from monoloc.supervision.state import LikelihoodThresholds
 from synthetic_room import (
     BLACK,
     CAMERA,
@@ -44,8 +44,8 @@ from synthetic_room import (
 )
 
 FRAMES = 60
-HEALTHY = HealthyRange(low=1.0, lost=0.0)
-SCAN = evenly(np.ones((20, 3), dtype=np.float32))
+HEALTHY = LikelihoodThresholds(low=1.0, lost=0.0)
+SCAN = uniform_scan(np.ones((20, 3), dtype=np.float32))
 
 
 def errors_m(steps: list[Step], recording: RoomRecording, frames: range):
@@ -130,10 +130,10 @@ class _Says:
 def test_where_landmarks_say_that_the_camera_is_it_is_looked_for_first(recording, healthy):
     """And then confirmed by them a second later; scans are asked where landmarks say nothing."""
     search, rng = _Says(recording.poses[20]), np.random.default_rng(0)
-    recovery = Recovery(search, HealthyRange(low=-1.0, lost=-2.0), is_lost=True)
+    recovery = RelocalizationStateMachine(search, LikelihoodThresholds(low=-1.0, lost=-2.0), is_lost=True)
     scan = scan_from_depth(sparse_depth(recording, 0), 100, rng)
     particles = scatter(recording.poses[40], 50, 0.01, 0.01, 0.0, rng)
-    sighting = Sighting(recording.poses[0], 1e-6 * np.eye(6), np.zeros((80, 3)))
+    sighting = LandmarkPose(recording.poses[0], 1e-6 * np.eye(6), np.zeros((80, 3)))
     particles, is_found = recovery.look(particles, scan, 1.0, rng, lambda: sighting)
     assert not is_found and recovery.is_on_trial and search.asked == 0
     assert pose_errors(particles.poses, recording.poses[:1].repeat(50, axis=0)).position_m.max() < 0.1
@@ -153,13 +153,13 @@ def test_landmarks_clear_a_camera_that_scans_suspect(recording):
     search, rng = _Says(recording.poses[20]), np.random.default_rng(0)
     scan = scan_from_depth(sparse_depth(recording, 0), 100, rng)
     for far, is_cleared in ((0, True), (40, False)):
-        recovery = Recovery(search, HealthyRange(low=-1.0, lost=-2.0), is_lost=False)
+        recovery = RelocalizationStateMachine(search, LikelihoodThresholds(low=-1.0, lost=-2.0), is_lost=False)
         belief = Estimate(recording.poses[0], 1e-4 * np.eye(6), 0.0)
         for _ in range(2):
             recovery.note(-5.0, belief, 0.6)
         particles = scatter(recording.poses[0], 50, 0.01, 0.01, 0.0, rng)
         place = recording.poses[far] @ se3_exp([0.0, 0.0, 0.0, 0.0, 0.0 if is_cleared else 1.5, 0.0])
-        sighting = Sighting(place, 1e-6 * np.eye(6), np.zeros((80, 3)))
+        sighting = LandmarkPose(place, 1e-6 * np.eye(6), np.zeros((80, 3)))
         particles, is_found = recovery.look(particles, scan, 0.1, rng, lambda sighting=sighting: sighting)
         assert not is_found and search.asked == 0  # it was not lost: what is believed goes on
         assert recovery.is_lost == recovery.is_on_trial == (not is_cleared)
@@ -193,11 +193,11 @@ def test_in_another_room_it_stays_lost(recording, healthy):
     assert set(states(follow(localizer, recording, range(40)))) == {"lost"}
 
 
-@pytest.mark.parametrize(("viewpoints", "found_sd_m"), [(0, 0.1), (10, 0.6)])
+@pytest.mark.parametrize(("viewpoints", "relocalization_sd_m"), [(0, 0.1), (10, 0.6)])
 def test_without_a_start_there_has_to_be_a_room_to_find_the_camera_in(
-    mixture, recording, healthy, viewpoints, found_sd_m
+    mixture, recording, healthy, viewpoints, relocalization_sd_m
 ):
-    settings = with_found(found_sd_m, 0.1)
+    settings = with_found(relocalization_sd_m, 0.1)
     with pytest.raises(ValueError, match="without a start there has to be a room in which a camera can be found"):
         make_localizer(mixture, healthy, None, recording.poses[:viewpoints], settings=settings)
 
@@ -206,8 +206,8 @@ def test_where_places_are_hard_to_tell_apart_none_is_looked_for(mixture, recordi
     """After a darkness the particles are on their own then, as they are without viewpoints."""
     start = scatter(recording.poses[0], SETTINGS.particles, 0.03, 0.02, 0.0, np.random.default_rng(0))
     ways = []
-    for viewpoints, found_sd_m in ((recording.poses[::10], 0.6), (recording.poses[:0], 0.0)):
-        settings = with_found(found_sd_m, 0.1).model_copy(update={"motion": "random-walk"})
+    for viewpoints, relocalization_sd_m in ((recording.poses[::10], 0.6), (recording.poses[:0], 0.0)):
+        settings = with_found(relocalization_sd_m, 0.1).model_copy(update={"motion": "random-walk"})
         localizer = make_localizer(mixture, healthy, start, viewpoints, settings=settings)
         for _ in range(40):
             localizer.step(BLACK, FRAME_S, NO_DEPTH)
@@ -240,8 +240,10 @@ def test_without_odometry_a_camera_is_found_after_a_long_darkness_too(mixture, r
     assert errors_m(steps, recording, range(30, FRAMES))[-1] < 0.08
 
 
-def with_found(found_sd_m: float, found_sd_rad: float) -> LocalizerConfig:
-    lasting = SETTINGS.lasting.model_copy(update={"found_sd_m": found_sd_m, "found_sd_rad": found_sd_rad})
+def with_found(relocalization_sd_m: float, relocalization_sd_rad: float) -> LocalizerConfig:
+    lasting = SETTINGS.lasting.model_copy(
+        update={"relocalization_sd_m": relocalization_sd_m, "relocalization_sd_rad": relocalization_sd_rad}
+    )
     return SETTINGS.model_copy(update={"lasting": lasting})
 
 
@@ -289,13 +291,13 @@ def test_how_far_off_a_camera_is_found_from_elsewhere_is_measured(mixture, monke
     monkeypatch.setattr("monoloc.build.relocalization_error.Search", search)
     samples = [Sample(index, wall(index), search.truth[index]) for index in range(25)]
     samples.insert(4, Sample(25, NO_DEPTH, viewpoints[0]))
-    measured = measure_found(mixture, samples, viewpoints, SETTINGS, rng, NoProgress())
+    measured = measure_relocalization_error(mixture, samples, viewpoints, SETTINGS, rng, NoProgress())
     chi = np.sqrt(chi2.ppf(0.8, 3))
     expected = np.percentile(off_m, 80.0) / chi, np.percentile(off_rad, 80.0) / chi
     assert measured == pytest.approx(expected, rel=1e-3)
     assert sorted(search.looked_from) == list(range(25))
     for index, looked_from in search.looked_from.items():
-        apart = viewpoints_apart(search.truth[index], viewpoints)
+        apart = pose_distance_m(search.truth[index], viewpoints)
         assert apart.min() == 0.0
         np.testing.assert_array_equal(looked_from, viewpoints[apart >= 0.5])
 
@@ -305,7 +307,9 @@ def test_where_no_viewpoint_is_half_a_metre_away_a_camera_is_looked_for_from_the
     search = _Astray(viewpoints[:1], np.array([0.1]), np.array([0.1]))
     monkeypatch.setattr("monoloc.build.relocalization_error.Search", search)
     rng = np.random.default_rng(0)
-    measure_found(mixture, [Sample(0, wall(0), viewpoints[0])], viewpoints, SETTINGS, rng, NoProgress())
+    measure_relocalization_error(
+        mixture, [Sample(0, wall(0), viewpoints[0])], viewpoints, SETTINGS, rng, NoProgress()
+    )
     np.testing.assert_array_equal(search.looked_from[0], viewpoints[3:])
 
 
@@ -313,7 +317,9 @@ def test_exact_depth_tells_places_apart_and_scans_of_nothing_nothing(mixture, re
     samples = [Sample(index, sparse_depth(recording, index), recording.poses[index]) for index in (3, 13)]
     empty = [Sample(20, NO_DEPTH, recording.poses[20])]
     results = [
-        measure_found(mixture, some, recording.poses[::10], SETTINGS, np.random.default_rng(0), NoProgress())
+        measure_relocalization_error(
+            mixture, some, recording.poses[::10], SETTINGS, np.random.default_rng(0), NoProgress()
+        )
         for some in (samples, samples + empty)
     ]
     assert results[0] == results[1]
@@ -352,7 +358,7 @@ def test_particles_anywhere_are_near_a_viewpoint_and_near_every_viewpoint(count,
     viewpoints = se3_exp(rng.standard_normal((count, 6)) * np.repeat([spread_m, 0.3 * spread_m], 3))
     anywhere = Search(None, viewpoints, 0.05).anywhere(3000, rng)
     assert len(anywhere) == 3000 and anywhere.weights.sum() == pytest.approx(1.0)
-    apart = np.stack([viewpoints_apart(pose, anywhere.poses) for pose in viewpoints])
+    apart = np.stack([pose_distance_m(pose, anywhere.poses) for pose in viewpoints])
     # Drawn by 20 cm and 10 degrees an axis from viewpoints that are 30 cm from any other at most.
     assert apart.min(axis=0).max() < 6.0 * (0.2 * np.sqrt(3.0) + np.deg2rad(10.0) * np.sqrt(3.0))
     assert apart.min(axis=1).max() < 0.3 + 0.8
@@ -383,14 +389,16 @@ def particles_at(x: float) -> Particles:
     return _Answers().around(at(x), 10, None)
 
 
-def look(recovery: Recovery, x: float, scan: Scan = SCAN, elapsed_s: float = 1.0) -> tuple[float, bool]:
+def look(
+    recovery: RelocalizationStateMachine, x: float, scan: Scan = SCAN, elapsed_s: float = 1.0
+) -> tuple[float, bool]:
     particles, is_found = recovery.look(particles_at(x), scan, elapsed_s, np.random.default_rng(0))
     assert len(particles) == 10
     return float(particles.poses[:, 0, 3].mean()), is_found
 
 
 def test_what_is_found_twice_running_is_believed():
-    recovery = Recovery(_Answers((3.0, 2.0), (3.1, 2.0)), HEALTHY, is_lost=True)
+    recovery = RelocalizationStateMachine(_Answers((3.0, 2.0), (3.1, 2.0)), HEALTHY, is_lost=True)
     assert recovery.is_lost and not recovery.is_followed
     assert look(recovery, 0.0) == (3.0, False)
     assert recovery.is_lost and recovery.is_followed
@@ -400,7 +408,7 @@ def test_what_is_found_twice_running_is_believed():
 
 
 def test_what_is_found_elsewhere_is_on_trial_anew():
-    recovery = Recovery(_Answers((3.0, 2.0), (5.0, 2.0), (5.0, 2.0)), HEALTHY, is_lost=True)
+    recovery = RelocalizationStateMachine(_Answers((3.0, 2.0), (5.0, 2.0), (5.0, 2.0)), HEALTHY, is_lost=True)
     assert look(recovery, 0.0) == (3.0, False)
     assert look(recovery, 3.0) == (5.0, False)
     assert recovery.is_lost
@@ -408,7 +416,9 @@ def test_what_is_found_elsewhere_is_on_trial_anew():
 
 
 def test_what_does_not_fit_is_not_followed_and_what_is_doubted_not_believed():
-    recovery = Recovery(_Answers((3.0, -0.1), (3.0, 0.1), (3.0, 0.9), (3.0, -0.1), (3.0, 0.1)), HEALTHY, is_lost=True)
+    recovery = RelocalizationStateMachine(
+        _Answers((3.0, -0.1), (3.0, 0.1), (3.0, 0.9), (3.0, -0.1), (3.0, 0.1)), HEALTHY, is_lost=True
+    )
     assert look(recovery, 0.0) == (0.0, False)
     assert not recovery.is_followed
     assert look(recovery, 0.0) == (3.0, False)
@@ -420,13 +430,13 @@ def test_what_does_not_fit_is_not_followed_and_what_is_doubted_not_believed():
 
 
 def test_a_scan_of_nothing_says_nothing():
-    recovery = Recovery(_Answers((3.0, 2.0)), HEALTHY, is_lost=True)
-    assert look(recovery, 0.0, NOTHING) == (0.0, False)
+    recovery = RelocalizationStateMachine(_Answers((3.0, 2.0)), HEALTHY, is_lost=True)
+    assert look(recovery, 0.0, EMPTY_SCAN) == (0.0, False)
     assert look(recovery, 0.0, elapsed_s=0.0) == (3.0, False)  # at the first that shows something
 
 
 def test_a_camera_is_lost_by_a_wide_belief_and_looked_for_where_scans_do_not_fit_for_a_second():
-    recovery = Recovery(_Answers((3.0, 2.0)), HEALTHY, is_lost=False)
+    recovery = RelocalizationStateMachine(_Answers((3.0, 2.0)), HEALTHY, is_lost=False)
     for fit in (-1.0, np.nan, -1.0, 0.1, -1.0):  # in all a second, but not at a stretch
         recovery.note(fit, at(0.0), 0.4)
         assert look(recovery, 0.0) == (0.0, False)
@@ -437,20 +447,20 @@ def test_a_camera_is_lost_by_a_wide_belief_and_looked_for_where_scans_do_not_fit
     assert look(recovery, 0.0) == (3.0, False)
     assert recovery.is_lost
 
-    recovery = Recovery(_Answers((3.0, 2.0)), HEALTHY, is_lost=False)
+    recovery = RelocalizationStateMachine(_Answers((3.0, 2.0)), HEALTHY, is_lost=False)
     recovery.note(2.0, at(0.0, sd_m=0.49), 0.1)
     assert not recovery.is_lost
     recovery.note(2.0, at(0.0, sd_m=0.51), 0.1)
     assert recovery.is_lost and not recovery.is_followed
     assert look(recovery, 0.0, elapsed_s=0.0) == (3.0, False)  # at once
 
-    recovery = Recovery(_Answers((3.0, 2.0)), HEALTHY, is_lost=False)
+    recovery = RelocalizationStateMachine(_Answers((3.0, 2.0)), HEALTHY, is_lost=False)
     recovery.lose()
     assert recovery.is_lost and look(recovery, 0.0, elapsed_s=0.0) == (3.0, False)
 
 
 def test_where_there_is_nothing_to_look_around_no_camera_is_lost():
-    recovery = Recovery(None, HEALTHY, is_lost=False)
+    recovery = RelocalizationStateMachine(None, HEALTHY, is_lost=False)
     recovery.note(-9.0, at(0.0, sd_m=5.0), 10.0)
     recovery.lose()
     assert not recovery.is_lost and recovery.is_followed

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from map_helpers import make_mixture
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.evaluation.trajectory import pose_errors
-from monoloc.fusion.bias_model import LastingErrors
-from monoloc.fusion.gravity import turned_about_m, upright
+from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.gravity import align_with_gravity, rotation_centre_m
 from monoloc.geometry import FloatArray, is_rigid, rotation_angle, se3_exp, so3_exp, transform
 from monoloc.io.registry import select_frames
 from monoloc.likelihood.scan import Scan
@@ -22,7 +22,8 @@ from monoloc.map.down_direction import down_of
 from monoloc.map.mixture import GaussianMixture
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.progress import NoProgress
-from monoloc.run import Start, localize
+from monoloc.run import localize
+from monoloc.start import Start
 from synthetic_room import (
     FRAME_S,
     SETTINGS,
@@ -89,7 +90,7 @@ def test_a_sure_tilt_is_taken_over_and_nothing_else(seed: int, off_rad: float) -
     expected = pose[:3, :3].T @ DOWN
     axis = np.cross(expected, rng.normal(size=3))
     measured = so3_exp(off_rad * axis / np.linalg.norm(axis)) @ expected
-    found = upright(located(pose), measured, DOWN, ahead_m, SURE)
+    found = align_with_gravity(located(pose), measured, DOWN, ahead_m, SURE)
     np.testing.assert_allclose(found.pose[:3, :3].T @ DOWN, measured, atol=1e-3)
     assert rotation_angle(pose[:3, :3].T @ found.pose[:3, :3]) == pytest.approx(off_rad, rel=1e-3)
     stays = np.array([[0.0, 0.0, ahead_m]])
@@ -101,7 +102,7 @@ def test_a_tilt_counts_by_what_both_may_be_off() -> None:
     pose = se3_exp([0.3, 0.1, -0.2, 0.05, 0.4, 0.02])
     measured = so3_exp([0.1, 0.0, 0.0]) @ pose[:3, :3].T @ DOWN
     off = [
-        rotation_angle(pose[:3, :3].T @ upright(located(pose), measured, DOWN, 2.0, sd).pose[:3, :3])
+        rotation_angle(pose[:3, :3].T @ align_with_gravity(located(pose), measured, DOWN, 2.0, sd).pose[:3, :3])
         for sd in (UNSURE, np.deg2rad(1.0), np.deg2rad(3.0))
     ]
     full = float(np.arccos(measured @ pose[:3, :3].T @ DOWN))
@@ -110,7 +111,9 @@ def test_a_tilt_counts_by_what_both_may_be_off() -> None:
 
 def test_an_upright_pose_stays_and_one_upside_down_stays_a_pose() -> None:
     pose = se3_exp([0.3, 0.1, -0.2, 0.05, 0.4, 0.02])
-    same, over = (upright(located(pose), sign * pose[:3, :3].T @ DOWN, DOWN, 2.0, SURE).pose for sign in (1.0, -1.0))
+    same, over = (
+        align_with_gravity(located(pose), sign * pose[:3, :3].T @ DOWN, DOWN, 2.0, SURE).pose for sign in (1.0, -1.0)
+    )
     np.testing.assert_allclose(same, pose, atol=1e-6)
     assert is_rigid(over, 1e-9)
 
@@ -120,7 +123,7 @@ def test_about_what_it_is_turned(seed: int) -> None:
     """The best fit of relative errors by a shift and a turn about there has independent parameters."""
     rng = np.random.default_rng(seed)
     points = np.column_stack([rng.normal(size=(50, 2)), rng.uniform(0.5, 5.0, 50)]).astype(np.float32)
-    ahead_m = turned_about_m(Scan(points, np.ones(50, dtype=np.float32)), np.log(1.2))
+    ahead_m = rotation_centre_m(Scan(points, np.ones(50, dtype=np.float32)), np.log(1.2))
     depth = 1.2 * points[:, 2].astype(np.float64)
     aside, turn = 1.0 / depth, (depth - ahead_m) / depth
     assert aside @ turn == pytest.approx(0.0, abs=1e-6 * len(depth))
@@ -141,11 +144,11 @@ def pitched(recording, index: int, share: float) -> DepthPrediction:
 @pytest.mark.parametrize("seed", range(3))
 def test_a_flight_whose_depth_errs_is_nearer_where_down_is_known(mixture, recording, healthy, seed) -> None:
     """Tilted depth turns the particles' poses by four degrees and lifts them by 22 to 28 cm."""
-    config = SETTINGS.model_copy(update={"lasting": LastingErrors(near_sd_m=0.05, near_sd_rad=0.06)})
+    config = SETTINGS.model_copy(update={"lasting": BiasModel(sd_at_reference_m=0.05, sd_at_reference_rad=0.06)})
 
     def errors(down: FloatArray | None) -> tuple[float, float]:
         rng = np.random.default_rng(seed)
-        particles = Start.beside(recording.poses[0], rng).particles(config, rng)
+        particles = Start.disturbed(recording.poses[0], rng).particles(config, rng)
         localizer = make_localizer(mixture, healthy, particles, recording.poses[:1], rng, config, NoNetwork(), down)
         poses = []
         for index in range(FRAMES):

@@ -27,7 +27,8 @@ from monoloc.errors import DataError, SettingError
 from monoloc.evaluation.cloud_metrics import cloud_distances, matched_clouds
 from monoloc.geometry import quaternion_to_rotation, transform
 from monoloc.progress import NoProgress
-from monoloc.run import Run, Start, localize
+from monoloc.run import Run, localize
+from monoloc.start import Start
 from monoloc.viz import viewer
 from monoloc.viz.viewer import NoViewer, Viewer, run_viewer
 from monoloc_lab.cli import demo

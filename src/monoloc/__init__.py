@@ -1,3 +1,35 @@
-"""monoloc: where a drone is indoors, from one camera and a map of a few kilobytes."""
+"""monoloc: indoor localisation of a drone with one camera.
+
+The public names are :func:`load`, :class:`Camera`, :class:`Start`, :class:`Localizer`, :func:`build_bundle` and
+:func:`calibrate`. They are imported when they are first used.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from monoloc.build.calibrate import calibrate
+    from monoloc.build.pipeline import build_bundle
+    from monoloc.bundle import read_bundle as load
+    from monoloc.camera import Camera
+    from monoloc.localizer import Localizer
+    from monoloc.start import Start
 
 __version__ = "0.1.0"
+__all__ = ["Camera", "Localizer", "Start", "build_bundle", "calibrate", "load"]
+
+_HOMES = {
+    "Camera": ("monoloc.camera", "Camera"),
+    "Localizer": ("monoloc.localizer", "Localizer"),
+    "Start": ("monoloc.start", "Start"),
+    "build_bundle": ("monoloc.build.pipeline", "build_bundle"),
+    "calibrate": ("monoloc.build.calibrate", "calibrate"),
+    "load": ("monoloc.bundle", "read_bundle"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'monoloc' has no attribute {name!r}")
+    module, attribute = _HOMES[name]
+    return getattr(import_module(module), attribute)

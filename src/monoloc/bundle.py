@@ -1,8 +1,8 @@
-"""What is carried to the drone: a folder ``NAME.monoloc`` of a few megabytes.
+"""The bundle: a room as a folder ``NAME.monoloc`` that is copied to the drone.
 
-``manifest.json`` (schema, SHA-256 of every file, how the network is used, settings, camera, provenance, healthy
-range), ``map.npz`` (original and adapted mixture, viewpoints and the errors there), ``landmarks.npz`` and
-``depth.onnx``. Written whole or not at all; read only if every byte is as it was written.
+``manifest.json`` (schema, SHA-256 of every file, specification of the network, settings, camera, provenance,
+likelihood thresholds), ``map.npz`` (original and adapted mixture, reference poses and the bias at each),
+``landmarks.npz`` and ``depth.onnx``. It is written whole or not at all, and read only if every byte is as written.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from monoloc.depth.model_files import read_model
 from monoloc.depth.models import is_shipped
 from monoloc.depth.spec import DepthModel, ModelSpec
 from monoloc.errors import BundleError
-from monoloc.fusion.reference_poses import Viewpoints
+from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray, se3_exp, se3_log
-from monoloc.landmarks.features import Landmarks
-from monoloc.localizer import LocalizerConfig
+from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.likelihood.thresholds import LikelihoodThresholds
+from monoloc.localizer_config import LocalizerConfig
 from monoloc.map.down_direction import down_of
 from monoloc.map.mixture import GaussianMixture
-from monoloc.supervision.state import HealthyRange
 
-SCHEMA = 7
+SCHEMA = 8
 _MANIFEST, _MAP, _LANDMARKS, _DEPTH = "manifest.json", "map.npz", "landmarks.npz", "depth.onnx"
 _CONTENTS = (_MAP, _LANDMARKS, _DEPTH)
-_VIEWPOINTS = ("viewpoints", "errors_there", "errors_back")  # twists (V, 6), float32
+_REFERENCES = ("reference_poses", "forward_bias", "backward_bias")  # twists (V, 6), float32
 
 
 class Provenance(BaseModel):
@@ -80,21 +80,21 @@ class Manifest(BaseModel):
     settings: LocalizerConfig
     camera: Camera
     provenance: Provenance
-    healthy: HealthyRange
+    thresholds: LikelihoodThresholds
 
 
 @dataclass(frozen=True)
 class Bundle:
-    """A room, ready to be localised in.
+    """A room that a camera can be localised in.
 
     Attributes:
         original, adapted: the room's mixture and the one the filter uses, world frame.
         depth_model: the depth network, with the scale and shift fitted to the room where it is not our own.
-        settings: of the localizer, with what was calibrated.
+        settings: of the localizer, with those that were calibrated.
         camera: the colour camera of the build recording.
-        provenance: what built it.
-        healthy: likelihood range of a pose that can be believed.
-        viewpoints: of the frames that built it.
+        provenance: what it was built from.
+        thresholds: of the scan's likelihood.
+        reference_poses: of the frames that built it.
         landmarks: that they saw.
     """
 
@@ -104,23 +104,23 @@ class Bundle:
     settings: LocalizerConfig
     camera: Camera
     provenance: Provenance
-    healthy: HealthyRange
-    viewpoints: Viewpoints
+    thresholds: LikelihoodThresholds
+    reference_poses: ReferencePoses
     landmarks: Landmarks = field(default_factory=Landmarks.none)
 
     @cached_property
     def down(self) -> FloatArray | None:
-        """Which way is down in the room, (3,) unit vector, world frame; None where its surfaces do not tell."""
+        """Direction of gravity, (3,) unit vector, world frame; None where the room's surfaces do not tell it."""
         return down_of(self.original, np.asarray(self.provenance.down_world))
 
 
 def fingerprint(color: NDArray[np.uint8]) -> int:
-    """Checksum of an image, by which a frame is known again whatever it is called."""
+    """Checksum of an image, which identifies a frame whatever its name."""
     return zlib.crc32(np.ascontiguousarray(color).tobytes())
 
 
 def check_target(path: Path) -> None:
-    """Refuse a place where a bundle must not be written, before the work is done.
+    """Refuse a path where a bundle must not be written, before the work is done.
 
     Raises:
         BundleError: ``path`` exists and is no bundle or holds more than one, or its parent cannot be written to.
@@ -158,7 +158,7 @@ def write_bundle(path: Path, bundle: Bundle) -> int:
         settings=bundle.settings,
         camera=bundle.camera,
         provenance=bundle.provenance,
-        healthy=bundle.healthy,
+        thresholds=bundle.thresholds,
     )
     contents[_MANIFEST] = _seal(manifest)
     try:
@@ -208,7 +208,7 @@ def read_bundle(path: Path) -> Bundle:
     try:
         with np.load(io.BytesIO(contents[_MAP]), allow_pickle=False) as arrays:
             original, adapted = (GaussianMixture.from_arrays(arrays, name) for name in ("original_", "adapted_"))
-            poses, there, back = (arrays[name].reshape(-1, 6).astype(np.float64) for name in _VIEWPOINTS)
+            poses, forward, backward = (arrays[name].reshape(-1, 6).astype(np.float64) for name in _REFERENCES)
     except (KeyError, ValueError, zipfile.BadZipFile) as error:
         raise BundleError(path / _MAP, f"is no map ({error})", "rebuild it with this version") from error
     try:
@@ -224,8 +224,8 @@ def read_bundle(path: Path) -> Bundle:
         settings=manifest.settings,
         camera=manifest.camera,
         provenance=manifest.provenance,
-        healthy=manifest.healthy,
-        viewpoints=Viewpoints(se3_exp(poses), there, back),
+        thresholds=manifest.thresholds,
+        reference_poses=ReferencePoses(se3_exp(poses), forward, backward),
         landmarks=landmarks,
     )
 
@@ -244,8 +244,9 @@ def read_network(network: str | Path) -> DepthModel:
 
 def _pack_maps(bundle: Bundle) -> bytes:
     arrays: dict[str, Any] = bundle.original.to_arrays("original_") | bundle.adapted.to_arrays("adapted_")
-    known = bundle.viewpoints
-    for name, twists in zip(_VIEWPOINTS, (se3_log(known.poses), known.there, known.back), strict=True):
+    known = bundle.reference_poses
+    values = (se3_log(known.poses), known.forward_bias, known.backward_bias)
+    for name, twists in zip(_REFERENCES, values, strict=True):
         arrays[name] = twists.astype(np.float32)
     return _packed(arrays)
 

@@ -134,8 +134,8 @@ def ray_slopes(points: FloatArray) -> FloatArray:
     return slopes
 
 
-def viewpoints_apart(pose: FloatArray, others: FloatArray) -> FloatArray:
-    """Metres, with a radian of rotation for one more, between a camera (4, 4) and others (N, 4, 4): (N,)."""
+def pose_distance_m(pose: FloatArray, others: FloatArray) -> FloatArray:
+    """Distance in metres plus angle in radians times one metre, from a pose (4, 4) to others (N, 4, 4): (N,)."""
     relative = invert(pose) @ others
     return np.asarray(np.linalg.norm(relative[:, :3, 3], axis=1) + TURN_WORTH_M * rotation_angle(relative[:, :3, :3]))
 

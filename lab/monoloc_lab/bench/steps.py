@@ -19,30 +19,32 @@ from typing import Any
 import cv2
 import numpy as np
 
-from monoloc import localizer
+from monoloc import front_end, localizer
 from monoloc.bundle import read_bundle
 from monoloc.depth.predictor import DepthPredictor
 from monoloc.errors import MonolocError
 from monoloc.io.registry import open_recording, select_frames
-from monoloc.landmarks.pnp import LandmarkSight
-from monoloc.likelihood.scan_likelihood import Measurement
+from monoloc.landmarks.pnp import OrbLandmarkLocalizer
+from monoloc.likelihood.ray import RayLikelihood
 from monoloc.odometry.visual import VisualOdometry
+from monoloc.particle_filter import filter as particle_filter
 from monoloc.progress import NoProgress
-from monoloc.run import Start, localize
+from monoloc.run import localize
+from monoloc.start import Start
 
 # A step and what makes it up: name, and where the function is looked up that does it.
 STAGES: list[tuple[str, Any, str]] = [
     ("step", localizer.Localizer, "step"),
     ("depth", DepthPredictor, "__call__"),
-    ("scan", localizer, "scan_from_depth"),
+    ("scan", front_end, "scan_from_depth"),
     ("odometry", VisualOdometry, "step"),
-    ("level", localizer, "level"),
-    ("scan", localizer, "scan_from_corners"),
-    ("landmarks", LandmarkSight, "__call__"),
-    ("predict", localizer, "predict"),
-    ("weigh", Measurement, "mean_log_likelihood"),
-    ("estimate", localizer, "estimate"),
-    ("resample", localizer, "resample"),
+    ("scale and tilt", front_end, "correct_scale_and_tilt"),
+    ("scan", front_end, "scan_from_corners"),
+    ("landmarks", OrbLandmarkLocalizer, "measure"),
+    ("predict", particle_filter, "predict"),
+    ("likelihood", RayLikelihood, "mean_log_likelihood"),
+    ("estimate", particle_filter, "estimate"),
+    ("resample", particle_filter, "resample"),
 ]
 _WARM_UP = 5  # first steps, in which libraries set themselves up
 
@@ -81,7 +83,7 @@ def measure(bundle: Path, source: str, frames: str, seed: int) -> dict[str, obje
     recording = select_frames(open_recording(source), frames)
     assert recording.poses is not None
     rng = np.random.default_rng(seed)
-    start = Start.beside(recording.poses[0], rng)
+    start = Start.disturbed(recording.poses[0], rng)
     with timed_stages() as times:
         localize(room, recording, start, room.settings, rng, NoProgress())
     steps = times.pop("step")

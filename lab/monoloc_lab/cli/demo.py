@@ -12,7 +12,8 @@ import typer
 from rich.text import Text
 
 from monoloc.adapt.settings import Tune
-from monoloc.build.pipeline import BuildConfig, build_bundle
+from monoloc.build.build_config import BuildConfig
+from monoloc.build.pipeline import build_bundle
 from monoloc.bundle import Bundle, read_bundle, write_bundle
 from monoloc.cli.common import (
     JsonOption,
@@ -32,7 +33,8 @@ from monoloc.errors import DataError
 from monoloc.extras import require_plotting
 from monoloc.io.tum_trajectory import write_tum
 from monoloc.progress import ConsoleProgress
-from monoloc.run import Run, Start, localize
+from monoloc.run import Run, localize
+from monoloc.start import Start
 from monoloc.viz.viewer import run_viewer
 from monoloc_lab.rooms import BUILD, TESTS
 
@@ -153,7 +155,7 @@ def _run(trial: _Trial, bundle: Bundle, seed: int, out: Path, view: bool) -> Run
     recording = open_source(trial.source, trial.frames)
     assert recording.poses is not None
     rng = np.random.default_rng(seed)
-    start = Start.beside(recording.poses[0], rng)
+    start = Start.disturbed(recording.poses[0], rng)
     progress = ConsoleProgress(stderr)
     with run_viewer(trial.name, view, None) as viewer:
         run = localize(bundle, recording, start, bundle.settings, rng, progress, trial.sensor_depth, viewer=viewer)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from monoloc.run import START_DEG, START_M
+from monoloc.start import START_ERROR_DEG, START_ERROR_M
 from monoloc_lab.experiments.figure import Claim, Drawn, Figure
 from monoloc_lab.experiments.gather import frames_of, joined
 from monoloc_lab.experiments.study import WIDTH, Study, Walk
@@ -105,7 +105,7 @@ def study_settings(study: Study) -> dict[str, str]:
         "networks": f"{', '.join(study.sizes)} (width {WIDTH})",
         "seeds": f"0 to {study.seeds - 1}",
         "builds": f"{study.builds}; a run with seed s is in build s modulo {study.builds}",
-        "start": f"{100.0 * START_M:g} cm and {START_DEG:g}° off the truth, in a direction drawn from the seed",
+        "start": f"{100.0 * START_ERROR_M:g} cm and {START_ERROR_DEG:g}° off, in a direction drawn from the seed",
         "adaptation": ", ".join(f"{name} {value}" for name, value in study.adapt.items()) or "default settings",
         "PoseNets' encoders start from": Path(study.encoder_weights).name
         if study.encoder_weights

@@ -9,12 +9,12 @@ from typing import Any, Literal
 
 from monoloc import __version__
 from monoloc.adapt.settings import AdaptConfig
-from monoloc.build.pipeline import BuildConfig
+from monoloc.build.build_config import BuildConfig
 from monoloc.config import override
 from monoloc.evaluation.cloud_metrics import COMPARED_POINTS
 from monoloc.extras import training_extra
 from monoloc.io.identity import file_sha256
-from monoloc.run import START_DEG, START_M
+from monoloc.start import START_ERROR_DEG, START_ERROR_M
 from monoloc_lab.baselines.keypoints import KeypointConfig
 from monoloc_lab.experiments.source_version import source_sha256
 from monoloc_lab.experiments.study import WIDTH, Split, Study, Walk
@@ -179,7 +179,7 @@ def clouds(bundle: Task) -> Task:
     return _task("clouds", needs=(bundle,), points=COMPARED_POINTS, seed=0)
 
 
-_START = {"position_m": START_M, "rotation_deg": START_DEG}
+_START = {"position_m": START_ERROR_M, "rotation_deg": START_ERROR_DEG}
 
 
 def _task(kind: str, needs: Sequence[Task] = (), **settings: Any) -> Task:

@@ -40,7 +40,9 @@ def filtered_run(settings: Settings, needs: Sequence[Result], folder: Path) -> d
     config = bundle.settings
     particles = start_of(settings, recording, rng).particles(config, rng)
     depth, measure = DepthPredictor(bundle.depth_model, recording.camera), PosePredictor(network, recording.camera)
-    follower = PoseFilter(measure, network.error, depth, recording.camera, particles, config, bundle.viewpoints, rng)
+    follower = PoseFilter(
+        measure, network.error, depth, recording.camera, particles, config, bundle.reference_poses, rng
+    )
     return _located(settings, recording, lambda color, elapsed_s: follower.step(color, elapsed_s).pose, folder)
 
 

@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from monoloc.build.bias import measure_near
-from monoloc.build.pipeline import BuildConfig, build_bundle, room_cloud, starts_in
+from monoloc.build.bias import localizer_factory, measure_bias_at_reference
+from monoloc.build.build_config import BuildConfig
+from monoloc.build.pipeline import build_bundle
+from monoloc.build.room_map import room_cloud
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.geometry import FloatArray
 from monoloc.map.cloud import voxel_thin
@@ -33,10 +35,10 @@ def bundle(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[st
 
 
 def remapped(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str, Any]:
-    """What poses err by near the build's viewpoints is measured anew, for it is of network and map together.
+    """A room with another map: its bias at the reference poses, which depends on the map, is measured again.
 
-    The rest of what was calibrated stays: it is of depth's errors, and a map's own coarseness is in its covariances.
-    It could not be measured anew: by now the network has been tuned on every frame.
+    The rest of the calibration stays. It describes the depth's errors, and a coarse map's own errors are in its
+    covariances. It could not be measured again: by now the network has been tuned on every frame.
     """
     config = BuildConfig.model_validate(settings["config"])
     rng = np.random.default_rng(settings["seed"])
@@ -53,11 +55,12 @@ def remapped(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[
         points = voxel_thin(cloud, size)
         room, stored = _alike(points, size / 2.0), _POINT_BYTES * len(points)
     bundle = replace(read_bundle(needs[0].folder / BUNDLE), original=room, adapted=room)
-    near, viewpoints = measure_near(starts_in(bundle, settings["seed"]), recording, True, NoProgress())
-    widths = {"near_sd_m": near.near_sd_m, "near_sd_rad": near.near_sd_rad}
-    kept = bundle.settings
-    measured = kept.model_copy(update={"lasting": kept.lasting.model_copy(update=widths)})
-    write_bundle(folder / BUNDLE, replace(bundle, settings=measured, viewpoints=viewpoints))
+    make = localizer_factory(bundle, settings["seed"])
+    measured, reference_poses = measure_bias_at_reference(make, recording, True, NoProgress())
+    sds = {"sd_at_reference_m": measured.sd_at_reference_m, "sd_at_reference_rad": measured.sd_at_reference_rad}
+    bias = bundle.settings.particle_bias.model_copy(update=sds)
+    localizer = bundle.settings.model_copy(update={"particle_bias": bias})
+    write_bundle(folder / BUNDLE, replace(bundle, settings=localizer, reference_poses=reference_poses))
     return {"components": len(room), "map_bytes": stored}
 
 

@@ -16,7 +16,8 @@ from monoloc.evaluation.cloud_metrics import compare_clouds
 from monoloc.evaluation.depth_metrics import depth_metrics
 from monoloc.io.recording import Recording
 from monoloc.progress import NoProgress
-from monoloc.run import Start, comparable, localize
+from monoloc.run import comparable, localize
+from monoloc.start import Start
 from monoloc_lab.experiments.task import Result
 from monoloc_lab.experiments.task_inputs import BUNDLE, Settings, relighting, walked, write_way
 
@@ -82,7 +83,7 @@ def start_of(settings: Settings, recording: Recording, rng: np.random.Generator)
     """Where a run begins: off the first true pose, in a random direction."""
     assert recording.poses is not None
     position_m, rotation_rad = settings["start"]["position_m"], np.deg2rad(settings["start"]["rotation_deg"])
-    return Start.beside(recording.poses[0], rng, position_m, rotation_rad)
+    return Start.disturbed(recording.poses[0], rng, position_m, rotation_rad)
 
 
 def _read(needed: Result) -> Bundle:

@@ -1,4 +1,4 @@
-"""Adaptation from beginning to end: rehearse without the held-out frames, then tune on all of them."""
+"""Adaptation: a hold-out run without the held-out frames, then the final run on all of them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import Progress
 
 _EVALUATIONS = 10
-_REHEARSAL_SHARE = 0.5  # of the steps: it is there to measure with
+_HOLD_OUT_SHARE = 0.5  # of the final run's steps
 
 
 @dataclass(frozen=True)
@@ -34,19 +34,19 @@ class AdaptResult:
     Attributes:
         original, adapted: the map before and after; component i of one is component i of the other.
         depth_model: the network tuned on all frames.
-        held_out_model, held_out_map: the rehearsal's, tuned without the held-out frames, to measure honestly with.
-        held_out: those frames, by region of viewpoints.
+        hold_out_model, hold_out_map: of the hold-out run, tuned without the held-out frames, to measure with.
+        held_out: those frames, one array a region.
         scores: on the held-out frames, the first before tuning, the last of the state that was kept.
-        steps: optimiser steps on all frames; none where only likelihood is tuned for, and the rehearsal never
-            bettered the held-out frames.
+        steps: of the final run; 0 where only the likelihood is tuned for and the hold-out run never improved the
+            held-out frames.
         kl: KL(M || M_A), nats.
     """
 
     original: GaussianMixture
     adapted: GaussianMixture
     depth_model: DepthModel
-    held_out_model: DepthModel
-    held_out_map: GaussianMixture
+    hold_out_model: DepthModel
+    hold_out_map: GaussianMixture
     held_out: list[NDArray[np.int64]]
     scores: list[Score]
     steps: int
@@ -81,35 +81,35 @@ def adapt(
         views = make_views(recording, depth_of, network.config.focal_px, synthesised, held_out, rng, step)
     held_out_views = views.of_frames(held_out, only_whole=True)
 
-    rehearsal = Adaptation(network, AdaptedMap(mixture, cloud), config)
-    rehearsed = max(1, round(_REHEARSAL_SHARE * config.most_steps))
-    with progress.task("adapt: rehearsal", rehearsed) as step:
-        scores = rehearsal.run(
+    hold_out = Adaptation(network, AdaptedMap(mixture, cloud), config)
+    hold_out_steps = max(1, round(_HOLD_OUT_SHARE * config.most_steps))
+    with progress.task("adapt: hold-out run", hold_out_steps) as step:
+        scores = hold_out.run(
             views.of_frames(training_frames),
-            rehearsed,
+            hold_out_steps,
             _generator(seed),
             held_out_views,
-            max(1, rehearsed // _EVALUATIONS),
+            max(1, hold_out_steps // _EVALUATIONS),
             step,
         )
-    best = rehearsal.best_step(scores)
-    held_out_model = export_model(network, network_file.stem)
+    best = hold_out.best_step(scores)
+    hold_out_model = export_model(network, network_file.stem)
 
-    # A schedule is worth taking whole: before its end, scores are those of a rate that is still high. What learns
-    # depth gains by it even where so short a rehearsal shows nothing; what only fits the map may lose.
+    # The final run takes its whole schedule: before its end, the learning rate is still high. Tuning by depth gains
+    # from it even if the short hold-out run shows nothing; tuning by likelihood alone may lose.
     steps = config.most_steps if best or config.by_depth else 0
     final = Adaptation(load_network(network_file), AdaptedMap(mixture, cloud), config)
     if steps:
-        with progress.task("adapt: all frames", steps) as step:
+        with progress.task("adapt: final run", steps) as step:
             final.run(views, steps, _generator(seed), progress=step)
     return AdaptResult(
         original=final.map.original_mixture(),
         adapted=final.map.adapted_mixture(),
         depth_model=export_model(final.network, network_file.stem),
-        held_out_model=held_out_model,
-        held_out_map=rehearsal.map.adapted_mixture(),
+        hold_out_model=hold_out_model,
+        hold_out_map=hold_out.map.adapted_mixture(),
         held_out=regions,
-        scores=[*scores, rehearsal.score(held_out_views, best)],
+        scores=[*scores, hold_out.score(held_out_views, best)],
         steps=steps,
         kl=final.kl(),
     )

@@ -27,7 +27,7 @@ class AdaptConfig(BaseModel):
         lambda_kl: weight of KL(M || M_A), beside the likelihood; so it is multiplied by ``likelihood_weight`` too,
             where the network learns depth.
         steps: optimiser steps; None is what suits ``tune``. Where only likelihood is tuned for, none are taken if a
-            rehearsal betters nothing on held-out frames.
+            hold-out run improves nothing on held-out frames.
         batch_views, pixels_per_view: size of one step.
         synthesised_views: views from nearby poses, in all, made of the recording (for ``decoder`` and ``all``).
         relit_share: share of a step's views that are seen in another light, down to a sixteenth and less (for

@@ -15,7 +15,7 @@ from torch import Tensor
 from monoloc.adapt.warp import ColoredPoints, forward_warp, halved, points_of
 from monoloc.camera import Camera
 from monoloc.depth.spec import network_size, resize_image
-from monoloc.geometry import FloatArray, se3_exp, viewpoints_apart
+from monoloc.geometry import FloatArray, pose_distance_m, se3_exp
 from monoloc.io.recording import Recording
 
 DepthImages = Callable[[int], NDArray[np.float32]]
@@ -178,7 +178,7 @@ def _synthesise(
         spread = 1.0 - attempt / _TRIES
         sd = spread * np.repeat([_SHIFT_SD_M, _TURN_SD_RAD], 3)
         pose = poses[index] @ se3_exp(rng.normal(scale=sd))
-        nearest = others[np.argsort(viewpoints_apart(pose, poses[others]))[: _SOURCES - 1]]
+        nearest = others[np.argsort(pose_distance_m(pose, poses[others]))[: _SOURCES - 1]]
         color, depth = forward_warp([cloud_of(int(i)) for i in (index, *nearest)], pose, camera)
         if np.mean(depth > 0.0) >= enough:
             break

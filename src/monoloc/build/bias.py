@@ -1,207 +1,248 @@
-"""How wide the errors are that last, and what they are at each viewpoint, by following a build's own frames."""
+"""Measurement of the particles' bias, by running localizers over a build's own frames."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.build.trajectories import Way, is_long, once, stay, there_and_back, unbroken, walks_of
+from monoloc.build.trajectories import (
+    Trajectory,
+    continuous_segments,
+    forward_and_backward,
+    hover,
+    is_long,
+    recording_segments,
+    single_pass,
+)
+from monoloc.bundle import Bundle
+from monoloc.components import ComponentsFactory, default_components
 from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, axis_sd, twist_errors
-from monoloc.fusion.bias_model import LastingErrors
-from monoloc.fusion.reference_poses import Viewpoints, likeness
-from monoloc.geometry import FloatArray, invert, se3_exp, se3_log, viewpoints_apart
+from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.reference_poses import ReferencePoses, bias_correlation
+from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_exp, se3_log
 from monoloc.io.recording import Recording
+from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.localizer import Localizer
 from monoloc.progress import Progress
+from monoloc.start import Start
 
 _LEAST_DISTANCE_M = 0.01
-_USUAL_GROWTH = 0.1  # m and rad a metre away, of networks in other parts of a room
+_PRIOR_GROWTH = 0.1  # metres and radians a metre, of adapted networks in other rooms
 
-# From a start, ``T_world_camera``, to a localizer.
-StartsAt = Callable[[FloatArray], Localizer]
+LocalizerFactory = Callable[[FloatArray], Localizer]
+"""Makes a localizer that starts at a pose, ``T_world_camera`` (4, 4)."""
 
 
-def measure_lasting(
-    starts_at: StartsAt,
-    rehearsed_at: StartsAt,
+def localizer_factory(
+    bundle: Bundle, seed: int, components: ComponentsFactory = default_components
+) -> LocalizerFactory:
+    """Makes localizers of a bundle, for the camera that built it, whose bias is to be measured.
+
+    They neither relocalise, so that errors grow as far as they do, nor use landmarks, which say nothing of the
+    particles' bias.
+    """
+    room = replace(bundle, reference_poses=ReferencePoses.none(), landmarks=Landmarks.none())
+
+    def make(pose: FloatArray) -> Localizer:
+        return Localizer(room, room.camera, Start(pose), components=components, seed=seed)
+
+    return make
+
+
+def measure_bias(
+    final: LocalizerFactory,
+    hold_out: LocalizerFactory,
     recording: Recording,
     regions: list[NDArray[np.int64]],
     is_tuned: bool,
     progress: Progress,
-) -> tuple[LastingErrors, Viewpoints]:
-    """How wide lasting errors are, near the viewpoints that tuned and away from them, and what they are at each.
+) -> tuple[BiasModel, ReferencePoses]:
+    """Bias at the reference poses, and its growth away from them.
 
-    Near: see :func:`measure_near`. Away: with a network that no frame of the regions tuned, the camera stays in each
-    of them, to and fro over its frames, since a filter that only passes through brings the pose it has along. What
-    exceeds that network's own error at the other frames is taken to grow with the distance from the nearest of them.
+    At the reference poses: :func:`measure_bias_at_reference`. Away from them: a localizer whose network was tuned on
+    no frame of the held-out regions hovers in each of them, since a filter that only passes through still carries the
+    pose it had before. What exceeds that network's own error at the other frames is taken to grow with the distance
+    to the nearest of them.
 
     Args:
-        starts_at: makes the localizer that is to be used.
-        rehearsed_at: makes one whose network tuned on no frame of the regions.
+        final: makes the localizer whose bias is measured.
+        hold_out: makes one whose network was tuned on no frame of the regions.
         recording: posed frames, N of them.
-        regions: frames held out, by viewpoint, see :func:`monoloc.evaluation.hold_out.hold_out_regions`; without any,
-            nothing was adapted, and nothing grows.
-        is_tuned: whether the network learned of the frames, see :func:`measure_near`.
+        regions: held-out frames, one array a region, see :func:`monoloc.evaluation.hold_out.hold_out_regions`; with
+            none, nothing was adapted, and the bias does not grow.
+        is_tuned: whether the network was tuned on the frames.
 
     Returns:
-        The widths, about what is known of the errors; and that, at the recording's N viewpoints.
+        The bias's standard deviations about what is known of it, and what is known, at the N reference poses.
     """
     poses = recording.poses
     assert poses is not None
     times_s = recording.timestamps_s
-    walks = walks_of(times_s, poses)
-    stays = [stay(place) for region in regions for place in unbroken(region, times_s, poses)]
-    if not stays:
-        return measure_near(starts_at, recording, is_tuned, progress)
-    ways, single = _near_ways(walks, is_tuned), [once(walk) for walk in walks]
-    with progress.task("covariances", _frames_of([*ways, *single, *stays])) as show:
+    hovers = [hover(part) for region in regions for part in continuous_segments(region, times_s, poses)]
+    if not hovers:
+        return measure_bias_at_reference(final, recording, is_tuned, progress)
+    segments = recording_segments(times_s, poses)
+    at_reference, passes = _reference_trajectories(segments, is_tuned), [single_pass(part) for part in segments]
+    with progress.task("covariances", _frame_count([*at_reference, *passes, *hovers])) as show:
         follow = _Follower(recording, poses, show)
-        errors = follow(starts_at, ways)
-        rehearsed, away = follow(rehearsed_at, single), follow(rehearsed_at, stays)
-    near, viewpoints = _what_is_known(errors, walks, poses, is_tuned)
-    is_near = np.ones(len(recording), dtype=np.bool_)
-    is_near[np.concatenate(regions)] = False
-    counts = is_near[_counted(single)]
-    distances_m = [viewpoints_apart(pose, poses[is_near]).min() for pose in poses[_counted(stays)]]
-    rehearsed_near = twist_errors(np.concatenate(rehearsed)[counts])
-    return lasting_errors(_sizes(near), rehearsed_near, _sizes(away), np.array(distances_m)), viewpoints
+        errors = follow(final, at_reference)
+        hold_out_errors, away = follow(hold_out, passes), follow(hold_out, hovers)
+    remaining, reference_poses = _known_bias(errors, segments, poses, is_tuned)
+    is_reference = np.ones(len(recording), dtype=np.bool_)
+    is_reference[np.concatenate(regions)] = False
+    tuned_on = is_reference[_scored(passes)]
+    distances_m = [pose_distance_m(pose, poses[is_reference]).min() for pose in poses[_scored(hovers)]]
+    hold_out_at_reference = twist_errors(np.concatenate(hold_out_errors)[tuned_on])
+    model = fit_bias_model(_sizes(remaining), hold_out_at_reference, _sizes(away), np.array(distances_m))
+    return model, reference_poses
 
 
-def measure_near(
-    starts_at: StartsAt, recording: Recording, is_tuned: bool, progress: Progress
-) -> tuple[LastingErrors, Viewpoints]:
-    """How wide lasting errors are at the viewpoints of a recording, and what they are at each.
+def measure_bias_at_reference(
+    final: LocalizerFactory, recording: Recording, is_tuned: bool, progress: Progress
+) -> tuple[BiasModel, ReferencePoses]:
+    """Bias at the poses of a recording, without growth.
 
-    The recording is followed there and back, and where it was paused, or is of several walks, each of those; walks so
-    short that their start is not forgotten are gone to and fro, and no viewpoint's error is known of them.
+    Long segments of the recording are followed forward and backward, so that the bias of the place can be told from
+    that of the direction. Short ones are hovered in; of their poses no bias is known.
 
     Args:
-        starts_at: makes the localizer that is to be used.
+        final: makes the localizer whose bias is measured.
         recording: posed frames, N of them.
-        is_tuned: whether the network learned of the frames: if not, errors there are another flight's only sometimes,
-            so none is known of any viewpoint, and the recording is followed once.
+        is_tuned: whether the network was tuned on the frames. If not, another flight has other errors there, so none
+            is known, and one pass is enough.
 
     Returns:
-        The widths, about what is known of the errors, without growth; and that, at the N viewpoints.
+        As :func:`measure_bias`.
     """
     poses = recording.poses
     assert poses is not None
-    walks = walks_of(recording.timestamps_s, poses)
-    ways = _near_ways(walks, is_tuned)
-    with progress.task("covariances", _frames_of(ways)) as show:
-        errors = _Follower(recording, poses, show)(starts_at, ways)
-    near, viewpoints = _what_is_known(errors, walks, poses, is_tuned)
-    near_m, near_rad = axis_sd(_sizes(near))
-    return LastingErrors(near_sd_m=near_m, near_sd_rad=near_rad), viewpoints
+    segments = recording_segments(recording.timestamps_s, poses)
+    trajectories = _reference_trajectories(segments, is_tuned)
+    with progress.task("covariances", _frame_count(trajectories)) as show:
+        errors = _Follower(recording, poses, show)(final, trajectories)
+    remaining, reference_poses = _known_bias(errors, segments, poses, is_tuned)
+    sd_m, sd_rad = axis_sd(_sizes(remaining))
+    return BiasModel(sd_at_reference_m=sd_m, sd_at_reference_rad=sd_rad), reference_poses
 
 
-def _near_ways(walks: list[NDArray[np.int64]], is_tuned: bool) -> list[Way]:
-    """One of each walk, in order."""
+def _reference_trajectories(segments: list[NDArray[np.int64]], is_tuned: bool) -> list[Trajectory]:
+    """One of each segment, in order."""
     if not is_tuned:
-        return [once(walk) for walk in walks]
-    return [there_and_back(walk) if is_long(walk) else stay(walk) for walk in walks]
+        return [single_pass(segment) for segment in segments]
+    return [forward_and_backward(segment) if is_long(segment) else hover(segment) for segment in segments]
 
 
-def _what_is_known(
-    errors: list[FloatArray], walks: list[NDArray[np.int64]], poses: FloatArray, is_tuned: bool
-) -> tuple[list[FloatArray], Viewpoints]:
-    """Of errors on :func:`_near_ways`, twists (M, 6) each, what is left about what is known; and the viewpoints."""
-    long = [walk for walk in walks if is_long(walk)]
+def _known_bias(
+    errors: list[FloatArray], segments: list[NDArray[np.int64]], poses: FloatArray, is_tuned: bool
+) -> tuple[list[FloatArray], ReferencePoses]:
+    """Errors less the known bias, twists (M, 6) a segment, and the reference poses with that bias.
+
+    Args:
+        errors: on the :func:`_reference_trajectories`, twists (M, 6) each.
+    """
+    long = [segment for segment in segments if is_long(segment)]
     if not is_tuned or not long:
-        return errors, Viewpoints.of(poses)
-    there, back = _passes([way for way, walk in zip(errors, walks, strict=True) if is_long(walk)])
+        return errors, ReferencePoses.without_bias(poses)
+    forward, backward = _directions(
+        [each for each, segment in zip(errors, segments, strict=True) if is_long(segment)]
+    )
     known = np.zeros((2, len(poses), 6))
-    known[:, np.concatenate(long)] = there, back
-    # Of a flight that is still to come, and takes another way, what one of these foretells is known.
-    alike = likeness(there, back)
-    short = [way for way, walk in zip(errors, walks, strict=True) if not is_long(walk)]
-    return [_less(there, alike * back), _less(back, alike * there), *short], Viewpoints(poses, *known)
+    known[:, np.concatenate(long)] = forward, backward
+    # Of a flight in another direction, one direction's bias predicts the other's by their correlation.
+    correlation = bias_correlation(forward, backward)
+    short = [each for each, segment in zip(errors, segments, strict=True) if not is_long(segment)]
+    remaining = [_difference(forward, correlation * backward), _difference(backward, correlation * forward), *short]
+    return remaining, ReferencePoses(poses, *known)
 
 
 class _Follower:
-    """Follows ways over a recording, and shows how many frames are done."""
+    """Runs localizers along trajectories over a recording, and shows how many frames are done."""
 
     def __init__(self, recording: Recording, poses: FloatArray, show: Callable[[int], None]) -> None:
         self._recording, self._poses, self._show = recording, poses, show
         self._done = 0
 
-    def __call__(self, at: StartsAt, ways: list[Way]) -> list[FloatArray]:
-        """Of each way, errors at its frames that count, twists (M, 6)."""
-        return [se3_log(invert(self._poses[way.counted]) @ self._found(at, way)[way.passed :]) for way in ways]
+    def __call__(self, make: LocalizerFactory, trajectories: list[Trajectory]) -> list[FloatArray]:
+        """Errors of the particles' pose at the scored frames, twists (M, 6) a trajectory."""
+        return [
+            se3_log(invert(self._poses[each.scored]) @ self._particle_poses(make, each)[each.warm_up :])
+            for each in trajectories
+        ]
 
-    def _found(self, at: StartsAt, way: Way) -> FloatArray:
-        """What the particles say at each frame, (N, 4, 4)."""
-        localizer = at(self._poses[way.frames[0]])
-        times_s = self._recording.timestamps_s[way.frames]
+    def _particle_poses(self, make: LocalizerFactory, trajectory: Trajectory) -> FloatArray:
+        """``T_world_camera`` of the particles at each frame, (N, 4, 4)."""
+        localizer = make(self._poses[trajectory.frames[0]])
+        times_s = self._recording.timestamps_s[trajectory.frames]
         elapsed_s = np.abs(np.diff(times_s, prepend=times_s[:1]))
-        found = []
-        for index, since_s in zip(way.frames.tolist(), elapsed_s.tolist(), strict=True):
-            found.append(localizer.step(self._recording.color(index), since_s).located.pose)
+        poses = []
+        for index, since_s in zip(trajectory.frames.tolist(), elapsed_s.tolist(), strict=True):
+            poses.append(localizer.step(self._recording.color(index), since_s).particle_estimate.pose)
             self._done += 1
             self._show(self._done)
-        return np.stack(found)
+        return np.stack(poses)
 
 
-def lasting_errors(
-    near: PoseErrors,
-    rehearsed: PoseErrors,
+def fit_bias_model(
+    at_reference: PoseErrors,
+    hold_out_at_reference: PoseErrors,
     away: PoseErrors,
     distances_m: FloatArray,
-    usual_growth: float = _USUAL_GROWTH,
-) -> LastingErrors:
-    """Near errors' deviation, and its growth, from what the median of those away asks for and from what is usual.
+    prior_growth: float = _PRIOR_GROWTH,
+) -> BiasModel:
+    """Standard deviation at the reference poses, and growth from the median of the errors away from them.
 
     Args:
-        near: with the network that all frames tuned, one at least.
-        rehearsed, away: with the other one, at frames that tuned it, one at least, and at those that did not.
-        distances_m: of those away from the nearest that tuned it, (N,).
-        usual_growth: of both, m and rad a metre.
+        at_reference: of the final network, at least one.
+        hold_out_at_reference, away: of the hold-out network, at frames that it was tuned on, at least one, and at
+            frames that it was not.
+        distances_m: from the latter to the nearest of the former, (N,).
+        prior_growth: of both position and rotation, metres and radians a metre.
     """
-    near_m, near_rad = axis_sd(near)
-    rehearsed_m, rehearsed_rad = axis_sd(rehearsed)
-    return LastingErrors(
-        near_sd_m=near_m,
-        near_sd_rad=near_rad,
-        growth_m=_growth(away.position_m, rehearsed_m, distances_m, usual_growth),
-        growth_rad=_growth(away.rotation_rad, rehearsed_rad, distances_m, usual_growth),
+    sd_m, sd_rad = axis_sd(at_reference)
+    hold_out_m, hold_out_rad = axis_sd(hold_out_at_reference)
+    return BiasModel(
+        sd_at_reference_m=sd_m,
+        sd_at_reference_rad=sd_rad,
+        sd_growth_m=_growth(away.position_m, hold_out_m, distances_m, prior_growth),
+        sd_growth_rad=_growth(away.rotation_rad, hold_out_rad, distances_m, prior_growth),
     )
 
 
-def _growth(errors: FloatArray, near_sd: float, distances_m: FloatArray, usual: float) -> float:
-    """Of an error's deviation with distance, so that half of (N,) errors are under the median that it gives them.
+def _growth(errors: FloatArray, sd_at_reference: float, distances_m: FloatArray, prior: float) -> float:
+    """Growth of the standard deviation with distance, under which half of (N,) errors are below their median.
 
-    A few regions can be lucky, so its square is averaged with that of the usual growth, which is all there is without
-    errors.
+    A few regions can be lucky, so its square is averaged with that of the prior, which stands alone without errors.
     """
     if len(errors) == 0:
-        return usual
-    beyond = errors**2 / CHI2_MEDIAN_3 - near_sd**2
+        return prior
+    beyond = errors**2 / CHI2_MEDIAN_3 - sd_at_reference**2
     measured = max(0.0, float(np.median(beyond / np.maximum(distances_m, _LEAST_DISTANCE_M) ** 2)))
-    return math.sqrt(0.5 * (measured + usual**2))
+    return math.sqrt(0.5 * (measured + prior**2))
 
 
-def _passes(ways: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Errors there and errors back, (N, 6) each, frame by frame, of :func:`there_and_back` ways."""
-    both = [np.split(way, 2) for way in ways]
-    return np.concatenate([there for there, _ in both]), np.concatenate([back[::-1] for _, back in both])
+def _directions(errors: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Errors forward and errors backward, (N, 6) each, frame by frame, of forward-and-backward trajectories."""
+    both = [np.split(each, 2) for each in errors]
+    return np.concatenate([forward for forward, _ in both]), np.concatenate([backward[::-1] for _, backward in both])
 
 
-def _frames_of(ways: list[Way]) -> int:
-    return sum(len(way.frames) for way in ways)
+def _frame_count(trajectories: list[Trajectory]) -> int:
+    return sum(len(trajectory.frames) for trajectory in trajectories)
 
 
-def _counted(ways: list[Way]) -> NDArray[np.int64]:
-    return np.concatenate([way.counted for way in ways])
+def _scored(trajectories: list[Trajectory]) -> NDArray[np.int64]:
+    return np.concatenate([trajectory.scored for trajectory in trajectories])
 
 
-def _less(errors: FloatArray, foretold: FloatArray) -> FloatArray:
-    """What is left of errors when others are taken off, twists (N, 6)."""
-    return se3_log(se3_exp(errors) @ se3_exp(-foretold))
+def _difference(errors: FloatArray, known: FloatArray) -> FloatArray:
+    """Errors less their known part, twists (N, 6)."""
+    return se3_log(se3_exp(errors) @ se3_exp(-known))
 
 
 def _sizes(errors: list[FloatArray]) -> PoseErrors:
-    """Of twists (N, 6) of several ways, all together."""
+    """Sizes of twists (N, 6) of several trajectories, all together."""
     return twist_errors(np.concatenate(errors))

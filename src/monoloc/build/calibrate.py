@@ -1,92 +1,149 @@
-"""What the localizer may believe of its scans, measured on frames that tuned nothing."""
+"""Calibration: what the localizer may believe, measured at known poses."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.depth.predictor import DepthPrediction
+from monoloc.build.bias import localizer_factory, measure_bias_at_reference
+from monoloc.build.relocalization_error import measure_relocalization_error
+from monoloc.build.samples import Sample, depth_samples, scans_of
+from monoloc.bundle import Bundle
+from monoloc.components import ComponentsFactory
 from monoloc.errors import DataError
+from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray
-from monoloc.likelihood.scan import Scan, scan_from_depth
-from monoloc.likelihood.scan_likelihood import Measurement, MeasurementConfig
-from monoloc.localizer import LocalizerConfig
-from monoloc.map.mixture import GaussianMixture
-from monoloc.supervision.state import HealthyRange
+from monoloc.io.recording import Recording
+from monoloc.likelihood.protocol import LikelihoodConfig, ScanLikelihood
+from monoloc.likelihood.scan import Scan
+from monoloc.likelihood.thresholds import LikelihoodThresholds
+from monoloc.localizer_config import LocalizerConfig
+from monoloc.progress import NoProgress, Progress
 
-# Of each likelihood, the setting that says how wide errors are, and its candidates.
-_WIDTHS = {
+# The setting of each likelihood that says how large errors are, and its candidates.
+_ERROR_SETTINGS = {
     "ray": ("log_depth_sd", (0.02, 0.03, 0.04, 0.06, 0.08, 0.12, 0.16, 0.24)),
     "volume": ("noise_sd_m", (0.02, 0.03, 0.05, 0.08, 0.12, 0.2)),
 }
 _LOG_SCALES = np.linspace(-0.4, 0.4, 161)
-_LEAST_LOG_SCALE_SD = 0.02  # between build frames it is less, but away from them the scale wanders by as much
+_LEAST_LOG_SCALE_SD = 0.02  # it is less between a build's frames, but away from them the scale varies by as much
 
-
-@dataclass(frozen=True)
-class Sample:
-    """A held-out frame: its index, its depth before it is levelled, and the true ``T_world_camera``."""
-
-    index: int
-    depth: DepthPrediction
-    pose: FloatArray
-
-
-def scans_of(samples: list[Sample], config: LocalizerConfig, rng: np.random.Generator) -> list[tuple[Scan, Sample]]:
-    """The scans that a localizer would take of samples, where there are any points to take."""
-    scans = [scan_from_depth(s.depth, config.scan_points, rng, config.measurement.error_power) for s in samples]
-    return [(scan, sample) for scan, sample in zip(scans, samples, strict=True) if len(scan)]
+LikelihoodFactory = Callable[[LikelihoodConfig], ScanLikelihood]
 
 
 def calibrate(
-    mixture: GaussianMixture, samples: list[Sample], base: LocalizerConfig, rng: np.random.Generator
-) -> tuple[LocalizerConfig, HealthyRange]:
-    """The likelihood's width and the depth scale's spread, by maximum likelihood on held-out frames at true poses.
+    bundle: Bundle,
+    recording: Recording,
+    components: ComponentsFactory,
+    seed: int = 0,
+    progress: Progress = NoProgress(),
+) -> Bundle:
+    """A bundle whose settings fit other components: likelihood, thresholds, bias, relocalisation error.
 
-    The width is that under which the held-out points are most likely, each frame at its own best depth scale; the
-    slow part of those scales' spread is the prior of the filter's log-scale. The outlier share is not fitted: the
-    most likely one is small, and a generous one tracks better, since the errors of one image go together.
+    Call it once after replacing a component, before :class:`monoloc.Localizer` is given the same components.
+
+    Args:
+        bundle: of the room.
+        recording: posed frames in that room, at least two; frames that the bundle was not built from make the bias
+            an honest one.
+        components: as for :class:`monoloc.Localizer`.
+
+    Returns:
+        The bundle with new ``settings`` and ``thresholds``. Its reference poses remain, without the biases that
+        were measured there with the old components, and so does the growth of the bias away from them.
+
+    Raises:
+        DataError: the recording has no poses, or no frame's depth gives a scan.
+    """
+    if recording.poses is None:
+        raise DataError(recording.name, "has no poses", "calibrate on a recording with camera poses")
+    rng = np.random.default_rng(seed)
+    camera = recording.camera
+
+    def likelihood_for(config: LikelihoodConfig) -> ScanLikelihood:
+        changed = bundle.settings.model_copy(update={"likelihood": config})
+        return components(bundle, camera, changed).likelihood
+
+    depth = components(bundle, camera, bundle.settings).depth
+    samples = depth_samples(recording, np.arange(len(recording)), depth, progress)
+    base = bundle.settings.model_copy(update={"particle_bias": BiasModel()})
+    settings, thresholds = calibrate_likelihood(likelihood_for, samples, base, rng)
+    poses = bundle.reference_poses.poses
+    calibrated = replace(
+        bundle, settings=settings, thresholds=thresholds, reference_poses=ReferencePoses.without_bias(poses)
+    )
+    measured, _ = measure_bias_at_reference(
+        localizer_factory(replace(calibrated, camera=camera), seed, components), recording, False, progress
+    )
+    likelihood = likelihood_for(settings.likelihood)
+    error_m, error_rad = measure_relocalization_error(likelihood, samples, poses, settings, rng, progress)
+    known = bundle.settings.particle_bias
+    bias = measured.model_copy(
+        update={
+            "sd_growth_m": known.sd_growth_m,
+            "sd_growth_rad": known.sd_growth_rad,
+            "relocalization_sd_m": error_m,
+            "relocalization_sd_rad": error_rad,
+        }
+    )
+    return replace(calibrated, settings=settings.model_copy(update={"particle_bias": bias}))
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A likelihood's settings, and for each scan the best mean log-likelihood over scales, and that log-scale."""
+
+    config: LikelihoodConfig
+    values: FloatArray
+    log_scales: FloatArray
+
+
+def calibrate_likelihood(
+    likelihood_for: LikelihoodFactory, samples: list[Sample], base: LocalizerConfig, rng: np.random.Generator
+) -> tuple[LocalizerConfig, LikelihoodThresholds]:
+    """Error size of the likelihood and spread of the depth's scale, by maximum likelihood at true poses.
+
+    The error size is that under which the samples' scans are most likely, each at its own best depth scale. The slow
+    part of these scales is the prior of the filter's log-scale. The outlier share is not fitted: the most likely one
+    is small, and a generous one tracks better, since the errors within an image are correlated.
 
     Raises:
         DataError: no frame's depth gives a scan.
     """
-    usable = scans_of(samples, base, rng)
-    frames = np.array([sample.index for _, sample in usable])
-    if not usable:
+    scans = scans_of(samples, base, rng)
+    if not scans:
         problem = f"gives no usable depth on any of {len(samples)} frames"
         fix = "check output, metric and scale in its TOML: depth must come out in metres"
         raise DataError("network", problem, fix)
-    best: tuple[float, MeasurementConfig, FloatArray, FloatArray] | None = None
-    name, widths = _WIDTHS[base.measurement.likelihood]
-    for width in widths:
-        config = base.measurement.model_copy(update={name: width})
-        fits, scales = _fits(Measurement(mixture, config), usable)
-        if best is None or fits.mean() > best[0]:
-            best = (float(fits.mean()), config, fits, scales)
-    assert best is not None
-    _, measurement, fits, scales = best
-    settings = base.model_copy(update={"measurement": measurement, "log_scale_sd": slow_sd(scales, frames)})
-    return settings, HealthyRange.from_fits(fits)
+    setting, values = _ERROR_SETTINGS[base.likelihood.kind]
+    configs = [base.likelihood.model_copy(update={setting: value}) for value in values]
+    candidates = [_Candidate(config, *_best_over_scales(likelihood_for(config), scans)) for config in configs]
+    best = max(candidates, key=lambda candidate: float(candidate.values.mean()))
+    frames = np.array([sample.index for _, sample in scans])
+    changes = {"likelihood": best.config, "log_scale_sd": slow_sd(best.log_scales, frames)}
+    return base.model_copy(update=changes), LikelihoodThresholds.from_log_likelihoods(best.values)
 
 
-def _fits(measurement: Measurement, scans: list[tuple[Scan, Sample]]) -> tuple[FloatArray, FloatArray]:
-    """Best mean log-likelihood of every scan over the depth's scale, and the log-scale that gives it."""
-    fits, scales = [], []
+def _best_over_scales(likelihood: ScanLikelihood, scans: list[tuple[Scan, Sample]]) -> tuple[FloatArray, FloatArray]:
+    """Best mean log-likelihood of every scan over the depth's scale, (N,), and the log-scale there, (N,)."""
+    best, scales = [], []
     for scan, sample in scans:
         poses = np.repeat(sample.pose[None], len(_LOG_SCALES), axis=0)
-        values = measurement.mean_log_likelihood(poses, _LOG_SCALES, scan)
-        fits.append(values.max())
+        values = likelihood.mean_log_likelihood(poses, _LOG_SCALES, scan)
+        best.append(values.max())
         scales.append(_LOG_SCALES[values.argmax()])
-    return np.array(fits), np.array(scales)
+    return np.array(best), np.array(scales)
 
 
 def slow_sd(log_scales: FloatArray, frames: NDArray[np.int64]) -> float:
-    """Root mean square of what neighbouring frames share, of (N,) scales of frames in order: noise a frame cancels.
+    """Standard deviation about 0 of the part of (N,) log-scales that consecutive frames share.
 
-    By the product of frames that follow one another, about 0, where the filter's prior is centred. A wider prior lets
-    the filter trade the depth's scale against the distance to the walls.
+    The mean product of consecutive frames' log-scales: noise of single frames cancels. A wider prior would let the
+    filter trade the depth's scale against the distance to the walls.
     """
     products = (log_scales[1:] * log_scales[:-1])[np.diff(frames) == 1]
     shared = float(products.mean()) if len(products) else 0.0

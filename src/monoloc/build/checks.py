@@ -1,4 +1,4 @@
-"""What can be wrong with frames and a map that are each well by themselves, said before the long work begins."""
+"""Checks of frames and map together, before the long work begins."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from monoloc.depth.spec import DepthModel
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, make_pose, so3_exp, transform
 from monoloc.io.recording import Recording
+from monoloc.likelihood.protocol import LikelihoodConfig
 from monoloc.likelihood.scan import Scan, scan_from_depth
-from monoloc.likelihood.scan_likelihood import Measurement, MeasurementConfig
+from monoloc.likelihood.volume import VolumeLikelihood
 from monoloc.map.depth_rendering import supervision
 from monoloc.map.mixture import GaussianMixture
 
@@ -24,24 +25,24 @@ _TURNS = make_pose(so3_exp(np.outer([0.5, 1.0, 1.5], [0.0, np.pi, 0.0])), np.zer
 
 @dataclass(frozen=True)
 class _Trust:
-    """What depth of one kind is believed: its errors and its scale's.
+    """Errors of one kind of depth, and how much better poses must fit than the same cameras turned round.
 
-    By so many nats a point poses must fit better than those turns, or they are doubted, or refused. On RedKitchen it
-    was 3.0 with sensor depth and 0.9 with the shipped network's, untuned; with all poses 30 cm and 7 degrees off, 1.1
-    and 0.75. In five frames of reference that are another one's it was at most 0.07 and 0.23, but the smallest
-    network gave no more than 0.12 at right poses of one stretch: a network's word is enough for a doubt, and to
-    refuse only what fits as well turned away.
+    Below ``good_gain`` nats a point poses are doubted, below ``least_gain`` refused. On RedKitchen the gain was 3.0
+    with sensor depth and 0.9 with the shipped network's, untuned; with all poses 30 cm and 7 degrees off, 1.1 and
+    0.75. With five wrong frames of reference it was at most 0.07 and 0.23, but the smallest network gave only 0.12 at
+    right poses of one segment. So a network's depth can raise a doubt, and refuse only what fits as well turned
+    round.
     """
 
-    measurement: MeasurementConfig
+    likelihood: LikelihoodConfig
     log_scales: FloatArray
     good_gain: float
     least_gain: float
 
 
-_SENSOR = _Trust(MeasurementConfig(likelihood="volume", noise_sd_m=0.05), np.zeros(1), good_gain=1.2, least_gain=0.25)
+_SENSOR = _Trust(LikelihoodConfig(kind="volume", noise_sd_m=0.05), np.zeros(1), good_gain=1.2, least_gain=0.25)
 _NETWORK = _Trust(
-    MeasurementConfig(likelihood="volume", noise_sd_m=0.2), np.linspace(-0.6, 0.6, 25), good_gain=0.5, least_gain=0.02
+    LikelihoodConfig(kind="volume", noise_sd_m=0.2), np.linspace(-0.6, 0.6, 25), good_gain=0.5, least_gain=0.02
 )
 
 # Shares of what is seen that faces the second and the third direction. A wall whose depth has 1 % of noise gives up
@@ -114,13 +115,13 @@ def _scan(depth: DepthPrediction, rng: np.random.Generator) -> Scan:
 
 def _check_poses(name: str, looks: list[_Look], mixture: GaussianMixture, trust: _Trust) -> list[str]:
     """Most frames' poses must explain their scans better than the same cameras turned by 90, 180 and 270 degrees."""
-    measurement = Measurement(mixture, trust.measurement)
+    likelihood = VolumeLikelihood(mixture, trust.likelihood)
 
     def fits(turn: FloatArray) -> FloatArray:
         """Best mean log-likelihood of every scan over the depth's scale."""
         return np.array(
             [
-                measurement.mean_log_likelihood(
+                likelihood.mean_log_likelihood(
                     np.repeat((look.pose @ turn)[None], len(trust.log_scales), axis=0), trust.log_scales, look.scan
                 ).max()
                 for look in looks

@@ -8,44 +8,45 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.build.bias import lasting_errors
+from monoloc.build.bias import fit_bias_model
 from monoloc.camera import Camera
 from monoloc.depth.depth_image import sample_depth
 from monoloc.evaluation.hold_out import HELD_OUT_SHARE, REGIONS, hold_out_regions
 from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, twist_errors
-from monoloc.fusion.bias_model import LastingErrors
-from monoloc.geometry import FloatArray, invert, ray_slopes, se3_log, transform, viewpoints_apart
+from monoloc.fusion.bias_model import BiasModel
+from monoloc.geometry import FloatArray, invert, pose_distance_m, ray_slopes, se3_log, transform
 from monoloc.io.recording import Recording
-from monoloc.landmarks.features import KeypointDetector, Keypoints, Landmarks, pairs
-from monoloc.landmarks.pnp import BESIDE, LandmarkSight
+from monoloc.landmarks.features import KeypointDetector, Keypoints, match_descriptors
+from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.landmarks.pnp import PRIOR_COVARIANCE, OrbLandmarkLocalizer
 from monoloc.progress import Progress
 
-_REACH_PX = 6.0  # from where a corner should be, by a frame's pose and another's depth
-_DEPTH_JUMP = 0.15  # corners beside a larger relative jump of depth sit on an edge
-_DEPTH_SD = 0.01  # of measured depth, as a share of it
+_RADIUS_PX = 6.0  # around a corner's expected pixel, by one frame's pose and another's depth
+_DEPTH_JUMP = 0.15  # a corner beside a larger relative jump of depth is ambiguous
+_DEPTH_SD = 0.01  # relative, of measured depth
 _HUBER, _STEPS = 2.0, 5
-_NEAREST_M, _LEAST_INFORMATION = 1e-3, 1e-6  # of a corner that ends up behind a camera; of one on a single ray
-_AGREE_SD = 2.5  # standard deviations within which half of a landmark's corners have to be
-_MOST_FRAMES = 300  # that landmarks are made of: a room has no more to show, and time grows with their square
-_A_FRAME = 100  # landmarks that a frame is to see of its own
-_LEAST_M, _LEAST_RAD = 0.001, 0.0005  # that errors are taken to be, be it of a camera that stood still
-_USUAL_GROWTH = 0.05  # m and rad a metre away, of landmarks in other parts of a room
+_NEAREST_M, _LEAST_INFORMATION = 1e-3, 1e-6  # for a corner behind a camera; for one on a single ray
+_AGREE_SD = 2.5  # standard deviations within which half of a landmark's corners must be
+_MOST_FRAMES = 300  # time grows with the square of their number
+_LANDMARKS_PER_FRAME = 100
+_LEAST_M, _LEAST_RAD = 0.001, 0.0005  # errors, even of a camera that stood still
+_PRIOR_GROWTH = 0.05  # metres and radians a metre, of landmarks in other rooms
 
 
 def build_landmarks(
     recording: Recording, depth_of: Callable[[int], NDArray[np.float32]], progress: Progress
-) -> tuple[Landmarks, LastingErrors]:
-    """Landmarks of a recording, and how wide the errors are of what they say, near its viewpoints and away from them.
+) -> tuple[Landmarks, BiasModel]:
+    """Landmarks of a recording, and the bias of landmark poses.
 
-    Near: every other frame is looked at by the landmarks of the others. Away: frames of regions that are held out by
-    landmarks that no frame there saw.
+    At the reference poses: each half of the frames is localised by the landmarks of the other half. Away from them:
+    frames of held-out regions are localised by landmarks that no frame there saw.
 
     Args:
-        recording: posed frames, five at least; of many, some hundred are taken, evenly out of them.
+        recording: posed frames, at least five; an even selection of 300 is used if there are more.
         depth_of: a frame's depth, (H, W) m, 0 where there is none.
 
     Returns:
-        No landmarks where too few are seen again to tell a pose.
+        No landmarks where too few are seen again to determine poses.
     """
     poses = recording.poses
     assert poses is not None
@@ -60,10 +61,10 @@ def build_landmarks(
             depth = sample_depth(pixels, detect.camera, depth_of(index), recording.camera, _DEPTH_JUMP)
             corners.append(Corners(keypoints, depth))
             show(len(corners))
-        lasting = _measured(corners, recording.camera, detect.camera, poses)
-        if lasting is None:
-            return Landmarks.none(), LastingErrors()
-        return landmarks_of(corners, detect.camera, poses), lasting
+        bias = _measured_bias(corners, recording.camera, detect.camera, poses)
+        if bias is None:
+            return Landmarks.none(), BiasModel()
+        return landmarks_of(corners, detect.camera, poses), bias
 
 
 @dataclass(frozen=True)
@@ -74,37 +75,40 @@ class Corners:
     depth_m: FloatArray
 
 
-def _measured(corners: list[Corners], camera: Camera, detected: Camera, poses: FloatArray) -> LastingErrors | None:
-    """What frames err by that others' landmarks tell the poses of; None where that is not half of them.
+def _measured_bias(corners: list[Corners], camera: Camera, detected: Camera, poses: FloatArray) -> BiasModel | None:
+    """Bias of the poses that frames get from other frames' landmarks; None where fewer than half get one.
 
     Args:
-        camera, detected: of the recording, and of the images in which corners were looked for.
+        camera, detected: of the recording, and of the images in which corners were detected.
     """
 
     def errors(by: NDArray[np.int64], of: NDArray[np.int64]) -> tuple[PoseErrors, NDArray[np.int64]]:
-        """Of the frames that see landmarks of others, what lasts of their errors, and which frames those are."""
-        sight = LandmarkSight(landmarks_of([corners[index] for index in by], detected, poses[by]), camera)
-        told = {index: sight.near(corners[index].keypoints, poses[index], BESIDE) for index in of.tolist()}
-        seen = {index: sighting for index, sighting in told.items() if sighting is not None}
-        twists = [se3_log(invert(poses[index]) @ sighting.pose) for index, sighting in seen.items()]
-        stated = [np.diag(sighting.covariance) for sighting in seen.values()]
-        lasting = _lasting(twist_errors(np.reshape(twists, (-1, 6))), np.reshape(stated, (-1, 6)))
-        return lasting, np.array(list(seen), dtype=np.int64)
+        """Errors beyond stated noise of frames localised by the landmarks of others, and those frames."""
+        localizer = OrbLandmarkLocalizer(landmarks_of([corners[index] for index in by], detected, poses[by]), camera)
+        measured = {
+            index: localizer.measure_keypoints(corners[index].keypoints, poses[index], PRIOR_COVARIANCE)
+            for index in of.tolist()
+        }
+        seen = {index: pose for index, pose in measured.items() if pose is not None}
+        twists = [se3_log(invert(poses[index]) @ measured.pose) for index, measured in seen.items()]
+        stated = [np.diag(measured.covariance) for measured in seen.values()]
+        beyond_noise = _beyond_noise(twist_errors(np.reshape(twists, (-1, 6))), np.reshape(stated, (-1, 6)))
+        return beyond_noise, np.array(list(seen), dtype=np.int64)
 
     frames = np.arange(len(corners))
     both = errors(frames[::2], frames[1::2])[0], errors(frames[1::2], frames[::2])[0]
-    near = PoseErrors(*(np.concatenate(parts) for parts in zip(*map(astuple, both), strict=True)))
-    if 2 * len(near.position_m) < len(frames):
+    at_reference = PoseErrors(*(np.concatenate(sizes) for sizes in zip(*map(astuple, both), strict=True)))
+    if 2 * len(at_reference.position_m) < len(frames):
         return None
     held_out = np.sort(np.concatenate(hold_out_regions(poses, REGIONS, HELD_OUT_SHARE)))
     others = np.setdiff1d(frames, held_out)
     away, seen = errors(others, held_out)
-    distances_m = np.array([viewpoints_apart(poses[index], poses[others]).min() for index in seen])
-    return lasting_errors(near, near, away, distances_m, _USUAL_GROWTH)
+    distances_m = np.array([pose_distance_m(poses[index], poses[others]).min() for index in seen])
+    return fit_bias_model(at_reference, at_reference, away, distances_m, _PRIOR_GROWTH)
 
 
-def _lasting(errors: PoseErrors, stated: FloatArray) -> PoseErrors:
-    """What errors exceed their stated noise by, variances of twists (N, 6), but a third of them at least."""
+def _beyond_noise(errors: PoseErrors, stated: FloatArray) -> PoseErrors:
+    """Errors less their stated noise, variances of twists (N, 6), but at least a third of each error."""
 
     def beyond(errors: FloatArray, variances: FloatArray, least: float) -> FloatArray:
         noise = CHI2_MEDIAN_3 * variances.mean(axis=1)
@@ -122,17 +126,17 @@ def landmarks_of(corners: list[Corners], camera: Camera, poses: FloatArray) -> L
     seen = _gathered(corners, camera, poses)
     points, is_one_place = _placed(seen, poses)
     chosen = _chosen(seen, is_one_place, len(corners))
-    return Landmarks(points[chosen].astype(np.float32), _looks(seen, chosen))
+    return Landmarks(points[chosen].astype(np.float32), _descriptors(seen, chosen))
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """L places where there may be a landmark, and O corners that may be of them.
+    """L candidate landmarks, and O corners that were matched to them.
 
     Attributes:
         points: (L, 3) as first lifted, world frame.
-        landmark, frame: (O,) of which place a corner is, and in which frame.
-        rays: (O, 2) at a depth of one; ``sd``: (O, 2) their standard deviations.
+        landmark, frame: (O,) landmark and frame of each corner.
+        rays: (O, 2) normalised image coordinates; ``sd``: (O, 2) their standard deviations.
         depth_m: (O,) 0 where there is none.
         descriptors: (O, 32).
     """
@@ -147,18 +151,20 @@ class _Seen:
 
 
 def _gathered(corners: list[Corners], camera: Camera, poses: FloatArray) -> _Seen:
-    """Frame by frame, corners that look like a landmark near which they are, and new landmarks of the others."""
+    """Frame by frame, corners that match a landmark seen before, and new landmarks of the others."""
     points, known = np.zeros((0, 3)), np.zeros((0, 32), np.uint8)
     rows = []
     for index, (each, pose) in enumerate(zip(corners, poses, strict=True)):
         keypoints = each.keypoints
         local = transform(invert(pose), points)
-        ahead = np.flatnonzero(camera.in_sight(local))
-        expected = camera.project(local[ahead])
-        which, again = pairs(expected, known[ahead], keypoints.pixels, keypoints.descriptors, _REACH_PX)
+        visible = np.flatnonzero(camera.in_sight(local))
+        expected = camera.project(local[visible])
+        which, again = match_descriptors(
+            expected, known[visible], keypoints.pixels, keypoints.descriptors, _RADIUS_PX
+        )
         fresh = np.setdiff1d(np.flatnonzero(each.depth_m > 0.0), again)
         corner = np.concatenate([again, fresh])
-        landmark = np.concatenate([ahead[which], len(points) + np.arange(len(fresh))])
+        landmark = np.concatenate([visible[which], len(points) + np.arange(len(fresh))])
         rays, sd = keypoints.rays(camera)
         columns = (rays, sd, each.depth_m, keypoints.descriptors)
         rows.append((landmark, np.full(len(corner), index), *(column[corner] for column in columns)))
@@ -169,9 +175,9 @@ def _gathered(corners: list[Corners], camera: Camera, poses: FloatArray) -> _See
 
 
 def _placed(seen: _Seen, poses: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Where landmarks are likeliest, (L, 3), and whether half of their corners agree, (L,).
+    """Most likely points of landmarks, (L, 3), and whether half of their corners agree, (L,).
 
-    Gauss-Newton, of the rays to a corner and the logarithm of its depth, with Huber's weights.
+    Gauss-Newton on the rays to a corner and the logarithm of its depth, with Huber weights.
     """
     T_camera_world = invert(poses)[seen.frame]
     R_camera_world = T_camera_world[:, :3, :3]
@@ -183,21 +189,21 @@ def _placed(seen: _Seen, poses: FloatArray) -> tuple[FloatArray, NDArray[np.bool
         local = np.einsum("oij,oj->oi", R_camera_world, points[seen.landmark]) + T_camera_world[:, :3, 3]
         local[:, 2] = np.maximum(local[:, 2], _NEAREST_M)
         z = local[:, 2]
-        off = np.concatenate([local[:, :2] / z[:, None] - seen.rays, (np.log(z) - log_depth)[:, None]], axis=1)
-        slopes = np.zeros((len(z), 3, 3))
-        slopes[:, :2], slopes[:, 2, 2] = ray_slopes(local), 1.0 / z
-        residuals, slopes = scale * off, scale[..., None] * slopes @ R_camera_world
+        offset = np.concatenate([local[:, :2] / z[:, None] - seen.rays, (np.log(z) - log_depth)[:, None]], axis=1)
+        jacobian = np.zeros((len(z), 3, 3))
+        jacobian[:, :2], jacobian[:, 2, 2] = ray_slopes(local), 1.0 / z
+        residuals, jacobian = scale * offset, scale[..., None] * jacobian @ R_camera_world
         weights = np.minimum(1.0, _HUBER / np.maximum(np.abs(residuals), _HUBER))
         normal, gradient = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
-        np.add.at(normal, seen.landmark, np.einsum("oij,oi,oik->ojk", slopes, weights, slopes))
-        np.add.at(gradient, seen.landmark, np.einsum("oij,oi->oj", slopes, weights * residuals))
+        np.add.at(normal, seen.landmark, np.einsum("oij,oi,oik->ojk", jacobian, weights, jacobian))
+        np.add.at(gradient, seen.landmark, np.einsum("oij,oi->oj", jacobian, weights * residuals))
         points -= np.linalg.solve(normal + _LEAST_INFORMATION * np.eye(3), gradient[..., None])[..., 0]
     agree = np.bincount(seen.landmark, np.linalg.norm(residuals[:, :2], axis=1) < _AGREE_SD, len(points))
     return points, agree >= 0.5 * np.bincount(seen.landmark, minlength=len(points))
 
 
 def _chosen(seen: _Seen, is_one_place: NDArray[np.bool_], frames: int) -> NDArray[np.int64]:
-    """Those that most frames saw, two at least, until each frame has enough."""
+    """Indices of those that most frames saw, at least two, until each frame has enough."""
     counts = np.bincount(seen.landmark, minlength=len(is_one_place))
     order = np.argsort(seen.landmark, kind="stable")
     saw = np.split(seen.frame[order], np.cumsum(counts)[:-1])
@@ -205,14 +211,14 @@ def _chosen(seen: _Seen, is_one_place: NDArray[np.bool_], frames: int) -> NDArra
     has = np.zeros(frames, dtype=np.int64)
     chosen = []
     for index in candidates[np.argsort(-counts[candidates], kind="stable")].tolist():
-        if np.any(has[saw[index]] < _A_FRAME):
+        if np.any(has[saw[index]] < _LANDMARKS_PER_FRAME):
             has[saw[index]] += 1
             chosen.append(index)
     return np.array(sorted(chosen), dtype=np.int64)
 
 
-def _looks(seen: _Seen, chosen: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Of C landmarks what most of their corners look like, bit by bit, (C, 32)."""
+def _descriptors(seen: _Seen, chosen: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Descriptors of C landmarks, (C, 32): the majority of their corners', bit by bit."""
     number = np.full(len(seen.points), -1)
     number[chosen] = np.arange(len(chosen))
     row = number[seen.landmark]

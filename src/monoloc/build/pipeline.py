@@ -1,115 +1,109 @@
-"""The offline way, one page: recording -> cloud -> map -> adapt (or fit) -> calibrate -> landmarks -> bundle."""
+"""A build: recording -> check -> cloud -> mixture -> adapt -> calibrate -> landmarks -> bundle.
+
+Each stage is a function that returns its result; :func:`build_bundle` calls them in order.
+"""
 
 from __future__ import annotations
 
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.adapt.settings import AdaptConfig
-from monoloc.build.bias import StartsAt, measure_lasting
-from monoloc.build.calibrate import Sample, calibrate
+from monoloc.build.bias import localizer_factory, measure_bias
+from monoloc.build.build_config import BuildConfig, BuildReport
+from monoloc.build.calibrate import calibrate_likelihood
 from monoloc.build.checks import check_frames
 from monoloc.build.landmark_mapping import build_landmarks
 from monoloc.build.pose_refinement import PosePrior, check_refinable, refine_poses, rounds
-from monoloc.build.relocalization_error import measure_found
+from monoloc.build.relocalization_error import measure_relocalization_error
+from monoloc.build.room_map import fit_map
+from monoloc.build.samples import depth_samples
 from monoloc.bundle import Bundle, Provenance, fingerprint, read_network
 from monoloc.depth.model_files import trainable_file
 from monoloc.depth.models import DEFAULT
 from monoloc.depth.predictor import DepthPredictor
 from monoloc.depth.scale_fit import fit_to_depth
-from monoloc.depth.spec import DepthModel, network_images
+from monoloc.depth.spec import DepthModel, ModelSpec, network_images
 from monoloc.errors import DataError, SettingError
 from monoloc.evaluation.trajectory import PoseErrors, pose_errors
 from monoloc.extras import training_extra
-from monoloc.fusion.bias_model import LastingErrors
-from monoloc.fusion.reference_poses import Viewpoints
+from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray
 from monoloc.io.recording import Recording
-from monoloc.landmarks.features import Landmarks
-from monoloc.localizer import LocalizerConfig
-from monoloc.map.cloud import cloud_from_recording, remove_outliers, voxel_thin
+from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.likelihood import make_likelihood
 from monoloc.map.compare import compare_maps
 from monoloc.map.depth_rendering import supervision
-from monoloc.map.em import choose_components, fit_mixture
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress, Progress
-from monoloc.run import Start, start_localizer
 
-_COMPONENT_LADDER = (50, 100, 200, 400, 800)
 _MIN_FRAMES = 5
 
 
-class BuildConfig(BaseModel):
-    """Settings of a build.
+@dataclass(frozen=True)
+class _Network:
+    """The network that a build starts from; ``file`` to tune it from, None if nothing is tuned."""
 
-    Attributes:
-        components: of the map, or "bic" to choose.
-        voxel_m: the cloud is thinned to one point a voxel.
-        max_depth_m: farther sensor depth is not used for the map.
-        adapt: what is tuned and how.
-        refine_poses: whether the frames' poses are aligned with the map first, for poses that another system gave.
-        pose_sd_m, pose_sd_deg: how far those are off, per axis.
-        landmarks: whether the bundle keeps corners that the frames saw, for what depth alone does not tell.
-        int8: whether the network goes into the bundle in 8 bits, calibrated on the frames.
-        localizer: settings written into the bundle, before calibration.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    components: Annotated[int, Field(ge=1)] | Literal["bic"] = 200
-    voxel_m: float = Field(0.03, gt=0.0)
-    max_depth_m: float = Field(4.5, gt=0.0)
-    adapt: AdaptConfig = AdaptConfig()
-    refine_poses: bool = False
-    pose_sd_m: float = Field(0.02, gt=0.0)
-    pose_sd_deg: float = Field(1.0, gt=0.0)
-    landmarks: bool = True
-    int8: bool = False
-    localizer: LocalizerConfig = LocalizerConfig()
+    model: DepthModel
+    file: Path | None
 
 
 @dataclass(frozen=True)
-class BuildReport:
-    """What a build measured; JSON keys of ``monoloc build``.
+class _Room:
+    """The mapped room, before adaptation.
 
-    nll and AbsRel are of frames held out from tuning, taken away from the others; what the map's components did is
-    as in :class:`monoloc.map.compare.MapChange`. Scale and shift of the network's output are None where they were
-    not fitted: see :class:`monoloc.depth.spec.ModelSpec`.
+    Attributes:
+        recording: with refined poses, if they were refined.
+        poses: of its frames, (N, 4, 4).
+        frames: name and fingerprint of each.
+        cloud: (N, 3) world frame, metres.
+        refinement: how far refinement moved the poses; None without it.
     """
 
-    frames: int
-    cloud_points: int
-    components: int
-    nll_start: float | None
-    nll_end: float | None
-    kl: float
-    shift_median_m: float
-    shift_p95_m: float
-    correspondence_kept: float
-    size_ratio_median: float
-    landmarks: int
-    depth_absrel_before: float | None
-    depth_absrel_after: float | None
-    depth_scale: float | None
-    depth_shift: float | None
-    steps: int
-    pose_shift_median_m: float | None
-    pose_turn_median_deg: float | None
-    seconds: float
+    recording: Recording
+    poses: FloatArray
+    frames: dict[str, int]
+    cloud: FloatArray
+    mixture: GaussianMixture
+    refinement: PoseErrors | None
     warnings: list[str]
+
+
+@dataclass(frozen=True)
+class _Adapted:
+    """Map and network after adaptation, and what of them was held out.
+
+    Attributes:
+        hold_out_model, hold_out_map: of the hold-out run, tuned without the held-out frames, to measure with.
+        held_out: those frames, in order; ``regions``: the same, a region each; none where nothing was tuned.
+        fitted: the network's specification where its scale was fitted.
+        nll, absrel: on held-out frames, before and after; None where nothing was tuned.
+    """
+
+    original: GaussianMixture
+    adapted: GaussianMixture
+    depth_model: DepthModel
+    hold_out_model: DepthModel
+    hold_out_map: GaussianMixture
+    held_out: NDArray[np.int64]
+    regions: list[NDArray[np.int64]]
+    fitted: ModelSpec | None = None
+    nll: tuple[float | None, float | None] = (None, None)
+    absrel: tuple[float | None, float | None] = (None, None)
+    kl: float = 0.0
+    steps: int = 0
 
 
 def build_bundle(
     recording: Recording,
-    config: BuildConfig,
-    seed: int,
-    progress: Progress,
+    config: BuildConfig = BuildConfig(),
+    seed: int = 0,
+    progress: Progress = NoProgress(),
     cloud: FloatArray | None = None,
     network: str | Path = DEFAULT,
 ) -> tuple[Bundle, BuildReport]:
@@ -118,7 +112,8 @@ def build_bundle(
     Args:
         recording: posed frames; with depth, unless ``cloud`` is given.
         cloud: (N, 3) world frame, metres; None makes it from the recording.
-        network: as :func:`monoloc.bundle.read_network` takes it; another's, or a bundle's, cannot be tuned.
+        network: as :func:`monoloc.bundle.read_network` takes it; one of another origin, or a bundle's, cannot be
+            tuned.
 
     Raises:
         DataError: no poses, too few frames, neither depth nor a cloud, frames that cannot give a pose (see
@@ -127,129 +122,58 @@ def build_bundle(
         MissingExtraError: something is to be tuned and PyTorch is not installed.
     """
     started = time.perf_counter()
+    start_network = _checked_network(recording, config, network)
+    rng = np.random.default_rng(seed)
+    room = _map(recording, cloud, config, start_network.model, seed, rng, progress)
+    adapted = _quantised(_adapt(room, start_network, config, seed, progress), room, config, progress)
+    bundle = _calibrate(room, adapted, config, seed, rng, progress)
+    bundle = _add_landmarks(bundle, room, config, progress)
+    return bundle, _report(bundle, room, adapted, config, time.perf_counter() - started)
+
+
+def _checked_network(recording: Recording, config: BuildConfig, network: str | Path) -> _Network:
+    """The network, after everything that can be refused before the work is done."""
     if recording.poses is None:
         raise DataError(recording.name, "has no poses", "build from a recording with camera poses")
     if len(recording) < _MIN_FRAMES:
         raise DataError(recording.name, f"gives {len(recording)} frames", f"build from at least {_MIN_FRAMES}")
     if config.refine_poses:
         check_refinable(recording)
-    adapts = config.adapt.tune != "none" or config.adapt.map_transform
-    if adapts:
-        network_file = _tunable(network, config.adapt)
+    file = None
+    if config.adapt.tune != "none" or config.adapt.map_transform:
+        file = _tunable(network, config.adapt)
         with training_extra():
-            from monoloc.adapt.adaptation import adapt  # the only door to PyTorch
-    given = read_network(network)
+            import monoloc.adapt.adaptation  # noqa: F401
+    model = read_network(network)
     if config.int8:
         _check_8_bits(network, recording)
-    DepthPredictor(given, recording.camera)  # what does not fit is said before the work
-    rng = np.random.default_rng(seed)
+    DepthPredictor(model, recording.camera)  # refuses what does not fit the camera
+    return _Network(model, file)
+
+
+def _map(
+    recording: Recording,
+    cloud: FloatArray | None,
+    config: BuildConfig,
+    model: DepthModel,
+    seed: int,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> _Room:
+    """Cloud and mixture, of poses that are refined if that is asked for."""
     frames = {name: fingerprint(recording.color(index)) for index, name in enumerate(recording.frame_names)}
     if len(frames) < len(recording):
         raise DataError(recording.name, "has frames of the same name", "give every frame a name of its own")
     cloud_is_given = cloud is not None
     cloud, mixture = fit_map(recording, cloud, config, rng, progress)
-    warnings = check_frames(recording, cloud, mixture, cloud_is_given, given, np.random.default_rng(seed))
-    moved = None
+    warnings = check_frames(recording, cloud, mixture, cloud_is_given, model, np.random.default_rng(seed))
+    refinement = None
     if config.refine_poses:
-        recording, moved = _refined(recording, mixture, cloud_is_given, config, rng, progress)
+        recording, refinement = _refined(recording, mixture, cloud_is_given, config, rng, progress)
         if not cloud_is_given:
             cloud, mixture = fit_map(recording, None, config, rng, progress)
-    poses = recording.poses
-    assert poses is not None
-    fitted = None
-    if adapts:
-        result = adapt(recording, cloud, mixture, network_file, config.adapt, seed, progress)
-        original, adapted = result.original, result.adapted
-        depth_model, regions = result.depth_model, result.held_out
-        held_out_model, held_out_map = result.held_out_model, result.held_out_map
-        held_out = np.sort(np.concatenate(regions))
-        scores = result.scores
-        kl, steps = result.kl, result.steps
-    else:
-        original = adapted = held_out_map = mixture
-        depth_model = given
-        if given.spec.scale is None:
-            with progress.task("depth scale", len(recording)) as step:
-                depth_model = fit_to_depth(given, recording, supervision(recording, cloud), step)
-            fitted = depth_model.spec
-        held_out_model = depth_model  # one or two numbers for all frames: each is as good as held out
-        held_out, regions, scores, kl, steps = np.arange(len(recording)), [], [], 0.0, 0
-    if config.int8:
-        with progress.task("8 bits", None):
-            images = network_images(recording, depth_model.spec)
-            depth_model, held_out_model = (_in_8_bits(model, images) for model in (depth_model, held_out_model))
-    predictor = DepthPredictor(held_out_model, recording.camera)
-    with progress.task("calibrate", len(held_out)) as step:
-        samples = []
-        for done, index in enumerate(held_out):
-            samples.append(Sample(int(index), predictor(recording.color(int(index))), poses[index]))
-            step(done + 1)
-        settings, healthy = calibrate(held_out_map, samples, config.localizer, rng)
-    bundle = Bundle(
-        original=original,
-        adapted=adapted,
-        depth_model=depth_model,
-        settings=settings,
-        camera=recording.camera,
-        provenance=Provenance(
-            recording=recording.name,
-            frames=frames,
-            tune=config.adapt.tune,
-            map_transform=config.adapt.map_transform,
-            lambda_kl=config.adapt.lambda_kl,
-            seed=seed,
-            down_world=_down(poses),
-        ),
-        healthy=healthy,
-        viewpoints=Viewpoints.none(),
-    )
-
-    rehearsed = replace(bundle, depth_model=held_out_model, adapted=held_out_map)
-    is_tuned = steps > 0 and config.adapt.tune != "none"
-    lasting, viewpoints = measure_lasting(
-        starts_in(bundle, seed), starts_in(rehearsed, seed), recording, regions, is_tuned, progress
-    )
-    found_m, found_rad = measure_found(held_out_map, samples, poses, settings, rng, progress)
-    lasting = lasting.model_copy(update={"found_sd_m": found_m, "found_sd_rad": found_rad})
-    landmarks, sighted = Landmarks.none(), LastingErrors()
-    if config.landmarks:
-        landmarks, sighted = build_landmarks(recording, supervision(recording, cloud), progress)
-        if len(landmarks) == 0:
-            warnings = [*warnings, "too few corners are seen by several frames: there are no landmarks"]
-    settings = settings.model_copy(update={"lasting": lasting, "sighted": sighted})
-    bundle = replace(bundle, settings=settings, viewpoints=viewpoints, landmarks=landmarks)
-    if not settings.can_find:
-        warnings = [*warnings, f"one image tells where a camera is to {found_m:.1f} m only: flights need a start"]
-    report = BuildReport(
-        frames=len(recording),
-        cloud_points=len(cloud),
-        components=len(mixture),
-        nll_start=scores[0].nll if scores else None,
-        nll_end=scores[-1].nll if scores else None,
-        kl=kl,
-        **asdict(compare_maps(original, adapted)),
-        landmarks=len(landmarks),
-        depth_absrel_before=scores[0].absrel if scores else None,
-        depth_absrel_after=scores[-1].absrel if scores else None,
-        depth_scale=fitted.scale if fitted else None,
-        depth_shift=fitted.shift if fitted and fitted.has_shift else None,
-        steps=steps,
-        pose_shift_median_m=None if moved is None else float(np.median(moved.position_m)),
-        pose_turn_median_deg=None if moved is None else float(np.rad2deg(np.median(moved.rotation_rad))),
-        seconds=time.perf_counter() - started,
-        warnings=warnings,
-    )
-    return bundle, report
-
-
-def starts_in(bundle: Bundle, seed: int) -> StartsAt:
-    """Makes localizers of a bundle, for the camera that built it, to see what they err by.
-
-    None looks for a camera that goes astray, as if there were no viewpoints: how far it goes is to be measured. And
-    none sees landmarks, which say nothing of what particles err by.
-    """
-    room = replace(bundle, viewpoints=Viewpoints.none(), landmarks=Landmarks.none())
-    return lambda pose: start_localizer(room, room.camera, Start(pose), np.random.default_rng(seed))
+    assert recording.poses is not None
+    return _Room(recording, recording.poses, frames, cloud, mixture, refinement, warnings)
 
 
 def _refined(
@@ -273,7 +197,134 @@ def _refined(
     return refined, pose_errors(refined.poses, recording.poses)
 
 
-def _down(poses: FloatArray) -> tuple[float, float, float]:
+def _adapt(room: _Room, network: _Network, config: BuildConfig, seed: int, progress: Progress) -> _Adapted:
+    """Network and map tuned to each other, or the network's scale fitted, as far as it is unknown."""
+    if network.file is None:
+        return _fitted_to_depth(room, network.model, progress)
+    with training_extra():
+        from monoloc.adapt.adaptation import adapt  # the only import that needs PyTorch
+    result = adapt(room.recording, room.cloud, room.mixture, network.file, config.adapt, seed, progress)
+    first, last = result.scores[0], result.scores[-1]
+    return _Adapted(
+        original=result.original,
+        adapted=result.adapted,
+        depth_model=result.depth_model,
+        hold_out_model=result.hold_out_model,
+        hold_out_map=result.hold_out_map,
+        held_out=np.sort(np.concatenate(result.held_out)),
+        regions=result.held_out,
+        nll=(first.nll, last.nll),
+        absrel=(first.absrel, last.absrel),
+        kl=result.kl,
+        steps=result.steps,
+    )
+
+
+def _fitted_to_depth(room: _Room, model: DepthModel, progress: Progress) -> _Adapted:
+    """Nothing tuned: one or two numbers fitted to all frames, of which each frame is as good as held out."""
+    fitted = None
+    if model.spec.scale is None:
+        with progress.task("depth scale", len(room.recording)) as step:
+            model = fit_to_depth(model, room.recording, supervision(room.recording, room.cloud), step)
+        fitted = model.spec
+    everything = np.arange(len(room.recording))
+    return _Adapted(room.mixture, room.mixture, model, model, room.mixture, everything, [], fitted)
+
+
+def _quantised(adapted: _Adapted, room: _Room, config: BuildConfig, progress: Progress) -> _Adapted:
+    if not config.int8:
+        return adapted
+    with progress.task("8 bits", None):
+        images = network_images(room.recording, adapted.depth_model.spec)
+        model, hold_out = (_in_8_bits(each, images) for each in (adapted.depth_model, adapted.hold_out_model))
+    return replace(adapted, depth_model=model, hold_out_model=hold_out)
+
+
+def _calibrate(
+    room: _Room, adapted: _Adapted, config: BuildConfig, seed: int, rng: np.random.Generator, progress: Progress
+) -> Bundle:
+    """The bundle without landmarks; its likelihood, thresholds and biases are measured on held-out frames."""
+    predictor = DepthPredictor(adapted.hold_out_model, room.recording.camera)
+    samples = depth_samples(room.recording, adapted.held_out, predictor, progress)
+    settings, thresholds = calibrate_likelihood(
+        lambda likelihood: make_likelihood(adapted.hold_out_map, likelihood), samples, config.localizer, rng
+    )
+    bundle = Bundle(
+        original=adapted.original,
+        adapted=adapted.adapted,
+        depth_model=adapted.depth_model,
+        settings=settings,
+        camera=room.recording.camera,
+        provenance=Provenance(
+            recording=room.recording.name,
+            frames=room.frames,
+            tune=config.adapt.tune,
+            map_transform=config.adapt.map_transform,
+            lambda_kl=config.adapt.lambda_kl,
+            seed=seed,
+            down_world=_mean_down(room.poses),
+        ),
+        thresholds=thresholds,
+        reference_poses=ReferencePoses.none(),
+    )
+    hold_out = replace(bundle, depth_model=adapted.hold_out_model, adapted=adapted.hold_out_map)
+    bias, reference_poses = measure_bias(
+        localizer_factory(bundle, seed),
+        localizer_factory(hold_out, seed),
+        room.recording,
+        adapted.regions,
+        is_tuned=adapted.steps > 0 and config.adapt.tune != "none",
+        progress=progress,
+    )
+    likelihood = make_likelihood(adapted.hold_out_map, settings.likelihood)
+    error_m, error_rad = measure_relocalization_error(likelihood, samples, room.poses, settings, rng, progress)
+    bias = bias.model_copy(update={"relocalization_sd_m": error_m, "relocalization_sd_rad": error_rad})
+    settings = settings.model_copy(update={"particle_bias": bias})
+    return replace(bundle, settings=settings, reference_poses=reference_poses)
+
+
+def _add_landmarks(bundle: Bundle, room: _Room, config: BuildConfig, progress: Progress) -> Bundle:
+    landmarks, bias = Landmarks.none(), BiasModel()
+    if config.landmarks:
+        landmarks, bias = build_landmarks(room.recording, supervision(room.recording, room.cloud), progress)
+    settings = bundle.settings.model_copy(update={"landmark_bias": bias})
+    return replace(bundle, settings=settings, landmarks=landmarks)
+
+
+def _report(bundle: Bundle, room: _Room, adapted: _Adapted, config: BuildConfig, seconds: float) -> BuildReport:
+    fitted, refinement = adapted.fitted, room.refinement
+    return BuildReport(
+        frames=len(room.recording),
+        cloud_points=len(room.cloud),
+        components=len(room.mixture),
+        nll_start=adapted.nll[0],
+        nll_end=adapted.nll[1],
+        kl=adapted.kl,
+        **asdict(compare_maps(adapted.original, adapted.adapted)),
+        landmarks=len(bundle.landmarks),
+        depth_absrel_before=adapted.absrel[0],
+        depth_absrel_after=adapted.absrel[1],
+        depth_scale=fitted.scale if fitted else None,
+        depth_shift=fitted.shift if fitted and fitted.has_shift else None,
+        steps=adapted.steps,
+        pose_shift_median_m=None if refinement is None else float(np.median(refinement.position_m)),
+        pose_turn_median_deg=None if refinement is None else float(np.rad2deg(np.median(refinement.rotation_rad))),
+        seconds=seconds,
+        warnings=[*room.warnings, *_bundle_warnings(bundle, config)],
+    )
+
+
+def _bundle_warnings(bundle: Bundle, config: BuildConfig) -> list[str]:
+    warnings = []
+    if config.landmarks and len(bundle.landmarks) == 0:
+        warnings.append("too few corners are seen by several frames: there are no landmarks")
+    if not bundle.settings.supports_relocalization:
+        error_m = bundle.settings.particle_bias.relocalization_sd_m
+        warnings.append(f"one image tells where a camera is to {error_m:.1f} m only: flights need a start")
+    return warnings
+
+
+def _mean_down(poses: FloatArray) -> tuple[float, float, float]:
     """Mean direction of the cameras' y axes, (N, 4, 4) -> a unit vector, or zero where they cancel."""
     x, y, z = poses[:, :3, 1].mean(axis=0)
     length = float(np.hypot(np.hypot(x, y), z)) or 1.0
@@ -315,46 +366,3 @@ def _in_8_bits(model: DepthModel, images: list[NDArray[np.float32]]) -> DepthMod
     with training_extra():
         from monoloc.depth.training.quantise import quantise
     return replace(model, content=quantise(model.content, images)[0], name=f"{model.name} in 8 bits")
-
-
-def fit_map(
-    recording: Recording | None,
-    cloud: FloatArray | None,
-    config: BuildConfig,
-    rng: np.random.Generator,
-    progress: Progress,
-) -> tuple[FloatArray, GaussianMixture]:
-    """Cloud (N, 3) and mixture of a room, from a cloud where there is one, else from a recording with depth.
-
-    Raises:
-        DataError: as :func:`room_cloud`.
-        SettingError: more components than points.
-    """
-    cloud = room_cloud(recording, cloud, config, progress)
-    if config.components == "bic":
-        with progress.task("map (choosing K)", None):
-            return cloud, choose_components(cloud, _COMPONENT_LADDER, rng)[0].mixture
-    with progress.task("map", 100) as step:
-        return cloud, fit_mixture(cloud, config.components, rng, progress=lambda done, _: step(done)).mixture
-
-
-def room_cloud(
-    recording: Recording | None, cloud: FloatArray | None, config: BuildConfig, progress: Progress
-) -> FloatArray:
-    """The cloud (N, 3) that a map is fitted to: thinned and without stray points.
-
-    Raises:
-        DataError: nothing of the cloud is left when stray points are removed, or as :func:`cloud_from_recording`.
-    """
-    if cloud is None:
-        assert recording is not None
-        with progress.task("cloud", len(recording)) as step:
-            cloud = cloud_from_recording(
-                recording, config.voxel_m, config.max_depth_m, progress=lambda done, _: step(done)
-            )
-    count = len(cloud)
-    cloud = remove_outliers(voxel_thin(cloud, config.voxel_m), config.voxel_m)
-    if len(cloud) == 0:
-        problem = f"none of {count} points has neighbours within a few voxels"
-        raise DataError("cloud", problem, "give a denser one, in metres")
-    return cloud

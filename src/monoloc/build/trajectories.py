@@ -1,4 +1,4 @@
-"""Ways over a build's frames, on which a localizer is followed to see what it errs by."""
+"""Trajectories over a build's frames, along which localizers run so that their errors can be measured."""
 
 from __future__ import annotations
 
@@ -9,70 +9,67 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.fusion.reference_poses import STEP_M
-from monoloc.geometry import FloatArray, viewpoints_apart
+from monoloc.fusion.reference_poses import MOST_STEP_M
+from monoloc.geometry import FloatArray, pose_distance_m
 
-_FORGOTTEN = 60  # frames: after so many the start is, and what is left is what the depth there says
-_LONG = 30  # frames: on fewer, what is of the place and what is of the way cannot be told apart
-_GAP_S = 1.5  # between frames: no camera is followed over more
-_MOST_WALKS = 20  # that are followed
+_WARM_UP_FRAMES = 60  # after so many the start is forgotten, and the pose is what the depth there gives
+_LONG_FRAMES = 30  # on a shorter segment, the bias of the place is not told from that of the direction
+_MOST_GAP_S = 1.5  # between frames; no camera is followed over a longer one
+_MOST_SEGMENTS = 20
 
 
 @dataclass(frozen=True)
-class Way:
-    """Frames (N,) to be followed one after another, of which the first ``passed`` do not count."""
+class Trajectory:
+    """Frames (N,) to follow one after another, of which the first ``warm_up`` are not scored."""
 
     frames: NDArray[np.int64]
-    passed: int = 0
+    warm_up: int = 0
 
     @property
-    def counted(self) -> NDArray[np.int64]:
-        return self.frames[self.passed :]
+    def scored(self) -> NDArray[np.int64]:
+        return self.frames[self.warm_up :]
 
 
-def walks_of(times_s: FloatArray, poses: FloatArray) -> list[NDArray[np.int64]]:
-    """The walks that a recording of N frames is of, as frames in order; where there are many, evenly chosen ones.
+def recording_segments(times_s: FloatArray, poses: FloatArray) -> list[NDArray[np.int64]]:
+    """Continuous segments of a recording of N frames, as frames in order; an even selection if there are many.
 
-    Long ones are chosen first. Frames that each stand alone would be followed for minutes, were all of them chosen.
+    Long ones are selected first. Following all of many single frames would take minutes.
     """
-    walks = unbroken(np.arange(len(poses)), times_s, poses)
-    long = _some([walk for walk in walks if is_long(walk)], _MOST_WALKS)
-    short = _some([walk for walk in walks if not is_long(walk)], _MOST_WALKS - len(long))
-    return sorted([*long, *short], key=lambda walk: int(walk[0]))
+    segments = continuous_segments(np.arange(len(poses)), times_s, poses)
+    long = _selection([segment for segment in segments if is_long(segment)], _MOST_SEGMENTS)
+    short = _selection([segment for segment in segments if not is_long(segment)], _MOST_SEGMENTS - len(long))
+    return sorted([*long, *short], key=lambda segment: int(segment[0]))
 
 
-def _some(walks: list[NDArray[np.int64]], most: int) -> list[NDArray[np.int64]]:
-    return walks[:: max(1, math.ceil(len(walks) / most))] if most else []
+def _selection(segments: list[NDArray[np.int64]], most: int) -> list[NDArray[np.int64]]:
+    return segments[:: max(1, math.ceil(len(segments) / most))] if most else []
 
 
-def unbroken(frames: NDArray[np.int64], times_s: FloatArray, poses: FloatArray) -> list[NDArray[np.int64]]:
-    """The parts of frames, in order of time, within which the camera can be followed."""
-    steps_m = [viewpoints_apart(a, b[None])[0] for a, b in itertools.pairwise(poses[frames])]
-    gaps = (np.diff(times_s[frames]) > _GAP_S) | (np.array(steps_m) > STEP_M)
+def continuous_segments(frames: NDArray[np.int64], times_s: FloatArray, poses: FloatArray) -> list[NDArray[np.int64]]:
+    """Frames in order of time, split where a camera could not be followed."""
+    steps_m = [pose_distance_m(a, b[None])[0] for a, b in itertools.pairwise(poses[frames])]
+    gaps = (np.diff(times_s[frames]) > _MOST_GAP_S) | (np.array(steps_m) > MOST_STEP_M)
     return np.split(frames, 1 + np.flatnonzero(gaps))
 
 
-def is_long(walk: NDArray[np.int64]) -> bool:
-    """Whether to go there and back tells what is of the place."""
-    return len(walk) >= _LONG
+def is_long(segment: NDArray[np.int64]) -> bool:
+    """Whether following it forward and backward tells the bias of the place from that of the direction."""
+    return len(segment) >= _LONG_FRAMES
 
 
-def there_and_back(walk: NDArray[np.int64]) -> Way:
-    """A walk in order and then in reverse, after as much of that as it takes to forget the start."""
-    both = np.concatenate([walk, walk[::-1]])
-    lead = np.tile(both, math.ceil(_FORGOTTEN / len(both)))[-_FORGOTTEN:]
-    return Way(np.concatenate([lead, both]), _FORGOTTEN)
+def forward_and_backward(segment: NDArray[np.int64]) -> Trajectory:
+    """A segment in order and then in reverse, after a warm-up over the end of the same."""
+    both = np.concatenate([segment, segment[::-1]])
+    lead = np.tile(both, math.ceil(_WARM_UP_FRAMES / len(both)))[-_WARM_UP_FRAMES:]
+    return Trajectory(np.concatenate([lead, both]), _WARM_UP_FRAMES)
 
 
-def once(walk: NDArray[np.int64]) -> Way:
-    """A walk in order, or, where the start would not be forgotten, as :func:`stay`."""
-    return Way(walk) if len(walk) >= _FORGOTTEN else stay(walk)
+def single_pass(segment: NDArray[np.int64]) -> Trajectory:
+    """A segment in order, or :func:`hover` if it is too short to forget the start."""
+    return Trajectory(segment) if len(segment) >= _WARM_UP_FRAMES else hover(segment)
 
 
-def stay(place: NDArray[np.int64]) -> Way:
-    """Frames in order, back, and again, until the camera has stayed long enough after the first time.
-
-    The first time through a place still shows what was brought along.
-    """
-    cycle = np.concatenate([place, place[-2:0:-1]])
-    return Way(np.tile(cycle, 1 + math.ceil(_FORGOTTEN / len(cycle))), len(place))
+def hover(segment: NDArray[np.int64]) -> Trajectory:
+    """Frames in order, in reverse, and again, until the start is forgotten; the first pass is not scored."""
+    cycle = np.concatenate([segment, segment[-2:0:-1]])
+    return Trajectory(np.tile(cycle, 1 + math.ceil(_WARM_UP_FRAMES / len(cycle))), len(segment))

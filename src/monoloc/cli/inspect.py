@@ -25,7 +25,7 @@ from monoloc.cli.common import (
 )
 from monoloc.errors import SettingError
 from monoloc.evaluation.trajectory import twist_errors
-from monoloc.fusion.reference_poses import Viewpoints
+from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.io.recording import Selection
 from monoloc.map.compare import compare_maps
 
@@ -79,21 +79,21 @@ def _bundle(path: Path) -> dict[str, object]:
         "depth_bytes": len(bundle.depth_model.content),
         **bundle.provenance.model_dump(exclude={"frames"}),
         "frames": len(bundle.provenance.frames),
-        **_viewpoint_errors(bundle.viewpoints),
+        **_known_bias(bundle.reference_poses),
         **_camera(bundle.camera),
-        "healthy": bundle.healthy.model_dump(),
+        "thresholds": bundle.thresholds.model_dump(),
         "settings": bundle.settings.model_dump(mode="json"),
     }
 
 
-def _viewpoint_errors(viewpoints: Viewpoints) -> dict[str, object]:
-    """What flights have in common that they err by at the build's frames, root mean square; None where nothing is."""
-    if not viewpoints.in_common.any():
-        return {"viewpoint_error_m": None, "viewpoint_error_deg": None}
-    known = twist_errors(viewpoints.in_common)
+def _known_bias(reference_poses: ReferencePoses) -> dict[str, object]:
+    """Root mean square of the bias that is known at the reference poses; None where none is."""
+    if not reference_poses.common_bias.any():
+        return {"known_bias_m": None, "known_bias_deg": None}
+    known = twist_errors(reference_poses.common_bias)
     return {
-        "viewpoint_error_m": float(np.sqrt(np.mean(known.position_m**2))),
-        "viewpoint_error_deg": float(np.rad2deg(np.sqrt(np.mean(known.rotation_rad**2)))),
+        "known_bias_m": float(np.sqrt(np.mean(known.position_m**2))),
+        "known_bias_deg": float(np.rad2deg(np.sqrt(np.mean(known.rotation_rad**2)))),
     }
 
 

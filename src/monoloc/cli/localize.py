@@ -39,7 +39,8 @@ from monoloc.io.pose_files import UNIT_TOLERANCE
 from monoloc.io.recording import Recording
 from monoloc.io.tum_trajectory import write_tum
 from monoloc.progress import ConsoleProgress
-from monoloc.run import Run, Start, localize
+from monoloc.run import Run, localize
+from monoloc.start import Start
 from monoloc.supervision.state import State
 from monoloc.viz.plots import plot_localization
 from monoloc.viz.viewer import run_viewer
@@ -108,8 +109,9 @@ def localize_command(
         config = override(room.settings, motion=motion, particles=particles, scan_points=scan_points)
     rng = np.random.default_rng(seed)
     begin = _start(start, recording, start_error_cm / 100.0, np.deg2rad(start_error_deg), rng)
-    if begin is None and depth == "predicted" and not config.can_find:
-        problem = f"is unknown, and here one image tells where a camera is to {config.lasting.found_sd_m:.1f} m only"
+    if begin is None and depth == "predicted" and not config.supports_relocalization:
+        error_m = config.particle_bias.relocalization_sd_m
+        problem = f"is unknown, and here one image tells where a camera is to {error_m:.1f} m only"
         raise SettingError("--start", problem, "write TX,TY,TZ,QX,QY,QZ,QW")
     name = f"{bundle.name}: {recording.name}"
     cv2.setNumThreads(1)  # more make small images no faster, and a drone's other cores are not ours
@@ -211,7 +213,7 @@ def _start(
     if text is not None:
         pose = _parse_pose(text)
     elif recording.poses is not None:
-        pose = Start.beside(recording.poses[0], rng, error_m, error_rad).pose
+        pose = Start.disturbed(recording.poses[0], rng, error_m, error_rad).pose
     else:
         return None
     return Start(pose, max(_LEAST_OFF_M, error_m), max(_LEAST_OFF_RAD, error_rad))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -44,6 +45,14 @@ class DepthPrediction:
         known = (self.depth_m > 0.0).astype(np.float32)
         share = np.asarray(cv2.resize(known, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
         return np.where(share > 0.5, depth / np.maximum(share, np.float32(0.5)), np.float32(0.0))
+
+
+class DepthSource(Protocol):
+    """Depth of colour images; :class:`DepthPredictor` is one."""
+
+    def __call__(self, color: NDArray[np.uint8]) -> DepthPrediction:
+        """Depth of an image (H, W, 3) uint8 RGB."""
+        ...
 
 
 class DepthPredictor:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.geometry import FloatArray, viewpoints_apart
+from monoloc.geometry import FloatArray, pose_distance_m
 
 HELD_OUT_SHARE, REGIONS = 0.15, 2  # of a build's frames
 
@@ -23,7 +23,7 @@ def hold_out_regions(poses: FloatArray, regions: int, share: float) -> list[NDAr
         regions: how many, 1 at least; each takes a frame at least. There are fewer where they would overlap.
         share: of the frames, for all regions together; under a half.
     """
-    apart = np.stack([viewpoints_apart(pose, poses) for pose in poses])
+    apart = np.stack([pose_distance_m(pose, poses) for pose in poses])
     size = max(1, round(len(poses) * share / regions))
     members = 1 + np.argsort(apart[1:, 1:], axis=1, kind="stable")[:, :size]
     outside = apart[1:].copy()

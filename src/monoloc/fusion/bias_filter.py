@@ -1,10 +1,11 @@
-"""What particles and landmarks say joined with odometry, knowing that both err for long in the same way.
+"""The belief: a Kalman filter over the pose and the slowly varying biases of what measures it.
 
-A Kalman filter of the pose and of the bias of the particles' pose (Friedland, *Treatment of bias in recursive
-filtering*, 1969). The particles alone hold a scan against the map as if the next one erred anew, so in a few frames
-they come to stand where depth's lasting error puts them. Here that error has a width of its own, which grows away
-from the viewpoints that a room was built from: near them the map is followed, far from them odometry for a while.
-Landmarks have such a bias of their own, which is narrower; while some are seen, they show what the particles' is.
+Bias augmentation after Friedland, *Treatment of bias in recursive filtering* (1969). The particle filter treats the
+depth errors of consecutive frames as independent, so within a few frames its particles gather where the depth's bias
+puts them, and their spread says nothing of it. Here that bias is part of the state. Its standard deviation grows with
+the distance from the reference poses (:mod:`monoloc.fusion.bias_model`): near them the map dominates, far from them
+odometry does for a while. Landmark poses have a bias of their own, a smaller one; while landmarks are seen, they
+reveal the bias of the particles.
 """
 
 from __future__ import annotations
@@ -14,228 +15,247 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from monoloc.fusion.bias_model import LastingErrors
-from monoloc.fusion.reference_poses import STEP_M, Viewpoints
-from monoloc.geometry import FloatArray, adjoint, invert, se3_exp, se3_log, viewpoints_apart
-from monoloc.landmarks.pnp import Sighting
+from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.reference_poses import MOST_STEP_M, ReferencePoses
+from monoloc.geometry import FloatArray, adjoint, invert, pose_distance_m, se3_exp, se3_log
+from monoloc.landmarks.pnp import LandmarkPose
 from monoloc.odometry.visual import Motion
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.particle_filter.motion_model import MotionConfig, motion_sd
 
-# What odometry errs by goes on for a second or so, and where the particles happen to be for some frames: taken for
-# new in each frame, their deviations are so many times as large.
-_ODOMETRY_TOGETHER, _PARTICLES_TOGETHER, _LANDMARKS_TOGETHER = 4.0, 2.0, 2.0
-# So long the bias is remembered without odometry. Motion is taken for new in every frame then, which it is not: in
-# time, a steady flight would be taken for a bias.
-_LONG_S = 1.0
-_LATE_S = 1.0  # the way that the camera came within about so long is that on which particles came to err as they do
-_LEAST_VARIANCE = 1e-10  # of a measurement, m^2 and rad^2: particles may all be one
-_UNLIKELY = 16.8  # squared, of six degrees of freedom: farther off than 99 of 100, a sighting counts for less
-_PARTICLES, _LANDMARKS = 0, 1  # which say where the camera is, each with a bias of its own
+# Errors of odometry are correlated for a second or so, those of particles and landmarks for some frames. Treated as
+# independent from frame to frame, their standard deviations are inflated by these factors.
+_ODOMETRY_INFLATION, _PARTICLE_INFLATION, _LANDMARK_INFLATION = 4.0, 2.0, 2.0
+# Without odometry for longer than this, the biases are forgotten: the motion model's noise is not independent from
+# frame to frame, and the filter would take a steady flight for a bias.
+_MOST_TIME_WITHOUT_ODOMETRY_S = 1.0
+_RECENT_MOTION_S = 1.0  # time constant of the recent motion, which selects the known bias
+_LEAST_VARIANCE = 1e-10  # of a measurement, m^2 and rad^2: all particles may be one
+_GATE = 16.8  # chi-squared, 6 degrees of freedom, 99 %: a landmark pose beyond it is down-weighted
+_PARTICLES, _LANDMARKS = 0, 1  # the sources, each with its bias
 
 
 @dataclass(frozen=True)
-class Joined:
-    """The belief of the pose, and of the biases of S sources that say where the camera is.
+class BiasAugmentedState:
+    """Pose, and biases of S sources that measure it.
 
     Attributes:
         pose: ``T_world_camera``, (4, 4).
-        biases: (S, 6) twists in the camera's frame: a source's pose is ``pose @ exp(bias)``, but for its noise.
-        covariance: (6 + 6 S, 6 + 6 S), of the pose's twist as in :class:`Estimate`, and of the biases.
-        widths: standard deviations of biases of which nothing were known, (S, 6), after the way so far.
+        biases: (S, 6) twists in the camera's frame: source s measures ``pose @ exp(biases[s])`` plus noise.
+        covariance: (6 + 6 S, 6 + 6 S) of the pose's twist, as in :class:`Estimate`, and of the biases.
+        prior_sds: (S, 6) standard deviations of biases that no measurement has corrected, after the motion so far.
     """
 
     pose: FloatArray
     biases: FloatArray
     covariance: FloatArray
-    widths: FloatArray
+    prior_sds: FloatArray
 
     @classmethod
-    def begin(cls, start: Estimate, widths: FloatArray) -> Joined:
-        """Before the first scan: what is known of the pose, and the biases' standard deviations there, (S, 6)."""
-        return cls(start.pose, np.zeros_like(widths), _apart(start.covariance, np.diag(widths.ravel() ** 2)), widths)
+    def from_start(cls, start: Estimate, prior_sds: FloatArray) -> BiasAugmentedState:
+        """Before the first measurement: pose and biases are independent."""
+        covariance = _block_diagonal(start.covariance, np.diag(prior_sds.ravel() ** 2))
+        return cls(start.pose, np.zeros_like(prior_sds), covariance, prior_sds)
 
     @classmethod
-    def alone(cls, located: Estimate, widths: FloatArray) -> Joined:
-        """By the word of the first source and nothing else: the pose is off by as much as that, the other way."""
-        noise, fresh = _noise_of(located), np.diag(widths[0] ** 2)
-        covariance = _apart(noise + fresh, np.diag(widths.ravel() ** 2))
-        covariance[:6, 6:12] = covariance[6:12, :6] = -fresh
-        return cls(located.pose, np.zeros_like(widths), covariance, widths)
+    def from_measurement(cls, measured: Estimate, prior_sds: FloatArray) -> BiasAugmentedState:
+        """From the particles' pose and nothing else: the pose's error is minus their bias, plus noise."""
+        noise, bias = _particle_noise(measured), np.diag(prior_sds[_PARTICLES] ** 2)
+        covariance = _block_diagonal(noise + bias, np.diag(prior_sds.ravel() ** 2))
+        covariance[:6, 6:12] = covariance[6:12, :6] = -bias
+        return cls(measured.pose, np.zeros_like(prior_sds), covariance, prior_sds)
 
-    def moved(self, T_previous_current: FloatArray, noise: FloatArray, kept: float, widths: FloatArray) -> Joined:
-        """After a motion: the pose goes along, and some of the biases is forgotten.
+    def predict(
+        self, T_previous_current: FloatArray, noise: FloatArray, correlation: float, prior_sds: FloatArray
+    ) -> BiasAugmentedState:
+        """After a motion: the pose moves along, and the biases decay.
 
-        Where a source errs more, its bias is wider at once; where it errs less, it still brings along what it had,
-        until that is forgotten.
+        Where a source's bias is larger, its variance grows at once; where it is smaller, the old bias lasts until it
+        has decayed.
 
         Args:
             T_previous_current: the motion, (4, 4).
             noise: its covariance, (6, 6), of a twist in the new camera's frame.
-            kept: correlation of the biases here and before.
-            widths: standard deviations of the biases where the camera is now, (S, 6).
+            correlation: of the biases before and after the motion.
+            prior_sds: (S, 6) at the new pose.
         """
-        brought = (kept * self.widths) ** 2
-        variances = np.maximum(brought + (1.0 - kept**2) * widths**2, widths**2)
-        carried = _apart(adjoint(invert(T_previous_current)), kept * np.eye(widths.size))
-        covariance = carried @ self.covariance @ carried.T + _apart(noise, np.diag((variances - brought).ravel()))
-        return Joined(self.pose @ T_previous_current, kept * self.biases, covariance, np.sqrt(variances))
+        remaining = (correlation * self.prior_sds) ** 2
+        variances = np.maximum(remaining + (1.0 - correlation**2) * prior_sds**2, prior_sds**2)
+        transition = _block_diagonal(adjoint(invert(T_previous_current)), correlation * np.eye(prior_sds.size))
+        process_noise = _block_diagonal(noise, np.diag((variances - remaining).ravel()))
+        covariance = transition @ self.covariance @ transition.T + process_noise
+        pose = self.pose @ T_previous_current
+        return BiasAugmentedState(pose, correlation * self.biases, covariance, np.sqrt(variances))
 
-    def told(self, located: Estimate) -> Joined:
-        """After the particles' word, whose spread is noise."""
-        return self._told(_PARTICLES, located.pose, _noise_of(located))
+    def update_from_particles(self, measured: Estimate) -> BiasAugmentedState:
+        """After the particles' pose; their spread is its noise."""
+        return self._update(_PARTICLES, measured.pose, _particle_noise(measured))
 
-    def sighted(self, sighting: Sighting) -> Joined:
-        """After that of the landmarks, for whose errors' slowness the second source's bias stands."""
-        noise = _LANDMARKS_TOGETHER**2 * sighting.covariance + _LEAST_VARIANCE * np.eye(6)
-        innovation, spread = self._innovation(_LANDMARKS, sighting.pose, noise)
-        surprise = float(innovation @ np.linalg.solve(spread, innovation)) / _UNLIKELY
-        return self._told(_LANDMARKS, sighting.pose, max(1.0, surprise) * noise)
+    def update_from_landmarks(self, measured: LandmarkPose) -> BiasAugmentedState:
+        """After a landmark pose; one beyond the gate gets its noise inflated until it lies on it."""
+        noise = _LANDMARK_INFLATION**2 * measured.covariance + _LEAST_VARIANCE * np.eye(6)
+        innovation, covariance = self._innovation(_LANDMARKS, measured.pose, noise)
+        excess = float(innovation @ np.linalg.solve(covariance, innovation)) / _GATE
+        return self._update(_LANDMARKS, measured.pose, max(1.0, excess) * noise)
 
-    def _told(self, source: int, pose: FloatArray, noise: FloatArray) -> Joined:
-        """After a source's word, ``T_world_camera`` (4, 4), with its noise, (6, 6)."""
-        innovation, spread = self._innovation(source, pose, noise)
-        observed = self._observed(source)
-        gain = np.linalg.solve(spread, observed @ self.covariance).T
+    def _update(self, source: int, pose: FloatArray, noise: FloatArray) -> BiasAugmentedState:
+        """The Kalman update with a source's ``T_world_camera`` (4, 4) and its noise (6, 6)."""
+        innovation, innovation_covariance = self._innovation(source, pose, noise)
+        H = self._observation_matrix(source)
+        gain = np.linalg.solve(innovation_covariance, H @ self.covariance).T
         correction = gain @ innovation
-        left = np.eye(len(self.covariance)) - gain @ observed
+        remaining = np.eye(len(self.covariance)) - gain @ H
         # Joseph's form stays symmetric and positive.
-        covariance = left @ self.covariance @ left.T + gain @ noise @ gain.T
+        covariance = remaining @ self.covariance @ remaining.T + gain @ noise @ gain.T
         biases = self.biases + correction[6:].reshape(-1, 6)
         return replace(self, pose=self.pose @ se3_exp(correction[:6]), biases=biases, covariance=covariance)
 
     def _innovation(self, source: int, pose: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What a source's word says beyond what was expected of it, (6,), and how much that may be, (6, 6)."""
-        observed = self._observed(source)
+        """Measured minus expected twist, (6,), and its covariance, (6, 6)."""
+        H = self._observation_matrix(source)
         innovation: FloatArray = se3_log(invert(self.pose) @ pose) - self.biases[source]
-        return innovation, observed @ self.covariance @ observed.T + noise
+        return innovation, H @ self.covariance @ H.T + noise
 
-    def _observed(self, source: int) -> FloatArray:
-        """A source's word errs by the pose's error and by its bias: (6, 6 + 6 S)."""
-        observed = np.zeros((6, len(self.covariance)))
-        observed[:, :6] = observed[:, 6 + 6 * source :][:, :6] = np.eye(6)
-        return observed
+    def _observation_matrix(self, source: int) -> FloatArray:
+        """A source observes the pose's error plus its own bias: (6, 6 + 6 S)."""
+        H = np.zeros((6, len(self.covariance)))
+        H[:, :6] = H[:, 6 + 6 * source :][:, :6] = np.eye(6)
+        return H
 
     def estimate(self, log_scale: float) -> Estimate:
         return Estimate(self.pose, self.covariance[:6, :6], log_scale)
 
 
-def _apart(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Two square matrices on the diagonal of one."""
+def _block_diagonal(first: FloatArray, second: FloatArray) -> FloatArray:
     size = len(first) + len(second)
     both = np.zeros((size, size))
     both[: len(first), : len(first)], both[len(first) :, len(first) :] = first, second
     return both
 
 
-def _noise_of(located: Estimate) -> FloatArray:
-    """Covariance (6, 6) of what the particles say, but for their bias."""
-    return np.asarray(_PARTICLES_TOGETHER**2 * located.covariance + _LEAST_VARIANCE * np.eye(6))
+def _particle_noise(measured: Estimate) -> FloatArray:
+    """Covariance (6, 6) of the particles' pose without its bias."""
+    return np.asarray(_PARTICLE_INFLATION**2 * measured.covariance + _LEAST_VARIANCE * np.eye(6))
 
 
-class Joiner:
-    """Keeps the joined belief from frame to frame; call :meth:`step` with every frame in order.
+class BiasAugmentedFilter:
+    """Holds the belief of one camera and is the only one to change it.
+
+    A frame is :meth:`predict`, then :meth:`update_from_particles`, then :meth:`update_from_landmarks`.
 
     Args:
-        start: what the particles know before the first frame.
-        lasting: how wide the bias is, and over how far it lasts.
+        start: the belief before the first frame.
+        particle_bias, landmark_bias: of the two sources.
         noise: of the motions.
-        viewpoints: that the room was built from, or none.
-        sighted: how wide the bias of what landmarks say is.
+        reference_poses: of the room, or none.
 
     Attributes:
-        blind_s: for how long nothing has said where the camera is.
+        time_since_update_s: since odometry, particles or landmarks last constrained the pose.
     """
 
     def __init__(
         self,
         start: Estimate,
-        lasting: LastingErrors,
+        particle_bias: BiasModel,
         noise: MotionConfig,
-        viewpoints: Viewpoints,
-        sighted: LastingErrors = LastingErrors(),
+        reference_poses: ReferencePoses,
+        landmark_bias: BiasModel = BiasModel(),
     ) -> None:
-        self._lasting, self._sighted = lasting, sighted
+        self._particle_bias, self._landmark_bias = particle_bias, landmark_bias
         self._noise = noise
-        self._viewpoints = viewpoints
-        self._joined = Joined.begin(start, self._widths(start.pose))
-        self._located = start
-        self._unmoved_s = 0.0  # for how long there has been no odometry
-        self._way = np.zeros(6)  # of late, a twist in the camera's frame
-        self.blind_s = 0.0
+        self._reference_poses = reference_poses
+        self._state = BiasAugmentedState.from_start(start, self._prior_sds(start.pose))
+        self._measured = start  # by the particles, last
+        self._time_since_odometry_s = 0.0
+        self._recent_motion = np.zeros(6)  # a twist in the camera's frame
+        self.time_since_update_s = 0.0
 
-    def step(self, motion: Motion | None, elapsed_s: float, located: Estimate, is_told: bool) -> Estimate:
-        """The belief at the next frame.
+    @property
+    def belief(self) -> Estimate:
+        return self._state.estimate(self._measured.log_scale)
+
+    def predict(self, motion: Motion | None, elapsed_s: float, measured: Estimate) -> Estimate:
+        """The belief after the motion since the previous frame.
 
         Args:
-            motion: odometry's since the frame before, None where there is none.
-            elapsed_s: since the frame before; 0 at the first.
-            located: what the particles say.
-            is_told: whether this frame told the particles anything; what they knew before is not told again.
+            motion: of the odometry, None where it has none.
+            elapsed_s: since the previous frame; 0 at the first.
+            measured: pose of the particles at this frame, whose motion selects the bias where odometry has none.
         """
-        self._unmoved_s = self._unmoved_s + elapsed_s if motion is None else 0.0
-        delta = self._delta(motion)
-        # How far it went is known well enough from the particles, where odometry does not tell.
-        gone = invert(self._located.pose) @ located.pose if motion is None else delta
-        step_m = float(viewpoints_apart(np.eye(4), gone[None])[0])
-        is_jump = motion is None and (elapsed_s == 0.0 or step_m > STEP_M)  # of the particles, not of the camera
-        self._way = math.exp(-elapsed_s / _LATE_S) * self._way + (np.zeros(6) if is_jump else se3_log(gone))
-        moved = self._moved(delta, motion, elapsed_s, step_m)
-        if self._unmoved_s > _LONG_S and is_told:  # nothing is left to join it with
-            self._joined = Joined.alone(located, np.maximum(moved.widths, self._widths(located.pose)))
+        self._time_since_odometry_s = self._time_since_odometry_s + elapsed_s if motion is None else 0.0
+        delta = self._scaled(motion)
+        moved = invert(self._measured.pose) @ measured.pose if motion is None else delta
+        step_m = float(pose_distance_m(np.eye(4), moved[None])[0])
+        is_jump = motion is None and (elapsed_s == 0.0 or step_m > MOST_STEP_M)  # of the particles, not the camera
+        decay = math.exp(-elapsed_s / _RECENT_MOTION_S)
+        self._recent_motion = decay * self._recent_motion + (np.zeros(6) if is_jump else se3_log(moved))
+        self._state = self._predicted(delta, motion, elapsed_s, step_m)
+        self._measured = measured
+        self.time_since_update_s = 0.0 if motion is not None else self.time_since_update_s + elapsed_s
+        return self.belief
+
+    def update_from_particles(self, measured: Estimate) -> Estimate:
+        """The belief after the particles' pose, which starts anew after a second without odometry."""
+        if self._time_since_odometry_s > _MOST_TIME_WITHOUT_ODOMETRY_S:
+            prior_sds = np.maximum(self._state.prior_sds, self._prior_sds(measured.pose))
+            self._state = BiasAugmentedState.from_measurement(measured, prior_sds)
         else:
-            self._joined = moved.told(located) if is_told else moved
-        self._located = located
-        self.blind_s = 0.0 if is_told or motion is not None else self.blind_s + elapsed_s
-        return self._joined.estimate(located.log_scale)
+            self._state = self._state.update_from_particles(measured)
+        self.time_since_update_s = 0.0
+        return self.belief
 
-    def sighted(self, sighting: Sighting) -> Estimate:
-        """The belief after what landmarks say of the same frame."""
-        self._joined = self._joined.sighted(sighting)
-        self.blind_s = self._unmoved_s = 0.0
-        return self._joined.estimate(self._located.log_scale)
+    def update_from_landmarks(self, measured: LandmarkPose | None) -> Estimate:
+        """The belief after the landmark pose of the same frame; None leaves it as it is."""
+        if measured is not None:
+            self._state = self._state.update_from_landmarks(measured)
+            self.time_since_update_s = self._time_since_odometry_s = 0.0
+        return self.belief
 
-    def foreseen(self, elapsed_s: float) -> Estimate:
-        """The belief at the next frame, where odometry tells nothing of it, before the particles do."""
-        return self._moved(np.eye(4), None, elapsed_s, 0.0).estimate(self._located.log_scale)
+    def reinitialise(self, measured: Estimate) -> Estimate:
+        """The belief after a relocalisation: only the particles' pose counts."""
+        prior_sds = self._prior_sds(measured.pose)
+        prior_sds[_PARTICLES] = self._particle_bias.relocalization_sds(
+            self._reference_poses.distance_m(measured.pose)
+        )
+        self._state = BiasAugmentedState.from_measurement(measured, prior_sds)
+        return self.belief
 
-    def corrected(self, located: Estimate) -> Estimate:
-        """What the particles say, less what they were measured to err by at the viewpoints next to them.
+    def predicted_without_odometry(self, elapsed_s: float) -> Estimate:
+        """What the belief would be after ``elapsed_s`` without odometry; the belief does not change."""
+        return self._predicted(np.eye(4), None, elapsed_s, 0.0).estimate(self._measured.log_scale)
 
-        Away from those that counts by near errors' share of the variance.
+    def without_known_bias(self, measured: Estimate) -> Estimate:
+        """The particles' pose less its bias at the nearest reference poses.
+
+        Away from them, the known bias counts by its share of the variance.
         """
-        share = self._lasting.near_share(self._viewpoints.distance_m(located.pose))
-        known = self._viewpoints.error_at(located.pose, self._way)
-        return replace(located, pose=located.pose @ se3_exp(-share * known))
+        share = self._particle_bias.reference_variance_share(self._reference_poses.distance_m(measured.pose))
+        known = self._reference_poses.bias_at(measured.pose, self._recent_motion)
+        return replace(measured, pose=measured.pose @ se3_exp(-share * known))
 
-    def rotation_sd(self, located: Estimate) -> float:
-        """What the rotation that the particles say may be off by, rad an axis: their spread, and what lasts."""
-        spread = float(np.trace(located.covariance[3:, 3:])) / 3.0
-        lasting = max(
-            self._widths(located.pose)[_PARTICLES, 3], self._joined.widths[_PARTICLES, 3]
-        )  # what was brought along, after a find
-        return float(np.sqrt(lasting**2 + spread))
+    def rotation_sd(self, measured: Estimate) -> float:
+        """Standard deviation of the particles' rotation, rad an axis, by their spread and bias."""
+        variance = float(np.trace(measured.covariance[3:, 3:])) / 3.0
+        here, remaining = self._prior_sds(measured.pose), self._state.prior_sds
+        bias = max(here[_PARTICLES, 3], remaining[_PARTICLES, 3])
+        return float(np.sqrt(bias**2 + variance))
 
-    def begin_anew(self, located: Estimate) -> Estimate:
-        """The belief where the camera was found again: what was known before is forgotten."""
-        widths = self._widths(located.pose)
-        widths[_PARTICLES] = self._lasting.found_widths(self._viewpoints.distance_m(located.pose))
-        self._joined = Joined.alone(located, widths)
-        return self._joined.estimate(located.log_scale)
-
-    def _delta(self, motion: Motion | None) -> FloatArray:
+    def _scaled(self, motion: Motion | None) -> FloatArray:
+        """Odometry's motion, (4, 4), with its translation, measured in predicted depth, in metres."""
         delta = np.eye(4) if motion is None else motion.T_previous_current.copy()
-        delta[:3, 3] *= np.exp(self._located.log_scale)  # its translation was measured in predicted depth
+        delta[:3, 3] *= np.exp(self._measured.log_scale)
         return delta
 
-    def _moved(self, delta: FloatArray, motion: Motion | None, elapsed_s: float, step_m: float) -> Joined:
-        kept = self._lasting.kept(step_m)
-        sd = motion_sd(motion, elapsed_s, self.blind_s, self._noise)
-        if motion is not None:  # without one, it is already of frames that err together
-            sd = _ODOMETRY_TOGETHER * sd
-        return self._joined.moved(delta, np.diag(sd**2), kept, self._widths(self._joined.pose @ delta))
+    def _predicted(
+        self, delta: FloatArray, motion: Motion | None, elapsed_s: float, step_m: float
+    ) -> BiasAugmentedState:
+        sd = motion_sd(motion, elapsed_s, self.time_since_update_s, self._noise)
+        if motion is not None:  # without odometry, the noise already is that of correlated frames
+            sd = _ODOMETRY_INFLATION * sd
+        prior_sds = self._prior_sds(self._state.pose @ delta)
+        return self._state.predict(delta, np.diag(sd**2), self._particle_bias.correlation(step_m), prior_sds)
 
-    def _widths(self, pose: FloatArray) -> FloatArray:
-        """Standard deviations of the biases at a pose, (S, 6)."""
-        distance_m = self._viewpoints.distance_m(pose)
-        return np.stack([self._lasting.widths(distance_m), self._sighted.widths(distance_m)])
+    def _prior_sds(self, pose: FloatArray) -> FloatArray:
+        """Standard deviations of the sources' biases at a pose, (S, 6)."""
+        distance_m = self._reference_poses.distance_m(pose)
+        return np.stack([self._particle_bias.sds(distance_m), self._landmark_bias.sds(distance_m)])

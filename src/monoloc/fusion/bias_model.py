@@ -1,4 +1,4 @@
-"""Errors that last from frame to frame, as those of a network's depth do: of them the particles know nothing."""
+"""How far a pose measurement is biased: at the poses that a room was built from, and away from them."""
 
 from __future__ import annotations
 
@@ -9,45 +9,46 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.geometry import FloatArray
 
-_LENGTH_M = 2.0  # of a change of viewpoint, a radian for a metre, over which errors become others
+_CORRELATION_LENGTH_M = 2.0  # of the bias, in pose distance
 
 
-class LastingErrors(BaseModel):
-    """How wide they are: as measured at the viewpoints of a build, and wider away from them.
+class BiasModel(BaseModel):
+    """Standard deviation of a bias that varies slowly along a trajectory.
 
-    A standard deviation per axis, about what is known of them, is ``sqrt(near^2 + (growth * distance)^2)``, with the
-    distance of :func:`monoloc.geometry.viewpoints_apart` to the nearest of those viewpoints.
+    Per axis it is ``sqrt(sd_at_reference^2 + (sd_growth * distance)^2)``, with the distance of
+    :func:`monoloc.geometry.pose_distance_m` to the nearest reference pose, after the known part of the bias has been
+    subtracted.
 
     Attributes:
-        near_sd_m, near_sd_rad: of position and rotation at the viewpoints.
-        growth_m, growth_rad: metres and radians a metre away from them.
-        found_sd_m, found_sd_rad: of where a lost camera was found, if that is wider.
+        sd_at_reference_m, sd_at_reference_rad: of position and rotation at the reference poses.
+        sd_growth_m, sd_growth_rad: growth, metres and radians a metre of pose distance.
+        relocalization_sd_m, relocalization_sd_rad: of a relocalised pose, where that is wider.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    near_sd_m: float = Field(0.0, ge=0.0)
-    near_sd_rad: float = Field(0.0, ge=0.0)
-    growth_m: float = Field(0.0, ge=0.0)
-    growth_rad: float = Field(0.0, ge=0.0)
-    found_sd_m: float = Field(0.0, ge=0.0)
-    found_sd_rad: float = Field(0.0, ge=0.0)
+    sd_at_reference_m: float = Field(0.0, ge=0.0)
+    sd_at_reference_rad: float = Field(0.0, ge=0.0)
+    sd_growth_m: float = Field(0.0, ge=0.0)
+    sd_growth_rad: float = Field(0.0, ge=0.0)
+    relocalization_sd_m: float = Field(0.0, ge=0.0)
+    relocalization_sd_rad: float = Field(0.0, ge=0.0)
 
-    def near_share(self, distance_m: float) -> FloatArray:
-        """Near errors' share of the variance so far from the nearest viewpoint, (6,)."""
-        near, widths = self.widths(0.0), self.widths(distance_m)
-        return np.divide(near, widths, out=np.ones(6), where=widths > 0.0) ** 2
+    def reference_variance_share(self, distance_m: float) -> FloatArray:
+        """Share of the variance at a distance that the variance at the reference poses is, (6,)."""
+        reference, here = self.sds(0.0), self.sds(distance_m)
+        return np.divide(reference, here, out=np.ones(6), where=here > 0.0) ** 2
 
-    def widths(self, distance_m: float) -> FloatArray:
-        """Standard deviations of a twist (rho, phi), (6,), so far from the nearest viewpoint."""
-        sd = np.hypot([self.near_sd_m, self.near_sd_rad], distance_m * np.array([self.growth_m, self.growth_rad]))
-        return np.repeat(sd, 3)
+    def sds(self, distance_m: float) -> FloatArray:
+        """Standard deviations of the bias twist (rho, phi), (6,), at a distance from the nearest reference pose."""
+        growth = distance_m * np.array([self.sd_growth_m, self.sd_growth_rad])
+        return np.repeat(np.hypot([self.sd_at_reference_m, self.sd_at_reference_rad], growth), 3)
 
-    def found_widths(self, distance_m: float) -> FloatArray:
-        """The same where a lost camera was found: how far it is from the viewpoints, it may be wrong about."""
-        found = np.repeat([self.found_sd_m, self.found_sd_rad], 3)
-        return np.asarray(np.maximum(found, self.widths(distance_m)))
+    def relocalization_sds(self, distance_m: float) -> FloatArray:
+        """The same after a relocalisation, which may be wrong about the distance itself."""
+        relocalization = np.repeat([self.relocalization_sd_m, self.relocalization_sd_rad], 3)
+        return np.asarray(np.maximum(relocalization, self.sds(distance_m)))
 
-    def kept(self, step_m: float) -> float:
-        """Correlation of the errors of two viewpoints that are so far apart."""
-        return math.exp(-step_m / _LENGTH_M)
+    def correlation(self, step_m: float) -> float:
+        """Correlation of the biases of two poses at a pose distance."""
+        return math.exp(-step_m / _CORRELATION_LENGTH_M)

@@ -1,7 +1,7 @@
-"""What the particles say, turned upright where something tells which way is down, as a flight controller can.
+"""Alignment of a measured pose with gravity, where a flight controller tells roll and pitch.
 
-Depth that errs tells little of a turn about what the camera looks at: turned a little and moved aside to match, its
-scan fits as well. So what tells the tilt tells the place too.
+Biased depth constrains a rotation about the scene poorly: the camera can turn a little and shift to match, and its
+scan fits as well. So knowing the tilt corrects the position too.
 """
 
 from __future__ import annotations
@@ -14,40 +14,73 @@ from monoloc.geometry import FloatArray, make_pose, so3_exp
 from monoloc.likelihood.scan import Scan
 from monoloc.particle_filter.estimate import Estimate
 
-_DOWN_SD_RAD = np.deg2rad(1.0)  # of a flight controller's tilt, and of the map's
+_GRAVITY_SD_RAD = np.deg2rad(1.0)  # of a flight controller's tilt and of the map's
 
 
-def turned_about_m(scan: Scan, log_scale: float) -> float:
-    """How far ahead the point is about which a turn changes the scan's depth least, as a share of it.
+def rotation_centre_m(scan: Scan, log_scale: float) -> float:
+    """Depth of the point about which a rotation changes the scan's depth least, relative to depth.
 
-    A turn by psi and a shift by tau move what is at depth z aside by ``tau + (z - a) psi``; held against depth, which
-    is what errors go with, both are independent for ``a = sum(1 / z) / sum(1 / z^2)``.
+    A rotation by psi and a translation by tau shift a point at depth z sideways by ``tau + (z - a) psi``. With errors
+    proportional to depth, both are independent for ``a = sum(1 / z) / sum(1 / z^2)``.
 
     Args:
-        scan: one point at least.
+        scan: at least one point.
         log_scale: natural logarithm of true over predicted depth.
     """
-    nearness = 1.0 / np.asarray(scan.points[:, 2], dtype=np.float64)
-    return float(np.exp(log_scale) * nearness.sum() / np.square(nearness).sum())
+    inverse_depth = 1.0 / np.asarray(scan.points[:, 2], dtype=np.float64)
+    return float(np.exp(log_scale) * inverse_depth.sum() / np.square(inverse_depth).sum())
 
 
-def upright(
-    located: Estimate, down_camera: FloatArray, down_world: FloatArray, ahead_m: float, rotation_sd: float
+def align_with_gravity(
+    measured: Estimate, down_camera: FloatArray, down_world: FloatArray, centre_m: float, rotation_sd: float
 ) -> Estimate:
-    """A pose turned to where down is seen, by the share that the two errors ask for.
+    """A pose rotated towards the observed direction of gravity, by the share that the two variances give.
 
     Args:
-        located: the pose.
-        down_camera, down_world: which way is down, in the camera's frame and in the world, (3,) unit vectors.
-        ahead_m: on the optical axis, the point about which it is turned, see :func:`turned_about_m`.
+        measured: the pose.
+        down_camera, down_world: direction of gravity in the camera's frame and in the world, (3,) unit vectors.
+        centre_m: depth on the optical axis of the centre of rotation, see :func:`rotation_centre_m`.
         rotation_sd: standard deviation of the pose's rotation, rad an axis.
     """
-    expected = located.pose[:3, :3].T @ down_world
+    expected = measured.pose[:3, :3].T @ down_world
     axis = np.cross(down_camera, expected)
     sine = np.linalg.norm(axis)
-    if sine == 0.0:  # as it should be, or just upside down, when nothing says which way to turn
-        return located
-    share = rotation_sd**2 / (rotation_sd**2 + _DOWN_SD_RAD**2)
-    turn = so3_exp(share * np.arctan2(sine, down_camera @ expected) * axis / sine)
-    stays = np.array([0.0, 0.0, ahead_m])
-    return replace(located, pose=located.pose @ make_pose(turn, stays - turn @ stays))
+    if sine == 0.0:  # aligned, or exactly upside down, where no direction of rotation is better than another
+        return measured
+    share = rotation_sd**2 / (rotation_sd**2 + _GRAVITY_SD_RAD**2)
+    rotation = so3_exp(share * np.arctan2(sine, down_camera @ expected) * axis / sine)
+    centre = np.array([0.0, 0.0, centre_m])
+    return replace(measured, pose=measured.pose @ make_pose(rotation, centre - rotation @ centre))
+
+
+class Gravity:
+    """Direction of gravity in a room.
+
+    Args:
+        down_world: (3,) unit vector, world frame; None where the room's surfaces do not tell it.
+    """
+
+    def __init__(self, down_world: FloatArray | None) -> None:
+        self._down_world = down_world
+
+    def direction(self, down_camera: FloatArray | None) -> FloatArray | None:
+        """The unit vector of an observed direction, (3,) of any length; None of None.
+
+        Raises:
+            ValueError: it is not a direction, or the room's own is unknown.
+        """
+        if down_camera is None:
+            return None
+        if self._down_world is None:
+            raise ValueError("down is given, but the room's surfaces do not tell its direction: leave it out")
+        length = float(np.linalg.norm(down_camera)) if np.shape(down_camera) == (3,) else 0.0
+        if not 0.0 < length < np.inf:
+            raise ValueError(f"down must be three finite numbers, not all zero, got {down_camera}")
+        return np.asarray(down_camera, dtype=np.float64) / length
+
+    def align(self, measured: Estimate, scan: Scan, down_camera: FloatArray | None, rotation_sd: float) -> Estimate:
+        """As :func:`align_with_gravity`, or the pose as it is where gravity is not observed."""
+        if down_camera is None or self._down_world is None:
+            return measured
+        centre_m = rotation_centre_m(scan, measured.log_scale)
+        return align_with_gravity(measured, down_camera, self._down_world, centre_m, rotation_sd)

@@ -1,4 +1,4 @@
-"""The viewpoints that a room was built from, and what the particles were measured to err by at each of them."""
+"""Poses that a room was built from, and the bias of the particles that was measured at each of them."""
 
 from __future__ import annotations
 
@@ -7,95 +7,96 @@ from functools import cached_property
 
 import numpy as np
 
-from monoloc.geometry import FloatArray, invert, se3_log, viewpoints_apart
+from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_log
 
-_ALIKE_M = 0.1  # farther than the nearest, a radian for a metre: by then a viewpoint's word counts 1 / e as much
-STEP_M = 0.5  # from one to the next, a radian for a metre: over more no camera is followed
-_STILL_M = 0.02  # of a way, a radian for a metre: on a shorter one the camera goes nowhere
-_ROUNDING_M = 1e-4  # of a step, a radian for a metre: shorter ones have no direction
+MOST_STEP_M = 0.5  # pose distance from one frame to the next beyond which no camera can be followed
+_KERNEL_M = 0.1  # pose distance beyond the nearest at which a reference pose's weight has fallen to 1 / e
+_STILL_M = 0.02  # recent motion, in pose distance, below which the camera moves in no direction
+_ROUNDING_M = 1e-4  # steps shorter than this, in pose distance, have no direction
 
 
 @dataclass(frozen=True)
-class Viewpoints:
-    """Of a build's frames, in the order in which they were taken.
+class ReferencePoses:
+    """V poses of a build's frames, in the order in which they were taken.
 
-    Errors are twists (V, 6) in the camera's frame: the particles' pose is the true one times the exponential, but for
-    what differs from flight to flight. They are zero where they were not measured.
+    Biases are twists (V, 6) in the camera's frame: the particles' pose is the true pose times the exponential of the
+    bias, up to noise. They are zero where none was measured.
 
     Attributes:
         poses: ``T_world_camera``, (V, 4, 4).
-        there: errors of a flight that passes the viewpoints in order.
-        back: errors of one that passes them in reverse.
+        forward_bias: bias of a flight that passes the poses in order.
+        backward_bias: bias of a flight that passes them in reverse order.
     """
 
     poses: FloatArray
-    there: FloatArray
-    back: FloatArray
+    forward_bias: FloatArray
+    backward_bias: FloatArray
 
     @classmethod
-    def of(cls, poses: FloatArray) -> Viewpoints:
-        """Of frames' poses (V, 4, 4), where no errors are known."""
+    def without_bias(cls, poses: FloatArray) -> ReferencePoses:
+        """Poses (V, 4, 4) at which no bias was measured."""
         return cls(poses, np.zeros((len(poses), 6)), np.zeros((len(poses), 6)))
 
     @classmethod
-    def none(cls) -> Viewpoints:
-        return cls.of(np.empty((0, 4, 4)))
+    def none(cls) -> ReferencePoses:
+        return cls.without_bias(np.empty((0, 4, 4)))
 
     def __len__(self) -> int:
         return len(self.poses)
 
     def distance_m(self, pose: FloatArray) -> float:
-        """From a camera (4, 4) to the nearest, a radian for a metre; none where there are no viewpoints."""
-        return float(viewpoints_apart(pose, self.poses).min()) if len(self) else 0.0
+        """Pose distance from a camera (4, 4) to the nearest reference pose; 0 without reference poses."""
+        return float(pose_distance_m(pose, self.poses).min()) if len(self) else 0.0
 
-    def error_at(self, pose: FloatArray, way: FloatArray) -> FloatArray:
-        """What is to be expected of the viewpoints that are nearest to a camera, a twist (6,).
+    def bias_at(self, pose: FloatArray, recent_motion: FloatArray) -> FloatArray:
+        """Expected bias of a camera, a twist (6,).
 
-        As far as the camera moves as it did there or back, what was found on that flight; as far as it moves
-        otherwise, or stands still, what both have in common. Of that the mean over all viewpoints, with weights that
-        fall off with what each is farther than the nearest (Nadaraya 1964, Watson 1964).
+        A camera that moves as the build moved has the forward bias, one that moves the opposite way the backward
+        bias, and any other the bias common to both. The result is the kernel-weighted mean over the reference poses
+        (Nadaraya 1964, Watson 1964).
 
         Args:
             pose: ``T_world_camera``, (4, 4).
-            way: that the camera has come, of late, a twist (6,) in its frame.
+            recent_motion: of the camera, a twist (6,) in its frame.
         """
         if not len(self):
             return np.zeros(6)
-        distances_m = viewpoints_apart(pose, self.poses)
-        weights = np.exp((distances_m.min() - distances_m) / _ALIKE_M)
-        along = self._ahead @ way / (np.linalg.norm(way) + _STILL_M)
-        forth, back = (np.maximum(0.0, sign * along)[:, None] for sign in (1.0, -1.0))
-        errors = forth * self.there + back * self.back + (1.0 - forth - back) * self.in_common
-        return np.asarray(weights @ errors / weights.sum())
+        distances_m = pose_distance_m(pose, self.poses)
+        weights = np.exp((distances_m.min() - distances_m) / _KERNEL_M)
+        along = self._directions @ recent_motion / (np.linalg.norm(recent_motion) + _STILL_M)
+        forward, backward = (np.maximum(0.0, sign * along)[:, None] for sign in (1.0, -1.0))
+        common = (1.0 - forward - backward) * self.common_bias
+        biases = forward * self.forward_bias + backward * self.backward_bias + common
+        return np.asarray(weights @ biases / weights.sum())
 
     @cached_property
-    def in_common(self) -> FloatArray:
-        """What a flight that takes another way is to be expected to err by, (V, 6).
+    def common_bias(self) -> FloatArray:
+        """Expected bias of a flight in another direction, (V, 6).
 
-        The mean of the two, by its share that is no chance: the reliability of a mean of two (Spearman 1910, Brown
+        The mean of both biases times its reliability, that of a mean of two measurements (Spearman 1910, Brown
         1910).
         """
-        alike = likeness(self.there, self.back)
-        return np.asarray(alike / (1.0 + alike) * (self.there + self.back))
+        correlation = bias_correlation(self.forward_bias, self.backward_bias)
+        return np.asarray(correlation / (1.0 + correlation) * (self.forward_bias + self.backward_bias))
 
     @cached_property
-    def _ahead(self) -> FloatArray:
-        """Where a flight in order moves at each viewpoint, twists (V, 6) of unit length, or zero where it stands."""
+    def _directions(self) -> FloatArray:
+        """Direction of the build's motion at each pose, twists (V, 6) of unit length, or zero where it stands."""
         steps = se3_log(invert(self.poses[:-1]) @ self.poses[1:])
-        steps[np.linalg.norm(steps, axis=1) > STEP_M] = 0.0
-        ways = np.zeros((len(self), 6))
-        ways[:-1] += steps
-        ways[1:] += steps
-        lengths = np.linalg.norm(ways, axis=1, keepdims=True)
-        return np.asarray(np.divide(ways, lengths, out=np.zeros_like(ways), where=lengths > _ROUNDING_M))
+        steps[np.linalg.norm(steps, axis=1) > MOST_STEP_M] = 0.0
+        motions = np.zeros((len(self), 6))
+        motions[:-1] += steps
+        motions[1:] += steps
+        lengths = np.linalg.norm(motions, axis=1, keepdims=True)
+        return np.asarray(np.divide(motions, lengths, out=np.zeros_like(motions), where=lengths > _ROUNDING_M))
 
 
-def likeness(there: FloatArray, back: FloatArray) -> FloatArray:
-    """Correlation (6,) of what two flights err by at the same N viewpoints, twists (N, 6) each: 0 to 1.
+def bias_correlation(forward: FloatArray, backward: FloatArray) -> FloatArray:
+    """Correlation (6,), 0 to 1, of two flights' biases at the same N poses, twists (N, 6) each.
 
-    What is the same in both is of the place, and the rest of the way that was taken. About zero and not about the
-    means, for those are in common too.
+    What both flights share belongs to the place; the rest belongs to the trajectory. Taken about zero and not about
+    the means, because the flights share their means too.
     """
-    squares = 0.5 * (there**2 + back**2).sum(axis=0)
-    both = np.maximum(0.0, (there * back).sum(axis=0))
-    return np.asarray(np.divide(both, squares, out=np.zeros(6), where=squares > 0.0))
+    squares = 0.5 * (forward**2 + backward**2).sum(axis=0)
+    products = np.maximum(0.0, (forward * backward).sum(axis=0))
+    return np.asarray(np.divide(products, squares, out=np.zeros(6), where=squares > 0.0))

@@ -1,8 +1,9 @@
-"""Where a camera is by the landmarks that it sees."""
+"""Pose of a camera from the landmarks that it sees."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -10,29 +11,30 @@ from numpy.typing import NDArray
 
 from monoloc.camera import Camera
 from monoloc.geometry import FloatArray, hat, invert, make_pose, ray_slopes, se3_exp, se3_log, so3_exp, transform
-from monoloc.landmarks.features import ALIKE_BITS, KeypointDetector, Keypoints, Landmarks, pairs
+from monoloc.landmarks.features import MATCH_BITS, KeypointDetector, Keypoints, match_descriptors
+from monoloc.landmarks.landmark_map import Landmarks
 
-BESIDE = np.diag([0.05, 0.05, 0.05, 0.03, 0.03, 0.03]) ** 2
-"""Covariance of a pose, (6, 6), beside which landmarks are looked for where no belief has its own."""
+PRIOR_COVARIANCE = np.diag([0.05, 0.05, 0.05, 0.03, 0.03, 0.03]) ** 2
+"""Covariance of a prior pose, (6, 6), where no belief states one."""
 
-_LEAST_REACH_PX, _MOST_REACH_PX = 6.0, 40.0
-_FEWEST = 15  # landmarks that tell a pose
-_BETTER = 0.85  # of a corner's likest landmark anywhere, than the likest at another place, for this not to count
-_LIKEST, _APART_M = 8, 0.05  # landmarks among which another place is looked for, and how far away that is
-_INLIER_PX, _FEWEST_ANYWHERE, _FEWEST_FOUND = 3.0, 8, 20
-_WIDTHS = (24.0, 12.0, 6.0, 3.0, 3.0, 3.0)  # standard deviations at which a landmark counts a quarter, step by step
-_LEAST_VARIANCE = 1e-8  # of a belief, m^2 and rad^2: a start may be said to be exact
-_OPEN_SD = 0.3  # m or rad: what landmarks leave open by as much, they do not tell
-_NEAREST_M = 0.05  # that a landmark may be before the camera
+_LEAST_RADIUS_PX, _MOST_RADIUS_PX = 6.0, 40.0  # of the search around a landmark's expected pixel
+_LEAST_LANDMARKS = 15  # that determine a pose
+_RATIO = 0.85  # of the best match's distance to that of the best match at another place (Lowe 2004)
+_CANDIDATES, _OTHER_PLACE_M = 8, 0.05  # best matches among which another place is sought, and its distance
+_INLIER_PX, _LEAST_INLIERS, _LEAST_CONFIRMED = 3.0, 8, 20
+_KERNEL_SDS = (24.0, 12.0, 6.0, 3.0, 3.0, 3.0)  # standard deviations at which a landmark's weight is a quarter
+_LEAST_VARIANCE = 1e-8  # of a prior, m^2 and rad^2: a start may be stated as exact
+_UNOBSERVABLE_SD = 0.3  # m or rad: a direction that landmarks constrain no better is not determined
+_NEAREST_M = 0.05  # depth of a landmark
 
 
 @dataclass(frozen=True)
-class Sighting:
-    """Where the camera is by the landmarks that it sees.
+class LandmarkPose:
+    """Pose of a camera from landmarks.
 
     Attributes:
         pose: ``T_world_camera``, (4, 4).
-        covariance: (6, 6) of its twist (rho, phi) in the camera's frame, as far as corners' places err.
+        covariance: (6, 6) of its twist (rho, phi) in the camera's frame, from the corners' localisation error alone.
         points: (M, 3) of the landmarks that agree with it, world frame, metres.
     """
 
@@ -41,85 +43,109 @@ class Sighting:
     points: FloatArray
 
 
-class LandmarkSight:
+class LandmarkLocalizer(Protocol):
+    """Measures poses by landmarks; :class:`OrbLandmarkLocalizer` is one."""
+
+    def measure(self, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray) -> LandmarkPose | None:
+        """Pose from an image (H, W, 3) uint8 RGB, near a prior.
+
+        Args:
+            prior: ``T_world_camera``, (4, 4), and its covariance, (6, 6).
+
+        Returns:
+            None where too few landmarks are seen.
+        """
+        ...
+
+    def relocalize(self, color: NDArray[np.uint8]) -> LandmarkPose | None:
+        """Pose from an image (H, W, 3) uint8 RGB, without a prior; None where too few landmarks agree."""
+        ...
+
+
+class NoLandmarks:
+    """For a room without landmarks."""
+
+    def measure(self, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray) -> LandmarkPose | None:
+        return None
+
+    def relocalize(self, color: NDArray[np.uint8]) -> LandmarkPose | None:
+        return None
+
+
+class OrbLandmarkLocalizer:
     """Finds a room's landmarks in the images of one camera.
 
-    Where the belief tells where they should be seen, they are looked for there; where it does not, anywhere, as in
-    :mod:`monoloc_lab.baselines.keypoints`, by triples (Gao et al. 2003) and RANSAC (Fischler & Bolles 1981).
+    With a prior, each landmark is matched near its expected pixel. Without one, descriptors are matched over the
+    whole image, and the pose comes from triples (Gao et al. 2003) and RANSAC (Fischler & Bolles 1981).
     """
 
     def __init__(self, landmarks: Landmarks, camera: Camera) -> None:
         self._landmarks = landmarks
         self._detect = KeypointDetector(camera)
 
-    def __call__(self, color: NDArray[np.uint8], belief: FloatArray, covariance: FloatArray) -> Sighting | None:
-        """The pose by the landmarks that are where the belief says, or not far from there; None where too few are.
+    def measure(self, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray) -> LandmarkPose | None:
+        """As :meth:`LandmarkLocalizer.measure`; a prior that is too vague is not used."""
+        visible, local = self._visible(prior)
+        radius_px = self._radius_px(local, covariance)
+        if radius_px > _MOST_RADIUS_PX:
+            return self.relocalize(color)
+        return self._pose_from(visible, local, radius_px, self._detect(color), prior, covariance)
 
-        Args:
-            color: (H, W, 3) uint8 RGB.
-            belief: ``T_world_camera``, (4, 4), and its covariance, (6, 6).
-        """
-        ahead, local = self._in_sight(belief)
-        reach_px = self._reach_px(local, covariance)
-        if reach_px > _MOST_REACH_PX:
-            return self.anywhere(color)
-        return self._among(ahead, local, reach_px, self._detect(color), belief, covariance)
-
-    def anywhere(self, color: NDArray[np.uint8]) -> Sighting | None:
-        """The pose by landmarks wherever they are, for a camera of which nothing is known; None where too few agree.
-
-        Args:
-            color: (H, W, 3) uint8 RGB.
-        """
+    def relocalize(self, color: NDArray[np.uint8]) -> LandmarkPose | None:
+        """As :meth:`LandmarkLocalizer.relocalize`."""
         seen = self._detect(color)
-        place = self._place(seen)
-        found = None if place is None else self.near(seen, place, BESIDE)
-        return None if found is None or len(found.points) < _FEWEST_FOUND else found
+        place = self._pose_without_prior(seen)
+        found = None if place is None else self.measure_keypoints(seen, place, PRIOR_COVARIANCE)
+        return None if found is None or len(found.points) < _LEAST_CONFIRMED else found
 
-    def near(self, seen: Keypoints, belief: FloatArray, covariance: FloatArray) -> Sighting | None:
-        """The pose by the landmarks that are near where a belief says, of keypoints that were found already."""
-        ahead, local = self._in_sight(belief)
-        return self._among(ahead, local, self._reach_px(local, covariance), seen, belief, covariance)
+    def measure_keypoints(self, seen: Keypoints, prior: FloatArray, covariance: FloatArray) -> LandmarkPose | None:
+        """As :meth:`LandmarkLocalizer.measure`, from keypoints that are detected already."""
+        visible, local = self._visible(prior)
+        return self._pose_from(visible, local, self._radius_px(local, covariance), seen, prior, covariance)
 
-    def _in_sight(self, belief: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
-        """Landmarks that a camera at the belief has before it, (M,), and where, (M, 3) in its frame."""
-        local = transform(invert(belief), self._landmarks.points)
-        ahead = np.flatnonzero(self._detect.camera.in_sight(local))
-        return ahead, local[ahead]
+    def _visible(self, prior: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+        """Indices (M,) of the landmarks in view of a camera at the prior, and their points in its frame, (M, 3)."""
+        local = transform(invert(prior), self._landmarks.points)
+        visible = np.flatnonzero(self._detect.camera.in_sight(local))
+        return visible, local[visible]
 
-    def _among(
+    def _pose_from(
         self,
-        ahead: NDArray[np.int64],
+        visible: NDArray[np.int64],
         local: FloatArray,
-        reach_px: float,
+        radius_px: float,
         seen: Keypoints,
-        belief: FloatArray,
+        prior: FloatArray,
         covariance: FloatArray,
-    ) -> Sighting | None:
-        """The pose by some landmarks, which are expected at ``local``."""
+    ) -> LandmarkPose | None:
+        """The pose from the landmarks that are visible at the prior."""
         camera, room = self._detect.camera, self._landmarks
         expected = camera.project(local)
-        which, where = pairs(expected, room.descriptors[ahead], seen.pixels, seen.descriptors, reach_px)
-        points = room.points[ahead[which]].astype(np.float64)
-        return solve(points, seen.select(where), camera, belief, covariance)
+        which, where = match_descriptors(
+            expected, room.descriptors[visible], seen.pixels, seen.descriptors, radius_px
+        )
+        points = room.points[visible[which]].astype(np.float64)
+        return solve(points, seen.select(where), camera, prior, covariance)
 
-    def _reach_px(self, in_sight: FloatArray, covariance: FloatArray) -> float:
-        """How far landmarks may be from where they are expected, (M, 3) in the camera's frame, as a rule: 3 sigma."""
-        depth_m = float(np.median(in_sight[:, 2])) if len(in_sight) else 1.0
-        return max(_LEAST_REACH_PX, 3.0 * self._detect.camera.focal_px * _turn_sd(covariance, depth_m))
+    def _radius_px(self, local: FloatArray, covariance: FloatArray) -> float:
+        """Three standard deviations of the expected pixel of points (M, 3) in the camera's frame."""
+        depth_m = float(np.median(local[:, 2])) if len(local) else 1.0
+        return max(_LEAST_RADIUS_PX, 3.0 * self._detect.camera.focal_px * _direction_sd(covariance, depth_m))
 
-    def _place(self, seen: Keypoints) -> FloatArray | None:
-        """A pose, ``T_world_camera``, by what landmarks look like alone; None where too few agree."""
+    def _pose_without_prior(self, seen: Keypoints) -> FloatArray | None:
+        """``T_world_camera`` (4, 4) from descriptors alone; None where too few landmarks agree."""
         known = self._landmarks.descriptors
-        if min(len(seen.descriptors), len(known)) < _FEWEST:
+        if min(len(seen.descriptors), len(known)) < _LEAST_LANDMARKS:
             return None
-        bits, nearest = cv2.batchDistance(seen.descriptors, known, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=_LIKEST)
-        # Of one corner there may be several landmarks, by its sizes: the next best is one at another place.
+        bits, nearest = cv2.batchDistance(
+            seen.descriptors, known, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=_CANDIDATES
+        )
+        # One corner may have several landmarks, one a scale: the ratio test is with the best at another place.
         found = self._landmarks.points[nearest]
-        is_elsewhere = np.linalg.norm(found - found[:, :1], axis=2) > _APART_M
+        is_elsewhere = np.linalg.norm(found - found[:, :1], axis=2) > _OTHER_PLACE_M
         others = np.where(is_elsewhere, bits, 256).min(axis=1)
-        alike = np.flatnonzero((bits[:, 0] < ALIKE_BITS) & (bits[:, 0] < _BETTER * others))
-        if len(alike) < _FEWEST:
+        alike = np.flatnonzero((bits[:, 0] < MATCH_BITS) & (bits[:, 0] < _RATIO * others))
+        if len(alike) < _LEAST_LANDMARKS:
             return None
         camera = self._detect.camera
         ok, rotation, translation, inliers = cv2.solvePnPRansac(
@@ -132,63 +158,63 @@ class LandmarkSight:
             confidence=0.999,
             flags=cv2.SOLVEPNP_P3P,
         )
-        if not ok or inliers is None or len(inliers) < _FEWEST_ANYWHERE:
+        if not ok or inliers is None or len(inliers) < _LEAST_INLIERS:
             return None
         T_camera_world = make_pose(so3_exp(rotation.ravel()), translation.ravel())
         return invert(T_camera_world) if np.all(np.isfinite(T_camera_world)) else None
 
 
 def solve(
-    points: FloatArray, seen: Keypoints, camera: Camera, belief: FloatArray, covariance: FloatArray
-) -> Sighting | None:
-    """The pose of a camera that sees points (M, 3), world frame, as M keypoints, though some of these are others.
+    points: FloatArray, seen: Keypoints, camera: Camera, prior: FloatArray, covariance: FloatArray
+) -> LandmarkPose | None:
+    """Pose of a camera that sees points (M, 3), world frame, as M keypoints, of which some are wrong matches.
 
-    Which, is decided with the belief at hand, by Geman and McClure's weights that begin wide (Yang et al., *Graduated
-    Non-Convexity for Robust Spatial Perception*, 2020). The pose is what the points say without the belief, which is
-    joined with it afterwards and would count twice.
+    Gauss-Newton with Geman-McClure weights that start wide (Yang et al., *Graduated Non-Convexity for Robust Spatial
+    Perception*, 2020) rejects wrong matches with the help of the prior. The pose returned is the measurement without
+    the prior, since the filter fuses both.
 
     Returns:
-        None where too few agree, or where those that do leave a direction open.
+        None where too few points agree, or where they leave a direction undetermined.
     """
     rays, sd = seen.rays(camera)
-    pose: FloatArray = belief
-    prior = np.asarray(np.linalg.inv(covariance + _LEAST_VARIANCE * np.eye(6)), dtype=np.float64)
-    for width in _WIDTHS:
-        normal, gradient, _ = _evidence(pose, points, rays, sd, width)
-        off = se3_log(invert(belief) @ pose)
-        pose = pose @ se3_exp(-np.linalg.solve(normal + prior, gradient + prior @ off))
-    normal, gradient, weights = _evidence(pose, points, rays, sd, _WIDTHS[-1])
+    pose: FloatArray = prior
+    information = np.asarray(np.linalg.inv(covariance + _LEAST_VARIANCE * np.eye(6)), dtype=np.float64)
+    for kernel_sd in _KERNEL_SDS:
+        normal, gradient, _ = _normal_equations(pose, points, rays, sd, kernel_sd)
+        offset = se3_log(invert(prior) @ pose)
+        pose = pose @ se3_exp(-np.linalg.solve(normal + information, gradient + information @ offset))
+    normal, gradient, weights = _normal_equations(pose, points, rays, sd, _KERNEL_SDS[-1])
     agree = points[weights > 0.25]
-    if len(agree) < _FEWEST or np.linalg.eigvalsh(normal)[0] < 1.0 / _OPEN_SD**2:
+    if len(agree) < _LEAST_LANDMARKS or np.linalg.eigvalsh(normal)[0] < 1.0 / _UNOBSERVABLE_SD**2:
         return None
     spread = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-    return Sighting(pose @ se3_exp(-spread @ gradient), spread, agree)
+    return LandmarkPose(pose @ se3_exp(-spread @ gradient), spread, agree)
 
 
-def _evidence(
-    pose: FloatArray, points: FloatArray, rays: FloatArray, sd: FloatArray, width: float
+def _normal_equations(
+    pose: FloatArray, points: FloatArray, rays: FloatArray, sd: FloatArray, kernel_sd: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of a pose's twist the normal matrix (6, 6) and gradient (6,), and of points the weights (M,).
+    """Normal matrix (6, 6) and gradient (6,) of the pose's twist, and weights (M,) of the points.
 
-    These are a quarter for a residual of ``width`` standard deviations.
+    A weight is a quarter at a residual of ``kernel_sd`` standard deviations.
     """
     local = transform(invert(pose), points)
     local[:, 2] = np.maximum(local[:, 2], _NEAREST_M)
     residuals = (local[:, :2] / local[:, 2:] - rays) / sd
-    weights = (1.0 + np.sum(residuals**2, axis=1) / width**2) ** -2
-    slopes = (_slopes(local) / sd[..., None]).reshape(-1, 6)
-    weighted = slopes * np.repeat(weights, 2)[:, None]
-    return weighted.T @ slopes, weighted.T @ residuals.ravel(), weights
+    weights = (1.0 + np.sum(residuals**2, axis=1) / kernel_sd**2) ** -2
+    jacobian = (_jacobian(local) / sd[..., None]).reshape(-1, 6)
+    weighted = jacobian * np.repeat(weights, 2)[:, None]
+    return weighted.T @ jacobian, weighted.T @ residuals.ravel(), weights
 
 
-def _slopes(local: FloatArray) -> FloatArray:
-    """Of rays' x and y by the camera's twist, (M, 2, 6), for points (M, 3) in its frame."""
+def _jacobian(local: FloatArray) -> FloatArray:
+    """Derivative of rays' x and y by the camera's twist, (M, 2, 6), for points (M, 3) in its frame."""
     by_point = ray_slopes(local)
     return np.concatenate([-by_point, by_point @ hat(local)], axis=2)
 
 
-def _turn_sd(covariance: FloatArray, depth_m: float) -> float:
-    """Standard deviation of the direction, rad, in which something at a depth is expected."""
-    aside_m2 = float(np.linalg.eigvalsh(covariance[:3, :3])[-1])
-    turned = float(np.linalg.eigvalsh(covariance[3:, 3:])[-1])
-    return float(np.sqrt(aside_m2 / depth_m**2 + turned))
+def _direction_sd(covariance: FloatArray, depth_m: float) -> float:
+    """Standard deviation, rad, of the direction to a point at a depth."""
+    position = float(np.linalg.eigvalsh(covariance[:3, :3])[-1])
+    rotation = float(np.linalg.eigvalsh(covariance[3:, 3:])[-1])
+    return float(np.sqrt(position / depth_m**2 + rotation))

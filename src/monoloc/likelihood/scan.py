@@ -1,4 +1,4 @@
-"""The scan: a few hundred points of a depth image, and the corners that parallax has measured."""
+"""The scan: a few hundred points of a depth image, or corners whose depth parallax has refined."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from monoloc.depth.depth_image import at_discontinuity
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.odometry.visual import Motion
 
-_LEAST_WEIGHT, _MOST_WEIGHT = 0.25, 4.0  # no point is to decide alone, or to be there for nothing
+_LEAST_WEIGHT, _MOST_WEIGHT = 0.25, 4.0  # so that no point dominates and none is wasted
 
 
 @dataclass(frozen=True)
 class Scan:
-    """Points to hold against the map.
+    """Points to compare with the map.
 
     Attributes:
         points: (P, 3) float32, camera's frame, metres.
-        weights: (P,) float32, positive: how much each counts, 1 on average.
+        weights: (P,) float32, positive, 1 on average.
     """
 
     points: NDArray[np.float32]
@@ -40,14 +40,14 @@ def scan_from_depth(
 ) -> Scan:
     """A scan of points spread evenly over the usable pixels.
 
-    Pixels on depth edges are left out: interpolation across an occlusion makes points in mid-air.
+    Pixels at depth discontinuities are left out: interpolation across an occlusion makes points in mid-air.
 
     Args:
         depth: of one frame.
         count: number of points; all usable pixels if there are fewer.
-        error_power: a point counts as the inverse of its stated error to this power, where the network states one.
+        error_power: a point's weight is the inverse of the error that the network states, to this power.
         max_depth_m: farther pixels are left out.
-        depth_jump: pixels beside a relative jump above this are left out.
+        depth_jump: pixels beside a larger relative jump of depth are left out.
 
     Returns:
         P <= count points; P = 0 when no pixel is usable.
@@ -63,23 +63,23 @@ def scan_from_depth(
     rays = camera.rays(np.stack([columns, rows], axis=1))
     points = np.asarray(rays * depth_m.ravel()[candidates, None], dtype=np.float32)
     if depth.log_error is None or error_power == 0.0 or len(points) == 0:
-        return evenly(points)
+        return uniform_scan(points)
     return Scan(points, _weights(depth.log_error.ravel()[candidates], error_power))
 
 
 def scan_from_corners(motion: Motion, doubt: float, max_depth_m: float = 8.0) -> Scan:
-    """Tracked corners before the camera whose log-depth has a standard deviation below ``doubt``."""
+    """Tracked corners in front of the camera whose log-depth has a standard deviation below ``doubt``."""
     z = motion.points[:, 2]
     chosen = (motion.log_depth_sd < doubt) & (z > 0.0) & (z <= max_depth_m)
-    return evenly(np.asarray(motion.points[chosen], dtype=np.float32))
+    return uniform_scan(np.asarray(motion.points[chosen], dtype=np.float32))
 
 
-def evenly(points: NDArray[np.float32]) -> Scan:
-    """A scan of points (P, 3) that all count the same."""
+def uniform_scan(points: NDArray[np.float32]) -> Scan:
+    """A scan of points (P, 3) with equal weights."""
     return Scan(points, np.ones(len(points), dtype=np.float32))
 
 
-NOTHING = evenly(np.zeros((0, 3), dtype=np.float32))
+EMPTY_SCAN = uniform_scan(np.zeros((0, 3), dtype=np.float32))
 
 
 def _weights(log_error: NDArray[np.float32], power: float) -> NDArray[np.float32]:

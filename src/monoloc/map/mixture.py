@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -134,6 +134,10 @@ class GaussianMixture:
             floor_density=floor,
             tolerance=tolerance,
         )
+
+    def smoothed(self, sd_m: float) -> GaussianMixture:
+        """The mixture with every component widened by an isotropic standard deviation, metres."""
+        return replace(self, covariances=self.covariances + sd_m**2 * np.eye(3))
 
     def along_rays(self) -> RayMixture:
         """The mixture as rays cut it, for weighing particles; see :class:`RayMixture`."""

@@ -1,8 +1,8 @@
-"""Depth levelled on corners: what parallax says of its scale and tilt, before it becomes a scan.
+"""Correction of a depth image's scale and tilt by corners whose depth parallax has refined.
 
-Seen from a new place, a room's depth comes out of a small network tilted: too near on one side, too far on the other,
-over whole stretches of a flight. A tilt reads as a turn and a step aside, and no map tells them apart; corners that
-were followed over a baseline do.
+From where a small network has seen no view, its depth is tilted: too near on one side and too far on the other, over
+long segments of a flight. A tilt looks like a rotation and a sideways step, and no map can tell these apart. Corners
+tracked over a baseline can.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from monoloc.odometry.visual import Motion
 
 _HUBER = 1.5  # standard deviations beyond which a corner counts linearly
 _ITERATIONS = 4
-_FEWEST = 10  # corners; fewer say nothing
-_DEPTH_JUMP = 0.15  # share of the depth; where the image jumps by more, it says nothing of a corner there
+_LEAST_CORNERS = 10
+_DEPTH_JUMP = 0.15  # share of the depth; at a larger jump, the depth of a corner is ambiguous
 
 
-class LevelConfig(BaseModel):
-    """What is believed of a depth image's scale and tilt, and of the corners that show them.
+class ScaleTiltConfig(BaseModel):
+    """Priors on a depth image's scale and tilt, and the noise of the corners that measure them.
 
     Attributes:
-        scale_sd: standard deviation of the log-scale beyond the filter's own, which is slow.
+        scale_sd: standard deviation of the log-scale from frame to frame; the filter estimates its slow part.
         tilt_sd: standard deviation of the change of log-depth over a unit of image coordinate (at z = 1).
-        corner_sd: standard deviation of the difference of log-depth between corner and image, beyond what the corner
-            states.
+        corner_sd: standard deviation of the difference of log-depth between corner and image, in addition to the
+            corner's own.
         corner_doubt: corners whose stated standard deviation is above this are left out.
-        effective_corners: as how many independent ones they count: their errors go together.
+        effective_corners: number of independent corners that they count as, since their errors are correlated.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -44,14 +44,15 @@ class LevelConfig(BaseModel):
     effective_corners: float = Field(20.0, gt=0.0)
 
 
-def level(depth: DepthPrediction, motion: Motion, config: LevelConfig) -> DepthPrediction:
-    """Depth times ``exp(a + b x + c y)``, with image coordinates x, y at z = 1, as refined corners demand.
+def correct_scale_and_tilt(depth: DepthPrediction, motion: Motion, config: ScaleTiltConfig) -> DepthPrediction:
+    """Depth times ``exp(a + b x + c y)``, with normalised image coordinates x, y, fitted to refined corners.
 
-    The most likely a, b, c under Huber's loss and the priors of the settings; depth as it is for too few corners.
+    a, b, c are the maximum a posteriori under Huber's loss and the priors of the settings; with too few corners the
+    depth is returned as it is.
 
     Args:
         depth: (h, w) of the frame.
-        motion: whose corners are in the same frame and, but for an error of scale, in the same units.
+        motion: its corners are in the same camera frame and, up to an error of scale, in the same units.
     """
     camera = depth.camera
     known = (motion.log_depth_sd < config.corner_doubt) & (motion.points[:, 2] > 0.1)
@@ -60,28 +61,28 @@ def level(depth: DepthPrediction, motion: Motion, config: LevelConfig) -> DepthP
     nearest = np.rint(pixels)
     inside = np.all((nearest >= 0) & (nearest < (camera.width, camera.height)), axis=1)
     points, sd, pixels = points[inside], sd[inside], pixels[inside]
-    if len(points) < _FEWEST:
+    if len(points) < _LEAST_CORNERS:
         return depth
     predicted = sample_depth(pixels, camera, depth.depth_m, camera, _DEPTH_JUMP)
     usable = predicted > 0.0
-    if usable.sum() < _FEWEST:
+    if usable.sum() < _LEAST_CORNERS:
         return depth
     difference = np.log(points[usable, 2] / predicted[usable])
-    ground = np.column_stack([np.ones(usable.sum()), points[usable, :2] / points[usable, 2:]])
-    a, b, c = _fit(ground, difference, np.hypot(sd[usable], config.corner_sd), config)
+    design = np.column_stack([np.ones(usable.sum()), points[usable, :2] / points[usable, 2:]])
+    a, b, c = _fit(design, difference, np.hypot(sd[usable], config.corner_sd), config)
     rays = camera.pixel_rays()
     factor = np.exp(a + b * rays[..., 0] + c * rays[..., 1]).astype(np.float32)
     return replace(depth, depth_m=depth.depth_m * factor)
 
 
-def _fit(ground: FloatArray, difference: FloatArray, sd: FloatArray, config: LevelConfig) -> FloatArray:
+def _fit(design: FloatArray, difference: FloatArray, sd: FloatArray, config: ScaleTiltConfig) -> FloatArray:
     """Iteratively reweighted least squares with a Gaussian prior about zero; (N, 3), (N,), (N,) -> (3,)."""
     prior = np.diag(1.0 / np.square([config.scale_sd, config.tilt_sd, config.tilt_sd]))
     share = min(1.0, config.effective_corners / len(difference))
     plane: FloatArray = np.zeros(3)
     for _ in range(_ITERATIONS):
-        off = np.abs(difference - ground @ plane) / sd
+        off = np.abs(difference - design @ plane) / sd
         weight = share / sd**2 * np.minimum(1.0, _HUBER / np.maximum(off, 1e-9))
-        weighted = ground * weight[:, None]
-        plane = np.asarray(np.linalg.solve(weighted.T @ ground + prior, weighted.T @ difference), np.float64)
+        weighted = design * weight[:, None]
+        plane = np.asarray(np.linalg.solve(weighted.T @ design + prior, weighted.T @ difference), np.float64)
     return plane

@@ -14,7 +14,7 @@ from a network's prediction).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.camera import Camera
-from monoloc.contrast import equaliser, shows_something
+from monoloc.contrast import equaliser, has_contrast
 from monoloc.depth.depth_image import sample_depth
 from monoloc.geometry import FloatArray, invert, make_pose, so3_exp, transform
 from monoloc.odometry.window import Window, adjust
@@ -117,6 +117,14 @@ class _Tracks:
         )
 
 
+class Odometry(Protocol):
+    """Motion of a camera from frame to frame; :class:`VisualOdometry` is one."""
+
+    def step(self, color: NDArray[np.uint8], depth_m: NDArray[np.float32], depth_camera: Camera) -> Motion | None:
+        """Motion since the previous frame; None where there is none."""
+        ...
+
+
 class VisualOdometry:
     """Frame-to-frame camera motion; call :meth:`step` with every frame in order."""
 
@@ -137,7 +145,7 @@ class VisualOdometry:
             depth_m: (h, w) depth of this frame, of any resolution; 0 where there is none.
             depth_camera: intrinsics of the depth image.
         """
-        if not shows_something(color):
+        if not has_contrast(color):
             self._tracks = None
             return None
         gray = self._tracking_image(color)

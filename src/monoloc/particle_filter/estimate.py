@@ -1,4 +1,4 @@
-"""One pose, with its covariance, out of the particles."""
+"""A pose with its covariance, and the weighted mean of particles."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ import numpy as np
 from monoloc.geometry import FloatArray, invert, make_pose, nearest_rotation, se3_log
 from monoloc.particle_filter.particles import Particles
 
+UNKNOWN_POSITION_SD_M = 0.5
+"""Standard deviation of position beyond which an estimate does not say where in a room the camera is."""
+
 
 @dataclass(frozen=True)
 class Estimate:
-    """Mean and spread of the belief.
+    """A pose and depth scale with their uncertainty.
 
     Attributes:
         pose: ``T_world_camera``, (4, 4).
@@ -24,6 +27,15 @@ class Estimate:
     pose: FloatArray
     covariance: FloatArray
     log_scale: float
+
+    @property
+    def position_sd_m(self) -> float:
+        """Standard deviation of position along its least certain axis."""
+        return float(np.sqrt(np.linalg.eigvalsh(self.covariance[:3, :3])[-1]))
+
+    @property
+    def position_is_unknown(self) -> bool:
+        return self.position_sd_m > UNKNOWN_POSITION_SD_M
 
 
 def estimate(particles: Particles) -> Estimate:

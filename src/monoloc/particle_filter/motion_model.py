@@ -1,4 +1,4 @@
-"""Where the particles go between two frames."""
+"""The motion model: how particles move between two frames."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ class MotionConfig(BaseModel):
     """Noise of the motion models and of the depth's scale.
 
     Attributes:
-        speed_sd_m_s, turn_sd_rad_s: for frames without odometry: standard deviation of the velocity per axis, which
-            is another after every frame that says where the camera is, and lasts while none does.
+        speed_sd_m_s, turn_sd_rad_s: for frames without odometry: standard deviation of the velocity per axis. The
+            velocity is redrawn after every frame that constrains the pose and constant while none does.
         translation_sd_m, translation_sd_ratio: odometry's translation noise, per axis: constant and share of
             the distance moved.
         rotation_sd_rad, rotation_sd_ratio: its rotation noise, likewise.
@@ -33,17 +33,19 @@ class MotionConfig(BaseModel):
     log_scale_correlation: float = Field(0.95, ge=0.0, lt=1.0)
 
 
-def motion_sd(motion: Motion | None, elapsed_s: float, blind_s: float, config: MotionConfig) -> FloatArray:
+def motion_sd(
+    motion: Motion | None, elapsed_s: float, time_since_update_s: float, config: MotionConfig
+) -> FloatArray:
     """Standard deviations of a motion's twist in the new camera's frame, (6,).
 
     Args:
-        motion: odometry's, or None: then by how much more an unknown velocity has led astray in the last
-            ``elapsed_s`` of ``blind_s + elapsed_s`` without a word.
-        blind_s: for how long nothing has said where the camera is, before this frame.
+        motion: of the odometry; None for an unknown constant velocity over ``time_since_update_s + elapsed_s``, of
+            whose spread the last ``elapsed_s`` is returned.
+        time_since_update_s: from the last frame that constrained the pose to the previous one.
     """
     if motion is None:
-        walked_s = float(np.sqrt((blind_s + elapsed_s) ** 2 - blind_s**2))
-        return np.repeat([config.speed_sd_m_s, config.turn_sd_rad_s], 3) * walked_s
+        equivalent_s = float(np.sqrt((time_since_update_s + elapsed_s) ** 2 - time_since_update_s**2))
+        return np.repeat([config.speed_sd_m_s, config.turn_sd_rad_s], 3) * equivalent_s
     delta = motion.T_previous_current
     translation_sd = np.hypot(config.translation_sd_m, config.translation_sd_ratio * np.linalg.norm(delta[:3, 3]))
     rotation_sd = np.hypot(config.rotation_sd_rad, config.rotation_sd_ratio * rotation_angle(delta[:3, :3]))
@@ -54,18 +56,18 @@ def predict(
     particles: Particles,
     motion: Motion | None,
     elapsed_s: float,
-    blind_s: float,
+    time_since_update_s: float,
     log_scale_sd: float,
     config: MotionConfig,
     rng: np.random.Generator,
 ) -> Particles:
-    """Move every particle by odometry where there is some, else at random, see :func:`motion_sd`.
+    """Move every particle by odometry where there is some, else at random; noise as :func:`motion_sd`.
 
     Odometry's translation was measured in predicted depth, so each particle scales it by its own depth scale.
     The log-scale is a first-order autoregressive process whose spread stays ``log_scale_sd``.
     """
     count = len(particles)
-    noise = rng.standard_normal((count, 6)) * motion_sd(motion, elapsed_s, blind_s, config)
+    noise = rng.standard_normal((count, 6)) * motion_sd(motion, elapsed_s, time_since_update_s, config)
     poses = particles.poses
     if motion is not None:
         poses = poses @ _scaled(motion.T_previous_current, np.exp(particles.log_scale))

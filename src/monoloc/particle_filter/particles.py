@@ -1,4 +1,4 @@
-"""The belief: weighted hypotheses of pose and depth scale."""
+"""Particles: weighted hypotheses of pose and depth scale."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def scatter(
     log_scale_sd: float,
     rng: np.random.Generator,
 ) -> Particles:
-    """Particles around a first guess, each axis independent and Gaussian.
+    """Particles around a pose, each axis independent and Gaussian.
 
     Args:
         pose: ``T_world_camera``, (4, 4).

@@ -1,8 +1,8 @@
-"""Where in the whole room a camera is, by one scan: around the viewpoints that the room was built from.
+"""Global relocalisation by one scan: a search around all reference poses.
 
-Poses drawn around those are held against the map with a part of the scan, and tolerance for being beside the place;
-the best few that are apart are refined, each by itself, and the best of them with all of the scan. Drawing from what
-the sensor says where the belief is worth nothing is sensor resetting (Lenser and Veloso, *Sensor resetting
+Poses drawn around the reference poses are compared with the map by a part of the scan, with a wide error model. The
+best that are apart from each other are refined one by one, and the best of these with the whole scan. Drawing from
+the measurement where the belief is worth nothing is sensor resetting (Lenser and Veloso, *Sensor resetting
 localization for poorly modelled mobile robots*, 2000).
 """
 
@@ -10,100 +10,106 @@ from __future__ import annotations
 
 import numpy as np
 
-from monoloc.geometry import FloatArray, se3_exp, viewpoints_apart
+from monoloc.geometry import FloatArray, pose_distance_m, se3_exp
+from monoloc.likelihood.protocol import LikelihoodConfig, ScanLikelihood, weigh_depth_image
 from monoloc.likelihood.scan import Scan
-from monoloc.likelihood.scan_likelihood import Measurement
 from monoloc.particle_filter.estimate import Estimate, estimate
 from monoloc.particle_filter.particles import Particles, scatter
-from monoloc.particle_filter.tempering import correct
+from monoloc.particle_filter.tempering import tempered_update
 
-_PLACES_APART_M = 0.3  # of viewpoints that are each drawn around, a radian for a metre
+_SEED_DISTANCE_M = 0.3  # pose distance between reference poses that are searched around
 _DRAWN, _DRAWN_SD = 20, np.repeat([0.2, np.deg2rad(10.0)], 3)  # around each: metres, radians
-_FEW_POINTS = 50  # tell places apart; all of them cost four times as much and tell no more
-_TOLERANT_LOG_DEPTH_SD = 0.1
-_MODES, _MODES_APART_M = 5, 0.4
-_NEAR_SD = (0.1, float(np.deg2rad(6.0)))  # of a pose that is to be refined: metres and radians, per axis
-_NEARER_SD = (0.05, float(np.deg2rad(3.0)))  # once it was
-_REFINING, _REFINING_ALL = 50, 100  # particles: with few points, and with all
+_COARSE_POINTS = 50  # tell places apart as well as all points do, at a quarter of the time
+_COARSE_LOG_DEPTH_SD = 0.1
+_MODES, _MODE_DISTANCE_M = 5, 0.4
+_COARSE_SD = (0.1, float(np.deg2rad(6.0)))  # of a pose before it is refined: metres and radians, per axis
+_FINE_SD = (0.05, float(np.deg2rad(3.0)))  # after the first refinement
+_COARSE_PARTICLES, _FINE_PARTICLES = 50, 100
 
 
-class Search:
-    """Looks for a camera around viewpoints.
+class GlobalRelocalizer:
+    """Searches a room for a camera, around reference poses.
 
     Args:
-        measurement: how well scans fit the map.
-        viewpoints: (V, 4, 4) ``T_world_camera``, at least one.
-        log_scale_sd: of the depth's log-scale, from image to image.
+        likelihood, config: of scans under the map.
+        reference_poses: (V, 4, 4) ``T_world_camera``, at least one.
+        log_scale_sd: standard deviation of the depth's log-scale.
     """
 
-    def __init__(self, measurement: Measurement, viewpoints: FloatArray, log_scale_sd: float) -> None:
-        self._measurement = measurement
-        self._places = _spread_out(viewpoints, _PLACES_APART_M)
+    def __init__(
+        self, likelihood: ScanLikelihood, config: LikelihoodConfig, reference_poses: FloatArray, log_scale_sd: float
+    ) -> None:
+        self._likelihood, self._config = likelihood, config
+        self._seeds = _spread_out(reference_poses, _SEED_DISTANCE_M)
         self._log_scale_sd = log_scale_sd
 
-    def anywhere(self, count: int, rng: np.random.Generator) -> Particles:
-        """So many particles around all viewpoints: the belief of one who knows nothing."""
-        places = self._places[rng.integers(len(self._places), size=count)]
-        return self._drawn_around(places, rng)
+    def sample_everywhere(self, count: int, rng: np.random.Generator) -> Particles:
+        """Particles around all reference poses: nothing is known of the camera's pose."""
+        seeds = self._seeds[rng.integers(len(self._seeds), size=count)]
+        return self._drawn_around(seeds, rng)
 
-    def around(self, found: Estimate, count: int, rng: np.random.Generator) -> Particles:
-        """So many particles where the camera was found."""
-        return scatter(found.pose, count, *_NEAR_SD, self._log_scale_sd, rng)
+    def sample_around(self, place: Estimate, count: int, rng: np.random.Generator) -> Particles:
+        """Particles around a relocalised pose."""
+        return scatter(place.pose, count, *_COARSE_SD, self._log_scale_sd, rng)
 
-    def __call__(self, scan: Scan, here: Estimate, rng: np.random.Generator) -> tuple[Estimate, float]:
-        """The best place for a scan of at least one point, and how well it fits there: mean log-likelihood, nats.
+    def relocalize(self, scan: Scan, current: Estimate, rng: np.random.Generator) -> tuple[Estimate, float]:
+        """The best pose for a scan of at least one point, and its mean log-likelihood, nats a point.
 
         Args:
-            here: a place that is among those judged.
+            current: the particles' pose, which competes with those found.
         """
-        few = _some_of(scan, _FEW_POINTS)
-        drawn = self._drawn_around(np.repeat(self._places, _DRAWN, axis=0), rng)
-        tolerant_sd = max(_TOLERANT_LOG_DEPTH_SD, self._measurement.config.log_depth_sd)
-        fits = self._measurement.mean_log_likelihood(drawn.poses, drawn.log_scale, few, tolerant_sd)
-        modes = [self._refined(pose, _NEAR_SD, _REFINING, few, rng) for pose in _best_apart(drawn.poses, fits)]
+        coarse = _subset(scan, _COARSE_POINTS)
+        drawn = self._drawn_around(np.repeat(self._seeds, _DRAWN, axis=0), rng)
+        sd = max(_COARSE_LOG_DEPTH_SD, self._config.log_depth_sd)
+        values = self._likelihood.mean_log_likelihood(drawn.poses, drawn.log_scale, coarse, sd)
+        modes = [
+            self._refined(pose, _COARSE_SD, _COARSE_PARTICLES, coarse, rng) for pose in _modes(drawn.poses, values)
+        ]
         mode, _ = self._best(modes, scan)
-        return self._best([here, self._refined(mode.pose, _NEARER_SD, _REFINING_ALL, scan, rng)], scan)
+        return self._best([current, self._refined(mode.pose, _FINE_SD, _FINE_PARTICLES, scan, rng)], scan)
 
-    def _drawn_around(self, places: FloatArray, rng: np.random.Generator) -> Particles:
-        count = len(places)
-        poses = places @ se3_exp(rng.standard_normal((count, 6)) * _DRAWN_SD)
+    def _drawn_around(self, seeds: FloatArray, rng: np.random.Generator) -> Particles:
+        count = len(seeds)
+        poses = seeds @ se3_exp(rng.standard_normal((count, 6)) * _DRAWN_SD)
         return Particles(poses, rng.standard_normal(count) * self._log_scale_sd, np.full(count, -np.log(count)))
 
     def _refined(
         self, pose: FloatArray, sd: tuple[float, float], count: int, scan: Scan, rng: np.random.Generator
     ) -> Estimate:
-        particles = scatter(pose, count, *sd, self._log_scale_sd, rng)
-        return estimate(correct(particles, lambda some: self._measurement.weigh_image(some, scan), rng))
+        def weigh(particles: Particles) -> Particles:
+            return weigh_depth_image(particles, scan, self._likelihood, self._config)
+
+        return estimate(tempered_update(scatter(pose, count, *sd, self._log_scale_sd, rng), weigh, rng))
 
     def _best(self, places: list[Estimate], scan: Scan) -> tuple[Estimate, float]:
         poses = np.stack([place.pose for place in places])
         log_scales = np.array([place.log_scale for place in places])
-        fits = self._measurement.mean_log_likelihood(poses, log_scales, scan)
-        best = int(np.argmax(fits))
-        return places[best], float(fits[best])
+        values = self._likelihood.mean_log_likelihood(poses, log_scales, scan)
+        best = int(np.argmax(values))
+        return places[best], float(values[best])
 
 
-def _spread_out(viewpoints: FloatArray, apart_m: float) -> FloatArray:
-    """Some of the viewpoints, from which no other is farther: each time the farthest from those chosen."""
+def _spread_out(poses: FloatArray, distance_m: float) -> FloatArray:
+    """Some of the poses, from which no other is farther: greedily, the farthest from those chosen (Gonzalez 1985)."""
     chosen = [0]
-    distances = viewpoints_apart(viewpoints[0], viewpoints)
-    while distances.max() > apart_m:
+    distances = pose_distance_m(poses[0], poses)
+    while distances.max() > distance_m:
         chosen.append(int(np.argmax(distances)))
-        distances = np.minimum(distances, viewpoints_apart(viewpoints[chosen[-1]], viewpoints))
-    return viewpoints[chosen]
+        distances = np.minimum(distances, pose_distance_m(poses[chosen[-1]], poses))
+    return poses[chosen]
 
 
-def _some_of(scan: Scan, count: int) -> Scan:
-    """So many of a scan's points, even over the image, or all if there are fewer."""
+def _subset(scan: Scan, count: int) -> Scan:
+    """So many of a scan's points, spread evenly over the image, or all if there are fewer."""
     chosen = np.unique(np.linspace(0, len(scan) - 1, count).round().astype(np.int64))
     return Scan(scan.points[chosen], scan.weights[chosen])
 
 
-def _best_apart(poses: FloatArray, fits: FloatArray) -> list[FloatArray]:
+def _modes(poses: FloatArray, values: FloatArray) -> list[FloatArray]:
     """The best poses that are apart from each other, best first."""
-    left = np.argsort(-fits)
-    best: list[FloatArray] = []
-    while len(left) and len(best) < _MODES:
-        best.append(poses[left[0]])
-        left = left[viewpoints_apart(best[-1], poses[left]) > _MODES_APART_M]
-    return best
+    remaining = np.argsort(-values)
+    modes: list[FloatArray] = []
+    while len(remaining) and len(modes) < _MODES:
+        modes.append(poses[remaining[0]])
+        remaining = remaining[pose_distance_m(modes[-1], poses[remaining]) > _MODE_DISTANCE_M]
+    return modes

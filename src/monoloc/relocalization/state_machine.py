@@ -1,124 +1,187 @@
-"""What is done about a camera that is lost: it is looked for in the whole room, and what is found is put on trial."""
+"""What happens to a camera that is lost: it is searched for, and what is found is verified before it is believed.
+
+One scan can fit where the camera is not. So a pose that was found is first only followed, for a second; it is
+believed if the search then finds no better place.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 
-from monoloc.geometry import viewpoints_apart
-from monoloc.landmarks.pnp import Sighting
+from monoloc.geometry import pose_distance_m
+from monoloc.landmarks.pnp import LandmarkPose
 from monoloc.likelihood.scan import Scan
+from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.particle_filter.estimate import Estimate, estimate
 from monoloc.particle_filter.particles import Particles
-from monoloc.relocalization.search import Search
-from monoloc.supervision.state import HealthyRange, is_wide
+from monoloc.relocalization.search import GlobalRelocalizer
 
-_EVERY_S = 1.0  # the camera is looked for; as long, a scan has to fit nowhere near before the camera is lost
-_SAME_M = 0.3  # of two poses that are taken for one, a radian for a metre
-_SEEN_AGAIN_M = 1.0  # the same of two that landmarks told: between them, particles have followed what depth says
-
-
-def _apart_m(one: Estimate, other: Estimate) -> float:
-    return float(viewpoints_apart(one.pose, other.pose[None])[0])
+_SEARCH_PERIOD_S = 1.0  # between searches; and time for which scans do not fit until a camera is suspected to be lost
+_SAME_PLACE_M = 0.3  # pose distance of two poses that count as one place
+_SAME_PLACE_BY_LANDMARKS_M = 1.0  # the same for landmark poses, between which particles have drifted with the depth
 
 
-class Recovery:
-    """Knows whether a camera is lost, and looks for it; per frame, :meth:`look` and then :meth:`note`.
+class Mode(Enum):
+    """Mode of the relocalisation."""
 
-    One scan may fit where the camera is not. So where it is found, it is on trial: followed for a second, and
-    believed if the whole room then has no better place for it.
+    TRACKING = "tracking"
+    """The belief is followed, by scans and landmarks."""
+    SEARCHING = "searching"
+    """The pose is unknown; only odometry moves the belief."""
+    VERIFYING = "verifying"
+    """The particles are where a search found the camera and follow scans; the belief does not follow them yet."""
 
-    Args:
-        search: of the room; None where there is nothing to look around, and then no camera is ever lost.
-        healthy: range of a pose that can be believed.
-        is_lost: whether where it starts is unknown.
+
+class Event(Enum):
+    """What changes the mode."""
+
+    POSITION_LOST = "position lost"
+    """The belief's covariance no longer says where in the room the camera is."""
+    NOT_FOUND = "not found"
+    """A search found no place that fits."""
+    FOUND = "found"
+    """A search found a place other than the current one."""
+    UNDECIDED = "undecided"
+    """A search found the place under verification again, but it does not fit well enough."""
+    CONFIRMED = "confirmed"
+    """A search, or landmarks, found the current place again."""
+
+
+TRANSITIONS: dict[tuple[Mode, Event], Mode] = {
+    (Mode.TRACKING, Event.POSITION_LOST): Mode.SEARCHING,
+    (Mode.TRACKING, Event.NOT_FOUND): Mode.TRACKING,
+    (Mode.TRACKING, Event.FOUND): Mode.VERIFYING,
+    (Mode.TRACKING, Event.CONFIRMED): Mode.TRACKING,
+    (Mode.SEARCHING, Event.POSITION_LOST): Mode.SEARCHING,
+    (Mode.SEARCHING, Event.NOT_FOUND): Mode.SEARCHING,
+    (Mode.SEARCHING, Event.FOUND): Mode.VERIFYING,
+    (Mode.VERIFYING, Event.POSITION_LOST): Mode.VERIFYING,
+    (Mode.VERIFYING, Event.NOT_FOUND): Mode.SEARCHING,
+    (Mode.VERIFYING, Event.FOUND): Mode.VERIFYING,
+    (Mode.VERIFYING, Event.UNDECIDED): Mode.VERIFYING,
+    (Mode.VERIFYING, Event.CONFIRMED): Mode.TRACKING,
+}
+"""The mode after an event, for every event that can happen in a mode."""
+
+
+@dataclass(frozen=True)
+class Relocalization:
+    """What the relocalisation made of a frame.
 
     Attributes:
-        is_lost: nothing but odometry is to move the belief.
-        is_on_trial: the particles are where a lost camera was found, and scans move them.
+        mode: for this frame.
+        particles: where they go on from.
+        relocalized: whether a lost camera was confirmed at this frame.
     """
 
-    def __init__(self, search: Search | None, healthy: HealthyRange, is_lost: bool) -> None:
-        self._search = search
-        self._healthy = healthy
-        self.is_lost = is_lost and search is not None
-        self.is_on_trial = False
-        self._misfit_s = 0.0
-        self._since_s = _EVERY_S  # the last search
+    mode: Mode
+    particles: Particles
+    relocalized: bool = False
 
-    @property
-    def is_followed(self) -> bool:
-        """Whether the particles are anywhere in particular, to be moved by a scan."""
-        return self.is_on_trial or not self.is_lost
 
-    def lose(self) -> None:
-        """Where the camera is, nothing says any more; it is looked for, if it can be."""
-        self.is_lost = self._search is not None
+class RelocalizationStateMachine:
+    """Decides whether a camera is lost, and finds it; per frame, :meth:`update` and then :meth:`assess`.
 
-    def look(
+    Args:
+        relocalizer: None where a room cannot be searched; then the mode is always ``TRACKING``.
+        thresholds: of the scan's likelihood.
+        mode: at the start; ``SEARCHING`` where nothing is known of the pose.
+    """
+
+    def __init__(
+        self, relocalizer: GlobalRelocalizer | None, thresholds: LikelihoodThresholds, mode: Mode = Mode.TRACKING
+    ) -> None:
+        self._relocalizer = relocalizer
+        self._thresholds = thresholds
+        self.mode = Mode.TRACKING if relocalizer is None else mode
+        self._misfit_s = 0.0  # for how long scans have not fitted
+        self._since_search_s = _SEARCH_PERIOD_S
+
+    def update(
         self,
         particles: Particles,
         scan: Scan,
         elapsed_s: float,
+        position_lost: bool,
+        by_landmarks: Callable[[], LandmarkPose | None],
         rng: np.random.Generator,
-        sighted: Callable[[], Sighting | None] = lambda: None,
-    ) -> tuple[Particles, bool]:
-        """Look for a lost camera, once a second: where landmarks say that it is, or else where its scan fits.
-
-        One that is only suspected to be lost, by scans, is not if landmarks, anywhere, say where it is thought to be.
+    ) -> Relocalization:
+        """The mode for a frame, after a search where one is due: by landmarks, or else by the scan.
 
         Args:
-            particles: where they are at this frame, by motion alone.
-            scan: of this frame; of no points where it tells nothing.
-            elapsed_s: since the frame before.
-            rng: used only where the camera is lost.
-            sighted: asked only then.
-
-        Returns:
-            The particles, or others where the camera was found; and whether it is no longer lost.
+            particles: predicted for this frame.
+            scan: of this frame; empty where it says nothing.
+            elapsed_s: since the previous frame.
+            position_lost: whether the predicted belief says nothing about the position.
+            by_landmarks: relocalises by landmarks; called only if a search is due.
+            rng: used only if a search is due.
         """
-        self._since_s += elapsed_s
-        is_sought = self.is_lost or self._misfit_s >= _EVERY_S
-        if self._search is None or not is_sought or self._since_s < _EVERY_S or len(scan) == 0:
-            return particles, False
-        self._since_s = 0.0
-        here = estimate(particles)
-        seen = sighted()
+        if position_lost:
+            self._transition(Event.POSITION_LOST)
+        self._since_search_s += elapsed_s
+        if self._relocalizer is None or not self._search_is_due(scan):
+            return Relocalization(self.mode, particles)
+        self._since_search_s = 0.0
+        previous, current = self.mode, estimate(particles)
+        seen = by_landmarks()
+        place: Estimate | None
         if seen is not None:
-            # However the scan fits there: landmarks are for where depth errs.
-            place, was_lost = Estimate(seen.pose, seen.covariance, here.log_scale), self.is_lost
-            is_known = self.is_on_trial or not was_lost
-            is_believed = self._tried(is_known and _apart_m(here, place) < _SEEN_AGAIN_M)
-            return self._search.around(place, len(particles), rng), is_believed and was_lost
-        found, fit = self._search(scan, here, rng)
-        if fit < self._healthy.lost:
-            self.is_on_trial = False
-            return particles, False
-        if self.is_on_trial and _apart_m(here, found) < _SAME_M:
-            is_believed = fit >= self._healthy.low
-            return particles, is_believed and self._tried(is_believed)
-        return self._search.around(found, len(particles), rng), self._tried(False)
+            event, place = self._event_by_landmarks(seen, current)
+        else:
+            event, place = self._event_by_scan(self._relocalizer, scan, current, rng)
+        if place is not None:
+            particles = self._relocalizer.sample_around(place, len(particles), rng)
+        self._transition(event)
+        return Relocalization(self.mode, particles, previous is Mode.VERIFYING and self.mode is Mode.TRACKING)
 
-    def _tried(self, is_believed: bool) -> bool:
-        """After a trial that was passed, or at the beginning of one; says which."""
-        self.is_lost = self.is_on_trial = not is_believed
-        if is_believed:
-            self._misfit_s = 0.0
-        return is_believed
-
-    def note(self, fit: float, belief: Estimate, elapsed_s: float) -> None:
-        """Take in what became of a frame.
+    def assess(self, mean_log_likelihood: float, belief: Estimate, elapsed_s: float) -> None:
+        """Take in how a frame ended.
 
         Args:
-            fit: of its scan where the particles are, nats; NaN for an empty scan.
-            belief: the joined one.
-            elapsed_s: since the frame before.
+            mean_log_likelihood: of the scan at the particles' pose; NaN for an empty scan.
+            belief: after the frame.
+            elapsed_s: since the previous frame.
         """
-        if self._search is None:
+        if belief.position_is_unknown:
+            self._transition(Event.POSITION_LOST)
+        if not math.isnan(mean_log_likelihood):
+            fits = mean_log_likelihood >= self._thresholds.lost
+            self._misfit_s = 0.0 if fits else self._misfit_s + elapsed_s
+
+    def _search_is_due(self, scan: Scan) -> bool:
+        is_suspected = self._misfit_s >= _SEARCH_PERIOD_S
+        is_sought = self.mode is not Mode.TRACKING or is_suspected
+        return is_sought and self._since_search_s >= _SEARCH_PERIOD_S and len(scan) > 0
+
+    def _event_by_landmarks(self, seen: LandmarkPose, current: Estimate) -> tuple[Event, Estimate]:
+        """Landmarks decide however the scan fits: they are there for where depth is wrong."""
+        place = Estimate(seen.pose, seen.covariance, current.log_scale)
+        is_same = _distance_m(current, place) < _SAME_PLACE_BY_LANDMARKS_M
+        return (Event.CONFIRMED if self.mode is not Mode.SEARCHING and is_same else Event.FOUND), place
+
+    def _event_by_scan(
+        self, relocalizer: GlobalRelocalizer, scan: Scan, current: Estimate, rng: np.random.Generator
+    ) -> tuple[Event, Estimate | None]:
+        """The event, and the place that the particles go to, None if they stay."""
+        place, value = relocalizer.relocalize(scan, current, rng)
+        if value < self._thresholds.lost:
+            return Event.NOT_FOUND, None
+        if self.mode is Mode.VERIFYING and _distance_m(current, place) < _SAME_PLACE_M:
+            return (Event.CONFIRMED if value >= self._thresholds.low else Event.UNDECIDED), None
+        return Event.FOUND, place
+
+    def _transition(self, event: Event) -> None:
+        if self._relocalizer is None:
             return
-        if is_wide(belief):
-            self.lose()
-        if not math.isnan(fit):
-            self._misfit_s = self._misfit_s + elapsed_s if fit < self._healthy.lost else 0.0
+        self.mode = TRANSITIONS[self.mode, event]
+        if event is Event.CONFIRMED:
+            self._misfit_s = 0.0
+
+
+def _distance_m(one: Estimate, other: Estimate) -> float:
+    return float(pose_distance_m(one.pose, other.pose[None])[0])

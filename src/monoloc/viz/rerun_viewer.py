@@ -14,9 +14,10 @@ from monoloc.bundle import Bundle
 from monoloc.camera import Camera
 from monoloc.geometry import FloatArray, rotation_to_quaternion, transform
 from monoloc.io.recording import Recording
+from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.localizer import Step
 from monoloc.particle_filter.particles import Particles
-from monoloc.supervision.state import HealthyRange, State
+from monoloc.supervision.state import State
 
 # Okabe and Ito's colours (2008) that can be seen on Rerun's dark ground, RGBA.
 _TRUTH, _ESTIMATE, _ODOMETRY, _SCAN = 0xE6E6E6FF, 0x56B4E9FF, 0xE69F00FF, 0x00C78FFF
@@ -28,9 +29,9 @@ _PLOTS = {
     "error_cm/estimate": _ESTIMATE,
     "error_cm/odometry": _ODOMETRY,
     "error_cm/stated_sd": 0x56B4E980,
-    "fit/scan": _ESTIMATE,
-    "fit/healthy": 0xF0E442FF,
-    "fit/lost": 0xD55E00FF,
+    "likelihood/scan": _ESTIMATE,
+    "likelihood/low": 0xF0E442FF,
+    "likelihood/lost": 0xD55E00FF,
     "step_ms": _ESTIMATE,
 }
 _TIMELINES = ("frame", "seconds")
@@ -48,11 +49,11 @@ class RerunViewer:
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
         self._recording: Recording | None = None
-        self._healthy: HealthyRange | None = None
+        self._thresholds: LikelihoodThresholds | None = None
         self._ends: dict[str, FloatArray] = {}  # where each way has come to, (3,)
 
     def begin(self, room: Bundle, recording: Recording) -> None:
-        self._recording, self._healthy = recording, room.healthy
+        self._recording, self._thresholds = recording, room.thresholds
         self._static("world", _upright(room.provenance.down_world))
         map_ = room.adapted
         self._static("world/map", _ellipsoids(map_.means, map_.covariances, _SURFACE_SIGMAS, _MAP, "solid"))
@@ -89,7 +90,7 @@ class RerunViewer:
             self._show_way("odometry", odometry, truth, _ODOMETRY)
         self._ends["odometry"] = odometry[:3, 3]
         self._plot("error_cm/stated_sd", 100.0 * np.sqrt(np.trace(step.estimate.covariance[:3, :3])))
-        self._show_fit(step.fit)
+        self._show_likelihood(step.mean_log_likelihood)
         self._plot("step_ms", step_ms)
         self._stream.log("state", rr.StateChange(state=step.state))
 
@@ -109,7 +110,7 @@ class RerunViewer:
         self._stream.log("world/particles", cloud)
         scan = transform(pose, np.exp(step.estimate.log_scale) * step.scan.points)
         self._stream.log("world/scan", rr.Points3D(scan, colors=_SCAN, radii=rr.Radius.ui_points(2.0)))
-        seen = np.zeros((0, 3)) if step.sighting is None else step.sighting.points
+        seen = np.zeros((0, 3)) if step.landmark_pose is None else step.landmark_pose.points
         self._stream.log("world/seen", rr.Points3D(seen, colors=_SEEN, radii=rr.Radius.ui_points(3.0)))
 
     def _show_way(self, name: str, pose: FloatArray, truth: FloatArray | None, color: int) -> None:
@@ -122,11 +123,11 @@ class RerunViewer:
         if truth is not None:
             self._plot(f"error_cm/{name}", 100.0 * float(np.linalg.norm(position - truth[:3, 3])))
 
-    def _show_fit(self, fit: float) -> None:
-        assert self._healthy is not None
-        self._plot("fit/scan", fit)
-        self._plot("fit/healthy", self._healthy.low)
-        self._plot("fit/lost", self._healthy.lost)
+    def _show_likelihood(self, mean_log_likelihood: float) -> None:
+        assert self._thresholds is not None
+        self._plot("likelihood/scan", mean_log_likelihood)
+        self._plot("likelihood/low", self._thresholds.low)
+        self._plot("likelihood/lost", self._thresholds.lost)
 
     def _plot(self, path: str, value: float) -> None:
         if np.isfinite(value):
@@ -137,7 +138,7 @@ class RerunViewer:
 
 
 def run_blueprint() -> rrb.Blueprint:
-    """The room at the left; images, errors, fit, state and time a step at the right."""
+    """The room at the left; images, errors, likelihood, state and time a step at the right."""
     up_to_now = rrb.VisibleTimeRanges(
         [rrb.VisibleTimeRange(name, start=rrb.TimeRangeBoundary.infinite(), end=_NOW) for name in _TIMELINES]
     )
@@ -152,7 +153,7 @@ def run_blueprint() -> rrb.Blueprint:
     )
     plots = [
         rrb.TimeSeriesView(origin="error_cm", name="position error (cm)"),
-        rrb.TimeSeriesView(origin="fit", name="fit (nats)"),
+        rrb.TimeSeriesView(origin="likelihood", name="mean log-likelihood (nats)"),
         rrb.TimeSeriesView(origin="step_ms", name="time a step (ms)"),
     ]
     right = rrb.Vertical(

@@ -1,0 +1,71 @@
+"""Settings and report of a build."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from monoloc.adapt.settings import AdaptConfig
+from monoloc.localizer_config import LocalizerConfig
+
+
+class BuildConfig(BaseModel):
+    """Settings of a build.
+
+    Attributes:
+        components: of the map, or ``bic`` to choose their number.
+        voxel_m: edge of the voxels that thin the cloud to one point each.
+        max_depth_m: sensor depth beyond it is not used for the map.
+        adapt: what is tuned and how.
+        refine_poses: whether the frames' poses are aligned with the map first, for poses from another system.
+        pose_sd_m, pose_sd_deg: standard deviation of those poses, per axis.
+        landmarks: whether the bundle holds landmarks.
+        int8: whether the bundle's network is quantised to 8 bits, calibrated on the frames.
+        localizer: settings written into the bundle, before calibration.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    components: Annotated[int, Field(ge=1)] | Literal["bic"] = 200
+    voxel_m: float = Field(0.03, gt=0.0)
+    max_depth_m: float = Field(4.5, gt=0.0)
+    adapt: AdaptConfig = AdaptConfig()
+    refine_poses: bool = False
+    pose_sd_m: float = Field(0.02, gt=0.0)
+    pose_sd_deg: float = Field(1.0, gt=0.0)
+    landmarks: bool = True
+    int8: bool = False
+    localizer: LocalizerConfig = LocalizerConfig()
+
+
+@dataclass(frozen=True)
+class BuildReport:
+    """What a build measured; the JSON keys of ``monoloc build``.
+
+    ``nll`` and AbsRel are of held-out frames, in regions apart from the others. The change of the map is as in
+    :class:`monoloc.map.compare.MapChange`. Scale and shift of the network's output are None where they were not
+    fitted, see :class:`monoloc.depth.spec.ModelSpec`.
+    """
+
+    frames: int
+    cloud_points: int
+    components: int
+    nll_start: float | None
+    nll_end: float | None
+    kl: float
+    shift_median_m: float
+    shift_p95_m: float
+    correspondence_kept: float
+    size_ratio_median: float
+    landmarks: int
+    depth_absrel_before: float | None
+    depth_absrel_after: float | None
+    depth_scale: float | None
+    depth_shift: float | None
+    steps: int
+    pose_shift_median_m: float | None
+    pose_turn_median_deg: float | None
+    seconds: float
+    warnings: list[str]

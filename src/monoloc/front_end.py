@@ -1,0 +1,119 @@
+"""The front end: what a frame says, before anything is known of the pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.camera import Camera
+from monoloc.components import Components
+from monoloc.contrast import has_contrast
+from monoloc.depth.predictor import DepthPrediction
+from monoloc.geometry import FloatArray
+from monoloc.likelihood.scan import EMPTY_SCAN, Scan, scan_from_corners, scan_from_depth
+from monoloc.localizer_config import LocalizerConfig
+from monoloc.odometry.scale_tilt import correct_scale_and_tilt
+from monoloc.odometry.visual import Motion
+
+_LEAST_POINTS = 10  # of a scan that constrains the pose
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What one frame says.
+
+    Attributes:
+        color: (H, W, 3) uint8 RGB.
+        elapsed_s: since the previous frame, 0 at the first.
+        is_first: whether there is no previous frame.
+        depth: of the frame, its scale and tilt corrected by odometry's corners.
+        motion: odometry's motion since the previous frame, None where there is none.
+        odometry_tracked: whether odometry followed the camera; true at the first frame and for a random walk.
+        scan: points of the depth; empty where the image shows nothing.
+        corners: odometry's corners whose depth parallax has refined.
+        down_camera: direction of gravity in the camera's frame, (3,) unit vector, None where nothing tells it.
+    """
+
+    color: NDArray[np.uint8]
+    elapsed_s: float
+    is_first: bool
+    depth: DepthPrediction
+    motion: Motion | None
+    odometry_tracked: bool
+    scan: Scan
+    corners: Scan
+    down_camera: FloatArray | None
+
+    @property
+    def scan_has_enough_points(self) -> bool:
+        return len(self.scan) >= _LEAST_POINTS
+
+
+class FrontEnd:
+    """Depth, odometry, scale and tilt, and scan of every frame; call :meth:`observe` with every frame in order."""
+
+    def __init__(
+        self, components: Components, camera: Camera, config: LocalizerConfig, rng: np.random.Generator
+    ) -> None:
+        self._depth, self._odometry = components.depth, components.odometry
+        self._camera = camera
+        self._config = config
+        self._rng = rng
+        self._is_first = True
+
+    def observe(
+        self,
+        color: NDArray[np.uint8],
+        elapsed_s: float,
+        measured_depth: DepthPrediction | None,
+        down_camera: FloatArray | None,
+    ) -> Observation:
+        """Observe one frame.
+
+        Args:
+            color: (H, W, 3) uint8 RGB, of the camera.
+            elapsed_s: since the previous frame; ignored at the first.
+            measured_depth: of a depth sensor; None predicts it.
+            down_camera: direction of gravity, (3,) unit vector, or None.
+
+        Raises:
+            ValueError: the image does not have the camera's size or type, or time runs backwards; nothing has
+                changed then.
+        """
+        self._check_image(color)
+        elapsed_s = 0.0 if self._is_first else elapsed_s
+        if not 0.0 <= elapsed_s < np.inf:
+            raise ValueError(f"elapsed_s must be finite and not negative, got {elapsed_s}")
+        depth = self._depth(color) if measured_depth is None else measured_depth
+        motion = self._odometry.step(color, depth.depth_m, depth.camera) if self._odometry else None
+        depth = self._corrected(depth, motion)
+        scan = self._scan(depth)
+        shows_something = measured_depth is not None or has_contrast(color)
+        observation = Observation(
+            color=color,
+            elapsed_s=elapsed_s,
+            is_first=self._is_first,
+            depth=depth,
+            motion=motion,
+            odometry_tracked=self._is_first or self._odometry is None or motion is not None,
+            scan=scan if shows_something else EMPTY_SCAN,
+            corners=EMPTY_SCAN if motion is None else scan_from_corners(motion, self._config.likelihood.corner_doubt),
+            down_camera=down_camera,
+        )
+        self._is_first = False
+        return observation
+
+    def _check_image(self, color: NDArray[np.uint8]) -> None:
+        shape = (self._camera.height, self._camera.width, 3)
+        if color.shape != shape or color.dtype != np.uint8:
+            raise ValueError(f"color must have the camera's shape {shape} as uint8, got {color.shape} {color.dtype}")
+
+    def _corrected(self, depth: DepthPrediction, motion: Motion | None) -> DepthPrediction:
+        if motion is None or self._config.scale_tilt is None:
+            return depth
+        return correct_scale_and_tilt(depth, motion, self._config.scale_tilt)
+
+    def _scan(self, depth: DepthPrediction) -> Scan:
+        return scan_from_depth(depth, self._config.scan_points, self._rng, self._config.likelihood.error_power)

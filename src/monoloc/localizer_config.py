@@ -1,0 +1,51 @@
+"""Settings of the localizer."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from monoloc.fusion.bias_model import BiasModel
+from monoloc.likelihood.protocol import LikelihoodConfig
+from monoloc.odometry.scale_tilt import ScaleTiltConfig
+from monoloc.odometry.visual import OdometryConfig
+from monoloc.particle_filter.estimate import UNKNOWN_POSITION_SD_M
+from monoloc.particle_filter.motion_model import MotionConfig
+
+
+class LocalizerConfig(BaseModel):
+    """Settings of the localizer; ``monoloc build`` writes those that it measures.
+
+    Attributes:
+        particles: number of particles.
+        scan_points: points of a scan.
+        motion: motion model: visual odometry, or a random walk.
+        ess_fraction: particles are resampled when the effective sample size is below this share of their number.
+        log_scale_sd: standard deviation of the depth's log-scale.
+        likelihood: error model of scan points.
+        motion_noise: noise of the motion model.
+        odometry: settings of visual odometry.
+        scale_tilt: correction of a depth image's scale and tilt by odometry's corners; None for no correction.
+        particle_bias: slowly varying bias of the particles' pose; see :mod:`monoloc.fusion.bias_filter`.
+        landmark_bias: the same of landmark poses.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    particles: int = Field(500, ge=10)
+    scan_points: int = Field(200, ge=10)
+    motion: Literal["visual", "random-walk"] = "visual"
+    ess_fraction: float = Field(0.5, gt=0.0, le=1.0)
+    log_scale_sd: float = Field(0.05, ge=0.0)
+    likelihood: LikelihoodConfig = LikelihoodConfig()
+    motion_noise: MotionConfig = MotionConfig()
+    odometry: OdometryConfig = OdometryConfig()
+    scale_tilt: ScaleTiltConfig | None = ScaleTiltConfig()
+    particle_bias: BiasModel = BiasModel()
+    landmark_bias: BiasModel = BiasModel()
+
+    @property
+    def supports_relocalization(self) -> bool:
+        """Whether one scan tells where in the room a lost camera is, precisely enough to be believed."""
+        return self.particle_bias.relocalization_sd_m < UNKNOWN_POSITION_SD_M

@@ -1,0 +1,64 @@
+"""The particle filter: predict, update, resample."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from monoloc.odometry.visual import Motion
+from monoloc.particle_filter.estimate import Estimate, estimate
+from monoloc.particle_filter.motion_model import MotionConfig, predict
+from monoloc.particle_filter.particles import Particles
+from monoloc.particle_filter.resampling import resample
+
+
+class ParticleFilter:
+    """Particles of one camera.
+
+    Args:
+        start: before the first frame.
+        motion_noise: of the motion model.
+        log_scale_sd: standard deviation of the depth's log-scale.
+        ess_fraction: resample when the effective sample size is below this share of the particles.
+        rng: of all noise.
+
+    Attributes:
+        particles: after the last call.
+    """
+
+    def __init__(
+        self,
+        start: Particles,
+        motion_noise: MotionConfig,
+        log_scale_sd: float,
+        ess_fraction: float,
+        rng: np.random.Generator,
+    ) -> None:
+        self.particles = start
+        self._motion_noise, self._log_scale_sd, self._ess_fraction = motion_noise, log_scale_sd, ess_fraction
+        self._rng = rng
+
+    def predict(self, motion: Motion | None, elapsed_s: float, time_since_update_s: float) -> Particles:
+        """Particles after the motion since the previous frame; arguments as :func:`motion_model.motion_sd`."""
+        self.particles = predict(
+            self.particles,
+            motion,
+            elapsed_s,
+            time_since_update_s,
+            self._log_scale_sd,
+            self._motion_noise,
+            self._rng,
+        )
+        return self.particles
+
+    def update(self, particles: Particles, weigh: Callable[[Particles], Particles]) -> Estimate:
+        """The particles' pose after a measurement; then resample.
+
+        Args:
+            particles: predicted, or drawn anew by a relocalisation.
+            weigh: returns particles with the measurement's evidence.
+        """
+        weighed = weigh(particles)
+        self.particles = resample(weighed, self._ess_fraction, self._rng)
+        return estimate(weighed)

@@ -1,0 +1,47 @@
+"""Where a flight starts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from monoloc.geometry import FloatArray, se3_exp
+from monoloc.localizer_config import LocalizerConfig
+from monoloc.particle_filter.particles import Particles, scatter
+
+START_ERROR_M, START_ERROR_DEG = 0.10, 3.0
+"""Default error of a start; runs that are evaluated start that far from the truth, in a random direction."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """The first pose of a flight and its uncertainty.
+
+    Attributes:
+        pose: ``T_world_camera`` of the first frame, (4, 4), as far as it is known.
+        error_m, error_rad: root mean square of its distance and angle from the true pose.
+    """
+
+    pose: FloatArray
+    error_m: float = START_ERROR_M
+    error_rad: float = np.deg2rad(START_ERROR_DEG)
+
+    @classmethod
+    def disturbed(
+        cls,
+        pose: FloatArray,
+        rng: np.random.Generator,
+        error_m: float = START_ERROR_M,
+        error_rad: float = np.deg2rad(START_ERROR_DEG),
+    ) -> Start:
+        """A start that is exactly so far from a true pose, in a random direction."""
+        twist = rng.standard_normal(6)
+        twist[:3] *= error_m / np.linalg.norm(twist[:3])
+        twist[3:] *= error_rad / np.linalg.norm(twist[3:])
+        return cls(np.asarray(pose @ se3_exp(twist)), error_m, error_rad)
+
+    def particles(self, config: LocalizerConfig, rng: np.random.Generator) -> Particles:
+        """Particles with this uncertainty."""
+        sd_m, sd_rad = self.error_m / np.sqrt(3.0), self.error_rad / np.sqrt(3.0)  # per axis
+        return scatter(self.pose, config.particles, sd_m, sd_rad, config.log_scale_sd, rng)
