@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
+from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.map.mixture import GaussianMixture
-from monoloc.supervision.state import LikelihoodThresholds
-from synthetic_room import Room, RoomRecording, healthy_range, make_path, room_mixture
+from repository import REPOSITORY, on_one_thread
+from synthetic_room import Room, RoomRecording, make_path, measured_thresholds, room_mixture
 
 # A busy machine must not fail a property; time is watched elsewhere.
 settings.register_profile("monoloc", deadline=None)
 settings.load_profile("monoloc")
-
-REPOSITORY = Path(__file__).resolve().parent.parent
 
 
 @pytest.fixture(scope="session")
@@ -39,7 +37,7 @@ def weights_file(data_root: Path) -> Path:
     return path
 
 
-# The room that the online way is followed through; a module says by FRAMES how far.
+# A recording through the synthetic room; a module says by FRAMES how long.
 
 
 @pytest.fixture(scope="module")
@@ -53,21 +51,8 @@ def mixture() -> GaussianMixture:
 
 
 @pytest.fixture(scope="module")
-def healthy(mixture: GaussianMixture, recording: RoomRecording) -> LikelihoodThresholds:
-    return healthy_range(mixture, recording)
-
-
-@contextmanager
-def on_one_thread() -> Iterator[None]:
-    """PyTorch on one thread: results repeat to the last bit, small tensors are done sooner."""
-    import torch
-
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
+def thresholds(mixture: GaussianMixture, recording: RoomRecording) -> LikelihoodThresholds:
+    return measured_thresholds(mixture, recording)
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 import monoloc.depth.training.train as train_module
-from conftest import on_one_thread
+from repository import on_one_thread
 from depth_helpers import ROOM, SMALL_CAMERA, TINY, looking_around, small_recording
 from monoloc.cli.main import invoke
 from monoloc.config import load_settings

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from conftest import REPOSITORY
+from repository import REPOSITORY
 from monoloc.bundle import write_bundle
 from monoloc.geometry import se3_exp, se3_log
 from synthetic_room import Room, RoomRecording, make_bundle, make_path, room_mixture

@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from conftest import REPOSITORY
+from repository import REPOSITORY
 from monoloc.cli.main import invoke
 from monoloc.geometry import transform
 from monoloc.io.cloud_files import read_cloud

@@ -6,32 +6,37 @@ as well as 8 bits allow, and the whole online way can be tested without a traine
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
 
 import cv2
 import numpy as np
 import onnx
-from monoloc.likelihood.scan_likelihood import LikelihoodConfig, Measurement
 from numpy.typing import ArrayLike, NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 import synthetic_recordings as synthetic
 from monoloc.bundle import Bundle, Provenance, fingerprint
 from monoloc.camera import Camera
-from monoloc.depth.predictor import DepthPrediction
+from monoloc.components import Components, default_components
+from monoloc.depth.predictor import DepthPrediction, DepthSource
 from monoloc.depth.spec import FOCAL_KEY, DepthModel, monoloc_spec
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import make_pose, so3_exp
 from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.likelihood import make_likelihood
+from monoloc.likelihood.protocol import LikelihoodConfig
 from monoloc.likelihood.scan import scan_from_depth
-from monoloc.localizer import DepthSource, Localizer, LocalizerConfig, Parts, Step
+from monoloc.likelihood.thresholds import LikelihoodThresholds
+from monoloc.localizer import Localizer, Step
+from monoloc.localizer_config import LocalizerConfig
 from monoloc.map.em import fit_mixture
 from monoloc.map.mixture import GaussianMixture
+from monoloc.particle_filter.estimate import estimate
 from monoloc.particle_filter.particles import Particles
-from monoloc.supervision.state import LikelihoodThresholds
+from monoloc.start import Start
 
 FloatArray = NDArray[np.float64]
 
@@ -200,9 +205,9 @@ SETTINGS = LocalizerConfig(
     particles=1000,
     scan_points=300,
     log_scale_sd=0.03,
-    level=None,
-    measurement=LikelihoodConfig(outlier_share=0.1, noise_sd_m=0.03, log_depth_sd=0.02, effective_points=100.0),
-    lasting=BiasModel(sd_at_reference_m=0.01, sd_at_reference_rad=0.004),
+    scale_tilt=None,
+    likelihood=LikelihoodConfig(outlier_share=0.1, noise_sd_m=0.03, log_depth_sd=0.02, effective_points=100.0),
+    particle_bias=BiasModel(sd_at_reference_m=0.01, sd_at_reference_rad=0.004),
 )
 
 
@@ -218,23 +223,58 @@ BLACK = np.zeros((CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
 NO_DEPTH = DepthPrediction(np.zeros((64, 80), dtype=np.float32), CAMERA.resized(80, 64))
 
 
+@dataclass(frozen=True)
+class ParticleStart(Start):
+    """A start with given particles."""
+
+    given: Particles | None = None
+
+    @classmethod
+    def of(cls, particles: Particles) -> ParticleStart:
+        return cls(estimate(particles).pose, given=particles)
+
+    def particles(self, config: LocalizerConfig, rng: np.random.Generator) -> Particles:
+        assert self.given is not None
+        return self.given
+
+
 def make_localizer(
     mixture: GaussianMixture,
-    healthy: LikelihoodThresholds,
+    thresholds: LikelihoodThresholds,
     start: Particles | None,
-    viewpoints: FloatArray,
+    reference_poses: FloatArray,
     seed: int | np.random.Generator = 0,
     settings: LocalizerConfig = SETTINGS,
     depth: DepthSource = NoNetwork(),
     down: FloatArray | None = None,
-    errors: ArrayLike = 0.0,
+    bias: ArrayLike = 0.0,
     landmarks: Landmarks = Landmarks.none(),
 ) -> Localizer:
-    """monoloc's own for :data:`CAMERA`; arguments as of :class:`Localizer`, viewpoints by poses and errors."""
-    parts = Parts.usual(mixture, depth, CAMERA, settings, landmarks)
-    both = np.broadcast_to(errors, (len(viewpoints), 6))
-    known = ReferencePoses(viewpoints, both, both)
-    return Localizer(parts, CAMERA, start, settings, healthy, known, np.random.default_rng(seed), down)
+    """A localizer for :data:`CAMERA` in a room of this mixture.
+
+    Args:
+        bias: known at the reference poses, a twist (V, 6) in both directions.
+        down: direction of gravity in the room, in place of what its surfaces tell.
+    """
+    both = np.broadcast_to(bias, (len(reference_poses), 6))
+    bundle = Bundle(
+        original=mixture,
+        adapted=mixture,
+        depth_model=depth_from_blue(),
+        settings=settings,
+        camera=CAMERA,
+        provenance=Provenance(recording="room", frames={}, tune="none", map_transform=False, lambda_kl=0.1, seed=0),
+        thresholds=thresholds,
+        reference_poses=ReferencePoses(reference_poses, both, both),
+        landmarks=landmarks,
+    )
+    bundle.__dict__["down"] = down  # a cached property, which is not asked for then
+
+    def components(bundle: Bundle, camera: Camera, config: LocalizerConfig) -> Components:
+        return replace(default_components(bundle, camera, config), depth=depth)
+
+    given = None if start is None else ParticleStart.of(start)
+    return Localizer(bundle, CAMERA, given, settings, components, seed)
 
 
 def follow(localizer: Localizer, recording: RoomRecording, frames: range | None = None) -> list[Step]:
@@ -248,16 +288,16 @@ def poses_of(steps: list[Step]) -> FloatArray:
     return np.stack([step.estimate.pose for step in steps])
 
 
-def healthy_range(mixture: GaussianMixture, recording: RoomRecording) -> LikelihoodThresholds:
-    """Measured on a recording's exact depth at its true poses, with room below for the poses that are estimated."""
-    measurement, rng = Measurement(mixture, SETTINGS.measurement), np.random.default_rng(0)
+def measured_thresholds(mixture: GaussianMixture, recording: RoomRecording) -> LikelihoodThresholds:
+    """Measured on a recording's exact depth at its true poses, and lowered for poses that are estimated."""
+    likelihood, rng = make_likelihood(mixture, SETTINGS.likelihood), np.random.default_rng(0)
     assert recording.poses is not None
-    fits = []
+    values = []
     for index, pose in enumerate(recording.poses):
         depth = sparse_depth(recording, index)
         scan = scan_from_depth(depth, SETTINGS.scan_points, rng)
-        fits.append(measurement.mean_log_likelihood(pose[None], np.zeros(1), scan)[0])
-    measured = LikelihoodThresholds.from_log_likelihoods(np.array(fits))
+        values.append(likelihood.mean_log_likelihood(pose[None], np.zeros(1), scan)[0])
+    measured = LikelihoodThresholds.from_log_likelihoods(np.array(values))
     return LikelihoodThresholds(low=measured.low - 0.1, lost=measured.lost - 0.2)
 
 
@@ -293,8 +333,8 @@ def make_bundle(mixture: GaussianMixture, recording: RoomRecording, built_from: 
         provenance=Provenance(
             recording=recording.name, frames=frames, tune="none", map_transform=False, lambda_kl=0.1, seed=0
         ),
-        healthy=healthy_range(mixture, recording),
-        viewpoints=ReferencePoses.of(recording.poses[list(built_from)]),
+        thresholds=measured_thresholds(mixture, recording),
+        reference_poses=ReferencePoses.without_bias(recording.poses[list(built_from)]),
     )
 
 
