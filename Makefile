@@ -4,13 +4,22 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 NATIVE := CMakeLists.txt $(shell find cpp -type f)
 
-.PHONY: demo test lint native-test clean
+.PHONY: demo test test-all lint native-test docs clean
 
 demo: $(VENV)/installed
 	$(BIN)/monoloc demo
 
-test: lint native-test
-	OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses logical --maxprocesses 4 --dist loadfile --no-loadscope-reorder
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses logical --maxprocesses 4 --dist loadfile
+
+test: lint docs native-test
+	$(PYTEST) -m "not slow"
+
+# Everything, the slow tests included, with coverage of lines and branches.
+test-all: lint docs native-test
+	$(PYTEST) --cov --cov-report term:skip-covered --cov-report html:build/coverage
+
+docs: $(VENV)/installed
+	$(BIN)/mkdocs build --strict --quiet --site-dir build/site
 
 lint: $(VENV)/installed
 	$(BIN)/ruff check .

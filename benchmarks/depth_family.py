@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from monoloc.depth.model_files import DepthModel, read_model
 from monoloc.depth.models import DEFAULT, ShippedModel, shipped_models
-from monoloc.depth.network_evaluation import Judgement, judge_network
+from monoloc.evaluation.network_evaluation import Judgement, judge_network
 from monoloc.depth.predictor import DepthPredictor
 from monoloc.depth.scale_fit import fit_to_depth
 from monoloc.depth.spec import monoloc_spec, network_images, network_size

@@ -24,8 +24,8 @@ from monoloc.adapt.pose_step import pose_steps, pose_twists
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.training_views import Views, make_views
 from monoloc.adapt.tuning import Adaptation
-from monoloc.build.build_config import BuildConfig
-from monoloc.build.room_map import fit_map
+from monoloc.builder.build_config import BuildConfig
+from monoloc.builder.room_map import fit_map
 from monoloc.depth.model_files import trainable_file
 from monoloc.depth.models import DEFAULT
 from monoloc.depth.training.checkpoint import load_network

@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.adapt.settings import AdaptConfig
-from monoloc.build.build_config import BuildConfig
-from monoloc.build.pipeline import build_bundle
-from monoloc.build.pose_refinement import PosePrior, refine_poses
-from monoloc.build.room_map import fit_map
+from monoloc.builder.build_config import BuildConfig
+from monoloc.builder.pipeline import build_bundle
+from monoloc.builder.pose_refinement import PosePrior, refine_poses
+from monoloc.builder.room_map import fit_map
 from monoloc.bundle import Bundle, read_bundle, read_network, write_bundle
 from monoloc.depth.models import DEFAULT
 from monoloc.depth.predictor import DepthPredictor

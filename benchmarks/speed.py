@@ -19,8 +19,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from monoloc.build.build_config import BuildConfig
-from monoloc.build.room_map import fit_map
+from monoloc.builder.build_config import BuildConfig
+from monoloc.builder.room_map import fit_map
 from monoloc.io.registry import open_recording, select_frames
 from monoloc.map.em import fit_mixture
 from monoloc.map.mixture import GaussianMixture

@@ -28,8 +28,8 @@ from monoloc.adapt.map_transform import AdaptedMap, MapTransform
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.training_views import make_views
 from monoloc.adapt.tuning import Adaptation
-from monoloc.build.build_config import BuildConfig
-from monoloc.build.room_map import fit_map
+from monoloc.builder.build_config import BuildConfig
+from monoloc.builder.room_map import fit_map
 from monoloc.depth.models import DEFAULT, shipped_file
 from monoloc.depth.training import mobilenet
 from monoloc.depth.training import network as networks

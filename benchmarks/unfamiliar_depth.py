@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from monoloc.build.build_config import BuildConfig
-from monoloc.build.pipeline import build_bundle
+from monoloc.builder.build_config import BuildConfig
+from monoloc.builder.pipeline import build_bundle
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.config import override
 from monoloc.depth.models import shipped_file

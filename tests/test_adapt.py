@@ -31,7 +31,7 @@ from monoloc.adapt.pose_step import pose_step_loss, pose_steps
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.training_views import Views, make_views
 from monoloc.adapt.tuning import Adaptation, Score
-from monoloc.build.calibrate import Sample, calibrate, slow_sd
+from monoloc.builder.calibrate import Sample, calibrate, slow_sd
 from monoloc.camera import Camera
 from monoloc.depth.depth_image import at_discontinuity
 from monoloc.depth.predictor import DepthPrediction, DepthPredictor
@@ -46,7 +46,7 @@ from monoloc.localizer import LocalizerConfig
 from monoloc.map.depth_rendering import map_depth
 from monoloc.map.em import fit_mixture
 from monoloc.map.mixture import GaussianMixture
-from monoloc.memory import keep_freed_memory
+from monoloc.depth.training.memory import keep_freed_memory
 from monoloc.progress import NoProgress
 from synthetic_room import RoomRecording
 

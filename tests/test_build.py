@@ -14,9 +14,9 @@ from map_helpers import make_mixture
 from monoloc.adapt.adaptation import AdaptResult
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.tuning import Score
-from monoloc.build.build_config import BuildConfig, BuildReport
-from monoloc.build.calibrate import Sample
-from monoloc.build.pipeline import build_bundle
+from monoloc.builder.build_config import BuildConfig, BuildReport
+from monoloc.builder.calibrate import Sample
+from monoloc.builder.pipeline import build_bundle
 from monoloc.bundle import Bundle, fingerprint
 from monoloc.camera import Camera
 from monoloc.depth.spec import DepthModel
@@ -105,10 +105,10 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> Measured:
     """A build that adapts to :data:`RESULT` and measures nothing."""
     measured = Measured()
     monkeypatch.setattr("monoloc.adapt.adaptation.adapt", lambda *_: RESULT)
-    monkeypatch.setattr("monoloc.build.pipeline.check_frames", lambda *_: [REMARK])
-    monkeypatch.setattr("monoloc.build.pipeline.DepthPredictor", _Predictor)
+    monkeypatch.setattr("monoloc.builder.pipeline.check_frames", lambda *_: [REMARK])
+    monkeypatch.setattr("monoloc.builder.pipeline.DepthPredictor", _Predictor)
     for name in ("calibrate", "measure_bias", "measure_relocalization_error", "start_localizer"):
-        monkeypatch.setattr(f"monoloc.build.pipeline.{name}", getattr(measured, name))
+        monkeypatch.setattr(f"monoloc.builder.pipeline.{name}", getattr(measured, name))
     monkeypatch.setattr(
         "monoloc.depth.training.quantise.quantise", lambda content, _: (b"8 bits of " + content, None)
     )

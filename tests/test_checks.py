@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from monoloc.build.build_config import BuildConfig
-from monoloc.build.checks import check_frames
-from monoloc.build.room_map import fit_map
+from monoloc.builder.build_config import BuildConfig
+from monoloc.builder.checks import check_frames
+from monoloc.builder.room_map import fit_map
 from monoloc.errors import DataError
 from monoloc.geometry import invert, make_pose, so3_exp
 from monoloc.io.recording import Recording

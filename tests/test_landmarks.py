@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from monoloc.build.landmark_mapping import build_landmarks
+from monoloc.builder.landmark_mapping import build_landmarks
 from monoloc.camera import Camera
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray, invert, se3_exp, se3_log, transform
@@ -288,7 +288,7 @@ def test_images_of_any_shape_have_corners(width, height, focal_px):
 
 
 def test_of_many_frames_some_are_enough(walk, built, monkeypatch):
-    monkeypatch.setattr("monoloc.build.landmark_mapping._MOST_FRAMES", 20)
+    monkeypatch.setattr("monoloc.builder.landmark_mapping._MOST_FRAMES", 20)
     landmarks, lasting = build_landmarks(walk, walk.depth, NoProgress())
     assert 100 < len(landmarks) < len(built[0]) and lasting.sd_at_reference_m < 0.01
 

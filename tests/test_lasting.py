@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from monoloc.build import trajectories as ways
-from monoloc.build.bias import fit_bias_model, measure_bias
+from monoloc.builder import trajectories as ways
+from monoloc.builder.bias import fit_bias_model, measure_bias
 from monoloc.bundle import fingerprint
 from monoloc.depth.predictor import DepthPrediction, DepthPredictor
 from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors

@@ -9,7 +9,7 @@ import pytest
 from monoloc.likelihood.scan_likelihood import Measurement
 from numpy.typing import NDArray
 
-from monoloc.build.landmark_mapping import build_landmarks
+from monoloc.builder.landmark_mapping import build_landmarks
 from monoloc.bundle import read_network
 from monoloc.depth.predictor import DepthPrediction, DepthPredictor
 from monoloc.evaluation.trajectory import coverage_95, pose_errors

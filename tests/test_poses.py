@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from scipy.optimize import approx_fprime
 
 from map_helpers import make_mixture
-from monoloc.build.build_config import BuildConfig
-from monoloc.build.pose_refinement import PosePrior, _Target, refine_poses
-from monoloc.build.room_map import fit_map
+from monoloc.builder.build_config import BuildConfig
+from monoloc.builder.pose_refinement import PosePrior, _Target, refine_poses
+from monoloc.builder.room_map import fit_map
 from monoloc.errors import SettingError
 from monoloc.evaluation.trajectory import PoseErrors, pose_errors
 from monoloc.geometry import make_pose, se3_exp, so3_exp

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from cli_helpers import python
-from monoloc.build.build_config import BuildConfig
-from monoloc.build.pose_refinement import PosePrior, refine_poses
-from monoloc.build.room_map import fit_map
+from monoloc.builder.build_config import BuildConfig
+from monoloc.builder.pose_refinement import PosePrior, refine_poses
+from monoloc.builder.room_map import fit_map
 from monoloc.bundle import read_bundle
 from monoloc.depth.model_files import read_model
 from monoloc.depth.models import DEFAULT, shipped_file

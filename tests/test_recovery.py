@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from monoloc.likelihood.scan_likelihood import Measurement
 from scipy.stats import chi2
 
-from monoloc.build.calibrate import Sample
-from monoloc.build.landmark_mapping import build_landmarks
-from monoloc.build.relocalization_error import measure_relocalization_error
+from monoloc.builder.calibrate import Sample
+from monoloc.builder.landmark_mapping import build_landmarks
+from monoloc.builder.relocalization_error import measure_relocalization_error
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray, make_pose, pose_distance_m, se3_exp, so3_exp
@@ -288,7 +288,7 @@ def test_how_far_off_a_camera_is_found_from_elsewhere_is_measured(mixture, monke
     viewpoints = along_a_line(101, 0.03)
     off_m, off_rad = rng.uniform(0.1, 0.9, 25), rng.uniform(0.02, 0.2, 25)
     search = _Astray(viewpoints[12:87:3], off_m, off_rad)
-    monkeypatch.setattr("monoloc.build.relocalization_error.Search", search)
+    monkeypatch.setattr("monoloc.builder.relocalization_error.Search", search)
     samples = [Sample(index, wall(index), search.truth[index]) for index in range(25)]
     samples.insert(4, Sample(25, NO_DEPTH, viewpoints[0]))
     measured = measure_relocalization_error(mixture, samples, viewpoints, SETTINGS, rng, NoProgress())
@@ -305,7 +305,7 @@ def test_how_far_off_a_camera_is_found_from_elsewhere_is_measured(mixture, monke
 def test_where_no_viewpoint_is_half_a_metre_away_a_camera_is_looked_for_from_the_farthest(mixture, monkeypatch):
     viewpoints = along_a_line(4, 0.11)
     search = _Astray(viewpoints[:1], np.array([0.1]), np.array([0.1]))
-    monkeypatch.setattr("monoloc.build.relocalization_error.Search", search)
+    monkeypatch.setattr("monoloc.builder.relocalization_error.Search", search)
     rng = np.random.default_rng(0)
     measure_relocalization_error(
         mixture, [Sample(0, wall(0), viewpoints[0])], viewpoints, SETTINGS, rng, NoProgress()

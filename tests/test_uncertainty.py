@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from scipy.stats import laplace
 
 from monoloc.errors import DataError
-from monoloc.evaluation.uncertainty import ErrorCalibration, error_calibration, plot_calibration
+from monoloc.evaluation.uncertainty import ErrorCalibration, error_calibration
+from monoloc.viz.calibration_plot import plot_calibration
 
 FloatArray = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from monoloc.build.calibrate import calibrate
-    from monoloc.build.pipeline import build_bundle
+    from monoloc.builder.calibrate import calibrate
+    from monoloc.builder.pipeline import build_bundle
     from monoloc.bundle import read_bundle as load
     from monoloc.camera import Camera
     from monoloc.localizer import Localizer
@@ -22,8 +22,8 @@ _HOMES = {
     "Camera": ("monoloc.camera", "Camera"),
     "Localizer": ("monoloc.localizer", "Localizer"),
     "Start": ("monoloc.start", "Start"),
-    "build_bundle": ("monoloc.build.pipeline", "build_bundle"),
-    "calibrate": ("monoloc.build.calibrate", "calibrate"),
+    "build_bundle": ("monoloc.builder.pipeline", "build_bundle"),
+    "calibrate": ("monoloc.builder.calibrate", "calibrate"),
     "load": ("monoloc.bundle", "read_bundle"),
 }
 

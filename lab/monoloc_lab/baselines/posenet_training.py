@@ -19,6 +19,7 @@ from monoloc.depth.spec import image_tensor, network_size, resize_image
 from monoloc.depth.training.augment import AugmentConfig, random_exposure
 from monoloc.depth.training.checkpoint import load_network
 from monoloc.depth.training.examples import network_input
+from monoloc.depth.training.memory import keep_freed_memory
 from monoloc.depth.training.mobilenet import load_encoder_weights
 from monoloc.depth.training.schedule import one_cycle
 from monoloc.errors import DataError, SettingError
@@ -26,7 +27,6 @@ from monoloc.evaluation.hold_out import hold_out_blocks
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import TURN_WORTH_M, FloatArray
 from monoloc.io.recording import Recording
-from monoloc.memory import keep_freed_memory
 from monoloc.progress import Progress
 from monoloc_lab.baselines.pose_error import PoseError
 from monoloc_lab.baselines.posenet import HomoscedasticLoss, PoseCode, PoseNet, PoseNetConfig, posenet_config

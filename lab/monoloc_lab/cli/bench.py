@@ -10,9 +10,9 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from monoloc.build.build_config import BuildConfig
-from monoloc.build.pipeline import build_bundle
-from monoloc.build.room_map import room_cloud
+from monoloc.builder.build_config import BuildConfig
+from monoloc.builder.pipeline import build_bundle
+from monoloc.builder.room_map import room_cloud
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.cli.common import (
     FramesOption,

@@ -12,8 +12,8 @@ import typer
 from rich.text import Text
 
 from monoloc.adapt.settings import Tune
-from monoloc.build.build_config import BuildConfig
-from monoloc.build.pipeline import build_bundle
+from monoloc.builder.build_config import BuildConfig
+from monoloc.builder.pipeline import build_bundle
 from monoloc.bundle import Bundle, read_bundle, write_bundle
 from monoloc.cli.common import (
     JsonOption,

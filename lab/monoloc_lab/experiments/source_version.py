@@ -25,7 +25,7 @@ def source_sha256(module: str) -> str:
     What only uses the module may change, and so may data, which is known by its content.
 
     Args:
-        module: as ``monoloc.build.pipeline``.
+        module: as ``monoloc.builder.pipeline``.
     """
     files = _imported(module)
     files["monoloc._core"] = Path(_core.__file__)  # which may lie in another folder

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from monoloc import __version__
 from monoloc.adapt.settings import AdaptConfig
-from monoloc.build.build_config import BuildConfig
+from monoloc.builder.build_config import BuildConfig
 from monoloc.config import override
 from monoloc.evaluation.cloud_metrics import COMPARED_POINTS
 from monoloc.extras import training_extra

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from monoloc.build.bias import localizer_factory, measure_bias_at_reference
-from monoloc.build.build_config import BuildConfig
-from monoloc.build.pipeline import build_bundle
-from monoloc.build.room_map import room_cloud
+from monoloc.builder.bias import localizer_factory, measure_bias_at_reference
+from monoloc.builder.build_config import BuildConfig
+from monoloc.builder.pipeline import build_bundle
+from monoloc.builder.room_map import room_cloud
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.geometry import FloatArray
 from monoloc.map.cloud import voxel_thin

@@ -20,9 +20,9 @@ from monoloc.adapt.training_views import Views
 from monoloc.depth.training.augment import AugmentConfig, random_exposure
 from monoloc.depth.training.examples import network_input
 from monoloc.depth.training.losses import LossConfig, depth_loss, laplace_loss
+from monoloc.depth.training.memory import keep_freed_memory
 from monoloc.depth.training.network import DepthNetwork
 from monoloc.depth.training.precision import learns_in_bfloat16
-from monoloc.memory import keep_freed_memory
 
 _DECODER_STEPS_A_MAP_STEP = 4
 _VIEWS_AT_ONCE = 32

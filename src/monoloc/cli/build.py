@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from monoloc.adapt.settings import Tune
-from monoloc.build.build_config import BuildConfig
-from monoloc.build.pipeline import build_bundle
+from monoloc.builder.build_config import BuildConfig
+from monoloc.builder.pipeline import build_bundle
 from monoloc.bundle import check_target, write_bundle
 from monoloc.cli.common import (
     DepthScaleOption,

@@ -31,16 +31,16 @@ from monoloc.cli.common import (
 )
 from monoloc.config import load_settings, override
 from monoloc.depth.models import shipped_models
-from monoloc.depth.network_evaluation import judge_network
 from monoloc.depth.predictor import DepthPredictor
 from monoloc.depth.scale_fit import fit_to_depth
 from monoloc.depth.spec import monoloc_spec, network_images
 from monoloc.errors import DataError, SettingError
-from monoloc.evaluation.uncertainty import plot_calibration
+from monoloc.evaluation.network_evaluation import judge_network
 from monoloc.extras import require_plotting, training_extra
 from monoloc.files import write_whole
 from monoloc.io.recording import Recording
 from monoloc.progress import ConsoleProgress, NoProgress
+from monoloc.viz.calibration_plot import plot_calibration
 from monoloc.viz.plots import plot_depth, plot_training
 
 app = typer.Typer(help="Train, judge and export depth networks.", no_args_is_help=True, rich_markup_mode=None)

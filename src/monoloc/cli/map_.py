@@ -8,8 +8,8 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from monoloc.build.build_config import BuildConfig
-from monoloc.build.room_map import fit_map
+from monoloc.builder.build_config import BuildConfig
+from monoloc.builder.room_map import fit_map
 from monoloc.bundle import read_bundle
 from monoloc.cli.common import (
     EXTENT_SIGMAS,

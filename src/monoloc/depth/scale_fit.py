@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from monoloc.depth.predictor import DepthPredictor
 from monoloc.depth.spec import DepthModel, ModelSpec
 from monoloc.errors import DataError
-from monoloc.evaluation.depth_metrics import fit_scale
 from monoloc.geometry import FloatArray
 from monoloc.io.recording import Recording
 
@@ -93,7 +92,7 @@ def _scale(spec: ModelSpec, x: FloatArray, depth: FloatArray, name: str) -> floa
         correlation = np.corrcoef(np.log(unscaled[usable]), np.log(depth[usable]))[0, 1]
     if correlation < _REVERSED:
         raise _runs_against(spec, name, f"correlation {correlation:.2f}")
-    factor = fit_scale(unscaled[usable][None], depth[usable][None])
+    factor = float(np.exp(np.median(np.log(depth[usable]) - np.log(unscaled[usable]))))
     return 1.0 / factor if spec.output == "disparity" else factor
 
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from monoloc.geometry import FloatArray
-from monoloc.viz.picture import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, picture
 
 _BINS = 10
-_COLOURS = (BLUE, ORANGE, GREEN, VERMILION, PURPLE)
 
 
 @dataclass(frozen=True)
@@ -65,24 +62,3 @@ def error_calibration(log_error: ArrayLike, log_scale: ArrayLike) -> ErrorCalibr
         nll=float(np.mean(error / scale + log_b)) + float(np.log(2.0)),
         nll_constant=1.0 + float(np.log(2.0 * max(error.mean(), 1e-12))),
     )
-
-
-def plot_calibration(path: str | Path, calibrations: dict[str, ErrorCalibration]) -> None:
-    """Left, actual error over stated error; right, coverage over confidence; a diagonal is perfect.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        DataError: the file cannot be written.
-    """
-    with picture(path, 10.0, 4.6) as figure:
-        errors, coverage = figure.subplots(1, 2)
-        most = max(float(max(c.stated.max(), c.actual.max())) for c in calibrations.values())
-        errors.plot([0.0, most], [0.0, most], color=GREY, linewidth=1.0)
-        coverage.plot([0.0, 1.0], [0.0, 1.0], color=GREY, linewidth=1.0)
-        for index, (name, calibration) in enumerate(calibrations.items()):
-            style = {"marker": ".", "color": _COLOURS[index % len(_COLOURS)], "label": name}
-            errors.plot(calibration.stated, calibration.actual, **style)
-            coverage.plot(calibration.confidence, calibration.coverage, **style)
-        errors.set(xlabel="stated error of log-depth", ylabel="actual error", title="Ten bins, most certain first")
-        coverage.set(xlabel="confidence", ylabel="share within", title="Coverage", xlim=(0, 1), ylim=(0, 1))
-        errors.legend()

@@ -22,6 +22,7 @@ from monoloc.depth.training.distributed import Worker, training_worker
 from monoloc.depth.training.examples import TrainingFrames, ValidationFrames
 from monoloc.depth.training.family import named_config
 from monoloc.depth.training.losses import LossConfig, depth_loss, laplace_loss
+from monoloc.depth.training.memory import keep_freed_memory
 from monoloc.depth.training.mobilenet import load_encoder_weights
 from monoloc.depth.training.network import DepthNetwork, NetworkConfig
 from monoloc.depth.training.precision import learns_in_bfloat16
@@ -30,7 +31,6 @@ from monoloc.errors import DataError, SettingError
 from monoloc.files import write_whole
 from monoloc.io.identity import file_sha256, recording_identity
 from monoloc.io.recording import Recording
-from monoloc.memory import keep_freed_memory
 from monoloc.progress import NoProgress, Progress
 
 _STATE = "resume.pt"

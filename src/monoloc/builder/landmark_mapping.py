@@ -8,7 +8,7 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.build.bias import fit_bias_model
+from monoloc.builder.bias import fit_bias_model
 from monoloc.camera import Camera
 from monoloc.depth.depth_image import sample_depth
 from monoloc.evaluation.hold_out import HELD_OUT_SHARE, REGIONS, hold_out_regions

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from monoloc.build.samples import Sample, scans_of
+from monoloc.builder.samples import Sample, scans_of
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray, pose_distance_m
 from monoloc.likelihood.protocol import ScanLikelihood

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.build.bias import localizer_factory, measure_bias_at_reference
-from monoloc.build.relocalization_error import measure_relocalization_error
-from monoloc.build.samples import Sample, depth_samples, scans_of
+from monoloc.builder.bias import localizer_factory, measure_bias_at_reference
+from monoloc.builder.relocalization_error import measure_relocalization_error
+from monoloc.builder.samples import Sample, depth_samples, scans_of
 from monoloc.bundle import Bundle
 from monoloc.components import ComponentsFactory
 from monoloc.errors import DataError

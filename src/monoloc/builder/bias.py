@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.build.trajectories import (
+from monoloc.builder.trajectories import (
     Trajectory,
     continuous_segments,
     forward_and_backward,

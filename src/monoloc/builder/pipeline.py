@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.adapt.settings import AdaptConfig
-from monoloc.build.bias import localizer_factory, measure_bias
-from monoloc.build.build_config import BuildConfig, BuildReport
-from monoloc.build.calibrate import calibrate_likelihood
-from monoloc.build.checks import check_frames
-from monoloc.build.landmark_mapping import build_landmarks
-from monoloc.build.pose_refinement import PosePrior, check_refinable, refine_poses, rounds
-from monoloc.build.relocalization_error import measure_relocalization_error
-from monoloc.build.room_map import fit_map
-from monoloc.build.samples import depth_samples
+from monoloc.builder.bias import localizer_factory, measure_bias
+from monoloc.builder.build_config import BuildConfig, BuildReport
+from monoloc.builder.calibrate import calibrate_likelihood
+from monoloc.builder.checks import check_frames
+from monoloc.builder.landmark_mapping import build_landmarks
+from monoloc.builder.pose_refinement import PosePrior, check_refinable, refine_poses, rounds
+from monoloc.builder.relocalization_error import measure_relocalization_error
+from monoloc.builder.room_map import fit_map
+from monoloc.builder.samples import depth_samples
 from monoloc.bundle import Bundle, Provenance, fingerprint, read_network
 from monoloc.depth.model_files import trainable_file
 from monoloc.depth.models import DEFAULT
@@ -117,7 +117,7 @@ def build_bundle(
 
     Raises:
         DataError: no poses, too few frames, neither depth nor a cloud, frames that cannot give a pose (see
-            :func:`monoloc.build.checks.check_frames`), or an unusable network.
+            :func:`monoloc.builder.checks.check_frames`), or an unusable network.
         SettingError: something is to be tuned of a network that cannot be.
         MissingExtraError: something is to be tuned and PyTorch is not installed.
     """

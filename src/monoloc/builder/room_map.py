@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from monoloc.build.build_config import BuildConfig
+from monoloc.builder.build_config import BuildConfig
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
 from monoloc.io.recording import Recording
