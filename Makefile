@@ -19,7 +19,7 @@ test-all: lint docs native-test
 	$(PYTEST) --cov --cov-report term:skip-covered --cov-report html:build/coverage
 
 docs: $(VENV)/installed
-	$(BIN)/mkdocs build --strict --quiet --site-dir build/site
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --site-dir build/site
 
 lint: $(VENV)/installed
 	$(BIN)/ruff check .
