@@ -10,7 +10,7 @@ extern const Kernels kernels_avx512;
 
 namespace {
 
-// Fastest first, ended by nullptr.
+// Fastest first, terminated by nullptr.
 struct Available {
   const Kernels* list[4] = {};
 

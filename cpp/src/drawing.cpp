@@ -11,7 +11,7 @@ namespace {
 
 constexpr std::uint64_t kNothing = ~std::uint64_t{0};
 
-// Positive floats are ordered as their bits are; below them the point's number.
+// Key of a point: bits of its depth (positive floats are in the order of their bits), then its index.
 std::uint64_t to_key(float depth, std::uint32_t number) {
   std::uint32_t bits;
   std::memcpy(&bits, &depth, sizeof bits);
@@ -25,8 +25,8 @@ float depth_of(std::uint64_t key) {
   return depth;
 }
 
-// A point that is seen: the first of the four pixels that it covers, in an image with a margin of one pixel on every
-// side, and its depth.
+// A visible point: the first of its four pixels, in an image with a margin of one pixel on each side, its index, and
+// its depth.
 struct Seen {
   std::uint32_t corner, number;
   float depth;
@@ -34,7 +34,7 @@ struct Seen {
 
 std::vector<Seen> project(const double* points, std::size_t count, const double* camera_from_world,
                           const Pinhole& camera, const Sight& sight, std::size_t rows, std::size_t columns) {
-  const double* m = camera_from_world;  // (4, 4), row by row
+  const double* m = camera_from_world;  // (4, 4), row-major
   const auto most_u = static_cast<double>(columns), most_v = static_cast<double>(rows);
   std::vector<Seen> seen;
   seen.reserve(count);
@@ -92,7 +92,7 @@ void draw_points(const double* points, std::size_t count, const double* camera_f
   for (std::size_t row = 0; row < rows; ++row) {
     for (std::size_t column = 0; column < columns; ++column) {
       const std::size_t pixel = (row + 1) * stride + column + 1, out = row * columns + column;
-      front[out] = static_cast<std::uint32_t>(nearest[pixel]);  // of kNothing, kNoPoint
+      front[out] = static_cast<std::uint32_t>(nearest[pixel]);  // kNothing becomes kNoPoint
       depth[out] = sums[pixel].number > 0.0f ? sums[pixel].total / sums[pixel].number : 0.0f;
     }
   }

@@ -9,7 +9,7 @@
 namespace monoloc {
 namespace {
 
-constexpr std::size_t kShare = 64;  // particles that a thread takes at a time; a multiple of kPadding
+constexpr std::size_t kShare = 64;  // particles per task; a multiple of kPadding
 
 }  // namespace
 

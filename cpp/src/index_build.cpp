@@ -1,4 +1,4 @@
-// How the index is built: which voxels are near the map, and which components matter in each.
+// Construction of the index: voxels near the map, and the components that matter in each.
 #include <algorithm>
 #include <cmath>
 #include <iterator>
@@ -14,8 +14,8 @@
 namespace monoloc {
 namespace {
 
-constexpr double kCandidateShare = 0.1;  // of the error allowed: a component below it is not even probed
-constexpr std::size_t kMaxBlocks = 255, kMaxFirstBlock = (1u << 24) - 1;  // what a packed list can name
+constexpr double kCandidateShare = 0.1;  // of the allowed error; components below it are not sampled
+constexpr std::size_t kMaxBlocks = 255, kMaxFirstBlock = (1u << 24) - 1;  // limits of a packed list
 
 double whitened_norm(const Component& c, const double* point) {
   const double* w = c.whiten;
@@ -26,7 +26,7 @@ double whitened_norm(const Component& c, const double* point) {
   return std::sqrt(y0 * y0 + y1 * y1 + y2 * y2);
 }
 
-// Largest whitened length from the centre of a cube to its surface: at one of the corners.
+// Largest whitened distance from the centre of a cube to its surface, which occurs at a corner.
 double whitened_reach(const Component& c, double half_edge) {
   double longest = 0.0;
   for (const double sy : {-half_edge, half_edge}) {
@@ -38,14 +38,14 @@ double whitened_reach(const Component& c, double half_edge) {
   return longest;
 }
 
-// Where a component can matter: the ellipsoid |W d| <= radius about its mean, and the box around that.
+// Region where a component can matter: the ellipsoid |W d| <= radius about its mean, and its bounding box.
 struct Reach {
   std::uint32_t component;
   double radius;
   double lower[3], upper[3];
 };
 
-// Where each component's density exceeds `density`; without those that nowhere do.
+// Regions where each component's density exceeds `density`; components that never exceed it are omitted.
 std::vector<Reach> reaches(const std::vector<Component>& mixture, double density) {
   std::vector<Reach> found;
   for (std::size_t k = 0; k < mixture.size(); ++k) {
@@ -68,7 +68,7 @@ std::vector<Reach> reaches(const std::vector<Component>& mixture, double density
   return found;
 }
 
-// The bricks of the grid, named by a key that counts them along x, then y, then z.
+// Grid of bricks. The key of a brick is its index, x fastest, then y, then z.
 struct Grid {
   double lower[3];
   double brick_m;
@@ -99,7 +99,7 @@ Grid make_grid(const std::vector<Reach>& reached, double voxel_m) {
     grid.lower[axis] = lower[axis];
     const double bricks = std::floor((upper[axis] - lower[axis]) / grid.brick_m) + 1.0;
     names *= bricks;
-    grid.bricks[axis] = static_cast<std::uint32_t>(std::min(bricks, 5e8));  // voxels along it fit 31 bits
+    grid.bricks[axis] = static_cast<std::uint32_t>(std::min(bricks, 5e8));  // its voxels fit in 31 bits
   }
   if (names >= static_cast<double>(kOutsideKey)) {
     throw std::invalid_argument("voxel_m " + std::to_string(voxel_m) + " is too small for a map of this extent");
@@ -107,7 +107,7 @@ Grid make_grid(const std::vector<Reach>& reached, double voxel_m) {
   return grid;
 }
 
-// Which components may matter in which brick: pairs of (brick's key, place in `reached`), sorted.
+// Components that may matter in each brick: sorted pairs of (brick key, index in `reached`).
 std::vector<std::pair<std::uint32_t, std::uint32_t>> near_bricks(const std::vector<Component>& mixture,
                                                                  const std::vector<Reach>& reached,
                                                                  const Grid& grid) {
@@ -138,8 +138,9 @@ std::vector<std::pair<std::uint32_t, std::uint32_t>> near_bricks(const std::vect
 
 std::size_t blocks_of(std::size_t components) { return (components + kBlockLanes - 1) / kBlockLanes; }
 
-// Lets the voxels of a brick share lists: the free lanes of a block cost nothing, so they take what a neighbouring
-// voxel needs. `place` of each list is that of one returned which contains it and has no more blocks.
+// Merges the lists of a brick's voxels, so that voxels share lists. Free lanes of a block cost nothing, so they can
+// hold components of neighbouring voxels. `place` maps each list to a returned list that contains it and has no more
+// blocks.
 std::vector<List> merged(const std::vector<List>& lists, std::vector<std::size_t>& place) {
   std::vector<std::size_t> order(lists.size());
   for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
@@ -181,13 +182,13 @@ struct ListHash {
   }
 };
 
-// Lists as blocks of eight components, coordinates relative to `centre`; equal lists are stored once.
+// Stores lists as blocks of eight components, with coordinates relative to `centre`. Equal lists are stored once.
 class Blocks {
  public:
   Blocks(const std::vector<Component>& mixture, const double* centre, std::vector<float>& blocks)
       : mixture_(mixture), centre_(centre), blocks_(blocks) {}
 
-  // The list's name, (first block << 8) | blocks.
+  // Packed reference to the list, (first block << 8) | blocks.
   std::uint32_t add(const List& list) {
     const auto [entry, is_new] = known_.try_emplace(list, 0);
     if (is_new) {
@@ -232,8 +233,8 @@ class Blocks {
   std::unordered_map<List, std::uint32_t, ListHash> known_;
 };
 
-// Open addressing, at most a quarter full: nearly every look-up ends at its first slot. The lists of keys[i] follow
-// those of i others and of the empty brick that free slots have.
+// Open addressing with a load of at most a quarter, so that nearly every lookup ends at its first slot. The lists of
+// keys[i] come after those of i other bricks and of the empty brick of free slots.
 std::vector<Slot> hash_table(const std::vector<std::uint32_t>& keys, std::uint32_t& shift) {
   std::uint32_t bits = 4;
   while ((std::size_t{1} << bits) < 4 * keys.size()) ++bits;

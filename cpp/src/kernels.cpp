@@ -13,24 +13,24 @@
 namespace monoloc {
 namespace {
 
-constexpr std::size_t kBatch = 64;  // points looked up together, so that misses of the table overlap
+constexpr std::size_t kBatch = 64;  // points per lookup batch, so that cache misses of the table overlap
 static_assert(kBatch % kPadding == 0 && kPadding % kWide == 0 && kPadding % kWide64 == 0, "whole vectors");
 
 constexpr std::size_t kMostItems = 255 * kBatch + 2;  // a list has at most 255 blocks
 
-// What is to be evaluated: a block of components at a point of the batch.
+// Unit of evaluation: a block of components at a point of the batch.
 struct Item {
   std::uint32_t block, point;
 };
 
-// Points looked up together. One place more than kBatch takes what fills the last vector up.
+// A batch of points. The extra element receives the padding of the last vector.
 struct Batch {
   alignas(64) float x[kBatch + 1], y[kBatch + 1], z[kBatch + 1], density[kBatch + 1];
   alignas(64) std::uint32_t key[kBatch], slot[kBatch], voxel[kBatch];
   Item items[kMostItems];
 };
 
-// Brick key, its first slot, and the voxel within the brick, of kWide points.
+// Computes brick key, first slot of the brick, and voxel within the brick, for kWide points.
 MONOLOC_INLINE void locate(const IndexView& index, FW x, FW y, FW z, Batch& batch, std::size_t at) {
   const FW gx = (x - index.origin[0]) * index.voxels_per_m;
   const FW gy = (y - index.origin[1]) * index.voxels_per_m;
@@ -40,18 +40,18 @@ MONOLOC_INLINE void locate(const IndexView& index, FW x, FW y, FW z, Batch& batc
                     (gx < splat<FW>(4.0f * static_cast<float>(index.bricks[0]))) &
                     (gy < splat<FW>(4.0f * static_cast<float>(index.bricks[1]))) &
                     (gz < splat<FW>(4.0f * static_cast<float>(index.bricks[2])));
-  // Outside the grid the conversion could overflow; zero is converted instead.
+  // Zero replaces coordinates outside the grid, whose conversion could overflow.
   const IW ix = __builtin_convertvector(inside ? gx : zero, IW);
   const IW iy = __builtin_convertvector(inside ? gy : zero, IW);
   const IW iz = __builtin_convertvector(inside ? gz : zero, IW);
-  const IW brick = ((iz >> 2) * index.bricks[1] + (iy >> 2)) * index.bricks[0] + (ix >> 2);  // wraps as unsigned would
+  const IW brick = ((iz >> 2) * index.bricks[1] + (iy >> 2)) * index.bricks[0] + (ix >> 2);  // wraps as if unsigned
   const IW key = inside ? brick : splat<IW>(static_cast<std::int32_t>(kOutsideKey));
   store(batch.key + at, key);
   store(batch.slot + at, (bits<UW>(key) * kHashFactor) >> index.hash_shift);
   store(batch.voxel + at, (iz & 3) << 4 | (iy & 3) << 2 | (ix & 3));
 }
 
-// Candidate list of a voxel; 0 (no blocks) where there is none. Its only branch is for collisions, which are rare.
+// Candidate list of a voxel, or 0 (no blocks). The only branch is for collisions, which are rare.
 MONOLOC_INLINE std::uint32_t find_list(const IndexView& index, std::uint32_t key, std::uint32_t slot,
                                        std::uint32_t voxel) {
   while (__builtin_expect(index.slots[slot].key != key, 0) && index.slots[slot].key != kEmptyKey) {
@@ -60,7 +60,7 @@ MONOLOC_INLINE std::uint32_t find_list(const IndexView& index, std::uint32_t key
   return index.lists[index.slots[slot].lists + voxel];
 }
 
-// Adds to the density of kTogether points that of one block of components each.
+// Adds the density of one block of components to each of kTogether points.
 MONOLOC_INLINE void evaluate(const IndexView& index, Batch& batch, std::size_t item) {
   const float* block[kTogether];
   F8 x[kTogether], y[kTogether], z[kTogether];
@@ -85,9 +85,9 @@ MONOLOC_INLINE void evaluate(const IndexView& index, Batch& batch, std::size_t i
   for (std::size_t i = 0; i < kTogether; ++i) batch.density[batch.items[item + i].point] += sum[i];
 }
 
-// Sums of the candidates' densities at the points located; returns the blocks evaluated. Three loops, so that a misread
-// branch waits for no look-up; what is to be evaluated is gathered without one where a point has up to two blocks,
-// which is nearly always.
+// Sums the candidates' densities at the located points; returns the number of evaluated blocks. Three separate loops,
+// so that a branch misprediction does not wait for a lookup. Gathering items is branch-free for points with up to two
+// blocks, which is the usual case.
 MONOLOC_INLINE std::size_t evaluate_batch(const IndexView& index, Batch& batch, std::size_t count) {
   std::uint32_t list[kBatch];
   for (std::size_t i = 0; i < count; ++i) {
@@ -108,8 +108,8 @@ MONOLOC_INLINE std::size_t evaluate_batch(const IndexView& index, Batch& batch, 
   return items;
 }
 
-// Particles are the inner loop: the same scan point seen from neighbouring particles falls into neighbouring
-// voxels, so the table and the lists stay in the nearest cache.
+// The inner loop is over particles: neighbouring particles map a scan point to neighbouring voxels, whose table
+// entries and lists stay in the L1 cache.
 void weigh(const IndexView& index, const float* particles, std::size_t stride, std::size_t begin, std::size_t end,
            const float* scan, const float* point_weights, std::size_t points, float inlier_share,
            float outlier_density, double* out) {
@@ -219,10 +219,10 @@ MONOLOC_INLINE Offset offset_from_mean(const Component& c, DW x, DW y, DW z) {
   return {x - c.mean[0], y - c.mean[1], z - c.mean[2]};
 }
 
-// Terms smaller than 2^-60 of the largest are left out: under double precision even for 1e5 of them.
+// Terms below 2^-60 of the largest are skipped; even 1e5 of them are below double precision.
 constexpr double kNegligibleBits = 60.0;
 
-// log2 of every weighted component density at kWide64 points into `terms`; returns the largest.
+// Writes log2 of each weighted component density at kWide64 points to `terms`; returns the largest.
 MONOLOC_INLINE DW log2_terms(const Component* components, std::size_t count, DW x, DW y, DW z, double* terms) {
   DW largest = splat<DW>(-1e300);
   for (std::size_t k = 0; k < count; ++k) {
@@ -289,7 +289,7 @@ void expectation(const Component* components, std::size_t count, const double* p
 }
 
 double multiply_add(std::size_t rounds, float* out) {
-  constexpr std::size_t kChains = 16;  // enough to hide the latency of one operation behind the others
+  constexpr std::size_t kChains = 16;  // enough independent chains to hide the latency of an operation
   FW sums[kChains];
   for (std::size_t c = 0; c < kChains; ++c) sums[c] = splat<FW>(static_cast<float>(c));
   const FW factor = splat<FW>(0.999f), added = splat<FW>(0.001f);

@@ -40,7 +40,7 @@ std::vector<Component> make_components(const double* weights, const double* mean
     const double whiten[6] = {w00, w10, w11, w20, w21, w22};
     for (int i = 0; i < 6; ++i) c.whiten[i] = scale * whiten[i];
     for (int i = 0; i < 3; ++i) c.mean[i] = means[3 * k + i];
-    // A component of weight zero has a finite value too, far below any that counts: infinities would make NaN.
+    // Finite for a component of weight zero, because infinities would cause NaN.
     const double log2_weight = weights[k] > 0.0 ? std::log2(weights[k]) : -1e300;
     c.log2_peak = log2_weight - 1.5 * kLog2TwoPi - std::log2(determinant_root);
   }

@@ -1,4 +1,4 @@
-// Rows of lanes padded to whole vectors.
+// Rows of values, padded to whole SIMD vectors.
 #pragma once
 
 #include <cstddef>

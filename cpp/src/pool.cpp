@@ -58,8 +58,8 @@ class Pool {
   std::atomic<std::size_t> next_{0};
 };
 
-// The process's pool. It is never destroyed, as its threads wait in it until the process ends; a forked process has
-// none of them and makes its own.
+// The process's pool. It is never destroyed, because its threads wait until the process ends. A forked process does
+// not inherit the threads, so it creates its own pool.
 Pool& pool() {
   static std::mutex making;
   static Pool* made = nullptr;

@@ -1,4 +1,4 @@
-// Threads that stay, for work of a millisecond: starting one each time would cost a tenth of it.
+// Thread pool for tasks of about a millisecond, of which starting a thread would take a tenth.
 #pragma once
 
 #include <cstddef>
@@ -6,8 +6,8 @@
 
 namespace monoloc {
 
-// Calls task(0) ... task(count - 1), each once, on the calling thread and up to threads - 1 others; returns when all
-// are done. While another thread is inside, and for one thread, the caller does everything itself.
+// Calls task(0) ... task(count - 1), each once, on the calling thread and up to threads - 1 others, and returns when
+// all are done. If the pool is in use, or threads is 1, the calling thread runs all tasks.
 void run_on_threads(std::size_t count, std::size_t threads, const std::function<void(std::size_t)>& task);
 
 }  // namespace monoloc

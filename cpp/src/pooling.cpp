@@ -11,7 +11,7 @@
 namespace monoloc {
 namespace {
 
-constexpr std::size_t kReach = 2;  // pixels to either side
+constexpr std::size_t kReach = 2;  // pixels on each side
 constexpr std::int32_t kLeast = std::numeric_limits<std::int32_t>::min();
 
 float to_float(std::uint16_t bits) {
@@ -21,7 +21,7 @@ float to_float(std::uint16_t bits) {
   return value;
 }
 
-// To the nearest, of two as near to the even one.
+// Rounds to nearest, ties to even.
 std::uint16_t to_bfloat16(float value) {
   std::uint32_t wide;
   std::memcpy(&wide, &value, sizeof wide);
@@ -30,8 +30,8 @@ std::uint16_t to_bfloat16(float value) {
 
 void pool_image(const std::uint16_t* values, const ImageShape& shape, std::uint16_t* largest, std::uint16_t* from) {
   const std::size_t row = shape.columns * shape.channels, margin = kReach * shape.channels;
-  // One row of keys with a margin on both sides; what is largest along the latest rows, of which five are kept: what
-  // is being worked on stays in the cache.
+  // One row of keys with a margin on both sides, and the horizontal maxima of the last five rows. This working set
+  // fits in the cache.
   constexpr std::size_t kRows = 2 * kReach + 1;
   std::vector<std::int32_t> keys(row + 2 * margin, kLeast), along(kRows * row, kLeast), both(row);
   const std::int32_t *shifted[kRows], *rows[kRows];

@@ -1,4 +1,4 @@
-// Keys of bfloat16 values and of the pixels that have them, and the largest of five; part of kernels.cpp, see there.
+// Keys of bfloat16 values and their pixels, and the maximum of five; part of kernels.cpp, see there.
 #pragma once
 
 #include <cstddef>
@@ -7,12 +7,12 @@
 namespace monoloc {
 namespace {
 
-// Plain loops over contiguous integers: the compiler makes vectors of them.
+// Plain loops over contiguous integers, which the compiler vectorises.
 
 constexpr std::uint16_t kNegativeZero = 0x8000u;
 
-// A negative number's bits but for its sign are the other way about: flipped, integers are ordered as the values are.
-// The same brings them back.
+// Maps bits of a bfloat16 to an integer of the same order, by inverting all bits of negative numbers except the sign.
+// The function is its own inverse.
 std::uint16_t flipped(std::uint16_t bits) {
   return static_cast<std::uint16_t>(bits ^ ((static_cast<std::int16_t>(bits) >> 15) & 0x7FFF));
 }
@@ -24,7 +24,7 @@ void to_keys(const std::uint16_t* values, std::size_t columns, std::size_t chann
     const std::uint16_t* given = values + column * channels;
     std::int32_t* out = keys + column * channels;
     for (std::size_t c = 0; c < channels; ++c) {
-      const std::uint16_t bits = given[c] == kNegativeZero ? std::uint16_t{0} : given[c];  // which equals it
+      const std::uint16_t bits = given[c] == kNegativeZero ? std::uint16_t{0} : given[c];  // equal to zero
       out[c] = static_cast<std::int32_t>((static_cast<std::uint32_t>(flipped(bits)) << 16) | place);
     }
   }

@@ -1,8 +1,8 @@
 // Mixtures along rays; part of kernels.cpp, see there.
 //
-// With y = whiten (mean - o) and u = whiten r, the ray o + d r comes nearest to a component, in its own metric, at
-// depth y.u / u.u, where it has the density peak - |y - d u|^2 (base-2 logarithm); d has the precision |u|^2 (times
-// 2 ln 2, as whiten is scaled for base 2).
+// With y = whiten (mean - o) and u = whiten r, the ray o + d r is nearest to a component, in Mahalanobis distance, at
+// depth y.u / u.u. The log2-density there is peak - |y - d u|^2. The precision of d is |u|^2 (times 2 ln 2, because
+// whiten is scaled for base 2).
 #pragma once
 
 #include "monoloc/kernels.hpp"
@@ -15,14 +15,14 @@ constexpr float kPrecision = 1.3862943611198906f;  // 2 ln 2
 constexpr float kHalfLog2E = 0.72134752044448170f;
 constexpr float kLog2E = 1.4426950408889634f;
 
-// 1 / sqrt(x) to single precision, x positive: Newton's iterations from an estimate by the exponent's bits.
+// 1 / sqrt(x) in single precision, x positive: Newton's method from an initial value by the exponent's bits.
 MONOLOC_INLINE FW inverse_root(FW x) {
   FW y = bits<FW>(0x5F375A86 - (bits<IW>(x) >> 1));
   for (int i = 0; i < 3; ++i) y = y * (1.5f - 0.5f * x * y * y);
   return y;
 }
 
-// Where kWide rays cut one component: depth, inverse root of |u|^2, and density there (base-2 logarithm).
+// Intersection of kWide rays with one component: depth, inverse root of |u|^2, and log2-density there.
 struct Cut {
   FW depth, inverse_root, log2_peak;
 };
@@ -36,7 +36,7 @@ MONOLOC_INLINE Cut cut(const float* whiten, float log2_peak, const float* offset
   const FW root = inverse_root(u0 * u0 + (u1 * u1 + u2 * u2));
   const FW depth = (u0 * y0 + (u1 * y1 + u2 * y2)) * root * root;
   const FW e0 = y0 - depth * u0, e1 = y1 - depth * u1, e2 = y2 - depth * u2;
-  // Behind the camera there is nothing to see.
+  // Components behind the camera are invisible.
   const FW peak = depth > splat<FW>(kNearest) ? log2_peak - (e0 * e0 + (e1 * e1 + e2 * e2)) : splat<FW>(-1e9f);
   return {depth, root, peak};
 }
@@ -116,7 +116,7 @@ void weigh_rays(const RayView& view, const float* particles, const float* offset
         store(scratch + (3 * c + 2) * kWide, at.log2_peak);
         largest = larger(largest, at.log2_peak);
       }
-      // Depth as predicted times the particle's scale.
+      // Predicted depth times the particle's scale.
       const FW depth = load<FW>(particles + 9 * stride + i) * scan[2 * points + p];
       FW mass{}, density{};
       for (std::size_t c = 0; c < count; ++c) {
@@ -127,7 +127,7 @@ void weigh_rays(const RayView& view, const float* particles, const float* offset
         mass += part;
         density += part * spread * exp2_fast<FW, IW>(off * off * -kHalfLog2E);
       }
-      // No surface ahead anywhere: only an outlier is possible.
+      // Without a surface in front of the camera, only an outlier is possible.
       const FW seen = largest > splat<FW>(-1e8f) ? density / mass : splat<FW>(0.0f);
       const FW mixed = seen * depth * (inlier_share * 0.39894228040143268f) + outlier_density;
       store(logs + i, log_fast<FW, IW>(mixed) * point_weights[p]);

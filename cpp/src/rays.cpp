@@ -10,24 +10,24 @@
 namespace monoloc {
 namespace {
 
-constexpr double kReach_m = 12.0;     // components farther from all particles are not looked at
-constexpr float kLeastLog2 = -17.0f;  // nor, along a ray, those with so little of its mass (1e-5) at every sample
+constexpr double kReach_m = 12.0;     // components farther from all particles are ignored
+constexpr float kLeastLog2 = -17.0f;  // log2 of 1e-5; on a ray, components with a smaller share of mass are ignored
 constexpr double kTypicalDepth_m = 2.0;
-constexpr double kNarrow_m = 0.6;          // particles within so much are alike: a few choose components for all
-constexpr std::size_t kFew = 32;           // so many
+constexpr double kNarrow_m = 0.6;          // particles within this reach share one selection of components
+constexpr std::size_t kFew = 32;           // particles at which the shared selection is made
 
-// A few of the mixture's components, in the order and precision that the kernels read.
+// Some of the mixture's components, in the layout and precision of the kernels.
 struct Rows {
   std::vector<float> whiten, means, log2_peak;
 
   RayView view() const { return {whiten.data(), means.data(), log2_peak.data(), log2_peak.size()}; }
 };
 
-// Mean of the particles' centres, and how far from it they and what they see lie.
+// Mean of the particles' centres, and the spread of centres and of visible points.
 struct Spread {
   double centre[3];
-  double radius;  // of the centres
-  double reach;   // of a point that they see at kTypicalDepth_m, as well
+  double radius;  // largest distance of a centre from the mean
+  double reach;   // largest displacement of a point at kTypicalDepth_m
 };
 
 Spread spread_of(const double* poses, std::size_t particles) {
@@ -61,7 +61,7 @@ Rows within(const std::vector<Component>& mixture, const double* centre, double 
   return rows;
 }
 
-// 13 rows of `stride` floats: rotation row-major, scale, centre; of particles first, first + step, ...
+// 13 rows of `stride` floats (rotation row-major, scale, centre) of particles first, first + step, ...
 std::vector<float> particle_rows(const double* poses, const double* log_scales, std::size_t particles,
                                  const double* centre, std::size_t first, std::size_t step, std::size_t stride) {
   std::vector<float> rows(13 * stride);
@@ -85,13 +85,13 @@ std::vector<float> offsets_of(const RayView& view, const std::vector<float>& par
   return offsets;
 }
 
-// Which components matter along each ray: of point p, from first[p] up to first[p + 1].
+// Components that matter along each ray; those of point p are from first[p] up to first[p + 1].
 struct Candidates {
   std::vector<std::uint32_t> components;
   std::vector<std::size_t> first;
 };
 
-// For all particles alike, judged at those given; scan: x / z, then y / z.
+// Selection of components at the given particles; scan: x / z, then y / z.
 Candidates candidates_of(const RayView& view, const std::vector<float>& particles, const std::vector<float>& offsets,
                          std::size_t stride, const std::vector<float>& scan, std::size_t points) {
   Candidates candidates;
@@ -99,7 +99,7 @@ Candidates candidates_of(const RayView& view, const std::vector<float>& particle
   std::vector<float> scratch(view.components * stride);
   for (std::size_t p = 0; p < points; ++p) {
     const std::size_t first = candidates.first[p];
-    candidates.components.resize(first + view.components + 1);  // one place more than can be filled
+    candidates.components.resize(first + view.components + 1);  // one more than the kernel can return
     candidates.first[p + 1] =
         first + kernels().ray_candidates(view, particles.data(), offsets.data(), stride, scan[p], scan[points + p],
                                          kLeastLog2, scratch.data(), candidates.components.data() + first);

@@ -8,7 +8,7 @@
 namespace monoloc {
 namespace {
 
-// A voxel is probed on a lattice that includes its faces, of a spacing that no component slips through.
+// A voxel is sampled on a lattice that includes its faces. The spacing is fine enough to detect every component.
 constexpr double kSamplesPerSigma = 0.4;  // of the thinnest component
 constexpr std::size_t kFewestPerAxis = 5, kMostPerAxis = 17;
 constexpr double kHalfLog2E = 0.72134752044448170;  // squared scale of Component::whiten

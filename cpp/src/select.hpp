@@ -1,4 +1,4 @@
-// Which components matter in a voxel.
+// Selection of the components that matter in a voxel.
 #pragma once
 
 #include <cstddef>
@@ -12,14 +12,14 @@ namespace monoloc {
 
 using List = std::vector<std::uint32_t>;  // components, ascending
 
-// Chooses the components of one voxel. Dropping a set D costs at a sample s the relative density
-// sum_D p_k(s) / (sum_all p_k(s) + floor); components are dropped, least important first, while that stays
-// within the tolerance at every sample.
+// Selects the components of one voxel. Dropping a set D of components causes the relative error
+// sum_D p_k(s) / (sum_all p_k(s) + floor) at a sample s. Components are dropped, least important first, as long as
+// this error is within the tolerance at all samples.
 class Selector {
  public:
   Selector(const std::vector<Component>& mixture, const IndexSettings& settings);
 
-  // Components kept, ascending; corner: the voxel's lower corner in the mixture's frame.
+  // Selected components, ascending; corner: the voxel's lower corner in the mixture's frame.
   List select(const List& candidates, const double* corner);
 
  private:

@@ -1,5 +1,5 @@
-// Vectors of lanes by the compiler's vector extension (GCC, Clang), and fast exp2 and log on them.
-// Only for kernels.cpp: everything has internal linkage, since it is compiled for several instruction sets.
+// SIMD vectors by the compiler's vector extension (GCC, Clang), with fast exp2 and log. Only for kernels.cpp:
+// everything has internal linkage, because it is compiled for several instruction sets.
 #pragma once
 
 #include <cstddef>
@@ -70,12 +70,12 @@ MONOLOC_INLINE V larger(V a, V b) {
   return a > b ? a : b;
 }
 
-// 2^t, relative error below 2.5e-7; t under -125 gives 2^-125 (2.4e-38), t must stay below 127.
-// Split t = n + f with |f| <= 1/2; minimax polynomial of degree 5 for 2^f; n goes into the exponent's bits.
+// 2^t, relative error below 2.5e-7. t below -125 gives 2^-125 (2.4e-38); t must be below 127.
+// Splits t = n + f with |f| <= 1/2. A minimax polynomial of degree 5 gives 2^f, and n is added to the exponent bits.
 template <class F, class I>
 MONOLOC_INLINE F exp2_fast(F t) {
   t = larger(t, splat<F>(-125.0f));
-  const F shifted = t + 12582912.0f;  // 1.5 * 2^23: rounds to an integer, which then sits in the low bits
+  const F shifted = t + 12582912.0f;  // 1.5 * 2^23: rounds to an integer in the low bits
   const F f = t - (shifted - 12582912.0f);
   F p = f * 0.0013276472631950876f + 0.0096755413431213274f;
   p = p * f + 0.055507132718556443f;
@@ -85,7 +85,7 @@ MONOLOC_INLINE F exp2_fast(F t) {
   return bits<F>(bits<I>(p) + (bits<I>(shifted) << 23));
 }
 
-// Natural logarithm, absolute error below 2e-7 (or relative, where larger); x positive and normal.
+// Natural logarithm, absolute or relative error below 2e-7, whichever is larger; x must be positive and normal.
 // Cephes logf: x = 2^e m with sqrt(1/2) <= m < sqrt(2), polynomial in m - 1.
 template <class F, class I>
 MONOLOC_INLINE F log_fast(F x) {
@@ -105,7 +105,7 @@ MONOLOC_INLINE F log_fast(F x) {
   return f2 * f * p + (e * -2.12194440e-4f - 0.5f * f2) + f + e * 0.693359375f;
 }
 
-// 2^t in double precision, relative error below 1e-15; t under -1000 gives 2^-1000, t must stay below 1000.
+// 2^t in double precision, relative error below 1e-15. t below -1000 gives 2^-1000; t must be below 1000.
 MONOLOC_INLINE DW exp2_exact(DW t) {
   t = larger(t, splat<DW>(-1000.0));
   const DW shifted = t + 6755399441055744.0;  // 1.5 * 2^52
@@ -124,7 +124,7 @@ MONOLOC_INLINE DW exp2_exact(DW t) {
   return bits<DW>(bits<LW>(p) + (bits<LW>(shifted) << 52));
 }
 
-// Whether any lane of a > b.
+// Whether a > b in any lane.
 MONOLOC_INLINE bool any_greater(DW a, DW b) {
 #if defined(__AVX512F__)
   return _mm512_cmp_pd_mask(bits<__m512d>(a), bits<__m512d>(b), _CMP_GT_OQ) != 0;
@@ -136,8 +136,8 @@ MONOLOC_INLINE bool any_greater(DW a, DW b) {
 #endif
 }
 
-// Blocks of components are evaluated at kTogether points at once, each in eight lanes of an FB: join puts them there,
-// sum_parts sums each point's lanes.
+// Blocks of components are evaluated at kTogether points at once, with eight lanes of an FB per point. join fills the
+// lanes, and sum_parts sums the lanes of each point.
 #if defined(__AVX512F__)
 typedef FW FB;
 typedef IW IB;
@@ -146,7 +146,7 @@ MONOLOC_INLINE FB join(const F8* parts) {
 }
 MONOLOC_INLINE void sum_parts(FB v, float* sums) {
   __m512 s = bits<__m512>(v);
-  s = _mm512_add_ps(s, _mm512_shuffle_f32x4(s, s, 0xB1));  // neighbouring quarters change places, then pairs, then lanes
+  s = _mm512_add_ps(s, _mm512_shuffle_f32x4(s, s, 0xB1));  // adds neighbouring quarters, then pairs, then lanes
   s = _mm512_add_ps(s, _mm512_permute_ps(s, 0x4E));
   s = _mm512_add_ps(s, _mm512_permute_ps(s, 0xB1));
   sums[0] = _mm512_cvtss_f32(s);

@@ -1,4 +1,4 @@
-// A check that counts and tells, and goes on.
+// A check that reports and counts failures without stopping.
 #pragma once
 
 #include <cstdio>

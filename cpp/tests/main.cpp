@@ -1,4 +1,4 @@
-// Every set of kernels this processor runs, against plain loops in double precision.
+// Compares all kernels that this processor supports with plain loops in double precision.
 #include <cstdio>
 
 #include "check.hpp"

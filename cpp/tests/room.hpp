@@ -1,4 +1,4 @@
-// The map that everything is tried on, with its density by plain loops in double precision.
+// The map of the tests, with its density by plain loops in double precision.
 #pragma once
 
 #include <cmath>
@@ -46,7 +46,7 @@ struct Room {
     return sum;
   }
 
-  // Points about the components' means.
+  // Random points around the components' means.
   std::vector<double> points(std::size_t count, double spread) const {
     std::mt19937_64 random(2);
     std::normal_distribution<double> normal(0.0, spread);

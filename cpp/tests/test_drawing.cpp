@@ -1,4 +1,4 @@
-// Points drawn into images of the nearest one's number and of its surface's depth.
+// Rendering of points: images of the nearest point's index and of its surface's depth.
 #include <cmath>
 #include <cstdint>
 #include <vector>
@@ -45,27 +45,27 @@ bool is_near(float a, double b) { return std::abs(a - b) < 1e-6; }
 }  // namespace
 
 void test_drawing() {
-  // A point between four pixels is on each of them, and on no other.
+  // A point between four pixels covers exactly these.
   const Image one = drawn({1.5, 0.5, 1.0});
   CHECK(count_drawn(one) == 4);
   for (const std::size_t pixel : {at(0, 1), at(0, 2), at(1, 1), at(1, 2)}) {
     CHECK(one.front[pixel] == 0 && one.depth[pixel] == 1.0f);
   }
 
-  // The nearest is seen, whatever comes first; of two as near, the first.
+  // The nearest point is visible in any order; of two at the same depth, the first.
   const Image several = drawn({3.0, 1.0, 2.0, 1.5, 0.5, 1.0, 1.5, 0.5, 1.0, 6.0, 2.0, 4.0});
   CHECK(several.front[at(0, 1)] == 1);
 
-  // The depth is the mean of what is of one surface with it; what is behind that has no part.
+  // The depth is the mean over points of the same surface; points behind it are excluded.
   const Image surface = drawn({1.8, 0.6, 1.2, 1.5, 0.5, 1.0, 1.95, 0.65, 1.3});
   CHECK(surface.front[at(0, 1)] == 1);
   CHECK(is_near(surface.depth[at(0, 1)], 1.1));
 
-  // Neither behind, nor too near, nor outside is anything drawn; beside the image its edge is.
+  // Points behind the camera, too near, or outside are not drawn; a point next to the image covers its border.
   CHECK(count_drawn(drawn({1.5, 0.5, -1.0, 0.15, 0.05, 0.1, 4.0, 0.5, 1.0, 1.5, -1.5, 1.0})) == 0);
   CHECK(drawn({-0.5, 1.0, 1.0}).front[at(1, 0)] == 0);
 
-  // Moved by a pose, and bent: at r = 1 a k1 of one doubles the distance from the middle.
+  // With a pose, and with distortion: k1 = 1 doubles the distance from the centre at r = 1.
   const double pose[16] = {0, -1, 0, 1, 1, 0, 0, 0, 0, 0, 1, -1, 0, 0, 0, 1};
   CHECK(drawn({0.25, -0.5, 2.0}, pose).front[at(0, 1)] == 0);
   const monoloc::Pinhole bent{1, 1, 0, 0, 1, 0, 0, 0, 0};

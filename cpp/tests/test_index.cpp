@@ -1,4 +1,4 @@
-// The indexed map: its density, and particles weighed against it.
+// The indexed map: density, and likelihood of particles.
 #include <cmath>
 #include <random>
 #include <vector>
@@ -26,7 +26,7 @@ void test_index() {
   index.log_density(far, 1, result.data());
   CHECK(std::isinf(result[0]) && result[0] < 0.0);
 
-  // Two particles with a scale: the same as the density at the points moved by hand.
+  // For two particles, one with a scale: equal to the density at explicitly transformed points.
   const double poses[32] = {0, -1, 0, 0.1, 1, 0, 0, 0.2, 0, 0, 1, -0.1, 0, 0, 0, 1,
                             1, 0,  0, 0.0, 0, 1, 0, 0.0, 0, 0, 1, 0.0,  0, 0, 0, 1};
   const double log_scales[2] = {std::log(1.5), 0.0};
@@ -42,7 +42,7 @@ void test_index() {
   CHECK(std::abs(weighed[0] - expected) < 2.0 * tolerance * 2.5);
 }
 
-// Many particles by one thread and by several, which is the same to the last bit; and pools asked for more and less.
+// Results are bitwise equal for any number of threads, which may increase or decrease between calls.
 void test_threads() {
   const Room room(60);
   const monoloc::MixtureIndex index(room.components, {0.1, 0.01, 0.02});

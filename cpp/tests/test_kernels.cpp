@@ -1,4 +1,4 @@
-// What the kernels are made of, for every set of them.
+// Parts of the kernels, for each instruction set.
 #include <cmath>
 #include <cstdint>
 #include <vector>
@@ -9,7 +9,7 @@
 #include "room.hpp"
 #include "tests.hpp"
 
-// The fast exponential, through a component evaluated near its mean.
+// The fast exponential, by a component near its mean.
 void test_component_density(const monoloc::Kernels& kernels) {
   const Room room(20);
   const std::size_t stride = monoloc::kPadding;
@@ -26,7 +26,7 @@ void test_component_density(const monoloc::Kernels& kernels) {
   CHECK(worst < 1e-5);
 }
 
-// The errors that simd.hpp states: of the exponential, as the density of a component without extent.
+// Error bound of the exponential from simd.hpp, by a component of constant density.
 void test_exponential(const monoloc::Kernels& kernels) {
   const std::size_t stride = monoloc::kPadding;
   const std::vector<float> offsets(3 * stride, 0.0f);
@@ -42,7 +42,7 @@ void test_exponential(const monoloc::Kernels& kernels) {
   CHECK(worst < 2.5e-7);
 }
 
-// Of the logarithm, as the weight of a point outside the map, which is that of an outlier.
+// Error bound of the logarithm from simd.hpp, by the likelihood of a point outside the map, which is an outlier.
 void test_logarithm(const monoloc::Kernels& kernels) {
   const Room room(1);
   const monoloc::MixtureIndex index(room.components, {0.1, 0.01, 0.02});
@@ -58,7 +58,7 @@ void test_logarithm(const monoloc::Kernels& kernels) {
   CHECK(worst < 2e-7);
 }
 
-// What the selection of components is made of, against plain loops.
+// Parts of the selection of components, against plain loops.
 void test_selection(const monoloc::Kernels& kernels) {
   const std::size_t stride = 3 * monoloc::kPadding;
   std::vector<float> values(stride), total(stride), sums(stride, 0.25f);
@@ -78,7 +78,7 @@ void test_selection(const monoloc::Kernels& kernels) {
   CHECK(kernels.largest_sum(values.data(), sums.data(), stride) == expected_sum);
 }
 
-// Log-densities of exact kernels; the weighing kernel's result for one particle at the identity, exactly the
+// Log-densities of the exact kernels, and the likelihood kernel for particles at the identity, which must equal the
 // sum of logarithms of the indexed density.
 void test_kernels(const monoloc::Kernels& kernels) {
   const std::size_t components = 50, count = 64, stride = monoloc::kPadding;

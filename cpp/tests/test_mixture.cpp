@@ -1,4 +1,4 @@
-// Densities and EM's sums, in double precision.
+// Densities and statistics of EM in double precision.
 #include <cmath>
 #include <stdexcept>
 #include <vector>
@@ -9,7 +9,7 @@
 #include "tests.hpp"
 
 void test_whitening() {
-  // A diagonal covariance has a density that can be written down.
+  // The density for a diagonal covariance has a simple closed form.
   const double weight = 1.0, mean[3] = {1.0, 2.0, 3.0}, covariance[9] = {4.0, 0, 0, 0, 9.0, 0, 0, 0, 0.25};
   const auto components = monoloc::make_components(&weight, mean, covariance, 1);
   const double x[3] = {3.0, 5.0, 3.5};  // one standard deviation along each axis
@@ -32,7 +32,7 @@ void test_rejects_indefinite() {
 
 void test_log_density_and_expectation() {
   const Room room(30);
-  const std::size_t count = 101;  // no multiple of any vector's length
+  const std::size_t count = 101;  // not a multiple of any vector length
   const std::vector<double> x = room.points(count, 0.3);
   std::vector<double> result(count);
   monoloc::log_density(room.components, x.data(), count, result.data());

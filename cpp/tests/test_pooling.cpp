@@ -18,7 +18,7 @@ float to_float(std::uint16_t bits) {
   return value;
 }
 
-// Whole numbers from -8 to 8, which bfloat16 holds exactly, and their sums too.
+// Integers from -8 to 8; bfloat16 represents them and their sums exactly.
 std::vector<std::uint16_t> whole_numbers(std::size_t count) {
   std::vector<std::uint16_t> out(count);
   std::uint32_t state = 1;
@@ -35,7 +35,7 @@ std::vector<std::uint16_t> whole_numbers(std::size_t count) {
 }  // namespace
 
 void test_keys(const monoloc::Kernels& kernels) {
-  // Three pixels of all values that are numbers, one channel a value.
+  // Three pixels with all bfloat16 values except NaN, one channel per value.
   std::vector<std::uint16_t> numbers;
   for (std::uint32_t bits = 0; bits < 65536; ++bits) {
     const auto half = static_cast<std::uint16_t>(bits);
@@ -103,7 +103,7 @@ void test_pooling() {
   }
   for (std::size_t i = 0; i < count; ++i) CHECK(to_float(back[i]) == expected[i]);
 
-  // Zeros are equal, whatever their sign: the first counts.
+  // Zeros of both signs are equal, so the first pixel wins.
   const std::uint16_t zeros[2] = {0x8000u, 0x0000u};
   monoloc::max_pool(zeros, 1, {1, 2, 1}, 1, largest.data(), from.data());
   CHECK(largest[0] == 0 && largest[1] == 0 && from[0] == 0 && from[1] == 0);

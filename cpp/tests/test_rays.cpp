@@ -1,4 +1,4 @@
-// Particles weighed along rays.
+// Likelihood of particles along rays.
 #include <cmath>
 #include <cstdint>
 #include <random>
@@ -12,7 +12,7 @@
 
 namespace {
 
-// Where a ray from the origin along r cuts a component: depth, precision, and the density there.
+// Intersection of the ray from the origin along r with a component: depth, precision, and density there.
 struct CutExactly {
   double depth, precision, density;
 
@@ -30,7 +30,7 @@ struct CutExactly {
   }
 };
 
-// log((1 - eps) d p(d | ray) + eps / range) of a point before a camera that is not turned.
+// log((1 - eps) d p(d | ray) + eps / range) of a point in front of a camera without rotation.
 double log_along_ray(const Room& room, const double* origin, const double* point, double sd, double inlier_share,
                      double outlier_density) {
   const double r[3] = {point[0] / point[2], point[1] / point[2], 1.0}, pi = 3.14159265358979323846;
@@ -49,8 +49,8 @@ double log_along_ray(const Room& room, const double* origin, const double* point
 
 }  // namespace
 
-// Every kernel of the weighing along rays: offsets, the choice of components, and the weights, at kRayBatch cameras
-// that are not turned and stand 3 m before the room.
+// All ray kernels (offsets, selection of components, likelihoods) at kRayBatch cameras without rotation, 3 m in front
+// of the room.
 void test_rays(const monoloc::Kernels& kernels) {
   const std::size_t components = 40, points = 23, stride = monoloc::kRayBatch;
   const Room room(components);
@@ -106,7 +106,7 @@ void test_rays(const monoloc::Kernels& kernels) {
     }
   }
   CHECK(all_chosen_that_matter);
-  CHECK(first[points] < points * components);  // and something was left out
+  CHECK(first[points] < points * components);  // some components were omitted
 
   const float sd = 0.05f, inlier_share = 0.7f, outlier_density = 0.3f / 4.0f;
   std::vector<float> weights(points);
@@ -128,7 +128,7 @@ void test_rays(const monoloc::Kernels& kernels) {
   CHECK(worst < 2e-3);
 }
 
-// The whole way: particles far apart and close together, by one thread and by several.
+// End to end: particles far apart and close together, with one thread and with several.
 void test_ray_mixture() {
   const Room room(40);
   const monoloc::RayMixture rays(room.components);

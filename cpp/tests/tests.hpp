@@ -1,4 +1,4 @@
-// All tests, by the file that holds them.
+// All tests, grouped by file.
 #pragma once
 
 #include "monoloc/kernels.hpp"

@@ -7,6 +7,8 @@ The public names are :func:`load`, :class:`Camera`, :class:`Start`, :class:`Loca
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from monoloc.version import __version__
+
 if TYPE_CHECKING:
     from monoloc.builder.calibrate import calibrate
     from monoloc.builder.pipeline import build_bundle
@@ -15,8 +17,7 @@ if TYPE_CHECKING:
     from monoloc.localizer import Localizer
     from monoloc.start import Start
 
-__version__ = "0.1.0"
-__all__ = ["Camera", "Localizer", "Start", "build_bundle", "calibrate", "load"]
+__all__ = ["Camera", "Localizer", "Start", "__version__", "build_bundle", "calibrate", "load"]
 
 _HOMES = {
     "Camera": ("monoloc.camera", "Camera"),

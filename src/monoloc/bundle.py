@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from monoloc import __version__
 from monoloc.camera import Camera
 from monoloc.config import describe
 from monoloc.depth.model_files import read_model
@@ -38,6 +37,7 @@ from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.map.down_direction import down_of
 from monoloc.map.mixture import GaussianMixture
+from monoloc.version import __version__
 
 SCHEMA = 8
 _MANIFEST, _MAP, _LANDMARKS, _DEPTH = "manifest.json", "map.npz", "landmarks.npz", "depth.onnx"
@@ -190,12 +190,13 @@ def _replace(path: Path, contents: dict[str, bytes]) -> None:
         shutil.rmtree(staging)
 
 
-def read_bundle(path: Path) -> Bundle:
+def read_bundle(path: str | Path) -> Bundle:
     """Read a bundle and check it byte for byte.
 
     Raises:
         BundleError: not a bundle, cut short, edited, or of an unknown schema.
     """
+    path = Path(path)
     manifest = _read_manifest(path)
     contents = {}
     for name in _CONTENTS:

@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from monoloc.errors import SettingError
 from monoloc.geometry import FloatArray
 
-_LEAST_DEPTH_M = 0.1  # nothing nearer is in sight
-_BORDER_RAYS = 9  # along a side; the widest of them bound the view
-_CHECKED, _ALIKE = 17, 1e-9  # points along a side, and how far from one the way there and back may lead
+_MIN_DEPTH_M = 0.1  # nearer points are not visible
+_BORDER_RAYS = 9  # along a side; the widest of them bound the field of view
+_GRID_POINTS = 17  # along a side, at which the distortion is inverted as a check
+_ROUND_TRIP_TOLERANCE = 1e-9  # largest error of undistorting and distorting again, at z = 1
 
 
 @dataclass(frozen=True)
@@ -31,8 +32,8 @@ class Camera:
         distortion: Brown coefficients (k1, k2, p1, p2, k3) in OpenCV's order; all zero for a pinhole.
 
     Raises:
-        SettingError: sizes or focal lengths not positive and finite, or the principal point outside
-            the image.
+        SettingError: a size or focal length is not positive and finite, the principal point is outside the image, or
+            the distortion is not five finite numbers or not invertible over the image.
     """
 
     width: int
@@ -66,7 +67,7 @@ class Camera:
             )
 
     def _is_one_to_one(self) -> bool:
-        """Whether every pixel has its own ray: the polynomial's inverse is found, and on the side of the middle."""
+        """Whether the distortion maps one ray, and no other, to each pixel."""
         ends = ((-0.5, self.width - 0.5, self.cx, self.fx), (-0.5, self.height - 0.5, self.cy, self.fy))
         x, y = (((first - middle) / f, (last - middle) / f) for first, last, middle, f in ends)
         return _is_one_to_one(tuple(self.distortion), *x, *y)
@@ -86,7 +87,7 @@ class Camera:
         return any(self.distortion)
 
     def resized(self, width: int, height: int) -> Camera:
-        """The camera of the same image resampled to width x height (pixel areas kept aligned)."""
+        """Camera of the same image resampled to width x height; the borders of the two images coincide."""
         sx, sy = width / self.width, height / self.height
         return replace(
             self,
@@ -94,16 +95,16 @@ class Camera:
             height=height,
             fx=self.fx * sx,
             fy=self.fy * sy,
-            cx=min((self.cx + 0.5) * sx, float(width)) - 0.5,  # rounding must not take it out of the image
+            cx=min((self.cx + 0.5) * sx, float(width)) - 0.5,  # stays inside the image despite rounding
             cy=min((self.cy + 0.5) * sy, float(height)) - 0.5,
         )
 
     def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
-        """The camera of the window whose top-left pixel is (left, top)."""
+        """Camera of the window whose top-left pixel is (left, top)."""
         return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
 
     def flipped(self) -> Camera:
-        """The camera of the image mirrored left to right."""
+        """Camera of the image mirrored left to right."""
         k1, k2, p1, p2, k3 = self.distortion
         return replace(self, cx=self.width - 1 - self.cx, distortion=(k1, k2, p1, -p2, k3))
 
@@ -111,30 +112,30 @@ class Camera:
         return replace(self, distortion=(0.0, 0.0, 0.0, 0.0, 0.0))
 
     def project(self, points_camera: ArrayLike) -> FloatArray:
-        """Pixels of points in the camera's frame: (..., 3) m -> (..., 2) px; NaN for points with z <= 0."""
+        """Project points in the camera's frame: (..., 3) m -> (..., 2) px; NaN for points with z <= 0."""
         points = np.asarray(points_camera, dtype=np.float64)
         z = np.where(points[..., 2] > 0.0, points[..., 2], np.nan)
         x, y = self._distort(points[..., 0] / z, points[..., 1] / z)
         return np.stack([x * self.fx + self.cx, y * self.fy + self.cy], axis=-1)
 
     def in_sight(self, points_camera: FloatArray) -> NDArray[np.bool_]:
-        """Whether points lie before the camera, and no farther aside than a pixel beyond its image: (N, 3) m -> (N,).
+        """Whether points in the camera's frame are within the field of view, (N, 3) m -> (N,).
 
-        To be asked before :meth:`project`: distortion is a polynomial, which folds what lies far aside back into the
-        image.
+        The field of view extends one pixel beyond the image. Test points before :meth:`project`: the distortion
+        polynomial folds points far outside the field of view back into the image.
         """
         least_m, most_x, most_y = self.sight()
         x, y, z = points_camera.T
         return np.asarray((z > least_m) & (np.abs(x) < most_x * z) & (np.abs(y) < most_y * z))
 
     def sight(self) -> tuple[float, float, float]:
-        """What bounds :meth:`in_sight`: the least depth, m, and how far aside in x and y at a depth of one."""
+        """Bounds of :meth:`in_sight`: smallest depth in metres, and largest abs(x) and abs(y) at z = 1."""
         columns, rows = (np.linspace(-1.0, size, _BORDER_RAYS) for size in (self.width, self.height))
         most = np.abs(self.rays(np.stack(np.meshgrid(columns, rows), axis=-1))).max(axis=(0, 1))
-        return _LEAST_DEPTH_M, float(most[0]), float(most[1])
+        return _MIN_DEPTH_M, float(most[0]), float(most[1])
 
     def rays(self, pixels: ArrayLike) -> FloatArray:
-        """Directions with z = 1 seen at pixels, (..., 2) px -> (..., 3): ``depth * ray`` is the point."""
+        """Ray directions with z = 1 of pixels, (..., 2) px -> (..., 3): ``depth * ray`` is the point."""
         uv = np.asarray(pixels, dtype=np.float64)
         distorted = (uv - np.array([self.cx, self.cy])) / np.array([self.fx, self.fy])
         normalised = self._undistort(distorted)
@@ -146,10 +147,10 @@ class Camera:
         return self.rays(np.stack([u, v], axis=-1))
 
     def back_project(self, depth_m: ArrayLike) -> FloatArray:
-        """Points in the camera's frame of a depth image: (height, width) m -> (height, width, 3) m.
+        """Back-project a depth image into the camera's frame: (height, width) m -> (height, width, 3) m.
 
         Raises:
-            ValueError: the depth image has another size than the camera.
+            ValueError: the depth image and the camera differ in size.
         """
         depth = np.asarray(depth_m, dtype=np.float64)
         if depth.shape != (self.height, self.width):
@@ -167,7 +168,7 @@ Distortion = tuple[float, float, float, float, float]
 
 
 def _distort(distortion: Distortion, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Brown 1971 (as in OpenCV): undistorted to distorted image coordinates at z = 1, (...) each."""
+    """Map undistorted to distorted image coordinates at z = 1, (...) each (Brown 1971, as in OpenCV)."""
     k1, k2, p1, p2, k3 = distortion
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -177,7 +178,7 @@ def _distort(distortion: Distortion, x: FloatArray, y: FloatArray) -> tuple[Floa
 
 
 def _jacobian(distortion: Distortion, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of :func:`_distort`, which is symmetric: its entries xx, xy and yy, (...)."""
+    """Entries xx, xy and yy, (...) each, of the symmetric Jacobian of :func:`_distort`."""
     k1, k2, p1, p2, k3 = distortion
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -189,12 +190,12 @@ def _jacobian(distortion: Distortion, x: FloatArray, y: FloatArray) -> tuple[Flo
 
 
 def _undistort(distortion: Distortion, distorted: FloatArray) -> FloatArray:
-    """Inverse of :func:`_distort` by Newton's method."""
+    """Invert :func:`_distort` by Newton's method."""
     x, y = distorted[..., 0], distorted[..., 1]
     for _ in range(20):
         J_xx, J_xy, J_yy = _jacobian(distortion, x, y)
-        there_x, there_y = _distort(distortion, x, y)
-        dx, dy = distorted[..., 0] - there_x, distorted[..., 1] - there_y
+        predicted_x, predicted_y = _distort(distortion, x, y)
+        dx, dy = distorted[..., 0] - predicted_x, distorted[..., 1] - predicted_y
         determinant = J_xx * J_yy - J_xy * J_xy
         step_x, step_y = (J_yy * dx - J_xy * dy) / determinant, (J_xx * dy - J_xy * dx) / determinant
         x, y = x + step_x, y + step_y
@@ -205,13 +206,15 @@ def _undistort(distortion: Distortion, distorted: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=256)
 def _is_one_to_one(distortion: Distortion, left: float, right: float, top: float, bottom: float) -> bool:
-    """Whether the inverse exists all over a rectangle of distorted coordinates, (0, 0) among them."""
-    grid = np.meshgrid(np.linspace(left, right, _CHECKED), np.linspace(top, bottom, _CHECKED))
+    """Whether the inverse exists throughout a rectangle of distorted coordinates that contains (0, 0)."""
+    grid = np.meshgrid(np.linspace(left, right, _GRID_POINTS), np.linspace(top, bottom, _GRID_POINTS))
     points = np.stack(grid, axis=-1)
     with np.errstate(all="ignore"):
-        found = _undistort(distortion, points)
-        x, y = found[..., 0], found[..., 1]
+        undistorted = _undistort(distortion, points)
+        x, y = undistorted[..., 0], undistorted[..., 1]
         J_xx, J_xy, J_yy = _jacobian(distortion, x, y)
         residual = np.abs(np.stack(_distort(distortion, x, y), axis=-1) - points).max()
-        # Both eigenvalues positive, as in the middle: before the first fold.
-        return bool(residual < _ALIKE and np.all(J_xx + J_yy > 0.0) and np.all(J_xx * J_yy - J_xy**2 > 0.0))
+        # Both eigenvalues are positive, as at the centre, up to the first fold.
+        return bool(
+            residual < _ROUND_TRIP_TOLERANCE and np.all(J_xx + J_yy > 0.0) and np.all(J_xx * J_yy - J_xy**2 > 0.0)
+        )

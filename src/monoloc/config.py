@@ -1,4 +1,4 @@
-"""Settings files: TOML checked against a model, with one clear line for what is wrong."""
+"""Read TOML settings files and validate them against a model; each problem is reported in one line."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def load_settings(path: Path, model: type[Settings]) -> Settings:
     """Read a TOML file into a settings model.
 
     Raises:
-        DataError: unreadable, not TOML, an unknown field, or a value out of range; the field is named.
+        DataError: the file is unreadable or not TOML, or a field is unknown or out of range; the message names it.
     """
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
@@ -32,10 +32,10 @@ def load_settings(path: Path, model: type[Settings]) -> Settings:
 
 
 def describe(error: ValidationError) -> str:
-    """The first problem of a validation, as ``field: what is wrong``; all that a field takes, where it is several."""
+    """Describe the first invalid field as ``field: problem``; for a union, the problem with each alternative."""
     problems: dict[str, list[str]] = {}
     for problem in error.errors():
-        # The alternatives of a union are named by their types, which are no names of fields.
+        # Pydantic adds the type of each alternative of a union to the path; it is not a field.
         field = ".".join(str(part) for part in problem["loc"] if isinstance(part, int) or part.isidentifier())
         problems.setdefault(field or "settings", []).append(problem["msg"])
     field, messages = next(iter(problems.items()))
@@ -43,10 +43,12 @@ def describe(error: ValidationError) -> str:
 
 
 def override(settings: Settings, **values: object) -> Settings:
-    """Settings with some fields replaced, checked again; None leaves a field as it is, a dict goes inside it.
+    """Replace some fields of settings and validate the result.
+
+    None leaves a field unchanged. A dict replaces fields of nested settings.
 
     Raises:
-        SettingError: a value that its field does not take.
+        SettingError: a value is invalid for its field.
     """
     try:
         return type(settings).model_validate(_merged(settings.model_dump(), values))

@@ -1,7 +1,7 @@
-"""Errors a person can act on.
+"""Errors that a user can fix.
 
-Everything that can be wrong with what a user hands over raises a :class:`MonolocError`; the command
-line turns it into one line on stderr and exit code 2. Any other exception is a fault of ours (exit 1).
+Invalid input raises a :class:`MonolocError`, which the command line reports as one line on stderr with exit code 2.
+Any other exception is a bug in monoloc (exit code 1).
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ from pathlib import Path
 
 
 class MonolocError(Exception):
-    """Root of all errors caused by input; the message is one line that names the fix."""
+    """Base class of all errors caused by input; the message is one line that names the fix."""
 
 
 class DataError(MonolocError):
-    """A file or folder that cannot be used: ``path: what is wrong; how to mend it``."""
+    """A file or folder cannot be used. Message: ``path: problem; fix``."""
 
     def __init__(self, path: str | Path, problem: str, fix: str) -> None:
         self.path = Path(path)
@@ -22,7 +22,7 @@ class DataError(MonolocError):
 
 
 class SettingError(MonolocError):
-    """A setting or argument that cannot be used: ``field: what is wrong; how to mend it``."""
+    """A setting or argument cannot be used. Message: ``field: problem; fix``."""
 
     def __init__(self, field: str, problem: str, fix: str) -> None:
         self.field, self.problem, self.fix = field, problem, fix
@@ -30,16 +30,16 @@ class SettingError(MonolocError):
 
 
 class BundleError(DataError):
-    """A bundle that is incomplete, edited, or of an unknown schema."""
+    """A bundle is incomplete, was edited, or has an unknown schema."""
 
 
 class MissingExtraError(MonolocError):
-    """Something was asked for whose libraries are not installed.
+    """A feature needs libraries that are not installed.
 
     Args:
-        what: needs them.
-        extra: of the package, which brings them.
-        package: ``monoloc`` or ``monoloc-lab``.
+        what: the feature, as the subject of the message.
+        extra: name of the extra that installs the libraries.
+        package: package that defines the extra, ``monoloc`` or ``monoloc-lab``.
     """
 
     def __init__(self, what: str, extra: str, package: str = "monoloc") -> None:

@@ -1,4 +1,4 @@
-"""Libraries that only some users need."""
+"""Checks for optional libraries."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from monoloc.errors import MissingExtraError
 
 
 def require_plotting() -> None:
-    """Say that there is nothing to draw with before the work is done, not after it.
+    """Check that matplotlib is installed, before long work starts.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -22,12 +22,12 @@ def require_plotting() -> None:
 
 
 def require_viewing() -> None:
-    """Say that there is no viewer before the work is done.
+    """Check that Rerun is installed, before long work starts.
 
     Raises:
         MissingExtraError: Rerun is not installed.
     """
-    os.environ.setdefault("RUST_LOG", "off")  # what goes wrong is said once, by us
+    os.environ.setdefault("RUST_LOG", "off")  # monoloc reports problems itself, once
     try:
         import rerun  # noqa: F401
     except ImportError as error:
@@ -36,7 +36,11 @@ def require_viewing() -> None:
 
 @contextmanager
 def training_extra() -> Iterator[None]:
-    """Imports of PyTorch and its company, with a clear word where they are missing."""
+    """Context for imports of PyTorch and related libraries.
+
+    Raises:
+        MissingExtraError: one of them is not installed.
+    """
     try:
         yield
     except ModuleNotFoundError as error:

@@ -1,4 +1,4 @@
-"""Files written whole or not at all."""
+"""Atomic file writes."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from monoloc.errors import DataError
 
 
 def partial_of(path: Path) -> Path:
-    """Where a file is written before it is renamed into its place."""
+    """Temporary path that is written and then renamed to ``path``."""
     return path.with_name(f".{path.name}.{os.getpid()}.partial")
 
 
 def target_of(path: Path) -> Path:
-    """The file that is replaced in writing to ``path``: of a link, what it leads to.
+    """The file that a write to ``path`` replaces: ``path`` with all links resolved.
 
     Raises:
-        DataError: something else is there, such as a device, in whose place a file would be put.
+        DataError: the path exists and is neither a file nor a folder, such as a device, which a file would replace.
     """
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise DataError(path, "is neither a file nor a folder", "name a file")
@@ -29,7 +29,7 @@ def target_of(path: Path) -> Path:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Put ``content`` at ``path``, through links; what was there stays as it was if anything fails.
+    """Write ``content`` to ``path`` atomically, following links; on failure an existing file is unchanged.
 
     Raises:
         DataError: the file cannot be written.
@@ -48,7 +48,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def json_text(content: Mapping[str, object]) -> str:
-    """One JSON object; figures that are not numbers become null, as JSON has no NaN."""
+    """Serialise to one JSON object; NaN and infinity, which JSON lacks, become null."""
     return json.dumps(_finite(content), indent=1)
 
 

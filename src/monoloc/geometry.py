@@ -1,9 +1,8 @@
 """Rigid motions in SE(3), as NumPy arrays.
 
 ``T_a_b`` maps coordinates in frame b to frame a: ``x_a = T_a_b[:3, :3] @ x_b + T_a_b[:3, 3]``.
-Every function takes any number of leading batch axes. A twist is ``(rho, phi)``: translation first,
-rotation vector second, metres and radians. Formulas: Solà et al., *A micro Lie theory for state
-estimation in robotics* (2018).
+Every function accepts any number of leading batch axes. A twist is ``(rho, phi)``: translation in metres,
+then rotation vector in radians. Formulas: Solà et al., *A micro Lie theory for state estimation in robotics* (2018).
 """
 
 from __future__ import annotations
@@ -13,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
 
-_SMALL_ANGLE = 1e-4  # below it sin and cos quotients are replaced by their series
-TURN_WORTH_M = 1.0  # a radian of rotation keeps as little of a view in sight as so many metres
+_SMALL_ANGLE = 1e-4  # below this, series replace the quotients of sine and cosine
+TURN_WORTH_M = 1.0  # metres that change the view as much as one radian of rotation
 
 
 def hat(vector: ArrayLike) -> FloatArray:
@@ -28,7 +27,7 @@ def hat(vector: ArrayLike) -> FloatArray:
 
 
 def _angle_quotients(angle: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """sin(t)/t, (1 - cos(t))/t^2 and (t - sin(t))/t^3, stable at t = 0."""
+    """Compute sin(t)/t, (1 - cos(t))/t^2 and (t - sin(t))/t^3, stable at t = 0."""
     small = angle < _SMALL_ANGLE
     t = np.where(small, 1.0, angle)
     squared = angle**2
@@ -48,12 +47,12 @@ def so3_exp(rotation_vector: ArrayLike) -> FloatArray:
 
 def so3_log(rotation: ArrayLike) -> FloatArray:
     """Rotation vector of a rotation matrix, norm in [0, pi]: (..., 3, 3) -> (..., 3) rad."""
-    # By way of the unit quaternion, which is well conditioned at every angle, pi included.
+    # The unit quaternion is well conditioned at every angle, including pi.
     quaternion = rotation_to_quaternion(rotation)
     vector, w = quaternion[..., :3], quaternion[..., 3]
     norm = np.linalg.norm(vector, axis=-1)
     small = norm < _SMALL_ANGLE
-    # Where the sine is small the cosine is near 1; elsewhere it may be 0 (at pi).
+    # If the norm (a sine) is small, w (a cosine) is near 1; otherwise w may be 0, at pi.
     scale = np.where(small, 2.0 / np.where(small, w, 1.0), 2.0 * np.arctan2(norm, w) / np.where(small, 1.0, norm))
     return scale[..., None] * vector
 
@@ -102,7 +101,7 @@ def invert(pose: ArrayLike) -> FloatArray:
 
 
 def transform(pose: ArrayLike, points: ArrayLike) -> FloatArray:
-    """Points in frame a of points in frame b: ``T_a_b`` (..., 4, 4), (..., P, 3) -> (..., P, 3)."""
+    """Map points from frame b to frame a by ``T_a_b``: (..., 4, 4), (..., P, 3) -> (..., P, 3)."""
     T = np.asarray(pose, dtype=np.float64)
     return np.asarray(points, dtype=np.float64) @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
 
@@ -113,10 +112,7 @@ def rotation_angle(rotation: ArrayLike) -> FloatArray:
 
 
 def adjoint(pose: ArrayLike) -> FloatArray:
-    """Matrix that carries twists from the right of a pose to its left: ``pose @ exp(x) == exp(adjoint @ x) @ pose``.
-
-    (..., 4, 4) -> (..., 6, 6).
-    """
+    """Adjoint matrix of a pose, (..., 4, 4) -> (..., 6, 6), with ``pose @ exp(x) == exp(adjoint @ x) @ pose``."""
     matrix = np.asarray(pose, dtype=np.float64)
     rotation = matrix[..., :3, :3]
     result = np.zeros((*matrix.shape[:-2], 6, 6))
@@ -126,22 +122,22 @@ def adjoint(pose: ArrayLike) -> FloatArray:
 
 
 def ray_slopes(points: FloatArray) -> FloatArray:
-    """Derivatives of x / z and y / z by a point: (N, 3) -> (N, 2, 3)."""
+    """Jacobian of (x / z, y / z) with respect to the point: (N, 3) -> (N, 2, 3)."""
     z = points[:, 2]
-    slopes = np.zeros((len(points), 2, 3))
-    slopes[:, 0, 0] = slopes[:, 1, 1] = 1.0 / z
-    slopes[:, :, 2] = -points[:, :2] / z[:, None] ** 2
-    return slopes
+    J = np.zeros((len(points), 2, 3))
+    J[:, 0, 0] = J[:, 1, 1] = 1.0 / z
+    J[:, :, 2] = -points[:, :2] / z[:, None] ** 2
+    return J
 
 
 def pose_distance_m(pose: FloatArray, others: FloatArray) -> FloatArray:
-    """Distance in metres plus angle in radians times one metre, from a pose (4, 4) to others (N, 4, 4): (N,)."""
+    """Distance in metres plus one metre per radian of rotation, from a pose (4, 4) to others (N, 4, 4): (N,)."""
     relative = invert(pose) @ others
     return np.asarray(np.linalg.norm(relative[:, :3, 3], axis=1) + TURN_WORTH_M * rotation_angle(relative[:, :3, :3]))
 
 
 def is_rigid(pose: ArrayLike, tolerance: float = 1e-3) -> NDArray[np.bool_]:
-    """Whether each (..., 4, 4) is finite, has last row (0, 0, 0, 1) and a proper rotation.
+    """Whether each pose (..., 4, 4) is finite and has last row (0, 0, 0, 1) and a proper rotation: (...).
 
     The tolerance bounds the largest entry of ``R^T R - I``; recorded poses carry rounding of 1e-6 to 1e-4.
     """
@@ -157,7 +153,7 @@ def is_rigid(pose: ArrayLike, tolerance: float = 1e-3) -> NDArray[np.bool_]:
 def nearest_rotation(matrix: ArrayLike) -> FloatArray:
     """The rotation closest to a matrix in the Frobenius norm: (..., 3, 3) -> (..., 3, 3).
 
-    Source: Umeyama 1991; also the chordal mean when the matrix is a weighted sum of rotations.
+    For a weighted sum of rotations, this is their chordal mean. Source: Umeyama 1991.
     """
     u, _, vt = np.linalg.svd(np.asarray(matrix, dtype=np.float64))
     sign = np.ones(u.shape[:-1])
@@ -165,11 +161,11 @@ def nearest_rotation(matrix: ArrayLike) -> FloatArray:
     return np.asarray((u * sign[..., None, :]) @ vt)
 
 
-# --- The one quaternion border. Files and wires hold quaternions; nothing inside monoloc does. ---
+# --- Quaternions exist only in files and messages. These two functions convert them. ---
 
 
 def quaternion_to_rotation(quaternion_xyzw: ArrayLike) -> FloatArray:
-    """Rotation of a quaternion (x, y, z, w), normalised here: (..., 4) -> (..., 3, 3).
+    """Rotation matrix of a quaternion (x, y, z, w) of any length: (..., 4) -> (..., 3, 3).
 
     Raises:
         ValueError: the quaternion is zero or not finite.
@@ -186,8 +182,8 @@ def quaternion_to_rotation(quaternion_xyzw: ArrayLike) -> FloatArray:
 def rotation_to_quaternion(rotation: ArrayLike) -> FloatArray:
     """Unit quaternion (x, y, z, w) with w >= 0 of a rotation: (..., 3, 3) -> (..., 4).
 
-    The symmetric 4x4 matrix 4 q q^T is linear in the rotation; of its columns, all multiples of q, the one with the
-    largest diagonal is taken, which is never near zero (Markley 2008).
+    The symmetric 4x4 matrix 4 q q^T is linear in the rotation, and each of its columns is a multiple of q. The column
+    with the largest diagonal entry is never near zero, so it is normalised (Markley 2008).
     """
     R = np.asarray(rotation, dtype=np.float64)
     outer = np.zeros((*R.shape[:-2], 4, 4))

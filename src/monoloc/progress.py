@@ -1,4 +1,4 @@
-"""Progress of long work, on stderr, with rate and remaining time."""
+"""Progress of long tasks on stderr, with rate and remaining time."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from rich import progress as rich_progress
 from rich.console import Console
 from rich.text import Text
 
-_SILENCE_S = 30.0  # in a log; after that, people wonder
+_LOG_INTERVAL_S = 30.0  # in a log; a longer silence looks like a hang
 
 
 class Step(Protocol):
-    """Says that so many steps of a task are done, with a remark on how it goes where there is one."""
+    """Reports the number of completed steps of a task, with an optional remark."""
 
     def __call__(self, done: int, remark: str = "", /) -> None: ...
 
 
 class Progress(Protocol):
-    """Shows how far a task is; library code calls it and does not know who looks."""
+    """Shows the progress of tasks. Library code reports to this interface only."""
 
     def task(self, name: str, total: int | None) -> AbstractContextManager[Step]:
-        """A context whose value is called with the number of steps done; ``total`` None: unknown."""
+        """Context whose value is called with the number of completed steps; ``total`` is None if unknown."""
         ...
 
 
 class NoProgress:
-    """For library use: nothing is shown."""
+    """Shows nothing; the default for library use."""
 
     @contextmanager
     def task(self, name: str, total: int | None) -> Iterator[Step]:
@@ -51,7 +51,10 @@ def _rate(steps_per_s: float) -> str:
 
 
 class ConsoleProgress:
-    """Bars on a console; where stderr is no terminal, one line a finished task, a remark, and at most 30 s."""
+    """Shows progress bars on a terminal.
+
+    If stderr is not a terminal, it prints a line for each remark and each finished task, and one every 30 s.
+    """
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -59,17 +62,17 @@ class ConsoleProgress:
     @contextmanager
     def task(self, name: str, total: int | None) -> Iterator[Step]:
         if not self._console.is_terminal:
-            # A log, or another program: no bars, and nothing of a task that fails.
-            started = told = time.perf_counter()
+            # Output goes to a log or another program: no bars, and no final line for a task that fails.
+            started = logged = time.perf_counter()
             first: int | None = None
 
             def log(done: int, remark: str = "", /) -> None:
-                nonlocal first, told
-                first = done - 1 if first is None else first  # a resumed task does not begin at nothing
+                nonlocal first, logged
+                first = done - 1 if first is None else first  # a resumed task does not start at 0
                 now = time.perf_counter()
-                if not remark and now - told < _SILENCE_S:
+                if not remark and now - logged < _LOG_INTERVAL_S:
                     return
-                told = now
+                logged = now
                 how = remark or _rate((done - first) / (now - started))
                 if total is None:
                     self._console.print(f"{name}: {done}, {how}")

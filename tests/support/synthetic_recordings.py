@@ -10,12 +10,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc import geometry
+from monoloc.camera import Camera
+from monoloc.io.reader_options import ReaderOptions
+from monoloc.io.recording import Recording
 
 FloatArray = NDArray[np.float64]
 
 
+# Of the videos that :func:`write_video` writes.
+VIDEO_OPTIONS = ReaderOptions(camera=Camera(64, 48, 50.0, 50.0, 31.0, 23.0))
+
+
+def check_recording(recording: Recording, frames: int) -> None:
+    """What every recording promises."""
+    assert isinstance(recording, Recording)
+    assert len(recording) == len(recording.frame_names) == frames
+    assert len(set(recording.frame_names)) == frames
+    assert recording.timestamps_s.shape == (frames,)
+    assert (np.diff(recording.timestamps_s) > 0).all()
+    size = (recording.camera.height, recording.camera.width)
+    color = recording.color(frames - 1)
+    assert color.shape == (*size, 3)
+    assert color.dtype == np.uint8
+    if recording.has_depth:
+        depth_m = recording.depth(frames - 1)
+        assert depth_m.shape == size
+        assert depth_m.dtype == np.float32
+    if recording.poses is not None:
+        assert recording.poses.shape == (frames, 4, 4)
+        assert geometry.is_rigid(recording.poses, tolerance=1e-9).all()
+
+
 def make_poses(count: int) -> FloatArray:
-    """Poses along a smooth path, (count, 4, 4)."""
+    """Poses along a smooth trajectory, (count, 4, 4)."""
     steps = np.arange(count)[:, None]
     return geometry.se3_exp(steps * np.array([0.05, -0.02, 0.03, 0.02, 0.05, -0.01]))
 
@@ -68,7 +95,7 @@ def write_seven_scenes(scene: Path, sequences: int = 1, frames: int = 3, suffix:
 def write_tum(folder: Path, frames: int = 4) -> FloatArray:
     """A TUM sequence whose depth lags by 5 ms and whose truth is sampled at 100 Hz.
 
-    Returns the poses at the frames. The path is a constant twist, so that interpolation is exact.
+    Returns the poses at the frames. The motion is a constant twist, so that interpolation is exact.
     """
     twist = np.array([0.3, -0.2, 0.1, 0.2, 0.5, -0.4])
     times_s = 100.0 + np.arange(frames) / 30.0
@@ -140,7 +167,7 @@ def write_video(path: Path, frames: int = 6, codec: str = "MJPG") -> None:
 
 
 def write_uneven_video(path: Path, shares: list[int]) -> None:
-    """As :func:`write_video`, an .mp4 whose frames last so many parts of the whole time each."""
+    """As :func:`write_video`, an .mp4 whose frames last these shares of the whole time."""
     write_video(path, len(shares), "mp4v")
     data = path.read_bytes()
     # Box stts: size, name, version, number of entries, then (frames, units of time) of each.
@@ -160,7 +187,7 @@ def write_uneven_video(path: Path, shares: list[int]) -> None:
 
 
 def overstate_frames(path: Path, frames: int) -> None:
-    """Make the headers of an .avi count so many frames."""
+    """Make the headers of an .avi state this number of frames."""
     data = bytearray(path.read_bytes())
     struct.pack_into("<I", data, data.index(b"avih") + 8 + 16, frames)
     struct.pack_into("<I", data, data.index(b"strh") + 8 + 32, frames)

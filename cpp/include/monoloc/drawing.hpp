@@ -1,4 +1,4 @@
-// Points of a room drawn as a camera sees them: of those that cover a pixel, the nearest is seen.
+// Renders points of a room into a camera image with a z-buffer.
 #pragma once
 
 #include <cstddef>
@@ -6,24 +6,24 @@
 
 namespace monoloc {
 
-// Brown's model, as in OpenCV; pixel (0, 0) is the centre of the first.
+// Pinhole camera with Brown's distortion, as in OpenCV; (0, 0) is the centre of the first pixel.
 struct Pinhole {
   double fx, fy, cx, cy;
   double k1, k2, p1, p2, k3;
 };
 
-// Points are drawn that lie farther before the camera than this, and less far aside at a depth of one: distortion is a
-// polynomial, which folds what lies far aside back into the image.
+// Bounds of the field of view: minimum depth, and maximum |x| and |y| at a depth of one. Points outside are not
+// drawn, because the distortion polynomial would fold them back into the image.
 struct Sight {
   double least_depth, most_x, most_y;
 };
 
 constexpr std::uint32_t kNoPoint = ~std::uint32_t{0};
 
-// Draws points, each on the four pixels about it, into images of (rows, columns) pixels. `front` takes the number of the
-// nearest of those that cover a pixel, of several as near the first's, or kNoPoint; `depth` the mean depth of those that
-// lie no farther behind the nearest than the share `behind` of its depth, or 0: they are of one surface, and the nearest
-// of many that err, or of a slanted surface, is too near. There are fewer than 2^32 points and pixels.
+// Draws each point on the four pixels around it, into images of (rows, columns) pixels. `front`: index of the nearest
+// point on the pixel (the first of several at the same depth), or kNoPoint. `depth`: mean depth of the points within
+// the share `behind` of the nearest depth, which belong to one surface, or 0. The nearest depth alone would be biased
+// for noisy points and for slanted surfaces. The numbers of points and pixels are below 2^32.
 void draw_points(const double* points, std::size_t count, const double* camera_from_world, const Pinhole& camera,
                  const Sight& sight, double behind, std::size_t rows, std::size_t columns, std::uint32_t* front,
                  float* depth);

@@ -1,5 +1,5 @@
-// A spatial index of a mixture: each voxel near the map knows the few components that matter in it. Voxels are
-// found by bricks of 4 x 4 x 4 in a hash table, so memory grows with the map's surface.
+// Spatial index of a mixture: each voxel near the map stores the few components that matter in it. A hash table
+// stores bricks of 4 x 4 x 4 voxels, so that memory grows with the map's surface.
 #pragma once
 
 #include <cstddef>
@@ -13,24 +13,24 @@ namespace monoloc {
 
 struct IndexSettings {
   double voxel_m;         // edge of a voxel
-  double floor_density;   // smallest outlier density the index will be used with, 1/m^3
-  double tolerance;       // relative error of (density + floor) allowed in a voxel
+  double floor_density;   // smallest outlier density in use, 1/m^3
+  double tolerance;       // allowed relative error of (density + floor) in a voxel
 };
 
 class MixtureIndex {
  public:
-  // Throws std::invalid_argument when the grid would need more than 2^32 bricks.
+  // Throws std::invalid_argument if the grid would need more than 2^32 bricks.
   MixtureIndex(const std::vector<Component>& mixture, const IndexSettings& settings);
 
   // Natural logarithm of the density at points (P, 3); -infinity outside the indexed voxels.
   void log_density(const double* points, std::size_t count, double* out) const;
 
-  // How many components log_density(points) evaluates, the free lanes of its blocks included.
+  // Number of components that log_density(points) evaluates, including free lanes of blocks.
   std::size_t evaluations(const double* points, std::size_t count) const;
 
-  // For every particle: sum_p w_p log((1 - eps) M(T e^s x_p) + eps / V).
+  // For each particle: sum_p w_p log((1 - eps) M(T e^s x_p) + eps / V).
   //   poses (N, 4, 4) T_world_camera; log_scales (N); scan (P, 3) in the camera's frame;
-  //   point_weights (P), or nullptr for ones; threads: share the particles, the result is the same for any number.
+  //   point_weights (P), or nullptr for ones; threads: number of threads, which does not affect the result.
   void weigh(const double* poses, const double* log_scales, std::size_t particles, const float* scan,
              const float* point_weights, std::size_t points, double outlier_share, double volume_m3,
              std::size_t threads, double* out) const;
@@ -44,13 +44,13 @@ class MixtureIndex {
            blocks_.size() * sizeof(float);
   }
 
-  // What the kernels read; valid as long as the index lives.
+  // Input of the kernels; valid during the lifetime of the index.
   IndexView view() const;
 
  private:
   double voxel_m_;
-  double centre_[3];  // subtracted from everything, so that single precision suffices
-  float origin_[3];   // lower corner of the grid, centred
+  double centre_[3];  // subtracted from all coordinates, so that single precision suffices
+  float origin_[3];   // lower corner of the grid, relative to centre_
   std::int32_t bricks_[3];
   std::uint32_t hash_shift_;
   std::vector<Slot> slots_;

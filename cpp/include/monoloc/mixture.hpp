@@ -1,4 +1,4 @@
-// A Gaussian mixture in three dimensions: exact density, and the E-step of EM.
+// Gaussian mixture in three dimensions: exact density and the E-step of EM.
 #pragma once
 
 #include <cstddef>
@@ -8,15 +8,15 @@
 
 namespace monoloc {
 
-// Components of weights (K), means (K, 3) and covariances (K, 3, 3), row-major.
-// Throws std::invalid_argument when a covariance is not positive definite.
+// Components from weights (K), means (K, 3) and covariances (K, 3, 3), row-major.
+// Throws std::invalid_argument if a covariance is not positive definite.
 std::vector<Component> make_components(const double* weights, const double* means, const double* covariances,
                                        std::size_t count);
 
 // Natural logarithm of the mixture's density at points (P, 3); exact over all components.
 void log_density(const std::vector<Component>& mixture, const double* points, std::size_t count, double* out);
 
-// What the M-step needs, centred on the components' current means (no cancellation for far-off means).
+// Sufficient statistics of the M-step, relative to the current means to avoid cancellation.
 struct Expectation {
   std::vector<double> mass;     // (K): sum_n r_nk
   std::vector<double> first;    // (K, 3): sum_n r_nk d_nk

@@ -1,4 +1,4 @@
-// A mixture seen along rays: how likely a depth is on its ray, from where each particle stands.
+// Density of depth along rays through a mixture, from the pose of each particle.
 #pragma once
 
 #include <cstddef>
@@ -8,20 +8,20 @@
 
 namespace monoloc {
 
-// How depths spread about the map, and what else they may be.
+// Noise model of depth along a ray.
 struct RayNoise {
-  double log_depth_sd;     // of an inlier's log-depth about the surface
+  double log_depth_sd;     // standard deviation of an inlier's log-depth
   double outlier_share;    // eps
-  double log_depth_range;  // outliers are uniform over so much log-depth
+  double log_depth_range;  // support of outliers, which are uniform in log-depth
 };
 
 class RayMixture {
  public:
   explicit RayMixture(const std::vector<Component>& mixture);
 
-  // For every particle: sum_p w_p log p(log d_p | ray), see monoloc.map.numpy_twins.weigh_rays.
+  // For each particle: sum_p w_p log p(log d_p | ray), see monoloc.map.numpy_twins.weigh_rays.
   //   poses (N, 4, 4) T_world_camera; log_scales (N); scan (P, 3) in the camera's frame, z > 0; point_weights (P), or
-  //   nullptr for ones; threads: share the particles, the result is the same for any number.
+  //   nullptr for ones; threads: number of threads, which does not affect the result.
   void weigh(const double* poses, const double* log_scales, std::size_t particles, const float* scan,
              const float* point_weights, std::size_t points, const RayNoise& noise, std::size_t threads,
              double* out) const;

@@ -1,10 +1,10 @@
-"""Classical localisation: ORB or SIFT keypoints of posed RGB-D frames, matched, and the pose by PnP-RANSAC.
+"""Classical localisation: ORB or SIFT keypoints matched with those of posed RGB-D frames, and PnP-RANSAC.
 
-What one would take today without learning anything: Rublee et al., *ORB* (ICCV 2011); Lowe, *Distinctive Image
-Features from Scale-Invariant Keypoints* (IJCV 2004), whose ratio test serves both; Gao et al., *Complete Solution
+A baseline without learning. Sources: Rublee et al., *ORB* (ICCV 2011); Lowe, *Distinctive Image
+Features from Scale-Invariant Keypoints* (IJCV 2004), with the ratio test for both; Gao et al., *Complete Solution
 Classification for the Perspective-Three-Point Problem* (PAMI 2003); Fischler & Bolles, *RANSAC* (1981). Frames of the
 map are retrieved by votes of the image's strongest keypoints, as in Schindler et al., *City-Scale Location
-Recognition* (CVPR 2007), without their tree: a room is small.
+Recognition* (CVPR 2007), without their vocabulary tree, which a room does not need.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ class KeypointConfig(BaseModel):
 
     Attributes:
         kind: of keypoint and descriptor.
-        keypoints: most in an image.
-        voters: strongest keypoints of an image that vote for frames of the map.
-        retrieved: frames of the map that are then matched in full.
+        keypoints: largest number per image.
+        voters: number of the strongest keypoints of an image that vote for frames of the map.
+        retrieved: number of frames of the map that are then matched in full.
         ratio: Lowe's ratio test: best over second best distance.
-        reprojection_px: RANSAC's inlier threshold.
-        iterations: of RANSAC, at most.
-        min_inliers: a pose on fewer keypoints of the image is none, however many frames of the map show each.
-        depth_jump: keypoints beside a relative jump of depth above this are left out of the map.
+        reprojection_px: inlier threshold of RANSAC.
+        iterations: largest number of RANSAC iterations.
+        min_inliers: smallest number of keypoints of the image, each counted once, that a pose rests on.
+        depth_jump: the map leaves out keypoints at a relative jump of depth above this.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -60,8 +60,8 @@ class KeypointMap:
 
     Attributes:
         points: (P, 3) float32, world frame.
-        descriptors: (P, D) uint8; SIFT's are whole numbers too.
-        starts: (K + 1,) frame k has the keypoints starts[k] to starts[k + 1].
+        descriptors: (P, D) uint8.
+        starts: (K + 1,), frame k has the keypoints starts[k] to starts[k + 1].
     """
 
     points: NDArray[np.float32]
@@ -70,12 +70,12 @@ class KeypointMap:
 
     @property
     def bytes(self) -> int:
-        """What has to be carried to localise in it."""
+        """Size of the map."""
         return self.points.nbytes + self.descriptors.nbytes + self.starts.nbytes
 
 
 def build_keypoint_map(recording: Recording, config: KeypointConfig, progress: Progress) -> KeypointMap:
-    """Keypoints of every frame, lifted with its depth.
+    """Keypoints of every frame, back-projected with its depth.
 
     Raises:
         DataError: no poses, no depth, or no frame with enough keypoints that have depth.
@@ -103,7 +103,7 @@ def build_keypoint_map(recording: Recording, config: KeypointConfig, progress: P
 
 
 class KeypointLocalizer:
-    """Poses of single images of one camera; call it with each."""
+    """Localises single images of one camera; call it with each."""
 
     def __init__(self, room: KeypointMap, camera: Camera, config: KeypointConfig) -> None:
         self._map, self._camera, self._config = room, camera, config
@@ -111,7 +111,7 @@ class KeypointLocalizer:
         self._frames = np.repeat(np.arange(len(room.starts) - 1), np.diff(room.starts))
 
     def __call__(self, color: NDArray[np.uint8]) -> FloatArray | None:
-        """``T_world_camera`` (4, 4) of an image (H, W, 3) uint8 RGB; None where too few keypoints agree."""
+        """``T_world_camera`` (4, 4) of an image (H, W, 3) uint8 RGB; None if too few keypoints agree."""
         pixels, descriptors = self._detector(color)
         if len(pixels) < self._config.min_inliers:
             return None
@@ -125,7 +125,7 @@ class KeypointLocalizer:
         return self._solve(points_world, pixels.astype(np.float64), np.concatenate(seen))
 
     def _retrieve(self, descriptors: NDArray[np.uint8]) -> NDArray[np.int64]:
-        """The frames of the map with the most votes, at least one each."""
+        """The frames of the map with the most votes; frames without a vote are left out."""
         nearest, _ = _nearest(descriptors[: self._config.voters], self._map.descriptors, self._config, 1)
         voted = self._frames[nearest[:, 0]]
         votes = np.bincount(voted, minlength=len(self._map.starts) - 1)
@@ -133,7 +133,7 @@ class KeypointLocalizer:
         return np.asarray(best[votes[best] > 0], dtype=np.int64)
 
     def _solve(self, points_world: FloatArray, pixels: FloatArray, seen: NDArray[np.int64]) -> FloatArray | None:
-        """The pose of points (M, 3) m seen at pixels[seen], (N, 2) and (M,); a keypoint may stand for several."""
+        """The pose from points (M, 3) m seen at pixels[seen], (N, 2) and (M,); points may share a keypoint."""
         config = self._config
         if len(np.unique(seen)) < config.min_inliers:
             return None
@@ -160,13 +160,13 @@ class KeypointLocalizer:
 
 
 class _Detector:
-    """Keypoints of an image, the strongest first."""
+    """Detects the keypoints of an image, strongest first."""
 
     def __init__(self, config: KeypointConfig) -> None:
-        library: Any = cv2  # whose stubs lack both
+        library: Any = cv2  # its stubs lack both
         create = {"orb": library.ORB_create, "sift": library.SIFT_create}[config.kind]
         self._feature = create(nfeatures=config.keypoints)
-        # As monoloc's own odometry does: without it, dim images have no keypoints.
+        # As in monoloc's odometry: without it, dim images have no keypoints.
         self._equalise = equaliser()
 
     def __call__(self, color: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
@@ -183,11 +183,11 @@ class _Detector:
 def _nearest(
     query: NDArray[np.uint8], train: NDArray[np.uint8], config: KeypointConfig, count: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """The nearest of T descriptors to every one of Q, nearest first: indices and distances, (Q, count) each."""
+    """The nearest of T descriptors for each of Q, nearest first: indices and distances, (Q, count) each."""
     if config.kind == "orb":
         distances, indices = cv2.batchDistance(query, train, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=count)
         return np.asarray(indices, dtype=np.int64), np.asarray(distances, dtype=np.float32)
-    # By a matrix product: OpenCV takes ten times as long.
+    # A matrix product: OpenCV takes ten times as long.
     a, b = query.astype(np.float32), train.astype(np.float32)
     squared = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * (a @ b.T)
     few = np.argpartition(squared, count - 1, axis=1)[:, :count]
@@ -200,7 +200,7 @@ def _nearest(
 def _match(
     query: NDArray[np.uint8], train: NDArray[np.uint8], config: KeypointConfig
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs of descriptors that pass the ratio test: their indices in either, (M,) each."""
+    """Pairs of descriptors that pass the ratio test: their indices, (M,) each."""
     if len(train) < 2:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     indices, distances = _nearest(query, train, config, 2)

@@ -1,4 +1,4 @@
-"""How far poses that come one a frame are from the truth."""
+"""The error distribution of poses that are measured frame by frame."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from monoloc.geometry import FloatArray, rotation_angle
 
-_DEGREES_OF_FREEDOM = 4.0  # of the t distribution: a regressed pose is off by far now and then
+_DEGREES_OF_FREEDOM = 4.0  # of the t distribution: regressed poses have outliers
 _FIT_ROUNDS = 50
 _DIMENSIONS = 6
 _LEAST_POSITION_SD_M, _LEAST_ROTATION_SD_RAD = 1e-3, 1e-3
@@ -16,10 +16,10 @@ _LEAST_POSITION_SD_M, _LEAST_ROTATION_SD_RAD = 1e-3, 1e-3
 
 @dataclass(frozen=True)
 class PoseError:
-    """How far measured poses are from the truth: a t distribution, alike along all axes.
+    """The error of measured poses: a t distribution, equal along all axes.
 
     Attributes:
-        position_sd_m, rotation_sd_rad: its scales, per axis.
+        position_sd_m, rotation_sd_rad: its scales per axis.
     """
 
     position_sd_m: float
@@ -27,7 +27,7 @@ class PoseError:
 
     @classmethod
     def fit(cls, measured: FloatArray, truth: FloatArray) -> PoseError:
-        """The most likely scales of N >= 1 errors, by expectation-maximisation (Lange et al. 1989).
+        """The maximum-likelihood scales of N >= 1 errors, by expectation-maximisation (Lange et al. 1989).
 
         Args:
             measured, truth: ``T_world_camera``, (N, 4, 4).
@@ -46,7 +46,7 @@ class PoseError:
         return cls(float(position_sd_m), float(rotation_sd_rad))
 
     def log_likelihood(self, measured: FloatArray, poses: FloatArray) -> FloatArray:
-        """Of one measured pose (4, 4) at each pose (N, 4, 4), (N,) nats but for a constant."""
+        """Log-likelihood of a measured pose (4, 4) at each pose (N, 4, 4), (N,) nats up to a constant."""
         offset = poses[:, :3, 3] - measured[:3, 3]
         angle = rotation_angle(measured[:3, :3].T @ poses[:, :3, :3])
         distance = np.sum(offset**2, axis=1) / self.position_sd_m**2 + angle**2 / self.rotation_sd_rad**2

@@ -1,8 +1,8 @@
-"""Poses measured once a frame, filtered by monoloc's own tracker and odometry.
+"""Poses that are measured frame by frame, filtered with monoloc's tracker and odometry.
 
-Odometry, particles, and fusion are those of the localizer. Only the likelihood differs: that of the measured pose, in
-place of that of a scan in the map. So what the filter gives a pose network can be told from what the map gives
-monoloc. It needs no PyTorch: where the poses come from does not matter.
+Odometry, particles and fusion are those of the localizer. Only the likelihood differs: it is that of the measured
+pose, not of a scan in the map. So the filter separates its own contribution to a pose network from that of the map.
+It needs no PyTorch.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from monoloc_lab.baselines.pose_error import PoseError
 
 
 class PoseFilter:
-    """Tracks one camera by measured poses and visual odometry; call :meth:`step` with every frame in order.
+    """Tracks one camera with measured poses and visual odometry; call :meth:`step` with every frame in order.
 
     Args:
-        measure: ``T_world_camera`` (4, 4) of an image (H, W, 3) uint8 RGB, None where it has none.
-        error: of what ``measure`` gives.
-        depth: for the odometry; the localizer's, for a fair comparison.
+        measure: ``T_world_camera`` (4, 4) of an image (H, W, 3) uint8 RGB, None if it finds no pose.
+        error: of the measured poses.
+        depth: for the odometry; that of the localizer, for a fair comparison.
         start: particles before the first frame.
         config: the localizer's settings of particles, motion, depth scale and bias.
-        reference_poses: that the network was trained on, or none.
+        reference_poses: training poses of the network, or none.
     """
 
     def __init__(
@@ -57,13 +57,13 @@ class PoseFilter:
         return self._tracker.particles
 
     def step(self, color: NDArray[np.uint8], elapsed_s: float) -> Estimate:
-        """Take in one frame: (H, W, 3) uint8 RGB, and the seconds since the previous one, ignored at the first."""
+        """Process one frame: (H, W, 3) uint8 RGB, and the seconds since the previous frame, ignored at the first."""
         elapsed_s = 0.0 if self._is_first else elapsed_s
         self._is_first = False
         motion = self._motion(color)
         predicted = self._tracker.predict(motion, elapsed_s)
         pose = self._measure(color)
-        measured = self._tracker.update(predicted, lambda particles: self._weighed(particles, pose))
+        measured = self._tracker.update(predicted, lambda particles: self._weighted(particles, pose))
         return self._tracker.fuse(motion, elapsed_s, measured, accepted=pose is not None)
 
     def _motion(self, color: NDArray[np.uint8]) -> Motion | None:
@@ -72,7 +72,7 @@ class PoseFilter:
         depth = self._depth(color)
         return self._odometry.step(color, depth.depth_m, depth.camera)
 
-    def _weighed(self, particles: Particles, pose: FloatArray | None) -> Particles:
+    def _weighted(self, particles: Particles, pose: FloatArray | None) -> Particles:
         if pose is None:
             return particles
         log_likelihood = self._error.log_likelihood(pose, particles.poses)

@@ -1,4 +1,4 @@
-"""A recording located frame by frame by any method, and what that is worth."""
+"""A recording localised frame by frame by any method, and its errors."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from monoloc.io.recording import Recording, Relight
 from monoloc.progress import Progress
 
 Image = NDArray[np.uint8]
-# An image (H, W, 3) uint8 RGB and the seconds since the one before -> its T_world_camera (4, 4), None if it has none.
-Locate = Callable[[Image, float], FloatArray | None]
+# An image (H, W, 3) uint8 RGB and the seconds since the previous one -> T_world_camera (4, 4), None without a pose.
+LocalizeFrame = Callable[[Image, float], FloatArray | None]
 _WITHIN = ("within_5cm_5deg", "within_10cm_10deg")
 
 
 @dataclass(frozen=True)
 class PoseRun:
-    """What a method made of N frames.
+    """Poses of N frames by a method.
 
     Attributes:
-        poses: ``T_world_camera``, (N, 4, 4); NaN where the method gave none.
+        poses: ``T_world_camera``, (N, 4, 4); NaN for frames without a pose.
         step_ms: (N,) time of each frame, without reading it.
     """
 
@@ -38,46 +38,48 @@ class PoseRun:
         return np.asarray(np.isnan(self.poses).any(axis=(1, 2)))
 
     def metrics(self, truth: FloatArray, chosen: NDArray[np.bool_]) -> dict[str, object]:
-        """Figures of the chosen frames, ready for JSON, named as those of ``monoloc localize``.
+        """Figures of the chosen frames, ready for JSON, with the names of ``monoloc localize``.
 
-        Errors are of the frames with a pose, and None if there is none; ``within_...`` are shares of all frames, a
-        failed one being outside.
+        Errors are over the frames with a pose, and None if there is none. ``within_...`` are shares of all frames;
+        failed frames count as outside.
 
         Args:
             truth: ``T_world_camera``, (N, 4, 4).
             chosen: (N,), at least one frame.
         """
-        located = chosen & ~self.failed
-        share = float(located.sum() / chosen.sum())
+        localized = chosen & ~self.failed
+        share = float(localized.sum() / chosen.sum())
         figures: dict[str, object] = {
             "frames": int(chosen.sum()),
             "failed_frames": int((chosen & self.failed).sum()),
             "step_ms_median": float(np.median(self.step_ms[chosen])),
         }
-        if not located.any():
+        if not localized.any():
             return figures | {field.name: None for field in fields(TrajectoryMetrics)} | dict.fromkeys(_WITHIN, 0.0)
-        errors = asdict(summarise(self.poses[located], truth[located]))
+        errors = asdict(summarise(self.poses[localized], truth[localized]))
         return figures | errors | {name: share * errors[name] for name in _WITHIN}
 
 
-def locate_all(recording: Recording, locate: Locate, progress: Progress, relight: Relight | None = None) -> PoseRun:
-    """Give every frame of a recording, in order of time, to a method.
+def localize_all(
+    recording: Recording, method: LocalizeFrame, progress: Progress, relight: Relight | None = None
+) -> PoseRun:
+    """Localise every frame of a recording, in order of time.
 
     Args:
-        relight: brings the images to another light before, None leaves them; it does not count as the method's time.
+        relight: simulates another light on the images, None leaves them; its time does not count.
 
     Raises:
         DataError: a frame cannot be read.
     """
     poses, step_ms = [], []
     elapsed_s = np.diff(recording.timestamps_s, prepend=recording.timestamps_s[:1])
-    with progress.task("locate", len(recording)) as show:
+    with progress.task("localize", len(recording)) as show:
         for index in range(len(recording)):
             color = recording.color(index)
             if relight is not None:
                 color = relight(color)
             began = time.perf_counter()
-            pose = locate(color, float(elapsed_s[index]))
+            pose = method(color, float(elapsed_s[index]))
             step_ms.append(1e3 * (time.perf_counter() - began))
             poses.append(np.full((4, 4), np.nan) if pose is None else pose)
             show(index + 1)

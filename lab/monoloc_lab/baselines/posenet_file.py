@@ -1,4 +1,4 @@
-"""A trained PoseNet on disk, never pickled: safetensors with all the rest as JSON inside."""
+"""A trained PoseNet on disk: safetensors with the description as JSON metadata, never pickled."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class _Description(BaseModel):
 
 
 def save_posenet(trained: TrainedPoseNet, path: Path) -> None:
-    """Write weights and all that goes with them, whole or not at all.
+    """Write weights and description atomically.
 
     Raises:
         DataError: the file cannot be written.
@@ -49,7 +49,7 @@ def load_posenet(path: Path) -> TrainedPoseNet:
     """Read what :func:`save_posenet` wrote.
 
     Raises:
-        DataError: not such a file, cut short, or of tensors that its settings do not call for.
+        DataError: not such a file, truncated, or with tensors that do not fit its settings.
     """
     try:
         with safe_open(path, framework="pt") as archive:

@@ -39,13 +39,13 @@ class PoseNetTraining(BaseModel):
     """Settings of the training.
 
     Attributes:
-        network: what is trained.
-        augment: its photometric ranges; views are not drawn, for a zoomed or mirrored image has no pose.
-        synthesised_views: views from nearby poses, in all, made of the recording, as for the depth network.
-        learning_rates: tried on some of the frames, judged on the others; the best trains on all.
-        search_epochs, epochs: of each trial, and of the training on all frames. An epoch shows as many views as there
-            are frames, synthesised or not.
-        batch_size, weight_decay: of the optimisation.
+        network: architecture.
+        augment: photometric ranges; geometric augmentation would change the pose and is not used.
+        synthesised_views: total number of views synthesised from nearby poses, as for the depth network.
+        learning_rates: tried on some of the frames and evaluated on the others; the best trains on all.
+        search_epochs, epochs: of each trial, and of the training on all frames. An epoch has as many views, recorded
+            or synthesised, as there are frames.
+        batch_size, weight_decay: of the optimiser.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -61,13 +61,13 @@ class PoseNetTraining(BaseModel):
 
     @property
     def least_frames(self) -> int:
-        """How many frames it takes: two batches."""
+        """Smallest number of training frames: two batches."""
         return 2 * self.batch_size
 
 
 @dataclass(frozen=True)
 class Trial:
-    """Errors of one learning rate on the held-out frames: mean over frames; None where it made the loss infinite."""
+    """Mean errors of one learning rate on the held-out frames; None if the loss became infinite."""
 
     learning_rate: float
     position_m: float | None
@@ -82,11 +82,11 @@ class Trial:
 
 @dataclass(frozen=True)
 class Search:
-    """What learning rates came to.
+    """Results of the search for a learning rate.
 
     Attributes:
         trials: in the order of the learning rates.
-        error: of the best one on the held-out frames.
+        error: of the best learning rate on the held-out frames.
     """
 
     trials: list[Trial]
@@ -99,11 +99,11 @@ class Search:
 
 @dataclass(frozen=True)
 class TrainedPoseNet:
-    """A PoseNet of one room.
+    """A PoseNet trained on one room.
 
     Attributes:
         network: in evaluation mode.
-        code: what its outputs mean.
+        code: encoding of its outputs.
         error, trials: of the search for its learning rate.
     """
 
@@ -121,7 +121,7 @@ class _Diverged(SettingError):
 
 
 class PosePredictor:
-    """A PoseNet run on the frames of one camera."""
+    """A PoseNet applied to the frames of one camera."""
 
     def __init__(self, trained: TrainedPoseNet, camera: Camera) -> None:
         self._trained = trained
@@ -144,16 +144,16 @@ def train_posenet(
 ) -> TrainedPoseNet:
     """Train on all frames at the best learning rate.
 
-    AdamW, one-cycle learning rate, a random exposure of every image in every epoch, dim ones among them.
+    AdamW, one-cycle learning rate, a random exposure of every image in every epoch, dim exposures included.
 
     Args:
-        recording: posed frames; their depth is not looked at, but to synthesise views.
+        recording: posed frames; their depth is used only to synthesise views.
         seed: of weights, order, exposures and synthesised views.
-        encoder_weights: what the encoder starts from: MobileNetV2's as .npz, or a depth network; None for random.
-        search: of the learning rate; None makes one of the same seed.
+        encoder_weights: initial weights of the encoder: MobileNetV2 as .npz, or a depth network; None for random.
+        search: of the learning rate; None runs one with the same seed.
 
     Raises:
-        DataError: no poses, fewer frames than two batches, no depth to synthesise views with, or weights that do not
+        DataError: no poses, fewer frames than two batches, no depth for synthesised views, or weights that do not
             fit.
         SettingError: every learning rate made the loss infinite.
     """
@@ -170,16 +170,16 @@ def train_posenet(
 def search_rate(
     recording: Recording, config: PoseNetTraining, seed: int, progress: Progress, encoder_weights: Path | None = None
 ) -> Search:
-    """Try every learning rate on some of the frames, and judge it on the others, held out in blocks.
+    """Train with every learning rate on some of the frames, and evaluate on the others, held out in blocks.
 
-    A rate that makes the loss infinite is not the best one; it ends the search only if all of them do.
+    A rate that makes the loss infinite is never the best. The search fails only if all rates do.
 
     Args and Raises: as :func:`train_posenet`.
     """
     poses = _checked(recording, config)
     training, held_out = hold_out_blocks(len(recording), _BLOCKS, _HELD_OUT_SHARE)
     frames = _Frames(recording, poses, config, held_out, seed)
-    trials, located = [], {}
+    trials, predictions = [], {}
     for rate in config.learning_rates:
         try:
             network = _train(frames, training, config, rate, config.search_epochs, seed, progress, encoder_weights)
@@ -191,15 +191,15 @@ def search_rate(
             continue
         errors = pose_errors(predicted, poses[held_out])
         trials.append(Trial(rate, float(errors.position_m.mean()), float(errors.rotation_rad.mean())))
-        located[trials[-1]] = predicted
-    if not located:
+        predictions[trials[-1]] = predicted
+    if not predictions:
         raise _Diverged(*config.learning_rates)
-    best = min(located, key=lambda trial: trial.score_m)
-    return Search(trials, PoseError.fit(located[best], poses[held_out]))
+    best = min(predictions, key=lambda trial: trial.score_m)
+    return Search(trials, PoseError.fit(predictions[best], poses[held_out]))
 
 
 def _checked(recording: Recording, config: PoseNetTraining) -> FloatArray:
-    """The poses of a recording that can be trained on."""
+    """The poses of a recording that is suitable for training."""
     if recording.poses is None:
         raise DataError(recording.name, "has no poses", "train on a recording with camera poses")
     if len(recording) < config.least_frames:
@@ -225,7 +225,7 @@ def _train(
         for epoch in _epochs(network, frames, chosen, config, rate, epochs, seed):
             show(epoch + 1)
     if not all(tensor.isfinite().all() for tensor in network.state_dict().values()):
-        raise _Diverged(rate)  # in the last step, after which no loss is looked at
+        raise _Diverged(rate)  # in the last step, which no loss follows
     return network.eval()
 
 
@@ -241,7 +241,7 @@ def _start(config: PoseNetConfig, seed: int, encoder_weights: Path | None) -> Po
 
 
 def _take_encoder(network: PoseNet, depth_network: Path) -> None:
-    """Start from the encoder of a depth network, which has to have every block of it."""
+    """Copy the encoder of a depth network, which must have every block of this one."""
     theirs, ours = load_network(depth_network).encoder.state_dict(), network.encoder.state_dict()
     odd = [name for name, tensor in ours.items() if name not in theirs or theirs[name].shape != tensor.shape]
     if odd:
@@ -250,9 +250,9 @@ def _take_encoder(network: PoseNet, depth_network: Path) -> None:
 
 
 class _Frames:
-    """All frames in memory at the network's size, with their poses as the network learns them.
+    """All frames in memory at the input size of the network, with their encoded poses.
 
-    Views synthesised of them, where they are asked for, come after the frames themselves; none shows held-out frames.
+    Synthesised views follow the recorded frames; none is made from held-out frames.
     """
 
     def __init__(
@@ -278,7 +278,7 @@ class _Frames:
         self._targets = torch.from_numpy(self.code.encode(seen_from).astype(np.float32))
 
     def batches(self, chosen: NDArray[np.int64], size: int, seed: int, epoch: int) -> Iterator[tuple[Tensor, Tensor]]:
-        """As many views of the chosen frames as those are, in random order and light, by seed and epoch only."""
+        """As many views as there are chosen frames, in random order and exposure, which seed and epoch determine."""
         views = np.flatnonzero(np.isin(self._frame, chosen))
         odds = self._odds[views] / self._odds[views].sum()
         order = np.random.default_rng([seed, epoch]).choice(views, len(chosen), replace=False, p=odds)
@@ -291,7 +291,7 @@ class _Frames:
 
     @torch.no_grad()
     def predict(self, network: PoseNet, chosen: NDArray[np.int64]) -> FloatArray:
-        """Poses of frames in the light they were taken in, (N, 4, 4)."""
+        """Poses of frames as recorded, (N, 4, 4)."""
         images = network_input([self._images[index] for index in chosen])
         codes = torch.cat([network(part) for part in torch.split(images, _AT_ONCE)])
         return self.code.decode(codes.double().numpy())
@@ -306,7 +306,7 @@ def _epochs(
     epochs: int,
     seed: int,
 ) -> Iterator[int]:
-    """Train, giving the number of every epoch when it is done."""
+    """Train, and yield the number of every epoch when it is done."""
     criterion = HomoscedasticLoss()
     groups: list[dict[str, Any]] = [
         {"params": list(network.parameters())},

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from monoloc import _core
+import monoloc._core as _core
 from monoloc.geometry import FloatArray
 from monoloc.map.em import fit_mixture
 from monoloc.map.index import MixtureIndex

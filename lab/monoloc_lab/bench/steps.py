@@ -19,13 +19,14 @@ from typing import Any
 import cv2
 import numpy as np
 
-from monoloc import front_end, localizer
+from monoloc import front_end
 from monoloc.bundle import read_bundle
 from monoloc.depth.predictor import DepthPredictor
 from monoloc.errors import MonolocError
 from monoloc.io.registry import open_recording, select_frames
 from monoloc.landmarks.pnp import OrbLandmarkLocalizer
 from monoloc.likelihood.ray import RayLikelihood
+from monoloc.localizer import Localizer
 from monoloc.odometry.visual import VisualOdometry
 from monoloc.particle_filter import filter as particle_filter
 from monoloc.progress import NoProgress
@@ -34,7 +35,7 @@ from monoloc.start import Start
 
 # A step and what makes it up: name, and where the function is looked up that does it.
 STAGES: list[tuple[str, Any, str]] = [
-    ("step", localizer.Localizer, "step"),
+    ("step", Localizer, "step"),
     ("depth", DepthPredictor, "__call__"),
     ("scan", front_end, "scan_from_depth"),
     ("odometry", VisualOdometry, "step"),

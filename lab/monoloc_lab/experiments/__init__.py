@@ -1,1 +1,1 @@
-"""The source paper's figures and table, and what goes beyond them: one file each."""
+"""``monoloc reproduce``: the figures and the table of the paper, and further ones, one file each."""

@@ -1,4 +1,4 @@
-"""What pictures of several figures draw: ranges over seeds, ways from above, images."""
+"""Plots that several figures share: ranges over seeds, trajectories in the map, images."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
 
-SIZE_COLOURS = (BLUE, GREEN, VERMILION, PURPLE)  # of networks, largest first
+SIZE_COLOURS = (BLUE, GREEN, VERMILION, PURPLE)  # of the networks, largest first
 _CM = 100.0
-_ROBUST = (2.0, 98.0)  # percentiles of a map's means that are within the picture
+_ROBUST = (2.0, 98.0)  # percentiles of a trajectory that the view contains
 _MARGIN_M = 0.25
-_LEAST_SHAPE = 0.45  # height of a view from above over its width
+_LEAST_SHAPE = 0.45  # height of a view over its width
 
 
 @dataclass(frozen=True)
 class Series:
-    """One thing's spreads, a group of the axis each; None where there is none."""
+    """The spreads of one method, one per group of the axis; None where there is none."""
 
     name: str
     colour: str
@@ -34,10 +34,10 @@ class Series:
 
 
 def draw_ranges(axis: Axes, groups: Sequence[str], series: Sequence[Series], factor: float = _CM) -> None:
-    """Medians over seeds as dots, smallest to largest as bars, groups beside one another; logarithmic.
+    """Medians over seeds as dots, ranges as bars, in groups; the axis is logarithmic.
 
     Args:
-        factor: from what the spreads hold to what the axis shows; metres to centimetres.
+        factor: converts the spreads to the unit of the axis; by default metres to centimetres.
     """
     step = 0.76 / max(1, len(series))
     for number, one in enumerate(series):
@@ -68,13 +68,13 @@ def draw_ranges(axis: Axes, groups: Sequence[str], series: Sequence[Series], fac
 
 
 def draw_bound(axis: Axes, name: str, spread: Spread, colour: str, style: Any) -> None:
-    """A level that is the same for all groups, metres shown as centimetres."""
+    """A horizontal line for a spread in metres that all groups share; the axis is in centimetres."""
     if spread.values:
         axis.axhline(_CM * spread.median, color=colour, linestyle=style, linewidth=1.2, zorder=1, label=name)
 
 
 def logarithmic(axis: Any) -> None:
-    """Make an axis (of x or y) logarithmic, with plain numbers; called when all is drawn on it."""
+    """Make an x or y axis logarithmic, with plain numbers; call it after everything is drawn."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
     axis._set_axes_scale("log")
@@ -88,7 +88,7 @@ def logarithmic(axis: Any) -> None:
 
 
 def legend_below(figure: Figure | SubFigure, axes: Sequence[Axes], columns: int) -> None:
-    """One legend for all panels, each name once."""
+    """One legend for all panels, with each name once."""
     named: dict[str, Any] = {}
     for axis in axes:
         handles, names = axis.get_legend_handles_labels()
@@ -98,9 +98,13 @@ def legend_below(figure: Figure | SubFigure, axes: Sequence[Axes], columns: int)
 
 
 @dataclass(frozen=True)
-class Seen:
-    """A way in a picture: ``T_world_camera`` (N, 4, 4), NaN where there is none; as points where frames were located
-    one by one."""
+class DrawnTrajectory:
+    """A trajectory in a plot.
+
+    Attributes:
+        poses: ``T_world_camera`` (N, 4, 4), NaN for frames without a pose.
+        points: draw points, not a line, because the method localises every frame on its own.
+    """
 
     name: str
     colour: str
@@ -110,11 +114,12 @@ class Seen:
 
 @dataclass(frozen=True)
 class Views:
-    """What is shown of ways: from above and, below that, from the side, to one scale.
+    """The extent of two views, from above and from the side, at one scale.
 
     Attributes:
-        axes: of the world that point right, forward and up on the page; ``up_is_negative`` of the last.
-        low, high: corners (3,) of what is shown, in the order of ``axes``.
+        axes: world axes that point right, forward and up on the page.
+        up_is_negative: whether the last of these axes points down.
+        low, high: corners (3,) of the extent, in the order of ``axes``.
     """
 
     axes: tuple[int, int, int]
@@ -123,13 +128,13 @@ class Views:
     high: FloatArray
 
     @classmethod
-    def of(cls, truth: FloatArray, ways: Sequence[FloatArray]) -> Views:
-        """All of the truth (N, 4, 4), and of the ways what is not astray."""
+    def of(cls, truth: FloatArray, trajectories: Sequence[FloatArray]) -> Views:
+        """Views that contain the whole truth (N, 4, 4) and the trajectories without their outliers."""
         right, forward, up, up_is_negative = view_axes(truth)
         axes = [right, forward, up]
-        found = [way[np.isfinite(way).all(axis=(1, 2))][:, axes, 3] for way in ways]
-        most = [np.percentile(way, _ROBUST, axis=0) for way in found if len(way)]
-        corners = np.concatenate([truth[:, axes, 3], *most])
+        positions = [poses[np.isfinite(poses).all(axis=(1, 2))][:, axes, 3] for poses in trajectories]
+        without_outliers = [np.percentile(each, _ROBUST, axis=0) for each in positions if len(each)]
+        corners = np.concatenate([truth[:, axes, 3], *without_outliers])
         low, high = corners.min(axis=0) - _MARGIN_M, corners.max(axis=0) + _MARGIN_M
         middle, size = 0.5 * (low + high), high - low
         size[0] = max(size[0], size[1] * _LEAST_SHAPE)
@@ -138,40 +143,40 @@ class Views:
 
     @property
     def shape(self) -> float:
-        """Height of both views together over their width."""
+        """Height of both views together, over their width."""
         width, depth, height = self.high - self.low
         return float((depth + height) / width)
 
 
-def draw_ways(
+def draw_trajectories(
     figure: Figure,
-    panels: Mapping[str, Sequence[Seen]],
+    panels: Mapping[str, Sequence[DrawnTrajectory]],
     truth: FloatArray,
     views: Views,
     room: tuple[FloatArray, FloatArray],
 ) -> list[Axes]:
-    """Ways over a room's map, a column a title.
+    """Draw trajectories over the map of a room, one column per title.
 
     Args:
         truth: ``T_world_camera``, (N, 4, 4).
         room: means (K, 3) and covariances (K, 3, 3) of the map.
 
     Returns:
-        The panels, for a legend.
+        The axes, for a legend.
     """
     right, forward, up = views.axes
     _, depth, height = views.high - views.low
     grid = figure.subplots(
         2, len(panels), squeeze=False, sharex=True, sharey="row", gridspec_kw={"height_ratios": [depth, height]}
     )
-    for column, (title, seens) in enumerate(panels.items()):
+    for column, (title, trajectories) in enumerate(panels.items()):
         for row, plane in enumerate(([right, forward], [right, up])):
             axis = grid[row, column]
             draw_mixture(axis, plane, *room)
             axis.plot(*truth[:, plane, 3].T, color=INK, linewidth=4.0, alpha=0.3, label="truth")
-            for seen in seens:
-                style: Any = {"linestyle": "", "marker": "."} if seen.points else {"linewidth": 1.4}
-                axis.plot(*seen.poses[:, plane, 3].T, color=seen.colour, markersize=4, label=seen.name, **style)
+            for drawn in trajectories:
+                style: Any = {"linestyle": "", "marker": "."} if drawn.points else {"linewidth": 1.4}
+                axis.plot(*drawn.poses[:, plane, 3].T, color=drawn.colour, markersize=4, label=drawn.name, **style)
             axis.plot(*truth[0, plane, 3], "o", color=INK, markersize=6, markeredgecolor="white", label="true start")
             axis.set(xlim=(views.low[0], views.high[0]), ylim=(views.low[1 + row], views.high[1 + row]))
             axis.set_aspect("equal")
@@ -185,7 +190,7 @@ def draw_ways(
 
 
 def show_image(axis: Axes, image: Any, title: str = "", **style: Any) -> Any:
-    """An image without ticks; grey where there is nothing."""
+    """Show an image without ticks, grey where it is undefined."""
     shown = axis.imshow(image, **style)
     axis.set(xticks=[], yticks=[], facecolor="#D0D0D0")
     axis.grid(False)

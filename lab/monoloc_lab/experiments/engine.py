@@ -1,7 +1,7 @@
-"""Does tasks, each once, each as soon as what it needs is done, over cores or over a cluster.
+"""Executes tasks on the cores of this machine or on a cluster, each once and as soon as its needs are done.
 
-A result is a folder that is put into its place whole, so a run that was cut off goes on where it was. It is named by
-all that it depends on, so it is used again only where it would come out the same.
+A result is a folder that is renamed into place when it is complete, so an interrupted run continues where it was. Its
+name is a hash of all that it depends on, so it is reused only where it would be the same.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from monoloc_lab.experiments.task import RESULT, TASK, Result, Results, Task, re
 from monoloc_lab.experiments.work import KINDS, Work
 
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-_NO_PLACE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
-_ANSWER_S = 10.0  # for a scheduler to answer
+_NOT_WRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+_ANSWER_S = 10.0  # time that a scheduler has to answer
 
 
 class TaskError(MonolocError):
-    """A task that its input made impossible: the message names it."""
+    """A task failed because of its input; the message names it."""
 
 
 @dataclass(frozen=True)
 class _Failure:
-    """Why a task was not done, in words that can cross between processes."""
+    """Why a task failed, in a form that can be passed between processes."""
 
     message: str
     is_input: bool
@@ -53,27 +53,27 @@ def carry_out(
     scheduler: str | None = None,
     kinds: Mapping[str, Work] = KINDS,
 ) -> Results:
-    """Do tasks and all that they need, unless their results are there.
+    """Execute tasks and all that they need, unless their results exist.
 
-    A task that fails stops only what needs it; it is raised when all else is done.
+    A task that fails stops only the tasks that need it. The failure is raised after all other tasks are done.
 
     Args:
-        out: results lie under ``results``; on a cluster, every machine must see it under this name.
-        workers: processes of this machine, one thread each; not used with a scheduler.
-        scheduler: address of a Dask scheduler whose workers do the work, as ``tcp://host:8786``.
-        kinds: what does each kind of task.
+        out: results are in ``results`` below it; on a cluster, every machine must see it under this name.
+        workers: number of processes on this machine, one thread each; not used with a scheduler.
+        scheduler: address of a Dask scheduler whose workers execute the tasks, as ``tcp://host:8786``.
+        kinds: the work of each kind of task.
 
     Returns:
-        Results of the tasks and of what they need.
+        Results of the tasks and of all that they need.
 
     Raises:
-        TaskError: a task failed by its input; the first such is named.
-        RuntimeError: a task failed by a fault of ours.
-        SettingError: another run is at work in ``out``, or the scheduler cannot be used.
-        MissingExtraError: joblib, or Dask, is not installed.
+        TaskError: a task failed because of its input; the first one is named.
+        RuntimeError: a task failed because of an internal fault.
+        SettingError: another run uses ``out``, or the scheduler cannot be used.
+        MissingExtraError: joblib or Dask is not installed.
     """
     ordered = in_order(tasks)
-    with _alone(out):
+    with _locked(out):
         results = {task: result for task in ordered if (result := read_result(out, task)) is not None}
         waiting = [task for task in ordered if task not in results]
         with progress.task("tasks", len(ordered)) as show:
@@ -81,14 +81,14 @@ def carry_out(
                 show(len(results), f"{len(results)} done before")
             if waiting:
                 with _cluster(scheduler) if scheduler else _cores(min(workers, len(waiting))) as executor:
-                    failures = _spread(waiting, results, out, executor, kinds, show)
+                    failures = _execute(waiting, results, out, executor, kinds, show)
                 if failures:
-                    raise _worst(failures)
+                    raise _exception_of(failures)
     return results
 
 
 def in_order(tasks: Sequence[Task]) -> list[Task]:
-    """Tasks and all that they need, each once, none before what it needs."""
+    """Tasks and all that they need, each once and after its needs."""
     ordered: dict[Task, None] = {}
 
     def add(task: Task) -> None:
@@ -103,7 +103,7 @@ def in_order(tasks: Sequence[Task]) -> list[Task]:
 
 
 def describe_task(task: Task) -> str:
-    """A task as a person would call it, with its key."""
+    """A readable description of a task, with its key."""
     settings = task.settings
     parts = [settings.get("network"), settings.get("size"), settings.get("map")]
     needed = next((need for need in task.needs if need.kind == "bundle"), None)
@@ -112,28 +112,28 @@ def describe_task(task: Task) -> str:
         parts.append(needed.settings["network"])
     if adapt is not None:
         parts.append(f"tune {adapt['tune']}{' + map' if adapt['map_transform'] else ''}")
-    for role in ("build", "walk"):
+    for role in ("build", "evaluation"):
         if role in settings:
             parts.append(f"{role} {settings[role]['name']} {settings[role]['frames']}")
-    if (light := settings.get("walk", {}).get("light")) is not None:
+    if (light := settings.get("evaluation", {}).get("light")) is not None:
         parts.append(light)
     if "seed" in settings:
         parts.append(f"seed {settings['seed']}")
-    words = ", ".join(str(part) for part in parts if part is not None)
-    return f"{task.kind} of {words} ({task.key})" if words else f"{task.kind} ({task.key})"
+    listed = ", ".join(str(part) for part in parts if part is not None)
+    return f"{task.kind} of {listed} ({task.key})" if listed else f"{task.kind} ({task.key})"
 
 
 def do_task(task: Task, out: Path, kinds: Mapping[str, Work] = KINDS) -> _Failure | None:
-    """Do one task whose needs are done, and put its result into its place; on one thread."""
+    """Execute one task whose needs are done, on one thread, and put its result into place."""
     results = out / "results"
     _on_one_thread()
     try:
         folder = Path(tempfile.mkdtemp(prefix=f".{task.key}.", dir=results))
     except OSError as error:
-        return _not_written(results, error)
+        return _write_failure(results, error)
     try:
         started, started_cpu = time.perf_counter(), time.process_time()
-        needs = [_there(out, need) for need in task.needs]
+        needs = [_existing(out, need) for need in task.needs]
         figures = kinds[task.kind](task.settings, needs, folder)
         done: dict[str, Any] = {
             "kind": task.kind,
@@ -145,33 +145,33 @@ def do_task(task: Task, out: Path, kinds: Mapping[str, Work] = KINDS) -> _Failur
         _write_json(folder / RESULT, figures)
         folder.chmod(0o755)
         place = results / task.key
-        if place.exists():  # what a reader could not make sense of
+        if place.exists():  # an unreadable result
             shutil.rmtree(place)
         folder.replace(place)
     except MonolocError as error:
         return _Failure(str(error), is_input=True)
     except Exception as error:
-        if isinstance(error, OSError) and error.errno in _NO_PLACE:
-            return _not_written(results, error)
+        if isinstance(error, OSError) and error.errno in _NOT_WRITABLE:
+            return _write_failure(results, error)
         return _Failure(traceback.format_exc(), is_input=False)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     return None
 
 
-def _not_written(results: Path, error: OSError) -> _Failure:
+def _write_failure(results: Path, error: OSError) -> _Failure:
     fix = "make room for it, or name a folder you can write to"
     return _Failure(f"{results}: cannot be written to ({error.strerror}); {fix}", is_input=True)
 
 
-def _there(out: Path, task: Task) -> Result:
+def _existing(out: Path, task: Task) -> Result:
     result = read_result(out, task)
     if result is None:
         raise SettingError("--out", f"{out} has no result {task.key} on this worker", "name a folder that all share")
     return result
 
 
-def _spread(
+def _execute(
     waiting: list[Task],
     results: dict[Task, Result],
     out: Path,
@@ -179,17 +179,17 @@ def _spread(
     kinds: Mapping[str, Work],
     show: Any,
 ) -> dict[Task, _Failure]:
-    """Hand every task out once its needs are done; fills ``results`` and returns what failed."""
+    """Submit every task once its needs are done; fills ``results`` and returns the failures."""
     failures: dict[Task, _Failure] = {}
-    at_work: dict[Future[_Failure | None], Task] = {}
-    while waiting or at_work:
+    running: dict[Future[_Failure | None], Task] = {}
+    while waiting or running:
         for task in [task for task in waiting if all(need in results for need in task.needs)]:
             waiting.remove(task)
-            at_work[executor.submit(do_task, task, out, kinds)] = task
-        if not at_work:
-            break  # what is left needs what failed
-        for future in wait(at_work, return_when=FIRST_COMPLETED).done:
-            task = at_work.pop(future)
+            running[executor.submit(do_task, task, out, kinds)] = task
+        if not running:
+            break  # the remaining tasks need failed ones
+        for future in wait(running, return_when=FIRST_COMPLETED).done:
+            task = running.pop(future)
             failure = future.result()
             result = read_result(out, task)
             if failure is None and result is None:
@@ -202,8 +202,8 @@ def _spread(
     return failures
 
 
-def _worst(failures: Mapping[Task, _Failure]) -> Exception:
-    """A fault of ours, if there is one, else the first that is the input's."""
+def _exception_of(failures: Mapping[Task, _Failure]) -> Exception:
+    """The first internal fault, or else the first failure because of input."""
     task, failure = next(((t, f) for t, f in failures.items() if not f.is_input), next(iter(failures.items())))
     others = "" if len(failures) == 1 else f" (and {len(failures) - 1} more)"
     message = f"{describe_task(task)} failed{others}: {failure.message}"
@@ -212,12 +212,12 @@ def _worst(failures: Mapping[Task, _Failure]) -> Exception:
 
 @contextmanager
 def _cores(workers: int) -> Iterator[Executor]:
-    """Processes of this machine; ended at once, whatever they do, when the block is left by an error."""
+    """Processes on this machine; they are terminated at once if the block ends with an error."""
     try:
         from joblib.externals.loky import ProcessPoolExecutor
     except ImportError as error:
         raise MissingExtraError("spreading work over cores", "report") from error
-    # A process that holds much memory when a task is done makes way for a new one, as it should.
+    # loky replaces a process that holds much memory after a task; that is intended.
     warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
     executor = ProcessPoolExecutor(workers, initializer=_ignore_interrupt, env=_ONE_THREAD)
     try:
@@ -230,17 +230,17 @@ def _cores(workers: int) -> Iterator[Executor]:
 
 @contextmanager
 def _cluster(address: str) -> Iterator[Executor]:
-    """The workers of a Dask scheduler; what they have not begun is called off when the block is left."""
+    """The workers of a Dask scheduler; tasks that have not started are cancelled when the block ends."""
     try:
         from distributed import Client
         from distributed.comm.addressing import get_address_host_port
     except ImportError as error:
         raise MissingExtraError("spreading work over a cluster", "cluster", "monoloc-lab") from error
     try:
-        # Asked first: a client that fails for its address closes itself whenever it is collected, which can
-        # hold up the next one's start.
+        # Checked first: a client that fails because of its address closes itself when it is collected, which can
+        # delay the start of the next one.
         get_address_host_port(address)
-        connect: Any = Client  # which is not typed
+        connect: Any = Client  # untyped
         client = connect(address, timeout=_ANSWER_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         fix = "start one with: dask scheduler, and give its address"
@@ -252,14 +252,14 @@ def _cluster(address: str) -> Iterator[Executor]:
                 "--dask", f"{address} has no workers", f"start some: dask worker {address} --nthreads 1"
             )
         if any(worker["nthreads"] > 1 for worker in workers.values()):
-            # Seeds, and the number of threads, are a process's.
+            # Seeds and the number of threads are global in a process.
             problem = f"{address} has workers that do several tasks in one process"
             raise SettingError("--dask", problem, "start them with: --nworkers N --nthreads 1")
         yield client.get_executor()
 
 
 def check_scheduler(address: str) -> None:
-    """Refuse a scheduler that does not answer or has no fit workers, before the work is done.
+    """Refuse a scheduler that does not answer or has no suitable workers, before any work is done.
 
     Raises:
         SettingError, MissingExtraError: as :func:`carry_out`.
@@ -269,23 +269,23 @@ def check_scheduler(address: str) -> None:
 
 
 def _ignore_interrupt() -> None:
-    # Ctrl-C goes to all processes of a terminal; the first of them ends the others.
+    # Ctrl-C reaches all processes of a terminal; the parent ends the others.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _on_one_thread() -> None:
-    """As many tasks as cores, each on one thread, so that they do not fight, and repeat to the last bit."""
+    """One thread per task, so that tasks do not compete for cores and repeat to the last bit."""
     import cv2
 
     cv2.setNumThreads(1)
-    os.environ.update(_ONE_THREAD)  # for what is not loaded yet
+    os.environ.update(_ONE_THREAD)  # for libraries that are not loaded yet
     if "torch" in sys.modules:
         sys.modules["torch"].set_num_threads(1)
 
 
 @contextmanager
-def _alone(out: Path) -> Iterator[None]:
-    """Hold ``out/results``, and clear away what a run that was cut off has left half done."""
+def _locked(out: Path) -> Iterator[None]:
+    """Lock ``out/results``, and remove the incomplete results of an interrupted run."""
     import fcntl
 
     results = out / "results"

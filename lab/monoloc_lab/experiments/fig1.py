@@ -1,4 +1,4 @@
-"""Depth maps of every size of network, as it comes and adapted to the room (the paper's figure 1, right)."""
+"""Depth of every network size, unadapted and adapted (figure 1 of the paper, right)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from monoloc_lab.experiments.gather import (
     in_split,
     network_of,
     parameters_of,
-    usual_light,
+    usual_recording,
 )
 from monoloc_lab.experiments.methods import bundle_of
 from monoloc_lab.experiments.study import Study
@@ -26,11 +26,11 @@ from monoloc_lab.experiments.task import Results, Task
 
 
 def _pairs(study: Study) -> list[tuple[Task, Task]]:
-    """Depth as it comes and adapted, of every size, in the first split."""
+    """Unadapted and adapted depth of every size, in the first split."""
     split = study.splits[0]
-    walk = split.walks[usual_light(split)]
+    recording = usual_recording(split)
     return [
-        (depth_task(network_of(size), walk), depth_task(bundle_of(study, split, size, "joint"), walk))
+        (depth_task(network_of(size), recording), depth_task(bundle_of(study, split, size, "joint"), recording))
         for size in study.sizes
     ]
 
@@ -52,7 +52,7 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
     for size, pair in zip(study.sizes, pairs, strict=True):
         numbers["networks"][network_of(size)] = {
             kind: [frame_depth(results[task], index) for index in shown]
-            for kind, task in zip(("as it comes", "adapted"), pair, strict=True)
+            for kind, task in zip(("unadapted", "adapted"), pair, strict=True)
         }
 
     height, width = first["color"].shape[1:3]
@@ -67,9 +67,9 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
             show_image(above[0], first["color"][place], f"camera, frame {index}")
             depth = show_image(below[0], truth[place], "depth sensor", **style)
             for column, (size, pair_files) in enumerate(zip(study.sizes, files, strict=True), start=1):
-                for row, name, file in zip((above, below), ("as it comes", "adapted"), pair_files, strict=True):
+                for row, name, file in zip((above, below), ("unadapted", "adapted"), pair_files, strict=True):
                     share = 100.0 * numbers["networks"][network_of(size)][name][place]["absrel"]
-                    show_image(row[column], file["predicted"][place], f"{size}, {name}: {share:.0f} % off", **style)
+                    show_image(row[column], file["predicted"][place], f"{size}, {name}: {share:.0f} % error", **style)
         figure.colorbar(depth, ax=grid, location="bottom", label="depth (m)", extend="both", shrink=0.4, aspect=50)
     return Drawn(numbers=numbers, pictures=[path], text=_text(study, numbers))
 
@@ -81,11 +81,12 @@ def _text(study: Study, numbers: dict[str, Any]) -> str:
     large, small = study.sizes[0], study.sizes[-1]
     split = study.splits[0]
     return (
-        f"Two frames{in_split(study, split)} in usual light, which no network was tuned on. As they come, the "
-        f"networks are off by {mean(large, 'as it comes'):.0f} % of the depth ({large}, {parameters_of(large):,} "
-        f"parameters) and {mean(small, 'as it comes'):.0f} % ({small}, {parameters_of(small):,}); adapted to the "
-        f"room, by {mean(large, 'adapted'):.0f} % and {mean(small, 'adapted'):.0f} %."
+        f"Two frames{in_split(study, split)} in the light of the build frames; no network was tuned on them. The "
+        f"unadapted depth has a relative error of {mean(large, 'unadapted'):.0f} % ({large}, "
+        f"{parameters_of(large):,} parameters) and {mean(small, 'unadapted'):.0f} % ({small}, "
+        f"{parameters_of(small):,}), the adapted depth of {mean(large, 'adapted'):.0f} % and "
+        f"{mean(small, 'adapted'):.0f} %."
     )
 
 
-FIGURE = Figure("fig1", "Depth maps of each size of network", "Figure 1, right", tasks, draw)
+FIGURE = Figure("fig1", "Depth by network size", "Figure 1, right", tasks, draw)

@@ -1,4 +1,4 @@
-"""The depth network's layers and their sizes, read off the network itself (the paper's figure 2)."""
+"""The layers of the depth network and their sizes, read from the network (figure 2 of the paper)."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
     from monoloc.depth.training.network import DepthNetwork
 
-_INPUT = (160, 128)  # width and height for a camera of NYU's field of view
+_INPUT = (160, 128)  # width and height for a camera with the field of view of NYU
 _COLOURS = {"encoder": BLUE, "decoder": GREEN, "last layer": VERMILION, "error": ORANGE}
 
 
-_LANES_FROM, _LANE = 1.02, 0.19  # heights of the lines from encoder to decoder; the highest box reaches 0.9
+_LANES_FROM, _LANE = 1.02, 0.19  # heights of the lines from encoder to decoder; boxes reach 0.9
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,9 @@ class Layer:
     """A part of the network.
 
     Attributes:
-        name: of the part; group: encoder, decoder, last layer or error.
-        convolutions: how many there are in it.
-        parameters: in it.
-        channels, stride: of its output, the stride of the whole network up to there.
+        name, group: of the part; groups are encoder, decoder, last layer and error.
+        convolutions, parameters: their numbers.
+        channels, stride: of its output; the stride is that of the network up to there.
     """
 
     name: str
@@ -51,7 +50,7 @@ def tasks(study: Study) -> Sequence[Task]:
 
 
 def layers_of(network: DepthNetwork) -> list[Layer]:
-    """The parts in the order of data, with the sizes that they have when an image passes through."""
+    """The parts in the order of the data flow, with the sizes of their outputs."""
     import torch
 
     outputs: dict[str, tuple[int, int]] = {}
@@ -77,7 +76,7 @@ def layers_of(network: DepthNetwork) -> list[Layer]:
             *outputs[name],
         )
         for name, group, module in parts
-        # A pooling block of which every stage was left out passes its input on.
+        # A pooling block without stages passes its input on.
         if name in outputs and any(True for _ in module.parameters())
     ]
 
@@ -135,7 +134,7 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
     return Drawn(
         numbers=numbers,
         pictures=[path],
-        tables={"Where the parameters are": (head, rows)},
+        tables={"Parameters by part": (head, rows)},
         text=_text(networks[study.sizes[0]], found[study.sizes[0]]),
     )
 
@@ -145,12 +144,12 @@ def _sum(layers: Sequence[Layer], group: str, name: str) -> int:
 
 
 def _columns(layers: Sequence[Layer]) -> int:
-    """Boxes beside one another: laterals stand below the bottlenecks that they read."""
+    """Number of boxes in a row; laterals are drawn as lines."""
     return sum(1 for layer in layers if not layer.name.startswith("lateral"))
 
 
 def _draw_network(axis: Axes, layers: Sequence[Layer], widest: int) -> None:
-    """Boxes from left to right: as high as the picture is large there, with channels; parameters below."""
+    """Draw boxes from left to right, with heights by resolution, channels inside and parameters below."""
     boxes = [layer for layer in layers if not layer.name.startswith("lateral")]
     laterals = [layer for layer in layers if layer.name.startswith("lateral")]
     at = {layer.name: float(place) for place, layer in enumerate(boxes)}
@@ -162,7 +161,7 @@ def _draw_network(axis: Axes, layers: Sequence[Layer], widest: int) -> None:
         axis.annotate(count, (x, -1.07), ha="center", fontsize=7.5, color=INK)
         axis.annotate(_short(layer.name), (x, -1.28), ha="center", fontsize=7.0, color="#666666")
     levels = sorted({lateral.stride for lateral in laterals}, reverse=True)
-    for lane, lateral in enumerate(reversed(laterals)):  # the deepest is the shortest way, so the lowest
+    for lane, lateral in enumerate(reversed(laterals)):  # the deepest is the shortest, so the lowest
         _draw_lateral(axis, lateral, at, levels.index(lateral.stride), _LANES_FROM + _LANE * lane)
     for group, colour in _COLOURS.items():
         inside = [at[layer.name] for layer in boxes if layer.group == group]
@@ -183,7 +182,7 @@ def _draw_network(axis: Axes, layers: Sequence[Layer], widest: int) -> None:
 
 
 def _short(name: str) -> str:
-    """A part's name that fits below its box."""
+    """The name of a part, short enough to fit below its box."""
     kind, _, number = name.partition(" ")
     return {"first": "conv", "bottleneck": f"b{number}", "pooling": "pool", "fusion": "fuse", "before": "mix"}.get(
         kind, name
@@ -191,7 +190,7 @@ def _short(name: str) -> str:
 
 
 def _height(stride: int) -> float:
-    """Of a box whose output has that stride: the smaller, the lower."""
+    """Height of a box by the stride of its output."""
     return {2: 1.7, 4: 1.5, 8: 1.15, 16: 0.85}.get(stride, 0.6)
 
 
@@ -203,7 +202,7 @@ def _draw_box(axis: Axes, x: float, height: float, colour: str) -> None:
 
 
 def _draw_lateral(axis: Axes, lateral: Layer, at: dict[str, float], level: int, lane: float) -> None:
-    """A line from a bottleneck, over the boxes at a height of its own, to where its level enters the decoder."""
+    """A line from a bottleneck over the boxes to the decoder level that takes its output."""
     start = at[f"bottleneck {lateral.name.removeprefix('lateral ')}"]
     entry = next(name for name in (f"pooling {level + 1}", f"fusion {level + 1}", "before depth") if name in at)
     foot = 0.5 * _height(lateral.stride) + 0.03
@@ -218,11 +217,11 @@ def _text(network: DepthNetwork, layers: Sequence[Layer]) -> str:
     last = _sum(layers, "last layer", "parameters")
     first = sum(parameter.numel() for parameter in network.encoder.first_layers.parameters())
     return (
-        "MobileNetV2 bottlenecks, then Light-Weight RefineNet; smaller networks leave layers out. Numbers in the "
-        "boxes are channels, below them parameters; a box is as high as the picture is large there, lines are 1×1 "
-        f"convolutions that carry an earlier picture over. The paper tunes the last layer, {last:,} parameters, "
-        f"monoloc all but the encoder's first layers up to stride 4, {first:,} parameters."
+        "MobileNetV2 bottlenecks and a Light-Weight RefineNet decoder; smaller networks leave layers out. Numbers in "
+        "the boxes are channels, numbers below them parameters. Higher boxes have a higher resolution. Lines are 1×1 "
+        f"convolutions from encoder to decoder. The paper tunes the last layer, {last:,} parameters. monoloc tunes "
+        f"all but the first layers of the encoder up to stride 4, which have {first:,} parameters."
     )
 
 
-FIGURE = Figure("fig2", "The depth network, by size", "Figure 2", tasks, draw)
+FIGURE = Figure("fig2", "The depth network by size", "Figure 2", tasks, draw)

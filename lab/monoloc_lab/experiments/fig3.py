@@ -1,4 +1,4 @@
-"""The map before and after adaptation: clouds, boxes, distances (the paper's figure 3)."""
+"""The map before and after adaptation: clouds, boxes, distances (figure 3 of the paper)."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from monoloc_lab.experiments.gather import Spread, in_split, network_of, picture
 from monoloc_lab.experiments.study import Split, Study
 from monoloc_lab.experiments.task import Results, Task
 
-_VARIANTS = {"joint": "network + map (monoloc)", "last+map": "last layer + map (paper's)"}
+_VARIANTS = {"joint": "network and map", "last+map": "last layer and map"}
 _MEDIAN, _P95 = "c2c_median_m", "c2c_p95_m"
 
 
 def _bundles(study: Study, split: Split, variant: str) -> list[Task]:
-    """The largest network's: how far the map moves is decided when it is adapted."""
+    """Bundles of the largest network, one per build."""
     network = network_of(study.sizes[0])
     return [factories.bundle(study, split, network, variant, seed=seed) for seed in range(study.builds)]
 
@@ -44,25 +44,25 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
             clouds, built = _clouds(study, split, variant), _bundles(study, split, variant)
             median, p95 = spread_of(results, clouds, _MEDIAN), spread_of(results, clouds, _P95)
             before = spread_of(results, built, "depth_absrel_before")
-            kept = spread_of(results, clouds, "correspondence_kept")
+            unchanged = spread_of(results, clouds, "correspondence_kept")
             numbers[split.name][variant] = {
                 _MEDIAN: median.numbers(),
                 _P95: p95.numbers(),
                 "depth_absrel_before": before.numbers(),
-                "correspondence_kept": kept.numbers(),
+                "correspondence_kept": unchanged.numbers(),
             }
-            share = f"{100.0 * kept.median:.0f} %"
+            share = f"{100.0 * unchanged.median:.0f} %"
             rows.append((split.name, name, median.centimetres(), p95.centimetres(), share, str(len(clouds))))
             if variant == "joint":
-                title = f"The room's map and the adapted one{in_split(study, split)}: {name}"
+                title = f"Original and adapted map{in_split(study, split)}: {name}"
                 pictures.append(_draw(study, results[clouds[0]].folder, folder, split, title))
                 claims.append(map_moves_little(split.name, network_of(study.sizes[0]), median, before))
                 sentences.append(_sentence(split, median, p95))
-    head = ("split", "what was tuned", "median C2C", "95th percentile", "components that kept their match", "builds")
+    head = ("split", "tuned", "median C2C", "95th percentile", "unchanged correspondence", "builds")
     return Drawn(
         numbers=numbers,
         pictures=pictures,
-        tables={"How far the map moved (median over builds; smallest to largest)": (head, rows)},
+        tables={"Distance between original and adapted map (median over builds; smallest to largest)": (head, rows)},
         text=" ".join(sentences),
         claims=claims,
     )
@@ -80,10 +80,10 @@ def _draw(study: Study, source: Path, folder: Path, split: Split, title: str) ->
 
 
 def _sentence(split: Split, median: Spread, p95: Spread) -> str:
-    middle = (
-        f"In {split.name}, half of the map's points lie within {100.0 * median.median:.1f} cm of the adapted cloud"
+    return (
+        f"{split.name.capitalize()}: half of the points of the original map lie within "
+        f"{100.0 * median.median:.1f} cm of the adapted cloud, and 95 % within {100.0 * p95.median:.1f} cm."
     )
-    return f"{middle} and 95 % within {100.0 * p95.median:.1f} cm."
 
 
 FIGURE = Figure("fig3", "The map before and after adaptation", "Figure 3", tasks, draw)

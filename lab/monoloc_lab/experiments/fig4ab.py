@@ -1,4 +1,4 @@
-"""Ways through the room by networks of each size, unadapted and adapted (the paper's figure 4 a and b)."""
+"""Trajectories by network size, unadapted and adapted (figure 4 a and b of the paper)."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from monoloc.viz.picture import picture
-from monoloc_lab.experiments.drawing import SIZE_COLOURS, Seen, Views, draw_ways, legend_below
+from monoloc_lab.experiments.drawing import SIZE_COLOURS, DrawnTrajectory, Views, draw_trajectories, legend_below
 from monoloc_lab.experiments.figure import Drawn, Figure
-from monoloc_lab.experiments.gather import MEDIAN, RMSE, in_split, picture_path, room_map, usual_light, way
+from monoloc_lab.experiments.gather import MEDIAN, RMSE, in_split, picture_path, room_map, trajectory, usual_recording
 from monoloc_lab.experiments.methods import JOINT, UNADAPTED, bundle_of
 from monoloc_lab.experiments.study import Split, Study
 from monoloc_lab.experiments.task import Results, Task
@@ -18,10 +18,10 @@ _METHODS = {"a": UNADAPTED, "b": JOINT}
 
 
 def _runs(study: Study, split: Split) -> dict[tuple[str, str], Task]:
-    """The first seed's, by panel and size."""
-    walk = split.walks[usual_light(split)]
+    """Runs of the first seed, by panel and size."""
+    recording = usual_recording(split)
     return {
-        (panel, size): method.task(study, split, size, walk, 0)
+        (panel, size): method.task(study, split, size, recording, 0)
         for panel, method in _METHODS.items()
         for size in study.sizes
     }
@@ -37,20 +37,20 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
     pictures, sentences = [], []
     for split in study.splits:
         runs = _runs(study, split)
-        ways = {key: way(results[task]) for key, task in runs.items()}
-        truth = ways["a", study.sizes[0]]["truth"]
+        trajectories = {key: trajectory(results[task]) for key, task in runs.items()}
+        truth = trajectories["a", study.sizes[0]]["truth"]
         panels = {
             f"{panel}  {method.name}{in_split(study, split)}": [
-                Seen(size, colour, ways[panel, size]["poses"])
+                DrawnTrajectory(size, colour, trajectories[panel, size]["poses"])
                 for size, colour in zip(study.sizes, SIZE_COLOURS, strict=False)
             ]
             for panel, method in _METHODS.items()
         }
         path = picture_path(study, folder, "fig4ab", split)
-        views = Views.of(truth, [arrays["poses"] for arrays in ways.values()])
+        views = Views.of(truth, [arrays["poses"] for arrays in trajectories.values()])
         with picture(path, 9.6, 4.3 * views.shape + 1.4) as figure:
             room = room_map(results[bundle_of(study, split, study.sizes[0], "unadapted")])
-            legend_below(figure, draw_ways(figure, panels, truth, views, room), 6)
+            legend_below(figure, draw_trajectories(figure, panels, truth, views, room), 6)
         pictures.append(path)
         numbers[split.name] = {
             method.name: {size: _errors(results, runs[panel, size]) for size in study.sizes}
@@ -69,9 +69,10 @@ def _sentence(study: Study, split: Split, errors: dict[str, dict[str, dict[str, 
         return ", ".join(f"{100.0 * errors[name][size][RMSE]:.0f} cm ({size})" for size in study.sizes)
 
     return (
-        "From above and from the side, over the map's components; the first seed's run in usual light, "
-        f"{split.name}. Position RMSE: {UNADAPTED.name} {listed(UNADAPTED.name)}; {JOINT.name} {listed(JOINT.name)}."
+        "Trajectories from above and from the side, over the components of the map; first seed, light of the build "
+        f"frames, {split.name}. Position RMSE: {UNADAPTED.name} {listed(UNADAPTED.name)}; {JOINT.name} "
+        f"{listed(JOINT.name)}."
     )
 
 
-FIGURE = Figure("fig4ab", "Ways through the room, by size of network", "Figure 4 a, b", tasks, draw)
+FIGURE = Figure("fig4ab", "Trajectories by network size", "Figure 4 a, b", tasks, draw)

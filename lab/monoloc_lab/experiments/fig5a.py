@@ -1,4 +1,4 @@
-"""Ways through the room in near darkness by PoseNet, unadapted and adapted (the paper's figure 5 a)."""
+"""Trajectories in near darkness by PoseNet, unadapted and adapted (figure 5 a of the paper)."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from monoloc.viz.picture import picture
-from monoloc_lab.experiments.drawing import Seen, Views, draw_ways, legend_below
+from monoloc_lab.experiments.drawing import DrawnTrajectory, Views, draw_trajectories, legend_below
 from monoloc_lab.experiments.figure import Drawn, Figure
-from monoloc_lab.experiments.gather import DARK, MEDIAN, RMSE, in_split, joined, picture_path, room_map, way
+from monoloc_lab.experiments.gather import DARK, MEDIAN, RMSE, and_list, in_split, picture_path, room_map, trajectory
 from monoloc_lab.experiments.methods import JOINT, POSENET, UNADAPTED, bundle_of
 from monoloc_lab.experiments.study import Split, Study
 from monoloc_lab.experiments.task import Results, Task
@@ -18,8 +18,8 @@ _METHODS = (POSENET, UNADAPTED, JOINT)
 
 
 def _runs(study: Study, split: Split) -> list[Task]:
-    """The largest network's and the first seed's."""
-    return [method.task(study, split, study.sizes[0], split.walks[DARK], 0) for method in _METHODS]
+    """Runs of the largest network and the first seed."""
+    return [method.task(study, split, study.sizes[0], split.recordings[DARK], 0) for method in _METHODS]
 
 
 def tasks(study: Study) -> Sequence[Task]:
@@ -32,31 +32,31 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
     pictures, sentences = [], []
     for split in study.splits:
         found = [results[task] for task in _runs(study, split)]
-        ways = [way(result) for result in found]
-        truth = ways[0]["truth"]
+        trajectories = [trajectory(result) for result in found]
+        truth = trajectories[0]["truth"]
         figures = {
             method.name: {name: result.figures.get(name) for name in (RMSE, MEDIAN)}
             for method, result in zip(_METHODS, found, strict=True)
         }
         panels = {
             f"{method.name}: {_cm(figures[method.name][RMSE])}": [
-                Seen(method.name, method.colour, arrays["poses"], points=method is POSENET)
+                DrawnTrajectory(method.name, method.colour, arrays["poses"], points=method is POSENET)
             ]
-            for method, arrays in zip(_METHODS, ways, strict=True)
+            for method, arrays in zip(_METHODS, trajectories, strict=True)
         }
         path = picture_path(study, folder, "fig5a", split)
-        views = Views.of(truth, [arrays["poses"] for arrays in ways])
+        views = Views.of(truth, [arrays["poses"] for arrays in trajectories])
         with picture(path, 10.5, 3.1 * views.shape + 1.6) as figure:
             figure.suptitle(f"In {DARK}{in_split(study, split)}: position RMSE", x=0.01, ha="left")
             room = room_map(results[bundle_of(study, split, study.sizes[0], "unadapted")])
-            legend_below(figure, draw_ways(figure, panels, truth, views, room), 5)
+            legend_below(figure, draw_trajectories(figure, panels, truth, views, room), 5)
         pictures.append(path)
         numbers[split.name] = figures
         listed = [f"{name} {_cm(each[RMSE])}" for name, each in figures.items()]
-        sentences.append(f"Position RMSE of these runs in {split.name}: {joined(listed)}.")
+        sentences.append(f"{split.name.capitalize()}: position RMSE {and_list(listed)}.")
     text = (
-        f"The first seed's runs in {DARK}, from above and from the side. PoseNet gives every frame a pose of its "
-        "own, so points."
+        f"Trajectories in {DARK} from above and from the side, first seed. PoseNet localises every frame on its own, "
+        "so its poses are points."
     )
     return Drawn(numbers=numbers, pictures=pictures, text=" ".join([text, *sentences]))
 
@@ -65,4 +65,4 @@ def _cm(value: float | None) -> str:
     return "no pose" if value is None else f"{100.0 * value:.0f} cm"
 
 
-FIGURE = Figure("fig5a", "Ways through the room in near darkness", "Figure 5 a", tasks, draw)
+FIGURE = Figure("fig5a", "Trajectories in near darkness", "Figure 5 a", tasks, draw)

@@ -1,4 +1,4 @@
-"""Position errors of all methods in every light (the paper's figure 5 b), and the claim that rests on them."""
+"""Position errors of all methods in every light (figure 5 b of the paper), and the claim about them."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from typing import Any
 from monoloc.viz.picture import GREY, picture
 from monoloc_lab.experiments.claims import Dark, half_in_the_dark
 from monoloc_lab.experiments.drawing import Series, draw_bound, draw_ranges, legend_below
-from monoloc_lab.experiments.fig4d import DEAD_RECKONING
 from monoloc_lab.experiments.figure import Drawn, Figure
 from monoloc_lab.experiments.gather import (
     DARK,
+    DEAD_RECKONING,
     MEDIAN,
     Spread,
+    and_list,
     depth_task,
     in_split,
-    joined,
     mean_depth,
     nearest_build_m,
     network_of,
@@ -44,7 +44,7 @@ _BY_SIZE_IN_THE_DARK = (POSENET, FILTERED, UNADAPTED, JOINT)
 
 
 def _methods(study: Study) -> tuple[Method, ...]:
-    """Held against one another at the largest size. A quick study trains no PoseNet on synthesised views."""
+    """Methods compared at the largest size. A quick study trains no PoseNet on synthesised views."""
     further = () if study.quick else (POSENET_WITH_VIEWS,)
     return (POSENET, *further, *BY_SIZE[1:], *keypoint_methods(study), SENSOR)
 
@@ -52,27 +52,32 @@ def _methods(study: Study) -> tuple[Method, ...]:
 def _by_light(study: Study, split: Split, results: Results) -> dict[str, dict[str, Spread]]:
     size = study.sizes[0]
     return {
-        method.name: {light: method.rmse(study, results, split, size, walk) for light, walk in split.walks.items()}
+        method.name: {
+            light: method.rmse(study, results, split, size, recording)
+            for light, recording in split.recordings.items()
+        }
         for method in _methods(study)
     }
 
 
 def _depths(study: Study, split: Split) -> tuple[Task, Task]:
-    """In near darkness, as it comes and adapted."""
+    """Unadapted and adapted depth in near darkness."""
     bundle = bundle_of(study, split, study.sizes[0], "joint")
-    walk = split.walks[DARK]
-    return depth_task(network_of(study.sizes[0]), walk), depth_task(bundle, walk)
+    recording = split.recordings[DARK]
+    return depth_task(network_of(study.sizes[0]), recording), depth_task(bundle, recording)
 
 
 def tasks(study: Study) -> Sequence[Task]:
     found: list[Task] = []
     for split in study.splits:
         found += _depths(study, split)
-        for walk in split.walks.values():
-            found += [task for method in _methods(study) for task in method.runs(study, split, study.sizes[0], walk)]
+        for recording in split.recordings.values():
+            found += [
+                task for method in _methods(study) for task in method.runs(study, split, study.sizes[0], recording)
+            ]
         for size in study.sizes[1:]:
             for method in _BY_SIZE_IN_THE_DARK:
-                found += method.runs(study, split, size, split.walks[DARK])
+                found += method.runs(study, split, size, split.recordings[DARK])
     return found
 
 
@@ -82,10 +87,12 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
     for split in study.splits:
         errors = _by_light(study, split, results)
         dark = {
-            method.name: {size: method.rmse(study, results, split, size, split.walks[DARK]) for size in study.sizes}
+            method.name: {
+                size: method.rmse(study, results, split, size, split.recordings[DARK]) for size in study.sizes
+            }
             for method in _BY_SIZE_IN_THE_DARK
         }
-        joint = JOINT.runs(study, split, study.sizes[0], split.walks[DARK])
+        joint = JOINT.runs(study, split, study.sizes[0], split.recordings[DARK])
         drift = spread_of(results, joint, DEAD_RECKONING)
         numbers[split.name] = {
             "by light": {
@@ -95,7 +102,7 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
                 name: {size: each.numbers() for size, each in sizes.items()} for name, sizes in dark.items()
             },
             f"dead reckoning in {DARK}": drift.numbers(),
-            "nearest_build_frame_m": nearest_build_m(split, split.walks[DARK]),
+            "nearest_build_frame_m": nearest_build_m(split, split.recordings[DARK]),
         }
         pictures.append(_draw_lights(study, split, errors, folder))
         pictures.append(_draw_sizes(study, split, dark, drift, folder))
@@ -105,7 +112,8 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
         claims.append(half_in_the_dark(_measured(study, results, split, errors)))
         few = (JOINT, UNADAPTED, POSENET)
         listed = [f"{method.name} {errors[method.name][DARK].centimetres()}" for method in few]
-        sentences.append(f"In {DARK}, {split.name}: {joined([*listed, f'dead reckoning {drift.centimetres()}'])}.")
+        listed.append(f"dead reckoning {drift.centimetres()}")
+        sentences.append(f"{split.name.capitalize()}, RMSE in {DARK}: {and_list(listed)}.")
     head = ("split", "method", "light", "RMSE", "median", "frames without a pose")
     return Drawn(
         numbers=numbers,
@@ -118,14 +126,14 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
 
 def _draw_lights(study: Study, split: Split, errors: dict[str, dict[str, Spread]], folder: Path) -> Path:
     path = picture_path(study, folder, "fig5b", split)
-    lights = list(split.walks)
+    lights = list(split.recordings)
     series = [
         Series(method.name, method.colour, [errors[method.name][light] for light in lights])
         for method in _methods(study)
     ]
     with picture(path, 1.5 + 2.7 * len(lights), 5.2) as figure:
         axis = figure.subplots()
-        draw_ranges(axis, [_named(light) for light in lights], series)
+        draw_ranges(axis, [_light_label(light) for light in lights], series)
         axis.set_ylabel("position RMSE (cm)")
         axis.set_title(f"Position error in each light, {study.sizes[0]}{in_split(study, split)}")
         legend_below(figure, [axis], 4)
@@ -143,12 +151,12 @@ def _draw_sizes(study: Study, split: Split, dark: dict[str, dict[str, Spread]], 
         draw_bound(axis, "dead reckoning, true start", drift, GREY, (0, (4, 2)))
         draw_ranges(axis, size_labels(study), series)
         axis.set_ylabel("position RMSE (cm)")
-        axis.set_title(f"Position error by size of network in {DARK}{in_split(study, split)}")
+        axis.set_title(f"Position error by network size in {DARK}{in_split(study, split)}")
         legend_below(figure, [axis], 3)
     return path
 
 
-def _named(light: str) -> str:
+def _light_label(light: str) -> str:
     return {"L1": "L1\nbright", "L2": "L2\nmedium", DARK: f"{DARK}\nnear darkness"}.get(light, light)
 
 
@@ -156,18 +164,21 @@ def _rows(
     study: Study, results: Results, split: Split, method: Method, errors: dict[str, Spread]
 ) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
-    for light, walk in split.walks.items():
-        runs = method.runs(study, split, study.sizes[0], walk)
+    for light, recording in split.recordings.items():
+        runs = method.runs(study, split, study.sizes[0], recording)
         median = spread_of(results, runs, MEDIAN)
-        failed, judged = spread_of(results, runs, "unseen_failed_frames"), spread_of(results, runs, "unseen_frames")
-        lost = f"{failed.median:.0f} of {judged.median:.0f}" if failed.values and failed.median else "none"
+        failed, evaluated = (
+            spread_of(results, runs, "unseen_failed_frames"),
+            spread_of(results, runs, "unseen_frames"),
+        )
+        lost = f"{failed.median:.0f} of {evaluated.median:.0f}" if failed.values and failed.median else "none"
         rows.append((split.name, method.name, light, errors[light].centimetres(), median.centimetres(), lost))
     return rows
 
 
 def _measured(study: Study, results: Results, split: Split, errors: dict[str, dict[str, Spread]]) -> Dark:
-    walk = split.walks[DARK]
-    before, after = (mean_depth(results[task], split, walk, "absrel") for task in _depths(study, split))
+    recording = split.recordings[DARK]
+    before, after = (mean_depth(results[task], split, recording, "absrel") for task in _depths(study, split))
     return Dark(
         split=split.name,
         light=DARK,
@@ -175,8 +186,8 @@ def _measured(study: Study, results: Results, split: Split, errors: dict[str, di
         joint=errors[JOINT.name][DARK],
         posenet=errors[POSENET.name][DARK],
         unadapted=errors[UNADAPTED.name][DARK],
-        unadapted_drift=spread_of(results, UNADAPTED.runs(study, split, study.sizes[0], walk), DEAD_RECKONING),
-        nearest_m=nearest_build_m(split, walk),
+        unadapted_drift=spread_of(results, UNADAPTED.runs(study, split, study.sizes[0], recording), DEAD_RECKONING),
+        nearest_m=nearest_build_m(split, recording),
         absrel=(before, after),
     )
 

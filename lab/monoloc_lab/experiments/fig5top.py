@@ -1,4 +1,4 @@
-"""The room in every light, and depth as it is predicted there (the paper's figure 5, top)."""
+"""The room and its predicted depth in every light (figure 5 of the paper, top)."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from monoloc_lab.experiments.drawing import show_image
 from monoloc_lab.experiments.figure import Drawn, Figure
 from monoloc_lab.experiments.gather import (
     DARK,
+    and_list,
     depth_arrays,
     depth_task,
     frame_depth,
-    joined,
     mean_depth,
     network_of,
     shown_frames,
@@ -25,17 +25,17 @@ from monoloc_lab.experiments.methods import bundle_of
 from monoloc_lab.experiments.study import Study
 from monoloc_lab.experiments.task import Results, Task
 
-_KINDS, _METRICS = ("as it comes", "adapted"), ("absrel", "delta1", "ssim")
-_PLACE = 0  # the first of the frames that may be shown
+_KINDS, _METRICS = ("unadapted", "adapted"), ("absrel", "delta1", "ssim")
+_PLACE = 0  # the first of the plotted frames
 
 
 def depths_in_light(study: Study) -> dict[str, tuple[Task, Task]]:
-    """Of the largest network in the first split, as it comes and adapted, by light."""
+    """Unadapted and adapted depth of the largest network in the first split, by light."""
     split = study.splits[0]
     bundle = bundle_of(study, split, study.sizes[0], "joint")
     return {
-        light: (depth_task(network_of(study.sizes[0]), walk), depth_task(bundle, walk))
-        for light, walk in split.walks.items()
+        light: (depth_task(network_of(study.sizes[0]), recording), depth_task(bundle, recording))
+        for light, recording in split.recordings.items()
     }
 
 
@@ -49,8 +49,8 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
     for light, pair in pairs.items():
         numbers[light] = {
             kind: {
-                **{name: mean_depth(results[task], split, split.walks[light], name) for name in _METRICS},
-                "shown": frame_depth(results[task], shown_frames(split.walks[light])[_PLACE]),
+                **{name: mean_depth(results[task], split, split.recordings[light], name) for name in _METRICS},
+                "shown": frame_depth(results[task], shown_frames(split.recordings[light])[_PLACE]),
             }
             for kind, task in zip(_KINDS, pair, strict=True)
         }
@@ -69,7 +69,7 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
             show_image(grid[0, column], files[light][0]["color"][_PLACE], f"{light}  (mean grey {dark:.0f} of 255)")
             for row, (kind, file) in enumerate(zip(_KINDS, files[light], strict=True), start=1):
                 share = 100.0 * numbers[light][kind]["shown"]["absrel"]
-                title = f"depth {kind}: {share:.0f} % off"
+                title = f"depth, {kind}: {share:.0f} % error"
                 depth = show_image(grid[row, column], file["predicted"][_PLACE], title, **style)
         figure.colorbar(depth, ax=grid, location="bottom", label="depth (m)", extend="both", shrink=0.4, aspect=50)
     return Drawn(numbers=numbers, pictures=[path], text=_text(study, numbers))
@@ -77,14 +77,14 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
 
 def _text(study: Study, numbers: dict[str, Any]) -> str:
     listed = [
-        f"{100.0 * kinds['as it comes']['absrel']:.0f} % and {100.0 * kinds['adapted']['absrel']:.0f} % ({light})"
+        f"{100.0 * kinds['unadapted']['absrel']:.0f} % and {100.0 * kinds['adapted']['absrel']:.0f} % ({light})"
         for light, kinds in numbers.items()
     ]
-    rendered = all(walk.light is None for walk in study.splits[0].walks.values())
-    made = "rendered in that light" if rendered else "darkened, with noise, as the camera would have taken it"
+    rendered = all(recording.light is None for recording in study.splits[0].recordings.values())
+    made = "rendered in that light" if rendered else "with that light simulated on the recorded image"
     return (
-        f"One frame in every light, {made}; {DARK} is near darkness. Mean error of depth over the walk, as "
-        f"{network_of(study.sizes[0])} comes and adapted: {joined(listed)}."
+        f"One frame in every light, {made}; {DARK} is near darkness. Mean relative error of the depth of "
+        f"{network_of(study.sizes[0])}, unadapted and adapted: {and_list(listed)}."
     )
 
 

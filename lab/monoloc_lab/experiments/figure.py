@@ -1,4 +1,4 @@
-"""A figure or table of the report: what it needs to be known, and how it is drawn from that."""
+"""A figure or table of the report: the tasks it needs, and how it is drawn from their results."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from monoloc_lab.experiments.task import Results, Task
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim of the source paper, held against what was measured; one entry of ``claims`` in the JSON.
+    """A claim of the paper compared with a measurement; one entry of ``claims`` in the JSON.
 
     Attributes:
         name: the claim in a few words.
-        holds: whether it does, by the bound in ``settings``.
-        figure: what was measured, in a sentence with its unit.
-        spread: smallest and largest over seeds, of the number the sentence turns on.
+        holds: whether the measurement satisfies the bound in ``settings``. This is not a verdict on the paper's
+            method, from which monoloc differs in more than one component.
+        figure: the measurement, in a sentence with its unit.
+        spread: smallest and largest of the number that the bound applies to, over seeds.
         settings: split, light, sizes, seeds, bound.
-        analysis: why it does not hold, where it does not; None where it does.
+        analysis: further measurements, if the bound is not satisfied, without a cause; None otherwise.
     """
 
     name: str
@@ -34,14 +35,14 @@ class Claim:
 
 @dataclass(frozen=True)
 class Drawn:
-    """What a figure came to.
+    """A figure that has been drawn.
 
     Attributes:
-        numbers: all that the picture shows, ready for JSON; lies beside it.
-        pictures: PNG files, within the report's folder.
-        tables: in the report, each a header and rows, under its title.
-        text: one or two plain sentences: what is seen, and whether it agrees with the source paper.
-        claims: of the source paper, decided by this figure.
+        numbers: every number in the plots, ready for JSON.
+        pictures: PNG files in the report's folder.
+        tables: title, header and rows.
+        text: one or two sentences about the result.
+        claims: claims of the paper that this figure compares with a measurement.
     """
 
     numbers: dict[str, Any]
@@ -57,9 +58,11 @@ class Figure:
 
     Attributes:
         name: on the command line, as ``fig4d``.
-        title: in the report; source: which one of the source paper's it is, None for what goes beyond it.
-        tasks: what must be known to draw it in a study; None where it is left out, for what it costs.
-        draw: from their results into a folder: ``NAME.png``, or ``NAME-SPLIT.png`` where there are several.
+        title: in the report.
+        source: the figure of the paper that it reproduces; None if the paper has no such figure.
+        tasks: tasks that it needs in a study; None if the study leaves the figure out because of its cost.
+        draw: draws it from the results into a folder: ``NAME.png``, or ``NAME-SPLIT.png`` for several splits.
+        on_request: whether it is drawn only if it is named on the command line.
     """
 
     name: str
@@ -67,3 +70,4 @@ class Figure:
     source: str | None
     tasks: Callable[[Study], Sequence[Task] | None]
     draw: Callable[[Study, Results, Path], Drawn]
+    on_request: bool = False

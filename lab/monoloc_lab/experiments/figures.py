@@ -1,4 +1,4 @@
-"""All figures and tables, in the report's order, and how they are drawn."""
+"""All figures and tables, in the order of the report."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from pathlib import Path
 from monoloc.errors import SettingError
 from monoloc.files import json_text, write_whole
 from monoloc_lab.experiments import (
+    ablation,
+    adapt_settings,
     fig1,
     fig2,
     fig3,
@@ -20,6 +22,7 @@ from monoloc_lab.experiments import (
     frames,
     kl_weight,
     map_size,
+    robustness,
     table1,
     variants,
 )
@@ -42,11 +45,14 @@ FIGURES: tuple[Figure, ...] = (
     map_size.FIGURE,
     kl_weight.FIGURE,
     frames.FIGURE,
+    ablation.FIGURE,
+    adapt_settings.FIGURE,
+    robustness.FIGURE,
 )
 
 
 def chosen_figures(names: Sequence[str]) -> list[Figure]:
-    """Figures by name, in the report's order; all of them for no name.
+    """Figures by name, in the order of the report; without names all but those on request.
 
     Raises:
         SettingError: no such figure.
@@ -55,11 +61,11 @@ def chosen_figures(names: Sequence[str]) -> list[Figure]:
     for name in names:
         if name not in known:
             raise SettingError("FIGURE", f"is {name!r}", f"choose from {', '.join(known)}")
-    return [figure for figure in FIGURES if not names or figure.name in names]
+    return [figure for figure in FIGURES if figure.name in names or not (names or figure.on_request)]
 
 
 def draw_figure(figure: Figure, study: Study, results: Results, folder: Path) -> Drawn:
-    """Draw a figure into a folder, with ``NAME.json`` of its numbers beside it.
+    """Draw a figure into a folder, and write its numbers to ``NAME.json``.
 
     Raises:
         MissingExtraError: matplotlib is not installed.

@@ -1,4 +1,4 @@
-"""How many build frames are needed."""
+"""Position error by the number of build frames."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from monoloc_lab.experiments.gather import (
     network_of,
     seeds_of,
     spread_of,
-    usual_light,
+    usual_recording,
 )
 from monoloc_lab.experiments.study import Study
 from monoloc_lab.experiments.sweep import draw_sweep, row_of
 from monoloc_lab.experiments.task import Results, Task
 
 _COUNTS = (5, 10, 25, 50, 100)
-_VARIANTS = {"unadapted": ("unadapted", ORANGE), "joint": ("network + map (monoloc)", BLUE)}
+_VARIANTS = {"unadapted": ("unadapted", ORANGE), "joint": ("network and map", BLUE)}
 
 
 def _counts(study: Study) -> list[int]:
-    return [count for count in _COUNTS if count <= _recorded(study)]
+    return [count for count in _COUNTS if count <= _available(study)]
 
 
-def _recorded(study: Study) -> int:
+def _available(study: Study) -> int:
     return len(frames_of(study.splits[0].source, study.splits[0].frames))
 
 
 def _runs(study: Study, variant: str, count: int) -> list[Task]:
     split = study.splits[0]
-    frames = None if count == _recorded(study) else count  # all of them: the room of the other figures
+    frames = None if count == _available(study) else count  # with all frames, the bundle of the other figures
     bundle = factories.bundle(study, split, network_of(study.sizes[0]), variant, frames=frames)
-    return [factories.run(bundle, split.walks[usual_light(split)], seed) for seed in seeds_of(study)]
+    return [factories.run(bundle, usual_recording(split), seed) for seed in seeds_of(study)]
 
 
 def tasks(study: Study) -> Sequence[Task] | None:
@@ -67,14 +67,14 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
             draw_sweep(axis, name, colour, errors[variant])
         axis.set_xticks(_counts(study), [str(count) for count in _counts(study)])
         axis.set(xlabel="build frames", ylabel="position RMSE (cm)")
-        axis.set_title(f"Frames that built the room, {study.splits[0].name}, {study.sizes[0]}")
+        axis.set_title(f"Number of build frames, {study.splits[0].name}, {study.sizes[0]}")
         axis.legend(loc="best")
     return Drawn(
         numbers=numbers,
         pictures=[path],
         tables={
             "Errors by number of build frames (median over seeds; smallest to largest)": (
-                ("what was tuned", "frames", "RMSE", "median"),
+                ("tuned", "frames", "RMSE", "median"),
                 rows,
             )
         },
@@ -86,10 +86,10 @@ def _text(errors: dict[float, Spread]) -> str:
     most = max(errors)
     enough = min(count for count, spread in errors.items() if spread.median <= 1.25 * errors[most].median)
     return (
-        "Map and network from so many frames, evenly out of the build recording, in one build each. With "
-        f"{most} frames the RMSE is {errors[most].centimetres()}; {enough} come within a quarter of that "
-        f"({errors[enough].centimetres()})."
+        "Map and network from evenly spaced frames of the build recording, one build each. The RMSE is "
+        f"{errors[most].centimetres()} with {most} frames, and {errors[enough].centimetres()} with {enough}, the "
+        "smallest number within a quarter of that."
     )
 
 
-FIGURE = Figure("frames", "How many frames are needed", None, tasks, draw)
+FIGURE = Figure("frames", "Number of build frames", None, tasks, draw)

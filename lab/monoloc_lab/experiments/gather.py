@@ -1,4 +1,4 @@
-"""What several figures ask for: the usual light, depth against the sensor's, spreads over seeds, distances."""
+"""Numbers that several figures need: spreads over seeds, depth errors, distances to the build frames."""
 
 from __future__ import annotations
 
@@ -17,20 +17,22 @@ from monoloc.geometry import FloatArray
 from monoloc.io.recording import Selection
 from monoloc.io.registry import open_recording, select_frames
 from monoloc_lab.experiments import tasks
-from monoloc_lab.experiments.study import WIDTH, Split, Study, Walk
+from monoloc_lab.experiments.study import AS_RECORDED, WIDTH, EvalRecording, Split, Study
 from monoloc_lab.experiments.task import Result, Results, Task
-from monoloc_lab.experiments.task_inputs import BUNDLE, WAY_FILE
+from monoloc_lab.experiments.task_inputs import BUNDLE, TRAJECTORY_FILE
 
 DARK = "L3"
 RMSE, MEDIAN, ROTATION = "unseen_ate_rmse_m", "unseen_ate_median_m", "unseen_rot_median_deg"
-_USUAL = ("as taken", "L2")  # the light of the build frames
-_SHOWN = (0.3, 0.7)  # of a walk: frames that are shown
-_WITH_DEPTH = 0.1  # of their pixels, at least
+DEAD_RECKONING = "unseen_odometry_ate_rmse_m"
+FROM_SAME_START = "unseen_odometry_from_start_ate_rmse_m"
+_USUAL = (AS_RECORDED, "L2")  # the light of the build frames
+_SHOWN = (0.3, 0.7)  # positions of the plotted frames in a recording
+_LEAST_VALID_DEPTH = 0.1  # share of the pixels of a plotted frame
 
 
 @dataclass(frozen=True)
 class Spread:
-    """A number over seeds; NaN where no run has it."""
+    """A number over seeds; NaN if no run has it."""
 
     values: tuple[float, ...]
 
@@ -47,7 +49,7 @@ class Spread:
         return {"median": self.median, "smallest": self.range[0], "largest": self.range[1], "runs": list(self.values)}
 
     def centimetres(self) -> str:
-        """As people read it: of metres."""
+        """Text of a spread in metres."""
         low, high = (f"{100.0 * value:.1f}" for value in self.range)
         if not self.values:
             return "none"
@@ -57,20 +59,25 @@ class Spread:
     def __truediv__(self, other: Spread) -> Spread:
         """Ratios, seed by seed."""
         if len(self.values) != len(other.values):
-            return Spread(())  # a seed without a figure: which belong together is not known
+            return Spread(())  # without the number of some seed, the pairs are unknown
         pairs = zip(self.values, other.values, strict=True)
         return Spread(tuple(mine / theirs for mine, theirs in pairs))
 
 
 def spread_of(results: Results, of: Iterable[Task], name: str) -> Spread:
-    """A figure over tasks that differ in their seed; runs without it, which located nothing, are passed over."""
+    """A figure over tasks that differ in their seed. Runs without the figure, which found no pose, are left out."""
     found = (results[task].figures.get(name) for task in of)
     return Spread(tuple(float(value) for value in found if value is not None))
 
 
 def usual_light(split: Split) -> str:
-    """The light in which the build frames were taken."""
-    return next(light for light in _USUAL if light in split.walks)
+    """The light of the build frames."""
+    return next(light for light in _USUAL if light in split.recordings)
+
+
+def usual_recording(split: Split) -> EvalRecording:
+    """The evaluation recording in the light of the build frames."""
+    return split.recordings[usual_light(split)]
 
 
 def network_of(size: str) -> str:
@@ -83,17 +90,17 @@ def parameters_of(size: str) -> int:
 
 
 def size_labels(study: Study) -> list[str]:
-    """The sizes below a picture, each with what it has."""
+    """Axis labels of the sizes, with their parameters."""
     return [f"{size}\n{parameters_of(size) / 1e6:.2f} M parameters" for size in study.sizes]
 
 
 def picture_path(study: Study, folder: Path, name: str, split: Split) -> Path:
-    """``NAME.png``, or ``NAME-SPLIT.png`` where there are several."""
+    """``NAME.png``, or ``NAME-SPLIT.png`` if there are several splits."""
     return folder / (f"{name}.png" if len(study.splits) == 1 else f"{name}-{split.name.replace(' ', '-')}.png")
 
 
 def in_split(study: Study, split: Split) -> str:
-    """The split's name for a title, empty where there is one only."""
+    """The name of the split for a title; empty if there is only one."""
     return "" if len(study.splits) == 1 else f", {split.name}"
 
 
@@ -101,68 +108,68 @@ def frames_of(source: str, frames: str) -> Selection:
     return select_frames(open_recording(source), frames)
 
 
-def depth_task(source: Task | str, walk: Walk) -> Task:
-    """Depth of a walk, with the frames that all figures show."""
-    return tasks.depth(source, walk, tasks.DEPTH_STRIDE, shown_frames(walk))
+def depth_task(source: Task | str, recording: EvalRecording) -> Task:
+    """Depth of a recording, with the frames that all figures plot."""
+    return tasks.depth(source, recording, tasks.DEPTH_STRIDE, shown_frames(recording))
 
 
-def depth_of_variant(variant: str, bundle: Task, walk: Walk) -> Task:
-    """Depth of a walk by a bundle's network, which is as it comes where nothing of it was tuned."""
-    return depth_task(bundle.settings["network"] if variant in ("unadapted", "map") else bundle, walk)
+def depth_of_variant(variant: str, bundle: Task, recording: EvalRecording) -> Task:
+    """Depth of a recording by the network of a bundle, or by the unadapted network if the variant tunes none."""
+    return depth_task(bundle.settings["network"] if variant in ("unadapted", "map") else bundle, recording)
 
 
 @cache
-def shown_frames(walk: Walk) -> tuple[int, ...]:
-    """Positions in the walk; of frames that are judged too, with sensor depth.
+def shown_frames(recording: EvalRecording) -> tuple[int, ...]:
+    """Positions of the plotted frames: they have sensor depth, and their depth error is computed.
 
     Raises:
-        DataError: no frame that is judged has depth.
+        DataError: no such frame has depth.
     """
-    recording = frames_of(walk.source, walk.frames)
-    judged = range(0, len(recording), tasks.DEPTH_STRIDE)
+    frames = frames_of(recording.source, recording.frames)
+    compared = range(0, len(frames), tasks.DEPTH_STRIDE)
 
     def nearest(wanted: int) -> int:
-        for place in sorted(judged, key=lambda place: abs(place - wanted)):
-            if np.mean(recording.depth(place) > 0.0) >= _WITH_DEPTH:
+        for place in sorted(compared, key=lambda place: abs(place - wanted)):
+            if np.mean(frames.depth(place) > 0.0) >= _LEAST_VALID_DEPTH:
                 return place
-        raise DataError(recording.name, "has no depth in the frames to be shown", "give one whose frames have depth")
+        raise DataError(frames.name, "has no depth in the frames to be shown", "give one whose frames have depth")
 
-    whole = len(recording) // tasks.DEPTH_STRIDE
+    whole = len(frames) // tasks.DEPTH_STRIDE
     return tuple(nearest(tasks.DEPTH_STRIDE * int(share * whole)) for share in _SHOWN)
 
 
-def mean_depth(result: Result, split: Split, walk: Walk, name: str) -> float:
-    """Mean of ``absrel``, ``delta1`` or ``ssim`` over judged frames that built nothing; NaN where there are none."""
+def mean_depth(result: Result, split: Split, recording: EvalRecording, name: str) -> float:
+    """Mean of ``absrel``, ``delta1`` or ``ssim`` over compared frames that are not build frames; NaN for none."""
     per_frame = result.figures["per_frame"]
-    unseen = unseen_frames(split, walk)
+    unseen = unseen_frames(split, recording)
     values = [value for index, value in zip(per_frame["index"], per_frame[name], strict=True) if unseen[index]]
     defined = [value for value in values if value is not None]
     return float(np.mean(defined)) if defined else float("nan")
 
 
 def frame_depth(result: Result, index: int) -> dict[str, float | None]:
-    """``absrel``, ``delta1`` and ``ssim`` of one judged frame."""
+    """``absrel``, ``delta1`` and ``ssim`` of one compared frame."""
     per_frame = result.figures["per_frame"]
     place = per_frame["index"].index(index)
     return {name: per_frame[name][place] for name in ("absrel", "delta1", "ssim")}
 
 
-def unseen_frames(split: Split, walk: Walk) -> NDArray[np.bool_]:
-    """(N,) which frames of a walk built nothing."""
-    return _unseen(split.source, split.frames, walk)
+def unseen_frames(split: Split, recording: EvalRecording) -> NDArray[np.bool_]:
+    """(N,) frames of a recording that are not build frames."""
+    return _unseen(split.source, split.frames, recording)
 
 
 @cache
-def _unseen(source: str, built: str, walk: Walk) -> NDArray[np.bool_]:
-    walked = frames_of(walk.source, walk.frames)
-    if walk.source != source:
-        return np.ones(len(walked), dtype=np.bool_)
-    return ~np.isin(walked.positions, frames_of(source, built).positions)
+def _unseen(source: str, build: str, recording: EvalRecording) -> NDArray[np.bool_]:
+    evaluated = frames_of(recording.source, recording.frames)
+    if recording.source != source:
+        return np.ones(len(evaluated), dtype=np.bool_)
+    return ~np.isin(evaluated.positions, frames_of(source, build).positions)
 
 
-def way(result: Result) -> dict[str, Any]:
-    """The arrays of :data:`monoloc_lab.experiments.tasks.WAY`."""
-    with np.load(result.folder / WAY_FILE) as arrays:
+def trajectory(result: Result) -> dict[str, Any]:
+    """The arrays of :data:`monoloc_lab.experiments.tasks.TRAJECTORY_ARRAYS`."""
+    with np.load(result.folder / TRAJECTORY_FILE) as arrays:
         return dict(arrays)
 
 
@@ -173,19 +180,19 @@ def depth_arrays(result: Result) -> dict[str, Any]:
 
 
 def room_map(result: Result) -> tuple[FloatArray, FloatArray]:
-    """Means and covariances of a bundle's map as it was fitted."""
+    """Means and covariances of the original map of a bundle."""
     from monoloc.bundle import read_bundle
 
     original = read_bundle(result.folder / BUNDLE).original
     return original.means, original.covariances
 
 
-def nearest_build_m(split: Split, walk: Walk) -> float:
-    """Median distance of a walk's unseen cameras to the nearest build frame's, metres."""
-    built, walked = frames_of(split.source, split.frames).poses, frames_of(walk.source, walk.frames).poses
-    assert built is not None and walked is not None  # a study's recordings have poses
-    from_m = walked[unseen_frames(split, walk), :3, 3]
-    distances = np.linalg.norm(from_m[:, None] - built[None, :, :3, 3], axis=-1)
+def nearest_build_m(split: Split, recording: EvalRecording) -> float:
+    """Median distance of the unseen cameras of a recording to the nearest build camera, metres."""
+    build, evaluated = (frames_of(of.source, of.frames).poses for of in (split, recording))
+    assert build is not None and evaluated is not None  # a study's recordings have poses
+    from_m = evaluated[unseen_frames(split, recording), :3, 3]
+    distances = np.linalg.norm(from_m[:, None] - build[None, :, :3, 3], axis=-1)
     return float(np.median(distances.min(axis=1)))
 
 
@@ -193,6 +200,6 @@ def seeds_of(study: Study) -> range:
     return range(study.seeds)
 
 
-def joined(names: Sequence[str]) -> str:
+def and_list(names: Sequence[str]) -> str:
     """``a, b and c``."""
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

@@ -1,4 +1,4 @@
-"""How much the map is held to the original: lambda over five decades."""
+"""Position error by lambda, the weight of the divergence from the original map, over five decades."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from monoloc.viz.picture import BLUE, GREEN, picture
 from monoloc_lab.experiments import tasks as factories
 from monoloc_lab.experiments.drawing import legend_below
 from monoloc_lab.experiments.figure import Drawn, Figure
-from monoloc_lab.experiments.gather import RMSE, Spread, network_of, seeds_of, spread_of, usual_light
+from monoloc_lab.experiments.gather import RMSE, Spread, network_of, seeds_of, spread_of, usual_recording
 from monoloc_lab.experiments.study import Study
 from monoloc_lab.experiments.sweep import draw_sweep, least, mark_default, row_of
 from monoloc_lab.experiments.task import Results, Task
 
 _LAMBDAS = (1e-3, 1e-2, 1e-1, 1.0, 10.0, 100.0)
-_VARIANTS = {"last+map": ("last layer + map (paper's)", GREEN), "joint": ("network + map (monoloc)", BLUE)}
+_VARIANTS = {"last+map": ("last layer and map", GREEN), "joint": ("network and map", BLUE)}
 _SHIFT = "shift_median_m"
 
 
@@ -26,9 +26,8 @@ def _bundle(study: Study, variant: str, value: float) -> Task:
 
 
 def _runs(study: Study, variant: str, value: float) -> list[Task]:
-    split = study.splits[0]
-    walk = split.walks[usual_light(split)]
-    return [factories.run(_bundle(study, variant, value), walk, seed) for seed in seeds_of(study)]
+    recording = usual_recording(study.splits[0])
+    return [factories.run(_bundle(study, variant, value), recording, seed) for seed in seeds_of(study)]
 
 
 def tasks(study: Study) -> Sequence[Task] | None:
@@ -55,7 +54,7 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
         axes = list(figure.subplots(1, 2))
         for variant, (name, colour) in _VARIANTS.items():
             draw_sweep(axes[0], name, colour, errors[variant])
-            # What did not move at all has no place on a logarithmic axis.
+            # A logarithmic axis has no zero.
             moved = {value: shift for value, shift in shifts[variant].items() if shift.median > 0.0}
             draw_sweep(axes[1], name, colour, moved)
         for axis in axes:
@@ -65,14 +64,14 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
         axes[0].set(ylabel="position RMSE (cm)")
         axes[0].set_title("Position error")
         axes[1].set(ylabel="median shift of components (cm)")
-        axes[1].set_title("How far the map moved")
+        axes[1].set_title("Shift of the map")
         legend_below(figure, axes, 2)
     text = (
-        "The weight of the divergence between original and adapted map, over five decades, in one build each. "
-        f"Least RMSE where the last layer is tuned at lambda {least(errors['last+map']):g}, where the whole "
-        f"network is at {least(errors['joint']):g}; the default is {numbers['default']:g}."
+        "Lambda weighs the divergence between original and adapted map; one build each. The smallest RMSE is at "
+        f"lambda {least(errors['last+map']):g} with the last layer tuned, and at {least(errors['joint']):g} with the "
+        f"network tuned. The default is {numbers['default']:g}."
     )
-    head = ("what was tuned", "lambda", "RMSE", "median shift")
+    head = ("tuned", "lambda", "RMSE", "median shift")
     return Drawn(
         numbers=numbers,
         pictures=[path],
@@ -81,4 +80,4 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
     )
 
 
-FIGURE = Figure("lambda", "How firmly the map is held", None, tasks, draw)
+FIGURE = Figure("lambda", "Weight of the divergence", None, tasks, draw)

@@ -1,4 +1,4 @@
-"""How many bytes a map needs: mixtures, voxels and points of one room under one network."""
+"""Position error by the bytes of the map: mixtures, voxels and points of one room, with one network."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from monoloc.viz.picture import BLUE, ORANGE, VERMILION, picture
 from monoloc_lab.experiments import tasks as factories
 from monoloc_lab.experiments.drawing import legend_below
 from monoloc_lab.experiments.figure import Drawn, Figure
-from monoloc_lab.experiments.gather import MEDIAN, RMSE, Spread, seeds_of, spread_of, usual_light
+from monoloc_lab.experiments.gather import MEDIAN, RMSE, Spread, seeds_of, spread_of, usual_recording
 from monoloc_lab.experiments.methods import bundle_of
 from monoloc_lab.experiments.study import Study
 from monoloc_lab.experiments.sweep import draw_sweep, least
@@ -35,8 +35,8 @@ def _map(study: Study, kind: _Kind, size: float) -> Task:
 
 
 def _runs(study: Study, kind: _Kind, size: float) -> list[Task]:
-    split = study.splits[0]
-    return [factories.run(_map(study, kind, size), split.walks[usual_light(split)], seed) for seed in seeds_of(study)]
+    recording = usual_recording(study.splits[0])
+    return [factories.run(_map(study, kind, size), recording, seed) for seed in seeds_of(study)]
 
 
 def tasks(study: Study) -> Sequence[Task] | None:
@@ -67,7 +67,7 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
             )
             amount = f"{stored['map_bytes'] / 1e3:.1f} kB"
             found = (rmse.centimetres(), median.centimetres())
-            rows.append((_STYLES[kind][0], _labelled(kind, size), f"{stored['components']:,}", amount, *found))
+            rows.append((_STYLES[kind][0], _size_label(kind, size), f"{stored['components']:,}", amount, *found))
     path = folder / "map-size.png"
     with picture(path, 9.0, 5.0) as figure:
         axis = figure.subplots()
@@ -75,11 +75,11 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
             by_size = {amount / 1e3: spread for amount, spread in points[kind].items()}
             draw_sweep(axis, name, colour, by_size, marker=marker)
             for size, (amount_kb, spread) in zip(_SIZES[kind], by_size.items(), strict=True):
-                # At the end of the bar, clear of the lines.
+                # At the end of the bar, off the lines.
                 smallest, largest = spread.range
                 at = (amount_kb, 100.0 * (largest if _LABELS[kind] > 0 else smallest))
                 axis.annotate(
-                    _labelled(kind, size),
+                    _size_label(kind, size),
                     at,
                     (0, _LABELS[kind]),
                     textcoords="offset points",
@@ -88,19 +88,19 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
                     color=colour,
                 )
         axis.margins(y=0.1)
-        axis.set(xlabel="the map's bytes (kB)", ylabel="position RMSE (cm)")
+        axis.set(xlabel="size of the map (kB)", ylabel="position RMSE (cm)")
         axis.set_title(f"Size of the map against accuracy, {study.splits[0].name}, {study.sizes[0]}")
         legend_below(figure, [axis], 3)
     head = ("map", "size", "components", "bytes", "RMSE", "median")
     return Drawn(
         numbers=numbers,
         pictures=[path],
-        tables={"Maps of one room under one network (median over seeds; smallest to largest)": (head, rows)},
+        tables={"Maps of one room with one network (median over seeds; smallest to largest)": (head, rows)},
         text=_text(points),
     )
 
 
-def _labelled(kind: _Kind, size: float) -> str:
+def _size_label(kind: _Kind, size: float) -> str:
     return f"K = {size:g}" if kind == "mixture" else f"{100.0 * size:g} cm"
 
 
@@ -110,10 +110,10 @@ def _text(points: dict[_Kind, dict[float, Spread]]) -> str:
         return f"{points[kind][amount].centimetres()} with {amount / 1e3:.1f} kB"
 
     return (
-        "The network of one build, tuned without bending a map, in maps of several kinds and sizes; what was "
-        f"calibrated is the same. Least RMSE: as a mixture {best('mixture')}, as voxels {best('voxels')}, as points "
-        f"{best('points')}."
+        "The network of one build, tuned without changing the map, with maps of several kinds and sizes; the "
+        "calibration is the same but for the bias at the reference poses. Smallest RMSE: mixture "
+        f"{best('mixture')}, voxels {best('voxels')}, points {best('points')}."
     )
 
 
-FIGURE = Figure("map-size", "How large a map must be", None, tasks, draw)
+FIGURE = Figure("map-size", "Size of the map", None, tasks, draw)

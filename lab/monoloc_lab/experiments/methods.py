@@ -1,4 +1,4 @@
-"""The ways to find a pose that are held against one another."""
+"""The methods of localisation that the figures compare."""
 
 from __future__ import annotations
 
@@ -8,91 +8,91 @@ from dataclasses import dataclass
 from monoloc.viz.picture import BLUE, GREEN, INK, ORANGE, PURPLE, SKY, VERMILION
 from monoloc_lab.experiments import tasks
 from monoloc_lab.experiments.gather import RMSE, Spread, network_of, seeds_of, spread_of
-from monoloc_lab.experiments.study import Split, Study, Walk
+from monoloc_lab.experiments.study import EvalRecording, Split, Study
 from monoloc_lab.experiments.task import Results, Task
 
-# Study, split, network size, walk, seed -> the task that locates the walk.
-Locating = Callable[[Study, Split, str, Walk, int], Task]
+# Study, split, network size, recording, seed -> the task that localises the recording.
+RunFactory = Callable[[Study, Split, str, EvalRecording, int], Task]
 
 
 @dataclass(frozen=True)
 class Method:
-    """A way to find a pose.
+    """A method of localisation.
 
     Attributes:
         name: in legends and tables.
-        colour: in every picture.
-        task: how a walk is located by it.
-        seeded: whether seeds make a difference.
+        colour: in every plot.
+        task: localises a recording.
+        seeded: whether the result depends on the seed.
     """
 
     name: str
     colour: str
-    task: Locating
+    task: RunFactory
     seeded: bool = True
 
-    def runs(self, study: Study, split: Split, size: str, walk: Walk) -> list[Task]:
-        """One a seed."""
+    def runs(self, study: Study, split: Split, size: str, recording: EvalRecording) -> list[Task]:
+        """One per seed."""
         seeds = seeds_of(study) if self.seeded else range(1)
-        return [self.task(study, split, size, walk, seed) for seed in seeds]
+        return [self.task(study, split, size, recording, seed) for seed in seeds]
 
-    def rmse(self, study: Study, results: Results, split: Split, size: str, walk: Walk) -> Spread:
+    def rmse(self, study: Study, results: Results, split: Split, size: str, recording: EvalRecording) -> Spread:
         """Position RMSE on unseen frames over seeds, metres."""
-        return spread_of(results, self.runs(study, split, size, walk), RMSE)
+        return spread_of(results, self.runs(study, split, size, recording), RMSE)
 
 
 def bundle_of(study: Study, split: Split, size: str, variant: str, seed: int = 0) -> Task:
-    """The bundle that a run with a seed uses: rooms are built anew as often as the study says."""
+    """The bundle that a run with a seed uses."""
     return tasks.bundle(study, split, network_of(size), variant, seed=seed % study.builds)
 
 
-def _followed(variant: str) -> Locating:
-    def task(study: Study, split: Split, size: str, walk: Walk, seed: int) -> Task:
-        return tasks.run(bundle_of(study, split, size, variant, seed), walk, seed)
+def _run_of(variant: str) -> RunFactory:
+    def task(study: Study, split: Split, size: str, recording: EvalRecording, seed: int) -> Task:
+        return tasks.run(bundle_of(study, split, size, variant, seed), recording, seed)
 
     return task
 
 
-def _posenet(study: Study, split: Split, size: str, walk: Walk, seed: int) -> Task:
-    return tasks.posenet_run(tasks.posenet(study, split, size, seed), walk)
+def _posenet(study: Study, split: Split, size: str, recording: EvalRecording, seed: int) -> Task:
+    return tasks.posenet_run(tasks.posenet(study, split, size, seed), recording)
 
 
-def _posenet_with_views(study: Study, split: Split, size: str, walk: Walk, seed: int) -> Task:
-    return tasks.posenet_run(tasks.posenet(study, split, size, seed, views=True), walk)
+def _posenet_with_views(study: Study, split: Split, size: str, recording: EvalRecording, seed: int) -> Task:
+    return tasks.posenet_run(tasks.posenet(study, split, size, seed, views=True), recording)
 
 
-def _filtered(study: Study, split: Split, size: str, walk: Walk, seed: int) -> Task:
-    built = bundle_of(study, split, size, "joint", seed)
-    return tasks.filtered_run(tasks.posenet(study, split, size, seed), built, walk, seed)
+def _filtered(study: Study, split: Split, size: str, recording: EvalRecording, seed: int) -> Task:
+    bundle = bundle_of(study, split, size, "joint", seed)
+    return tasks.filtered_run(tasks.posenet(study, split, size, seed), bundle, recording, seed)
 
 
-def _sensor(study: Study, split: Split, size: str, walk: Walk, seed: int) -> Task:
-    # In the map as it was fitted: the adapted one is bent towards a network's depth.
-    return tasks.run(bundle_of(study, split, study.sizes[0], "unadapted", seed), walk, seed, sensor=True)
+def _sensor(study: Study, split: Split, size: str, recording: EvalRecording, seed: int) -> Task:
+    # With the original map: the adapted one is fitted to the depth of a network.
+    return tasks.run(bundle_of(study, split, study.sizes[0], "unadapted", seed), recording, seed, sensor=True)
 
 
-def _orb(study: Study, split: Split, size: str, walk: Walk, seed: int) -> Task:
-    return tasks.keypoints_run(study, split, walk, "orb")
+def _orb(study: Study, split: Split, size: str, recording: EvalRecording, seed: int) -> Task:
+    return tasks.keypoints_run(study, split, recording, "orb")
 
 
-def _sift(study: Study, split: Split, size: str, walk: Walk, seed: int) -> Task:
-    return tasks.keypoints_run(study, split, walk, "sift")
+def _sift(study: Study, split: Split, size: str, recording: EvalRecording, seed: int) -> Task:
+    return tasks.keypoints_run(study, split, recording, "sift")
 
 
 POSENET = Method("PoseNet", VERMILION, _posenet)
 POSENET_WITH_VIEWS = Method("PoseNet, with views", "#8C3A00", _posenet_with_views)
 FILTERED = Method("filtered PoseNet", PURPLE, _filtered)
-UNADAPTED = Method("unadapted", ORANGE, _followed("unadapted"))
-PAPERS = Method("last layer + map (paper's)", GREEN, _followed("last+map"))
-JOINT = Method("network + map (monoloc)", BLUE, _followed("joint"))
+UNADAPTED = Method("unadapted", ORANGE, _run_of("unadapted"))
+LAST_AND_MAP = Method("last layer and map", GREEN, _run_of("last+map"))
+JOINT = Method("network and map", BLUE, _run_of("joint"))
 SENSOR = Method("sensor depth in our filter", INK, _sensor)
 ORB = Method("ORB keypoints", SKY, _orb, seeded=False)
 SIFT = Method("SIFT keypoints", "#2A7F9E", _sift, seeded=False)
 
-BY_SIZE = (POSENET, FILTERED, UNADAPTED, PAPERS, JOINT)
-"""What has a network of every size."""
+BY_SIZE = (POSENET, FILTERED, UNADAPTED, LAST_AND_MAP, JOINT)
+"""Methods with a network of every size. The paper tunes the last layer and the map."""
 
 
 def keypoint_methods(study: Study) -> tuple[Method, ...]:
-    """A quick study leaves SIFT out, which takes a minute a walk."""
+    """Keypoint methods; a quick study leaves out SIFT, which takes a minute per recording."""
     return (ORB,) if study.quick else (ORB, SIFT)

@@ -1,4 +1,4 @@
-"""On what, and with what, a report is drawn."""
+"""Machine and versions that a report was made with."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _LIBRARIES = ("monoloc", "numpy", "torch", "onnxruntime", "opencv-python-headles
 
 
 def provenance() -> dict[str, str]:
-    """Date, commit, processor, cores and versions, as a person reads them."""
+    """Date, commit, processor, cores and versions, as text."""
     found = {"date": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", "commit": _commit(), "processor": _processor()}
     found |= {"cores": str(os.cpu_count()), "system": f"{platform.system()} {platform.machine()}"}
     found |= {"Python": platform.python_version()}
@@ -26,15 +26,15 @@ def provenance() -> dict[str, str]:
 
 
 def _commit() -> str:
-    """Of the source tree that is run, if it is one."""
+    """Commit of the source tree that runs, if it is one."""
     folder = Path(__file__).parent
     try:
         commit = _git(folder, "rev-parse", "--short=12", "HEAD")
-        # Only monoloc's own: an installed copy may lie within some other repository.
+        # An installed copy may lie in another repository.
         root = Path(_git(folder, "rev-parse", "--show-toplevel"))
-        if not folder.is_relative_to(root / "src" / "monoloc"):
+        if not folder.is_relative_to(root / "lab" / "monoloc_lab"):
             return "unknown (installed)"
-        # What git does not track is none of it: a report's own folder may lie in the tree.
+        # Untracked files do not count: the folder of the report may be in the tree.
         changes = _git(folder, "status", "--porcelain", "--untracked-files=no", "--", str(root))
         return f"{commit}, with changes" if changes else commit
     except (OSError, subprocess.CalledProcessError):

@@ -1,4 +1,4 @@
-"""The report: claims, figures and tables, with all that they depend on, as a page, as a PDF and as JSON."""
+"""The report: claims, figures, tables and settings, as HTML, PDF and JSON."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ def write_report(
     seconds: float,
     worked_s: float,
 ) -> dict[str, Any]:
-    """Write the report's three files.
+    """Write the three files of the report.
 
     Args:
-        out: the folder; pictures lie within it.
-        drawn: figures as they came, in the report's order.
-        left_out: figures that were asked for and that the study leaves out.
-        seconds: what the command took, which may have found work done before.
-        worked_s: what all the work took, on one core.
+        out: the folder of the report; it contains the pictures.
+        drawn: figures in the order of the report.
+        left_out: requested figures that the study leaves out.
+        seconds: duration of this command, which may have reused earlier results.
+        worked_s: duration of all the work, on one core.
 
     Returns:
-        What ``report.json`` holds: ``claims``, ``figures`` by name, ``report`` (there relative, here as ``out`` is),
-        ``seconds``, ``worked_s``, ``left_out``, ``study``, ``provenance``.
+        The content of ``report.json``: ``claims``, ``figures`` by name, ``report``, ``seconds``, ``worked_s``,
+        ``left_out``, ``study``, ``provenance``. The path ``report`` is relative to ``out`` in the file only.
 
     Raises:
         MissingExtraError: ReportLab or matplotlib is not installed.

@@ -1,4 +1,4 @@
-"""The report as one page that needs nothing beside itself."""
+"""The report as one self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from monoloc_lab.experiments.report_text import (
     Picture,
     Table,
     Verdict,
+    bound_text,
     report_title,
     spread_sentence,
-    verdict_word,
     without_repeats,
 )
 from monoloc_lab.experiments.study import Study
@@ -56,11 +56,11 @@ td { border-bottom: 1px solid #eee; }
   .scroll { overflow: visible; } .scroll img { min-width: 0; }
 }
 """
-_LONG = 48  # characters from which a cell is broken into lines
+_LONG = 48  # longer cells are broken into lines
 
 
 def html_page(study: Study, blocks: Sequence[Block]) -> str:
-    """The page; pictures are embedded.
+    """The page, with its pictures embedded.
 
     Raises:
         OSError: a picture cannot be read.
@@ -104,7 +104,7 @@ def _verdict(block: Verdict) -> str:
     mark = "✓" if claim.holds else "✗"
     return (
         f'<div class="claim{" holds" if claim.holds else ""}"><h3>{escape(claim.name)}</h3>'
-        f'<p><span class="verdict">{mark} {verdict_word(claim).capitalize()}.</span> {escape(claim.figure)}</p>'
+        f'<p><span class="verdict">{mark} {bound_text(claim).capitalize()}.</span> {escape(claim.figure)}</p>'
         f'{analysis}<p class="small">{escape(spread_sentence(claim))}</p></div>'
     )
 

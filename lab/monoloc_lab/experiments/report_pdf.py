@@ -1,4 +1,4 @@
-"""The report as a PDF, set by ReportLab in the fonts that come with matplotlib."""
+"""The report as a PDF, made by ReportLab with the fonts of matplotlib."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from monoloc_lab.experiments.report_text import (
     Picture,
     Table,
     Verdict,
+    bound_text,
     report_title,
     spread_sentence,
-    verdict_word,
     without_repeats,
 )
 from monoloc_lab.experiments.study import Study
@@ -26,12 +26,12 @@ from monoloc_lab.experiments.study import Study
 _INK, _SOFT, _LINE, _YES, _NO = "#1a1a1a", "#5c5c5c", "#cccccc", "#00704f", "#a84300"
 _FONTS = {"Text": "DejaVuSans.ttf", "Text-Bold": "DejaVuSans-Bold.ttf"}
 _MARGIN_PT = 51.0  # 18 mm
-_LARGEST = 0.44  # points a pixel, so that writing in narrow pictures is no larger than the text
-_TALLEST = 0.66  # of a page that a picture may take, so that its heading stays with it
+_LARGEST = 0.44  # points per pixel, so that text in narrow pictures is no larger than the page's
+_TALLEST = 0.66  # largest share of a page for a picture, so that its heading stays with it
 
 
 def pdf_file(study: Study, blocks: Sequence[Block]) -> bytes:
-    """The PDF's content, pages of A4.
+    """The content of the PDF, in A4.
 
     Raises:
         MissingExtraError: ReportLab or matplotlib is not installed.
@@ -53,10 +53,10 @@ def pdf_file(study: Study, blocks: Sequence[Block]) -> bytes:
 
     title = report_title(study)
     width, height = A4[0] - 2.0 * _MARGIN_PT, A4[1] - 2.0 * _MARGIN_PT
-    setting = _Setting(width, height)
-    story = [Text(escape(title), setting.style("title"))]
+    typesetter = _Typesetter(width, height)
+    story = [Text(escape(title), typesetter.style("title"))]
     for block, following in zip(blocks, [*blocks[1:], None], strict=True):
-        story += setting.flowables(block, keep=isinstance(following, Picture | Table))
+        story += typesetter.flowables(block, with_next=isinstance(following, Picture | Table))
     content = io.BytesIO()
     document = SimpleDocTemplate(
         content,
@@ -79,8 +79,8 @@ def pdf_file(study: Study, blocks: Sequence[Block]) -> bytes:
     return content.getvalue()
 
 
-class _Setting:
-    """How blocks are set on pages with a width and height to be filled, in points."""
+class _Typesetter:
+    """Typesetting of blocks on pages with a text area of a width and height, in points."""
 
     def __init__(self, width: float, height: float) -> None:
         from reportlab.lib.styles import ParagraphStyle
@@ -90,7 +90,7 @@ class _Setting:
         small = ParagraphStyle("small", base, fontSize=7.6, leading=10.6, textColor=_SOFT)
         self._styles = {
             "text": base,
-            "kept": ParagraphStyle("kept", base, keepWithNext=1),
+            "with next": ParagraphStyle("with next", base, keepWithNext=1),
             "small": small,
             "title": ParagraphStyle("title", base, fontName="Text-Bold", fontSize=19, leading=24, spaceAfter=10),
             "heading": ParagraphStyle(
@@ -104,8 +104,8 @@ class _Setting:
     def style(self, name: str) -> Any:
         return self._styles[name]
 
-    def flowables(self, block: Block, keep: bool) -> list[Any]:
-        """What a block becomes; a paragraph that is to be kept stays on the page of what comes next."""
+    def flowables(self, block: Block, with_next: bool) -> list[Any]:
+        """The flowables of a block; with ``with_next`` a paragraph stays on the page of the next block."""
         from reportlab.platypus import Paragraph as Text
 
         match block:
@@ -113,7 +113,7 @@ class _Setting:
                 anchor = f'<a name="{block.anchor}"/>' if block.anchor else ""
                 return [Text(anchor + escape(block.text), self.style("heading"))]
             case Paragraph():
-                style = "small" if block.small else "kept" if keep else "text"
+                style = "small" if block.small else "with next" if with_next else "text"
                 return [Text(escape(block.text), self.style(style))]
             case Verdict():
                 return [self._verdict(block)]
@@ -133,13 +133,13 @@ class _Setting:
         return image
 
     def _verdict(self, block: Verdict) -> Any:
-        """A claim beside a bar in the colour of its verdict, on one page."""
+        """A claim beside a coloured bar, on one page."""
         from reportlab.platypus import Paragraph as Text
         from reportlab.platypus import Table as Grid
 
         claim = block.claim
         colour, mark = (_YES, "✓") if claim.holds else (_NO, "✗")
-        verdict = f'<font name="Text-Bold" color="{colour}">{mark} {verdict_word(claim).capitalize()}.</font>'
+        verdict = f'<font name="Text-Bold" color="{colour}">{mark} {bound_text(claim).capitalize()}.</font>'
         inside = [
             Text(f'<font name="Text-Bold">{escape(claim.name)}</font>', self.style("text")),
             Text(f"{verdict} {escape(claim.figure)}", self.style("text")),
@@ -177,7 +177,7 @@ class _Setting:
         return [Text(escape(block.title), self.style("caption")), grid]
 
     def _column_widths(self, block: Table, rows: Sequence[Sequence[str]]) -> list[float]:
-        """What the longest cells need, or their share of the page where that is too much."""
+        """Widths by the longest cells, reduced if they exceed the page."""
         from reportlab.pdfbase.pdfmetrics import stringWidth
 
         needed = [
@@ -191,8 +191,8 @@ class _Setting:
         total = sum(needed)
         if total <= self._width:
             return needed
-        # Wide columns give way first: what is narrower than its even share is left as it is.
+        # Only columns wider than an even share are reduced.
         share = self._width / len(needed)
-        kept = sum(width for width in needed if width <= share)
-        left = sum(width for width in needed if width > share)
-        return [width if width <= share else width * (self._width - kept) / left for width in needed]
+        narrow = sum(width for width in needed if width <= share)
+        wide = sum(width for width in needed if width > share)
+        return [width if width <= share else width * (self._width - narrow) / wide for width in needed]

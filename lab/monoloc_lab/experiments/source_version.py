@@ -1,4 +1,4 @@
-"""monoloc's own source as a number, so that results are known to be of it."""
+"""A hash of monoloc's own source, so that results belong to the code that computed them."""
 
 from __future__ import annotations
 
@@ -8,21 +8,20 @@ from functools import cache
 from pathlib import Path
 
 import monoloc
+import monoloc._core as _core
 import monoloc_lab
-from monoloc import _core
 
-_SHOWS_ONLY = ("monoloc.viz.viewer",)
-"""What no result depends on, nor on what it imports."""
-
+_DISPLAY_ONLY = ("monoloc.viz.viewer",)
+"""Modules that no result depends on; what they import does not count either."""
 
 _ROOTS = {package.__name__: Path(str(package.__file__)).parent for package in (monoloc, monoloc_lab)}
 
 
 @cache
 def source_sha256(module: str) -> str:
-    """Of a module, of all of monoloc that it imports, be it late, and of the native one.
+    """Hash of a module, of all of monoloc that it imports, also within functions, and of the native module.
 
-    What only uses the module may change, and so may data, which is known by its content.
+    Modules that import this one do not count. Neither does data, which is identified by its content.
 
     Args:
         module: as ``monoloc.builder.pipeline``.
@@ -34,22 +33,22 @@ def source_sha256(module: str) -> str:
 
 
 def _imported(module: str) -> dict[str, Path]:
-    """Files, by name, of a module and of all modules of monoloc that it imports, directly or not."""
+    """Files, by name, of a module and of all modules of monoloc that it imports, directly or indirectly."""
     found: dict[str, Path] = {}
     left = [module]
     while left:
         name = left.pop()
         file = _file(name)
-        if file is None or name in found or name in _SHOWS_ONLY:
+        if file is None or name in found or name in _DISPLAY_ONLY:
             continue
         found[name] = file
         package, _, _ = name.rpartition(".")
-        left += [*_imports(file.read_text(encoding="utf-8")), package]  # a package is imported before what lies in it
+        left += [*_imports(file.read_text(encoding="utf-8")), package]  # importing a module imports its package
     return found
 
 
 def _file(name: str) -> Path | None:
-    """Of a module of monoloc; None for a name that is none."""
+    """The file of a module of monoloc; None for any other name."""
     root, *parts = name.split(".")
     if root not in _ROOTS:
         return None
@@ -60,7 +59,7 @@ def _file(name: str) -> Path | None:
 
 @cache
 def _imports(text: str) -> tuple[str, ...]:
-    """Names that a module's text imports: modules, and things in modules, which may be modules."""
+    """Names that a source text imports: modules, and names in modules, which may be modules."""
     names = []
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):

@@ -1,4 +1,4 @@
-"""What is studied: recordings, how they are split, in which lights, with which networks and how many seeds."""
+"""The definition of a study: recordings, splits, lights, networks and seeds."""
 
 from __future__ import annotations
 
@@ -10,56 +10,64 @@ from monoloc_lab.rooms import BUILD, TESTS
 
 WIDTH = 0.35
 SIZES = tuple(model.name.rpartition("-")[0] for model in shipped_models() if model.width == WIDTH)
-"""Of depth networks, largest first."""
-FRAMES_PER_BUILT = 4
-"""Of how many frames of a recording one builds a room, in every split."""
+"""Sizes of the depth networks, largest first."""
+FRAMES_PER_BUILD_FRAME = 4
+"""In every split one of so many frames of the recording is a build frame."""
+AS_RECORDED = "as recorded"
+"""Name of the light that a real recording was taken in."""
 _SEEDS = 5
 _QUICK_ADAPT: dict[str, Any] = {"steps": 200, "synthesised_views": 300}
 
 
 @dataclass(frozen=True)
-class Walk:
-    """Frames to be localised.
+class EvalRecording:
+    """Frames that are localised and compared with the truth.
 
     Attributes:
         source, frames: as on the command line.
-        light: one of :data:`monoloc_lab.synth.light.LIGHTS`, which the images are changed to; None leaves them.
+        light: one of :data:`monoloc_lab.synth.light.LIGHTS`, in which the images are simulated; None for the light
+            they were recorded in.
+        alteration: key of :data:`monoloc_lab.experiments.altered.ALTERATIONS`; None for the recording itself.
     """
 
     source: str
     frames: str
     light: str | None
+    alteration: str | None = None
 
 
 @dataclass(frozen=True)
 class Split:
-    """Frames to build from, and frames to be judged on in every light; those that built are never judged.
+    """Build frames, and evaluation recordings in several lights. No error counts a build frame.
 
     Attributes:
-        name: in tables, as ``away``.
-        walks: by the light's name: ``L1`` to ``L3``, and ``as taken`` for a recording that was not rendered.
+        name: in tables, as ``extrapolation``.
+        source, frames: of the build, as on the command line.
+        recordings: by the light's name: ``L1`` to ``L3``, and :data:`AS_RECORDED` for a real recording.
+        alteration: of the build frames, as in :class:`EvalRecording`.
     """
 
     name: str
     source: str
     frames: str
-    walks: dict[str, Walk]
+    recordings: dict[str, EvalRecording]
+    alteration: str | None = None
 
 
 @dataclass(frozen=True)
 class Study:
-    """All that a reproduction depends on.
+    """Everything that a reproduction depends on.
 
     Attributes:
         title: of the report.
-        splits: the first is the one that single pictures are drawn of.
-        sizes: of networks, largest first.
-        adapt: settings of adaptation that differ from the default's; a quick study tunes for fewer steps.
-        seeds: of the starts of runs, and of trainings of PoseNets.
-        builds: how often a room is built anew; a run with seed s is in build s modulo that.
-        quick: whether what costs most is left out; the report says so.
-        encoder_weights: file that PoseNets' encoders start from; None for the largest depth network's, which started
-            from ImageNet and then learned NYU Depth v2.
+        splits: plots of a single split show the first.
+        sizes: of the networks, largest first.
+        adapt: settings of adaptation that differ from the defaults; a quick study takes fewer steps.
+        seeds: number of starts of a run, and of trainings of a PoseNet.
+        builds: number of builds of a room; a run with seed s uses build s modulo this number.
+        quick: whether the most expensive parts are left out; the report says so.
+        encoder_weights: file with the initial weights of the PoseNets' encoders; None for the encoder of the largest
+            depth network, which started from ImageNet and was then trained on NYU Depth v2.
     """
 
     title: str
@@ -73,51 +81,41 @@ class Study:
 
 
 def builtin(quick: bool) -> Study:
-    """The room that comes with monoloc: one flight to build from, another in three rendered lights."""
-    walks = {light: Walk(f"folder:{path}", "::", None) for light, path in TESTS.items()}
-    split = Split("living room", f"folder:{BUILD}", "::2" if quick else "::", walks)
-    return Study(
-        title="rendered living room",
-        splits=(split,),
-        sizes=("full", "one-third") if quick else SIZES,
-        adapt=_QUICK_ADAPT if quick else {},
-        seeds=_SEEDS,
-        builds=1 if quick else _SEEDS,
-        quick=quick,
-    )
+    """The rendered room of the package: built from one flight, evaluated on another in three lights."""
+    recordings = {light: EvalRecording(f"folder:{path}", "::", None) for light, path in TESTS.items()}
+    split = Split("living room", f"folder:{BUILD}", "::2" if quick else "::", recordings)
+    return _study("rendered living room", (split,), quick)
 
 
 def recorded(source: str, name: str, frames: int, quick: bool) -> Study:
-    """A recording with poses and depth, of one room: split between build frames, and away from them.
+    """A recording of one room with poses and depth, in two splits.
 
-    *away* builds from every third frame of the first three quarters and is judged on the last quarter; *between*
-    builds from every fourth frame and is judged on all others. The lights are put on the images, see
-    :func:`monoloc_lab.synth.light.relit`.
+    *extrapolation* builds from every third frame of the first three quarters and evaluates on the last quarter.
+    *interpolation* builds from every fourth frame and evaluates on the others. Lights are simulated on the images,
+    see :func:`monoloc_lab.synth.light.relit`.
 
     Args:
-        frames: how many it has.
+        frames: number of frames of the recording.
     """
     last = 3 * frames // 4
+    lights = {AS_RECORDED: None, "L1": "L1", "L2": "L2", "L3": "L3"}
     splits = tuple(
-        Split(split, source, build, {light: Walk(source, judged, _changed(light)) for light in _LIGHTS})
-        for split, build, judged in (
-            ("away", f"0:{last}:3", f"{last}:{frames}"),
-            ("between", f"0:{frames}:4", f"0:{frames}"),
+        Split(split, source, build, {name: EvalRecording(source, evaluated, light) for name, light in lights.items()})
+        for split, build, evaluated in (
+            ("extrapolation", f"0:{last}:3", f"{last}:{frames}"),
+            ("interpolation", f"0:{frames}:4", f"0:{frames}"),
         )
     )
+    return _study(name, splits[:1] if quick else splits, quick)
+
+
+def _study(title: str, splits: tuple[Split, ...], quick: bool) -> Study:
     return Study(
-        title=name,
-        splits=splits[:1] if quick else splits,
+        title=title,
+        splits=splits,
         sizes=("full", "one-third") if quick else SIZES,
         adapt=_QUICK_ADAPT if quick else {},
         seeds=_SEEDS,
         builds=1 if quick else _SEEDS,
         quick=quick,
     )
-
-
-_LIGHTS = ("as taken", "L1", "L2", "L3")
-
-
-def _changed(light: str) -> str | None:
-    return None if light == "as taken" else light

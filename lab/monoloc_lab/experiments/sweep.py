@@ -1,4 +1,4 @@
-"""One setting varied, all else left: the errors and what else is of interest, against it."""
+"""Plots of one varied setting."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 def draw_sweep(
     axis: Axes, name: str, colour: str, points: Mapping[float, Spread], factor: float = 100.0, marker: str = "o"
 ) -> None:
-    """Medians over seeds joined by a line, smallest to largest as bars; both axes logarithmic.
+    """Medians over seeds connected by a line, ranges as bars; both axes are logarithmic.
 
     Args:
-        points: by the setting's value, which is positive.
-        factor: from what the spreads hold to what the axis shows; metres to centimetres.
+        points: by the value of the setting, which is positive.
+        factor: converts the spreads to the unit of the axis; by default metres to centimetres.
     """
     found = {value: spread for value, spread in points.items() if spread.values}
     values = list(found)
@@ -32,7 +32,7 @@ def draw_sweep(
 
 
 def mark_default(axis: Axes, value: float) -> None:
-    """A line where monoloc's setting is."""
+    """A vertical line at the default."""
     axis.axvline(value, color="#666666", linewidth=1.0, linestyle=(0, (2, 2)), zorder=0)
     axis.annotate(
         "default",
@@ -47,10 +47,10 @@ def mark_default(axis: Axes, value: float) -> None:
 
 
 def least(points: Mapping[float, Spread]) -> float:
-    """The value with the least median."""
+    """The value with the smallest median."""
     return min((value for value in points if points[value].values), key=lambda value: points[value].median)
 
 
 def row_of(label: Sequence[str], *spreads: Spread) -> tuple[str, ...]:
-    """A table's row of errors in centimetres."""
+    """A table row of errors in centimetres."""
     return (*label, *(spread.centimetres() for spread in spreads))

@@ -1,4 +1,4 @@
-"""Sizes of what is carried: networks of equal count, map and transform (the paper's table I)."""
+"""Sizes of networks with equal parameters, of the map and of the transform (table I of the paper)."""
 
 from __future__ import annotations
 
@@ -56,7 +56,14 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
         ("all", f"map of {components} components", f"{10 * components:,}", "–", f"{map_bytes / 1e3:.1f} kB", "–")
     )
     rows.append(
-        ("all", "map transform (not carried)", f"{transform:,}", "–", f"{_FLOAT_BYTES * transform / 1e3:.1f} kB", "–")
+        (
+            "all",
+            "map transform (not in the bundle)",
+            f"{transform:,}",
+            "–",
+            f"{_FLOAT_BYTES * transform / 1e3:.1f} kB",
+            "–",
+        )
     )
     image = shipped[network_of(study.sizes[0])]
     work = f"multiply-adds, {image.input_width} x {image.input_height}"
@@ -65,7 +72,7 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
 
 
 def _transform_parameters() -> int:
-    """Of the perceptron that bends the map."""
+    """Of the perceptron that transforms the map."""
     with training_extra():
         import torch
 
@@ -77,9 +84,9 @@ def _text(numbers: dict[str, Any]) -> str:
     networks, posenets = numbers["depth networks"], numbers["PoseNets"]
     apart = max(abs(posenets[size]["parameters"] / networks[size]["parameters"] - 1.0) for size in networks)
     return (
-        f"PoseNets have the parameters of the depth network of their size to within {100.0 * apart:.2f} %. What a "
-        f"room adds to a depth network is its map, {numbers['map']['bytes'] / 1e3:.1f} kB; a PoseNet is of one "
-        "room only. The transform has done its work when the map is bent, and is not carried."
+        f"The parameters of PoseNet and depth network of a size differ by at most {100.0 * apart:.2f} %. A room adds "
+        f"its map of {numbers['map']['bytes'] / 1e3:.1f} kB to a depth network. A PoseNet serves one room. The "
+        "transform is applied during the build and is not part of the bundle."
     )
 
 

@@ -1,4 +1,4 @@
-"""A piece of work whose result is kept, so that it is done once: what it is, what it needs, where its result lies."""
+"""A unit of work whose result is stored and reused: its settings, the results it needs, and its place on disk."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ TASK, RESULT = "task.json", "result.json"
 
 @dataclass(frozen=True)
 class Task:
-    """A piece of work.
+    """A unit of work.
 
     Attributes:
-        kind: what is done: a name of :data:`monoloc_lab.experiments.work.KINDS`.
-        description: all that its result depends on, beside what it needs: JSON, keys sorted.
-        needs: whose results it reads, in order.
+        kind: key of :data:`monoloc_lab.experiments.work.KINDS`.
+        description: every setting that the result depends on, as JSON with sorted keys.
+        needs: tasks whose results this one reads, in order.
     """
 
     kind: str
@@ -29,7 +29,7 @@ class Task:
 
     @classmethod
     def of(cls, kind: str, settings: Mapping[str, Any], needs: Iterable[Task] = ()) -> Task:
-        """A task of settings that JSON can hold."""
+        """A task with settings that JSON can represent."""
         return cls(kind, json.dumps(settings, sort_keys=True), tuple(needs))
 
     @property
@@ -38,19 +38,19 @@ class Task:
 
     @cached_property
     def key(self) -> str:
-        """A name that two tasks share only if they would give the same result."""
+        """A name that two tasks share only if they have the same result."""
         content = "\n".join([self.kind, self.description, *(task.key for task in self.needs)])
         return f"{self.kind}-{hashlib.sha256(content.encode()).hexdigest()[:16]}"
 
 
 @dataclass(frozen=True)
 class Result:
-    """What a task gave.
+    """The result of a task.
 
     Attributes:
-        folder: where what it wrote lies: :data:`TASK`, :data:`RESULT`, last, and what else its kind says.
+        folder: contains :data:`TASK`, :data:`RESULT` and the files of the task's kind.
         figures: the content of :data:`RESULT`.
-        seconds: what it took, on one core.
+        seconds: duration on one core.
     """
 
     folder: Path
@@ -59,7 +59,7 @@ class Result:
 
 
 def read_result(out: Path, task: Task) -> Result | None:
-    """A result that an earlier run has left; None where it was not finished, or cannot be read."""
+    """The stored result of a task; None if it is missing or unreadable."""
     folder = out / "results" / task.key
     try:
         figures, done = (json.loads((folder / name).read_text(encoding="utf-8")) for name in (RESULT, TASK))

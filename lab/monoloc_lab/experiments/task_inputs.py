@@ -1,4 +1,4 @@
-"""What tasks of several kinds read and write: frames, lights, ways."""
+"""What tasks of several kinds read and write: recordings, lights, trajectories."""
 
 from __future__ import annotations
 
@@ -14,42 +14,44 @@ from monoloc.geometry import FloatArray
 from monoloc.io.identity import recording_identity
 from monoloc.io.recording import Recording, Relight, Selection
 from monoloc.io.registry import open_recording, select_frames
+from monoloc_lab.experiments.altered import ALTERATIONS
 from monoloc_lab.synth.light import LIGHTS, relit
 
 Settings = dict[str, Any]
 
-BUNDLE, POSENET, WAY_FILE = "room.monoloc", "posenet.safetensors", "way.npz"
-_NOISE = 1  # of images, apart from the random numbers that a filter draws from the same seed
+BUNDLE, POSENET, TRAJECTORY_FILE = "room.monoloc", "posenet.safetensors", "trajectory.npz"
+_NOISE = 1  # separates the random numbers of image noise from those of a filter with the same seed
 
 
 def describe_recording(source: str, frames: str) -> Settings:
-    """Where frames are, and what is there, so that two recordings at one place, one after another, are told apart.
+    """Source, frames and content of a recording, so that a changed recording is another one.
 
     Raises:
-        DataError, SettingError: it cannot be read.
+        DataError, SettingError: the recording cannot be read.
     """
     recording = select_frames(open_recording(source), frames)
     return {"source": source, "frames": frames, **recording_identity(recording)}
 
 
 def _open(described: Settings) -> Selection:
-    """The frames that a task was named after, and no others: they may have changed, or be others on this machine."""
-    source, frames = described["source"], described["frames"]
+    """The frames that a task is named after. Refuses frames that have changed or differ on this machine."""
+    source, frames, alteration = (described[name] for name in ("source", "frames", "alteration"))
     found = describe_recording(source, frames)
     if any(described[name] != value for name, value in found.items()):
         raise DataError(
             source, "is not what it was when this run began", "run it again, with the same data everywhere"
         )
-    return select_frames(open_recording(source), frames)
+    recording = select_frames(open_recording(source), frames)
+    return recording if alteration is None else ALTERATIONS[alteration](recording)
 
 
 def network_file(network: str) -> Path:
-    """Of a network that comes with monoloc, by its name, or of one's own."""
+    """File of a shipped network, by its name, or of one's own, by its path."""
     return shipped_file(network) if is_shipped(network) else Path(network)
 
 
-def built_from(settings: Settings) -> Recording:
-    """The build frames: all of the split's, or so many, evenly out of them."""
+def build_frames(settings: Settings) -> Recording:
+    """The build frames: all of the split, or ``count`` of them, evenly spaced."""
     described, count = settings["build"], settings.get("count")
     recording = _open(described)
     if count is None:
@@ -59,25 +61,25 @@ def built_from(settings: Settings) -> Recording:
     return Selection(recording, np.linspace(0, len(recording) - 1, count).round().astype(np.int64))
 
 
-def walked(settings: Settings) -> Recording:
+def evaluation_frames(settings: Settings) -> Recording:
     """The frames to be localised; they have poses."""
-    recording = _open(settings["walk"])
+    recording = _open(settings["evaluation"])
     if recording.poses is None:
-        raise DataError(recording.name, "has no poses", "give a recording with poses, to be judged by")
+        raise DataError(recording.name, "has no poses", "give a recording with poses to compare with")
     return recording
 
 
-def write_way(
+def write_trajectory(
     folder: Path, recording: Recording, poses: FloatArray, unseen: NDArray[np.bool_], **further: FloatArray
 ) -> None:
-    """``way.npz``, see :data:`monoloc_lab.experiments.tasks.WAY`."""
+    """Write ``trajectory.npz``, see :data:`monoloc_lab.experiments.tasks.TRAJECTORY_ARRAYS`."""
     seconds = recording.timestamps_s - recording.timestamps_s[0]
     arrays: dict[str, Any] = {"poses": poses, "truth": recording.poses, "unseen": unseen, "seconds": seconds}
-    np.savez_compressed(folder / WAY_FILE, **arrays | further)
+    np.savez_compressed(folder / TRAJECTORY_FILE, **arrays | further)
 
 
 def relighting(light: str | None, seed: int) -> Relight | None:
-    """What brings images, one after another, to a light of :data:`monoloc_lab.synth.light.LIGHTS`; None for None."""
+    """Simulates images, one after another, in a light of :data:`monoloc_lab.synth.light.LIGHTS`; None for None."""
     if light is None:
         return None
     rng = np.random.default_rng([seed, _NOISE])

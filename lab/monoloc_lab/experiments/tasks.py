@@ -1,4 +1,7 @@
-"""What there is to be done, each with all that its result depends on; :mod:`monoloc_lab.experiments.work` does it."""
+"""Factories of tasks: the settings of each are all that its result depends on.
+
+:mod:`monoloc_lab.experiments.work` computes the results.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
-from monoloc import __version__
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.builder.build_config import BuildConfig
 from monoloc.config import override
@@ -15,9 +17,10 @@ from monoloc.evaluation.cloud_metrics import COMPARED_POINTS
 from monoloc.extras import training_extra
 from monoloc.io.identity import file_sha256
 from monoloc.start import START_ERROR_DEG, START_ERROR_M
+from monoloc.version import __version__
 from monoloc_lab.baselines.keypoints import KeypointConfig
 from monoloc_lab.experiments.source_version import source_sha256
-from monoloc_lab.experiments.study import WIDTH, Split, Study, Walk
+from monoloc_lab.experiments.study import WIDTH, EvalRecording, Split, Study
 from monoloc_lab.experiments.task import Task
 from monoloc_lab.experiments.task_inputs import describe_recording, network_file
 from monoloc_lab.experiments.work import KINDS
@@ -27,13 +30,14 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "last": {"tune": "last", "map_transform": False},
     "map": {"tune": "none", "map_transform": True},
     "last+map": {"tune": "last", "map_transform": True},
+    "decoder": {"tune": "decoder", "map_transform": True},
     "network": {"tune": "all", "map_transform": False},
     "joint": {"tune": "all", "map_transform": True},
 }
-"""What is tuned: ``last+map`` is the source paper's joint training, ``joint`` is monoloc's default."""
+"""What is tuned: ``last+map`` is the joint training of the paper, ``joint`` is monoloc's default."""
 
 DEPTH_STRIDE = 5
-"""Of how many frames of a walk one is judged, where depth alone is in question."""
+"""Depth is compared with the sensor's in one of so many frames."""
 
 _QUICK_POSENET: dict[str, Any] = {"epochs": 60, "learning_rates": (1e-2,), "search_epochs": 30}
 
@@ -47,25 +51,29 @@ def bundle(
     components: int = 200,
     frames: int | None = None,
     landmarks: bool = False,
+    refine_poses: bool = False,
     **adapt: Any,
 ) -> Task:
     """A bundle built from a split: ``room.monoloc``.
 
-    Its figures are those of ``monoloc build``, and ``network_bytes``, ``map_bytes``.
+    Its figures are those of ``monoloc build``, with ``network_bytes`` and ``map_bytes``.
 
     Args:
         variant: key of :data:`VARIANTS`.
-        frames: how many of the split's build frames, evenly out of them; None for all.
-        landmarks: whether they are kept; they find a camera whatever its depth is like, so what depth is worth is
-            told without them.
-        adapt: settings of adaptation beside the variant's and, before them, the study's.
+        frames: number of build frames, evenly spaced in the split; None for all.
+        landmarks: whether the bundle has landmarks. They measure the pose whatever the depth is, so experiments on
+            depth leave them out.
+        refine_poses: whether the build aligns the poses with the map.
+        adapt: settings of adaptation; they take precedence over the study's, and the variant's over both.
     """
-    untuned = variant == "unadapted"  # so no setting of tuning is any of its result
+    untuned = variant == "unadapted"  # its result depends on no setting of tuning
     settings = {**({} if untuned else study.adapt | adapt), **VARIANTS[variant]}
-    config = override(BuildConfig(), components=components, landmarks=landmarks, adapt=settings)
+    config = override(
+        BuildConfig(), components=components, landmarks=landmarks, refine_poses=refine_poses, adapt=settings
+    )
     return _task(
         "bundle",
-        build=_recording(split.source, split.frames),
+        build=_build(split),
         count=frames,
         network=network,
         network_sha256=_content_of(network),
@@ -75,106 +83,134 @@ def bundle(
 
 
 def remapped(bundle: Task, kind: Literal["mixture", "voxels", "points"], size: float) -> Task:
-    """A bundle's network on another map of its room: ``room.monoloc``.
+    """The network of a bundle with another map of its room: ``room.monoloc``.
 
-    Its figures are ``components`` and ``map_bytes``, as such a map would be stored.
+    Its figures are ``components`` and ``map_bytes``, the bytes that such a map takes when stored.
 
     Args:
-        bundle: of the variant ``network``, which bends no map.
-        kind: ``mixture``, ``size`` components; ``voxels``, occupied ones with an edge of ``size`` metres, stored as
-            an octree with a byte a node; ``points``, ``size`` metres apart, stored as three float32.
+        bundle: of the variant ``network``, which does not change the map.
+        kind: ``mixture``: ``size`` components. ``voxels``: occupied voxels with an edge of ``size`` metres, stored as
+            an octree with a byte per node. ``points``: points ``size`` metres apart, stored as three float32.
     """
     settings = bundle.settings
-    kept = {name: settings[name] for name in ("build", "count", "config", "seed")}
-    return _task("remapped", needs=(bundle,), map=kind, size=size, **kept)
+    inherited = {name: settings[name] for name in ("build", "count", "config", "seed")}
+    return _task("remapped", needs=(bundle,), map=kind, size=size, **inherited)
 
 
-def run(bundle: Task, walk: Walk, seed: int, motion: str = "visual", sensor: bool = False) -> Task:
-    """A walk followed in a bundle's map: ``way.npz``, see :data:`WAY`.
+def run(
+    bundle: Task,
+    recording: EvalRecording,
+    seed: int,
+    motion: str = "visual",
+    sensor: bool = False,
+    gravity: bool = False,
+) -> Task:
+    """A recording localised with a bundle: ``trajectory.npz``, see :data:`TRAJECTORY_ARRAYS`.
 
-    Its figures are those of ``monoloc localize``, ``unseen_...`` on frames that built nothing.
+    Its figures are those of ``monoloc localize``; ``unseen_...`` are over frames that are not build frames.
 
     Args:
-        motion: of the filter; with ``random-walk`` there is no odometry in the file.
-        sensor: whether depth is the recording's, not the network's.
+        motion: motion model of the filter; with ``random-walk`` the file has no odometry.
+        sensor: use the depth of the recording, not of the network.
+        gravity: give the localizer a simulated roll and pitch.
     """
-    return _task("run", needs=(bundle,), walk=_walk(walk), seed=seed, start=_START, motion=motion, sensor=sensor)
+    return _task(
+        "run",
+        needs=(bundle,),
+        evaluation=_evaluation(recording),
+        seed=seed,
+        start=_START,
+        motion=motion,
+        sensor=sensor,
+        gravity=gravity,
+    )
 
 
-WAY = ("poses", "truth", "unseen", "seconds", "covariances", "odometry")
-"""Arrays of ``way.npz``: ``T_world_camera`` (N, 4, 4), NaN where there is none; the same, true; (N,) whether a frame
-built nothing; (N,) times from the first. Of :func:`run` alone: (N, 6, 6), and (N, 4, 4) dead reckoning from the first
-true pose.
+TRAJECTORY_ARRAYS = ("poses", "truth", "unseen", "seconds", "covariances", "odometry")
+"""Arrays of ``trajectory.npz``.
+
+``poses`` and ``truth``: ``T_world_camera`` (N, 4, 4), estimated (NaN for frames without a pose) and true. ``unseen``:
+(N,) whether a frame is not a build frame. ``seconds``: (N,) time since the first frame. Of :func:`run` alone:
+``covariances`` (N, 6, 6), and ``odometry`` (N, 4, 4), dead reckoning from the first true pose.
 """
 
 
 def posenet_search(study: Study, split: Split, size: str, views: bool = False) -> Task:
-    """The learning rate that is best for a PoseNet; figures ``learning_rate``, ``trials``, ``error`` of the best."""
-    built = _recording(split.source, split.frames)
-    return _task("posenet-search", build=built, **_training(study, size, views), seed=0)
+    """The best learning rate of a PoseNet; figures ``learning_rate``, ``trials``, and ``error`` of the best."""
+    return _task("posenet-search", build=_build(split), **_training(study, size, views), seed=0)
 
 
 def posenet(study: Study, split: Split, size: str, seed: int, views: bool = False) -> Task:
     """A PoseNet with as many parameters as the depth network of a size, trained on a split: ``posenet.safetensors``.
 
-    Its figures are ``parameters``, ``bytes`` of the file, ``multiply_adds`` at the depth network's input size as the
-    catalogue has it, ``learning_rate`` and ``trials``. A quick study trains for fewer epochs, at one learning rate.
+    Its figures are ``parameters``, ``bytes`` of the file, ``multiply_adds`` at the input size of the depth network in
+    the catalogue, ``learning_rate`` and ``trials``. A quick study trains for fewer epochs, at one learning rate.
 
     Args:
-        seed: of weights, order and exposures. The learning rate is the same for all, see :func:`posenet_search`.
-        views: whether it also learns from views synthesised of the recording, as the depth network does.
+        seed: of weights, order and exposures. All seeds share the learning rate of :func:`posenet_search`.
+        views: whether it also learns from views synthesised from the recording, as the depth network does.
     """
     search = posenet_search(study, split, size, views)
-    built = _recording(split.source, split.frames)
-    return _task("posenet", needs=(search,), build=built, **_training(study, size, views), seed=seed)
+    return _task("posenet", needs=(search,), build=_build(split), **_training(study, size, views), seed=seed)
 
 
-def posenet_run(posenet: Task, walk: Walk) -> Task:
-    """A walk located by a PoseNet, frame by frame: ``way.npz``, and figures as :func:`run`, failed frames beside.
+def posenet_run(posenet: Task, recording: EvalRecording) -> Task:
+    """A recording localised by a PoseNet, frame by frame: ``trajectory.npz``.
 
-    The noise of a changed light is of the PoseNet's seed.
+    Its figures are those of :func:`run`, with the number of failed frames. The noise of a simulated light has the
+    seed of the PoseNet.
     """
-    built, seed = (posenet.settings[name] for name in ("build", "seed"))
-    return _task("posenet-run", needs=(posenet,), build=built, walk=_walk(walk), seed=seed)
+    build, seed = (posenet.settings[name] for name in ("build", "seed"))
+    return _task("posenet-run", needs=(posenet,), build=build, evaluation=_evaluation(recording), seed=seed)
 
 
-def filtered_run(posenet: Task, bundle: Task, walk: Walk, seed: int) -> Task:
-    """The same smoothed by the filter and odometry that a bundle's localizer has: ``way.npz``."""
-    built = posenet.settings["build"]
-    needs = (posenet, bundle)
-    return _task("filtered-run", needs=needs, build=built, walk=_walk(walk), seed=seed, start=_START)
-
-
-def keypoints_run(study: Study, split: Split, walk: Walk, kind: Literal["orb", "sift"]) -> Task:
-    """A walk located by keypoints of a split's frames: ``way.npz``; figures also ``map_bytes``."""
-    config = KeypointConfig(kind=kind).model_dump(mode="json")
+def filtered_run(posenet: Task, bundle: Task, recording: EvalRecording, seed: int) -> Task:
+    """The poses of a PoseNet, filtered with the filter and odometry of a bundle's localizer: ``trajectory.npz``."""
     return _task(
-        "keypoints-run", build=_recording(split.source, split.frames), config=config, walk=_walk(walk), seed=0
+        "filtered-run",
+        needs=(posenet, bundle),
+        build=posenet.settings["build"],
+        evaluation=_evaluation(recording),
+        seed=seed,
+        start=_START,
     )
 
 
-def depth(source: Task | str, walk: Walk, stride: int = DEPTH_STRIDE, shown: Sequence[int] = ()) -> Task:
-    """Depth of every so many frames of a walk against the sensor's: ``depth.npz`` with the frames to be shown.
+def keypoints_run(study: Study, split: Split, recording: EvalRecording, kind: Literal["orb", "sift"]) -> Task:
+    """A recording localised by keypoints of the build frames: ``trajectory.npz``; figures also ``map_bytes``."""
+    config = KeypointConfig(kind=kind).model_dump(mode="json")
+    return _task("keypoints-run", build=_build(split), config=config, evaluation=_evaluation(recording), seed=0)
 
-    Its figures are means ``absrel``, ``delta1``, ``ssim`` (over a range of 10 m; against the sensor's depth) and,
-    under ``per_frame``, lists of the same with ``index``. The file has ``color`` (S, H, W, 3), ``predicted`` and
-    ``truth`` (S, h, w) metres, 0 where the sensor has none, and ``index`` (S,), positions in the walk.
+
+def depth(
+    source: Task | str, recording: EvalRecording, stride: int = DEPTH_STRIDE, shown: Sequence[int] = ()
+) -> Task:
+    """Predicted depth against the sensor's, in every ``stride``-th frame: ``depth.npz`` with the shown frames.
+
+    Its figures are means ``absrel``, ``delta1`` and ``ssim`` (over a range of 10 m) and, under ``per_frame``, lists
+    of the same with ``index``. The file has ``color`` (S, H, W, 3), ``predicted`` and ``truth`` (S, h, w) metres, 0
+    where the sensor has none, and ``index`` (S,), positions in the recording.
 
     Args:
-        source: a bundle, or the name of a network as it comes.
-        shown: positions in the walk.
+        source: a bundle, or the name of an unadapted network.
+        shown: positions in the recording.
     """
-    common: dict[str, Any] = {"walk": _walk(walk), "stride": stride, "shown": list(shown), "seed": 0}
+    common: dict[str, Any] = {
+        "evaluation": _evaluation(recording),
+        "stride": stride,
+        "shown": list(shown),
+        "seed": 0,
+    }
     if isinstance(source, Task):
         return _task("depth", needs=(source,), **common)
     return _task("depth", network=source, network_sha256=_content_of(source), **common)
 
 
 def clouds(bundle: Task) -> Task:
-    """A bundle's maps as clouds: ``clouds.npz``; figures as those of ``monoloc map compare``.
+    """The maps of a bundle as clouds: ``clouds.npz``; figures are those of ``monoloc map compare``.
 
     The file has ``original`` and ``adapted`` (N, 3), metres, world frame; ``distances_m`` (N,), from points of the
-    original to the nearest adapted one; ``down_world`` (3,).
+    original to the nearest point of the adapted cloud; ``down_world`` (3,).
     """
     return _task("clouds", needs=(bundle,), points=COMPARED_POINTS, seed=0)
 
@@ -205,11 +241,16 @@ def _training(study: Study, size: str, views: bool) -> dict[str, Any]:
     }
 
 
-def _walk(walk: Walk) -> dict[str, Any]:
-    return {**_recording(walk.source, walk.frames), "light": walk.light}
+def _build(split: Split) -> dict[str, Any]:
+    return {**_recording(split.source, split.frames), "alteration": split.alteration}
 
 
-_recording = cache(describe_recording)  # in a reproduction's lifetime, what lies there does not change
+def _evaluation(recording: EvalRecording) -> dict[str, Any]:
+    described = _recording(recording.source, recording.frames)
+    return {**described, "light": recording.light, "alteration": recording.alteration}
+
+
+_recording = cache(describe_recording)  # recordings do not change during a study
 
 
 def _content_of(network: str) -> str:

@@ -1,4 +1,4 @@
-"""What adaptation's parts are worth: every network, variant and split."""
+"""Errors by what adaptation tunes: every network, variant and split."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from monoloc_lab.experiments.gather import (
     seeds_of,
     size_labels,
     spread_of,
-    usual_light,
+    usual_recording,
 )
 from monoloc_lab.experiments.methods import bundle_of
 from monoloc_lab.experiments.study import Split, Study
@@ -32,23 +32,23 @@ _NAMES = {
     "unadapted": ("nothing", ORANGE),
     "last": ("last layer", PURPLE),
     "map": ("map", SKY),
-    "last+map": ("last layer + map (paper's)", GREEN),
-    "joint": ("network + map (monoloc)", BLUE),
+    "last+map": ("last layer and map", GREEN),
+    "joint": ("network and map", BLUE),
 }
 
 
 def _variants(study: Study) -> list[str]:
-    """A quick study leaves out what no other figure needs."""
+    """Variants; a quick study leaves out those that no other figure needs."""
     return [name for name in _NAMES if not study.quick or name in ("unadapted", "last+map", "joint")]
 
 
 def _runs(study: Study, split: Split, size: str, variant: str) -> list[Task]:
-    walk = split.walks[usual_light(split)]
-    return [factories.run(bundle_of(study, split, size, variant, seed), walk, seed) for seed in seeds_of(study)]
+    recording = usual_recording(split)
+    return [factories.run(bundle_of(study, split, size, variant, seed), recording, seed) for seed in seeds_of(study)]
 
 
 def _depth(study: Study, split: Split, size: str, variant: str) -> Task:
-    return depth_of_variant(variant, bundle_of(study, split, size, variant), split.walks[usual_light(split)])
+    return depth_of_variant(variant, bundle_of(study, split, size, variant), usual_recording(split))
 
 
 def tasks(study: Study) -> Sequence[Task]:
@@ -62,13 +62,13 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
     for split in study.splits:
         medians: dict[str, dict[str, Spread]] = {name: {} for name in _variants(study)}
         numbers[split.name] = {name: {} for name in medians}
-        walk = split.walks[usual_light(split)]
+        recording = usual_recording(split)
         for size in study.sizes:
             for name in medians:
                 runs = _runs(study, split, size, name)
                 error, rmse, turn = (spread_of(results, runs, figure) for figure in (MEDIAN, RMSE, ROTATION))
                 depth = results[_depth(study, split, size, name)]
-                absrel, ssim = (mean_depth(depth, split, walk, metric) for metric in ("absrel", "ssim"))
+                absrel, ssim = (mean_depth(depth, split, recording, metric) for metric in ("absrel", "ssim"))
                 medians[name][size] = error
                 numbers[split.name][name][size] = {
                     MEDIAN: error.numbers(),
@@ -83,11 +83,16 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
                 rows.append((split.name, size, label, *found))
         pictures.append(_draw(study, split, medians, folder))
         sentences.append(_sentence(study, split, medians))
-    head = ("split", "size", "what was tuned", "median", "RMSE", "rotation", "AbsRel", "SSIM")
+    head = ("split", "size", "tuned", "median", "RMSE", "rotation", "AbsRel", "SSIM")
     return Drawn(
         numbers=numbers,
         pictures=pictures,
-        tables={"Errors by what was tuned, in usual light (median over seeds; smallest to largest)": (head, rows)},
+        tables={
+            "Errors by what is tuned, in the light of the build frames (median over seeds; smallest to largest)": (
+                head,
+                rows,
+            )
+        },
         text=" ".join(sentences),
     )
 
@@ -99,7 +104,7 @@ def _draw(study: Study, split: Split, medians: dict[str, dict[str, Spread]], fol
         axis = figure.subplots()
         draw_ranges(axis, size_labels(study), series)
         axis.set_ylabel("median position error (cm)")
-        axis.set_title(f"Position error by what was tuned{in_split(study, split)}")
+        axis.set_title(f"Position error by what is tuned{in_split(study, split)}")
         legend_below(figure, [axis], 3)
     return path
 
@@ -108,9 +113,10 @@ def _sentence(study: Study, split: Split, medians: dict[str, dict[str, Spread]])
     size = study.sizes[0]
     least = min(medians, key=lambda name: medians[name][size].median)
     return (
-        f"In {split.name} with {size}: {medians['unadapted'][size].centimetres()} where nothing is tuned, "
-        f"{medians['last+map'][size].centimetres()} in the paper's variant, {medians['joint'][size].centimetres()} "
-        f"where the whole network is; least with {_NAMES[least][0]}."
+        f"{split.name.capitalize()}, {size}: the median error is {medians['unadapted'][size].centimetres()} with "
+        f"nothing tuned, {medians['last+map'][size].centimetres()} with the last layer and the map (the paper's "
+        f"variant), and {medians['joint'][size].centimetres()} with network and map (monoloc's default). It is "
+        f"smallest with {_NAMES[least][0]}."
     )
 
 

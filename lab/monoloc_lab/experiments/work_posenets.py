@@ -1,4 +1,4 @@
-"""How PoseNets are trained. What follows poses is no part of it, so that they need not be trained anew with it."""
+"""Training of PoseNets, apart from localisation: a change of the filter does not repeat the training."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from monoloc.extras import training_extra
 from monoloc.progress import NoProgress
 from monoloc_lab.baselines.pose_error import PoseError
 from monoloc_lab.experiments.task import Result
-from monoloc_lab.experiments.task_inputs import POSENET, Settings, built_from, network_file
+from monoloc_lab.experiments.task_inputs import POSENET, Settings, build_frames, network_file
 
 
 def posenet_search(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str, Any]:
     with training_extra():
         from monoloc_lab.baselines.posenet_training import search_rate
     search = search_rate(
-        built_from(settings), _training(settings), settings["seed"], NoProgress(), network_file(settings["encoder"])
+        build_frames(settings), _training(settings), settings["seed"], NoProgress(), network_file(settings["encoder"])
     )
     return {
         "learning_rate": search.best.learning_rate,
@@ -35,7 +35,7 @@ def posenet(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[s
     found = needs[0].figures
     search = Search([Trial(**trial) for trial in found["trials"]], PoseError(**found["error"]))
     trained = train_posenet(
-        built_from(settings),
+        build_frames(settings),
         _training(settings),
         settings["seed"],
         NoProgress(),
@@ -54,7 +54,7 @@ def posenet(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[s
 
 
 def _training(settings: Settings) -> Any:
-    """The settings of a PoseNet's training."""
+    """The training settings of a PoseNet."""
     from monoloc_lab.baselines.posenet_training import PoseNetTraining
 
     return PoseNetTraining.model_validate(settings["training"])

@@ -1,4 +1,4 @@
-"""How rooms are made: adapted to a network, or given another map."""
+"""Bundles: built from a recording, or given another map."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from monoloc.map.em import fit_mixture
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress
 from monoloc_lab.experiments.task import Result
-from monoloc_lab.experiments.task_inputs import BUNDLE, Settings, built_from
+from monoloc_lab.experiments.task_inputs import BUNDLE, Settings, build_frames
 
 _POINT_BYTES = 12  # three float32
 
 
 def bundle(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str, Any]:
     config = BuildConfig.model_validate(settings["config"])
-    recording = built_from(settings)
+    recording = build_frames(settings)
     room, report = build_bundle(recording, config, settings["seed"], NoProgress(), network=settings["network"])
     write_bundle(folder / BUNDLE, room)
     sizes = {"network_bytes": len(room.depth_model.content), "map_bytes": room.adapted.nbytes_stored}
@@ -35,14 +35,14 @@ def bundle(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[st
 
 
 def remapped(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str, Any]:
-    """A room with another map: its bias at the reference poses, which depends on the map, is measured again.
+    """A bundle with another map. Its bias at the reference poses, which depends on the map, is measured again.
 
-    The rest of the calibration stays. It describes the depth's errors, and a coarse map's own errors are in its
-    covariances. It could not be measured again: by now the network has been tuned on every frame.
+    The rest of the calibration stays. It describes the errors of the depth; those of a coarse map are in the
+    covariances of the map. It cannot be measured again, because the network has been tuned on all frames.
     """
     config = BuildConfig.model_validate(settings["config"])
     rng = np.random.default_rng(settings["seed"])
-    recording = built_from(settings)
+    recording = build_frames(settings)
     cloud = room_cloud(recording, None, config, NoProgress())
     size = settings["size"]
     if settings["map"] == "mixture":
@@ -50,10 +50,10 @@ def remapped(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[
         stored = room.nbytes_stored
     elif settings["map"] == "voxels":
         occupied = np.unique(np.floor(cloud / size).astype(np.int64), axis=0)
-        room, stored = _alike((occupied + 0.5) * size, size / np.sqrt(12.0)), octree_bytes(occupied)
+        room, stored = _isotropic((occupied + 0.5) * size, size / np.sqrt(12.0)), octree_bytes(occupied)
     else:
         points = voxel_thin(cloud, size)
-        room, stored = _alike(points, size / 2.0), _POINT_BYTES * len(points)
+        room, stored = _isotropic(points, size / 2.0), _POINT_BYTES * len(points)
     bundle = replace(read_bundle(needs[0].folder / BUNDLE), original=room, adapted=room)
     make = localizer_factory(bundle, settings["seed"])
     measured, reference_poses = measure_bias_at_reference(make, recording, True, NoProgress())
@@ -65,10 +65,10 @@ def remapped(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[
 
 
 def octree_bytes(occupied: Any) -> int:
-    """Bytes of occupied voxels (N, 3), whole numbers, as an octree: of each inner node, which children it has.
+    """Bytes of occupied voxels (N, 3), integers, as an octree: one byte per inner node, a bit per child.
 
-    Such trees are what voxel maps are stored as, see Hornung et al., *OctoMap* (2013), whose nodes take two bytes,
-    for free space has to be told from unknown. Origin and edge of the root are four float32 more.
+    Voxel maps are stored as octrees, see Hornung et al., *OctoMap* (2013). Their nodes take two bytes, because they
+    distinguish free from unknown space. Origin and edge of the root take four more float32.
     """
     nodes = occupied - occupied.min(axis=0)
     total = 16
@@ -78,7 +78,7 @@ def octree_bytes(occupied: Any) -> int:
     return total
 
 
-def _alike(centres: FloatArray, sd_m: float) -> GaussianMixture:
-    """Isotropic components of equal weight at N points (N, 3)."""
+def _isotropic(centres: FloatArray, sd_m: float) -> GaussianMixture:
+    """Isotropic components of equal weight at points (N, 3)."""
     count = len(centres)
     return GaussianMixture(np.full(count, 1.0 / count), centres, np.tile(sd_m**2 * np.eye(3), (count, 1, 1)))

@@ -1,4 +1,4 @@
-"""How rooms are flown through, and what their depth and maps are worth."""
+"""Localisation with a bundle, and the accuracy of its depth and map."""
 
 from __future__ import annotations
 
@@ -14,34 +14,40 @@ from monoloc.depth.predictor import DepthPredictor
 from monoloc.errors import DataError
 from monoloc.evaluation.cloud_metrics import compare_clouds
 from monoloc.evaluation.depth_metrics import depth_metrics
+from monoloc.geometry import FloatArray, so3_exp
 from monoloc.io.recording import Recording
 from monoloc.progress import NoProgress
 from monoloc.run import comparable, localize
 from monoloc.start import Start
 from monoloc_lab.experiments.task import Result
-from monoloc_lab.experiments.task_inputs import BUNDLE, Settings, relighting, walked, write_way
+from monoloc_lab.experiments.task_inputs import BUNDLE, Settings, evaluation_frames, relighting, write_trajectory
+
+_ATTITUDE_BIAS_RAD, _ATTITUDE_NOISE_RAD = np.deg2rad(0.5), np.deg2rad(0.3)  # standard deviation per axis
 
 
 def run(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str, Any]:
-    bundle, recording = _read(needs[0]), walked(settings)
+    bundle, recording = _read(needs[0]), evaluation_frames(settings)
     rng = np.random.default_rng(settings["seed"])
     start, config = start_of(settings, recording, rng), override(bundle.settings, motion=settings["motion"])
-    relight = relighting(settings["walk"]["light"], settings["seed"])
-    flown = localize(bundle, recording, start, config, rng, NoProgress(), settings["sensor"], relight)
-    further = {"covariances": flown.covariances}
-    if flown.odometry is not None:
-        further["odometry"] = flown.odometry
-    write_way(folder, recording, flown.poses, flown.unseen, **further)
-    return flown.metrics()
+    relight = relighting(settings["evaluation"]["light"], settings["seed"])
+    down = _simulated_down(bundle, recording, settings["seed"]) if settings["gravity"] else None
+    result = localize(
+        bundle, recording, start, config, rng, NoProgress(), settings["sensor"], relight=relight, down=down
+    )
+    further = {"covariances": result.covariances}
+    if result.odometry is not None:
+        further["odometry"] = result.odometry
+    write_trajectory(folder, recording, result.poses, result.unseen, **further)
+    return result.metrics()
 
 
 def depth(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str, Any]:
-    recording = walked(settings)
+    recording = evaluation_frames(settings)
     if not recording.has_depth:
         raise DataError(recording.name, "has no depth", "give a recording whose depth can be compared")
     model = _read(needs[0]).depth_model if needs else read_network(settings["network"])
     predictor = DepthPredictor(model, recording.camera)
-    relight = relighting(settings["walk"]["light"], settings["seed"])
+    relight = relighting(settings["evaluation"]["light"], settings["seed"])
     names = ("absrel", "delta1", "ssim")
     per_frame: dict[str, list[Any]] = {name: [] for name in ("index", *names)}
     pictures: dict[str, list[Any]] = {name: [] for name in ("index", "color", "predicted", "truth")}
@@ -60,7 +66,7 @@ def depth(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str
         raise DataError(recording.name, "has no frame with depth", "give one that can be compared")
     arrays: dict[str, Any] = {name: np.array(values) for name, values in pictures.items()}
     np.savez_compressed(folder / "depth.npz", **arrays)
-    # SSIM alone can be undefined: where the sensor's holes leave no whole window.
+    # SSIM is undefined for a frame whose valid depth covers no whole window.
     means = {name: _mean([value for value in per_frame[name] if value is not None]) for name in names}
     return {**means, "frames": len(per_frame["index"]), "per_frame": per_frame}
 
@@ -80,10 +86,25 @@ def clouds(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[st
 
 
 def start_of(settings: Settings, recording: Recording, rng: np.random.Generator) -> Start:
-    """Where a run begins: off the first true pose, in a random direction."""
+    """The start of a run: beside the first true pose, in a random direction."""
     assert recording.poses is not None
     position_m, rotation_rad = settings["start"]["position_m"], np.deg2rad(settings["start"]["rotation_deg"])
     return Start.disturbed(recording.poses[0], rng, position_m, rotation_rad)
+
+
+def _simulated_down(bundle: Bundle, recording: Recording, seed: int) -> FloatArray:
+    """(N, 3) direction of gravity in the camera's frame, as a flight controller measures it.
+
+    Its error has a part that is constant for a run and a part that is new in every frame.
+    """
+    if bundle.down is None:
+        raise DataError(recording.name, "does not show which way is down", "give one with a floor or a ceiling")
+    assert recording.poses is not None
+    rng = np.random.default_rng(seed)
+    twists = _ATTITUDE_BIAS_RAD * rng.normal(size=3)
+    twists = twists + _ATTITUDE_NOISE_RAD * rng.normal(size=(len(recording), 3))
+    true_down = bundle.down @ recording.poses[:, :3, :3]
+    return np.asarray(so3_exp(twists) @ true_down[..., None])[..., 0]
 
 
 def _read(needed: Result) -> Bundle:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc import _core
+import monoloc._core as _core
 from monoloc.camera import Camera
 from monoloc.depth.depth_image import at_discontinuity
 from monoloc.geometry import FloatArray, invert, transform

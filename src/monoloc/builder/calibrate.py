@@ -30,6 +30,7 @@ _ERROR_SETTINGS = {
     "volume": ("noise_sd_m", (0.02, 0.03, 0.05, 0.08, 0.12, 0.2)),
 }
 _LOG_SCALES = np.linspace(-0.4, 0.4, 161)
+_MOST_PAIRS = 30  # of frames that a calibration measures with
 _LEAST_LOG_SCALE_SD = 0.02  # it is less between a build's frames, but away from them the scale varies by as much
 
 LikelihoodFactory = Callable[[LikelihoodConfig], ScanLikelihood]
@@ -69,7 +70,7 @@ def calibrate(
         return components(bundle, camera, changed).likelihood
 
     depth = components(bundle, camera, bundle.settings).depth
-    samples = depth_samples(recording, np.arange(len(recording)), depth, progress)
+    samples = depth_samples(recording, _pairs_of_frames(len(recording)), depth, progress)
     base = bundle.settings.model_copy(update={"particle_bias": BiasModel()})
     settings, thresholds = calibrate_likelihood(likelihood_for, samples, base, rng)
     poses = bundle.reference_poses.poses
@@ -119,13 +120,30 @@ def calibrate_likelihood(
         problem = f"gives no usable depth on any of {len(samples)} frames"
         fix = "check output, metric and scale in its TOML: depth must come out in metres"
         raise DataError("network", problem, fix)
-    setting, values = _ERROR_SETTINGS[base.likelihood.kind]
-    configs = [base.likelihood.model_copy(update={setting: value}) for value in values]
-    candidates = [_Candidate(config, *_best_over_scales(likelihood_for(config), scans)) for config in configs]
+    candidates = [
+        _Candidate(config, *_best_over_scales(likelihood_for(config), scans))
+        for config in _configs(likelihood_for, base.likelihood, scans)
+    ]
     best = max(candidates, key=lambda candidate: float(candidate.values.mean()))
     frames = np.array([sample.index for _, sample in scans])
     changes = {"likelihood": best.config, "log_scale_sd": slow_sd(best.log_scales, frames)}
     return base.model_copy(update=changes), LikelihoodThresholds.from_log_likelihoods(best.values)
+
+
+def _configs(
+    likelihood_for: LikelihoodFactory, base: LikelihoodConfig, scans: list[tuple[Scan, Sample]]
+) -> list[LikelihoodConfig]:
+    """Candidate settings; only the first if they make no difference, as to a likelihood that has its own."""
+    setting, values = _ERROR_SETTINGS[base.kind]
+    configs = [base.model_copy(update={setting: value}) for value in values]
+    tried = {float(_best_over_scales(likelihood_for(config), scans[:1])[0][0]) for config in configs}
+    return configs if len(tried) > 1 else configs[:1]
+
+
+def _pairs_of_frames(frames: int) -> NDArray[np.int64]:
+    """Pairs of consecutive frames, spread evenly over a recording, or all frames of a short one."""
+    first = np.linspace(0, max(0, frames - 2), _MOST_PAIRS).round().astype(np.int64)
+    return np.unique(np.clip(np.concatenate([first, first + 1]), 0, frames - 1))
 
 
 def _best_over_scales(likelihood: ScanLikelihood, scans: list[tuple[Scan, Sample]]) -> tuple[FloatArray, FloatArray]:

@@ -1,4 +1,4 @@
-"""All commands of ``monoloc``, and with them all that they import."""
+"""All commands of ``monoloc``; importing this module imports all their dependencies."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from typing import Annotated
 import typer
 from typer.exceptions import Abort, TyperException
 
-from monoloc import __version__
 from monoloc.cli import build, depth, evaluate, inspect, localize, map_
 from monoloc.errors import MonolocError
+from monoloc.version import __version__
 
-_OF_CTRL_C = 130  # the result that typer makes of it
+_INTERRUPTED = 130  # typer's result after Ctrl-C
 _LAB_COMMANDS = ("bench", "demo", "reproduce", "synth")
 
 app = typer.Typer(
     name="monoloc",
-    help="Where a drone is indoors, from one camera and a map of a few kilobytes.",
+    help="Localise a drone indoors with one camera and a map of a few kilobytes.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
@@ -32,7 +32,7 @@ app.add_typer(depth.app, name="depth")
 
 
 def _add_installed_commands() -> None:
-    """Commands of other packages, as their entry points in the group ``monoloc.commands`` name them."""
+    """Add the commands of other packages, from entry points in the group ``monoloc.commands``."""
     for entry in sorted(entry_points(group="monoloc.commands"), key=lambda entry: entry.name):
         command = entry.load()
         if isinstance(command, typer.Typer):
@@ -44,8 +44,8 @@ def _add_installed_commands() -> None:
 _add_installed_commands()
 
 
-def _show_version(is_asked: bool) -> None:
-    if is_asked:
+def _show_version(is_requested: bool) -> None:
+    if is_requested:
         typer.echo(f"monoloc {__version__}")
         raise typer.Exit
 
@@ -60,11 +60,11 @@ def _before_all(
 
 
 def carry_out(arguments: list[str]) -> int:
-    """Do what a command line says and return its exit code.
+    """Run a command line and return its exit code.
 
     Raises:
-        MonolocError: what the command raises, and what typer has to say of the arguments.
-        KeyboardInterrupt: it was interrupted.
+        MonolocError: the command raised it, or typer rejected the arguments.
+        KeyboardInterrupt: the command was interrupted.
     """
     try:
         result = app(arguments, prog_name="monoloc", standalone_mode=False)
@@ -76,10 +76,10 @@ def carry_out(arguments: list[str]) -> int:
         if arguments and arguments[0] in _LAB_COMMANDS and context is not None and context.parent is None:
             fix = "in a checkout of monoloc, run: pip install ./lab"
             raise MonolocError(f"monoloc {arguments[0]} comes with monoloc-lab; {fix}") from error
-        if "\n" in problem:  # a group alone: the answer is its help
+        if "\n" in problem:  # a group without a command: the message is its help
             typer.echo(problem, err=True)
             return 2
         raise MonolocError(f"{problem} (see: {context.command_path if context else 'monoloc'} --help)") from error
-    if result == _OF_CTRL_C:
+    if result == _INTERRUPTED:
         raise KeyboardInterrupt
     return result if isinstance(result, int) else 0

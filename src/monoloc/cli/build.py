@@ -1,4 +1,4 @@
-"""``monoloc build``: a recording in, a bundle out."""
+"""``monoloc build``: build a bundle from a recording."""
 
 from __future__ import annotations
 
@@ -46,40 +46,42 @@ _OPTIONS = {
 
 def build(
     source: SourceArgument,
-    out: Annotated[Path, typer.Option("--out", "-o", help="The bundle to write, NAME.monoloc.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Bundle to write, NAME.monoloc.")],
     frames: FramesOption = "::",
     cloud: Annotated[
-        Path | None, typer.Option("--cloud", help="The room's cloud (ply, pcd, xyz, txt, npz), in the poses' frame.")
+        Path | None,
+        typer.Option("--cloud", help="Cloud of the room (ply, pcd, xyz, txt, npz), in the world frame."),
     ] = None,
     components: Annotated[
-        str | None, typer.Option("--components", "-k", help="Gaussians in the map, or 'bic' to choose. [200]")
+        str | None,
+        typer.Option("--components", "-k", help="Gaussians in the map, or 'bic' for automatic choice. [200]"),
     ] = None,
-    tune: Annotated[Tune | None, typer.Option("--tune", help="What of the network is tuned. [all]")] = None,
+    tune: Annotated[Tune | None, typer.Option("--tune", help="Layers of the network to tune. [all]")] = None,
     map_transform: Annotated[
-        bool | None, typer.Option("--map-transform/--no-map-transform", help="Whether the map is bent. [yes]")
+        bool | None, typer.Option("--map-transform/--no-map-transform", help="Transform the map. [yes]")
     ] = None,
     lambda_kl: Annotated[
-        float | None, typer.Option("--lambda", help="Weight of the divergence from the original map.")
+        float | None, typer.Option("--lambda", help="Weight of the KL divergence from the original map.")
     ] = None,
     refine_poses: Annotated[
         bool | None,
-        typer.Option("--refine-poses/--given-poses", help="Whether poses are aligned with the map first. [given]"),
+        typer.Option("--refine-poses/--given-poses", help="Align the poses with the map first. [given]"),
     ] = None,
     network: Annotated[
         str,
         typer.Option(
             "--network",
-            help="A name of depth list, a .safetensors or .onnx, a bundle, or another's as .toml.",
+            help="Depth network: a name from depth list, a .safetensors, .onnx, bundle, or .toml of another network.",
         ),
     ] = DEFAULT,
     landmarks: Annotated[
         bool | None,
-        typer.Option("--landmarks/--no-landmarks", help="Whether corners that frames saw are kept. [yes]"),
+        typer.Option("--landmarks/--no-landmarks", help="Store a map of landmarks in the bundle. [yes]"),
     ] = None,
     int8: Annotated[
-        bool | None, typer.Option("--int8/--no-int8", help="Whether the network is quantised to 8 bits. [no]")
+        bool | None, typer.Option("--int8/--no-int8", help="Quantise the network to 8 bits. [no]")
     ] = None,
-    settings: Annotated[Path | None, typer.Option("--settings", help="TOML file with any of the settings.")] = None,
+    settings: Annotated[Path | None, typer.Option("--settings", help="TOML file of settings.")] = None,
     intrinsics: IntrinsicsOption = None,
     depth_scale: DepthScaleOption = None,
     seed: SeedOption = 0,
@@ -87,15 +89,17 @@ def build(
 ) -> None:
     """Map a room and adapt the depth network to it.
 
+    docs/how-to/another-depth-network.md explains how to use another network.
+
     \b
     Examples:
       monoloc build 7scenes:redkitchen --frames 0:400:4 --out kitchen.monoloc
       monoloc build tum:rgbd_dataset_freiburg1_room --out room.monoloc -k 400
-      monoloc build my-walk --cloud room.ply --out room.monoloc
-      monoloc build my-walk --refine-poses --out room.monoloc     (poses by another system, 2 cm and 1 degree off)
-      monoloc build my-walk --tune last --no-landmarks --out paper.monoloc     (the paper's variant)
-      monoloc build my-walk --tune none --no-map-transform --no-landmarks --out plain.monoloc
-      monoloc build my-walk --network midas.toml --out midas.monoloc     (another's network: docs/depth-models.md)
+      monoloc build my-recording --cloud room.ply --out room.monoloc
+      monoloc build my-recording --refine-poses --out room.monoloc     (poses with errors of 2 cm and 1 degree)
+      monoloc build my-recording --tune last --no-landmarks --out paper.monoloc     (the paper's variant)
+      monoloc build my-recording --tune none --no-map-transform --no-landmarks --out plain.monoloc
+      monoloc build my-recording --network midas.toml --out midas.monoloc     (another network)
     """
     check_target(out)
     check_apart(out, "--out", (network,))
@@ -104,7 +108,7 @@ def build(
     config = BuildConfig() if settings is None else load_settings(settings, BuildConfig)
     remarks = []
     if trainable_file(network) is None:
-        # What can only be run is run, unless tuning was asked for in so many words.
+        # By default, a network that cannot be trained is used as it is.
         only_run = {"tune": "none", "map_transform": False}
         unset = only_run.keys() - config.adapt.model_fields_set
         config = override(config, adapt={name: only_run[name] for name in unset})
@@ -113,14 +117,14 @@ def build(
     adapt = {"tune": tune, "map_transform": map_transform, "lambda_kl": lambda_kl}
     given = {"components": components, "int8": int8, "landmarks": landmarks, "refine_poses": refine_poses}
     values = given | {f"adapt.{name}": value for name, value in adapt.items()}
-    # What the file does not say, the options do, be it by their defaults.
+    # Errors name the option if it was given, or if there is no settings file.
     options = {name: _OPTIONS[name] for name, value in values.items() if value is not None or settings is None}
     with naming(options):
         config = override(config, **given, adapt=adapt)
         points = None if cloud is None else read_cloud(cloud)
         recording = open_source(source, frames, intrinsics, depth_scale)
         bundle, report = build_bundle(recording, config, seed, ConsoleProgress(stderr), points, network)
-    size = write_bundle(target_of(out), bundle)  # through a link, as files are written
+    size = write_bundle(target_of(out), bundle)  # follows links, like all file writes
     report = replace(report, warnings=remarks + report.warnings)
     for warning in report.warnings:
         stderr.print(f"warning: {recording.name}: {warning}", soft_wrap=True)
@@ -143,7 +147,7 @@ def build(
 
 
 def _not_tuned(network: str) -> str:
-    remark = f"{network} can only be run: nothing of it was tuned"
+    remark = f"{network} can only be run, so it was not tuned"
     if not is_shipped(network):
         return remark
-    return f"{remark}; for a tuned one in 8 bits: --network {network.removesuffix('-int8')} --int8"
+    return f"{remark}; for a tuned network in 8 bits: --network {network.removesuffix('-int8')} --int8"

@@ -1,4 +1,4 @@
-"""What the commands share: options, the two streams, and tables."""
+"""Shared parts of the commands: options, checks of arguments, output streams and tables."""
 
 from __future__ import annotations
 
@@ -22,43 +22,43 @@ from monoloc.io.recording import Selection
 from monoloc.io.registry import open_recording, select_frames
 from monoloc.viz.viewer import require_window
 
-# Paths are printed as they are, whatever Rich would read in their brackets and colons.
+# Rich must not interpret brackets and colons in paths.
 stderr = Console(stderr=True, highlight=False, markup=False, emoji=False)
 
-EXTENT_SIGMAS = math.sqrt(3.0)  # how far a surface reaches from its component's mean, if it is covered evenly
+EXTENT_SIGMAS = math.sqrt(3.0)  # extent of an evenly covered surface about its component's mean
 
 SourceArgument = Annotated[
     str,
     typer.Argument(
         metavar="SOURCE",
-        help="A recording: FORMAT:PATH (7scenes, tum, rgbd-scenes-v2, nyu, folder, video) or a path.",
+        help="Recording: FORMAT:PATH (7scenes, tum, rgbd-scenes-v2, nyu, folder, video) or a path.",
         show_default=False,
     ),
 ]
-FramesOption = Annotated[str, typer.Option("--frames", help="Which frames, START:STOP:STEP, in order of time.")]
+FramesOption = Annotated[str, typer.Option("--frames", help="Frames START:STOP:STEP, in order of time.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON object on stdout, everything else on stderr.")]
-SeedOption = Annotated[int, typer.Option("--seed", min=0, help="The same seed gives the same result.")]
+SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Random seed; the same seed gives the same result.")]
 IntrinsicsOption = Annotated[
     str | None,
     typer.Option(
         "--intrinsics",
         metavar="W,H,FX,FY,CX,CY[,K1,K2,P1,P2,K3]",
-        help="Of the colour images, where the files have none or err; distortion stays theirs without K1 and so on.",
+        help="Intrinsics of the colour images, overriding the files. Without K1 to K3, the distortion is unchanged.",
     ),
 ]
 DepthScaleOption = Annotated[
-    float | None, typer.Option("--depth-scale", help="Stored depth value of one metre, in place of the format's.")
+    float | None, typer.Option("--depth-scale", help="Stored depth value of one metre; overrides the format's.")
 ]
 
-ViewOption = Annotated[bool, typer.Option("--view", help="Show it in Rerun's viewer, live.")]
+ViewOption = Annotated[bool, typer.Option("--view", help="Show a live view in Rerun's viewer.")]
 RecordOption = Annotated[
-    Path | None, typer.Option("--record", metavar="FILE.rrd", help="Recording to write for Rerun's viewer.")
+    Path | None, typer.Option("--record", metavar="FILE.rrd", help="Write a recording for Rerun's viewer.")
 ]
 
 
 @contextmanager
 def naming(options: Mapping[str, str]) -> Iterator[None]:
-    """Problems of settings whose values came from options are those options': their names, by the settings'."""
+    """Report invalid settings under the names of the options that set them: ``options`` maps setting to option."""
     try:
         yield
     except SettingError as error:
@@ -74,13 +74,17 @@ def open_source(
     depth_scale: float | None = None,
     frames_option: str = "--frames",
 ) -> Selection:
-    """The chosen frames of a recording.
+    """Open a recording and select frames.
 
     Args:
-        frames_option: by which they were chosen.
+        source: SOURCE, see :func:`monoloc.io.registry.open_recording`.
+        frames: START:STOP:STEP.
+        intrinsics: value of ``--intrinsics``.
+        depth_scale: stored depth value of one metre.
+        frames_option: name of the option that selected the frames, for error messages.
 
     Raises:
-        DataError, SettingError: as the readers'.
+        DataError, SettingError: from the reader, or an option is invalid.
     """
     with naming({"frames": frames_option, "camera": "--intrinsics", "depth_scale": "--depth-scale"}):
         camera, keeps_distortion = (None, False) if intrinsics is None else _parse_camera(intrinsics)
@@ -89,14 +93,14 @@ def open_source(
 
 
 def _parse_camera(text: str) -> tuple[Camera, bool]:
-    """The camera, and whether its distortion is left open."""
+    """Parse the intrinsics, and return whether they omit the distortion."""
     try:
         width, height, *rest = text.split(",")
         fx, fy, cx, cy, *distortion = (float(part) for part in rest)
         k1, k2, p1, p2, k3 = distortion or [0.0] * 5
         return Camera(int(width), int(height), fx, fy, cx, cy, (k1, k2, p1, p2, k3)), not distortion
     except ValueError as error:
-        fix = "write W,H,FX,FY,CX,CY in pixels, and K1,K2,P1,P2,K3 behind them for distortion"
+        fix = "write W,H,FX,FY,CX,CY in pixels, and K1,K2,P1,P2,K3 after them for distortion"
         raise SettingError("--intrinsics", f"is {text!r}", fix) from error
     except SettingError as error:
         part = error.field.removeprefix("camera.")
@@ -104,24 +108,24 @@ def _parse_camera(text: str) -> tuple[Camera, bool]:
 
 
 def refuse_frames(frames: str, what: str) -> None:
-    """Refuse a choice of frames where there are none to choose.
+    """Reject ``--frames`` for a target without frames.
 
     Raises:
-        SettingError: frames are chosen.
+        SettingError: frames are selected.
     """
     if frames.strip() != "::":
         raise SettingError("--frames", f"has no meaning for {what}", "leave it out")
 
 
 def check_outputs(outputs: Mapping[str, Path | None], inputs: Sequence[str | Path | None] = ()) -> None:
-    """Refuse output files that cannot be written, or in whose place something else lies, before the work is done.
+    """Reject output paths that cannot be written or that would replace something else, before long work starts.
 
     Args:
-        outputs: by option, None where it is not given.
-        inputs: as :func:`check_apart` takes them.
+        outputs: path of each option, or None if the option is not given.
+        inputs: see :func:`check_apart`.
 
     Raises:
-        SettingError: naming the option.
+        SettingError: an output is rejected; the error names the option.
     """
     options: dict[Path, str] = {}
     for option, path in outputs.items():
@@ -139,18 +143,20 @@ def check_outputs(outputs: Mapping[str, Path | None], inputs: Sequence[str | Pat
 
 
 def check_apart(path: Path, option: str, inputs: Sequence[str | Path | None]) -> None:
-    """Refuse an output in the place of an input, or within a bundle that is one.
+    """Reject an output that is an input, or that is inside an input bundle.
 
     Args:
-        inputs: files, folders and SOURCEs that the command reads; None where there is none.
+        path: the output.
+        option: its option.
+        inputs: files, folders and SOURCEs that the command reads; None is ignored.
 
     Raises:
-        SettingError: naming the option.
+        SettingError: the output is rejected; the error names the option.
     """
     target = target_of(path)
     texts = [str(given) for given in inputs if given is not None]
     for text in (*texts, *(text.partition(":")[2] for text in texts)):  # PATH or FORMAT:PATH
-        source = Path(os.path.realpath(os.path.expanduser(text)))  # noqa: PTH111 - pathlib's raise for odd paths
+        source = Path(os.path.realpath(os.path.expanduser(text)))  # noqa: PTH111 - pathlib raises for odd paths
         if text and source == target:
             raise SettingError(option, f"{path} is read by this command", "name another place")
         if text and source in target.parents and (source / "manifest.json").is_file():
@@ -158,10 +164,10 @@ def check_apart(path: Path, option: str, inputs: Sequence[str | Path | None]) ->
 
 
 def check_picture(path: Path | None, option: str) -> None:
-    """Refuse a picture under the name of something else, and one that nothing can draw, before the work is done.
+    """Reject a picture that is not named as PNG, or that cannot be drawn, before long work starts.
 
     Raises:
-        SettingError: naming the option.
+        SettingError: the path does not end in .png; the error names the option.
         MissingExtraError: matplotlib is not installed.
     """
     if path is None:
@@ -172,10 +178,10 @@ def check_picture(path: Path | None, option: str) -> None:
 
 
 def check_folder(path: Path, option: str) -> None:
-    """Refuse an output folder, which may exist, that cannot be made or written to, before the work is done.
+    """Reject an output folder that cannot be created or written to, before long work starts.
 
     Raises:
-        SettingError: naming the option.
+        SettingError: the folder is rejected; the error names the option.
     """
     if not path.exists():
         _check_parent(path, option)
@@ -186,10 +192,11 @@ def check_folder(path: Path, option: str) -> None:
 
 
 def check_viewing(view: bool, record: Path | None = None) -> None:
-    """Refuse a window or a recording that there is nothing to show or write with, before the work is done.
+    """Check that the viewer can open its window and write its recording, before long work starts.
 
     Raises:
-        MissingExtraError, SettingError: naming the extra or the option.
+        MissingExtraError: Rerun is not installed.
+        SettingError: no window can be opened.
     """
     if view or record is not None:
         require_viewing()
@@ -206,24 +213,24 @@ def _check_parent(path: Path, option: str) -> None:
 
 
 def print_json(content: Mapping[str, object]) -> None:
-    """One object on stdout; figures that are not numbers become null, as JSON has no NaN."""
+    """Print one JSON object on stdout; NaN and infinity, which JSON lacks, become null."""
     typer.echo(json_text(content))
 
 
 def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
-    """A table for people: the result of a command without ``--json``, so on stdout."""
+    """Print a table on stdout: the result of a command without ``--json``."""
     table = Table(header_style="")
     for index, column in enumerate(columns):
         table.add_column(column, justify="left" if index == 0 else "right")
     for row in rows:
         table.add_row(*row)
     console = Console(highlight=False, markup=False, emoji=False)
-    console.print(title, style="bold", soft_wrap=True)  # not the table's own, which is wrapped to its width
+    console.print(title, style="bold", soft_wrap=True)  # the table's own title would be wrapped to its width
     console.print(table)
 
 
 def text_of(value: object) -> str:
-    """A value as a person reads it: three decimals or digits, lists with commas, a dict's entries on lines."""
+    """Format a value: three decimals or digits, lists with commas, one line per entry of a dict."""
     if isinstance(value, float):
         return f"{value:.3f}" if abs(value) >= 0.1 else f"{value:.3g}"
     if isinstance(value, (list, tuple)):

@@ -1,4 +1,4 @@
-"""``monoloc depth``: train, judge and export depth networks."""
+"""``monoloc depth``: train, evaluate and export depth networks."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from monoloc.progress import ConsoleProgress, NoProgress
 from monoloc.viz.calibration_plot import plot_calibration
 from monoloc.viz.plots import plot_depth, plot_training
 
-app = typer.Typer(help="Train, judge and export depth networks.", no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(help="Train, evaluate and export depth networks.", no_args_is_help=True, rich_markup_mode=None)
 
 _PICTURES = 4
 
@@ -51,7 +51,7 @@ ModelArgument = Annotated[
     str,
     typer.Argument(
         metavar="MODEL",
-        help="A name of depth list, a .safetensors or .onnx, a bundle, or another's as .toml.",
+        help="Depth network: a name from depth list, a .safetensors, .onnx, bundle, or .toml of another network.",
         show_default=False,
     ),
 ]
@@ -63,25 +63,25 @@ def train(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for network.safetensors, history and curves.")],
     frames: FramesOption = "::",
     validate: Annotated[
-        str | None, typer.Option("--validate", metavar="START:STOP:STEP", help="Frames kept for validation.")
+        str | None, typer.Option("--validate", metavar="START:STOP:STEP", help="Validation frames.")
     ] = None,
     also: Annotated[
         list[str] | None,
         typer.Option(
-            "--also", metavar="SOURCE", help="Further frames to train on; may be given again.", show_default=False
+            "--also", metavar="SOURCE", help="Additional training frames; can be repeated.", show_default=False
         ),
     ] = None,
     encoder: Annotated[
-        Path | None, typer.Option("--encoder", help="MobileNetV2 weights (.npz, torchvision's names) to start from.")
+        Path | None, typer.Option("--encoder", help="Initial MobileNetV2 weights (.npz, torchvision's names).")
     ] = None,
-    start: Annotated[
-        Path | None, typer.Option("--start", help="A network to go on training, in place of --encoder.")
-    ] = None,
+    start: Annotated[Path | None, typer.Option("--start", help="Initial network, instead of --encoder.")] = None,
     settings: Annotated[Path | None, typer.Option("--settings", help="TOML file of training settings.")] = None,
-    epochs: Annotated[int | None, typer.Option("--epochs", help="In place of the settings'.")] = None,
+    epochs: Annotated[int | None, typer.Option("--epochs", help="Number of epochs; overrides the settings.")] = None,
     json: JsonOption = False,
 ) -> None:
-    """Train a depth network on frames with depth; called again, an unfinished run goes on where it stopped.
+    """Train a depth network on frames with depth.
+
+    The same command resumes an interrupted run.
 
     \b
     Examples:
@@ -96,13 +96,13 @@ def train(
     check_folder(out, "--out")
     check_apart(out / "network.safetensors", "--out", (start,))
     if encoder is not None and start is not None:
-        raise SettingError("--start", "and --encoder both say where to begin", "give one of them")
+        raise SettingError("--start", "conflicts with --encoder", "give one of them")
     require_plotting()
     with naming({"epochs": "--epochs"}):
         config = override(TrainConfig() if settings is None else load_settings(settings, TrainConfig), epochs=epochs)
     training = [open_source(source, frames), *(open_source(other, "::") for other in also or ())]
     validation = open_source(source, validate, frames_option="--validate") if validate is not None else training[0]
-    # Under torchrun, the first process of a run judges, writes and speaks.
+    # Under torchrun, only the first process of a run evaluates, writes files and prints.
     progress = ConsoleProgress(stderr) if os.environ.get("RANK", "0") == "0" else NoProgress()
 
     def draw(history: list[EpochRecord]) -> None:
@@ -125,32 +125,32 @@ def evaluate(
     source: SourceArgument,
     frames: FramesOption = "::",
     fit: Annotated[
-        bool, typer.Option("--fit-scale", help="Fit one scale for all frames first; always done for relative depth.")
+        bool, typer.Option("--fit-scale", help="Fit one scale for all frames first; implied for relative depth.")
     ] = False,
-    plot: Annotated[Path | None, typer.Option("--plot", help="PNG of predicted and true depth.")] = None,
+    plot: Annotated[Path | None, typer.Option("--plot", help="PNG to write: predicted and true depth.")] = None,
     calibration: Annotated[
         Path | None,
-        typer.Option("--calibration", help="PNG of the error that the network states against the actual."),
+        typer.Option("--calibration", help="PNG to write: actual error over the error that the network states."),
     ] = None,
     intrinsics: IntrinsicsOption = None,
     depth_scale: DepthScaleOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Judge a network's depth against measured depth.
+    """Evaluate a network's depth against measured depth.
 
     \b
     Examples:
       monoloc depth evaluate full-0.35 folder:nyu-labelled --frames 1349: --json
       monoloc depth evaluate kitchen.monoloc 7scenes:redkitchen --frames 1::4 --plot depth.png
       monoloc depth evaluate full-0.35 7scenes:redkitchen --fit-scale --calibration error.png
-      monoloc depth evaluate midas.toml 7scenes:redkitchen --frames ::10     (another's network)
+      monoloc depth evaluate midas.toml 7scenes:redkitchen --frames ::10     (another network)
     """
     check_outputs({"--plot": plot, "--calibration": calibration}, (model, source))
     check_picture(plot, "--plot")
     check_picture(calibration, "--calibration")
     recording = open_source(source, frames, intrinsics, depth_scale)
     if not recording.has_depth:
-        raise DataError(recording.name, "has no depth", "judge on a recording with depth images")
+        raise DataError(recording.name, "has no depth", "evaluate on a recording with depth images")
     progress = ConsoleProgress(stderr)
     network = read_network(model)
     if fit or not network.spec.is_usable:
@@ -192,16 +192,16 @@ def evaluate(
 
 @app.command()
 def export(
-    network: Annotated[Path, typer.Argument(help="A network.safetensors.", show_default=False)],
-    out: Annotated[Path, typer.Option("--out", "-o", help="The .onnx file to write.")],
+    network: Annotated[Path, typer.Argument(help="Network to export, a network.safetensors.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", "-o", help=".onnx file to write.")],
     int8: Annotated[
         str | None,
-        typer.Option("--int8", metavar="SOURCE", help="Quantise to 8 bits, calibrated on this recording's images."),
+        typer.Option("--int8", metavar="SOURCE", help="Quantise to 8 bits, calibrated on images of this recording."),
     ] = None,
     frames: FramesOption = "::",
     json: JsonOption = False,
 ) -> None:
-    """Export a network to ONNX and check that it gives the same depth.
+    """Export a network to ONNX and check that its depth is the same.
 
     \b
     Examples:
@@ -231,12 +231,12 @@ def export(
     stderr.print(f"{out}: {len(content) / 1e6:.2f} MB, differs by at most {report.parity_max:.1e} in log-depth")
     if int8 is not None:
         mean, most = difference.difference_mean, difference.difference_max
-        stderr.print(f"in 8 bits by {mean:.3f} on average, {most:.2f} at most")
+        stderr.print(f"in 8 bits it differs by {mean:.3f} on average, and by at most {most:.2f}")
 
 
 @app.command(name="list")
 def list_models(json: JsonOption = False) -> None:
-    """The networks that come with monoloc.
+    """List the networks that come with monoloc.
 
     \b
     Examples:
@@ -259,9 +259,9 @@ def list_models(json: JsonOption = False) -> None:
         for model in models
     ]
     columns = ["name", "params", "MACs", "MB", "AbsRel", "delta1"]
-    print_table("In 32 bits, and in 8 as NAME-int8; judged on 100 NYU pairs", columns, rows)
+    print_table("Networks in 32 bits, and in 8 bits as NAME-int8; evaluated on 100 NYU pairs", columns, rows)
 
 
 def _predict(predictor: DepthPredictor, recording: Recording, index: int) -> NDArray[np.float32]:
-    """Depth of a frame at the size of its image, 0 where there is none."""
+    """Predicted depth of a frame at the size of its image, 0 where it is unknown."""
     return predictor(recording.color(index)).resized(recording.camera.width, recording.camera.height)

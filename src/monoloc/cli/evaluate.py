@@ -1,4 +1,4 @@
-"""``monoloc evaluate``: a trajectory against the truth."""
+"""``monoloc evaluate``: compare a trajectory with reference poses."""
 
 from __future__ import annotations
 
@@ -21,19 +21,22 @@ from monoloc.io.tum_recording import MAX_TIME_DIFFERENCE_S
 def evaluate(
     trajectory: Annotated[Path, typer.Argument(help="TUM trajectory: t tx ty tz qx qy qz qw.", show_default=False)],
     truth: Annotated[
-        str, typer.Argument(metavar="TRUTH", help="A recording with poses, or a TUM trajectory.", show_default=False)
+        str,
+        typer.Argument(
+            metavar="TRUTH", help="Reference: a recording with poses, or a TUM trajectory.", show_default=False
+        ),
     ],
     frames: FramesOption = "::",
     json: JsonOption = False,
 ) -> None:
-    """Compare a trajectory with the truth, in the map's frame, without any alignment.
+    """Compare a trajectory with reference poses, in the map's frame, without alignment.
 
-    Poses without a frame of the truth within 0.02 s are unmatched, frames of the truth without a pose are missed.
+    Poses without a reference within 0.02 s count as unmatched, and references without a pose as missed.
 
     \b
     Examples:
-      monoloc evaluate way.txt 7scenes:redkitchen
-      monoloc evaluate way.txt groundtruth.txt --json
+      monoloc evaluate trajectory.txt 7scenes:redkitchen
+      monoloc evaluate trajectory.txt groundtruth.txt --json
     """
     times, poses = read_tum(trajectory)
     true_times, true_poses = _read_truth(truth, frames)

@@ -1,4 +1,4 @@
-"""``monoloc inspect``: what a bundle or a recording holds."""
+"""``monoloc inspect``: describe a bundle or a recording."""
 
 from __future__ import annotations
 
@@ -32,15 +32,16 @@ from monoloc.map.compare import compare_maps
 
 def inspect(
     target: Annotated[
-        str, typer.Argument(metavar="TARGET", help="A bundle, or a recording as SOURCE.", show_default=False)
+        str, typer.Argument(metavar="TARGET", help="Bundle, or recording as SOURCE.", show_default=False)
     ],
     frames: FramesOption = "::",
     intrinsics: IntrinsicsOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Say what a bundle or a recording holds.
+    """Describe and check a bundle or a recording.
 
-    Of a bundle every byte is checked; of a recording that its files are there, and that the first frame can be read.
+    The check of a bundle covers every byte. The check of a recording covers the presence of its files and the content
+    of its first frame.
 
     \b
     Examples:
@@ -87,7 +88,7 @@ def _bundle(path: Path) -> dict[str, object]:
 
 
 def _known_bias(reference_poses: ReferencePoses) -> dict[str, object]:
-    """Root mean square of the bias that is known at the reference poses; None where none is."""
+    """Root mean square of the known bias at the reference poses; None if it is unknown."""
     if not reference_poses.common_bias.any():
         return {"known_bias_m": None, "known_bias_deg": None}
     known = twist_errors(reference_poses.common_bias)
@@ -108,7 +109,7 @@ def _recording(recording: Selection) -> dict[str, object]:
         "has_depth": recording.has_depth,
         "first_frame": recording.frame_names[0],
     }
-    recording.color(0)  # what cannot be read is said now
+    recording.color(0)  # raises DataError if it is unreadable
     if recording.poses is not None:
         steps = np.linalg.norm(np.diff(recording.poses[:, :3, 3], axis=0), axis=1)
         content["path_m"] = float(steps.sum())

@@ -1,4 +1,4 @@
-"""``monoloc localize``: a bundle and a recording in, poses out."""
+"""``monoloc localize``: estimate the poses of a recording with a bundle."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ from monoloc.supervision.state import State
 from monoloc.viz.plots import plot_localization
 from monoloc.viz.viewer import run_viewer
 
-_LEAST_OFF_M, _LEAST_OFF_RAD = 0.03, 0.015  # no start is known better
-_UNKNOWN = "unknown"  # start
-_FARTHEST_M = 1e6  # of a start; no map reaches farther
+_MIN_ERROR_M, _MIN_ERROR_RAD = 0.03, 0.015  # lower bounds of the error of a start
+_UNKNOWN = "unknown"  # value of --start
+_MAX_COORDINATE_M = 1e6  # of a start; no map is larger
 
 
 def localize_command(
-    bundle: Annotated[Path, typer.Argument(help="A bundle made by monoloc build.", show_default=False)],
+    bundle: Annotated[Path, typer.Argument(help="Bundle from monoloc build.", show_default=False)],
     source: SourceArgument,
     frames: FramesOption = "::",
     start: Annotated[
@@ -59,28 +59,28 @@ def localize_command(
         typer.Option(
             "--start",
             metavar="TX,TY,TZ,QX,QY,QZ,QW",
-            help="First camera pose, world frame, or unknown: then the room is searched. "
-            "[the truth, disturbed; unknown without one]",
+            help="First camera pose in the world frame, or 'unknown' to search the room. "
+            "[true pose with a random error; unknown if there is none]",
         ),
     ] = None,
     start_error_cm: Annotated[
-        float, typer.Option("--start-error-cm", min=0.0, max=1e5, help="How far the start is off, or may be.")
+        float, typer.Option("--start-error-cm", min=0.0, max=1e5, help="Position error of the start.")
     ] = 10.0,
     start_error_deg: Annotated[
-        float, typer.Option("--start-error-deg", min=0.0, max=180.0, help="How far it is turned, or may be.")
+        float, typer.Option("--start-error-deg", min=0.0, max=180.0, help="Rotation error of the start.")
     ] = 3.0,
     motion: Annotated[
         Literal["visual", "random-walk"] | None, typer.Option("--motion", help="Motion model. [visual]")
     ] = None,
     depth: Annotated[
         Literal["predicted", "sensor"],
-        typer.Option("--depth", help="The network's depth, or the recording's (an upper bound)."),
+        typer.Option("--depth", help="Depth of the network or of the recording's sensor (upper bound)."),
     ] = "predicted",
-    particles: Annotated[int | None, typer.Option("--particles", help="Size of the filter. [the bundle's]")] = None,
-    scan_points: Annotated[int | None, typer.Option("--scan-points", help="Points a scan. [the bundle's]")] = None,
+    particles: Annotated[int | None, typer.Option("--particles", help="Number of particles. [the bundle's]")] = None,
+    scan_points: Annotated[int | None, typer.Option("--scan-points", help="Points per scan. [the bundle's]")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="TUM trajectory to write.")] = None,
     plot: Annotated[
-        Path | None, typer.Option("--plot", help="PNG to draw: the way over the map, the errors.")
+        Path | None, typer.Option("--plot", help="PNG to write: trajectory over the map, and errors.")
     ] = None,
     view: ViewOption = False,
     record: RecordOption = None,
@@ -89,16 +89,16 @@ def localize_command(
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
-    """Find a camera's poses from its colour images.
+    """Estimate a camera's poses from its colour images.
 
     \b
     Examples:
-      monoloc localize kitchen.monoloc 7scenes:redkitchen --out way.txt --plot way.png
+      monoloc localize kitchen.monoloc 7scenes:redkitchen --out trajectory.txt --plot trajectory.png
       monoloc localize kitchen.monoloc 7scenes:redkitchen --frames 0:400 --seed 0 --json
-      monoloc localize room.monoloc flight.mp4 --intrinsics 640,480,525,525,319.5,239.5 --out way.txt
+      monoloc localize room.monoloc flight.mp4 --intrinsics 640,480,525,525,319.5,239.5 --out trajectory.txt
       monoloc localize room.monoloc flight.mp4 --intrinsics 640,480,525,525,319.5,239.5 --start 0.5,0.2,1.1,0,0,0,1
       monoloc localize room.monoloc tum:fr1_room --start unknown --motion random-walk
-      monoloc localize kitchen.monoloc 7scenes:redkitchen --view --record way.rrd
+      monoloc localize kitchen.monoloc 7scenes:redkitchen --view --record trajectory.rrd
     """
     check_outputs({"--out": out, "--plot": plot, "--record": record}, (bundle, source))
     check_picture(plot, "--plot")
@@ -111,10 +111,10 @@ def localize_command(
     begin = _start(start, recording, start_error_cm / 100.0, np.deg2rad(start_error_deg), rng)
     if begin is None and depth == "predicted" and not config.supports_relocalization:
         error_m = config.particle_bias.relocalization_sd_m
-        problem = f"is unknown, and here one image tells where a camera is to {error_m:.1f} m only"
+        problem = f"is unknown, and one image locates the camera only to {error_m:.1f} m here"
         raise SettingError("--start", problem, "write TX,TY,TZ,QX,QY,QZ,QW")
     name = f"{bundle.name}: {recording.name}"
-    cv2.setNumThreads(1)  # more make small images no faster, and a drone's other cores are not ours
+    cv2.setNumThreads(1)  # more do not speed up small images, and the drone needs its other cores
     with ExitStack() as viewing:
         viewer = viewing.enter_context(run_viewer(name, view, record))
         run = localize(room, recording, begin, config, rng, ConsoleProgress(stderr), depth == "sensor", viewer=viewer)
@@ -139,7 +139,7 @@ def localize_command(
 def _write_each(
     writers: Iterable[tuple[Path | None, Callable[[Path], None]]],
 ) -> tuple[list[Path], list[MonolocError]]:
-    """Write what is asked for, each file whatever becomes of the others: those written, and what went wrong."""
+    """Write all requested files, even if one fails; return the written files and the errors."""
     written, failures = [], []
     for path, write in writers:
         if path is None:
@@ -154,7 +154,7 @@ def _write_each(
 
 
 def draw(path: Path, run: Run, room: Bundle, title: str) -> None:
-    """The picture of a run over the map it used."""
+    """Write the plot of a run over its map."""
     plot_localization(
         path,
         estimated=run.poses,
@@ -170,7 +170,7 @@ def draw(path: Path, run: Run, room: Bundle, title: str) -> None:
 
 
 def show(metrics: dict[str, object]) -> None:
-    """The figures that matter, as a table."""
+    """Print the most important metrics as a table."""
     rows = []
     for prefix, label in (("", "all"), ("unseen_", "unseen")):
         if f"{prefix}ate_median_m" not in metrics:
@@ -193,9 +193,9 @@ def show(metrics: dict[str, object]) -> None:
         print_table("Accuracy", columns, rows)
     states = metrics["states"]
     assert isinstance(states, dict)
-    told = ", ".join(f"{states.get(state, 0)} {state}" for state in get_args(State))
+    counts = ", ".join(f"{states.get(state, 0)} {state}" for state in get_args(State))
     stderr.print(
-        f"{metrics['frames']} frames: {told}; "
+        f"{metrics['frames']} frames: {counts}; "
         f"{metrics['step_ms_median']:.1f} ms a frame (95 %: {metrics['step_ms_p95']:.1f} ms)"
     )
 
@@ -216,7 +216,7 @@ def _start(
         pose = Start.disturbed(recording.poses[0], rng, error_m, error_rad).pose
     else:
         return None
-    return Start(pose, max(_LEAST_OFF_M, error_m), max(_LEAST_OFF_RAD, error_rad))
+    return Start(pose, max(_MIN_ERROR_M, error_m), max(_MIN_ERROR_RAD, error_rad))
 
 
 def _parse_pose(text: str) -> FloatArray:
@@ -228,7 +228,7 @@ def _parse_pose(text: str) -> FloatArray:
         fix = f"write TX,TY,TZ,QX,QY,QZ,QW in metres, or {_UNKNOWN}"
         raise SettingError("--start", f"is {text!r}", fix) from error
     far_m, length = float(np.abs(values[:3]).max()), math.hypot(*values[3:])
-    if far_m > _FARTHEST_M:
+    if far_m > _MAX_COORDINATE_M:
         raise SettingError("--start", f"is {text!r}, {far_m:.3g} m away", "write TX,TY,TZ,QX,QY,QZ,QW in metres")
     if abs(length - 1.0) > UNIT_TOLERANCE:
         fix = "write TX,TY,TZ,QX,QY,QZ,QW, the last four of length 1"

@@ -1,6 +1,6 @@
-"""The ``monoloc`` command: one launcher, which turns known errors into one line and an exit code.
+"""Entry point of the ``monoloc`` command. It reports known errors as one line and an exit code.
 
-It imports next to nothing by itself, so that Ctrl-C is heard while the rest is imported.
+This module imports very little, so that Ctrl-C works during the other imports.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from types import FrameType
 
 from monoloc.errors import MonolocError
 
-_INTERRUPTED = 130  # 128 and the number of SIGINT, as shells have it; for all that ask monoloc to end
+_INTERRUPTED = 130  # 128 plus the number of SIGINT, as in shells; used for all termination signals
 
 
 def run() -> None:
-    """Entry point: exit code 0 when done, 2 for bad input with one line on stderr, 130 interrupted, 1 for a fault."""
+    """Run the command line and exit: 0 done, 1 internal fault, 2 bad input (one line on stderr), 130 interrupted."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a degree sign is no reason to fail where there is ASCII alone
+            stream.reconfigure(errors="replace")  # a degree sign must not fail on an ASCII terminal
     _on_signals(_end_at_once)
     import monoloc.cli.app  # noqa: F401
 
@@ -36,36 +36,36 @@ def invoke(arguments: list[str]) -> int:
     try:
         return carry_out(arguments)
     except MonolocError as error:
-        _say(str(error))
+        _print_message(str(error))
         return 2
     except OSError as error:
         if error.filename is None:
             raise
-        _say(f"{error.filename}: {error.strerror}; check that it is there and that you may use it")
+        _print_message(f"{error.filename}: {error.strerror}; check that it is there and that you may use it")
         return 2
     except KeyboardInterrupt:
-        _say_interrupted()
+        _print_interrupted()
         return _INTERRUPTED
 
 
-def _say(message: str) -> None:
+def _print_message(message: str) -> None:
     print("monoloc: " + " ".join(message.split()), file=sys.stderr, flush=True)
 
 
-def _say_interrupted() -> None:
-    _say("interrupted; nothing half-written is left")
+def _print_interrupted() -> None:
+    _print_message("interrupted; nothing half-written is left")
 
 
 def _on_signals(handler: Callable[[int, FrameType | None], None]) -> None:
-    """Who handles Ctrl-C, and being told to end; where they are ignored, as under nohup, they stay so."""
+    """Install the handler of Ctrl-C and of termination signals, except those that are ignored, as under nohup."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, handler)
 
 
 def _end_at_once(number: int, frame: FrameType | None) -> None:
-    """Among imports, of which some would make a failure of their own of an exception; nothing is begun yet."""
-    _say_interrupted()
+    """Exit immediately. Some imports would turn an exception into another error, and there is nothing to clean up."""
+    _print_interrupted()
     os._exit(_INTERRUPTED)
 
 

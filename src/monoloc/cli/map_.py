@@ -1,4 +1,4 @@
-"""``monoloc map``: fit a mixture to a room, look at one, and see what adaptation did to it."""
+"""``monoloc map``: fit, describe and compare maps."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from monoloc.viz.map_drawing import plot_map_change
 from monoloc.viz.viewer import show_map_change
 
 app = typer.Typer(
-    help="Fit a map to a room, look at one, and see what adaptation did to it.",
+    help="Fit, describe and compare maps.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -46,12 +46,12 @@ app = typer.Typer(
 
 @app.command()
 def fit(
-    source: Annotated[
-        str, typer.Argument(help="A recording, or a cloud (ply, pcd, xyz, txt, npz).", show_default=False)
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="The map to write, NAME.npz.")],
+    source: Annotated[str, typer.Argument(help="Recording, or cloud (ply, pcd, xyz, txt, npz).", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Map to write, NAME.npz.")],
     frames: FramesOption = "::",
-    components: Annotated[str, typer.Option("--components", "-k", help="Gaussians, or 'bic' to choose.")] = "200",
+    components: Annotated[
+        str, typer.Option("--components", "-k", help="Gaussians, or 'bic' for automatic choice.")
+    ] = "200",
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
@@ -87,10 +87,10 @@ def fit(
 
 @app.command()
 def info(
-    target: Annotated[Path, typer.Argument(help="A map (.npz) or a bundle.", show_default=False)],
+    target: Annotated[Path, typer.Argument(help="Map (.npz) or bundle.", show_default=False)],
     json: JsonOption = False,
 ) -> None:
-    """Say how large and how fine a map is.
+    """Describe the size and resolution of a map.
 
     \b
     Examples:
@@ -117,8 +117,8 @@ def info(
 
 @app.command()
 def compare(
-    bundle: Annotated[Path, typer.Argument(help="A bundle.", show_default=False)],
-    out: Annotated[Path, typer.Option("--out", "-o", help="The picture to write, NAME.png.")] = Path("compare.png"),
+    bundle: Annotated[Path, typer.Argument(help="Bundle from monoloc build.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Picture to write, NAME.png.")] = Path("compare.png"),
     view: ViewOption = False,
     record: RecordOption = None,
     seed: SeedOption = 0,
@@ -126,7 +126,8 @@ def compare(
 ) -> None:
     """Draw the map before and after adaptation: clouds, boxes, distances.
 
-    Distances are from points drawn from the original map to the nearest of those points after adaptation (C2C).
+    Cloud-to-cloud (C2C) distances are those of points sampled from the original map to the nearest such point after
+    adaptation.
 
     \b
     Examples:
@@ -147,4 +148,4 @@ def compare(
         print_json(content)
     else:
         print_table(str(bundle), ["", ""], [[figure, text_of(value)] for figure, value in content.items()])
-    show_map_change(name, view, record, *shown)  # at the end: a recording that cannot be written loses nothing else
+    show_map_change(name, view, record, *shown)  # last, so that a failure affects no other output

@@ -91,7 +91,7 @@ def _canonical_focal_px(session: onnxruntime.InferenceSession, label: str | Path
     metadata = session.get_modelmeta().custom_metadata_map
     if FOCAL_KEY not in metadata:
         fields = "file, width and height (or focal_px), mean, std, output and metric"
-        fix = f"write a TOML with {fields}, and give that (docs/depth-models.md)"
+        fix = f"write a TOML with {fields}, and give that (docs/how-to/another-depth-network.md)"
         raise DataError(label, "was not exported by monoloc, so how it is used is not known", fix)
     try:
         focal_px = float(metadata[FOCAL_KEY])

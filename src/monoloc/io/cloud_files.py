@@ -1,4 +1,4 @@
-"""Clouds from files: ply, pcd, xyz, npz."""
+"""Readers of point cloud files: ply, pcd, xyz, npz."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
 from monoloc.io.ply import read_ply
 
-Fields = list[tuple[str, str]]  # name and little-endian NumPy type of each number of a point
+Fields = list[tuple[str, str]]  # name and little-endian NumPy type of each value of a point
 
 _PCD_KINDS = {"F": "f", "I": "i", "U": "u"}
 _AGAIN = "export the cloud again"
-# What NumPy and the parsing below raise on files that are cut short or no cloud at all.
+# Errors that NumPy and the parsers below raise for files that are truncated or not clouds.
 _UNREADABLE = (OSError, EOFError, ValueError, TypeError, LookupError, AttributeError, zipfile.BadZipFile)
 
 
 def read_cloud(path: Path) -> FloatArray:
-    """Points of a cloud file: (N, 3) float64, in the file's frame, metres.
+    """Read the points of a cloud file: (N, 3) float64, in the file's frame, metres.
 
-    By suffix: ``.ply`` (ascii, binary little endian), ``.pcd`` (ascii, binary), ``.xyz`` and ``.txt`` (three
-    first columns), ``.npz`` (array ``points``). Further properties and columns are skipped.
+    The suffix selects the format: ``.ply`` (ascii, binary little endian), ``.pcd`` (ascii, binary), ``.xyz`` and
+    ``.txt`` (first three columns), ``.npz`` (array ``points``). Other properties and columns are ignored.
 
     Raises:
-        DataError: missing, of an unknown format, cut short, empty, or with points that are not finite.
+        DataError: the file is missing, in an unknown format, truncated or empty, or a point is not finite.
     """
     path = Path(path)
     reader = _READERS.get(path.suffix.lower())
@@ -100,7 +100,7 @@ def _read_npz(path: Path) -> FloatArray:
 
 
 def _header(file: BufferedReader, last: str) -> list[list[str]]:
-    """Lines split into words, comments left out, up to the one that begins with ``last`` (included)."""
+    """Words of each header line without comments, up to and including the line that starts with ``last``."""
     lines: list[list[str]] = []
     for raw in file:
         words = raw.decode("ascii", errors="replace").split()
@@ -126,7 +126,7 @@ def _ascii_points(file: BufferedReader, fields: Fields, count: int) -> FloatArra
 
 def _binary_points(file: BufferedReader, fields: Fields, count: int) -> FloatArray:
     positions = _positions([name for name, _ in fields])
-    # By number: padding has one name wherever it stands.
+    # Fields are named by number: all padding fields of a file share one name.
     dtype = np.dtype([(str(index), kind) for index, (_, kind) in enumerate(fields)])
     data = file.read(max(count, 0) * dtype.itemsize)
     _check_count(len(data) // dtype.itemsize, count)

@@ -1,4 +1,4 @@
-"""Opening files and folders so that whatever is wrong with them is one line naming the fix."""
+"""File and folder access; every problem raises an error of one line that names the fix."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def require_file(path: Path, fix: str) -> None:
 
 
 def read_bytes(path: Path) -> bytes:
-    """All bytes of a file; DataError where it cannot be read or is empty."""
+    """Read all bytes of a file; raise DataError if it is unreadable or empty."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -40,7 +40,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_text(path: Path) -> str:
-    """All text of a file, less a byte-order mark; DataError where it cannot be read or is not text."""
+    """Read a text file without its byte-order mark; raise DataError if it is unreadable or not text."""
     try:
         return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -48,17 +48,18 @@ def read_text(path: Path) -> str:
 
 
 def read_rows(path: Path, columns: int, meaning: str) -> FloatArray:
-    """Rows of numbers separated by blanks; lines that are empty or begin with # are skipped.
+    """Read rows of numbers separated by white space; empty lines and lines that start with # are skipped.
 
     Args:
-        columns: how many numbers each row has.
-        meaning: what a row holds, for the message.
+        path: the file.
+        columns: number of values in each row.
+        meaning: description of a row, for error messages.
 
     Returns:
-        (rows, columns) float64; NaN and infinity are passed on.
+        (rows, columns) float64; NaN and infinity are not rejected.
 
     Raises:
-        DataError: unreadable file, no rows at all, or a row with another count or something not a number.
+        DataError: the file is unreadable or has no rows, or a row is not ``columns`` numbers.
     """
     rows = []
     for number, line in enumerate(read_text(path).splitlines(), start=1):

@@ -1,21 +1,21 @@
-"""A folder of images that a ``dataset.toml`` describes: a sequence, or unposed pairs.
+"""Reader of image folders that a ``dataset.toml`` describes: a sequence, or unposed pairs.
 
 ::
 
-    kind = "sequence"                 # or "pairs": unrelated images with depth, without poses
-    color = "color/{index:06d}.jpg"   # patterns, beside dataset.toml
-    depth = "depth/{index:06d}.png"   # a sequence may have none
-    count = 400                       # or stop; start = 0 and step = 1 unless given
-    width = 640                       # of the colour images; depth has the same size and camera
+    kind = "sequence"                 # or "pairs": unrelated images with depth and without poses
+    color = "color/{index:06d}.jpg"   # pattern, relative to dataset.toml
+    depth = "depth/{index:06d}.png"   # optional for a sequence
+    count = 400                       # or stop; defaults: start = 0, step = 1
+    width = 640                       # size of the colour images; depth has the same size and camera
     height = 480
     fx = 525.0
     fy = 525.0
     cx = 319.5
     cy = 239.5
-    distortion = [0, 0, 0, 0, 0]      # optional: k1, k2, p1, p2, k3 of the images as stored
-    depth_scale = 1000                # stored value of one metre; needed with depth
-    poses = "poses.txt"               # of a sequence: one line a frame, t tx ty tz qx qy qz qw (TUM)
-    rate_hz = 30                      # in place of poses, where there are none
+    distortion = [0, 0, 0, 0, 0]      # optional: k1, k2, p1, p2, k3 of the stored images
+    depth_scale = 1000                # stored value of one metre; required with depth
+    poses = "poses.txt"               # for a sequence: one line per frame, t tx ty tz qx qy qz qw (TUM)
+    rate_hz = 30                      # frame rate of a sequence without poses
 """
 
 from __future__ import annotations
@@ -56,18 +56,18 @@ _EXAMPLES = {
 
 
 def recognises(path: Path) -> bool:
-    """Whether a folder holds a ``dataset.toml``, or the file is one."""
+    """Whether the path is a ``dataset.toml``, or a folder that contains one."""
     return path.name == FILE_NAME or (path / FILE_NAME).is_file()
 
 
 def read(path: Path, options: ReaderOptions) -> ImageRecording:
-    """Recording of a folder with a ``dataset.toml``, or of the path of that file.
+    """Open the recording that a ``dataset.toml`` describes; ``path`` is that file or its folder.
 
-    Pairs have no poses, and their time stamps merely count the frames.
+    Pairs have no poses, and their time stamps are frame numbers.
 
     Raises:
-        DataError: a key missing, mistyped, unknown or not fitting the files; poses that are not rigid.
-        SettingError: an override that this format does not take.
+        DataError: a key is missing, unknown, of a wrong type or inconsistent with the files, or a pose is not rigid.
+        SettingError: an override does not apply to this format.
     """
     options.allow_only("folder", "camera", "depth_scale")
     folder = path.parent if path.name == FILE_NAME else path
@@ -92,8 +92,8 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
             raise DataError(
                 pose_path,
                 f"has {len(poses)} poses for {len(indices)} frames",
-                f"write one line for each frame; without some, number the others' images anew, or give "
-                f"rate_hz in place of poses in {FILE_NAME}, to localise alone",
+                f"write one line for each frame; if some have no pose, renumber the images of the others, or give "
+                f"rate_hz instead of poses in {FILE_NAME}, for localisation only",
             )
     return ImageRecording(
         name=folder.resolve().name,
@@ -109,7 +109,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
 
 
 class _Description:
-    """The keys of a ``dataset.toml``, each checked when it is asked for."""
+    """The keys of a ``dataset.toml``; each is validated when it is read."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -136,7 +136,7 @@ class _Description:
 
     def number(self, key: str) -> float:
         value = self._value(key)
-        # TOML's true is Python's True, which passes for a number.
+        # TOML's true becomes Python's True, which is an int.
         if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
             raise self.error(key, f"is {value!r}, not a number")
         if key == "depth_scale" and (problem := depth_scale_problem(value)) is not None:
@@ -144,7 +144,7 @@ class _Description:
         return float(value)
 
     def rate_hz(self) -> float:
-        """Of a sequence without poses, which would tell the frames' times."""
+        """Frame rate of a sequence without poses, whose file would hold the time stamps."""
         if not self.has("rate_hz"):
             raise self.error("poses", "is missing, and so is rate_hz, which takes its place where there are no poses")
         rate_hz = self.number("rate_hz")
@@ -159,7 +159,7 @@ class _Description:
         return value
 
     def indices(self) -> range:
-        """The numbers that go into the patterns, one a frame."""
+        """Frame numbers that are inserted into the patterns."""
         start = self.integer("start") if self.has("start") else 0
         step = self.integer("step") if self.has("step") else 1
         if step < 1:
@@ -172,7 +172,7 @@ class _Description:
         return range(start, stop, step)
 
     def paths(self, key: str, indices: range) -> list[Path]:
-        """Files of a pattern, all of which exist."""
+        """Files of a pattern, one per frame; raises DataError if one is missing."""
         pattern = self.text(key)
         try:
             names = [pattern.format(index=index) for index in indices]

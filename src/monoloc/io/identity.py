@@ -1,4 +1,4 @@
-"""What recordings and files are by their content, so that work on them is known again, and work on others is not."""
+"""Identities of recordings and files by content, to match saved results with the data that produced them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ from monoloc.io.recording import Recording
 
 
 def recording_identity(recording: Recording) -> dict[str, Any]:
-    """What a recording is, ready for JSON: camera, times, poses, and its first, middle and last frame.
+    """Identity of a recording, serialisable to JSON.
+
+    It covers name, length, camera, time stamps, poses, and images and depth of the first, middle and last frame.
 
     Raises:
-        DataError: one of those frames cannot be read.
+        DataError: one of these frames cannot be read.
     """
-    looked_at = sorted({0, len(recording) // 2, len(recording) - 1})
+    checked = sorted({0, len(recording) // 2, len(recording) - 1})
     poses = b"" if recording.poses is None else recording.poses.tobytes()
     return {
         "name": recording.name,
@@ -25,16 +27,16 @@ def recording_identity(recording: Recording) -> dict[str, Any]:
         "camera": repr(recording.camera),
         "times_sha256": hashlib.sha256(recording.timestamps_s.tobytes()).hexdigest(),
         "poses_sha256": hashlib.sha256(poses).hexdigest(),
-        "images": [zlib.crc32(recording.color(index).tobytes()) for index in looked_at],
-        "depths": [zlib.crc32(recording.depth(index).tobytes()) for index in looked_at if recording.has_depth],
+        "images": [zlib.crc32(recording.color(index).tobytes()) for index in checked],
+        "depths": [zlib.crc32(recording.depth(index).tobytes()) for index in checked if recording.has_depth],
     }
 
 
 def file_sha256(path: Path) -> str:
-    """Of a file's content.
+    """SHA-256 of a file's content, in hexadecimal.
 
     Raises:
-        DataError: it cannot be read.
+        DataError: the file cannot be read.
     """
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -1,4 +1,4 @@
-"""Images out of files, and the recording that most formats are: one image file a frame."""
+"""Readers of image files, and the recording that most formats share: one image file per frame."""
 
 from __future__ import annotations
 
@@ -20,30 +20,31 @@ from monoloc.io.registration import DepthRegistration
 _PNG_START, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
 _JPEG_START, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
 _TAIL_BYTES = 1024  # some cameras write a few bytes after the end marker
-_NO_DEPTH_16_BIT = 65535  # 7-Scenes' mark; in other formats a saturated reading, which is no reading either
+_NO_DEPTH_16_BIT = 65535  # marks missing depth in 7-Scenes; elsewhere it is a saturated, invalid reading
 
 
 def read_color(path: Path, camera: Camera) -> NDArray[np.uint8]:
-    """Image of a file, grey, RGBA and 16-bit ones converted: (height, width, 3) uint8, RGB.
+    """Read an image file: (height, width, 3) uint8, RGB; grey, RGBA and 16-bit images are converted.
 
     Raises:
-        DataError: missing, cut short, not an image, or not of the camera's size.
+        DataError: the file is missing, truncated or not an image, or its size differs from the camera's.
     """
-    # The orientation tag is ignored: intrinsics belong to the pixels as stored.
+    # The orientation tag is ignored because intrinsics refer to the stored pixels.
     bgr = _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     _check_size(path, bgr, camera)
     return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
 def read_depth(path: Path, depth_scale: float, camera: Camera) -> NDArray[np.float32]:
-    """Depth image of a one-channel 8- or 16-bit file: (height, width) float32 metres, 0 where there is none.
+    """Read a depth image with one channel of 8 or 16 bits: (height, width) float32 metres, 0 if unknown.
 
     Args:
+        path: the file.
         depth_scale: stored value of one metre.
-        camera: the camera whose size the image must have.
+        camera: its size is the required size of the image.
 
     Raises:
-        DataError: missing, cut short, not a depth image, or not of the camera's size.
+        DataError: the file is missing, truncated or not a depth image, or its size differs from the camera's.
     """
     stored = _decode(path, cv2.IMREAD_UNCHANGED)
     if stored.ndim != 2 or stored.dtype not in (np.uint8, np.uint16):
@@ -57,7 +58,7 @@ def read_depth(path: Path, depth_scale: float, camera: Camera) -> NDArray[np.flo
 
 def _decode(path: Path, flags: int) -> NDArray[np.integer | np.floating]:
     data = read_bytes(path)
-    # Decoders differ in what they make of a truncated file: some return the part that is there.
+    # Some decoders return the available part of a truncated file.
     tail = data[-_TAIL_BYTES:]
     if (data.startswith(_PNG_START) and _PNG_END not in tail) or (
         data.startswith(_JPEG_START) and _JPEG_END not in tail
@@ -80,7 +81,7 @@ def _check_size(path: Path, image: NDArray[np.integer | np.floating], camera: Ca
 
 
 def names_of(files: Sequence[Path], folder: Path) -> list[str]:
-    """Each file's name without its suffix, or where names repeat, its path from the folder, so that all differ."""
+    """Unique names of files: without suffix, and with the path from the folder if names repeat."""
     stems = [file.stem for file in files]
     if len(set(stems)) == len(stems):
         return stems
@@ -91,17 +92,17 @@ def names_of(files: Sequence[Path], folder: Path) -> list[str]:
 class ImageRecording:
     """A :class:`~monoloc.io.recording.Recording` whose frames are image files.
 
-    The first colour image is read at construction, so that intrinsics that do not fit are found at once.
+    The constructor reads the first colour image, so that it detects intrinsics of another image size.
 
     Attributes:
-        folder: where the recording lies, for messages.
-        color_paths: one colour image a frame.
-        depth_paths: one depth image a frame, or None when there are none.
+        folder: location of the recording, for error messages.
+        color_paths: one colour image per frame.
+        depth_paths: one depth image per frame, or None if the recording has no depth.
         depth_scale: stored depth value of one metre.
-        registration: brings depth to the colour camera; None when the files hold registered depth.
+        registration: transforms depth to the colour camera; None if the stored depth is registered.
 
     Raises:
-        DataError: no frames, or a first image that is unusable.
+        DataError: the recording has no frames, or its first image is unusable.
     """
 
     name: str
@@ -126,11 +127,11 @@ class ImageRecording:
         return len(self.color_paths)
 
     def color(self, index: int) -> NDArray[np.uint8]:
-        """As :meth:`monoloc.io.recording.Recording.color`."""
+        """See :meth:`monoloc.io.recording.Recording.color`."""
         return read_color(self.color_paths[index], self.camera)
 
     def depth(self, index: int) -> NDArray[np.float32]:
-        """As :meth:`monoloc.io.recording.Recording.depth`."""
+        """See :meth:`monoloc.io.recording.Recording.depth`."""
         if self.depth_paths is None:
             raise DataError(self.folder, "has no depth images", "use a recording with depth, or predicted depth")
         if self.registration is None:

@@ -1,7 +1,7 @@
-"""NYU Depth v2's labelled set (Silberman et al., ECCV 2012): 1449 unposed pairs in one MATLAB 7.3 file.
+"""Reader of NYU Depth v2's labelled set (Silberman et al., ECCV 2012): 1449 unposed pairs in one MATLAB 7.3 file.
 
 ``nyu_depth_v2_labeled.mat`` is HDF5: ``images`` (N, 3, 640, 480) uint8 and ``depths`` (N, 640, 480) float32
-metres, width before height as MATLAB stores them; depth is registered to colour and in-painted.
+metres, with width before height as in MATLAB. Depth is registered to colour and in-painted.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from monoloc.errors import DataError, MissingExtraError
 from monoloc.io.file_access import require_file
 from monoloc.io.reader_options import ReaderOptions
 
-# The colour camera of the data set's toolbox, at the full image; its images are undistorted.
+# Colour camera of the data set's toolbox for the full image; the images are undistorted.
 FULL_CAMERA = Camera(width=640, height=480, fx=518.86, fy=519.47, cx=325.58, cy=253.74)
-# Undistorting left a white frame around the images; this window (left, top, width, height) is free of it.
+# Undistortion left a white border around the images; this window (left, top, width, height) excludes it.
 VALID_WINDOW = (16, 12, 608, 456)
 
 
@@ -29,22 +29,22 @@ def recognises(path: Path) -> bool:
 
 
 def read(path: Path, options: ReaderOptions) -> NyuRecording:
-    """Recording of the labelled .mat file; a camera override is that of the full 640x480 image.
+    """Open the labelled .mat file; a camera override refers to the full 640x480 image.
 
     Raises:
-        DataError: missing, not HDF5, or without images and depths of one size.
+        DataError: the file is missing or not HDF5, or has no images and depths of one size.
         MissingExtraError: h5py is not installed.
-        SettingError: an override that this format does not take.
+        SettingError: an override does not apply to this format.
     """
     options.allow_only("nyu", "camera")
     return NyuRecording(path, options.camera_or(FULL_CAMERA))
 
 
 class NyuRecording:
-    """A :class:`~monoloc.io.recording.Recording` without poses; time stamps merely count the frames.
+    """A :class:`~monoloc.io.recording.Recording` without poses; its time stamps are frame numbers.
 
-    Images and depth are cut to the window that is free of the white frame. The file is opened for each frame
-    (about a millisecond), so recordings can be handed to other processes.
+    Images and depth are cropped to exclude the white border. The file is opened for each frame (about 1 ms), so that
+    other processes can use the recording.
     """
 
     def __init__(self, path: Path, full_camera: Camera) -> None:
@@ -72,11 +72,11 @@ class NyuRecording:
         return len(self.frame_names)
 
     def color(self, index: int) -> NDArray[np.uint8]:
-        """As :meth:`monoloc.io.recording.Recording.color`."""
+        """See :meth:`monoloc.io.recording.Recording.color`."""
         return np.ascontiguousarray(self._valid_window("images", index), dtype=np.uint8)
 
     def depth(self, index: int) -> NDArray[np.float32]:
-        """As :meth:`monoloc.io.recording.Recording.depth`."""
+        """See :meth:`monoloc.io.recording.Recording.depth`."""
         depth_m = np.ascontiguousarray(self._valid_window("depths", index), dtype=np.float32)
         depth_m[~np.isfinite(depth_m)] = 0.0
         return depth_m
@@ -92,7 +92,7 @@ class NyuRecording:
 
 
 def _open_hdf5(path: Path) -> Any:
-    """The open ``h5py.File``, untyped: h5py comes with an extra."""
+    """Open an ``h5py.File``; untyped, because h5py is optional."""
     try:
         import h5py
     except ImportError as error:

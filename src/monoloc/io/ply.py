@@ -1,4 +1,4 @@
-"""Tables out of ply files: points of a cloud, triangles of a mesh."""
+"""Reader of ply files: points of a cloud, triangles of a mesh."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.lib.recfunctions import structured_to_unstructured
 from monoloc.geometry import FloatArray
 
 Column = FloatArray | list[FloatArray]
-# NumPy's type of every column, R -> the next R rows, or what is left.
+# (NumPy type of each column, R) -> the next R rows, or fewer at the end of the file.
 _Take = Callable[[Sequence[str], int], FloatArray]
 
 _TYPES = {
@@ -28,7 +28,7 @@ _TYPES = {
 class _Property:
     name: str
     kind: str
-    length: str | None  # the type of a list's length
+    length: str | None  # type of a list's length; None for a scalar
 
 
 @dataclass(frozen=True)
@@ -42,22 +42,22 @@ class _Element:
         return any(each.length is not None for each in self.properties)
 
 
-_Read = Callable[[_Element], dict[str, Column]]  # the elements of a file, in its order
+_Read = Callable[[_Element], dict[str, Column]]  # reads the elements of a file, in file order
 
 
 def read_ply(content: bytes, *wanted: str) -> dict[str, dict[str, Column]]:
-    """Elements of an ascii or binary little-endian file.
+    """Read the elements of an ascii or binary little-endian ply file.
 
     Args:
-        content: of the file.
-        wanted: names of elements; what comes after them is not looked at.
+        content: content of the file.
+        wanted: names of elements. Elements after the last of these are not read.
 
     Returns:
-        By the element's name, those before the last wanted one too: by the property's, its rows as numbers (N,), or
-        as N arrays where it is a list. An element that the file does not have is left out.
+        For each element name, for each property name: values (N,), or N arrays if the property is a list. The result
+        includes all elements before the last wanted one, and omits wanted elements that the file does not have.
 
     Raises:
-        ValueError: it is no ply, of another format, or ends before what its header announces.
+        ValueError: the content is not ply, has another encoding, or ends before the rows that its header announces.
     """
     if not re.match(rb"ply\s", content):
         raise ValueError("the first line is not 'ply'")
@@ -97,11 +97,11 @@ def _ascii(body: bytes) -> _Read:
         if len(rows) < element.count:
             raise _cut_short(element, len(rows))
         if element.has_lists:
-            return _listed(element, [_cursor(_numbers(row)) for row in rows])
+            return _read_list_rows(element, [_row_reader(_numbers(row)) for row in rows])
         numbers = _numbers(b"\n".join(rows))
         if len(numbers) != width * len(rows):
-            raise ValueError(f"rows of {element.name!r} have not {width} numbers each, as the header has it")
-        return _named(element, numbers.reshape(len(rows), width))
+            raise ValueError(f"rows of {element.name!r} do not have {width} numbers each, as in the header")
+        return _columns_by_name(element, numbers.reshape(len(rows), width))
 
     return read
 
@@ -115,17 +115,17 @@ def _binary(body: bytes) -> _Read:
         got = min(max(rows, 0), (len(body) - at) // row.itemsize)
         table = np.frombuffer(body, row, got, at)
         at += got * row.itemsize
-        if row.names is None:  # a single column
+        if row.names is None:  # one column
             return table.astype(np.float64)[:, None]
         return structured_to_unstructured(table, dtype=np.float64)
 
     def read(element: _Element) -> dict[str, Column]:
         if element.has_lists:
-            return _listed(element, repeat(take, element.count))
+            return _read_list_rows(element, repeat(take, element.count))
         table = take([each.kind for each in element.properties], element.count)
         if len(table) < element.count:
             raise _cut_short(element, len(table))
-        return _named(element, table)
+        return _columns_by_name(element, table)
 
     return read
 
@@ -135,32 +135,32 @@ _ENCODINGS = {"ascii": _ascii, "binary_little_endian": _binary}
 
 def _numbers(text: bytes) -> FloatArray:
     with warnings.catch_warnings():
-        warnings.simplefilter("error", DeprecationWarning)  # older NumPys' word for what is no number
+        warnings.simplefilter("error", DeprecationWarning)  # from older NumPy versions, for text that is not a number
         try:
             return np.fromstring(text, dtype=np.float64, sep=" ")
         except (DeprecationWarning, ValueError):
-            raise ValueError("it has something that is no number") from None
+            raise ValueError("it contains text that is not a number") from None
 
 
-def _cursor(numbers: FloatArray) -> _Take:
+def _row_reader(numbers: FloatArray) -> _Take:
     left = iter(numbers)
     return lambda kinds, rows: np.array(list(islice(left, max(rows, 0)))).reshape(-1, 1)
 
 
-def _named(element: _Element, table: FloatArray) -> dict[str, Column]:
+def _columns_by_name(element: _Element, table: FloatArray) -> dict[str, Column]:
     return {each.name: column for each, column in zip(element.properties, table.T, strict=True)}
 
 
-def _listed(element: _Element, rows: Iterable[_Take]) -> dict[str, Column]:
-    """Of an element with lists, whose rows are not equally long: what the next row is taken by, for every row."""
+def _read_list_rows(element: _Element, rows: Iterable[_Take]) -> dict[str, Column]:
+    """Read an element with list properties, whose rows differ in length; ``rows`` yields the reader of each row."""
     values: list[list[FloatArray]] = [[] for _ in element.properties]
     for row, take in enumerate(rows):
         for column, each in zip(values, element.properties, strict=True):
             length = np.ones((1, 1)) if each.length is None else take([each.length], 1)
-            found = take([each.kind], int(length[0, 0])) if len(length) else length
-            if len(length) == 0 or len(found) != length[0, 0]:
+            items = take([each.kind], int(length[0, 0])) if len(length) else length
+            if len(length) == 0 or len(items) != length[0, 0]:
                 raise _cut_short(element, row)
-            column.append(found[:, 0])
+            column.append(items[:, 0])
     pairs = zip(values, element.properties, strict=True)
     return {each.name: column if each.length else np.ravel(column) for column, each in pairs}
 

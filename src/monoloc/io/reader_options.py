@@ -1,4 +1,4 @@
-"""What a user may say about a recording that its files do not, or say wrongly."""
+"""Options of the readers, for metadata that is missing or wrong in the files."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ from dataclasses import dataclass, fields, replace
 from monoloc.camera import Camera
 from monoloc.errors import SettingError
 
-# Depth is divided in float32; these are far from its ends, and farther from what any camera stores.
-_LEAST_DEPTH_SCALE, _MOST_DEPTH_SCALE = 1e-6, 1e9
+# The division is in float32. The limits are well within its range, and well beyond the scale of any camera.
+_MIN_DEPTH_SCALE, _MAX_DEPTH_SCALE = 1e-6, 1e9
 
 
 def depth_scale_problem(value: float) -> str | None:
-    """What is wrong with a stored value of one metre; None where depth can be divided by it."""
-    if _LEAST_DEPTH_SCALE <= value <= _MOST_DEPTH_SCALE:  # which is not true of NaN
+    """Describe what is wrong with a depth scale (stored value of one metre); None if it is valid."""
+    if _MIN_DEPTH_SCALE <= value <= _MAX_DEPTH_SCALE:  # false for NaN
         return None
-    return f"is {value!r}, not from {_LEAST_DEPTH_SCALE:g} to {_MOST_DEPTH_SCALE:g}"
+    return f"is {value!r}, not from {_MIN_DEPTH_SCALE:g} to {_MAX_DEPTH_SCALE:g}"
 
 
 @dataclass(frozen=True)
 class ReaderOptions:
-    """Overrides of what a reader would take from the files or from the format's definition.
+    """Overrides of metadata from the files or from the definition of the format.
 
     Attributes:
-        camera: intrinsics of the colour images as stored.
-        keeps_distortion: whether the distortion of the files or the format stays when ``camera`` is given.
+        camera: intrinsics of the stored colour images.
+        keeps_distortion: whether ``camera`` leaves the distortion of the files or the format unchanged.
         depth_scale: stored depth value per metre (``metres = value / depth_scale``).
 
     Raises:
-        SettingError: a scale that depth cannot be divided by.
+        SettingError: the depth scale is outside the valid range.
     """
 
     camera: Camera | None = None
@@ -41,18 +41,18 @@ class ReaderOptions:
             raise SettingError("depth_scale", problem, "give the stored value of one metre, such as 1000")
 
     def camera_or(self, own: Camera) -> Camera:
-        """The camera given, or the recording's ``own``."""
+        """The overriding camera, or the recording's ``own`` if there is no override."""
         if self.camera is None:
             return own
         return replace(self.camera, distortion=own.distortion) if self.keeps_distortion else self.camera
 
     def allow_only(self, reader: str, *names: str) -> None:
-        """Refuse overrides that the reader would silently ignore.
+        """Reject overrides that the reader would ignore.
 
         Raises:
-            SettingError: an option outside ``names`` differs from its default.
+            SettingError: an option that is not in ``names`` differs from its default.
         """
         for field in fields(self):
-            # keeps_distortion only says how a camera is taken, where one is.
+            # keeps_distortion only matters together with a camera.
             if field.name not in (*names, "keeps_distortion") and getattr(self, field.name) != field.default:
                 raise SettingError(field.name, f"has no meaning for a {reader} recording", "leave this option out")

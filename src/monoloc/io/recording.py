@@ -1,4 +1,4 @@
-"""What a recording is to the rest of monoloc."""
+"""The interface of recordings."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 from monoloc.geometry import FloatArray
 
-# A frame's image as another light would have given it: (H, W, 3) uint8 RGB both.
+# Simulates an image under different lighting: (H, W, 3) uint8 RGB -> the same.
 Relight = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 
 
 @runtime_checkable
 class Recording(Protocol):
-    """Frames of one camera, read lazily, in order of time.
+    """Frames of one camera in order of time, which are read on demand.
 
     Attributes:
-        name: a short name for reports.
-        camera: intrinsics of the colour image; depth is registered to it and has its size.
-        frame_names: one name a frame, as its files are called.
+        name: short name for reports.
+        camera: intrinsics of the colour image; depth is registered to it and has the same size.
+        frame_names: one name per frame, from its files.
         timestamps_s: (N,) seconds, increasing.
-        poses: ``T_world_camera`` of the colour camera, (N, 4, 4) float64, or None when unknown.
-        has_depth: whether :meth:`depth` may be called.
+        poses: ``T_world_camera`` of the colour camera, (N, 4, 4) float64, or None if unknown.
+        has_depth: whether the recording supports :meth:`depth`.
     """
 
     name: str
@@ -42,21 +42,21 @@ class Recording(Protocol):
         """Image of frame ``index``: (height, width, 3) uint8, RGB.
 
         Raises:
-            DataError: the file is missing, cut short, or of another size.
+            DataError: the file is missing, truncated, or of another size.
         """
         ...
 
     def depth(self, index: int) -> NDArray[np.float32]:
-        """Depth of frame ``index``: (height, width) float32, metres along z, 0 where there is none.
+        """Depth of frame ``index``: (height, width) float32, metres along z, 0 where it is unknown.
 
         Raises:
-            DataError: as for :meth:`color`.
+            DataError: see :meth:`color`.
         """
         ...
 
 
 class Selection:
-    """Some frames of a recording, itself a :class:`Recording`; ``positions`` are theirs in the source."""
+    """A :class:`Recording` of some frames of another, selected by their ``positions`` in the source."""
 
     def __init__(self, source: Recording, positions: Indexable[int] | NDArray[np.int64]) -> None:
         self.source = source

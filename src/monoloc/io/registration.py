@@ -1,4 +1,4 @@
-"""Depth of one camera seen from another: forward projection with a z-buffer."""
+"""Registration of depth images to another camera: forward projection with a z-buffer."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from numpy.typing import NDArray
 
 from monoloc.camera import Camera
 
-_SAME_SURFACE = 0.05  # relative depth step across two pixels up to which they are taken for one surface
-_BLOCK = 8192  # pixels at a time, whose coordinates then stay in a core's cache
+_SAME_SURFACE = 0.05  # largest relative depth step over two pixels of one surface
+_BLOCK = 8192  # pixels per block; their coordinates fit in a core's cache
 
 
 class DepthRegistration:
-    """Renders depth images of a depth camera as its colour camera would see them.
+    """Registers depth images of a depth camera to the colour camera.
 
-    Each depth pixel is back-projected, moved to the colour camera and written to the pixel it falls on;
-    the nearest wins, so what the colour camera cannot see is dropped. Cracks, where neighbouring samples of
-    one surface skip a pixel, are closed from the two neighbours on either side if these agree. Nothing
-    else is filled: what only the colour camera sees (shadow of the baseline) stays without depth.
+    Each depth pixel is back-projected, transformed to the colour camera and written to the pixel it projects to. The
+    nearest depth wins, which removes surfaces that are occluded from the colour camera. Neighbouring samples of one
+    surface may skip a pixel; such a crack is closed from the two neighbours on either side if these agree. Nothing
+    else is filled: regions that only the colour camera sees (shadow of the baseline) have no depth.
 
     Attributes:
         depth_camera, color_camera: the two cameras; either may be distorted.
@@ -27,12 +27,12 @@ class DepthRegistration:
         self.depth_camera = depth_camera
         self.color_camera = color_camera
         rays_color = depth_camera.pixel_rays() @ T_color_depth[:3, :3].T
-        # (N, 3), but coordinate by coordinate in memory, where arithmetic is faster.
+        # (N, 3) in column-major order, which makes the arithmetic faster.
         self._rays = np.asfortranarray(rays_color.reshape(-1, 3), dtype=np.float32)
         self._origin = T_color_depth[:3, 3].astype(np.float32)
 
     def __call__(self, depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Depth (h, w) float32 m in the depth camera -> (H, W) float32 m in the colour camera, 0 = none."""
+        """Depth (h, w) float32 m in the depth camera -> (H, W) float32 m in the colour camera, 0 if unknown."""
         width, height = self.color_camera.width, self.color_camera.height
         nearest = np.full(height * width, np.inf, dtype=np.float32)
         flat = depth_m.reshape(-1)
@@ -50,9 +50,9 @@ class DepthRegistration:
 
 
 def _close_cracks(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Fill pixels that lie behind (or hold nothing, infinity) both of two opposite neighbours that agree.
+    """Fill each pixel that is empty (infinity) or behind both of two opposite neighbours that agree.
 
-    A farther depth between two agreeing nearer ones is background seen through a crack of the foreground.
+    A farther depth between two nearer depths that agree is background, seen through a crack in the foreground.
     """
     closed = depth_m.copy()
     for before, middle, after in (

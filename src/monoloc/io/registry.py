@@ -1,4 +1,4 @@
-"""From what a user types to a recording: formats, SOURCE and --frames."""
+"""Opening of recordings from SOURCE and --frames, and the registry of formats."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from monoloc.io.recording import Recording, Selection
 
 @dataclass(frozen=True)
 class Format:
-    """A way in which recordings are stored.
+    """A storage format of recordings.
 
     Attributes:
         read: opens the recording at a path; raises DataError and SettingError.
-        recognises: whether a path looks like this format, by its name and what lies there.
+        recognises: whether the name or the content of a path indicates this format.
     """
 
     read: Callable[[Path, ReaderOptions], Recording]
     recognises: Callable[[Path], bool]
 
 
-# In the order in which they are tried on a path without a format: the most explicit first.
+# A path without a format is tried in this order, most explicit format first.
 FORMATS: dict[str, Format] = {
     "folder": Format(folder.read, folder.recognises),
     "tum": Format(tum_recording.read, tum_recording.recognises),
@@ -36,19 +36,19 @@ FORMATS: dict[str, Format] = {
     "video": Format(video.read, video.recognises),
 }
 
-_SOURCE = re.compile(r"([A-Za-z0-9_-]{2,}):(.+)")  # two letters or more: C:\ is a drive
+_SOURCE = re.compile(r"([A-Za-z0-9_-]{2,}):(.+)")  # at least two letters, because C:\ is a drive
 _FRAMES = re.compile(r"(\d*):(\d*)(?::(\d*))?")
 
 
 def open_recording(source: str, options: ReaderOptions | None = None) -> Recording:
-    """The recording at SOURCE, ``FORMAT:PATH`` or a path whose format is recognised by what lies there.
+    """Open the recording at SOURCE: ``FORMAT:PATH``, or a path whose format is recognised.
 
     Raises:
-        SettingError: an unknown format, or an override that the format does not take.
-        DataError: the path does not exist, is not recognised, or holds an unusable recording.
+        SettingError: the format is unknown, or an override does not apply to it.
+        DataError: the path does not exist, its format is not recognised, or the recording is unusable.
     """
     options = options or ReaderOptions()
-    name, path = _parted(source)
+    name, path = _split_source(source)
     if name is not None:
         if name not in FORMATS:
             raise SettingError("SOURCE", f"unknown format {name!r}", f"known formats: {', '.join(FORMATS)}")
@@ -66,13 +66,13 @@ def open_recording(source: str, options: ReaderOptions | None = None) -> Recordi
 
 
 def absolute_source(source: str) -> str:
-    """The same SOURCE for a process that works in another folder."""
-    name, path = _parted(source)
+    """The same SOURCE with an absolute path, for a process with another working directory."""
+    name, path = _split_source(source)
     return str(path.resolve()) if name is None else f"{name}:{path.resolve()}"
 
 
-def _parted(source: str) -> tuple[str | None, Path]:
-    """Format, None where none is given, and path."""
+def _split_source(source: str) -> tuple[str | None, Path]:
+    """Split SOURCE into format, or None, and path."""
     match = _SOURCE.fullmatch(source)
     if match and not Path(source).exists():
         return match[1], Path(match[2]).expanduser()
@@ -80,12 +80,12 @@ def _parted(source: str) -> tuple[str | None, Path]:
 
 
 def select_frames(recording: Recording, frames: str) -> Selection:
-    """The frames START:STOP:STEP of a recording; each part may be left out, STOP is exclusive.
+    """Select the frames START:STOP:STEP of a recording. Each part is optional; STOP is exclusive.
 
-    A STOP beyond the end means the end.
+    A STOP beyond the end is the end.
 
     Raises:
-        SettingError: malformed, or no frame is left.
+        SettingError: ``frames`` is malformed or selects no frame.
     """
     match = _FRAMES.fullmatch(frames.strip())
     if match is None:

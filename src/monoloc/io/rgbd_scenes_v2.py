@@ -1,19 +1,19 @@
-"""RGB-D Scenes v2 (Lai, Bo and Fox, ICRA 2014): 14 rooms of furniture, PrimeSense RGB-D.
+"""Reader of RGB-D Scenes v2 (Lai, Bo and Fox, ICRA 2014): 14 furnished rooms, PrimeSense RGB-D.
 
-Layout: ``ROOT/imgs/scene_NN/NNNNN-color.png``, ``NNNNN-depth.png`` and ``ROOT/pc/NN.pose``, whose line i is
-frame i's camera-to-world pose ``qw qx qy qz tx ty tz``. Depth is registered to colour.
+Layout: ``ROOT/imgs/scene_NN/NNNNN-color.png``, ``NNNNN-depth.png`` and ``ROOT/pc/NN.pose``. Line i of the pose file
+is the camera-to-world pose of frame i, ``qw qx qy qz tx ty tz``. Depth is registered to colour.
 
 Public loaders disagree on two numbers:
 
-- **Depth scale**: 10000 to the metre here. Loaders that divide by 1000 carry over the habit of the older
-  RGB-D Object Dataset, which is in millimetres. deep-video-mvs exports with 10000, and its author answers for
-  it with fused clouds (ardaduz/deep-video-mvs, issue 8). Stored depth reaches 3e4 (a loader that scales by
-  the largest value has 29842), so 3 m, as in the rooms' clouds; 1000 would make it 30 m, beyond the sensor.
-- **Focal length**: 570.3 pixels with the centre at (320, 240), the constants in ``depthtocloud.m`` by the
-  data set's second author, and in most loaders. 525 is ROS's default for any such sensor; 3DMatch's
-  repackaging says 540.02 for all its PrimeSense recordings.
+- **Depth scale**: this reader uses 10000 per metre. Loaders that divide by 1000 follow the older RGB-D Object
+  Dataset, which is in millimetres. deep-video-mvs exports with 10000, and its author confirmed this with fused
+  clouds (ardaduz/deep-video-mvs, issue 8). Stored depth reaches 3e4 (a loader that scales by the largest value uses
+  29842). With 10000 this is 3 m, as in the rooms' clouds; with 1000 it is 30 m, beyond the range of the sensor.
+- **Focal length**: this reader uses 570.3 pixels and the principal point (320, 240), as do ``depthtocloud.m`` by the
+  second author of the data set and most loaders. 525 is ROS's default for such sensors. 3DMatch's repackaging uses
+  540.02 for all its PrimeSense recordings.
 
-Both can be overridden (``ReaderOptions.depth_scale``, ``ReaderOptions.camera``).
+``ReaderOptions.depth_scale`` and ``ReaderOptions.camera`` override these numbers.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ _SCENE_NAME = re.compile(r"scene_(\d+)")
 
 
 def recognises(path: Path) -> bool:
-    """Whether a folder holds ``NNNNN-color.png`` files, or ``imgs/scene_NN`` folders."""
+    """Whether a folder contains ``NNNNN-color.png`` files or ``imgs/scene_NN`` folders."""
     return path.is_dir() and bool(next(path.glob("*-color.png"), None) or _scene_folders(path))
 
 
 def read_pose_file(path: Path) -> NDArray[np.float64]:
-    """Poses ``T_world_camera`` of a ``.pose`` file (``qw qx qy qz tx ty tz`` a line): (N, 4, 4).
+    """Read the poses ``T_world_camera`` of a ``.pose`` file (``qw qx qy qz tx ty tz`` per line): (N, 4, 4).
 
     Raises:
-        DataError: missing, malformed, not finite, or quaternions that are not of unit length.
+        DataError: the file is missing or malformed, a value is not finite, or a quaternion does not have unit length.
     """
     require_file(path, "put the data set's .pose files into ROOT/pc beside ROOT/imgs")
     rows = read_rows(path, 7, "qw qx qy qz tx ty tz")
@@ -56,11 +56,12 @@ def read_pose_file(path: Path) -> NDArray[np.float64]:
 
 
 def read(path: Path, options: ReaderOptions) -> ImageRecording:
-    """Recording of ``ROOT/imgs/scene_NN``, or of ROOT where it holds a single scene.
+    """Open ``ROOT/imgs/scene_NN``, or ROOT if it contains one scene.
 
     Raises:
-        DataError: no or several scenes, no frames, a frame without depth or pose, images of another size.
-        SettingError: an override that this format does not take.
+        DataError: there is no scene or more than one, there are no frames, a frame has no depth or pose, or an image
+            has another size.
+        SettingError: an override does not apply to this format.
     """
     options.allow_only("rgbd-scenes-v2", "camera", "depth_scale")
     require_folder(path)

@@ -1,7 +1,7 @@
-"""7-Scenes (Shotton et al., CVPR 2013): Kinect RGB-D with KinectFusion poses.
+"""Reader of 7-Scenes (Shotton et al., CVPR 2013): Kinect RGB-D with KinectFusion poses.
 
-Layout: ``SCENE/seq-NN/frame-NNNNNN.{color.png|color.jpg, depth.png, pose.txt}``; depth is 16-bit millimetres,
-0 or 65535 where there is none; a pose is the 4x4 camera-to-world matrix of the depth camera.
+Layout: ``SCENE/seq-NN/frame-NNNNNN.{color.png|color.jpg, depth.png, pose.txt}``. Depth is 16-bit millimetres; 0 and
+65535 mean no depth. A pose is the 4x4 camera-to-world matrix of the depth camera.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from monoloc import geometry
 from monoloc.camera import Camera
 from monoloc.errors import DataError, SettingError
+from monoloc.geometry import invert, make_pose, nearest_rotation
 from monoloc.io.file_access import read_rows, require_folder
 from monoloc.io.images import ImageRecording
 from monoloc.io.pose_files import checked_poses, read_matrix_pose
@@ -21,18 +21,18 @@ from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.registration import DepthRegistration
 
 FRAME_RATE_HZ = 30.0
-_SEQUENCE_GAP_S = 1.0  # between sequences, so that time increases over the whole scene
+_SEQUENCE_GAP_S = 1.0  # between sequences, so that time stamps increase over the whole scene
 
-# Colour and depth come from two cameras. The depth camera's focal length is the data set's own; the colour
-# camera's was found by structure from motion on RedKitchen's 7,000 training images. Its radial distortion is that
-# under which corners followed through RedKitchen seq-01 (every second frame, 0 to 398) turn as the given poses do:
-# visual odometry's rotation over 100 frames is then off by 1.8 degrees in place of 4.0.
+# Colour and depth come from two cameras. The data set states the focal length of the depth camera. That of the colour
+# camera was estimated by structure from motion on RedKitchen's 7,000 training images. Its radial distortion was
+# chosen so that corners tracked through RedKitchen seq-01 (every second frame, 0 to 398) rotate as the given poses
+# do. It reduces the rotation error of visual odometry over 100 frames from 4.0 to 1.8 degrees.
 COLOR_CAMERA = Camera(
     width=640, height=480, fx=525.5, fy=525.5, cx=320.0, cy=240.0, distortion=(-0.08, 0.0, 0.0, 0.0, 0.0)
 )
 DEPTH_CAMERA = Camera(width=640, height=480, fx=585.0, fy=585.0, cx=320.0, cy=240.0)
 
-# A published calibration of the same sensor type, as the relocalisation literature uses it for 7-Scenes.
+# Published calibration of the same sensor type, which the relocalisation literature uses for 7-Scenes.
 _PUBLISHED = np.array(
     [
         [0.99996518, 0.00267651, -0.00790410, -0.02555894],
@@ -41,30 +41,30 @@ _PUBLISHED = np.array(
         [0.0, 0.0, 0.0, 1.0],
     ]
 )
-# Its eight digits leave the rotation off by 1e-8; made exact, so that inverses are too.
-T_COLOR_DEPTH = geometry.make_pose(geometry.nearest_rotation(_PUBLISHED[:3, :3]), _PUBLISHED[:3, 3])
+# Eight digits give the rotation an error of 1e-8. An exact rotation makes inverses exact.
+T_COLOR_DEPTH = make_pose(nearest_rotation(_PUBLISHED[:3, :3]), _PUBLISHED[:3, 3])
 
 _COLOR_NAME = re.compile(r"frame-(\d+)\.color\.(png|jpg)")
 _SEQUENCE_NAME = re.compile(r"seq-\d+")
 
 
 def recognises(path: Path) -> bool:
-    """Whether a folder holds ``seq-NN`` folders or is one."""
+    """Whether a folder is a ``seq-NN`` folder or contains some."""
     return path.is_dir() and bool(_sequence_folders(path) or next(path.glob("frame-*.color.*"), None))
 
 
 def read(path: Path, options: ReaderOptions) -> ImageRecording:
-    """Recording of a scene folder (all its sequences, in order) or of one sequence folder.
+    """Open a scene folder (all its sequences, in order) or one sequence folder.
 
-    Depth is registered to the colour camera and the poses are the colour camera's,
-    ``T_world_color = T_world_depth @ inv(T_color_depth)``.
-    A ``camera-intrinsics.txt`` (3x3) in the scene folder replaces the depth camera's intrinsics.
-    Without any depth image the recording has no depth, without any pose file no poses.
+    Depth is registered to the colour camera, and the poses are those of the colour camera,
+    ``T_world_color = T_world_depth @ inv(T_color_depth)``. A ``camera-intrinsics.txt`` (3x3) in the scene folder
+    replaces the intrinsics of the depth camera. The recording has no depth if no frame has a depth image, and no
+    poses if no frame has a pose file.
 
     Raises:
-        DataError: no frames, a frame without the depth or pose that others have, poses that are not rigid, images of
-            another size.
-        SettingError: an override that this format does not take.
+        DataError: there are no frames, a frame lacks depth or a pose that others have, a pose is not rigid, or images
+            have another size.
+        SettingError: an override does not apply to this format.
     """
     options.allow_only("7scenes", "camera", "depth_scale")
     require_folder(path)
@@ -77,14 +77,14 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
         color_paths += frames.values()
         times_s += [start_s + number / FRAME_RATE_HZ for number in frames]
     stems = [p.name.split(".")[0] for p in color_paths]
-    # The sequence is named even when it is opened alone: a frame keeps its name.
+    # Names include the sequence, so that they are the same if one sequence is opened.
     names = [f"{p.resolve().parent.name}/{stem}" for p, stem in zip(color_paths, stems, strict=True)]
 
     pose_paths = [p.with_name(f"{stem}.pose.txt") for p, stem in zip(color_paths, stems, strict=True)]
     poses = None
     if any(p.is_file() for p in pose_paths):
         matrices = np.stack([read_matrix_pose(p) for p in pose_paths])
-        poses = checked_poses(matrices, pose_paths, names) @ geometry.invert(T_COLOR_DEPTH)
+        poses = checked_poses(matrices, pose_paths, names) @ invert(T_COLOR_DEPTH)
 
     depth_paths = [p.with_name(f"{stem}.depth.png") for p, stem in zip(color_paths, stems, strict=True)]
     has_depth = any(p.is_file() for p in depth_paths)
@@ -112,7 +112,7 @@ def _sequence_folders(path: Path) -> list[Path]:
 
 
 def _frames(folder: Path) -> dict[int, Path]:
-    """Colour images of a sequence by frame number, in order."""
+    """Colour images of a sequence by frame number, in ascending order."""
     matches = ((_COLOR_NAME.fullmatch(p.name), p) for p in folder.iterdir())
     frames = {int(match[1]): p for match, p in matches if match}
     if not frames:
@@ -123,7 +123,7 @@ def _frames(folder: Path) -> dict[int, Path]:
 
 
 def _depth_camera(path: Path) -> Camera:
-    """From ``camera-intrinsics.txt`` in the scene folder (or beside the sequence), else the data set's."""
+    """Depth camera from ``camera-intrinsics.txt`` in the given folder or its parent, or the data set's default."""
     file = next((p for p in (path, path.resolve().parent) if (p / "camera-intrinsics.txt").is_file()), None)
     if file is None:
         return DEPTH_CAMERA

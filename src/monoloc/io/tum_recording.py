@@ -1,7 +1,7 @@
-"""TUM RGB-D benchmark (Sturm et al., IROS 2012): rgb.txt, depth.txt, groundtruth.txt.
+"""Reader of the TUM RGB-D benchmark (Sturm et al., IROS 2012): rgb.txt, depth.txt, groundtruth.txt.
 
-Depth is 16-bit, 5000 to the metre, registered to the colour camera by the driver; poses are the colour
-camera's, camera-to-world.
+Depth is 16-bit with 5000 per metre, and the driver registers it to the colour camera. Poses are camera-to-world poses
+of the colour camera.
 """
 
 from __future__ import annotations
@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc import geometry
 from monoloc.camera import Camera
 from monoloc.errors import DataError
-from monoloc.geometry import FloatArray
+from monoloc.geometry import FloatArray, invert, se3_exp, se3_log
 from monoloc.io.file_access import read_text, require_file, require_folder
 from monoloc.io.images import ImageRecording, names_of
 from monoloc.io.pose_files import check_increasing, nearest_times, read_tum
@@ -23,7 +22,7 @@ from monoloc.io.reader_options import ReaderOptions
 DEPTH_SCALE = 5000.0
 MAX_TIME_DIFFERENCE_S = 0.02  # the benchmark's own tolerance for association
 
-# The benchmark's calibrations of its three colour cameras, and ROS's default for any other sensor.
+# The benchmark's calibrations of its three colour cameras, and ROS's default for other sensors.
 _CAMERAS = {
     "freiburg1": Camera(640, 480, 517.3, 516.5, 318.6, 255.3, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
     "freiburg2": Camera(640, 480, 520.9, 521.0, 325.1, 249.7, (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
@@ -33,49 +32,49 @@ _DEFAULT_CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
 
 
 def recognises(path: Path) -> bool:
-    """Whether a folder holds an ``rgb.txt``."""
+    """Whether a folder contains an ``rgb.txt``."""
     return (path / "rgb.txt").is_file()
 
 
 def read(path: Path, options: ReaderOptions) -> ImageRecording:
-    """Recording of a sequence folder; intrinsics by freiburg1, 2 or 3 in the folder's name.
+    """Open a sequence folder. freiburg1, 2 or 3 in the folder's name selects the intrinsics.
 
-    A colour frame is kept when a depth image lies within 20 ms (each the other's nearest, so one to one) and
-    its pose is known: interpolated on SE(3) where the neighbouring ground-truth samples are at most 40 ms
-    apart, else the nearest sample within 20 ms. Without ``depth.txt`` the recording has no depth, without
-    ``groundtruth.txt`` no poses.
+    The recording contains each colour frame that has a depth image within 20 ms (mutual nearest neighbours, hence one
+    to one) and a pose. The pose is interpolated on SE(3) if the neighbouring ground-truth samples are at most 40 ms
+    apart; otherwise it is the nearest sample within 20 ms. Without ``depth.txt`` the recording has no depth, and
+    without ``groundtruth.txt`` it has no poses.
 
     Raises:
-        DataError: missing or malformed lists, no frame left, images of another size.
-        SettingError: an override that this format does not take.
+        DataError: a list is missing or malformed, no frame remains, or images have another size.
+        SettingError: an override does not apply to this format.
     """
     options.allow_only("tum", "camera", "depth_scale")
     require_folder(path)
     color_times, color_paths = _read_list(path / "rgb.txt")
-    kept, poses, depth_paths = np.ones(len(color_paths), dtype=np.bool_), None, None
+    usable, poses, depth_paths = np.ones(len(color_paths), dtype=np.bool_), None, None
     if (path / "groundtruth.txt").is_file():
         truth_times, truth_poses = read_tum(path / "groundtruth.txt")
-        kept, poses = _poses_at(color_times, truth_times, truth_poses)
+        usable, poses = _poses_at(color_times, truth_times, truth_poses)
     if (path / "depth.txt").is_file():
         depth_times, all_depth_paths = _read_list(path / "depth.txt")
         partner = _mutual_nearest(color_times, depth_times)
-        kept &= partner >= 0
-        depth_paths = [all_depth_paths[j] for j in partner[kept]]
-    if not kept.any():
+        usable &= partner >= 0
+        depth_paths = [all_depth_paths[j] for j in partner[usable]]
+    if not usable.any():
         raise DataError(
             path,
             f"has no frame whose colour, depth and pose lie within {MAX_TIME_DIFFERENCE_S} s",
             "check that the three lists use one clock",
         )
-    kept_color_paths = [p for p, keep in zip(color_paths, kept, strict=True) if keep]
+    usable_color_paths = [p for p, keep in zip(color_paths, usable, strict=True) if keep]
     return ImageRecording(
         name=path.resolve().name,
         folder=path,
         camera=options.camera_or(_camera_of(path.resolve().name)),
-        frame_names=names_of(kept_color_paths, path),
-        timestamps_s=color_times[kept],
-        poses=None if poses is None else poses[kept],
-        color_paths=kept_color_paths,
+        frame_names=names_of(usable_color_paths, path),
+        timestamps_s=color_times[usable],
+        poses=None if poses is None else poses[usable],
+        color_paths=usable_color_paths,
         depth_paths=depth_paths,
         depth_scale=options.depth_scale or DEPTH_SCALE,
     )
@@ -86,7 +85,7 @@ def _camera_of(folder_name: str) -> Camera:
 
 
 def _read_list(path: Path) -> tuple[FloatArray, list[Path]]:
-    """Time stamps in seconds and files of a list of ``timestamp filename`` lines."""
+    """Read time stamps in seconds and file paths from lines of ``timestamp filename``."""
     require_file(path, "give a TUM sequence folder, with its rgb.txt")
     times, files = [], []
     for number, line in enumerate(read_text(path).splitlines(), start=1):
@@ -111,7 +110,7 @@ def _read_list(path: Path) -> tuple[FloatArray, list[Path]]:
 
 
 def _mutual_nearest(color_s: FloatArray, depth_s: FloatArray) -> NDArray[np.int64]:
-    """For each colour time the depth index that is its partner, or -1."""
+    """Index of the matching depth image for each colour image, or -1: (N,), (M,) seconds -> (N,)."""
     partner = nearest_times(color_s, depth_s)
     mutual = nearest_times(depth_s, color_s)[partner] == np.arange(len(color_s))
     close = np.abs(depth_s[partner] - color_s) <= MAX_TIME_DIFFERENCE_S
@@ -119,7 +118,7 @@ def _mutual_nearest(color_s: FloatArray, depth_s: FloatArray) -> NDArray[np.int6
 
 
 def _poses_at(query_s: FloatArray, times_s: FloatArray, poses: FloatArray) -> tuple[NDArray[np.bool_], FloatArray]:
-    """Whether the pose is known at each query (Q,), and the pose (Q, 4, 4) (meaningless where it is not)."""
+    """Whether the pose is known at each query (Q,), and the pose (Q, 4, 4), which is arbitrary where unknown."""
     nearest = nearest_times(query_s, times_s)
     known = np.abs(times_s[nearest] - query_s) <= MAX_TIME_DIFFERENCE_S
     result = poses[nearest]
@@ -130,6 +129,6 @@ def _poses_at(query_s: FloatArray, times_s: FloatArray, poses: FloatArray) -> tu
         inside = (query_s >= start_s) & (query_s <= end_s) & (end_s - start_s <= 2.0 * MAX_TIME_DIFFERENCE_S)
         fraction = ((query_s - start_s) / (end_s - start_s))[inside, None]
         start = poses[after[inside] - 1]
-        step = geometry.se3_log(geometry.invert(start) @ poses[after[inside]])
-        result[inside] = start @ geometry.se3_exp(fraction * step)
+        step = se3_log(invert(start) @ poses[after[inside]])
+        result[inside] = start @ se3_exp(fraction * step)
     return known, result

@@ -1,7 +1,7 @@
-"""Trajectories written in the TUM format: one line a pose, ``t tx ty tz qx qy qz qw``, seconds and metres.
+"""Writer of TUM trajectories: one line per pose, ``t tx ty tz qx qy qz qw``, in seconds and metres.
 
-The format of the TUM RGB-D benchmark, which evo, ROS tools and most SLAM systems read and write.
-Poses are ``T_world_camera``; :func:`monoloc.io.pose_files.read_tum` reads them back.
+The format comes from the TUM RGB-D benchmark; evo, ROS tools and most SLAM systems support it. Poses are
+``T_world_camera``. :func:`monoloc.io.pose_files.read_tum` reads the files.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ _COLUMNS = "t tx ty tz qx qy qz qw"
 
 
 def write_tum(path: str | Path, timestamps_s: ArrayLike, poses: ArrayLike) -> None:
-    """Write a trajectory; a file of that name is replaced whole, or left as it was if anything fails.
+    """Write a trajectory atomically; on failure an existing file is unchanged.
 
     Args:
-        path: the file to write, in a folder that exists.
+        path: the file to write, in an existing folder.
         timestamps_s: (N,) seconds.
         poses: ``T_world_camera``, (N, 4, 4).
 
     Raises:
-        ValueError: shapes that do not fit, times that are not finite, or poses that are not rigid.
+        ValueError: shapes do not match, a time stamp is not finite, or a pose is not rigid.
         DataError: the file cannot be written.
     """
     times = np.asarray(timestamps_s, dtype=np.float64)

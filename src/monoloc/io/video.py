@@ -1,4 +1,4 @@
-"""Any video file that OpenCV can decode: colour only, poses unknown."""
+"""Reader of video files that OpenCV can decode: colour only, without poses."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from monoloc.errors import DataError, SettingError
 from monoloc.io.file_access import require_file
 from monoloc.io.reader_options import ReaderOptions
 
-# The decoder's own complaints would stand beside our one line; it reads this (-8: silent) at its first use.
+# Silences the decoder (-8), whose messages would add to the one line of an error. It reads this on first use.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 _SUFFIXES = {".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpg", ".webm"}
 
 
 def recognises(path: Path) -> bool:
-    """Whether a file is named like a video."""
+    """Whether a file has a video suffix."""
     return path.is_file() and path.suffix.lower() in _SUFFIXES
 
 
 def read(path: Path, options: ReaderOptions) -> VideoRecording:
-    """Recording of a video file, whose camera must be given: the file says nothing of it.
+    """Open a video file. The file does not contain intrinsics, so the camera option is required.
 
     Raises:
-        DataError: missing, undecodable, or without a camera.
-        SettingError: an override that this format does not take, or a camera of another image size.
+        DataError: the file is missing or undecodable, or no camera is given.
+        SettingError: an override does not apply to this format, or the camera has another image size.
     """
     options.allow_only("video", "camera")
     return VideoRecording(path, options.camera)
@@ -39,11 +39,11 @@ def read(path: Path, options: ReaderOptions) -> VideoRecording:
 class VideoRecording:
     """A :class:`~monoloc.io.recording.Recording` without poses and depth.
 
-    Opening it goes through all frames once, for their times and their true number: containers state the one only as
-    a mean rate, and the other wrongly where a file was cut.
+    The constructor reads all frames once to get their time stamps and number. Containers store only a mean frame
+    rate, and a wrong number of frames if the file was cut.
 
-    Frames are decoded one after another. Going forward skips frames without converting them; going back
-    starts again from the first frame, because seeking in compressed video does not always hit the frame.
+    Frames are decoded sequentially. A step forward skips frames without converting them. A step back restarts at the
+    first frame, because seeking in compressed video is not always exact.
     """
 
     def __init__(self, path: Path, camera: Camera | None) -> None:
@@ -73,7 +73,7 @@ class VideoRecording:
         return len(self.frame_names)
 
     def color(self, index: int) -> NDArray[np.uint8]:
-        """As :meth:`monoloc.io.recording.Recording.color`."""
+        """See :meth:`monoloc.io.recording.Recording.color`."""
         if not 0 <= index < len(self):
             raise IndexError(f"frame {index} of {len(self)}")
         if index < self._next:
@@ -95,10 +95,10 @@ class VideoRecording:
         raise DataError(self._path, "is a video and has no depth", "use predicted depth")
 
     def _times_s(self) -> NDArray[np.float64]:
-        """Time of every frame that can be decoded, (N,) seconds."""
+        """Time stamps of all decodable frames, (N,) seconds."""
         times_ms = []
         while self._capture.grab():
-            times_ms.append(self._capture.get(cv2.CAP_PROP_POS_MSEC))  # of the frame just grabbed
+            times_ms.append(self._capture.get(cv2.CAP_PROP_POS_MSEC))  # of the last grabbed frame
         rate_hz = self._capture.get(cv2.CAP_PROP_FPS)
         self._rewind()
         if not times_ms:
@@ -106,7 +106,7 @@ class VideoRecording:
         times_s = np.array(times_ms) / 1000.0
         if np.all(np.diff(times_s) > 0.0):
             return times_s
-        # A bare stream has no times of its own, and a broken one has some twice.
+        # A raw stream has no time stamps, and a broken one has duplicates.
         if not rate_hz > 0.0:
             raise DataError(self._path, "states neither times that increase nor a frame rate", "convert it to .mp4")
         return np.arange(len(times_s)) / rate_hz
@@ -119,7 +119,7 @@ class VideoRecording:
 
 
 def _check_name(path: Path) -> None:
-    """Raise DataError where OpenCV cannot open a path: it crashes on what is not UTF-8."""
+    """Raise DataError if a path is not UTF-8; OpenCV would crash."""
     try:
         str(path).encode()
     except UnicodeEncodeError as error:

@@ -1,20 +1,22 @@
-"""Checks of arguments before they reach native code: one message for every function of the map."""
+"""Checks of arguments for native code, with the same messages for all functions of the map."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-_MOST_THREADS = 256
+_MAX_THREADS = 256
 
 
 def checked_array(
     name: str, value: ArrayLike, shape: tuple[int | None, ...], dtype: DTypeLike
 ) -> NDArray[np.generic]:
-    """``value`` as a contiguous, finite array of ``dtype``; None in ``shape`` allows any length.
+    """Convert ``value`` to a contiguous array of ``dtype``, and check that it is finite.
+
+    None in ``shape`` allows any length.
 
     Raises:
-        ValueError: another shape ("X must have shape (N, 3), got (4,)") or a value that is not finite.
+        ValueError: the shape is wrong ("X must have shape (N, 3), got (4,)") or a value is not finite.
     """
     array = np.ascontiguousarray(value, dtype=dtype)
     if array.ndim != len(shape) or any(
@@ -38,12 +40,12 @@ def float32(name: str, value: ArrayLike, *shape: int | None) -> NDArray[np.float
 
 
 def check_outliers_and_threads(outlier_share: float, threads: int) -> None:
-    """What every weighing of particles takes.
+    """Check two arguments of all likelihood functions.
 
     Raises:
-        ValueError: the share is not in (0, 1], or the threads are none or absurdly many.
+        ValueError: the share is not in (0, 1], or the number of threads is not 1 to 256.
     """
     if not 0.0 < outlier_share <= 1.0:
         raise ValueError(f"outlier_share must be in (0, 1], got {outlier_share}")
-    if not 1 <= threads <= _MOST_THREADS:
-        raise ValueError(f"threads must be 1 to {_MOST_THREADS}, got {threads}")
+    if not 1 <= threads <= _MAX_THREADS:
+        raise ValueError(f"threads must be 1 to {_MAX_THREADS}, got {threads}")

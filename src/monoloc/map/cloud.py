@@ -1,4 +1,4 @@
-"""Clouds: from RGB-D frames with poses, thinned and cleaned."""
+"""Point clouds: from posed RGB-D frames, voxel thinning, outlier removal."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from monoloc.map.arguments import float64
 
 IntArray = NDArray[np.int64]
 
-# A neighbouring pixel this much nearer or farther, relative to depth, marks an edge between surfaces, where
-# sensors report depths of neither ("flying pixels"). A surface reaches it only when seen at under 2 degrees.
+# A larger relative depth step between neighbouring pixels is an edge between surfaces, where sensors report depths of
+# neither ("flying pixels"). Within one surface, such a step occurs only at viewing angles below 2 degrees.
 DISCONTINUITY = 0.05
-_CELL_VOXELS, _LEAST_CELL_M = 5.0 / 3.0, 0.05  # of the cells in which neighbours are counted
+_CELL_VOXELS, _MIN_CELL_M = 5.0 / 3.0, 0.05  # size of the cells that count neighbours
 _KEY_BITS = 21  # voxel coordinates along one axis: +-2^20 voxels
-_MERGE_AT = 2_000_000  # voxels held back before they are merged
+_MERGE_AT = 2_000_000  # pending voxels that trigger a merge
 
 
 def cloud_from_recording(
@@ -30,23 +30,23 @@ def cloud_from_recording(
     stride: int = 4,
     progress: Callable[[int, int], None] | None = None,
 ) -> FloatArray:
-    """Thinned cloud of a recording: (N, 3) float64, world frame, metres.
+    """Build the thinned cloud of a recording: (N, 3) float64, world frame, metres.
 
-    Every ``stride``-th pixel in both directions is back-projected, except at depth discontinuities and
-    beyond ``max_depth_m``, and averaged in voxels. Weights are ``z ** -4``: the noise of structured-light
-    and stereo depth grows with the square of depth (Khoshelham and Elberink 2012). Memory is bounded by
-    the voxels seen, not by the number of frames.
+    Every ``stride``-th pixel in both directions is back-projected and averaged in voxels, except at depth
+    discontinuities and beyond ``max_depth_m``. The weights are ``z ** -4``, because the standard deviation of
+    structured-light and stereo depth grows with the square of depth (Khoshelham and Elberink 2012). Memory grows with
+    the number of occupied voxels, not with the number of frames.
 
     Args:
         recording: frames with depth and poses.
-        voxel_m: edge of the voxels; one point stays in each.
-        max_depth_m: farther measurements are left out.
-        stride: pixels skipped, 1 for none.
-        progress: called with (frames done, frames in all).
+        voxel_m: edge of the voxels; the cloud has one point per occupied voxel.
+        max_depth_m: largest depth that is used.
+        stride: distance between used pixels, 1 for all.
+        progress: called with (completed frames, total frames).
 
     Raises:
-        DataError: the recording has no poses or no depth, or no pixel of it can be used.
-        SettingError: stride under 1, or a size that is not positive.
+        DataError: the recording has no poses, no depth, or no usable pixel.
+        SettingError: ``stride`` is below 1, or a size is not positive.
     """
     if stride < 1:
         raise SettingError("stride", f"is {stride}", "give 1 or more pixels")
@@ -78,12 +78,12 @@ def cloud_from_recording(
 
 
 def voxel_thin(points: ArrayLike, voxel_m: float) -> FloatArray:
-    """One point, the centroid, in each occupied voxel of a grid at the origin: (N, 3) m -> (M, 3) m.
+    """Replace the points in each voxel of a grid at the origin by their centroid: (N, 3) m -> (M, 3) m.
 
     Raises:
-        ValueError: wrong shape, or values that are not finite.
-        DataError: points too far from the origin for the voxel size.
-        SettingError: a voxel size that is not positive.
+        ValueError: the shape is wrong, or a value is not finite.
+        DataError: a point is too far from the origin for the voxel size.
+        SettingError: the voxel size is not positive.
     """
     thinner = VoxelThinner(voxel_m)
     thinner.add(points)
@@ -91,17 +91,17 @@ def voxel_thin(points: ArrayLike, voxel_m: float) -> FloatArray:
 
 
 def remove_outliers(points: ArrayLike, voxel_m: float = 0.03, neighbours: int = 5) -> FloatArray:
-    """Points with at least ``neighbours`` others in the 27 cells around: (N, 3) m -> (M, 3) m.
+    """Keep points with at least ``neighbours`` others in the surrounding 27 cells: (N, 3) m -> (M, 3) m.
 
-    Cells have 5/3 of ``voxel_m``, to which the cloud was thinned, so that a plane has about 25 points in them at
-    any size; and 5 cm at least, for a cloud that came from elsewhere may be no denser than that.
+    The cell size is 5/3 of ``voxel_m``, the voxel size of the thinned cloud, so that a plane has about 25 points in
+    the 27 cells at any size. It is at least 5 cm, because clouds from other sources may be sparser.
 
     Raises:
-        ValueError, DataError, SettingError: as for :func:`voxel_thin`.
+        ValueError, DataError, SettingError: see :func:`voxel_thin`.
     """
     cloud = float64("points", points, None, 3)
     _check_voxel(voxel_m)
-    keys = _voxel_keys(cloud, max(_LEAST_CELL_M, _CELL_VOXELS * voxel_m))
+    keys = _voxel_keys(cloud, max(_MIN_CELL_M, _CELL_VOXELS * voxel_m))
     cells, cell_of_point, counts = np.unique(keys, return_inverse=True, return_counts=True)
     around = np.zeros(len(cells), dtype=np.int64)
     steps = (-1, 0, 1)
@@ -112,13 +112,13 @@ def remove_outliers(points: ArrayLike, voxel_m: float = 0.03, neighbours: int = 
 
 
 class VoxelThinner:
-    """Weighted centroids of points by voxel, fed in parts.
+    """Accumulates weighted centroids of points by voxel.
 
     Args:
         voxel_m: edge of a voxel, metres.
 
     Raises:
-        SettingError: it is not positive.
+        SettingError: the edge is not positive.
     """
 
     def __init__(self, voxel_m: float) -> None:
@@ -126,14 +126,14 @@ class VoxelThinner:
         self._voxel_m = voxel_m
         self._keys: list[IntArray] = []
         self._sums: list[FloatArray] = []  # (n, 4): weighted coordinates and weight
-        self._held_back = 0
+        self._pending = 0
 
     def add(self, points: ArrayLike, weights: ArrayLike | None = None) -> None:
-        """Add points (N, 3) m with weights (N,), ones by default.
+        """Add points (N, 3) m with weights (N,), 1 by default.
 
         Raises:
-            ValueError: wrong shapes, or values that are not finite.
-            DataError: points too far from the origin.
+            ValueError: a shape is wrong, or a value is not finite.
+            DataError: a point is too far from the origin.
         """
         cloud = float64("points", points, None, 3)
         w = np.ones(len(cloud)) if weights is None else float64("weights", weights, len(cloud))
@@ -141,13 +141,13 @@ class VoxelThinner:
         keys, sums = _merge(_voxel_keys(cloud, self._voxel_m), sums)
         self._keys.append(keys)
         self._sums.append(sums)
-        self._held_back += len(keys)
-        if self._held_back > _MERGE_AT:
+        self._pending += len(keys)
+        if self._pending > _MERGE_AT:
             self._compact()
-            self._held_back = 0
+            self._pending = 0
 
     def points(self) -> FloatArray:
-        """Centroids, (M, 3) m, in the order of their voxels."""
+        """Return the centroids, (M, 3) m, ordered by voxel."""
         if not self._keys:
             return np.empty((0, 3))
         self._compact()
@@ -160,7 +160,7 @@ class VoxelThinner:
 
 
 def _merge(keys: IntArray, sums: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Add up rows (N, 4) of equal keys (N,)."""
+    """Sum rows (N, 4) with equal keys (N,)."""
     unique, inverse = np.unique(keys, return_inverse=True)
     merged = [np.bincount(inverse, sums[:, column], len(unique)) for column in range(sums.shape[1])]
     return unique, np.stack(merged, axis=1)
@@ -172,7 +172,7 @@ def _check_voxel(voxel_m: float) -> None:
 
 
 def _voxel_keys(points: FloatArray, voxel_m: float) -> IntArray:
-    """One integer a voxel: (N, 3) m -> (N,)."""
+    """Integer key of the voxel of each point: (N, 3) m -> (N,)."""
     cells = np.floor(points / voxel_m)
     limit = 2 ** (_KEY_BITS - 1) - 2
     if np.abs(cells).max(initial=0.0) > limit:
@@ -183,5 +183,5 @@ def _voxel_keys(points: FloatArray, voxel_m: float) -> IntArray:
 
 
 def _pack(cells: IntArray) -> IntArray:
-    """Additive in its argument, so that neighbours are found by adding a packed step."""
+    """Pack cell coordinates into one integer. Packing is linear: key plus packed step is the neighbour's key."""
     return np.asarray((cells[..., 2] << 2 * _KEY_BITS) + (cells[..., 1] << _KEY_BITS) + cells[..., 0])

@@ -1,4 +1,4 @@
-"""How far an adapted map is from the one it came from."""
+"""Comparison of an adapted map with the original map."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from monoloc.map.mixture import GaussianMixture
 
 @dataclass(frozen=True)
 class MapChange:
-    """What adaptation did to a map's components; JSON keys of ``monoloc build``.
+    """Change of a map's components by adaptation. The attributes are JSON keys of ``monoloc build``.
 
     Attributes:
-        shift_median_m, shift_p95_m: distance from a component's mean to that of its match.
-        correspondence_kept: share of components whose nearest mean in the other map is their match's: what
-            Goldberger's form of the divergence takes for granted.
-        size_ratio_median: geometric mean of a component's axes over its match's, the median of all.
+        shift_median_m, shift_p95_m: distance between the means of matching components.
+        correspondence_kept: share of components whose nearest mean in the other map is that of the matching
+            component, which Goldberger's approximation of the divergence assumes.
+        size_ratio_median: median ratio of the geometric mean axis length of matching components, adapted to original.
     """
 
     shift_median_m: float
@@ -28,10 +28,10 @@ class MapChange:
 
 
 def compare_maps(original: GaussianMixture, adapted: GaussianMixture) -> MapChange:
-    """Compare two maps whose components correspond, component i with component i.
+    """Compare two maps in which components of equal index match.
 
     Raises:
-        ValueError: not equally many components.
+        ValueError: the numbers of components differ.
     """
     if len(original) != len(adapted):
         raise ValueError(f"maps must have the same components, got {len(original)} and {len(adapted)}")

@@ -1,4 +1,4 @@
-"""Depth of the map's cloud seen from a pose: supervision where the recording's sensor saw nothing, or has none."""
+"""Depth images rendered from the room's cloud, as supervision where the recording has no sensor depth."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 from monoloc.geometry import FloatArray, invert, transform
 from monoloc.io.recording import Recording
 
-_WIDTH = 160  # of the image drawn: about that of a network's input, so that what it is tuned on has few gaps
-_CELL_PX = 4.0  # points of a 3 cm cloud lie closer than this at room distances, so surfaces have no gaps
+_WIDTH = 160  # of the rendered image; about that of a network's input, so that the supervision has few gaps
+_CELL_PX = 4.0  # larger than the point spacing of a 3 cm cloud at room distances, so that surfaces have no gaps
 _SAME_SURFACE = 1.05
 
 
 def supervision(recording: Recording, cloud: FloatArray) -> Callable[[int], NDArray[np.float32]]:
-    """Function from a frame's index to its (H, W) depth: the sensor's, and the cloud's where the sensor has none.
+    """Return a function from frame index to depth (H, W) m: sensor depth, or the cloud's depth where it is missing.
 
-    Sensors miss dark, shiny and far surfaces in all frames alike; left alone there, the network's depth would be
-    anything, and a quarter of the scan with it.
+    Sensors miss dark, shiny and far surfaces in all frames. Without supervision there, the network's depth would be
+    arbitrary in about a quarter of the scan.
     """
     from_map = map_depth(recording, cloud)
 
@@ -35,15 +35,14 @@ def supervision(recording: Recording, cloud: FloatArray) -> Callable[[int], NDAr
 
 
 def map_depth(recording: Recording, cloud: FloatArray) -> Callable[[int], NDArray[np.float32]]:
-    """Function from a frame's index to its (H, W) depth by the cloud, 0 where no point is seen.
+    """Return a function from frame index to the cloud's depth (H, W) m, 0 where no point is visible.
 
-    It is drawn 160 pixels wide, and every pixel of the frame takes what is drawn there. A point is seen when no other
-    in its cell of the image is nearer by more than 5 %: cells are wide enough that a surface in front leaves no gap
-    for what is behind it.
+    The depth is rendered 160 pixels wide and scaled to the frame by nearest neighbour. A point is visible if no other
+    point in its image cell is nearer by more than 5 %. The cells are wide enough to hide points behind a surface.
 
     Args:
         recording: posed frames.
-        cloud: (N, 3) world frame, metres.
+        cloud: (N, 3), world frame, metres.
     """
     size = (recording.camera.width, recording.camera.height)
     camera = recording.camera.resized(_WIDTH, max(1, round(_WIDTH * size[1] / size[0])))
@@ -62,8 +61,8 @@ def map_depth(recording: Recording, cloud: FloatArray) -> Callable[[int], NDArra
         np.minimum.at(nearest, cell, z)
         seen = z <= _SAME_SURFACE * nearest[cell]
         pixel, count = v[seen] * camera.width + u[seen], camera.width * camera.height
-        drawn = np.bincount(pixel, z[seen], count) / np.maximum(1, np.bincount(pixel, minlength=count))
-        image = drawn.reshape(camera.height, camera.width).astype(np.float32)
+        rendered = np.bincount(pixel, z[seen], count) / np.maximum(1, np.bincount(pixel, minlength=count))
+        image = rendered.reshape(camera.height, camera.width).astype(np.float32)
         return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_NEAREST_EXACT))
 
     return depth_of

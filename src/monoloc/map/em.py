@@ -1,8 +1,8 @@
-"""Expectation maximisation: from a cloud to the mixture that is the map.
+"""Expectation maximisation (EM): fits the map, a Gaussian mixture, to a cloud.
 
-E-step in native code (``cpp/src/kernels.cpp``), k-means++ start, full covariances. The covariance floor is
-an eigenvalue clamp: among all covariances with eigenvalues of at least ``floor_m ** 2``, the clamped sample
-covariance maximises the M-step's objective, so the likelihood still rises in every iteration.
+The E-step is native code (``cpp/src/kernels.cpp``). The fit starts from k-means++ and uses full covariances. The
+covariance floor clamps eigenvalues: among all covariances with eigenvalues of at least ``floor_m ** 2``, the clamped
+sample covariance maximises the objective of the M-step, so every iteration still increases the likelihood.
 
 Sources: Dempster, Laird and Rubin 1977; Bishop, *Pattern Recognition and Machine Learning* (2006), section
 9.2.2; Arthur and Vassilvitskii 2007 (k-means++); Schwarz 1978 (BIC).
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from monoloc import _core
+import monoloc._core as _core
 from monoloc.errors import SettingError
 from monoloc.geometry import FloatArray
 from monoloc.map.arguments import float64
@@ -25,18 +25,20 @@ from monoloc.map.mixture import GaussianMixture
 
 Progress = Callable[[int, float], None]
 
-_ALIVE = 1.0  # a component that holds less than one point is empty
-_SPLIT = 0.8  # of a standard deviation: distance of the halves' means from the whole's
+_ALIVE = 1.0  # a component with a smaller mass, in points, is empty
+_SPLIT = 0.8  # distance between the means of a half and of the whole, in standard deviations
 
 
 @dataclass(frozen=True)
 class FitResult:
-    """Attributes:
-    mixture: what was fitted.
-    log_likelihood_history: total log-likelihood of the points, nats, one entry an iteration, never
-        falling; the last is that of ``mixture``.
-    iterations: E-steps done.
-    converged: whether the last gain was under the tolerance.
+    """Result of a fit.
+
+    Attributes:
+        mixture: the fitted mixture.
+        log_likelihood_history: total log-likelihood of the points, nats, non-decreasing, one entry per iteration; the
+            last entry is that of ``mixture``.
+        iterations: number of E-steps.
+        converged: whether the last gain was below the tolerance.
     """
 
     mixture: GaussianMixture
@@ -45,14 +47,14 @@ class FitResult:
     converged: bool
 
     def bic(self, point_count: int) -> float:
-        """Schwarz's criterion, to be minimised: ``parameters * log(N) - 2 log L``."""
-        parameters = 10 * len(self.mixture) - 1  # mean 3, covariance 6, weight 1 (they sum to one)
+        """Bayesian information criterion (Schwarz), ``parameters * log(N) - 2 log L``; lower is better."""
+        parameters = 10 * len(self.mixture) - 1  # mean 3, covariance 6, weight 1; the weights sum to one
         return float(parameters * np.log(point_count) - 2.0 * self.log_likelihood_history[-1])
 
 
 @dataclass(frozen=True)
 class _Moments:
-    """Statistics of the E-step as (K,) mass, (K, 3) mean offset and (K, 3, 3) second moment, not divided."""
+    """Unnormalised statistics of the E-step: mass (K,), sum of offsets (K, 3), second moment (K, 3, 3)."""
 
     mass: FloatArray
     first: FloatArray
@@ -74,15 +76,15 @@ def fit_mixture(
     Args:
         points: (N, 3), world frame, metres.
         components: K.
-        rng: source of the k-means++ start.
+        rng: random generator of the k-means++ start.
         floor_m: smallest standard deviation of a component in any direction.
-        max_iterations: E-steps at most.
-        tolerance: ends when an iteration gains less than this, nats a point.
-        progress: called with (iteration, mean log-likelihood a point).
+        max_iterations: largest number of E-steps.
+        tolerance: the fit stops when the gain of an iteration is smaller, nats per point.
+        progress: called with (iteration, mean log-likelihood per point).
 
     Raises:
-        ValueError: points of another shape or not finite.
-        SettingError: a number of components that the cloud cannot carry, or a floor that is not positive.
+        ValueError: the points have a wrong shape or are not finite.
+        SettingError: the number of components is not 1 to N, or the floor is not positive.
     """
     cloud = float64("points", points, None, 3)
     if not 1 <= components <= len(cloud):
@@ -98,13 +100,17 @@ def fit_mixture(
 def choose_components(
     points: ArrayLike, candidates: Sequence[int], rng: np.random.Generator
 ) -> tuple[FitResult, dict[int, float]]:
-    """The fit of smallest BIC among ``candidates``, tried in rising order until BIC rises.
+    """Choose K by BIC: fit ``candidates`` in ascending order until BIC increases.
 
-    A dense cloud of a room supports many components: BIC weighs fit against parameters and knows nothing
-    of the map's size or of how correlated neighbouring points are. Give K when the map must stay small.
+    For a dense cloud BIC selects many components, because it ignores the size of the map and the correlation of
+    neighbouring points. Set K if the map must be small.
 
     Returns:
-        The best fit, and the BIC of every K tried.
+        The best fit, and the BIC of every K that was tried.
+
+    Raises:
+        ValueError: see :func:`fit_mixture`.
+        SettingError: all candidates exceed the number of points.
     """
     cloud = float64("points", points, None, 3)
     usable = sorted({k for k in candidates if k <= len(cloud)})
@@ -127,7 +133,7 @@ def choose_components(
 
 
 def initial_mixture(points: FloatArray, components: int, rng: np.random.Generator, floor_m: float) -> GaussianMixture:
-    """Weights, means and clamped covariances of k-means clusters: (N, 3) -> mixture."""
+    """Mixture of the weights, means and clamped covariances of k-means clusters of points (N, 3)."""
     labels = kmeans(points, components, rng)
     order = np.argsort(labels, kind="stable")
     starts = np.searchsorted(labels[order], np.arange(components))
@@ -147,15 +153,15 @@ def maximise_likelihood(
     tolerance: float = 1e-4,
     progress: Progress | None = None,
 ) -> FitResult:
-    """EM from a given start; arguments and errors as for :func:`fit_mixture`.
+    """Run EM from a given start; see :func:`fit_mixture` for arguments and errors.
 
-    A component left with less than one point takes over half of the heaviest one. If that lowers the
-    likelihood it is undone, and no further one is tried.
+    A component with a mass below one point is replaced by half of the heaviest component. If this lowers the
+    likelihood, it is undone, and there are no further replacements.
     """
     if not floor_m > 0.0:
         raise SettingError("floor_m", f"is {floor_m}", "give a positive standard deviation in metres")
     cloud = float64("points", points, None, 3)
-    # Neighbours in memory are neighbours in space, so a vector of points shares its few active components.
+    # Sorted by cluster, the points of one SIMD vector share their few active components.
     cloud = cloud[np.argsort(nearest(cloud, start.means), kind="stable")]
     mixture, fallback, reseeding, converged = start, None, True, False
     history: list[float] = []
@@ -195,7 +201,7 @@ def _expectation(points: FloatArray, mixture: GaussianMixture) -> _Moments:
 
 
 def _maximisation(mixture: GaussianMixture, moments: _Moments, floor_m: float) -> GaussianMixture:
-    """The M-step (Bishop 9.24-9.26), from offsets to the old means; empty components stay as they are."""
+    """M-step (Bishop 9.24-9.26) from offsets to the previous means; empty components keep mean and covariance."""
     alive = moments.mass >= _ALIVE
     mass = moments.mass[alive, None]
     shift = moments.first[alive] / mass
@@ -207,9 +213,9 @@ def _maximisation(mixture: GaussianMixture, moments: _Moments, floor_m: float) -
 
 
 def _with_halves(mixture: GaussianMixture, empty: NDArray[np.intp], floor_m: float) -> GaussianMixture:
-    """``mixture`` with its empty components made halves of the heaviest ones, split along their longest axes.
+    """Split the heaviest components along their longest axes, and store one half of each in an empty component.
 
-    Weight, mean and (but for the floor) covariance of the two halves together are those of the whole.
+    The two halves together have the weight, the mean and, except for the floor, the covariance of the whole.
     """
     heaviest = np.argsort(-mixture.weights, kind="stable")[: min(len(empty), len(mixture) - len(empty))]
     empty = empty[: len(heaviest)]

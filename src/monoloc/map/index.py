@@ -1,29 +1,28 @@
-"""The mixture behind a voxel grid: what makes weighing a thousand particles a matter of a millisecond."""
+"""Voxel index of a mixture, which evaluates the likelihood of a thousand particles in about a millisecond."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from monoloc import _core
+import monoloc._core as _core
 from monoloc.geometry import FloatArray
 from monoloc.map.arguments import check_outliers_and_threads, float32, float64
 
 
 class MixtureIndex:
-    """A mixture's density near its surface, each voxel knowing the few components that matter in it.
+    """Density of a mixture near its surface. Each voxel stores the few components that matter in it.
 
-    In every stored voxel, components are left out (least important first) as long as, at a lattice of
-    probes, the density they carry stays under ``tolerance`` times (all density + ``floor_density``). So the
-    error of ``log((1 - eps) M + eps / V)`` stays near the tolerance for every ``eps / V / (1 - eps)`` not
-    below the floor. A voxel that loses all its components is not stored; density is 0 there. Memory grows
-    with the map's surface, not with its bounding box.
+    In each voxel, components are dropped, least important first, as long as their density at a lattice of sample
+    points is below ``tolerance`` times (total density + ``floor_density``). Hence the error of ``log((1 - eps) M +
+    eps / V)`` is about ``tolerance`` if ``eps / V / (1 - eps)`` is not below the floor. A voxel without components is
+    not stored, and its density is 0. Memory grows with the map's surface, not with its bounding box.
 
     Args:
         weights, means, covariances: (K,), (K, 3), (K, 3, 3) float64, world frame, metres.
         voxel_m: edge of a voxel.
-        floor_density: smallest outlier density the index will be used with, 1/m^3.
-        tolerance: relative error of density allowed, about the worst error in nats.
+        floor_density: smallest outlier density in use, 1/m^3.
+        tolerance: allowed relative error of density, about the largest error in nats.
 
     Raises:
         ValueError: a setting is not positive, or the voxels are too small or too large for the map.
@@ -48,15 +47,15 @@ class MixtureIndex:
         """Approximate ``log M(x)``, nats: (P, 3) world frame, m -> (P,); -inf outside the stored voxels.
 
         Raises:
-            ValueError: wrong shape, or a value that is not finite.
+            ValueError: the shape is wrong, or a value is not finite.
         """
         return self._native.log_density(float64("points", points, None, 3))
 
     def evaluations(self, points: ArrayLike) -> int:
-        """How many components :meth:`log_density` evaluates at points (P, 3), those that fill blocks up included.
+        """Number of components that :meth:`log_density` evaluates at points (P, 3), including padding of blocks.
 
         Raises:
-            ValueError: wrong shape, or a value that is not finite.
+            ValueError: the shape is wrong, or a value is not finite.
         """
         return self._native.evaluations(float64("points", points, None, 3))
 
@@ -71,24 +70,24 @@ class MixtureIndex:
         point_weights: ArrayLike | None = None,
         threads: int = 1,
     ) -> FloatArray:
-        """Log-likelihood of a scan for every particle, not tempered:
-        ``sum_p w_p log((1 - eps) M(T e^s x_p) + eps / V)``. Twin: :func:`monoloc.map.numpy_twins.weigh`.
+        """Untempered log-likelihood of a scan for each particle.
+
+        ``sum_p w_p log((1 - eps) M(T e^s x_p) + eps / V)``. NumPy twin: :func:`monoloc.map.numpy_twins.weigh`.
 
         Args:
             poses: ``T_world_camera``, (N, 4, 4).
-            log_scales: s, (N,): natural logarithm of what the scan's depth is multiplied by.
+            log_scales: s, (N,), natural logarithm of the factor on the scan's depth.
             scan: points in the camera's frame, (P, 3), metres.
-            outlier_share: eps in (0, 1]: share of the scan's points that the map does not explain.
-            volume_m3: V: outliers are uniform in this volume.
+            outlier_share: eps in (0, 1], share of scan points that the map does not explain.
+            volume_m3: V, volume in which outliers are uniformly distributed.
             point_weights: w, (P,); None for ones.
-            threads: share the particles; the result is the same for any number. The threads are kept for the next
-                call.
+            threads: number of threads, which does not affect the result. They stay alive for the next call.
 
         Returns:
             (N,) float64, nats.
 
         Raises:
-            ValueError: wrong shapes, values that are not finite, eps, V or threads out of range.
+            ValueError: a shape is wrong, a value is not finite, or eps, V or threads is out of range.
         """
         check_outliers_and_threads(outlier_share, threads)
         if not 0.0 < volume_m3 < np.inf:
@@ -107,20 +106,20 @@ class MixtureIndex:
 
     @property
     def voxels(self) -> int:
-        """Voxels stored."""
+        """Number of stored voxels."""
         return self._native.voxels
 
     @property
     def lists(self) -> int:
-        """Different candidate lists; voxels with the same components share one."""
+        """Number of distinct component lists; voxels with the same components share one."""
         return self._native.lists
 
     @property
     def mean_candidates(self) -> float:
-        """Components in a stored voxel, on average."""
+        """Mean number of components per stored voxel."""
         return self._native.mean_candidates
 
     @property
     def nbytes(self) -> int:
-        """Memory of the table and the lists."""
+        """Memory of the hash table and the lists, bytes."""
         return self._native.nbytes

@@ -1,4 +1,4 @@
-"""k-means++ and a few Lloyd steps: the start of EM."""
+"""k-means++ and a few Lloyd iterations, the initialisation of EM."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from numpy.typing import NDArray
 
 from monoloc.geometry import FloatArray
 
-LLOYD_STEPS = 4  # EM refines the clusters anyway; more steps did not raise its final likelihood
-_CHUNK = 4096  # points whose distances to all centres are held at once
+LLOYD_STEPS = 4  # EM refines the clusters; more steps did not raise its final likelihood
+_CHUNK = 4096  # points per block, which bounds the memory of distances
 
 
 def kmeans(points: FloatArray, clusters: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Cluster of each point: (N, 3) -> (N,); every cluster holds at least one point. Needs clusters <= N.
+    """Cluster index of each point: (N, 3) -> (N,). Each cluster has at least one point; requires clusters <= N.
 
-    Start: Arthur and Vassilvitskii 2007, each centre drawn with probability proportional to the squared
-    distance to the nearest centre so far.
+    k-means++ draws each initial centre with probability proportional to the squared distance to the nearest previous
+    centre (Arthur and Vassilvitskii 2007).
     """
-    centres = _spread_centres(points, clusters, rng)
+    centres = _initial_centres(points, clusters, rng)
     labels = nearest(points, centres)
     for _ in range(LLOYD_STEPS):
         counts = np.bincount(labels, minlength=clusters)
         sums = np.stack([np.bincount(labels, points[:, axis], clusters) for axis in range(3)], axis=1)
         centres = np.where(counts[:, None] > 0, sums / np.maximum(counts, 1)[:, None], centres)
         labels = nearest(points, centres)
-    return _without_empty(labels, clusters)
+    return _fill_empty(labels, clusters)
 
 
 def nearest(points: FloatArray, centres: FloatArray) -> NDArray[np.intp]:
@@ -37,7 +37,7 @@ def nearest(points: FloatArray, centres: FloatArray) -> NDArray[np.intp]:
     return labels
 
 
-def _spread_centres(points: FloatArray, clusters: int, rng: np.random.Generator) -> FloatArray:
+def _initial_centres(points: FloatArray, clusters: int, rng: np.random.Generator) -> FloatArray:
     centres = np.empty((clusters, 3))
     centres[0] = points[rng.integers(len(points))]
     axes = np.ascontiguousarray(points.T)
@@ -46,14 +46,14 @@ def _spread_centres(points: FloatArray, clusters: int, rng: np.random.Generator)
         x, y, z = axes - centres[k - 1][:, None]
         np.minimum(distances, x * x + y * y + z * z, out=distances)
         cumulated = np.cumsum(distances)
-        # Where every point already is a centre (duplicates), any point will do.
+        # If each point coincides with a centre (duplicates), any point is valid.
         drawn = np.searchsorted(cumulated, rng.random() * cumulated[-1], side="right")
         centres[k] = points[min(int(drawn), len(points) - 1)]
     return centres
 
 
-def _without_empty(labels: NDArray[np.intp], clusters: int) -> NDArray[np.intp]:
-    """Give each empty cluster a point of the largest one."""
+def _fill_empty(labels: NDArray[np.intp], clusters: int) -> NDArray[np.intp]:
+    """Move a point of the largest cluster to each empty cluster."""
     counts = np.bincount(labels, minlength=clusters)
     for empty in np.flatnonzero(counts == 0):
         largest = int(np.argmax(counts))

@@ -1,4 +1,4 @@
-"""The map: a Gaussian mixture with full covariances, 40 bytes a component on disk."""
+"""The map: a Gaussian mixture with full covariances, 40 bytes per component on disk."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from monoloc import _core
+import monoloc._core as _core
 from monoloc.errors import DataError
 from monoloc.files import write_whole
 from monoloc.geometry import FloatArray
@@ -23,21 +23,21 @@ from monoloc.map.rays import RayMixture
 
 BYTES_PER_COMPONENT = 40  # ten float32: weight, mean, Cholesky factor
 _POINTS_AT_ONCE = 4096
-_LOWER = np.tril_indices(3)  # order of the stored factor: (0,0) (1,0) (1,1) (2,0) (2,1) (2,2)
+_LOWER = np.tril_indices(3)  # order of the stored Cholesky factor: (0,0) (1,0) (1,1) (2,0) (2,1) (2,2)
 _PARTS = {"weights": (None,), "means": (None, 3), "cholesky": (None, 6)}
 
 
 @dataclass(frozen=True)
 class GaussianMixture:
-    """``M(x) = sum_k pi_k N(x; mu_k, Sigma_k)`` over the world frame, density in 1/m^3.
+    """``M(x) = sum_k pi_k N(x; mu_k, Sigma_k)`` in the world frame, density in 1/m^3.
 
     Attributes:
-        weights: pi, (K,) float64, not negative, summing to 1.
+        weights: pi, (K,) float64, non-negative, with sum 1.
         means: mu, (K, 3) float64, world frame, metres.
         covariances: Sigma, (K, 3, 3) float64, symmetric positive definite, m^2.
 
     Raises:
-        ValueError: wrong shapes, values that are not finite, weights or covariances that are not valid.
+        ValueError: a shape is wrong, a value is not finite, or weights or covariances are invalid.
     """
 
     weights: FloatArray
@@ -68,23 +68,23 @@ class GaussianMixture:
         return len(self.weights)
 
     def log_density(self, points: ArrayLike) -> FloatArray:
-        """``log M(x)``, exact, nats: (P, 3) world frame, m -> (P,).
+        """Exact ``log M(x)``, nats: (P, 3) world frame, m -> (P,).
 
         Raises:
-            ValueError: wrong shape, or a value that is not finite.
+            ValueError: the shape is wrong, or a value is not finite.
         """
         points = float64("points", points, None, 3)
         return _core.log_density(points, self.weights, self.means, self.covariances)
 
     def responsibilities(self, points: ArrayLike) -> FloatArray:
-        """Posterior ``p(k | x)``: (P, 3) world frame, m -> (P, K), rows summing to 1.
+        """Responsibilities ``p(k | x)``: (P, 3) world frame, m -> (P, K); each row sums to 1.
 
         Raises:
-            ValueError: as for :meth:`log_density`.
+            ValueError: see :meth:`log_density`.
         """
         cloud = float64("points", points, None, 3)
         result = np.empty((len(cloud), len(self)))
-        # In blocks of points, or what is between would take several times the memory of the result.
+        # Blocks of points limit temporaries, which need several times the memory of the result.
         blocks = max(1, len(cloud) // _POINTS_AT_ONCE)
         for part, place in zip(np.array_split(cloud, blocks), np.array_split(result, blocks), strict=True):
             terms = log_terms(part, self.weights, self.means, self.covariances)
@@ -92,38 +92,38 @@ class GaussianMixture:
         return result
 
     def sample(self, count: int, rng: np.random.Generator) -> FloatArray:
-        """``count`` independent points, (count, 3), world frame, m."""
+        """Draw independent points, (count, 3), world frame, m."""
         component = rng.choice(len(self), size=count, p=self.weights / self.weights.sum())
         lower = np.linalg.cholesky(self.covariances)
         noise = rng.standard_normal((count, 3))
         return np.asarray(self.means[component] + np.einsum("nij,nj->ni", lower[component], noise))
 
     def bounds_m(self, sigmas: float = 3.0) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper corner, (3,) each, of the box around every component's ``sigmas`` ellipsoid."""
+        """Lower and upper corner, (3,) each, of the bounding box of all components' ``sigmas`` ellipsoids."""
         reach = sigmas * np.sqrt(np.diagonal(self.covariances, axis1=-2, axis2=-1))
         return (self.means - reach).min(axis=0), (self.means + reach).max(axis=0)
 
     @property
     def volume_m3(self) -> float:
-        """Volume of :meth:`bounds_m` at 3 sigma: where an outlier may be."""
+        """Volume of :meth:`bounds_m` at 3 sigma, the support of outliers."""
         lower, upper = self.bounds_m()
         return float(np.prod(upper - lower))
 
     @property
     def nbytes_stored(self) -> int:
-        """Bytes on disk, headers aside."""
+        """Size on disk without headers, bytes."""
         return BYTES_PER_COMPONENT * len(self)
 
     def index(
         self, voxel_m: float = 0.08, floor_density: float | None = None, tolerance: float = 0.02
     ) -> MixtureIndex:
-        """The mixture behind a voxel grid, for weighing particles; see :class:`MixtureIndex`.
+        """Build the voxel index of the mixture for likelihoods of particles; see :class:`MixtureIndex`.
 
         Args:
             voxel_m: edge of a voxel.
-            floor_density: smallest outlier density it will be used with, 1/m^3; None for an outlier share
-                of 0.1 over :attr:`volume_m3`.
-            tolerance: relative error of density allowed.
+            floor_density: smallest outlier density in use, 1/m^3; None for 0.1 / :attr:`volume_m3`, an outlier share
+                of 0.1.
+            tolerance: allowed relative error of density.
         """
         floor = 0.1 / self.volume_m3 if floor_density is None else floor_density
         return MixtureIndex(
@@ -136,18 +136,18 @@ class GaussianMixture:
         )
 
     def smoothed(self, sd_m: float) -> GaussianMixture:
-        """The mixture with every component widened by an isotropic standard deviation, metres."""
+        """The mixture convolved with an isotropic Gaussian of this standard deviation, metres."""
         return replace(self, covariances=self.covariances + sd_m**2 * np.eye(3))
 
     def along_rays(self) -> RayMixture:
-        """The mixture as rays cut it, for weighing particles; see :class:`RayMixture`."""
+        """The depth distribution of the mixture along rays, for likelihoods of particles; see :class:`RayMixture`."""
         return RayMixture(self.weights, self.means, self.covariances)
 
     def to_arrays(self, prefix: str = "") -> dict[str, NDArray[np.float32]]:
-        """Ten float32 a component, under the keys ``prefix + weights, means, cholesky``.
+        """Ten float32 per component, with the keys ``prefix + weights, means, cholesky``.
 
-        Covariances are stored as the lower factor L of ``L L^T``, row by row: whatever rounding does to
-        L, its product stays positive definite.
+        A covariance is stored as the lower factor L of ``L L^T``, row by row, because the product remains positive
+        definite after rounding of L.
         """
         lower = np.linalg.cholesky(self.covariances)[:, _LOWER[0], _LOWER[1]]
         parts = {"weights": self.weights, "means": self.means, "cholesky": lower}
@@ -158,7 +158,7 @@ class GaussianMixture:
         """Inverse of :meth:`to_arrays`, up to rounding to float32.
 
         Raises:
-            ValueError: a key is missing, shapes disagree, or the values make no mixture.
+            ValueError: a key is missing, shapes do not match, or the values are not a valid mixture.
         """
         missing = [prefix + name for name in _PARTS if prefix + name not in arrays]
         if missing:
@@ -173,7 +173,7 @@ class GaussianMixture:
         return cls(weights / weights.sum(), means, lower @ lower.swapaxes(-1, -2))
 
     def save(self, path: Path) -> None:
-        """Write an ``.npz`` that :meth:`load` reads, whole or not at all.
+        """Write an ``.npz`` for :meth:`load` atomically.
 
         Raises:
             DataError: the file cannot be written.
@@ -185,15 +185,15 @@ class GaussianMixture:
 
     @classmethod
     def load(cls, path: Path) -> GaussianMixture:
-        """Read what :meth:`save` wrote; nothing in the file is unpickled.
+        """Read a file of :meth:`save`, without unpickling.
 
         Raises:
-            DataError: the file is missing, cut short, or holds no mixture.
+            DataError: the file is missing, truncated, or not a mixture.
         """
         fix = "give a map written by `monoloc map fit`, or fit it again"
         try:
             if Path(path).is_file() and not zipfile.is_zipfile(path):
-                raise ValueError("not a whole .npz file")  # NumPy would take it for a pickle and advise to trust it
+                raise ValueError("not a whole .npz file")  # NumPy would suggest to unpickle it
             with np.load(path, allow_pickle=False) as file:
                 return cls.from_arrays({name: file[name] for name in file.files})
         except FileNotFoundError:

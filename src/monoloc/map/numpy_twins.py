@@ -1,7 +1,7 @@
-"""The native kernels, written as their formulas: NumPy twins for tests and benchmarks.
+"""NumPy twins of the native kernels: readable reference implementations for tests and benchmarks.
 
-Dense and slow on purpose. The tests hold ``monoloc._core`` equal to these. The formulas that they share,
-:func:`log_terms` and :func:`log_sum_exp`, serve whatever is not hot, too.
+They are dense and slow by design. Tests check that ``monoloc._core`` gives the same results. :func:`log_terms` and
+:func:`log_sum_exp` also serve code that is not performance-critical.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from monoloc.geometry import FloatArray, transform
 
 
 class Statistics(NamedTuple):
-    """What EM's M-step needs, with offsets ``d_nk = x_n - mu_k`` from the current means.
+    """Sufficient statistics of the M-step, with offsets ``d_nk = x_n - mu_k`` from the current means.
 
     Attributes:
         mass: ``sum_n r_nk``, (K,).
@@ -30,14 +30,14 @@ class Statistics(NamedTuple):
 
 
 def log_terms(points: FloatArray, weights: FloatArray, means: FloatArray, covariances: FloatArray) -> FloatArray:
-    """``log(pi_k N(x_p; mu_k, Sigma_k))``: (P, 3) -> (P, K)."""
+    """``log(pi_k N(x_p; mu_k, Sigma_k))``: (P, 3) -> (P, K), nats."""
     lower = np.linalg.cholesky(covariances)
-    # One component after the other: in one (P, K, 3) array it takes ten times as long.
+    # Looping over components is ten times as fast as one (P, K, 3) array.
     whitened = ((points - mean) @ inverse.T for mean, inverse in zip(means, np.linalg.inv(lower), strict=True))
     squared_distances = np.stack([(z**2).sum(axis=-1) for z in whitened], axis=-1)
     log_determinant = 2.0 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(axis=-1)
     log_normaliser = -0.5 * (3.0 * np.log(2.0 * np.pi) + log_determinant)
-    with np.errstate(divide="ignore"):  # a component of weight 0
+    with np.errstate(divide="ignore"):  # component of weight 0
         return np.asarray(np.log(weights) + log_normaliser - 0.5 * squared_distances)
 
 
@@ -88,14 +88,14 @@ def weigh_rays(
 ) -> FloatArray:
     """``sum_p w_p log((1 - eps) d p(d | o, r) + eps / range)``: (N, 4, 4), (N,), (P, 3) -> (N,), nats.
 
-    Point p lies at depth ``d = e^s z_p`` on the ray ``o + d r`` of particle n. The ray cuts component k into a
-    Gaussian in d: precision ``q_k = r^T Sigma_k^-1 r``, centre ``d_k = r^T Sigma_k^-1 (mu_k - o) / q_k``, mass
-    ``m_k = pi_k N(o + d_k r; mu_k, Sigma_k) sqrt(2 pi / q_k)``. Depth errs by a share of itself, so
+    Point p has depth ``d = e^s z_p`` on the ray ``o + d r`` of particle n. Along the ray, component k is a Gaussian
+    in d with precision ``q_k = r^T Sigma_k^-1 r``, centre ``d_k = r^T Sigma_k^-1 (mu_k - o) / q_k`` and mass
+    ``m_k = pi_k N(o + d_k r; mu_k, Sigma_k) sqrt(2 pi / q_k)``. The error of depth is proportional to depth, so
 
         p(d | o, r) = sum_k m_k N(d; d_k, 1 / q_k + (log_depth_sd d_k)^2) / sum_k m_k
 
-    over the components with ``d_k > nearest_m``. What a pose makes of the map's density as such cancels: neither
-    dense places nor grazing views attract the scan.
+    over the components with ``d_k > nearest_m``. The normalisation removes the dependence of the map's density on the
+    pose, so that neither dense regions nor grazing views attract the scan.
     """
     w = np.ones(len(scan)) if point_weights is None else point_weights
     precisions = np.linalg.inv(covariances)
@@ -122,7 +122,7 @@ def weigh_rays(
 
 
 def expectation(points: FloatArray, weights: FloatArray, means: FloatArray, covariances: FloatArray) -> Statistics:
-    """The E-step: responsibilities ``r_nk`` of points (N, 3) and their sums (Bishop 2006, section 9.2.2)."""
+    """E-step: sums over the responsibilities ``r_nk`` of points (N, 3) (Bishop 2006, section 9.2.2)."""
     terms = log_terms(points, weights, means, covariances)
     log_densities = log_sum_exp(terms)
     r = np.exp(terms - log_densities[:, None])

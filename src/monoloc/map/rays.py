@@ -1,22 +1,22 @@
-"""The mixture seen along rays: how likely a depth is on its ray, whatever part of the map lies there."""
+"""Depth distribution of a mixture along rays, normalised on each ray."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from monoloc import _core
+import monoloc._core as _core
 from monoloc.geometry import FloatArray
 from monoloc.map.arguments import check_outliers_and_threads, float32, float64
 
-LOG_DEPTH_RANGE = 4.0  # outliers are uniform in log-depth over so much: 0.15 m to 8 m
+LOG_DEPTH_RANGE = 4.0  # support of outliers, which are uniform in log-depth: 0.15 m to 8 m
 
 
 class RayMixture:
-    """A mixture's density of depth along rays, for weighing particles.
+    """Density of depth along rays through a mixture, for likelihoods of particles.
 
-    Components are looked at within 12 m of the particles, and along a ray where they carry more than 1e-5 of what
-    the fullest one carries. Particles that are nearly alike share that choice, made at 32 of them.
+    Only components within 12 m of the particles are used. On each ray, only components with more than 1e-5 of the
+    mass of the heaviest one are used. Particles with similar poses share this selection, which is made at 32 of them.
 
     Args:
         weights, means, covariances: (K,), (K, 3), (K, 3, 3) float64, world frame, metres.
@@ -36,26 +36,27 @@ class RayMixture:
         point_weights: ArrayLike | None = None,
         threads: int = 1,
     ) -> FloatArray:
-        """Log-likelihood of a scan's depths for every particle, given their rays; not tempered.
+        """Untempered log-likelihood of a scan's depths, given their rays, for each particle.
 
-        ``sum_p w_p log((1 - eps) d p(d | ray) + eps / range)`` with d the particle's scale times predicted depth and
-        p that of the map cut by the ray, widened by the error of depth. Twin, and formula:
-        :func:`monoloc.map.numpy_twins.weigh_rays`.
+        ``sum_p w_p log((1 - eps) d p(d | ray) + eps / range)``, where d is predicted depth times the particle's
+        scale, and p is the map's density of depth on the ray, convolved with the error of depth. NumPy twin with the
+        full
+        formula: :func:`monoloc.map.numpy_twins.weigh_rays`.
 
         Args:
             poses: ``T_world_camera``, (N, 4, 4).
-            log_scales: s, (N,): natural logarithm of what predicted depth is multiplied by.
+            log_scales: s, (N,), natural logarithm of the factor on predicted depth.
             scan: points in the camera's frame, (P, 3), metres, z > 0.
             log_depth_sd: standard deviation of an inlier's log-depth.
             outlier_share: eps in (0, 1].
             point_weights: w, (P,); None for ones.
-            threads: that share the particles; the result is the same for any number.
+            threads: number of threads, which does not affect the result.
 
         Returns:
             (N,) float64, nats.
 
         Raises:
-            ValueError: wrong shapes, values that are not finite or out of range.
+            ValueError: a shape is wrong, or a value is not finite or out of range.
         """
         check_outliers_and_threads(outlier_share, threads)
         if not 0.0 <= log_depth_sd < np.inf:

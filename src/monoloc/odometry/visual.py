@@ -1,14 +1,14 @@
-"""Camera motion, and the depth of corners, from tracked corners and depth of any source.
+"""Visual odometry: camera motion and depth of corners, from tracked corners and depth of any source.
 
-Corners are lifted with the depth of the keyframe in which they appear and tracked from frame to frame; the camera's
-pose is the perspective-n-point solution over the tracks. The last keyframes are adjusted together
-(:mod:`monoloc.odometry.window`), so that parallax corrects the shape of the depth. Its scale remains the depth
-source's, on average over some seconds; where that is wrong by a factor, so is the translation, by the same factor,
-which the filter estimates.
+Corners are back-projected with the depth of the keyframe in which they appear, and tracked from frame to frame. The
+camera's pose is the perspective-n-point solution for the tracks. Bundle adjustment of the last keyframes
+(:mod:`monoloc.odometry.window`) corrects the shape of the depth by parallax. The scale follows the depth source,
+averaged over some seconds. If that scale is wrong by a factor, so is the translation; the filter estimates this
+factor.
 
 Sources: Shi & Tomasi 1994 (corners); Bouguet 2000 (pyramidal Lucas-Kanade); Kalal et al. 2010 (forward-backward
-check); Fischler & Bolles 1981 (RANSAC); Forster et al. 2014 and Loo et al. 2019 (depth filters of corners, started
-from a network's prediction).
+check); Fischler & Bolles 1981 (RANSAC); Forster et al. 2014 and Loo et al. 2019 (depth filters of corners,
+initialised with a network's prediction).
 """
 
 from __future__ import annotations
@@ -29,24 +29,25 @@ from monoloc.odometry.window import Window, adjust
 
 
 class OdometryConfig(BaseModel):
-    """Settings of the visual odometry; pixels are of the tracking image, ``width`` wide.
+    """Settings of the visual odometry. Pixels refer to the tracking image, which is ``width`` wide.
 
     Attributes:
-        width: width at which corners are tracked.
-        corners: most corners tracked at a time.
-        min_distance_px: least distance between corners.
-        search_px: Lucas-Kanade window.
-        forward_backward_px: largest distance between a corner and its track there and back.
+        width: width of the tracking image.
+        corners: maximum number of tracked corners.
+        min_distance_px: minimum distance between corners.
+        search_px: window size of Lucas-Kanade.
+        forward_backward_px: maximum distance between a corner and its position after tracking forward and backward.
         reprojection_px: RANSAC's inlier threshold.
-        min_inliers, min_inlier_share: fewer than this, or than this share of the corners tracked, is a failure.
-        depth_jump: corners within a pixel of a relative depth jump above this are not lifted: they sit on an
-            occlusion edge.
-        keyframes: size of the adjusted window.
-        keyframe_motion_px: a keyframe is taken when corners have moved this far, in the median, since the last.
-        keyframe_share: or when fewer than this share of the last keyframe's corners are still seen.
-        corner_sd_px: standard deviation of a corner's place.
+        min_inliers, min_inlier_share: minimum number of inliers, and minimum share of inliers among the tracked
+            corners; otherwise odometry fails.
+        depth_jump: corners within a pixel of a larger relative depth step are not back-projected, because they are at
+            an occlusion edge.
+        keyframes: number of keyframes in the adjusted window.
+        keyframe_motion_px: median motion of corners since the last keyframe that triggers a new keyframe.
+        keyframe_share: a new keyframe is also taken when a smaller share of the last keyframe's corners is tracked.
+        corner_sd_px: standard deviation of a corner's position.
         log_depth_sd: standard deviation of the logarithm of the depth source, from corner to corner.
-        scale_memory: share of the window's scale that a new keyframe keeps; the rest is the depth source's.
+        scale_memory: weight of the window's scale in a new keyframe; the rest is the weight of the depth source.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -70,13 +71,13 @@ class OdometryConfig(BaseModel):
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion of the camera between two frames, and what was seen on the way.
+    """Motion of the camera between two frames, and the tracked corners.
 
     Attributes:
-        T_previous_current: (4, 4), translation in units of the depth it was computed from.
-        inliers: tracks that agree with it.
-        points: (N, 3) corners in the current camera's frame, depth refined by parallax, in the same units.
-        log_depth_sd: (N,) standard deviation of the logarithm of their depth.
+        T_previous_current: (4, 4), translation in the unit of the depth source.
+        inliers: number of tracks that agree with the motion.
+        points: (N, 3) corners in the current camera's frame, with depth refined by parallax, in the same unit.
+        log_depth_sd: (N,) standard deviation of the logarithm of the corners' depth.
     """
 
     T_previous_current: FloatArray
@@ -87,13 +88,14 @@ class Motion:
 
 @dataclass(frozen=True)
 class _Tracks:
-    """N corners that are being followed; r is the frame of the window's first keyframe.
+    """N tracked corners; r is the frame of the window's first keyframe.
 
     Attributes:
-        window: the keyframes that saw them.
-        pixels: (N, 2) where the latest frame sees them.
-        log_depth_sd: (N,) standard deviation of their log-depth.
-        keyframe_pixels: (N, 2) where the last keyframe saw them; ``keyframe_count`` how many it saw.
+        window: keyframes that observed the corners.
+        pixels: (N, 2) positions in the latest frame.
+        log_depth_sd: (N,) standard deviation of log-depth.
+        keyframe_pixels: (N, 2) positions in the last keyframe.
+        keyframe_count: number of corners in the last keyframe.
     """
 
     window: Window
@@ -104,7 +106,7 @@ class _Tracks:
 
     @property
     def points(self) -> FloatArray:
-        """(N, 3) in r."""
+        """(N, 3) corners in r."""
         return self.window.points
 
     def select(self, chosen: NDArray[Any]) -> _Tracks:
@@ -118,15 +120,15 @@ class _Tracks:
 
 
 class Odometry(Protocol):
-    """Motion of a camera from frame to frame; :class:`VisualOdometry` is one."""
+    """Interface of odometry, such as :class:`VisualOdometry`."""
 
     def step(self, color: NDArray[np.uint8], depth_m: NDArray[np.float32], depth_camera: Camera) -> Motion | None:
-        """Motion since the previous frame; None where there is none."""
+        """Motion since the previous frame; None if it is unknown."""
         ...
 
 
 class VisualOdometry:
-    """Frame-to-frame camera motion; call :meth:`step` with every frame in order."""
+    """Frame-to-frame visual odometry; call :meth:`step` for each frame in order."""
 
     def __init__(self, camera: Camera, config: OdometryConfig | None = None) -> None:
         self.config = config or OdometryConfig()
@@ -138,11 +140,11 @@ class VisualOdometry:
         self._tracks: _Tracks | None = None
 
     def step(self, color: NDArray[np.uint8], depth_m: NDArray[np.float32], depth_camera: Camera) -> Motion | None:
-        """Motion since the previous frame; None for the first frame, where tracking fails, and in the dark.
+        """Motion since the previous frame; None for the first frame, after a tracking failure, and in the dark.
 
         Args:
             color: (H, W, 3) uint8 RGB.
-            depth_m: (h, w) depth of this frame, of any resolution; 0 where there is none.
+            depth_m: (h, w) depth of this frame at any resolution, metres; 0 where it is unknown.
             depth_camera: intrinsics of the depth image.
         """
         if not has_contrast(color):
@@ -155,7 +157,7 @@ class VisualOdometry:
             self._add_keyframe(gray, np.eye(4), depth_m, depth_camera)
             self._gray = gray
             return None
-        # Within the window's frame r before it is adjusted, where the previous pose is still valid.
+        # In frame r before the adjustment, which invalidates the previous pose.
         T_previous_current = invert(self._T_r_previous) @ T_r_current
         assert self._tracks is not None
         inliers = len(self._tracks.points)
@@ -171,11 +173,11 @@ class VisualOdometry:
         return np.asarray(self._equalise.apply(gray), dtype=np.uint8)
 
     def _follow(self, gray: NDArray[np.uint8]) -> FloatArray | None:
-        """Track the corners into ``gray`` and solve for its ``T_r_camera``; drops the tracks that disagree."""
+        """Track the corners into ``gray``, solve for its ``T_r_camera``, and drop outlier tracks."""
         if self._tracks is None or self._gray is None or len(self._tracks.points) < self.config.min_inliers:
             return None
-        pixels, kept = self._track(self._gray, gray, self._tracks.pixels)
-        tracks = replace(self._tracks, pixels=pixels).select(kept)
+        pixels, tracked = self._track(self._gray, gray, self._tracks.pixels)
+        tracks = replace(self._tracks, pixels=pixels).select(tracked)
         solution = self._solve(tracks.points, tracks.pixels)
         if solution is None:
             return None
@@ -192,11 +194,11 @@ class VisualOdometry:
             after, before, forward, forward.copy(), winSize=size, maxLevel=3
         )
         distance = np.linalg.norm(back - pixels, axis=1)
-        kept = (found[:, 0] == 1) & (found_back[:, 0] == 1) & (distance < self.config.forward_backward_px)
-        return np.asarray(forward, dtype=np.float32), kept
+        valid = (found[:, 0] == 1) & (found_back[:, 0] == 1) & (distance < self.config.forward_backward_px)
+        return np.asarray(forward, dtype=np.float32), valid
 
     def _solve(self, points: FloatArray, pixels: NDArray[np.float32]) -> tuple[FloatArray, NDArray[np.int64]] | None:
-        """``T_r_current`` and the inliers' indices, or None."""
+        """Solve PnP for ``T_r_current`` and the indices of inliers; None on failure."""
         if len(points) < self.config.min_inliers:
             return None
         K, distortion = self._camera.matrix, np.asarray(self._camera.distortion)
@@ -230,14 +232,14 @@ class VisualOdometry:
     def _add_keyframe(
         self, gray: NDArray[np.uint8], T_r_camera: FloatArray, depth_m: NDArray[np.float32], depth_camera: Camera
     ) -> FloatArray:
-        """Take the current frame into the window, adjust the window, and return the frame's pose after it."""
+        """Add the current frame to the window, adjust the window, and return the adjusted pose ``T_r_camera``."""
         config, camera = self.config, self._camera
         known = self._tracks
         window = Window.empty() if known is None else known.window
         pixels = np.zeros((0, 2), dtype=np.float32) if known is None else known.pixels
         fresh = self._new_corners(gray, pixels)
         log_depth = self._log_depth(np.concatenate([pixels, fresh]), depth_m, depth_camera)
-        # The window's scale goes on: predicted depth is brought to it, but for a small share.
+        # Rescale predicted depth to the window, except for a small share that follows the depth source.
         z = transform(invert(T_r_camera), window.points)[:, 2]
         ratio = np.log(np.maximum(z, 1e-3)) - log_depth[: len(pixels)]
         if np.isfinite(ratio).any():
@@ -264,13 +266,13 @@ class VisualOdometry:
     def _log_depth(
         self, pixels: NDArray[np.float32], depth_m: NDArray[np.float32], depth_camera: Camera
     ) -> FloatArray:
-        """Logarithm of the depth at pixels of the tracking image, (N, 2) -> (N,); NaN where there is none."""
+        """Logarithm of the depth at pixels of the tracking image, (N, 2) -> (N,); NaN where it is unknown."""
         depth = sample_depth(pixels, self._camera, depth_m, depth_camera, self.config.depth_jump)
         with np.errstate(divide="ignore"):
             return np.where(depth > 0.0, np.log(depth), np.nan)
 
     def _new_corners(self, gray: NDArray[np.uint8], known: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Corners away from the known ones, (N, 2), as many as there is room for."""
+        """Detect corners (N, 2) that keep the minimum distance to the known ones, up to the maximum number."""
         wanted = self.config.corners - len(known)
         if wanted <= 0:
             return np.zeros((0, 2), dtype=np.float32)
@@ -286,7 +288,7 @@ class VisualOdometry:
 
 
 def _log_depth_sd(T_r_camera: FloatArray, points: FloatArray, information: FloatArray, prior_sd: float) -> FloatArray:
-    """Standard deviation of each point's log-depth in a camera, (N,), never above that of the prediction."""
+    """Standard deviation of each point's log-depth in a camera, (N,), at most that of the prediction."""
     local = transform(invert(T_r_camera), points)
     direction = local / np.maximum(np.linalg.norm(local, axis=1), 1e-6)[:, None] @ T_r_camera[:3, :3].T
     # Moving a point along its ray by t changes log-depth by t / range.

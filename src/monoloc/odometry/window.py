@@ -1,9 +1,9 @@
-"""Bundle adjustment of the last few keyframes: what parallax says about depth, beside what the network says.
+"""Bundle adjustment of the last few keyframes, which combines parallax with predicted depth.
 
-Gauss-Newton with the points eliminated by the Schur complement (Triggs et al., *Bundle Adjustment - A Modern
-Synthesis*, 2000). Every observation has three residuals: where the corner is seen, two, and the logarithm of its
-predicted depth. The latter fixes the scale and carries corners that have hardly moved; the former decide the shape
-as soon as there is a baseline.
+Gauss-Newton, with the points eliminated by the Schur complement (Triggs et al., *Bundle Adjustment - A Modern
+Synthesis*, 2000). Each observation has three residuals: two of the corner's position, and one of the logarithm of its
+predicted depth. The depth residual determines the scale and the depth of corners without parallax. The position
+residuals determine the shape once there is a baseline.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from numpy.typing import NDArray
 
 from monoloc.geometry import FloatArray, hat, invert, se3_exp
 
-_HUBER = 2.0  # standard deviations beyond which a corner's residual counts linearly
-_DAMPING = 1e-4  # of the diagonal; the problem is well posed by its priors, this is for rounding
+_HUBER = 2.0  # standard deviations beyond which the loss of a residual is linear
+_DAMPING = 1e-4  # relative to the diagonal; only against rounding, as the priors make the problem well posed
 
 
 @dataclass(frozen=True)
 class Window:
-    """W keyframes that see N corners; any common frame of reference r.
+    """W keyframes that observe N corners, in an arbitrary common frame r.
 
     Attributes:
-        poses: ``T_r_camera``, (W, 4, 4); the first stays as it is.
-        points: (N, 3) in r.
-        rays: (N, W, 2) where each keyframe sees each corner, image coordinates at z = 1; NaN where it does not.
-        log_depth: (N, W) logarithm of the corner's predicted depth there; NaN where there is none.
+        poses: ``T_r_camera``, (W, 4, 4); the first is fixed.
+        points: (N, 3) corners in r.
+        rays: (N, W, 2) observed image coordinates at z = 1 of each corner in each keyframe; NaN if not observed.
+        log_depth: (N, W) logarithm of predicted depth at these observations; NaN if unknown.
     """
 
     poses: FloatArray
@@ -41,52 +41,53 @@ class Window:
         return cls(np.zeros((0, 4, 4)), np.zeros((0, 3)), np.zeros((0, 0, 2)), np.zeros((0, 0)))
 
     def select(self, chosen: NDArray[Any]) -> Window:
-        """The window with some of its corners."""
+        """The window restricted to some corners."""
         return Window(self.poses, self.points[chosen], self.rays[chosen], self.log_depth[chosen])
 
     def with_keyframe(
         self, T_r_camera: FloatArray, new_points: FloatArray, rays: FloatArray, log_depth: FloatArray, most: int
     ) -> Window:
-        """The window with one more keyframe, which sees every corner and M new ones; the oldest go.
+        """Add a keyframe that observes all N corners and M new ones, and drop the oldest keyframes.
 
         Args:
-            T_r_camera: of the keyframe, (4, 4).
-            new_points: (M, 3) in r, which no other keyframe sees.
-            rays, log_depth: (N + M, 2) and (N + M,) of the corners in the keyframe.
-            most: keyframes to keep, 1 at least.
+            T_r_camera: pose of the keyframe, (4, 4).
+            new_points: (M, 3) new corners in r, which no other keyframe observes.
+            rays, log_depth: (N + M, 2) and (N + M,) observations in the keyframe.
+            most: maximum number of keyframes, at least 1.
         """
         poses = np.concatenate([self.poses, T_r_camera[None]])[-most:]
-        kept, known = len(poses) - 1, len(self.points)
-        all_rays = np.full((len(rays), kept + 1, 2), np.nan)
-        all_log_depth = np.full((len(rays), kept + 1), np.nan)
-        if kept:
-            all_rays[:known, :kept] = self.rays[:, -kept:]
-            all_log_depth[:known, :kept] = self.log_depth[:, -kept:]
-        all_rays[:, kept], all_log_depth[:, kept] = rays, log_depth
+        previous, known = len(poses) - 1, len(self.points)
+        all_rays = np.full((len(rays), previous + 1, 2), np.nan)
+        all_log_depth = np.full((len(rays), previous + 1), np.nan)
+        if previous:
+            all_rays[:known, :previous] = self.rays[:, -previous:]
+            all_log_depth[:known, :previous] = self.log_depth[:, -previous:]
+        all_rays[:, previous], all_log_depth[:, previous] = rays, log_depth
         return Window(poses, np.concatenate([self.points, new_points]), all_rays, all_log_depth)
 
 
 def adjust(
     window: Window, ray_sd: float, log_depth_sd: float, iterations: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Poses and points under which the window's observations are most likely.
+    """Find the poses and points that maximise the likelihood of the window's observations.
 
     Args:
-        window: the observations, and where to start.
+        window: observations and initial values.
         ray_sd: standard deviation of a corner's image coordinates at z = 1 (pixels over focal length).
         log_depth_sd: standard deviation of predicted log-depth.
-        iterations: Gauss-Newton steps.
+        iterations: number of Gauss-Newton steps.
 
     Returns:
-        Poses (W, 4, 4); points (N, 3); information (inverse covariance) of each point that its corner gives, given
-        the poses, (N, 3, 3). Predicted depth is left out of it: what it errs by is the same in all keyframes.
+        Poses (W, 4, 4), points (N, 3), and the information (inverse covariance) (N, 3, 3) of each point from its
+        observed positions, given the poses. The information excludes predicted depth, because its error is the same
+        in all keyframes.
     """
     poses, points = window.poses.copy(), window.points.copy()
     count, frames = len(points), len(poses)
     of_corners = np.zeros((count, 3, 3))
     for _ in range(iterations):
         J_pose, J_point, residual = _linearise(window, poses, points, ray_sd, log_depth_sd)
-        # Sums over one index as matrix products; einsum does none of these by one.
+        # Matrix products, because einsum would not use them for these sums.
         by_corner = J_point[:, :, :2].reshape(count, 2 * frames, 3)
         of_corners = by_corner.swapaxes(1, 2) @ by_corner
         by_point = J_point.reshape(count, 3 * frames, 3).swapaxes(1, 2)
@@ -117,7 +118,7 @@ def adjust(
 def _linearise(
     window: Window, poses: FloatArray, points: FloatArray, ray_sd: float, log_depth_sd: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Whitened Jacobians by pose twist (N, W, 3, 6) and by point (N, W, 3, 3), and residuals (N, W, 3)."""
+    """Whitened Jacobians with respect to pose twists (N, W, 3, 6) and points (N, W, 3, 3), residuals (N, W, 3)."""
     T_camera_r = invert(poses)
     R = T_camera_r[:, :3, :3]
     local = np.einsum("wij,nj->nwi", R, points) + T_camera_r[:, :3, 3]
@@ -133,14 +134,14 @@ def _linearise(
     weight = _weights(residual)
     J_local *= weight[..., None]
     residual = np.where(weight > 0.0, residual * weight, 0.0)
-    # A pose moved by exp(rho, phi) on the right sees the point at x - rho + x cross phi.
+    # After right multiplication of the pose by exp(rho, phi), the point is at x - rho + x cross phi in the camera.
     J_pose = np.concatenate([-J_local, J_local @ hat(local)], axis=-1)
     J_point = J_local @ R
     return J_pose, J_point, residual
 
 
 def _weights(residual: FloatArray) -> NDArray[np.float64]:
-    """Square roots of Huber's weights, (N, W, 3); 0 for what was not observed."""
+    """Square roots of Huber's weights, (N, W, 3); 0 for missing observations."""
     observed = np.isfinite(residual)
     clean = np.where(observed, residual, 0.0)
     norm = np.linalg.norm(clean[..., :2], axis=-1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Plot of how well a depth network's stated errors describe its actual errors."""
+"""Calibration plot of a depth network: stated errors against actual errors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _COLOURS = (BLUE, ORANGE, GREEN, VERMILION, PURPLE)
 
 
 def plot_calibration(path: str | Path, calibrations: dict[str, ErrorCalibration]) -> None:
-    """Left, actual error over stated error; right, coverage over confidence; a diagonal is perfect.
+    """Plot actual over stated error (left) and coverage over confidence (right); the diagonal is perfect calibration.
 
     Raises:
         MissingExtraError: matplotlib is not installed.

@@ -1,4 +1,4 @@
-"""The picture of an adapted map beside the one it came from: clouds, boxes, distances and their histogram."""
+"""Figure of the original and the adapted map: clouds, boxes, distances and their histogram."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.collections import PathCollection
 
 _ELEVATION_DEG, _AZIMUTHS_DEG = 28.0, (-60.0, 30.0, 120.0, 210.0)
-_POINTS_DRAWN = 25_000  # of each cloud; more would only hide one another
+_POINTS_DRAWN = 25_000  # of each cloud; more would occlude each other
 _DOTS: dict[str, Any] = {"s": 2.2, "linewidths": 0.0, "rasterized": True}
 _EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if (a ^ b).bit_count() == 1]
 _CMAP = "viridis"
@@ -31,17 +31,17 @@ def plot_map_change(
     down: FloatArray,
     title: str = "",
 ) -> None:
-    """Both clouds together, their bounding boxes, the original coloured by distance, and the distances' histogram.
+    """Plot both clouds, their bounding boxes, the original cloud coloured by distance, and a histogram of distances.
 
-    After Shukla et al. 2023, figure 3. Clouds are drawn in parallel projection, seen from the corner of the room
-    that hides least.
+    The figure follows Shukla et al. 2023, figure 3. It uses a parallel projection from the corner of the room with
+    the least occlusion.
 
     Args:
-        path: the PNG to write.
-        original, adapted: (N, 3) and (M, 3), world frame, metres.
-        distances_m: (N,) distance of every point of the original to the adapted cloud.
-        down: (3,) roughly where down is in the world.
-        title: written above all.
+        path: PNG to write.
+        original, adapted: clouds (N, 3) and (M, 3), world frame, metres.
+        distances_m: (N,) distance of each point of the original to the adapted cloud.
+        down: (3,) approximate down direction in the world.
+        title: title of the figure.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -52,7 +52,7 @@ def plot_map_change(
     with picture(path, 12.0, 9.8) as figure:
         if title:
             figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold")
-        # Room between the colour bar's name and the histogram's.
+        # Leaves space between the labels of the colour bar and of the histogram.
         (merged, boxes), (coloured, histogram) = figure.subplots(2, 2, gridspec_kw={"wspace": 0.06})
         both = np.concatenate([_thinned(original), _thinned(adapted)])
         colours = np.repeat([BLUE, ORANGE], [len(_thinned(original)), len(_thinned(adapted))])
@@ -76,8 +76,13 @@ def plot_map_change(
 
 @dataclass(frozen=True)
 class _Eye:
-    """A parallel projection: ``axes`` of the world that point right, back and up, ``up_sign`` of the last, and the
-    rotation ``R_page_axes`` onto the page, whose third axis points at the eye."""
+    """A parallel projection.
+
+    Attributes:
+        axes: world axes that point right, back and up.
+        up_sign: -1 if up is the negative direction of its axis, else 1.
+        R_page_axes: rotation from these axes to the page, whose third axis points towards the viewer.
+    """
 
     axes: tuple[int, int, int]
     up_sign: float
@@ -85,14 +90,14 @@ class _Eye:
 
     @classmethod
     def before(cls, cloud: FloatArray, down: FloatArray) -> _Eye:
-        """Of four corners the one from which the points (N, 3) lie farthest to the back."""
+        """The view, out of four corners, from which the points (N, 3) are farthest away on average."""
         right, back, up, flipped = page_axes(down)
         sign = -1.0 if flipped else 1.0
         eyes = [cls((right, back, up), sign, _turn(azimuth)) for azimuth in _AZIMUTHS_DEG]
         return min(eyes, key=lambda eye: float(np.mean(eye._of_box(cloud)[:, 2])))
 
     def project(self, points: FloatArray) -> FloatArray:
-        """World (N, 3) to page (N, 3): right, up, towards the eye; metres."""
+        """Map world (N, 3) to page (N, 3): right, up, towards the viewer; metres."""
         return np.asarray(points[:, self.axes] * [1.0, 1.0, self.up_sign] @ self.R_page_axes.T)
 
     def _of_box(self, cloud: FloatArray) -> FloatArray:
@@ -100,13 +105,13 @@ class _Eye:
 
 
 def _turn(azimuth_deg: float) -> FloatArray:
-    """Rotation from axes right, back, up to the page, for an eye at an azimuth and above."""
+    """Rotation from the axes right, back, up to the page, for an elevated viewer at an azimuth."""
     to_front = so3_exp([np.deg2rad(_ELEVATION_DEG - 90.0), 0.0, 0.0])
     return np.asarray(to_front @ so3_exp([0.0, 0.0, np.deg2rad(-90.0 - azimuth_deg)]))
 
 
 def _scatter(axis: Axes, eye: _Eye, points: FloatArray, **style: Any) -> PathCollection:
-    """Points (N, 3), the nearest drawn last."""
+    """Plot points (N, 3), the nearest last."""
     page = eye.project(points)
     order = np.argsort(page[:, 2])
     if "c" in style:
@@ -125,23 +130,24 @@ def _draw_box(axis: Axes, eye: _Eye, cloud: FloatArray, colour: str) -> None:
 
 
 def _corners(cloud: FloatArray) -> FloatArray:
-    """Corners (8, 3) of a cloud's box; number n is at the upper end of axis i if bit i of n is set."""
+    """Corners (8, 3) of a cloud's bounding box; corner n is at the upper end of axis i if bit i of n is set."""
     bounds = np.stack([cloud.min(axis=0), cloud.max(axis=0)])
     return np.array([[bounds[(corner >> bit) & 1, bit] for bit in range(3)] for corner in range(8)])
 
 
 def _frame(axis: Axes, eye: _Eye, corners: FloatArray) -> None:
-    """The same view in every panel: no ticks, which mean nothing on a slanted page, but the axes and a metre."""
+    """Set the same view in each panel, with axis arrows and a scale bar instead of ticks (the view is oblique)."""
     page = eye.project(corners)
     low, high = page.min(axis=0)[:2], page.max(axis=0)[:2]
     margin = 0.04 * (high - low).max()
-    bottom = low[1] - 2.0 * margin  # below the boxes, whose edges would cross the metre
+    bottom = low[1] - 2.0 * margin  # below the boxes, whose edges would cross the scale bar
     axis.set(xlim=(low[0] - margin, high[0] + margin), ylim=(bottom - margin, high[1] + 3.0 * margin))
     axis.set(xticks=[], yticks=[])
     axis.set_aspect("equal")
     axis.spines[:].set_visible(False)
     arrows = 2.5 * margin * eye.R_page_axes[:2].T * [[1.0], [1.0], [eye.up_sign]]
-    foot = np.array([low[0], bottom]) - np.minimum(0.0, arrows.min(axis=0))  # an arrow out of the panel is not drawn
+    # Arrows beyond the panel would not be drawn.
+    foot = np.array([low[0], bottom]) - np.minimum(0.0, arrows.min(axis=0))
     for world_axis, arrow in zip(eye.axes, arrows, strict=True):
         tip, shape = tuple(foot + arrow), {"arrowstyle": "->", "color": INK, "shrinkA": 0, "shrinkB": 0}
         axis.annotate("", tip, tuple(foot), zorder=3, arrowprops=shape)
@@ -163,7 +169,7 @@ def _draw_histogram(axis: Axes, distances_cm: FloatArray, limit_cm: float) -> No
     colours = matplotlib.colormaps[_CMAP](middles / limit_cm)
     shares = 100.0 * counts / len(distances_cm)
     axis.bar(middles, shares, width=np.diff(edges), color=colours)
-    axis.set_ylim(0.0, 1.16 * shares.max())  # room for the lines' names
+    axis.set_ylim(0.0, 1.16 * shares.max())  # space for the labels of the lines
     for value, name in zip(np.percentile(distances_cm, [50.0, 95.0]), ("median", "95 %"), strict=True):
         axis.axvline(value, color=INK, linewidth=1.0, linestyle=(0, (4, 2)))
         axis.annotate(

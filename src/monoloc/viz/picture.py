@@ -1,4 +1,4 @@
-"""The frame that every picture shares: style, colours, and a file written whole."""
+"""Shared parts of all figures: style, colours and atomic file writes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from monoloc.files import write_whole
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Okabe and Ito (2008): colours that colour-blind readers can tell apart.
+# Colours that colour-blind readers can distinguish (Okabe and Ito 2008).
 BLUE, ORANGE, GREEN, YELLOW, VERMILION, PURPLE = (
     "#0072B2",
     "#E69F00",
@@ -26,7 +26,7 @@ BLUE, ORANGE, GREEN, YELLOW, VERMILION, PURPLE = (
 SKY = "#56B4E9"
 INK, GREY = "#1A1A1A", "#7F7F7F"
 
-_STYLE: Any = {  # matplotlib types its settings from 3.11 on, as a dict of literals
+_STYLE: Any = {  # from 3.11 on, matplotlib types its settings as a dict of literals
     "axes.titlesize": 11,
     "axes.titlelocation": "left",
     "axes.spines.top": False,
@@ -37,16 +37,16 @@ _STYLE: Any = {  # matplotlib types its settings from 3.11 on, as a dict of lite
     "grid.color": "#E8E8E8",
     "legend.fontsize": 9,
     "legend.frameon": False,
-    "text.parse_math": False,  # a $ in a name is a $
+    "text.parse_math": False,  # names may contain $
 }
 
 
 @contextmanager
 def picture(path: str | Path, width_in: float, height_in: float) -> Iterator[Figure]:
-    """A figure to draw on, which becomes the PNG at ``path`` when the block ends without an error.
+    """Context for a figure, which is written to the PNG ``path`` if the block ends without an error.
 
-    matplotlib is imported here and not before. pyplot is left alone: it would keep every figure alive and
-    choose a backend for the whole process.
+    This function imports matplotlib on demand. It avoids pyplot, which would keep all figures alive and select a
+    backend for the whole process.
 
     Raises:
         MissingExtraError: matplotlib is not installed.

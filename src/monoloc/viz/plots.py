@@ -1,6 +1,6 @@
-"""Pictures for people: where the camera went and how sure it was, what the network saw, how training went.
+"""Figures of a localisation run, of predicted depth and of training.
 
-Every function writes one PNG whole, or leaves what was there.
+Each function writes one PNG atomically.
 """
 
 from __future__ import annotations
@@ -30,27 +30,28 @@ def plot_localization(
     mixture: tuple[FloatArray, FloatArray] | None = None,
     title: str = "",
 ) -> None:
-    """The camera's way over the map, from above and from the side, and its errors over time.
+    """Plot the trajectory over the map, from above and from the side, and its errors over time.
 
-    Up is the world axis most opposed to the cameras' mean y axis, so that worlds with y down and with z up
-    are both seen from above. Without truth the right half shows the covariance's bounds alone.
+    Up is the signed world axis that is closest to the negative mean y axis of the cameras. Hence worlds with y down
+    and worlds with z up are both shown from above. Without true poses, the right half shows only the bounds of the
+    covariance.
 
     Args:
-        path: the PNG to write.
+        path: PNG to write.
         estimated: ``T_world_camera``, (N, 4, 4).
         timestamps_s: (N,) seconds.
-        truth: ``T_world_camera``, (N, 4, 4), same world.
+        truth: true ``T_world_camera``, (N, 4, 4), in the same world frame.
         covariances: (N, 6, 6) in the estimated camera's tangent space, order (rho, phi), m and rad.
-        odometry: ``T_world_camera`` by odometry alone, (N, 4, 4), same world.
-        unseen: (N,) True for frames that did not build the map.
-        states: N of "tracking", "uncertain", "lost".
+        odometry: ``T_world_camera`` from odometry alone, (N, 4, 4), in the same world frame.
+        unseen: (N,) True for frames that were not used to build the map.
+        states: state of each frame, N of "tracking", "uncertain", "lost".
         mixture: means (K, 3) and covariances (K, 3, 3) of the map, world frame, metres.
-        title: written above all.
+        title: title of the figure.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
         DataError: the file cannot be written.
-        ValueError: arrays that do not fit the estimate, or poses that are not finite.
+        ValueError: an array does not match the estimate, or a pose is not finite.
     """
     run = Run(estimated, timestamps_s, truth, covariances, odometry, unseen, states, mixture)
     with picture(path, 13.0, 7.8) as figure:
@@ -67,18 +68,18 @@ def plot_depth(
     predicted_m: Sequence[ArrayLike],
     truth_m: Sequence[ArrayLike],
 ) -> None:
-    """One row an image: colour, predicted depth, true depth, and signed relative error.
+    """Plot one row per image: colour, predicted depth, true depth, and signed relative error.
 
     Args:
-        path: the PNG to write.
+        path: PNG to write.
         colors: images (H, W, 3) uint8, RGB, of any size.
-        predicted_m: depth images (h, w), metres; 0 where there is none, which is drawn grey and not judged.
-        truth_m: depth images (h, w), metres; 0 or NaN where unknown, which is drawn grey.
+        predicted_m: depth images (h, w), metres; 0 where unknown, which is grey and excluded from the metrics.
+        truth_m: depth images (h, w), metres; 0 or NaN where unknown, which is grey.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
         DataError: the file cannot be written.
-        ValueError: no image, not as many of each, or an image without a pixel that has both depths.
+        ValueError: there is no image, the lists differ in length, or an image has no pixel with both depths.
     """
     if not len(colors) == len(predicted_m) == len(truth_m) >= 1:
         raise ValueError(
@@ -103,7 +104,7 @@ def plot_depth(
                 axis.grid(False)
         for axis, name in zip(grid[0], ("Colour", "Predicted depth", "True depth", "Error"), strict=True):
             axis.set_title(name)
-        # Room is taken below the colour column too, or it would not stay level with the others.
+        # The colour bar also takes space below the colour column, so that all columns stay aligned.
         figure.colorbar(
             depth, ax=grid[:, :3], location="bottom", label="depth (m)", extend="both",
             shrink=0.66, anchor=(1.0, 1.0), aspect=40,
@@ -112,17 +113,17 @@ def plot_depth(
 
 
 def plot_training(path: str | Path, history: Sequence[Mapping[str, float]]) -> None:
-    """One panel a quantity, over epochs or steps; ``train_x`` and ``validation_x`` share the panel of ``x``.
+    """Plot each quantity over epochs or steps in its own panel; ``train_x`` and ``validation_x`` share panel ``x``.
 
     Args:
-        path: the PNG to write.
-        history: one record an epoch or step, all with the same keys, the first of which is the horizontal
-            axis. NaN leaves a gap.
+        path: PNG to write.
+        history: one record per epoch or step, all with the same keys. The first key is the horizontal axis. NaN
+            leaves a gap.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
         DataError: the file cannot be written.
-        ValueError: an empty history, or records of nothing but their number.
+        ValueError: the history is empty, or its records have only one key.
     """
     if not history or len(history[0]) < 2:
         raise ValueError("history must hold records of a step and at least one quantity")

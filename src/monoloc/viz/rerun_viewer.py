@@ -1,4 +1,4 @@
-"""What Rerun's viewer shows: a run as it goes, and a map before and after adaptation."""
+"""Content of Rerun's viewer: a live run, and a map before and after adaptation."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from monoloc.localizer import Step
 from monoloc.particle_filter.particles import Particles
 from monoloc.supervision.state import State
 
-# Okabe and Ito's colours (2008) that can be seen on Rerun's dark ground, RGBA.
+# Colours of Okabe and Ito (2008) that are visible on Rerun's dark background, RGBA.
 _TRUTH, _ESTIMATE, _ODOMETRY, _SCAN = 0xE6E6E6FF, 0x56B4E9FF, 0xE69F00FF, 0x00C78FFF
 _LANDMARKS, _SEEN = 0xCC79A760, 0xCC79A7FF
 _ORIGINAL, _ADAPTED = 0x56B4E9FF, 0xE69F00FF
@@ -36,25 +36,25 @@ _PLOTS = {
 }
 _TIMELINES = ("frame", "seconds")
 
-_SURFACE_SIGMAS = np.sqrt(3.0)  # how far a surface reaches from its component's mean, if it is covered evenly
-_SIGMAS_95 = 2.795  # ellipsoid of 95 % in three dimensions: the root of chi-squared's quantile
+_SURFACE_SIGMAS = np.sqrt(3.0)  # extent of an evenly covered surface about its component's mean
+_SIGMAS_95 = 2.795  # radius of the 95 % ellipsoid in three dimensions: root of the chi-squared quantile
 _IMAGE_DISTANCE_M = 0.5
 _DEPTH_SHOWN_M = (0.0, 6.0)
 _JPEG_QUALITY = 85
 
 
 class RerunViewer:
-    """Draws one run into a stream; see :class:`monoloc.viz.viewer.Viewer`."""
+    """Logs one run to a stream; see :class:`monoloc.viz.viewer.Viewer`."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
         self._recording: Recording | None = None
         self._thresholds: LikelihoodThresholds | None = None
-        self._ends: dict[str, FloatArray] = {}  # where each way has come to, (3,)
+        self._ends: dict[str, FloatArray] = {}  # last position of each trajectory, (3,)
 
     def begin(self, room: Bundle, recording: Recording) -> None:
         self._recording, self._thresholds = recording, room.thresholds
-        self._static("world", _upright(room.provenance.down_world))
+        self._static("world", _view_coordinates(room.provenance.down_world))
         map_ = room.adapted
         self._static("world/map", _ellipsoids(map_.means, map_.covariances, _SURFACE_SIGMAS, _MAP, "solid"))
         landmarks = rr.Points3D(room.landmarks.points, colors=_LANDMARKS, radii=rr.Radius.ui_points(1.0))
@@ -84,10 +84,10 @@ class RerunViewer:
         truth = None if self._recording.poses is None else self._recording.poses[index]
         self._show_images(color, step)
         self._show_belief(step, particles)
-        self._show_way("estimate", step.estimate.pose, truth, _ESTIMATE)
-        # Without a motion the odometry stands still, and a random walk has none at all.
+        self._show_trajectory("estimate", step.estimate.pose, truth, _ESTIMATE)
+        # Odometry does not change without a motion, and a random walk never has one.
         if step.motion is not None:
-            self._show_way("odometry", odometry, truth, _ODOMETRY)
+            self._show_trajectory("odometry", odometry, truth, _ODOMETRY)
         self._ends["odometry"] = odometry[:3, 3]
         self._plot("error_cm/stated_sd", 100.0 * np.sqrt(np.trace(step.estimate.covariance[:3, :3])))
         self._show_likelihood(step.mean_log_likelihood)
@@ -96,7 +96,7 @@ class RerunViewer:
 
     def _show_images(self, color: NDArray[np.uint8], step: Step) -> None:
         self._stream.log("world/camera/image", rr.Image(color).compress(jpeg_quality=_JPEG_QUALITY))
-        # Outside of the camera's frame, where the viewer would lift it into the room, unscaled.
+        # Not below the camera's entity, where the viewer would back-project the uncorrected depth into the room.
         depth = rr.DepthImage(step.depth.depth_m, meter=1.0, colormap="viridis", depth_range=_DEPTH_SHOWN_M)
         self._stream.log("depth", depth)
 
@@ -113,8 +113,8 @@ class RerunViewer:
         seen = np.zeros((0, 3)) if step.landmark_pose is None else step.landmark_pose.points
         self._stream.log("world/seen", rr.Points3D(seen, colors=_SEEN, radii=rr.Radius.ui_points(3.0)))
 
-    def _show_way(self, name: str, pose: FloatArray, truth: FloatArray | None, color: int) -> None:
-        """The last piece of a way, of which the layout shows all up to the cursor, and its error."""
+    def _show_trajectory(self, name: str, pose: FloatArray, truth: FloatArray | None, color: int) -> None:
+        """Log the last segment of a trajectory and its error; the layout shows all segments up to the cursor."""
         position = pose[:3, 3]
         piece = np.stack([self._ends.get(name, position), position])
         strip = rr.LineStrips3D([piece], colors=color, radii=rr.Radius.ui_points(1.5))
@@ -138,14 +138,14 @@ class RerunViewer:
 
 
 def run_blueprint() -> rrb.Blueprint:
-    """The room at the left; images, errors, likelihood, state and time a step at the right."""
+    """Layout with the room on the left, and images, errors, likelihood, state and step time on the right."""
     up_to_now = rrb.VisibleTimeRanges(
         [rrb.VisibleTimeRange(name, start=rrb.TimeRangeBoundary.infinite(), end=_NOW) for name in _TIMELINES]
     )
     room = rrb.Spatial3DView(
         origin="world",
         name="room",
-        overrides={f"world/{way}": up_to_now for way in ("estimate", "odometry")},
+        overrides={f"world/{name}": up_to_now for name in ("estimate", "odometry")},
     )
     images = rrb.Horizontal(
         rrb.Spatial2DView(origin="world/camera/image", name="image"),
@@ -171,22 +171,23 @@ def run_blueprint() -> rrb.Blueprint:
 def draw_map_change(
     stream: rr.RecordingStream, original: FloatArray, adapted: FloatArray, distances_m: FloatArray, down: ArrayLike
 ) -> None:
-    """Both clouds with their boxes, the original coloured by distance, and the distances' histogram.
+    """Log both clouds with boxes, the original cloud coloured by distance, and a histogram of distances.
 
-    After Shukla et al. 2023, figure 3, as :func:`monoloc.viz.map_drawing.plot_map_change` but to turn about.
+    This is the interactive form of :func:`monoloc.viz.map_drawing.plot_map_change` (Shukla et al. 2023, figure 3).
 
     Args:
-        original, adapted: (N, 3) and (M, 3), world frame, metres.
-        distances_m: (N,) distance of every point of the original to the adapted cloud.
-        down: (3,) roughly where down is in the world.
+        stream: stream to the viewer.
+        original, adapted: clouds (N, 3) and (M, 3), world frame, metres.
+        distances_m: (N,) distance of each point of the original to the adapted cloud.
+        down: (3,) approximate down direction in the world.
     """
-    stream.log("world", _upright(down), static=True)
+    stream.log("world", _view_coordinates(down), static=True)
     for name, cloud, color in (("original", original, _ORIGINAL), ("adapted", adapted, _ADAPTED)):
         stream.log(f"world/{name}", rr.Points3D(cloud, colors=color, radii=rr.Radius.ui_points(1.0)), static=True)
         low, high = cloud.min(axis=0), cloud.max(axis=0)
         box = rr.Boxes3D(mins=[low], sizes=[high - low], colors=color, fill_mode="majorwireframe")
         stream.log(f"world/boxes/{name}", box, static=True)
-        # At opposite corners, for the boxes' centres are nearly one point.
+        # At opposite corners, because the centres of the boxes nearly coincide.
         corner, text = (low if name == "original" else high), " × ".join(f"{side:.2f}" for side in high - low)
         label = rr.Points3D([corner], labels=f"{name}: {text} m", colors=color, show_labels=True)
         stream.log(f"world/boxes/{name}/size", label, static=True)
@@ -204,7 +205,7 @@ def draw_map_change(
 
 
 def map_blueprint() -> rrb.Blueprint:
-    """Clouds and boxes at the left; distances in the room and as bars at the right."""
+    """Layout with clouds and boxes on the left, and distances in the room and as a histogram on the right."""
     clouds = ["world/original", "world/adapted", "world/boxes/**"]
     return rrb.Blueprint(
         rrb.Horizontal(
@@ -224,8 +225,8 @@ def map_blueprint() -> rrb.Blueprint:
 _NOW = rrb.TimeRangeBoundary.cursor_relative(seq=0)
 
 
-def _upright(down: ArrayLike) -> rr.AsComponents:
-    """The world's axes as Rerun has them: right-handed, and which one is up."""
+def _view_coordinates(down: ArrayLike) -> rr.AsComponents:
+    """Rerun's view coordinates of the world: right-handed, with the axis that points up or down."""
     down = np.asarray(down, dtype=np.float64)
     axis = int(np.argmax(np.abs(down)))
     name = f"RIGHT_HAND_{'XYZ'[axis]}_{'DOWN' if down[axis] > 0.0 else 'UP'}"
@@ -234,7 +235,7 @@ def _upright(down: ArrayLike) -> rr.AsComponents:
 
 
 def _pinhole(camera: Camera) -> rr.Pinhole:
-    """Rerun's pixel centres are at halves, and it has no distortion."""
+    """Convert a camera to Rerun's pinhole, which has pixel centres at half integers and no distortion."""
     return rr.Pinhole(
         focal_length=(camera.fx, camera.fy),
         principal_point=(camera.cx + 0.5, camera.cy + 0.5),
@@ -248,9 +249,9 @@ def _pinhole(camera: Camera) -> rr.Pinhole:
 def _ellipsoids(
     means: FloatArray, covariances: FloatArray, sigmas: float, color: int, fill: Literal["solid", "majorwireframe"]
 ) -> rr.Ellipsoids3D:
-    """So many standard deviations of Gaussians, (K, 3) and (K, 3, 3)."""
+    """Ellipsoids of Gaussians with means (K, 3) and covariances (K, 3, 3) at ``sigmas`` standard deviations."""
     variances, axes = np.linalg.eigh(covariances)
-    axes[..., 0] *= np.linalg.det(axes)[..., None]  # eigenvectors may be a mirrored frame, which no rotation gives
+    axes[..., 0] *= np.linalg.det(axes)[..., None]  # makes a left-handed frame of eigenvectors a rotation
     return rr.Ellipsoids3D(
         centers=means,
         half_sizes=sigmas * np.sqrt(np.maximum(variances, 0.0)),
@@ -261,6 +262,6 @@ def _ellipsoids(
 
 
 def _viridis(shares: FloatArray) -> NDArray[np.uint8]:
-    """RGB (N, 3) of values from 0 to 1, (N,)."""
+    """RGB (N, 3) uint8 of values (N,) from 0 to 1."""
     levels = np.round(255.0 * np.clip(shares, 0.0, 1.0)).astype(np.uint8)
     return np.asarray(cv2.applyColorMap(levels[:, None], cv2.COLORMAP_VIRIDIS)[:, 0, ::-1], dtype=np.uint8)

@@ -1,6 +1,6 @@
-"""The two halves of the localization picture: views of the map, and errors over time.
+"""The two halves of the localisation figure: views of the map, and errors over time.
 
-Drawing functions return what they drew by its name, for one legend below both halves.
+Drawing functions return their artists by name, for one legend below both halves.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ if TYPE_CHECKING:
 _STATE_COLOURS = {"uncertain": YELLOW, "lost": VERMILION}
 _DASHED = (0, (4, 2))
 _ELLIPSE_SIGMA = 1.5
-_VIEWS_ASPECT = 1.05  # height of both views together over their width, in the picture's left half
+_VIEWS_ASPECT = 1.05  # total height of both views over their width, in the left half
 _ARROWS_DRAWN = 16
-_ARROWS_PER_WIDTH = 22.0  # an arrow's length is one in so many of the view's width
-_VIEW_WIDTH_PT = 390.0  # nearly
+_ARROWS_PER_WIDTH = 22.0  # width of the view over the length of an arrow
+_VIEW_WIDTH_PT = 390.0  # approximate
 _NAME_PT = (15.0, 6.0)  # half of the width and height of "start"
-_GAP_PT = 4.0  # from a name to what it must not hide
+_GAP_PT = 4.0  # minimum distance of a label from what it must not cover
 
 
 @dataclass(frozen=True)
 class Run:
-    """What :func:`~monoloc.viz.plots.plot_localization` was given, under the same names."""
+    """Arguments of :func:`~monoloc.viz.plots.plot_localization`, with the same names."""
 
     estimated: FloatArray
     timestamps_s: FloatArray
@@ -46,7 +46,7 @@ class Run:
     mixture: tuple[FloatArray, FloatArray] | None
 
     def in_state(self, state: str) -> NDArray[np.bool_]:
-        """(N,) whether each frame is in the state; none is where the states are unknown."""
+        """Whether each frame is in the state, (N,); False if the states are unknown."""
         return np.array([s == state for s in self.states or [""] * len(self.estimated)])
 
 
@@ -54,14 +54,14 @@ class Run:
 
 
 def draw_views(figure: SubFigure, run: Run) -> dict[str, Artist]:
-    """Draw the way over the map from above and from the side."""
+    """Draw the trajectory over the map, from above and from the side."""
     right, forward, up, up_is_negative = view_axes(run.estimated)
     low_m, high_m = _bounds(run, (right, forward, up))
     heights = [high_m[axis] - low_m[axis] for axis in (forward, up)]
     top, side = figure.subplots(2, 1, height_ratios=heights)
     shown: dict[str, Artist] = {}
     for axis, plane in ((top, [right, forward]), (side, [right, up])):
-        # matplotlib takes the step for turning arrows from the data's extent, which a single frame lacks.
+        # matplotlib derives the step for rotated arrows from the extent of the data, which is 0 for a single frame.
         axis.update_datalim([low_m[plane], high_m[plane]])
         axis.set_xlim(low_m[plane[0]], high_m[plane[0]])
         axis.set_ylim(low_m[plane[1]], high_m[plane[1]])
@@ -70,22 +70,22 @@ def draw_views(figure: SubFigure, run: Run) -> dict[str, Artist]:
         if axis is side and up_is_negative:
             axis.invert_yaxis()
         _draw_map(axis, plane, run)
-        shown |= _draw_ways(axis, plane, run)
+        shown |= _draw_trajectories(axis, plane, run)
     top.set_title("From above (arrows: viewing direction)")
     side.set_title("From the side")
     return shown
 
 
 def view_axes(poses: FloatArray) -> tuple[int, int, int, bool]:
-    """:func:`page_axes` for cameras (N, 4, 4) that were held upright on the whole."""
-    return page_axes(poses[:, :3, 1].mean(axis=0))  # the camera's y axis, in the world
+    """:func:`page_axes` from poses (N, 4, 4) of cameras that are upright on average."""
+    return page_axes(poses[:, :3, 1].mean(axis=0))  # camera's y axis in the world
 
 
 def page_axes(down: FloatArray) -> tuple[int, int, int, bool]:
-    """World axes that point right, forward and up on the page, and whether up is that axis's negative end.
+    """World axes that point right, forward and up on the page, and whether up is the negative direction of its axis.
 
     Args:
-        down: (3,) where down is in the world, of any length.
+        down: (3,) down direction in the world, of any length.
     """
     up = int(np.argmax(np.abs(down)))
     right, forward = (up + 1) % 3, (up + 2) % 3  # right x forward = +up, so nothing is mirrored
@@ -93,9 +93,9 @@ def page_axes(down: FloatArray) -> tuple[int, int, int, bool]:
 
 
 def _bounds(run: Run, axes: tuple[int, int, int]) -> tuple[FloatArray, FloatArray]:
-    """Two corners (3,) of the box to show: all of the way, and the map but for its stray points.
+    """Lower and upper corner (3,) of the shown box, which contains the trajectories and the map without outliers.
 
-    It is widened until the two views, one above the other and to one scale, fill their half of the picture.
+    The box is enlarged so that the two views, stacked and at one scale, fill their half of the figure.
     """
     corners = [T[:, :3, 3] for T in (run.estimated, run.truth, run.odometry) if T is not None]
     if run.mixture is not None:
@@ -119,7 +119,7 @@ def _draw_map(axis: Axes, plane: list[int], run: Run) -> None:
 
 
 def draw_mixture(axis: Axes, plane: list[int], means: FloatArray, covariances: FloatArray) -> None:
-    """Draw a map's components as ellipses behind all else: means (K, 3), covariances (K, 3, 3), world frame."""
+    """Draw a map's components as ellipses in the background: means (K, 3), covariances (K, 3, 3), world frame."""
     from matplotlib.collections import EllipseCollection
 
     variances, vectors = np.linalg.eigh(covariances[:, plane][:, :, plane])
@@ -139,14 +139,14 @@ def draw_mixture(axis: Axes, plane: list[int], means: FloatArray, covariances: F
     axis.add_collection(ellipses, autolim=False)
 
 
-def _draw_ways(axis: Axes, plane: list[int], run: Run) -> dict[str, Artist]:
+def _draw_trajectories(axis: Axes, plane: list[int], run: Run) -> dict[str, Artist]:
     shown: dict[str, Artist] = {}
 
     def draw(name: str, poses: FloatArray, *style: str, **details: Any) -> None:
         (shown[name],) = axis.plot(*poses[:, plane, 3].T, *style, **details)
 
     if run.odometry is not None:
-        # With a truth it begins there, which the estimate need not.
+        # With true poses, odometry starts at the truth; the estimate may start elsewhere.
         name = "odometry alone" if run.truth is None else "odometry alone, from the true start"
         draw(name, run.odometry, color=ORANGE, linestyle=_DASHED, linewidth=1.2)
     if run.truth is not None:
@@ -158,8 +158,8 @@ def _draw_ways(axis: Axes, plane: list[int], run: Run) -> dict[str, Artist]:
         style = {"markersize": 3.2, "markerfacecolor": "none", "markeredgewidth": 0.8}
         draw("frames that built the map", reference[~run.unseen], "o", color=GREEN, **style)
     for state, colour in _STATE_COLOURS.items():
-        if (there := run.in_state(state)).any():
-            axis.plot(*run.estimated[there][:, plane, 3].T, "x", color=colour, markersize=5)
+        if (selected := run.in_state(state)).any():
+            axis.plot(*run.estimated[selected][:, plane, 3].T, "x", color=colour, markersize=5)
 
     some = run.estimated[:: max(1, len(run.estimated) // _ARROWS_DRAWN)]
     axis.quiver(
@@ -171,7 +171,7 @@ def _draw_ways(axis: Axes, plane: list[int], run: Run) -> dict[str, Artist]:
         color=BLUE,
         alpha=0.8,
     )
-    # What the names of the ends must not hide: the ways, the arrows along their length, and each other.
+    # The labels of start and end must not cover trajectories, arrows, or each other.
     arrow = np.ptp(axis.get_xlim()) / _ARROWS_PER_WIDTH * some[:, plane, 2]
     crowd = [T[:, plane, 3] for T in (run.estimated, run.truth, run.odometry) if T is not None]
     crowd += [some[:, plane, 3] + share * arrow for share in (0.5, 1.0)]
@@ -186,10 +186,10 @@ def _draw_ways(axis: Axes, plane: list[int], run: Run) -> dict[str, Artist]:
 
 
 def _beside(axis: Axes, at: FloatArray, crowd: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Where a name beside a point (2,) hides no other points (N, 2), and then where it is farthest from them.
+    """Place a label next to a point (2,) so that it covers no other points (N, 2), and then far from their mean.
 
     Returns:
-        Its offset in points (2,), and its box's middle and corners (5, 2), which are within the axis's limits.
+        Offset of the label in points (2,), and centre and corners (5, 2) of its box, inside the limits of the axis.
     """
     low, high = (np.array(ends) for ends in zip(axis.get_xlim(), axis.get_ylim(), strict=True))
     m_per_pt = np.sign(high - low) * (high[0] - low[0]) / _VIEW_WIDTH_PT
@@ -212,7 +212,7 @@ def _beside(axis: Axes, at: FloatArray, crowd: FloatArray) -> tuple[FloatArray, 
 
 
 def draw_errors(figure: SubFigure, run: Run) -> dict[str, Artist]:
-    """Draw position and rotation errors over time, under the bounds that the covariances state."""
+    """Draw position and rotation errors over time, with the bounds of the covariances."""
     nothing = (None, None)
     own = nothing if run.truth is None else _errors_cm_deg(run.estimated, run.truth)
     drift = nothing if run.truth is None or run.odometry is None else _errors_cm_deg(run.odometry, run.truth)
@@ -243,7 +243,7 @@ def _draw_error(
     if error is not None:
         axis.plot(time_s, error, color=BLUE, linewidth=1.3)
     for state, colour in _STATE_COLOURS.items():
-        # A frame's state holds until the next frame; edges of the mask are starts and ends of stretches.
+        # A state lasts until the next frame. The edges of the mask are starts and ends of intervals.
         edges = np.flatnonzero(np.diff(run.in_state(state).astype(np.int8), prepend=0, append=0))
         for start, end in edges.reshape(-1, 2):
             until_s = time_s[min(end, len(time_s) - 1)]
@@ -254,7 +254,7 @@ def _draw_error(
         axis.plot(built_s, foot, "|", color=GREEN, markersize=6, transform=axis.get_xaxis_transform())
     axis.set_title(_error_title(name, unit, error, run.unseen))
     axis.set_ylabel(f"{name.lower()} error ({unit.strip()})")
-    counts = ~run.in_state("lost")  # how far off a lost camera's pose is, tells nobody anything
+    counts = ~run.in_state("lost")  # the error of a lost camera is meaningless
     counts |= not counts.any()
     curves = (None if curve is None else curve[counts] for curve in (error, drift, bound))
     axis.set_ylim(0.0, _error_limit(*curves))
@@ -276,7 +276,7 @@ def _error_title(name: str, unit: str, error: FloatArray | None, unseen: NDArray
 
 
 def _error_limit(error: FloatArray | None, drift: FloatArray | None, bound: FloatArray | None) -> float:
-    """Top of the axis: all of these errors, and of the rest as much as leaves the error legible."""
+    """Upper limit of the axis: it shows the whole error, and drift and bound up to three times the largest error."""
     rest = max((float(np.max(v)) for v in (drift, bound) if v is not None), default=0.0)
     highest = rest if error is None else max(float(np.max(error)), min(rest, 3.0 * float(np.max(error))))
     return 1.08 * highest or 1.0
@@ -292,14 +292,14 @@ def _bounds_cm_deg(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def norm_bound_95(covariances: FloatArray) -> FloatArray:
-    """Length that a zero-mean Gaussian vector stays below 95 % of the time: (N, 3, 3) -> (N,).
+    """95 % quantile of the length of a zero-mean Gaussian vector: covariances (N, 3, 3) -> (N,).
 
-    The squared length is matched to a scaled chi-squared by its first two moments (Satterthwaite 1946),
-    whose quantile is Wilson and Hilferty's (1931): within about 2 % of the exact length.
+    The squared length is approximated by a scaled chi-squared with the same first two moments (Satterthwaite 1946),
+    and its quantile by Wilson and Hilferty (1931). The result is within about 2 % of the exact length.
     """
     mean = np.trace(covariances, axis1=-2, axis2=-1)
     half_variance = np.sum(covariances**2, axis=(-1, -2))
-    # A covariance of zero has no degrees of freedom; any number does, as its mean makes the bound zero.
+    # A zero covariance has no degrees of freedom. Any number is valid, because the mean of 0 makes the bound 0.
     dof = np.where(half_variance > 0.0, mean**2 / np.where(half_variance > 0.0, half_variance, 1.0), 1.0)
     spread = 2.0 / (9.0 * dof)
     return np.asarray(np.sqrt(mean * (1.0 - spread + 1.6449 * np.sqrt(spread)) ** 3))

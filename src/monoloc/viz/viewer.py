@@ -1,4 +1,4 @@
-"""Who looks on while a camera is localised: nobody, or Rerun's viewer."""
+"""Viewers of a localisation run: none, or Rerun's viewer."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ if TYPE_CHECKING:
     from rerun import RecordingStream
     from rerun.blueprint import Blueprint
 
-_PORT = 9876  # Rerun's own; a viewer that listens there, even one forwarded from another machine, is used
+_PORT = 9876  # Rerun's default; a viewer that listens there is used, also one forwarded from another machine
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 
 
 class Viewer(Protocol):
-    """Sees a run; who localises calls it always, and does not know who looks."""
+    """Interface of viewers of a run."""
 
     def begin(self, room: Bundle, recording: Recording) -> None:
-        """A run begins."""
+        """Start a run."""
         ...
 
     def show(
@@ -47,21 +47,21 @@ class Viewer(Protocol):
         odometry: FloatArray,
         step_ms: float,
     ) -> None:
-        """A frame is done.
+        """Show a processed frame.
 
         Args:
-            index: of the frame in the recording.
-            color: (H, W, 3) uint8 RGB, as the localizer got it.
-            step: what it made of it.
-            particles: the belief after it.
+            index: index of the frame in the recording.
+            color: (H, W, 3) uint8 RGB, the localizer's input.
+            step: the localizer's result.
+            particles: particles after the step.
             odometry: (4, 4) ``T_world_camera`` by dead reckoning.
-            step_ms: what the step took.
+            step_ms: duration of the step.
         """
         ...
 
 
 class NoViewer:
-    """Nobody looks."""
+    """Shows nothing."""
 
     def begin(self, room: Bundle, recording: Recording) -> None:
         pass
@@ -80,7 +80,7 @@ class NoViewer:
 
 @contextmanager
 def run_viewer(name: str, view: bool, record: Path | None) -> Iterator[Viewer]:
-    """A viewer of one run, with its window and its file if they are wanted; see :func:`_rerun_stream`."""
+    """Context for the viewer of one run, with an optional window and file; see :func:`_rerun_stream`."""
     if not view and record is None:
         yield NoViewer()
         return
@@ -99,7 +99,7 @@ def show_map_change(
     distances_m: FloatArray,
     down: FloatArray,
 ) -> None:
-    """Two clouds in the window and the file that are wanted; see :func:`monoloc.viz.rerun_viewer.draw_map_change`."""
+    """Show two clouds in an optional window and file; see :func:`monoloc.viz.rerun_viewer.draw_map_change`."""
     if not view and record is None:
         return
     from monoloc.viz.rerun_viewer import draw_map_change, map_blueprint
@@ -112,12 +112,14 @@ def show_map_change(
 def _rerun_stream(
     application: str, name: str, blueprint: Blueprint, view: bool, record: Path | None
 ) -> Iterator[RecordingStream]:
-    """A stream to Rerun's window, to a file, or to both; the file is there when the block ends without an error.
+    """Context for a stream to Rerun's window, a file, or both; the file appears if the block ends without an error.
 
     Args:
-        application: recordings of one application share a layout.
-        name: of this recording, for people.
-        blueprint: the layout, unless the viewer has one of the application's already.
+        application: identifier of the application; its recordings share a layout.
+        name: name of the recording.
+        blueprint: default layout, which the viewer ignores if it has one for the application.
+        view: whether to open the window.
+        record: file to write, or None.
 
     Raises:
         DataError: the file cannot be written.
@@ -139,7 +141,7 @@ def _rerun_stream(
             try:
                 stream.set_sinks(*window, *file_sink, default_blueprint=blueprint)
             except (RuntimeError, OSError) as error:
-                if view and (partial is None or partial.exists()):  # then the file is begun, and it is the window
+                if view and (partial is None or partial.exists()):  # the file was started, so the window failed
                     raise SettingError("--view", f"the window is lost ({error})", "try again") from error
                 raise
         stream.send_recording_name(name)
@@ -157,7 +159,7 @@ def _rerun_stream(
 
 @contextmanager
 def _writing(record: Path | None) -> Iterator[None]:
-    """Rerun's errors about the file in our words."""
+    """Turn Rerun's errors about the file into DataError."""
     try:
         yield
     except (RuntimeError, OSError) as error:
@@ -167,23 +169,23 @@ def _writing(record: Path | None) -> Iterator[None]:
 
 
 def _check_whole(path: Path) -> None:
-    """Refuse a file whose end, an index, is missing: Rerun only logs it when a disk is full.
+    """Check that a file is complete, which ends with an index. If the disk is full, Rerun only logs this.
 
     Raises:
-        RuntimeError: it is not whole.
+        RuntimeError: the file is incomplete.
     """
     from rerun.chunk import RrdReader
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that there is no index is told by the error
+        warnings.simplefilter("ignore")  # the error already reports a missing index
         RrdReader(path).store()
 
 
 def require_window() -> None:
-    """Say that no window can be opened before the work is done.
+    """Check that a window can be opened, before long work starts.
 
     Raises:
-        SettingError: there is neither a display nor a viewer that listens.
+        SettingError: there is neither a display nor a listening viewer.
     """
     if sys.platform == "linux" and not any(os.environ.get(name) for name in _DISPLAYS) and not _is_listening():
         fix = f"give --record FILE.rrd and open that elsewhere, or forward a viewer's port {_PORT} to here"

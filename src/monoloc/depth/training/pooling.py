@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from monoloc import _core
+import monoloc._core as _core
 
 
 def max_pool5(x: Tensor) -> Tensor:

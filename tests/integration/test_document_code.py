@@ -1,0 +1,108 @@
+"""Code in documents does what it says, in a synthetic room."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from monoloc.bundle import write_bundle
+from monoloc.geometry import se3_exp, se3_log
+from repository import REPOSITORY
+from synthetic_room import Room, RoomRecording, make_bundle, make_path, room_mixture
+
+FRAMES = 12
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, recording: RoomRecording) -> Path:
+    """Holds ``room.monoloc`` and ``flight.avi``, which documents only read."""
+    folder = tmp_path_factory.mktemp("documents")
+    write_bundle(folder / "room.monoloc", make_bundle(room_mixture(Room()), recording, range(0, FRAMES, 2)))
+    size = (recording.camera.width, recording.camera.height)
+    writer = cv2.VideoWriter(str(folder / "flight.avi"), cv2.VideoWriter.fourcc(*"FFV1"), 15.0, size)
+    for index in range(FRAMES):
+        writer.write(cv2.cvtColor(recording.color(index), cv2.COLOR_RGB2BGR))
+    writer.release()
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def _working_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+
+
+def code_blocks(document: str) -> list[str]:
+    """The blocks of Python in a document."""
+    return re.findall(r"```python\n(.*?)```", (REPOSITORY / document).read_text(encoding="utf-8"), re.DOTALL)
+
+
+def execute(document: str, code: str, names: dict[str, Any]) -> dict[str, Any]:
+    """The names after the code."""
+    exec(compile(code, document, "exec"), names)
+    return names
+
+
+def execute_flight(document: str, recording: RoomRecording, **given: Any) -> dict[str, Any]:
+    """The names after a document's one block, with the recording's camera, start and video."""
+    (code,) = code_blocks(document)
+    code, replaced = re.subn(r"camera = monoloc\.Camera\(640, 480, .*\)\n", "camera = given_camera\n", code)
+    assert replaced == 1
+    names = {"given_camera": recording.camera, "T_world_camera": recording.poses[0], **given}
+    return execute(document, code.replace("flight.mp4", "flight.avi"), names)
+
+
+@pytest.mark.parametrize("document", ["README.md", "docs/tutorial.md"])
+def test_camera_is_followed(recording: RoomRecording, document: str) -> None:
+    frames = [(recording.color(index), 1.0 / 15.0) for index in range(FRAMES)]
+    step = execute_flight(document, recording, frames=frames)["step"]
+    assert step.state in ("tracking", "uncertain") and step.estimate.covariance.shape == (6, 6)
+    assert np.linalg.norm(step.estimate.pose[:3, 3] - recording.poses[-1][:3, 3]) < 0.1
+
+
+def test_flight_controller_gets_the_pose_of_the_drones_centre(recording: RoomRecording) -> None:
+    """In north, east, down; 6 cm behind the camera, whose axes are the body's right, down and forward."""
+    names = execute_flight("docs/how-to/fly.md", recording)
+    assert names["before_s"] == pytest.approx((FRAMES - 1) / 15.0)
+    T_ned_body, covariance = names["T_ned_body"], names["covariance"]
+    belief = names["step"].estimate
+    right, down, forward = belief.pose[:3, :3].T
+    centre = belief.pose[:3, 3] - 0.06 * forward
+    np.testing.assert_allclose(T_ned_body[:3, 3], centre * (1.0, -1.0, -1.0), atol=1e-12)
+    for axis, direction in zip(T_ned_body[:3, :3].T, (forward, right, down), strict=True):
+        np.testing.assert_allclose(axis, direction * (1.0, -1.0, -1.0), atol=1e-12)
+    assert np.linalg.norm(belief.pose[:3, 3] - recording.poses[-1][:3, 3]) < 0.1
+    # The covariance, against the spread of poses that are drawn from the belief.
+    errors = []
+    for twist in np.random.default_rng(0).multivariate_normal(np.zeros(6), 1e-6 * belief.covariance, 4000):
+        drawn, _ = names["for_autopilot"](replace(belief, pose=belief.pose @ se3_exp(twist)))
+        rotation = se3_log(np.linalg.inv(T_ned_body) @ drawn)[3:]
+        errors.append([*(drawn[:3, 3] - T_ned_body[:3, 3]), *rotation])
+    sd = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(sd, sd)
+    np.testing.assert_allclose(1e6 * np.cov(np.transpose(errors)) / np.outer(sd, sd), correlation, atol=0.1)
+
+
+def test_rendered_room_is_edited() -> None:
+    document = "docs/how-to/rendered-rooms.md"
+    names = execute(document, code_blocks(document)[0], {})
+    assert names["moved"] != names["room"] and set(names["room"].names) - set(names["emptier"].names) == {"plant"}
+
+
+@pytest.mark.slow
+def test_likelihood_of_ones_own_is_compared_with_the_default(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    document = "docs/how-to/change-a-part.md"
+    second = RoomRecording(Room(), make_path(FRAMES // 2))
+    monkeypatch.setattr("monoloc.io.registry.open_recording", {"folder:second-recording": second}.__getitem__)
+    (code,) = code_blocks(document)
+    execute(document, code, {})
+    lines = re.findall(r"(.*): (.*) cm \((.*) to (.*)\)\n", capsys.readouterr().out)
+    assert [name for name, *_ in lines] == ["ray", "nearest component"]
+    assert lines[0][1:] != lines[1][1:] and all(float(median) < 12.0 for _, median, *_ in lines)

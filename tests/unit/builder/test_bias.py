@@ -1,0 +1,161 @@
+"""Measurement of the particles' bias, with localizers whose errors are given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from monoloc.builder.bias import fit_bias_model, localizer_factory, measure_bias, measure_bias_at_reference
+from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors
+from monoloc.fusion.bias_model import BiasModel
+from monoloc.geometry import FloatArray, se3_exp
+from monoloc.map.mixture import GaussianMixture
+from monoloc.progress import NoProgress
+from monoloc.relocalization.state_machine import Mode
+from synthetic_room import FRAME_S, Room, RoomRecording, make_bundle, make_path
+
+# --- The model ---
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_model_is_that_which_errors_were_drawn_from(seed: int) -> None:
+    """Of 2000 errors, the square of the median has a standard deviation of 5 %, that of the growth 10 %."""
+    rng = np.random.default_rng(seed)
+    true = BiasModel(sd_at_reference_m=0.03, sd_at_reference_rad=0.01, sd_growth_m=0.1, sd_growth_rad=0.2)
+    # The hold-out network's errors are larger everywhere: by as much at the reference poses as away from them.
+    hold_out = true.model_copy(update={"sd_at_reference_m": 0.05, "sd_at_reference_rad": 0.03})
+    distances_m = rng.uniform(0.2, 0.8, 2000)
+
+    def errors(model: BiasModel, distances_m: FloatArray) -> PoseErrors:
+        twists = rng.normal(size=(len(distances_m), 6)) * [model.sds(distance) for distance in distances_m]
+        return PoseErrors(np.linalg.norm(twists[:, :3], axis=1), np.linalg.norm(twists[:, 3:], axis=1))
+
+    here = np.zeros(2000)
+    model = fit_bias_model(errors(true, here), errors(hold_out, here), errors(hold_out, distances_m), distances_m)
+    assert (model.sd_at_reference_m, model.sd_at_reference_rad) == pytest.approx((0.03, 0.01), rel=0.05)
+    # The squares of the growth and of the prior's 0.1 are averaged.
+    assert (model.sd_growth_m, model.sd_growth_rad) == pytest.approx((0.1, np.sqrt(0.025)), rel=0.12)
+
+
+def test_prior_gives_some_growth_where_errors_away_are_no_larger() -> None:
+    at_reference = PoseErrors(np.full(9, 0.1), np.full(9, 0.1))
+    away = PoseErrors(np.full(9, 0.08), np.full(9, 0.2))
+    model = fit_bias_model(at_reference, at_reference, away, np.full(9, 0.5))
+    assert model.sd_growth_m == pytest.approx(np.sqrt(0.5) * 0.1) and model.sd_growth_rad > model.sd_growth_m
+
+
+def test_prior_is_all_without_errors_away() -> None:
+    at_reference, none = PoseErrors(np.full(9, 0.1), np.full(9, 0.1)), PoseErrors(np.zeros(0), np.zeros(0))
+    model = fit_bias_model(at_reference, at_reference, none, np.zeros(0))
+    assert model.sd_growth_m == model.sd_growth_rad == 0.1
+
+
+# --- The measurement ---
+
+
+class _NumberedFrames:
+    """A recording whose images show the numbers of their frames."""
+
+    def __init__(self, poses: FloatArray) -> None:
+        self.poses, self.timestamps_s = poses, 0.1 * np.arange(len(poses))
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def color(self, index: int) -> NDArray[np.uint8]:
+        return np.full((1, 1, 3), index, dtype=np.uint8)
+
+
+class _FakeLocalizer:
+    """Its pose is the true one times the exponential of an error: a twist by frame, previous frame and step."""
+
+    def __init__(self, poses: FloatArray, error: Callable[[int, int, int], Any]) -> None:
+        self._poses, self._error = poses, error
+        self.frames: list[int] = []
+
+    def step(self, color: NDArray[np.uint8], elapsed_s: float) -> SimpleNamespace:
+        index, previous = int(color[0, 0, 0]), self.frames[-1] if self.frames else 0
+        pose = self._poses[index] @ se3_exp(self._error(index, previous, len(self.frames)))
+        self.frames.append(index)
+        return SimpleNamespace(particle_estimate=SimpleNamespace(pose=pose))
+
+
+@pytest.mark.parametrize(("places", "frames_each"), [(1, 200), (3, 6), (30, 1)])
+def test_trajectories_are_long_enough_to_forget_their_start(places: int, frames_each: int) -> None:
+    """Every localizer starts at the true pose and drifts to its error within ten frames; that error is measured."""
+    poses = np.tile(np.eye(4), (places * frames_each, 1, 1))
+    poses[:, 2, 3] = np.repeat(5.0 * np.arange(places), frames_each)
+    made: list[_FakeLocalizer] = []
+
+    def make(_: FloatArray) -> _FakeLocalizer:
+        made.append(_FakeLocalizer(poses, lambda _i, _p, step: [0.1 * min(1.0, step / 10.0), 0, 0, 0, 0, 0]))
+        return made[-1]
+
+    model, reference_poses = measure_bias_at_reference(make, _NumberedFrames(poses), False, NoProgress())
+    # The median length of Gaussian errors with this deviation an axis is a decimetre.
+    assert model.sd_at_reference_m == pytest.approx(0.1 / np.sqrt(CHI2_MEDIAN_3), rel=0.1)
+    frames = [index for localizer in made for index in localizer.frames]
+    assert len({index // frames_each for index in frames}) >= min(places, 15)
+    assert len(frames) <= 20 * 70
+    assert not reference_poses.forward_bias.any() and not reference_poses.backward_bias.any()
+
+
+@pytest.mark.parametrize(
+    ("frames", "regions", "is_tuned"),
+    [
+        (200, [[90, 91]], True),
+        (200, [[90]], True),
+        (30, [[20, 21]], True),
+        (29, [[20, 21]], True),
+        (200, [], False),
+        (200, [[90, 91]], False),
+    ],
+)
+def test_bias_of_the_place_is_known_and_has_no_deviation(
+    frames: int, regions: list[list[int]], is_tuned: bool
+) -> None:
+    """On a long segment, after tuning; on a short one, or of an untuned network, it is only known how large it is."""
+    poses = np.tile(np.eye(4), (frames, 1, 1))
+    poses[:, 2, 3] = np.linspace(0.0, 4.0, frames)
+    of_place_m = 0.1 * np.sin(np.linspace(0.0, 9.0, frames))
+    of_direction_m = 0.05
+
+    def error(index: int, previous: int, _: int) -> list[float]:
+        return [of_place_m[index], np.copysign(of_direction_m, index - previous - 0.5), 0.0, 0.0, 0.0, 0.0]
+
+    def make(_: FloatArray) -> _FakeLocalizer:
+        return localizer
+
+    localizer = _FakeLocalizer(poses, error)
+    held_out = [np.array(region) for region in regions]
+    model, reference_poses = measure_bias(make, make, _NumberedFrames(poses), held_out, is_tuned, NoProgress())
+    is_known = frames >= 30 and is_tuned
+    np.testing.assert_array_equal(reference_poses.poses, poses)
+    for bias, sideways_m in (
+        (reference_poses.forward_bias, of_direction_m),
+        (reference_poses.backward_bias, -of_direction_m),
+    ):
+        np.testing.assert_allclose(bias[:, 0], of_place_m if is_known else 0.0, atol=1e-12)
+        np.testing.assert_allclose(bias[1:-1, 1], sideways_m if is_known else 0.0, atol=1e-12)
+        assert not bias[:, 2:].any()
+    np.testing.assert_allclose(reference_poses.common_bias[:, 0], of_place_m if is_known else 0.0, atol=1e-12)
+    # At the turning points, both directions have the same bias.
+    np.testing.assert_allclose(reference_poses.common_bias[:, 1], 0.0, atol=1e-3)
+    # The bias of the direction is not known for another direction.
+    lengths = np.full(frames, of_direction_m) if is_known else np.hypot(of_direction_m, of_place_m)
+    assert model.sd_at_reference_m == pytest.approx(np.median(lengths) / np.sqrt(CHI2_MEDIAN_3), rel=0.05)
+    assert (model.sd_growth_m > 0.0) == bool(regions) and np.isfinite(model.sd_growth_m)
+
+
+def test_measured_localizers_neither_relocalize_nor_use_known_bias(mixture: GaussianMixture) -> None:
+    recording = RoomRecording(Room(), make_path(2))
+    bundle = make_bundle(mixture, recording, range(2))
+    assert len(bundle.reference_poses) == 2
+    localizer = localizer_factory(bundle, seed=0)(recording.poses[0] @ se3_exp([9.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    steps = [localizer.step(recording.color(index), 20.0 * FRAME_S) for index in range(2)]
+    assert all(step.mode is Mode.TRACKING and step.landmark_pose is None for step in steps)

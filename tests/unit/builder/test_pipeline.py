@@ -1,0 +1,199 @@
+"""A build measures with networks and maps that were not tuned on the measured frames, and reports the results."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from map_helpers import make_mixture
+from monoloc.adapt.adaptation import AdaptResult
+from monoloc.adapt.settings import AdaptConfig
+from monoloc.adapt.tuning import Score
+from monoloc.builder.build_config import BuildConfig, BuildReport
+from monoloc.builder.pipeline import build_bundle
+from monoloc.builder.samples import Sample
+from monoloc.bundle import Bundle, fingerprint
+from monoloc.camera import Camera
+from monoloc.depth.spec import DepthModel
+from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.reference_poses import ReferencePoses
+from monoloc.geometry import FloatArray
+from monoloc.likelihood.protocol import LikelihoodConfig
+from monoloc.likelihood.thresholds import LikelihoodThresholds
+from monoloc.localizer_config import LocalizerConfig
+from monoloc.map.mixture import GaussianMixture
+from monoloc.progress import NoProgress
+from synthetic_room import Room, RoomRecording, depth_from_blue
+
+FRAMES = 16
+HELD_OUT = [2, 3, 9]
+RESULT = AdaptResult(
+    original=make_mixture(8, 0),
+    adapted=make_mixture(8, 1),
+    depth_model=replace(depth_from_blue(), name="final"),
+    hold_out_model=replace(depth_from_blue(), name="hold-out"),
+    hold_out_map=make_mixture(8, 2),
+    held_out=[np.array(HELD_OUT[2:]), np.array(HELD_OUT[:2])],
+    scores=[Score(0, nll=2.0, depth_loss=0.3, absrel=0.2), Score(10, nll=1.0, depth_loss=0.2, absrel=0.1)],
+    steps=20,
+    kl=0.5,
+)
+THRESHOLDS = LikelihoodThresholds(low=-1.0, lost=-2.0)
+BIAS_MODEL = BiasModel(sd_at_reference_m=0.03, sd_at_reference_rad=0.02, sd_growth_m=0.2, sd_growth_rad=0.4)
+BIASES = np.random.default_rng(0).normal(0.0, 0.02, (2, FRAMES, 6))
+REMARK = "a warning about the frames"
+
+Likelihood = tuple[GaussianMixture, LikelihoodConfig]  # stands for a likelihood: what it was made of
+
+
+@dataclass
+class Measurements:
+    """Stands for a build's measurements: stores their arguments and returns fixed results."""
+
+    relocalization_sd: tuple[float, float] = (0.1, 0.05)
+    calibrated: list[tuple[Likelihood, list[Sample]]] = field(default_factory=list)
+    relocalized: list[tuple[Likelihood, list[Sample], FloatArray, LocalizerConfig]] = field(default_factory=list)
+    localized: dict[str, Bundle] = field(default_factory=dict)
+    regions: list[NDArray[np.int64]] = field(default_factory=list)
+    is_tuned: bool = False
+
+    def calibrate_likelihood(
+        self,
+        likelihood_for: Callable[[LikelihoodConfig], Likelihood],
+        samples: list[Sample],
+        base: LocalizerConfig,
+        _: np.random.Generator,
+    ) -> tuple[LocalizerConfig, LikelihoodThresholds]:
+        self.calibrated.append((likelihood_for(base.likelihood), samples))
+        return base.model_copy(update={"log_scale_sd": 0.123}), THRESHOLDS
+
+    def measure_bias(
+        self,
+        final: Bundle,
+        hold_out: Bundle,
+        recording: RoomRecording,
+        regions: list[NDArray[np.int64]],
+        is_tuned: bool,
+        progress: Any,
+    ) -> tuple[BiasModel, ReferencePoses]:
+        self.localized = {"final": final, "hold-out": hold_out}
+        self.regions, self.is_tuned = regions, is_tuned
+        assert recording.poses is not None
+        return BIAS_MODEL, ReferencePoses(recording.poses, *BIASES)
+
+    def measure_relocalization_error(
+        self, likelihood: Likelihood, samples: list[Sample], poses: FloatArray, config: LocalizerConfig, *_: Any
+    ) -> tuple[float, float]:
+        self.relocalized.append((likelihood, samples, poses, config))
+        return self.relocalization_sd
+
+
+class _Predictor:
+    """Stands for a network that runs: returns in place of depth the model and the image's fingerprint."""
+
+    def __init__(self, model: DepthModel, camera: Camera) -> None:
+        self.model = model
+
+    def __call__(self, color: NDArray[np.uint8]) -> Any:
+        return self.model, fingerprint(color)
+
+
+@pytest.fixture
+def measurements(monkeypatch: pytest.MonkeyPatch) -> Measurements:
+    """A build that adapts to :data:`RESULT` and measures nothing."""
+    measurements = Measurements()
+    replacements = {
+        "check_frames": lambda *_: [REMARK],
+        "DepthPredictor": _Predictor,
+        "make_likelihood": lambda mixture, config: (mixture, config),
+        "localizer_factory": lambda bundle, seed: bundle,
+    } | {
+        name: getattr(measurements, name)
+        for name in ("calibrate_likelihood", "measure_bias", "measure_relocalization_error")
+    }
+    for name, replacement in replacements.items():
+        monkeypatch.setattr(f"monoloc.builder.pipeline.{name}", replacement)
+    monkeypatch.setattr("monoloc.adapt.adaptation.adapt", lambda *_: RESULT)
+    monkeypatch.setattr(
+        "monoloc.depth.training.quantise.quantise", lambda content, _: (b"8 bits of " + content, None)
+    )
+    return measurements
+
+
+def build(recording: RoomRecording, **settings: Any) -> tuple[Bundle, BuildReport]:
+    config = BuildConfig(components=8, voxel_m=0.1, landmarks=False, **settings)
+    return build_bundle(recording, config, 0, NoProgress(), Room().cloud(0.1), "tiny-0.35")
+
+
+@pytest.mark.parametrize(("tune", "steps"), [("all", 20), ("last", 0), ("none", 20)])
+def test_bias_at_reference_poses_is_known_only_of_a_tuned_network(
+    recording: RoomRecording,
+    measurements: Measurements,
+    monkeypatch: pytest.MonkeyPatch,
+    tune: Any,
+    steps: int,
+) -> None:
+    monkeypatch.setattr("monoloc.adapt.adaptation.adapt", lambda *_: replace(RESULT, steps=steps))
+    build(recording, adapt=AdaptConfig(tune=tune))
+    assert measurements.is_tuned == (tune != "none" and steps > 0)
+
+
+@pytest.mark.parametrize("int8", [False, True])
+def test_held_out_frames_are_measured_with_the_hold_out_run(
+    recording: RoomRecording, measurements: Measurements, int8: bool
+) -> None:
+    bundle, _ = build(recording, int8=int8)
+    final, hold_out = RESULT.depth_model, RESULT.hold_out_model
+    if int8:
+        final, hold_out = (
+            replace(model, content=b"8 bits of " + model.content, name=f"{model.name} in 8 bits")
+            for model in (final, hold_out)
+        )
+    assert recording.poses is not None
+    (((mixture, _), samples),) = measurements.calibrated
+    assert mixture is RESULT.hold_out_map
+    assert [sample.index for sample in samples] == HELD_OUT
+    for sample in samples:
+        assert sample.depth == (hold_out, fingerprint(recording.color(sample.index)))
+        np.testing.assert_array_equal(sample.pose, recording.poses[sample.index])
+    (((mixture, _), relocalized, poses, settings),) = measurements.relocalized
+    assert mixture is RESULT.hold_out_map and relocalized is samples and settings.log_scale_sd == 0.123
+    np.testing.assert_array_equal(poses, recording.poses)
+    assert measurements.regions is RESULT.held_out
+    for name, model, mixture in (("final", final, RESULT.adapted), ("hold-out", hold_out, RESULT.hold_out_map)):
+        localized = measurements.localized[name]
+        assert localized.depth_model == model and localized.adapted is mixture
+        assert localized.settings.log_scale_sd == 0.123 and localized.thresholds == THRESHOLDS
+    assert bundle.depth_model == final and bundle.adapted is RESULT.adapted and bundle.original is RESULT.original
+    np.testing.assert_array_equal(bundle.reference_poses.poses, recording.poses)
+    known = bundle.reference_poses
+    np.testing.assert_array_equal([known.forward_bias, known.backward_bias], BIASES)
+
+
+@pytest.mark.parametrize(
+    ("relocalization_sd", "warnings"),
+    [((0.97, 0.1), ["one image tells where a camera is to 1.0 m only: flights need a start"]), ((0.1, 0.6), [])],
+)
+def test_bundle_and_report_hold_the_measurements_and_warn_of_poor_relocalization(
+    recording: RoomRecording,
+    measurements: Measurements,
+    relocalization_sd: tuple[float, float],
+    warnings: list[str],
+) -> None:
+    measurements.relocalization_sd = relocalization_sd
+    bundle, report = build(recording)
+    sd_m, sd_rad = relocalization_sd
+    assert bundle.settings.particle_bias == BIAS_MODEL.model_copy(
+        update={"relocalization_sd_m": sd_m, "relocalization_sd_rad": sd_rad}
+    )
+    assert bundle.settings.log_scale_sd == 0.123 and bundle.thresholds == THRESHOLDS
+    assert bundle.settings.supports_relocalization == (not warnings)
+    assert report.warnings == [REMARK, *warnings]
+    figures = (report.nll_start, report.nll_end, report.depth_absrel_before, report.depth_absrel_after)
+    assert figures == (2.0, 1.0, 0.2, 0.1)
+    assert (report.kl, report.steps, report.components, report.frames) == (0.5, 20, 8, FRAMES)

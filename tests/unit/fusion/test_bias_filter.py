@@ -1,0 +1,464 @@
+"""The belief's filter against a batch solution, and consistent where errors are drawn from its own model."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from map_helpers import motion_of
+from monoloc.fusion.bias_filter import BiasAugmentedFilter, BiasAugmentedState
+from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.reference_poses import ReferencePoses
+from monoloc.geometry import FloatArray, invert, is_rigid, pose_distance_m, se3_exp, se3_log
+from monoloc.landmarks.pnp import LandmarkPose
+from monoloc.odometry.visual import Motion
+from monoloc.particle_filter.estimate import Estimate
+from monoloc.particle_filter.motion_model import MotionConfig, motion_sd
+
+PARTICLE_BIAS = BiasModel(sd_at_reference_m=0.05, sd_at_reference_rad=0.03, sd_growth_m=0.1, sd_growth_rad=0.05)
+LANDMARK_BIAS = BiasModel(sd_at_reference_m=0.01, sd_at_reference_rad=0.006)
+START_SD = np.repeat([0.1, 0.05], 3)
+STEP = se3_exp([0.03, -0.01, 0.05, 0.01, 0.04, -0.02])
+STRAIGHT_STEP = se3_exp([0.04, -0.01, 0.03, 0.002, 0.004, -0.002])
+STILL = np.eye(4)
+ODOMETRY_SD = np.repeat([0.004, 0.003], 3)
+NOISE_SD = np.repeat([0.01, 0.006], 3)  # of the measured poses, without their biases
+NOISE_INFLATION, ODOMETRY_INFLATION = 2.0, 4.0  # of the filter, for errors that are correlated from frame to frame
+ELAPSED_S = 1.0 / 15.0
+
+
+def along_x(distance_m: float) -> FloatArray:
+    return se3_exp([distance_m, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def by_particles(pose: FloatArray) -> Estimate:
+    return Estimate(pose, np.diag(NOISE_SD**2) / NOISE_INFLATION**2, 0.0)
+
+
+def by_landmarks(pose: FloatArray) -> LandmarkPose:
+    return LandmarkPose(pose, np.diag((NOISE_SD / NOISE_INFLATION) ** 2), np.zeros((50, 3)))
+
+
+def state_at_start(bias: BiasModel = PARTICLE_BIAS) -> BiasAugmentedState:
+    return BiasAugmentedState.from_start(Estimate(np.eye(4), np.diag(START_SD**2), 0.0), bias.sds(0.0)[None])
+
+
+def filter_with(
+    start: Estimate,
+    reference_poses: FloatArray | ReferencePoses,
+    particle_bias: BiasModel = PARTICLE_BIAS,
+    landmark_bias: BiasModel = LANDMARK_BIAS,
+) -> BiasAugmentedFilter:
+    if not isinstance(reference_poses, ReferencePoses):
+        reference_poses = ReferencePoses.without_bias(reference_poses.reshape(-1, 4, 4))
+    return BiasAugmentedFilter(start, particle_bias, MotionConfig(), reference_poses, landmark_bias)
+
+
+def filter_at_origin(reference_pose: FloatArray = np.eye(4), bias: BiasModel = PARTICLE_BIAS) -> BiasAugmentedFilter:
+    return filter_with(Estimate(np.eye(4), np.diag(START_SD**2), 0.0), reference_pose, bias)
+
+
+def frame(
+    fusion: BiasAugmentedFilter,
+    motion: Motion | None,
+    measured: Estimate,
+    elapsed_s: float = ELAPSED_S,
+    accepted: bool = True,
+) -> Estimate:
+    """A frame without landmarks."""
+    belief = fusion.predict(motion, elapsed_s, measured)
+    return fusion.update_from_particles(measured) if accepted else belief
+
+
+# --- The state, against least squares ---
+
+
+def test_last_state_along_a_line_equals_the_batch_solution() -> None:
+    """Without rotation all is linear: the filter gives what least squares over all poses and biases gives."""
+    rng = np.random.default_rng(0)
+    frames, step_m = 12, 0.1
+    bias = BiasModel(sd_at_reference_m=0.05)
+    measured_m = step_m * np.arange(frames) + rng.normal(0.0, 0.06, frames)
+    correlation = bias.correlation(step_m)
+    state = state_at_start(bias)
+    # Rows of a weighted system in positions and biases.
+    rows, values = [], []
+
+    def row(value: float, sd: float, **columns: float) -> None:
+        coefficients = np.zeros(2 * frames)
+        for name, factor in columns.items():
+            coefficients[(0 if name[0] == "x" else frames) + int(name[1:])] = factor / sd
+        rows.append(coefficients)
+        values.append(value / sd)
+
+    row(0.0, START_SD[0], x0=1.0)
+    row(0.0, 0.05, b0=1.0)
+    for k in range(frames):
+        if k > 0:
+            state = state.predict(along_x(step_m), np.diag(ODOMETRY_SD**2), correlation, bias.sds(0.0)[None])
+            row(step_m, ODOMETRY_SD[0], **{f"x{k}": 1.0, f"x{k - 1}": -1.0})
+            row(0.0, 0.05 * np.sqrt(1.0 - correlation**2), **{f"b{k}": 1.0, f"b{k - 1}": -correlation})
+        state = state.update_from_particles(by_particles(along_x(measured_m[k])))
+        row(measured_m[k], NOISE_SD[0], **{f"x{k}": 1.0, f"b{k}": 1.0})
+    solution, *_ = np.linalg.lstsq(np.array(rows), np.array(values), rcond=None)
+    covariance = np.linalg.inv(np.array(rows).T @ np.array(rows))
+    last = [frames - 1, 2 * frames - 1]
+    np.testing.assert_allclose([state.pose[0, 3], state.biases[0, 0]], solution[last], atol=1e-6)
+    np.testing.assert_allclose(
+        state.covariance[np.ix_([0, 6], [0, 6])], covariance[np.ix_(last, last)], rtol=1e-4, atol=1e-9
+    )
+
+
+def test_larger_bias_moves_the_pose_less() -> None:
+    measured = by_particles(se3_exp([0.2, 0.0, 0.0, 0.0, 0.1, 0.0]))
+    shifts = []
+    for sd in (0.0, 0.05, 0.2, 1.0):
+        state = state_at_start(BiasModel(sd_at_reference_m=sd, sd_at_reference_rad=sd))
+        shifts.append(float(np.linalg.norm(se3_log(state.update_from_particles(measured).pose))))
+    assert shifts == sorted(shifts, reverse=True)
+    assert shifts[0] == pytest.approx(float(np.linalg.norm(se3_log(measured.pose))), rel=0.03)
+    assert shifts[-1] < 0.02
+
+
+def test_particles_that_are_all_one_give_a_finite_belief() -> None:
+    """No spread and no bias: a singular covariance."""
+    pose = se3_exp([0.1, 0.2, 0.3, 0.1, 0.0, -0.2])
+    state = state_at_start(BiasModel()).update_from_particles(Estimate(pose, np.zeros((6, 6)), 0.0))
+    np.testing.assert_allclose(state.pose, pose, atol=1e-6)
+    assert np.isfinite(state.covariance).all() and np.linalg.eigvalsh(state.covariance)[0] > -1e-15
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_prediction_carries_the_covariance_to_the_new_cameras_frame(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    error, motion, no_bias = 1e-4 * rng.normal(size=6), se3_exp(rng.normal(size=6)), np.zeros((1, 6))
+    start = BiasAugmentedState.from_start(Estimate(se3_exp(rng.normal(size=6)), np.outer(error, error), 0.0), no_bias)
+    state = start.predict(motion, np.zeros((6, 6)), 1.0, no_bias)
+    carried = se3_log(invert(state.pose) @ start.pose @ se3_exp(error) @ motion)
+    np.testing.assert_allclose(state.covariance[:6, :6], np.outer(carried, carried), atol=1e-14)
+
+
+def test_second_measurement_with_the_same_bias_reveals_nothing_of_it() -> None:
+    """A first measurement with unknown bias, then perfect odometry: only the noise is averaged."""
+    prior_sds = BiasModel(sd_at_reference_m=0.05, sd_at_reference_rad=0.03).sds(0.0)[None]
+    state = BiasAugmentedState.from_measurement(by_particles(np.eye(4)), prior_sds)
+    state = state.predict(STILL, np.zeros((6, 6)), 1.0, prior_sds).update_from_particles(by_particles(np.eye(4)))
+    sds = np.sqrt(np.diag(state.covariance))
+    np.testing.assert_allclose(sds[6:], prior_sds[0], rtol=1e-6)
+    np.testing.assert_allclose(sds[:6], np.hypot(NOISE_SD / np.sqrt(2.0), prior_sds[0]), rtol=1e-4)
+
+
+def test_state_from_particles_is_independent_of_the_landmarks_bias() -> None:
+    prior_sds = np.stack([PARTICLE_BIAS.sds(0.0), LANDMARK_BIAS.sds(0.0)])
+    state = BiasAugmentedState.from_measurement(by_particles(np.eye(4)), prior_sds)
+    np.testing.assert_array_equal(state.covariance[:12, 12:], 0.0)
+    np.testing.assert_allclose(np.sqrt(np.diag(state.covariance)[6:]), prior_sds.ravel())
+    offset_m = 0.04
+    updated = state.update_from_landmarks(by_landmarks(along_x(offset_m)))
+    of_particles, of_landmarks = NOISE_SD[0] ** 2 + prior_sds[:, 0] ** 2
+    total = of_particles + of_landmarks
+    assert updated.pose[0, 3] == pytest.approx(offset_m * of_particles / total, rel=1e-3)
+    # The particles' bias is known now: it points the other way.
+    assert updated.biases[0, 0] == pytest.approx(-offset_m * prior_sds[0, 0] ** 2 / total, rel=1e-3)
+
+
+# --- Consistency: errors drawn from the model are as large as the covariance says ---
+
+
+def last_error(rng: np.random.Generator, steps: list[FloatArray], bias_model: BiasModel) -> float:
+    """Squared error of the last belief of a trajectory that leaves a reference pose, in units of its covariance."""
+    reference_pose = true = se3_exp(rng.normal(size=6))
+    start = Estimate(true @ se3_exp(-rng.normal(size=6) * START_SD), np.diag(START_SD**2), 0.0)
+    fusion = filter_with(start, reference_pose, bias_model)
+    variances = bias_model.sds(0.0) ** 2
+    bias = rng.normal(size=6) * np.sqrt(variances)
+    for k, step in enumerate([STILL, *steps]):
+        odometry_sd = ODOMETRY_INFLATION * motion_sd(motion_of(step), ELAPSED_S, 0.0, MotionConfig())
+        true = true @ step @ se3_exp(rng.normal(size=6) * odometry_sd * (k > 0))
+        correlation = bias_model.correlation(float(pose_distance_m(np.eye(4), step[None])[0]))
+        # As large as the model says here, or larger by what is left of the bias before.
+        remaining = correlation**2 * variances
+        here = bias_model.sds(float(pose_distance_m(true, reference_pose[None])[0])) ** 2
+        variances = np.maximum(remaining + (1.0 - correlation**2) * here, here)
+        bias = correlation * bias + np.sqrt(variances - remaining) * rng.normal(size=6)
+        measured = by_particles(true @ se3_exp(bias) @ se3_exp(rng.normal(size=6) * NOISE_SD))
+        belief = frame(fusion, motion_of(step) if k > 0 else None, measured)
+    assert is_rigid(belief.pose).all()
+    error = se3_log(invert(belief.pose) @ true)
+    return float(error @ np.linalg.solve(belief.covariance, error))
+
+
+def test_errors_are_as_large_as_the_covariance_says() -> None:
+    """Squared errors have six degrees of freedom; over 100 trajectories, their mean's standard deviation is 0.35."""
+    rng = np.random.default_rng(1)
+    bias_model = BiasModel(sd_at_reference_m=0.03, sd_at_reference_rad=0.02, sd_growth_m=0.2, sd_growth_rad=0.1)
+    errors = [last_error(rng, [se3_exp(4.0 * se3_log(STRAIGHT_STEP))] * 4, bias_model) for _ in range(100)]
+    assert np.mean(errors) == pytest.approx(6.0, abs=0.8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("steps", "bias_model"),
+    [
+        ([STEP] * 25, BiasModel(sd_at_reference_m=0.05, sd_at_reference_rad=0.03)),
+        (
+            [STRAIGHT_STEP] * 15 + [invert(STRAIGHT_STEP)] * 15,
+            BiasModel(sd_at_reference_m=0.03, sd_at_reference_rad=0.02, sd_growth_m=0.2),
+        ),
+    ],
+    ids=["constant bias", "away and back"],
+)
+def test_errors_over_long_trajectories_are_as_large_as_the_covariance_says(
+    steps: list[FloatArray], bias_model: BiasModel
+) -> None:
+    """As above; of 200 trajectories, the mean's standard deviation is 0.25."""
+    rng = np.random.default_rng(1)
+    errors = [last_error(rng, steps, bias_model) for _ in range(200)]
+    assert np.mean(errors) == pytest.approx(6.0, abs=0.8)
+
+
+@pytest.mark.slow
+def test_errors_are_as_large_as_the_covariance_says_with_landmarks_too() -> None:
+    """As above; landmarks have a bias of their own, and are seen in every other frame."""
+    rng = np.random.default_rng(2)
+    errors, distances_m = [], []
+    for _ in range(200):
+        reference_pose = true = se3_exp(rng.normal(size=6))
+        start = Estimate(true @ se3_exp(-rng.normal(size=6) * START_SD), np.diag(START_SD**2), 0.0)
+        fusion = filter_with(start, reference_pose)
+        biases = rng.normal(size=(2, 6)) * [PARTICLE_BIAS.sds(0.0), LANDMARK_BIAS.sds(0.0)]
+        odometry_sd = ODOMETRY_INFLATION * motion_sd(motion_of(STILL), ELAPSED_S, 0.0, MotionConfig())
+        for k in range(20):
+            true = true @ se3_exp(rng.normal(size=6) * odometry_sd * (k > 0))
+            particles, landmarks = (true @ se3_exp(b) @ se3_exp(rng.normal(size=6) * NOISE_SD) for b in biases)
+            belief = frame(fusion, motion_of(STILL) if k else None, by_particles(particles))
+            if k % 2 == 0:
+                belief = fusion.update_from_landmarks(by_landmarks(landmarks))
+        error = se3_log(invert(belief.pose) @ true)
+        errors.append(error @ np.linalg.solve(belief.covariance, error))
+        distances_m.append(np.linalg.norm(error[:3]))
+    assert np.mean(errors) == pytest.approx(6.0, abs=0.9)
+    assert np.median(distances_m) < 0.02  # by landmarks, whose bias is a fifth of the particles'
+
+
+# --- Frame by frame ---
+
+
+def test_odometrys_translation_has_the_depths_scale() -> None:
+    """It is measured in predicted depth, which by the particles is too small by a fifth."""
+    fusion = filter_at_origin()
+    frame(fusion, None, Estimate(np.eye(4), np.diag(NOISE_SD**2), np.log(1.25)), 0.0)
+    belief = frame(fusion, motion_of(STRAIGHT_STEP), by_particles(np.eye(4)), accepted=False)
+    np.testing.assert_allclose(belief.pose[:3, 3], 1.25 * STRAIGHT_STEP[:3, 3], atol=1e-12)
+
+
+def test_growth_widens_covariance_away_from_reference_poses() -> None:
+    """By the distance from the nearest reference pose to where the camera has come."""
+    bias = BiasModel(sd_at_reference_m=0.02, sd_at_reference_rad=0.01, sd_growth_m=0.1, sd_growth_rad=0.05)
+    near, far, place = np.eye(4), along_x(3.0), along_x(2.8)
+    for reference_poses, start, distance_m in (
+        (near, near, 2.8),
+        (far, far, 0.2),
+        (np.stack([near, far]), near, 0.2),
+    ):
+        fusion = filter_with(Estimate(start, np.eye(6), 0.0), reference_poses, bias)
+        frame(fusion, None, by_particles(start), 0.0, accepted=False)
+        belief = frame(fusion, motion_of(invert(start) @ place), by_particles(place))
+        sd = np.sqrt(np.diag(belief.covariance))
+        np.testing.assert_allclose(sd, np.hypot(NOISE_SD, bias.sds(distance_m)), rtol=0.1)
+
+
+def test_known_bias_is_subtracted_and_less_of_it_away_from_the_reference_pose() -> None:
+    bias = BiasModel(sd_at_reference_m=0.03, sd_at_reference_rad=0.03, sd_growth_m=0.1, sd_growth_rad=0.1)
+    reference_pose = se3_exp([0.5, -1.0, 2.0, 0.3, 0.2, -0.4])
+    known = np.array([0.02, -0.03, 0.01, 0.01, 0.02, -0.02])
+    reference_poses = ReferencePoses(reference_pose[None], known[None], known[None])
+    fusion = filter_with(Estimate(reference_pose, np.eye(6), 0.0), reference_poses, bias)
+    for distance_m, share in ((0.0, 1.0), (0.3, 0.5)):
+        true = reference_pose @ se3_exp([0.0, distance_m, 0.0, 0.0, 0.0, 0.0])
+        measured = by_particles(true @ se3_exp(share * known))
+        corrected = fusion.without_known_bias(measured)
+        # The distance is that of the biased pose, wrong by at most a few centimetres of three decimetres.
+        np.testing.assert_allclose(corrected.pose, true, atol=0.004)
+        assert corrected.covariance is measured.covariance and corrected.log_scale == measured.log_scale
+
+
+def reference_poses_on_a_line() -> ReferencePoses:
+    """Twenty poses along x; the bias along y is opposite in the two directions."""
+    poses = np.stack([along_x(0.05 * k) for k in range(20)])
+    forward = np.tile([0.0, 0.02, 0.0, 0.0, 0.0, 0.0], (20, 1))
+    return ReferencePoses(poses, forward, -forward)
+
+
+@pytest.mark.parametrize("has_odometry", [True, False])
+@pytest.mark.parametrize("step_m", [0.04, -0.04])
+def test_known_bias_is_that_of_the_direction_of_motion(step_m: float, has_odometry: bool) -> None:
+    reference_poses = reference_poses_on_a_line()
+    pose = reference_poses.poses[10]
+    fusion = filter_with(by_particles(pose), reference_poses)
+    np.testing.assert_array_equal(fusion.without_known_bias(by_particles(pose)).pose, pose)  # no direction yet
+    for _ in range(8):
+        pose = pose @ along_x(step_m)
+        frame(fusion, motion_of(along_x(step_m)) if has_odometry else None, by_particles(pose))
+    corrected = fusion.without_known_bias(by_particles(pose))
+    assert corrected.pose[1, 3] == pytest.approx(-np.sign(step_m) * 0.02, rel=0.12)
+
+
+def test_jump_of_the_particles_is_no_motion() -> None:
+    """Neither the first scan's correction of the start, nor a relocalisation."""
+    reference_poses = reference_poses_on_a_line()
+    pose = reference_poses.poses[10]
+    fusion = filter_with(by_particles(pose), reference_poses)
+    for jump_to, elapsed_s in ((reference_poses.poses[14], 0.0), (along_x(4.0), ELAPSED_S)):
+        frame(fusion, None, by_particles(jump_to), elapsed_s)
+        np.testing.assert_array_equal(fusion.without_known_bias(by_particles(pose)).pose, pose)
+
+
+def test_prediction_without_odometry_is_that_of_a_frame_and_changes_nothing() -> None:
+    fusion = filter_at_origin()
+    predicted = fusion.predicted_without_odometry(2.0)
+    np.testing.assert_array_equal(fusion.predicted_without_odometry(2.0).covariance, predicted.covariance)
+    belief = fusion.predict(None, 2.0, by_particles(np.eye(4)))
+    np.testing.assert_array_equal(belief.pose, predicted.pose)
+    np.testing.assert_array_equal(belief.covariance, predicted.covariance)
+
+
+def test_belief_without_odometry_spreads_with_an_unknown_velocity() -> None:
+    fusion, noise = filter_at_origin(), MotionConfig()
+    for _ in range(15):
+        belief = fusion.predict(None, ELAPSED_S, by_particles(np.eye(4)))
+    expected = np.hypot(START_SD, np.repeat([noise.speed_sd_m_s, noise.turn_sd_rad_s], 3))
+    np.testing.assert_allclose(np.sqrt(np.diag(belief.covariance)), expected, rtol=1e-6)
+
+
+def test_frames_without_accepted_measurement_widen_the_belief() -> None:
+    """In darkness the particles follow odometry: counting them would count the same evidence again."""
+    motion = motion_of(STEP)
+    ignoring, updating = filter_at_origin(), filter_at_origin()
+    pose, variances = np.eye(4), []
+    for _ in range(20):
+        pose = pose @ STEP
+        ignored, updated = (
+            frame(fusion, motion, by_particles(pose), accepted=fusion is updating) for fusion in (ignoring, updating)
+        )
+        variances.append(ignored.covariance[0, 0])
+    np.testing.assert_allclose(ignored.pose, pose, atol=1e-12)
+    assert variances == sorted(variances)
+    assert updated.covariance[0, 0] < ignored.covariance[0, 0]
+
+
+def test_time_since_update_is_reset_by_odometry_particles_and_landmarks() -> None:
+    fusion, measured = filter_at_origin(), by_particles(np.eye(4))
+    for constrain in (
+        lambda: fusion.update_from_particles(measured),
+        lambda: fusion.update_from_landmarks(by_landmarks(np.eye(4))),
+        lambda: fusion.predict(motion_of(STILL), ELAPSED_S, measured),
+    ):
+        for count in (1, 2):
+            fusion.predict(None, ELAPSED_S, measured)
+            assert fusion.time_since_update_s == pytest.approx(count * ELAPSED_S)
+        fusion.update_from_landmarks(None)
+        assert fusion.time_since_update_s > 0.0
+        constrain()
+        assert fusion.time_since_update_s == 0.0
+
+
+def test_reinitialisation_has_the_error_of_a_relocalisation() -> None:
+    bias = BiasModel(
+        sd_at_reference_m=0.01, sd_at_reference_rad=0.01, relocalization_sd_m=0.3, relocalization_sd_rad=0.2
+    )
+    fusion, measured = filter_at_origin(bias=bias), by_particles(STEP)
+    spread = np.sqrt(measured.covariance[3, 3])
+    assert fusion.rotation_sd(measured) == pytest.approx(np.hypot(0.01, spread), rel=1e-6)
+    belief = fusion.reinitialise(measured)
+    np.testing.assert_array_equal(belief.pose, STEP)
+    expected = np.hypot(NOISE_SD, np.repeat([0.3, 0.2], 3))
+    np.testing.assert_allclose(np.sqrt(np.diag(belief.covariance)), expected, rtol=1e-6)
+    assert fusion.rotation_sd(measured) == pytest.approx(np.hypot(0.2, spread), rel=1e-6)
+
+
+# --- Without odometry ---
+
+
+def test_bias_is_forgotten_with_the_distance_that_particles_move() -> None:
+    offset, biases = along_x(0.2), []
+    bias = BiasModel(sd_at_reference_m=0.1, sd_at_reference_rad=0.1)
+    for distance_m in (0.0, 1.0):
+        fusion = filter_at_origin(bias=bias)
+        for _ in range(8):
+            frame(fusion, motion_of(STILL), by_particles(offset))
+        fusion.predict(None, 0.5, by_particles(offset @ along_x(distance_m)))
+        biases.append(fusion._state.biases[0, 0])
+    assert biases[0] > 0.05 and biases[1] == pytest.approx(bias.correlation(1.0) * biases[0], rel=1e-6)
+
+
+def test_after_a_second_without_odometry_the_belief_is_the_particles_with_their_bias() -> None:
+    """However far off the start was; the bias is large far from the reference poses, and decays with the motion."""
+    reference_pose, true = se3_exp([0.0, 2.0, 0.0, 0.0, 0.0, 0.0]), along_x(0.1)
+    fusion = filter_at_origin(reference_pose)
+    frame(fusion, None, by_particles(true), 0.0)
+    sds = []
+    for _ in range(20):
+        true = true @ STEP
+        belief = frame(fusion, None, by_particles(true))
+        sds.append(PARTICLE_BIAS.sds(float(pose_distance_m(true, reference_pose[None])[0])))
+    np.testing.assert_allclose(belief.pose, true, atol=1e-12)
+    variances = np.diag(belief.covariance) - NOISE_SD**2
+    np.testing.assert_allclose(belief.covariance, np.diag(np.diag(belief.covariance)), atol=1e-12)
+    assert np.all(variances >= 0.999 * sds[-1] ** 2) and np.all(variances <= 1.001 * np.max(sds, axis=0) ** 2)
+
+
+def test_single_frames_without_odometry_preserve_the_learnt_bias() -> None:
+    """Odometry has revealed that the particles are 8 cm off since they left the reference poses."""
+    step = se3_exp([0.015, -0.005, 0.018, 0.003, 0.01, -0.005])  # 0.36 m/s
+    offset, bias = along_x(0.08), BiasModel(sd_at_reference_m=0.01, sd_growth_m=0.1)
+    errors_m = []
+    for dropped in ((), (15,), (15, 20, 21, 22)):
+        fusion, true = filter_at_origin(bias=bias), np.eye(4)
+        frame(fusion, None, by_particles(true), 0.0)
+        for k in range(25):
+            true = true @ step
+            measured = by_particles(true if k < 8 else true @ offset)
+            belief = frame(fusion, None if k in dropped else motion_of(step), measured)
+        errors_m.append(np.linalg.norm(belief.pose[:3, 3] - true[:3, 3]))
+    assert errors_m == pytest.approx([errors_m[0]] * 3, abs=0.01) and errors_m[0] < 0.06
+
+
+# --- Landmarks ---
+
+
+def test_landmarks_reveal_the_particles_bias() -> None:
+    """Once landmarks are no longer seen, the particles' pose is corrected by what was learnt of its bias."""
+    offset = se3_exp([0.08, 0.0, -0.05, 0.0, 0.04, 0.0])
+    errors_m = {}
+    for frames_with_landmarks in (0, 10):
+        fusion = filter_at_origin()
+        for k in range(60):
+            belief = frame(fusion, motion_of(STILL), by_particles(offset))
+            if k < frames_with_landmarks:
+                belief = fusion.update_from_landmarks(by_landmarks(np.eye(4)))
+        errors_m[frames_with_landmarks] = np.linalg.norm(belief.pose[:3, 3])
+    assert errors_m[10] < 0.03 < 0.05 < errors_m[0]
+
+
+def test_landmark_pose_beyond_the_gate_hardly_counts_until_it_is_repeated() -> None:
+    """A metre off a belief of centimetres."""
+    fusion = filter_with(by_particles(np.eye(4)), np.eye(4))
+    wrong = along_x(1.0)
+    frame(fusion, None, by_particles(np.eye(4)), 0.0)
+    once = fusion.update_from_landmarks(by_landmarks(wrong))
+    assert np.linalg.norm(once.pose[:3, 3]) < 0.1
+    for _ in range(100):
+        frame(fusion, motion_of(STILL), by_particles(wrong))
+        belief = fusion.update_from_landmarks(by_landmarks(wrong))
+    assert np.linalg.norm(belief.pose[:3, 3] - wrong[:3, 3]) < 0.15
+
+
+def test_landmarks_replace_odometry_as_a_reason_to_trust_the_belief() -> None:
+    """While they are seen, the belief does not start anew from the particles."""
+    offset, fusion = along_x(0.1), filter_with(by_particles(np.eye(4)), np.eye(4))
+    for k in range(60):
+        belief = frame(fusion, None, by_particles(offset))
+        if k % 3 == 0:
+            fusion.update_from_landmarks(by_landmarks(np.eye(4)))
+    assert np.linalg.norm(belief.pose[:3, 3]) < 0.05

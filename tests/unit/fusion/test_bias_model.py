@@ -1,0 +1,54 @@
+"""Standard deviations of a bias at the reference poses and away from them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from monoloc.fusion.bias_model import BiasModel
+
+sizes = st.floats(0.0, 1.0)
+
+
+@given(at_m=sizes, at_rad=sizes, growth_m=sizes, growth_rad=sizes, distance=st.floats(0.0, 5.0))
+def test_variances_at_and_away_from_reference_poses_add(
+    at_m: float, at_rad: float, growth_m: float, growth_rad: float, distance: float
+) -> None:
+    model = BiasModel(
+        sd_at_reference_m=at_m, sd_at_reference_rad=at_rad, sd_growth_m=growth_m, sd_growth_rad=growth_rad
+    )
+    expected = [np.hypot(at_m, growth_m * distance)] * 3 + [np.hypot(at_rad, growth_rad * distance)] * 3
+    np.testing.assert_allclose(model.sds(distance), expected, rtol=1e-12, atol=1e-15)
+
+
+@given(first=sizes, second=sizes)
+def test_correlations_over_two_steps_multiply(first: float, second: float) -> None:
+    model = BiasModel()
+    assert model.correlation(0.0) == 1.0 and model.correlation(first) <= 1.0
+    assert model.correlation(first + second) == pytest.approx(model.correlation(first) * model.correlation(second))
+
+
+@given(at=st.floats(0.01, 0.2), growth=sizes, distance=st.floats(0.0, 3.0))
+def test_share_of_the_variance_at_reference_poses(at: float, growth: float, distance: float) -> None:
+    model = BiasModel(sd_at_reference_m=at, sd_at_reference_rad=0.01, sd_growth_m=growth)
+    expected = at**2 / (at**2 + (growth * distance) ** 2)
+    np.testing.assert_allclose(model.reference_variance_share(distance), [expected] * 3 + [1.0] * 3, atol=1e-12)
+
+
+def test_share_without_any_variance_is_one() -> None:
+    np.testing.assert_array_equal(BiasModel().reference_variance_share(1.0), np.ones(6))
+    assert BiasModel(sd_growth_m=0.1).reference_variance_share(1.0)[0] == 0.0
+
+
+def test_relocalization_widens_and_never_narrows() -> None:
+    model = BiasModel(
+        sd_at_reference_m=0.1,
+        sd_at_reference_rad=0.1,
+        sd_growth_m=0.5,
+        relocalization_sd_m=0.3,
+        relocalization_sd_rad=0.05,
+    )
+    np.testing.assert_array_equal(model.relocalization_sds(0.0), [0.3] * 3 + [0.1] * 3)
+    np.testing.assert_array_equal(model.relocalization_sds(4.0), model.sds(4.0))

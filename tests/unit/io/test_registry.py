@@ -1,0 +1,91 @@
+"""SOURCE and --frames: formats by name or recognised, and frames selected."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import synthetic_recordings as synthetic
+from monoloc.io.registry import FORMATS, open_recording, select_frames
+from refusals import refuses_data, refuses_setting, refuses_to_open
+from synthetic_recordings import check_recording
+
+
+def test_known_formats() -> None:
+    assert sorted(FORMATS) == ["7scenes", "folder", "nyu", "rgbd-scenes-v2", "tum", "video"]
+
+
+def test_existing_path_with_a_colon_is_a_path(tmp_path: Path) -> None:
+    synthetic.write_folder(tmp_path / "room:2")
+    assert len(open_recording(str(tmp_path / "room:2"))) == 3
+
+
+@pytest.mark.parametrize(
+    ("frames", "expected"),
+    [
+        ("0:3:2", [0, 2]),
+        ("1:", [1, 2]),
+        (":2", [0, 1]),
+        ("::2", [0, 2]),
+        (":", [0, 1, 2]),
+        ("0:400", [0, 1, 2]),
+    ],
+)
+def test_frames_are_selected_as_a_slice(tmp_path: Path, frames: str, expected: list[int]) -> None:
+    synthetic.write_folder(tmp_path)
+    recording = open_recording(str(tmp_path))
+    selection = select_frames(recording, frames)
+    check_recording(selection, len(expected))
+    np.testing.assert_array_equal(selection.positions, expected)
+    assert selection.frame_names == [recording.frame_names[p] for p in expected]
+    np.testing.assert_array_equal(selection.color(0), recording.color(expected[0]))
+    np.testing.assert_array_equal(selection.depth(0), recording.depth(expected[0]))
+
+
+@pytest.mark.parametrize("name", ["", *(f"{name}:" for name in FORMATS)])
+def test_missing_path_is_named_from_the_root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    refuses_data(lambda: open_recording(f"{name}no"), tmp_path / "no", "does not exist|is missing", "")
+
+
+def test_file_where_a_folder_is_meant_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "rgb.txt"
+    file.write_text("")
+    refuses_data(lambda: open_recording(f"tum:{file}"), file, "is a file, not a folder", "give the folder")
+
+
+def test_folder_of_no_known_format_is_refused(tmp_path: Path) -> None:
+    refuses_to_open(tmp_path, tmp_path, "is not recognised", "FORMAT:PATH with one of .*7scenes")
+
+
+def test_unknown_format_is_refused() -> None:
+    refuses_setting(lambda: open_recording("kinect:room"), "SOURCE", "unknown format 'kinect'", "7scenes.*video")
+
+
+@pytest.mark.parametrize(
+    ("frames", "problem", "fix"),
+    [
+        *(
+            (frames, "is not START:STOP:STEP", "whole numbers")
+            for frames in ("", "5", "a:b", "1:2:3:4", "-5:", "1.5:2", "0:10:-1")
+        ),
+        ("::0", "step 0", "1 or more"),
+        *((frames, "none of the 3 frames", "START below STOP and below 3") for frames in ("3:", "2:1", "1:1")),
+    ],
+)
+def test_impossible_frames_are_refused(tmp_path: Path, frames: str, problem: str, fix: str) -> None:
+    synthetic.write_folder(tmp_path)
+    recording = open_recording(str(tmp_path))
+    refuses_setting(lambda: select_frames(recording, frames), "frames", problem, fix)
+
+
+def test_readers_import_neither_torch_nor_h5py() -> None:
+    code = (
+        "import sys, monoloc.io.registry; "
+        "assert not {'torch', 'h5py', 'scipy'} & set(sys.modules), sorted(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

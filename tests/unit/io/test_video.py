@@ -1,0 +1,127 @@
+"""Video files: frames in any order, their times, and what cannot be decoded."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+import synthetic_recordings as synthetic
+from monoloc.camera import Camera
+from monoloc.io.reader_options import ReaderOptions
+from monoloc.io.registry import open_recording
+from refusals import refuses_data, refuses_setting, refuses_to_open
+from synthetic_recordings import VIDEO_OPTIONS, check_recording
+
+
+def test_video_is_read_in_any_order(tmp_path: Path) -> None:
+    path = tmp_path / "flight.avi"
+    synthetic.write_video(path)
+    recording = open_recording(str(path), VIDEO_OPTIONS)
+    check_recording(recording, 6)
+    assert open_recording(f"video:{path}", VIDEO_OPTIONS).camera == recording.camera == VIDEO_OPTIONS.camera
+    assert recording.poses is None
+    assert not recording.has_depth
+    np.testing.assert_allclose(recording.timestamps_s, np.arange(6) / 10.0)
+    for index in (0, 1, 4, 2, 5, 5, 0):
+        assert abs(recording.color(index).mean() - 20 * (index + 1)) < 3
+
+
+def test_frames_have_the_times_of_the_container(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mp4"
+    synthetic.write_uneven_video(path, [1, 1, 4, 2, 2, 2])
+    recording = open_recording(str(path), VIDEO_OPTIONS)
+    check_recording(recording, 6)
+    np.testing.assert_allclose(recording.timestamps_s, [0.0, 0.05, 0.1, 0.3, 0.4, 0.5])
+
+
+def test_only_frames_that_can_be_decoded_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / "flight.avi"
+    synthetic.write_video(path)
+    synthetic.overstate_frames(path, 9)
+    assert cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FRAME_COUNT) == 9
+    check_recording(open_recording(str(path), VIDEO_OPTIONS), 6)
+
+
+def test_missing_intrinsics_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "flight.avi"
+    synthetic.write_video(path)
+    problem = "without poses, without depth, and says nothing of its camera"
+    refuses_to_open(path, path, problem, "monoloc localize or inspect --intrinsics 64,48,FX,FY,CX,CY")
+
+
+def test_file_that_is_no_video_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "flight.mp4"
+    path.write_bytes(b"not a video")
+    refuses_to_open(path, path, "cannot be decoded as a video", "convert it to .mp4")
+    assert capfd.readouterr().err == ""
+
+
+OpenCVCapture = cv2.VideoCapture
+
+
+class UntimedCapture:
+    """A cv2.VideoCapture of a stream without times, with a frame rate of choice. (Subclasses of it crash.)"""
+
+    rate_hz = 0.0
+
+    def __init__(self, path: str) -> None:
+        self._capture = OpenCVCapture(path)
+
+    def get(self, key: int) -> float:
+        return {cv2.CAP_PROP_POS_MSEC: 0.0, cv2.CAP_PROP_FPS: self.rate_hz}.get(key, self._capture.get(key))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._capture, name)
+
+
+def test_video_without_times_needs_a_frame_rate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "flight.avi"
+    synthetic.write_video(path)
+    monkeypatch.setattr(cv2, "VideoCapture", UntimedCapture)
+    refuses_data(
+        lambda: open_recording(str(path), VIDEO_OPTIONS),
+        path,
+        "states neither times .* nor a frame rate",
+        "convert it",
+    )
+    monkeypatch.setattr(UntimedCapture, "rate_hz", 4.0)
+    np.testing.assert_allclose(open_recording(str(path), VIDEO_OPTIONS).timestamps_s, np.arange(6) / 4.0)
+
+
+def test_video_cut_short_while_it_is_read_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "flight.avi"
+    synthetic.write_video(path)
+    recording = open_recording(str(path), VIDEO_OPTIONS)
+    synthetic.write_video(path, frames=4)
+    recording.color(3)
+    recording.color(0)  # from the beginning, of what is there now
+    refuses_data(lambda: recording.color(5), path, "cannot be decoded after frame 3", "0:4")
+
+
+def test_name_that_opencv_cannot_take_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / os.fsdecode(b"caf\xe9.avi")
+    path.write_bytes(b"")
+    refuses_data(
+        lambda: open_recording(str(path), VIDEO_OPTIONS), path, "has a name that is not UTF-8", "rename the file"
+    )
+
+
+def test_camera_of_another_size_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "flight.avi"
+    synthetic.write_video(path)
+    options = ReaderOptions(camera=Camera(640, 480, 500.0, 500.0, 320.0, 240.0))
+    refuses_setting(
+        lambda: open_recording(str(path), options), "camera", "for 640x480, but .* is 64x48", "intrinsics"
+    )
+
+
+def test_video_has_no_depth(tmp_path: Path) -> None:
+    path = tmp_path / "flight.avi"
+    synthetic.write_video(path)
+    recording = open_recording(str(path), VIDEO_OPTIONS)
+    refuses_data(lambda: recording.depth(0), path, "is a video and has no depth", "use predicted depth")

@@ -1,0 +1,439 @@
+"""Bundles: written whole or not at all, read only when nothing is missing or changed."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from map_helpers import make_mixture
+from monoloc import bundle as bundle_module
+from monoloc.bundle import SCHEMA, Bundle, Provenance, check_target, fingerprint, read_bundle, write_bundle
+from monoloc.camera import Camera
+from monoloc.depth.spec import DepthModel, ModelSpec
+from monoloc.errors import BundleError
+from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.reference_poses import ReferencePoses
+from monoloc.geometry import se3_exp
+from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.likelihood.protocol import LikelihoodConfig
+from monoloc.likelihood.thresholds import LikelihoodThresholds
+from monoloc.localizer_config import LocalizerConfig
+from monoloc.particle_filter.motion_model import MotionConfig
+
+
+def make_bundle(seed: int = 0) -> Bundle:
+    rng = np.random.default_rng(seed)
+    return Bundle(
+        original=make_mixture(12, seed),
+        adapted=make_mixture(12, seed + 1),
+        depth_model=DepthModel(
+            bytes(rng.integers(0, 256, 1000, dtype=np.uint8)),
+            ModelSpec(
+                width=256,
+                height=192,
+                mean=(0.485, 0.456, 0.406),
+                std=(0.229, 0.224, 0.225),
+                channels="bgr",
+                output="disparity",
+                metric=False,
+                scale=1.0 / 3.0,
+                shift=-1.0 / 7.0,
+            ),
+            "another",
+        ),
+        settings=LocalizerConfig(
+            particles=321,
+            motion="random-walk",
+            likelihood=LikelihoodConfig(noise_sd_m=0.1 / 3.0),
+            particle_bias=BiasModel(sd_at_reference_m=0.1 / 3.0, sd_growth_rad=1.0 / 7.0),
+            motion_noise=MotionConfig(speed_sd_m_s=1.0 / 7.0),
+        ),
+        camera=Camera(640, 480, 525.5, 526.1, 320.0, 240.0, (0.1, -0.2, 0.0, 0.001, 0.0)),
+        provenance=Provenance(
+            recording="redkitchen",
+            frames={"seq-01/frame-000000": 123456789, "seq-01/frame-000004": 2**32 - 1},
+            tune="decoder",
+            map_transform=True,
+            lambda_kl=0.1,
+            seed=7,
+        ),
+        thresholds=LikelihoodThresholds(low=-1.5, lost=-2.25),
+        reference_poses=ReferencePoses(se3_exp(rng.normal(size=(5, 6))), *(0.02 * rng.normal(size=(2, 5, 6)))),
+        landmarks=Landmarks(
+            rng.normal(size=(7, 3)).astype(np.float32), rng.integers(0, 256, (7, 32)).astype(np.uint8)
+        ),
+    )
+
+
+@pytest.fixture
+def written(tmp_path) -> Path:
+    path = tmp_path / "room.monoloc"
+    write_bundle(path, make_bundle())
+    return path
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+
+
+def refuses(action: Callable[[], object], path: Path, problem: str) -> None:
+    """The action raises BundleError in one line: the path, what is wrong, then the fix."""
+    with pytest.raises(BundleError) as raised:
+        action()
+    message = str(raised.value)
+    assert "\n" not in message
+    assert message.startswith(f"{path}: ")
+    what, _, fix = message.removeprefix(f"{path}: ").partition("; ")
+    assert problem in what and fix, message
+
+
+# --- Written and read ---
+
+
+def test_bundle_is_read_as_written(written):
+    bundle, expected = read_bundle(written), make_bundle()
+    for name in ("original", "adapted"):
+        read, wrote = getattr(bundle, name), getattr(expected, name)
+        assert np.allclose(read.weights, wrote.weights, rtol=1e-6)
+        assert np.allclose(read.means, wrote.means, atol=1e-6)
+        assert np.allclose(read.covariances, wrote.covariances, rtol=1e-5, atol=1e-8)
+    assert not np.allclose(bundle.original.means, bundle.adapted.means)
+    assert bundle.depth_model == expected.depth_model
+    # Settings to the last bit, so that the same seed gives the same trajectory after a copy.
+    assert bundle.settings == expected.settings
+    assert bundle.camera == expected.camera
+    assert bundle.provenance == expected.provenance
+    assert bundle.thresholds == expected.thresholds
+    for name in ("poses", "forward_bias", "backward_bias"):  # single precision
+        read, wrote = getattr(bundle.reference_poses, name), getattr(expected.reference_poses, name)
+        np.testing.assert_allclose(read, wrote, atol=1e-6)
+    np.testing.assert_array_equal(bundle.landmarks.points, expected.landmarks.points)
+    np.testing.assert_array_equal(bundle.landmarks.descriptors, expected.landmarks.descriptors)
+
+
+def test_bundle_written_again_is_the_same(written, tmp_path):
+    again = tmp_path / "again.monoloc"
+    write_bundle(again, read_bundle(written))
+    first, second = read_bundle(written), read_bundle(again)
+    assert first.settings == second.settings and first.depth_model == second.depth_model
+    assert np.allclose(first.adapted.covariances, second.adapted.covariances, rtol=1e-6)
+
+
+def test_size_is_that_of_the_files(tmp_path):
+    path = tmp_path / "room.monoloc"
+    size = write_bundle(path, make_bundle())
+    assert size == sum(len(content) for content in contents(path).values())
+    assert sorted(contents(path)) == ["depth.onnx", "landmarks.npz", "manifest.json", "map.npz"]
+
+
+def test_map_is_float32_without_pickles(written):
+    with np.load(io.BytesIO((written / "map.npz").read_bytes()), allow_pickle=False) as arrays:
+        assert all(arrays[name].dtype == np.float32 for name in arrays.files)
+        assert sum(arrays[name].nbytes for name in arrays.files) == 2 * 12 * 40 + 3 * 5 * 24
+
+
+def test_bundle_is_readable_by_others(written):
+    """Although it is made in a private temporary folder."""
+    assert written.stat().st_mode & 0o055 == 0o055
+    assert (written / "map.npz").stat().st_mode & 0o044 == 0o044
+
+
+def test_older_bundle_is_replaced_whole(written, tmp_path):
+    write_bundle(written, make_bundle(seed=5))
+    assert read_bundle(written).depth_model == make_bundle(seed=5).depth_model
+    assert [path.name for path in tmp_path.iterdir()] == ["room.monoloc"]
+
+
+def test_relative_path(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_bundle(Path("room.monoloc"), make_bundle())
+    assert read_bundle(Path("room.monoloc")).settings.particles == 321
+
+
+# --- Paths that are refused ---
+
+
+def test_folder_that_is_not_a_bundle_is_refused(tmp_path):
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    (folder / "one.jpg").write_bytes(b"1")
+    for action in (lambda: write_bundle(folder, make_bundle()), lambda: check_target(folder)):
+        refuses(action, folder, "exists and is not a bundle")
+    assert contents(folder) == {"one.jpg": b"1"}
+
+
+def test_file_is_refused(tmp_path):
+    file = tmp_path / "room.monoloc"
+    file.write_text("mine")
+    refuses(lambda: write_bundle(file, make_bundle()), file, "exists and is not a bundle")
+    assert file.read_text() == "mine"
+
+
+def test_missing_parent_folder_is_refused(tmp_path):
+    path = tmp_path / "no" / "room.monoloc"
+    refuses(lambda: write_bundle(path, make_bundle()), path, "its folder does not exist")
+    assert not path.parent.exists()
+
+
+def test_bundle_that_holds_other_files_is_refused(written):
+    """Replacing it would delete them."""
+    (written / "flight.txt").write_text("a week's work")
+    before = contents(written)
+    for action in (lambda: write_bundle(written, make_bundle()), lambda: check_target(written)):
+        refuses(action, written, "holds more than a bundle (flight.txt)")
+    assert contents(written) == before
+
+
+def test_manifest_of_another_program_is_refused(tmp_path):
+    (tmp_path / "page").mkdir()
+    (tmp_path / "page" / "manifest.json").write_text('{"name": "a web page"}')
+    (tmp_path / "page" / "index.html").write_text("")
+    refuses(lambda: check_target(tmp_path / "page"), tmp_path / "page", "holds more than a bundle (index.html)")
+
+
+def test_unwritable_folder_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    refuses(lambda: check_target(tmp_path / "room.monoloc"), tmp_path / "room.monoloc", "cannot be written to")
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_broken_bundle_is_replaced(written, share):
+    """As an interrupted copy leaves it."""
+    manifest = (written / "manifest.json").read_bytes()
+    (written / "manifest.json").write_bytes(manifest[: int(share * len(manifest))])
+    write_bundle(written, make_bundle(seed=5))
+    assert read_bundle(written).provenance.seed == 7
+
+
+# --- Writing that fails ---
+
+
+def failing_write(monkeypatch, on: str, error: BaseException) -> None:
+    write_bytes = Path.write_bytes
+
+    def fail(self: Path, content: bytes) -> int:
+        if self.name == on:
+            write_bytes(self, content[: len(content) // 2])
+            raise error
+        return write_bytes(self, content)
+
+    monkeypatch.setattr(Path, "write_bytes", fail)
+
+
+@pytest.mark.parametrize("on", ["map.npz", "manifest.json"])
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_failed_write_leaves_the_older_bundle(written, tmp_path, monkeypatch, on, error):
+    before = contents(written)
+    failing_write(monkeypatch, on, error)
+    with pytest.raises((BundleError, KeyboardInterrupt)):
+        write_bundle(written, make_bundle(seed=5))
+    assert contents(written) == before
+    assert [path.name for path in tmp_path.iterdir()] == ["room.monoloc"]
+
+
+def test_failed_write_leaves_nothing(tmp_path, monkeypatch):
+    failing_write(monkeypatch, "manifest.json", KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        write_bundle(tmp_path / "room.monoloc", make_bundle())
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("error", [OSError(5, "Input/output error"), KeyboardInterrupt()])
+def test_failed_exchange_restores_the_older_bundle(written, tmp_path, monkeypatch, error):
+    """The moment between moving the older bundle away and the new one in is covered too."""
+    before = contents(written)
+    replace = Path.replace
+
+    def fail(self: Path, target: Path) -> Path:
+        if Path(target) == written and self.name == "new":
+            raise error
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", fail)
+    with pytest.raises((BundleError, KeyboardInterrupt)):
+        write_bundle(written, make_bundle(seed=5))
+    assert contents(written) == before
+    assert [path.name for path in tmp_path.iterdir()] == ["room.monoloc"]
+
+
+def test_full_disk_gives_one_line(tmp_path, monkeypatch):
+    path = tmp_path / "room.monoloc"
+    failing_write(monkeypatch, "depth.onnx", OSError(28, "No space left on device"))
+    refuses(lambda: write_bundle(path, make_bundle()), path, "cannot be written (No space left on device)")
+
+
+# --- Damaged bundles ---
+
+
+@pytest.mark.parametrize("name", ["map.npz", "landmarks.npz", "depth.onnx", "manifest.json"])
+@pytest.mark.parametrize("share", [0.0, 0.999])
+def test_truncated_file_is_named(written, name, share):
+    content = (written / name).read_bytes()
+    (written / name).write_bytes(content[: int(share * len(content))])
+    refuses(
+        lambda: read_bundle(written), written / name, "is cut short" if name == "manifest.json" else "is not what"
+    )
+
+
+@pytest.mark.parametrize("name", ["map.npz", "landmarks.npz", "depth.onnx"])
+def test_changed_byte_is_found(written, name):
+    content = bytearray((written / name).read_bytes())
+    content[len(content) // 2] ^= 1
+    (written / name).write_bytes(bytes(content))
+    refuses(lambda: read_bundle(written), written / name, "is not what was written")
+
+
+@pytest.mark.parametrize("name", ["map.npz", "landmarks.npz", "depth.onnx"])
+def test_missing_file_is_named(written, name):
+    (written / name).unlink()
+    refuses(lambda: read_bundle(written), written / name, "is missing")
+
+
+def test_missing_manifest_is_named(written):
+    (written / "manifest.json").unlink()
+    refuses(lambda: read_bundle(written), written, "is not a bundle")
+
+
+@pytest.mark.parametrize("make", [lambda path: None, lambda path: path.mkdir(), lambda path: path.write_text("")])
+def test_path_without_a_bundle_is_named(tmp_path, make):
+    path = tmp_path / "room.monoloc"
+    make(path)
+    refuses(lambda: read_bundle(path), path, "is not a bundle")
+
+
+def edit(written: Path, old: str, new: str) -> Path:
+    file = written / "manifest.json"
+    text = file.read_text()
+    assert text.count(old) >= 1, old
+    file.write_text(text.replace(old, new, 1))
+    return file
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"channels": "bgr"', '"channels": "rgb"'),
+        ('"particles": 321', '"particles": 322'),
+        ('"fx": 525.5', '"fx": 525.6'),
+        ('"low": -1.5', '"low": -9.5'),
+        ('"seed": 7', '"seed": 8'),
+        ("123456789", "123456788"),
+        ('"tune": "decoder"', '"tune": "none"'),
+        ('"lambda_kl"', '"lambda_xx"'),
+    ],
+)
+def test_edited_manifest_is_refused(written, old, new):
+    file = edit(written, old, new)
+    refuses(lambda: read_bundle(written), file, "was edited")
+
+
+def test_deeply_nested_manifest_is_refused(written):
+    file = written / "manifest.json"
+    file.write_text(100_000 * "[")
+    refuses(lambda: read_bundle(written), file, "is cut short or edited")
+
+
+def test_manifest_without_checksum_is_refused(written):
+    file = written / "manifest.json"
+    body = json.loads(file.read_text())
+    del body["manifest_sha256"]
+    file.write_text(json.dumps(body))
+    refuses(lambda: read_bundle(written), file, "was edited")
+
+
+def test_reindented_manifest_is_read(written):
+    """The checksum is of the content, not of its layout."""
+    file = written / "manifest.json"
+    file.write_text(json.dumps(json.loads(file.read_text()), sort_keys=True, indent=4))
+    assert read_bundle(written).settings.particles == 321
+
+
+@pytest.mark.parametrize("schema", [99, "1"])
+def test_unknown_schema_is_refused(written, schema):
+    file = written / "manifest.json"
+    body = json.loads(file.read_text())
+    body["schema_version"] = schema
+    file.write_text(json.dumps(body))
+    refuses(lambda: read_bundle(written), file, f"has schema {schema}, this monoloc reads {SCHEMA}")
+
+
+@pytest.mark.parametrize("content", ["[]", "null"])
+def test_manifest_that_is_not_an_object_is_refused(written, content):
+    (written / "manifest.json").write_text(content)
+    refuses(lambda: read_bundle(written), written / "manifest.json", "has schema None")
+
+
+def test_unknown_setting_with_valid_checksum_is_named(written):
+    """As another version might write it under the same schema by mistake."""
+    file = written / "manifest.json"
+    body = json.loads(file.read_text())
+    body["settings"]["teleport"] = True
+    del body["manifest_sha256"]
+    body["manifest_sha256"] = bundle_module._digest(body)
+    file.write_text(json.dumps(body))
+    refuses(lambda: read_bundle(written), file, "settings.teleport")
+
+
+def replace_arrays(written: Path, name: str, **arrays: object) -> None:
+    """Replace a file by other arrays, with a matching checksum."""
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    (written / name).write_bytes(buffer.getvalue())
+    file = written / "manifest.json"
+    body = json.loads(file.read_text())
+    body["sha256"][name] = hashlib.sha256(buffer.getvalue()).hexdigest()
+    del body["manifest_sha256"]
+    body["manifest_sha256"] = bundle_module._digest(body)
+    file.write_text(json.dumps(body))
+
+
+def test_map_without_a_mixture_is_named(written):
+    """Bytes that match their checksum and still are no map."""
+    replace_arrays(written, "map.npz", something=np.zeros(3))
+    refuses(lambda: read_bundle(written), written / "map.npz", "key 'original_weights' is missing")
+
+
+@pytest.mark.parametrize(
+    ("arrays", "problem"),
+    [
+        ({"points": np.zeros((4, 3), np.float32)}, "descriptors"),
+        (
+            {"points": np.zeros((4, 3), np.float32), "descriptors": np.zeros((5, 32), np.uint8)},
+            "points and descriptors must be (L, 3) and (L, 32), got (4, 3) and (5, 32)",
+        ),
+    ],
+)
+def test_file_without_landmarks_is_named(written, arrays, problem):
+    replace_arrays(written, "landmarks.npz", **arrays)
+    refuses(lambda: read_bundle(written), written / "landmarks.npz", problem)
+
+
+# --- Fingerprints of frames ---
+
+
+def test_fingerprint_is_of_the_pixels():
+    image = np.random.default_rng(0).integers(0, 256, (24, 32, 3), dtype=np.uint8)
+    assert fingerprint(image) == fingerprint(image.copy(order="F"))
+    assert 0 <= fingerprint(image) < 2**32
+    other = image.copy()
+    other[5, 6, 1] ^= 1
+    assert fingerprint(other) != fingerprint(image)
+
+
+def test_fingerprint_is_the_same_in_another_process():
+    image = np.arange(24 * 32 * 3, dtype=np.uint8).reshape(24, 32, 3)
+    code = (
+        "import numpy as np; from monoloc.bundle import fingerprint;"
+        "print(fingerprint(np.arange(24 * 32 * 3, dtype=np.uint8).reshape(24, 32, 3)))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(result.stdout) == fingerprint(image)
