@@ -14,7 +14,7 @@ from monoloc.map.mixture import GaussianMixture
 from repository import REPOSITORY, on_one_thread
 from synthetic_room import Room, RoomRecording, make_path, measured_thresholds, room_mixture
 
-# A busy machine must not fail a property; time is watched elsewhere.
+# No deadline: a busy machine must not fail a property.
 settings.register_profile("monoloc", deadline=None)
 settings.load_profile("monoloc")
 
@@ -37,7 +37,7 @@ def weights_file(data_root: Path) -> Path:
     return path
 
 
-# A recording through the synthetic room; a module says by FRAMES how long.
+# A recording in the synthetic room, of FRAMES frames of the module that asks for it.
 
 
 @pytest.fixture(scope="module")

@@ -1,1 +1,1 @@
-"""What a researcher runs and a drone never carries: experiments, baselines, rendered rooms, benchmarks."""
+"""Research tools for monoloc: experiments, baselines, rendered rooms, benchmarks. A drone does not need them."""

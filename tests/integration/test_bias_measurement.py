@@ -51,7 +51,7 @@ class _TiltedDepth:
 def localizer_at(
     mixture: GaussianMixture, reference_poses: FloatArray, depth: _TiltedDepth, pose: FloatArray
 ) -> Localizer:
-    config = SETTINGS.model_copy(update={"particles": 500})
+    config = SETTINGS.model_copy(update={"particles": 300})
     particles = scatter(pose, config.particles, 0.02, 0.01, config.log_scale_sd, np.random.default_rng(0))
     never_lost = LikelihoodThresholds(low=-9.0, lost=-99.0)
     return make_localizer(mixture, never_lost, particles, reference_poses, 0, config, depth)

@@ -9,14 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from adapt_helpers import (
-    RoomMap,
-    generator,
-    plain_log_likelihood,
-    room_map,
-    start_adaptation,
-    views_of,
-)
+from adapt_helpers import RoomMap, generator, plain_log_likelihood, room_map, start_adaptation, views_of
 from depth_helpers import ROOM, exported_model, small_recording, tiny_network
 from monoloc.adapt import tuning
 from monoloc.adapt.adaptation import adapt

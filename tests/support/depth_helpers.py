@@ -87,8 +87,9 @@ def parameter_names(network: torch.nn.Module) -> set[str]:
     return {name for name in network.state_dict() if not name.endswith("num_batches_tracked")}
 
 
-def encoder_arrays() -> dict[str, NDArray[np.float32]]:
-    state = tiny_network().encoder.state_dict()
+def encoder_arrays(network: DepthNetwork) -> dict[str, NDArray[np.float32]]:
+    """The encoder's tensors, as files of ImageNet weights name them."""
+    state = network.encoder.state_dict()
     return {name: state[name].numpy() for name in state if not name.endswith("num_batches_tracked")}
 
 

@@ -144,3 +144,11 @@ def test_every_function_takes_batch_axes():
     points = rng.normal(size=(2, 5, 7, 3))
     moved = geometry.transform(batch, points)
     np.testing.assert_allclose(moved[1, 3], geometry.transform(batch[1, 3], points[1, 3]), atol=1e-12)
+
+
+@given(poses, arrays(np.float64, 6, elements=st.floats(-1.0, 1.0)))
+def test_adjoint_moves_a_twist_to_the_other_side_of_a_pose(
+    pose: geometry.FloatArray, twist: geometry.FloatArray
+) -> None:
+    moved = geometry.se3_exp(geometry.adjoint(pose) @ twist) @ pose
+    np.testing.assert_allclose(moved, pose @ geometry.se3_exp(twist), atol=1e-8)

@@ -1,1 +1,1 @@
-"""How fast monoloc is here: its hot parts against what one would use in their place, in the same run."""
+"""``monoloc bench``: the speed of monoloc on this machine, compared with alternatives in the same run."""

@@ -1,4 +1,4 @@
-"""What one would use in place of monoloc's kernels."""
+"""Alternatives to monoloc's kernels, for comparison."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ Floats = NDArray[np.floating[Any]]
 
 
 class DenseWeigher:
-    """The dense matrix form in NumPy: log-densities are monomials times coefficients, then logsumexp.
+    """The dense form in NumPy: log-densities are a matrix product of monomials and coefficients, then logsumexp.
 
     Args:
-        dtype: of the matrices: double precision as NumPy has it, or single, some three times as fast.
+        dtype: of the matrices; single precision is about three times as fast as double.
     """
 
     def __init__(self, mixture: GaussianMixture, dtype: type[np.floating[Any]] = np.float64) -> None:
@@ -32,7 +32,7 @@ class DenseWeigher:
         )
         squares = -0.5 * precision[:, [0, 1, 2], [0, 1, 2]]
         products = -precision[:, [0, 0, 1], [1, 2, 2]]
-        #: (10, K): what each monomial counts in each component.
+        #: (10, K): coefficient of each monomial in each component.
         coefficients = np.concatenate([squares, products, linear, constant[:, None]], axis=1)
         self.coefficients = coefficients.T.astype(dtype)
 
@@ -43,19 +43,19 @@ class DenseWeigher:
         return np.asarray(largest + np.log(np.exp(terms - largest[:, None]).sum(axis=1)))
 
     def weigh(self, points_world: FloatArray, particles: int, outlier_share: float, volume_m3: float) -> Floats:
-        """Log-likelihood of a scan for every particle, from the points as each sees them, (N * P, 3) -> (N,)."""
+        """Log-likelihood of a scan for every particle, from its points in the world frame, (N * P, 3) -> (N,)."""
         density = np.exp(self.log_density(points_world))
         mixed = np.log((1.0 - outlier_share) * density + outlier_share / volume_m3)
         return np.asarray(mixed.reshape(particles, -1).sum(axis=1))
 
     def monomials(self, points: FloatArray) -> Floats:
-        """Squares, products, coordinates and 1 of points about the map's centre: (N, 3) -> (N, 10)."""
+        """Squares, products, coordinates and 1 of points relative to the centre of the map: (N, 3) -> (N, 10)."""
         x, y, z = (points - self._centre).T.astype(self._dtype)
         return np.stack([x * x, y * y, z * z, x * y, x * z, y * z, x, y, z, np.ones_like(x)], axis=1)
 
 
 def sklearn_mixture(start: GaussianMixture, floor_m: float, max_iterations: int) -> Any:
-    """A ``sklearn.mixture.GaussianMixture`` that starts where ``start`` is, regularised by the same variance."""
+    """A ``sklearn.mixture.GaussianMixture`` that starts from ``start`` with the same variance floor."""
     from sklearn.mixture import GaussianMixture as SklearnMixture
 
     return SklearnMixture(
@@ -66,12 +66,12 @@ def sklearn_mixture(start: GaussianMixture, floor_m: float, max_iterations: int)
         precisions_init=np.linalg.inv(start.covariances),
         reg_covar=floor_m**2,
         max_iter=max_iterations,
-        init_params="random",  # all three are given, so its own k-means would be work for nothing
+        init_params="random",  # all three are given, so its k-means would be wasted time
     )
 
 
 def sklearn_scorer(mixture: GaussianMixture) -> Any:
-    """A ``sklearn.mixture.GaussianMixture`` that is ``mixture``, to score points with."""
+    """``mixture`` as a ``sklearn.mixture.GaussianMixture``, to score points."""
     from sklearn.mixture import GaussianMixture as SklearnMixture
 
     scorer = SklearnMixture(len(mixture), covariance_type="full")

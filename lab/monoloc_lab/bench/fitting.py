@@ -1,4 +1,4 @@
-"""The fit of a map, against scikit-learn's."""
+"""Time of fitting a map, compared with scikit-learn."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from monoloc.progress import Progress
 from monoloc_lab.bench.alternatives import sklearn_mixture
 from monoloc_lab.bench.timing import has_sklearn, one_thread
 
-_FLOOR_M = 0.01  # standard deviation: of the floor of ours, and of what scikit-learn adds to every covariance
+_FLOOR_M = 0.01  # standard deviation of the covariance floor, and of what scikit-learn adds to every covariance
 _ITERATIONS = 100
 
 
 @dataclass(frozen=True)
 class FitSizes:
-    """Points and components of the map; rounds: fits of ours, of which the fastest counts."""
+    """Points and components of the map, and rounds of monoloc's fit, of which the fastest counts."""
 
     points: int = 40_000
     components: int = 200
@@ -28,12 +28,12 @@ class FitSizes:
 
 @dataclass(frozen=True)
 class FitFigures:
-    """JSON keys of ``monoloc bench map``; those of scikit-learn are None where it is not installed.
+    """JSON keys of ``monoloc bench map``; those of scikit-learn are None if it is not installed.
 
     Attributes:
         fit_s: the whole fit, k-means++ start and EM.
-        fit_ratio_sklearn: scikit-learn's EM from the same start, which it is given for nothing, over ``fit_s``.
-        loglik, loglik_sklearn: mean log-likelihood of a point, nats.
+        fit_ratio_sklearn: time of scikit-learn's EM over ``fit_s``; it is given the start, which does not count.
+        loglik, loglik_sklearn: mean log-likelihood per point, nats.
     """
 
     fit_s: float
@@ -43,7 +43,7 @@ class FitFigures:
 
 
 def bench_fit(cloud: FloatArray, sizes: FitSizes, seed: int, progress: Progress) -> FitFigures:
-    """Fit a map to points of a cloud (N, 3), by monoloc and by scikit-learn, on one thread."""
+    """Fit a map to points of a cloud (N, 3) with monoloc and with scikit-learn, on one thread."""
     count = min(sizes.points, len(cloud))
     points = cloud[np.random.default_rng(seed).choice(len(cloud), count, replace=False)]
     seconds, theirs_s, theirs_loglik = float("inf"), None, None

@@ -1,4 +1,4 @@
-"""The weighing of particles: how fast, against what, how exact, and how it grows with the map."""
+"""The weighing of particles: its time, alternatives, error, and growth with the map."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from monoloc_lab.bench.scenes import Weighing, building, near_surface, weighing
 from monoloc_lab.bench.timing import Work, fastest_s, has_sklearn, one_thread
 
 _OUTLIER_SHARE = 0.1
-_NEAR_M = 0.1  # how far from the map the index's error is held
-_ITERATIONS = 30  # of the fits: the maps need not be the best, only like real ones
-# Operations, counted singly. Of a component at a point: 9 fused multiply-adds for log2 of its density, 5 and 3
-# additions for the exponential, 1 for the sum. Of a point apart from that: transform 18, grid 6, logarithm 28.
+_NEAR_M = 0.1  # largest distance to the map at which the error of the index is measured
+_ITERATIONS = 30  # of the fits: the maps need to be realistic, not optimal
+# Additions and multiplications. Of a component at a point: 9 fused multiply-adds for log2 of its density, 5 and 3
+# additions for the exponential, 1 for the sum. Of a point besides: transform 18, grid 6, logarithm 28.
 _FLOPS_COMPONENT, _FLOPS_POINT = 32, 52
 _PEAK_ROUNDS = 2_000_000
 
 
 @dataclass(frozen=True)
 class KernelSizes:
-    """What is measured.
+    """Sizes that are measured.
 
     Attributes:
         particles, points: N and P of one weighing.
         components: K of the map.
         more, most: K of a finer map of the same room, and of a building of such rooms.
-        rounds, slow_rounds: runs of ours, and of what takes seconds.
+        rounds, slow_rounds: runs of monoloc, and of the slow alternatives.
     """
 
     particles: int = 1000
@@ -48,16 +48,16 @@ class KernelSizes:
 
 @dataclass(frozen=True)
 class KernelFigures:
-    """JSON keys of ``monoloc bench kernels``; ratios are times of theirs over ours, and of larger maps over the map.
+    """JSON keys of ``monoloc bench kernels``; ratios are times of alternatives, or of larger maps, over ``weigh_ms``.
 
     Attributes:
         weigh_ms: one call.
-        weigh_ratio_dense: :class:`DenseWeigher`; weigh_ratio_sklearn: ``score_samples`` of the same points, None
-            where scikit-learn is not installed.
-        weigh_error_mean_nat, weigh_error_max_nat: of one point's log-likelihood, up to 10 cm from the map.
+        weigh_ratio_dense: of :class:`DenseWeigher`.
+        weigh_ratio_sklearn: of ``score_samples`` of the same points; None if scikit-learn is not installed.
+        weigh_error_mean_nat, weigh_error_max_nat: of the log-likelihood of a point, up to 10 cm from the map.
         weigh_ratio_k2000, weigh_ratio_k100000: at K = 2000 and 100,000.
-        index_bytes: of the map's index.
-        gflops, peak_gflops: achieved by the weighing, and by multiplications and additions with nothing in between.
+        index_bytes: of the index of the map.
+        gflops, peak_gflops: of the weighing, and of multiplications and additions alone.
     """
 
     weigh_ms: float
@@ -122,7 +122,7 @@ def bench_kernels(
 
 
 def weigher(index: MixtureIndex, given: Weighing, volume_m3: float, threads: int = 1) -> Work:
-    """One weighing, to be timed."""
+    """One weighing, as a function to be timed."""
     return lambda: index.weigh(
         given.poses,
         given.log_scales,
@@ -134,12 +134,12 @@ def weigher(index: MixtureIndex, given: Weighing, volume_m3: float, threads: int
 
 
 def weigh_flops(index: MixtureIndex, given: Weighing) -> float:
-    """Additions and multiplications of one weighing: of the components evaluated, not of all as in a dense form."""
+    """Additions and multiplications of one weighing; only evaluated components count, not all as in a dense form."""
     return _FLOPS_COMPONENT * index.evaluations(given.points_world) + _FLOPS_POINT * len(given.points_world)
 
 
 def peak_gflops() -> float:
-    """What the core reaches when it does nothing but multiply and add, in single precision."""
+    """Peak of the core in single precision, measured with multiplications and additions only."""
     best = 0.0
     for _ in range(5):
         started = time.process_time()
@@ -151,7 +151,7 @@ def peak_gflops() -> float:
 def index_error(
     mixture: GaussianMixture, index: MixtureIndex, points: FloatArray, volume_m3: float
 ) -> tuple[float, float]:
-    """Mean and largest error of ``log((1 - eps) M + eps / V)`` at points (N, 3) by the index, nats."""
+    """Mean and largest error of ``log((1 - eps) M + eps / V)`` at points (N, 3) with the index, nats."""
     exact, indexed = (
         np.log((1.0 - _OUTLIER_SHARE) * np.exp(log_density) + _OUTLIER_SHARE / volume_m3)
         for log_density in (mixture.log_density(points), index.log_density(points))

@@ -75,9 +75,7 @@ def bench_scaling(
         torch.set_num_threads(threads)
 
 
-def _measure(
-    cloud: FloatArray, sizes: ScalingSizes, rng: np.random.Generator, progress: Progress
-) -> ScalingFigures:
+def _measure(cloud: FloatArray, sizes: ScalingSizes, rng: np.random.Generator, progress: Progress) -> ScalingFigures:
     fitted = {
         k: fit_mixture(cloud, k, rng, max_iterations=_ITERATIONS).mixture
         for k in {*sizes.by_components, sizes.components}
@@ -87,16 +85,16 @@ def _measure(
     index, volume = mixture.index(), mixture.volume_m3
     finer = {k: fitted[k].index() for k in sizes.by_components}
     rooms = {k: building(mixture, k, rng).index() for k in sizes.by_rooms}
-    groups: list[dict[int, Work]] = [
-        {n: weigher(index, weighing(cloud, n, sizes.points, rng), volume) for n in sizes.by_particles},
-        {p: weigher(index, weighing(cloud, sizes.particles, p, rng), volume) for p in sizes.by_points},
-        {k: weigher(indexed, given, volume) for k, indexed in finer.items()},
-        {k: weigher(indexed, given, volume) for k, indexed in rooms.items()},
-    ]
-    measured = []
+    groups: dict[str, dict[int, Work]] = {
+        "particles": {n: weigher(index, weighing(cloud, n, sizes.points, rng), volume) for n in sizes.by_particles},
+        "points": {p: weigher(index, weighing(cloud, sizes.particles, p, rng), volume) for p in sizes.by_points},
+        "components": {k: weigher(indexed, given, volume) for k, indexed in finer.items()},
+        "rooms": {k: weigher(indexed, given, volume) for k, indexed in rooms.items()},
+    }
+    measured = {}
     with progress.task("weighing", len(groups) + 1) as done:
-        for number, work in enumerate(groups):
-            measured.append(_milliseconds(work, sizes.rounds))
+        for number, (name, work) in enumerate(groups.items()):
+            measured[name] = _milliseconds(work, sizes.rounds)
             done(number + 1)
         forms = fastest_s(
             {"monoloc": weigher(index, given, volume), **_dense_forms(mixture, given)}, sizes.slow_rounds
@@ -104,7 +102,10 @@ def _measure(
         done(len(groups) + 1)
     ours = forms.pop("monoloc")
     return ScalingFigures(
-        *measured,
+        ms_by_particles=measured["particles"],
+        ms_by_points=measured["points"],
+        ms_by_components=measured["components"],
+        ms_by_rooms=measured["rooms"],
         dense_ratios={name: seconds / ours for name, seconds in forms.items()},
         index_mb={k: indexed.nbytes / 1e6 for k, indexed in (finer | rooms).items()},
     )

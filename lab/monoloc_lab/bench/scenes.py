@@ -1,4 +1,4 @@
-"""What is measured on: clouds of rooms, a building of many, and a scan with the particles that weigh it."""
+"""Inputs of the measurements: a cloud of a room, a building of many rooms, and a scan with particles."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 from monoloc.geometry import FloatArray, make_pose, se3_exp
 from monoloc.map.mixture import GaussianMixture
 
-_ROOM_M = np.array([4.5, 2.5, 5.0])  # width, height, depth of the room that is made where none is given
+_ROOM_M = np.array([4.5, 2.5, 5.0])  # width, height, depth of the synthetic room
 _FURNITURE = 14
 _SURFACE_SD_M = 0.01
-_SIGHT_M = 4.0
+_RANGE_M = 4.0
 _HALF_VIEW = np.cos(np.deg2rad(35.0))
-# The start of a run of the filter: the widest that particles ever are while the camera is not lost.
+# Spread of the particles at the start of a run, the widest while the camera is not lost.
 _POSITION_SD_M, _ROTATION_SD, _LOG_SCALE_SD = 0.1, np.deg2rad(3.0), 0.05
 
 
-def made_up_cloud(count: int, rng: np.random.Generator) -> FloatArray:
-    """Points on the walls of a room and on the boxes in it, (count, 3), world frame, metres."""
+def synthetic_cloud(count: int, rng: np.random.Generator) -> FloatArray:
+    """Points on the walls of a room and on boxes in it, (count, 3), world frame, metres."""
     sizes = rng.uniform([0.3, 0.3, 0.3], [1.2, 1.5, 1.2], (_FURNITURE, 3))
     corners = rng.uniform(0.0, 1.0, (_FURNITURE, 3)) * (_ROOM_M - sizes)
     lower = np.concatenate([np.zeros((1, 3)), corners])
@@ -34,13 +34,13 @@ def made_up_cloud(count: int, rng: np.random.Generator) -> FloatArray:
 
 
 def building(room: GaussianMixture, components: int, rng: np.random.Generator) -> GaussianMixture:
-    """Rooms like one, wall to wall on one floor, each a little different: at least ``components`` of them all."""
+    """A building of slightly different copies of a room, wall to wall, with at least ``components`` components."""
     rooms = -(-components // len(room))
     side = int(np.ceil(np.sqrt(rooms)))
     lower, upper = room.bounds_m()
     number = np.repeat(np.arange(rooms), len(room))
     offset = np.stack([number % side, np.zeros_like(number), number // side], axis=1) * (upper - lower)
-    jitter = rng.normal(0.0, 0.02, offset.shape) * (number > 0)[:, None]  # the first is the room itself
+    jitter = rng.normal(0.0, 0.02, offset.shape) * (number > 0)[:, None]  # the first copy is the room itself
     return GaussianMixture(
         np.tile(room.weights, rooms) / rooms,
         np.tile(room.means, (rooms, 1)) + offset + jitter,
@@ -50,12 +50,13 @@ def building(room: GaussianMixture, components: int, rng: np.random.Generator) -
 
 @dataclass(frozen=True)
 class Weighing:
-    """What one call of the weighing kernel is given.
+    """Input of one call of the weighing kernel.
 
     Attributes:
-        poses: ``T_world_camera``, (N, 4, 4), and log_scales, (N,).
-        scan: (P, 3) float32, camera's frame, metres.
-        points_world: (N * P, 3) the scan as every particle sees it.
+        poses: ``T_world_camera`` of the particles, (N, 4, 4).
+        log_scales: of the particles, (N,).
+        scan: (P, 3) float32, camera frame, metres.
+        points_world: (N * P, 3) the scan in the world frame, for every particle.
     """
 
     poses: FloatArray
@@ -65,13 +66,13 @@ class Weighing:
 
 
 def weighing(cloud: FloatArray, particles: int, points: int, rng: np.random.Generator) -> Weighing:
-    """A camera in the middle of a cloud that sees ``points`` of it, and particles about where it stands."""
+    """A scan of ``points`` points from the centre of a cloud, and particles around its pose."""
     middle = np.median(cloud, axis=0)
     offset = cloud - middle
     distance = np.linalg.norm(offset, axis=1)
     forward = offset[np.argmin(np.abs(distance - np.median(distance)))]
     T_world_camera = make_pose(_looking(forward), middle)
-    seen = (distance < _SIGHT_M) & (offset @ forward > _HALF_VIEW * distance * np.linalg.norm(forward))
+    seen = (distance < _RANGE_M) & (offset @ forward > _HALF_VIEW * distance * np.linalg.norm(forward))
     chosen = rng.choice(np.flatnonzero(seen), points, replace=int(seen.sum()) < points)
     scan = offset[chosen] @ T_world_camera[:3, :3]
     twists = rng.standard_normal((particles, 6)) * np.repeat([_POSITION_SD_M, _ROTATION_SD], 3)
@@ -83,14 +84,14 @@ def weighing(cloud: FloatArray, particles: int, points: int, rng: np.random.Gene
 
 
 def near_surface(cloud: FloatArray, within_m: float, rng: np.random.Generator) -> FloatArray:
-    """Every point of a cloud, and again up to ``within_m`` away from where it was."""
+    """The points of a cloud, and the same points displaced by up to ``within_m``."""
     directions = rng.normal(size=cloud.shape)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return np.concatenate([cloud, cloud + directions * rng.uniform(0.0, within_m, (len(cloud), 1))])
 
 
 def _looking(forward: FloatArray) -> FloatArray:
-    """A camera's axes in the world, (3, 3), z along ``forward``."""
+    """World axes of a camera, (3, 3), with z along ``forward``."""
     z = forward / np.linalg.norm(forward)
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
     x /= np.linalg.norm(x)

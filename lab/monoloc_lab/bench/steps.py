@@ -1,8 +1,8 @@
-"""Localises a recording and times the stages of every step; a process of its own, for its memory's sake.
+"""Localises a recording and times the stages of every step, in a separate process, to measure its memory.
 
     python -m monoloc_lab.bench.steps BUNDLE SOURCE FRAMES SEED
 
-prints the figures as JSON, or, with exit code 2, what is wrong with the input.
+prints the figures as JSON. With exit code 2 it prints what is wrong with the input.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from monoloc.progress import NoProgress
 from monoloc.run import localize
 from monoloc.start import Start
 
-# A step and what makes it up: name, and where the function is looked up that does it.
+# The step and its stages: name, and the object and attribute where the function is looked up.
 STAGES: list[tuple[str, Any, str]] = [
     ("step", Localizer, "step"),
     ("depth", DepthPredictor, "__call__"),
@@ -47,14 +47,14 @@ STAGES: list[tuple[str, Any, str]] = [
     ("estimate", particle_filter, "estimate"),
     ("resample", particle_filter, "resample"),
 ]
-_WARM_UP = 5  # first steps, in which libraries set themselves up
+_WARM_UP = 5  # first steps, in which libraries initialise
 
 
 @contextmanager
 def timed_stages() -> Iterator[dict[str, list[float]]]:
-    """Processor milliseconds of every call of each stage, while the context lasts.
+    """Processor milliseconds of every call of each stage within the context.
 
-    All is on one thread, so that is what a clock would show on a core with nothing else to do.
+    Everything runs on one thread, so this is the wall time on an idle core.
     """
     times: dict[str, list[float]] = {name: [] for name, _, _ in STAGES}
     originals = [(place, attribute, getattr(place, attribute)) for _, place, attribute in STAGES]
@@ -100,9 +100,9 @@ def measure(bundle: Path, source: str, frames: str, seed: int) -> dict[str, obje
 
 
 def peak_memory_mb() -> float:
-    """The most memory that this process has held, MB."""
+    """Peak memory of this process, MB."""
     status = Path("/proc/self/status")
-    if status.exists():  # getrusage counts what the parent held when it started this process
+    if status.exists():  # getrusage includes the memory of the parent when it started this process
         line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM"))
         return int(line.split()[1]) * 1024 / 1e6
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # bytes, on macOS

@@ -1,7 +1,7 @@
-"""Times that a busy machine does not spoil.
+"""Timing that is robust against other load on the machine.
 
-Runs of what is compared take turns, and the fastest of each counts. What is counted is the processor's time:
-everything here runs on one thread, so it is what a clock would show on a machine with nothing else to do.
+Compared functions take turns, and the fastest run of each counts. Times are processor times. Everything runs on one
+thread, so they are the wall times on an idle machine.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ Work = Callable[[], object]
 
 
 def fastest_s(work: Mapping[str, Work], rounds: int) -> dict[str, float]:
-    """Processor seconds of the fastest of ``rounds`` runs of each, taking turns, after a run that is not timed."""
+    """Processor seconds of the fastest of ``rounds`` runs of each function, in turns, after one untimed run."""
     for run in work.values():
         run()
     times = {name: float("inf") for name in work}
@@ -29,16 +29,16 @@ def fastest_s(work: Mapping[str, Work], rounds: int) -> dict[str, float]:
 
 
 def has_sklearn() -> bool:
-    """Whether scikit-learn, a development dependency, is there to be compared with."""
+    """Whether scikit-learn, a development dependency, is installed."""
     return find_spec("sklearn") is not None
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """NumPy's and scikit-learn's matrix products on one thread, as monoloc's kernels are.
+    """Limit the matrix products of NumPy and scikit-learn to one thread, as for monoloc's kernels.
 
-    threadpoolctl, which does it, comes with scikit-learn. Without it NumPy uses what it likes, and the ratios are too
-    low rather than too high.
+    This needs threadpoolctl, which scikit-learn installs. Without it NumPy may use more threads, and the ratios are
+    too low.
     """
     if find_spec("threadpoolctl") is None:
         yield

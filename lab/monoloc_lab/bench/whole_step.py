@@ -1,4 +1,4 @@
-"""The whole step, frame by frame, in a process of its own."""
+"""Time of the whole step, frame by frame, in a separate process."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 from monoloc.errors import MonolocError
 
-# Set before NumPy is imported, in the child: every library on one thread.
+# Set before the child imports NumPy: every library on one thread.
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
@@ -20,9 +20,9 @@ class PipelineFigures:
     """JSON keys of ``monoloc bench pipeline``.
 
     Attributes:
-        step_ms_median, step_ms_p95: processor time of one frame, the reading of its file aside.
-        stage_ms: mean of each stage; together they are the mean of a step.
-        peak_memory_mb: of the process, from its start to its end.
+        step_ms_median, step_ms_p95: processor time of one frame, without reading its file.
+        stage_ms: mean of each stage; their sum is the mean of a step.
+        peak_memory_mb: of the whole process.
     """
 
     step_ms_median: float
@@ -32,10 +32,10 @@ class PipelineFigures:
 
 
 def bench_pipeline(bundle: Path, source: str, frames: str, seed: int) -> PipelineFigures:
-    """Localise a recording in a fresh process, on one thread, and time it.
+    """Localise a recording in a new process, on one thread, and time it.
 
     Raises:
-        MonolocError: what the process says of its input.
+        MonolocError: the process refuses its input.
     """
     command = [sys.executable, "-m", "monoloc_lab.bench.steps", str(bundle), source, frames, str(seed)]
     done = subprocess.run(command, env=os.environ | _ONE_THREAD, stdout=subprocess.PIPE, text=True)

@@ -1,11 +1,11 @@
-"""``monoloc bench``: how fast it is here, against what one would use in its place."""
+"""``monoloc bench``: speed on this machine, compared with alternatives."""
 
 from __future__ import annotations
 
 import tempfile
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -28,27 +28,31 @@ from monoloc.cli.common import (
 )
 from monoloc.config import override
 from monoloc.errors import DataError
+from monoloc.extras import training_extra
 from monoloc.geometry import FloatArray
 from monoloc.io.recording import Selection
 from monoloc.progress import ConsoleProgress
-from monoloc_lab.bench.fitting import FitFigures, FitSizes, bench_fit
-from monoloc_lab.bench.kernels import KernelFigures, KernelSizes, bench_kernels
-from monoloc_lab.bench.scenes import made_up_cloud
-from monoloc_lab.bench.whole_step import PipelineFigures, bench_pipeline
+from monoloc_lab.bench.fitting import FitSizes, bench_fit
+from monoloc_lab.bench.kernels import KernelSizes, bench_kernels
+from monoloc_lab.bench.networks import bench_networks
+from monoloc_lab.bench.scenes import synthetic_cloud
+from monoloc_lab.bench.whole_step import bench_pipeline
 
-app = typer.Typer(
-    help="Measure speed, against what one would use in its place.", no_args_is_help=True, rich_markup_mode=None
-)
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
-KERNEL_SIZES, FIT_SIZES = KernelSizes(), FitSizes()
+app = typer.Typer(help="Measure speed, compared with alternatives.", no_args_is_help=True, rich_markup_mode=None)
+
 _NETWORK = "one-third-0.35-int8"
-_CLOUD_POINTS = 60_000  # of the room that is made where no recording is given
-_BUILD_EVERY, _FEWEST_BUILD_FRAMES = 4, 10  # a bundle is built from every so many frames, if that leaves enough
+_CLOUD_POINTS = 60_000  # of the synthetic room
+_BUILD_EVERY, _FEWEST_BUILD_FRAMES = 4, 10  # a bundle is built from every fourth frame, if enough frames remain
 
 RoomArgument = Annotated[
     str | None,
     typer.Argument(
-        metavar="[SOURCE]", help="A recording with depth, whose room is the map. [a made-up room]", show_default=False
+        metavar="[SOURCE]",
+        help="A recording with depth, whose room is the map. [a synthetic room]",
+        show_default=False,
     ),
 ]
 
@@ -65,7 +69,24 @@ def kernels(
       monoloc bench kernels 7scenes:redkitchen --frames ::4 --json
     """
     rng = np.random.default_rng(seed)
-    _show(bench_kernels(_cloud(source, frames, rng), KERNEL_SIZES, rng, ConsoleProgress(stderr)), json)
+    _show(bench_kernels(_cloud(source, frames, rng), KernelSizes(), rng, ConsoleProgress(stderr)), json)
+
+
+@app.command()
+def scaling(
+    source: RoomArgument = None, frames: FramesOption = "::", seed: SeedOption = 0, json: JsonOption = False
+) -> None:
+    """Time a weighing against the number of particles, points and components, and the dense alternatives.
+
+    \b
+    Examples:
+      monoloc bench scaling
+      monoloc bench scaling 7scenes:redkitchen --frames ::4 --json
+    """
+    with training_extra():
+        from monoloc_lab.bench.scaling import ScalingSizes, bench_scaling
+    rng = np.random.default_rng(seed)
+    _show(bench_scaling(_cloud(source, frames, rng), ScalingSizes(), rng, ConsoleProgress(stderr)), json)
 
 
 @app.command("map")
@@ -80,7 +101,44 @@ def map_(
       monoloc bench map 7scenes:redkitchen --frames ::4 --json
     """
     cloud = _cloud(source, frames, np.random.default_rng(seed))
-    _show(bench_fit(cloud, FIT_SIZES, seed, ConsoleProgress(stderr)), json)
+    _show(bench_fit(cloud, FitSizes(), seed, ConsoleProgress(stderr)), json)
+
+
+@app.command()
+def networks(
+    runs: Annotated[int, typer.Option("--runs", min=10, help="Timed runs of each network.")] = 300,
+    json: JsonOption = False,
+) -> None:
+    """Time the shipped depth networks, in 32 and 8 bits.
+
+    \b
+    Examples:
+      monoloc bench networks --json
+    """
+    _show(bench_networks(runs, ConsoleProgress(stderr)), json)
+
+
+@app.command()
+def tuning(
+    source: SourceArgument,
+    frames: FramesOption = "::",
+    threads: Annotated[int, typer.Option("--threads", min=1, help="Of PyTorch.")] = 1,
+    json: JsonOption = False,
+) -> None:
+    """Time a step of adaptation and a synthesised view, and the same without each optimisation.
+
+    \b
+    Examples:
+      monoloc bench tuning 7scenes:redkitchen --frames 0:200:3
+      ONEDNN_MAX_CPU_ISA=AVX2 ATEN_CPU_CAPABILITY=avx2 monoloc bench tuning 7scenes:redkitchen --frames 0:200:3
+    """
+    with training_extra():
+        from monoloc_lab.bench.tuning_steps import TuningSizes, bench_tuning
+    recording = open_source(source, frames)
+    lacking = "no poses" if recording.poses is None else None if recording.has_depth else "no depth"
+    if lacking is not None:
+        raise DataError(recording.name, f"has {lacking}", "give a recording with camera poses and depth")
+    _show(bench_tuning(recording, TuningSizes(), threads, ConsoleProgress(stderr)), json)
 
 
 @app.command()
@@ -88,13 +146,13 @@ def pipeline(
     source: SourceArgument,
     bundle: Annotated[
         Path | None,
-        typer.Option("--bundle", help=f"A bundle of the room. [one with {_NETWORK}, not adapted, is built]"),
+        typer.Option("--bundle", help=f"A bundle of the room. [built with {_NETWORK}, not adapted]"),
     ] = None,
     frames: FramesOption = "::",
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
-    """Time the whole step and its stages on a recording, on one core, in a process of its own.
+    """Time the whole step and its stages on a recording, on one core, in a separate process.
 
     \b
     Examples:
@@ -111,26 +169,26 @@ def pipeline(
     with tempfile.TemporaryDirectory() as folder:
         built = Path(folder) / "room.monoloc"
         config = override(BuildConfig(), adapt={"tune": "none", "map_transform": False})
-        room, _ = build_bundle(_every(recording), config, seed, ConsoleProgress(stderr), network=_NETWORK)
+        room, _ = build_bundle(_build_frames(recording), config, seed, ConsoleProgress(stderr), network=_NETWORK)
         write_bundle(built, room)
         _show(bench_pipeline(built, source, frames, seed), json)
 
 
 def _cloud(source: str | None, frames: str, rng: np.random.Generator) -> FloatArray:
-    """The cloud of a recording, as a build makes it, or of a made-up room."""
+    """The cloud of a recording, as a build makes it, or of a synthetic room."""
     if source is None:
-        refuse_frames(frames, "a made-up room")
-        return made_up_cloud(_CLOUD_POINTS, rng)
+        refuse_frames(frames, "a synthetic room")
+        return synthetic_cloud(_CLOUD_POINTS, rng)
     return room_cloud(open_source(source, frames), None, BuildConfig(), ConsoleProgress(stderr))
 
 
-def _every(recording: Selection) -> Selection:
-    """Enough of a recording's frames to build from: every fourth, or all of a short one."""
+def _build_frames(recording: Selection) -> Selection:
+    """Every fourth frame of a recording, or all frames of a short one."""
     step = _BUILD_EVERY if len(recording) >= _BUILD_EVERY * _FEWEST_BUILD_FRAMES else 1
     return Selection(recording, range(0, len(recording), step))
 
 
-def _show(figures: KernelFigures | FitFigures | PipelineFigures, json: bool) -> None:
+def _show(figures: DataclassInstance, json: bool) -> None:
     content: dict[str, Any] = asdict(figures)
     left_out = [name for name, value in content.items() if value is None]
     if left_out:
@@ -139,4 +197,4 @@ def _show(figures: KernelFigures | FitFigures | PipelineFigures, json: bool) -> 
         print_json(content)
     else:
         rows = [[name, text_of(value)] for name, value in content.items() if value is not None]
-        print_table("monoloc bench, one thread", ["", ""], rows)
+        print_table("monoloc bench", ["", ""], rows)

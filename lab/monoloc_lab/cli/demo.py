@@ -1,4 +1,4 @@
-"""``monoloc demo``: the main job on a room that comes with the package, with a table and pictures at the end."""
+"""``monoloc demo``: build, adapt and localise in the rendered room of the package."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ _RECORDED = "7scenes/redkitchen"
 
 
 @dataclass(frozen=True)
-class _Trial:
-    """One run: in which light, on what frames, with which depth."""
+class _Flight:
+    """One run: its light, frames and depth."""
 
     name: str
     light: str | None
@@ -54,11 +54,11 @@ class _Trial:
 
 
 @dataclass(frozen=True)
-class _Study:
-    """What is built from and what is tried.
+class _Demo:
+    """The build and the runs.
 
     Attributes:
-        network, adapt: of the build; less than the default's where a demo should not take as long.
+        network, adapt: of the build; the rendered room takes fewer steps than the default, to be faster.
     """
 
     title: str
@@ -66,15 +66,13 @@ class _Study:
     frames: str
     network: str
     adapt: dict[str, object]
-    trials: tuple[_Trial, ...]
+    flights: tuple[_Flight, ...]
 
 
 def demo(
     data: Annotated[
         Path | None,
-        typer.Option(
-            "--data", help=f"A folder with {_RECORDED}, to take that real room instead.", show_default=False
-        ),
+        typer.Option("--data", help=f"A folder with {_RECORDED}, to use that real room instead.", show_default=False),
     ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for bundles, trajectories and plots.")] = Path(
         "demo-output"
@@ -85,7 +83,7 @@ def demo(
 ) -> None:
     """Build a map of a room, adapt a network to it, and localise another flight, in bright, medium and dim light.
 
-    The room is rendered and comes with monoloc; with --data it is a real kitchen, with the default build's settings.
+    The room is rendered and part of the package. With --data it is a real kitchen, with the default settings.
 
     \b
     Examples:
@@ -100,45 +98,45 @@ def demo(
     check_viewing(view)
     out.mkdir(exist_ok=True)
     bundles = {adapted: _build(study, adapted, out, seed) for adapted in (False, True)}
-    runs = [(trial, _run(trial, bundles[trial.adapted], seed, out, view).metrics()) for trial in study.trials]
+    runs = [(flight, _run(flight, bundles[flight.adapted], seed, out, view).metrics()) for flight in study.flights]
     seconds = time.perf_counter() - started
     if json:
         described = [{"name": t.name, "light": t.light, "adapted": t.adapted, **figures} for t, figures in runs]
         print_json({"runs": described, "seconds": seconds, "output": str(out)})
         return
     print_table(
-        f"{study.title}; figures on unseen frames",
-        ["", "median", "RMSE", "rotation", "coverage", "depth error", "ms a frame"],
-        [[trial.name, *_row(figures)] for trial, figures in runs],
+        f"{study.title}; errors on unseen frames",
+        ["", "median", "RMSE", "rotation", "coverage", "depth error", "ms per frame"],
+        [[flight.name, *_row(figures)] for flight, figures in runs],
     )
     stderr.print(f"{seconds:.0f} s; plots, trajectories and bundles: {out.resolve()}")
 
 
-def _embedded() -> _Study:
-    trials = tuple(
-        _Trial(f"{light} {'adapted' if adapted else 'unadapted'}", light, f"folder:{source}", adapted)
+def _embedded() -> _Demo:
+    flights = tuple(
+        _Flight(f"{light} {'adapted' if adapted else 'unadapted'}", light, f"folder:{source}", adapted)
         for light, source in TESTS.items()
         for adapted in (False, True)
     )
     adapt: dict[str, object] = {"steps": 200, "synthesised_views": 300}
     title = "rendered living room: built in L2 from one flight, localised on another"
-    return _Study(title, f"folder:{BUILD}", "::2", "one-third-0.35", adapt, trials)
+    return _Demo(title, f"folder:{BUILD}", "::2", "one-third-0.35", adapt, flights)
 
 
-def _recorded(data: Path) -> _Study:
+def _recorded(data: Path) -> _Demo:
     room = data / _RECORDED
     if not room.is_dir():
-        raise DataError(room, "is not there", f"give --data a folder with {_RECORDED}, or leave it out")
+        raise DataError(room, "does not exist", f"give --data a folder with {_RECORDED}, or leave it out")
     source, build, run = f"7scenes:{room}", "0:400:4", "0:400"
-    trials = (
-        _Trial("unadapted", None, source, False, run),
-        _Trial("adapted", None, source, True, run),
-        _Trial("sensor depth (bound)", None, source, False, run, sensor_depth=True),
+    flights = (
+        _Flight("unadapted", None, source, False, run),
+        _Flight("adapted", None, source, True, run),
+        _Flight("sensor depth (bound)", None, source, False, run, sensor_depth=True),
     )
-    return _Study(f"{_RECORDED}: built from frames {build}, localised on {run}", source, build, DEFAULT, {}, trials)
+    return _Demo(f"{_RECORDED}: built from frames {build}, localised on {run}", source, build, DEFAULT, {}, flights)
 
 
-def _build(study: _Study, adapted: bool, out: Path, seed: int) -> Bundle:
+def _build(study: _Demo, adapted: bool, out: Path, seed: int) -> Bundle:
     path = out / ("adapted.monoloc" if adapted else "plain.monoloc")
     tune: Tune = "all" if adapted else "none"
     stderr.print(Text.assemble(("build", "bold"), f" {path.name} (--tune {tune})"))
@@ -147,21 +145,21 @@ def _build(study: _Study, adapted: bool, out: Path, seed: int) -> Bundle:
     recording = open_source(study.source, study.frames)
     bundle, _ = build_bundle(recording, config, seed, ConsoleProgress(stderr), network=study.network)
     write_bundle(path, bundle)
-    return read_bundle(path)  # its map is rounded: the figures are those of the bundle that is left behind
+    return read_bundle(path)  # its map is rounded, so this is the bundle that remains
 
 
-def _run(trial: _Trial, bundle: Bundle, seed: int, out: Path, view: bool) -> Run:
-    stderr.print(Text.assemble(("localize", "bold"), f" {trial.name}"))
-    recording = open_source(trial.source, trial.frames)
+def _run(flight: _Flight, bundle: Bundle, seed: int, out: Path, view: bool) -> Run:
+    stderr.print(Text.assemble(("localize", "bold"), f" {flight.name}"))
+    recording = open_source(flight.source, flight.frames)
     assert recording.poses is not None
     rng = np.random.default_rng(seed)
     start = Start.disturbed(recording.poses[0], rng)
     progress = ConsoleProgress(stderr)
-    with run_viewer(trial.name, view, None) as viewer:
-        run = localize(bundle, recording, start, bundle.settings, rng, progress, trial.sensor_depth, viewer=viewer)
-    stem = out / trial.name.split(" (")[0].replace(" ", "-")
+    with run_viewer(flight.name, view, None) as viewer:
+        run = localize(bundle, recording, start, bundle.settings, rng, progress, flight.sensor_depth, viewer=viewer)
+    stem = out / flight.name.split(" (")[0].replace(" ", "-")
     write_tum(stem.with_suffix(".txt"), recording.timestamps_s, run.poses)
-    draw(stem.with_suffix(".png"), run, bundle, trial.name)
+    draw(stem.with_suffix(".png"), run, bundle, flight.name)
     return run
 
 

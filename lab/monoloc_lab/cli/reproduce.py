@@ -1,4 +1,4 @@
-"""``monoloc reproduce``: the source paper's figures and table, and what goes beyond them, on a room of choice."""
+"""``monoloc reproduce``: the figures and the table of the paper, and further ones, on a chosen room."""
 
 from __future__ import annotations
 
@@ -26,60 +26,60 @@ _BUILTIN = "builtin"
 def reproduce(
     figures: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[FIGURE]...", help="Some of them, such as fig4d; all of them for none."),
+        typer.Argument(metavar="[FIGURE]...", help="Such as fig4d. [all but ablation, adapt-settings, robustness]"),
     ] = None,
     data: Annotated[
         str,
         typer.Option(
-            "--data", help=f"{_BUILTIN}, the rendered room that comes with monoloc, or a SOURCE with poses and depth."
+            "--data", help=f"{_BUILTIN}, the rendered room of the package, or a SOURCE with poses and depth."
         ),
     ] = _BUILTIN,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for results, pictures and the report.")] = Path(
         "reproduction"
     ),
     quick: Annotated[
-        bool, typer.Option("--quick", help="Two sizes, shorter trainings, and without what costs most.")
+        bool, typer.Option("--quick", help="Two sizes, shorter training, without the most expensive parts.")
     ] = False,
     builds: Annotated[
         int | None,
         typer.Option(
             "--builds",
             min=1,
-            help="How often the room is built anew, for the spread of builds; 5 by default, 1 with --quick.",
+            help="Number of builds of the room; 5 by default, 1 with --quick.",
             show_default=False,
         ),
     ] = None,
     size: Annotated[
         list[str] | None,
         typer.Option(
-            "--size", help="Of networks, may be repeated; all four by default, two with --quick.", show_default=False
+            "--size", help="Of networks; may be repeated. All four by default, two with --quick.", show_default=False
         ),
     ] = None,
     workers: Annotated[
         int | None,
         typer.Option(
-            "--workers", min=1, help="Processes of one thread each; one a core by default.", show_default=False
+            "--workers", min=1, help="Processes of one thread each; one per core by default.", show_default=False
         ),
     ] = None,
     dask: Annotated[
         str | None,
         typer.Option(
-            "--dask", metavar="ADDRESS", help="A Dask scheduler whose workers do the work, tcp://HOST:8786."
+            "--dask", metavar="ADDRESS", help="Dask scheduler whose workers execute the tasks, tcp://HOST:8786."
         ),
     ] = None,
     encoder: Annotated[
         Path | None,
         typer.Option(
             "--encoder",
-            help="MobileNetV2 weights (.npz) that PoseNets start from; by default the depth network's encoder.",
+            help="Initial MobileNetV2 weights (.npz) of PoseNets; by default the encoder of the depth network.",
         ),
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Make the source paper's figures and table, and say which of its claims hold here.
+    """Reproduce the figures and the table of the paper, and compare its claims with the measurements.
 
-    What was done before is not done again, so a run that was cut off goes on, and figures can be asked for one by
-    one. With --dask, all machines need the same monoloc, the same data, and the folder --out.
+    Results in --out are reused, so a stopped run continues, and figures can be requested one by one. With --dask, all
+    machines need the same monoloc, the same data and the folder --out.
 
     \b
     Examples:
@@ -98,17 +98,17 @@ def reproduce(
     chosen = chosen_figures(figures or [])
     check_folder(out, "--out")
     if workers is not None and dask is not None:
-        raise SettingError("--workers", "is of this machine, and --dask of others", "leave one of them out")
+        raise SettingError("--workers", "is for this machine, and --dask for others", "leave one of them out")
     require_plotting()
     study = _study(data, quick, builds, size, encoder)
     if dask is not None:
         check_scheduler(dask)
-    wanted = [(figure, figure.tasks(study)) for figure in chosen]
-    drawable = [(figure, tasks) for figure, tasks in wanted if tasks is not None]
-    left_out = [figure for figure, tasks in wanted if tasks is None]
+    requested = [(figure, figure.tasks(study)) for figure in chosen]
+    drawable = [(figure, tasks) for figure, tasks in requested if tasks is not None]
+    left_out = [figure for figure, tasks in requested if tasks is None]
     if not drawable:
         names = ", ".join(figure.name for figure in left_out)
-        raise SettingError("--quick", f"leaves out {names}, and nothing else is asked for", "run without it")
+        raise SettingError("--quick", f"leaves out {names}, and nothing else is requested", "run without it")
     tasks = [task for _, tasks in drawable for task in tasks]
     _check_length(tasks)
     out = out.resolve()
@@ -122,19 +122,19 @@ def reproduce(
         return
     if content["claims"]:
         print_table(
-            f"{study.title}: claims of the source paper",
-            ["", "holds", "measured"],
+            f"{study.title}: claims of the paper",
+            ["", "bound satisfied", "measured"],
             [[claim["name"], "yes" if claim["holds"] else "no", claim["figure"]] for claim in content["claims"]],
         )
     stderr.print(f"{content['seconds']:.0f} s; report: {content['report']}")
 
 
 def _study(data: str, quick: bool, builds: int | None, sizes: list[str] | None, encoder: Path | None) -> Study:
-    """What is to be studied.
+    """The study of the options.
 
     Raises:
-        DataError, SettingError: a source that cannot be read, or has no poses or no depth; no such file of weights;
-            more builds than runs; a size that there is not.
+        DataError, SettingError: the source cannot be read or has no poses or no depth, the weights do not exist,
+            there are more builds than seeds, or a size is unknown.
     """
     from dataclasses import replace
 
@@ -154,32 +154,32 @@ def _study(data: str, quick: bool, builds: int | None, sizes: list[str] | None, 
     if builds is not None:
         if builds > study.seeds:
             raise SettingError(
-                "--builds", f"is {builds}, and runs have {study.seeds} seeds", "give no more than that"
+                "--builds", f"is {builds}, and runs have {study.seeds} seeds", "give at most that many"
             )
         study = replace(study, builds=builds)
     if sizes:
         unknown = next((size for size in sizes if size not in SIZES), None)
         if unknown is not None:
-            raise SettingError("--size", f"there is no {unknown}", f"give some of {', '.join(SIZES)}")
+            raise SettingError("--size", f"is {unknown!r}", f"choose from {', '.join(SIZES)}")
         study = replace(study, sizes=tuple(size for size in SIZES if size in sizes))
     return study if encoder is None else replace(study, encoder_weights=str(encoder.resolve()))
 
 
 def _check_length(tasks: Sequence[Task]) -> None:
-    """Refuse a recording that is too short for the PoseNets asked for, before the work is done.
+    """Refuse a recording that is too short for the requested PoseNets, before any work is done.
 
     Raises:
-        DataError: saying how many frames it takes.
+        DataError: with the number of frames that it needs.
     """
     from monoloc_lab.baselines.posenet_training import PoseNetTraining
     from monoloc_lab.experiments.engine import in_order
-    from monoloc_lab.experiments.study import FRAMES_PER_BUILT
+    from monoloc_lab.experiments.study import FRAMES_PER_BUILD_FRAME
 
     for task in in_order(tasks):
         if task.kind == "posenet-search":
-            built = task.settings["build"]
+            build = task.settings["build"]
             least = PoseNetTraining.model_validate(task.settings["training"]).least_frames
-            if built["length"] < least:
-                problem = f"gives {built['length']} frames to build from, and PoseNets need {least}"
-                fix = f"give one of {FRAMES_PER_BUILT * least} frames or more, or ask for figures without PoseNets"
-                raise DataError(built["name"], problem, fix)
+            if build["length"] < least:
+                problem = f"gives {build['length']} build frames, and PoseNets need {least}"
+                fix = f"give one of {FRAMES_PER_BUILD_FRAME * least} frames or more, or omit figures with PoseNets"
+                raise DataError(build["name"], problem, fix)

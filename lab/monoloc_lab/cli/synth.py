@@ -1,4 +1,4 @@
-"""``monoloc synth``: rooms, flights through them, and what a camera sees on the way."""
+"""``monoloc synth``: rendered rooms and flights through them."""
 
 from __future__ import annotations
 
@@ -25,19 +25,17 @@ from monoloc_lab.synth.render import require_mitsuba
 from monoloc_lab.synth.rooms import Room, read_room, write_room
 from monoloc_lab.synth.sequence import ROOM, RenderConfig, render_sequence
 
-app = typer.Typer(
-    help="Make rooms, fly through them, render the flights.", no_args_is_help=True, rich_markup_mode=None
-)
+app = typer.Typer(help="Generate rooms, plan flights, and render them.", no_args_is_help=True, rich_markup_mode=None)
 
-_FOCAL_SHARE = 0.854  # focal length over width: NYU's field of view of 61 degrees
+_FOCAL_SHARE = 0.854  # focal length over width: the field of view of NYU, 61 degrees
 _FLIGHT = "flight.txt"
 
-OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder to write into.")]
+OutOption = Annotated[Path, typer.Option("--out", "-o", help="Output folder.")]
 RoomOption = Annotated[
-    Path | None, typer.Option("--room", help="A room.json. [OUT/room.json, or a room made from the seed]")
+    Path | None, typer.Option("--room", help="A room.json. [OUT/room.json, or a room from the seed]")
 ]
-SecondsOption = Annotated[float, typer.Option("--seconds", min=1.0, max=600.0, help="Length of the flight.")]
-SamplesOption = Annotated[int, typer.Option("--samples", min=1, help="Paths a pixel and light group.")]
+SecondsOption = Annotated[float, typer.Option("--seconds", min=1.0, max=600.0, help="Duration of the flight.")]
+SamplesOption = Annotated[int, typer.Option("--samples", min=1, help="Paths per pixel and light group.")]
 
 
 @app.command()
@@ -45,11 +43,11 @@ def room(
     out: OutOption,
     seed: SeedOption = 0,
     mesh: Annotated[
-        Path | None, typer.Option("--mesh", help="A ply of triangles (metres, z up) to take for the room.")
+        Path | None, typer.Option("--mesh", help="A ply of triangles (metres, z up) to use as the room.")
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Make a furnished room.
+    """Generate a furnished room.
 
     \b
     Examples:
@@ -76,9 +74,9 @@ def flight(
     seconds: SecondsOption = 10.0,
     json: JsonOption = False,
 ) -> None:
-    """Plan a drone's flight: camera poses at 30 Hz, and what its IMU and odometer would have said.
+    """Plan the flight of a drone: camera poses at 30 Hz, and simulated IMU and odometer.
 
-    OUT/flight.txt and OUT/odometry.txt are TUM trajectories, OUT/imu.csv has 200 samples a second.
+    OUT/flight.txt and OUT/odometry.txt are TUM trajectories. OUT/imu.csv has 200 samples per second.
 
     \b
     Examples:
@@ -112,45 +110,45 @@ def render(
         Path | None, typer.Option("--poses", help="A TUM trajectory. [OUT/flight.txt, or a flight from the seed]")
     ] = None,
     seconds: SecondsOption = 10.0,
-    every: Annotated[int, typer.Option("--every", min=1, help="Render every so many poses.")] = 2,
+    every: Annotated[int, typer.Option("--every", min=1, help="Render one of so many poses.")] = 2,
     lights: Annotated[
-        list[str] | None, typer.Option("--light", help="L1, L2 or L3; may be given several times. [all three]")
+        list[str] | None, typer.Option("--light", help="L1, L2 or L3; may be repeated. [all three]")
     ] = None,
     width: Annotated[
-        int, typer.Option("--width", min=32, max=1920, help="Of the images; height is 3/4 of it.")
+        int, typer.Option("--width", min=32, max=1920, help="Of the images; the height is 3/4 of it.")
     ] = 320,
     samples: SamplesOption = 64,
     depth: Annotated[
         Literal["exact", "sensor"],
-        typer.Option("--depth", help="Exact, or as a structured-light sensor measures it."),
+        typer.Option("--depth", help="Exact, or simulated structured-light sensor."),
     ] = "exact",
     json: JsonOption = False,
 ) -> None:
-    """Render a flight through a room in the paper's lights: recordings OUT/L1, OUT/L2, OUT/L3.
+    """Render a flight through a room in the lights of the paper: recordings OUT/L1, OUT/L2, OUT/L3.
 
-    Called again, it goes on where it stopped. Needs the extra "synth"; with LLVM 17 or newer it is several times
-    faster.
+    A stopped rendering continues when called again. Needs the extra "synth"; with LLVM 17 or newer it is several
+    times faster.
 
     \b
     Examples:
       monoloc synth render --seed 3 --out home
-      monoloc synth render --room home/room.json --poses my-way.txt --light L3 --depth sensor --out dark
+      monoloc synth render --room home/room.json --poses my-flight.txt --light L3 --depth sensor --out dark
       monoloc build folder:home/L2 --out home.monoloc
     """
     check_folder(out, "--out")
     chosen = [_light(name) for name in lights or list(LIGHTS)]
     require_mitsuba()
     made = _room(room, out, seed)
-    times_s, way = _way(poses, out, made, seconds, seed)
+    times_s, trajectory = _trajectory(poses, out, made, seconds, seed)
     height = round(0.75 * width)
     focal_px = _FOCAL_SHARE * width
     camera = Camera(width, height, focal_px, focal_px, (width - 1) / 2.0, (height - 1) / 2.0)
     config = RenderConfig(samples=samples, depth=depth)
     progress = ConsoleProgress(stderr)
-    rendered = (way[::every], times_s[::every], velocities(way, times_s)[::every])
+    rendered = (trajectory[::every], times_s[::every], velocities(trajectory, times_s)[::every])
     recordings = render_sequence(made, *rendered, camera, chosen, config, seed, out, progress)
     if json:
-        print_json({"recordings": [str(path) for path in recordings], "frames": len(way[::every])})
+        print_json({"recordings": [str(path) for path in recordings], "frames": len(trajectory[::every])})
     else:
         stderr.print("recordings: " + ", ".join(f"folder:{path}" for path in recordings))
 
@@ -159,14 +157,14 @@ def render(
 def views(
     out: OutOption,
     seed: SeedOption = 0,
-    rooms: Annotated[int, typer.Option("--rooms", min=1, help="How many rooms.")] = 40,
-    count: Annotated[int, typer.Option("--views", min=1, help="Views of each room.")] = 60,
+    rooms: Annotated[int, typer.Option("--rooms", min=1, help="Number of rooms.")] = 40,
+    count: Annotated[int, typer.Option("--views", min=1, help="Views per room.")] = 60,
     samples: SamplesOption = 32,
     json: JsonOption = False,
 ) -> None:
     """Render a training set for depth networks: random views of many rooms in varied light, as pairs.
 
-    Called again, it goes on with the first room that is not finished.
+    Called again, it continues with the first unfinished room.
 
     \b
     Examples:
@@ -191,17 +189,19 @@ def _room(given: Path | None, out: Path, seed: int) -> Room:
 
 
 def _check_same_room(out: Path, room: Room) -> None:
-    """Refuse a folder of another room, whose flight and pictures would be left beside this one.
+    """Refuse the folder of another room, to keep rooms and flights apart.
 
     Raises:
-        SettingError: naming --out.
+        SettingError: the folder has another room.
     """
     file = out / ROOM
     if file.is_file() and read_room(file) != room:
         raise SettingError("--out", f"{file} is another room", "name another folder, or remove this one")
 
 
-def _way(given: Path | None, out: Path, room: Room, seconds: float, seed: int) -> tuple[FloatArray, FloatArray]:
+def _trajectory(
+    given: Path | None, out: Path, room: Room, seconds: float, seed: int
+) -> tuple[FloatArray, FloatArray]:
     if given is not None or (out / _FLIGHT).is_file():
         return read_tum(given or out / _FLIGHT)
     planned = plan_flight(room, FlightConfig(seconds=seconds), seed)

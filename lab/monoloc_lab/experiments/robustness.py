@@ -11,12 +11,12 @@ from monoloc_lab.experiments.altered import POSE_NOISE_DEG, POSE_NOISE_M
 from monoloc_lab.experiments.comparison import Case, compare
 from monoloc_lab.experiments.figure import Drawn, Figure
 from monoloc_lab.experiments.gather import network_of, seeds_of, usual_recording
-from monoloc_lab.experiments.study import AS_RECORDED, Split, Study
+from monoloc_lab.experiments.study import Split, Study
 from monoloc_lab.experiments.task import Results, Task
 
 # By name: alterations of the build and of the evaluation recording, and whether the build refines poses.
 _CONDITIONS: dict[str, tuple[str | None, str | None, bool]] = {
-    AS_RECORDED: (None, None, False),
+    "unaltered": (None, None, False),
     "pose noise": ("pose noise", None, False),
     "pose noise, refined poses": ("pose noise", None, True),
     "narrow lens": ("narrow lens", "narrow lens", False),
@@ -59,7 +59,7 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
         _cases(study),
         results,
         f"Pose noise has a standard deviation of {100.0 * POSE_NOISE_M:g} cm and {POSE_NOISE_DEG:g}° per axis. The "
-        "narrow lens shows the central 60 % of width and height of the images, in build and evaluation. One build each.",
+        "narrow lens shows the central 60 % of width and height, in build and evaluation. One build each.",
     )
 
 

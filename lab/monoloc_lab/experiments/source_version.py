@@ -59,11 +59,19 @@ def _file(name: str) -> Path | None:
 
 @cache
 def _imports(text: str) -> tuple[str, ...]:
-    """Names that a source text imports: modules, and names in modules, which may be modules."""
+    """Names that a source text imports when it runs: modules, and names in modules, which may be modules."""
+    tree = ast.parse(text)
+    unused = {id(inner) for node in ast.walk(tree) if _is_for_type_checkers(node) for inner in ast.walk(node)}
     names = []
-    for node in ast.walk(ast.parse(text)):
+    for node in ast.walk(tree):
+        if id(node) in unused:
+            continue
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module is not None:
             names += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
     return tuple(names)
+
+
+def _is_for_type_checkers(node: ast.AST) -> bool:
+    return isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"

@@ -1,6 +1,6 @@
-"""Twelve views of rendered rooms in the three lights, as one picture for the documents.
+"""One picture of twelve views of rendered rooms in the three lights, for the documentation.
 
-python benchmarks/synth_contact_sheet.py --out docs/pictures/synth-contact-sheet.jpg
+python -m monoloc_lab.make.contact_sheet --out docs/pictures/synth-contact-sheet.jpg
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""A flight as the localizer lives it, as a film for the documents; also an example of a viewer of one's own.
+"""A film of a localised flight for the documentation; also an example of one's own viewer.
 
-monoloc build folder:lab/monoloc_lab/rooms/living/build --out room.monoloc --no-landmarks
-monoloc build folder:lab/monoloc_lab/rooms/living/build --out plain.monoloc
+monoloc build folder:lab/monoloc_lab/rooms/living/build/L2 --out room.monoloc --no-landmarks
+monoloc build folder:lab/monoloc_lab/rooms/living/build/L2 --out plain.monoloc \\
     --tune none --no-map-transform --no-landmarks
-python benchmarks/flight_film.py room.monoloc plain.monoloc folder:lab/monoloc_lab/rooms/living/test/L3 \\
+python -m monoloc_lab.make.flight_film room.monoloc plain.monoloc folder:lab/monoloc_lab/rooms/living/test/L3 \\
     --out docs/pictures/flight.webp
 """
 
@@ -37,20 +37,20 @@ from monoloc.viz.viewer import NoViewer, Viewer
 _SIZE_IN, _DPI = (8.8, 4.4), 100
 _DEPTH_M = (0.5, 5.0)
 _EVERY = 2  # frames
-_SIGMAS_95 = 2.448  # ellipse of 95 % in two dimensions: the root of chi-squared's quantile
+_SIGMAS_95 = 2.448  # 95 % ellipse in two dimensions: the root of the chi-squared quantile
 
 
 class Film:
-    """Draws every other frame of a recording with true poses; a :class:`monoloc.viz.viewer.Viewer`.
+    """Draws every second frame of a recording with true poses; a :class:`monoloc.viz.viewer.Viewer`.
 
     Args:
-        unadapted: (N, 4, 4) the same flight with a network and a map that nothing adapted.
+        unadapted: (N, 4, 4) trajectory of the same flight with an unadapted bundle.
     """
 
     def __init__(self, unadapted: FloatArray) -> None:
         self._unadapted = unadapted
         self._pictures: list[Image.Image] = []
-        self._way: list[FloatArray] = []
+        self._trajectory: list[FloatArray] = []
 
     def begin(self, room: Bundle, recording: Recording) -> None:
         assert recording.poses is not None
@@ -68,7 +68,7 @@ class Film:
         odometry: FloatArray,
         step_ms: float,
     ) -> None:
-        self._way.append(step.estimate.pose)
+        self._trajectory.append(step.estimate.pose)
         if index % _EVERY:
             return
         figure = Figure(figsize=_SIZE_IN, dpi=_DPI, facecolor="white")
@@ -77,10 +77,10 @@ class Film:
             for box in ((0.01, 0.5, 0.33, 0.44), (0.01, 0.01, 0.33, 0.44), (0.345, 0.01, 0.645, 0.93))
         )
         image.imshow(color)
-        image.set_title("what the camera sees", loc="left", fontsize=10)
+        image.set_title("camera image", loc="left", fontsize=10)
         near_m, far_m = _DEPTH_M
         depth.imshow(step.depth.depth_m, vmin=near_m, vmax=far_m, extent=image.get_images()[0].get_extent())
-        depth.set_title("its depth, as a small network sees it", loc="left", fontsize=10)
+        depth.set_title("depth predicted by a small network", loc="left", fontsize=10)
         self._draw_plan(plan, index, step)
         content = io.BytesIO()
         figure.savefig(content, format="png")
@@ -94,13 +94,13 @@ class Film:
 
         scan = transform(pose, np.exp(step.estimate.log_scale) * step.scan.points)
         axis.plot(*scan[:, plane].T, ".", color=GREEN, markersize=3, label="scan")
-        ways: list[tuple[str, FloatArray, dict[str, Any]]] = [
+        trajectories: list[tuple[str, FloatArray, dict[str, Any]]] = [
             ("truth", self._truth, {"color": INK, "linewidth": 4.0, "alpha": 0.35}),
             ("unadapted", self._unadapted, {"color": ORANGE, "linewidth": 1.4, "linestyle": "--"}),
-            ("adapted", np.array(self._way), {"color": BLUE, "linewidth": 1.8}),
+            ("adapted", np.array(self._trajectory), {"color": BLUE, "linewidth": 1.8}),
         ]
-        for name, way, style in ways:
-            axis.plot(*way[: index + 1, plane, 3].T, **style, label=name)
+        for name, poses, style in trajectories:
+            axis.plot(*poses[: index + 1, plane, 3].T, **style, label=name)
 
         angles = np.linspace(0.0, 2.0 * np.pi, 60)
         in_world = (pose[:3, :3] @ covariance @ pose[:3, :3].T)[np.ix_(plane, plane)]
@@ -108,17 +108,17 @@ class Film:
         axis.fill(*(pose[plane, 3, None] + ring), color=BLUE, alpha=0.15)
         axis.quiver(*pose[plane, 3], *pose[plane, 2], color=BLUE, angles="xy", scale=12.0, width=0.008, zorder=5)
 
-        off_cm, unadapted_cm = (
+        error_cm, unadapted_cm = (
             100.0 * np.linalg.norm(estimate[:3, 3] - self._truth[index, :3, 3])
             for estimate in (pose, self._unadapted[index])
         )
         bound_cm = 100.0 * norm_bound_95(covariance[None])[0]
-        title = f"{off_cm:.0f} cm off (stated 95 % bound {bound_cm:.0f}), unadapted {unadapted_cm:.0f}"
+        title = f"error {error_cm:.0f} cm (stated 95 % bound {bound_cm:.0f}), unadapted {unadapted_cm:.0f}"
         axis.set_title(title, loc="left", fontsize=10)
         axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=9, frameon=False)
 
     def webp(self) -> bytes:
-        """An animated WebP, which browsers play."""
+        """The film as an animated WebP."""
         content, (first, *others) = io.BytesIO(), self._pictures
         first.save(
             content,
@@ -144,12 +144,12 @@ def main() -> None:
     assert recording.poses is not None
     start = Start.disturbed(recording.poses[0], np.random.default_rng(0))
 
-    def fly(bundle: Path, viewer: Viewer) -> Run:
+    def run(bundle: Path, viewer: Viewer) -> Run:
         room, rng = read_bundle(bundle), np.random.default_rng(0)
         return localize(room, recording, start, room.settings, rng, ConsoleProgress(stderr), viewer=viewer)
 
-    film = Film(fly(arguments.unadapted, NoViewer()).poses)
-    fly(arguments.adapted, film)
+    film = Film(run(arguments.unadapted, NoViewer()).poses)
+    run(arguments.adapted, film)
     write_whole(arguments.out, film.webp())
 
 

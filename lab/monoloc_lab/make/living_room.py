@@ -1,10 +1,10 @@
-"""Make the room that comes with monoloc: a build flight in L2, and a test flight in L1, L2 and L3.
+"""Render the living room of the package: a build flight in L2, and a test flight in L1, L2 and L3.
 
-    python benchmarks/make_embedded_room.py --work runs/embedded --out lab/monoloc_lab/rooms/living
+    python -m monoloc_lab.make.living_room --work runs/living-room --out lab/monoloc_lab/rooms/living
 
-Called again, it goes on where it stopped; about ten minutes on two cores. The flights are of one room and of
-different seeds: the build flight takes 30 s, an image every fifth of a second, with depth as a structured-light
-sensor measures it; the test flight takes 10 s at 15 Hz, with exact depth, which only figures of depth use.
+A stopped rendering continues when the same command is given again. It takes about ten minutes on two cores. The two
+flights have different seeds. The build flight takes 30 s at 5 Hz, with the depth of a structured-light sensor. The
+test flight takes 10 s at 15 Hz, with exact depth, which is only used to evaluate depth.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from monoloc_lab.synth.light import LIGHTS
 from monoloc_lab.synth.sequence import RenderConfig, render_sequence
 
 ROOM_SEED = 3
-CAMERA = Camera(160, 120, 136.6, 136.6, 79.5, 59.5)  # NYU's field of view
+CAMERA = Camera(160, 120, 136.6, 136.6, 79.5, 59.5)  # the field of view of NYU
 DEPTH_SCALE = 200.0  # steps of 5 mm: files a third smaller than in millimetres
 
 
 @dataclass(frozen=True)
-class Recorded:
-    """A flight and how it is rendered: every so many of its 30 poses a second, with so many paths a pixel."""
+class RenderedFlight:
+    """A flight and its rendering: every ``every``-th of its 30 poses per second, with ``samples`` paths per pixel."""
 
     seed: int
     flight: FlightConfig
@@ -45,8 +45,8 @@ class Recorded:
 
 
 FLIGHTS = {
-    "build": Recorded(4, FlightConfig(seconds=30.0, look_spread_deg=60.0), 6, 32, ("L2",), "sensor"),
-    "test": Recorded(
+    "build": RenderedFlight(4, FlightConfig(seconds=30.0, look_spread_deg=60.0), 6, 32, ("L2",), "sensor"),
+    "test": RenderedFlight(
         3, FlightConfig(seconds=10.0, look_spread_deg=40.0, yaw_rate_deg=40.0), 2, 16, ("L1", "L2", "L3"), "exact"
     ),
 }
@@ -54,22 +54,22 @@ FLIGHTS = {
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--work", type=Path, required=True, help="where rendered light is kept")
+    parser.add_argument("--work", type=Path, required=True, help="folder of the rendered light")
     parser.add_argument("--out", type=Path, required=True)
     arguments = parser.parse_args()
     arguments.work.mkdir(parents=True, exist_ok=True)
     room = generate_room(ROOM_SEED)
     paths = {}
-    for name, recorded in FLIGHTS.items():
-        flight = plan_flight(room, recorded.flight, recorded.seed)
-        times, poses = flight.times_s[:: recorded.every], flight.camera_poses()[:: recorded.every]
+    for name, rendered in FLIGHTS.items():
+        flight = plan_flight(room, rendered.flight, rendered.seed)
+        times, poses = flight.times_s[:: rendered.every], flight.camera_poses()[:: rendered.every]
         paths[name] = poses
-        lights = [LIGHTS[light] for light in recorded.lights]
-        config = RenderConfig(recorded.samples, recorded.depth, DEPTH_SCALE, jpeg_quality=90)
+        lights = [LIGHTS[light] for light in rendered.lights]
+        config = RenderConfig(rendered.samples, rendered.depth, DEPTH_SCALE, jpeg_quality=90)
         folder, progress = arguments.work / name, ConsoleProgress(Console(stderr=True))
-        # Between the images, not of the flight itself: what the images that come with monoloc were made by.
+        # Velocities between the images, not of the flight: the shipped images were made this way.
         moving = velocities(poses, times)
-        render_sequence(room, poses, times, moving, CAMERA, lights, config, recorded.seed, folder, progress)
+        render_sequence(room, poses, times, moving, CAMERA, lights, config, rendered.seed, folder, progress)
         target = arguments.out / name
         if target.exists():
             shutil.rmtree(target)

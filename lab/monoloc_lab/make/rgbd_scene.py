@@ -1,12 +1,12 @@
-"""A small recording in the exact layout of RGB-D Scenes v2: its scene 03's cloud, seen along its real poses.
+"""Render a recording in the layout of RGB-D Scenes v2: the cloud of its scene 03 from the scene's real poses.
 
-    python benchmarks/make_rgbd_scene.py --data ../shared/data --out runs/rgbd-scenes-v2
+    python -m monoloc_lab.make.rgbd_scene --data ../shared/data --out runs/rgbd-scenes-v2
     monoloc reproduce fig4d --quick --data rgbd-scenes-v2:runs/rgbd-scenes-v2/imgs/scene_03 --out runs/reproduce-03
 
-For machines that have the data set's poses and clouds, but not its gigabytes of images. Every point of the cloud is
-a disc along its normal, wide enough to close the gaps, and the nearest along a pixel's ray is seen. The cloud has no
-colours, so surfaces carry a texture in the room's coordinates, lit from above. Where the cloud has holes there is no
-depth, and the image is black.
+For machines that have the poses and clouds of the data set, but not its images. Every point of the cloud is rendered
+as a disc perpendicular to its normal, large enough to close the gaps. The cloud has no colours, so surfaces have a
+texture in the coordinates of the room, lit from above. At holes of the cloud there is no depth, and the image is
+black.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from monoloc.geometry import FloatArray, transform
 from monoloc.io.rgbd_scenes_v2 import CAMERA, DEPTH_SCALE, read_pose_file
 
 SCENE = "03"
-_RADIUS_M = 0.04  # points are 3.4 cm apart in the median, 4.6 at most but for one in twenty
+_RADIUS_M = 0.04  # points are 3.4 cm apart in the median, 4.6 cm at the 95th percentile
 _NEAREST_M = 0.2
-_GRAIN_M = (0.03, 0.09, 0.3)  # of the texture, each finer one as strong as all before it
+_GRAIN_M = (0.03, 0.09, 0.3)  # grid sizes of the texture's noise
 _LIGHT_WORLD = np.array([0.36, -0.88, -0.3])  # towards the lamp; the first camera's y points down
 
 
@@ -40,7 +40,7 @@ def read_points(path: Path) -> tuple[FloatArray, FloatArray]:
 def draw(
     points_world: FloatArray, normals_world: FloatArray, T_world_camera: FloatArray, camera: Camera
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """What a camera sees of discs: colour (H, W, 3) uint8 RGB, depth (H, W) float32 metres, 0 where nothing is."""
+    """Image of the discs: colour (H, W, 3) uint8 RGB, depth (H, W) float32 metres, 0 for a pixel without a disc."""
     R_camera_world = T_world_camera[:3, :3].T
     points = (points_world - T_world_camera[:3, 3]) @ R_camera_world.T
     normals = normals_world @ R_camera_world.T
@@ -59,8 +59,8 @@ def draw(
             continue
         slope = window @ normals[index]
         z = points[index] @ normals[index] / np.where(np.abs(slope) > 1e-6, slope, 1e-6)
-        apart = np.sum((window * z[..., None] - points[index]) ** 2, axis=-1)
-        rows, columns = np.nonzero(apart < _RADIUS_M**2)
+        distance = np.sum((window * z[..., None] - points[index]) ** 2, axis=-1)
+        rows, columns = np.nonzero(distance < _RADIUS_M**2)
         pixels = (rows + top) * camera.width + columns + left
         nearer = z[rows, columns] < nearest[pixels]
         nearest[pixels[nearer]] = z[rows, columns][nearer]
@@ -76,7 +76,7 @@ def draw(
 
 
 def texture(points: FloatArray) -> FloatArray:
-    """Reflectance (N, 3) at points of the room (N, 3): blurred noise, the same wherever it is seen from."""
+    """Reflectance (N, 3) at points of the room (N, 3): smooth noise that does not depend on the view."""
     total = np.full((len(points), 3), 0.5)
     for grain, strength in zip(_GRAIN_M, (0.5, 0.3, 0.2), strict=True):
         cell = np.floor(points / grain)
@@ -89,7 +89,7 @@ def texture(points: FloatArray) -> FloatArray:
 
 
 def _noise(cells: NDArray[np.int64]) -> FloatArray:
-    """Three numbers of 0 to 1 for each cell of a grid, (N, 3) -> (N, 3), alike at every call."""
+    """Three numbers from 0 to 1 per grid cell, (N, 3) -> (N, 3), a deterministic hash."""
     mixed = (cells * np.array([73856093, 19349663, 83492791])).sum(axis=1)[:, None] + np.array([1, 2, 3]) * 2654435761
     mixed = (mixed ^ (mixed >> 13)) * 1274126177 & 0x7FFFFFFF
     return np.asarray((mixed ^ (mixed >> 16)) % 4096 / 4095.0)
@@ -100,7 +100,7 @@ def write_scene(data: Path, root: Path, frames: range) -> Path:
 
     Args:
         data: the folder ``pc`` of the data set.
-        frames: numbers of real poses, which the files are called by.
+        frames: numbers of the real poses; they name the files.
     """
     points, normals = read_points(data / f"{SCENE}_ascii.ply")
     poses = read_pose_file(data / f"{SCENE}.pose")
@@ -119,7 +119,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--out", type=Path, default=Path("runs/rgbd-scenes-v2"))
-    parser.add_argument("--step", type=int, default=5, help="every so many of the 861 poses")
+    parser.add_argument("--step", type=int, default=5, help="one of so many of the 861 poses")
     arguments = parser.parse_args()
     print(write_scene(arguments.data / "rgbd-scenes-v2" / "pc", arguments.out, range(0, 861, arguments.step)))
 

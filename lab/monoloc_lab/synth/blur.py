@@ -1,4 +1,4 @@
-"""Motion blur: what a view becomes while the shutter is open and the camera moves."""
+"""Motion blur of a view by the motion of the camera during the exposure."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 from monoloc.geometry import FloatArray, invert, se3_exp, se3_log, transform
 
-_LEAST_PX = 0.3  # a shorter way is none
+_LEAST_PX = 0.3  # smaller motion does not blur
 _MOST_SAMPLES = 32
-_FAR_M = 1e3  # where nothing was hit
+_FAR_M = 1e3  # depth of pixels without a surface
 
 
 def velocities(poses: FloatArray, timestamps_s: FloatArray) -> FloatArray:
-    """Twists a second in the camera's frame, (N, 6), from the poses ``T_world_camera`` (N, 4, 4) before and after."""
+    """Twists per second in the camera frame, (N, 6), by central differences of ``T_world_camera`` (N, 4, 4)."""
     after = np.minimum(np.arange(len(poses)) + 1, len(poses) - 1)
     before = np.maximum(np.arange(len(poses)) - 1, 0)
     elapsed_s = timestamps_s[after] - timestamps_s[before]
-    elapsed_s[elapsed_s <= 0.0] = np.inf  # of a single pose: it stands still
+    elapsed_s[elapsed_s <= 0.0] = np.inf  # a single pose does not move
     return np.asarray(se3_log(invert(poses[before]) @ poses[after]) / elapsed_s[:, None])
 
 
@@ -30,33 +30,32 @@ def motion_blurred(
     velocity: FloatArray,
     exposure_s: float,
 ) -> NDArray[np.float32]:
-    """Mean of what the camera sees from before to after the view's pose, half of the exposure either way.
+    """Mean of the views during the exposure, whose middle is the pose of the given view.
 
-    What each pixel sees on the way is taken from the view itself, by the depth of the pixel: right but within the way
-    of an edge in depth.
+    Other views are warped from the given one by its depth, which is exact except next to depth edges.
 
     Args:
         light: (H, W, 3) float32, linear; depth_m: (H, W), 0 where there is none.
-        velocity: twist a second in the camera's frame, (6,).
+        velocity: twist per second in the camera frame, (6,).
 
     Returns:
-        (H, W, 3) float32; ``light`` itself where nothing moves by a third of a pixel.
+        (H, W, 3) float32; ``light`` itself if nothing moves by a third of a pixel.
     """
     depth = np.where(depth_m > 0.0, depth_m, np.float32(_FAR_M))
     points = camera.pixel_rays() * depth[..., None]
     still = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1)
 
     def seen(time_s: float) -> NDArray[np.float32]:
-        """Where in the view lies what each pixel sees at a time, (H, W, 2)."""
+        """Pixel coordinates in the given view of what each pixel sees at a time, (H, W, 2)."""
         moved = transform(se3_exp(velocity * time_s), points.reshape(-1, 3))
         pixels = camera.project(moved).reshape(camera.height, camera.width, 2)
         behind = moved[:, 2].reshape(depth.shape) <= 0.0
         return np.where(behind[..., None], still, pixels).astype(np.float32)
 
-    way_px = float(np.linalg.norm(seen(0.5 * exposure_s) - seen(-0.5 * exposure_s), axis=-1).max())
-    if way_px < _LEAST_PX:
+    length_px = float(np.linalg.norm(seen(0.5 * exposure_s) - seen(-0.5 * exposure_s), axis=-1).max())
+    if length_px < _LEAST_PX:
         return light
-    count = int(min(_MOST_SAMPLES, np.ceil(2.0 * way_px) + 1))
+    count = int(min(_MOST_SAMPLES, np.ceil(2.0 * length_px) + 1))
     times_s = ((np.arange(count) + 0.5) / count - 0.5) * exposure_s
     total = np.zeros_like(light)
     for time_s in times_s:

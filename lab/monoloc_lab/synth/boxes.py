@@ -1,4 +1,4 @@
-"""Oriented boxes: how far points are from them, and which of them intersect."""
+"""Oriented boxes: distances to points, and intersections."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Boxes:
 
     Attributes:
         poses: (B, 4, 4), ``T_world_box``; the origin is the box's centre.
-        half_sizes: (B, 3) half the edges' lengths, metres.
+        half_sizes: (B, 3) half the edge lengths, metres.
     """
 
     poses: FloatArray
@@ -32,7 +32,7 @@ class Boxes:
         return np.asarray(local @ np.swapaxes(self.poses[:, :3, :3], 1, 2) + self.poses[:, None, :3, 3])
 
     def distance_m(self, points: ArrayLike) -> FloatArray:
-        """Distance of points (N, 3) to the nearest box, (N,); inside a box it is minus the way out."""
+        """Signed distance of points (N, 3) to the nearest box, (N,); negative inside a box."""
         p = np.asarray(points, dtype=np.float64)
         nearest = np.full(len(p), np.inf)
         for pose, half in zip(self.poses, self.half_sizes, strict=True):
@@ -42,10 +42,9 @@ class Boxes:
         return nearest
 
     def intersect(self, other: Boxes, tolerance_m: float = 1e-4) -> bool:
-        """Whether any box of one cuts any box of the other by more than the tolerance.
+        """Whether a box of one intersects a box of the other by more than the tolerance.
 
-        The separating axis theorem: two boxes are apart if their shadows are on one of 15 axes (Gottschalk et al.
-        1996).
+        Separating axis theorem: boxes are disjoint if their projections on one of 15 axes are (Gottschalk 1996).
         """
         mine, theirs = self.corners(), other.corners()
         reach = (mine.max(1)[:, None] > theirs.min(1)[None]) & (theirs.max(1)[None] > mine.min(1)[:, None])
@@ -58,7 +57,7 @@ class Boxes:
 def _cut(R_a: FloatArray, a: FloatArray, R_b: FloatArray, b: FloatArray, tolerance_m: float) -> bool:
     crosses = np.cross(R_a.T[:, None, :], R_b.T[None, :, :]).reshape(9, 3)
     lengths = np.linalg.norm(crosses, axis=1)
-    # Parallel edges have no cross product, and need none: the faces' axes decide.
+    # The cross product of parallel edges vanishes; the face axes suffice then.
     axes = np.concatenate([R_a.T, R_b.T, crosses[lengths > 1e-6] / lengths[lengths > 1e-6, None]])
     on_a, on_b = axes @ a.T, axes @ b.T
     overlap = np.minimum(on_a.max(1), on_b.max(1)) - np.maximum(on_a.min(1), on_b.min(1))

@@ -1,4 +1,4 @@
-"""The empty room: floor, ceiling, walls with windows and a door, and what hangs there."""
+"""The empty room: floor, ceiling, walls with windows and a door, curtains, and a lamp."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ _SILL, _DOOR_WIDTH, _DOOR_HEIGHT = 0.9, 0.86, 2.03
 
 @dataclass(frozen=True)
 class Wall:
-    """One of the four: north, east, south, west.
+    """One of the four walls: north, east, south, west.
 
     Attributes:
-        pose: ``T_world_wall``, (4, 4): the origin in the middle of the inner face's foot, x to the right seen from
-            inside, y outwards.
-        yaw_rad: its turn about z; width: metres.
-        openings: holes in it.
+        pose: ``T_world_wall``, (4, 4): the origin is the bottom centre of the inner face, x points to the right seen
+            from inside, y outwards.
+        yaw_rad: rotation about z.
+        width: metres.
+        openings: in the wall.
     """
 
     name: str
@@ -35,13 +36,13 @@ class Wall:
     openings: tuple[Opening, ...] = ()
 
     def at(self, along: float, inwards: float, z: float = 0.0) -> Vector:
-        """A place near the wall, in the world frame."""
+        """A position near the wall, in the world frame."""
         x, y, z = (float(c) for c in self.pose[:3, :3] @ np.array([along, -inwards, z]) + self.pose[:3, 3])
         return (x, y, z)
 
 
 def make_walls(size: Vector, rng: np.random.Generator) -> tuple[Wall, ...]:
-    """The walls of a room with one or two windows and a door, each in a wall of its own."""
+    """The walls of a room with one or two windows and a door, all in different walls."""
     sx, sy, height = size
     places = (
         ("north", (sx / 2.0, sy, 0.0), 0.0, sx),
@@ -139,7 +140,7 @@ def _floor(rng: np.random.Generator) -> Material:
 
 
 def _paints(rng: np.random.Generator) -> tuple[Material, Material]:
-    """The walls' paint, and another surface for one of them."""
+    """The paint of the walls, and another surface for one of them."""
     tones = ((0.88, 0.86, 0.80), (0.84, 0.85, 0.84), (0.87, 0.82, 0.74), (0.78, 0.81, 0.83))
     main = paint(tones[rng.integers(len(tones))])
     kind = rng.uniform()

@@ -1,7 +1,7 @@
-"""Monte Carlo noise out of rendered light, with what is known of the surfaces as a guide.
+"""Removal of Monte Carlo noise from rendered light, guided by the geometry.
 
 The edge-avoiding à-trous wavelet transform of Dammertz et al. (2010), on light over albedo as in Schied et al.
-(2017): textures are taken out before the filter and put back after it, so that only shading is smoothed.
+(2017): textures are divided out before the filter and multiplied in after it, so only shading is smoothed.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 Image = NDArray[np.float32]
 
 _KERNEL = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
-_PLANE_M = 0.02  # points so far off a surface's plane belong to another surface
+_PLANE_M = 0.02  # distance from the tangent plane at which points belong to another surface
 _NORMAL_POWER = 24.0
-_LIGHT_SDS = 3.0  # differences of shading within so many standard deviations of the noise are noise
-_DARKEST = 0.02  # albedo, below which division would only amplify
+_LIGHT_SDS = 3.0  # smaller differences of shading, in standard deviations of the noise, count as noise
+_DARKEST = 0.02  # smallest albedo to divide by
 
 
 @dataclass(frozen=True)
 class Guide:
-    """What each pixel shows: (H, W, 3) albedo, normals and points (world frame, m); (H, W) whether it shines."""
+    """Geometry of each pixel: (H, W, 3) albedo, normals and points (world frame, m); (H, W) whether it shines."""
 
     albedo: Image
     normals: Image
@@ -32,7 +32,7 @@ class Guide:
 
 
 def denoised(light: Image, guide: Guide, levels: int = 4) -> Image:
-    """Rendered light (H, W, 3) without most of its noise; what shines itself is left alone."""
+    """Denoise rendered light (H, W, 3); pixels of lamps and windows are not changed."""
     albedo = np.maximum(guide.albedo, np.float32(_DARKEST))
     near_lamp = cv2.dilate(guide.shines.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     shading = _without_fireflies(np.asarray(light / albedo, dtype=np.float32), near_lamp)
@@ -51,7 +51,7 @@ def _without_fireflies(shading: Image, leave: NDArray[np.bool_]) -> Image:
 
 
 def _noise_of(grey: Image) -> Image:
-    """Local standard deviation of the noise, (H, W), from what differs between neighbours."""
+    """Local standard deviation of the noise, (H, W), from differences between neighbours."""
     detail = grey - cv2.GaussianBlur(grey, (0, 0), 1.5)
     return np.asarray(1.2 * np.sqrt(cv2.GaussianBlur(detail**2, (0, 0), 3.0)) + 1e-9, dtype=np.float32)
 
@@ -77,5 +77,7 @@ def _smoothed(shading: Image, guide: Guide, leave: NDArray[np.bool_], noise: Ima
             w = (wy * wx * turned * np.exp(-off_plane - differs) * usable[window]).astype(np.float32)
             total += w[..., None] * values[window]
             weights += w
-    alone = weights < 1e-6
-    return np.where(alone[..., None], shading, total / np.where(alone, 1.0, weights)[..., None]).astype(np.float32)
+    isolated = weights < 1e-6
+    return np.where(isolated[..., None], shading, total / np.where(isolated, 1.0, weights)[..., None]).astype(
+        np.float32
+    )

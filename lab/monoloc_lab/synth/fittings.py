@@ -1,4 +1,4 @@
-"""What belongs to the building or gives it light: walls with openings, windows, doors, lamps, pictures, plants."""
+"""Fittings of a room: walls with openings, windows, doors, lamps, pictures, plants."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from monoloc_lab.synth.furniture import Parts, a_color, box, rod
 from monoloc_lab.synth.materials import BLACK_PLASTIC, Material, lacquer, metal
 from monoloc_lab.synth.rooms import Part
 
-WALL_M = 0.24  # thickness of outer walls, hence depth of a window's reveal
+WALL_M = 0.24  # thickness of outer walls, and so depth of a window reveal
 _WHITE = (0.87, 0.87, 0.85)
 
 
 @dataclass(frozen=True)
 class Opening:
-    """A hole in a wall, seen from inside.
+    """An opening in a wall, seen from inside.
 
     Attributes:
-        middle: along the wall, from its middle to the right, metres.
+        middle: its centre along the wall, from the centre of the wall to the right, metres.
         width: metres.
         bottom, top: above the floor, metres.
     """
@@ -31,7 +31,7 @@ class Opening:
 
 
 def wall(width: float, height: float, openings: tuple[Opening, ...], surface: Material, skirting: Material) -> Parts:
-    """A wall whose inner face is at y = 0, with holes and with skirting where nothing stands open."""
+    """A wall whose inner face is at y = 0, with openings, and with skirting between doors."""
     parts: list[Part] = []
     left = -width / 2.0 - WALL_M
     base = -width / 2.0
@@ -61,14 +61,14 @@ def _skirting(left: float, right: float, material: Material) -> Part:
 
 
 def window(opening: Opening, panes: int, sky: float, seed: int) -> Parts:
-    """Frame, sill, and the light outside: a picture of the outdoors just behind the glass, which shines."""
+    """Frame, sill, and a luminous picture of the outdoors behind the glass."""
     frame, y, bar = lacquer(_WHITE), WALL_M - 0.06, 0.06
     width, height = opening.width, opening.top - opening.bottom
     middle, z = opening.middle, (opening.top + opening.bottom) / 2.0
     outdoors = Material(
         "outdoors", (1.0, 1.02, 1.06), (0.5, 0.62, 0.35), 0.0, seed=seed, group="daylight", luminance=sky
     )
-    # One face only: a light with a picture on it is sampled by its texture's coordinates, which must be unique.
+    # One face only: textured lights are sampled by texture coordinates, which must be unique.
     parts = [Part("panel", (width, 0.0, height), (middle, WALL_M - 0.01, z), outdoors)]
     for s in (-1, 1):
         parts.append(box((width, 0.06, bar), (middle, y, z + s * (height - bar) / 2.0), frame))
@@ -80,7 +80,7 @@ def window(opening: Opening, panes: int, sky: float, seed: int) -> Parts:
 
 
 def radiator(width: float, height: float) -> Parts:
-    """A panel radiator below a window, against a wall whose face is at y = 0."""
+    """A panel radiator below a window; the face of the wall is at y = 0."""
     enamel = lacquer((0.88, 0.88, 0.86))
     ribs = [box((0.03, 0.012, height - 0.06), (x, -0.104, 0.14 + height / 2.0), enamel) for x in _ribs(width)]
     return (box((width, 0.05, height), (0.0, -0.07, 0.14 + height / 2.0), enamel, 0.01), *ribs)
@@ -91,7 +91,7 @@ def _ribs(width: float) -> list[float]:
 
 
 def door(opening: Opening, leaf: Material) -> Parts:
-    """A closed door in its frame, with two panels and a handle; the wall's face is at y = 0."""
+    """A closed door in its frame, with two panels and a handle; the face of the wall is at y = 0."""
     frame = lacquer(_WHITE)
     middle, width, height = opening.middle, opening.width, opening.top
     parts = [box((width, 0.045, height), (middle, 0.045, height / 2.0), leaf)]
@@ -108,7 +108,7 @@ def door(opening: Opening, leaf: Material) -> Parts:
 
 
 def curtain(width: float, height: float, cloth: Material) -> Parts:
-    """A curtain hanging in folds, its rail's height at the top; z = 0 is its lower hem."""
+    """A curtain in folds; z = 0 is its lower hem."""
     fold = 0.07
     count = max(2, round(width / fold))
     return tuple(
@@ -123,12 +123,12 @@ def curtain(width: float, height: float, cloth: Material) -> Parts:
 
 
 def rail(width: float) -> Parts:
-    """A curtain's rail, along x."""
+    """A curtain rail along x."""
     return (Part("cylinder", (0.022, 0.022, width), (0.0, 0.0, 0.0), metal(), (0.0, np.pi / 2.0, 0.0)),)
 
 
 def picture(width: float, height: float, content: Material, frame: Material | None) -> Parts:
-    """A poster, or a framed picture, on a wall at +y; its middle is the origin."""
+    """A poster or a framed picture on a wall at +y; the origin is its centre."""
     if frame is None:
         return (box((width, 0.003, height), (0.0, -0.002, 0.0), content, 0.0),)
     rim = 0.03
@@ -138,7 +138,7 @@ def picture(width: float, height: float, content: Material, frame: Material | No
 
 
 def glow(lumens: float, area_m2: float, color: tuple[float, float, float]) -> Material:
-    """A lamp's surface that gives so much light evenly: a matt surface of luminance L gives pi L a square metre."""
+    """A uniform lamp surface with a luminous flux; a matt surface of luminance L emits pi L per square metre."""
     return Material("plain", color, group="lamps", luminance=lumens / (np.pi * area_m2))
 
 
@@ -146,7 +146,7 @@ WARM = (1.0, 0.86, 0.68)
 
 
 def pendant(drop: float, lumens: float) -> Parts:
-    """A globe on a cord; the origin is where it hangs from."""
+    """A globe on a cord; the origin is its suspension point."""
     diameter = 0.28
     globe = glow(lumens, np.pi * diameter**2, WARM)
     return (
@@ -157,7 +157,7 @@ def pendant(drop: float, lumens: float) -> Parts:
 
 
 def floor_lamp(lumens: float) -> Parts:
-    """A lamp 1.6 m high with a shade of cloth, lit from within."""
+    """A floor lamp 1.6 m high with a luminous cloth shade."""
     shade = glow(lumens, np.pi * 0.38 * 0.28, WARM)
     return (
         rod(0.28, 0.025, (0.0, 0.0, 0.0), metal()),
@@ -167,7 +167,7 @@ def floor_lamp(lumens: float) -> Parts:
 
 
 def table_lamp(lumens: float, rng: np.random.Generator) -> Parts:
-    """A lamp 0.45 m high."""
+    """A table lamp 0.45 m high."""
     foot = Material("plain", a_color(rng), roughness=0.25)
     shade = glow(lumens, np.pi * 0.22 * 0.18, WARM)
     return (

@@ -1,4 +1,4 @@
-"""Quadrotor flights through a room: smooth, bounded, free of collisions, with a camera on board."""
+"""Quadrotor flights through a room: smooth, within limits, free of collisions, with a camera."""
 
 from __future__ import annotations
 
@@ -9,28 +9,30 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.errors import SettingError
 from monoloc.geometry import FloatArray, make_pose, so3_exp
-from monoloc_lab.synth.minimum_snap import Spline, joined, minimum_snap
+from monoloc_lab.synth.minimum_snap import Spline, concatenated, minimum_snap
 from monoloc_lab.synth.rooms import Room
 
 GRAVITY = 9.81  # m/s^2
 CAMERA_RATE_HZ = 30.0
 _TRIES = 400
-_IN_ONE_S, _PIECE_S = 30.0, 10.0  # the longer a way that is drawn whole, the rarer is one that touches nothing
+_IN_ONE_S, _PIECE_S = 30.0, 10.0  # longer flights consist of pieces, because long random paths rarely stay clear
 _CHECK_EVERY_M, _CHECK_EVERY_S = 0.05, 0.02
-_STRETCH = 1.05  # durations grow by this until the limits are met
+_STRETCH = 1.05  # factor by which durations grow until the limits are met
 
 
 class FlightConfig(BaseModel):
-    """Limits of a flight; the defaults are those of a small indoor drone flown with care.
+    """Limits of a flight; the defaults are those of a small indoor drone flown carefully.
 
     Attributes:
-        seconds: how long it is.
-        speed: largest, m/s; acceleration: largest, m/s^2; tilt_deg: of thrust against the vertical.
+        seconds: duration.
+        speed: largest, m/s.
+        acceleration: largest, m/s^2.
+        tilt_deg: largest angle of the thrust to the vertical.
         yaw_rate_deg: largest, degrees/s.
-        clearance_m: smallest distance of the drone's middle from any surface: its radius and a margin.
-        low_m, high_m: heights flown at, as far as clearance allows.
-        look_down_deg: how the camera is mounted.
-        look_spread_deg: how far the camera looks to the side of the room's middle.
+        clearance_m: smallest distance of the drone's centre from any surface.
+        low_m, high_m: range of heights, as far as the clearance allows.
+        look_down_deg: downward angle of the camera.
+        look_spread_deg: standard deviation of the yaw from the centre of the room.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -49,11 +51,11 @@ class FlightConfig(BaseModel):
 
 @dataclass(frozen=True)
 class Flight:
-    """A flight, known at any time.
+    """A flight as a function of time.
 
     Attributes:
         path: spline of x, y, z (world frame, m) and yaw (rad).
-        config: what bounded it.
+        config: its limits.
     """
 
     path: Spline
@@ -61,18 +63,18 @@ class Flight:
 
     @property
     def times_s(self) -> FloatArray:
-        """Of the camera's frames, (N,)."""
+        """Times of the camera frames, (N,)."""
         return np.arange(round(self.config.seconds * CAMERA_RATE_HZ)) / CAMERA_RATE_HZ
 
     @property
     def T_body_camera(self) -> FloatArray:
-        """How the camera is mounted, (4, 4); the body's axes are forward, left, up."""
+        """``T_body_camera``, (4, 4); the body axes are forward, left, up."""
         forward = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
         down = so3_exp(np.array([0.0, np.deg2rad(self.config.look_down_deg), 0.0]))
         return make_pose(down @ forward, np.zeros(3))
 
     def body_poses(self, times_s: FloatArray) -> FloatArray:
-        """``T_world_body`` at (N,) times, (N, 4, 4): thrust along the body's z axis, its x axis towards the yaw."""
+        """``T_world_body`` at (N,) times, (N, 4, 4): z axis along the thrust, x axis towards the yaw."""
         state, acceleration = self.path(times_s), self.path(times_s, 2)[:, :3]
         up = acceleration + np.array([0.0, 0.0, GRAVITY])
         up /= np.linalg.norm(up, axis=1, keepdims=True)
@@ -82,18 +84,18 @@ class Flight:
         return make_pose(np.stack([np.cross(left, up), left, up], axis=-1), state[:, :3])
 
     def camera_poses(self) -> FloatArray:
-        """``T_world_camera`` of the frames, (N, 4, 4)."""
+        """``T_world_camera`` of the camera frames, (N, 4, 4)."""
         return self.body_poses(self.times_s) @ self.T_body_camera
 
     def tilt_rad(self, times_s: FloatArray) -> FloatArray:
-        """Angle of thrust against the vertical, (N,)."""
+        """Angle of the thrust to the vertical, (N,)."""
         return np.asarray(np.arccos(np.clip(self.body_poses(times_s)[:, 2, 2], -1.0, 1.0)))
 
 
 def plan_flight(room: Room, config: FlightConfig, seed: int) -> Flight:
-    """A flight through random free places of a room; the same seed gives the same flight.
+    """Plan a flight through random free positions of a room; the same seed gives the same flight.
 
-    One of more than half a minute is put together of pieces, and rests for an instant between them.
+    A flight of more than half a minute consists of pieces, and stops for an instant between them.
 
     Raises:
         SettingError: the room has no space for it.
@@ -104,11 +106,11 @@ def plan_flight(room: Room, config: FlightConfig, seed: int) -> Flight:
     while (left_s := config.seconds - sum(piece.duration_s for piece in pieces)) > 0.0:
         end = pieces[-1]([pieces[-1].duration_s])[0]
         pieces.append(_piece(room, config, min(_PIECE_S, left_s), rng, end))
-    return Flight(joined(pieces), config)
+    return Flight(concatenated(pieces), config)
 
 
 def free_places(room: Room, config: FlightConfig, rng: np.random.Generator, count: int) -> FloatArray:
-    """Places where the drone can be, (count, 3).
+    """Random positions with enough clearance, (count, 3).
 
     Raises:
         SettingError: there are none.
@@ -128,13 +130,13 @@ def free_places(room: Room, config: FlightConfig, rng: np.random.Generator, coun
 
 
 def _no_space() -> SettingError:
-    return SettingError("clearance_m", "leaves no way through this room", "choose a smaller one, or another room")
+    return SettingError("clearance_m", "leaves no path through this room", "choose a smaller one, or another room")
 
 
 def _piece(
     room: Room, config: FlightConfig, least_s: float, rng: np.random.Generator, start: FloatArray | None
 ) -> Spline:
-    """A way of at least so many seconds that touches nothing, from a start (x, y, z, yaw) or from anywhere."""
+    """A path of at least so many seconds with enough clearance, from a start (x, y, z, yaw) or from anywhere."""
     for _ in range(_TRIES):
         spline = _spline(room, config, least_s, rng, start)
         if spline is not None:
@@ -167,7 +169,7 @@ def _spline(
 def _next(
     room: Room, config: FlightConfig, waypoints: list[FloatArray], rng: np.random.Generator
 ) -> FloatArray | None:
-    """A place that a straight line can reach, not too near to the last ones."""
+    """A position that a straight line can reach, not too close to the previous ones."""
     here = waypoints[-1]
     for place in free_places(room, config, rng, 40):
         distance = float(np.linalg.norm(place - here))
@@ -182,7 +184,7 @@ def _next(
 def _yaws(
     room: Room, waypoints: FloatArray, config: FlightConfig, rng: np.random.Generator, start: FloatArray | None
 ) -> FloatArray:
-    """At every waypoint the camera looks across the room's middle, more or less, and turns the short way."""
+    """Yaws that look roughly across the centre of the room, with the shorter turn between waypoints."""
     middle = np.array(room.size[:2]) / 2.0
     across = middle - waypoints[:, :2]
     yaws = np.arctan2(across[:, 1], across[:, 0])

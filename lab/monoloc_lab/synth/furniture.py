@@ -1,6 +1,6 @@
-"""Furniture in the sizes it has in shops; each function gives an object's parts, in metres.
+"""Furniture in common sizes; each function returns the parts of an object, in metres.
 
-An object stands on z = 0, its middle at the origin, its back towards +y and its front towards -y.
+An object stands on z = 0, with its centre at the origin, its back towards +y and its front towards -y.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def a_cloth(rng: np.random.Generator) -> Material:
 
 
 def a_color(rng: np.random.Generator, saturation: float = 0.5, value: float = 0.7) -> Color:
-    """A muted colour, as things in rooms have."""
+    """A random muted colour."""
     r, g, b = hsv(rng.uniform(), saturation * rng.uniform(0.4, 1.0), value * rng.uniform(0.6, 1.1))
     return (float(r), float(g), float(b))
 
@@ -50,13 +50,13 @@ def box(size: Vector, centre: Vector, material: Material, bevel_m: float = 0.004
 
 
 def rod(width: float, height: float, foot: Vector, material: Material, taper: float = 1.0) -> Part:
-    """An upright cylinder whose lower end stands at ``foot``."""
+    """A vertical cylinder whose lower end is at ``foot``."""
     x, y, z = foot
     return Part("cylinder", (width, width, height), (x, y, z + height / 2.0), material, taper=taper)
 
 
 def table(width: float, depth: float, height: float, top: Material, frame: Material) -> Parts:
-    """A table with four legs: 0.72 to 0.76 m high to eat or work at, 0.40 to 0.45 m by a sofa."""
+    """A table with four legs; dining tables are 0.72 to 0.76 m high, coffee tables 0.40 to 0.45 m."""
     leg, thick, inset = 0.055, 0.028, 0.06
     x, y, z = width / 2.0 - inset, depth / 2.0 - inset, (height - thick) / 2.0
     legs = [box((leg, leg, height - thick), (sx * x, sy * y, z), frame) for sx in (-1, 1) for sy in (-1, 1)]
@@ -150,7 +150,7 @@ def cabinet(width: float, depth: float, height: float, body: Material, front: Ma
 def shelf(
     width: float, height: float, boards: int, body: Material, back: Material, rng: np.random.Generator
 ) -> Parts:
-    """A bookcase 0.30 m deep, its boards filled with books and a few other things."""
+    """A bookcase 0.30 m deep, filled with books and a few other objects."""
     depth, thick = 0.30, 0.022
     inner = width - 2.0 * thick
     parts = [box((thick, depth, height), (s * (width - thick) / 2.0, 0.0, height / 2.0), body) for s in (-1, 1)]
@@ -165,7 +165,7 @@ def shelf(
 
 
 def _filled(inner: float, floor: float, room: float, rng: np.random.Generator) -> list[Part]:
-    """Books in runs, with gaps, jars and boxes between."""
+    """Runs of books with gaps, jars and boxes in between."""
     books = Material("books", repeat_m=0.0, roughness=0.6, seed=int(rng.integers(8)))
     parts: list[Part] = []
     x, stop = -inner / 2.0 + 0.01, inner / 2.0 - 0.01
@@ -201,7 +201,7 @@ def _filled(inner: float, floor: float, room: float, rng: np.random.Generator) -
 
 
 def bed(width: float, frame: Material, cover: Material, pillow: Material) -> Parts:
-    """A bed 2.08 m long, its mattress's top at 0.50 m, its head at +y."""
+    """A bed 2.08 m long, 0.50 m high, with its head at +y."""
     length = 2.08
     pillows = [
         Part(
@@ -229,7 +229,7 @@ def television(width: float) -> Parts:
 
 
 def monitor(rng: np.random.Generator) -> Parts:
-    """A computer's screen, 0.54 m wide, with a keyboard before it."""
+    """A computer screen, 0.54 m wide, with a keyboard in front."""
     page = Material("screen", (0.32, 0.34, 0.37), a_color(rng, 0.3, 0.9), 0.0, 0.3, seed=int(rng.integers(1 << 16)))
     return (
         box((0.54, 0.03, 0.33), (0.0, 0.0, 0.30), BLACK_PLASTIC, 0.005),
@@ -275,5 +275,5 @@ def vase(rng: np.random.Generator) -> Parts:
 
 
 def lacquered(rng: np.random.Generator) -> Material:
-    """White, grey or a muted colour, as cabinets have."""
+    """White, grey or a muted colour, for cabinets."""
     return lacquer((0.86, 0.85, 0.82) if rng.uniform() < 0.6 else a_color(rng, 0.3, 0.75))

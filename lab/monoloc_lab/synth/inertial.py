@@ -1,4 +1,4 @@
-"""What an inertial measurement unit and an odometer on board would have said."""
+"""Simulated inertial measurement unit and odometer."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class ImuModel:
     """Noise of an IMU as continuous densities; the defaults are those of the EuRoC drone's ADIS16448.
 
     Burri et al., *The EuRoC micro aerial vehicle datasets* (2016). White noise has the standard deviation
-    ``density * sqrt(rate)`` in a sample; the bias walks by ``walk / sqrt(rate)`` a sample.
+    ``density * sqrt(rate)`` per sample. The bias is a random walk with steps of ``walk / sqrt(rate)``.
 
     Attributes:
-        rate_hz: samples a second.
-        gyro_density: rad/s/sqrt(Hz); gyro_walk: rad/s^2/sqrt(Hz).
-        accel_density: m/s^2/sqrt(Hz); accel_walk: m/s^3/sqrt(Hz).
-        gyro_bias, accel_bias: standard deviation of the bias at the start, rad/s and m/s^2.
+        rate_hz: samples per second.
+        gyro_density, gyro_walk: rad/s/sqrt(Hz) and rad/s^2/sqrt(Hz).
+        accel_density, accel_walk: m/s^2/sqrt(Hz) and m/s^3/sqrt(Hz).
+        gyro_bias, accel_bias: standard deviation of the initial bias, rad/s and m/s^2.
     """
 
     rate_hz: float = 200.0
@@ -39,12 +39,13 @@ class ImuModel:
 
 @dataclass(frozen=True)
 class ImuData:
-    """N samples in the body's frame (forward, left, up).
+    """N samples in the body frame (forward, left, up).
 
     Attributes:
         times_s: (N,).
-        gyro: (N, 3) angular velocity, rad/s; accel: (N, 3) specific force, m/s^2, which is +g upwards at rest.
-        gyro_bias, accel_bias: (N, 3) the truth about what is in them.
+        gyro: (N, 3) angular velocity, rad/s.
+        accel: (N, 3) specific force, m/s^2; +g upwards at rest.
+        gyro_bias, accel_bias: (N, 3) the true biases in them.
     """
 
     times_s: FloatArray
@@ -55,7 +56,7 @@ class ImuData:
 
 
 def simulate_imu(flight: Flight, model: ImuModel, rng: np.random.Generator) -> ImuData:
-    """An IMU's samples over a flight; a model of zeros gives the truth."""
+    """Simulate the samples of an IMU over a flight; a model of zeros gives the truth."""
     times = np.arange(int(flight.config.seconds * model.rate_hz) + 1) / model.rate_hz
     ahead, behind = (flight.body_poses(times + s * _DIFFERENCE_S)[:, :3, :3] for s in (0.5, -0.5))
     omega = so3_log(np.swapaxes(behind, 1, 2) @ ahead) / _DIFFERENCE_S
@@ -75,11 +76,11 @@ def simulate_imu(flight: Flight, model: ImuModel, rng: np.random.Generator) -> I
 
 @dataclass(frozen=True)
 class OdometryModel:
-    """Errors of an odometer's steps: independent, and growing with the motion.
+    """Errors of the steps of an odometer: independent, and proportional to the motion.
 
     Attributes:
-        shift_share, turn_share: standard deviation of a step's error, as a share of its length and of its turn.
-        shift_m, turn_rad: of the error of a step that goes nowhere.
+        shift_share, turn_share: standard deviation of the error of a step, as a share of its length and turn.
+        shift_m, turn_rad: standard deviation of the error of a step without motion.
     """
 
     shift_share: float = 0.03
@@ -89,7 +90,7 @@ class OdometryModel:
 
 
 def simulate_odometry(poses: FloatArray, model: OdometryModel, rng: np.random.Generator) -> FloatArray:
-    """Dead reckoning from the first pose: ``T_world_camera`` (N, 4, 4) -> (N, 4, 4), which drifts away from it."""
+    """Dead reckoning with drift from the first pose: ``T_world_camera`` (N, 4, 4) -> (N, 4, 4)."""
     steps = invert(poses[:-1]) @ poses[1:]
     shift = np.linalg.norm(steps[:, :3, 3], axis=1, keepdims=True)
     turn = np.linalg.norm(so3_log(steps[:, :3, :3]), axis=1, keepdims=True)

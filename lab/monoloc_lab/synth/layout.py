@@ -1,4 +1,4 @@
-"""Rooms from a seed: furniture that belongs together, set where it stands in homes and offices."""
+"""Random rooms from a seed, with furniture placed as in homes and offices."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def generate_room(seed: int) -> Room:
 
 
 def imported_room(path: Path) -> Room:
-    """A room that is a mesh (ply, metres, z up), with a lamp below its highest point.
+    """A room from a mesh (ply, metres, z up), with a lamp below its highest point.
 
-    The mesh's lowest corner becomes the world's origin.
+    The lowest corner of the mesh becomes the origin of the world.
 
     Raises:
         DataError: the mesh cannot be read.
@@ -50,14 +50,14 @@ def imported_room(path: Path) -> Room:
 
 @dataclass
 class _Builder:
-    """A room in the making; what finds no place is left out."""
+    """Builds a room; objects without a free place are left out."""
 
     room: Room
     walls: tuple[Wall, ...]
     rng: np.random.Generator
 
     def __post_init__(self) -> None:
-        # Nothing may stand where the door opens.
+        # Keep the swing of the door free.
         self._free = [
             Object(
                 "doorway",
@@ -71,7 +71,7 @@ class _Builder:
         ]
 
     def put(self, name: str, parts: Parts, position: Vector, yaw_rad: float) -> bool:
-        """Set an object down unless something is in its way."""
+        """Add an object if its place is free."""
         if name in self.room.names:
             name = f"{name} {1 + sum(other.startswith(name) for other in self.room.names)}"
         thing = Object(name, parts, position, yaw_rad)
@@ -81,7 +81,7 @@ class _Builder:
         return True
 
     def against(self, name: str, parts: Parts) -> Object | None:
-        """Set an object with its back to a wall, anywhere along it where there is room."""
+        """Add an object with its back to a wall, at a random free place along it."""
         corners = Object("", parts).boxes.corners().reshape(-1, 3)
         low, high = corners.min(0), corners.max(0)
         for _ in range(_TRIES):
@@ -96,7 +96,7 @@ class _Builder:
         return None
 
     def upon(self, name: str, parts: Parts, carrier: Object, offset: tuple[float, float], turn: float = 0.0) -> None:
-        """Set an object on top of another, at an offset in the carrier's frame."""
+        """Add an object on top of another, at an offset in the frame of the other."""
         top = float(carrier.boxes.corners().reshape(-1, 3)[:, 2].max())
         x, y, _ = (float(c) for c in carrier.pose[:3, :3] @ np.array([*offset, 0.0]) + carrier.pose[:3, 3])
         self.put(name, parts, (x, y, top + 1e-3), carrier.yaw_rad + turn)
@@ -104,7 +104,7 @@ class _Builder:
     def free(
         self, name: str, parts: Parts, around: tuple[float, float], spread: float, turn: float = 0.1
     ) -> Object | None:
-        """Set an object about a place on the floor."""
+        """Add an object near a position on the floor."""
         for attempt in range(_TRIES):
             reach = spread * (attempt + 1) / _TRIES
             x, y = (float(c + self.rng.uniform(-reach, reach)) for c in around)
@@ -119,7 +119,7 @@ class _Builder:
         return (self.room.size[0] / 2.0, self.room.size[1] / 2.0)
 
     def carpet(self, width: float, depth: float, centre: Vector, yaw_rad: float) -> None:
-        """A carpet, thin enough that what stands on it may stand in it."""
+        """A carpet, thin enough for other objects to intersect it."""
         pile = Material(
             "carpet", a_color(self.rng, 0.5, 0.6), (0.78, 0.73, 0.63), 0.0, 1.0, seed=int(self.rng.integers(999))
         )
@@ -157,7 +157,7 @@ class _Builder:
             self.against("basket", (furniture.rod(0.36, 0.38, (0.0, 0.0, 0.0), a_cloth(self.rng), 1.15),))
 
     def pictures(self) -> None:
-        """Posters and framed pictures at eye level, where walls are bare."""
+        """Posters and framed pictures at eye level on free walls."""
         for wall in self.walls:
             for _ in range(2):
                 tall = float(self.rng.uniform(0.45, 0.85))

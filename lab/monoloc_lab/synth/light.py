@@ -1,7 +1,7 @@
-"""The paper's three lights, rendered and as a change of real images.
+"""The three lights of the paper, for rendering and for simulation on real images.
 
-A light is a mixture of daylight and lamps with a mean illuminance of what is seen. A rendered room is lit by it; an
-image that was well exposed is brought to it by the exposure that a camera with the same limits would have chosen.
+A light is a mixture of daylight and lamps with a mean illuminance. It illuminates a rendered room. On a well exposed
+real image it is simulated with the exposure that a camera with the same limits would choose.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from monoloc.depth.training.augment import Exposure, expose
 from monoloc_lab.synth.materials import LightGroup
 from monoloc_lab.synth.sensor import SensorConfig
 
-_ALBEDO = 0.5  # of rooms on the whole: luminance = illuminance * albedo / pi for matt surfaces
+_ALBEDO = 0.5  # mean of a room: luminance = illuminance * albedo / pi for matt surfaces
 
 
 @dataclass(frozen=True)
@@ -24,9 +24,9 @@ class Light:
     """A light.
 
     Attributes:
-        lux: mean illuminance of the surfaces seen.
-        daylight: share of it that comes through windows; the rest comes from lamps.
-        bias_stops: exposure that the camera is set to beyond its automatic choice.
+        lux: mean illuminance of the visible surfaces.
+        daylight: share of daylight through windows; the rest is from lamps.
+        bias_stops: exposure compensation of the camera.
     """
 
     name: str
@@ -40,11 +40,11 @@ class Light:
         return self.lux * _ALBEDO / np.pi
 
     def exposed(self, sensor: SensorConfig) -> SensorConfig:
-        """The camera as it is set for this light."""
+        """The camera with the exposure compensation of this light."""
         return sensor.model_copy(update={"key": min(0.95, sensor.key * 2.0**self.bias_stops)})
 
     def factors(self, lux: Mapping[LightGroup, float]) -> dict[LightGroup, float]:
-        """How much of each light group's light makes this one, given the illuminance that each gives by itself."""
+        """Factor of each light group for this light, given the illuminance of each group."""
         shares: dict[LightGroup, float] = {"daylight": self.daylight, "lamps": 1.0 - self.daylight}
         if min(lux.values()) <= 0.0:  # a room without windows, or without lamps
             shares = {group: float(value > 0.0) for group, value in lux.items()}
@@ -63,10 +63,10 @@ LIGHTS: dict[str, Light] = {
 
 @dataclass(frozen=True)
 class Levels:
-    """What a light comes to in a camera.
+    """Exposure of a light in a camera.
 
     Attributes:
-        stops: of the image against a well exposed one.
+        stops: relative to a well exposed image.
         electrons: photoelectrons of full scale.
     """
 
@@ -75,15 +75,15 @@ class Levels:
 
 
 def levels(light: Light, sensor: SensorConfig) -> Levels:
-    """Exposure of a light by a camera within its limits."""
+    """Exposure of a light by a camera within the camera's limits."""
     scale, electrons = light.exposed(sensor).scale(light.luminance)
     return Levels(float(np.log2(scale * light.luminance / sensor.key)), electrons)
 
 
 def relit(color: NDArray[np.uint8], light: Light, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """A well exposed image as the camera would have taken it in another light: (H, W, 3) uint8 RGB -> the same.
+    """Simulate another light on a well exposed image: (H, W, 3) uint8 RGB -> the same.
 
-    Where light comes from does not change; how much of it there is, and its noise, do.
+    The direction of the light does not change; its amount and the noise do.
     """
     sensor = SensorConfig()
     reached = levels(light, sensor)

@@ -1,4 +1,4 @@
-"""What surfaces look like: a procedural texture in two colours, gloss, and light where they give some."""
+"""Materials: a procedural texture in two colours, gloss, and emitted light."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ class Material:
     """A surface.
 
     Attributes:
-        texture: a name of :data:`monoloc_lab.synth.textures.TEXTURES`.
+        texture: key of :data:`monoloc_lab.synth.textures.TEXTURES`.
         color, accent: main and second colour, sRGB, 0 to 1.
-        repeat_m: length after which the texture repeats; 0 lays it once over every face.
-        roughness: of the principled model (Burley 2012), 0 mirrors, 1 is matt.
+        repeat_m: period of the texture; 0 covers every face once.
+        roughness: of the principled model (Burley 2012); 0 is a mirror, 1 is matt.
         metallic: 1 for bare metal.
-        seed: of the texture's random numbers.
-        group: the light that this surface gives belongs to it; None gives none.
-        luminance: of that light where the texture is white, cd/m^2, before a light's own factor.
+        seed: of the texture.
+        group: light group of the light that the surface emits; None if it emits none.
+        luminance: of that light where the texture is white, cd/m^2, before the factor of a light.
     """
 
     texture: str = "plain"
@@ -35,7 +35,7 @@ class Material:
     luminance: float = 0.0
 
     def seeded(self, seed: int) -> Material:
-        """The same material with another draw of its pattern."""
+        """The same material with another random pattern."""
         return replace(self, seed=seed)
 
 

@@ -1,4 +1,4 @@
-"""Triangle meshes out of ply files."""
+"""Triangle meshes from ply files."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _FIX = "export it as a ply of triangles"
 
 
 def read_mesh(path: Path) -> Mesh:
-    """A triangle mesh, ascii or binary little endian; other properties than x, y, z and corners are skipped.
+    """Read a triangle mesh, ascii or binary little endian; properties other than x, y, z and corners are ignored.
 
-    Normals are made of the triangles, so that flat surfaces stay flat.
+    Normals are those of the triangles, so flat surfaces stay flat.
 
     Raises:
-        DataError: unreadable, another format, without triangles, or faces that name vertices that are not there.
+        DataError: unreadable, another format, no triangles, or vertex indices out of range.
     """
     try:
         content = path.read_bytes()
@@ -34,12 +34,12 @@ def read_mesh(path: Path) -> Mesh:
     if len(faces) == 0 or not np.all(np.isfinite(vertices)):
         raise DataError(path, "has no triangles, or vertices that are not finite", _FIX)
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise DataError(path, "has triangles of vertices that are not there", _FIX)
+        raise DataError(path, "has triangles with vertices that do not exist", _FIX)
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
     corners, normals = corners[lengths > 0.0], normals[lengths > 0.0] / lengths[lengths > 0.0, None]
-    # Seen along its main direction, every triangle takes its texture from the plane it faces.
+    # Texture coordinates are the two coordinates across the dominant axis of the normal.
     axis = np.abs(normals).argmax(axis=1)
     others = np.array([[1, 2], [0, 2], [0, 1]])[axis]
     uv = np.take_along_axis(corners, np.repeat(others[:, None, :], 3, axis=1), axis=2).reshape(-1, 2)
@@ -48,7 +48,7 @@ def read_mesh(path: Path) -> Mesh:
 
 
 def _triangles(content: bytes) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Vertices (N, 3), and the triangles (T, 3) that faces fall into."""
+    """Vertices (N, 3), and the triangles (T, 3) of all faces."""
     values = read_ply(content, "vertex", "face")
     vertex, face = values.get("vertex", {}), values.get("face", {})
     vertices = np.stack([np.ravel(vertex[axis]) for axis in "xyz"], axis=1)

@@ -1,4 +1,4 @@
-"""Minimum-snap splines: the smoothest ways through waypoints that a quadrotor's thrust can follow.
+"""Minimum-snap splines through waypoints, which a quadrotor can follow.
 
 Mellinger and Kumar, *Minimum snap trajectory generation and control for quadrotors* (ICRA 2011). A piecewise
 polynomial of degree 7 that rests at both ends minimises the integral of the squared fourth derivative exactly when
@@ -25,7 +25,7 @@ class Spline:
 
     Attributes:
         durations_s: (S,).
-        coefficients: (S, 8, D), of powers of the time within the segment over its duration.
+        coefficients: (S, 8, D), of the powers of the time in the segment divided by its duration.
     """
 
     durations_s: FloatArray
@@ -36,7 +36,7 @@ class Spline:
         return float(self.durations_s.sum())
 
     def __call__(self, times_s: ArrayLike, derivative: int = 0) -> FloatArray:
-        """Values, or so many times derived, at (N,) times within the spline: (N, D)."""
+        """Values or derivatives at (N,) times within the spline: (N, D)."""
         t = np.asarray(times_s, dtype=np.float64)
         starts = np.concatenate([[0.0], np.cumsum(self.durations_s)])
         segment = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, len(self.durations_s) - 1)
@@ -45,12 +45,12 @@ class Spline:
         return np.asarray(np.einsum("np,npd->nd", rows, self.coefficients[segment]) / duration[:, None] ** derivative)
 
     def slowed(self, factor: float) -> Spline:
-        """The same way in ``factor`` times the time."""
+        """The same path in ``factor`` times the time."""
         return replace(self, durations_s=self.durations_s * factor)
 
 
-def joined(splines: Sequence[Spline]) -> Spline:
-    """One after another: each at rest at both ends, and beginning where the one before ends."""
+def concatenated(splines: Sequence[Spline]) -> Spline:
+    """Splines one after another; each is at rest at both ends and starts where the previous one ends."""
     return Spline(
         np.concatenate([spline.durations_s for spline in splines]),
         np.concatenate([spline.coefficients for spline in splines]),
@@ -78,7 +78,7 @@ def minimum_snap(waypoints: ArrayLike, durations_s: ArrayLike) -> Spline:
             row += 1
     for s in range(segments - 1):
         for derivative in range(1, 2 * _AT_REST + 1):
-            # Scaled by the first segment's duration, or the rows would differ by many orders of magnitude.
+            # Scaled by the first duration; otherwise the rows would differ by orders of magnitude.
             ratio = (durations[s] / durations[s + 1]) ** derivative
             system[row, _block(s)] = _powers(np.ones(1), derivative)[0]
             system[row, _block(s + 1)] = -ratio * _powers(np.zeros(1), derivative)[0]

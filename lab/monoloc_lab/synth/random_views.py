@@ -1,4 +1,4 @@
-"""A training set for depth networks: unrelated views of many rooms, each in a light of its own.
+"""A training set for depth networks: random views of many rooms, each in a random light.
 
 The layout is that of the ``folder`` reader's pairs: ``color/000000.jpg``, ``depth/000000.png``, ``dataset.toml``.
 """
@@ -24,7 +24,7 @@ from monoloc_lab.synth.rooms import Room
 from monoloc_lab.synth.sensor import SensorConfig, photograph
 from monoloc_lab.synth.sequence import camera_lines, claim, depth_png
 
-# NYU Depth v2's field of view at a small size, so that both sets make views of the same kind.
+# The field of view of NYU Depth v2, at a small size.
 CAMERA = Camera(208, 156, 177.6, 177.6, 103.5, 77.5)
 DEPTH_SCALE = 1000.0
 _PLACES = FlightConfig(clearance_m=0.25, low_m=0.6, high_m=2.0)
@@ -32,12 +32,12 @@ _LEAST_DEPTH_M, _MOST_GLASS = 1.0, 0.3  # median; share of the view
 
 
 def random_light(rng: np.random.Generator) -> Light:
-    """Any light a room is used in, well exposed: training darkens views by itself."""
+    """A random light, well exposed; training darkens views itself."""
     return Light("any", float(np.exp(rng.uniform(np.log(60.0), np.log(2000.0)))), float(rng.uniform(0.05, 0.95)))
 
 
 def random_views(room: Room, count: int, rng: np.random.Generator) -> FloatArray:
-    """Poses ``T_world_camera`` of a camera held in free places, mostly level, (count, 4, 4)."""
+    """Random poses ``T_world_camera`` at free positions, mostly level, (count, 4, 4)."""
     places = free_places(room, _PLACES, rng, count)
     middle = np.array(room.size) / 2.0
     poses = []
@@ -53,20 +53,21 @@ def random_views(room: Room, count: int, rng: np.random.Generator) -> FloatArray
 
 
 def shows_a_room(picture: Picture) -> bool:
-    """Whether a view shows more than a wall, a shelf or a window."""
+    """Whether a view shows more than a close surface or a window."""
     return bool(np.median(picture.depth_m) >= _LEAST_DEPTH_M and picture.glass.mean() <= _MOST_GLASS)
 
 
 def render_views(rooms: int, views: int, samples: int, seed: int, out: Path, progress: Progress) -> None:
-    """Render a training set; what an earlier call has rendered is kept.
+    """Render a training set; views that an earlier call rendered are reused.
 
     Args:
-        rooms: how many, from seeds ``seed`` on; views: of each.
+        rooms: number of rooms, with seeds from ``seed`` on.
+        views: per room.
 
     Raises:
         MissingExtraError: Mitsuba is not installed.
-        DataError: the folder holds a rendering of other settings than these, the number of rooms aside, or a file
-            cannot be written.
+        DataError: the folder has a rendering with other settings (the number of rooms may differ), or a file cannot
+            be written.
     """
     claim(out, {"views": views, "samples": samples, "seed": seed})
     for name in ("color", "depth"):

@@ -1,7 +1,7 @@
 """Path tracing with Mitsuba 3 (Jakob et al. 2022): linear light by light group, exact depth, normals.
 
-Light adds up, so the daylight and the lamps are rendered apart, and every mixture of the two is a sum of pictures
-that are there already. Radiance is in cd/m^2 (of each primary; white has equal parts), so exposure can be stated.
+Light is additive, so daylight and lamps are rendered separately, and every mixture is a sum of the two pictures.
+Radiance is in cd/m^2 (of each primary; white has equal parts), so exposure can be computed.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from monoloc_lab.synth.textures import texture
 
 LIGHT_GROUPS: tuple[LightGroup, ...] = get_args(LightGroup)
 
-# Older ones cannot select the instructions that Dr.Jit 1.x emits, and end the process.
+# Older versions cannot compile the code of Dr.Jit 1.x and abort the process.
 _LEAST_LLVM = 17
-_MATT = 0.85  # roughness beyond which a surface has no highlight worth its time
+_MATT = 0.85  # rougher surfaces are rendered without a highlight
 _GROUP_PAINT = {"daylight": (1.0, 0.0, 0.0), "lamps": (0.0, 1.0, 0.0), None: (0.0, 0.0, 0.0)}
-_BOUNCES = 6  # diffuse light beyond them is a few percent in rooms with bright walls
-_AXES = np.diag([-1.0, -1.0, 1.0, 1.0])  # Mitsuba's cameras look along z with x to the left and y up
+_BOUNCES = 6  # further bounces contribute a few percent in rooms with bright walls
+_AXES = np.diag([-1.0, -1.0, 1.0, 1.0])  # Mitsuba cameras have x to the left and y up
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,11 @@ class Picture:
 
     Attributes:
         light: of each light group, (H, W, 3) float32, cd/m^2.
-        depth_m: (H, W) float32, z of what the pixel's centre sees; 0 where that is nothing.
+        depth_m: (H, W) float32, z at the centre of the pixel; 0 without a surface.
         normals: (H, W, 3) float32, world frame, of the same points.
         albedo: (H, W, 3) float32, mean over the pixel.
-        shines, glass: (H, W) whether the centre sees a lamp or a window's pane; only the pane.
+        shines: (H, W) whether the centre of the pixel shows a lamp or a window pane.
+        glass: (H, W) whether it shows a window pane.
     """
 
     light: dict[LightGroup, NDArray[np.float32]]
@@ -60,7 +61,7 @@ class Picture:
 
 
 def require_mitsuba() -> str:
-    """The variant of Mitsuba that will render: vectorised where LLVM is there, else scalar.
+    """The variant of Mitsuba for rendering: vectorised if LLVM is available, else scalar.
 
     Raises:
         MissingExtraError: Mitsuba is not installed.
@@ -79,14 +80,14 @@ def _variant() -> str:
         if library is None:
             return "scalar_rgb"
         os.environ["DRJIT_LIBLLVM_PATH"] = str(library)
-    # A library that does not fit ends the process instead of raising: another process finds out.
+    # An incompatible library aborts the process, so another process tries it.
     probe = "import mitsuba as mi; mi.set_variant('llvm_ad_rgb'); import drjit as dr; dr.eval(dr.sin(mi.Float(1, 2)))"
     works = subprocess.run([sys.executable, "-c", probe], capture_output=True, check=False).returncode == 0
     return "llvm_ad_rgb" if works else "scalar_rgb"
 
 
 def _llvm() -> Path | None:
-    """The newest LLVM library of the system that is new enough."""
+    """The newest LLVM library of the system, if it is new enough."""
     found: dict[int, Path] = {}
     for folder in (
         "/usr/lib/x86_64-linux-gnu",
@@ -103,10 +104,10 @@ def _llvm() -> Path | None:
 
 
 class Renderer:
-    """A room made ready once, and pictures of it.
+    """Renders pictures of one room.
 
     Args:
-        samples: paths a pixel and light group.
+        samples: paths per pixel and light group.
 
     Raises:
         MissingExtraError: Mitsuba is not installed.
@@ -122,7 +123,7 @@ class Renderer:
         meshes = room_meshes(room)
         surfaces = {material: mi.load_dict(_surface(material, self._bitmap)) for material in meshes}
         self._scenes = {group: self._scene(meshes, surfaces, group) for group in LIGHT_GROUPS}
-        # Painted by light group, so that "albedo" says which pixels see a lamp or a window.
+        # Coloured by light group, so the albedo shows which pixels see a lamp or a window.
         painted = {m: mi.load_dict({"type": "diffuse", "reflectance": _rgb(_GROUP_PAINT[m.group])}) for m in meshes}
         self._painted = self._scene(meshes, painted, None)
         path = {"type": "path", "max_depth": _BOUNCES, "rr_depth": 3}
@@ -130,7 +131,7 @@ class Renderer:
         self._geometry = mi.load_dict({"type": "aov", "aovs": "at:position,facing:sh_normal,group:albedo"})
 
     def picture(self, camera: Camera, T_world_camera: FloatArray, seed: int) -> Picture:
-        """What a camera sees from a pose; another seed gives other noise.
+        """Render the view from a pose; the noise depends on the seed.
 
         Raises:
             SettingError: a camera with distortion or with pixels that are not square.
@@ -170,7 +171,7 @@ class Renderer:
                 "principal_point_offset_x": 0.5 - (camera.cx + 0.5) / camera.width,
                 "principal_point_offset_y": 0.5 - (camera.cy + 0.5) / camera.height,
                 "to_world": mi.ScalarTransform4f(T_world_camera @ _AXES),
-                # One sample in the middle of each pixel gives its centre's depth, not a mean over edges.
+                # One sample at the centre of each pixel, so depth is not averaged over edges.
                 "sampler": {
                     "type": sampler,
                     "sample_count": 1,
@@ -223,7 +224,7 @@ def _rgb(color: tuple[float, ...]) -> dict[str, Any]:
 
 def _surface(material: Material, bitmap: Callable[[Material, float], dict[str, Any]]) -> dict[str, Any]:
     if material.group is not None:
-        # A lamp's glass or shade, or a window's pane: its own light is all that matters.
+        # A lamp or a window pane: only its own light matters.
         return {"type": "diffuse", "reflectance": _rgb((0.3, 0.3, 0.3))}
     color = bitmap(material, 1.0)
     if material.roughness >= _MATT:
@@ -233,9 +234,9 @@ def _surface(material: Material, bitmap: Callable[[Material, float], dict[str, A
 
 
 def illuminance(renderer: Renderer, room: Room) -> dict[LightGroup, float]:
-    """Mean illuminance of what is seen from the room's middle, by light group, lux.
+    """Mean illuminance of the surfaces visible from the centre of the room, by light group, lux.
 
-    Matt surfaces of albedo a and luminance L are lit by pi L / a.
+    A matt surface with albedo a and luminance L has the illuminance pi L / a.
     """
     camera = Camera(48, 48, 24.0, 24.0, 23.5, 23.5)
     eye = np.array([room.size[0] / 2.0, room.size[1] / 2.0, 1.2])
@@ -252,5 +253,5 @@ def illuminance(renderer: Renderer, room: Room) -> dict[LightGroup, float]:
 def mixed(
     light: Mapping[LightGroup, NDArray[np.float32]], factors: Mapping[LightGroup, float]
 ) -> NDArray[np.float32]:
-    """One light of the groups' lights, each with its factor: (H, W, 3) float32, cd/m^2."""
+    """Weighted sum of the light groups: (H, W, 3) float32, cd/m^2."""
     return np.asarray(sum(np.float32(factors[group]) * image for group, image in light.items()), dtype=np.float32)

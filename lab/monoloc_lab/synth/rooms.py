@@ -1,7 +1,7 @@
-"""A room: its size and the named objects in it, each of simple parts; edited by making a new one.
+"""A room: its size and its named objects, which consist of simple parts. Editing returns a new room.
 
-World axes: x and y along the walls, z up; the inner corner by the floor is the origin. An object's own frame has
-its origin on the floor (or on what it stands on) below its middle, x to its right and y towards its back.
+World axes: x and y along the walls, z up; the origin is an inner corner on the floor. The frame of an object has its
+origin below the object's centre, on the surface that it stands on, x to its right and y towards its back.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from monoloc_lab.synth.shapes import sample_surface
 
 Vector = tuple[float, float, float]
 
-_SPACING_M = 0.08  # of points that stand for a mesh's surface
-_AT_ONCE = 64  # points that are compared with those at a time, for memory's sake
+_SPACING_M = 0.08  # of the points that sample the surface of a mesh
+_AT_ONCE = 64  # points that are compared with them at a time, to limit memory
 
 Shape = Literal["box", "panel", "cylinder", "ellipsoid", "mesh"]
 
@@ -37,14 +37,14 @@ class Part:
     """A simple shape of one material.
 
     Attributes:
-        shape: which; "mesh" is read from ``file``.
-            "panel" is a rectangle that faces the front.
-        size: of the box around it, metres.
+        shape: "panel" is a rectangle that faces the front; "mesh" is read from ``file``.
+        size: of its bounding box, metres.
         centre: of that box, object frame.
         rotation: rotation vector about the centre, radians.
-        bevel_m: radius of a box's edges; taper: width of a cylinder's top as a share of its bottom's.
-        cell: which of an atlas texture's cells is laid over it.
-        file: of a mesh, whose coordinates are the object's.
+        bevel_m: radius of the edges of a box.
+        taper: width of the top of a cylinder as a share of its bottom.
+        cell: index of its cell in an atlas texture.
+        file: of a mesh, in the object frame.
     """
 
     shape: Shape
@@ -65,12 +65,13 @@ class Part:
 
 @dataclass(frozen=True)
 class Object:
-    """Something that can be named, moved and taken away.
+    """An object that can be named, moved and removed.
 
     Attributes:
-        position: of its origin, world frame, metres; yaw_rad: its turn about z.
-        fixed: belongs to the building, and may touch anything.
-        underfoot: lies flat on the floor, and others may stand in it.
+        position: of its origin, world frame, metres.
+        yaw_rad: rotation about z.
+        fixed: part of the building; it may touch anything.
+        underfoot: lies flat on the floor; other objects may stand on it.
     """
 
     name: str
@@ -87,14 +88,14 @@ class Object:
 
     @cached_property
     def boxes(self) -> Boxes:
-        """Boxes around its parts; a mesh, which may be hollow, has none."""
+        """Boxes of its parts; a mesh, which may be hollow, has none."""
         solid = [part for part in self.parts if part.shape != "mesh"]
         poses = np.array([self.pose @ part.pose for part in solid]).reshape(-1, 4, 4)
         return Boxes(poses, np.array([part.size for part in solid]).reshape(-1, 3) / 2.0)
 
     @cached_property
     def surface_points(self) -> FloatArray:
-        """Points all over its meshes, (N, 3) world frame; none of its other parts."""
+        """Points on the surfaces of its meshes, (N, 3) world frame; other parts have none."""
         points = [sample_surface(read_mesh(Path(part.file)), _SPACING_M) for part in self.parts if part.file]
         return transform(self.pose, np.concatenate([np.zeros((0, 3)), *points]))
 
@@ -104,12 +105,12 @@ class Object:
 
 @dataclass(frozen=True)
 class Room:
-    """A room; all changes give a new one.
+    """A room; every change returns a new one.
 
     Attributes:
         size: inner length, width and height, metres.
-        objects: with the building's parts, in order of making.
-        seed: it was generated from, None if by hand.
+        objects: including the parts of the building.
+        seed: of its generation; None if it was made by hand.
     """
 
     size: Vector
@@ -130,38 +131,38 @@ class Room:
         """The room with one more object.
 
         Raises:
-            SettingError: its name is taken, or it cuts into another object.
+            SettingError: its name is taken, or it intersects another object.
         """
         if thing.name in self.names:
-            raise SettingError("object", f"{thing.name!r} is there already", "give it another name")
+            raise SettingError("object", f"{thing.name!r} exists already", "give it another name")
         blocker = self.blocker(thing)
         if blocker is not None:
-            raise SettingError(thing.name, f"cuts into {blocker}", "put it elsewhere, or move that first")
+            raise SettingError(thing.name, f"intersects {blocker}", "put it elsewhere, or move that first")
         return replace(self, objects=(*self.objects, thing))
 
     def remove(self, name: str) -> Room:
         """The room without an object.
 
         Raises:
-            SettingError: there is none of that name.
+            SettingError: there is no object of that name.
         """
         gone = self[name]
         return replace(self, objects=tuple(thing for thing in self.objects if thing is not gone))
 
     def move(self, name: str, by_m: ArrayLike = (0.0, 0.0, 0.0), turn_rad: float = 0.0) -> Room:
-        """The room with an object moved (world frame) and turned about its own vertical.
+        """The room with an object moved (world frame) and turned about its vertical axis.
 
         Raises:
-            SettingError: there is none of that name, or it cuts into another object where it goes.
+            SettingError: there is no object of that name, or it intersects another object at its new place.
         """
         thing = self[name]
         x, y, z = (float(v) for v in np.asarray(thing.position) + np.asarray(by_m, dtype=np.float64))
         return self.remove(name).add(replace(thing, position=(x, y, z), yaw_rad=thing.yaw_rad + turn_rad))
 
     def blocker(self, thing: Object) -> str | None:
-        """Name of an object that ``thing`` would cut into, or "the walls", or None.
+        """Name of an object that ``thing`` would intersect, or "the walls", or None.
 
-        The building's own parts may touch: only what is loose is kept apart, and inside.
+        Parts of the building may touch. Other objects must be apart and inside the room.
         """
         if thing.fixed or thing.underfoot:
             return None
@@ -186,15 +187,15 @@ class Room:
         return np.asarray(walls)
 
     def to_json(self) -> str:
-        """All of it as text; the same room gives the same text."""
+        """The room as JSON; equal rooms have equal text."""
         return _ROOMS.dump_json(self, indent=1).decode()
 
     @staticmethod
     def from_json(text: str) -> Room:
-        """A room out of :meth:`to_json`.
+        """The room of :meth:`to_json`.
 
         Raises:
-            pydantic.ValidationError: it is something else.
+            pydantic.ValidationError: the text is not a room.
         """
         return _ROOMS.validate_json(text)
 
@@ -211,7 +212,7 @@ def read_room(path: Path) -> Room:
     """Read a room written by :func:`write_room`.
 
     Raises:
-        DataError: unreadable or something else.
+        DataError: the file cannot be read or is not a room.
     """
     try:
         return Room.from_json(path.read_text(encoding="utf-8"))

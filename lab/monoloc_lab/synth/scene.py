@@ -1,4 +1,4 @@
-"""A room as triangle meshes, one for every material: what a renderer takes."""
+"""A room as triangle meshes, one per material, for rendering."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from monoloc.geometry import FloatArray
 from monoloc_lab.synth.materials import Material
 from monoloc_lab.synth.mesh_files import read_mesh
 from monoloc_lab.synth.rooms import Part, Room
-from monoloc_lab.synth.shapes import Mesh, box, cylinder, ellipsoid, joined, panel, placed
+from monoloc_lab.synth.shapes import Mesh, box, cylinder, ellipsoid, merged, panel, placed
 from monoloc_lab.synth.textures import ATLAS_CELLS
 
 _GRAINED = ("wood", "boards")
 
 
 def room_meshes(room: Room) -> dict[Material, Mesh]:
-    """Meshes in the world frame, texture coordinates in ``span`` as the material wants them."""
+    """Meshes in the world frame, with the material's texture coordinates in ``span``."""
     pieces: dict[Material, list[Mesh]] = {}
     for thing in room.objects:
         for part in thing.parts:
             mesh = placed(part_mesh(part), thing.pose @ part.pose)
             pieces.setdefault(part.material, []).append(_textured(mesh, part))
-    return {material: joined(meshes) for material, meshes in pieces.items()}
+    return {material: merged(meshes) for material, meshes in pieces.items()}
 
 
 def part_mesh(part: Part) -> Mesh:
-    """A part's mesh about its own centre."""
+    """The mesh of a part, relative to its centre."""
     size = np.array(part.size)
     if part.shape == "box":
         return box(size, part.bevel_m, grain=part.material.texture in _GRAINED)
@@ -52,7 +52,7 @@ def _textured(mesh: Mesh, part: Part) -> Mesh:
         row, column = divmod(part.cell, ATLAS_CELLS)
         span = (span * 0.96 + 0.02 + np.array([column, ATLAS_CELLS - 1 - row])) / ATLAS_CELLS
     elif part.material.repeat_m > 0.0:
-        # Pieces of one material do not all begin with the same bit of it.
+        # Parts of one material show different sections of its texture.
         shift: FloatArray = np.array([0.37, 0.61]) * (np.sum(np.array(part.centre)) * 7.0 % 1.0)
         span = mesh.uv / part.material.repeat_m + shift
     return Mesh(mesh.vertices, mesh.normals, mesh.uv, span, mesh.faces)

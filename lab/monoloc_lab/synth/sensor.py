@@ -1,4 +1,4 @@
-"""Cameras: what becomes of light on its way to 8 bits, and of depth in a structured-light sensor."""
+"""Simulated sensors: a camera from light to 8 bits, and a structured-light depth sensor."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)  # of linear s
 
 
 class SensorConfig(BaseModel):
-    """A small camera with automatic exposure; the defaults are an indoor drone's.
+    """A small camera with automatic exposure; the defaults are those of an indoor drone.
 
     Attributes:
-        electrons_per_cd_s: photoelectrons that a luminance of 1 cd/m^2 gives a pixel in a second: about
-            1e4 for a 6 um pixel behind f/2 with a colour filter.
-        full_well: electrons that a pixel holds; read_noise: standard deviation of its own noise, electrons.
-        longest_s, shortest_s: exposure times; a longer one would blur a flight.
-        largest_gain: amplification that full scale may be divided by.
-        key: linear level that exposure brings the image's mean to.
+        electrons_per_cd_s: photoelectrons per pixel and second at 1 cd/m^2; about 1e4 for a 6 um pixel at f/2 with a
+            colour filter.
+        full_well: electrons that a pixel can hold.
+        read_noise: standard deviation, electrons.
+        longest_s, shortest_s: exposure times.
+        largest_gain: factor by which gain reduces full scale, at most.
+        key: linear mean of the image that exposure aims at.
         vignetting: share of light lost in the corners.
-        adapted: how far white balance follows the light's colour, 0 to 1.
+        adapted: degree to which white balance follows the colour of the light, 0 to 1.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -41,9 +42,9 @@ class SensorConfig(BaseModel):
     adapted: float = Field(0.75, ge=0.0, le=1.0)
 
     def scale(self, luminance: float) -> tuple[float, float]:
-        """Exposure for a mean luminance, cd/m^2: what 1 cd/m^2 becomes at full scale 1, and its electrons.
+        """Exposure for a mean luminance in cd/m^2: level of 1 cd/m^2 at full scale 1, and electrons of full scale.
 
-        The exposure time is as long as it may be before gain is turned up; short of both the image is dark.
+        Gain is used when the exposure time has reached its limit. If both are at their limits, the image is dark.
         """
         per_s = self.electrons_per_cd_s / self.full_well * self.exposure_s(luminance)  # of full scale, at gain 1
         gain = float(np.clip(self._wanted(luminance) / per_s, 1.0, self.largest_gain))
@@ -59,13 +60,13 @@ class SensorConfig(BaseModel):
 
 
 def metered(light: NDArray[np.float32]) -> float:
-    """Mean luminance of an image (H, W, 3), as a camera meters it: lamps and windows count no more than white."""
+    """Mean luminance of an image (H, W, 3) as a camera meters it, with lamps and windows clipped."""
     luminance = light @ _LUMINANCE
     return float(np.mean(np.minimum(luminance, 4.0 * np.median(luminance))))
 
 
 def white_balance(light: NDArray[np.float32], adapted: float) -> NDArray[np.float32]:
-    """Gains (3,) that bring the image's mean so far towards grey; green's is 1."""
+    """Gains (3,) that move the mean of the image towards grey to a degree; that of green is 1."""
     bright = light.reshape(-1, 3)
     mean = np.minimum(bright, 4.0 * np.median(bright, axis=0)).mean(axis=0)
     return np.asarray((mean[1] / np.maximum(mean, 1e-9)) ** adapted, dtype=np.float32)
@@ -77,16 +78,16 @@ def photograph(
     rng: np.random.Generator,
     balance: NDArray[np.float32] | None = None,
 ) -> NDArray[np.uint8]:
-    """An 8-bit image of linear light: (H, W, 3) float32 cd/m^2 -> (H, W, 3) uint8 RGB.
+    """Simulate an 8-bit image of linear light: (H, W, 3) float32 cd/m^2 -> (H, W, 3) uint8 RGB.
 
     Args:
-        balance: gains of red, green and blue; None takes them from the image.
+        balance: gains of red, green and blue; None computes them from the image.
     """
     scale, electrons = config.scale(metered(light))
     gains = white_balance(light, config.adapted) if balance is None else balance
     seen = light * (scale * _falloff(light.shape[1], light.shape[0], config.vignetting))[..., None]
-    # A photosite is full at 1; noise is of what is counted, so white balance amplifies it too.
-    # No gain is below 1, or what is full would not be white.
+    # A pixel saturates at 1. Noise is that of the electrons, so white balance amplifies it too.
+    # No gain is below 1; otherwise saturated pixels would not be white.
     gains = gains / gains.min()
     raw = np.clip(counted(np.minimum(seen, 1.0).astype(np.float32), electrons, config.read_noise, rng), 0.0, 1.0)
     image = np.clip(raw * gains, 0.0, 1.0) ** (1.0 / _DISPLAY_GAMMA)
@@ -94,21 +95,22 @@ def photograph(
 
 
 def _falloff(width: int, height: int, loss: float) -> NDArray[np.float32]:
-    """Share of light that reaches each pixel, (H, W): 1 in the middle, ``1 - loss`` in the corners."""
+    """Share of light that reaches each pixel, (H, W): 1 in the centre, ``1 - loss`` in the corners."""
     y, x = np.mgrid[0:height, 0:width].astype(np.float32)
     r2 = ((x + 0.5) / width - 0.5) ** 2 + ((y + 0.5) / height - 0.5) ** 2
     return np.asarray(1.0 - loss * r2 / 0.5, dtype=np.float32)
 
 
 class DepthSensorConfig(BaseModel):
-    """A structured-light sensor, after Khoshelham and Elberink (2012); the defaults are a Kinect's.
+    """A structured-light sensor, after Khoshelham and Elberink (2012); the defaults are those of a Kinect.
 
     Attributes:
-        baseline_m, focal_px_per_width: projector to camera; focal length over the image's width (585 / 640).
-        steps_per_px: disparity is told in so many steps a pixel of a 640-pixel-wide image.
-        disparity_sd_px: noise of disparity there, before it is rounded.
+        baseline_m: distance of projector and camera.
+        focal_px_per_width: focal length over the width of the image (585 / 640).
+        steps_per_px: resolution of the disparity, in steps per pixel of a 640-pixel-wide image.
+        disparity_sd_px: noise of the disparity in such pixels, before rounding.
         nearest_m, farthest_m: range.
-        grazing_deg: surfaces that are seen at a larger angle from their normal give nothing.
+        grazing_deg: largest angle to the normal at which a surface is measured.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -130,19 +132,19 @@ def structured_light(
     config: DepthSensorConfig,
     rng: np.random.Generator,
 ) -> NDArray[np.float32]:
-    """Depth as such a sensor measures it: (H, W) metres, 0 where there is none.
+    """Simulate the depth of such a sensor: (H, W) metres, 0 where it measures none.
 
     Args:
         depth_m: true depth (H, W), 0 where there is none.
-        normals_camera: (H, W, 3) surfaces' normals, camera frame.
-        glass: (H, W) window panes, which give nothing.
+        normals_camera: (H, W, 3) surface normals, camera frame.
+        glass: (H, W) window panes, which are not measured.
     """
     rays = camera.pixel_rays()
     cosine = -np.sum(rays * normals_camera, axis=2) / np.linalg.norm(rays, axis=2)
     seen = (depth_m > config.nearest_m) & (depth_m < config.farthest_m) & ~glass
     seen &= cosine > np.cos(np.deg2rad(config.grazing_deg))
     seen &= ~_shadow(depth_m, camera, config.baseline_m)
-    # A window of the pattern that straddles an edge matches nothing.
+    # The pattern around a depth edge does not match.
     spread = cv2.dilate(depth_m, np.ones((3, 3))) - cv2.erode(depth_m, np.ones((3, 3)))
     seen &= (spread < 0.1 * depth_m) | (rng.uniform(size=depth_m.shape) < 0.4)
     focal_baseline = config.focal_px_per_width * 640.0 * config.baseline_m
@@ -154,9 +156,9 @@ def structured_light(
 
 
 def _shadow(depth_m: NDArray[np.float32], camera: Camera, baseline_m: float) -> NDArray[np.bool_]:
-    """Pixels that the projector, a baseline to the right of the camera, does not reach behind what is nearer."""
+    """Pixels in the shadow of the projector, which is a baseline to the right of the camera."""
     u = np.arange(camera.width, dtype=np.float64)
     landing = u - camera.fx * baseline_m / np.maximum(depth_m, 1e-3)
-    # Along a row, what the projector sees is in the camera's order; who falls behind a right neighbour is hidden.
+    # Along a row, a point is hidden from the projector if a right neighbour has a smaller projected column.
     nearest = np.minimum.accumulate(landing[:, ::-1], axis=1)[:, ::-1]
     return np.asarray(landing > nearest + 0.5)

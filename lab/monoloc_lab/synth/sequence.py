@@ -1,11 +1,11 @@
-"""A flight rendered to a recording in several lights, in the layout that the ``folder`` reader reads.
+"""A flight rendered to recordings in several lights, in the ``folder`` format.
 
 ::
 
-    OUT/L1/dataset.toml, color/000000.jpg    one folder a light, which is the recording
+    OUT/L1/dataset.toml, color/000000.jpg    one recording per light
     OUT/poses.txt, depth/000000.png          shared by the lights
-    OUT/room.json, settings.json             what is rendered
-    OUT/linear/000000.npz                    light by group: another light costs no rendering
+    OUT/room.json, settings.json             the room and the settings
+    OUT/linear/000000.npz                    light by group, so another light needs no rendering
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from monoloc_lab.synth.sensor import (
 
 ROOM = "room.json"
 _SETTINGS = "settings.json"
-_BALANCE_FRAMES = 8  # over which white balance is settled
+_BALANCE_FRAMES = 8  # number of frames that determine the white balance
 
 
 @dataclass(frozen=True)
@@ -53,10 +53,10 @@ class RenderConfig:
     """Settings of a rendering.
 
     Attributes:
-        samples: paths a pixel and light group.
-        depth: "exact", or "sensor" as a structured-light sensor measures it.
+        samples: paths per pixel and light group.
+        depth: "exact", or "sensor" for a simulated structured-light sensor.
         depth_scale: stored value of one metre.
-        jpeg_quality: of colour, 1 to 100.
+        jpeg_quality: of the colour images, 1 to 100.
     """
 
     samples: int = 48
@@ -79,19 +79,19 @@ def render_sequence(
     out: Path,
     progress: Progress,
 ) -> list[Path]:
-    """Render a flight; what an earlier call has rendered is kept.
+    """Render a flight; frames that an earlier call rendered are reused.
 
     Args:
         poses: ``T_world_camera``, (N, 4, 4).
         timestamps_s: (N,).
-        velocities: of the camera while each image is taken, twists a second in its frame, (N, 6).
+        velocities: of the camera at each image, twists per second in its frame, (N, 6).
 
     Returns:
-        One recording a light.
+        One recording per light.
 
     Raises:
-        DataError: the folder holds a rendering of something else, or cannot be written.
-        MissingExtraError: there is something to render and Mitsuba is not installed.
+        DataError: the folder has another rendering, or cannot be written.
+        MissingExtraError: frames have to be rendered and Mitsuba is not installed.
     """
     settings = {
         "room": hashlib.sha256(room.to_json().encode()).hexdigest(),
@@ -128,21 +128,21 @@ def render_sequence(
 
 
 def claim(out: Path, settings: Mapping[str, object]) -> None:
-    """Say in a folder, which is made, what is rendered there, and refuse to mix two renderings.
+    """Make an output folder with its settings, and refuse to mix two renderings.
 
     Raises:
-        DataError: it holds a rendering of other settings, or cannot be written.
+        DataError: the folder has a rendering with other settings, or cannot be written.
     """
     out.mkdir(exist_ok=True)
     text, path = json.dumps(settings, indent=1), out / _SETTINGS
     if path.is_file() and path.read_text() != text:
-        raise DataError(out, "holds a rendering of other settings", "name another folder, or remove that one")
+        raise DataError(out, "has a rendering with other settings", "name another folder, or remove that one")
     write_whole(path, text.encode())
 
 
 def _packed(picture: Picture) -> bytes:
     buffer = io.BytesIO()
-    # Half precision holds 0.05 %, less than any noise; its range ends at 65504 cd/m^2, above any window.
+    # Half precision is exact to 0.05 %, less than the noise; its range of 65504 cd/m^2 exceeds any window.
     light = {f"light_{group}": np.minimum(image, 6e4).astype(np.float16) for group, image in picture.light.items()}
     normals = picture.normals.astype(np.float16)
     arrays: dict[str, Any] = {**light, "depth_m": picture.depth_m, "normals": normals, "glass": picture.glass}
@@ -160,11 +160,11 @@ def develop(
     seed: int,
     out: Path,
 ) -> None:
-    """Photograph rendered frames in one light, from a camera that moves: velocity (N, 6) is a twist a second."""
+    """Simulate camera images of rendered frames in one light; velocity (N, 6) is a twist per second."""
     (out / "color").mkdir(parents=True, exist_ok=True)
     sensor, factors = light.exposed(config.sensor), light.factors(lux)
     chosen = np.unique(np.linspace(0, len(frames) - 1, _BALANCE_FRAMES).astype(int))
-    # White balance settles on a flight's light, while exposure follows every frame.
+    # White balance is constant over a flight; exposure is set for every frame.
     balance = np.median([white_balance(_seen(frames[i], factors)[0], sensor.adapted) for i in chosen], axis=0)
     for index, frame in enumerate(frames):
         rng = np.random.default_rng([seed, index, int(1000.0 * light.lux)])
@@ -197,7 +197,7 @@ def _write_depth(
 
 
 def depth_png(depth_m: NDArray[np.float32], depth_scale: float) -> bytes:
-    """Depth (H, W) metres as a 16-bit PNG; what is too far to be stored is left out."""
+    """Depth (H, W) metres as a 16-bit PNG; values that are too large are stored as 0."""
     stored = np.round(depth_m * depth_scale)
     stored[stored > 65534.0] = 0.0
     return bytes(cv2.imencode(".png", stored.astype(np.uint16), [cv2.IMWRITE_PNG_COMPRESSION, 9])[1])
@@ -216,6 +216,6 @@ depth_scale = {config.depth_scale}
 
 
 def camera_lines(camera: Camera) -> str:
-    """A camera as ``dataset.toml`` has it."""
+    """A camera in the format of ``dataset.toml``."""
     names = ("width", "height", "fx", "fy", "cx", "cy")
     return "\n".join(f"{name} = {getattr(camera, name)}" for name in names)

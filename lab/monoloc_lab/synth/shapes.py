@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from monoloc.geometry import FloatArray
 
-_SEGMENTS = 28  # of a circle: its outline looks round at the sizes that are rendered
+_SEGMENTS = 28  # of a circle; enough for the rendered sizes
 _BEVEL_STEPS = 3
 
 
@@ -20,7 +20,7 @@ class Mesh:
     Attributes:
         vertices, normals: (V, 3) metres; unit, outward.
         uv: (V, 2) metres along the surface.
-        span: (V, 2) the same, from 0 to 1 over each face.
+        span: (V, 2) the same, scaled to 0 to 1 over each face.
         faces: (F, 3) int64, counter-clockwise seen from outside.
     """
 
@@ -32,19 +32,19 @@ class Mesh:
 
 
 def box(size: FloatArray, bevel_m: float = 0.0, grain: bool = False) -> Mesh:
-    """A box of edges ``size`` (3,), its edges rounded by a radius.
+    """A box with edges ``size`` (3,), rounded by a radius.
 
-    Each face is a patch of its own. With ``grain``, u runs along its longer side, as wood is cut; without, the
-    texture stands upright.
+    Each face is a separate patch. With ``grain``, u runs along its longer side, like wood grain; without, v is
+    vertical.
     """
     half = np.asarray(size, dtype=np.float64) / 2.0
     radius = min(bevel_m, 0.999 * float(half.min()))
     patches = [_box_face(half, radius, axis, sign, grain) for axis in range(3) for sign in (-1.0, 1.0)]
-    return joined(patches)
+    return merged(patches)
 
 
 def panel(size: FloatArray) -> Mesh:
-    """A rectangle in the plane y = 0 that faces -y, ``size`` (width, anything, height)."""
+    """A rectangle in the plane y = 0 that faces -y, ``size`` (width, ignored, height)."""
     return _box_face(np.array([size[0] / 2.0, 0.0, size[2] / 2.0]), 0.0, 1, -1.0, False)
 
 
@@ -54,7 +54,7 @@ def _box_face(half: FloatArray, radius: float, axis: int, sign: float, grain: bo
     ticks = []
     for a in (u_axis, v_axis):
         if radius > 0.0:
-            # Equal angles of the rounded edge, seen from its centre, reach half way round: to 45 degrees.
+            # Each face takes half of a rounded edge, 45 degrees, in equal angles.
             bend = radius * np.tan(np.linspace(0.0, np.pi / 4.0, _BEVEL_STEPS + 1))
             inner = half[a] - radius
             ticks.append(np.concatenate([-(inner + bend)[::-1], inner + bend]))
@@ -74,11 +74,11 @@ def _box_face(half: FloatArray, radius: float, axis: int, sign: float, grain: bo
     uv = np.stack([u, v], axis=1)
     if axis == 2:
         return Mesh(points, normals, uv, 0.5 + 0.5 * uv / half[[u_axis, v_axis]], faces)
-    # Upright, v runs up and u to the right, seen from outside.
+    # v runs up and u to the right, seen from outside.
     along = points[:, 1 - axis] * sign * (1.0 if axis == 0 else -1.0)
-    upright = np.stack([along, points[:, 2]], axis=1)
-    span = 0.5 + 0.5 * upright / half[[1 - axis, 2]]
-    uv = uv if grain else upright
+    vertical = np.stack([along, points[:, 2]], axis=1)
+    span = 0.5 + 0.5 * vertical / half[[1 - axis, 2]]
+    uv = uv if grain else vertical
     return Mesh(points, normals, uv, span, faces)
 
 
@@ -90,7 +90,7 @@ def _grid_faces(rows: int, columns: int, flip: bool) -> NDArray[np.int64]:
 
 
 def cylinder(size: FloatArray, taper: float = 1.0) -> Mesh:
-    """An upright elliptic cylinder in a box ``size`` (3,); its top is ``taper`` times as wide as its bottom."""
+    """A vertical elliptic cylinder in a box ``size`` (3,); its top is ``taper`` times as wide as its bottom."""
     half = np.asarray(size, dtype=np.float64) / 2.0
     wide = max(1.0, taper)
     bottom, top = 1.0 / wide, taper / wide
@@ -113,7 +113,7 @@ def cylinder(size: FloatArray, taper: float = 1.0) -> Mesh:
         [np.stack([a, a + 1, a + count + 1], axis=1), np.stack([a, a + count + 1, a + count], axis=1)]
     )
     caps = [_cap(ring * scale, sign * half[2], sign) for scale, sign in ((bottom, -1.0), (top, 1.0)) if scale > 1e-6]
-    return joined([Mesh(mantle, normals, uv, span, faces), *caps])
+    return merged([Mesh(mantle, normals, uv, span, faces), *caps])
 
 
 def _cap(ring: FloatArray, z: float, sign: float) -> Mesh:
@@ -143,8 +143,8 @@ def ellipsoid(size: FloatArray) -> Mesh:
     return Mesh(unit * half, normals, uv, span, _grid_faces(_SEGMENTS + 1, _SEGMENTS // 2 + 1, flip=False))
 
 
-def joined(meshes: list[Mesh]) -> Mesh:
-    """One mesh of several."""
+def merged(meshes: list[Mesh]) -> Mesh:
+    """Several meshes as one."""
     offsets = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes[:-1]])
     return Mesh(
         np.concatenate([mesh.vertices for mesh in meshes]),
@@ -162,7 +162,7 @@ def placed(mesh: Mesh, pose: FloatArray) -> Mesh:
 
 
 def sample_surface(mesh: Mesh, spacing_m: float) -> FloatArray:
-    """Points no farther apart than about ``spacing_m`` on every triangle, (N, 3)."""
+    """Points on every triangle, about ``spacing_m`` apart, (N, 3)."""
     points = [mesh.vertices]
     corners = mesh.vertices[mesh.faces]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)

@@ -1,4 +1,4 @@
-"""Procedural textures: what gives surfaces their grain. All tile, except those laid once over a face."""
+"""Procedural textures. All tile, except those that cover a face once."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Image = NDArray[np.float32]  # (H, W, 3), sRGB, 0 to 1
 Grey = NDArray[np.float32]  # (H, W)
 
 _SIZE = 512
-ATLAS_CELLS = 8  # a side, of an atlas texture
+ATLAS_CELLS = 8  # cells per side of an atlas texture
 
 
 def texture(material: Material) -> Image:
@@ -33,7 +33,7 @@ def _mix(color: NDArray[np.float32], accent: NDArray[np.float32], share: Grey) -
 
 
 def noise(rng: np.random.Generator, sigma_x: float, sigma_y: float, size: int = _SIZE) -> Grey:
-    """Tiling Gaussian noise of unit variance, smoothed by so many pixels; drawn in the frequency domain."""
+    """Tiling Gaussian noise of unit variance, smoothed by a number of pixels; drawn in the frequency domain."""
     fy, fx = np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size)[None]
     filter_ = np.exp(-2.0 * np.pi**2 * ((sigma_x * fx) ** 2 + (sigma_y * fy) ** 2))
     spectrum = np.fft.rfft2(rng.standard_normal((size, size))) * filter_
@@ -52,7 +52,7 @@ def _plaster(color: NDArray[np.float32], accent: NDArray[np.float32], rng: np.ra
 
 
 def _wood(color: NDArray[np.float32], accent: NDArray[np.float32], rng: np.random.Generator) -> Image:
-    """Grain along u: rings seen as bent stripes, with pores."""
+    """Wood grain along u: rings as bent stripes, with pores."""
     v = np.arange(_SIZE, dtype=np.float32)[:, None] / _SIZE
     bend = 0.05 * noise(rng, 90.0, 20.0) + 0.008 * noise(rng, 30.0, 4.0)
     rings = 0.5 + 0.5 * np.sin(2.0 * np.pi * (9.0 * v + 9.0 * bend))
@@ -63,7 +63,7 @@ def _wood(color: NDArray[np.float32], accent: NDArray[np.float32], rng: np.rando
 
 
 def _boards(color: NDArray[np.float32], accent: NDArray[np.float32], rng: np.random.Generator) -> Image:
-    """A floor of boards along u, each of its own tone, with dark joints."""
+    """A floor of boards along u with different tones and dark joints."""
     image = np.empty((_SIZE, _SIZE, 3), dtype=np.float32)
     rows, grain = 8, _wood(color, accent, rng)
     height = _SIZE // rows
@@ -100,14 +100,14 @@ def _brick(color: NDArray[np.float32], accent: NDArray[np.float32], rng: np.rand
     column = np.floor(along).astype(int) % columns
     tone = 1.0 + 0.13 * rng.standard_normal((rows, columns)).astype(np.float32)
     field = tone[row, column] * (1.0 + 0.06 * noise(rng, 2.0, 2.0))
-    across, upright = along % 1.0, (v + wobble) % 1.0 * rows % 1.0
-    joint = (across < 0.045) | (upright < 0.13)
+    across, vertical = along % 1.0, (v + wobble) % 1.0 * rows % 1.0
+    joint = (across < 0.045) | (vertical < 0.13)
     brick = color * field[..., None] + 0.02 * noise(rng, 20.0, 20.0)[..., None]
     return np.where(joint[..., None], accent * (1.0 + 0.05 * noise(rng, 1.0, 1.0)[..., None]), brick)
 
 
 def _fabric(color: NDArray[np.float32], accent: NDArray[np.float32], rng: np.random.Generator) -> Image:
-    """A plain weave with uneven yarn."""
+    """A plain weave of uneven yarn."""
     v, u = np.mgrid[0:_SIZE, 0:_SIZE]
     over = ((u // 4 + v // 4) % 2).astype(np.float32)
     share = 0.25 + 0.3 * over + 0.12 * noise(rng, 24.0, 0.8) + 0.12 * noise(rng, 0.8, 24.0) + 0.1 * noise(rng, 40, 40)
@@ -115,7 +115,7 @@ def _fabric(color: NDArray[np.float32], accent: NDArray[np.float32], rng: np.ran
 
 
 def _stripes(color: NDArray[np.float32], accent: NDArray[np.float32], rng: np.random.Generator) -> Image:
-    """Curtains and cushions: upright stripes of uneven width on weave."""
+    """Curtains and cushions: vertical stripes of uneven width on a weave."""
     edges = np.sort(rng.uniform(0.0, 1.0, 2 * int(rng.integers(3, 7))))
     u = np.arange(_SIZE) / _SIZE
     inside = (np.searchsorted(edges, u) % 2).astype(np.float32)
@@ -126,7 +126,7 @@ def _stripes(color: NDArray[np.float32], accent: NDArray[np.float32], rng: np.ra
 
 
 def _carpet(color: NDArray[np.float32], accent: NDArray[np.float32], rng: np.random.Generator) -> Image:
-    """A woven carpet laid once: border bands and a repeated, mirrored figure."""
+    """A woven carpet: border bands and a repeated, mirrored figure; covers its face once."""
     v, u = np.abs(np.mgrid[0:_SIZE, 0:_SIZE].astype(np.float32) / (_SIZE - 1) * 2.0 - 1.0)
     tile = 64
     figure = (noise(rng, 4.0, 4.0, tile) > 0.35).astype(np.float32)
@@ -147,7 +147,7 @@ def _leaves(color: NDArray[np.float32], accent: NDArray[np.float32], rng: np.ran
 
 
 def _lines_of_text(image: Image, ink: NDArray[np.float32], rng: np.random.Generator, area: tuple[int, ...]) -> None:
-    """Words as dashes of uneven length, drawn into an image."""
+    """Lines of text as dashes of uneven length, drawn into an image."""
     top, bottom, left, right, line = area
     for y in range(top, bottom - line // 2, line):
         x = left
@@ -159,7 +159,7 @@ def _lines_of_text(image: Image, ink: NDArray[np.float32], rng: np.random.Genera
 
 
 def _landscape(color: NDArray[np.float32], accent: NDArray[np.float32], rng: np.random.Generator) -> Image:
-    """A picture of hills under a sky, as a photograph on a wall, without its frame."""
+    """A landscape of hills under a sky, without its frame."""
     v = np.linspace(0.0, 1.0, _SIZE, dtype=np.float32)[:, None]
     image = _mix(color, np.array([0.95, 0.9, 0.82], np.float32), np.broadcast_to(v, (_SIZE, _SIZE)) ** 1.5)
     image += 0.06 * np.clip(noise(rng, 70.0, 16.0), 0.0, 2.0)[..., None] * (1.0 - v[..., None])
@@ -190,7 +190,7 @@ def _poster(color: NDArray[np.float32], accent: NDArray[np.float32], rng: np.ran
 
 
 def _books(color: NDArray[np.float32], accent: NDArray[np.float32], rng: np.random.Generator) -> Image:
-    """An atlas of book spines, one a cell: cloth, bands and a title."""
+    """An atlas of book spines, one per cell: cloth, bands and a title."""
     side = _SIZE // ATLAS_CELLS
     image = np.empty((_SIZE, _SIZE, 3), dtype=np.float32)
     for row in range(ATLAS_CELLS):
@@ -207,7 +207,7 @@ def _books(color: NDArray[np.float32], accent: NDArray[np.float32], rng: np.rand
 
 
 def _screen(color: NDArray[np.float32], accent: NDArray[np.float32], rng: np.random.Generator) -> Image:
-    """A page on a computer's screen."""
+    """A page on a computer screen."""
     image = np.ascontiguousarray(np.broadcast_to(color, (_SIZE, _SIZE, 3)).astype(np.float32))
     cv2.rectangle(image, (0, 0), (_SIZE, 40), (0.5 * accent).tolist(), -1)
     _lines_of_text(image, accent, rng, (70, 480, 30, 330, 18))
@@ -216,7 +216,7 @@ def _screen(color: NDArray[np.float32], accent: NDArray[np.float32], rng: np.ran
 
 
 def _outdoors(color: NDArray[np.float32], accent: NDArray[np.float32], rng: np.random.Generator) -> Image:
-    """What is seen through a window: an overcast sky, trees, a street far below; in linear light."""
+    """The view from a window: an overcast sky, trees, a street below; in linear light."""
     v = np.linspace(0.0, 1.0, _SIZE, dtype=np.float32)[:, None]
     image = np.broadcast_to(color * (1.0 - 0.25 * v[..., None]), (_SIZE, _SIZE, 3)).astype(np.float32)
     image = image * (1.0 + 0.05 * noise(rng, 60.0, 20.0)[..., None])
@@ -228,7 +228,7 @@ def _outdoors(color: NDArray[np.float32], accent: NDArray[np.float32], rng: np.r
 
 
 def hsv(hue: float, saturation: float, value: float) -> NDArray[np.float32]:
-    """A colour, all from 0 to 1, as sRGB (3,)."""
+    """A colour from hue, saturation and value, 0 to 1, as sRGB (3,)."""
     pixel = np.array([[[360.0 * hue, saturation, value]]], dtype=np.float32)
     return np.asarray(cv2.cvtColor(pixel, cv2.COLOR_HSV2RGB)[0, 0], dtype=np.float32)
 

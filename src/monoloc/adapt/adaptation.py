@@ -1,4 +1,4 @@
-"""Adaptation: a hold-out run without the held-out frames, then the final run on all of them."""
+"""Adaptation: a hold-out run on all but the held-out frames, then a final run on all frames."""
 
 from __future__ import annotations
 
@@ -29,16 +29,17 @@ _HOLD_OUT_SHARE = 0.5  # of the final run's steps
 
 @dataclass(frozen=True)
 class AdaptResult:
-    """What adaptation gives.
+    """Result of adaptation.
 
     Attributes:
-        original, adapted: the map before and after; component i of one is component i of the other.
-        depth_model: the network tuned on all frames.
-        hold_out_model, hold_out_map: of the hold-out run, tuned without the held-out frames, to measure with.
-        held_out: those frames, one array a region.
-        scores: on the held-out frames, the first before tuning, the last of the state that was kept.
-        steps: of the final run; 0 where only the likelihood is tuned for and the hold-out run never improved the
-            held-out frames.
+        original, adapted: the map before and after; component i of one corresponds to component i of the other.
+        depth_model: the network, tuned on all frames.
+        hold_out_model, hold_out_map: result of the hold-out run, tuned without the held-out frames; used for
+            evaluation.
+        held_out: frame indices of the held-out frames, one array per region.
+        scores: scores on the held-out frames; the first is before tuning, the last is of the selected state.
+        steps: steps of the final run; 0 if the likelihood is the only objective and the hold-out run did not improve
+            the held-out frames.
         kl: KL(M || M_A), nats.
     """
 
@@ -64,7 +65,8 @@ def adapt(
 ) -> AdaptResult:
     """Adapt a network and a map to each other on posed frames.
 
-    Supervision of depth is the sensor's where it has some, else that of the cloud seen from the frames' poses.
+    Depth supervision comes from the sensor where the recording has sensor depth, else from the cloud rendered at the
+    frames' poses.
 
     Raises:
         DataError: a frame or the network cannot be read.
@@ -95,8 +97,8 @@ def adapt(
     best = hold_out.best_step(scores)
     hold_out_model = export_model(network, network_file.stem)
 
-    # The final run takes its whole schedule: before its end, the learning rate is still high. Tuning by depth gains
-    # from it even if the short hold-out run shows nothing; tuning by likelihood alone may lose.
+    # The final run takes its full schedule, because the learning rate is high until the end. Tuning with depth
+    # supervision gains even if the short hold-out run shows no gain; tuning on the likelihood alone may lose.
     steps = config.most_steps if best or config.by_depth else 0
     final = Adaptation(load_network(network_file), AdaptedMap(mixture, cloud), config)
     if steps:

@@ -1,4 +1,4 @@
-"""The kernel that draws points, in NumPy: what it is held against in tests and benchmarks."""
+"""NumPy reference of the kernel that draws points, for tests and benchmarks."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from monoloc.camera import Camera
 from monoloc.geometry import FloatArray, transform
 
 NO_POINT = 0xFFFFFFFF
-_DOWN, _ACROSS = (0, 0, 1, 1), (0, 1, 0, 1)  # to the four pixels about a point
+_DOWN, _ACROSS = (0, 0, 1, 1), (0, 1, 0, 1)  # offsets of the four pixels around a point
 
 
 def draw_points(
@@ -21,17 +21,18 @@ def draw_points(
     front: NDArray[np.uint32],
     depth: NDArray[np.float32],
 ) -> None:
-    """Draw points, each on the four pixels about it: the number of the nearest, and the depth of its surface.
+    """Draw points into a depth buffer; each point covers the four pixels around its projection.
 
     Args:
         points: (N, 3) world frame, metres.
-        camera_from_world: (4, 4).
+        camera_from_world: ``T_camera_world``, (4, 4).
         camera: fx, fy, cx, cy, k1, k2, p1, p2, k3.
-        sight: see :meth:`monoloc.camera.Camera.sight`.
-        behind: points that lie no farther behind the nearest than this share of its depth are of its surface.
-        front: (height, width), takes the number of the nearest point that covers a pixel, of several as near the
-            first's; 2^32 - 1 where there is none.
-        depth: (height, width), takes the mean depth of those of its surface, 0 where there is none.
+        sight: limits of the field of view, see :meth:`monoloc.camera.Camera.sight`.
+        behind: depth tolerance of a surface, relative: points at most this much farther than the nearest point of a
+            pixel belong to the same surface.
+        front: (height, width) output: index of the nearest point that covers each pixel, the lowest index among
+            equally near points; 2^32 - 1 where no point does.
+        depth: (height, width) output: mean depth of the points on the nearest surface, metres; 0 where there is none.
     """
     height, width = front.shape
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = camera.tolist()
@@ -42,7 +43,7 @@ def draw_points(
     seen = np.flatnonzero((z > least_m) & (np.abs(x) < most_x * z) & (np.abs(y) < most_y * z))
     u, v = np.floor(pinhole.project(in_camera[seen])).T
     inside = (u >= -1.0) & (v >= -1.0) & (u < width) & (v < height)
-    # Every point four times, once a pixel that it covers, in an image with a margin of one pixel.
+    # Each point appears four times, once per covered pixel, in an image with a margin of one pixel.
     number = np.tile(seen[inside], 4)
     rows = np.concatenate([v[inside].astype(np.int64) + 1 + down for down in _DOWN])
     columns = np.concatenate([u[inside].astype(np.int64) + 1 + across for across in _ACROSS])

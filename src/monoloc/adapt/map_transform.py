@@ -14,18 +14,18 @@ from monoloc.adapt.objective import UPPER
 from monoloc.map.mixture import GaussianMixture
 
 _HIDDEN = 128
-_SYMMETRIC = (0, 1, 2, 1, 3, 4, 2, 4, 5)  # where the entries of a symmetric matrix stand among the upper ones
+_SYMMETRIC = (0, 1, 2, 1, 3, 4, 2, 4, 5)  # index of each entry of a symmetric 3 x 3 matrix in UPPER
 _BLOCK = 4096
-_NEIGHBOURS = 8  # responsibilities kept a point; the rest weigh less than 1e-3 together on fitted maps
+_NEIGHBOURS = 8  # responsibilities stored per point; on fitted maps the others sum to less than 1e-3
 
 
 class MapTransform(nn.Module):
     """``f(x) = x + W2 tanh(W1 (x - c) / r + b1) + b2``, a 3-128-3 perceptron that starts as the identity.
 
-    Source: Shukla et al. 2023, section 3; residual form and zero start are ours.
+    Source: Shukla et al. 2023, section 3. The residual form and the zero initialisation are ours.
 
     Args:
-        centre, radius: of the room, metres; they bring the points to about [-1, 1].
+        centre, radius: centre and radius of the room, metres; they normalise points to about [-1, 1].
     """
 
     centre: Tensor
@@ -36,7 +36,7 @@ class MapTransform(nn.Module):
         self.register_buffer("centre", centre.double())
         self.register_buffer("radius", torch.tensor(radius, dtype=torch.float64))
         self.hidden, self.output = nn.Linear(3, _HIDDEN), nn.Linear(_HIDDEN, 3)
-        # As PyTorch would draw them, but not from global state: the same map is bent in the same way, always.
+        # PyTorch's default initialisation, but from a fixed seed, so that the result does not depend on global state.
         generator = torch.Generator().manual_seed(0)
         for parameter in self.hidden.parameters():
             nn.init.uniform_(parameter, -(3.0**-0.5), 3.0**-0.5, generator=generator)
@@ -44,10 +44,10 @@ class MapTransform(nn.Module):
         nn.init.zeros_(self.output.bias)
 
     def forward(self, points: Tensor) -> Tensor:
-        """Bent points: (..., 3) -> (..., 3), metres, world frame."""
+        """Transform points: (..., 3) -> (..., 3), metres, world frame."""
         normalised = ((points - self.centre) / self.radius).to(self.hidden.weight.dtype)
-        # The displacement is small, so the perceptron's own precision is enough for it; the sum is in float64. A
-        # point is a column, not a row: the gradients of products so narrow take a quarter of the time.
+        # The displacement is small, so the perceptron computes it in its own precision; the sum is in float64.
+        # Points are columns, not rows: the gradients of such narrow products then take a quarter of the time.
         columns = normalised.reshape(-1, 3).T.contiguous()
         hidden = torch.tanh(torch.addmm(self.hidden.bias[:, None], self.hidden.weight, columns))
         displacement = torch.addmm(self.output.bias[:, None], self.output.weight, hidden)
@@ -56,12 +56,12 @@ class MapTransform(nn.Module):
 
 def _sparse_rows(rows: Tensor, columns: Tensor, values: Tensor, shape: tuple[int, int]) -> Tensor:
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Sparse", UserWarning)  # remarks on beta state and unchecked invariants
+        warnings.filterwarnings("ignore", "Sparse", UserWarning)  # beta state and unchecked invariants
         return torch.sparse_coo_tensor(torch.stack([rows, columns]), values, shape).coalesce().to_sparse_csr()
 
 
 class _SparseProduct(torch.autograd.Function):
-    """``A @ x`` for a constant sparse A; torch's own would sort A's transpose anew at every backward pass."""
+    """``A @ x`` for a constant sparse A; PyTorch's own would sort A's transpose in every backward pass."""
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, matrix: Tensor, transposed: Tensor) -> Tensor:
@@ -74,17 +74,18 @@ class _SparseProduct(torch.autograd.Function):
 
 
 class AdaptedMap(nn.Module):
-    """The mixture M_A of a bent cloud, differentiable in the bending.
+    """The mixture M_A of the transformed cloud, differentiable with respect to the transform.
 
-    Every point keeps its responsibilities under the original mixture, so component i of M_A is component i of M:
-    its mean and covariance are those of the bent points, weighted by gamma_ni; mixing proportions stay.
-    Moments are taken in float64: in float32 the second moment less the squared mean loses the covariance.
+    Each point keeps its responsibilities gamma_ni under the original mixture, so component i of M_A corresponds to
+    component i of M. Its mean and covariance are the gamma-weighted moments of the transformed points; mixing
+    proportions do not change. Moments are computed in float64: in float32, subtracting the squared mean from the
+    second moment cancels the covariance.
 
     Args:
         mixture: the original map M.
         cloud: (N, 3) float64 points that M was fitted to, metres, world frame.
-        floor_m: its square is added to every variance, so that covariances stay positive; the fit clamps them
-            there instead, which is no function to be followed backwards.
+        floor_m: its square is added to every variance to keep covariances positive definite. The map fit clamps
+            variances at it instead, but clamping is not differentiable.
     """
 
     cloud: Tensor
@@ -94,15 +95,15 @@ class AdaptedMap(nn.Module):
 
     def __init__(self, mixture: GaussianMixture, cloud: NDArray[np.float64], floor_m: float = 0.01) -> None:
         super().__init__()
-        kept = min(_NEIGHBOURS, len(mixture.weights))
-        blocks = np.array_split(cloud, max(1, len(cloud) // _BLOCK))  # all points by all components would not fit
-        parts = [torch.from_numpy(mixture.responsibilities(block)).topk(kept, dim=1) for block in blocks]
+        neighbours = min(_NEIGHBOURS, len(mixture.weights))
+        blocks = np.array_split(cloud, max(1, len(cloud) // _BLOCK))  # the full (N, K) matrix would not fit in memory
+        parts = [torch.from_numpy(mixture.responsibilities(block)).topk(neighbours, dim=1) for block in blocks]
         gamma, nearest = torch.cat([part.values for part in parts]), torch.cat([part.indices for part in parts])
         gamma = gamma / gamma.sum(dim=1, keepdim=True)
         points = torch.from_numpy(np.asarray(cloud, dtype=np.float64))
-        rows, columns = nearest.ravel(), torch.arange(len(points)).repeat_interleave(kept)
+        rows, columns = nearest.ravel(), torch.arange(len(points)).repeat_interleave(neighbours)
         mass = torch.zeros(len(mixture), dtype=torch.float64).index_add(0, rows, gamma.ravel()).clamp(min=1e-12)
-        # Row i averages the cloud with component i's responsibilities; transposed once, for every backward pass.
+        # Row i averages the cloud with component i's responsibilities. Its transpose serves every backward pass.
         weights = gamma.ravel() / mass[rows]
         self._averaging = _sparse_rows(rows, columns, weights, (len(mixture), len(points)))
         self._averaging_transposed = _sparse_rows(columns, rows, weights, (len(points), len(mixture)))
@@ -112,13 +113,14 @@ class AdaptedMap(nn.Module):
         self.register_buffer("cloud", points)
         self.register_buffer("log_weights", torch.from_numpy(mixture.weights).log())
         self._floor = floor_m**2 * torch.eye(3, dtype=torch.float64)
-        # The original by the same sums, so that the identity has a KL of zero: M up to EM's last step and the floor.
+        # Recompute M with the same sums, so that the identity has zero KL; it differs from M by EM's last step and
+        # the floor.
         means, covariances = self._moments(points)
         self.register_buffer("means", means)
         self.register_buffer("covariances", covariances)
 
     def forward(self) -> tuple[Tensor, Tensor]:
-        """Adapted means (K, 3) and covariances (K, 3, 3)."""
+        """Return adapted means (K, 3) and covariances (K, 3, 3), world frame, metres."""
         return self._moments(self.transform(self.cloud))
 
     def _moments(self, points: Tensor) -> tuple[Tensor, Tensor]:

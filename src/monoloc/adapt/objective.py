@@ -1,4 +1,4 @@
-"""The objective of adaptation: how well predicted depth fits the map along its rays, and how far the map moved."""
+"""The objective of adaptation: ray likelihood of predicted depth under the map, and KL of the adapted map."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-"""Where the upper entries of a symmetric 3 x 3 matrix stand."""
+"""(row, column) of the upper-triangular entries of a symmetric 3 x 3 matrix."""
 
 
 def matched_kl(
@@ -19,10 +19,11 @@ def matched_kl(
     other_means: Tensor,
     other_covariances: Tensor,
 ) -> Tensor:
-    """KL(M || M_A) of two mixtures whose components correspond, nats.
+    """KL(M || M_A) of two mixtures with corresponding components, nats.
 
-    ``sum_i pi_i (KL(N_i || N_A,i) + log(pi_i / pi_A,i))``: an upper bound on the true divergence by convexity, and
-    Goldberger's approximation when each component's match is its nearest (Goldberger et al., ICCV 2003, eq. 4).
+    ``sum_i pi_i (KL(N_i || N_A,i) + log(pi_i / pi_A,i))``. By convexity this is an upper bound on the true
+    divergence. It equals Goldberger's approximation when each component's match is its nearest (Goldberger et al.,
+    ICCV 2003, eq. 4).
 
     Args:
         log_weights, other_log_weights: (K,).
@@ -36,7 +37,7 @@ def matched_kl(
     log_determinants = 2.0 * (_log_diagonal(other_lower) - _log_diagonal(lower))
     trace, distance = whitened.square().sum((-1, -2)), offset.square().sum((-1, -2))
     component_kl = 0.5 * (trace + distance - means.shape[-1] + log_determinants)
-    # A component without weight adds nothing, though its logarithms have no difference.
+    # A component of weight zero adds nothing; the difference of its logarithms would be NaN.
     log_ratio = torch.where(log_weights > -math.inf, log_weights - other_log_weights, 0.0)
     divergence: Tensor = (log_weights.exp() * (component_kl + log_ratio)).sum()
     return divergence
@@ -52,17 +53,18 @@ def ray_log_likelihood(
     outlier_share: float,
     log_depth_range: float = 4.0,
 ) -> Tensor:
-    """Log density of log-depth given its ray, (P,) nats.
+    """Log-density of log-depth, conditional on the pixel's ray, (P,) nats.
 
-    Cut by the ray ``o + d r``, each component is a one-dimensional Gaussian in d, so the mixture along the ray has a
-    closed-form normaliser; d times the conditional density is the density of log d. Normalised along every ray, it
-    gains nothing when depth and map shrink onto the cameras together, which the plain density rewards without bound.
+    Along the ray ``o + d r`` each component is a one-dimensional Gaussian in d, so the mixture has a closed-form
+    normaliser; d times the conditional density is the density of log d. Because the density is normalised along each
+    ray, it gains nothing when depth and map shrink onto the cameras together. The plain density rewards that collapse
+    without bound.
 
         p(log d | o, r) = (1 - eps) d M(o + d r) / int_0^inf M(o + t r) dt + eps / range
 
     Args:
         log_depth: (P,) natural logarithm of depth along z.
-        rays_world: (P, 3) directions r with camera z = 1, world frame.
+        rays_world: (P, 3) ray directions r with camera z = 1, world frame.
         origins: (P, 3) camera centres o, world frame, metres.
         log_weights, means, covariances: the mixture, (K,), (K, 3), (K, 3, 3).
         outlier_share: eps, between 0 and 1.
@@ -70,14 +72,14 @@ def ray_log_likelihood(
     """
     lower = torch.linalg.cholesky(covariances)
     information = torch.cholesky_inverse(lower)
-    # Along a ray the squared Mahalanobis distance is a d^2 - 2 b d + c, and a, b, c are linear in what is known of a
-    # component: products of matrices, in half the time that whitened offsets, (P, K, 3), would take.
+    # Along a ray the squared Mahalanobis distance is a d^2 - 2 b d + c, and a, b, c are linear in per-component
+    # constants. Matrix products take half the time of whitened offsets, (P, K, 3).
     upper, of_means = _upper(information), (information @ means[..., None])[..., 0]
     a = _quadratic(rays_world, rays_world) @ upper
     b = rays_world @ of_means.T - _quadratic(rays_world, origins) @ upper
     c = _quadratic(origins, origins) @ upper - 2.0 * origins @ of_means.T + (of_means * means).sum(-1)
     best_depth = b / a
-    # log of weight times the component's peak along the ray; the (2 pi)^(3/2) is common to all and cancels.
+    # Log of weight times the component's peak along the ray; the common factor (2 pi)^(-3/2) cancels.
     log_peak = log_weights - _log_diagonal(lower) - 0.5 * (c - best_depth * b)
     log_joint = torch.logsumexp(log_peak - 0.5 * a * (log_depth.exp()[:, None] - best_depth).square(), dim=1)
     log_width = 0.5 * (math.log(2.0 * math.pi) - a.log())
@@ -89,12 +91,12 @@ def ray_log_likelihood(
 
 
 def _upper(symmetric: Tensor) -> Tensor:
-    """Upper entries of symmetric matrices, (K, 3, 3) -> (6, K)."""
+    """Upper-triangular entries of symmetric matrices, (K, 3, 3) -> (6, K)."""
     return torch.stack([symmetric[:, i, j] for i, j in UPPER])
 
 
 def _quadratic(x: Tensor, y: Tensor) -> Tensor:
-    """Factors (P, 6) that give ``x^T S y`` from the upper entries of a symmetric S; x, y are (P, 3)."""
+    """Factors (P, 6) that give ``x^T S y`` from the upper-triangular entries of a symmetric S; x, y are (P, 3)."""
     products = x[:, :, None] * y[:, None, :]
     folded = products + products.mT
     return torch.stack([folded[:, i, j] if i != j else products[:, i, i] for i, j in UPPER], dim=1)

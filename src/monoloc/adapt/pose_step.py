@@ -1,8 +1,8 @@
-"""What errors of depth do to a pose: the step that a scan would make the camera take from where it truly stands.
+"""Effect of depth errors on the pose: the step by which a scan moves the camera away from its true pose.
 
-Held against the map, a depth image whose errors happen to look like a motion of the camera moves the pose, however
-small they are at each pixel; errors that do not look like one hardly matter. To first order the step is linear in the
-errors, so it can be learned against: one product of matrices a view.
+A depth image whose errors resemble a camera motion biases the pose, however small the error of each pixel is. Errors
+that do not resemble a motion hardly matter. To first order the step is linear in the errors, so a loss can penalise
+it at the cost of one matrix product per view.
 """
 
 from __future__ import annotations
@@ -14,31 +14,31 @@ from torch import Tensor
 
 from monoloc.geometry import FloatArray
 
-_DEPTH_SD = 0.08  # of log-depth, as small networks err once they are tuned
-_SURFACE_SD_M = 0.03  # across a surface: what a map of a few hundred components knows of it
-_INDEPENDENT = 30.0  # points that an image is worth, for its errors go together
-_PRIOR_SD = 0.1  # of what is known of a pose without the scan, m and rad
-_DEPTH_JUMP = 0.2  # of log-depth from one pixel to the next but one; beyond it there are two surfaces
+_DEPTH_SD = 0.08  # of log-depth: typical error of a small network after tuning
+_SURFACE_SD_M = 0.03  # across a surface, in a map of a few hundred components
+_INDEPENDENT = 30.0  # effective points per image: errors within an image are correlated
+_PRIOR_SD = 0.1  # of the pose without the scan, m and rad
+_DEPTH_JUMP = 0.2  # of log-depth, between a pixel's two neighbours; a larger one separates two surfaces
 _LEAST_COSINE = 0.15  # between ray and normal
-_MOST_ERROR = 0.3  # of log-depth; more of it moves a pose no farther, as in the filter
-_ROUNDING = 1e-6  # m^2: a length has no gradient at zero
+_MOST_ERROR = 0.3  # of log-depth; as in the filter, a larger error has no larger effect
+_ROUNDING = 1e-6  # m^2, under the root: a norm has no gradient at zero
 
 
 def pose_steps(depth_m: NDArray[np.float32], rays: FloatArray, prior_sd: float = _PRIOR_SD) -> Tensor:
-    """Matrices that take a view's errors of log-depth to the camera's step: (V, h, w), (h, w, 3) -> (V, 6, h * w).
+    """Matrices that map a view's log-depth errors to a camera step: (V, h, w), (h, w, 3) -> (V, 6, h * w).
 
-    Where a surface with normal n is seen at x, a motion (v, w) of the camera changes the logarithm of the depth along
-    a ray that stands still by ``-(n . v + (x cross n) . w) / (n . x)``. The step is the Gauss-Newton one: least
-    squares over the pixels, weighted by what depth and surfaces may err by, with a prior that holds what an image
-    does not tell, as odometry does.
+    Let a surface with normal n be seen at x. A camera motion (v, w) changes the log-depth along a ray fixed in the
+    camera by ``-(n . v + (x cross n) . w) / (n . x)``. The step is one Gauss-Newton step: least squares over the
+    pixels, weighted by the inverse variance of depth and map surface. As odometry does, a prior constrains the
+    directions that the image leaves free.
 
     Args:
-        depth_m: true depth, 0 where there is none.
-        rays: of its pixels, camera frame, with z = 1.
-        prior_sd: how far a pose may be off that the scan does not tell, m and rad.
+        depth_m: (V, h, w) true depth, metres, 0 where there is none.
+        rays: (h, w, 3) directions of the pixels with z = 1, camera frame.
+        prior_sd: standard deviation of the pose without the scan, m and rad.
 
     Returns:
-        Rows are a twist in the camera's frame, metres and radians; columns of pixels that tell nothing are zero.
+        Rows are a twist in the camera's frame, metres and radians. Columns of unusable pixels are zero.
     """
     return torch.from_numpy(np.stack([_pose_step(depth, rays, prior_sd).astype(np.float32) for depth in depth_m]))
 
@@ -66,7 +66,7 @@ def _pose_step(depth_m: NDArray[np.float32], rays: FloatArray, prior_sd: float) 
 
 
 def _is_one_surface(depth_m: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Pixels whose four neighbours are known and on the same surface, (h, w)."""
+    """Mask (h, w) of pixels whose four neighbours have depth and lie on the same surface."""
     known = depth_m > 0.0
     log_depth = np.log(np.where(known, depth_m, 1.0))
     inner = known.copy()
@@ -79,18 +79,18 @@ def _is_one_surface(depth_m: NDArray[np.float32]) -> NDArray[np.bool_]:
 
 
 def pose_twists(log_depth: Tensor, depth_m: Tensor, steps: Tensor) -> Tensor:
-    """The steps that a prediction's errors would cause, (B, 6) twists in the camera's frame.
+    """Camera steps that a prediction's errors would cause, (B, 6) twists in the camera's frame.
 
     Args:
-        log_depth: (B, 1, h, w) predicted.
-        depth_m: (B, 1, h, w) true depth, 0 where there is none.
-        steps: (B, 6, h * w), of :func:`pose_steps` for the same depth.
+        log_depth: (B, 1, h, w) predicted log-depth.
+        depth_m: (B, 1, h, w) true depth, metres, 0 where there is none.
+        steps: (B, 6, h * w) from :func:`pose_steps` for the same depth.
     """
     error = torch.where(depth_m > 0.0, log_depth - depth_m.clamp(min=1e-3).log(), 0.0)
     return (steps @ error.clamp(-_MOST_ERROR, _MOST_ERROR).flatten(1)[..., None])[..., 0]
 
 
 def pose_step_loss(log_depth: Tensor, depth_m: Tensor, steps: Tensor) -> Tensor:
-    """Mean length of :func:`pose_twists`, a radian counted as a metre."""
+    """Mean norm of :func:`pose_twists`; one radian counts as one metre."""
     twists = pose_twists(log_depth, depth_m, steps)
     return (twists.square().sum(1) + _ROUNDING).sqrt().mean()

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 Tune = Literal["none", "last", "decoder", "all"]
 
-# Steps and the network's learning rate; features that move bear a smaller rate than those that stand still.
+# Steps and the network's learning rate; a tuned encoder needs a smaller rate than a frozen one.
 _SUITED: dict[Tune, tuple[int, float]] = {
     "none": (500, 3e-3),
     "last": (500, 3e-3),
@@ -21,23 +21,23 @@ class AdaptConfig(BaseModel):
     """Settings of adaptation.
 
     Attributes:
-        tune: what of the network is tuned: nothing, the last layer (the paper's), the decoder and it, or all but the
-            encoder's first layers, up to stride 4.
-        map_transform: whether the map is bent.
-        lambda_kl: weight of KL(M || M_A), beside the likelihood; so it is multiplied by ``likelihood_weight`` too,
-            where the network learns depth.
-        steps: optimiser steps; None is what suits ``tune``. Where only likelihood is tuned for, none are taken if a
-            hold-out run improves nothing on held-out frames.
+        tune: what is tuned in the network: ``none``; ``last``, the last layer (the paper's choice); ``decoder``, the
+            decoder and the last layer; or ``all``, all but the encoder's first layers up to stride 4.
+        map_transform: whether to tune the map transform.
+        lambda_kl: weight of KL(M || M_A) relative to the likelihood. If the network learns from depth,
+            ``likelihood_weight`` scales it too.
+        steps: optimiser steps; None selects the default for ``tune``. If the likelihood is the only objective and a
+            hold-out run does not improve the held-out frames, no step is taken.
         batch_views, pixels_per_view: size of one step.
-        synthesised_views: views from nearby poses, in all, made of the recording (for ``decoder`` and ``all``).
-        relit_share: share of a step's views that are seen in another light, down to a sixteenth and less (for
-            ``all``): what is tuned in good light alone forgets the dark.
-        network_rate, map_rate: Adam's learning rates; None is what suits ``tune``.
+        synthesised_views: total number of views synthesised from nearby poses (for ``decoder`` and ``all``).
+        relit_share: share of a step's views with simulated lighting, down to a sixteenth of the light and less (for
+            ``all``): a network tuned only in good light loses accuracy in the dark.
+        network_rate, map_rate: Adam's learning rates; a ``network_rate`` of None selects the default for ``tune``.
         likelihood_weight, depth_weight, pose_weight: weights of the ray likelihood and, for ``decoder`` and ``all``,
-            of the depth loss and of the steps that errors of depth would make the camera take.
+            of the depth loss and of the pose-step loss (:func:`monoloc.adapt.pose_step.pose_step_loss`).
         outlier_share: epsilon of the ray likelihood.
-        inflation_m: standard deviation added to the map's components at the start, annealed to zero: it gives
-            far-off depth a gradient.
+        inflation_m: standard deviation added to the map's components at the start, annealed to zero; it gives depth
+            far from the map a gradient.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -60,15 +60,15 @@ class AdaptConfig(BaseModel):
 
     @property
     def by_depth(self) -> bool:
-        """Whether so much of the network is tuned that it can learn depth itself, not only to fit the map."""
+        """Whether enough of the network is tuned to learn from depth, not only from the map's likelihood."""
         return self.tune in ("decoder", "all")
 
     @property
     def most_steps(self) -> int:
-        """``steps``, or what suits ``tune``."""
+        """``steps``, or the default for ``tune``."""
         return _SUITED[self.tune][0] if self.steps is None else self.steps
 
     @property
     def rate(self) -> float:
-        """``network_rate``, or what suits ``tune``."""
+        """``network_rate``, or the default for ``tune``."""
         return _SUITED[self.tune][1] if self.network_rate is None else self.network_rate

@@ -1,4 +1,4 @@
-"""What the network and the map are tuned on: the build frames, and views synthesised from them."""
+"""Training views of the network and the map: the build frames, and views synthesised from them."""
 
 from __future__ import annotations
 
@@ -20,24 +20,26 @@ from monoloc.io.recording import Recording
 
 DepthImages = Callable[[int], NDArray[np.float32]]
 
-_SHIFT_SD_M, _TURN_SD_RAD = 0.2, np.deg2rad(6.0)  # of a synthesised view from the frame it is made of
-_SOURCES = 3  # frames that a synthesised view is made of: the first, and the nearest to the view
-_WHOLE_SHARE = 0.2  # of what is learned from, frames as they were taken, however many views are synthesised
-_LEAST_SEEN, _TRIES = 0.7, 5  # of what its frame sees, share that a view must see; poses tried for it
-_CLOUDS_KEPT = 200  # of frames, some 2 MB each: views are made in the order of frames, whose neighbours they need
+_SHIFT_SD_M, _TURN_SD_RAD = 0.2, np.deg2rad(6.0)  # of a synthesised view's pose relative to its source frame
+_SOURCES = 3  # frames a synthesised view is warped from: its source frame and those nearest to the view
+_WHOLE_SHARE = 0.2  # share of real frames in the training draws, however many views are synthesised
+_LEAST_SEEN, _TRIES = 0.7, 5  # share of its source frame's coverage that a view must reach; poses tried for it
+_CLOUDS_KEPT = 200  # of about 2 MB each; views are made in frame order and need the clouds of neighbouring frames
 
 
 @dataclass(frozen=True)
 class Views:
-    """V views with pose and depth, all of one camera.
+    """V views of one camera, with pose and depth.
 
     Attributes:
-        colors: (V, H, W, 3) uint8 RGB at the network's size: a quarter of the memory that its input takes.
-        depth_m: (V, 1, H / 2, W / 2) supervision, 0 where there is none: twice the resolution of what is predicted.
-        log_focal_ratio: to be added to the network's log-depth.
-        rays_world: (V, h * w, 3) directions of the output's pixels with camera z = 1.
+        colors: (V, H, W, 3) uint8 RGB at the network's size; a quarter of the memory of the float32 network input.
+        depth_m: (V, 1, H / 2, W / 2) depth supervision, metres, 0 where there is none; twice the resolution of the
+            prediction.
+        log_focal_ratio: log of the focal ratio, to be added to the network's log-depth.
+        rays_world: (V, h * w, 3) ray directions of the output pixels with camera z = 1, world frame.
         poses: (V, 4, 4) ``T_world_camera``.
-        frame: (V,) index of the frame each view shows; ``whole`` (V,) whether it is that frame, not synthesised.
+        frame: (V,) index of the frame that each view shows.
+        whole: (V,) true for the frame itself, false for a synthesised view.
     """
 
     colors: NDArray[np.uint8]
@@ -58,25 +60,25 @@ class Views:
 
     @property
     def rays(self) -> FloatArray:
-        """(h, w, 3) directions of the output's pixels with z = 1, camera frame: the same for all views."""
+        """(h, w, 3) ray directions of the output pixels with z = 1, camera frame; the same for all views."""
         height, width = self.output_depth_m.shape[-2:]
         return (self.rays_world[0] @ self.poses[0, :3, :3]).reshape(height, width, 3).numpy()
 
     @property
     def output_depth_m(self) -> Tensor:
-        """(V, 1, h, w) supervision at the output's resolution, 0 where there is none."""
-        # Block corners nearest to the centres of the output's pixels.
+        """(V, 1, h, w) depth supervision at the output's resolution, metres, 0 where there is none."""
+        # One pixel of each 2 x 2 block, next to the centre of the output pixel.
         return self.depth_m[..., 1::2, 1::2]
 
     @property
     def odds(self) -> Tensor:
-        """(V,) how often each view is to be learned from, which adds up to one."""
+        """(V,) probability of drawing each view in training; they sum to one."""
         if self.whole.all():
             return torch.full((len(self),), 1.0 / len(self))
         return torch.where(self.whole, _WHOLE_SHARE / self.whole.sum(), (1.0 - _WHOLE_SHARE) / (~self.whole).sum())
 
     def of_frames(self, frames: Sequence[int] | NDArray[np.int64], only_whole: bool = False) -> Views:
-        """The views that show certain frames."""
+        """Select the views of certain frames; with ``only_whole``, without synthesised views."""
         chosen = torch.isin(self.frame, torch.as_tensor(np.asarray(frames)))
         return self[torch.nonzero(chosen & self.whole if only_whole else chosen).ravel()]
 
@@ -101,15 +103,18 @@ def make_views(
     rng: np.random.Generator,
     progress: Callable[[int], None] | None = None,
 ) -> Views:
-    """Every frame as the network will see it, and views synthesised nearby, as many of each frame as of any other.
+    """Make the network's view of every frame, and views synthesised nearby, spread evenly over the frames.
 
     Args:
         recording: posed frames.
-        depth_of: supervision of frame i, (H, W) metres, 0 where there is none: sensor depth or the map's.
+        depth_of: returns the depth supervision of frame i, (H, W) metres, 0 where there is none: sensor depth or
+            depth rendered from the map.
         focal_px: the network's canonical focal length.
-        synthesised: how many, in all.
-        held_out: frames that no other frame's synthesised views may show.
-        progress: called with the frames read, and with those and the frames that have their synthesised views.
+        synthesised: total number of synthesised views.
+        held_out: frames that must not appear in views synthesised from other frames.
+        rng: draws the poses of the synthesised views.
+        progress: called with the number of frames read, then with that number plus the number of frames whose
+            synthesised views are done.
     """
     poses = recording.poses
     assert poses is not None
@@ -168,9 +173,12 @@ def _synthesise(
     camera: Camera,
     rng: np.random.Generator,
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], FloatArray]:
-    """A view from near a frame, of it and the usable frames nearest to the view: colour, depth, ``T_world_camera``.
+    """Synthesise a view near a frame, from that frame and the usable frames nearest to the view.
 
-    The disturbance shrinks until enough of the view is known.
+    The random displacement shrinks until enough of the view has depth.
+
+    Returns:
+        Colour, depth in metres, and ``T_world_camera``.
     """
     others = usable[usable != index]
     enough = _LEAST_SEEN * len(cloud_of(index).points) / (4 * camera.width * camera.height)
@@ -191,6 +199,6 @@ def _sampled(depth_m: NDArray[np.float32], camera: Camera) -> NDArray[np.float32
 
 
 def _output_rays(camera: Camera) -> FloatArray:
-    """Rays of the network's output pixels, a quarter of the input's size, in the camera's frame: (h * w, 3)."""
+    """Rays of the network's output pixels (a quarter of the input's size), camera frame: (h * w, 3)."""
     v, u = np.mgrid[0 : camera.height // 4, 0 : camera.width // 4].reshape(2, -1)
     return camera.rays(4.0 * np.stack([u, v], axis=1) + 1.5)

@@ -1,4 +1,4 @@
-"""Tuning the depth network and the map's transform together."""
+"""Joint tuning of the depth network and the map transform."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from monoloc.depth.training.precision import learns_in_bfloat16
 _DECODER_STEPS_A_MAP_STEP = 4
 _VIEWS_AT_ONCE = 32
 _LIGHT = AugmentConfig(dim_share=0.6)
-_NO_DIFFERENCE = 0.05  # of what tuning gains on held-out frames; what is tuned for longer is better elsewhere
+_NO_DIFFERENCE = 0.05  # share of the held-out gain that counts as no difference; longer tuning generalises better
 
 
 @dataclass(frozen=True)
 class Score:
-    """Quality on a set of whole views: mean ray log-likelihood's negative, depth loss, AbsRel."""
+    """Scores on real frames: mean negative ray log-likelihood (nats), depth loss and AbsRel."""
 
     step: int
     nll: float
@@ -41,12 +41,12 @@ class Score:
 
 
 class Adaptation:
-    """A network and a map being tuned together; :meth:`run` does it.
+    """Joint tuning of a network and a map; call :meth:`run`.
 
     Args:
-        network: starts from its present weights and is changed in place; its batch normalisation keeps the
-            statistics it was trained with.
-        adapted_map: changed in place when the map transform is on.
+        network: starts from its current weights and is changed in place; batch normalisation keeps the statistics of
+            its training.
+        adapted_map: changed in place if the map transform is tuned.
         config: what to tune and how.
     """
 
@@ -62,7 +62,7 @@ class Adaptation:
         if network.error_head is not None:
             network.error_head.requires_grad_(self.config.by_depth)
         adapted_map.requires_grad_(config.map_transform)
-        # Bending the cloud costs as much as the decoder, and beside the decoder the map hardly moves.
+        # Transforming the cloud costs as much as the decoder, and the map changes little while the decoder is tuned.
         self._map_every = _DECODER_STEPS_A_MAP_STEP if self.config.by_depth else 1
         self._bent = adapted_map.means, adapted_map.covariances
 
@@ -79,14 +79,15 @@ class Adaptation:
         evaluate_every: int = 100,
         progress: Callable[[int], None] | None = None,
     ) -> list[Score]:
-        """Tune for ``steps``; with held-out views, keep the state that was best on them.
+        """Tune for ``steps`` steps; with held-out views, restore the best state on them.
 
         Args:
             training: views to tune on.
-            steps: optimiser steps, over which the learning rate falls to nothing.
-            generator: for the choice of views and pixels.
-            held_out: views to judge on, every ``evaluate_every`` steps.
-            progress: called with the steps done.
+            steps: optimiser steps; the learning rate decays to zero over them.
+            generator: draws views and pixels.
+            held_out: views to evaluate every ``evaluate_every`` steps.
+            evaluate_every: steps between two evaluations.
+            progress: called with the number of steps done.
 
         Returns:
             Scores on the held-out views, the first before any step; empty without held-out views.
@@ -99,7 +100,7 @@ class Adaptation:
         self.fit_bias(training)
         frozen = self._frozen(training, np.random.default_rng(generator.initial_seed()))
         odds = training.odds
-        of_poses = None  # matrices from a view's errors of depth to the camera's step
+        of_poses = None  # (V, 6, h * w): from log-depth errors to camera steps
         if self.config.by_depth and self.config.pose_weight > 0.0:
             of_poses = pose_steps(training.output_depth_m[:, 0].numpy(), training.rays)
         optimizer = torch.optim.Adam(
@@ -110,7 +111,7 @@ class Adaptation:
                 },
                 {"params": [p for p in self.map.parameters() if p.requires_grad], "lr": self.config.map_rate},
             ],
-            fused=True,  # one call for all tensors, of which there are some two hundred
+            fused=True,  # one call for all of about two hundred tensors
         )
         schedule = torch.optim.lr_scheduler.LambdaLR(
             optimizer, lambda step: 0.5 * (1.0 + math.cos(math.pi * step / max(1, steps)))
@@ -139,14 +140,14 @@ class Adaptation:
         return scores
 
     def best_step(self, scores: list[Score]) -> int:
-        """The last step that has nearly all of what the best one gains over the first."""
+        """Return the last step that reaches nearly all of the best step's gain over the first."""
         values = [self._criterion(score) for score in scores]
         enough = min(values) + _NO_DIFFERENCE * (values[0] - min(values))
         return max(score.step for score, value in zip(scores, values, strict=True) if value <= enough)
 
     @torch.no_grad()
     def fit_bias(self, views: Views) -> None:
-        """Shift the last layer's bias to the median log ratio of true to predicted depth, the first step."""
+        """Add the median log ratio of true to predicted depth to the last layer's bias, before the first step."""
         if self.config.tune == "none":
             return
         whole = views[torch.nonzero(views.whole).ravel()]
@@ -157,7 +158,7 @@ class Adaptation:
 
     @torch.no_grad()
     def predict(self, views: Views) -> Tensor:
-        """Log-depth of views, (V, 1, h, w), metric."""
+        """Metric log-depth of views, (V, 1, h, w)."""
         return torch.cat([self.network(images) for images in _batches(views.colors)]) + views.log_focal_ratio
 
     @torch.no_grad()
@@ -172,7 +173,7 @@ class Adaptation:
 
     @torch.no_grad()
     def kl(self) -> float:
-        """KL(M || M_A) now, nats."""
+        """Current KL(M || M_A), nats."""
         return float(self._kl(*self.map()))
 
     def _kl(self, means: Tensor, covariances: Tensor) -> Tensor:
@@ -202,17 +203,17 @@ class Adaptation:
         means, covariances = self._bent
         inflation = (config.inflation_m * max(0.0, 1.0 - 2.0 * done)) ** 2 * torch.eye(3, dtype=torch.float64)
         pixels = torch.randint(log_depth[0].numel(), (config.pixels_per_view,), generator=generator)
-        fit = self._log_likelihood(log_depth, views, means, covariances + inflation, pixels).mean()
+        log_likelihood = self._log_likelihood(log_depth, views, means, covariances + inflation, pixels).mean()
         if not self.config.by_depth:
-            loss = -fit
+            loss = -log_likelihood
         else:
-            # The gradient term keeps planes smooth and steps sharp while the decoder moves.
+            # The gradient term keeps planes smooth and depth edges sharp while the decoder is tuned.
             of_depth = depth_loss(log_depth, views.depth_m, LossConfig(scale_invariant=0.5))
-            loss = config.depth_weight * of_depth - config.likelihood_weight * fit
+            loss = config.depth_weight * of_depth - config.likelihood_weight * log_likelihood
             if of_poses is not None:
                 loss = loss + config.pose_weight * pose_step_loss(log_depth, views.output_depth_m, of_poses)
             if self.network.error_head is not None:
-                # Features move, so what is read from them must follow.
+                # The features change, so the error head must follow them.
                 loss = loss + laplace_loss(log_depth, self.network.error_head(features.detach()), views.depth_m)
         if moves_map:
             self._bent = means.detach(), covariances.detach()
@@ -240,14 +241,14 @@ class Adaptation:
 
     @torch.no_grad()
     def _frozen(self, views: Views, light: np.random.Generator) -> list[Tensor]:
-        """What the part of the network that is not tuned makes of the views, once for all steps.
+        """Compute the outputs of the network's frozen layers for all views, once for all steps.
 
-        Where nearly all is tuned, (2 V, ...): after the views, all of them again in another light.
+        With ``tune="all"``, the result has length 2 V: all views, then all views again with simulated lighting.
         """
         encoder, colors = self.network.encoder, views.colors
         if self.config.tune == "all":
             colors = np.concatenate([colors, [random_exposure(color, _LIGHT, light) for color in colors]])
-        # What is tuned by depth is computed in half the bits, where that is faster.
+        # Tuning by depth runs in bfloat16 where that is faster.
         in_half = self.config.by_depth and learns_in_bfloat16("cpu")
         parts = []
         for images in _batches(colors):
@@ -259,7 +260,7 @@ class Adaptation:
         return [torch.cat(part).contiguous(memory_format=torch.channels_last) for part in zip(*parts, strict=True)]
 
     def _features(self, inputs: list[Tensor]) -> Tensor:
-        """What the last layer reads, from :meth:`_frozen`'s outputs, with gradients."""
+        """Features that the last layer reads, from the outputs of :meth:`_frozen`, with gradients."""
         if not self.config.by_depth:
             return inputs[0]
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=learns_in_bfloat16("cpu")):
@@ -276,12 +277,12 @@ class Adaptation:
 
 
 def _batches(colors: NDArray[np.uint8]) -> Iterator[Tensor]:
-    """The network's input of images (V, H, W, 3), some at a time."""
+    """Yield the network's input for images (V, H, W, 3), in batches."""
     for first in range(0, len(colors), _VIEWS_AT_ONCE):
         yield network_input(colors[first : first + _VIEWS_AT_ONCE])
 
 
 def _log_ratio(log_depth: Tensor, truth: Tensor) -> Tensor:
-    """Log of true over predicted depth at pixels with truth, (n,)."""
+    """Log of true over predicted depth at the pixels with known depth, (n,)."""
     valid = truth > 0.0
     return torch.log(truth[valid]) - log_depth[valid]

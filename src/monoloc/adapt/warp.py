@@ -1,4 +1,4 @@
-"""Views of a room that nobody took: colour and depth of posed frames, moved forward to another pose."""
+"""View synthesis: forward warping of colour and depth from posed frames to another pose."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from monoloc.camera import Camera
 from monoloc.depth.depth_image import at_discontinuity
 from monoloc.geometry import FloatArray, invert, transform
 
-_FINE = 2  # points are drawn at this many times the view's size and averaged down
-_DEPTH_JUMP = 0.1  # pixels beside a larger one lie on neither surface and are left behind
-_SAME_SURFACE = 0.05  # points no farther behind the nearest, as a share of its depth, are of one surface with it
+_FINE = 2  # supersampling factor: points are drawn at this multiple of the view's size, then averaged
+_DEPTH_JUMP = 0.1  # relative; pixels next to a larger jump lie on neither surface and are dropped
+_SAME_SURFACE = 0.05  # relative; points at most this much farther than the nearest lie on the same surface
 
 
 @dataclass(frozen=True)
 class ColoredPoints:
-    """What one frame saw: (N, 3) float64 points in the world and their colours, (N, 3) uint8 RGB."""
+    """Points seen in one frame: positions, (N, 3) float64, world frame, metres; colours, (N, 3) uint8 RGB."""
 
     points: FloatArray
     colors: NDArray[np.uint8]
@@ -31,12 +31,12 @@ class ColoredPoints:
 def points_of(
     color: NDArray[np.uint8], depth_m: NDArray[np.float32], rays: FloatArray, T_world_camera: FloatArray
 ) -> ColoredPoints:
-    """The pixels of a frame that have depth, as points.
+    """Back-project the pixels of a frame that have depth.
 
     Args:
         color: (H, W, 3) uint8 RGB.
-        depth_m: (H, W), 0 where there is none.
-        rays: (H, W, 3) of its pixels, with z = 1.
+        depth_m: (H, W) metres, 0 where there is none.
+        rays: (H, W, 3) ray directions of the pixels with z = 1, camera frame.
         T_world_camera: (4, 4).
     """
     usable = (depth_m > 0.0) & ~at_discontinuity(depth_m, _DEPTH_JUMP)
@@ -47,18 +47,20 @@ def points_of(
 def forward_warp(
     sources: Sequence[ColoredPoints], T_world_camera: FloatArray, camera: Camera
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """What a camera at another pose would see of them; in every pixel the nearest surface's.
+    """Render the view of a camera at another pose; each pixel shows the nearest surface.
 
-    Its colour is the nearest point's, its depth the mean of all its points': the nearest of many that err, each by a
-    sensor's noise and its frame's pose, would be too near, by 0.6 % in a real room.
+    A pixel takes the colour of the nearest point and the mean depth of all points on the surface. The minimum depth
+    is biased towards the camera, because every point has sensor noise and its frame's pose error: by 0.6 % in a real
+    room.
 
     Args:
-        sources: at least one.
-        T_world_camera: (4, 4) of the view.
-        camera: of the view.
+        sources: points of at least one frame.
+        T_world_camera: pose of the view, (4, 4).
+        camera: intrinsics of the view.
 
     Returns:
-        Colour (h, w, 3) uint8, with holes painted from their borders, and depth (h, w) float32 metres, 0 in holes.
+        Colour (h, w, 3) uint8 RGB, with holes inpainted from their borders, and depth (h, w) float32 metres, 0 in
+        holes.
     """
     fine = camera.resized(camera.width * _FINE, camera.height * _FINE)
     lens, sight = np.array([fine.fx, fine.fy, fine.cx, fine.cy, *fine.distortion]), np.array(fine.sight())
@@ -66,7 +68,7 @@ def forward_warp(
     colors = np.concatenate([*(source.colors for source in sources), np.zeros((1, 3), dtype=np.uint8)])
     front = np.empty((fine.height, fine.width), dtype=np.uint32)
     depth_m = np.empty((fine.height, fine.width), dtype=np.float32)
-    # A point covers the four pixels about it, so that surfaces that come closer do not fall apart.
+    # A point covers four pixels, so that surfaces stay closed when the camera moves closer to them.
     _core.draw_points(points, invert(T_world_camera), lens, sight, _SAME_SURFACE, front, depth_m)
     image = np.take(colors, np.minimum(front, len(points)), axis=0)
     return _averaged(image, depth_m, camera)
@@ -75,7 +77,7 @@ def forward_warp(
 def _averaged(
     image: NDArray[np.uint8], depth_m: NDArray[np.float32], camera: Camera
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """A fine view, depth 0 in holes, at the camera's size; holes in colour painted over."""
+    """Downsample a supersampled view, depth 0 in holes, to the camera's size; inpaint holes in the colour."""
     size = (camera.width, camera.height)
     known = (depth_m > 0.0).astype(np.float32)
     share = cv2.resize(known, size, interpolation=cv2.INTER_AREA)
@@ -86,9 +88,9 @@ def _averaged(
 
 
 def halved(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Depth at half the size, (2 h, 2 w) -> (h, w), both 0 where there is none.
+    """Downsample depth by two, (2 h, 2 w) -> (h, w), metres, 0 where there is none.
 
-    Of every four pixels, the mean of those on the nearest surface: their minimum would be too near.
+    Of each four pixels, take the mean of those on the nearest surface; their minimum is biased towards the camera.
     """
     depth_m = np.where(depth_m > 0.0, depth_m, np.float32(np.inf))
     corners = [depth_m[row::2, column::2] for row in (0, 1) for column in (0, 1)]

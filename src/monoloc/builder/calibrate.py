@@ -121,8 +121,8 @@ def calibrate_likelihood(
         fix = "check output, metric and scale in its TOML: depth must come out in metres"
         raise DataError("network", problem, fix)
     candidates = [
-        _Candidate(config, *_best_over_scales(likelihood_for(config), scans))
-        for config in _configs(likelihood_for, base.likelihood, scans)
+        _Candidate(config, *_best_over_scales(likelihood, scans))
+        for config, likelihood in _likelihoods(likelihood_for, base.likelihood, scans)
     ]
     best = max(candidates, key=lambda candidate: float(candidate.values.mean()))
     frames = np.array([sample.index for _, sample in scans])
@@ -130,14 +130,15 @@ def calibrate_likelihood(
     return base.model_copy(update=changes), LikelihoodThresholds.from_log_likelihoods(best.values)
 
 
-def _configs(
+def _likelihoods(
     likelihood_for: LikelihoodFactory, base: LikelihoodConfig, scans: list[tuple[Scan, Sample]]
-) -> list[LikelihoodConfig]:
-    """Candidate settings; only the first if they make no difference, as to a likelihood that has its own."""
+) -> list[tuple[LikelihoodConfig, ScanLikelihood]]:
+    """Candidates; only the first if the settings make no difference, as to a likelihood that has its own."""
     setting, values = _ERROR_SETTINGS[base.kind]
     configs = [base.model_copy(update={setting: value}) for value in values]
-    tried = {float(_best_over_scales(likelihood_for(config), scans[:1])[0][0]) for config in configs}
-    return configs if len(tried) > 1 else configs[:1]
+    candidates = [(config, likelihood_for(config)) for config in configs]
+    distinct = {float(_best_over_scales(likelihood, scans[:1])[0][0]) for _, likelihood in candidates}
+    return candidates if len(distinct) > 1 else candidates[:1]
 
 
 def _pairs_of_frames(frames: int) -> NDArray[np.int64]:

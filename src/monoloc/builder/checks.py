@@ -1,4 +1,4 @@
-"""Checks of frames and map together, before the long work begins."""
+"""Consistency checks of frames and map before a build's long computations."""
 
 from __future__ import annotations
 
@@ -17,21 +17,22 @@ from monoloc.likelihood.volume import VolumeLikelihood
 from monoloc.map.depth_rendering import supervision
 from monoloc.map.mixture import GaussianMixture
 
-_FRAMES, _POINTS = 20, 300  # looked at: enough for a mean, and done in seconds
-_LEAST_POINTS = 50  # a frame with fewer sees nothing
+_FRAMES, _POINTS = 20, 300  # checked: enough for a mean, within seconds
+_LEAST_POINTS = 50  # with fewer, a frame sees nothing of the map
 
 _TURNS = make_pose(so3_exp(np.outer([0.5, 1.0, 1.5], [0.0, np.pi, 0.0])), np.zeros((3, 3)))
 
 
 @dataclass(frozen=True)
-class _Trust:
-    """Errors of one kind of depth, and how much better poses must fit than the same cameras turned round.
+class _PoseCheck:
+    """Settings of the pose check for one kind of depth.
 
-    Below ``good_gain`` nats a point poses are doubted, below ``least_gain`` refused. On RedKitchen the gain was 3.0
-    with sensor depth and 0.9 with the shipped network's, untuned; with all poses 30 cm and 7 degrees off, 1.1 and
-    0.75. With five wrong frames of reference it was at most 0.07 and 0.23, but the smallest network gave only 0.12 at
-    right poses of one segment. So a network's depth can raise a doubt, and refuse only what fits as well turned
-    round.
+    The gain is the log-likelihood of the given poses minus that of the same cameras turned around, nats per point. A
+    gain below ``good_gain`` gives a warning, one below ``least_gain`` an error. On RedKitchen the gain was 3.0 with
+    sensor depth and 0.9 with the shipped network's depth, untuned. With all poses off by 30 cm and 7 degrees it was
+    1.1 and 0.75. In five wrong coordinate frames it was at most 0.07 and 0.23, but the smallest network gave only
+    0.12 at correct poses of one segment. So a network's depth can only give a warning, unless the turned cameras fit
+    equally well.
     """
 
     likelihood: LikelihoodConfig
@@ -40,19 +41,19 @@ class _Trust:
     least_gain: float
 
 
-_SENSOR = _Trust(LikelihoodConfig(kind="volume", noise_sd_m=0.05), np.zeros(1), good_gain=1.2, least_gain=0.25)
-_NETWORK = _Trust(
+_SENSOR = _PoseCheck(LikelihoodConfig(kind="volume", noise_sd_m=0.05), np.zeros(1), good_gain=1.2, least_gain=0.25)
+_NETWORK = _PoseCheck(
     LikelihoodConfig(kind="volume", noise_sd_m=0.2), np.linspace(-0.6, 0.6, 25), good_gain=0.5, least_gain=0.02
 )
 
-# Shares of what is seen that faces the second and the third direction. A wall whose depth has 1 % of noise gives up
-# to 0.03 for both; RedKitchen gives 0.37 and 0.19, the corner of a room 0.28 and 0.05 or more.
+# Least shares of the visible surfaces that face the second and the third direction. A wall with 1 % depth noise
+# gives up to 0.03 for both; RedKitchen gives 0.37 and 0.19, the corner of a room 0.28 and at least 0.05.
 _FLAT, _TWO_WAYS = 0.05, 0.04
 
 
 @dataclass(frozen=True)
-class _Look:
-    """A scan of what a frame sees, in the camera's frame, and the frame's ``T_world_camera``."""
+class _PosedScan:
+    """A frame's scan, in the camera's frame, and the frame's ``T_world_camera``."""
 
     scan: Scan
     pose: FloatArray
@@ -66,87 +67,89 @@ def check_frames(
     model: DepthModel,
     rng: np.random.Generator,
 ) -> list[str]:
-    """Whether frames, map and network's depth can give a pose at all.
+    """Check that frames, map and the network's depth can determine a pose.
 
     Args:
         recording: posed frames; with depth, unless the cloud is given.
-        cloud, mixture: the room, (N, 3) world frame, metres, and the map fitted to it.
-        cloud_is_given: whether the cloud came beside the recording and may be in another frame than its poses.
-        model: predicts depth where the recording has none.
+        cloud, mixture: the room's cloud, (N, 3) world frame, metres, and the map fitted to it.
+        cloud_is_given: whether the cloud was supplied separately, so that its frame may differ from that of the
+            poses.
+        model: predicts depth if the recording has none.
+        rng: draws the scan points.
 
     Returns:
-        Warnings, a line each: what is weak and will make poses poor.
+        Warnings, one line each, about weaknesses that reduce pose accuracy.
 
     Raises:
-        DataError: the frames see nothing of the cloud, their poses are in another frame, or all that they see is one
-            flat surface; or a frame cannot be read.
+        DataError: the frames see nothing of the cloud, their poses are in another frame, they see only one flat
+            surface, or a frame cannot be read.
     """
     chosen = np.unique(np.linspace(0, len(recording) - 1, _FRAMES).round().astype(np.int64))
     poses = recording.poses
     assert poses is not None
     depth_of = supervision(recording, cloud)
-    seen = [_Look(_scan(DepthPrediction(depth_of(int(i)), recording.camera), rng), poses[i]) for i in chosen]
-    blind = sum(len(look.scan) < _LEAST_POINTS for look in seen)
+    seen = [_PosedScan(_scan(DepthPrediction(depth_of(int(i)), recording.camera), rng), poses[i]) for i in chosen]
+    blind = sum(len(posed.scan) < _LEAST_POINTS for posed in seen)
     if 2 * blind > len(seen):
         what = "the cloud" if cloud_is_given else "the room"
         problem = f"{blind} of {len(seen)} frames looked at see next to nothing of {what}"
         raise DataError(recording.name, problem, "give poses and cloud in one frame, in metres")
-    doubts: list[str] = []
+    warnings: list[str] = []
     if cloud_is_given and (recording.has_depth or model.spec.is_usable):
-        # Not the supervision: where a sensor saw nothing, that is the cloud's own depth, which always fits.
+        # Do not use the supervision: where the sensor has no depth it holds the cloud's own depth, which always fits.
         predictor = None if recording.has_depth else DepthPredictor(model, recording.camera)
-        looks = []
+        posed_scans = []
         for i in chosen.tolist():
             depth = (
                 DepthPrediction(recording.depth(i), recording.camera)
                 if predictor is None
                 else predictor(recording.color(i))
             )
-            looks.append(_Look(_scan(depth, rng), poses[i]))
-        trust = _SENSOR if recording.has_depth else _NETWORK
-        doubts = _check_poses(recording.name, looks, mixture, trust)
-    # Seen from poses that are not right, surfaces say nothing.
-    return doubts or _check_surfaces(recording.name, seen, mixture)
+            posed_scans.append(_PosedScan(_scan(depth, rng), poses[i]))
+        check = _SENSOR if recording.has_depth else _NETWORK
+        warnings = _check_poses(recording.name, posed_scans, mixture, check)
+    # At wrong poses, the check of surfaces is meaningless.
+    return warnings or _check_surfaces(recording.name, seen, mixture)
 
 
 def _scan(depth: DepthPrediction, rng: np.random.Generator) -> Scan:
     return scan_from_depth(depth, _POINTS, rng)
 
 
-def _check_poses(name: str, looks: list[_Look], mixture: GaussianMixture, trust: _Trust) -> list[str]:
-    """Most frames' poses must explain their scans better than the same cameras turned by 90, 180 and 270 degrees."""
-    likelihood = VolumeLikelihood(mixture, trust.likelihood)
+def _check_poses(name: str, posed_scans: list[_PosedScan], mixture: GaussianMixture, check: _PoseCheck) -> list[str]:
+    """Check that most poses explain their scans better than the same cameras turned by 90, 180 and 270 degrees."""
+    likelihood = VolumeLikelihood(mixture, check.likelihood)
 
-    def fits(turn: FloatArray) -> FloatArray:
-        """Best mean log-likelihood of every scan over the depth's scale."""
+    def log_likelihoods(turn: FloatArray) -> FloatArray:
+        """Best mean log-likelihood of each scan over depth scales."""
         return np.array(
             [
                 likelihood.mean_log_likelihood(
-                    np.repeat((look.pose @ turn)[None], len(trust.log_scales), axis=0), trust.log_scales, look.scan
+                    np.repeat((posed.pose @ turn)[None], len(check.log_scales), axis=0), check.log_scales, posed.scan
                 ).max()
-                for look in looks
-                if len(look.scan)
+                for posed in posed_scans
+                if len(posed.scan)
             ]
         )
 
-    at_pose = fits(np.eye(4))
+    at_pose = log_likelihoods(np.eye(4))
     if len(at_pose) == 0:
         return []
-    gain = min(float(np.median(at_pose - fits(turn))) for turn in _TURNS)
-    said = f"depth fits the cloud at the poses only {gain:.2f} nats a point better than turned away from there"
-    if gain < trust.least_gain:
-        problem = f"poses and cloud are not in one frame ({said})"
+    gain = min(float(np.median(at_pose - log_likelihoods(turn))) for turn in _TURNS)
+    finding = f"depth fits the cloud only {gain:.2f} nats a point better at the poses than with cameras turned around"
+    if gain < check.least_gain:
+        problem = f"poses and cloud are not in one frame ({finding})"
         raise DataError(name, problem, "give T_world_camera, camera axes as in OpenCV, and the cloud in that world")
-    return [f"{said}; poses and cloud may not be in one frame"] if gain < trust.good_gain else []
+    return [f"{finding}; poses and cloud may not be in one frame"] if gain < check.good_gain else []
 
 
-def _check_surfaces(name: str, looks: list[_Look], mixture: GaussianMixture) -> list[str]:
-    """Surfaces must face three ways: along a direction that none faces, a pose can slide unseen."""
-    shares = [_facing(look, mixture) for look in looks if len(look.scan) >= _LEAST_POINTS]
+def _check_surfaces(name: str, posed_scans: list[_PosedScan], mixture: GaussianMixture) -> list[str]:
+    """Check that surfaces face three directions; along a direction that none faces, a pose can slide unnoticed."""
+    shares = [_facing(posed, mixture) for posed in posed_scans if len(posed.scan) >= _LEAST_POINTS]
     (weakest, second, _), axes = np.linalg.eigh(np.mean(shares, axis=0))
     if second < _FLAT:
         problem = f"all frames see one flat surface ({1.0 - weakest - second:.0%} faces one way)"
-        raise DataError(name, problem, "record a walk that shows walls, floor and furniture")
+        raise DataError(name, problem, "record a trajectory that shows walls, floor and furniture")
     if weakest < _TWO_WAYS:
         direction = ", ".join(f"{value:.2f}" for value in axes[:, 0])
         return [f"only {weakest:.0%} of what the frames see faces along ({direction}); poses will slide that way"]
@@ -156,13 +159,13 @@ def _check_surfaces(name: str, looks: list[_Look], mixture: GaussianMixture) -> 
     return []
 
 
-def _facing(look: _Look, mixture: GaussianMixture) -> FloatArray:
-    """Which ways the surfaces face that a frame sees: the mean of ``n n^T`` over its points, (3, 3) of trace one.
+def _facing(posed: _PosedScan, mixture: GaussianMixture) -> FloatArray:
+    """Directions that the visible surfaces face: the mean of ``n n^T`` over the scan's points, (3, 3) with trace one.
 
-    This is the information that point-to-plane distances hold on translation. A point's normal is the thinnest axis
-    of the component that it most likely belongs to, and counts as much as that component is flat.
+    It is the information that point-to-plane distances give about translation. A point's normal is the thinnest axis
+    of its most likely component, weighted by the component's flatness.
     """
-    points_world = transform(look.pose, look.scan.points)
+    points_world = transform(posed.pose, posed.scan.points)
     component = np.argmax(mixture.responsibilities(points_world), axis=1)
     variances, axes = np.linalg.eigh(mixture.covariances)
     flatness = (1.0 - variances[:, 0] / variances[:, 1])[component]

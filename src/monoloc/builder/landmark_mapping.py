@@ -1,4 +1,4 @@
-"""Landmarks of a build's frames: corners that several of them saw in one place."""
+"""Mapping of landmarks: corners that several build frames saw in the same place."""
 
 from __future__ import annotations
 
@@ -21,32 +21,33 @@ from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.landmarks.pnp import PRIOR_COVARIANCE, OrbLandmarkLocalizer
 from monoloc.progress import Progress
 
-_RADIUS_PX = 6.0  # around a corner's expected pixel, by one frame's pose and another's depth
-_DEPTH_JUMP = 0.15  # a corner beside a larger relative jump of depth is ambiguous
+_RADIUS_PX = 6.0  # matching radius around the projection of a landmark lifted in another frame
+_DEPTH_JUMP = 0.15  # relative; next to a larger jump a corner's depth is ambiguous
 _DEPTH_SD = 0.01  # relative, of measured depth
 _HUBER, _STEPS = 2.0, 5
-_NEAREST_M, _LEAST_INFORMATION = 1e-3, 1e-6  # for a corner behind a camera; for one on a single ray
-_AGREE_SD = 2.5  # standard deviations within which half of a landmark's corners must be
-_MOST_FRAMES = 300  # time grows with the square of their number
+_NEAREST_M, _LEAST_INFORMATION = 1e-3, 1e-6  # for a point behind a camera; for a point on a single ray
+_AGREE_SD = 2.5  # standard deviations; half of a landmark's corners must lie within them
+_MOST_FRAMES = 300  # computation time is quadratic in their number
 _LANDMARKS_PER_FRAME = 100
-_LEAST_M, _LEAST_RAD = 0.001, 0.0005  # errors, even of a camera that stood still
-_PRIOR_GROWTH = 0.05  # metres and radians a metre, of landmarks in other rooms
+_LEAST_M, _LEAST_RAD = 0.001, 0.0005  # smallest errors, even of a static camera
+_PRIOR_GROWTH = 0.05  # m/m and rad/m, measured in other rooms
 
 
 def build_landmarks(
     recording: Recording, depth_of: Callable[[int], NDArray[np.float32]], progress: Progress
 ) -> tuple[Landmarks, BiasModel]:
-    """Landmarks of a recording, and the bias of landmark poses.
+    """Map the landmarks of a recording, and measure the bias of landmark poses.
 
-    At the reference poses: each half of the frames is localised by the landmarks of the other half. Away from them:
-    frames of held-out regions are localised by landmarks that no frame there saw.
+    At the reference poses, each half of the frames is localised by the landmarks of the other half. Elsewhere,
+    the frames of held-out regions are localised by landmarks from all other frames.
 
     Args:
-        recording: posed frames, at least five; an even selection of 300 is used if there are more.
-        depth_of: a frame's depth, (H, W) m, 0 where there is none.
+        recording: posed frames, at least five; if there are more than 300, an even selection of 300 is used.
+        depth_of: returns a frame's depth, (H, W) metres, 0 where there is none.
+        progress: shows the number of frames done.
 
     Returns:
-        No landmarks where too few are seen again to determine poses.
+        Landmarks and bias; no landmarks if too few are seen repeatedly to determine poses.
     """
     poses = recording.poses
     assert poses is not None
@@ -69,21 +70,23 @@ def build_landmarks(
 
 @dataclass(frozen=True)
 class Corners:
-    """Keypoints of one frame with their depth, (N,) m, 0 where there is none."""
+    """Keypoints of one frame and their depth, (N,) metres, 0 where there is none."""
 
     keypoints: Keypoints
     depth_m: FloatArray
 
 
 def _measured_bias(corners: list[Corners], camera: Camera, detected: Camera, poses: FloatArray) -> BiasModel | None:
-    """Bias of the poses that frames get from other frames' landmarks; None where fewer than half get one.
+    """Bias of the poses that frames get from other frames' landmarks; None if fewer than half get a pose.
 
     Args:
-        camera, detected: of the recording, and of the images in which corners were detected.
+        corners: corners of each frame.
+        camera, detected: intrinsics of the recording, and of the images in which corners were detected.
+        poses: (N, 4, 4) ``T_world_camera`` of the frames.
     """
 
     def errors(by: NDArray[np.int64], of: NDArray[np.int64]) -> tuple[PoseErrors, NDArray[np.int64]]:
-        """Errors beyond stated noise of frames localised by the landmarks of others, and those frames."""
+        """Errors, beyond estimated noise, of frames ``of`` localised by landmarks of ``by``, and those frames."""
         localizer = OrbLandmarkLocalizer(landmarks_of([corners[index] for index in by], detected, poses[by]), camera)
         measured = {
             index: localizer.measure_keypoints(corners[index].keypoints, poses[index], PRIOR_COVARIANCE)
@@ -102,13 +105,13 @@ def _measured_bias(corners: list[Corners], camera: Camera, detected: Camera, pos
         return None
     held_out = np.sort(np.concatenate(hold_out_regions(poses, REGIONS, HELD_OUT_SHARE)))
     others = np.setdiff1d(frames, held_out)
-    away, seen = errors(others, held_out)
+    at_held_out, seen = errors(others, held_out)
     distances_m = np.array([pose_distance_m(poses[index], poses[others]).min() for index in seen])
-    return fit_bias_model(at_reference, at_reference, away, distances_m, _PRIOR_GROWTH)
+    return fit_bias_model(at_reference, at_reference, at_held_out, distances_m, _PRIOR_GROWTH)
 
 
 def _beyond_noise(errors: PoseErrors, stated: FloatArray) -> PoseErrors:
-    """Errors less their stated noise, variances of twists (N, 6), but at least a third of each error."""
+    """Subtract estimated noise, variances of twists (N, 6), from errors; a third of each error remains."""
 
     def beyond(errors: FloatArray, variances: FloatArray, least: float) -> FloatArray:
         noise = CHI2_MEDIAN_3 * variances.mean(axis=1)
@@ -122,7 +125,13 @@ def _beyond_noise(errors: PoseErrors, stated: FloatArray) -> PoseErrors:
 
 
 def landmarks_of(corners: list[Corners], camera: Camera, poses: FloatArray) -> Landmarks:
-    """Landmarks of frames (N, 4, 4) ``T_world_camera`` of a camera: corners that two or more of them saw."""
+    """Map the landmarks of frames of one camera: corners that at least two frames saw.
+
+    Args:
+        corners: corners of each frame.
+        camera: intrinsics of the images in which corners were detected.
+        poses: (N, 4, 4) ``T_world_camera`` of the frames.
+    """
     seen = _gathered(corners, camera, poses)
     points, is_one_place = _placed(seen, poses)
     chosen = _chosen(seen, is_one_place, len(corners))
@@ -130,14 +139,15 @@ def landmarks_of(corners: list[Corners], camera: Camera, poses: FloatArray) -> L
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """L candidate landmarks, and O corners that were matched to them.
+class _Observations:
+    """L candidate landmarks, and O corners matched to them.
 
     Attributes:
-        points: (L, 3) as first lifted, world frame.
-        landmark, frame: (O,) landmark and frame of each corner.
-        rays: (O, 2) normalised image coordinates; ``sd``: (O, 2) their standard deviations.
-        depth_m: (O,) 0 where there is none.
+        points: (L, 3) initial positions, lifted from one frame, world frame, metres.
+        landmark, frame: (O,) landmark and frame index of each corner.
+        rays: (O, 2) normalised image coordinates.
+        sd: (O, 2) standard deviations of the rays.
+        depth_m: (O,) metres, 0 where there is none.
         descriptors: (O, 32).
     """
 
@@ -150,8 +160,8 @@ class _Seen:
     descriptors: NDArray[np.uint8]
 
 
-def _gathered(corners: list[Corners], camera: Camera, poses: FloatArray) -> _Seen:
-    """Frame by frame, corners that match a landmark seen before, and new landmarks of the others."""
+def _gathered(corners: list[Corners], camera: Camera, poses: FloatArray) -> _Observations:
+    """Match corners to known landmarks frame by frame; unmatched corners with depth start new landmarks."""
     points, known = np.zeros((0, 3)), np.zeros((0, 32), np.uint8)
     rows = []
     for index, (each, pose) in enumerate(zip(corners, poses, strict=True)):
@@ -171,13 +181,13 @@ def _gathered(corners: list[Corners], camera: Camera, poses: FloatArray) -> _See
         lifted = np.column_stack([rays[fresh], np.ones(len(fresh))]) * each.depth_m[fresh, None]
         points = np.concatenate([points, transform(pose, lifted)])
         known = np.concatenate([known, keypoints.descriptors[fresh]])
-    return _Seen(points, *(np.concatenate(column) for column in zip(*rows, strict=True)))
+    return _Observations(points, *(np.concatenate(column) for column in zip(*rows, strict=True)))
 
 
-def _placed(seen: _Seen, poses: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Most likely points of landmarks, (L, 3), and whether half of their corners agree, (L,).
+def _placed(seen: _Observations, poses: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Robust maximum-likelihood positions of landmarks, (L, 3), and whether half of their corners agree, (L,).
 
-    Gauss-Newton on the rays to a corner and the logarithm of its depth, with Huber weights.
+    Gauss-Newton on the rays of a landmark's corners and the logarithm of their depth, with Huber weights.
     """
     T_camera_world = invert(poses)[seen.frame]
     R_camera_world = T_camera_world[:, :3, :3]
@@ -202,8 +212,8 @@ def _placed(seen: _Seen, poses: FloatArray) -> tuple[FloatArray, NDArray[np.bool
     return points, agree >= 0.5 * np.bincount(seen.landmark, minlength=len(points))
 
 
-def _chosen(seen: _Seen, is_one_place: NDArray[np.bool_], frames: int) -> NDArray[np.int64]:
-    """Indices of those that most frames saw, at least two, until each frame has enough."""
+def _chosen(seen: _Observations, is_one_place: NDArray[np.bool_], frames: int) -> NDArray[np.int64]:
+    """Indices of the landmarks that most frames saw, at least two, until each frame has enough."""
     counts = np.bincount(seen.landmark, minlength=len(is_one_place))
     order = np.argsort(seen.landmark, kind="stable")
     saw = np.split(seen.frame[order], np.cumsum(counts)[:-1])
@@ -217,8 +227,8 @@ def _chosen(seen: _Seen, is_one_place: NDArray[np.bool_], frames: int) -> NDArra
     return np.array(sorted(chosen), dtype=np.int64)
 
 
-def _descriptors(seen: _Seen, chosen: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Descriptors of C landmarks, (C, 32): the majority of their corners', bit by bit."""
+def _descriptors(seen: _Observations, chosen: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Descriptors of C landmarks, (C, 32): the bitwise majority of their corners' descriptors."""
     number = np.full(len(seen.points), -1)
     number[chosen] = np.arange(len(chosen))
     row = number[seen.landmark]

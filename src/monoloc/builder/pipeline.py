@@ -320,7 +320,7 @@ def _bundle_warnings(bundle: Bundle, config: BuildConfig) -> list[str]:
         warnings.append("too few corners are seen by several frames: there are no landmarks")
     if not bundle.settings.supports_relocalization:
         error_m = bundle.settings.particle_bias.relocalization_sd_m
-        warnings.append(f"one image tells where a camera is to {error_m:.1f} m only: flights need a start")
+        warnings.append(f"one image locates the camera only to {error_m:.1f} m: flights need a start")
     return warnings
 
 

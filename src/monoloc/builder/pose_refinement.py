@@ -1,9 +1,9 @@
-"""Poses of build frames that another system gave, refined against the map that the frames themselves make.
+"""Refinement of given build poses against the map that the frames themselves make.
 
-Before adaptation, not within it: the map is where errors of poses enter, and a frame with depth can be aligned with
-it as it is. Every frame's points are brought onto the mixture by Gauss-Newton on their log posterior, then the map is
-made anew. (Point to Gaussian, as in Stoyanov et al., *Fast and accurate scan registration through minimization of
-the distance between compact 3D NDT representations*, IJRR 2012; soft matches and outliers as in EM.)
+It runs before adaptation, because pose errors enter through the map, and a frame with depth can be aligned with the
+map directly. Gauss-Newton on the log posterior aligns each frame's points with the mixture; then the map is rebuilt.
+(Point to Gaussian, as in Stoyanov et al., *Fast and accurate scan registration through minimization of the distance
+between compact 3D NDT representations*, IJRR 2012; soft matches and outliers as in EM.)
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from monoloc.map.mixture import GaussianMixture
 from monoloc.map.numpy_twins import log_sum_exp
 
 _POINTS = 400
-_INDEPENDENT_POINTS = 100.0  # what they are worth together: errors of a sensor go together, as do those of a map
-_MATCHES = 4  # components a point is drawn to; the others weigh next to nothing
+_INDEPENDENT_POINTS = 100.0  # effective points per frame: errors of sensor and map are correlated
+_MATCHES = 4  # components matched to a point; the others have negligible responsibility
 _OUTLIER_SHARE = 0.1
 _STEPS, _ROUNDS = 6, 2  # on RedKitchen a third round gained nothing
-_MAX_DEPTH_M, _DEPTH_JUMP = 4.5, 0.05  # sensors err more beyond, and beside edges
+_MAX_DEPTH_M, _DEPTH_JUMP = 4.5, 0.05  # sensors are less accurate beyond, and at depth edges
 
 
 @dataclass(frozen=True)
 class PosePrior:
-    """How far given poses are off, per axis."""
+    """Standard deviations of given poses, per axis."""
 
     position_sd_m: float
     rotation_sd_rad: float
@@ -43,7 +43,7 @@ class PosePrior:
 
 
 def check_refinable(recording: Recording) -> None:
-    """Refuse to refine poses without measured depth: by predicted depth they become worse.
+    """Refuse to refine poses without measured depth; refinement with predicted depth makes poses worse.
 
     Raises:
         SettingError: the recording has no depth.
@@ -60,14 +60,18 @@ def refine_poses(
     rng: np.random.Generator,
     progress: Callable[[int], None] | None = None,
 ) -> Selection:
-    """The recording with every frame's pose aligned with the map, as far as the prior allows.
+    """Align every frame's pose with the map, within the prior.
 
     Args:
         recording: posed frames with depth.
-        mixture: the map at the given poses, or of a cloud that came from elsewhere.
-        remap: the map of a recording with other poses, to be made anew after a round; None keeps the map.
-        prior: of the given poses.
-        progress: called with the frames aligned, out of :func:`rounds` times their number.
+        mixture: the map at the given poses, or of a separately supplied cloud.
+        remap: rebuilds the map from a recording with other poses, once between rounds; None does not rebuild the map.
+        prior: prior of the given poses.
+        rng: draws the points of each frame.
+        progress: called with the number of alignments done, out of :func:`rounds` times the number of frames.
+
+    Returns:
+        The recording with refined poses.
 
     Raises:
         SettingError: the recording has no depth to align.
@@ -101,12 +105,12 @@ def refine_poses(
 
 
 def rounds(remap: object | None) -> int:
-    """How often every frame is aligned: once with a map that stays."""
+    """How often every frame is aligned: once if the map is not rebuilt."""
     return 1 if remap is None else _ROUNDS
 
 
 class _Target:
-    """A mixture to align points with."""
+    """A mixture with which points are aligned."""
 
     def __init__(self, mixture: GaussianMixture) -> None:
         self._means = mixture.means
@@ -120,36 +124,36 @@ class _Target:
         self._log_outlier = np.log(_OUTLIER_SHARE / mixture.volume_m3)
 
     def align(self, points: FloatArray, pose: FloatArray, given: FloatArray, prior: PosePrior) -> FloatArray:
-        """``T_world_camera`` of largest posterior near ``pose``, for points (P, 3) in the camera's frame, m."""
+        """``T_world_camera`` of largest posterior near ``pose``; points are (P, 3), camera's frame, metres."""
         if len(points) == 0:
             return given
-        worth = min(1.0, _INDEPENDENT_POINTS / len(points))
+        tempering = min(1.0, _INDEPENDENT_POINTS / len(points))
         for _ in range(_STEPS):
             information, gradient = self._normal_equations(points, pose)
-            information = worth * information + prior.information
-            gradient = worth * gradient + prior.information @ se3_log(invert(given) @ pose)
+            information = tempering * information + prior.information
+            gradient = tempering * gradient + prior.information @ se3_log(invert(given) @ pose)
             pose = pose @ se3_exp(-np.linalg.solve(information, gradient))
         return np.asarray(pose)
 
     def _normal_equations(self, points: FloatArray, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Gauss-Newton's (6, 6) and (6,) of ``-log M(T exp(xi) x)`` summed over points, at ``xi = 0``.
 
-        With responsibilities r_pk under mixture and outliers, ``sum_pk r_pk J_p^T S_k^-1 J_p`` and the same with the
-        offsets ``y_p - mu_k`` in place of the last factor; ``J_p = R [I, -hat(x_p)]``.
+        With responsibilities r_pk under mixture and outliers, the matrix is ``sum_pk r_pk J_p^T S_k^-1 J_p``. The
+        vector has the offsets ``y_p - mu_k`` in place of the last factor. ``J_p = R [I, -hat(x_p)]``.
         """
         offsets = transform(pose, points)[:, None, :] - self._means
         squares = (np.einsum("kij,pkj->pki", self._whitening, offsets, optimize=True) ** 2).sum(axis=-1)
         terms = self._log_peak - 0.5 * squares
-        kept = min(_MATCHES, len(self._means))
-        match = np.argpartition(-terms, kept - 1, axis=1)[:, :kept]
-        near = np.take_along_axis(terms, match, axis=1)
+        count = min(_MATCHES, len(self._means))
+        match = np.argpartition(-terms, count - 1, axis=1)[:, :count]
+        matched = np.take_along_axis(terms, match, axis=1)
         total = np.logaddexp(log_sum_exp(terms), self._log_outlier)
-        information = np.exp(near - total[:, None])[..., None, None] * self._information[match]
+        information = np.exp(matched - total[:, None])[..., None, None] * self._information[match]
         offset = np.take_along_axis(offsets, match[..., None], axis=1)
         jacobian = np.concatenate([np.broadcast_to(np.eye(3), (len(points), 3, 3)), -hat(points)], axis=2)
         jacobian = pose[:3, :3] @ jacobian
-        pull = np.einsum("pkij,pkj->pi", information, offset)
+        weighted_offset = np.einsum("pkij,pkj->pi", information, offset)
         return (
             np.einsum("pai,pab,pbj->ij", jacobian, information.sum(axis=1), jacobian, optimize=True),
-            np.einsum("pai,pa->i", jacobian, pull),
+            np.einsum("pai,pa->i", jacobian, weighted_offset),
         )

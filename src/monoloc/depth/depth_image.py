@@ -1,4 +1,4 @@
-"""Reading depth images where they can be trusted: between surfaces they hold neither."""
+"""Sampling of depth images; values at depth discontinuities belong to neither surface and are avoided."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from monoloc.camera import Camera
 
 
 def at_discontinuity(depth_m: ArrayLike, relative: float) -> NDArray[np.bool_]:
-    """Pixels beside a jump in depth: (H, W) m, 0 where there is none -> (H, W).
+    """Mark pixels at depth discontinuities: (H, W) metres, 0 where there is no depth -> (H, W) bool.
 
     Args:
-        relative: a 4-neighbour this much farther, as a share of the nearer depth, makes a jump. Pixels without
-            depth make none.
+        depth_m: (H, W) metres, 0 where there is none.
+        relative: two 4-neighbours form a discontinuity if their depths differ by more than this share of the nearer
+            depth. Pixels without depth form none.
     """
     depth = np.asarray(depth_m)
     marked = np.zeros(depth.shape, dtype=np.bool_)
@@ -36,14 +37,18 @@ def sample_depth(
     depth_camera: Camera,
     relative: float,
 ) -> NDArray[np.float64]:
-    """Depth at pixels of one image of a camera, from a depth image of another size of the same camera.
+    """Interpolate depth at pixels of an image from a depth image of the same camera at another size.
 
     Args:
-        pixels: (N, 2) in ``camera``'s image.
-        relative: a pixel whose four depth neighbours differ by more than this share of the nearest gets none.
+        pixels: (N, 2) pixel coordinates in ``camera``'s image.
+        camera: intrinsics of that image.
+        depth_m: (H, W) metres, 0 where there is none.
+        depth_camera: intrinsics of the depth image.
+        relative: a pixel gets no depth if its four depth neighbours differ by more than this share of the nearest.
 
     Returns:
-        (N,) metres, outside those of the nearest border; 0 where a neighbour has no depth, and on depth edges.
+        (N,) metres; 0 where a neighbour has no depth and at depth edges. Pixels outside the image take the depth of
+        the nearest border.
     """
     scale = np.array([depth_camera.width / camera.width, depth_camera.height / camera.height])
     xy = (pixels + 0.5) * scale - 0.5

@@ -1,4 +1,4 @@
-"""Depth networks by name or file: those that come with monoloc, our own, and any other's ONNX with a TOML."""
+"""Depth networks by name or file: shipped networks, exported monoloc networks, and any ONNX file with a TOML."""
 
 from __future__ import annotations
 
@@ -14,22 +14,23 @@ from monoloc.errors import DataError
 from monoloc.extras import training_extra
 
 _TOML, _SAFETENSORS = ".toml", ".safetensors"
-# A tensor that every network of ours has, and none in 8 bits; looked for in the bytes, for onnx is an extra.
+# A tensor of every float monoloc network and of no 8-bit one. The raw bytes are searched, because onnx is an extra.
 _WEIGHTS = b"encoder.features.0.0.weight"
 
 
 class _Description(ModelSpec):
-    """What a TOML says of a network: :class:`ModelSpec`'s fields, and ``file``, the ONNX beside it."""
+    """TOML description of a network: the fields of :class:`ModelSpec`, and ``file``, the path of its ONNX file."""
 
     file: str
 
 
 def read_model(network: str | Path) -> DepthModel:
-    """The network of that name, or of a .toml, .onnx or .safetensors file, checked to be loadable.
+    """Read a network by name or from a .toml, .onnx or .safetensors file, and check that it can be loaded.
 
     Raises:
-        DataError: no such network; a description that is wrong or does not fit; a graph that cannot be loaded.
-        MissingExtraError: a .safetensors without PyTorch.
+        DataError: no such network, a description that is wrong or does not match the network, or a graph that cannot
+            be loaded.
+        MissingExtraError: the file is a .safetensors and PyTorch is not installed.
     """
     if is_shipped(str(network)):
         return _own_model(shipped_file(str(network)).read_bytes(), str(network), str(network))
@@ -45,8 +46,9 @@ def read_model(network: str | Path) -> DepthModel:
 
 
 def trainable_file(network: str | Path) -> Path | None:
-    """The file that a network can be tuned from; None for one that can only be run: a bundle's, another's, or one of
-    ours in 8 bits.
+    """Return the file from which a network can be tuned; None for a network that can only be run.
+
+    Those are the networks of bundles, third-party networks and 8-bit monoloc networks.
 
     Raises:
         DataError: no such file, or an .onnx that monoloc did not export.
@@ -65,10 +67,10 @@ def trainable_file(network: str | Path) -> Path | None:
 
 
 def _checked_path(network: str | Path) -> Path:
-    """The file of a network that does not come with monoloc.
+    """Path of a network that is not shipped with monoloc.
 
     Raises:
-        DataError: it is not there.
+        DataError: the file does not exist.
     """
     path = Path(network)
     if not path.is_file():
@@ -79,7 +81,7 @@ def _checked_path(network: str | Path) -> Path:
 
 
 def _own_model(content: bytes, label: str | Path, name: str) -> DepthModel:
-    """A network exported by monoloc, which says itself how it is used."""
+    """Load a network that monoloc exported; its metadata says how to use it."""
     session = load_session(content, label)
     focal_px = _canonical_focal_px(session, label)
     model = DepthModel(content, monoloc_spec(focal_px), name)
@@ -104,7 +106,7 @@ def _canonical_focal_px(session: onnxruntime.InferenceSession, label: str | Path
 
 
 def _described_model(path: Path) -> DepthModel:
-    """Another's network: a TOML and the ONNX that it names."""
+    """Load a third-party network: a TOML and the ONNX file that it names."""
     description = load_settings(path, _Description)
     file = path.parent / description.file
     try:

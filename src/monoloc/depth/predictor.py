@@ -1,4 +1,4 @@
-"""Depth of an image by an exported network, ours or another; needs onnxruntime only."""
+"""Depth prediction with an exported network, from monoloc or a third party; needs onnxruntime only."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from monoloc.errors import DataError, SettingError
 
 _ERROR_OUTPUT = "log_error_scale"
 _LEAST_IMAGE_PX = 32
-# Ours give a quarter of their input: 40 x 32 for most cameras, 120 x 88 for the widest. Anything finer is read at
-# every so many pixels: the scan is a few hundred points, and the corners' depth is smooth.
+# Monoloc networks predict at a quarter of their input's size: 40 x 32 for most cameras, 120 x 88 for the widest.
+# Finer output is subsampled: a scan has a few hundred points, and depth at corners is smooth.
 _MOST_PIXELS = 128 * 96
-_FARTHEST_M = 100.0  # no room is larger; disparity near zero says no more than that
+_FARTHEST_M = 100.0  # no room is larger; disparity near zero carries no more information
 
 
 @dataclass(frozen=True)
 class DepthPrediction:
-    """Depth of one frame, at a resolution of its own.
+    """Depth of one frame, at the prediction's own resolution.
 
     Attributes:
         depth_m: (h, w) float32, metres along z, 0 where there is none.
-        camera: intrinsics of the depth image, undistorted rays through :meth:`Camera.rays`.
-        log_error: (h, w) float32, natural logarithm of the Laplace scale of log-depth's error, where the network
-            states it; else None.
+        camera: intrinsics of the depth image; its rays are undistorted (:meth:`Camera.rays`).
+        log_error: (h, w) float32, natural logarithm of the Laplace scale of the log-depth error; None if the network
+            does not predict it.
     """
 
     depth_m: NDArray[np.float32]
@@ -39,7 +39,7 @@ class DepthPrediction:
     log_error: NDArray[np.float32] | None = None
 
     def resized(self, width: int, height: int) -> NDArray[np.float32]:
-        """Depth interpolated between the pixels that have some, (height, width); 0 where there is none."""
+        """Interpolate depth between pixels that have depth: (height, width) metres, 0 where there is none."""
         size = (width, height)
         depth = np.asarray(cv2.resize(self.depth_m, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
         known = (self.depth_m > 0.0).astype(np.float32)
@@ -48,26 +48,26 @@ class DepthPrediction:
 
 
 class DepthSource(Protocol):
-    """Depth of colour images; :class:`DepthPredictor` is one."""
+    """A source of depth for colour images, such as :class:`DepthPredictor`."""
 
     def __call__(self, color: NDArray[np.uint8]) -> DepthPrediction:
-        """Depth of an image (H, W, 3) uint8 RGB."""
+        """Predict the depth of an image (H, W, 3) uint8 RGB."""
         ...
 
 
 class DepthPredictor:
     """Runs a depth network on the frames of one camera.
 
-    It is run once on noise, so that what does not fit is said before the work begins.
+    The constructor runs the network once on noise, so that a mismatch is reported before the real work begins.
 
     Attributes:
-        name: of the network.
-        input_camera, output_camera: intrinsics of the network's input and of the depth it gives here.
-        focal_ratio: depth is the network's times this: that of the input's focal length to the canonical one.
+        name: name of the network.
+        input_camera, output_camera: intrinsics of the network's input and of the predicted depth.
+        focal_ratio: ratio of the input's focal length to the canonical one; the network's depth is multiplied by it.
 
     Raises:
-        DataError: the network cannot be loaded or run, takes no image, or gives no depth image.
-        SettingError: the camera's images are too small, or its focal length is.
+        DataError: the network cannot be loaded or run, does not take an image, or does not return a depth image.
+        SettingError: the camera's images or its focal length are too small.
     """
 
     def __init__(self, model: DepthModel, camera: Camera, threads: int = 1) -> None:
@@ -88,28 +88,28 @@ class DepthPredictor:
         self.output_camera = self.input_camera.resized(*self._output_size)
 
     def __call__(self, color: NDArray[np.uint8]) -> DepthPrediction:
-        """Depth of an image (H, W, 3) uint8 RGB of the predictor's camera.
+        """Predict the depth of an image (H, W, 3) uint8 RGB of the predictor's camera.
 
         Raises:
-            DataError: the network's depth is relative and was never fitted.
+            DataError: the network predicts relative depth that was never fitted.
         """
         if not self._spec.is_usable:
             fix = "fit it by monoloc build, or give its scale and shift"
             raise DataError(self.name, "gives relative depth, whose scale is not known", fix)
         raw, *log_error = self._run(color)
         depth_m = self._spec.depth(raw) * np.float32(self.focal_ratio)
-        is_depth = (depth_m > 0.0) & (depth_m <= _FARTHEST_M)  # neither is true of NaN
+        is_depth = (depth_m > 0.0) & (depth_m <= _FARTHEST_M)  # both are false for NaN
         if log_error:
-            is_depth &= np.isfinite(log_error[0])  # an error that is not known is no reason to trust a pixel
+            is_depth &= np.isfinite(log_error[0])  # do not trust a pixel of unknown error
         depth_m = np.where(is_depth, depth_m, np.float32(0.0))
         return DepthPrediction(depth_m, self.output_camera, log_error[0] if log_error else None)
 
     def raw(self, color: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """The network's own output for an image, at the output camera's resolution: (h, w) float32."""
+        """Raw network output for an image, at the output camera's resolution: (h, w) float32."""
         return self._run(color)[0]
 
     def _run(self, color: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
-        # Picked, not averaged: between two surfaces there is nothing.
+        # Nearest neighbour: an average across a depth edge lies on neither surface.
         return [
             np.asarray(cv2.resize(output, self._output_size, interpolation=cv2.INTER_NEAREST_EXACT), np.float32)
             for output in self._infer(color)
@@ -121,12 +121,12 @@ class DepthPredictor:
         return [np.squeeze(np.asarray(output, dtype=np.float32)) for output in outputs]
 
     def _probe(self) -> NDArray[np.float32]:
-        """The first output for an image of noise, checked."""
+        """Run the network on noise and return its checked first output."""
         name, camera = self.name, self.input_camera
         try:
             noise = np.random.default_rng(0).integers(0, 256, (camera.height, camera.width, 3), dtype=np.uint8)
             raw, *log_error = self._infer(noise)
-        except Exception as error:  # onnxruntime raises its own classes, all directly under Exception
+        except Exception as error:  # onnxruntime's exceptions derive directly from Exception
             problem = f"cannot be run on images of {camera.width}x{camera.height} ({_reason(error)})"
             raise DataError(name, problem, "correct width and height, or stride") from error
         if raw.ndim != 2 or min(raw.shape) < 2:
@@ -141,30 +141,32 @@ class DepthPredictor:
 
 
 def load_session(content: bytes, label: str | Path, threads: int = 1) -> onnxruntime.InferenceSession:
-    """An ONNX network ready to run on the processor.
+    """Load an ONNX network for the CPU.
 
     Args:
-        label: what the error's message calls it.
+        content: the ONNX file.
+        label: name of the network in error messages.
+        threads: threads for one operator.
 
     Raises:
-        DataError: it cannot be loaded.
+        DataError: the network cannot be loaded.
     """
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
-    options.log_severity_level = 4  # what fails is raised, and said in one line
+    options.log_severity_level = 4  # errors are raised and reported in one line
     try:
         return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime raises its own classes, all directly under Exception
+    except Exception as error:  # onnxruntime's exceptions derive directly from Exception
         fix = "give one self-contained ONNX file, such as monoloc depth export writes"
         raise DataError(label, f"cannot be loaded ({_reason(error)})", fix) from error
 
 
 def check_input(session: onnxruntime.InferenceSession, spec: ModelSpec, label: str | Path) -> None:
-    """Check that what a network declares of its input agrees with a spec.
+    """Check that a network's declared input agrees with a spec.
 
     Raises:
-        DataError: not one image, or of another size or layout.
+        DataError: the input is not a single image, or has another size or layout.
     """
     inputs = session.get_inputs()
     if len(inputs) != 1:
@@ -176,7 +178,7 @@ def check_input(session: onnxruntime.InferenceSession, spec: ModelSpec, label: s
         raise DataError(label, problem, "export it with one float32 image of 4 axes as its input")
     size = (spec.height, spec.width)
     wanted = (1, 3, *size) if spec.layout == "nchw" else (1, *size, 3)
-    # Axes that are left open have a name, or none, in place of a number.
+    # Dynamic axes have a name or None in place of a number.
     fixed = [axis if isinstance(axis, int) and axis > 0 else None for axis in declared]
     if all(axis is None or axis == want for axis, want in zip(fixed, wanted, strict=True)):
         return
@@ -188,10 +190,10 @@ def check_input(session: onnxruntime.InferenceSession, spec: ModelSpec, label: s
 
 
 def _checked_size(model: DepthModel, camera: Camera) -> tuple[int, int]:
-    """Size of the network's input for a camera.
+    """(width, height) of the network's input for a camera.
 
     Raises:
-        SettingError: images too small for depth to be seen in them, or a focal length that is not in pixels.
+        SettingError: the images are too small to predict depth from, or the focal length is not in pixels.
     """
     image = f"{camera.width}x{camera.height}"
     if min(camera.width, camera.height) < _LEAST_IMAGE_PX:
@@ -207,5 +209,5 @@ def _checked_size(model: DepthModel, camera: Camera) -> tuple[int, int]:
 
 
 def _reason(error: Exception) -> str:
-    """The first line of what onnxruntime says."""
+    """First line of onnxruntime's error message."""
     return (str(error).splitlines() or ["no reason given"])[0]

@@ -1,4 +1,4 @@
-"""Scale and shift that bring a network's output to metres, from frames whose depth is known."""
+"""Fit of the scale and shift that convert a network's output to metres, from frames with known depth."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from monoloc.io.recording import Recording
 
 _PIXELS_PER_FRAME = 2000
 _LEAST_PIXELS = 100
-_LEAST_POSITIVE = 0.5  # of the pixels: under this, a metric output is no depth
-_REVERSED = -0.5  # correlation under which an output runs against depth: poor networks are not that bad
+_LEAST_POSITIVE = 0.5  # share of pixels; below it, a metric output is not depth
+_REVERSED = -0.5  # correlation; below it, the output is inverted: even poor networks are not that bad
 _ITERATIONS = 50
-_LOG_SOFTNESS = 1e-3  # errors of a thousandth count as none, which keeps the iteration from dividing by zero
+_LOG_SOFTNESS = 1e-3  # relative error that counts as zero; avoids division by zero
 
 
 def fit_to_depth(
@@ -28,18 +28,23 @@ def fit_to_depth(
     depth_of: Callable[[int], NDArray[np.float32]],
     progress: Callable[[int], None],
 ) -> DepthModel:
-    """The model with scale, and shift if it is relative, fitted on all frames of a recording together.
+    """Fit the scale, and for a relative network the shift, on all frames of a recording together.
 
     Args:
-        depth_of: true depth of frame i, (H, W) metres, 0 where there is none.
+        model: the network.
+        recording: frames to predict.
+        depth_of: returns the true depth of frame i, (H, W) metres, 0 where there is none.
         progress: called with the number of frames done.
+
+    Returns:
+        The model with the fitted spec.
 
     Raises:
         DataError: as :func:`fitted_spec`, or a frame cannot be read.
     """
     predictor = DepthPredictor(model, recording.camera)
     camera, small = recording.camera, predictor.output_camera
-    # Where the middles of the output's pixels lie in the recording's image.
+    # Centres of the output's pixels in the recording's image.
     columns = _nearest((np.arange(small.width) - small.cx) * (camera.fx / small.fx) + camera.cx, camera.width)
     rows = _nearest((np.arange(small.height) - small.cy) * (camera.fy / small.fy) + camera.cy, camera.height)
     raw, truth = [], []
@@ -54,18 +59,19 @@ def fit_to_depth(
 
 
 def fitted_spec(spec: ModelSpec, raw: NDArray[np.float32], depth_m: NDArray[np.float32], name: str) -> ModelSpec:
-    """A spec with the scale, and the shift of a relative network, under which depth is nearest to the truth.
+    """Fit the scale, and for a relative network the shift, that bring depth closest to the truth.
 
-    A scale is the median of the ratios. Scale and shift minimise the mean of ``|log predicted - log true|``, so
-    that a third of wrong pixels moves neither; both count the same whether a depth is too long or too short.
+    A scale alone is the median ratio. Scale and shift minimise the mean of ``|log predicted - log true|``, so that a
+    third of outlier pixels moves neither. Both fits penalise depth that is too large or too small equally.
 
     Args:
+        spec: spec of the network.
         raw: (N,) the network's output.
-        depth_m: (N,) true depth there, metres, positive.
-        name: of the network, for messages.
+        depth_m: (N,) true depth at the same pixels, metres, positive.
+        name: name of the network in error messages.
 
     Raises:
-        DataError: too few pixels, or an output that does not go with depth.
+        DataError: too few pixels, or an output that does not correlate with depth.
     """
     finite = np.isfinite(raw)
     x, depth = raw[finite].astype(np.float64), depth_m[finite].astype(np.float64)
@@ -88,7 +94,7 @@ def _scale(spec: ModelSpec, x: FloatArray, depth: FloatArray, name: str) -> floa
     if usable.mean() < _LEAST_POSITIVE:
         problem = f"gives positive depth at only {usable.mean():.0%} of the pixels"
         raise DataError(name, problem, "check output, metric, mean and std in its TOML")
-    with np.errstate(invalid="ignore"):  # depth that is everywhere the same correlates with nothing
+    with np.errstate(invalid="ignore"):  # constant depth has an undefined correlation
         correlation = np.corrcoef(np.log(unscaled[usable]), np.log(depth[usable]))[0, 1]
     if correlation < _REVERSED:
         raise _runs_against(spec, name, f"correlation {correlation:.2f}")
@@ -103,19 +109,19 @@ def _runs_against(spec: ModelSpec, name: str, figure: str) -> DataError:
 
 
 def _line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
-    """Scale and shift that minimise the mean of ``|log(scale * x + shift) - log y|``, all y positive.
+    """Scale and shift that minimise the mean of ``|log(scale * x + shift) - log y|``; all y are positive.
 
-    Iteratively reweighted least squares, from least squares of relative errors.
+    Iteratively reweighted least squares, started from least squares of relative errors.
     """
     fitted = y
     for iteration in range(_ITERATIONS):
-        # The slope of |log p - log y| in p is sign(p - y) / p, which weighted squares of p - y must equal.
+        # The weights match the derivative of |log p - log y| with respect to p, sign(p - y) / p.
         error = np.abs(fitted - y) if iteration else y
         weights = 1.0 / (fitted * np.maximum(error, _LOG_SOFTNESS * fitted))
         mean_x, mean_y = np.average(x, weights=weights), np.average(y, weights=weights)
         scale = np.sum(weights * (x - mean_x) * (y - mean_y)) / np.sum(weights * (x - mean_x) ** 2)
         shift = mean_y - scale * mean_x
-        fitted = np.maximum(scale * x + shift, 0.1 * y)  # at less than that, how much less says nothing
+        fitted = np.maximum(scale * x + shift, 0.1 * y)  # bounds the weight of far too small values
     return float(scale), float(shift)
 
 

@@ -1,4 +1,4 @@
-"""Depth networks as files: what goes in, what comes out, whoever made them."""
+"""Input and output specification of depth networks, whoever trained them."""
 
 from __future__ import annotations
 
@@ -15,29 +15,32 @@ from monoloc.camera import Camera
 from monoloc.errors import SettingError
 from monoloc.io.recording import Recording
 
-STRIDE = 32  # our networks halve their input five times
+STRIDE = 32  # monoloc networks halve their input five times
 FOCAL_KEY = "monoloc_focal_px"
 LEAST_INPUT_PX = 64
-_WIDEST = 6.0  # image side over focal length: 143 degrees; what is wider was no focal length in pixels
+_WIDEST = 6.0  # image side over focal length, 143 degrees; beyond it the focal length is not in pixels
 
 _Size = Annotated[int, Field(ge=LEAST_INPUT_PX)]
 _Positive = Annotated[float, Field(gt=0.0)]
 
 
 class ModelSpec(BaseModel):
-    """How images go into an ONNX depth network, and how depth comes out.
+    """How an ONNX depth network takes images and returns depth.
+
+    Give either width and height, or focal_px.
 
     Attributes:
-        width, height: size of the network's input; images are stretched to it. Or, in their place,
-        focal_px: images are brought near to this focal length, and the depth is that of such a camera.
+        width, height: size of the network's input; images are stretched to it.
+        focal_px: canonical focal length; images are resized to approximately this focal length, and the predicted
+            depth is that of a camera with it.
         stride: with ``focal_px``, width and height are multiples of it.
-        mean, std: normalisation of red, green and blue, of values from 0 to 1.
-        channels, layout: order of the colours and of the input's axes.
-        output: what the network's first output is.
-        metric: whether that is in metres (for disparity, in 1/m); if not, scale and shift are unknown before they
-            are fitted.
+        mean, std: normalisation of red, green and blue, for values from 0 to 1.
+        channels, layout: order of the colour channels and of the input's axes.
+        output: quantity of the network's first output.
+        metric: whether that output is in metres (1/m for disparity); if not, scale and shift must be fitted.
         scale, shift: ``depth = scale * raw + shift``, ``1 / depth = scale * raw + shift`` for disparity, and
-            ``depth = scale * exp(raw)`` for log-depth; None is fitted by ``monoloc build``, and 1 before that.
+            ``depth = scale * exp(raw)`` for log-depth. A scale of None is fitted by ``monoloc build``, and counts as
+            1 until then.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -80,12 +83,12 @@ class ModelSpec(BaseModel):
 
     @property
     def is_usable(self) -> bool:
-        """Whether depth comes out in metres without a fit."""
+        """Whether the depth is metric without a fit."""
         return self.metric or self.scale is not None
 
     @property
     def has_shift(self) -> bool:
-        """Whether a fit gives a shift beside the scale."""
+        """Whether a fit determines a shift in addition to the scale."""
         return not self.metric and self.output != "log-depth"
 
     def input_size(self, camera: Camera) -> tuple[int, int]:
@@ -96,7 +99,7 @@ class ModelSpec(BaseModel):
         return network_size(camera, self.focal_px, self.stride)
 
     def depth(self, raw: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The network's output as depth; not finite or not positive where there is none."""
+        """Convert the network's output to depth; not finite or not positive where there is none."""
         scale = np.float32(1.0 if self.scale is None else self.scale)
         with np.errstate(all="ignore"):
             if self.output == "log-depth":
@@ -106,7 +109,7 @@ class ModelSpec(BaseModel):
 
 
 def monoloc_spec(focal_px: float) -> ModelSpec:
-    """What our own networks agree on: metric log-depth for a camera of that focal length."""
+    """Spec shared by all monoloc networks: metric log-depth for a camera of that focal length in pixels."""
     half = (0.5, 0.5, 0.5)
     return ModelSpec(focal_px=focal_px, mean=half, std=half, output="log-depth", metric=True, scale=1.0)
 
@@ -117,8 +120,8 @@ class DepthModel:
 
     Attributes:
         content: the ONNX file.
-        spec: how it is used.
-        name: what people call it.
+        spec: input and output specification.
+        name: display name.
     """
 
     content: bytes
@@ -127,12 +130,12 @@ class DepthModel:
 
 
 def network_size(camera: Camera, focal_px: float, stride: int = STRIDE) -> tuple[int, int]:
-    """(width, height) that bring a camera's image nearest to the canonical focal length, multiples of the stride.
+    """(width, height), multiples of the stride, that bring a camera's image closest to the canonical focal length.
 
-    Rounding leaves the two focal lengths a few percent off; the runtime corrects depth for it.
+    Rounding leaves the focal length a few percent off; the runtime corrects the depth for it.
 
     Raises:
-        SettingError: a focal length so short that no memory would hold the network's image.
+        SettingError: the focal length is so short that the network's image would not fit in memory.
     """
     if max(camera.width, camera.height) > _WIDEST * camera.focal_px:
         problem = f"has a focal length of {camera.focal_px:.3g} px for images of {camera.width}x{camera.height}"
@@ -144,20 +147,21 @@ def network_size(camera: Camera, focal_px: float, stride: int = STRIDE) -> tuple
 
 
 def resize_image(color: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """An image (H, W, 3) uint8 at a network's size (width, height), the same in training as when it is run."""
+    """Resize an image (H, W, 3) uint8 to a network's size (width, height); training and runtime share it."""
     enlarges = size[0] > color.shape[1] and size[1] > color.shape[0]
-    interpolation = cv2.INTER_LINEAR if enlarges else cv2.INTER_AREA  # which makes blocks when it enlarges
+    interpolation = cv2.INTER_LINEAR if enlarges else cv2.INTER_AREA  # INTER_AREA makes blocks when it enlarges
     return np.asarray(cv2.resize(color, size, interpolation=interpolation), np.uint8)
 
 
 def image_tensor(
     color: NDArray[np.uint8], input_camera: Camera, spec: ModelSpec | None = None
 ) -> NDArray[np.float32]:
-    """A network's input, float32: (H, W, 3) uint8 RGB -> (1, 3, h, w) or (1, h, w, 3).
+    """Convert an image to a network's input, float32: (H, W, 3) uint8 RGB -> (1, 3, h, w) or (1, h, w, 3).
 
     Args:
-        input_camera: has the input's size.
-        spec: normalisation, channels and layout; None is [-1, 1], RGB, channels first, as our networks take it.
+        color: (H, W, 3) uint8 RGB.
+        input_camera: a camera with the input's size.
+        spec: normalisation, channels and layout; None is that of monoloc networks: [-1, 1], RGB, channels first.
     """
     values = resize_image(color, (input_camera.width, input_camera.height)).astype(np.float32)
     if spec is None:
@@ -172,6 +176,6 @@ def image_tensor(
 
 
 def network_images(recording: Recording, spec: ModelSpec) -> list[NDArray[np.float32]]:
-    """Every image of a recording as a network takes it in."""
+    """Network inputs of all images of a recording, as :func:`image_tensor` returns them."""
     camera = recording.camera.resized(*spec.input_size(recording.camera))
     return [image_tensor(recording.color(index), camera, spec) for index in range(len(recording))]

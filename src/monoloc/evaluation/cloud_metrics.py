@@ -1,8 +1,8 @@
-"""Clouds compared: how far the points of one lie from another, and the clouds of two maps to do it with.
+"""Distances between clouds, and clouds of two maps to compare.
 
-The cloud-to-cloud distance (C2C) is CloudCompare's: from every point of the compared cloud to the nearest point of
-the reference. Across a surface it is the distance between surfaces; along it, it can only see a shift up to the
-spacing of the points.
+The cloud-to-cloud distance (C2C) is CloudCompare's: the distance from every point of the compared cloud to the
+nearest point of the reference. Perpendicular to a surface it is the distance between surfaces. Along a surface it
+shows a shift only up to the spacing of the points.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from monoloc.map.arguments import float64
 from monoloc.map.compare import compare_maps
 from monoloc.map.mixture import GaussianMixture
 
-COMPARED_POINTS = 50_000  # 2 cm apart in a room: finer than what adaptation moves
+COMPARED_POINTS = 50_000  # spaced about 2 cm in a room, finer than the motion due to adaptation
 
 
 @dataclass(frozen=True)
 class CloudDistance:
-    """C2C in a few numbers, as ``monoloc map compare --json`` names them, metres."""
+    """Summary of C2C distances in metres, named as in ``monoloc map compare --json``."""
 
     c2c_median_m: float
     c2c_p95_m: float
@@ -33,13 +33,13 @@ class CloudDistance:
 
 @dataclass(frozen=True)
 class MapClouds:
-    """A map before and after adaptation, as clouds.
+    """Clouds of a map before and after adaptation.
 
     Attributes:
         original, adapted: (N, 3) world frame, metres, see :func:`matched_clouds`.
-        distances_m: (N,) from points of the original to the nearest adapted one.
-        figures: as ``monoloc map compare --json`` names them: number of points and of components, C2C, the clouds'
-            boxes along the world's axes, and what the components did.
+        distances_m: (N,) distance from each original point to the nearest adapted point, metres.
+        figures: named as in ``monoloc map compare --json``: number of points and of components, C2C, axis-aligned
+            bounding boxes of the clouds in the world frame, and changes of the components.
     """
 
     original: FloatArray
@@ -51,11 +51,12 @@ class MapClouds:
 def compare_clouds(
     original: GaussianMixture, adapted: GaussianMixture, count: int, rng: np.random.Generator
 ) -> MapClouds:
-    """The clouds of two maps whose components correspond, held against one another.
+    """Compare the clouds of two maps with corresponding components.
 
     Args:
-        original, adapted: K components each, world frame.
-        count: N, points to draw.
+        original, adapted: maps of K components each, world frame.
+        count: number N of points to draw.
+        rng: source of the random numbers.
 
     Raises:
         MissingExtraError, ValueError: as :func:`cloud_distances` and :func:`matched_clouds`.
@@ -75,7 +76,7 @@ def compare_clouds(
 
 
 def cloud_distances(points: ArrayLike, reference: ArrayLike) -> FloatArray:
-    """Distance from every point to the nearest of a reference cloud, exact: (N, 3), (M, 3) -> (N,), metres.
+    """Exact distance from every point to the nearest point of a reference cloud: (N, 3), (M, 3) -> (N,), metres.
 
     Raises:
         MissingExtraError: SciPy is not installed.
@@ -100,23 +101,24 @@ def summarise_distances(distances_m: FloatArray) -> CloudDistance:
 def matched_clouds(
     original: GaussianMixture, adapted: GaussianMixture, count: int, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Clouds of two maps whose components correspond, point n of one being where point n of the other went.
+    """Draw clouds from two maps with corresponding components; their points correspond index by index.
 
-    Points are drawn from the original, evenly from a box along each component's axes that has its mean and
-    covariance: a component stands for a patch of surface, and a Gaussian's tails would reach far beyond the room.
-    Each point is moved by the map that takes its component's Gaussian to the adapted one with the least motion,
-    ``x -> mu_A + A (x - mu)`` with ``A = S^-1/2 (S^1/2 S_A S^1/2)^1/2 S^-1/2`` (Olkin and Pukelsheim 1982). So a map
-    that did not change has a distance of zero, not that of two independent samples.
+    Points are drawn from the original map, uniformly from a box along each component's axes with the component's mean
+    and covariance. A component represents a patch of surface, and a Gaussian's tails would reach far beyond the room.
+    The optimal transport map from a component's Gaussian to the adapted one moves each point:
+    ``x -> mu_A + A (x - mu)`` with ``A = S^-1/2 (S^1/2 S_A S^1/2)^1/2 S^-1/2`` (Olkin and Pukelsheim 1982). So an
+    unchanged map has distance zero, whereas two independent samples would not.
 
     Args:
-        original, adapted: K components each, world frame.
-        count: N, points to draw.
+        original, adapted: maps of K components each, world frame.
+        count: number N of points to draw.
+        rng: source of the random numbers.
 
     Returns:
         Original and adapted cloud, (N, 3) each, world frame, metres.
 
     Raises:
-        ValueError: not equally many components.
+        ValueError: the maps have different numbers of components.
     """
     if len(original) != len(adapted):
         raise ValueError(f"maps must have the same components, got {len(original)} and {len(adapted)}")

@@ -1,7 +1,7 @@
-"""How good a predicted depth image is.
+"""Metrics of predicted depth images.
 
-A pixel counts where the truth is known: finite and greater than zero. Averages over a data set are
-averages of per-image values, so an image with many holes weighs as much as one without.
+A pixel counts where the truth is known: finite and greater than zero. Averages over a data set are averages of
+per-image values, so an image with many holes weighs as much as one without.
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ class DepthMetrics:
 
 
 def depth_metrics(predicted_m: ArrayLike, truth_m: ArrayLike) -> DepthMetrics:
-    """Metrics of one predicted depth image.
+    """Compute the metrics of one predicted depth image.
 
     Args:
         predicted_m: (H, W) depth along z, metres, finite and positive wherever the truth is known.
         truth_m: (H, W) depth along z, metres; 0 or NaN where unknown.
 
     Raises:
-        ValueError: shapes that differ or are not (H, W), no pixel with truth, or a prediction that is not
-            finite and positive at a pixel with truth.
+        ValueError: shapes that differ or are not (H, W), no pixel with truth, or a prediction that is not finite and
+            positive at a pixel with truth.
     """
     predicted, truth, valid = _checked_pair(predicted_m, truth_m)
     p, t = predicted[valid], truth[valid]
@@ -70,15 +70,16 @@ def depth_metrics(predicted_m: ArrayLike, truth_m: ArrayLike) -> DepthMetrics:
 
 
 def truth_where_predicted(predicted_m: ArrayLike, truth_m: ArrayLike) -> NDArray[Any]:
-    """True depth (H, W) metres, 0 where it is unknown or there is no prediction (0 or NaN) to compare with it."""
+    """True depth (H, W) metres; 0 where the truth is unknown or there is no prediction (0 or NaN)."""
     truth = np.asarray(truth_m)
     return np.where(_has_truth(truth) & (np.asarray(predicted_m) > 0.0), truth, 0.0)
 
 
 def fit_scale(predicted_m: ArrayLike, truth_m: ArrayLike) -> float:
-    """The factor that brings a prediction to the truth's scale: exp of the median log ratio.
+    """Factor that brings a prediction to the truth's scale: exp of the median log ratio.
 
-    Multiply the prediction by it before :func:`depth_metrics` to judge shape apart from scale.
+    Multiply the prediction by it before :func:`depth_metrics` to evaluate shape independently of scale.
+
     Args and Raises: as :func:`depth_metrics`.
     """
     predicted, truth, valid = _checked_pair(predicted_m, truth_m)
@@ -86,20 +87,20 @@ def fit_scale(predicted_m: ArrayLike, truth_m: ArrayLike) -> float:
 
 
 def depth_ssim(predicted_m: ArrayLike, truth_m: ArrayLike, valid: ArrayLike, data_range_m: float) -> float | None:
-    """Structural similarity (Wang et al. 2004) of two depth images, gaussian window of 11 pixels, sigma 1.5.
+    """Structural similarity (Wang et al. 2004) of two depth images, with a Gaussian window of 11 pixels, sigma 1.5.
 
-    The mean of the SSIM map over those pixels whose whole window is valid, so that neither holes nor the
-    image's border say anything. Without holes this is scikit-image's ``structural_similarity`` with
+    It is the mean of the SSIM map over the pixels whose whole window is valid, so holes and the image border have no
+    effect. Without holes it equals scikit-image's ``structural_similarity`` with
     ``gaussian_weights=True, sigma=1.5, use_sample_covariance=False``.
 
     Args:
         predicted_m: (H, W) metres.
         truth_m: (H, W) metres.
-        valid: (H, W) bool, pixels at which both hold a depth.
-        data_range_m: the span of depths that sets SSIM's two stabilising constants, metres.
+        valid: (H, W) bool, pixels at which both images have depth.
+        data_range_m: range of depths that sets SSIM's two stabilising constants, metres.
 
     Returns:
-        A number in [-1, 1], or None if no window is wholly valid.
+        A number in [-1, 1], or None if no window is entirely valid.
 
     Raises:
         ValueError: shapes that differ or are not (H, W), or a range that is not positive.
@@ -117,7 +118,7 @@ def depth_ssim(predicted_m: ArrayLike, truth_m: ArrayLike, valid: ArrayLike, dat
     whole = cv2.erode(mask.astype(np.uint8), window, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
     if not whole.any():
         return None
-    # What stands in the holes never reaches a whole window; zero keeps NaN out of the filter.
+    # Values in holes never reach a valid window; zero keeps NaN out of the filter.
     x, y = np.where(mask, predicted, 0.0), np.where(mask, truth, 0.0)
     mean_x, mean_y = _window_mean(x), _window_mean(y)
     variance_x = _window_mean(x * x) - mean_x**2
@@ -130,19 +131,19 @@ def depth_ssim(predicted_m: ArrayLike, truth_m: ArrayLike, valid: ArrayLike, dat
 
 
 class DepthAccumulator:
-    """Means of :class:`DepthMetrics` over the images of a data set."""
+    """Mean of :class:`DepthMetrics` over the images of a data set."""
 
     def __init__(self) -> None:
         self._metrics: list[DepthMetrics] = []
 
     def __len__(self) -> int:
-        """Images that counted."""
+        """Number of images that counted."""
         return len(self._metrics)
 
     def add(self, predicted_m: ArrayLike, truth_m: ArrayLike) -> None:
-        """Take in one image; one without any truth (a sensor's empty frame) says nothing and is passed over.
+        """Add one image; an image without any truth (a sensor's empty frame) is skipped.
 
-        Args and Raises: as :func:`depth_metrics`, but for images without truth.
+        Args and Raises: as :func:`depth_metrics`, except that an image without truth is no error.
         """
         truth = np.asarray(truth_m, dtype=np.float64)
         if _has_truth(truth).any():
@@ -180,7 +181,7 @@ def _check_same_image_shape(predicted: FloatArray, truth: FloatArray) -> None:
 
 
 def _checked_pair(predicted_m: ArrayLike, truth_m: ArrayLike) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Both images as float64, and where the truth is known."""
+    """Both images as float64, and the mask of known truth."""
     predicted = np.asarray(predicted_m, dtype=np.float64)
     truth = np.asarray(truth_m, dtype=np.float64)
     _check_same_image_shape(predicted, truth)

@@ -1,4 +1,4 @@
-"""How good a depth network is on a recording with depth."""
+"""Evaluation of a depth network on a recording with depth."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from monoloc.progress import Step
 
 @dataclass(frozen=True)
 class Judgement:
-    """A network's figures.
+    """Evaluation results of a network.
 
     Attributes:
-        metrics: means over frames, at pixels with true and predicted depth, at the size of the truth.
-        judged: indices of the frames with such a pixel.
-        predicted_share: share of the pixels with true depth that got a prediction.
-        calibration: of the error that the network states of itself; None if it states none.
+        metrics: means over frames, at pixels with true and predicted depth, at the resolution of the truth.
+        judged: indices of the frames with at least one such pixel.
+        predicted_share: share of the pixels with true depth that have a prediction.
+        calibration: calibration of the network's own error estimate; None if it has none.
     """
 
     metrics: DepthMetrics
@@ -50,7 +50,7 @@ def judge_network(predictor: DepthPredictor, recording: Recording, progress: Ste
         if compared.any():
             judged.append(index)
         if prediction.log_error is not None:
-            # At the network's own pixels: interpolation would make neighbours agree more than they do.
+            # At the network's own pixels, because interpolation correlates neighbours.
             size = prediction.depth_m.shape[::-1]
             small = cv2.resize(truth, size, interpolation=cv2.INTER_NEAREST_EXACT)
             has_both = (small > 0.0) & (prediction.depth_m > 0.0)

@@ -1,7 +1,7 @@
-"""How far estimated poses are from the truth.
+"""Errors of estimated poses.
 
-No alignment is ever applied: poses are stated in the map's frame and the map's frame is the truth's
-frame, so an offset between the two is an error of the localiser and counts as one.
+No alignment is ever applied. Poses are in the map's frame, which is the truth's frame, so an offset between the two
+is an error of the localizer and counts as one.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 from monoloc.geometry import FloatArray, invert, rotation_angle, se3_exp, se3_log
 
 CHI2_6_QUANTILE_95 = 12.591587  # 95 % quantile of the chi-squared distribution with 6 degrees of freedom
-CHI2_MEDIAN_3 = 2.3659738843753377  # median of that with 3
+CHI2_MEDIAN_3 = 2.3659738843753377  # median of the chi-squared distribution with 3 degrees of freedom
 
-# Variances below this (1 micrometre, 1 microradian, squared) are rounding: poses in files carry no more.
+# Variances below this (1 micrometre, 1 microradian, squared) are rounding: poses in files have no more digits.
 _VARIANCE_FLOOR = 1e-12
 
 
@@ -35,7 +35,7 @@ class PoseErrors:
 
 @dataclass(frozen=True)
 class TrajectoryMetrics:
-    """The errors of a trajectory in a few numbers, as ``monoloc localize --json`` names them.
+    """Summary of a trajectory's errors, named as in ``monoloc localize --json``.
 
     Attributes:
         ate_rmse_m, ate_median_m, ate_max_m: absolute position error, metres.
@@ -56,8 +56,8 @@ def pose_errors(estimated: ArrayLike, truth: ArrayLike) -> PoseErrors:
     """Position and rotation error of each frame.
 
     Args:
-        estimated: ``T_world_camera`` as estimated, (N, 4, 4).
-        truth: ``T_world_camera`` as it was, (N, 4, 4), same world.
+        estimated: estimated ``T_world_camera``, (N, 4, 4).
+        truth: true ``T_world_camera``, (N, 4, 4), same world.
 
     Raises:
         ValueError: shapes that are not (N, 4, 4) with the same N >= 1, or entries that are not finite.
@@ -69,19 +69,20 @@ def pose_errors(estimated: ArrayLike, truth: ArrayLike) -> PoseErrors:
 
 
 def twist_errors(twists: FloatArray) -> PoseErrors:
-    """Of poses that are off from the true ones by the exponentials of twists (N, 6), in the camera's frame."""
-    off = se3_exp(twists)
-    return PoseErrors(np.linalg.norm(off[..., :3, 3], axis=-1), rotation_angle(off[..., :3, :3]))
+    """Pose errors given as twists (N, 6), (rho, phi) in m and rad, in the true camera's frame."""
+    difference = se3_exp(twists)
+    return PoseErrors(np.linalg.norm(difference[..., :3, 3], axis=-1), rotation_angle(difference[..., :3, :3]))
 
 
 def axis_sd(errors: PoseErrors) -> tuple[float, float]:
-    """Standard deviations per axis, metres and radians, under which the median errors are as large as they are.
+    """Standard deviations per axis, metres and radians, that reproduce the median errors.
 
-    The square of an error that is Gaussian in three axes has, in units of the variance of one, a chi-squared
-    distribution with three degrees of freedom, whose median is 2.37. Half of the frames may be astray.
+    For an error that is Gaussian with equal variance in three axes, the square divided by that variance has a
+    chi-squared distribution with three degrees of freedom, whose median is 2.37. The median tolerates outliers in up
+    to half of the frames.
 
     Args:
-        errors: of one pose at least.
+        errors: errors of at least one pose.
     """
     position, rotation = (
         float(np.median(values)) / np.sqrt(CHI2_MEDIAN_3) for values in (errors.position_m, errors.rotation_rad)
@@ -93,9 +94,9 @@ def relative_pose_errors(estimated: ArrayLike, truth: ArrayLike, step: int) -> P
     """Relative pose error (RPE): the error of the motion from frame i to frame i + step.
 
     Args:
-        estimated: ``T_world_camera`` as estimated, (N, 4, 4).
-        truth: ``T_world_camera`` as it was, (N, 4, 4); its world may be another one.
-        step: frames between the two poses of a motion, 1 .. N - 1.
+        estimated: estimated ``T_world_camera``, (N, 4, 4).
+        truth: true ``T_world_camera``, (N, 4, 4); its world frame may be a different one.
+        step: number of frames between the two poses of a motion, 1 .. N - 1.
 
     Returns:
         Errors of the N - step overlapping motions.
@@ -135,19 +136,19 @@ def summarise(estimated: ArrayLike, truth: ArrayLike) -> TrajectoryMetrics:
 
 
 def coverage_95(estimated: ArrayLike, truth: ArrayLike, covariances: ArrayLike) -> float:
-    """Share of frames whose error lies inside the 95 % ellipsoid of the stated covariance; 0.95 is honest.
+    """Share of frames whose error lies inside the covariance's 95 % ellipsoid; 0.95 is consistent.
 
-    The error is the twist ``(rho, phi)`` of ``invert(T_world_estimated) @ T_world_truth``. Where a covariance
-    has no extent along a direction, any error along it lies outside.
+    The error is the twist ``(rho, phi)`` of ``invert(T_world_estimated) @ T_world_truth``. If a covariance has no
+    extent along a direction, any error along it lies outside.
 
     Args:
-        estimated: ``T_world_camera`` as estimated, (N, 4, 4).
-        truth: ``T_world_camera`` as it was, (N, 4, 4), same world.
+        estimated: estimated ``T_world_camera``, (N, 4, 4).
+        truth: true ``T_world_camera``, (N, 4, 4), same world.
         covariances: (N, 6, 6) in the tangent space of the estimated camera, order (rho, phi), m and rad.
 
     Raises:
-        ValueError: as :func:`pose_errors`, or covariances of another shape, not finite, or not symmetric
-            and positive semidefinite.
+        ValueError: as :func:`pose_errors`, or covariances of another shape, not finite, or not symmetric and positive
+            semidefinite.
     """
     T_world_estimated, T_world_truth = _checked_pair(estimated, truth)
     Sigma = _checked("covariances", covariances, (len(T_world_truth), 6, 6))
@@ -171,7 +172,7 @@ def _checked_pair(estimated: ArrayLike, truth: ArrayLike) -> tuple[FloatArray, F
 
 
 def _checked(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> FloatArray:
-    """The values as float64; None in the shape stands for any length N >= 1."""
+    """Check values and convert them to float64; None in the shape stands for any length N >= 1."""
     array = np.asarray(values, dtype=np.float64)
     fits = array.ndim == len(shape) and all(
         got >= 1 if expected is None else got == expected for got, expected in zip(array.shape, shape, strict=True)

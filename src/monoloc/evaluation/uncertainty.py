@@ -1,4 +1,4 @@
-"""Whether a depth network knows how wrong it is."""
+"""Calibration of a depth network's error estimate."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ _BINS = 10
 
 @dataclass(frozen=True)
 class ErrorCalibration:
-    """Stated against actual error of log-depth, in bins of equally many pixels, most certain first.
+    """Estimated against actual error of log-depth, in bins of equally many pixels, most certain first.
 
     Attributes:
-        stated: (bins,) mean of the stated Laplace scale, which is also the absolute error to be expected.
+        stated: (bins,) mean of the estimated Laplace scale, which is also the expected absolute error.
         actual: (bins,) mean absolute error of log-depth.
         confidence: (levels,) probabilities, 0..1.
-        coverage: (levels,) share of pixels whose error lies within the interval stated for that probability.
-        nll: mean negative log-likelihood of the errors under the stated scales, nats a pixel.
-        nll_constant: the same under the one scale that suits all pixels best: what not knowing costs.
+        coverage: (levels,) share of pixels whose error lies within the estimated interval of that probability.
+        nll: mean negative log-likelihood of the errors under the estimated scales, nats per pixel.
+        nll_constant: the same under the best single scale for all pixels; the difference is the gain from the
+            estimate.
     """
 
     stated: FloatArray
@@ -34,11 +35,11 @@ class ErrorCalibration:
 
 
 def error_calibration(log_error: ArrayLike, log_scale: ArrayLike) -> ErrorCalibration:
-    """How well stated Laplace scales describe errors.
+    """Measure how well estimated Laplace scales describe errors.
 
     Args:
-        log_error: (N,) predicted less true log-depth.
-        log_scale: (N,) natural logarithm of the stated scale b, density ``exp(-|e| / b) / 2b``.
+        log_error: (N,) predicted minus true log-depth.
+        log_scale: (N,) natural logarithm of the estimated scale b, density ``exp(-|e| / b) / 2b``.
 
     Raises:
         ValueError: shapes that differ, too few values, or values that are not finite.

@@ -48,6 +48,9 @@ class ScanLikelihood(Protocol):
 
     A likelihood of your own is used through :class:`monoloc.components.Components` and calibrated with
     :func:`monoloc.calibrate`.
+
+    What is observed is depth as predicted. A density of points in the world must therefore be multiplied by ``e^s``,
+    that is, ``log_scale`` is added to the log-likelihood; without it, particles that shrink the scan are favoured.
     """
 
     def mean_log_likelihood(

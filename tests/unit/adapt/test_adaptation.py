@@ -11,12 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from adapt_helpers import (
-    RedAndNear,
-    RoomMap,
-    redness,
-    room_map,
-)
+from adapt_helpers import RedAndNear, RoomMap, redness, room_map
 from depth_helpers import ROOM, SMALL_CAMERA, exported_model, looking_around, small_recording, tiny_network
 from monoloc.adapt import adaptation
 from monoloc.adapt.adaptation import adapt

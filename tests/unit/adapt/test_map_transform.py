@@ -8,12 +8,7 @@ import torch
 from torch import Tensor
 from torch.autograd import gradcheck
 
-from adapt_helpers import (
-    RoomMap,
-    bend,
-    generator,
-    room_map,
-)
+from adapt_helpers import RoomMap, bend, generator, room_map
 from map_helpers import make_mixture
 from monoloc.adapt.map_transform import AdaptedMap, MapTransform
 from monoloc.adapt.objective import matched_kl

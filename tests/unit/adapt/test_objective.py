@@ -12,10 +12,7 @@ from scipy.stats import multivariate_normal
 from torch import Tensor, nn
 from torch.autograd import gradcheck
 
-from adapt_helpers import (
-    as_tensors,
-    plain_log_likelihood,
-)
+from adapt_helpers import as_tensors, plain_log_likelihood
 from depth_helpers import ROOM, looking_around
 from map_helpers import make_mixture
 from monoloc.adapt.map_transform import AdaptedMap

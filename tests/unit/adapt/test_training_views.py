@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from adapt_helpers import (
-    NONE_HELD_OUT,
-    RedAndNear,
-    redness,
-    room_map,
-    views_of,
-)
+from adapt_helpers import NONE_HELD_OUT, RedAndNear, redness, room_map, views_of
 from depth_helpers import ROOM, SMALL_CAMERA, TINY, exported_model, looking_around, small_recording, tiny_network
 from monoloc.adapt.map_transform import AdaptedMap
 from monoloc.adapt.settings import AdaptConfig

@@ -10,14 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from adapt_helpers import (
-    QUICK,
-    RoomMap,
-    generator,
-    room_map,
-    start_adaptation,
-    views_of,
-)
+from adapt_helpers import QUICK, RoomMap, generator, room_map, start_adaptation, views_of
 from depth_helpers import TINY, small_recording, tiny_network
 from monoloc.adapt import tuning
 from monoloc.adapt.map_transform import AdaptedMap
@@ -163,11 +156,7 @@ def test_tuning_fits_depth_and_repeats(mapped_room: RoomMap, views: Views, tune:
 
 @pytest.mark.parametrize(("capability", "precision"), [("AVX2", torch.float32), ("AVX512", torch.bfloat16)])
 def test_tuning_uses_the_precision_that_suits_the_processor(
-    mapped_room: RoomMap,
-    views: Views,
-    capability: str,
-    precision: torch.dtype,
-    monkeypatch: pytest.MonkeyPatch,
+    mapped_room: RoomMap, views: Views, capability: str, precision: torch.dtype, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: capability)
     adaptation = start_adaptation(mapped_room, tune="all", inflation_m=0.1, pose_weight=0.0)
@@ -193,10 +182,7 @@ def test_pose_weight_reduces_errors_that_would_move_the_camera(mapped_room: Room
 
 @pytest.mark.parametrize("tune", ["last", "decoder", "all"])
 def test_state_that_is_best_on_held_out_frames_is_restored(
-    mapped_room: RoomMap,
-    views: Views,
-    tune: str,
-    monkeypatch: pytest.MonkeyPatch,
+    mapped_room: RoomMap, views: Views, tune: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Held-out scores scripted to be best at the ninth step, whatever is tuned."""
     training, held_out = views.of_frames(range(9)), views.of_frames(range(9, 12), only_whole=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ import monoloc
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
 from monoloc.components import Components, ComponentsFactory, default_components
+from monoloc.errors import DataError
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray, invert
 from monoloc.likelihood.protocol import LikelihoodConfig
@@ -80,13 +82,13 @@ def build_recording() -> RoomRecording:
 @pytest.fixture(scope="module")
 def bundle(build_recording: RoomRecording) -> Bundle:
     """For the default components, with the thresholds of the ray likelihood."""
-    settings = LocalizerConfig(particles=300, scan_points=150)
+    settings = LocalizerConfig(particles=200, scan_points=100)
     return replace(make_bundle(MIXTURE, build_recording, range(60)), settings=settings)
 
 
 @pytest.fixture(scope="module")
 def flight() -> RoomRecording:
-    return RoomRecording(ROOM, make_path(40, start_s=1.5), SMALL_CAMERA)
+    return RoomRecording(ROOM, make_path(30, start_s=1.5), SMALL_CAMERA)
 
 
 def fly(bundle: Bundle, flight: RoomRecording, components: ComponentsFactory) -> Run:
@@ -113,3 +115,12 @@ def test_own_likelihood_is_lost_without_calibration(
     bundle: Bundle, flight: RoomRecording, components: ComponentsFactory
 ) -> None:
     assert set(fly(bundle, flight, components).states) == {"lost"}
+
+
+def test_recording_without_poses_is_refused(
+    bundle: Bundle, flight: RoomRecording, components: ComponentsFactory
+) -> None:
+    without_poses = copy(flight)
+    without_poses.poses = None
+    with pytest.raises(DataError, match="room: has no poses; calibrate on a recording with camera poses"):
+        monoloc.calibrate(bundle, without_poses, components)

@@ -74,7 +74,7 @@ def test_frames_of_a_room_give_no_warning() -> None:
 
 def test_frames_of_one_wall_are_refused() -> None:
     with pytest.raises(
-        DataError, match=r"^room: all frames see one flat surface \(9\d% faces one way\); record a walk"
+        DataError, match=r"^room: all frames see one flat surface \(9\d% faces one way\); record a trajectory"
     ):
         check_own_map(hovering(*AT_WALL))
 

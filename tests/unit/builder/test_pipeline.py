@@ -177,7 +177,7 @@ def test_held_out_frames_are_measured_with_the_hold_out_run(
 
 @pytest.mark.parametrize(
     ("relocalization_sd", "warnings"),
-    [((0.97, 0.1), ["one image tells where a camera is to 1.0 m only: flights need a start"]), ((0.1, 0.6), [])],
+    [((0.97, 0.1), ["one image locates the camera only to 1.0 m: flights need a start"]), ((0.1, 0.6), [])],
 )
 def test_bundle_and_report_hold_the_measurements_and_warn_of_poor_relocalization(
     recording: RoomRecording,

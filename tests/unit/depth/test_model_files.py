@@ -16,17 +16,7 @@ from monoloc.depth.models import DEFAULT, shipped_file
 from monoloc.depth.predictor import DepthPredictor
 from monoloc.depth.spec import DepthModel, ModelSpec
 from monoloc.errors import BundleError, DataError
-from onnx_networks import (
-    IMAGE,
-    MIDAS,
-    SCALE,
-    SHIFT,
-    onnx_network,
-    spec,
-    takes,
-    toml_of,
-    write_network,
-)
+from onnx_networks import IMAGE, MIDAS, SCALE, SHIFT, onnx_network, spec, takes, toml_of, write_network
 from refusals import refuses
 from repository import REPOSITORY
 from synthetic_room import CAMERA, depth_from_blue

@@ -15,17 +15,7 @@ from monoloc.camera import Camera
 from monoloc.depth.predictor import DepthPrediction, DepthPredictor
 from monoloc.depth.spec import DepthModel
 from monoloc.errors import DataError, SettingError
-from onnx_networks import (
-    IMAGE,
-    IMAGENET,
-    MIDAS,
-    PLAIN,
-    error_at_95_percent,
-    graph,
-    one_node,
-    onnx_network,
-    spec,
-)
+from onnx_networks import IMAGE, IMAGENET, MIDAS, PLAIN, error_at_95_percent, graph, one_node, onnx_network, spec
 from refusals import refuses
 from synthetic_room import BLUE_SPAN, CAMERA, NEAREST_M, Room, RoomRecording, depth_from_blue, make_path
 
@@ -83,11 +73,7 @@ def test_output_may_have_any_size_and_shape(
 
 
 @given(
-    st.integers(64, 200),
-    st.integers(64, 200),
-    st.floats(100.0, 600.0),
-    st.floats(100.0, 600.0),
-    st.floats(-0.3, 0.3),
+    st.integers(64, 200), st.integers(64, 200), st.floats(100.0, 600.0), st.floats(100.0, 600.0), st.floats(-0.3, 0.3)
 )
 @settings(max_examples=10)
 def test_rays_of_stretched_depth_are_those_of_the_camera(
@@ -279,10 +265,7 @@ def test_stated_error_of_another_size_is_refused() -> None:
             "focal length of 5000 px, for blue 32x32; check the intrinsics",
         ),
         # The network's image would take all memory.
-        (
-            Camera(640, 480, 0.82, 1.09, 320.0, 240.0),
-            "length of 0.945 px for images of 640x480; give it in pixels",
-        ),
+        (Camera(640, 480, 0.82, 1.09, 320.0, 240.0), "length of 0.945 px for images of 640x480; give it in pixels"),
         (Camera(640, 480, 1e-320, 1e-320, 320.0, 240.0), "length of 0 px for images of 640x480; give it in pixels"),
     ],
 )

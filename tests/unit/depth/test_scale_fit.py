@@ -14,14 +14,7 @@ from monoloc.depth.predictor import DepthPredictor
 from monoloc.depth.scale_fit import fit_to_depth, fitted_spec
 from monoloc.depth.spec import DepthModel
 from monoloc.errors import DataError
-from onnx_networks import (
-    MIDAS,
-    SCALE,
-    SHIFT,
-    error_at_95_percent,
-    onnx_network,
-    spec,
-)
+from onnx_networks import MIDAS, SCALE, SHIFT, error_at_95_percent, onnx_network, spec
 from refusals import refuses
 from synthetic_room import Room, RoomRecording, make_path
 

@@ -7,9 +7,7 @@ from pydantic import ValidationError
 
 from monoloc.camera import Camera
 from monoloc.depth.spec import ModelSpec, network_size
-from onnx_networks import (
-    PLAIN,
-)
+from onnx_networks import PLAIN
 
 
 def test_network_size_is_never_empty() -> None:

@@ -176,7 +176,7 @@ def last_error(rng: np.random.Generator, steps: list[FloatArray], bias_model: Bi
         odometry_sd = ODOMETRY_INFLATION * motion_sd(motion_of(step), ELAPSED_S, 0.0, MotionConfig())
         true = true @ step @ se3_exp(rng.normal(size=6) * odometry_sd * (k > 0))
         correlation = bias_model.correlation(float(pose_distance_m(np.eye(4), step[None])[0]))
-        # As large as the model says here, or larger by what is left of the bias before.
+        # As large as the model says here, or larger by what remains of the bias before.
         remaining = correlation**2 * variances
         here = bias_model.sds(float(pose_distance_m(true, reference_pose[None])[0])) ** 2
         variances = np.maximum(remaining + (1.0 - correlation**2) * here, here)
@@ -393,7 +393,7 @@ def test_bias_is_forgotten_with_the_distance_that_particles_move() -> None:
 
 
 def test_after_a_second_without_odometry_the_belief_is_the_particles_with_their_bias() -> None:
-    """However far off the start was; the bias is large far from the reference poses, and decays with the motion."""
+    """However wrong the start; the bias is large far from the reference poses, and decays with the motion."""
     reference_pose, true = se3_exp([0.0, 2.0, 0.0, 0.0, 0.0, 0.0]), along_x(0.1)
     fusion = filter_at_origin(reference_pose)
     frame(fusion, None, by_particles(true), 0.0)

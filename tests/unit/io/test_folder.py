@@ -100,8 +100,7 @@ def test_unknown_key_is_refused(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "key",
-    ["kind", "color", "count", "width", "height", "fx", "fy", "cx", "cy", "depth_scale", "poses"],
+    "key", ["kind", "color", "count", "width", "height", "fx", "fy", "cx", "cy", "depth_scale", "poses"]
 )
 def test_missing_key_is_refused(folder: Path, key: str) -> None:
     lines = synthetic.SEQUENCE_TOML.splitlines()

@@ -26,14 +26,7 @@ def test_existing_path_with_a_colon_is_a_path(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("frames", "expected"),
-    [
-        ("0:3:2", [0, 2]),
-        ("1:", [1, 2]),
-        (":2", [0, 1]),
-        ("::2", [0, 2]),
-        (":", [0, 1, 2]),
-        ("0:400", [0, 1, 2]),
-    ],
+    [("0:3:2", [0, 2]), ("1:", [1, 2]), (":2", [0, 1]), ("::2", [0, 2]), (":", [0, 1, 2]), ("0:400", [0, 1, 2])],
 )
 def test_frames_are_selected_as_a_slice(tmp_path: Path, frames: str, expected: list[int]) -> None:
     synthetic.write_folder(tmp_path)

@@ -1,4 +1,4 @@
-"""TUM trajectories: the round trip, evo as a second reader, and one line for every broken file."""
+"""TUM trajectories: written and read, and compared with evo."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def trajectory(seed: int, frames: int) -> tuple[FloatArray, FloatArray]:
 
 
 @given(seed=st.integers(0, 2**32 - 1), frames=st.integers(1, 8))
-@settings(max_examples=30, deadline=None)
-def test_what_is_written_is_read(tmp_path_factory: pytest.TempPathFactory, seed: int, frames: int) -> None:
+@settings(max_examples=15, deadline=None)
+def test_written_trajectory_is_read(tmp_path_factory: pytest.TempPathFactory, seed: int, frames: int) -> None:
     path = tmp_path_factory.mktemp("tum") / "trajectory.txt"
     timestamps_s, poses = trajectory(seed, frames)
     write_tum(path, timestamps_s, poses)
@@ -34,7 +34,7 @@ def test_what_is_written_is_read(tmp_path_factory: pytest.TempPathFactory, seed:
     np.testing.assert_allclose(read_poses, poses, atol=1e-8)
 
 
-def test_evo_reads_it_the_same(tmp_path: Path) -> None:
+def test_evo_reads_the_same_trajectory(tmp_path: Path) -> None:
     timestamps_s, poses = trajectory(3, 20)
     write_tum(tmp_path / "trajectory.txt", timestamps_s, poses)
     theirs = file_interface.read_tum_trajectory_file(str(tmp_path / "trajectory.txt"))
@@ -51,7 +51,7 @@ def test_comments_and_empty_lines_are_skipped(tmp_path: Path) -> None:
     np.testing.assert_array_equal(poses[1, :3, :3], np.eye(3))
 
 
-def test_rounded_quaternions_give_proper_rotations(tmp_path: Path) -> None:
+def test_rounded_quaternions_give_rotations(tmp_path: Path) -> None:
     path = tmp_path / "groundtruth.txt"
     path.write_text("0 0 0 0 0.6574 0.6126 -0.2949 -0.3248\n")  # four decimals, as the benchmark's files
     rotation = read_tum(path)[1][0, :3, :3]
@@ -62,16 +62,13 @@ def test_rounded_quaternions_give_proper_rotations(tmp_path: Path) -> None:
     ("content", "problem"),
     [
         (f"{GOOD_LINE}\n2.5 1 2 3\n", "line 2 is not 8 numbers"),
-        (f"# comment\n{GOOD_LINE} 9\n", "line 2 is not 8 numbers"),
         ("1.5 1 two 3 0 0 0 1\n", "line 1 is not 8 numbers"),
-        ("1.5 1 nan 3 0 0 0 1\n", "pose 1 is NaN or infinite"),
         ("1.5 1 2 3 0 0 0 0\n", "pose 1 is not rigid: its quaternion has length 0"),
-        ("1.5 1 2 3 0.5 0 0 3\n", "pose 1 is not rigid: its quaternion has length 3.04"),
         ("# nothing\n", "has no lines of numbers"),
         ("", "is empty"),
     ],
 )
-def test_a_broken_file_is_named_with_its_line(tmp_path: Path, content: str, problem: str) -> None:
+def test_invalid_file_is_named_with_its_line(tmp_path: Path, content: str, problem: str) -> None:
     path = tmp_path / "trajectory.txt"
     path.write_text(content)
     with pytest.raises(DataError) as caught:
@@ -81,17 +78,12 @@ def test_a_broken_file_is_named_with_its_line(tmp_path: Path, content: str, prob
     assert "\n" not in message
 
 
-def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+def test_unreadable_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"none\.txt: cannot be read \(No such file or directory\); "):
         read_tum(tmp_path / "none.txt")
     (tmp_path / "binary.txt").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(DataError, match=r"binary\.txt: is not a text file; "):
         read_tum(tmp_path / "binary.txt")
-
-
-def test_a_folder_that_does_not_exist_is_named(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"out\.txt: cannot be written \(No such file or directory\); "):
-        write_tum(tmp_path / "none" / "out.txt", *trajectory(0, 1))
 
 
 @pytest.mark.parametrize(
@@ -104,29 +96,9 @@ def test_a_folder_that_does_not_exist_is_named(tmp_path: Path) -> None:
         (np.zeros(1), 2.0 * np.eye(4)[None], "poses must be rigid"),
     ],
 )
-def test_what_is_no_trajectory_is_not_written(
+def test_invalid_trajectory_is_not_written(
     tmp_path: Path, timestamps_s: FloatArray, poses: FloatArray, message: str
 ) -> None:
     with pytest.raises(ValueError, match=message):
         write_tum(tmp_path / "out.txt", timestamps_s, poses)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_name_that_leaves_no_room_for_a_partial_file_is_named(tmp_path: Path) -> None:
-    path = tmp_path / ("w" * 245 + ".txt")
-    with pytest.raises(DataError, match=r"w\.txt: cannot be written \(File name too long\)"):
-        write_tum(path, *trajectory(0, 1))
-
-
-def test_a_write_that_fails_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "out.txt"
-    path.write_text("old")
-
-    def full_disk(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Path, "replace", full_disk)
-    with pytest.raises(DataError, match="No space left on device"):
-        write_tum(path, *trajectory(0, 2))
-    assert path.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [path]

@@ -30,7 +30,7 @@ def free_port() -> int:
 
 @pytest.fixture
 def no_display(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A machine without a screen, on which nothing listens."""
+    """A machine without a display, on which no viewer listens."""
     monkeypatch.setattr(sys, "platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)

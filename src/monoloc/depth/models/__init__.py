@@ -1,4 +1,4 @@
-"""The depth networks that come with monoloc, each in 32 and in 8 bits; trained by the settings beside them."""
+"""The depth networks shipped with monoloc, each in float32 and 8 bits; their training settings are in this folder."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ _INT8 = "-int8"
 
 @dataclass(frozen=True)
 class ShippedModel:
-    """A line of the catalogue.
+    """One entry of the catalogue.
 
     Attributes:
-        name: size and width, as ``one-third-0.35``; with ``-int8`` after it, the same in 8 bits.
+        name: size and width, such as ``one-third-0.35``; the suffix ``-int8`` selects the 8-bit file.
         width: MobileNetV2's width multiplier.
-        parameters: numbers in the network.
-        macs: multiply-adds of one image of ``input_width`` x ``input_height``.
+        parameters: number of parameters.
+        macs: multiply-adds for one image of ``input_width`` x ``input_height``.
         bytes_fp32, bytes_int8: sizes of the two files.
-        input_width, input_height: pixels, for a camera of NYU's field of view.
-        delta1, absrel: on the last 100 NYU pairs, whose rooms were not trained on, in 32 bits; no scale fitted.
+        input_width, input_height: input size for a camera with NYU's field of view, pixels.
+        delta1, absrel: float32 accuracy on the last 100 NYU pairs, whose rooms were not in the training set, without
+            a scale fit.
         delta1_int8, absrel_int8: the same in 8 bits.
     """
 
@@ -45,22 +46,22 @@ class ShippedModel:
 
 
 def shipped_models() -> list[ShippedModel]:
-    """All of them, the largest first."""
+    """All shipped networks, the largest first."""
     return [ShippedModel(**entry) for entry in json.loads(_CATALOGUE.read_text(encoding="utf-8"))]
 
 
 def is_shipped(name: str) -> bool:
-    """Whether ``name`` is one of theirs, with or without ``-int8``."""
+    """Whether ``name`` is that of a shipped network, with or without ``-int8``."""
     return name.removesuffix(_INT8) in (model.name for model in shipped_models())
 
 
 def is_quantised(name: str) -> bool:
-    """Whether a name is that of a network in 8 bits, which can be run but not tuned."""
+    """Whether ``name`` is that of an 8-bit network, which can be run but not tuned."""
     return name.endswith(_INT8)
 
 
 def shipped_file(name: str) -> Path:
-    """The ONNX file of a shipped network.
+    """Return the ONNX file of a shipped network.
 
     Raises:
         SettingError: no such network.

@@ -1,8 +1,8 @@
-"""Training examples out of frames: a random view of the frame, then a random exposure of it.
+"""Training examples from frames: a random view of each frame under a random exposure.
 
-Geometry is one affine map from the network's pixels to the frame's (zoom, shift, roll, mirror, aspect), so the
-focal length of every view is known and its depth can be expressed for the canonical camera. z-depth does not
-change under roll, mirror or zoom.
+The geometry is one affine map from the network's pixels to the frame's (zoom, shift, roll, mirror, aspect). So the
+focal length of every view is known, and its depth can be expressed for the canonical camera. Roll, mirror and zoom do
+not change z-depth.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.camera import Camera
 
-_DISPLAY_GAMMA = 2.2  # of the curve that 8-bit images carry
+_DISPLAY_GAMMA = 2.2  # display gamma of 8-bit images
 _LINEAR = np.linspace(0.0, 1.0, 256) ** _DISPLAY_GAMMA
-_BLURRED_SHARE = 0.3  # of the views
-_SUPERSAMPLE = 2  # views are drawn at twice the size and averaged down, so that minified frames do not alias
+_BLURRED_SHARE = 0.3  # share of blurred views
+_SUPERSAMPLE = 2  # views are drawn at twice the size and averaged, to avoid aliasing
 
 
 @dataclass(frozen=True)
 class View:
-    """What a virtual camera sees of a frame.
+    """A virtual camera's view of a frame.
 
     Attributes:
         color: (height, width, 3) uint8 RGB.
-        depth_m: (height, width) float32, 0 where there is none; true depth, not canonical.
-        linear, offset: view pixel p shows frame pixel ``linear @ p + offset``; (2, 2) and (2,).
-        focal_px: geometric mean of the view's focal lengths.
+        depth_m: (height, width) float32, metres, 0 where there is none; true depth, not canonical.
+        linear, offset: (2, 2) and (2,); view pixel p shows frame pixel ``linear @ p + offset``.
+        focal_px: geometric mean of the view's focal lengths, pixels.
     """
 
     color: NDArray[np.uint8]
@@ -41,20 +41,21 @@ class View:
 
 
 class AugmentConfig(BaseModel):
-    """Ranges of the random changes; the defaults leave rooms recognisable to a person.
+    """Ranges of the random augmentation; with the defaults, a person still recognises the rooms.
 
     Attributes:
         zoom_min, zoom_max: smallest and largest magnification; 1 shows the whole frame, less leaves a black border.
-        roll_deg: camera roll, either way.
-        aspect: relative stretch of one axis against the other, either way.
+        roll_deg: largest camera roll, in both directions.
+        aspect: largest relative stretch of one axis against the other, in both directions.
         mirror: whether half of the views are mirrored left to right.
-        exposure_stops, gamma, contrast, white_balance, saturation: photometric ranges, either way of neutral.
-        dim_share: share of views that are darkened beyond that.
-        dim_stops: by how much at most; with the exposure's own range, what the network is ready for.
-        electrons_min: fewest photoelectrons of full scale; shot noise grows as they go down. The most are a hundred
-            times as many.
-        read_noise: standard deviation of the sensor's own noise, electrons.
-        blur_px: largest standard deviation of Gaussian blur, of motion or focus.
+        exposure_stops, gamma, contrast, white_balance, saturation: photometric ranges on both sides of neutral.
+        dim_share: share of views that are darkened further.
+        dim_stops: largest further darkening; together with ``exposure_stops`` it sets the darkest image that the
+            network is trained for.
+        electrons_min: smallest number of photoelectrons at full scale; fewer mean more shot noise. The largest number
+            is a hundred times as high.
+        read_noise: standard deviation of the sensor's read noise, electrons.
+        blur_px: largest standard deviation of the Gaussian blur that models motion and defocus, pixels.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -84,13 +85,15 @@ def random_view(
     config: AugmentConfig,
     rng: np.random.Generator,
 ) -> View:
-    """A random view of a frame at the network's size.
+    """Draw a random view of a frame at the network's size.
 
     Args:
         color: (H, W, 3) uint8 RGB.
-        depth_m: (H, W) float32, 0 where there is none.
+        depth_m: (H, W) float32, metres, 0 where there is none.
         camera: the frame's intrinsics.
         size: (width, height) of the view, pixels.
+        config: ranges of the augmentation.
+        rng: source of the random numbers.
 
     Returns:
         The view; parts outside the frame are black and have no depth.
@@ -105,7 +108,7 @@ def random_view(
     linear = np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]]) @ np.diag(
         [mirror * scale_x, scale_y]
     )
-    # The view's centre wanders as far as the zoom leaves room inside the frame.
+    # The view's centre moves as far as the zoomed view stays inside the frame.
     slack = np.array([camera.width, camera.height]) * max(0.0, 1.0 - 1.0 / zoom) / 2.0
     centre = (np.array([camera.width, camera.height]) - 1.0) / 2.0 + rng.uniform(-1.0, 1.0, 2) * slack
     offset = centre - linear @ ((np.array([width, height]) - 1.0) / 2.0)
@@ -113,7 +116,7 @@ def random_view(
 
 
 def whole_view(color: NDArray[np.uint8], depth_m: NDArray[np.float32], camera: Camera, size: tuple[int, int]) -> View:
-    """The whole frame at the network's size, as at run time."""
+    """Resample the whole frame to the network's size, as at run time."""
     scale = np.array([camera.width / size[0], camera.height / size[1]])
     return draw_view(color, depth_m, camera, size, np.diag(scale), 0.5 * scale - 0.5)
 
@@ -126,7 +129,7 @@ def draw_view(
     linear: NDArray[np.float64],
     offset: NDArray[np.float64],
 ) -> View:
-    """The frame resampled through an affine map from view pixels to frame pixels."""
+    """Resample a frame through an affine map from view pixels to frame pixels."""
     width, height = size
     view_depth = _warp(depth_m, linear, offset, size, cv2.INTER_NEAREST)
     fine_offset = offset + linear @ np.full(2, 0.5 / _SUPERSAMPLE - 0.5)
@@ -144,7 +147,7 @@ def _warp(
     size: tuple[int, int],
     interpolation: int,
 ) -> NDArray[np.float32]:
-    """Image whose pixel p shows ``image`` at ``linear @ p + offset``; black outside."""
+    """Warp ``image`` so that pixel p shows it at ``linear @ p + offset``; black outside."""
     return np.asarray(
         cv2.warpAffine(image, np.column_stack([linear, offset]), size, flags=interpolation | cv2.WARP_INVERSE_MAP)
     )
@@ -152,15 +155,15 @@ def _warp(
 
 @dataclass(frozen=True)
 class Exposure:
-    """A light, a lens and a sensor; the defaults change nothing but the noise of a good camera.
+    """Light, lens and sensor of a simulated photograph; the defaults only add the noise of a good camera.
 
     Attributes:
-        stops: of exposure, against how the image was taken.
-        balance: gain of red, green and blue.
-        gamma, contrast, saturation: of the display curve; 1 is neutral.
-        blur_px: standard deviation of Gaussian blur.
-        electrons: photoelectrons of full scale.
-        read_noise: standard deviation of the sensor's own noise, electrons.
+        stops: exposure relative to the original image.
+        balance: gains of red, green and blue.
+        gamma, contrast, saturation: parameters of the display curve; 1 is neutral.
+        blur_px: standard deviation of the Gaussian blur, pixels.
+        electrons: photoelectrons at full scale.
+        read_noise: standard deviation of the sensor's read noise, electrons.
     """
 
     stops: float = 0.0
@@ -174,7 +177,7 @@ class Exposure:
 
 
 def random_exposure(color: NDArray[np.uint8], config: AugmentConfig, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """The same view under another light, lens and sensor: (H, W, 3) uint8 -> (H, W, 3) uint8."""
+    """Simulate random light, lens and sensor for a view: (H, W, 3) uint8 -> (H, W, 3) uint8."""
 
     def about(range_: float) -> float:
         return float(rng.uniform(-range_, range_))
@@ -200,9 +203,9 @@ def random_exposure(color: NDArray[np.uint8], config: AugmentConfig, rng: np.ran
 
 
 def expose(color: NDArray[np.uint8], exposure: Exposure, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """An image as another exposure would have given it: (H, W, 3) uint8 RGB -> (H, W, 3) uint8.
+    """Simulate another exposure of an image: (H, W, 3) uint8 RGB -> (H, W, 3) uint8.
 
-    Light is scaled in linear intensity, blurred, counted by a sensor with noise, and drawn through the display curve.
+    Linear intensity is scaled and blurred, gets sensor noise, and passes through the display curve.
     """
     gain = 2.0**exposure.stops * np.asarray(exposure.balance)
     light = cv2.LUT(color, np.ascontiguousarray((_LINEAR[:, None] * gain).astype(np.float32)[None]))
@@ -218,11 +221,13 @@ def expose(color: NDArray[np.uint8], exposure: Exposure, rng: np.random.Generato
 def counted(
     light: NDArray[np.float32], electrons: float, read_noise: float, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Light as a sensor counts it, with Poisson-Gaussian noise (Foi et al. 2008).
+    """Add Poisson-Gaussian sensor noise to light (Foi et al. 2008).
 
     Args:
-        light: linear, 1 is full scale, of any shape.
-        electrons: photoelectrons of full scale; read_noise: standard deviation of the sensor's own noise, electrons.
+        light: linear intensity of any shape; 1 is full scale.
+        electrons: photoelectrons at full scale.
+        read_noise: standard deviation of the sensor's read noise, electrons.
+        rng: source of the noise.
     """
     variance = light / np.float32(electrons) + np.float32((read_noise / electrons) ** 2)
     return np.asarray(light + np.sqrt(variance) * rng.standard_normal(light.shape, dtype=np.float32), np.float32)

@@ -1,7 +1,7 @@
-"""Networks on disk, never pickled: safetensors with the settings inside, or the ONNX file that the drone runs.
+"""Networks on disk, never pickled: safetensors with their settings, or the ONNX file that runs on the drone.
 
-An exported network keeps every tensor under its name (batch normalisation is folded only when it is loaded to
-run), so the one file serves to run and to tune from.
+An exported network stores every tensor under its name; batch normalisation is folded only when the runtime loads it.
+So one file can be both run and tuned.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ NETWORK_KEY = "monoloc_network"
 
 
 def save_network(network: DepthNetwork, path: Path) -> None:
-    """Write weights and settings as safetensors, whole or not at all."""
+    """Write weights and settings as safetensors, atomically."""
     tensors = {name: tensor.contiguous() for name, tensor in network.state_dict().items()}
     write_whole(path, save(tensors, metadata={NETWORK_KEY: network.config.model_dump_json()}))
 
 
 def load_network(path: Path) -> DepthNetwork:
-    """Read a network written by :func:`save_network` or exported to ONNX, in evaluation mode.
+    """Read a network from safetensors (:func:`save_network`) or from an exported ONNX file, in evaluation mode.
 
     Raises:
-        DataError: not such a file, cut short, quantised, or of tensors that its settings do not call for.
+        DataError: the file is of another kind, truncated or quantised, or its tensors do not match its settings.
     """
     read = _read_onnx if path.suffix == ".onnx" else _read_safetensors
     try:
@@ -43,7 +43,7 @@ def load_network(path: Path) -> DepthNetwork:
     except (OSError, SafetensorError, DecodeError, KeyError, ValidationError, RuntimeError) as error:
         reason = str(error).splitlines()[0]
         raise DataError(path, f"is not a monoloc network ({reason})", "give a network.safetensors") from error
-    lacking = [name for name in missing if not name.endswith("num_batches_tracked")]  # counts nothing when tuned
+    lacking = [name for name in missing if not name.endswith("num_batches_tracked")]  # not used in tuning
     if lacking or unexpected:
         odd = f"lacks {lacking[0]}" if lacking else f"has {unexpected[0]}"
         fix = "give the network as it was before quantisation, or train it with this version"
@@ -61,6 +61,6 @@ def _read_onnx(path: Path) -> tuple[str, Mapping[str, torch.Tensor]]:
     model = onnx.load(path)
     settings = {entry.key: entry.value for entry in model.metadata_props}[NETWORK_KEY]
     tensors = {t.name: torch.from_numpy(onnx.numpy_helper.to_array(t).copy()) for t in model.graph.initializer}
-    # Constants of the graph have names of their own; the network's begin with those of its parts.
+    # The graph's constants have other names; the network's tensors start with the name of a submodule.
     parts = ("encoder.", "decoder.", "head.", "error_head.")
     return settings, {name: tensor for name, tensor in tensors.items() if name.startswith(parts)}

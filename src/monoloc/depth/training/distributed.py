@@ -1,4 +1,4 @@
-"""One training run spread over several processes, as ``torchrun`` starts them; alone where it does not."""
+"""Distributed training over several processes under ``torchrun``; a single process otherwise."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from torch import distributed, nn
 
 @dataclass(frozen=True)
 class Worker:
-    """This process among those that train together.
+    """This process in a training run.
 
     Attributes:
-        rank: 0 is the one that judges, writes and speaks.
-        count: processes in all.
-        device: where it computes.
+        rank: index of the process; rank 0 validates, writes files and reports progress.
+        count: number of processes.
+        device: device of this process.
     """
 
     rank: int
@@ -29,7 +29,7 @@ class Worker:
         return self.rank == 0
 
     def wrap(self, network: nn.Module) -> nn.Module:
-        """The network with gradients averaged over all workers."""
+        """Wrap the network so that gradients are averaged over all workers."""
         return network if self.count == 1 else nn.parallel.DistributedDataParallel(network)
 
     def mean(self, value: torch.Tensor) -> float:
@@ -41,7 +41,7 @@ class Worker:
 
 @contextmanager
 def training_worker() -> Iterator[Worker]:
-    """This process's place: GPUs over NCCL where there are some, CPUs over Gloo otherwise."""
+    """Set up this process: GPUs over NCCL if there are any, else CPUs over Gloo."""
     has_gpu = torch.cuda.is_available()
     if not distributed.is_torchelastic_launched():
         yield Worker(0, 1, torch.device("cuda" if has_gpu else "cpu"))

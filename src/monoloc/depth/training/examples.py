@@ -1,4 +1,4 @@
-"""Frames with depth as a depth network's training and validation examples."""
+"""Training and validation examples of a depth network, from frames with depth."""
 
 from __future__ import annotations
 
@@ -23,22 +23,23 @@ _BATCHES_AHEAD = 3
 
 
 def network_input(images: list[NDArray[np.uint8]] | NDArray[np.uint8]) -> Tensor:
-    """Images (H, W, 3) uint8 RGB of one size -> (B, 3, H, W) in [-1, 1], channels last in memory."""
+    """Convert images (H, W, 3) uint8 RGB of one size to (B, 3, H, W) in [-1, 1], channels last in memory."""
     batch = torch.from_numpy(np.asarray(images)).permute(0, 3, 1, 2)
     return (batch.float() / 127.5 - 1.0).contiguous(memory_format=torch.channels_last)
 
 
 class TrainingFrames:
-    """All frames of one or several recordings in memory, at no more than the resolution that views can use.
+    """All frames of one or more recordings, in memory at no more than the resolution that views need.
 
     Args:
-        recordings: with depth, one at least; the first is what the network is for.
-        focal_px: canonical focal length; examples have the size at which the cameras come nearest.
-        augment: what views are drawn.
-        progress: called with the frames read.
+        recordings: at least one recording with depth; the first is of the kind that the network is for.
+        focal_px: canonical focal length; it determines the size of the examples
+            (:func:`monoloc.depth.spec.network_size`).
+        augment: ranges of the random views.
+        progress: called with the number of frames read.
 
     Raises:
-        DataError: a frame cannot be read, its depth holds NaN, or the cameras' fields of view give examples of
+        DataError: a frame cannot be read, its depth contains NaN, or the cameras' fields of view give examples of
             different sizes.
     """
 
@@ -82,10 +83,10 @@ class TrainingFrames:
         return len(self._frames)
 
     def epoch(self, seed: int, epoch: int, batch_size: int, rank: int = 0, workers: int = 1) -> Iterator[_Batch]:
-        """This worker's share of every batch of an epoch, drawn by threads ahead of time.
+        """Yield this worker's share of every batch of an epoch; threads prepare batches ahead of time.
 
-        The examples depend on seed and epoch only, not on the number of workers or threads, and a resumed run
-        sees the ones it would have seen.
+        The examples depend only on seed and epoch, not on the number of workers or threads, so a resumed run sees the
+        same examples as an uninterrupted one.
         """
         order = np.random.default_rng([seed, epoch]).permutation(len(self))
         starts = range(0, len(order) - batch_size + 1, batch_size)
@@ -99,7 +100,7 @@ class TrainingFrames:
             yield from (_stacked(futures) for futures in ahead)
 
     def whole(self, count: int) -> _Batch:
-        """So many frames of the first recording, evenly chosen, as they are at run time."""
+        """Return ``count`` evenly spaced frames of the first recording, as at run time, with canonical depth."""
         chosen = np.unique(np.linspace(0, self._first_count - 1, count).astype(int))
         views = [
             whole_view(color, depth, camera, self._size) for color, depth, camera in (self._frames[i] for i in chosen)
@@ -125,7 +126,7 @@ def _stacked(futures: list[Future[_Example]]) -> _Batch:
 
 
 class ValidationFrames:
-    """Frames that a network is judged on after every epoch: whole, in the light they were taken in."""
+    """Frames for validation after every epoch: whole, without augmentation."""
 
     def __init__(self, recording: Recording, focal_px: float) -> None:
         width, height = network_size(recording.camera, focal_px)
@@ -142,7 +143,7 @@ class ValidationFrames:
 
     @torch.no_grad()
     def judge(self, network: DepthNetwork, device: torch.device) -> tuple[float, float]:
-        """AbsRel and delta1, metric as predicted, mean over images."""
+        """Return AbsRel and delta1 of the metric prediction without a scale fit, mean over images."""
         network.eval()
         log_depths = torch.cat([network(images.to(device)).float().cpu() for images in torch.split(self._images, 25)])
         absrel, delta1 = [], []

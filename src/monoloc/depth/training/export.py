@@ -1,4 +1,4 @@
-"""A network as an ONNX file that the drone's machine can run."""
+"""Export of a network to an ONNX file for the drone's computer."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _PARITY_LIMIT = 1e-3  # log-depth; a thousandth of the depth
 
 @dataclass(frozen=True)
 class ExportReport:
-    """Size of the exported file and how far its output is from the network's, in log-depth."""
+    """Size of the exported file, and largest and mean difference from PyTorch's output in log-depth."""
 
     bytes: int
     parity_max: float
@@ -32,10 +32,10 @@ class ExportReport:
 
 
 def export_onnx(network: DepthNetwork) -> tuple[bytes, ExportReport]:
-    """The network as ONNX bytes, any image size in multiples of 32, checked against PyTorch.
+    """Export a network to ONNX bytes for any image size in multiples of 32, and check it against PyTorch.
 
-    Input ``image`` (1, 3, H, W) float32 in [-1, 1], output ``log_depth`` (1, 1, H/4, W/4) and, if the network
-    has it, ``log_error_scale`` of the same shape. Tensors keep their names, and the settings travel as metadata.
+    Input ``image`` (1, 3, H, W) float32 in [-1, 1]; output ``log_depth`` (1, 1, H/4, W/4) and, if the network has it,
+    ``log_error_scale`` of the same shape. Tensors keep their names; the settings are stored as metadata.
 
     Raises:
         MonolocError: the exported network does not reproduce the original.
@@ -44,18 +44,18 @@ def export_onnx(network: DepthNetwork) -> tuple[bytes, ExportReport]:
     outputs = ["log_depth"] + (["log_error_scale"] if network.config.uncertainty else [])
     buffer = io.BytesIO()
     with warnings.catch_warnings(), torch.no_grad():
-        # The tracing exporter keeps the graph small; its remarks are of no use to a person.
+        # The tracing exporter keeps the graph small; its warnings do not help a user.
         warnings.simplefilter("ignore")
         torch.onnx.export(
             _AllOutputs(network),
             (torch.zeros(1, 3, 4 * STRIDE, 5 * STRIDE),),
-            cast(Any, buffer),  # a file object is taken, whatever the annotation says
+            cast(Any, buffer),  # a file object works, despite the annotation
             input_names=["image"],
             output_names=outputs,
             dynamic_axes={"image": {2: "height", 3: "width"}} | {name: {2: "rows", 3: "columns"} for name in outputs},
             opset_version=OPSET,
             dynamo=False,
-            # Batch normalisation stays as it is, so that the file can be tuned from; the runtime folds it.
+            # Keep batch normalisation, so that the file can be tuned; the runtime folds it.
             training=torch.onnx.TrainingMode.PRESERVE,
             do_constant_folding=False,
         )
@@ -76,7 +76,7 @@ def export_onnx(network: DepthNetwork) -> tuple[bytes, ExportReport]:
 
 
 def export_model(network: DepthNetwork, name: str) -> DepthModel:
-    """The network as the runtime takes it.
+    """Export a network as a :class:`DepthModel` for the runtime.
 
     Raises:
         MonolocError: as :func:`export_onnx`.
@@ -84,7 +84,7 @@ def export_model(network: DepthNetwork, name: str) -> DepthModel:
     return DepthModel(export_onnx(network)[0], monoloc_spec(network.config.focal_px), name)
 
 
-_PREFIX = "network."  # what wrapping puts before every tensor's name
+_PREFIX = "network."  # prefix that the wrapper adds to every tensor's name
 
 
 class _AllOutputs(nn.Module):
@@ -98,7 +98,7 @@ class _AllOutputs(nn.Module):
 
 
 def _parity(network: DepthNetwork, content: bytes) -> tuple[float, float]:
-    """Largest and mean difference over random images of two sizes."""
+    """Largest and mean difference from PyTorch over random images of two sizes, in log-depth."""
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
     generator = torch.Generator().manual_seed(0)
     differences = []
@@ -109,5 +109,5 @@ def _parity(network: DepthNetwork, content: bytes) -> tuple[float, float]:
         for ours, theirs in zip(expected, session.run(None, {"image": image.numpy()}), strict=False):
             assert ours is not None
             differences.append(np.abs(theirs - ours.numpy()).ravel())
-    joined = np.concatenate(differences)
-    return float(joined.max()), float(joined.mean())
+    errors = np.concatenate(differences)
+    return float(errors.max()), float(errors.mean())

@@ -1,11 +1,11 @@
-"""The family of depth networks: sizes made by leaving layers out, as in the source paper."""
+"""The family of depth networks: smaller sizes have fewer layers, as in the source paper."""
 
 from __future__ import annotations
 
 from monoloc.depth.training.network import NetworkConfig
 from monoloc.errors import SettingError
 
-# What stays: blocks of MobileNetV2's seven stages, and pooling stages at strides 32, 16, 8 and 4.
+# Blocks of MobileNetV2's seven stages, and pooling stages at strides 32, 16, 8 and 4.
 _LAYERS: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {
     "full": ((1, 2, 3, 4, 3, 3, 1), (4, 4, 4, 4)),
     "two-thirds": ((1, 2, 3, 4, 3, 2, 0), (4, 4, 1, 4)),
@@ -19,7 +19,7 @@ WIDTHS = tuple(_DECODER_CHANNELS)
 
 
 def named_config(name: str) -> NetworkConfig:
-    """Settings of a member of the family by its name, as ``one-third-0.35``.
+    """Settings of a network of the family by name, such as ``one-third-0.35``.
 
     Raises:
         SettingError: no such name.
@@ -32,7 +32,9 @@ def named_config(name: str) -> NetworkConfig:
 
 
 def network_config(size: str, width: float) -> NetworkConfig:
-    """Settings of a member of the family: ``full``, ``two-thirds``, ``one-third`` or ``tiny``.
+    """Settings of a network of the family by size and width multiplier.
+
+    Sizes are ``full``, ``two-thirds``, ``one-third`` and ``tiny``.
 
     Raises:
         SettingError: no such size or width.

@@ -1,4 +1,4 @@
-"""The last layer of an exported network, exchanged in the file itself; needs onnx, not PyTorch."""
+"""Read and replace the last layer of an exported network in its file; needs onnx, not PyTorch."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _WEIGHT, _BIAS = "head.weight", "head.bias"
 
 
 def read_last_layer(content: bytes) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Weight (1, C, 3, 3) and bias (1,) of an exported network's last layer (the paper's theta_D).
+    """Return weight (1, C, 3, 3) and bias (1,) of an exported network's last layer (the paper's theta_D).
 
     Raises:
         ValueError: the file has no such layer.
@@ -21,15 +21,15 @@ def read_last_layer(content: bytes) -> tuple[NDArray[np.float32], NDArray[np.flo
 
 
 def replace_last_layer(content: bytes, weight: NDArray[np.float32], bias: NDArray[np.float32]) -> bytes:
-    """An exported network, quantised or not, with another last layer.
+    """Replace the last layer of an exported network, quantised or not.
 
     Args:
-        content: ONNX bytes of :func:`export_onnx`, or of :func:`monoloc.depth.training.quantise.quantise`.
+        content: ONNX bytes from :func:`export_onnx` or :func:`monoloc.depth.training.quantise.quantise`.
         weight: (1, C, 3, 3).
         bias: (1,), log-depth.
 
     Raises:
-        ValueError: the file has no such layer, or one of other shapes.
+        ValueError: the file has no such layer, or its shapes differ.
     """
     model = onnx.load_from_string(content)
     tensors = _last_layer(model)

@@ -1,4 +1,4 @@
-"""Losses on log-depth. All take (B, 1, H, W) predictions and truth and a boolean mask of valid truth."""
+"""Losses on log-depth; all take (B, 1, H, W) predictions and truth, and a boolean mask of valid truth."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
-_NORMAL_STEP = 8  # pixels; sensor depth is too coarse for normals of neighbouring pixels
+_NORMAL_STEP = 8  # pixels; sensor depth is too coarse for normals from adjacent pixels
 
 
 class LossConfig(BaseModel):
     """Weights of the terms of :func:`depth_loss`.
 
     Attributes:
-        log_l1: :func:`log_l1_loss`.
-        scale_invariant: :func:`scale_invariant_loss`.
-        gradient: :func:`gradient_loss`.
-        normal: :func:`normal_loss`.
+        log_l1: weight of :func:`log_l1_loss`.
+        scale_invariant: weight of :func:`scale_invariant_loss`.
+        gradient: weight of :func:`gradient_loss`.
+        normal: weight of :func:`normal_loss`.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -32,19 +32,19 @@ class LossConfig(BaseModel):
 
 
 def masked_mean(values: Tensor, valid: Tensor) -> Tensor:
-    """Mean over the valid entries; zero, with a gradient of zero, when there are none."""
+    """Mean over the valid entries; if there are none, zero with a zero gradient."""
     return torch.where(valid, values, 0.0).sum() / valid.sum().clamp(min=1)
 
 
 def log_l1_loss(log_predicted: Tensor, log_truth: Tensor, valid: Tensor) -> Tensor:
-    """Mean absolute error of log-depth: a relative error, equal for near and far."""
+    """Mean absolute error of log-depth: a relative error, independent of distance."""
     return masked_mean((log_predicted - log_truth).abs(), valid)
 
 
 def scale_invariant_loss(log_predicted: Tensor, log_truth: Tensor, valid: Tensor) -> Tensor:
-    """Standard deviation of the error of log-depth within an image, mean over images: what no scale explains.
+    """Standard deviation of the log-depth error within an image, mean over images: the error that no scale explains.
 
-    The root form of Eigen, Puhrsch & Fergus (2014), eq. 4, with their lambda at 1.
+    Root form of Eigen, Puhrsch & Fergus (2014), eq. 4, with lambda = 1.
     """
     error = torch.where(valid, log_predicted - log_truth, 0.0).flatten(1)
     count = valid.flatten(1).sum(1).clamp(min=1)
@@ -59,27 +59,27 @@ def gradient_loss(
 ) -> Tensor:
     """Mean absolute difference of log-depth gradients over several pixel steps (Li & Snavely, MegaDepth, 2018).
 
-    It asks for sharp steps and smooth planes where the plain error is content with blur.
+    It favours sharp depth edges and smooth planes, where the plain error tolerates blur.
     """
-    # What is not known may be no number at all, which a mask that is multiplied by would let through.
+    # Unknown truth may be NaN, which multiplication by a mask would not remove.
     error = torch.where(valid, log_predicted - log_truth, 0.0)
     loss: Tensor = _GradientLoss.apply(error, valid, steps)  # type: ignore[no-untyped-call]
     return loss
 
 
 class _GradientLoss(torch.autograd.Function):
-    """Its gradient is the differences' signs, added up in place on the way: a third of autograd's time."""
+    """The gradient is the sum of the differences' signs; computed in place, it takes a third of autograd's time."""
 
     @staticmethod
     def forward(ctx: Any, error: Tensor, valid: Tensor, steps: tuple[int, ...]) -> Tensor:
-        held, gradient, total = valid.to(error.dtype), torch.zeros_like(error), error.new_zeros(())
+        mask, gradient, total = valid.to(error.dtype), torch.zeros_like(error), error.new_zeros(())
         for step in steps:
             for along in (-1, -2):
                 length = error.shape[along] - step
                 if length <= 0:
                     continue
                 near, far = ((along, at, length) for at in (0, step))
-                known = held.narrow(*near) * held.narrow(*far)
+                known = mask.narrow(*near) * mask.narrow(*far)
                 difference = (error.narrow(*far) - error.narrow(*near)).mul_(known)
                 share = 1.0 / (len(steps) * known.sum().clamp(min=1.0))
                 total += share * difference.abs().sum()
@@ -99,8 +99,8 @@ class _GradientLoss(torch.autograd.Function):
 def normal_loss(log_predicted: Tensor, log_truth: Tensor, valid: Tensor, focal_px: float) -> Tensor:
     """Mean of one minus the cosine between the normals of predicted and true surfaces (Hu et al. 2019).
 
-    Normals span :data:`_NORMAL_STEP` pixels. The principal point is taken to be the image's centre; shifting it
-    shears both surfaces alike.
+    Normals span :data:`_NORMAL_STEP` pixels. The principal point is assumed at the image centre; a shift of it shears
+    both surfaces equally.
     """
     step = _NORMAL_STEP
     known = valid[..., step:, step:] & valid[..., :-step, step:] & valid[..., step:, :-step]
@@ -109,7 +109,7 @@ def normal_loss(log_predicted: Tensor, log_truth: Tensor, valid: Tensor, focal_p
 
 
 def _normals(log_depth: Tensor, focal_px: float) -> Tensor:
-    """Normals, not normalised, of the surface of a log-depth image: (B, 3, H - step, W - step)."""
+    """Unnormalised surface normals of a log-depth image: (B, 3, H - step, W - step)."""
     height, width = log_depth.shape[-2:]
     x = (torch.arange(width, device=log_depth.device) - (width - 1) / 2.0) / focal_px
     y = (torch.arange(height, device=log_depth.device) - (height - 1) / 2.0) / focal_px
@@ -122,16 +122,16 @@ def _normals(log_depth: Tensor, focal_px: float) -> Tensor:
 
 
 def depth_loss(log_predicted: Tensor, depth_m: Tensor, weights: LossConfig, focal_px: float | None = None) -> Tensor:
-    """Training loss of a prediction at any resolution against a depth image, 0 where there is no truth.
+    """Training loss of a prediction at any resolution against a depth image.
 
     Args:
-        log_predicted: (B, 1, h, w) log-depth; brought to the truth's size bilinearly.
-        depth_m: (B, 1, H, W) metres.
-        weights: of the terms.
-        focal_px: focal length of the truth's pixels; needed by the term of normals only.
+        log_predicted: (B, 1, h, w) log-depth; resized bilinearly to the truth's size.
+        depth_m: (B, 1, H, W) metres, 0 where there is no truth.
+        weights: weights of the terms.
+        focal_px: focal length of the truth's pixels; only the normal term needs it.
 
     Raises:
-        ValueError: the term of normals without a focal length.
+        ValueError: the normal term has weight but no focal length is given.
     """
     log_predicted, log_truth, valid = _at_truth(log_predicted, depth_m)
     loss = weights.log_l1 * log_l1_loss(log_predicted, log_truth, valid)
@@ -147,11 +147,10 @@ def depth_loss(log_predicted: Tensor, depth_m: Tensor, weights: LossConfig, foca
 
 
 def laplace_loss(log_predicted: Tensor, log_scale: Tensor, depth_m: Tensor) -> Tensor:
-    """Negative log-likelihood of log-depth under a Laplace error, less log 2: ``|e| / b + log b``, nats.
+    """Negative log-likelihood of the log-depth error under a Laplace density, minus log 2: ``|e| / b + log b``, nats.
 
     Args:
-        log_predicted: (B, 1, h, w) log-depth; its gradient is not followed, so that depth is not made worse to
-            be more certain.
+        log_predicted: (B, 1, h, w) log-depth; detached, so that the loss does not worsen depth to gain certainty.
         log_scale: (B, 1, h, w) natural logarithm of the scale b (Kendall & Gal 2017).
         depth_m: (B, 1, H, W) metres, 0 where there is none.
     """
@@ -161,6 +160,6 @@ def laplace_loss(log_predicted: Tensor, log_scale: Tensor, depth_m: Tensor) -> T
 
 
 def _at_truth(log_predicted: Tensor, depth_m: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Prediction at the truth's size, log of the truth, and where it is known."""
+    """Prediction at the truth's size, log of the truth, and its valid mask."""
     log_predicted = F.interpolate(log_predicted, size=depth_m.shape[-2:], mode="bilinear", align_corners=False)
     return log_predicted, torch.log(depth_m.clamp(min=1e-3)), depth_m > 0.0

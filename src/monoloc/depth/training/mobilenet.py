@@ -1,7 +1,7 @@
-"""MobileNetV2 (Sandler et al., CVPR 2018): what depth networks and PoseNets see through.
+"""MobileNetV2 (Sandler et al., CVPR 2018): the encoder of depth networks and PoseNets.
 
-Tensors carry torchvision's names, so public ImageNet weights load as they are; smaller encoders leave blocks out and
-the remaining ones keep their names. Inputs are RGB in [-1, 1], (B, 3, H, W) with H and W multiples of 32.
+Tensors have torchvision's names, so public ImageNet weights load unchanged. Smaller encoders omit blocks, and the
+remaining blocks keep their names. Inputs are RGB in [-1, 1], (B, 3, H, W) with H and W multiples of 32.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from monoloc.errors import DataError
 # Expansion, channels at width 1, first stride (Sandler et al., table 2).
 _STAGES = ((1, 16, 1), (6, 24, 2), (6, 32, 2), (6, 64, 2), (6, 96, 1), (6, 160, 2), (6, 320, 1))
 BLOCKS = (1, 2, 3, 4, 3, 3, 1)
-"""Inverted residuals of each of the seven stages of the whole encoder."""
+"""Number of inverted residuals in each of the seven stages of the full encoder."""
 
-# Index in torchvision's ``features`` of every stage's first block.
+# Index of each stage's first block in torchvision's ``features``.
 _FIRST_INDEX = tuple(1 + sum(BLOCKS[:stage]) for stage in range(len(BLOCKS)))
-_BATCH_NORM_EPS = 1e-3  # as the ImageNet weights were trained
+_BATCH_NORM_EPS = 1e-3  # as in the training of the ImageNet weights
 
 
 def check_encoder_blocks(blocks: Sequence[int]) -> None:
-    """Refuse blocks of the seven stages, in a model's validator, that an :class:`Encoder` cannot be made of.
+    """Check in a model's validator that an :class:`Encoder` can be built from these blocks per stage.
 
     Raises:
-        PydanticCustomError: naming the field ``encoder_blocks``.
+        PydanticCustomError: it cannot; the error names the field ``encoder_blocks``.
     """
-    kept = [count > 0 for count in blocks]
+    has_blocks = [count > 0 for count in blocks]
     if any(not 0 <= count <= most for count, most in zip(blocks, BLOCKS, strict=True)):
         raise PydanticCustomError("layers", f"encoder_blocks must lie between 0 and {BLOCKS}")
-    if kept != sorted(kept, reverse=True) or not all(kept[:3]):
+    if has_blocks != sorted(has_blocks, reverse=True) or not all(has_blocks[:3]):
         raise PydanticCustomError(
             "layers", "encoder_blocks may remove whole stages only from the end, and not the first three"
         )
@@ -52,21 +52,21 @@ def _scaled(channels: int, width: float) -> int:
 
 
 class _SamePadConv(nn.Conv2d):
-    """3 x 3 convolution of stride 2 padded (0, 1, 0, 1) for even sizes, as TensorFlow's 'same'."""
+    """3 x 3 convolution of stride 2 with padding (0, 1, 0, 1) for even sizes, as TensorFlow's 'same'."""
 
     def _conv_forward(self, input: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
         if input.requires_grad and input.device.type == "cpu" and self.groups > 1:
-            # A strided depthwise convolution's gradient costs far more there than a dense one's.
+            # On a CPU, the gradient of a strided depthwise convolution costs far more than that of a dense one.
             return F.conv2d(input, weight, bias, padding=1, groups=self.groups)[..., 1::2, 1::2]
         y: Tensor = super()._conv_forward(F.pad(input, (0, 1, 0, 1)), weight, bias)
         return y
 
 
 class _Layers(nn.Sequential):
-    """Layers in a row, where batch normalisation follows a convolution.
+    """A sequence of layers that folds batch normalisation into the preceding convolution.
 
-    While weights are tuned and its statistics are kept, it is folded into that convolution: as a layer of its own it
-    would take a tenth of a step, and as much again on the way back.
+    It folds while weights are tuned with fixed statistics. As a layer of its own, batch normalisation would take a
+    tenth of a step in the forward pass and as much in the backward pass.
     """
 
     def forward(self, input: Tensor) -> Tensor:
@@ -122,12 +122,12 @@ class _InvertedResidual(nn.Module):
 
 
 class Encoder(nn.Module):
-    """MobileNetV2 up to its last bottleneck, or less of it; returns the output of every stage from stride 4 on.
+    """MobileNetV2 up to its last bottleneck, or fewer layers; returns the output of every stage from stride 4 on.
 
     Attributes:
         width: MobileNetV2's width multiplier.
-        taps: name of the last block of each such stage -> its channels, shallow to deep.
-        channels_at: stride -> channels of the taps there, shallow to deep.
+        taps: maps the name of the last block of each such stage to its channels, shallow to deep.
+        channels_at: maps a stride to the channels of its taps, shallow to deep.
     """
 
     def __init__(self, width: float, blocks: Sequence[int]) -> None:
@@ -154,14 +154,14 @@ class Encoder(nn.Module):
 
     @property
     def first_layers(self) -> nn.Sequential:
-        """Up to the first tap, at stride 4: what they see, edges and colours, is the same in every room."""
+        """Layers up to the first tap, at stride 4; they see edges and colours, which are the same in every room."""
         return cast(nn.Sequential, self.features[: self._first_count])
 
     def forward(self, images: Tensor) -> list[Tensor]:
         return self.after_first(self.first_layers(images))
 
     def after_first(self, x: Tensor) -> list[Tensor]:
-        """All taps, from the first one, which is what :attr:`first_layers` gives."""
+        """Return all taps from the first one, which is the output of :attr:`first_layers`."""
         taps = [x]
         for name, block in self.features[self._first_count :].named_children():
             x = block(x)
@@ -171,16 +171,16 @@ class Encoder(nn.Module):
 
 
 class HasEncoder(Protocol):
-    """A network that sees through MobileNetV2."""
+    """A network with a MobileNetV2 encoder."""
 
     encoder: Encoder
 
 
 def load_encoder_weights(network: HasEncoder, path: Path) -> None:
-    """Put MobileNetV2 weights (.npz of arrays under torchvision's names) into the encoder.
+    """Load MobileNetV2 weights (.npz of arrays under torchvision's names) into the encoder.
 
     Raises:
-        DataError: no such archive, or a tensor is missing or has another shape (both shapes are named).
+        DataError: no such archive, or a tensor is missing or has another shape (the message gives both shapes).
     """
     try:
         with np.load(path, allow_pickle=False) as archive:

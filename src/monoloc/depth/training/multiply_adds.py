@@ -1,4 +1,4 @@
-"""How much work a network is."""
+"""Computational cost of a network."""
 
 from __future__ import annotations
 
@@ -10,7 +10,12 @@ from torch import Tensor, nn
 
 @torch.no_grad()
 def multiply_adds(network: nn.Module, run: Callable[[], object]) -> int:
-    """Multiply-adds of a network's convolutions and fully connected layers while it is run on one image."""
+    """Count the multiply-adds of a network's convolutions and fully connected layers for one image.
+
+    Args:
+        network: the network whose layers are counted.
+        run: runs the network once.
+    """
     count = 0
 
     def add(layer: nn.Module, _: object, output: Tensor) -> None:

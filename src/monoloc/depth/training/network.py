@@ -1,11 +1,11 @@
-"""The depth network: MobileNetV2 encoder, Light-Weight RefineNet decoder, one log-depth map out.
+"""The depth network: MobileNetV2 encoder, Light-Weight RefineNet decoder, one log-depth map as output.
 
 Sources: Nekrasov et al., *Light-Weight RefineNet* (BMVC 2018) and *Real-Time Joint Semantic Segmentation and Depth
-Estimation* (ICRA 2019). The encoder, :mod:`monoloc.depth.training.mobilenet`, names its own.
+Estimation* (ICRA 2019). :mod:`monoloc.depth.training.mobilenet` cites the source of the encoder.
 
 Inputs are RGB in [-1, 1], (B, 3, H, W) with H and W multiples of 32. The output is the natural logarithm of
-*canonical* depth, (B, 1, H/4, W/4): the depth the scene would have were it seen at ``focal_px``
-(:mod:`monoloc.depth.predictor` undoes it), so one network serves cameras of any field of view.
+*canonical* depth, (B, 1, H/4, W/4): the depth of the same image if its focal length were ``focal_px``.
+:mod:`monoloc.depth.predictor` converts it to metric depth, so one network serves cameras of any field of view.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from monoloc.depth.training.mobilenet import BLOCKS, Encoder, check_encoder_bloc
 from monoloc.depth.training.multiply_adds import multiply_adds
 from monoloc.depth.training.pooling import max_pool5
 
-_STRIDES = (32, 16, 8, 4)  # that the decoder has levels at, deep to shallow
+_STRIDES = (32, 16, 8, 4)  # of the decoder's levels, deep to shallow
 
 
 class NetworkConfig(BaseModel):
-    """What defines a depth network; stored with its weights.
+    """Architecture of a depth network; stored with its weights.
 
     Attributes:
         width: MobileNetV2's width multiplier.
         decoder_channels: channels of every decoder stage.
-        focal_px: focal length in pixels at which the network sees the world (canonical camera).
-        encoder_blocks: inverted residuals kept of each of MobileNetV2's seven stages, counted from the stage's
-            first; 0 removes a stage, which only the last ones may be.
+        focal_px: focal length of the canonical camera, pixels.
+        encoder_blocks: number of inverted residuals in each of MobileNetV2's seven stages, counted from the stage's
+            first; 0 removes the stage, which is allowed only for the last stages.
         pooling_stages: chained-residual-pooling stages at strides 32, 16, 8 and 4; 0 removes the block.
-        uncertainty: whether there is a second output, the scale of the error.
+        uncertainty: whether the network has a second output, the scale of the error.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -59,7 +59,7 @@ class NetworkConfig(BaseModel):
 class _LastLayer(nn.Conv2d):
     """3 x 3 convolution to one channel.
 
-    As nine 1 x 1 convolutions whose outputs are shifted and summed its gradient takes a third of the time.
+    Computed as nine 1 x 1 convolutions whose outputs are shifted and summed, its gradient takes a third of the time.
     """
 
     def __init__(self, channels: int) -> None:
@@ -95,8 +95,8 @@ class Decoder(nn.Module):
 
     Args:
         level_channels: channels of the encoder's taps at each resolution, deep to shallow; the last is stride 4.
-        channels: of every stage of the decoder.
-        pooling_stages: of the chained residual pooling at each of these resolutions.
+        channels: channels of every decoder stage.
+        pooling_stages: chained-residual-pooling stages at each of these resolutions.
     """
 
     def __init__(self, level_channels: Sequence[Sequence[int]], channels: int, pooling_stages: Sequence[int]) -> None:
@@ -129,7 +129,7 @@ class Decoder(nn.Module):
 class DepthNetwork(nn.Module):
     """Encoder, decoder, and the last 3x3 layer ``head`` (the paper's theta_D).
 
-    With ``uncertainty``, ``error_head`` beside it gives the scale of a Laplace error of log-depth.
+    With ``uncertainty``, a second layer ``error_head`` predicts the scale of a Laplace error of log-depth.
     """
 
     def __init__(self, config: NetworkConfig) -> None:
@@ -137,8 +137,8 @@ class DepthNetwork(nn.Module):
         self.config = config
         self.encoder = Encoder(config.width, config.encoder_blocks)
         levels = zip(_STRIDES, config.pooling_stages, strict=True)
-        kept = [(channels, stages) for at, stages in levels if (channels := self.encoder.channels_at.get(at))]
-        self.decoder = Decoder([c for c, _ in kept], config.decoder_channels, [stages for _, stages in kept])
+        present = [(channels, stages) for at, stages in levels if (channels := self.encoder.channels_at.get(at))]
+        self.decoder = Decoder([c for c, _ in present], config.decoder_channels, [stages for _, stages in present])
         self.head = _LastLayer(config.decoder_channels)
         nn.init.constant_(self.head.bias, float(np.log(2.0)))  # type: ignore[arg-type]  # rooms are about 2 m deep
         self.error_head = _LastLayer(config.decoder_channels) if config.uncertainty else None
@@ -152,10 +152,9 @@ class DepthNetwork(nn.Module):
         return output
 
     def with_error(self, images: Tensor) -> tuple[Tensor, Tensor | None]:
-        """Log canonical depth, and the log of its error's Laplace scale if there is such an output.
+        """Log canonical depth, and the log of its Laplace error scale, or None without that output.
 
-        Both (B, 1, H/4, W/4). The second learns from features it does not shape, so that depth is the same with
-        and without it.
+        Both are (B, 1, H/4, W/4). The error head learns from detached features, so it does not change the depth.
         """
         features = self.decoder(self.encoder(images))
         error = None if self.error_head is None else self.error_head(features.detach())
@@ -165,5 +164,5 @@ class DepthNetwork(nn.Module):
         return sum(p.numel() for p in self.parameters())
 
     def multiply_adds(self, width: int, height: int) -> int:
-        """Multiply-adds of the convolutions for one image; all else is a few percent of it."""
+        """Multiply-adds of the convolutions for one image; other layers add a few percent."""
         return multiply_adds(self, lambda: self.with_error(torch.zeros(1, 3, height, width)))

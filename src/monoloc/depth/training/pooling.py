@@ -1,4 +1,4 @@
-"""Max-pooling for training on a processor: PyTorch's takes a third of a step there, ours a tenth of that."""
+"""Max-pooling for training on a CPU: PyTorch's takes a third of a training step, this one a tenth of that."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ import monoloc._core as _core
 
 
 def max_pool5(x: Tensor) -> Tensor:
-    """5 x 5 max-pooling with stride 1 and the same size, (N, C, H, W).
+    """5 x 5 max-pooling with stride 1 and unchanged size, (N, C, H, W).
 
-    In bfloat16 with a gradient on a CPU, by a kernel of ours: with the values of
-    :func:`torch.nn.functional.max_pool2d`, the first of several largest ones having the gradient, which is added up
-    in float32. It looks for no NaN, and has no second derivative.
+    For bfloat16 with gradients on a CPU it uses a kernel of its own. The values equal those of
+    :func:`torch.nn.functional.max_pool2d`; among equal maxima the first gets the gradient, which is accumulated in
+    float32. The kernel does not handle NaN and has no second derivative.
     """
     fits = x.shape[-2] * x.shape[-1] <= _core.MOST_POOLED_PIXELS
     if x.requires_grad and x.dtype == torch.bfloat16 and x.device.type == "cpu" and fits:
@@ -52,5 +52,5 @@ def _channels_last_bits(x: Tensor) -> NDArray[np.uint16]:
 
 
 def _images(bits: NDArray[np.uint16]) -> Tensor:
-    """Back again."""
+    """Inverse of :func:`_channels_last_bits`: (N, H, W, C) -> (N, C, H, W) bfloat16."""
     return torch.from_numpy(bits.view(np.int16)).view(torch.bfloat16).permute(0, 3, 1, 2)

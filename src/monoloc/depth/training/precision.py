@@ -1,4 +1,4 @@
-"""The precision in which a network learns: half the bits only where that is the faster."""
+"""Training precision: bfloat16 only where it is faster."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import torch
 
 
 def learns_in_bfloat16(device_type: str) -> bool:
-    """Whether convolutions are learned in bfloat16, or else in float32.
+    """Whether to compute convolutions in bfloat16 during training, rather than float32.
 
-    GPUs multiply it faster, and so does AVX-512, with or without instructions of its own for it. Other processors
-    emulate it: with AVX2 a step of tuning takes ten times as long as in float32.
+    GPUs multiply bfloat16 faster, and so do CPUs with AVX-512, with or without dedicated instructions. Other CPUs
+    emulate it: with AVX2, a tuning step takes ten times as long as in float32.
 
     Args:
-        device_type: as :attr:`torch.device.type` has it.
+        device_type: as in :attr:`torch.device.type`.
     """
     return device_type != "cpu" or torch.backends.cpu.get_cpu_capability() == "AVX512"

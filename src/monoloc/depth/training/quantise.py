@@ -1,4 +1,4 @@
-"""Networks in 8 bits: a quarter of the memory, and faster where the processor multiplies bytes."""
+"""8-bit quantisation of networks: a quarter of the memory, and faster on processors that multiply bytes."""
 
 from __future__ import annotations
 
@@ -20,14 +20,16 @@ from monoloc.depth.training.last_layer import read_last_layer, replace_last_laye
 from monoloc.errors import DataError, SettingError
 
 LEAST_IMAGES = 10
-# Log-depth itself is not squeezed into 256 steps, and the last layer stays replaceable.
+# Log-depth needs more than 256 steps, and the last layer must stay replaceable.
 _IN_FLOAT = ("/head/Conv", "/error_head/Conv")
 
 
 @dataclass(frozen=True)
 class QuantisationReport:
-    """Size of the 8-bit file and how far its output is from the original's, in log-depth, on images that did not
-    calibrate it."""
+    """Size of the 8-bit file, and largest and mean difference from the original's log-depth.
+
+    The differences are measured on images that were not used for calibration.
+    """
 
     bytes: int
     difference_max: float
@@ -35,24 +37,25 @@ class QuantisationReport:
 
 
 def quantise(content: bytes, images: Sequence[NDArray[np.float32]]) -> tuple[bytes, QuantisationReport]:
-    """Static quantisation of an exported network: weights per channel, activations per tensor, 8 bits.
+    """Quantise an exported network statically to 8 bits: weights per channel, activations per tensor.
 
-    The last layer stays in floating point and its bias is corrected for the mean shift that rounding makes (Nagel
-    et al. 2019). Every other image calibrates, the rest judge.
+    The last layer stays in floating point; its bias is corrected for the mean shift caused by rounding (Nagel et al.
+    2019). Every other image is used for calibration, the rest for evaluation.
 
     Args:
         content: ONNX bytes of :func:`monoloc.depth.training.export.export_onnx`.
-        images: what the network will see, each (1, 3, H, W) float32 in [-1, 1], all of one size.
+        images: images that represent the network's future input, each (1, 3, H, W) float32 in [-1, 1], all of one
+            size.
 
     Raises:
-        DataError: the network is in 8 bits already.
+        DataError: the network is already quantised.
         SettingError: too few images.
     """
     if any(node.op_type == "QuantizeLinear" for node in onnx.load_from_string(content).graph.node):
         raise DataError("network", "is in 8 bits already", "give it as it was before it was quantised")
     if len(images) < LEAST_IMAGES:
         raise SettingError("int8", f"has {len(images)} frames", f"calibrate on at least {LEAST_IMAGES}")
-    calibration, judging = images[::2], images[1::2]
+    calibration, evaluation = images[::2], images[1::2]
     with tempfile.TemporaryDirectory() as folder:
         source, prepared, target = (Path(folder) / name for name in ("source.onnx", "prepared.onnx", "target.onnx"))
         source.write_bytes(content)
@@ -77,7 +80,7 @@ def quantise(content: bytes, images: Sequence[NDArray[np.float32]]) -> tuple[byt
     shift = float(np.mean(_log_depth(quantised, calibration) - _log_depth(content, calibration)))
     weight, bias = read_last_layer(quantised)
     quantised = replace_last_layer(quantised, weight, (bias - shift).astype(np.float32))
-    difference = np.abs(_log_depth(quantised, judging) - _log_depth(content, judging))
+    difference = np.abs(_log_depth(quantised, evaluation) - _log_depth(content, evaluation))
     return quantised, QuantisationReport(len(quantised), float(difference.max()), float(difference.mean()))
 
 
@@ -92,7 +95,7 @@ class _Images(CalibrationDataReader):  # type: ignore[misc]  # onnxruntime is no
 
 @contextmanager
 def _no_warnings() -> Iterator[None]:
-    """onnxruntime writes a page on tensors of shapes, which are not meant to be quantised."""
+    """Silence onnxruntime, which warns at length about shape tensors that are not meant to be quantised."""
     logging.disable(logging.WARNING)
     try:
         yield
@@ -101,12 +104,12 @@ def _no_warnings() -> Iterator[None]:
 
 
 def _shorten_names(model: onnx.ModelProto) -> None:
-    """Number what the graph calls by long paths: the names of a small network weigh as much as a third of it."""
-    kept = {value.name for value in (*model.graph.input, *model.graph.output)} | {"", "head.weight", "head.bias"}
+    """Replace long names in the graph with numbers: in a small network, names take up to a third of the file."""
+    public = {value.name for value in (*model.graph.input, *model.graph.output)} | {"", "head.weight", "head.bias"}
     numbers: dict[str, str] = {}
 
     def short(name: str) -> str:
-        return name if name in kept else numbers.setdefault(name, str(len(numbers)))
+        return name if name in public else numbers.setdefault(name, str(len(numbers)))
 
     for tensor in model.graph.initializer:
         tensor.name = short(tensor.name)

@@ -1,4 +1,4 @@
-"""Training a depth network on frames with depth."""
+"""Training of a depth network on frames with depth."""
 
 from __future__ import annotations
 
@@ -38,14 +38,15 @@ _CENTRING_FRAMES = 150
 
 
 class TrainConfig(BaseModel):
-    """Settings of one training run, as read from a TOML file; kept with its state.
+    """Settings of one training run, read from a TOML file and stored with the run's state.
 
     Attributes:
-        network: a table of :class:`NetworkConfig`, or the name of a member of the family.
-        augment, loss: what is trained on, and for.
-        epochs, batch_size, learning_rate, weight_decay, seed: of the optimisation; a batch is shared by the workers.
-        encoder_rate_factor: learning rate of the encoder against that of the rest.
-        ema_decay: of the averaged weights, which are what is judged and kept.
+        network: a table of :class:`NetworkConfig`, or the name of a network of the family.
+        augment, loss: augmentation of the examples, and weights of the loss terms.
+        epochs, batch_size, learning_rate, weight_decay, seed: settings of the optimisation; the workers share a
+            batch.
+        encoder_rate_factor: learning rate of the encoder relative to that of the other layers.
+        ema_decay: decay of the averaged weights, which are validated and saved.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -64,13 +65,13 @@ class TrainConfig(BaseModel):
     @field_validator("network", mode="before")
     @classmethod
     def _by_name(cls, value: object) -> object:
-        """A member of the family by its name, in place of a table."""
+        """Accept the name of a network of the family in place of a table."""
         return named_config(value) if isinstance(value, str) else value
 
 
 @dataclass(frozen=True)
 class EpochRecord:
-    """One line of the training history; validation figures are of the averaged weights, without any scale fit."""
+    """One line of the training history; validation metrics use the averaged weights, without a scale fit."""
 
     epoch: int
     train_loss: float
@@ -89,28 +90,31 @@ def train_network(
     progress: Progress | None = None,
     show: Callable[[list[EpochRecord]], None] | None = None,
 ) -> list[EpochRecord]:
-    """Train from the encoder's weights, from a network or from nothing, and write the network and its history.
+    """Train from encoder weights, a whole network or random weights, and write the network and its history.
 
-    AdamW, one-cycle learning rate, exponential moving average of the weights; bfloat16 convolutions where they are
-    the faster; on GPUs where there are some, and on several under ``torchrun``; at the end the last layer's bias is
-    set so that the median error on whole frames is none. After every epoch ``out_dir`` holds
-    ``network.safetensors`` (the averaged weights), ``history.json`` (which is returned, by the first of several
-    processes) and what it takes to go on from there: called again with the same settings, training resumes. What
-    it starts from, and all frames, must be the same too.
+    Training uses AdamW, a one-cycle learning rate and an exponential moving average of the weights, with bfloat16
+    convolutions where they are faster. It runs on a GPU if there is one, and on several under ``torchrun``. At the
+    end, the last layer's bias is set so that the median error on whole frames is zero.
+
+    After every epoch ``out_dir`` holds ``network.safetensors`` (the averaged weights), ``history.json`` and the state
+    to resume from. A call with the same settings, start weights and frames resumes training.
 
     Args:
-        training: recordings with depth, which are mixed, of one field of view; the first is of the kind that the
-            network is for, and centres it.
+        training: recordings with depth and one field of view, which are mixed; the first is of the kind that the
+            network is for, and the final bias is fitted on it.
         validation: a recording with depth.
         config: all settings.
-        out_dir: made where it does not exist.
-        encoder_weights: MobileNetV2 weights to start from, as :func:`load_encoder_weights` takes them.
-        start: a whole network to start from, as :func:`load_network` takes it; in place of the former.
-        progress: shows epochs and their figures.
-        show: called by the first process with the history so far, when training begins again and after every epoch.
+        out_dir: created if it does not exist.
+        encoder_weights: MobileNetV2 weights to start from, see :func:`load_encoder_weights`.
+        start: a whole network to start from, see :func:`load_network`; replaces ``encoder_weights``.
+        progress: shows epochs and their metrics.
+        show: called by the first process with the history so far, when training resumes and after every epoch.
+
+    Returns:
+        The history; empty in all processes but the first.
 
     Raises:
-        DataError: a recording without depth, or one that cannot be read; weights that do not fit.
+        DataError: a recording has no depth or cannot be read, or weights do not fit.
         SettingError: fewer frames than one batch, or ``out_dir`` holds another run.
     """
     for recording in (*training, validation):
@@ -163,7 +167,7 @@ def _identity(
     encoder_weights: Path | None,
     start: Path | None,
 ) -> str:
-    """What a run must agree in to be the same."""
+    """Identity of a run: two runs are the same if all of this agrees."""
     parts = {
         "settings": config.model_dump(mode="json"),
         "start": None if start is None else file_sha256(start),
@@ -175,7 +179,7 @@ def _identity(
 
 
 class _Run:
-    """A network with all that changes while it trains."""
+    """A network and all state that changes in training."""
 
     def __init__(
         self,
@@ -222,7 +226,7 @@ class _Run:
         return cast(DepthNetwork, self._averaged.module)
 
     def train_epoch(self, epoch: int) -> float:
-        """One pass over the frames; returns the mean loss."""
+        """Train for one pass over the frames and return the mean loss."""
         config, worker = self.config, self.worker
         self._trained.train()
         losses = []
@@ -247,9 +251,9 @@ class _Run:
 
     @torch.no_grad()
     def centre(self) -> None:
-        """Set the last layer's bias so that the median error on whole frames is none.
+        """Set the last layer's bias so that the median error on whole frames is zero.
 
-        Training sees zoomed views, which are nearer on average than what the network will be shown.
+        Training uses zoomed views, whose canonical depth is smaller on average than that of the images at run time.
         """
         network = self.averaged_network.eval()
         images, depth = self._frames.whole(_CENTRING_FRAMES)
@@ -265,7 +269,7 @@ class _Run:
             network.head.bias -= torch.stack(errors).median()
 
     def save(self, out_dir: Path) -> None:
-        """Network, history, and the state to resume from; the last is written last."""
+        """Write network, history, and the state to resume from, in this order."""
         out_dir.mkdir(parents=True, exist_ok=True)
         history = [asdict(record) for record in self.history]
         save_network(self.averaged_network, out_dir / "network.safetensors")
@@ -277,10 +281,10 @@ class _Run:
         write_whole(out_dir / _STATE, buffer.getvalue())
 
     def resume(self, out_dir: Path) -> None:
-        """Go on where the same run stopped; nothing if ``out_dir`` holds none.
+        """Resume the same run; without a saved state in ``out_dir``, do nothing.
 
         Raises:
-            SettingError: it holds another run, or one that cannot be read.
+            SettingError: ``out_dir`` holds another run, or a state that cannot be read.
         """
         path = out_dir / _STATE
         if not path.is_file():
@@ -307,7 +311,7 @@ class _Run:
 
 
 class _WithError(nn.Module):
-    """The network called for both of its outputs, as a module that gradients can be averaged over."""
+    """Wrapper that returns both outputs, as a module whose gradients can be averaged over workers."""
 
     def __init__(self, network: DepthNetwork) -> None:
         super().__init__()

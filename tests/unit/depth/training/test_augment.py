@@ -10,9 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from depth_helpers import (
-    NEUTRAL_AUGMENT,
-)
+from depth_helpers import NEUTRAL_AUGMENT
 from monoloc.camera import Camera
 from monoloc.depth.training.augment import (
     AugmentConfig,

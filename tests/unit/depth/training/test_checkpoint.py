@@ -13,11 +13,7 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 
-from depth_helpers import (
-    TINY,
-    UNCERTAIN,
-    tiny_network,
-)
+from depth_helpers import TINY, UNCERTAIN, tiny_network
 from monoloc.depth.training.checkpoint import load_network, save_network
 from monoloc.depth.training.export import export_onnx
 from monoloc.depth.training.network import NetworkConfig

@@ -13,19 +13,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from torch import Tensor
 
-from depth_helpers import (
-    NEUTRAL_AUGMENT,
-    ROOM,
-    SMALL_CAMERA,
-    TINY,
-    looking_around,
-    small_recording,
-)
+from depth_helpers import NEUTRAL_AUGMENT, ROOM, SMALL_CAMERA, TINY, looking_around, small_recording
 from monoloc.camera import Camera
 from monoloc.depth.spec import image_tensor, network_size
-from monoloc.depth.training.augment import (
-    AugmentConfig,
-)
+from monoloc.depth.training.augment import AugmentConfig
 from monoloc.depth.training.examples import TrainingFrames, ValidationFrames
 from monoloc.depth.training.network import DepthNetwork
 from monoloc.errors import DataError

@@ -9,16 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from depth_helpers import (
-    random_input,
-)
+from depth_helpers import random_input
 from monoloc.config import load_settings
 from monoloc.depth.training.family import SIZES, WIDTHS, named_config, network_config
-from monoloc.depth.training.losses import (
-    LossConfig,
-    depth_loss,
-    laplace_loss,
-)
+from monoloc.depth.training.losses import LossConfig, depth_loss, laplace_loss
 from monoloc.depth.training.mobilenet import load_encoder_weights
 from monoloc.depth.training.network import DepthNetwork
 from monoloc.depth.training.train import TrainConfig

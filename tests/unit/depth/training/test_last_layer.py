@@ -7,12 +7,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from depth_helpers import (
-    lively_network,
-    run_onnx,
-    smooth_images,
-    stub_network,
-)
+from depth_helpers import lively_network, run_onnx, smooth_images, stub_network
 from monoloc.depth.training.export import export_onnx
 from monoloc.depth.training.last_layer import read_last_layer, replace_last_layer
 from monoloc.depth.training.network import DepthNetwork

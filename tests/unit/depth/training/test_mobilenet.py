@@ -11,13 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from depth_helpers import (
-    TINY,
-    encoder_arrays,
-    parameter_names,
-    random_image,
-    tiny_network,
-)
+from depth_helpers import TINY, encoder_arrays, parameter_names, random_image, tiny_network
 from monoloc.camera import Camera
 from monoloc.depth.spec import image_tensor
 from monoloc.depth.training.mobilenet import Encoder, _conv_bn, _Layers, _SamePadConv, load_encoder_weights
@@ -170,21 +164,21 @@ def test_folded_batch_normalisation_makes_no_difference() -> None:
 
 
 def test_weights_round_trip_through_npz(tmp_path: Path) -> None:
-    np.savez(tmp_path / "w.npz", **encoder_arrays())
+    np.savez(tmp_path / "w.npz", **encoder_arrays(tiny_network()))
     network = DepthNetwork(TINY)
     load_encoder_weights(network, tmp_path / "w.npz")
-    for name, array in encoder_arrays().items():
+    for name, array in encoder_arrays(tiny_network()).items():
         np.testing.assert_array_equal(network.encoder.state_dict()[name].numpy(), array)
 
 
 def test_weights_of_another_width_name_the_tensor_and_both_shapes(tmp_path: Path) -> None:
-    np.savez(tmp_path / "w.npz", **encoder_arrays())
+    np.savez(tmp_path / "w.npz", **encoder_arrays(tiny_network()))
     with pytest.raises(DataError, match=r"w\.npz: features\.0\.0\.weight has shape \(8, 3, 3, 3\).*\(16, 3, 3, 3\)"):
         load_encoder_weights(DepthNetwork(NetworkConfig(width=0.5)), tmp_path / "w.npz")
 
 
 def test_weights_that_lack_a_tensor_name_it(tmp_path: Path) -> None:
-    arrays = encoder_arrays()
+    arrays = encoder_arrays(tiny_network())
     del arrays["features.5.conv.1.1.running_var"]
     np.savez(tmp_path / "w.npz", **arrays)
     with pytest.raises(DataError, match=r"has no tensor features\.5\.conv\.1\.1\.running_var"):
@@ -199,7 +193,7 @@ def test_file_that_is_no_archive_is_refused(tmp_path: Path, damage: str) -> None
     elif damage == "text":
         path.write_text("not an archive")
     elif damage == "cut short":
-        np.savez(path, **encoder_arrays())
+        np.savez(path, **encoder_arrays(tiny_network()))
         path.write_bytes(path.read_bytes()[:-500])
     elif damage == "npy":
         with path.open("wb") as file:

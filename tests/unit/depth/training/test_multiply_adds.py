@@ -5,11 +5,7 @@ from __future__ import annotations
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from depth_helpers import (
-    TINY,
-    UNCERTAIN,
-    tiny_network,
-)
+from depth_helpers import TINY, UNCERTAIN, tiny_network
 
 
 def test_multiply_adds_are_half_the_operations_that_torch_counts() -> None:

@@ -11,12 +11,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from torch.nn import functional as F
 
-from depth_helpers import (
-    UNCERTAIN,
-    parameter_names,
-    random_input,
-    tiny_network,
-)
+from depth_helpers import UNCERTAIN, parameter_names, random_input, tiny_network
 from monoloc.config import describe
 from monoloc.depth.training.mobilenet import Encoder
 from monoloc.depth.training.network import DepthNetwork, NetworkConfig, _LastLayer

@@ -10,13 +10,7 @@ import onnxruntime
 import pytest
 from numpy.typing import NDArray
 
-from depth_helpers import (
-    TINY,
-    lively_network,
-    random_image,
-    run_onnx,
-    smooth_images,
-)
+from depth_helpers import TINY, lively_network, random_image, run_onnx, smooth_images
 from monoloc.camera import Camera
 from monoloc.depth.predictor import DepthPredictor
 from monoloc.depth.spec import DepthModel, monoloc_spec
@@ -81,9 +75,7 @@ def test_quantised_file_has_the_original_s_metadata_inputs_and_outputs(
 
 
 def test_quantising_repeats_and_prints_nothing(
-    lively: tuple[DepthNetwork, bytes],
-    capfd: pytest.CaptureFixture[str],
-    caplog: pytest.LogCaptureFixture,
+    lively: tuple[DepthNetwork, bytes], capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
     """Standard output belongs to --json, and a library's remarks on its own graph concern nobody."""
     once, again = (quantise(lively[1], smooth_images(10))[0] for _ in range(2))

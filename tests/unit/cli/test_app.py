@@ -1,0 +1,96 @@
+"""Command lines: help for every command, and one line for what cannot be parsed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import pytest
+from typer.core import TyperGroup
+from typer.main import get_command
+
+from cli_helpers import succeeds
+from monoloc import __version__
+from monoloc.cli.app import app
+from monoloc.cli.main import invoke
+
+
+def commands(group: TyperGroup, *path: str) -> Iterator[tuple[str, ...]]:
+    for name, command in group.commands.items():
+        if isinstance(command, TyperGroup):
+            yield from commands(command, *path, name)
+        else:
+            yield (*path, name)
+
+
+ROOT = get_command(app)
+assert isinstance(ROOT, TyperGroup)
+COMMANDS = list(commands(ROOT))
+
+
+def test_commands_are_those_expected() -> None:
+    own = {("build",), ("localize",), ("evaluate",), ("inspect",)}
+    own |= {("map", name) for name in ("fit", "info", "compare")}
+    own |= {("depth", name) for name in ("train", "evaluate", "export", "list")}
+    assert own <= set(COMMANDS)
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_help_describes_the_command_and_shows_valid_examples_first(
+    capfd: pytest.CaptureFixture[str], command: tuple[str, ...]
+) -> None:
+    text = succeeds(capfd, *command, "--help")
+    name = " ".join(("monoloc", *command))
+    description = re.search(r"^  [A-Z][^.]+\.$", text, re.MULTILINE)
+    assert description is not None
+    examples, options = text.index("Examples:"), text.index("Options:")
+    assert text.index(f"Usage: {name}") < description.start() < examples < options
+    assert text[examples:].splitlines()[1].startswith(f"    {name}")
+    assert "--json" in text
+    for option in re.findall(r"(?<= )--?[a-z][a-z0-9-]*", text[examples:options]):
+        assert re.search(rf"(^|[ ,/]){option}\b", text[options:], re.MULTILINE), option
+
+
+def test_help_lists_every_command(capfd: pytest.CaptureFixture[str]) -> None:
+    text = succeeds(capfd, "--help")
+    for command in COMMANDS:
+        assert re.search(rf"^  {command[0]} ", text, re.MULTILINE), command
+
+
+def test_version(capfd: pytest.CaptureFixture[str]) -> None:
+    assert succeeds(capfd, "--version") == f"monoloc {__version__}\n"
+
+
+@pytest.mark.parametrize("group", [(), ("map",), ("depth",)], ids=str)
+def test_group_without_a_command_shows_its_help(capfd: pytest.CaptureFixture[str], group: tuple[str, ...]) -> None:
+    assert invoke(list(group)) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert err.startswith(f"Usage: {' '.join(('monoloc', *group))} [OPTIONS] COMMAND")
+    assert "Commands:" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("fly", r"No such command 'fly'\. \(see: monoloc --help\)"),
+        ("map fly", r"No such command 'fly'\. \(see: monoloc map --help\)"),
+        ("build room --out x.monoloc --fast", "No such option: --fast.*build --help"),
+        ("build room", r"Missing option '--out' / '-o'\. \(see: monoloc build --help\)"),
+        ("localize room.monoloc", r"Missing argument 'SOURCE'\. \(see: monoloc localize --help\)"),
+        ("build room --out x --tune most", "'--tune'.*'none', 'last', 'decoder'.*build --help"),
+        ("localize room.monoloc flight --seed -1", "'--seed'.*greater than or equal to 0"),
+        *(
+            (f"localize room.monoloc flight --start-error-cm {v}", "'--start-error-cm'")
+            for v in ("nan", "inf", "1e6")
+        ),
+        ("localize room.monoloc flight --start-error-deg 181", "'--start-error-deg'"),
+    ],
+)
+def test_usage_errors_are_one_line_that_names_the_help(
+    capfd: pytest.CaptureFixture[str], arguments: str, message: str
+) -> None:
+    assert invoke(arguments.split()) == 2
+    out, err = capfd.readouterr()
+    assert out == "" and err.count("\n") == 1
+    assert re.search(message, err), err

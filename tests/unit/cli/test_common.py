@@ -1,0 +1,185 @@
+"""What the commands share: intrinsics, outputs that may not be written, names of options, and tables."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+import synthetic_recordings as synthetic
+from monoloc.cli.common import (
+    check_apart,
+    check_folder,
+    check_outputs,
+    check_picture,
+    naming,
+    open_source,
+    print_table,
+    refuse_frames,
+    text_of,
+)
+from monoloc.errors import MissingExtraError, SettingError
+from refusals import refuses_setting
+
+# --- Recordings and their options ---
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["640,480,525", "a,b,c,d,e,f", "320.5,256,1,1,1,1", "", "64,48,50,50,31,23,0.1", "64,48,50,50,31,23" + 6 * ",0"],
+)
+def test_intrinsics_that_are_not_six_or_eleven_numbers_are_refused(text: str) -> None:
+    refuses_setting(
+        lambda: open_source("no", "::", text), "--intrinsics", f"is '{text}'", "W,H,FX,FY,CX,CY.*K1,K2,P1,P2,K3"
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("64,48,0,50,31,23", r"fx/fy is \(0.0, 50.0\)"),
+        ("nan,480,525,525,320,240", "is 'nan,480"),
+        ("64,48,50,50,99,23", r"cx/cy \(99.0, 23.0\) lies outside"),
+        ("0,48,50,50,31,23", "width/height is 0x48"),
+        ("64,48,50,50,31,23,-9,0,0,0,0", "distortion .*folds the image"),
+        ("160,128,136,136,79.5,63.5", "is for 160x128, but flight.avi is 64x48"),
+    ],
+)
+def test_intrinsics_of_no_possible_camera_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, problem: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    synthetic.write_video(tmp_path / "flight.avi")
+    refuses_setting(lambda: open_source("flight.avi", "::", text), "--intrinsics", problem, "")
+
+
+def test_settings_of_a_recording_are_named_by_their_options(tmp_path: Path) -> None:
+    synthetic.write_folder(tmp_path)
+    source = str(tmp_path)
+    refuses_setting(lambda: open_source(source, "9:"), "--frames", "selects none of the 3", "START")
+    refuses_setting(lambda: open_source(source, "9:", frames_option="--validate"), "--validate", "selects none", "")
+    refuses_setting(lambda: open_source(source, "::", depth_scale=0.0), "--depth-scale", "is 0.0", "such as 1000")
+
+
+def test_six_intrinsics_do_not_change_the_distortion_and_eleven_do(tmp_path: Path) -> None:
+    synthetic.write_folder(tmp_path)
+    source, own = str(tmp_path), (0.1, -0.2, 0.0, 0.001, 0.0)
+    assert open_source(source, "::", "32,24,30,31,15.5,11.5").camera.distortion == own
+    assert open_source(source, "::", "32,24,30,31,15.5,11.5,0,0,0,0,0").camera.distortion == (0.0,) * 5
+
+
+def test_only_named_settings_become_options() -> None:
+    for field, expected in (("components", "--components"), ("voxel_m", "voxel_m")):
+        with (
+            pytest.raises(SettingError, match=f"^{expected}: is wrong; mend it"),
+            naming({"components": "--components"}),
+        ):
+            raise SettingError(field, "is wrong", "mend it")
+
+
+def test_choice_of_frames_is_refused_where_there_are_none() -> None:
+    refuse_frames(" :: ", "a cloud")
+    refuses_setting(lambda: refuse_frames("0:4", "a cloud"), "--frames", "has no meaning for a cloud", "leave it out")
+
+
+# --- Outputs ---
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with a bundle's manifest, a cloud, a link to it, a video, an empty folder and a pipe."""
+    (tmp_path / "room.monoloc").mkdir()
+    (tmp_path / "run").mkdir()
+    for name in ("room.monoloc/manifest.json", "room.xyz", "flight.mp4"):
+        (tmp_path / name).write_text("content")
+    (tmp_path / "link.txt").symlink_to("room.xyz")
+    os.mkfifo(tmp_path / "pipe")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("output", "inputs", "problem"),
+    [
+        ("flight.mp4", ("flight.mp4",), "flight.mp4 is read by this command"),
+        ("./flight.mp4", ("video:flight.mp4",), "flight.mp4 is read"),
+        ("flight.mp4", ("video:~/flight.mp4",), "flight.mp4 is read"),
+        ("link.txt", ("room.xyz",), "link.txt is read"),
+        ("room.monoloc", (None, "room.monoloc"), "room.monoloc is read"),
+        ("room.monoloc/map.png", ("room.monoloc",), "lies in the bundle room.monoloc"),
+        ("run/../room.monoloc/manifest.json", ("room.monoloc",), "lies in the bundle room.monoloc"),
+    ],
+)
+def test_output_in_the_place_of_an_input_is_refused(
+    here: Path, output: str, inputs: tuple[str | None, ...], problem: str
+) -> None:
+    refuses_setting(lambda: check_apart(Path(output), "--out", inputs), "--out", problem, "name another place")
+
+
+@pytest.mark.parametrize(
+    ("outputs", "option", "problem", "fix"),
+    [
+        ({"--out": "no/file"}, "--out", "no does not exist", "make the folder first"),
+        ({"--out": "run"}, "--out", "run is a folder", "name a file"),
+        ({"--out": "pipe"}, "--out", "pipe is neither a file nor a folder", "name a file"),
+        ({"--out": "/dev/null"}, "--out", "/dev/null is neither a file nor a folder", "name a file"),
+        ({"--out": "a.png", "--plot": "./a.png"}, "--plot", "a.png is what --out writes", "name another file"),
+        ({"--out": "a", "--record": "run/../a"}, "--record", "a is what --out writes", "name another file"),
+    ],
+)
+def test_output_that_cannot_be_written_is_refused(
+    here: Path, outputs: dict[str, str], option: str, problem: str, fix: str
+) -> None:
+    paths = {name: Path(path) for name, path in outputs.items()}
+    refuses_setting(lambda: check_outputs(paths), option, problem, fix)
+
+
+def test_outputs_may_be_new_older_or_linked(here: Path) -> None:
+    check_outputs({"--out": Path("new.txt"), "--plot": Path("link.txt"), "--record": None}, ("flight.mp4", None))
+    check_outputs({"--out": Path("room.xyz")})
+
+
+def test_loop_of_links_is_left_to_the_reader(here: Path) -> None:
+    Path("loop").symlink_to("loop")
+    check_apart(Path("new.txt"), "--out", ("loop",))
+
+
+def test_output_folder_that_cannot_be_made_is_refused(here: Path) -> None:
+    check_folder(Path("run"), "--out")
+    check_folder(Path("new"), "--out")
+    refuses_setting(
+        lambda: check_folder(Path("no/a"), "--out"), "--out", "no does not exist", "make the folder first"
+    )
+    refuses_setting(lambda: check_folder(Path("room.xyz"), "--out"), "--out", "is a file", "name a folder")
+
+
+def test_picture_must_be_named_as_one_and_needs_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
+    check_picture(None, "--plot")
+    check_picture(Path("a.PNG"), "--plot")
+    for name in ("a.pdf", "a"):
+        refuses_setting(
+            lambda name=name: check_picture(Path(name), "--plot"),
+            "--plot",
+            f"{re.escape(name)} is a PNG by another name",
+            "NAME.png",
+        )
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(MissingExtraError, match=r'plots needs the extra "report".*; .*pip install'):
+        check_picture(Path("a.png"), "--plot")
+
+
+# --- Tables ---
+
+
+def test_tables_are_rounded_and_their_titles_are_not_wrapped_or_interpreted(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    title = "[a]:room: whose name is longer than the table below it is wide.monoloc"
+    print_table(title, ["", ""], [["down", text_of((1 / 3, -0.1234567, 0.0123456))]])
+    out = capfd.readouterr().out
+    assert out.startswith(f"{title}\n")
+    assert " 0.333, -0.123, 0.0123 " in out

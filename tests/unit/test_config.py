@@ -1,0 +1,63 @@
+"""Settings files and options: what is wrong with them, in one line that names the field."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from monoloc.builder.build_config import BuildConfig
+from monoloc.config import load_settings, override
+from monoloc.errors import DataError, SettingError
+from monoloc.localizer_config import LocalizerConfig
+from refusals import refuses, refuses_data
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("compnents = 5\n", "compnents: Extra inputs are not permitted"),
+        ("[adapt]\nstep = 5\n", "adapt.step: Extra inputs are not permitted"),
+        ("voxel_m = -1\n", "voxel_m: Input should be greater than 0"),
+        ('components = "many"\n', "components: Input should be a valid integer.*or Input should be 'bic'"),
+        ('[adapt]\ntune = "most"\n', "adapt.tune: Input should be 'none', 'last', 'decoder' or 'all'"),
+        ("[localizer.likelihood]\noutlier_share = 1.0\n", "localizer.likelihood.outlier_share: .*less than 1"),
+        ("components 5\n", "is not TOML"),
+    ],
+)
+def test_invalid_settings_file_is_refused(tmp_path: Path, text: str, problem: str) -> None:
+    path = tmp_path / "settings.toml"
+    path.write_text(text)
+    refuses_data(lambda: load_settings(path, BuildConfig), path, problem, "mend the (field|line) named")
+
+
+def test_missing_settings_file_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "no.toml"
+    refuses(
+        lambda: load_settings(path, BuildConfig), DataError, r"no\.toml: cannot be read; give a TOML settings file"
+    )
+
+
+@pytest.mark.parametrize(
+    ("settings", "field", "value", "problem"),
+    [
+        (BuildConfig(), "components", "0", "greater than or equal to 1, or .*'bic'"),
+        (BuildConfig(), "components", "forty", "valid integer.*or .*'bic'"),
+        (BuildConfig(), "adapt.lambda_kl", float("nan"), "greater than or equal to 0"),
+        (LocalizerConfig(), "particles", 3, "greater than or equal to 10"),
+        (LocalizerConfig(), "scan_points", 3, "greater than or equal to 10"),
+    ],
+)
+def test_value_out_of_range_is_refused(
+    settings: BuildConfig | LocalizerConfig, field: str, value: object, problem: str
+) -> None:
+    outer, _, inner = field.partition(".")
+    values = {outer: {inner: value} if inner else value}
+    refuses(lambda: override(settings, **values), SettingError, f"^{re.escape(field)}: .*{problem}")
+
+
+def test_override_replaces_only_given_fields() -> None:
+    changed = override(BuildConfig(components=25), components=None, adapt={"tune": "last", "lambda_kl": None})
+    assert changed.components == 25 and changed.adapt.tune == "last"
+    assert changed.adapt.lambda_kl == BuildConfig().adapt.lambda_kl

@@ -1,0 +1,159 @@
+"""Observations of frames, before anything is known of the pose."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from monoloc.camera import Camera
+from monoloc.components import Components
+from monoloc.depth.predictor import DepthPrediction
+from monoloc.front_end import FrontEnd
+from monoloc.geometry import se3_exp
+from monoloc.likelihood.scan import scan_from_corners, scan_from_depth
+from monoloc.localizer_config import LocalizerConfig
+from monoloc.odometry.scale_tilt import ScaleTiltConfig, correct_scale_and_tilt
+from monoloc.odometry.visual import Motion
+
+CAMERA = Camera(80, 64, 70.0, 70.0, 39.5, 31.5)
+DEPTH_CAMERA = CAMERA.resized(40, 32)
+CONFIG = LocalizerConfig(scan_points=50, scale_tilt=None)
+COLOR = np.random.default_rng(0).integers(0, 256, (4, 5, 3), dtype=np.uint8).repeat(16, axis=0).repeat(16, axis=1)
+BLACK = np.zeros_like(COLOR)
+PREDICTED = DepthPrediction(
+    np.full((32, 40), 2.0, np.float32), DEPTH_CAMERA, np.linspace(-3.0, 0.0, 1280, dtype=np.float32).reshape(32, 40)
+)
+MEASURED = DepthPrediction(np.full((32, 40), 3.0, np.float32), DEPTH_CAMERA)
+
+
+def corners_of(depth: DepthPrediction, tilt: float) -> Motion:
+    """A motion whose corners see the depth with a tilt."""
+    rays = depth.camera.pixel_rays()[4:-4:6, 4:-4:6].reshape(-1, 3)
+    points = 2.0 * np.exp(tilt * rays[:, :1]) * rays
+    log_depth_sd = np.where(np.arange(len(points)) % 5 == 0, 0.3, 0.02)
+    return Motion(se3_exp([0.1, 0.0, 0.0, 0.0, 0.02, 0.0]), len(points), points, log_depth_sd)
+
+
+class _Depth:
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def __call__(self, color: NDArray[np.uint8]) -> DepthPrediction:
+        self.calls += 1
+        return PREDICTED
+
+
+class _Odometry:
+    """Has one motion after another, and None thereafter."""
+
+    def __init__(self, *motions: Motion | None) -> None:
+        self._motions = list(motions)
+        self.calls = 0
+
+    def step(self, color: NDArray[np.uint8], depth_m: NDArray[np.float32], camera: Camera) -> Motion | None:
+        self.calls += 1
+        return self._motions.pop(0) if self._motions else None
+
+
+def make_front_end(
+    odometry: _Odometry | None = None, config: LocalizerConfig = CONFIG, depth: _Depth | None = None
+) -> FrontEnd:
+    components = Components(depth or _Depth(), odometry, likelihood=None)
+    return FrontEnd(components, CAMERA, config, np.random.default_rng(0))
+
+
+def test_first_frame_has_no_elapsed_time_and_counts_as_tracked() -> None:
+    front_end = make_front_end(_Odometry())
+    first = front_end.observe(COLOR, -5.0, None, None)
+    assert first.is_first and first.elapsed_s == 0.0 and first.motion is None and first.odometry_tracked
+    second = front_end.observe(COLOR, 0.1, None, None)
+    assert not second.is_first and second.elapsed_s == 0.1 and not second.odometry_tracked
+
+
+def test_odometry_tracks_where_it_has_a_motion_and_a_random_walk_always_does() -> None:
+    motion = corners_of(PREDICTED, 0.0)
+    with_odometry, random_walk = make_front_end(_Odometry(None, motion, None)), make_front_end(None)
+    observed = [
+        [front_end.observe(COLOR, 0.1, None, None) for _ in range(3)] for front_end in (with_odometry, random_walk)
+    ]
+    assert [each.motion for each in observed[0]] == [None, motion, None]
+    assert [each.odometry_tracked for each in observed[0]] == [True, True, False]
+    assert all(each.odometry_tracked and each.motion is None for each in observed[1])
+
+
+def test_scan_is_of_the_depth_weighted_by_stated_errors() -> None:
+    observation = make_front_end().observe(COLOR, 0.0, None, None)
+    expected = scan_from_depth(PREDICTED, 50, np.random.default_rng(0), CONFIG.likelihood.error_power)
+    np.testing.assert_array_equal(observation.scan.points, expected.points)
+    np.testing.assert_array_equal(observation.scan.weights, expected.weights)
+    assert np.ptp(observation.scan.weights) > 0.5
+
+
+def test_corners_are_those_of_the_motion_within_the_doubt() -> None:
+    motion = corners_of(PREDICTED, 0.0)
+    front_end = make_front_end(_Odometry(None, motion))
+    assert len(front_end.observe(COLOR, 0.0, None, None).corners) == 0
+    corners = front_end.observe(COLOR, 0.1, None, None).corners
+    expected = scan_from_corners(motion, CONFIG.likelihood.corner_doubt)
+    assert 0 < len(corners) < len(motion.points)
+    np.testing.assert_array_equal(corners.points, expected.points)
+
+
+def test_depth_is_corrected_before_the_scan_is_taken() -> None:
+    motion, scale_tilt = corners_of(PREDICTED, 0.3), ScaleTiltConfig(tilt_sd=0.15)
+    front_end = make_front_end(_Odometry(None, motion), CONFIG.model_copy(update={"scale_tilt": scale_tilt}))
+    assert front_end.observe(COLOR, 0.0, None, None).depth is PREDICTED  # there is no motion yet
+    observation = front_end.observe(COLOR, 0.1, None, None)
+    expected = correct_scale_and_tilt(PREDICTED, motion, scale_tilt)
+    assert np.ptp(expected.depth_m) > 0.2
+    np.testing.assert_array_equal(observation.depth.depth_m, expected.depth_m)
+    columns, rows = np.rint(DEPTH_CAMERA.project(observation.scan.points.astype(np.float64))).astype(int).T
+    np.testing.assert_allclose(observation.scan.points[:, 2], expected.depth_m[rows, columns], rtol=1e-5)
+    # Without the setting, the depth stays.
+    uncorrected = make_front_end(_Odometry(motion)).observe(COLOR, 0.0, None, None)
+    assert uncorrected.depth is PREDICTED
+
+
+def test_measured_depth_replaces_the_networks() -> None:
+    depth = _Depth()
+    observation = make_front_end(depth=depth).observe(COLOR, 0.0, MEASURED, None)
+    assert observation.depth is MEASURED and depth.calls == 0 and np.all(observation.scan.points[:, 2] == 3.0)
+
+
+def test_image_without_contrast_gives_an_empty_scan_of_predicted_depth_only() -> None:
+    front_end = make_front_end()
+    assert len(front_end.observe(BLACK, 0.0, None, None).scan) == 0
+    assert len(front_end.observe(BLACK, 0.1, MEASURED, None).scan) == 50
+    assert len(front_end.observe(COLOR, 0.1, None, None).scan) == 50
+
+
+@pytest.mark.parametrize(("pixels", "enough"), [(0, False), (9, False), (10, True)])
+def test_scan_has_enough_points_to_constrain_the_pose(pixels: int, enough: bool) -> None:
+    depth_m = np.zeros((32, 40), np.float32)
+    depth_m[0, :pixels] = 2.0
+    observation = make_front_end().observe(COLOR, 0.0, DepthPrediction(depth_m, DEPTH_CAMERA), None)
+    assert len(observation.scan) == pixels and observation.scan_has_enough_points == enough
+
+
+@pytest.mark.parametrize(
+    ("shape", "dtype"),
+    [((128, 128, 3), "uint8"), ((64, 80), "uint8"), ((64, 80, 4), "uint8"), ((64, 80, 3), "float32")],
+)
+def test_image_of_wrong_size_or_type_is_refused(shape: tuple[int, ...], dtype: str) -> None:
+    depth, odometry = _Depth(), _Odometry()
+    front_end = make_front_end(odometry, depth=depth)
+    with pytest.raises(ValueError, match=r"color must have the camera's shape \(64, 80, 3\) as uint8, got"):
+        front_end.observe(np.zeros(shape, dtype=dtype), 0.0, None, None)
+    assert depth.calls == odometry.calls == 0
+    assert front_end.observe(COLOR, 0.0, None, None).is_first
+
+
+@pytest.mark.parametrize("elapsed_s", [-0.01, np.nan, np.inf])
+def test_time_that_runs_backwards_is_refused(elapsed_s: float) -> None:
+    depth, odometry = _Depth(), _Odometry()
+    front_end = make_front_end(odometry, depth=depth)
+    front_end.observe(COLOR, 0.0, None, None)
+    with pytest.raises(ValueError, match="elapsed_s must be finite and not negative"):
+        front_end.observe(COLOR, elapsed_s, None, None)
+    assert depth.calls == odometry.calls == 1

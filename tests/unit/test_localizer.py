@@ -1,0 +1,199 @@
+"""What the localizer's step puts together, in a room whose depth is known exactly."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike, NDArray
+
+from monoloc.depth.predictor import DepthPrediction, DepthPredictor
+from monoloc.fusion.bias_model import BiasModel
+from monoloc.geometry import FloatArray, invert, is_rigid, se3_exp, se3_log
+from monoloc.likelihood.protocol import LikelihoodConfig
+from monoloc.likelihood.ray import RayLikelihood
+from monoloc.likelihood.scan import Scan, scan_from_corners
+from monoloc.likelihood.thresholds import LikelihoodThresholds
+from monoloc.localizer import Localizer
+from monoloc.localizer_config import LocalizerConfig
+from monoloc.map.mixture import GaussianMixture
+from monoloc.odometry.scale_tilt import ScaleTiltConfig
+from monoloc.particle_filter.estimate import estimate
+from monoloc.particle_filter.particles import Particles, normalised, scatter
+from synthetic_room import (
+    BLACK,
+    CAMERA,
+    FRAME_S,
+    NO_DEPTH,
+    SETTINGS,
+    RoomRecording,
+    depth_from_blue,
+    follow,
+    make_localizer,
+    poses_of,
+    sparse_depth,
+)
+
+FRAMES = 12
+DOWN = np.array([0.0, 1.0, 0.0])
+
+
+def localizer_at_truth(
+    mixture: GaussianMixture,
+    recording: RoomRecording,
+    thresholds: LikelihoodThresholds,
+    config: LocalizerConfig = SETTINGS,
+    **given: Any,
+) -> Localizer:
+    start = scatter(recording.poses[0], config.particles, 0.03, 0.015, 0.0, np.random.default_rng(0))
+    return make_localizer(mixture, thresholds, start, recording.poses[:1], settings=config, **given)
+
+
+def test_refused_frame_changes_nothing(
+    mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
+) -> None:
+    localizer, twin = (localizer_at_truth(mixture, recording, thresholds) for _ in range(2))
+    for each in (localizer, twin):
+        follow(each, recording, range(2))
+    color, depth = recording.color(2), sparse_depth(recording, 2)
+    with pytest.raises(ValueError, match="elapsed_s"):
+        localizer.step(color, -0.01, depth)
+    with pytest.raises(ValueError, match="color"):
+        localizer.step(color[:, ::2], FRAME_S, depth)
+    with pytest.raises(ValueError, match="the room's surfaces do not tell its direction"):
+        localizer.step(color, FRAME_S, depth, DOWN)
+    after = [poses_of(follow(each, recording, range(2, 4))) for each in (localizer, twin)]
+    np.testing.assert_array_equal(*after)
+
+
+@pytest.mark.parametrize(("reference_poses", "relocalization_sd_m"), [(0, 0.1), (10, 0.6)])
+def test_start_must_be_given_where_the_room_cannot_be_searched(
+    mixture: GaussianMixture,
+    recording: RoomRecording,
+    thresholds: LikelihoodThresholds,
+    reference_poses: int,
+    relocalization_sd_m: float,
+) -> None:
+    bias = SETTINGS.particle_bias.model_copy(update={"relocalization_sd_m": relocalization_sd_m})
+    settings = SETTINGS.model_copy(update={"particle_bias": bias})
+    with pytest.raises(ValueError, match="start must be given: this room does not support relocalisation"):
+        make_localizer(mixture, thresholds, None, recording.poses[:reference_poses], settings=settings)
+
+
+def test_same_seed_gives_the_same_trajectory_and_another_seed_another(
+    mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
+) -> None:
+    first, again, other = (
+        poses_of(follow(localizer_at_truth(mixture, recording, thresholds, seed=seed), recording, range(6)))
+        for seed in (3, 3, 4)
+    )
+    np.testing.assert_array_equal(first, again)
+    assert not np.allclose(first[1:], other[1:], atol=1e-4)
+
+
+class _RecordedLikelihood:
+    """Notes what it is asked for and what it answered."""
+
+    def __init__(self, mixture: GaussianMixture, config: LikelihoodConfig) -> None:
+        self._likelihood = RayLikelihood(mixture, config)
+        self.calls: list[tuple[FloatArray, Scan, float | None, FloatArray]] = []
+
+    def mean_log_likelihood(
+        self, poses: FloatArray, log_scale: FloatArray, scan: Scan, log_depth_sd: float | None = None
+    ) -> FloatArray:
+        values = self._likelihood.mean_log_likelihood(poses, log_scale, scan, log_depth_sd)
+        self.calls.append((poses, scan, log_depth_sd, values))
+        return values
+
+
+def tilted_depth(color: NDArray[np.uint8]) -> DepthPrediction:
+    """Of a network that states a larger error the farther right a pixel is."""
+    depth = DepthPredictor(depth_from_blue(), CAMERA)(color)
+    x = depth.camera.pixel_rays()[..., 0].astype(np.float32)
+    return DepthPrediction(depth.depth_m * np.exp(0.15 * x), depth.camera, x - 2.0)
+
+
+def test_particles_are_weighed_by_the_corrected_depth_and_then_by_corners(
+    mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
+) -> None:
+    # So little evidence that tempering needs one stage.
+    trust = SETTINGS.likelihood.model_copy(update={"effective_points": 10.0, "effective_corners": 5.0})
+    config = SETTINGS.model_copy(update={"scale_tilt": ScaleTiltConfig(tilt_sd=0.15), "likelihood": trust})
+    likelihood = _RecordedLikelihood(mixture, trust)
+    localizer = localizer_at_truth(mixture, recording, thresholds, config, depth=tilted_depth, likelihood=likelihood)
+    for index in range(FRAMES):
+        likelihood.calls.clear()
+        prior = localizer.particles
+        step = localizer.step(recording.color(index), FRAME_S)
+    uncorrected = tilted_depth(recording.color(index))
+    assert np.std(np.log(step.depth.depth_m / uncorrected.depth_m)) > 0.01
+    (poses, scan, sd, of_image), (same_poses, corners, corner_sd, of_corners), (pose, *_, at_pose) = likelihood.calls
+    assert scan is step.scan and poses is same_poses
+    assert (sd, corner_sd) == (trust.log_depth_sd, trust.corner_log_depth_sd)
+    expected = scan_from_corners(step.motion, trust.corner_doubt)
+    assert len(expected) > 10
+    np.testing.assert_array_equal(corners.points, expected.points)
+    weights = normalised(prior.log_weights + 10.0 * of_image + 5.0 * of_corners)
+    weighed = estimate(Particles(poses, np.zeros(len(poses)), weights))
+    np.testing.assert_allclose(step.particle_estimate.pose, weighed.pose, atol=1e-12)
+    # The state depends on the scan at the particles' pose.
+    np.testing.assert_array_equal(pose[0], step.particle_estimate.pose)
+    assert step.mean_log_likelihood == at_pose[0]
+
+
+def test_known_bias_is_subtracted_from_the_belief_and_not_from_the_particles(
+    mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
+) -> None:
+    bias = np.array([0.02, -0.03, 0.01, 0.02, 0.0, -0.01])
+
+    def steps(bias: ArrayLike) -> list[Any]:
+        return follow(localizer_at_truth(mixture, recording, thresholds, bias=bias), recording)
+
+    unbiased, corrected = steps(0.0), steps(bias)
+    for one, other in zip(unbiased, corrected, strict=True):
+        np.testing.assert_array_equal(one.particle_estimate.pose, other.particle_estimate.pose)
+    # Depth is exact, so the corrected belief ends that far off, up to the centimetre that a bias may have.
+    difference = se3_log(invert(unbiased[-1].estimate.pose) @ corrected[-1].estimate.pose)
+    np.testing.assert_allclose(difference, -bias, atol=0.006)
+
+
+def test_larger_bias_model_follows_odometry_more(
+    mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
+) -> None:
+    """Particles are the same whatever comes after them."""
+    start = recording.poses[0] @ se3_exp([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+    particles = scatter(start, SETTINGS.particles, 0.06, 0.03, 0.0, np.random.default_rng(0))
+
+    def steps(bias_model: BiasModel) -> list[Any]:
+        settings = SETTINGS.model_copy(update={"particle_bias": bias_model})
+        localizer = make_localizer(mixture, thresholds, particles, recording.poses[:1], settings=settings)
+        return follow(localizer, recording)
+
+    small = steps(BiasModel(sd_at_reference_m=0.01))
+    large = steps(BiasModel(sd_at_reference_m=0.01, sd_growth_m=50.0, sd_growth_rad=50.0))
+    for one, other in zip(small, large, strict=True):
+        np.testing.assert_array_equal(one.particle_estimate.pose, other.particle_estimate.pose)
+    # With a large bias, the start is all that is known: the belief stays 10 cm off.
+    errors_m = [np.linalg.norm(each[-1].estimate.pose[:3, 3] - recording.poses[-1][:3, 3]) for each in (small, large)]
+    assert errors_m[0] < 0.03 < 0.07 < errors_m[1]
+    sds_m = [np.sqrt(each[-1].estimate.covariance[0, 0]) for each in (small, large)]
+    assert sds_m[0] < 0.02 and sds_m[1] > 0.06
+
+
+def test_first_frame_without_contrast_leaves_the_start(
+    mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
+) -> None:
+    localizer = localizer_at_truth(mixture, recording, thresholds)
+    step = localizer.step(BLACK, 0.0, NO_DEPTH)
+    assert step.motion is None and len(step.scan) == 0 and np.isnan(step.mean_log_likelihood)
+    assert step.state == "uncertain"
+    assert np.linalg.norm(step.estimate.pose[:3, 3] - recording.poses[0][:3, 3]) < 0.01
+
+
+def test_ten_particles_give_rigid_poses(
+    mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
+) -> None:
+    config = SETTINGS.model_copy(update={"particles": 10})
+    steps = follow(localizer_at_truth(mixture, recording, thresholds, config), recording)
+    assert np.all(is_rigid(poses_of(steps)))

@@ -1,0 +1,86 @@
+"""A recording, localised frame by frame, and its figures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from monoloc.fusion.reference_poses import ReferencePoses
+from monoloc.geometry import FloatArray, make_pose, rotation_angle, so3_exp
+from monoloc.io.registry import select_frames
+from monoloc.map.mixture import GaussianMixture
+from monoloc.progress import NoProgress
+from monoloc.run import Run, localize
+from monoloc.start import Start
+from synthetic_room import SETTINGS, SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path
+
+DOWN = np.array([0.0, 1.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def recording() -> RoomRecording:
+    return RoomRecording(Room(), make_path(20), SMALL_CAMERA)
+
+
+def test_dead_reckoning_is_evaluated_from_the_truth_and_from_the_start(recording: RoomRecording) -> None:
+    """Exact odometry from a start 5 cm aside stays 5 cm aside; from one that is rotated it drifts."""
+    count, truth = len(recording), recording.poses
+
+    def figures(start: FloatArray) -> dict[str, object]:
+        return Run(
+            recording=recording,
+            config=SETTINGS,
+            start=start,
+            poses=truth,
+            covariances=np.repeat(np.eye(6)[None], count, axis=0),
+            odometry=truth,
+            unseen=np.arange(count) > 5,
+            states=["tracking"] * count,
+            mean_log_likelihoods=np.zeros(count),
+            log_scales=np.zeros(count),
+            step_ms=np.ones(count),
+            landmark_used=np.zeros(count, dtype=np.bool_),
+            depth=None,
+        ).metrics()
+
+    aside = make_pose(np.eye(3), np.array([0.03, 0.0, 0.04]))
+    for start, expected in ((truth[0], 0.0), (aside @ truth[0], 0.05)):
+        found = figures(start)
+        for prefix in ("", "unseen_"):
+            assert found[f"{prefix}odometry_ate_rmse_m"] == pytest.approx(0.0, abs=1e-9)
+            assert found[f"{prefix}odometry_from_start_ate_rmse_m"] == pytest.approx(expected, abs=1e-9)
+    rotation = so3_exp([0.0, 0.1, 0.0])
+    in_world = truth[0, :3, :3] @ rotation @ truth[0, :3, :3].T
+    drift = (truth[:, :3, 3] - truth[0, :3, 3]) @ (in_world - np.eye(3)).T
+    expected = float(np.sqrt(np.mean(np.sum(drift**2, axis=1))))
+    found = figures(truth[0] @ make_pose(rotation, np.zeros(3)))
+    assert found["odometry_from_start_ate_rmse_m"] == pytest.approx(expected)
+
+
+def test_bias_of_the_network_is_not_subtracted_from_poses_by_sensor_depth(
+    mixture: GaussianMixture, recording: RoomRecording
+) -> None:
+    few, poses = select_frames(recording, ":4"), []
+    for bias_m in (0.0, 0.1):
+        bundle = make_bundle(mixture, few)
+        bias = np.full((len(few), 6), bias_m)
+        bundle = replace(bundle, reference_poses=ReferencePoses(few.poses, bias, bias))
+        rng, start = np.random.default_rng(0), Start(few.poses[0])
+        poses.append(localize(bundle, few, start, bundle.settings, rng, NoProgress(), use_sensor_depth=True).poses)
+    np.testing.assert_array_equal(*poses)
+
+
+def test_direction_of_gravity_rotates_the_poses(mixture: GaussianMixture, recording: RoomRecording) -> None:
+    bundle = make_bundle(mixture, recording, range(0, 20, 5))
+    assert bundle.down is not None and np.rad2deg(np.arccos(min(1.0, bundle.down @ DOWN))) < 0.5
+    few = select_frames(recording, ":2")
+    tilted = so3_exp([0.2, 0.0, 0.0]) @ np.swapaxes(few.poses[:, :3, :3], 1, 2) @ DOWN
+
+    def first_rotation(down: FloatArray | None) -> FloatArray:
+        rng, start = np.random.default_rng(0), Start(few.poses[0])
+        return localize(bundle, few, start, SETTINGS, rng, NoProgress(), down=down).poses[0][:3, :3]
+
+    # The tilt of eleven degrees counts by the share that the start's three degrees give it.
+    assert 0.01 < rotation_angle(first_rotation(None).T @ first_rotation(tilted)) < 0.2

@@ -1,0 +1,30 @@
+"""The first pose of a flight, and particles around it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from monoloc.evaluation.trajectory import pose_errors
+from monoloc.geometry import se3_exp
+from monoloc.localizer_config import LocalizerConfig
+from monoloc.start import Start
+
+POSE = se3_exp([0.5, -1.0, 2.0, 0.3, 0.2, -0.4])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_disturbed_start_is_exactly_as_far_off_as_asked(seed: int) -> None:
+    start = Start.disturbed(POSE, np.random.default_rng(seed), 0.3, 0.2)
+    errors = pose_errors(start.pose[None], POSE[None])
+    assert (errors.position_m[0], errors.rotation_rad[0]) == pytest.approx((0.3, 0.2), rel=0.01)
+    assert (start.error_m, start.error_rad) == (0.3, 0.2)
+
+
+def test_root_mean_square_distance_of_particles_is_the_error() -> None:
+    config = LocalizerConfig(particles=20_000, log_scale_sd=0.07)
+    particles = Start(POSE, 0.3, 0.2).particles(config, np.random.default_rng(1))
+    errors = pose_errors(particles.poses, np.repeat(POSE[None], len(particles), axis=0))
+    rms = [np.sqrt(np.mean(values**2)) for values in (errors.position_m, errors.rotation_rad)]
+    assert rms == pytest.approx([0.3, 0.2], rel=0.02)
+    assert particles.log_scale.std() == pytest.approx(0.07, rel=0.02)
