@@ -85,7 +85,7 @@ MONOLOC_INLINE void evaluate(const IndexView& index, Batch& batch, std::size_t i
   for (std::size_t i = 0; i < kTogether; ++i) batch.density[batch.items[item + i].point] += sum[i];
 }
 
-// Sums the candidates' densities at the located points; returns the number of evaluated blocks. Three separate loops,
+// Sums the candidates' densities at the points found; returns the number of evaluated blocks. Three separate loops,
 // so that a branch misprediction does not wait for a lookup. Gathering items is branch-free for points with up to two
 // blocks, which is the usual case.
 MONOLOC_INLINE std::size_t evaluate_batch(const IndexView& index, Batch& batch, std::size_t count) {

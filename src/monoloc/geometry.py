@@ -121,7 +121,7 @@ def adjoint(pose: ArrayLike) -> FloatArray:
     return result
 
 
-def ray_slopes(points: FloatArray) -> FloatArray:
+def ray_jacobian(points: FloatArray) -> FloatArray:
     """Jacobian of (x / z, y / z) with respect to the point: (N, 3) -> (N, 2, 3)."""
     z = points[:, 2]
     J = np.zeros((len(points), 2, 3))

@@ -175,14 +175,14 @@ def test_train_and_export(capfd: Capture, tmp_path: Path, monkeypatch: pytest.Mo
     (tmp_path / "train.toml").write_text(WITHOUT_AUGMENTATION.replace("epochs = 1", "epochs = 2"))
     monkeypatch.chdir(tmp_path)
     command = ("depth", "train", "folder:room", "--settings", "train.toml", "--out", "out")
-    judge, judged = ValidationFrames.judge, 0
+    evaluate, evaluated = ValidationFrames.evaluate, 0
 
     def failing(frames: ValidationFrames, network: DepthNetwork, device: torch.device) -> tuple[float, float]:
-        nonlocal judged
-        judged += 1
-        if judged == 2:
+        nonlocal evaluated
+        evaluated += 1
+        if evaluated == 2:
             raise KeyboardInterrupt
-        return judge(frames, network, device)
+        return evaluate(frames, network, device)
 
     drawn: list[list[float]] = []
 
@@ -194,7 +194,7 @@ def test_train_and_export(capfd: Capture, tmp_path: Path, monkeypatch: pytest.Mo
 
     monkeypatch.setattr("monoloc.cli.depth.plot_training", plot)
     with monkeypatch.context() as patched:
-        patched.setattr(ValidationFrames, "judge", failing)
+        patched.setattr(ValidationFrames, "evaluate", failing)
         assert invoke(list(command)) == 130
     assert drawn == [[0]]
     assert cv2.imread("out/curves.png") is not None

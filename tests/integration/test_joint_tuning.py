@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from adapt_helpers import RoomMap, generator, plain_log_likelihood, room_map, start_adaptation, views_of
-from depth_helpers import ROOM, exported_model, small_recording, tiny_network
+from depth_helpers import ROOM, small_recording, tiny_network
 from monoloc.adapt import tuning
 from monoloc.adapt.adaptation import adapt
 from monoloc.adapt.map_transform import AdaptedMap
@@ -72,9 +72,8 @@ def test_adaptation_learns_from_the_cloud_where_the_sensor_has_no_depth(
     assert retained.nll == pytest.approx(scores[retained.step].nll)
     assert result.kl >= 0.0
     # From 1.3, twice too far, to 0.20 to 0.24 over four networks and two seeds: these few steps correct the scale.
-    untuned = absrel_of(exported_model(network), recording)
-    assert max(absrel_of(model, recording) for model in (result.depth_model, result.hold_out_model)) < 0.25 * untuned
     assert retained.absrel < 0.25 * scores[0].absrel
+    assert max(absrel_of(model, recording) for model in (result.depth_model, result.hold_out_model)) < 0.3
 
 
 def scale_and_distance(adaptation: Adaptation, views: Views) -> tuple[float, float]:
@@ -132,14 +131,14 @@ def change_of_map(mapped_room: RoomMap, views: Views, **settings: object) -> Map
     return compare_maps(adaptation.map.original_mixture(), adaptation.map.adapted_mixture())
 
 
-@pytest.mark.parametrize(("tune", "steps"), [("none", 100), ("last", 100), ("all", 16)])
+@pytest.mark.parametrize(("tune", "steps"), [("last", 100), ("all", 16)])
 def test_default_penalty_preserves_the_correspondence(
     mapped_room: RoomMap, views: Views, tune: str, steps: int
 ) -> None:
-    assert change_of_map(mapped_room, views, tune=tune, steps=steps, map_rate=0.01).correspondence_kept >= 0.95
+    assert change_of_map(mapped_room, views, tune=tune, steps=steps, map_rate=0.01).correspondence_share >= 0.95
 
 
 def test_correspondence_is_lost_without_the_penalty(mapped_room: RoomMap, views: Views) -> None:
     loose = change_of_map(mapped_room, views, tune="last", steps=100, map_rate=0.01, lambda_kl=0.0)
-    assert loose.correspondence_kept < 0.8
+    assert loose.correspondence_share < 0.8
     assert loose.shift_median_m > 0.3

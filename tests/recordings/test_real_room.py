@@ -277,7 +277,7 @@ def test_map_compare(adapted, here):
     content = monoloc("map", "compare", path, "--out", here / "compare.png")
     assert content["shift_median_m"] == pytest.approx(report["shift_median_m"], abs=1e-5)
     assert 0.0 < content["c2c_median_m"] < content["c2c_p95_m"] < content["c2c_max_m"] < 0.3
-    assert content["correspondence_kept"] >= 0.95  # as the penalty on the map's change ensures
+    assert content["correspondence_share"] >= 0.95  # as the penalty on the map's change ensures
     size = np.subtract(content["box_original_m"]["upper"], content["box_original_m"]["lower"])
     assert np.all(size > 1.0) and np.all(size < 12.0)
     assert cv2.imread(str(here / "compare.png")) is not None

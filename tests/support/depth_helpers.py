@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import cv2
 import numpy as np
 import onnxruntime
@@ -115,6 +117,13 @@ def lively_network(seed: int = 0) -> DepthNetwork:
             assert output is not None
             head.weight *= 0.3 / output.std()
     return network
+
+
+@cache
+def lively_export() -> tuple[DepthNetwork, bytes]:
+    """:func:`lively_network` and its export; nobody may change them."""
+    network = lively_network()
+    return network, export_model(network, "depth.onnx").content
 
 
 def stub_network(log_depth: float, focal_px: float) -> DepthModel:

@@ -1,4 +1,4 @@
-"""Results that nobody measured, for figures to be drawn from: plausible, and known."""
+"""Synthetic results of tasks, for tests of figures: plausible and known."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from monoloc.camera import Camera
 from monoloc.depth.spec import DepthModel, monoloc_spec
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import se3_exp
-from monoloc.localizer import LocalizerConfig
-from monoloc.supervision.state import LikelihoodThresholds
+from monoloc.likelihood.thresholds import LikelihoodThresholds
+from monoloc.localizer_config import LocalizerConfig
 from monoloc_lab.experiments.gather import frames_of
 from monoloc_lab.experiments.task import RESULT, Result, Task
 
-# A task that locates a walk -> its position RMSE on unseen frames, metres.
+# A task that localises a recording -> its position RMSE on unseen frames, metres.
 Error = Callable[[Task], float]
 
 _RMSE = {"posenet-run": 0.5, "filtered-run": 0.3, "keypoints-run": 0.04}
@@ -28,7 +28,7 @@ _BUILT = {("none", False): 0.4, ("last", False): 0.2, ("none", True): 0.25, ("la
 
 
 def plausible_rmse(task: Task) -> float:
-    """A centimetre more for every seed, three times as much at night, half as much again for a smaller network."""
+    """A centimetre more per seed, three times as much in near darkness, a tenth more for a smaller network."""
     settings = task.settings
     error = _RMSE.get(task.kind, 0.1)
     if task.kind == "run":
@@ -41,14 +41,14 @@ def plausible_rmse(task: Task) -> float:
 
 
 def is_dark(task: Task) -> bool:
-    walk = task.settings["walk"]
-    return walk["light"] == "L3" or "L3" in walk["source"]
+    recording = task.settings["evaluation"]
+    return recording["light"] == "L3" or "L3" in recording["source"]
 
 
-def made_up(
+def synthetic_results(
     tasks: Iterable[Task], out: Path, rmse: Error = plausible_rmse, results: dict[Task, Result] | None = None
 ) -> dict[Task, Result]:
-    """Results of tasks and of all that they need, added to those that are there."""
+    """Results of tasks and of all that they need, added to existing ones."""
     results = {} if results is None else results
 
     def make(task: Task) -> None:
@@ -81,8 +81,8 @@ def _bundle(task: Task, folder: Path, rmse: Error) -> dict[str, Any]:
             settings=LocalizerConfig(),
             camera=camera,
             provenance=provenance,
-            healthy=LikelihoodThresholds(low=-2.0, lost=-4.0),
-            viewpoints=ReferencePoses.of(np.eye(4)[None]),
+            thresholds=LikelihoodThresholds(low=-2.0, lost=-4.0),
+            reference_poses=ReferencePoses.without_bias(np.eye(4)[None]),
         ),
     )
     return {
@@ -101,9 +101,9 @@ def _remapped(task: Task, folder: Path, rmse: Error) -> dict[str, Any]:
     return {"components": components, "map_bytes": each * components}
 
 
-def _located(task: Task, folder: Path, rmse: Error) -> dict[str, Any]:
-    walk = task.settings["walk"]
-    truth = frames_of(walk["source"], walk["frames"]).poses
+def _run(task: Task, folder: Path, rmse: Error) -> dict[str, Any]:
+    recording = task.settings["evaluation"]
+    truth = frames_of(recording["source"], recording["frames"]).poses
     assert truth is not None
     error, count = rmse(task), len(truth)
     rng = np.random.default_rng(task.settings["seed"])
@@ -112,7 +112,7 @@ def _located(task: Task, folder: Path, rmse: Error) -> dict[str, Any]:
     arrays = {"poses": truth @ se3_exp(twists), "truth": truth, "unseen": np.ones(count, dtype=np.bool_)}
     if task.kind == "keypoints-run":
         arrays["poses"][::7] = np.nan
-    np.savez(folder / "way.npz", seconds=np.arange(count) / 15.0, **arrays)
+    np.savez(folder / "trajectory.npz", seconds=np.arange(count) / 15.0, **arrays)
     return {
         "unseen_ate_rmse_m": error,
         "unseen_ate_median_m": 0.9 * error,
@@ -121,15 +121,17 @@ def _located(task: Task, folder: Path, rmse: Error) -> dict[str, Any]:
         "unseen_failed_frames": int(np.isnan(arrays["poses"]).any(axis=(1, 2)).sum()),
         "unseen_odometry_ate_rmse_m": 0.12 * (2.0 if is_dark(task) else 1.0),
         "unseen_odometry_from_start_ate_rmse_m": 0.2,
+        "unseen_coverage_95": 0.9,
+        "unseen_depth_absrel": 0.1,
     }
 
 
 def _depth(task: Task, folder: Path, rmse: Error) -> dict[str, Any]:
     settings = task.settings
-    walk = settings["walk"]
+    evaluation = settings["evaluation"]
     adapted = bool(task.needs)
     shown = settings["shown"]
-    recording = frames_of(walk["source"], walk["frames"])
+    recording = frames_of(evaluation["source"], evaluation["frames"])
     color = np.stack([recording.color(index)[::4, ::4] for index in shown])
     height, width = color.shape[1:3]
     truth = np.tile(np.linspace(1.0, 4.0, width, dtype=np.float32), (len(shown), height, 1))
@@ -140,11 +142,11 @@ def _depth(task: Task, folder: Path, rmse: Error) -> dict[str, Any]:
         np.linspace(1.0, 4.0, width, dtype=np.float32), (len(shown), height, 1)
     )
     np.savez(folder / "depth.npz", index=np.array(shown), color=color, predicted=predicted, truth=truth)
-    judged = list(range(0, len(recording), settings["stride"]))
+    compared = list(range(0, len(recording), settings["stride"]))
     values = {"absrel": absrel, "delta1": 1.0 - absrel, "ssim": 0.9 - absrel}
-    per_frame = {"index": judged} | {name: [value] * len(judged) for name, value in values.items()}
-    per_frame["ssim"][0] = None  # as where the sensor's holes leave no whole window
-    return {**values, "frames": len(judged), "per_frame": per_frame}
+    per_frame = {"index": compared} | {name: [value] * len(compared) for name, value in values.items()}
+    per_frame["ssim"][0] = None  # as for a frame whose valid depth covers no whole window
+    return {**values, "frames": len(compared), "per_frame": per_frame}
 
 
 def _clouds(task: Task, folder: Path, rmse: Error) -> dict[str, Any]:
@@ -160,7 +162,7 @@ def _clouds(task: Task, folder: Path, rmse: Error) -> dict[str, Any]:
         down_world=np.array([0, 1.0, 0]),
     )
     median = 0.05 + 0.01 * task.needs[0].settings["seed"]
-    return {"c2c_median_m": median, "c2c_p95_m": 0.15, "c2c_max_m": 0.4, "correspondence_kept": 0.98}
+    return {"c2c_median_m": median, "c2c_p95_m": 0.15, "c2c_max_m": 0.4, "correspondence_share": 0.98}
 
 
 def _posenet(task: Task, folder: Path, rmse: Error) -> dict[str, Any]:
@@ -170,12 +172,12 @@ def _posenet(task: Task, folder: Path, rmse: Error) -> dict[str, Any]:
 _MAKERS: dict[str, Callable[[Task, Path, Error], dict[str, Any]]] = {
     "bundle": _bundle,
     "remapped": _remapped,
-    "run": _located,
+    "run": _run,
     "posenet-search": _posenet,
     "posenet": _posenet,
-    "posenet-run": _located,
-    "filtered-run": _located,
-    "keypoints-run": _located,
+    "posenet-run": _run,
+    "filtered-run": _run,
+    "keypoints-run": _run,
     "depth": _depth,
     "clouds": _clouds,
 }

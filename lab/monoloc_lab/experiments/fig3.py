@@ -44,12 +44,12 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
             clouds, built = _clouds(study, split, variant), _bundles(study, split, variant)
             median, p95 = spread_of(results, clouds, _MEDIAN), spread_of(results, clouds, _P95)
             before = spread_of(results, built, "depth_absrel_before")
-            unchanged = spread_of(results, clouds, "correspondence_kept")
+            unchanged = spread_of(results, clouds, "correspondence_share")
             numbers[split.name][variant] = {
                 _MEDIAN: median.numbers(),
                 _P95: p95.numbers(),
                 "depth_absrel_before": before.numbers(),
-                "correspondence_kept": unchanged.numbers(),
+                "correspondence_share": unchanged.numbers(),
             }
             share = f"{100.0 * unchanged.median:.0f} %"
             rows.append((split.name, name, median.centimetres(), p95.centimetres(), share, str(len(clouds))))

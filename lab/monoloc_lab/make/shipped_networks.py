@@ -21,7 +21,7 @@ from monoloc.depth.training.checkpoint import load_network
 from monoloc.depth.training.export import export_onnx
 from monoloc.depth.training.family import SIZES
 from monoloc.depth.training.quantise import quantise
-from monoloc.evaluation.network_evaluation import judge_network
+from monoloc.evaluation.network_evaluation import evaluate_network
 from monoloc.io.registry import open_recording, select_frames
 
 _CALIBRATION, _VALIDATION = "0:1349:10", "1349:"
@@ -48,7 +48,7 @@ def export_all(runs: Path, data: Path, out: Path) -> None:
             path = out / f"{name}{suffix}.onnx"
             path.write_bytes(onnx)
             predictor = DepthPredictor(read_model(path), validation.camera)
-            metrics.append(judge_network(predictor, validation).metrics)
+            metrics.append(evaluate_network(predictor, validation).metrics)
         catalogue.append(
             ShippedModel(
                 name=name,

@@ -106,7 +106,7 @@ def measure_bias_at_reference(
 ) -> tuple[BiasModel, ReferencePoses]:
     """Bias at the poses of a recording, without growth.
 
-    Long segments of the recording are followed forward and backward, so that the bias of the place can be told from
+    Long segments of the recording are followed forward and backward, so that the bias of the place is separated from
     that of the direction. Short ones are hovered in; of their poses no bias is known.
 
     Args:

@@ -57,7 +57,7 @@ class BuildReport:
     kl: float
     shift_median_m: float
     shift_p95_m: float
-    correspondence_kept: float
+    correspondence_share: float
     size_ratio_median: float
     landmarks: int
     depth_absrel_before: float | None

@@ -14,7 +14,7 @@ from monoloc.depth.depth_image import sample_depth
 from monoloc.evaluation.hold_out import HELD_OUT_SHARE, REGIONS, hold_out_regions
 from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, twist_errors
 from monoloc.fusion.bias_model import BiasModel
-from monoloc.geometry import FloatArray, invert, pose_distance_m, ray_slopes, se3_log, transform
+from monoloc.geometry import FloatArray, invert, pose_distance_m, ray_jacobian, se3_log, transform
 from monoloc.io.recording import Recording
 from monoloc.landmarks.features import KeypointDetector, Keypoints, match_descriptors
 from monoloc.landmarks.landmark_map import Landmarks
@@ -201,7 +201,7 @@ def _placed(seen: _Observations, poses: FloatArray) -> tuple[FloatArray, NDArray
         z = local[:, 2]
         offset = np.concatenate([local[:, :2] / z[:, None] - seen.rays, (np.log(z) - log_depth)[:, None]], axis=1)
         jacobian = np.zeros((len(z), 3, 3))
-        jacobian[:, :2], jacobian[:, 2, 2] = ray_slopes(local), 1.0 / z
+        jacobian[:, :2], jacobian[:, 2, 2] = ray_jacobian(local), 1.0 / z
         residuals, jacobian = scale * offset, scale[..., None] * jacobian @ R_camera_world
         weights = np.minimum(1.0, _HUBER / np.maximum(np.abs(residuals), _HUBER))
         normal, gradient = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))

@@ -13,7 +13,7 @@ from monoloc.fusion.reference_poses import MOST_STEP_M
 from monoloc.geometry import FloatArray, pose_distance_m
 
 _WARM_UP_FRAMES = 60  # after so many the start is forgotten, and the pose is what the depth there gives
-_LONG_FRAMES = 30  # on a shorter segment, the bias of the place is not told from that of the direction
+_LONG_FRAMES = 30  # on a shorter segment, the biases of place and direction cannot be separated
 _MOST_GAP_S = 1.5  # between frames; no camera is followed over a longer one
 _MOST_SEGMENTS = 20
 

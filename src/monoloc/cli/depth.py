@@ -35,7 +35,7 @@ from monoloc.depth.predictor import DepthPredictor
 from monoloc.depth.scale_fit import fit_to_depth
 from monoloc.depth.spec import monoloc_spec, network_images
 from monoloc.errors import DataError, SettingError
-from monoloc.evaluation.network_evaluation import judge_network
+from monoloc.evaluation.network_evaluation import evaluate_network
 from monoloc.extras import require_plotting, training_extra
 from monoloc.files import write_whole
 from monoloc.io.recording import Recording
@@ -160,11 +160,11 @@ def evaluate(
             stderr.print(f"{model}: relative depth, fitted to these frames")
     predictor = DepthPredictor(network, recording.camera, threads=2)
     with progress.task("evaluate", len(recording)) as step:
-        judgement = judge_network(predictor, recording, step)
+        evaluation = evaluate_network(predictor, recording, step)
     if plot is not None:
-        judged = judgement.judged
-        places = np.linspace(0, len(judged) - 1, min(_PICTURES, len(judged))).astype(int)
-        shown = [judged[place] for place in places]
+        evaluated = evaluation.evaluated
+        places = np.linspace(0, len(evaluated) - 1, min(_PICTURES, len(evaluated))).astype(int)
+        shown = [evaluated[place] for place in places]
         plot_depth(
             plot,
             [recording.color(index) for index in shown],
@@ -172,13 +172,13 @@ def evaluate(
             [recording.depth(index) for index in shown],
         )
     if calibration is not None:
-        if judgement.calibration is None:
+        if evaluation.calibration is None:
             raise SettingError("--calibration", f"{model} does not state its error", "leave it out")
-        plot_calibration(calibration, {model: judgement.calibration})
+        plot_calibration(calibration, {model: evaluation.calibration})
     metrics = {
-        **asdict(judgement.metrics),
+        **asdict(evaluation.metrics),
         "frames": len(recording),
-        "predicted_share": judgement.predicted_share,
+        "predicted_share": evaluation.predicted_share,
         "scale": 1.0 if network.spec.scale is None else network.spec.scale,
     }
     if network.spec.has_shift:

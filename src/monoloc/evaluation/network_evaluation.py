@@ -16,23 +16,25 @@ from monoloc.progress import Step
 
 
 @dataclass(frozen=True)
-class Judgement:
+class NetworkEvaluation:
     """Evaluation results of a network.
 
     Attributes:
         metrics: means over frames, at pixels with true and predicted depth, at the resolution of the truth.
-        judged: indices of the frames with at least one such pixel.
+        evaluated: indices of the frames with at least one such pixel.
         predicted_share: share of the pixels with true depth that have a prediction.
         calibration: calibration of the network's own error estimate; None if it has none.
     """
 
     metrics: DepthMetrics
-    judged: list[int]
+    evaluated: list[int]
     predicted_share: float
     calibration: ErrorCalibration | None
 
 
-def judge_network(predictor: DepthPredictor, recording: Recording, progress: Step | None = None) -> Judgement:
+def evaluate_network(
+    predictor: DepthPredictor, recording: Recording, progress: Step | None = None
+) -> NetworkEvaluation:
     """Compare predicted with measured depth over all frames.
 
     Raises:
@@ -40,7 +42,7 @@ def judge_network(predictor: DepthPredictor, recording: Recording, progress: Ste
     """
     accumulator = DepthAccumulator()
     known = predicted = 0
-    judged, errors, scales = [], [], []
+    evaluated, errors, scales = [], [], []
     for index in range(len(recording)):
         prediction, truth = predictor(recording.color(index)), recording.depth(index)
         depth = prediction.resized(recording.camera.width, recording.camera.height)
@@ -48,7 +50,7 @@ def judge_network(predictor: DepthPredictor, recording: Recording, progress: Ste
         known, predicted = known + int(np.sum(truth > 0.0)), predicted + int(np.sum(compared > 0.0))
         accumulator.add(depth, compared)
         if compared.any():
-            judged.append(index)
+            evaluated.append(index)
         if prediction.log_error is not None:
             # At the network's own pixels, because interpolation correlates neighbours.
             size = prediction.depth_m.shape[::-1]
@@ -58,7 +60,7 @@ def judge_network(predictor: DepthPredictor, recording: Recording, progress: Ste
             scales.append(prediction.log_error[has_both])
         if progress is not None:
             progress(index + 1)
-    if not judged:
+    if not evaluated:
         raise DataError(predictor.name, "gives no depth at any pixel of known depth", "check its TOML, or --frames")
     calibration = error_calibration(np.concatenate(errors), np.concatenate(scales)) if errors else None
-    return Judgement(accumulator.mean(), judged, predicted / known, calibration)
+    return NetworkEvaluation(accumulator.mean(), evaluated, predicted / known, calibration)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
-from monoloc.geometry import FloatArray, hat, invert, make_pose, ray_slopes, se3_exp, se3_log, so3_exp, transform
+from monoloc.geometry import FloatArray, hat, invert, make_pose, ray_jacobian, se3_exp, se3_log, so3_exp, transform
 from monoloc.landmarks.features import MATCH_BITS, KeypointDetector, Keypoints, match_descriptors
 from monoloc.landmarks.landmark_map import Landmarks
 
@@ -144,13 +144,13 @@ class OrbLandmarkLocalizer:
         found = self._landmarks.points[nearest]
         is_elsewhere = np.linalg.norm(found - found[:, :1], axis=2) > _OTHER_PLACE_M
         others = np.where(is_elsewhere, bits, 256).min(axis=1)
-        alike = np.flatnonzero((bits[:, 0] < MATCH_BITS) & (bits[:, 0] < _RATIO * others))
-        if len(alike) < _LEAST_LANDMARKS:
+        matched = np.flatnonzero((bits[:, 0] < MATCH_BITS) & (bits[:, 0] < _RATIO * others))
+        if len(matched) < _LEAST_LANDMARKS:
             return None
         camera = self._detect.camera
         ok, rotation, translation, inliers = cv2.solvePnPRansac(
-            self._landmarks.points[nearest[alike, 0]].astype(np.float64),
-            seen.pixels[alike],
+            self._landmarks.points[nearest[matched, 0]].astype(np.float64),
+            seen.pixels[matched],
             camera.matrix,
             np.asarray(camera.distortion),
             iterationsCount=1000,
@@ -209,7 +209,7 @@ def _normal_equations(
 
 def _jacobian(local: FloatArray) -> FloatArray:
     """Derivative of rays' x and y by the camera's twist, (M, 2, 6), for points (M, 3) in its frame."""
-    by_point = ray_slopes(local)
+    by_point = ray_jacobian(local)
     return np.concatenate([-by_point, by_point @ hat(local)], axis=2)
 
 

@@ -16,14 +16,14 @@ class MapChange:
 
     Attributes:
         shift_median_m, shift_p95_m: distance between the means of matching components.
-        correspondence_kept: share of components whose nearest mean in the other map is that of the matching
+        correspondence_share: share of components whose nearest mean in the other map is that of the matching
             component, which Goldberger's approximation of the divergence assumes.
         size_ratio_median: median ratio of the geometric mean axis length of matching components, adapted to original.
     """
 
     shift_median_m: float
     shift_p95_m: float
-    correspondence_kept: float
+    correspondence_share: float
     size_ratio_median: float
 
 
@@ -40,6 +40,6 @@ def compare_maps(original: GaussianMixture, adapted: GaussianMixture) -> MapChan
     return MapChange(
         shift_median_m=float(np.median(shift)),
         shift_p95_m=float(np.percentile(shift, 95.0)),
-        correspondence_kept=float(np.mean(nearest(original.means, adapted.means) == np.arange(len(original)))),
+        correspondence_share=float(np.mean(nearest(original.means, adapted.means) == np.arange(len(original)))),
         size_ratio_median=float(np.exp(np.median(log_volumes[1] - log_volumes[0]) / 3.0)),
     )

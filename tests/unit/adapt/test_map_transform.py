@@ -131,7 +131,7 @@ def test_small_transforms_preserve_the_correspondence_and_large_ones_do_not(mapp
         bend(adapted, sd)
         change = compare_maps(adapted.original_mixture(), adapted.adapted_mixture())
         assert change.shift_median_m > 0.005
-        assert low <= change.correspondence_kept <= high
+        assert low <= change.correspondence_share <= high
 
 
 def test_component_without_points_is_harmless() -> None:

@@ -108,7 +108,7 @@ def test_most_of_a_synthesised_view_is_known(views: Views) -> None:
 
 
 def test_held_out_frames_are_not_used_for_views_of_other_frames() -> None:
-    """Else adaptation would know the frames it is judged on. The last assertion shows that the test would notice."""
+    """Else adaptation would know the frames it is evaluated on; the last assertion is a positive control."""
     poses = np.repeat(looking_around(6), 2, axis=0)
     poses[1::2] = poses[::2] @ se3_exp(np.array([0.05, 0.02, 0.0, 0.01, 0.05, 0.0]))
     recording = RedAndNear(ROOM, poses, SMALL_CAMERA)

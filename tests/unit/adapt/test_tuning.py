@@ -135,21 +135,27 @@ def test_bias_is_unchanged_without_depth(mapped_room: RoomMap, views: Views) -> 
         torch.testing.assert_close(adaptation.network.head.bias.detach(), before)
 
 
-@pytest.mark.parametrize("tune", ["last", "decoder", "all"])
-def test_tuning_fits_depth_and_repeats(mapped_room: RoomMap, views: Views, tune: str) -> None:
-    states = []
-    for _ in range(2):
-        # A network this small learns little about depth while it learns about poses.
-        adaptation = start_adaptation(mapped_room, tune=tune, lambda_kl=0.1, inflation_m=0.1, pose_weight=0.0)
-        adaptation.fit_bias(views)
-        before = adaptation.score(views, 0)
-        adaptation.run(views, {"last": 80, "decoder": 30, "all": 12}[tune], generator())
-        after = adaptation.score(views, 80)
-        states.append({**adaptation.network.state_dict(), **adaptation.map.state_dict()})
+@pytest.mark.parametrize(("tune", "steps"), [("last", 80), ("decoder", 30), ("all", 12)])
+def test_tuning_improves_the_fit(mapped_room: RoomMap, views: Views, tune: str, steps: int) -> None:
+    # A network this small learns little about depth while it learns about poses.
+    adaptation = start_adaptation(mapped_room, tune=tune, lambda_kl=0.1, inflation_m=0.1, pose_weight=0.0)
+    adaptation.fit_bias(views)
+    before = adaptation.score(views, 0)
+    adaptation.run(views, steps, generator())
+    after = adaptation.score(views, steps)
     if tune == "last":
         assert after.nll < before.nll - 0.05
     else:
         assert after.depth_loss < before.depth_loss
+
+
+@pytest.mark.parametrize("tune", ["last", "decoder", "all"])
+def test_tuning_repeats(mapped_room: RoomMap, views: Views, tune: str) -> None:
+    states = []
+    for _ in range(2):
+        adaptation = start_adaptation(mapped_room, tune=tune, lambda_kl=0.1, inflation_m=0.1)
+        adaptation.run(views, 5, generator())
+        states.append({**adaptation.network.state_dict(), **adaptation.map.state_dict()})
     for name, tensor in states[0].items():
         torch.testing.assert_close(states[1][name], tensor, rtol=0.0, atol=0.0)
 
@@ -180,7 +186,7 @@ def test_pose_weight_reduces_errors_that_would_move_the_camera(mapped_room: Room
     assert lengths[1] < 0.95 * lengths[0]
 
 
-@pytest.mark.parametrize("tune", ["last", "decoder", "all"])
+@pytest.mark.parametrize("tune", ["last", "all"])
 def test_state_that_is_best_on_held_out_frames_is_restored(
     mapped_room: RoomMap, views: Views, tune: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -192,8 +198,8 @@ def test_state_that_is_best_on_held_out_frames_is_restored(
     def state() -> dict[str, Tensor]:
         return copy.deepcopy({**adaptation.network.state_dict(), **adaptation.map.state_dict()})
 
-    def scripted(self: Adaptation, judged: Views, step: int) -> Score:
-        assert torch.equal(judged.frame, held_out.frame)
+    def scripted(self: Adaptation, evaluated: Views, step: int) -> Score:
+        assert torch.equal(evaluated.frame, held_out.frame)
         states[step] = state()
         return Score(step, nll=abs(step - 9.0), depth_loss=abs(step - 9.0), absrel=0.0)
 

@@ -40,7 +40,7 @@ def test_landmarks_lie_on_surfaces(built: tuple[Landmarks, BiasModel]) -> None:
 def test_errors_of_another_flight_are_as_measured(built: tuple[Landmarks, BiasModel]) -> None:
     """On the same path no larger: squared, in units of the covariance, their mean is six at most.
 
-    Corners of a room that is drawn without noise are located better than to a pixel.
+    Corners of a room that is drawn without noise are localised to less than a pixel.
     """
     landmarks, bias = built
     localizer = OrbLandmarkLocalizer(landmarks, CAMERA)

@@ -8,7 +8,7 @@ import pytest
 from monoloc.depth.predictor import DepthPredictor
 from monoloc.depth.spec import DepthModel
 from monoloc.errors import DataError
-from monoloc.evaluation.network_evaluation import judge_network
+from monoloc.evaluation.network_evaluation import evaluate_network
 from onnx_networks import onnx_network, spec
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 
@@ -29,10 +29,10 @@ def predictor() -> DepthPredictor:
 def test_predicted_share_is_that_of_pixels_with_both_depths(
     predictor: DepthPredictor, recording: RoomRecording
 ) -> None:
-    result = judge_network(predictor, recording)
+    result = evaluate_network(predictor, recording)
     near = np.mean([1.0 / recording.depth(index) > 0.41 for index in range(4)])  # the rest is beyond 100 m
     assert result.predicted_share == pytest.approx(near, abs=0.03)
-    assert result.judged == [0, 1, 2, 3]
+    assert result.evaluated == [0, 1, 2, 3]
     assert result.calibration is None
 
 
@@ -45,11 +45,11 @@ def test_frames_without_a_pixel_that_has_both_depths_are_not_judged(
         return np.where(depth(index) > 3.0, depth(index), np.float32(0.0)) if index == 0 else depth(index)
 
     monkeypatch.setattr(recording, "depth", far_only)
-    assert judge_network(predictor, recording).judged == [1, 2, 3]
+    assert evaluate_network(predictor, recording).evaluated == [1, 2, 3]
 
 
 def test_network_without_depth_at_known_pixels_is_refused(recording: RoomRecording) -> None:
     none = spec(scale=1.0, shift=-9.0)
     predictor = DepthPredictor(DepthModel(onnx_network(none), none, "none"), SMALL_CAMERA)
     with pytest.raises(DataError, match="none: gives no depth at any pixel of known depth; "):
-        judge_network(predictor, recording)
+        evaluate_network(predictor, recording)

@@ -17,7 +17,7 @@ from monoloc.map.compare import compare_maps
 def test_identical_maps_show_no_change() -> None:
     change = compare_maps(make_mixture(40), make_mixture(40))
     assert change.shift_median_m == change.shift_p95_m == 0.0
-    assert change.correspondence_kept == 1.0 and change.size_ratio_median == pytest.approx(1.0)
+    assert change.correspondence_share == 1.0 and change.size_ratio_median == pytest.approx(1.0)
 
 
 @given(st.integers(0, 1000), st.floats(0.0, 1.0), st.floats(0.5, 2.0))
@@ -28,7 +28,7 @@ def test_change_is_that_of_its_definition(seed: int, sd_m: float, factor: float)
     adapted = replace(original, means=moved, covariances=original.covariances * factor**2)
     change = compare_maps(original, adapted)
     nearest = cKDTree(moved).query(original.means)[1]
-    assert change.correspondence_kept == pytest.approx(np.mean(nearest == np.arange(60)))
+    assert change.correspondence_share == pytest.approx(np.mean(nearest == np.arange(60)))
     shift = np.linalg.norm(moved - original.means, axis=1)
     assert change.shift_median_m == pytest.approx(np.median(shift))
     assert change.shift_p95_m == pytest.approx(np.percentile(shift, 95.0))
@@ -40,7 +40,7 @@ def test_swapped_components_lower_the_correspondence() -> None:
     order = np.arange(30)
     order[:6] = order[:6][::-1]
     swapped = replace(original, means=original.means[order])
-    assert compare_maps(original, swapped).correspondence_kept == pytest.approx(24 / 30)
+    assert compare_maps(original, swapped).correspondence_share == pytest.approx(24 / 30)
 
 
 def test_maps_of_different_sizes_are_refused() -> None:

@@ -142,7 +142,7 @@ class ValidationFrames:
         self._images = network_input(colors)
 
     @torch.no_grad()
-    def judge(self, network: DepthNetwork, device: torch.device) -> tuple[float, float]:
+    def evaluate(self, network: DepthNetwork, device: torch.device) -> tuple[float, float]:
         """Return AbsRel and delta1 of the metric prediction without a scale fit, mean over images."""
         network.eval()
         log_depths = torch.cat([network(images.to(device)).float().cpu() for images in torch.split(self._images, 25)])

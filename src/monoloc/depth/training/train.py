@@ -137,7 +137,7 @@ def train_network(
                 if epoch + 1 == config.epochs:
                     run.centre()
                 if frames is not None:
-                    absrel, delta1 = frames.judge(run.averaged_network, worker.device)
+                    absrel, delta1 = frames.evaluate(run.averaged_network, worker.device)
                     run.history.append(EpochRecord(epoch, loss, absrel, delta1, time.perf_counter() - started))
                     run.save(out_dir)
                     if show is not None:

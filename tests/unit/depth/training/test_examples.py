@@ -163,7 +163,7 @@ def test_frames_read_are_counted() -> None:
 
 
 def validate(network: DepthNetwork, recording: Recording) -> tuple[float, float]:
-    return ValidationFrames(recording, TINY.focal_px).judge(network, torch.device("cpu"))
+    return ValidationFrames(recording, TINY.focal_px).evaluate(network, torch.device("cpu"))
 
 
 def constant_network(depth_m: float) -> DepthNetwork:

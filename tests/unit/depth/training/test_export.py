@@ -8,10 +8,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from depth_helpers import TINY, exported_model, lively_network, random_image, run_onnx, tiny_network
+from depth_helpers import TINY, lively_export, lively_network, random_image, run_onnx, tiny_network
 from monoloc.camera import Camera
 from monoloc.depth.predictor import DepthPredictor
-from monoloc.depth.spec import FOCAL_KEY, DepthModel, image_tensor, network_size
+from monoloc.depth.spec import FOCAL_KEY, DepthModel, image_tensor, monoloc_spec, network_size
 from monoloc.depth.training.checkpoint import NETWORK_KEY
 from monoloc.depth.training.examples import network_input
 from monoloc.depth.training.export import export_onnx
@@ -24,8 +24,8 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 @pytest.fixture(scope="module")
 def exported() -> tuple[DepthNetwork, DepthModel]:
     """A network with both outputs, and its export."""
-    network = lively_network()
-    return network, exported_model(network)
+    network, content = lively_export()
+    return network, DepthModel(content, monoloc_spec(TINY.focal_px))
 
 
 def test_export_reports_size_and_parity() -> None:

@@ -7,8 +7,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from depth_helpers import lively_network, run_onnx, smooth_images, stub_network
-from monoloc.depth.training.export import export_onnx
+from depth_helpers import lively_export, run_onnx, smooth_images, stub_network
 from monoloc.depth.training.last_layer import read_last_layer, replace_last_layer
 from monoloc.depth.training.network import DepthNetwork
 from monoloc.depth.training.quantise import quantise
@@ -18,8 +17,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 @pytest.fixture(scope="module")
 def lively() -> tuple[DepthNetwork, bytes]:
-    network = lively_network()
-    return network, export_onnx(network)[0]
+    return lively_export()
 
 
 @pytest.fixture(scope="module")

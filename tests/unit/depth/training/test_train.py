@@ -20,7 +20,6 @@ from monoloc.depth.predictor import DepthPredictor
 from monoloc.depth.training.augment import AugmentConfig
 from monoloc.depth.training.checkpoint import load_network, save_network
 from monoloc.depth.training.examples import TrainingFrames, ValidationFrames
-from monoloc.depth.training.export import export_onnx
 from monoloc.depth.training.network import DepthNetwork
 from monoloc.depth.training.train import train_network
 from monoloc.errors import DataError, SettingError
@@ -64,8 +63,8 @@ def test_training_learns_repeats_and_writes_its_results(
     assert json.loads((folder / "history.json").read_text()) == [asdict(record) for record in history]
     network = load_network(folder / "network.safetensors")
     assert network.config == TINY
-    judged = ValidationFrames(validation, TINY.focal_px).judge(network, torch.device("cpu"))
-    assert judged == pytest.approx((history[-1].absrel, history[-1].delta1), abs=1e-4)
+    evaluated = ValidationFrames(validation, TINY.focal_px).evaluate(network, torch.device("cpu"))
+    assert evaluated == pytest.approx((history[-1].absrel, history[-1].delta1), abs=1e-4)
 
 
 def test_training_repeats_with_its_seed_only(tmp_path: Path, training: Recording, validation: Recording) -> None:
@@ -90,16 +89,14 @@ def test_training_learns_the_error_it_states(tmp_path: Path, training: Recording
     assert history[-1].absrel == pytest.approx(plain[-1].absrel, rel=0.2)
 
 
-@pytest.mark.parametrize("suffix", [".safetensors", ".onnx", ".npz"])
+@pytest.mark.parametrize("suffix", [".safetensors", ".npz"])
 def test_training_starts_from_given_weights(tmp_path: Path, suffix: str) -> None:
-    """A whole network in either format, or an encoder's weights."""
+    """A whole network, or an encoder's weights."""
     network, room = tiny_network(5), small_recording(4)
     start = tmp_path / f"start{suffix}"
     given = {"encoder_weights": start} if suffix == ".npz" else {"start": start}
     if suffix == ".npz":
         np.savez(start, **encoder_arrays(network))
-    elif suffix == ".onnx":
-        start.write_bytes(export_onnx(network)[0])
     else:
         save_network(network, start)
     config = SHORT.model_copy(update={"epochs": 1, "learning_rate": 1e-12, "ema_decay": 0.0})
