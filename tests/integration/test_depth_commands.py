@@ -17,19 +17,18 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from cli_helpers import UNTUNED, json_of, outputs, remove_depth, succeeds, write_workspace
+from cli_helpers import json_of, outputs, remove_depth, succeeds, write_workspace
 from depth_helpers import ROOM, looking_around, small_recording
 from monoloc.bundle import read_bundle
 from monoloc.cli.main import invoke
 from monoloc.config import load_settings
-from monoloc.depth.spec import DepthModel
 from monoloc.depth.training.examples import ValidationFrames
 from monoloc.depth.training.network import DepthNetwork
 from monoloc.depth.training.train import TrainConfig, train_network
 from monoloc.io.registry import open_recording
 from monoloc.viz.plots import plot_training
 from onnx_networks import MIDAS, SCALE, SHIFT, onnx_network, spec, write_network
-from synthetic_room import SMALL_CAMERA, Room, RoomRecording, depth_from_blue, make_path, write_recording
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path, write_recording
 from training_helpers import weights
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -126,15 +125,6 @@ def test_scale_is_fitted_to_a_cloud_where_there_is_no_sensor_depth(capfd: Captur
     assert "another.toml is used as it is, with scale 0.00" in " ".join(err.split())
     fitted = read_bundle(here / "x.monoloc").depth_model.spec
     assert fitted.scale == pytest.approx(SCALE, rel=0.1) and fitted.shift == pytest.approx(SHIFT, abs=0.05)
-
-
-def test_metric_network_is_used_without_a_fit(capfd: Capture, here: Path) -> None:
-    (here / "mine.onnx").write_bytes(depth_from_blue().content)
-    report = json_of(capfd, *BUILD, "mine.onnx", *UNTUNED, "-k", "40")
-    assert report["depth_scale"] is None and report["depth_shift"] is None
-    assert "can only be run" not in str(report["warnings"])  # not tuning it was asked for
-    expected = DepthModel(depth_from_blue().content, depth_from_blue().spec, "mine")
-    assert read_bundle(here / "x.monoloc").depth_model == expected
 
 
 # --- Train and export ---

@@ -23,7 +23,9 @@ FRAMES = 12
 def folder(tmp_path_factory: pytest.TempPathFactory, recording: RoomRecording) -> Path:
     """Holds ``room.monoloc`` and ``flight.avi``, which documents only read."""
     folder = tmp_path_factory.mktemp("documents")
-    write_bundle(folder / "room.monoloc", make_bundle(room_mixture(Room()), recording, range(0, FRAMES, 2)))
+    bundle = make_bundle(room_mixture(Room()), recording, range(0, FRAMES, 2))
+    settings = bundle.settings.model_copy(update={"particles": 300, "scan_points": 150})
+    write_bundle(folder / "room.monoloc", replace(bundle, settings=settings))
     size = (recording.camera.width, recording.camera.height)
     writer = cv2.VideoWriter(str(folder / "flight.avi"), cv2.VideoWriter.fourcc(*"FFV1"), 15.0, size)
     for index in range(FRAMES):
@@ -99,7 +101,7 @@ def test_likelihood_of_ones_own_tracks_far_better_than_odometry(
 ) -> None:
     """After the one call of ``calibrate`` that the page shows."""
     document = "docs/how-to/change-a-part.md"
-    second = RoomRecording(Room(), make_path(2 * FRAMES))
+    second = RoomRecording(Room(), make_path(FRAMES))
     monkeypatch.setattr("monoloc.io.registry.open_recording", {"folder:second-recording": second}.__getitem__)
     (code,) = code_blocks(document)
     execute(document, code, {})

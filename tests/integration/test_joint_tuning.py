@@ -106,6 +106,7 @@ def test_joint_adaptation_does_not_collapse(mapped_room: RoomMap, views: Views, 
     assert 0.75 < distance / distance_before < 1.6
 
 
+@pytest.mark.slow
 def test_plain_density_collapses(mapped_room: RoomMap, views: Views, monkeypatch: pytest.MonkeyPatch) -> None:
     """The failure that the test above guards against, from the paper's likelihood in the same steps."""
     monkeypatch.setattr(tuning, "ray_log_likelihood", plain_log_likelihood)

@@ -145,7 +145,7 @@ def test_odometry_drifts_slowly(sensor_run):
 
 
 def test_map_beats_odometry_from_the_same_start(sensor_run):
-    """3 against 10 cm; figures with a network are in benchmarks/reports."""
+    """3 against 10 cm; docs/results.md has those of a network."""
     assert sensor_run["ate_rmse_m"] < 0.5 * sensor_run["odometry_from_start_ate_rmse_m"]
 
 

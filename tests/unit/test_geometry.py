@@ -152,3 +152,9 @@ def test_adjoint_moves_a_twist_to_the_other_side_of_a_pose(
 ) -> None:
     moved = geometry.se3_exp(geometry.adjoint(pose) @ twist) @ pose
     np.testing.assert_allclose(moved, pose @ geometry.se3_exp(twist), atol=1e-8)
+
+
+def test_pose_distance_is_metres_plus_radians() -> None:
+    relative = geometry.se3_exp(np.array([[0.3, 0.4, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.2, 0.0]]))
+    pose = geometry.se3_exp(np.array([1.0, 2.0, 3.0, 0.3, 0.2, 0.1]))
+    np.testing.assert_allclose(geometry.pose_distance_m(pose, pose @ relative), [0.5, 0.2], atol=1e-9)

@@ -38,9 +38,7 @@ def _open(described: Settings) -> Selection:
     source, frames, alteration = (described[name] for name in ("source", "frames", "alteration"))
     found = describe_recording(source, frames)
     if any(described[name] != value for name, value in found.items()):
-        raise DataError(
-            source, "is not what it was when this run began", "run it again, with the same data everywhere"
-        )
+        raise DataError(source, "has changed since this run began", "run it again, with the same data everywhere")
     recording = select_frames(open_recording(source), frames)
     return recording if alteration is None else ALTERATIONS[alteration](recording)
 

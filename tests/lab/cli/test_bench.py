@@ -91,8 +91,8 @@ def test_without_scikit_learn_its_figures_are_null(
         "fit_ratio_sklearn",
         "loglik_sklearn",
     }
-    said = " ".join(err.split())
-    assert "scikit-learn is not installed, so these are left out: fit_ratio_sklearn, loglik_sklearn" in said
+    message = " ".join(err.split())
+    assert "scikit-learn is not installed, so these are left out: fit_ratio_sklearn, loglik_sklearn" in message
 
 
 def test_networks_reports_every_shipped_network(capfd: pytest.CaptureFixture[str]) -> None:

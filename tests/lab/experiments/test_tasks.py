@@ -179,7 +179,7 @@ def test_changed_frames_are_refused_by_an_existing_task(study: Study, tmp_path: 
     recording = write_room(tmp_path / "room", 6)
     task = tasks.bundle(study, Split("one", f"folder:{tmp_path / 'room'}", "::", {}), NETWORK)
     cv2.imwrite(str(tmp_path / "room" / "color" / "000003.png"), 255 - recording.color(3))
-    with pytest.raises(DataError, match="is not what it was when this run began; run it again, with the same data"):
+    with pytest.raises(DataError, match="has changed since this run began; run it again, with the same data"):
         build_frames(task.settings)
 
 
