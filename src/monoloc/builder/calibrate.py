@@ -54,8 +54,9 @@ def calibrate(
         components: as for :class:`monoloc.Localizer`.
 
     Returns:
-        The bundle with new ``settings`` and ``thresholds``. Its reference poses remain, without the biases that
-        were measured there with the old components, and so does the growth of the bias away from them.
+        The bundle with new ``settings`` and ``thresholds``. It keeps its reference poses, without the biases that
+        were measured there with the old components, and the growth of the bias away from them. A bundle without
+        reference poses gets those of the recording.
 
     Raises:
         DataError: the recording has no poses, or no frame's depth gives a scan.
@@ -73,7 +74,7 @@ def calibrate(
     samples = depth_samples(recording, _pairs_of_frames(len(recording)), depth, progress)
     base = bundle.settings.model_copy(update={"particle_bias": BiasModel()})
     settings, thresholds = calibrate_likelihood(likelihood_for, samples, base, rng)
-    poses = bundle.reference_poses.poses
+    poses = bundle.reference_poses.poses if len(bundle.reference_poses) else recording.poses
     calibrated = replace(
         bundle, settings=settings, thresholds=thresholds, reference_poses=ReferencePoses.without_bias(poses)
     )
