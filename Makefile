@@ -9,14 +9,18 @@ NATIVE := CMakeLists.txt $(shell find cpp -type f)
 demo: $(VENV)/installed
 	$(BIN)/monoloc demo
 
-PYTEST := OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses logical --maxprocesses 4 --dist loadfile
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses logical --maxprocesses 4 --dist loadfile \
+	--cov --cov-report html:build/coverage
+COVERAGE := @echo "coverage of lines and branches: $$($(BIN)/coverage report --format total) %; see build/coverage"
 
 test: lint docs native-test
 	$(PYTEST) -m "not slow"
+	$(COVERAGE)
 
-# Everything, the slow tests included, with coverage of lines and branches.
+# The slow tests too.
 test-all: lint docs native-test
-	$(PYTEST) --cov --cov-report term:skip-covered --cov-report html:build/coverage
+	$(PYTEST)
+	$(COVERAGE)
 
 docs: $(VENV)/installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --site-dir build/site

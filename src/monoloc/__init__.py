@@ -1,7 +1,7 @@
 """monoloc: indoor localisation of a drone with one camera.
 
-The public names are :func:`load`, :class:`Camera`, :class:`Start`, :class:`Localizer`, :func:`build_bundle` and
-:func:`calibrate`. They are imported when they are first used.
+The public names are :func:`load`, :func:`save`, :class:`Camera`, :class:`Start`, :class:`Localizer`,
+:func:`build_bundle` and :func:`calibrate`. They are imported when they are first used.
 """
 
 from importlib import import_module
@@ -13,11 +13,12 @@ if TYPE_CHECKING:
     from monoloc.builder.calibrate import calibrate
     from monoloc.builder.pipeline import build_bundle
     from monoloc.bundle import read_bundle as load
+    from monoloc.bundle import write_bundle as save
     from monoloc.camera import Camera
     from monoloc.localizer import Localizer
     from monoloc.start import Start
 
-__all__ = ["Camera", "Localizer", "Start", "__version__", "build_bundle", "calibrate", "load"]
+__all__ = ["Camera", "Localizer", "Start", "__version__", "build_bundle", "calibrate", "load", "save"]
 
 _HOMES = {
     "Camera": ("monoloc.camera", "Camera"),
@@ -26,6 +27,7 @@ _HOMES = {
     "build_bundle": ("monoloc.builder.pipeline", "build_bundle"),
     "calibrate": ("monoloc.builder.calibrate", "calibrate"),
     "load": ("monoloc.bundle", "read_bundle"),
+    "save": ("monoloc.bundle", "write_bundle"),
 }
 
 

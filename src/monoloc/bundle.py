@@ -137,12 +137,13 @@ def check_target(path: Path) -> None:
         raise BundleError(path, f"holds more than a bundle ({others[0]})", "move that away or choose another name")
 
 
-def write_bundle(path: Path, bundle: Bundle) -> int:
+def write_bundle(path: str | Path, bundle: Bundle) -> int:
     """Write a bundle, replacing an older one; returns its size in bytes.
 
     Raises:
         BundleError: as :func:`check_target`, or the disk does not take it.
     """
+    path = Path(path)
     check_target(path)
     contents = {
         _MAP: _pack_maps(bundle),

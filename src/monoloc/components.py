@@ -22,7 +22,7 @@ class Components:
     Attributes:
         depth: predicts the depth of a colour image.
         odometry: measures the camera's motion; None for a random walk.
-        likelihood: of a scan under the map.
+        likelihood: the likelihood of a scan under the map.
         landmarks: measures the pose by landmarks.
     """
 

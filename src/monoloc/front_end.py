@@ -1,4 +1,4 @@
-"""The front end: what a frame says, before anything is known of the pose."""
+"""The front end: what is measured in a frame, before anything is known of the pose."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LEAST_POINTS = 10  # of a scan that constrains the pose
 
 @dataclass(frozen=True)
 class Observation:
-    """What one frame says.
+    """What was measured in one frame.
 
     Attributes:
         color: (H, W, 3) uint8 RGB.
@@ -31,9 +31,9 @@ class Observation:
         depth: of the frame, its scale and tilt corrected by odometry's corners.
         motion: odometry's motion since the previous frame, None where there is none.
         odometry_tracked: whether odometry followed the camera; true at the first frame and for a random walk.
-        scan: points of the depth; empty where the image shows nothing.
+        scan: points of the depth; empty where the image has no contrast.
         corners: odometry's corners whose depth parallax has refined.
-        down_camera: direction of gravity in the camera's frame, (3,) unit vector, None where nothing tells it.
+        down_camera: direction of gravity in the camera's frame, (3,) unit vector, None if it is not known.
     """
 
     color: NDArray[np.uint8]
@@ -87,7 +87,7 @@ class FrontEnd:
         if not 0.0 <= elapsed_s < np.inf:
             raise ValueError(f"elapsed_s must be finite and not negative, got {elapsed_s}")
         depth = self._depth(color) if measured_depth is None else measured_depth
-        motion = self._odometry.step(color, depth.depth_m, depth.camera) if self._odometry else None
+        motion = self._odometry.step(color, depth.depth_m, depth.camera) if self._odometry is not None else None
         depth = self._corrected(depth, motion)
         scan = self._scan(depth)
         shows_something = measured_depth is not None or has_contrast(color)

@@ -63,7 +63,7 @@ class Localizer:
 
     Args:
         bundle: the room, as :func:`monoloc.load` returns it.
-        camera: of the frames.
+        camera: the camera of the frames.
         start: the first pose; None where nothing is known of it. Then the room is searched, and the state is *lost*
             until the camera is found.
         config: settings in place of the bundle's.

@@ -49,10 +49,11 @@ class Run:
     """Results of N frames.
 
     Attributes:
+        recording, config: what was localised, and with which settings.
         start: ``T_world_camera``, (4, 4), that the localizer was given; None without one.
         poses, covariances: (N, 4, 4) ``T_world_camera`` and (N, 6, 6), see :class:`Estimate`.
         odometry: (N, 4, 4) dead reckoning from the first true pose, else from the start, else from the first
-            estimate; None for the random walk.
+            estimate; None if no motion was measured.
         unseen: (N,) frames that the bundle was not built from.
         states: of the frames.
         mean_log_likelihoods, log_scales, step_ms: (N,).
@@ -148,8 +149,13 @@ def localize(
         down: (N, 3) as :meth:`monoloc.localizer.Localizer.step` takes it, one a frame.
 
     Raises:
-        DataError: sensor depth is asked for and there is none, or a frame cannot be read.
+        DataError: sensor depth is asked for and there is none, there are no frames, or one cannot be read.
+        ValueError: as :class:`monoloc.localizer.Localizer`, or ``down`` is not one a frame.
     """
+    if len(recording) == 0:
+        raise DataError(recording.name, "gives no frames", "give a recording with at least one")
+    if down is not None and len(down) != len(recording):
+        raise ValueError(f"down must have shape ({len(recording)}, 3), got {np.shape(down)}")
     if use_sensor_depth:
         bundle, config = _for_sensor_depth(bundle, config, recording)
     localizer = Localizer(bundle, recording.camera, start, config, components, rng)
@@ -194,10 +200,12 @@ class _Log:
         self._figures: list[tuple[float, bool, bool, float]] = []
         self._depth = (DepthAccumulator(), DepthAccumulator()) if recording.has_depth else None
         self.dead_reckoning: list[FloatArray] = []
+        self._has_odometry = False
 
     def add(self, step: Step, unseen: bool, step_ms: float, sensor_m: NDArray[np.float32] | None) -> None:
         """Add a frame, with its sensor depth (H, W) where there is one."""
         self.dead_reckoning.append(self._dead_reckoned(step))
+        self._has_odometry |= step.motion is not None
         self._estimates.append(step.estimate)
         self._states.append(step.state)
         self._figures.append((step.mean_log_likelihood, step.landmark_pose is not None, unseen, step_ms))
@@ -222,7 +230,7 @@ class _Log:
             start=self._start,
             poses=np.stack([estimate.pose for estimate in self._estimates]),
             covariances=np.stack([estimate.covariance for estimate in self._estimates]),
-            odometry=np.stack(self.dead_reckoning) if config.motion == "visual" else None,
+            odometry=np.stack(self.dead_reckoning) if self._has_odometry else None,
             unseen=np.array(unseen, dtype=np.bool_),
             states=self._states,
             mean_log_likelihoods=np.array(mean_log_likelihoods),

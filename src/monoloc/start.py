@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from monoloc.geometry import FloatArray, se3_exp
+from monoloc.geometry import FloatArray, is_rigid, se3_exp
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.particle_filter.particles import Particles, scatter
 
@@ -21,11 +21,21 @@ class Start:
     Attributes:
         pose: ``T_world_camera`` of the first frame, (4, 4), as far as it is known.
         error_m, error_rad: root mean square of its distance and angle from the true pose.
+
+    Raises:
+        ValueError: the pose is not rigid, or an error is negative or not finite.
     """
 
     pose: FloatArray
     error_m: float = START_ERROR_M
     error_rad: float = np.deg2rad(START_ERROR_DEG)
+
+    def __post_init__(self) -> None:
+        if np.shape(self.pose) != (4, 4) or not bool(is_rigid(self.pose)):
+            raise ValueError(f"pose must be a rigid (4, 4) T_world_camera, got {self.pose}")
+        if not (0.0 <= self.error_m < np.inf and 0.0 <= self.error_rad < np.inf):
+            errors = f"{self.error_m} and {self.error_rad}"
+            raise ValueError(f"error_m and error_rad must be finite and not negative, got {errors}")
 
     @classmethod
     def disturbed(

@@ -22,7 +22,7 @@ class Tracker:
         start: particles before the first frame.
         config: settings.
         reference_poses: of the room, or none.
-        rng: of all noise.
+        rng: source of all random numbers.
 
     Attributes:
         fusion: holds the belief.

@@ -7,9 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from monoloc.bundle import Bundle
+from monoloc.camera import Camera
+from monoloc.components import Components, default_components
+from monoloc.errors import DataError
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray, make_pose, rotation_angle, so3_exp
 from monoloc.io.registry import select_frames
+from monoloc.localizer_config import LocalizerConfig
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress
 from monoloc.run import Run, localize
@@ -84,3 +89,29 @@ def test_direction_of_gravity_rotates_the_poses(mixture: GaussianMixture, record
 
     # The tilt of eleven degrees counts by the share that the start's three degrees give it.
     assert 0.01 < rotation_angle(first_rotation(None).T @ first_rotation(tilted)) < 0.2
+
+
+def test_without_a_measured_motion_no_odometry_is_reported(
+    mixture: GaussianMixture, recording: RoomRecording
+) -> None:
+    bundle, few = make_bundle(mixture, recording, range(2)), select_frames(recording, ":3")
+
+    def without_odometry(bundle: Bundle, camera: Camera, config: LocalizerConfig) -> Components:
+        return replace(default_components(bundle, camera, config), odometry=None)
+
+    rng, start = np.random.default_rng(0), Start(few.poses[0])
+    run = localize(bundle, few, start, SETTINGS, rng, NoProgress(), components=without_odometry)
+    assert run.odometry is None and "odometry_ate_rmse_m" not in run.metrics()
+
+
+def test_gravity_is_one_direction_a_frame(mixture: GaussianMixture, recording: RoomRecording) -> None:
+    bundle, few = make_bundle(mixture, recording, range(2)), select_frames(recording, ":3")
+    with pytest.raises(ValueError, match=r"down must have shape \(3, 3\), got \(2, 3\)"):
+        rng, start = np.random.default_rng(0), Start(few.poses[0])
+        localize(bundle, few, start, SETTINGS, rng, NoProgress(), down=np.ones((2, 3)))
+
+
+def test_recording_without_frames_is_refused(mixture: GaussianMixture, recording: RoomRecording) -> None:
+    bundle, empty = make_bundle(mixture, recording, range(2)), RoomRecording(Room(), recording.poses[:0])
+    with pytest.raises(DataError, match="room: gives no frames; give a recording with at least one"):
+        localize(bundle, empty, Start(recording.poses[0]), SETTINGS, np.random.default_rng(0), NoProgress())

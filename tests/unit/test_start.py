@@ -28,3 +28,15 @@ def test_root_mean_square_distance_of_particles_is_the_error() -> None:
     rms = [np.sqrt(np.mean(values**2)) for values in (errors.position_m, errors.rotation_rad)]
     assert rms == pytest.approx([0.3, 0.2], rel=0.02)
     assert particles.log_scale.std() == pytest.approx(0.07, rel=0.02)
+
+
+@pytest.mark.parametrize("pose", [np.diag([2.0, 2.0, 2.0, 1.0]), np.eye(3), np.full((4, 4), np.nan)])
+def test_pose_that_is_not_rigid_is_refused(pose: np.ndarray) -> None:
+    with pytest.raises(ValueError, match=r"pose must be a rigid \(4, 4\) T_world_camera"):
+        Start(pose)
+
+
+@pytest.mark.parametrize("errors", [(-0.1, 0.1), (0.1, np.inf)])
+def test_error_that_is_negative_or_infinite_is_refused(errors: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match="error_m and error_rad must be finite and not negative"):
+        Start(POSE, *errors)

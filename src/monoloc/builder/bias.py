@@ -19,14 +19,17 @@ from monoloc.builder.trajectories import (
     single_pass,
 )
 from monoloc.bundle import Bundle
-from monoloc.components import ComponentsFactory, default_components
+from monoloc.camera import Camera
+from monoloc.components import Components, ComponentsFactory, default_components
 from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, axis_sd, twist_errors
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.fusion.reference_poses import ReferencePoses, bias_correlation
 from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_exp, se3_log
 from monoloc.io.recording import Recording
 from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.landmarks.pnp import NoLandmarks
 from monoloc.localizer import Localizer
+from monoloc.localizer_config import LocalizerConfig
 from monoloc.progress import Progress
 from monoloc.start import Start
 
@@ -40,15 +43,18 @@ LocalizerFactory = Callable[[FloatArray], Localizer]
 def localizer_factory(
     bundle: Bundle, seed: int, components: ComponentsFactory = default_components
 ) -> LocalizerFactory:
-    """Makes localizers of a bundle, for the camera that built it, whose bias is to be measured.
+    """Makes localizers to measure a bundle's bias with, for the camera of its build recording.
 
     They neither relocalise, so that errors grow as far as they do, nor use landmarks, which say nothing of the
     particles' bias.
     """
     room = replace(bundle, reference_poses=ReferencePoses.none(), landmarks=Landmarks.none())
 
+    def without_landmarks(bundle: Bundle, camera: Camera, config: LocalizerConfig) -> Components:
+        return replace(components(bundle, camera, config), landmarks=NoLandmarks())
+
     def make(pose: FloatArray) -> Localizer:
-        return Localizer(room, room.camera, Start(pose), components=components, seed=seed)
+        return Localizer(room, room.camera, Start(pose), components=without_landmarks, seed=seed)
 
     return make
 
@@ -77,7 +83,7 @@ def measure_bias(
         is_tuned: whether the network was tuned on the frames.
 
     Returns:
-        The bias's standard deviations about what is known of it, and what is known, at the N reference poses.
+        Standard deviation of the unknown part of the bias, and the N reference poses with the known part.
     """
     poses = recording.poses
     assert poses is not None
@@ -90,14 +96,14 @@ def measure_bias(
     with progress.task("covariances", _frame_count([*at_reference, *passes, *hovers])) as show:
         follow = _Follower(recording, poses, show)
         errors = follow(final, at_reference)
-        hold_out_errors, away = follow(hold_out, passes), follow(hold_out, hovers)
+        hold_out_errors, away_errors = follow(hold_out, passes), follow(hold_out, hovers)
     remaining, reference_poses = _known_bias(errors, segments, poses, is_tuned)
     is_reference = np.ones(len(recording), dtype=np.bool_)
     is_reference[np.concatenate(regions)] = False
     tuned_on = is_reference[_scored(passes)]
     distances_m = [pose_distance_m(pose, poses[is_reference]).min() for pose in poses[_scored(hovers)]]
     hold_out_at_reference = twist_errors(np.concatenate(hold_out_errors)[tuned_on])
-    model = fit_bias_model(_sizes(remaining), hold_out_at_reference, _sizes(away), np.array(distances_m))
+    model = fit_bias_model(_sizes(remaining), hold_out_at_reference, _sizes(away_errors), np.array(distances_m))
     return model, reference_poses
 
 
@@ -189,7 +195,7 @@ class _Follower:
 def fit_bias_model(
     at_reference: PoseErrors,
     hold_out_at_reference: PoseErrors,
-    away: PoseErrors,
+    away_from_reference: PoseErrors,
     distances_m: FloatArray,
     prior_growth: float = _PRIOR_GROWTH,
 ) -> BiasModel:
@@ -197,8 +203,8 @@ def fit_bias_model(
 
     Args:
         at_reference: of the final network, at least one.
-        hold_out_at_reference, away: of the hold-out network, at frames that it was tuned on, at least one, and at
-            frames that it was not.
+        hold_out_at_reference, away_from_reference: of the hold-out network, at frames that it was tuned on, at least
+            one, and at frames that it was not.
         distances_m: from the latter to the nearest of the former, (N,).
         prior_growth: of both position and rotation, metres and radians a metre.
     """
@@ -207,8 +213,8 @@ def fit_bias_model(
     return BiasModel(
         sd_at_reference_m=sd_m,
         sd_at_reference_rad=sd_rad,
-        sd_growth_m=_growth(away.position_m, hold_out_m, distances_m, prior_growth),
-        sd_growth_rad=_growth(away.rotation_rad, hold_out_rad, distances_m, prior_growth),
+        sd_growth_m=_growth(away_from_reference.position_m, hold_out_m, distances_m, prior_growth),
+        sd_growth_rad=_growth(away_from_reference.rotation_rad, hold_out_rad, distances_m, prior_growth),
     )
 
 

@@ -49,9 +49,12 @@ def calibrate(
 
     Args:
         bundle: of the room.
-        recording: posed frames in that room, at least two; frames that the bundle was not built from make the bias
-            an honest one.
-        components: as for :class:`monoloc.Localizer`.
+        recording: posed frames in that room, at least two; frames that the bundle was not built from give a
+            realistic bias.
+        components: as for :class:`monoloc.Localizer`. It is called about ten times; build large tables outside it.
+
+    Errors count as if they were made at the reference poses, so the covariance is too wide if the recording is far
+    from them. The bias of landmarks is not measured: set ``landmark_bias`` for a landmark localizer of your own.
 
     Returns:
         The bundle with new ``settings`` and ``thresholds``. It keeps its reference poses, without the biases that
@@ -59,10 +62,12 @@ def calibrate(
         reference poses gets those of the recording.
 
     Raises:
-        DataError: the recording has no poses, or no frame's depth gives a scan.
+        DataError: the recording has no poses or fewer than two frames, or no frame's depth gives a scan.
     """
     if recording.poses is None:
         raise DataError(recording.name, "has no poses", "calibrate on a recording with camera poses")
+    if len(recording) < 2:
+        raise DataError(recording.name, f"gives {len(recording)} frames", "calibrate on at least 2")
     rng = np.random.default_rng(seed)
     camera = recording.camera
 
@@ -122,7 +127,7 @@ def calibrate_likelihood(
         fix = "check output, metric and scale in its TOML: depth must come out in metres"
         raise DataError("network", problem, fix)
     candidates = [
-        _Candidate(config, *_best_over_scales(likelihood, scans))
+        _Candidate(config, *_best_over_scales(likelihood, config, scans))
         for config, likelihood in _likelihoods(likelihood_for, base.likelihood, scans)
     ]
     best = max(candidates, key=lambda candidate: float(candidate.values.mean()))
@@ -134,12 +139,12 @@ def calibrate_likelihood(
 def _likelihoods(
     likelihood_for: LikelihoodFactory, base: LikelihoodConfig, scans: list[tuple[Scan, Sample]]
 ) -> list[tuple[LikelihoodConfig, ScanLikelihood]]:
-    """Candidates; only the first if the settings make no difference, as to a likelihood that has its own."""
+    """Candidates, or only the settings as they are if they make no difference, as to a likelihood with its own."""
     setting, values = _ERROR_SETTINGS[base.kind]
     configs = [base.model_copy(update={setting: value}) for value in values]
     candidates = [(config, likelihood_for(config)) for config in configs]
-    distinct = {float(_best_over_scales(likelihood, scans[:1])[0][0]) for _, likelihood in candidates}
-    return candidates if len(distinct) > 1 else candidates[:1]
+    distinct = {float(_best_over_scales(likelihood, config, scans[:1])[0][0]) for config, likelihood in candidates}
+    return candidates if len(distinct) > 1 else [(base, likelihood_for(base))]
 
 
 def _pairs_of_frames(frames: int) -> NDArray[np.int64]:
@@ -148,12 +153,14 @@ def _pairs_of_frames(frames: int) -> NDArray[np.int64]:
     return np.unique(np.clip(np.concatenate([first, first + 1]), 0, frames - 1))
 
 
-def _best_over_scales(likelihood: ScanLikelihood, scans: list[tuple[Scan, Sample]]) -> tuple[FloatArray, FloatArray]:
+def _best_over_scales(
+    likelihood: ScanLikelihood, config: LikelihoodConfig, scans: list[tuple[Scan, Sample]]
+) -> tuple[FloatArray, FloatArray]:
     """Best mean log-likelihood of every scan over the depth's scale, (N,), and the log-scale there, (N,)."""
     best, scales = [], []
     for scan, sample in scans:
         poses = np.repeat(sample.pose[None], len(_LOG_SCALES), axis=0)
-        values = likelihood.mean_log_likelihood(poses, _LOG_SCALES, scan)
+        values = likelihood.mean_log_likelihood(poses, _LOG_SCALES, scan, config.log_depth_sd)
         best.append(values.max())
         scales.append(_LOG_SCALES[values.argmax()])
     return np.array(best), np.array(scales)

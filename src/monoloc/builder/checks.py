@@ -48,7 +48,7 @@ _NETWORK = _PoseCheck(
 
 # Least shares of the visible surfaces that face the second and the third direction. A wall with 1 % depth noise
 # gives up to 0.03 for both; RedKitchen gives 0.37 and 0.19, the corner of a room 0.28 and at least 0.05.
-_FLAT, _TWO_WAYS = 0.05, 0.04
+_FLAT, _TWO_DIRECTIONS = 0.05, 0.04
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ def _check_surfaces(name: str, posed_scans: list[_PosedScan], mixture: GaussianM
     if second < _FLAT:
         problem = f"all frames see one flat surface ({1.0 - weakest - second:.0%} faces one way)"
         raise DataError(name, problem, "record a trajectory that shows walls, floor and furniture")
-    if weakest < _TWO_WAYS:
+    if weakest < _TWO_DIRECTIONS:
         direction = ", ".join(f"{value:.2f}" for value in axes[:, 0])
         return [f"only {weakest:.0%} of what the frames see faces along ({direction}); poses will slide that way"]
     flat = sum(float(np.linalg.eigvalsh(share)[1]) < _FLAT for share in shares)

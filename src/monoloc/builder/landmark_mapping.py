@@ -93,8 +93,8 @@ def _measured_bias(corners: list[Corners], camera: Camera, detected: Camera, pos
             for index in of.tolist()
         }
         seen = {index: pose for index, pose in measured.items() if pose is not None}
-        twists = [se3_log(invert(poses[index]) @ measured.pose) for index, measured in seen.items()]
-        stated = [np.diag(measured.covariance) for measured in seen.values()]
+        twists = [se3_log(invert(poses[index]) @ landmark_pose.pose) for index, landmark_pose in seen.items()]
+        stated = [np.diag(landmark_pose.covariance) for landmark_pose in seen.values()]
         beyond_noise = _beyond_noise(twist_errors(np.reshape(twists, (-1, 6))), np.reshape(stated, (-1, 6)))
         return beyond_noise, np.array(list(seen), dtype=np.int64)
 

@@ -38,6 +38,12 @@ class DepthPrediction:
     camera: Camera
     log_error: NDArray[np.float32] | None = None
 
+    def __post_init__(self) -> None:
+        shape = (self.camera.height, self.camera.width)
+        shapes = [self.depth_m.shape] if self.log_error is None else [self.depth_m.shape, self.log_error.shape]
+        if any(each != shape for each in shapes):
+            raise ValueError(f"depth_m and log_error must have the camera's shape {shape}, got {shapes}")
+
     def resized(self, width: int, height: int) -> NDArray[np.float32]:
         """Interpolate depth between pixels that have depth: (height, width) metres, 0 where there is none."""
         size = (width, height)
@@ -51,7 +57,10 @@ class DepthSource(Protocol):
     """A source of depth for colour images, such as :class:`DepthPredictor`."""
 
     def __call__(self, color: NDArray[np.uint8]) -> DepthPrediction:
-        """Predict the depth of an image (H, W, 3) uint8 RGB."""
+        """Predict depth along z, metres, of an image (H, W, 3) uint8 RGB.
+
+        The resolution is free; the camera returned is that of the depth image, and its rays are undistorted.
+        """
         ...
 
 

@@ -35,7 +35,7 @@ class BiasModel(BaseModel):
     relocalization_sd_rad: float = Field(0.0, ge=0.0)
 
     def reference_variance_share(self, distance_m: float) -> FloatArray:
-        """Share of the variance at a distance that the variance at the reference poses is, (6,)."""
+        """Variance at the reference poses divided by that at a distance, (6,)."""
         reference, here = self.sds(0.0), self.sds(distance_m)
         return np.divide(reference, here, out=np.ones(6), where=here > 0.0) ** 2
 

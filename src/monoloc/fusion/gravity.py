@@ -1,4 +1,4 @@
-"""Alignment of a measured pose with gravity, where a flight controller tells roll and pitch.
+"""Alignment of a measured pose with gravity, where a flight controller gives roll and pitch.
 
 Biased depth constrains a rotation about the scene poorly: the camera can turn a little and shift to match, and its
 scan fits as well. So knowing the tilt corrects the position too.
@@ -57,7 +57,7 @@ class Gravity:
     """Direction of gravity in a room.
 
     Args:
-        down_world: (3,) unit vector, world frame; None where the room's surfaces do not tell it.
+        down_world: (3,) unit vector, world frame; None where the room's surfaces do not determine it.
     """
 
     def __init__(self, down_world: FloatArray | None) -> None:

@@ -53,12 +53,16 @@ class LandmarkLocalizer(Protocol):
             prior: ``T_world_camera``, (4, 4), and its covariance, (6, 6).
 
         Returns:
-            None where too few landmarks are seen.
+            The measurement alone, without the prior, since the filter fuses both; its covariance as in
+            :class:`LandmarkPose`. None where too few landmarks are seen.
         """
         ...
 
     def relocalize(self, color: NDArray[np.uint8]) -> LandmarkPose | None:
-        """Pose from an image (H, W, 3) uint8 RGB, without a prior; None where too few landmarks agree."""
+        """Pose from an image (H, W, 3) uint8 RGB, without a prior; None where too few landmarks agree.
+
+        It must be strict: this pose overrules the scan.
+        """
         ...
 
 
@@ -125,7 +129,7 @@ class OrbLandmarkLocalizer:
             expected, room.descriptors[visible], seen.pixels, seen.descriptors, radius_px
         )
         points = room.points[visible[which]].astype(np.float64)
-        return solve(points, seen.select(where), camera, prior, covariance)
+        return pose_from_matches(points, seen.select(where), camera, prior, covariance)
 
     def _radius_px(self, local: FloatArray, covariance: FloatArray) -> float:
         """Three standard deviations of the expected pixel of points (M, 3) in the camera's frame."""
@@ -164,7 +168,7 @@ class OrbLandmarkLocalizer:
         return invert(T_camera_world) if np.all(np.isfinite(T_camera_world)) else None
 
 
-def solve(
+def pose_from_matches(
     points: FloatArray, seen: Keypoints, camera: Camera, prior: FloatArray, covariance: FloatArray
 ) -> LandmarkPose | None:
     """Pose of a camera that sees points (M, 3), world frame, as M keypoints, of which some are wrong matches.

@@ -47,7 +47,8 @@ class ScanLikelihood(Protocol):
     """Likelihood of a scan at a pose; :class:`monoloc.likelihood.ray.RayLikelihood` is one.
 
     A likelihood of your own is used through :class:`monoloc.components.Components` and calibrated with
-    :func:`monoloc.calibrate`.
+    :func:`monoloc.calibrate`, which fits ``log_depth_sd`` for ``config.kind == "ray"`` and ``noise_sd_m`` for
+    ``"volume"``.
 
     What is observed is depth as predicted. A density of points in the world must therefore be multiplied by ``e^s``,
     that is, ``log_scale`` is added to the log-likelihood; without it, particles that shrink the scan are favoured.
@@ -62,7 +63,11 @@ class ScanLikelihood(Protocol):
             poses: ``T_world_camera``, (N, 4, 4).
             log_scale: (N,) natural logarithm of true over predicted depth.
             scan: at least one point.
-            log_depth_sd: standard deviation of the points' log-depth; None for that of the depth image.
+            log_depth_sd: standard deviation of the points' log-depth; None for that of the depth image. The filter
+                passes ``config.log_depth_sd`` for a depth image and ``config.corner_log_depth_sd`` for corners.
+
+        Returns:
+            Finite values: poses from which nothing fits need a floor, such as the outlier share.
         """
         ...
 

@@ -123,7 +123,20 @@ class Odometry(Protocol):
     """Interface of odometry, such as :class:`VisualOdometry`."""
 
     def step(self, color: NDArray[np.uint8], depth_m: NDArray[np.float32], depth_camera: Camera) -> Motion | None:
-        """Motion since the previous frame; None if it is unknown."""
+        """Motion since the previous frame; None at the first frame, and where it is unknown.
+
+        Called once for every frame, in order.
+
+        Args:
+            color: (H, W, 3) uint8 RGB.
+            depth_m: (h, w) metres, 0 where unknown.
+            depth_camera: its intrinsics.
+
+        Returns:
+            The motion, its translation in the unit of ``depth_m``: the filter multiplies it by each particle's depth
+            scale. So metric odometry, as of wheels or an IMU, needs ``log_scale_sd = 0``. Without corners, ``points``
+            and ``log_depth_sd`` are empty, and scale and tilt are not corrected.
+        """
         ...
 
 

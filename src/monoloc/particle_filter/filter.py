@@ -17,11 +17,11 @@ class ParticleFilter:
     """Particles of one camera.
 
     Args:
-        start: before the first frame.
-        motion_noise: of the motion model.
+        start: particles before the first frame.
+        motion_noise: noise of the motion model.
         log_scale_sd: standard deviation of the depth's log-scale.
         ess_fraction: resample when the effective sample size is below this share of the particles.
-        rng: of all noise.
+        rng: source of all random numbers.
 
     Attributes:
         particles: after the last call.

@@ -90,7 +90,7 @@ class GlobalRelocalizer:
 
 
 def _spread_out(poses: FloatArray, distance_m: float) -> FloatArray:
-    """Some of the poses, from which no other is farther: greedily, the farthest from those chosen (Gonzalez 1985)."""
+    """A subset such that every pose is within a distance of one of it: greedily, the farthest (Gonzalez 1985)."""
     chosen = [0]
     distances = pose_distance_m(poses[0], poses)
     while distances.max() > distance_m:

@@ -124,3 +124,9 @@ def test_recording_without_poses_is_refused(
     without_poses.poses = None
     with pytest.raises(DataError, match="room: has no poses; calibrate on a recording with camera poses"):
         monoloc.calibrate(bundle, without_poses, components)
+
+
+def test_recording_of_one_frame_is_refused(bundle: Bundle, components: ComponentsFactory) -> None:
+    single = RoomRecording(ROOM, make_path(1), SMALL_CAMERA)
+    with pytest.raises(DataError, match="room: gives 1 frames; calibrate on at least 2"):
+        monoloc.calibrate(bundle, single, components)

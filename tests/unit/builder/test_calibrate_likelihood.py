@@ -16,7 +16,7 @@ from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, se3_exp
 from monoloc.likelihood import make_likelihood
 from monoloc.likelihood.protocol import LikelihoodConfig, ScanLikelihood
-from monoloc.likelihood.scan import scan_from_depth
+from monoloc.likelihood.scan import Scan, scan_from_depth
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.map.mixture import GaussianMixture
 
@@ -72,7 +72,7 @@ def test_error_size_is_that_of_the_depth(noise: float) -> None:
 
 
 @pytest.mark.parametrize("kind", ["ray", "volume"])
-def test_noise_outliers_and_scale_are_told_apart(kind: str) -> None:
+def test_noise_outliers_and_scale_are_distinguished(kind: str) -> None:
     exact, noisy, outliers, unsteady = (
         calibrated(kind, *errors) for errors in ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.4, 0.0), (0.0, 0.0, 0.12))
     )
@@ -129,3 +129,17 @@ def test_network_without_usable_depth_is_refused() -> None:
     empty = replace(sample, depth=replace(sample.depth, depth_m=np.zeros_like(sample.depth.depth_m)))
     with pytest.raises(DataError, match=r"network: gives no usable depth on any of 1 frames; check output, metric"):
         calibrate_likelihood(likelihood_for, [empty], LocalizerConfig(), np.random.default_rng(0))
+
+
+def test_likelihood_with_an_error_size_of_its_own_leaves_the_settings() -> None:
+    base = LocalizerConfig(likelihood=LikelihoodConfig(log_depth_sd=0.11))
+
+    class Constant:
+        def mean_log_likelihood(
+            self, poses: FloatArray, log_scale: FloatArray, scan: Scan, log_depth_sd: float | None = None
+        ) -> FloatArray:
+            return -np.abs(log_scale)
+
+    samples = corner_samples(10, 0.0, 0.0, 0.0)
+    found, _ = calibrate_likelihood(lambda _: Constant(), samples, base, np.random.default_rng(0))
+    assert found.likelihood == base.likelihood

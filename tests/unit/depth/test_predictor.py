@@ -271,3 +271,11 @@ def test_stated_error_of_another_size_is_refused() -> None:
 )
 def test_camera_whose_images_are_too_small_is_refused(camera: Camera, message: str) -> None:
     refuses(lambda: DepthPredictor(depth_from_blue(), camera), SettingError, f"camera: .*{message}")
+
+
+def test_depth_must_have_its_cameras_shape() -> None:
+    small = CAMERA.resized(8, 6)
+    with pytest.raises(ValueError, match=r"depth_m and log_error must have the camera's shape \(6, 8\)"):
+        DepthPrediction(np.ones((8, 6), np.float32), small)
+    with pytest.raises(ValueError, match="log_error must have"):
+        DepthPrediction(np.ones((6, 8), np.float32), small, np.ones((3, 4), np.float32))

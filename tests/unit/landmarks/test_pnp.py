@@ -12,7 +12,7 @@ from monoloc.geometry import FloatArray, invert, se3_exp, se3_log, transform
 from monoloc.landmarks.features import KeypointDetector, Keypoints
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.landmarks.pnp import PRIOR_COVARIANCE as PRIOR
-from monoloc.landmarks.pnp import OrbLandmarkLocalizer, solve
+from monoloc.landmarks.pnp import OrbLandmarkLocalizer, pose_from_matches
 from monoloc.progress import NoProgress
 from synthetic_room import BLACK, CAMERA, Room, RoomRecording, make_path
 
@@ -49,7 +49,7 @@ def test_pose_is_exact_despite_two_fifths_of_wrong_matches(seed):
     points, pixels = seen_from(pose, rng)
     wrong = rng.choice(80, 32, replace=False)
     pixels[wrong] += rng.uniform(-40.0, 40.0, (32, 2))
-    found = solve(points, keypoints_at(pixels), CAMERA, near(pose, rng), PRIOR)
+    found = pose_from_matches(points, keypoints_at(pixels), CAMERA, near(pose, rng), PRIOR)
     assert found is not None and 48 <= len(found.points) <= 55
     errors = pose_errors(found.pose[None], pose[None])
     assert errors.position_m[0] < 0.01 and errors.rotation_rad[0] < 0.004
@@ -62,7 +62,8 @@ def test_pose_does_not_contain_the_prior():
     points, pixels = seen_from(pose, rng)
     pixels += rng.normal(size=pixels.shape)
     one, other = (
-        solve(points, keypoints_at(pixels), CAMERA, pose @ se3_exp(np.full(6, off)), PRIOR) for off in (-0.02, 0.02)
+        pose_from_matches(points, keypoints_at(pixels), CAMERA, pose @ se3_exp(np.full(6, off)), PRIOR)
+        for off in (-0.02, 0.02)
     )
     assert one is not None and other is not None
     np.testing.assert_allclose(se3_log(invert(one.pose) @ other.pose), 0.0, atol=3e-4)
@@ -82,7 +83,7 @@ def test_squared_errors_match_the_covariance(camera):
         points, pixels = seen_from(pose, rng, camera)
         sd_px = rng.uniform(0.5, 2.0, 80)
         pixels += sd_px[:, None] * rng.normal(size=pixels.shape)
-        found = solve(points, keypoints_at(pixels, sd_px), camera, near(pose, rng), PRIOR)
+        found = pose_from_matches(points, keypoints_at(pixels, sd_px), camera, near(pose, rng), PRIOR)
         assert found is not None
         error = se3_log(invert(found.pose) @ pose)
         squares.append(error @ np.linalg.solve(found.covariance, error))
@@ -93,7 +94,7 @@ def test_squared_errors_match_the_covariance(camera):
 def test_exact_prior_is_accepted():
     rng = np.random.default_rng(2)
     points, pixels = seen_from(np.eye(4), rng)
-    found = solve(points, keypoints_at(pixels), CAMERA, np.eye(4), np.zeros((6, 6)))
+    found = pose_from_matches(points, keypoints_at(pixels), CAMERA, np.eye(4), np.zeros((6, 6)))
     assert found is not None
     np.testing.assert_allclose(found.pose, np.eye(4), atol=1e-6)
 
@@ -101,11 +102,11 @@ def test_exact_prior_is_accepted():
 def test_too_few_or_too_concentrated_points_give_no_pose():
     rng = np.random.default_rng(3)
     points, pixels = seen_from(np.eye(4), rng)
-    assert solve(points[:14], keypoints_at(pixels[:14]), CAMERA, np.eye(4), PRIOR) is None
-    assert solve(points[:0], keypoints_at(pixels[:0]), CAMERA, np.eye(4), PRIOR) is None
+    assert pose_from_matches(points[:14], keypoints_at(pixels[:14]), CAMERA, np.eye(4), PRIOR) is None
+    assert pose_from_matches(points[:0], keypoints_at(pixels[:0]), CAMERA, np.eye(4), PRIOR) is None
     # All at one place, seen from afar: the camera's position around it is undetermined.
     narrow = np.array([0.0, 0.0, 4.0]) + 0.02 * rng.normal(size=(80, 3))
-    assert solve(narrow, keypoints_at(CAMERA.project(narrow)), CAMERA, np.eye(4), PRIOR) is None
+    assert pose_from_matches(narrow, keypoints_at(CAMERA.project(narrow)), CAMERA, np.eye(4), PRIOR) is None
 
 
 # --- The pose in a room ---
