@@ -108,9 +108,6 @@ class Camera:
         k1, k2, p1, p2, k3 = self.distortion
         return replace(self, cx=self.width - 1 - self.cx, distortion=(k1, k2, p1, -p2, k3))
 
-    def without_distortion(self) -> Camera:
-        return replace(self, distortion=(0.0, 0.0, 0.0, 0.0, 0.0))
-
     def project(self, points_camera: ArrayLike) -> FloatArray:
         """Project points in the camera's frame: (..., 3) m -> (..., 2) px; NaN for points with z <= 0."""
         points = np.asarray(points_camera, dtype=np.float64)

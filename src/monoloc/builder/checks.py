@@ -10,7 +10,7 @@ from monoloc.depth.predictor import DepthPrediction, DepthPredictor
 from monoloc.depth.spec import DepthModel
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, make_pose, so3_exp, transform
-from monoloc.io.recording import Recording
+from monoloc.io.recording import Recording, evenly_spaced
 from monoloc.likelihood.protocol import LikelihoodConfig
 from monoloc.likelihood.scan import Scan, scan_from_depth
 from monoloc.likelihood.volume import VolumeLikelihood
@@ -84,7 +84,7 @@ def check_frames(
         DataError: the frames see nothing of the cloud, their poses are in another frame, they see only one flat
             surface, or a frame cannot be read.
     """
-    chosen = np.unique(np.linspace(0, len(recording) - 1, _FRAMES).round().astype(np.int64))
+    chosen = evenly_spaced(len(recording), _FRAMES)
     poses = recording.poses
     assert poses is not None
     depth_of = supervision(recording, cloud)

@@ -15,7 +15,7 @@ from monoloc.evaluation.hold_out import HELD_OUT_SHARE, REGIONS, hold_out_region
 from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, twist_errors
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.geometry import FloatArray, invert, pose_distance_m, ray_jacobian, se3_log, transform
-from monoloc.io.recording import Recording
+from monoloc.io.recording import Recording, evenly_spaced
 from monoloc.landmarks.features import KeypointDetector, Keypoints, match_descriptors
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.landmarks.pnp import PRIOR_COVARIANCE, OrbLandmarkLocalizer
@@ -52,7 +52,7 @@ def build_landmarks(
     poses = recording.poses
     assert poses is not None
     detect = KeypointDetector(recording.camera)
-    frames = np.unique(np.linspace(0, len(recording) - 1, min(_MOST_FRAMES, len(recording))).round().astype(np.int64))
+    frames = evenly_spaced(len(recording), _MOST_FRAMES)
     poses = poses[frames]
     with progress.task("landmarks", len(frames)) as show:
         corners = []

@@ -9,6 +9,7 @@ import numpy as np
 from monoloc.builder.samples import Sample, scans_of
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray, pose_distance_m
+from monoloc.io.recording import evenly_spaced
 from monoloc.likelihood.protocol import ScanLikelihood
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.particle_filter.estimate import Estimate
@@ -42,7 +43,7 @@ def measure_relocalization_error(
         config: of the localizer.
     """
     scans = scans_of(samples, config, rng)
-    chosen = np.unique(np.linspace(0, len(scans) - 1, min(_MOST_SCANS, len(scans))).round().astype(np.int64))
+    chosen = evenly_spaced(len(scans), _MOST_SCANS)
     found, true = [], []
     with progress.task("searching", len(chosen)) as show:
         for done, (scan, sample) in enumerate(scans[index] for index in chosen.tolist()):

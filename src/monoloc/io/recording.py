@@ -76,3 +76,8 @@ class Selection:
 
     def depth(self, index: int) -> NDArray[np.float32]:
         return self.source.depth(int(self.positions[index]))
+
+
+def evenly_spaced(count: int, most: int) -> NDArray[np.int64]:
+    """Indices of at most ``most`` of ``count`` frames, spread evenly over them."""
+    return np.unique(np.linspace(0, count - 1, most).round().astype(np.int64))
