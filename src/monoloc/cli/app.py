@@ -17,7 +17,7 @@ _LAB_COMMANDS = ("bench", "demo", "reproduce", "synth")
 
 app = typer.Typer(
     name="monoloc",
-    help="Localise a drone indoors with one camera and a map of a few kilobytes.",
+    help="Localise a drone indoors with one camera.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
