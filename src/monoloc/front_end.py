@@ -99,7 +99,7 @@ class FrontEnd:
             motion=motion,
             odometry_tracked=self._is_first or self._odometry is None or motion is not None,
             scan=scan if shows_something else EMPTY_SCAN,
-            corners=EMPTY_SCAN if motion is None else scan_from_corners(motion, self._config.likelihood.corner_doubt),
+            corners=EMPTY_SCAN if motion is None else self._corners(motion),
             down_camera=down_camera,
         )
         self._is_first = False
@@ -114,6 +114,9 @@ class FrontEnd:
         if motion is None or self._config.scale_tilt is None:
             return depth
         return correct_scale_and_tilt(depth, motion, self._config.scale_tilt)
+
+    def _corners(self, motion: Motion) -> Scan:
+        return scan_from_corners(motion, self._config.likelihood.max_corner_log_depth_sd)
 
     def _scan(self, depth: DepthPrediction) -> Scan:
         return scan_from_depth(depth, self._config.scan_points, self._rng, self._config.likelihood.error_power)

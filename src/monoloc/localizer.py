@@ -155,7 +155,7 @@ class Localizer:
 
     def _predict(self, observation: Observation) -> Particles:
         is_verifying = self._relocalization.mode is Mode.VERIFYING
-        return self._tracker.predict(observation.motion, observation.elapsed_s, pose_was_drawn=is_verifying)
+        return self._tracker.predict(observation.motion, observation.elapsed_s, from_search=is_verifying)
 
     def _relocalize(self, observation: Observation, predicted: Particles) -> Relocalization:
         return self._relocalization.update(

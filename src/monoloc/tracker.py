@@ -42,19 +42,19 @@ class Tracker:
     def particles(self) -> Particles:
         return self._filter.particles
 
-    def predict(self, motion: Motion | None, elapsed_s: float, pose_was_drawn: bool = False) -> Particles:
+    def predict(self, motion: Motion | None, elapsed_s: float, from_search: bool = False) -> Particles:
         """Particles after the motion since the previous frame; at the first frame, as they start.
 
         Args:
             motion: of the odometry, None where it has none.
             elapsed_s: since the previous frame.
-            pose_was_drawn: whether the particles are those of a recent search, and so independent of how long the
+            from_search: whether the particles are those of a recent search, and so independent of how long the
                 belief has not been updated.
         """
         if self._is_first:
             self._is_first = False
             return self._filter.particles
-        time_since_update_s = 0.0 if pose_was_drawn else self.fusion.time_since_update_s
+        time_since_update_s = 0.0 if from_search else self.fusion.time_since_update_s
         return self._filter.predict(motion, elapsed_s, time_since_update_s)
 
     def update(self, particles: Particles, weigh: Callable[[Particles], Particles]) -> Estimate:

@@ -90,12 +90,12 @@ def test_scan_is_of_the_depth_weighted_by_stated_errors() -> None:
     assert np.ptp(observation.scan.weights) > 0.5
 
 
-def test_corners_are_those_of_the_motion_within_the_doubt() -> None:
+def test_corners_are_those_of_the_motion_that_are_certain_enough() -> None:
     motion = corners_of(PREDICTED, 0.0)
     front_end = make_front_end(_Odometry(None, motion))
     assert len(front_end.observe(COLOR, 0.0, None, None).corners) == 0
     corners = front_end.observe(COLOR, 0.1, None, None).corners
-    expected = scan_from_corners(motion, CONFIG.likelihood.corner_doubt)
+    expected = scan_from_corners(motion, CONFIG.likelihood.max_corner_log_depth_sd)
     assert 0 < len(corners) < len(motion.points)
     np.testing.assert_array_equal(corners.points, expected.points)
 

@@ -131,7 +131,7 @@ def test_particles_are_weighed_by_the_corrected_depth_and_then_by_corners(
     (poses, scan, sd, of_image), (same_poses, corners, corner_sd, of_corners), (pose, *_, at_pose) = likelihood.calls
     assert scan is step.scan and poses is same_poses
     assert (sd, corner_sd) == (trust.log_depth_sd, trust.corner_log_depth_sd)
-    expected = scan_from_corners(step.motion, trust.corner_doubt)
+    expected = scan_from_corners(step.motion, trust.max_corner_log_depth_sd)
     assert len(expected) > 10
     np.testing.assert_array_equal(corners.points, expected.points)
     weights = normalised(prior.log_weights + 10.0 * of_image + 5.0 * of_corners)

@@ -43,13 +43,13 @@ def test_first_frame_leaves_the_particles(motion: Motion | None) -> None:
     assert tracker.particles is predicted
 
 
-@pytest.mark.parametrize(("pose_was_drawn", "time_since_update_s"), [(False, 2.0), (True, 0.0)])
-def test_particles_spread_with_the_time_since_an_update(pose_was_drawn: bool, time_since_update_s: float) -> None:
+@pytest.mark.parametrize(("from_search", "time_since_update_s"), [(False, 2.0), (True, 0.0)])
+def test_particles_spread_with_the_time_since_an_update(from_search: bool, time_since_update_s: float) -> None:
     """But for particles of a recent search, which are as if updated."""
     tracker = make_tracker()
     tracker.predict(None, 0.0)
     tracker.fuse(None, 2.0, estimate(START), accepted=False)
-    predicted = tracker.predict(None, ELAPSED_S, pose_was_drawn)
+    predicted = tracker.predict(None, ELAPSED_S, from_search)
     np.testing.assert_array_equal(predicted.poses, moved(START, None, time_since_update_s).poses)
 
 

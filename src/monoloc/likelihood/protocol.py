@@ -27,7 +27,7 @@ class LikelihoodConfig(BaseModel):
         error_power: a point's weight is the inverse of the error that the network states, to this power; 0 weighs
             all points alike.
         corner_log_depth_sd: standard deviation of a refined corner's log-depth (``ray``).
-        corner_doubt: corners whose stated standard deviation of log-depth is above this are left out.
+        max_corner_log_depth_sd: corners whose stated standard deviation of log-depth is above this are left out.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -40,7 +40,7 @@ class LikelihoodConfig(BaseModel):
     effective_corners: float = Field(20.0, ge=0.0)
     error_power: float = Field(1.0, ge=0.0)
     corner_log_depth_sd: float = Field(0.04, gt=0.0)
-    corner_doubt: float = Field(0.1, gt=0.0)
+    max_corner_log_depth_sd: float = Field(0.1, gt=0.0)
 
 
 class ScanLikelihood(Protocol):

@@ -67,10 +67,10 @@ def scan_from_depth(
     return Scan(points, _weights(depth.log_error.ravel()[candidates], error_power))
 
 
-def scan_from_corners(motion: Motion, doubt: float, max_depth_m: float = 8.0) -> Scan:
-    """Tracked corners in front of the camera whose log-depth has a standard deviation below ``doubt``."""
+def scan_from_corners(motion: Motion, max_log_depth_sd: float, max_depth_m: float = 8.0) -> Scan:
+    """Tracked corners in front of the camera whose log-depth has a standard deviation below ``max_log_depth_sd``."""
     z = motion.points[:, 2]
-    chosen = (motion.log_depth_sd < doubt) & (z > 0.0) & (z <= max_depth_m)
+    chosen = (motion.log_depth_sd < max_log_depth_sd) & (z > 0.0) & (z <= max_depth_m)
     return uniform_scan(np.asarray(motion.points[chosen], dtype=np.float32))
 
 

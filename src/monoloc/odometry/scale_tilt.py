@@ -31,7 +31,7 @@ class ScaleTiltConfig(BaseModel):
         tilt_sd: standard deviation of the change of log-depth over a unit of image coordinate (at z = 1).
         corner_sd: standard deviation of the difference of log-depth between corner and image, in addition to the
             corner's own.
-        corner_doubt: corners whose stated standard deviation is above this are left out.
+        max_corner_log_depth_sd: corners whose stated standard deviation is above this are left out.
         effective_corners: number of independent corners that they count as, since their errors are correlated.
     """
 
@@ -40,7 +40,7 @@ class ScaleTiltConfig(BaseModel):
     scale_sd: float = Field(0.02, gt=0.0)
     tilt_sd: float = Field(0.02, gt=0.0)
     corner_sd: float = Field(0.05, gt=0.0)
-    corner_doubt: float = Field(0.15, gt=0.0)
+    max_corner_log_depth_sd: float = Field(0.15, gt=0.0)
     effective_corners: float = Field(20.0, gt=0.0)
 
 
@@ -55,7 +55,7 @@ def correct_scale_and_tilt(depth: DepthPrediction, motion: Motion, config: Scale
         motion: its corners are in the same camera frame and, up to an error of scale, in the same units.
     """
     camera = depth.camera
-    known = (motion.log_depth_sd < config.corner_doubt) & (motion.points[:, 2] > 0.1)
+    known = (motion.log_depth_sd < config.max_corner_log_depth_sd) & (motion.points[:, 2] > 0.1)
     points, sd = motion.points[known], motion.log_depth_sd[known]
     pixels = camera.project(points).astype(np.float32)
     nearest = np.rint(pixels)

@@ -152,9 +152,13 @@ def test_corners_out_of_view_are_ignored(camera: Camera, displace) -> None:
 
 def test_uncertain_corners_are_ignored() -> None:
     depth = tilted(PINHOLE)
-    assert correct_scale_and_tilt(depth, corners(PINHOLE, 50, sd=0.16), ScaleTiltConfig(corner_doubt=0.15)) is depth
     assert (
-        correct_scale_and_tilt(depth, corners(PINHOLE, 50, sd=0.14), ScaleTiltConfig(corner_doubt=0.15)) is not depth
+        correct_scale_and_tilt(depth, corners(PINHOLE, 50, sd=0.16), ScaleTiltConfig(max_corner_log_depth_sd=0.15))
+        is depth
+    )
+    assert (
+        correct_scale_and_tilt(depth, corners(PINHOLE, 50, sd=0.14), ScaleTiltConfig(max_corner_log_depth_sd=0.15))
+        is not depth
     )
 
 
@@ -199,7 +203,7 @@ def test_depth_that_agrees_with_its_corners_is_unchanged() -> None:
     )
 
 
-@pytest.mark.parametrize("name", ["scale_sd", "tilt_sd", "corner_sd", "corner_doubt", "effective_corners"])
+@pytest.mark.parametrize("name", ["scale_sd", "tilt_sd", "corner_sd", "max_corner_log_depth_sd", "effective_corners"])
 def test_settings_must_be_positive(name: str) -> None:
     with pytest.raises(ValueError, match=name):
         ScaleTiltConfig(**{name: 0.0})
