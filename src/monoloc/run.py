@@ -211,7 +211,7 @@ class _Log:
         self._figures.append((step.mean_log_likelihood, step.landmark_pose is not None, unseen, step_ms))
         if self._depth is not None and sensor_m is not None:
             for accumulator in self._depth if unseen else self._depth[:1]:
-                accumulator.add(*comparable(step.depth, sensor_m))
+                accumulator.add(*depth_pair(step.depth, sensor_m))
 
     def _dead_reckoned(self, step: Step) -> FloatArray:
         if self.dead_reckoning:
@@ -259,7 +259,7 @@ def _sparse(depth_m: NDArray[np.float32], camera: Camera) -> DepthPrediction:
     return DepthPrediction(sparse, sampled)
 
 
-def comparable(
+def depth_pair(
     depth: DepthPrediction, sensor_m: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Depth used and sensor depth, at one size; the latter is 0 where either has none."""

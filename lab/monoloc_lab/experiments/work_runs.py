@@ -17,7 +17,7 @@ from monoloc.evaluation.depth_metrics import depth_metrics
 from monoloc.geometry import FloatArray, so3_exp
 from monoloc.io.recording import Recording
 from monoloc.progress import NoProgress
-from monoloc.run import comparable, localize
+from monoloc.run import depth_pair, localize
 from monoloc.start import Start
 from monoloc_lab.experiments.task import Result
 from monoloc_lab.experiments.task_inputs import BUNDLE, Settings, evaluation_frames, relighting, write_trajectory
@@ -53,7 +53,7 @@ def depth(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str
     pictures: dict[str, list[Any]] = {name: [] for name in ("index", "color", "predicted", "truth")}
     for index in sorted({*range(0, len(recording), settings["stride"]), *settings["shown"]}):
         color = relight(recording.color(index)) if relight else recording.color(index)
-        predicted, truth = comparable(predictor(color), recording.depth(index))
+        predicted, truth = depth_pair(predictor(color), recording.depth(index))
         if index % settings["stride"] == 0 and truth.any():
             metrics = depth_metrics(predicted, truth)
             for name in names:
