@@ -18,7 +18,7 @@ from monoloc.fusion.bias_model import BiasModel
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray
 from monoloc.io.recording import Recording
-from monoloc.likelihood.protocol import LikelihoodConfig, ScanLikelihood
+from monoloc.likelihood.protocol import LikelihoodConfig, ScanLikelihood, best_over_scales
 from monoloc.likelihood.scan import Scan
 from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.localizer_config import LocalizerConfig
@@ -157,13 +157,11 @@ def _best_over_scales(
     likelihood: ScanLikelihood, config: LikelihoodConfig, scans: list[tuple[Scan, Sample]]
 ) -> tuple[FloatArray, FloatArray]:
     """Best mean log-likelihood of every scan over the depth's scale, (N,), and the log-scale there, (N,)."""
-    best, scales = [], []
-    for scan, sample in scans:
-        poses = np.repeat(sample.pose[None], len(_LOG_SCALES), axis=0)
-        values = likelihood.mean_log_likelihood(poses, _LOG_SCALES, scan, config.log_depth_sd)
-        best.append(values.max())
-        scales.append(_LOG_SCALES[values.argmax()])
-    return np.array(best), np.array(scales)
+    best = [
+        best_over_scales(likelihood, sample.pose, scan, _LOG_SCALES, config.log_depth_sd) for scan, sample in scans
+    ]
+    values, log_scales = zip(*best, strict=True)
+    return np.array(values), np.array(log_scales)
 
 
 def slow_sd(log_scales: FloatArray, frames: NDArray[np.int64]) -> float:

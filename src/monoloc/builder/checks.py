@@ -11,7 +11,7 @@ from monoloc.depth.spec import DepthModel
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, make_pose, so3_exp, transform
 from monoloc.io.recording import Recording, evenly_spaced
-from monoloc.likelihood.protocol import LikelihoodConfig
+from monoloc.likelihood.protocol import LikelihoodConfig, best_over_scales
 from monoloc.likelihood.scan import Scan, scan_from_depth
 from monoloc.likelihood.volume import VolumeLikelihood
 from monoloc.map.depth_rendering import supervision
@@ -124,9 +124,7 @@ def _check_poses(name: str, posed_scans: list[_PosedScan], mixture: GaussianMixt
         """Best mean log-likelihood of each scan over depth scales."""
         return np.array(
             [
-                likelihood.mean_log_likelihood(
-                    np.repeat((posed.pose @ turn)[None], len(check.log_scales), axis=0), check.log_scales, posed.scan
-                ).max()
+                best_over_scales(likelihood, posed.pose @ turn, posed.scan, check.log_scales)[0]
                 for posed in posed_scans
                 if len(posed.scan)
             ]

@@ -12,23 +12,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.adapt.settings import AdaptConfig
 from monoloc.builder.bias import localizer_factory, measure_bias
 from monoloc.builder.build_config import BuildConfig, BuildReport
 from monoloc.builder.calibrate import calibrate_likelihood
 from monoloc.builder.checks import check_frames
 from monoloc.builder.landmark_mapping import build_landmarks
-from monoloc.builder.pose_refinement import PosePrior, check_refinable, refine_poses, rounds
+from monoloc.builder.pose_refinement import PosePrior, refine_poses, rounds
 from monoloc.builder.relocalization_error import measure_relocalization_error
 from monoloc.builder.room_map import fit_map
 from monoloc.builder.samples import depth_samples
-from monoloc.bundle import Bundle, Provenance, fingerprint, read_network
-from monoloc.depth.model_files import trainable_file
+from monoloc.builder.start_network import StartNetwork, checked_network, in_8_bits
+from monoloc.bundle import Bundle, Provenance, fingerprint
 from monoloc.depth.models import DEFAULT
 from monoloc.depth.predictor import DepthPredictor
 from monoloc.depth.scale_fit import fit_to_depth
 from monoloc.depth.spec import DepthModel, ModelSpec, network_images
-from monoloc.errors import DataError, SettingError
+from monoloc.errors import DataError
 from monoloc.evaluation.trajectory import PoseErrors, pose_errors
 from monoloc.extras import training_extra
 from monoloc.fusion.bias_model import BiasModel
@@ -41,16 +40,6 @@ from monoloc.map.compare import compare_maps
 from monoloc.map.depth_rendering import supervision
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress, Progress
-
-_MIN_FRAMES = 5
-
-
-@dataclass(frozen=True)
-class _Network:
-    """The network that a build starts from; ``file`` to tune it from, None if nothing is tuned."""
-
-    model: DepthModel
-    file: Path | None
 
 
 @dataclass(frozen=True)
@@ -122,33 +111,13 @@ def build_bundle(
         MissingExtraError: something is to be tuned and PyTorch is not installed.
     """
     started = time.perf_counter()
-    start_network = _checked_network(recording, config, network)
+    start_network = checked_network(recording, config, network)
     rng = np.random.default_rng(seed)
     room = _map(recording, cloud, config, start_network.model, seed, rng, progress)
     adapted = _quantised(_adapt(room, start_network, config, seed, progress), room, config, progress)
     bundle = _calibrate(room, adapted, config, seed, rng, progress)
     bundle = _add_landmarks(bundle, room, config, progress)
     return bundle, _report(bundle, room, adapted, config, time.perf_counter() - started)
-
-
-def _checked_network(recording: Recording, config: BuildConfig, network: str | Path) -> _Network:
-    """The network, after everything that can be refused before the work is done."""
-    if recording.poses is None:
-        raise DataError(recording.name, "has no poses", "build from a recording with camera poses")
-    if len(recording) < _MIN_FRAMES:
-        raise DataError(recording.name, f"gives {len(recording)} frames", f"build from at least {_MIN_FRAMES}")
-    if config.refine_poses:
-        check_refinable(recording)
-    file = None
-    if config.adapt.tune != "none" or config.adapt.map_transform:
-        file = _tunable(network, config.adapt)
-        with training_extra():
-            import monoloc.adapt.adaptation  # noqa: F401
-    model = read_network(network)
-    if config.int8:
-        _check_8_bits(network, recording)
-    DepthPredictor(model, recording.camera)  # refuses what does not fit the camera
-    return _Network(model, file)
 
 
 def _map(
@@ -197,7 +166,7 @@ def _refined(
     return refined, pose_errors(refined.poses, recording.poses)
 
 
-def _adapt(room: _Room, network: _Network, config: BuildConfig, seed: int, progress: Progress) -> _Adapted:
+def _adapt(room: _Room, network: StartNetwork, config: BuildConfig, seed: int, progress: Progress) -> _Adapted:
     """Network and map tuned to each other, or the network's scale fitted, as far as it is unknown."""
     if network.file is None:
         return _fitted_to_depth(room, network.model, progress)
@@ -236,7 +205,7 @@ def _quantised(adapted: _Adapted, room: _Room, config: BuildConfig, progress: Pr
         return adapted
     with progress.task("8 bits", None):
         images = network_images(room.recording, adapted.depth_model.spec)
-        model, hold_out = (_in_8_bits(each, images) for each in (adapted.depth_model, adapted.hold_out_model))
+        model, hold_out = (in_8_bits(each, images) for each in (adapted.depth_model, adapted.hold_out_model))
     return replace(adapted, depth_model=model, hold_out_model=hold_out)
 
 
@@ -329,40 +298,3 @@ def _mean_down(poses: FloatArray) -> tuple[float, float, float]:
     x, y, z = poses[:, :3, 1].mean(axis=0)
     length = float(np.hypot(np.hypot(x, y), z)) or 1.0
     return float(x / length), float(y / length), float(z / length)
-
-
-def _tunable(network: str | Path, config: AdaptConfig) -> Path:
-    """The file to tune a network from.
-
-    Raises:
-        SettingError: it has none; naming the setting that calls for tuning.
-    """
-    file = trainable_file(network)
-    if file is None:
-        setting = "tune" if config.tune != "none" else "map_transform"
-        value = config.tune if config.tune != "none" else "on"
-        problem = f"is {value}, but {network} can only be run, not tuned"
-        fix = "give --tune none --no-map-transform, or a network that came from: monoloc depth train"
-        raise SettingError(f"adapt.{setting}", problem, fix)
-    return file
-
-
-def _check_8_bits(network: str | Path, recording: Recording) -> None:
-    """Refuse what could not be quantised, before the work is done.
-
-    Raises:
-        SettingError, DataError, MissingExtraError: it is not one of ours in 32 bits; too few frames; no ONNX.
-    """
-    if trainable_file(network) is None:
-        raise SettingError("int8", f"is on, but {network} cannot be quantised", "choose one of ours in 32 bits")
-    with training_extra():
-        from monoloc.depth.training.quantise import LEAST_IMAGES
-    if len(recording) < LEAST_IMAGES:
-        fix = f"build in 8 bits from at least {LEAST_IMAGES}"
-        raise DataError(recording.name, f"gives {len(recording)} frames", fix)
-
-
-def _in_8_bits(model: DepthModel, images: list[NDArray[np.float32]]) -> DepthModel:
-    with training_extra():
-        from monoloc.depth.training.quantise import quantise
-    return replace(model, content=quantise(model.content, images)[0], name=f"{model.name} in 8 bits")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, Protocol
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.geometry import FloatArray
@@ -70,6 +71,19 @@ class ScanLikelihood(Protocol):
             Finite values: poses from which nothing fits need a floor, such as the outlier share.
         """
         ...
+
+
+def best_over_scales(
+    likelihood: ScanLikelihood,
+    pose: FloatArray,
+    scan: Scan,
+    log_scales: FloatArray,
+    log_depth_sd: float | None = None,
+) -> tuple[float, float]:
+    """The best mean log-likelihood of a scan at a pose (4, 4) over depth scales (N,), and the log-scale there."""
+    poses = np.repeat(pose[None], len(log_scales), axis=0)
+    values = likelihood.mean_log_likelihood(poses, log_scales, scan, log_depth_sd)
+    return float(values.max()), float(log_scales[values.argmax()])
 
 
 def weigh_depth_image(

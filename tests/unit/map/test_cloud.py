@@ -36,7 +36,7 @@ class BoxRecording:
         return 1 if self.poses is None else len(self.poses)
 
     def color(self, index: int) -> NDArray[np.uint8]:
-        raise NotImplementedError
+        raise AssertionError("a cloud is made of depth and needs no colour")
 
     def depth(self, index: int) -> NDArray[np.float32]:
         assert self.poses is not None
