@@ -15,8 +15,9 @@ from monoloc.camera import Camera
 from monoloc.components import ComponentsFactory, default_components
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.errors import DataError
+from monoloc.evaluation.consistency import consistency
 from monoloc.evaluation.depth_metrics import DepthAccumulator
-from monoloc.evaluation.trajectory import coverage_95, summarise
+from monoloc.evaluation.trajectory import summarise
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray, invert
@@ -107,7 +108,7 @@ class Run:
             return {}
         poses, truth = self.poses[chosen], self.truth[chosen]
         figures: dict[str, object] = asdict(summarise(poses, truth))
-        figures["coverage_95"] = coverage_95(poses, truth, self.covariances[chosen])
+        figures |= self._consistency(chosen, poses, truth)
         if self.odometry is not None:
             drift = summarise(self.odometry[chosen], truth)
             figures |= {"odometry_ate_rmse_m": drift.ate_rmse_m, "odometry_ate_median_m": drift.ate_median_m}
@@ -116,6 +117,16 @@ class Run:
                 from_start = summarise((self.start @ invert(self.odometry[0]) @ self.odometry)[chosen], truth)
                 figures["odometry_from_start_ate_rmse_m"] = from_start.ate_rmse_m
         return figures
+
+    def _consistency(self, chosen: NDArray[np.bool_], poses: FloatArray, truth: FloatArray) -> dict[str, object]:
+        errors = consistency(poses, truth, self.covariances[chosen])
+        tracking = np.array(self.states)[chosen] == "tracking"
+        return {
+            "coverage_95": errors.coverage_95,
+            "coverage_99": errors.coverage_99,
+            "silent_frames_30cm": int(np.sum(tracking & errors.is_far)),
+            "silent_frames_3_5_sigma": int(np.sum(tracking & errors.is_beyond_covariance)),
+        }
 
     def _depth_accuracy(self, which: int) -> dict[str, object]:
         if self.depth is None or not len(self.depth[which]):

@@ -12,7 +12,8 @@ from monoloc.builder.landmark_mapping import build_landmarks
 from monoloc.bundle import read_network
 from monoloc.depth.predictor import DepthPrediction, DepthPredictor
 from monoloc.depth.spec import DepthModel
-from monoloc.evaluation.trajectory import coverage_95, pose_errors
+from monoloc.evaluation.consistency import consistency
+from monoloc.evaluation.trajectory import pose_errors
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.geometry import FloatArray, is_rigid, make_pose
 from monoloc.landmarks.landmark_map import Landmarks
@@ -105,7 +106,7 @@ def test_covariance_covers_the_error(flights: Flights, visual_flight: list[Step]
     assert np.all(is_rigid(poses))
     # 0.73 to 1 over seeds 0..5: the errors of neighbouring frames are correlated, so less than 0.95 must do.
     truth = flights.recording.poses
-    assert coverage_95(poses[SETTLED:], truth[SETTLED:], covariances[SETTLED:]) > 0.65
+    assert consistency(poses[SETTLED:], truth[SETTLED:], covariances[SETTLED:]).coverage_95 > 0.65
     # Covered because it is right, not because it is wide.
     assert np.sqrt(np.trace(covariances[-1, :3, :3])) < 0.05
 

@@ -29,6 +29,35 @@ def recording() -> RoomRecording:
     return RoomRecording(Room(), make_path(20), SMALL_CAMERA)
 
 
+def test_silent_frames_are_tracking_and_far_off_or_outside_their_covariance(recording: RoomRecording) -> None:
+    count = len(recording)
+    poses = recording.poses.copy()
+    poses[[1, 2, 7], 0, 3] += 0.4  # far off, inside a wide covariance
+    poses[[3, 8], 0, 3] += 0.2  # near, outside a narrow covariance
+    covariances = np.repeat(0.2**2 * np.eye(6)[None], count, axis=0)
+    covariances[[3, 8]] *= 0.01
+    states = ["tracking"] * count
+    states[2] = "uncertain"
+    figures = Run(
+        recording=recording,
+        config=SETTINGS,
+        start=None,
+        poses=poses,
+        covariances=covariances,
+        odometry=None,
+        unseen=np.arange(count) > 5,
+        states=states,
+        mean_log_likelihoods=np.zeros(count),
+        log_scales=np.zeros(count),
+        step_ms=np.ones(count),
+        landmark_used=np.zeros(count, dtype=np.bool_),
+        depth=None,
+    ).metrics()
+    assert (figures["silent_frames_30cm"], figures["unseen_silent_frames_30cm"]) == (2, 1)
+    assert (figures["silent_frames_3_5_sigma"], figures["unseen_silent_frames_3_5_sigma"]) == (2, 1)
+    assert figures["coverage_95"] == figures["coverage_99"] == pytest.approx(18 / 20)
+
+
 def test_dead_reckoning_is_evaluated_from_the_truth_and_from_the_start(recording: RoomRecording) -> None:
     """Exact odometry from a start 5 cm aside stays 5 cm aside; from one that is rotated it drifts."""
     count, truth = len(recording), recording.poses

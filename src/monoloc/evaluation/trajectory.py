@@ -11,13 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from monoloc.geometry import FloatArray, invert, rotation_angle, se3_exp, se3_log
+from monoloc.geometry import FloatArray, invert, rotation_angle, se3_exp
 
-CHI2_6_QUANTILE_95 = 12.591587  # 95 % quantile of the chi-squared distribution with 6 degrees of freedom
 CHI2_MEDIAN_3 = 2.3659738843753377  # median of the chi-squared distribution with 3 degrees of freedom
-
-# Variances below this (1 micrometre, 1 microradian, squared) are rounding: poses in files have no more digits.
-_VARIANCE_FLOOR = 1e-12
 
 
 @dataclass(frozen=True)
@@ -62,7 +58,7 @@ def pose_errors(estimated: ArrayLike, truth: ArrayLike) -> PoseErrors:
     Raises:
         ValueError: shapes that are not (N, 4, 4) with the same N >= 1, or entries that are not finite.
     """
-    T_world_estimated, T_world_truth = _checked_pair(estimated, truth)
+    T_world_estimated, T_world_truth = checked_pair(estimated, truth)
     offset_m = T_world_estimated[:, :3, 3] - T_world_truth[:, :3, 3]
     R_estimated_truth = np.swapaxes(T_world_estimated[:, :3, :3], -1, -2) @ T_world_truth[:, :3, :3]
     return PoseErrors(np.linalg.norm(offset_m, axis=-1), rotation_angle(R_estimated_truth))
@@ -104,7 +100,7 @@ def relative_pose_errors(estimated: ArrayLike, truth: ArrayLike, step: int) -> P
     Raises:
         ValueError: as :func:`pose_errors`, or a step outside 1 .. N - 1.
     """
-    T_world_estimated, T_world_truth = _checked_pair(estimated, truth)
+    T_world_estimated, T_world_truth = checked_pair(estimated, truth)
     if not 1 <= step < len(T_world_truth):
         raise ValueError(f"step must lie in 1 .. {len(T_world_truth) - 1}, got {step}")
     return pose_errors(
@@ -135,44 +131,22 @@ def summarise(estimated: ArrayLike, truth: ArrayLike) -> TrajectoryMetrics:
     )
 
 
-def coverage_95(estimated: ArrayLike, truth: ArrayLike, covariances: ArrayLike) -> float:
-    """Share of frames whose error lies inside the covariance's 95 % ellipsoid; 0.95 is consistent.
-
-    The error is the twist ``(rho, phi)`` of ``invert(T_world_estimated) @ T_world_truth``. If a covariance has no
-    extent along a direction, any error along it lies outside.
-
-    Args:
-        estimated: estimated ``T_world_camera``, (N, 4, 4).
-        truth: true ``T_world_camera``, (N, 4, 4), same world.
-        covariances: (N, 6, 6) in the tangent space of the estimated camera, order (rho, phi), m and rad.
+def checked_pair(estimated: ArrayLike, truth: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Estimated and true poses as float64 (N, 4, 4).
 
     Raises:
-        ValueError: as :func:`pose_errors`, or covariances of another shape, not finite, or not symmetric and positive
-            semidefinite.
+        ValueError: shapes that are not (N, 4, 4) with the same N >= 1, or entries that are not finite.
     """
-    T_world_estimated, T_world_truth = _checked_pair(estimated, truth)
-    Sigma = _checked("covariances", covariances, (len(T_world_truth), 6, 6))
-    variances, axes = np.linalg.eigh(Sigma)
-    rounding = 1e-9 * np.abs(Sigma).max(axis=(-1, -2)) + _VARIANCE_FLOOR
-    asymmetry = np.abs(Sigma - np.swapaxes(Sigma, -1, -2)).max(axis=(-1, -2))
-    wrong = (variances[:, 0] < -rounding) | (asymmetry > rounding)
-    if wrong.any():
-        raise ValueError(
-            f"covariances must be symmetric and positive semidefinite, got frame {int(np.argmax(wrong))}"
-        )
-    twist = se3_log(invert(T_world_estimated) @ T_world_truth)
-    along_axes = (np.swapaxes(axes, -1, -2) @ twist[..., None])[..., 0]
-    mahalanobis_squared = np.sum(along_axes**2 / np.maximum(variances, _VARIANCE_FLOOR), axis=-1)
-    return float(np.mean(mahalanobis_squared <= CHI2_6_QUANTILE_95))
+    T_world_truth = checked_array("truth", truth, (None, 4, 4))
+    return checked_array("estimated", estimated, T_world_truth.shape), T_world_truth
 
 
-def _checked_pair(estimated: ArrayLike, truth: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    T_world_truth = _checked("truth", truth, (None, 4, 4))
-    return _checked("estimated", estimated, T_world_truth.shape), T_world_truth
+def checked_array(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> FloatArray:
+    """Values as float64; None in the shape stands for any length N >= 1.
 
-
-def _checked(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> FloatArray:
-    """Check values and convert them to float64; None in the shape stands for any length N >= 1."""
+    Raises:
+        ValueError: another shape, or entries that are not finite; the message begins with the name.
+    """
     array = np.asarray(values, dtype=np.float64)
     fits = array.ndim == len(shape) and all(
         got >= 1 if expected is None else got == expected for got, expected in zip(array.shape, shape, strict=True)

@@ -11,10 +11,10 @@ from evo.core.trajectory import PosePath3D
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from monoloc.evaluation.consistency import consistency
 from monoloc.evaluation.trajectory import (
     PoseErrors,
     axis_sd,
-    coverage_95,
     pose_errors,
     relative_pose_errors,
     summarise,
@@ -148,52 +148,6 @@ class TestPoseErrors:
             relative_pose_errors(poses, poses, step)
 
 
-class TestCoverage:
-    def sample(self, rng: np.random.Generator, frames: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Estimates, truths drawn from the covariances around them, and the covariances."""
-        estimated = random_trajectory(rng, frames)
-        root = rng.normal(size=(6, 6)) * np.array([0.05, 0.05, 0.05, 0.02, 0.02, 0.02])[:, None]
-        twists = rng.normal(size=(frames, 6)) @ root.T
-        return estimated, estimated @ se3_exp(twists), np.tile(root @ root.T, (frames, 1, 1))
-
-    def test_true_covariance_covers_95_percent(self, rng: np.random.Generator) -> None:
-        estimated, truth, covariances = self.sample(rng, 4000)
-        assert coverage_95(estimated, truth, covariances) == pytest.approx(0.95, abs=0.012)
-        assert coverage_95(estimated, truth, 0.25 * covariances) < 0.6
-        assert coverage_95(estimated, truth, 4.0 * covariances) > 0.999
-
-    def test_coverage_does_not_depend_on_the_world_frame(self, rng: np.random.Generator) -> None:
-        estimated, truth, covariances = self.sample(rng, 200)
-        T_other_world = se3_exp(rng.normal(size=6))
-        moved = coverage_95(T_other_world @ estimated, T_other_world @ truth, covariances)
-        assert moved == coverage_95(estimated, truth, covariances)
-
-    def test_order_is_translation_then_rotation(self) -> None:
-        eye, moved = np.eye(4)[None], se3_exp([[0.1, 0.0, 0.0, 0.0, 0.0, 0.0]])
-        wide_translation = np.diag([1.0, 1.0, 1.0, 1e-6, 1e-6, 1e-6])[None]
-        assert coverage_95(eye, moved, wide_translation) == 1.0
-        assert coverage_95(eye, moved, wide_translation[:, ::-1, ::-1]) == 0.0
-
-    def test_singular_covariance_covers_only_errors_in_its_plane(self) -> None:
-        flat = np.diag([0.01, 0.01, 0.0, 0.01, 0.01, 0.01])[None]
-        eye = np.eye(4)[None]
-        assert coverage_95(eye, se3_exp([[0.1, 0.0, 0.0, 0.0, 0.0, 0.0]]), flat) == 1.0
-        assert coverage_95(eye, se3_exp([[0.0, 0.0, 0.1, 0.0, 0.0, 0.0]]), flat) == 0.0
-
-    @pytest.mark.parametrize(
-        ("covariances", "message"),
-        [
-            (np.eye(6), r"covariances must have shape \(1, 6, 6\), got \(6, 6\)"),
-            (np.full((1, 6, 6), np.inf), "covariances must be finite"),
-            (-np.eye(6)[None], "symmetric and positive semidefinite, got frame 0"),
-            (np.triu(np.ones((6, 6)))[None], "symmetric and positive semidefinite, got frame 0"),
-        ],
-    )
-    def test_invalid_covariances_are_refused(self, covariances: FloatArray, message: str) -> None:
-        with pytest.raises(ValueError, match=message):
-            coverage_95(np.eye(4)[None], np.eye(4)[None], covariances)
-
-
 class TestAxisSd:
     """Errors drawn from known covariances."""
 
@@ -205,7 +159,7 @@ class TestAxisSd:
         assert sd_m == pytest.approx(0.04, rel=0.04)
         assert sd_rad == pytest.approx(0.02, rel=0.04)
         covariances = np.repeat(np.diag([sd_m**2] * 3 + [sd_rad**2] * 3)[None], 4000, axis=0)
-        assert coverage_95(se3_exp(twists), truth, covariances) == pytest.approx(0.95, abs=0.015)
+        assert consistency(se3_exp(twists), truth, covariances).coverage_95 == pytest.approx(0.95, abs=0.015)
 
     def test_a_tenth_of_outliers_has_little_influence(self, rng: np.random.Generator) -> None:
         twists = rng.standard_normal((1000, 6)) * 0.03
