@@ -1,4 +1,4 @@
-"""``monoloc bench``: speed on this machine, compared with alternatives."""
+"""``monoloc bench``: speed on this machine, compared with alternatives, and reliability of flights."""
 
 from __future__ import annotations
 
@@ -37,11 +37,16 @@ from monoloc_lab.bench.kernels import KernelSizes, bench_kernels
 from monoloc_lab.bench.networks import bench_networks
 from monoloc_lab.bench.scenes import synthetic_cloud
 from monoloc_lab.bench.whole_step import bench_pipeline
+from monoloc_lab.cli.bench_flights import faults, recovery
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-app = typer.Typer(help="Measure speed, compared with alternatives.", no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(
+    help="Measure speed, compared with alternatives, and reliability.", no_args_is_help=True, rich_markup_mode=None
+)
+app.command()(recovery)
+app.command()(faults)
 
 _NETWORK = "one-third-0.35-int8"
 _CLOUD_POINTS = 60_000  # of the synthetic room

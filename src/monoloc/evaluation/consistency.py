@@ -43,6 +43,10 @@ class Consistency:
     pose_nees: FloatArray
     position_nees: FloatArray
 
+    def of(self, frames: NDArray[np.bool_]) -> Consistency:
+        """That of some of the frames, a mask (N,)."""
+        return Consistency(self.position_m[frames], self.pose_nees[frames], self.position_nees[frames])
+
     @property
     def coverage_95(self) -> float:
         """Share of frames whose error lies inside the covariance's 95 % ellipsoid; 0.95 is consistent."""

@@ -1,0 +1,126 @@
+"""``monoloc bench recovery`` and ``faults``: what a localizer says when it is kidnapped, or its camera fails."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, get_args
+
+import typer
+
+from monoloc.bundle import read_bundle
+from monoloc.cli.common import (
+    FramesOption,
+    JsonOption,
+    SeedOption,
+    SourceArgument,
+    open_source,
+    print_json,
+    print_table,
+    stderr,
+    text_of,
+)
+from monoloc.errors import SettingError
+from monoloc.progress import ConsoleProgress
+from monoloc.supervision.state import State
+from monoloc_lab.bench.fault_flights import FaultFigures, bench_faults
+from monoloc_lab.bench.faults import FAULTS
+from monoloc_lab.bench.judged_flight import REFUSED
+from monoloc_lab.bench.recovery import bench_recovery
+from monoloc_lab.rooms import TESTS
+
+_OTHER_ROOM = f"folder:{TESTS['L1']}"
+
+BundleArgument = Annotated[Path, typer.Argument(metavar="BUNDLE", help="A bundle of the recording's room.")]
+
+
+def recovery(
+    bundle: BundleArgument,
+    source: SourceArgument,
+    frames: FramesOption = "::",
+    kidnaps: Annotated[int, typer.Option("--kidnaps", min=0, help="Number of kidnaps.")] = 30,
+    starts: Annotated[int, typer.Option("--starts", min=0, help="Number of starts without a pose.")] = 30,
+    seed: SeedOption = 0,
+    json: JsonOption = False,
+) -> None:
+    """Kidnap the camera, and start it without a pose, over frames that did not build the bundle.
+
+    \b
+    Examples:
+      monoloc bench recovery kitchen.monoloc 7scenes:redkitchen
+      monoloc bench recovery kitchen.monoloc 7scenes:redkitchen --kidnaps 100 --json
+    """
+    room, recording = read_bundle(bundle), open_source(source, frames)
+    figures = bench_recovery(room, recording, kidnaps, starts, seed, ConsoleProgress(stderr))
+    if starts and not figures.supports_starts:
+        stderr.print(f"{bundle} does not support starts without a pose, so none of them counts as found")
+    content = asdict(figures)
+    if json:
+        print_json(content)
+    else:
+        print_table("monoloc bench recovery", ["", ""], [[name, _text(value)] for name, value in content.items()])
+
+
+def faults(
+    bundle: BundleArgument,
+    source: SourceArgument,
+    frames: FramesOption = "::",
+    only: Annotated[
+        list[str] | None,
+        typer.Option("--only", metavar="NAME", help=f"One of {', '.join(FAULTS)}; may be repeated. [all]"),
+    ] = None,
+    other: Annotated[
+        str | None,
+        typer.Option("--other", metavar="SOURCE", help="A recording of another room. [the rendered room]"),
+    ] = None,
+    flights: Annotated[int, typer.Option("--flights", min=1, help="Number of flights with each fault.")] = 2,
+    seed: SeedOption = 0,
+    json: JsonOption = False,
+) -> None:
+    """Let the camera fail in the middle of flights over frames that did not build the bundle.
+
+    \b
+    Examples:
+      monoloc bench faults kitchen.monoloc 7scenes:redkitchen
+      monoloc bench faults kitchen.monoloc 7scenes:redkitchen --only black --only frozen --json
+    """
+    names = _fault_names(only)
+    room, recording = read_bundle(bundle), open_source(source, frames)
+    elsewhere = open_source(other or _OTHER_ROOM, "::")
+    figures = bench_faults(room, recording, elsewhere, names, flights, seed, ConsoleProgress(stderr))
+    if figures.left_out:
+        stderr.print(f"too few unseen frames in a row, so these are left out: {', '.join(figures.left_out)}")
+    if json:
+        print_json(asdict(figures))
+        return
+    for when, seconds in (("in", "said after"), ("after", "recovery")):
+        columns = ["", "frames", "silent", seconds, "coverage"]
+        rows = [_row(name, each, is_after=when == "after") for name, each in figures.faults.items()]
+        print_table(f"Frames {when} the fault: {' / '.join(get_args(State))} / refused", columns, rows)
+    totals = figures.totals
+    stderr.print(
+        f"{totals.silent_frames} of {totals.frames} frames are silent, {totals.silent_frames_blind} of them later "
+        "than 1 s into black, frozen, other-room or mirrored"
+    )
+
+
+def _fault_names(only: list[str] | None) -> list[str]:
+    unknown = [name for name in only or () if name not in FAULTS]
+    if unknown:
+        raise SettingError("--only", f"is {unknown[0]!r}", f"name one of {', '.join(FAULTS)}")
+    return [name for name in FAULTS if not only or name in only]
+
+
+def _row(name: str, figures: FaultFigures, is_after: bool) -> list[str]:
+    part, seconds = (figures.after, figures.recovery_s) if is_after else (figures.during, figures.reported_s)
+    return [
+        name,
+        " / ".join(str(part.states.get(state, 0)) for state in (*get_args(State), REFUSED)),
+        str(part.silent_frames),
+        "-" if seconds is None else f"{seconds:.1f} s",
+        "-" if part.coverage_95 is None else f"{100.0 * part.coverage_95:.0f} %",
+    ]
+
+
+def _text(value: object) -> str:
+    return "-" if value is None else text_of(value)
