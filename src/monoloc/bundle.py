@@ -37,9 +37,10 @@ from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.map.down_direction import down_of
 from monoloc.map.mixture import GaussianMixture
+from monoloc.supervision.integrity import IntegrityModel, SensorModel
 from monoloc.version import __version__
 
-SCHEMA = 8
+SCHEMA = 9
 _MANIFEST, _MAP, _LANDMARKS, _DEPTH = "manifest.json", "map.npz", "landmarks.npz", "depth.onnx"
 _CONTENTS = (_MAP, _LANDMARKS, _DEPTH)
 _REFERENCES = ("reference_poses", "forward_bias", "backward_bias")  # twists (V, 6), float32
@@ -81,6 +82,8 @@ class Manifest(BaseModel):
     camera: Camera
     provenance: Provenance
     thresholds: LikelihoodThresholds
+    integrity: IntegrityModel
+    sensor: SensorModel
 
 
 @dataclass(frozen=True)
@@ -96,6 +99,8 @@ class Bundle:
         thresholds: of the scan's likelihood.
         reference_poses: of the frames that built it.
         landmarks: that they saw.
+        integrity: what tells right from wrong beliefs in the room.
+        sensor: the same of a depth sensor in place of the network.
     """
 
     original: GaussianMixture
@@ -107,6 +112,14 @@ class Bundle:
     thresholds: LikelihoodThresholds
     reference_poses: ReferencePoses
     landmarks: Landmarks = field(default_factory=Landmarks.none)
+    integrity: IntegrityModel = field(default_factory=IntegrityModel)
+    sensor: SensorModel = field(default_factory=SensorModel)
+
+    @property
+    def supports_relocalization(self) -> bool:
+        """Whether a lost camera can be found: by landmarks, or by scans that tell the room's places apart."""
+        by_scan = self.settings.supports_relocalization and len(self.reference_poses) > 0
+        return by_scan or (len(self.landmarks) > 0 and len(self.reference_poses) > 0)
 
     @cached_property
     def down(self) -> FloatArray | None:
@@ -160,6 +173,8 @@ def write_bundle(path: str | Path, bundle: Bundle) -> int:
         camera=bundle.camera,
         provenance=bundle.provenance,
         thresholds=bundle.thresholds,
+        integrity=bundle.integrity,
+        sensor=bundle.sensor,
     )
     contents[_MANIFEST] = _seal(manifest)
     try:
@@ -229,6 +244,8 @@ def read_bundle(path: str | Path) -> Bundle:
         thresholds=manifest.thresholds,
         reference_poses=ReferencePoses(se3_exp(poses), forward, backward),
         landmarks=landmarks,
+        integrity=manifest.integrity,
+        sensor=manifest.sensor,
     )
 
 

@@ -28,6 +28,9 @@ class Observation:
         color: (H, W, 3) uint8 RGB.
         elapsed_s: since the previous frame, 0 at the first.
         is_first: whether there is no previous frame.
+        repeated_s: for how long the image has been the same, bit for bit: 0 where it is new. A repeated image says
+            nothing of the camera's motion, so there is neither motion nor scan.
+        is_empty: whether the image has no contrast, and no sensor gives depth.
         depth: of the frame, its scale and tilt corrected by odometry's corners.
         motion: odometry's motion since the previous frame, None where there is none.
         odometry_tracked: whether odometry followed the camera; true at the first frame and for a random walk.
@@ -39,6 +42,8 @@ class Observation:
     color: NDArray[np.uint8]
     elapsed_s: float
     is_first: bool
+    repeated_s: float
+    is_empty: bool
     depth: DepthPrediction
     motion: Motion | None
     odometry_tracked: bool
@@ -62,6 +67,8 @@ class FrontEnd:
         self._config = config
         self._rng = rng
         self._is_first = True
+        self._previous: NDArray[np.uint8] | None = None
+        self._repeated_s = 0.0
 
     def observe(
         self,
@@ -86,24 +93,39 @@ class FrontEnd:
         elapsed_s = 0.0 if self._is_first else elapsed_s
         if not 0.0 <= elapsed_s < np.inf:
             raise ValueError(f"elapsed_s must be finite and not negative, got {elapsed_s}")
+        is_repeated = self._is_repeated(color, elapsed_s)
         depth = self._depth(color) if measured_depth is None else measured_depth
-        motion = self._odometry.step(color, depth.depth_m, depth.camera) if self._odometry is not None else None
+        motion = None if is_repeated else self._motion(color, depth)
         depth = self._corrected(depth, motion)
         scan = self._scan(depth)
-        shows_something = measured_depth is not None or has_contrast(color)
+        is_empty = measured_depth is None and not has_contrast(color)
         observation = Observation(
             color=color,
             elapsed_s=elapsed_s,
             is_first=self._is_first,
+            repeated_s=self._repeated_s,
+            is_empty=is_empty,
             depth=depth,
             motion=motion,
             odometry_tracked=self._is_first or self._odometry is None or motion is not None,
-            scan=scan if shows_something else EMPTY_SCAN,
+            scan=EMPTY_SCAN if is_empty or is_repeated else scan,
             corners=EMPTY_SCAN if motion is None else self._corners(motion),
             down_camera=down_camera,
         )
         self._is_first = False
         return observation
+
+    def _is_repeated(self, color: NDArray[np.uint8], elapsed_s: float) -> bool:
+        """Whether the camera gave the previous image again; a sensor's noise alone makes two images differ."""
+        is_repeated = self._previous is not None and np.array_equal(color, self._previous)
+        self._repeated_s = self._repeated_s + elapsed_s if is_repeated else 0.0
+        self._previous = color.copy()
+        return is_repeated
+
+    def _motion(self, color: NDArray[np.uint8], depth: DepthPrediction) -> Motion | None:
+        if self._odometry is None:
+            return None
+        return self._odometry.step(color, depth.depth_m, depth.camera)
 
     def _check_image(self, color: NDArray[np.uint8]) -> None:
         shape = (self._camera.height, self._camera.width, 3)

@@ -16,7 +16,7 @@ from monoloc.depth.predictor import DepthPrediction
 from monoloc.front_end import FrontEnd, Observation
 from monoloc.fusion.gravity import Gravity
 from monoloc.geometry import FloatArray
-from monoloc.landmarks.pnp import LandmarkPose
+from monoloc.landmarks.pnp import LandmarkMeasurement, LandmarkPose
 from monoloc.likelihood.protocol import weigh_corners, weigh_depth_image
 from monoloc.likelihood.scan import EMPTY_SCAN, Scan
 from monoloc.localizer_config import LocalizerConfig
@@ -27,7 +27,9 @@ from monoloc.particle_filter.tempering import tempered_update
 from monoloc.relocalization.search import GlobalRelocalizer
 from monoloc.relocalization.state_machine import Mode, Relocalization, RelocalizationStateMachine
 from monoloc.start import Start
-from monoloc.supervision.state import State, classify_state
+from monoloc.supervision.camera_check import CameraCheck
+from monoloc.supervision.integrity import IntegrityMonitor
+from monoloc.supervision.state import Reason, State, Supervision, classify_state
 from monoloc.tracker import Tracker
 
 
@@ -38,6 +40,8 @@ class Step:
     Attributes:
         estimate: the belief: pose, covariance, depth scale.
         state: whether to believe it: ``tracking``, ``uncertain`` or ``lost``.
+        reasons: why the state is not ``tracking``; empty where it is.
+        probability_far: that the position is more than 30 cm off; the state follows from it.
         particle_estimate: pose of the particles alone.
         mean_log_likelihood: of the scan at that pose, nats a point; NaN for an empty scan.
         landmark_pose: pose by landmarks; None where there are none, or too few are seen.
@@ -49,6 +53,8 @@ class Step:
 
     estimate: Estimate
     state: State
+    reasons: frozenset[Reason]
+    probability_far: float
     particle_estimate: Estimate
     mean_log_likelihood: float
     landmark_pose: LandmarkPose | None
@@ -72,7 +78,7 @@ class Localizer:
 
     Raises:
         DataError: the bundle's network does not take the camera's images.
-        ValueError: no start is given, and the room does not support relocalisation.
+        ValueError: no start is given, and neither scans nor landmarks can find the camera in this room.
     """
 
     def __init__(
@@ -88,18 +94,26 @@ class Localizer:
         self._rng = rng = np.random.default_rng(seed)
         made = components(bundle, camera, config)
         self._likelihood, self._landmarks = made.likelihood, made.landmarks
-        relocalizer = None
-        if config.supports_relocalization and len(bundle.reference_poses):
-            poses = bundle.reference_poses.poses
-            relocalizer = GlobalRelocalizer(made.likelihood, config.likelihood, poses, config.log_scale_sd)
-        particles = _first_particles(start, relocalizer, config, rng)
+        poses = bundle.reference_poses.poses if len(bundle.reference_poses) else np.eye(4)[None]
+        relocalizer = GlobalRelocalizer(made.likelihood, config.likelihood, poses, config.log_scale_sd)
+        if start is None and not bundle.supports_relocalization:
+            raise ValueError("start must be given: neither scans nor landmarks can find the camera in this room")
+        particles = (
+            relocalizer.sample_everywhere(config.particles, rng) if start is None else start.particles(config, rng)
+        )
         self._thresholds = bundle.thresholds
         self._gravity = Gravity(bundle.down)
         self._front_end = FrontEnd(made, camera, config, rng)
         self._tracker = Tracker(particles, config, bundle.reference_poses, rng)
         self._relocalization = RelocalizationStateMachine(
-            relocalizer, bundle.thresholds, Mode.SEARCHING if start is None else Mode.TRACKING
+            relocalizer,
+            config.supports_relocalization and len(bundle.reference_poses) > 0,
+            bundle.thresholds,
+            Mode.SEARCHING if start is None else Mode.TRACKING,
         )
+        self._integrity = IntegrityMonitor(bundle.integrity, is_searched=start is None)
+        self._camera_check = CameraCheck(bundle.integrity.focal_mean, bundle.integrity.focal_sd)
+        self._state: State = "tracking"
 
     @property
     def particles(self) -> Particles:
@@ -131,22 +145,18 @@ class Localizer:
         particle_estimate = self._update_particles(observation, relocalization)
         log_likelihood = self._mean_log_likelihood(observation.scan, particle_estimate)
         belief = self._fuse(observation, particle_estimate, log_likelihood, relocalization)
-        landmark_pose = self._measure_landmarks(observation, belief, relocalization.mode)
-        belief = self._tracker.fusion.update_from_landmarks(landmark_pose)
-        self._relocalization.assess(log_likelihood, belief, observation.elapsed_s)
+        landmarks = self._measure_landmarks(observation, belief, relocalization.mode)
+        belief = self._update_from_landmarks(landmarks)
+        supervision = self._supervise(observation, belief, log_likelihood, landmarks, particle_estimate)
+        self._state, reasons = classify_state(supervision, self._state)
         return Step(
             estimate=belief,
-            state=classify_state(
-                belief,
-                relocalization.mode,
-                log_likelihood,
-                self._thresholds,
-                observation.odometry_tracked,
-                landmarks_used=landmark_pose is not None,
-            ),
+            state=self._state,
+            reasons=reasons,
+            probability_far=supervision.probability_far,
             particle_estimate=particle_estimate,
             mean_log_likelihood=log_likelihood,
-            landmark_pose=landmark_pose,
+            landmark_pose=None if landmarks is None else landmarks.pose,
             mode=relocalization.mode,
             motion=observation.motion,
             depth=observation.depth,
@@ -154,24 +164,33 @@ class Localizer:
         )
 
     def _predict(self, observation: Observation) -> Particles:
+        self._integrity.predict(observation.elapsed_s, observation.odometry_tracked)
         is_verifying = self._relocalization.mode is Mode.VERIFYING
         return self._tracker.predict(observation.motion, observation.elapsed_s, from_search=is_verifying)
 
     def _relocalize(self, observation: Observation, predicted: Particles) -> Relocalization:
-        return self._relocalization.update(
+        relocalization = self._relocalization.update(
             predicted,
+            self._predicted_belief(observation),
             observation.scan if observation.scan_has_enough_points else EMPTY_SCAN,
             observation.elapsed_s,
-            self._position_is_lost(observation),
+            self._integrity.probability_wrong,
             partial(self._landmarks.relocalize, observation.color),
             self._rng,
         )
+        if relocalization.landmark_pose is not None:
+            self._integrity.found_by_landmarks()
+        elif relocalization.confirmed:
+            self._integrity.found_by_scan()
+        elif relocalization.mode is not Mode.TRACKING:
+            self._integrity.lose()
+        return relocalization
 
-    def _position_is_lost(self, observation: Observation) -> bool:
-        """Whether a gap without odometry is so long that particles, metres apart, would gather anywhere."""
+    def _predicted_belief(self, observation: Observation) -> Estimate:
+        """The belief before this frame's measurements: a gap without odometry may be so long that it says nothing."""
         if observation.is_first or observation.motion is not None:
-            return False
-        return self._tracker.fusion.predicted_without_odometry(observation.elapsed_s).position_is_unknown
+            return self._tracker.fusion.belief
+        return self._tracker.fusion.predicted_without_odometry(observation.elapsed_s)
 
     def _update_particles(self, observation: Observation, relocalization: Relocalization) -> Estimate:
         """The particles' pose after scan and corners; while the camera is searched for, these say nothing."""
@@ -214,19 +233,50 @@ class Localizer:
             rotation_sd = self._tracker.fusion.rotation_sd(particle_estimate)
             measured = self._gravity.align(measured, observation.scan, observation.down_camera, rotation_sd)
         belief = self._tracker.fuse(observation.motion, observation.elapsed_s, measured, scan_accepted)
-        return self._tracker.fusion.reinitialise(measured) if relocalization.relocalized else belief
+        if relocalization.landmark_pose is not None:
+            return self._tracker.fusion.reinitialise_from_landmarks(relocalization.landmark_pose)
+        return self._tracker.fusion.reinitialise(measured) if relocalization.confirmed else belief
 
-    def _measure_landmarks(self, observation: Observation, belief: Estimate, mode: Mode) -> LandmarkPose | None:
-        if mode is not Mode.TRACKING:
+    def _measure_landmarks(
+        self, observation: Observation, belief: Estimate, mode: Mode
+    ) -> LandmarkMeasurement | None:
+        """What the image shows of the landmarks; None where it says nothing or the camera is searched for."""
+        if mode is not Mode.TRACKING or observation.is_empty or observation.repeated_s > 0.0:
             return None
         return self._landmarks.measure(observation.color, belief.pose, belief.covariance)
 
+    def _update_from_landmarks(self, landmarks: LandmarkMeasurement | None) -> Estimate:
+        return self._tracker.fusion.update_from_landmarks(None if landmarks is None else landmarks.pose)
 
-def _first_particles(
-    start: Start | None, relocalizer: GlobalRelocalizer | None, config: LocalizerConfig, rng: np.random.Generator
-) -> Particles:
-    if start is not None:
-        return start.particles(config, rng)
-    if relocalizer is None:
-        raise ValueError("start must be given: this room does not support relocalisation")
-    return relocalizer.sample_everywhere(config.particles, rng)
+    def _supervise(
+        self,
+        observation: Observation,
+        belief: Estimate,
+        log_likelihood: float,
+        landmarks: LandmarkMeasurement | None,
+        particle_estimate: Estimate,
+    ) -> Supervision:
+        """Weigh the frame's evidence for and against the belief.
+
+        Where particles and belief disagree beyond their errors, one of them is wrong. If landmarks measured the pose,
+        it is the particles, which are drawn anew; if not, their scan speaks against the belief.
+        """
+        mode = self._relocalization.mode
+        if mode is Mode.TRACKING:
+            landmark_pose = None if landmarks is None else landmarks.pose
+            if self._tracker.fusion.contradicts(particle_estimate):
+                log_likelihood = -np.inf if observation.scan_has_enough_points else log_likelihood
+                if landmark_pose is not None:
+                    self._tracker.redraw()
+                    log_likelihood = float("nan")
+            self._integrity.update(log_likelihood, landmarks)
+            self._camera_check.update(landmark_pose, observation.elapsed_s)
+        return Supervision(
+            mode=mode,
+            probability_far=self._integrity.probability_far(belief),
+            probability_wrong=self._integrity.probability_wrong,
+            repeated_s=observation.repeated_s,
+            image_is_empty=observation.is_empty,
+            odometry_tracked=observation.odometry_tracked,
+            camera_mismatch=self._camera_check.mismatch,
+        )

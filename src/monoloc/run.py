@@ -4,44 +4,30 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle, fingerprint
-from monoloc.camera import Camera
 from monoloc.components import ComponentsFactory, default_components
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.errors import DataError
 from monoloc.evaluation.consistency import consistency
 from monoloc.evaluation.depth_metrics import DepthAccumulator
 from monoloc.evaluation.trajectory import summarise
-from monoloc.fusion.bias_model import BiasModel
-from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray, invert
 from monoloc.io.recording import Recording, Relight
-from monoloc.likelihood.protocol import LikelihoodConfig
-from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.localizer import Localizer, Step
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.progress import Progress
+from monoloc.sensor_depth import sensor_bundle, sensor_settings, sparse_depth
 from monoloc.start import Start
 from monoloc.supervision.state import State
 from monoloc.viz.viewer import NoViewer, Viewer
 
-# A depth sensor's errors are centimetres and independent from frame to frame.
-_SENSOR_SETTINGS = {
-    "log_scale_sd": 0.01,
-    "scale_tilt": None,
-    "particle_bias": BiasModel(sd_at_reference_m=0.015, sd_at_reference_rad=0.01),
-    "likelihood": LikelihoodConfig(
-        kind="volume", outlier_share=0.2, noise_sd_m=0.02, effective_points=60.0, effective_corners=0.0
-    ),
-}
-_SENSOR_STRIDE = 4  # of the pixels of sensor depth that are used
 _COMPARE_WIDTH = 160  # width at which predicted and sensor depth are compared
 
 
@@ -168,7 +154,9 @@ def localize(
     if down is not None and len(down) != len(recording):
         raise ValueError(f"down must have shape ({len(recording)}, 3), got {np.shape(down)}")
     if use_sensor_depth:
-        bundle, config = _for_sensor_depth(bundle, config, recording)
+        if not recording.has_depth:
+            raise DataError(recording.name, "has no depth", "leave out --depth sensor")
+        bundle, config = sensor_bundle(bundle), sensor_settings(config)
     localizer = Localizer(bundle, recording.camera, start, config, components, rng)
     build_frames = set(bundle.provenance.frames.values())
     log = _Log(recording, None if start is None else start.pose)
@@ -179,7 +167,7 @@ def localize(
             color = recording.color(index)
             unseen = fingerprint(color) not in build_frames
             sensor = recording.depth(index) if recording.has_depth else None
-            measured = _sparse(sensor, recording.camera) if use_sensor_depth and sensor is not None else None
+            measured = sparse_depth(sensor, recording.camera) if use_sensor_depth and sensor is not None else None
             color = color if relight is None else relight(color)
             began = time.perf_counter()
             step = localizer.step(color, float(elapsed[index]), measured, None if down is None else down[index])
@@ -188,17 +176,6 @@ def localize(
             viewer.show(index, color, step, localizer.particles, log.dead_reckoning[-1], step_ms)
             show(index + 1)
     return log.run(config)
-
-
-def _for_sensor_depth(
-    bundle: Bundle, config: LocalizerConfig, recording: Recording
-) -> tuple[Bundle, LocalizerConfig]:
-    """Bundle and settings for a depth sensor: the thresholds and biases measured with the network do not apply."""
-    if not recording.has_depth:
-        raise DataError(recording.name, "has no depth", "leave out --depth sensor")
-    reference_poses = ReferencePoses.without_bias(bundle.reference_poses.poses)
-    bundle = replace(bundle, thresholds=LikelihoodThresholds.none(), reference_poses=reference_poses)
-    return bundle, config.model_copy(update=_SENSOR_SETTINGS)
 
 
 class _Log:
@@ -250,24 +227,6 @@ class _Log:
             landmark_used=np.array(landmark_used, dtype=np.bool_),
             depth=self._depth,
         )
-
-
-def _sparse(depth_m: NDArray[np.float32], camera: Camera) -> DepthPrediction:
-    """Every fourth pixel of a sensor's image, not averaged, which would mix surfaces."""
-    offset = _SENSOR_STRIDE // 2
-    sparse = np.ascontiguousarray(depth_m[offset::_SENSOR_STRIDE, offset::_SENSOR_STRIDE])
-    height, width = sparse.shape
-    # Centres of the sampled pixels are at offset + stride * (column, row).
-    sampled = Camera(
-        width,
-        height,
-        camera.fx / _SENSOR_STRIDE,
-        camera.fy / _SENSOR_STRIDE,
-        (camera.cx - offset) / _SENSOR_STRIDE,
-        (camera.cy - offset) / _SENSOR_STRIDE,
-        camera.distortion,
-    )
-    return DepthPrediction(sparse, sampled)
 
 
 def depth_pair(

@@ -61,6 +61,10 @@ class Tracker:
         """The particles' pose after a measurement; as :meth:`ParticleFilter.update`."""
         return self._filter.update(particles, weigh)
 
+    def redraw(self) -> None:
+        """Draw the particles anew from the belief."""
+        self._filter.redraw(self.fusion.belief)
+
     def fuse(self, motion: Motion | None, elapsed_s: float, measured: Estimate, accepted: bool) -> Estimate:
         """The belief after the motion and, if it is accepted, the particles' pose.
 

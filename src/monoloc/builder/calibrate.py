@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from monoloc.builder.bias import localizer_factory, measure_bias_at_reference
 from monoloc.builder.relocalization_error import measure_relocalization_error
 from monoloc.builder.samples import Sample, depth_samples, scans_of
+from monoloc.builder.scan_evidence import measure_scan_evidence
 from monoloc.bundle import Bundle
 from monoloc.components import ComponentsFactory
 from monoloc.errors import DataError
@@ -87,7 +88,9 @@ def calibrate(
         localizer_factory(replace(calibrated, camera=camera), seed, components), recording, False, progress
     )
     likelihood = likelihood_for(settings.likelihood)
-    error_m, error_rad = measure_relocalization_error(likelihood, samples, poses, settings, rng, progress)
+    error_m, error_rad, precision = measure_relocalization_error(likelihood, samples, poses, settings, rng, progress)
+    scan = measure_scan_evidence(likelihood, samples, poses, settings, rng)
+    integrity = bundle.integrity.model_copy(update={"scan": scan, "scan_search_precision": precision})
     known = bundle.settings.particle_bias
     bias = measured.model_copy(
         update={
@@ -97,7 +100,8 @@ def calibrate(
             "relocalization_sd_rad": error_rad,
         }
     )
-    return replace(calibrated, settings=settings.model_copy(update={"particle_bias": bias}))
+    settings = settings.model_copy(update={"particle_bias": bias})
+    return replace(calibrated, settings=settings, integrity=integrity)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from monoloc.builder.bias import fit_bias_model
 from monoloc.camera import Camera
 from monoloc.depth.depth_image import sample_depth
+from monoloc.evaluation.consistency import FAR_M
 from monoloc.evaluation.hold_out import HELD_OUT_SHARE, REGIONS, hold_out_regions
 from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, twist_errors
 from monoloc.fusion.bias_model import BiasModel
@@ -18,8 +19,10 @@ from monoloc.geometry import FloatArray, invert, pose_distance_m, ray_jacobian, 
 from monoloc.io.recording import Recording, evenly_spaced
 from monoloc.landmarks.features import KeypointDetector, Keypoints, match_descriptors
 from monoloc.landmarks.landmark_map import Landmarks
-from monoloc.landmarks.pnp import PRIOR_COVARIANCE, OrbLandmarkLocalizer
+from monoloc.landmarks.pnp import LEAST_LANDMARKS, PRIOR_COVARIANCE, LandmarkPose, OrbLandmarkLocalizer
 from monoloc.progress import Progress
+from monoloc.supervision.camera_check import WELL_OBSERVED_SD
+from monoloc.supervision.integrity import Classes, IntegrityModel
 
 _RADIUS_PX = 6.0  # matching radius around the projection of a landmark lifted in another frame
 _DEPTH_JUMP = 0.15  # relative; next to a larger jump a corner's depth is ambiguous
@@ -30,13 +33,16 @@ _AGREE_SD = 2.5  # standard deviations; half of a landmark's corners must lie wi
 _MOST_FRAMES = 300  # computation time is quadratic in their number
 _LANDMARKS_PER_FRAME = 100
 _LEAST_M, _LEAST_RAD = 0.001, 0.0005  # smallest errors, even of a static camera
+_WRONG_DISTANCE_M = 0.7  # pose distance between a true and a wrong pose
+_NORMAL_MAD = 1.4826  # standard deviation over median deviation
+_LEAST_FOCAL_FRAMES, _LEAST_FOCAL_SD = 10, 0.005  # frames that tell a deviation of log-focal, and the smallest
 _PRIOR_GROWTH = 0.05  # m/m and rad/m, measured in other rooms
 
 
 def build_landmarks(
     recording: Recording, depth_of: Callable[[int], NDArray[np.float32]], progress: Progress
-) -> tuple[Landmarks, BiasModel]:
-    """Map the landmarks of a recording, and measure the bias of landmark poses.
+) -> tuple[Landmarks, BiasModel, LandmarkEvidence]:
+    """Map the landmarks of a recording, and measure the bias of landmark poses and what their number says.
 
     At the reference poses, each half of the frames is localised by the landmarks of the other half. Elsewhere,
     the frames of held-out regions are localised by landmarks from all other frames.
@@ -47,7 +53,7 @@ def build_landmarks(
         progress: shows the number of frames done.
 
     Returns:
-        Landmarks and bias; no landmarks if too few are seen repeatedly to determine poses.
+        Landmarks, bias and evidence; no landmarks if too few are seen repeatedly to determine poses.
     """
     poses = recording.poses
     assert poses is not None
@@ -62,10 +68,20 @@ def build_landmarks(
             depth = sample_depth(pixels, detect.camera, depth_of(index), recording.camera, _DEPTH_JUMP)
             corners.append(Corners(keypoints, depth))
             show(len(corners))
-        bias = _measured_bias(corners, recording.camera, detect.camera, poses)
-        if bias is None:
-            return Landmarks.none(), BiasModel()
-        return landmarks_of(corners, detect.camera, poses), bias
+        measured = _measured(corners, recording.camera, detect.camera, poses)
+        if measured is None:
+            return Landmarks.none(), BiasModel(), LandmarkEvidence()
+        return landmarks_of(corners, detect.camera, poses), *measured
+
+
+@dataclass(frozen=True)
+class LandmarkEvidence:
+    """What landmarks say of a belief; the fields are those of :class:`IntegrityModel`."""
+
+    found: Classes = field(default_factory=Classes)
+    unseen_share: float = 0.5
+    focal_mean: float = 0.0
+    focal_sd: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -76,8 +92,30 @@ class Corners:
     depth_m: FloatArray
 
 
-def _measured_bias(corners: list[Corners], camera: Camera, detected: Camera, poses: FloatArray) -> BiasModel | None:
-    """Bias of the poses that frames get from other frames' landmarks; None if fewer than half get a pose.
+@dataclass(frozen=True)
+class _Localized:
+    """Frames that are localised by other frames' landmarks.
+
+    Attributes:
+        frames: (M,) those that get a pose.
+        errors: of these poses, beyond estimated noise.
+        found: landmarks found in each frame at its true pose.
+        found_wrong: the same at another frame's pose, where there is one far enough away, and the landmarks do not
+            lead back to the true pose.
+        log_focal: (F,) see :class:`monoloc.landmarks.pnp.LandmarkPose`, of the poses where it is well observed.
+    """
+
+    frames: NDArray[np.int64]
+    errors: PoseErrors
+    found: list[int]
+    found_wrong: list[int]
+    log_focal: FloatArray
+
+
+def _measured(
+    corners: list[Corners], camera: Camera, detected: Camera, poses: FloatArray
+) -> tuple[BiasModel, LandmarkEvidence] | None:
+    """Bias and evidence of what frames see of other frames' landmarks; None if fewer than half get a pose.
 
     Args:
         corners: corners of each frame.
@@ -85,29 +123,70 @@ def _measured_bias(corners: list[Corners], camera: Camera, detected: Camera, pos
         poses: (N, 4, 4) ``T_world_camera`` of the frames.
     """
 
-    def errors(by: NDArray[np.int64], of: NDArray[np.int64]) -> tuple[PoseErrors, NDArray[np.int64]]:
-        """Errors, beyond estimated noise, of frames ``of`` localised by landmarks of ``by``, and those frames."""
+    def localized(by: NDArray[np.int64], of: NDArray[np.int64]) -> _Localized:
         localizer = OrbLandmarkLocalizer(landmarks_of([corners[index] for index in by], detected, poses[by]), camera)
-        measured = {
-            index: localizer.measure_keypoints(corners[index].keypoints, poses[index], PRIOR_COVARIANCE)
-            for index in of.tolist()
-        }
-        seen = {index: pose for index, pose in measured.items() if pose is not None}
-        twists = [se3_log(invert(poses[index]) @ landmark_pose.pose) for index, landmark_pose in seen.items()]
-        stated = [np.diag(landmark_pose.covariance) for landmark_pose in seen.values()]
-        beyond_noise = _beyond_noise(twist_errors(np.reshape(twists, (-1, 6))), np.reshape(stated, (-1, 6)))
-        return beyond_noise, np.array(list(seen), dtype=np.int64)
+        return _localized(localizer, corners, poses, of)
 
     frames = np.arange(len(corners))
-    both = errors(frames[::2], frames[1::2])[0], errors(frames[1::2], frames[::2])[0]
-    at_reference = PoseErrors(*(np.concatenate(sizes) for sizes in zip(*map(astuple, both), strict=True)))
+    both = localized(frames[::2], frames[1::2]), localized(frames[1::2], frames[::2])
+    sizes = zip(*(astuple(each.errors) for each in both), strict=True)
+    at_reference = PoseErrors(*(np.concatenate(size) for size in sizes))
     if 2 * len(at_reference.position_m) < len(frames):
         return None
     held_out = np.sort(np.concatenate(hold_out_regions(poses, REGIONS, HELD_OUT_SHARE)))
     others = np.setdiff1d(frames, held_out)
-    at_held_out, seen = errors(others, held_out)
-    distances_m = np.array([pose_distance_m(poses[index], poses[others]).min() for index in seen])
-    return fit_bias_model(at_reference, at_reference, at_held_out, distances_m, _PRIOR_GROWTH)
+    away = localized(others, held_out)
+    distances_m = np.array([pose_distance_m(poses[index], poses[others]).min() for index in away.frames])
+    bias = fit_bias_model(at_reference, at_reference, away.errors, distances_m, _PRIOR_GROWTH)
+    return bias, _evidence([*both, away])
+
+
+def _localized(
+    localizer: OrbLandmarkLocalizer, corners: list[Corners], poses: FloatArray, of: NDArray[np.int64]
+) -> _Localized:
+    seen: dict[int, LandmarkPose] = {}
+    found, found_wrong = [], []
+    for index in of.tolist():
+        keypoints = corners[index].keypoints
+        measured = localizer.measure_keypoints(keypoints, poses[index], PRIOR_COVARIANCE)
+        found.append(measured.found)
+        if measured.pose is not None:
+            seen[index] = measured.pose
+        distances_m = pose_distance_m(poses[index], poses)
+        if distances_m.max() >= _WRONG_DISTANCE_M:
+            # The nearest of the poses that are far enough away: they see most of the same landmarks.
+            other = int(np.argmin(np.where(distances_m >= _WRONG_DISTANCE_M, distances_m, np.inf)))
+            measured = localizer.measure_keypoints(keypoints, poses[other], PRIOR_COVARIANCE)
+            if measured.pose is None or pose_distance_m(poses[index], measured.pose.pose[None])[0] > FAR_M:
+                found_wrong.append(measured.found)
+    twists = [se3_log(invert(poses[index]) @ landmark_pose.pose) for index, landmark_pose in seen.items()]
+    stated = [np.diag(landmark_pose.covariance) for landmark_pose in seen.values()]
+    return _Localized(
+        frames=np.array(list(seen), dtype=np.int64),
+        errors=_beyond_noise(twist_errors(np.reshape(twists, (-1, 6))), np.reshape(stated, (-1, 6))),
+        found=found,
+        found_wrong=found_wrong,
+        log_focal=np.array([pose.log_focal for pose in seen.values() if pose.log_focal_sd <= WELL_OBSERVED_SD]),
+    )
+
+
+def _evidence(measured: list[_Localized]) -> LandmarkEvidence:
+    """From localised frames, those of held-out regions last."""
+    right = [found for each in measured for found in each.found]
+    wrong = [found for each in measured for found in each.found_wrong]
+    if not wrong:
+        return LandmarkEvidence()
+    log_focal = np.concatenate([each.log_focal for each in measured])
+    away = measured[-1].found
+    unseen = sum(found < LEAST_LANDMARKS for found in away)
+    evidence = LandmarkEvidence(
+        found=IntegrityModel.landmark_classes(right, wrong), unseen_share=(unseen + 1.0) / (len(away) + 2.0)
+    )
+    if len(log_focal) < _LEAST_FOCAL_FRAMES:
+        return evidence
+    median = float(np.median(log_focal))
+    deviation = _NORMAL_MAD * float(np.median(np.abs(log_focal - median)))
+    return replace(evidence, focal_mean=median, focal_sd=max(_LEAST_FOCAL_SD, deviation))
 
 
 def _beyond_noise(errors: PoseErrors, stated: FloatArray) -> PoseErrors:

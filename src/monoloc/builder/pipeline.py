@@ -21,6 +21,7 @@ from monoloc.builder.pose_refinement import PosePrior, refine_poses, rounds
 from monoloc.builder.relocalization_error import measure_relocalization_error
 from monoloc.builder.room_map import fit_map
 from monoloc.builder.samples import depth_samples
+from monoloc.builder.scan_evidence import measure_scan_evidence, measure_sensor
 from monoloc.builder.start_network import StartNetwork, checked_network, in_8_bits
 from monoloc.bundle import Bundle, Provenance, fingerprint
 from monoloc.depth.models import DEFAULT
@@ -30,16 +31,15 @@ from monoloc.depth.spec import DepthModel, ModelSpec, network_images
 from monoloc.errors import DataError
 from monoloc.evaluation.trajectory import PoseErrors, pose_errors
 from monoloc.extras import training_extra
-from monoloc.fusion.bias_model import BiasModel
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray
 from monoloc.io.recording import Recording
-from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.likelihood import make_likelihood
 from monoloc.map.compare import compare_maps
 from monoloc.map.depth_rendering import supervision
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress, Progress
+from monoloc.supervision.integrity import IntegrityModel
 
 
 @dataclass(frozen=True)
@@ -246,18 +246,31 @@ def _calibrate(
         progress=progress,
     )
     likelihood = make_likelihood(adapted.hold_out_map, settings.likelihood)
-    error_m, error_rad = measure_relocalization_error(likelihood, samples, room.poses, settings, rng, progress)
+    error_m, error_rad, precision = measure_relocalization_error(
+        likelihood, samples, room.poses, settings, rng, progress
+    )
     bias = bias.model_copy(update={"relocalization_sd_m": error_m, "relocalization_sd_rad": error_rad})
     settings = settings.model_copy(update={"particle_bias": bias})
-    return replace(bundle, settings=settings, reference_poses=reference_poses)
+    scan = measure_scan_evidence(likelihood, samples, room.poses, settings, rng)
+    integrity = IntegrityModel(scan=scan, scan_search_precision=precision)
+    bundle = replace(bundle, settings=settings, reference_poses=reference_poses, integrity=integrity)
+    return replace(bundle, sensor=measure_sensor(bundle, room.recording, rng, progress))
 
 
 def _add_landmarks(bundle: Bundle, room: _Room, config: BuildConfig, progress: Progress) -> Bundle:
-    landmarks, bias = Landmarks.none(), BiasModel()
-    if config.landmarks:
-        landmarks, bias = build_landmarks(room.recording, supervision(room.recording, room.cloud), progress)
+    if not config.landmarks:
+        return bundle
+    landmarks, bias, evidence = build_landmarks(room.recording, supervision(room.recording, room.cloud), progress)
     settings = bundle.settings.model_copy(update={"landmark_bias": bias})
-    return replace(bundle, settings=settings, landmarks=landmarks)
+    integrity = bundle.integrity.model_copy(
+        update={
+            "landmarks": evidence.found,
+            "unseen_share": evidence.unseen_share,
+            "focal_mean": evidence.focal_mean,
+            "focal_sd": evidence.focal_sd,
+        }
+    )
+    return replace(bundle, settings=settings, landmarks=landmarks, integrity=integrity)
 
 
 def _report(bundle: Bundle, room: _Room, adapted: _Adapted, config: BuildConfig, seconds: float) -> BuildReport:
@@ -287,7 +300,7 @@ def _bundle_warnings(bundle: Bundle, config: BuildConfig) -> list[str]:
     warnings = []
     if config.landmarks and len(bundle.landmarks) == 0:
         warnings.append("too few corners are seen by several frames: there are no landmarks")
-    if not bundle.settings.supports_relocalization:
+    if not bundle.supports_relocalization:
         error_m = bundle.settings.particle_bias.relocalization_sd_m
         warnings.append(f"one image locates the camera only to {error_m:.1f} m: flights need a start")
     return warnings

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from monoloc.builder.samples import Sample, scans_of
+from monoloc.evaluation.consistency import FAR_M
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray, pose_distance_m
 from monoloc.io.recording import evenly_spaced
@@ -28,8 +29,8 @@ def measure_relocalization_error(
     config: LocalizerConfig,
     rng: np.random.Generator,
     progress: Progress,
-) -> tuple[float, float]:
-    """Standard deviations per axis, metres and radians, of a pose that one scan relocalises.
+) -> tuple[float, float, float]:
+    """How well one scan relocalises a camera.
 
     Each scan is searched from reference poses at least half a metre away, if there are such, as if the camera were
     that far from the recorded path: at a view that a network has not seen, it may mistake one place for another.
@@ -41,6 +42,9 @@ def measure_relocalization_error(
         samples: frames at known poses; at least one gives a scan.
         reference_poses: (V, 4, 4) ``T_world_camera``.
         config: of the localizer.
+
+    Returns:
+        Standard deviations per axis, metres and radians, and the share of poses less than 30 cm off.
     """
     scans = scans_of(samples, config, rng)
     chosen = evenly_spaced(len(scans), _MOST_SCANS)
@@ -56,4 +60,7 @@ def measure_relocalization_error(
             show(done + 1)
     errors = pose_errors(np.stack(found), np.stack(true))
     far_m, far_rad = (np.percentile(error, _PERCENTILE) for error in (errors.position_m, errors.rotation_rad))
-    return float(far_m) / math.sqrt(_CHI2_PERCENTILE_3), float(far_rad) / math.sqrt(_CHI2_PERCENTILE_3)
+    near = int((errors.position_m < FAR_M).sum())
+    precision = (near + 1.0) / (len(errors.position_m) + 2.0)  # Laplace's rule: few scans prove nothing
+    chi = math.sqrt(_CHI2_PERCENTILE_3)
+    return float(far_m) / chi, float(far_rad) / chi, precision

@@ -109,9 +109,8 @@ def localize_command(
         config = override(room.settings, motion=motion, particles=particles, scan_points=scan_points)
     rng = np.random.default_rng(seed)
     begin = _start(start, recording, start_error_cm / 100.0, np.deg2rad(start_error_deg), rng)
-    if begin is None and depth == "predicted" and not config.supports_relocalization:
-        error_m = config.particle_bias.relocalization_sd_m
-        problem = f"is unknown, and one image locates the camera only to {error_m:.1f} m here"
+    if begin is None and not room.supports_relocalization:
+        problem = "is unknown, and neither scans nor landmarks can find the camera in this room"
         raise SettingError("--start", problem, "write TX,TY,TZ,QX,QY,QZ,QW")
     name = f"{bundle.name}: {recording.name}"
     cv2.setNumThreads(1)  # more do not speed up small images, and the drone needs its other cores

@@ -31,7 +31,8 @@ _ODOMETRY_INFLATION, _PARTICLE_INFLATION, _LANDMARK_INFLATION = 4.0, 2.0, 2.0
 _MOST_TIME_WITHOUT_ODOMETRY_S = 1.0
 _RECENT_MOTION_S = 1.0  # time constant of the recent motion, which selects the known bias
 _LEAST_VARIANCE = 1e-10  # of a measurement, m^2 and rad^2: all particles may be one
-_GATE = 16.8  # chi-squared, 6 degrees of freedom, 99 %: a landmark pose beyond it is down-weighted
+_GATE = 16.8  # chi-squared, 6 degrees of freedom, 99 %: a measured pose beyond it is down-weighted
+_CONTRADICTION, _DECISIVE = 4.0, 20  # times the gate, and landmarks: beyond these the belief starts anew
 _PARTICLES, _LANDMARKS = 0, 1  # the sources, each with its bias
 
 
@@ -58,12 +59,15 @@ class BiasAugmentedState:
         return cls(start.pose, np.zeros_like(prior_sds), covariance, prior_sds)
 
     @classmethod
-    def from_measurement(cls, measured: Estimate, prior_sds: FloatArray) -> BiasAugmentedState:
-        """From the particles' pose and nothing else: the pose's error is minus their bias, plus noise."""
-        noise, bias = _particle_noise(measured), np.diag(prior_sds[_PARTICLES] ** 2)
+    def from_measurement(
+        cls, source: int, pose: FloatArray, noise: FloatArray, prior_sds: FloatArray
+    ) -> BiasAugmentedState:
+        """From one source's pose (4, 4) and nothing else: the pose's error is minus its bias, plus noise (6, 6)."""
+        bias = np.diag(prior_sds[source] ** 2)
         covariance = _block_diagonal(noise + bias, np.diag(prior_sds.ravel() ** 2))
-        covariance[:6, 6:12] = covariance[6:12, :6] = -bias
-        return cls(measured.pose, np.zeros_like(prior_sds), covariance, prior_sds)
+        own = slice(6 + 6 * source, 12 + 6 * source)
+        covariance[:6, own] = covariance[own, :6] = -bias
+        return cls(pose, np.zeros_like(prior_sds), covariance, prior_sds)
 
     def predict(
         self, T_previous_current: FloatArray, noise: FloatArray, correlation: float, prior_sds: FloatArray
@@ -88,15 +92,32 @@ class BiasAugmentedState:
         return BiasAugmentedState(pose, correlation * self.biases, covariance, np.sqrt(variances))
 
     def update_from_particles(self, measured: Estimate) -> BiasAugmentedState:
-        """After the particles' pose; their spread is its noise."""
-        return self._update(_PARTICLES, measured.pose, _particle_noise(measured))
+        """After the particles' pose; their spread is its noise. One beyond the gate counts less, as for landmarks."""
+        return self._gated_update(_PARTICLES, measured.pose, _particle_noise(measured))
 
     def update_from_landmarks(self, measured: LandmarkPose) -> BiasAugmentedState:
         """After a landmark pose; one beyond the gate gets its noise inflated until it lies on it."""
-        noise = _LANDMARK_INFLATION**2 * measured.covariance + _LEAST_VARIANCE * np.eye(6)
-        innovation, covariance = self._innovation(_LANDMARKS, measured.pose, noise)
-        excess = float(innovation @ np.linalg.solve(covariance, innovation)) / _GATE
-        return self._update(_LANDMARKS, measured.pose, max(1.0, excess) * noise)
+        return self._gated_update(_LANDMARKS, measured.pose, _landmark_noise(measured))
+
+    def particle_excess(self, measured: Estimate) -> float:
+        """How far the particles' pose is from the pose, for the bias that is usual here: above 1, beyond the gate.
+
+        The bias as it has been estimated does not count: it follows the particles wherever they go.
+        """
+        offset = se3_log(invert(self.pose) @ measured.pose)
+        usual = self.covariance[:6, :6] + np.diag(self.prior_sds[_PARTICLES] ** 2) + _particle_noise(measured)
+        return float(offset @ np.linalg.solve(usual, offset)) / _GATE
+
+    def landmark_excess(self, measured: LandmarkPose) -> float:
+        """How far a landmark pose is from the expected one: above 1 it is beyond the gate."""
+        return self._excess(_LANDMARKS, measured.pose, _landmark_noise(measured))
+
+    def _excess(self, source: int, pose: FloatArray, noise: FloatArray) -> float:
+        innovation, covariance = self._innovation(source, pose, noise)
+        return float(innovation @ np.linalg.solve(covariance, innovation)) / _GATE
+
+    def _gated_update(self, source: int, pose: FloatArray, noise: FloatArray) -> BiasAugmentedState:
+        return self._update(source, pose, max(1.0, self._excess(source, pose, noise)) * noise)
 
     def _update(self, source: int, pose: FloatArray, noise: FloatArray) -> BiasAugmentedState:
         """The Kalman update with a source's ``T_world_camera`` (4, 4) and its noise (6, 6)."""
@@ -136,6 +157,11 @@ def _block_diagonal(first: FloatArray, second: FloatArray) -> FloatArray:
 def _particle_noise(measured: Estimate) -> FloatArray:
     """Covariance (6, 6) of the particles' pose without its bias."""
     return np.asarray(_PARTICLE_INFLATION**2 * measured.covariance + _LEAST_VARIANCE * np.eye(6))
+
+
+def _landmark_noise(measured: LandmarkPose) -> FloatArray:
+    """Covariance (6, 6) of a landmark pose without its bias."""
+    return np.asarray(_LANDMARK_INFLATION**2 * measured.covariance + _LEAST_VARIANCE * np.eye(6))
 
 
 class BiasAugmentedFilter:
@@ -198,26 +224,46 @@ class BiasAugmentedFilter:
         """The belief after the particles' pose, which starts anew after a second without odometry."""
         if self._time_since_odometry_s > _MOST_TIME_WITHOUT_ODOMETRY_S:
             prior_sds = np.maximum(self._state.prior_sds, self._prior_sds(measured.pose))
-            self._state = BiasAugmentedState.from_measurement(measured, prior_sds)
+            noise = _particle_noise(measured)
+            self._state = BiasAugmentedState.from_measurement(_PARTICLES, measured.pose, noise, prior_sds)
         else:
             self._state = self._state.update_from_particles(measured)
         self.time_since_update_s = 0.0
         return self.belief
 
     def update_from_landmarks(self, measured: LandmarkPose | None) -> Estimate:
-        """The belief after the landmark pose of the same frame; None leaves it as it is."""
+        """The belief after the landmark pose of the same frame; None leaves it as it is.
+
+        A belief that is contradicted far beyond its covariance starts anew at the landmarks: dozens of corners that
+        agree on one pose are not wrong together.
+        """
         if measured is not None:
+            if self._state.landmark_excess(measured) > _CONTRADICTION and len(measured.points) >= _DECISIVE:
+                return self.reinitialise_from_landmarks(measured)
             self._state = self._state.update_from_landmarks(measured)
             self.time_since_update_s = self._time_since_odometry_s = 0.0
         return self.belief
 
+    def reinitialise_from_landmarks(self, measured: LandmarkPose) -> Estimate:
+        """The belief after landmarks relocalised the camera: only their pose counts."""
+        noise, prior_sds = _landmark_noise(measured), self._prior_sds(measured.pose)
+        self._state = BiasAugmentedState.from_measurement(_LANDMARKS, measured.pose, noise, prior_sds)
+        self.time_since_update_s = self._time_since_odometry_s = 0.0
+        return self.belief
+
+    def contradicts(self, measured: Estimate) -> bool:
+        """Whether the particles' pose is farther from the belief than both errors allow."""
+        return self._state.particle_excess(self.without_known_bias(measured)) > 1.0
+
     def reinitialise(self, measured: Estimate) -> Estimate:
-        """The belief after a relocalisation: only the particles' pose counts."""
+        """The belief after scans relocalised the camera: only the particles' pose counts."""
         prior_sds = self._prior_sds(measured.pose)
         prior_sds[_PARTICLES] = self._particle_bias.relocalization_sds(
             self._reference_poses.distance_m(measured.pose)
         )
-        self._state = BiasAugmentedState.from_measurement(measured, prior_sds)
+        noise = _particle_noise(measured)
+        self._state = BiasAugmentedState.from_measurement(_PARTICLES, measured.pose, noise, prior_sds)
+        self.time_since_update_s = 0.0
         return self.belief
 
     def predicted_without_odometry(self, elapsed_s: float) -> Estimate:

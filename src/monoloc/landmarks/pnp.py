@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -17,8 +18,10 @@ from monoloc.landmarks.landmark_map import Landmarks
 PRIOR_COVARIANCE = np.diag([0.05, 0.05, 0.05, 0.03, 0.03, 0.03]) ** 2
 """Covariance of a prior pose, (6, 6), where no belief states one."""
 
+LEAST_LANDMARKS = 15
+"""Number of landmarks that determine a pose."""
+
 _LEAST_RADIUS_PX, _MOST_RADIUS_PX = 6.0, 40.0  # of the search around a landmark's expected pixel
-_LEAST_LANDMARKS = 15  # that determine a pose
 _RATIO = 0.85  # of the best match's distance to that of the best match at another place (Lowe 2004)
 _CANDIDATES, _OTHER_PLACE_M = 8, 0.05  # best matches among which another place is sought, and its distance
 _INLIER_PX, _LEAST_INLIERS, _LEAST_CONFIRMED = 3.0, 8, 20
@@ -26,6 +29,9 @@ _KERNEL_SDS = (24.0, 12.0, 6.0, 3.0, 3.0, 3.0)  # standard deviations at which a
 _LEAST_VARIANCE = 1e-8  # of a prior, m^2 and rad^2: a start may be stated as exact
 _UNOBSERVABLE_SD = 0.3  # m or rad: a direction that landmarks constrain no better is not determined
 _NEAREST_M = 0.05  # depth of a landmark
+_FOCAL_SD = 0.3  # of log-focal before landmarks are seen
+_AGREE_WEIGHT = 0.25  # of a landmark that agrees
+_LEAST_INFORMATION = 1e-6  # so that a degenerate view has an answer, of no certainty
 
 
 @dataclass(frozen=True)
@@ -36,25 +42,44 @@ class LandmarkPose:
         pose: ``T_world_camera``, (4, 4).
         covariance: (6, 6) of its twist (rho, phi) in the camera's frame, from the corners' localisation error alone.
         points: (M, 3) of the landmarks that agree with it, world frame, metres.
+        log_focal: logarithm of true over stated focal length under which the landmarks fit best; 0 where they tell
+            nothing of it.
+        log_focal_sd: its standard deviation, by the corners' localisation error alone.
     """
 
     pose: FloatArray
     covariance: FloatArray
     points: FloatArray
+    log_focal: float = 0.0
+    log_focal_sd: float = math.inf
+
+
+@dataclass(frozen=True)
+class LandmarkMeasurement:
+    """What an image shows of the landmarks that should be in view.
+
+    Attributes:
+        expected: number of landmarks in view of a camera at the prior.
+        found: number of these that agree with one pose near the prior.
+        pose: that pose; None where too few agree, or where they leave a direction undetermined.
+    """
+
+    expected: int = 0
+    found: int = 0
+    pose: LandmarkPose | None = None
 
 
 class LandmarkLocalizer(Protocol):
     """Measures poses by landmarks; :class:`OrbLandmarkLocalizer` is one."""
 
-    def measure(self, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray) -> LandmarkPose | None:
-        """Pose from an image (H, W, 3) uint8 RGB, near a prior.
+    def measure(self, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
+        """Landmarks in an image (H, W, 3) uint8 RGB, near a prior.
 
         Args:
             prior: ``T_world_camera``, (4, 4), and its covariance, (6, 6).
 
         Returns:
-            The measurement alone, without the prior, since the filter fuses both; its covariance as in
-            :class:`LandmarkPose`. None where too few landmarks are seen.
+            Its pose is the measurement alone, without the prior, since the filter fuses both.
         """
         ...
 
@@ -69,8 +94,8 @@ class LandmarkLocalizer(Protocol):
 class NoLandmarks:
     """For a room without landmarks."""
 
-    def measure(self, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray) -> LandmarkPose | None:
-        return None
+    def measure(self, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
+        return LandmarkMeasurement()
 
     def relocalize(self, color: NDArray[np.uint8]) -> LandmarkPose | None:
         return None
@@ -87,49 +112,41 @@ class OrbLandmarkLocalizer:
         self._landmarks = landmarks
         self._detect = KeypointDetector(camera)
 
-    def measure(self, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray) -> LandmarkPose | None:
+    def measure(self, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
         """As :meth:`LandmarkLocalizer.measure`; a prior that is too vague is not used."""
         visible, local = self._visible(prior)
-        radius_px = self._radius_px(local, covariance)
-        if radius_px > _MOST_RADIUS_PX:
-            return self.relocalize(color)
-        return self._pose_from(visible, local, radius_px, self._detect(color), prior, covariance)
+        if self._radius_px(local, covariance) > _MOST_RADIUS_PX:
+            place = self.relocalize(color)
+            return LandmarkMeasurement(len(visible), 0 if place is None else len(place.points), place)
+        return self.measure_keypoints(self._detect(color), prior, covariance)
 
     def relocalize(self, color: NDArray[np.uint8]) -> LandmarkPose | None:
         """As :meth:`LandmarkLocalizer.relocalize`."""
         seen = self._detect(color)
         place = self._pose_without_prior(seen)
-        found = None if place is None else self.measure_keypoints(seen, place, PRIOR_COVARIANCE)
+        found = None if place is None else self.measure_keypoints(seen, place, PRIOR_COVARIANCE).pose
         return None if found is None or len(found.points) < _LEAST_CONFIRMED else found
 
-    def measure_keypoints(self, seen: Keypoints, prior: FloatArray, covariance: FloatArray) -> LandmarkPose | None:
+    def measure_keypoints(self, seen: Keypoints, prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
         """As :meth:`LandmarkLocalizer.measure`, from keypoints that are detected already."""
         visible, local = self._visible(prior)
-        return self._pose_from(visible, local, self._radius_px(local, covariance), seen, prior, covariance)
+        camera, room = self._detect.camera, self._landmarks
+        which, where = match_descriptors(
+            camera.project(local),
+            room.descriptors[visible],
+            seen.pixels,
+            seen.descriptors,
+            self._radius_px(local, covariance),
+        )
+        points = room.points[visible[which]].astype(np.float64)
+        found, pose = pose_from_matches(points, seen.select(where), camera, prior, covariance)
+        return LandmarkMeasurement(len(visible), found, pose)
 
     def _visible(self, prior: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
         """Indices (M,) of the landmarks in view of a camera at the prior, and their points in its frame, (M, 3)."""
         local = transform(invert(prior), self._landmarks.points)
         visible = np.flatnonzero(self._detect.camera.in_sight(local))
         return visible, local[visible]
-
-    def _pose_from(
-        self,
-        visible: NDArray[np.int64],
-        local: FloatArray,
-        radius_px: float,
-        seen: Keypoints,
-        prior: FloatArray,
-        covariance: FloatArray,
-    ) -> LandmarkPose | None:
-        """The pose from the landmarks that are visible at the prior."""
-        camera, room = self._detect.camera, self._landmarks
-        expected = camera.project(local)
-        which, where = match_descriptors(
-            expected, room.descriptors[visible], seen.pixels, seen.descriptors, radius_px
-        )
-        points = room.points[visible[which]].astype(np.float64)
-        return pose_from_matches(points, seen.select(where), camera, prior, covariance)
 
     def _radius_px(self, local: FloatArray, covariance: FloatArray) -> float:
         """Three standard deviations of the expected pixel of points (M, 3) in the camera's frame."""
@@ -139,7 +156,7 @@ class OrbLandmarkLocalizer:
     def _pose_without_prior(self, seen: Keypoints) -> FloatArray | None:
         """``T_world_camera`` (4, 4) from descriptors alone; None where too few landmarks agree."""
         known = self._landmarks.descriptors
-        if min(len(seen.descriptors), len(known)) < _LEAST_LANDMARKS:
+        if min(len(seen.descriptors), len(known)) < LEAST_LANDMARKS:
             return None
         bits, nearest = cv2.batchDistance(
             seen.descriptors, known, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=_CANDIDATES
@@ -149,7 +166,7 @@ class OrbLandmarkLocalizer:
         is_elsewhere = np.linalg.norm(found - found[:, :1], axis=2) > _OTHER_PLACE_M
         others = np.where(is_elsewhere, bits, 256).min(axis=1)
         matched = np.flatnonzero((bits[:, 0] < MATCH_BITS) & (bits[:, 0] < _RATIO * others))
-        if len(matched) < _LEAST_LANDMARKS:
+        if len(matched) < LEAST_LANDMARKS:
             return None
         camera = self._detect.camera
         ok, rotation, translation, inliers = cv2.solvePnPRansac(
@@ -170,7 +187,7 @@ class OrbLandmarkLocalizer:
 
 def pose_from_matches(
     points: FloatArray, seen: Keypoints, camera: Camera, prior: FloatArray, covariance: FloatArray
-) -> LandmarkPose | None:
+) -> tuple[int, LandmarkPose | None]:
     """Pose of a camera that sees points (M, 3), world frame, as M keypoints, of which some are wrong matches.
 
     Gauss-Newton with Geman-McClure weights that start wide (Yang et al., *Graduated Non-Convexity for Robust Spatial
@@ -178,7 +195,8 @@ def pose_from_matches(
     the prior, since the filter fuses both.
 
     Returns:
-        None where too few points agree, or where they leave a direction undetermined.
+        The number of points that agree, and the pose: None where these are too few, or where they leave a direction
+        undetermined.
     """
     rays, sd = seen.rays(camera)
     pose: FloatArray = prior
@@ -188,11 +206,32 @@ def pose_from_matches(
         offset = se3_log(invert(prior) @ pose)
         pose = pose @ se3_exp(-np.linalg.solve(normal + information, gradient + information @ offset))
     normal, gradient, weights = _normal_equations(pose, points, rays, sd, _KERNEL_SDS[-1])
-    agree = points[weights > 0.25]
-    if len(agree) < _LEAST_LANDMARKS or np.linalg.eigvalsh(normal)[0] < 1.0 / _UNOBSERVABLE_SD**2:
-        return None
+    agree = weights > _AGREE_WEIGHT
+    found = int(agree.sum())
+    if found < LEAST_LANDMARKS or np.linalg.eigvalsh(normal)[0] < 1.0 / _UNOBSERVABLE_SD**2:
+        return found, None
     spread = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-    return LandmarkPose(pose @ se3_exp(-spread @ gradient), spread, agree)
+    focal = _log_focal(pose, points, rays, sd)
+    return found, LandmarkPose(pose @ se3_exp(-spread @ gradient), spread, points[agree], *focal)
+
+
+def _log_focal(pose: FloatArray, points: FloatArray, rays: FloatArray, sd: FloatArray) -> tuple[float, float]:
+    """Logarithm of true over stated focal length, and its standard deviation, from landmarks (M, 3) seen as rays.
+
+    The residuals of a wrong focal length grow with the radius; a step along the view takes up a part of them. So pose
+    and focal length are estimated together, again from a wide kernel, since those that agreed with a wrong focal
+    length are near the centre.
+    """
+    log_focal, information = 0.0, np.diag([0.0] * 6 + [_FOCAL_SD**-2])
+    for kernel_sd in _KERNEL_SDS:
+        seen = rays * np.exp(-log_focal)  # a ray is a pixel over the focal length
+        residuals, jacobian = _residuals(pose, points, seen, sd)
+        columns = np.concatenate([jacobian, (seen / sd)[..., None]], axis=2).reshape(-1, 7)
+        weighted = columns * np.repeat(_weights(residuals, kernel_sd), 2)[:, None]
+        normal = weighted.T @ columns + information + _LEAST_INFORMATION * np.eye(7)
+        step = -np.linalg.solve(normal, weighted.T @ residuals.ravel() + information[:, 6] * log_focal)
+        pose, log_focal = pose @ se3_exp(step[:6]), log_focal + float(step[6])
+    return log_focal, float(np.sqrt(np.linalg.inv(normal)[6, 6]))
 
 
 def _normal_equations(
@@ -202,13 +241,25 @@ def _normal_equations(
 
     A weight is a quarter at a residual of ``kernel_sd`` standard deviations.
     """
+    residuals, jacobian = _residuals(pose, points, rays, sd)
+    weights = _weights(residuals, kernel_sd)
+    flat = jacobian.reshape(-1, 6)
+    weighted = flat * np.repeat(weights, 2)[:, None]
+    return weighted.T @ flat, weighted.T @ residuals.ravel(), weights
+
+
+def _weights(residuals: FloatArray, kernel_sd: float) -> FloatArray:
+    """Geman-McClure weights (M,) of residuals (M, 2) in standard deviations."""
+    return np.asarray((1.0 + np.sum(residuals**2, axis=1) / kernel_sd**2) ** -2)
+
+
+def _residuals(
+    pose: FloatArray, points: FloatArray, rays: FloatArray, sd: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Residuals (M, 2) in standard deviations, and their derivative by the pose's twist, (M, 2, 6)."""
     local = transform(invert(pose), points)
     local[:, 2] = np.maximum(local[:, 2], _NEAREST_M)
-    residuals = (local[:, :2] / local[:, 2:] - rays) / sd
-    weights = (1.0 + np.sum(residuals**2, axis=1) / kernel_sd**2) ** -2
-    jacobian = (_jacobian(local) / sd[..., None]).reshape(-1, 6)
-    weighted = jacobian * np.repeat(weights, 2)[:, None]
-    return weighted.T @ jacobian, weighted.T @ residuals.ravel(), weights
+    return (local[:, :2] / local[:, 2:] - rays) / sd, _jacobian(local) / sd[..., None]
 
 
 def _jacobian(local: FloatArray) -> FloatArray:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from monoloc.geometry import se3_exp
 from monoloc.odometry.visual import Motion
 from monoloc.particle_filter.estimate import Estimate, estimate
 from monoloc.particle_filter.motion_model import MotionConfig, predict
@@ -51,6 +52,14 @@ class ParticleFilter:
             self._rng,
         )
         return self.particles
+
+    def redraw(self, around: Estimate) -> None:
+        """Draw the particles anew from a pose's covariance; their depth scales remain."""
+        count = len(self.particles)
+        variances, axes = np.linalg.eigh(around.covariance)
+        twists = self._rng.standard_normal((count, 6)) * np.sqrt(np.maximum(variances, 0.0)) @ axes.T
+        log_weights = np.full(count, -np.log(count))
+        self.particles = Particles(around.pose @ se3_exp(twists), self.particles.log_scale, log_weights)
 
     def update(self, particles: Particles, weigh: Callable[[Particles], Particles]) -> Estimate:
         """The particles' pose after a measurement; then resample.

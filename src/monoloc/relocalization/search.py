@@ -68,6 +68,10 @@ class GlobalRelocalizer:
         mode, _ = self._best(modes, scan)
         return self._best([current, self._refined(mode.pose, _FINE_SD, _FINE_PARTICLES, scan, rng)], scan)
 
+    def refine(self, pose: FloatArray, scan: Scan, rng: np.random.Generator) -> tuple[Estimate, float]:
+        """Where particles around a pose (4, 4) gather under a scan, and the mean log-likelihood there."""
+        return self._best([self._refined(pose, _COARSE_SD, _FINE_PARTICLES, scan, rng)], scan)
+
     def _drawn_around(self, seeds: FloatArray, rng: np.random.Generator) -> Particles:
         count = len(seeds)
         poses = seeds @ se3_exp(rng.standard_normal((count, 6)) * _DRAWN_SD)

@@ -1,12 +1,12 @@
-"""What happens to a camera that is lost: it is searched for, and what is found is verified before it is believed.
+"""What happens to a camera that is lost: it is searched for, by landmarks and by scans.
 
-One scan can fit where the camera is not. So a pose that was found is first only followed, for a second; it is
+Landmarks that agree on a pose without a prior are decisive: the belief starts anew there, in the same frame. A scan
+is not: it can fit where the camera is not. So a pose that a scan found is first only followed, for a second; it is
 believed if the search then finds no better place.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
@@ -21,9 +21,11 @@ from monoloc.particle_filter.estimate import Estimate, estimate
 from monoloc.particle_filter.particles import Particles
 from monoloc.relocalization.search import GlobalRelocalizer
 
-_SEARCH_PERIOD_S = 1.0  # between searches; and time for which scans do not fit until a camera is suspected to be lost
+SUSPECTED = 0.5
+"""Probability of a wrong belief from which the camera is searched for."""
+
+_SCAN_PERIOD_S, _LANDMARK_PERIOD_S = 1.0, 0.2  # between searches
 _SAME_PLACE_M = 0.3  # pose distance of two poses that count as one place
-_SAME_PLACE_BY_LANDMARKS_M = 1.0  # the same for landmark poses, between which particles have drifted with the depth
 
 
 class Mode(Enum):
@@ -42,25 +44,29 @@ class Event(Enum):
 
     POSITION_LOST = "position lost"
     """The belief's covariance no longer says where in the room the camera is."""
+    LANDMARKS_FOUND = "landmarks found"
+    """Landmarks found a place other than the belief's."""
     NOT_FOUND = "not found"
-    """A search found no place that fits."""
+    """A scan's search found no place that fits."""
     FOUND = "found"
-    """A search found a place other than the current one."""
+    """A scan's search found a place other than the current one."""
     UNDECIDED = "undecided"
-    """A search found the place under verification again, but it does not fit well enough."""
+    """A scan's search found the place under verification again, but it does not fit well enough."""
     CONFIRMED = "confirmed"
-    """A search, or landmarks, found the current place again."""
+    """A scan's search found the place under verification again."""
 
 
 TRANSITIONS: dict[tuple[Mode, Event], Mode] = {
     (Mode.TRACKING, Event.POSITION_LOST): Mode.SEARCHING,
+    (Mode.TRACKING, Event.LANDMARKS_FOUND): Mode.TRACKING,
     (Mode.TRACKING, Event.NOT_FOUND): Mode.TRACKING,
     (Mode.TRACKING, Event.FOUND): Mode.VERIFYING,
-    (Mode.TRACKING, Event.CONFIRMED): Mode.TRACKING,
     (Mode.SEARCHING, Event.POSITION_LOST): Mode.SEARCHING,
+    (Mode.SEARCHING, Event.LANDMARKS_FOUND): Mode.TRACKING,
     (Mode.SEARCHING, Event.NOT_FOUND): Mode.SEARCHING,
     (Mode.SEARCHING, Event.FOUND): Mode.VERIFYING,
     (Mode.VERIFYING, Event.POSITION_LOST): Mode.VERIFYING,
+    (Mode.VERIFYING, Event.LANDMARKS_FOUND): Mode.TRACKING,
     (Mode.VERIFYING, Event.NOT_FOUND): Mode.SEARCHING,
     (Mode.VERIFYING, Event.FOUND): Mode.VERIFYING,
     (Mode.VERIFYING, Event.UNDECIDED): Mode.VERIFYING,
@@ -76,112 +82,105 @@ class Relocalization:
     Attributes:
         mode: for this frame.
         particles: where they go on from.
-        relocalized: whether a lost camera was confirmed at this frame.
+        landmark_pose: where landmarks found the camera at this frame; the belief starts anew there.
+        confirmed: whether a place that scans had found was confirmed at this frame.
     """
 
     mode: Mode
     particles: Particles
-    relocalized: bool = False
+    landmark_pose: LandmarkPose | None = None
+    confirmed: bool = False
 
 
 class RelocalizationStateMachine:
-    """Decides whether a camera is lost, and finds it; per frame, :meth:`update` and then :meth:`assess`.
+    """Decides when a camera is searched for, and by what.
 
     Args:
-        relocalizer: None where a room cannot be searched; then the mode is always ``TRACKING``.
+        relocalizer: draws particles around places, and searches by scans.
+        searches_by_scan: whether one scan tells the places of the room apart.
         thresholds: of the scan's likelihood.
         mode: at the start; ``SEARCHING`` where nothing is known of the pose.
     """
 
     def __init__(
-        self, relocalizer: GlobalRelocalizer | None, thresholds: LikelihoodThresholds, mode: Mode = Mode.TRACKING
+        self,
+        relocalizer: GlobalRelocalizer,
+        searches_by_scan: bool,
+        thresholds: LikelihoodThresholds,
+        mode: Mode = Mode.TRACKING,
     ) -> None:
-        self._relocalizer = relocalizer
+        self._relocalizer, self._searches_by_scan = relocalizer, searches_by_scan
         self._thresholds = thresholds
-        self.mode = Mode.TRACKING if relocalizer is None else mode
-        self._misfit_s = 0.0  # for how long scans have not fitted
-        self._since_search_s = _SEARCH_PERIOD_S
+        self.mode = mode
+        self._since_scan_search_s = _SCAN_PERIOD_S
+        self._since_landmark_search_s = _LANDMARK_PERIOD_S
 
     def update(
         self,
         particles: Particles,
+        belief: Estimate,
         scan: Scan,
         elapsed_s: float,
-        position_lost: bool,
+        probability_wrong: float,
         by_landmarks: Callable[[], LandmarkPose | None],
         rng: np.random.Generator,
     ) -> Relocalization:
         """The mode for a frame, after a search where one is due: by landmarks, or else by the scan.
 
         Args:
-            particles: predicted for this frame.
-            scan: of this frame; empty where it says nothing.
+            particles, belief: predicted for this frame.
+            scan: of this frame; empty where the image says nothing.
             elapsed_s: since the previous frame.
-            position_lost: whether the predicted belief says nothing about the position.
+            probability_wrong: that the belief is wrong.
             by_landmarks: relocalises by landmarks; called only if a search is due.
             rng: used only if a search is due.
         """
-        if position_lost:
-            self._transition(Event.POSITION_LOST)
-        self._since_search_s += elapsed_s
-        if self._relocalizer is None or not self._search_is_due(scan):
-            return Relocalization(self.mode, particles)
-        self._since_search_s = 0.0
-        previous, current = self.mode, estimate(particles)
-        seen = by_landmarks()
-        place: Estimate | None
-        if seen is not None:
-            event, place = self._event_by_landmarks(seen, current)
-        else:
-            event, place = self._event_by_scan(self._relocalizer, scan, current, rng)
-        if place is not None:
-            particles = self._relocalizer.sample_around(place, len(particles), rng)
-        self._transition(event)
-        return Relocalization(self.mode, particles, previous is Mode.VERIFYING and self.mode is Mode.TRACKING)
-
-    def assess(self, mean_log_likelihood: float, belief: Estimate, elapsed_s: float) -> None:
-        """Take in how a frame ended.
-
-        Args:
-            mean_log_likelihood: of the scan at the particles' pose; NaN for an empty scan.
-            belief: after the frame.
-            elapsed_s: since the previous frame.
-        """
         if belief.position_is_unknown:
             self._transition(Event.POSITION_LOST)
-        if not math.isnan(mean_log_likelihood):
-            fits = mean_log_likelihood >= self._thresholds.lost
-            self._misfit_s = 0.0 if fits else self._misfit_s + elapsed_s
+        self._since_scan_search_s += elapsed_s
+        self._since_landmark_search_s += elapsed_s
+        is_sought = self.mode is not Mode.TRACKING or probability_wrong >= SUSPECTED
+        if not is_sought or len(scan) == 0:
+            return Relocalization(self.mode, particles)
+        seen = self._search_by_landmarks(by_landmarks)
+        if seen is not None and not self._is_believed(seen, belief):
+            self._transition(Event.LANDMARKS_FOUND)
+            place = Estimate(seen.pose, seen.covariance, estimate(particles).log_scale)
+            particles = self._relocalizer.sample_around(place, len(particles), rng)
+            return Relocalization(self.mode, particles, landmark_pose=seen)
+        if seen is None and self._searches_by_scan and self._since_scan_search_s >= _SCAN_PERIOD_S:
+            self._since_scan_search_s = 0.0
+            return self._search_by_scan(particles, scan, rng)
+        return Relocalization(self.mode, particles)
 
-    def _search_is_due(self, scan: Scan) -> bool:
-        is_suspected = self._misfit_s >= _SEARCH_PERIOD_S
-        is_sought = self.mode is not Mode.TRACKING or is_suspected
-        return is_sought and self._since_search_s >= _SEARCH_PERIOD_S and len(scan) > 0
+    def _is_believed(self, seen: LandmarkPose, belief: Estimate) -> bool:
+        """Whether landmarks found the camera where it is believed to be; then measuring near the prior is enough."""
+        distance_m = float(pose_distance_m(belief.pose, seen.pose[None])[0])
+        return self.mode is Mode.TRACKING and distance_m < _SAME_PLACE_M
 
-    def _event_by_landmarks(self, seen: LandmarkPose, current: Estimate) -> tuple[Event, Estimate]:
-        """Landmarks decide however the scan fits: they are there for where depth is wrong."""
-        place = Estimate(seen.pose, seen.covariance, current.log_scale)
-        is_same = _distance_m(current, place) < _SAME_PLACE_BY_LANDMARKS_M
-        return (Event.CONFIRMED if self.mode is not Mode.SEARCHING and is_same else Event.FOUND), place
+    def _search_by_landmarks(self, by_landmarks: Callable[[], LandmarkPose | None]) -> LandmarkPose | None:
+        if self._since_landmark_search_s < _LANDMARK_PERIOD_S:
+            return None
+        self._since_landmark_search_s = 0.0
+        return by_landmarks()
 
-    def _event_by_scan(
-        self, relocalizer: GlobalRelocalizer, scan: Scan, current: Estimate, rng: np.random.Generator
-    ) -> tuple[Event, Estimate | None]:
-        """The event, and the place that the particles go to, None if they stay."""
-        place, value = relocalizer.relocalize(scan, current, rng)
+    def _search_by_scan(self, particles: Particles, scan: Scan, rng: np.random.Generator) -> Relocalization:
+        current = estimate(particles)
+        place, value = self._relocalizer.relocalize(scan, current, rng)
+        event = self._event(value, float(pose_distance_m(current.pose, place.pose[None])[0]))
+        was_verifying = self.mode is Mode.VERIFYING
+        self._transition(event)
+        if event is Event.FOUND:
+            particles = self._relocalizer.sample_around(place, len(particles), rng)
+        return Relocalization(self.mode, particles, confirmed=was_verifying and event is Event.CONFIRMED)
+
+    def _event(self, value: float, distance_m: float) -> Event:
+        """Of a scan's mean log-likelihood at the best place, and that place's distance from the current one."""
         if value < self._thresholds.lost:
-            return Event.NOT_FOUND, None
-        if self.mode is Mode.VERIFYING and _distance_m(current, place) < _SAME_PLACE_M:
-            return (Event.CONFIRMED if value >= self._thresholds.low else Event.UNDECIDED), None
-        return Event.FOUND, place
+            return Event.NOT_FOUND
+        if self.mode is Mode.VERIFYING and distance_m < _SAME_PLACE_M:
+            return Event.CONFIRMED if value >= self._thresholds.low else Event.UNDECIDED
+        return Event.FOUND
 
     def _transition(self, event: Event) -> None:
-        if self._relocalizer is None:
-            return
         self.mode = TRANSITIONS[self.mode, event]
-        if event is Event.CONFIRMED:
-            self._misfit_s = 0.0
-
-
-def _distance_m(one: Estimate, other: Estimate) -> float:
-    return float(pose_distance_m(one.pose, other.pose[None])[0])

@@ -1,37 +1,95 @@
-"""The state of the localizer that a user sees."""
+"""The state of the localizer that a user sees, and its reasons."""
 
 from __future__ import annotations
 
-import math
+from dataclasses import dataclass
+from enum import Enum
 from typing import Literal
 
-from monoloc.likelihood.thresholds import LikelihoodThresholds
-from monoloc.particle_filter.estimate import Estimate
 from monoloc.relocalization.state_machine import Mode
 
 State = Literal["tracking", "uncertain", "lost"]
 
+# Probabilities that the position is more than 30 cm off. It is *tracking* below the first; once it is not, below the
+# second, so that the state does not flicker; and *lost* above the third.
+_TRACKING_BELOW, _TRACKING_AGAIN_BELOW, _LOST_ABOVE = 0.05, 0.02, 0.5
+_MOST_REPEATED_S = 0.2  # for which an image may repeat: streams show a frame twice
 
-def classify_state(
-    belief: Estimate,
-    mode: Mode,
-    mean_log_likelihood: float,
-    thresholds: LikelihoodThresholds,
-    odometry_tracked: bool,
-    landmarks_used: bool,
-) -> State:
-    """The state that a user sees.
+
+class Reason(Enum):
+    """Why the state is not *tracking*."""
+
+    SEARCHING = "searching"
+    """The pose is unknown, and the room is searched for the camera."""
+    VERIFYING = "verifying"
+    """A search found a place, and it is verified."""
+    BELIEF_CONTRADICTED = "belief contradicted"
+    """Scans or landmarks speak against the belief."""
+    POSITION_WIDE = "position wide"
+    """The covariance allows for more than 30 cm."""
+    NO_ODOMETRY = "no odometry"
+    """Odometry did not follow the camera."""
+    IMAGE_REPEATED = "image repeated"
+    """The camera gives the same image again and again."""
+    IMAGE_EMPTY = "image empty"
+    """The image has no contrast: dark, covered or saturated."""
+    CAMERA_MISMATCH = "camera mismatch"
+    """Landmarks fit another focal length than the camera's stated one."""
+
+
+@dataclass(frozen=True)
+class Supervision:
+    """What is known of the belief after a frame.
+
+    Attributes:
+        mode: of the relocalisation.
+        probability_far: that the position is more than 30 cm off.
+        probability_wrong: that the belief is wrong, whatever its covariance.
+        repeated_s: for how long the image has not changed.
+        image_is_empty: whether the image has no contrast.
+        odometry_tracked: whether odometry, if there is any, followed the camera.
+        camera_mismatch: whether landmarks fit another focal length.
+    """
+
+    mode: Mode
+    probability_far: float
+    probability_wrong: float
+    repeated_s: float
+    image_is_empty: bool
+    odometry_tracked: bool
+    camera_mismatch: bool
+
+
+def classify_state(supervision: Supervision, previous: State) -> tuple[State, frozenset[Reason]]:
+    """The state after a frame, and why it is not *tracking*.
 
     Args:
-        mode: of the relocalisation; a camera that is searched for, or whose place is being verified, is *lost*.
-        mean_log_likelihood: of the scan at the particles' pose; NaN for an empty scan, which is *uncertain*.
-        odometry_tracked: whether odometry, if there is any, followed the camera. Without it the state is at best
-            *uncertain*: a network's depth fits somewhere even where it means nothing.
-        landmarks_used: whether landmarks measured the pose; then a scan that does not fit is *uncertain* only.
+        previous: the state after the previous frame.
     """
-    value = max(mean_log_likelihood, thresholds.lost) if landmarks_used else mean_log_likelihood
-    if mode is not Mode.TRACKING or belief.position_is_unknown or value < thresholds.lost:
+    state = _state(supervision, previous)
+    return state, frozenset() if state == "tracking" else _reasons(supervision)
+
+
+def _state(supervision: Supervision, previous: State) -> State:
+    far = supervision.probability_far
+    if supervision.mode is not Mode.TRACKING or far >= _LOST_ABOVE:
         return "lost"
-    if math.isnan(value) or value < thresholds.low or not odometry_tracked:
-        return "uncertain"
-    return "tracking"
+    bound = _TRACKING_BELOW if previous == "tracking" else _TRACKING_AGAIN_BELOW
+    doubtful = supervision.camera_mismatch or supervision.repeated_s > _MOST_REPEATED_S
+    return "uncertain" if doubtful or far >= bound else "tracking"
+
+
+def _reasons(supervision: Supervision) -> frozenset[Reason]:
+    wrong = supervision.probability_wrong
+    wide = supervision.probability_far - wrong
+    holds = {
+        Reason.SEARCHING: supervision.mode is Mode.SEARCHING,
+        Reason.VERIFYING: supervision.mode is Mode.VERIFYING,
+        Reason.BELIEF_CONTRADICTED: supervision.mode is Mode.TRACKING and wrong >= max(wide, _TRACKING_AGAIN_BELOW),
+        Reason.POSITION_WIDE: supervision.mode is Mode.TRACKING and wide >= max(wrong, _TRACKING_AGAIN_BELOW),
+        Reason.NO_ODOMETRY: not supervision.odometry_tracked,
+        Reason.IMAGE_REPEATED: supervision.repeated_s > _MOST_REPEATED_S,
+        Reason.IMAGE_EMPTY: supervision.image_is_empty,
+        Reason.CAMERA_MISMATCH: supervision.camera_mismatch,
+    }
+    return frozenset(reason for reason, is_so in holds.items() if is_so)

@@ -1,0 +1,193 @@
+"""How probable it is that the belief is wrong, from what the map says of each frame.
+
+A hidden Markov model (Rabiner 1989) of three conditions: the belief is right and landmarks are seen, it is right and
+they are not (blur, darkness, a new viewpoint), or it is wrong, so that the camera is not where the covariance says.
+The build measures how often each number of landmarks, and each fit of the scan, occurs at right and at wrong poses.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import BaseModel, ConfigDict, Field
+
+from monoloc.evaluation.consistency import FAR_M
+from monoloc.geometry import FloatArray
+from monoloc.landmarks.pnp import LandmarkMeasurement
+from monoloc.likelihood.thresholds import LikelihoodThresholds
+from monoloc.particle_filter.estimate import Estimate
+
+LANDMARK_EDGES = (3.5, 7.5, 14.5, 29.5)  # between the classes of numbers of landmarks found
+_LEAST_EXPECTED = 30  # landmarks in view, below which their number says nothing
+_SCAN_PERCENTILES = (5.0, 20.0, 50.0)  # of the fits at right poses: edges between the classes of fits
+_PSEUDO_COUNT = 0.5  # of each class, so that none is impossible
+# The errors of neighbouring frames are correlated: landmarks count as one observation in two frames, scans in five.
+_LANDMARK_POWER, _SCAN_POWER = 0.5, 0.2
+_UNSEEN_S = 1.0  # time for which landmarks stay unseen
+# Rates at which a belief becomes wrong, per second: with odometry, by a kidnap; without, by motion as well.
+_WRONG_RATE, _WRONG_RATE_WITHOUT_ODOMETRY = 0.005, 0.3
+_START_IS_WRONG, _LANDMARKS_ARE_WRONG = 0.05, 0.02  # probability of a given start, of a relocalisation by landmarks
+_SEEN, _UNSEEN, _WRONG = 0, 1, 2
+
+
+class Classes(BaseModel):
+    """How often a quantity falls into each of C classes at right and at wrong poses.
+
+    Attributes:
+        edges: C - 1 ascending bounds between the classes.
+        right, wrong: C probabilities each.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    edges: tuple[float, ...] = ()
+    right: tuple[float, ...] = (1.0,)
+    wrong: tuple[float, ...] = (1.0,)
+
+    @classmethod
+    def from_values(cls, edges: ArrayLike, right: ArrayLike, wrong: ArrayLike) -> Classes:
+        """From bounds (C - 1,) and measured values, any number each.
+
+        Neighbouring classes are merged until a higher value never speaks less for a right pose (Ayer et al. 1955).
+        Where values are as high at wrong poses as at right ones, a single class remains, which says nothing.
+        """
+        bounds = np.asarray(edges, dtype=np.float64).tolist()
+        counts = np.stack(
+            [np.bincount(np.searchsorted(bounds, values), minlength=len(bounds) + 1) for values in (right, wrong)]
+        )
+        while len(bounds):
+            smoothed = counts + _PSEUDO_COUNT
+            falls = np.flatnonzero(np.diff(smoothed[0] / smoothed[1]) < 0.0)
+            if not len(falls):
+                break
+            first = int(falls[0])
+            counts[:, first] += counts[:, first + 1]
+            counts = np.delete(counts, first + 1, axis=1)
+            del bounds[first]
+        shares = (counts + _PSEUDO_COUNT) / (counts + _PSEUDO_COUNT).sum(axis=1, keepdims=True)
+        return cls(edges=tuple(bounds), right=tuple(shares[0].tolist()), wrong=tuple(shares[1].tolist()))
+
+    def likelihoods(self, value: float) -> tuple[float, float]:
+        """Probability of a value's class at right and at wrong poses."""
+        index = int(np.searchsorted(self.edges, value))
+        return self.right[index], self.wrong[index]
+
+
+class IntegrityModel(BaseModel):
+    """What a build measured of right and wrong poses.
+
+    Attributes:
+        scan: classes of the scan's mean log-likelihood at the particles' pose.
+        landmarks: classes of the number of landmarks found; a single class where the room has none.
+        unseen_share: share of frames at right poses, away from the build's viewpoints, whose landmarks are not seen.
+        scan_search_precision: share of relocalisations by a scan that are less than :data:`FAR_M` off.
+        focal_mean, focal_sd: of log-focal (:class:`monoloc.landmarks.pnp.LandmarkPose`) at right poses.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    scan: Classes = Classes()
+    landmarks: Classes = Classes()
+    unseen_share: float = Field(0.5, gt=0.0, lt=1.0)
+    scan_search_precision: float = Field(0.5, gt=0.0, lt=1.0)
+    focal_mean: float = 0.0
+    focal_sd: float = Field(1.0, gt=0.0)
+
+    @staticmethod
+    def scan_classes(right: ArrayLike, wrong: ArrayLike) -> Classes:
+        """Classes of fits measured at right and at wrong poses."""
+        edges = np.unique(np.percentile(np.asarray(right, dtype=np.float64), _SCAN_PERCENTILES))
+        return Classes.from_values(edges, right, wrong)
+
+    @staticmethod
+    def landmark_classes(right: ArrayLike, wrong: ArrayLike) -> Classes:
+        """Classes of numbers of landmarks found at right and at wrong poses."""
+        return Classes.from_values(LANDMARK_EDGES, right, wrong)
+
+
+class SensorModel(BaseModel):
+    """What a build measured of a depth sensor's scans; by default nothing, so that they say nothing of the belief.
+
+    Attributes:
+        thresholds: of their mean log-likelihood; None where the recording has no depth.
+        scan, search_precision: as in :class:`IntegrityModel`.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    thresholds: LikelihoodThresholds | None = None
+    scan: Classes = Classes()
+    search_precision: float = Field(0.5, gt=0.0, lt=1.0)
+
+
+class IntegrityMonitor:
+    """Follows the probability that a belief is wrong; a frame is :meth:`predict`, then :meth:`update`.
+
+    Args:
+        model: of the room.
+        is_searched: whether the flight starts without a pose.
+    """
+
+    def __init__(self, model: IntegrityModel, is_searched: bool) -> None:
+        self._model = model
+        self._probabilities = self._right_unless(1.0 if is_searched else _START_IS_WRONG)
+
+    @property
+    def probability_wrong(self) -> float:
+        """That the belief is wrong, 0 to 1, whatever its covariance."""
+        return float(self._probabilities[_WRONG])
+
+    def probability_far(self, belief: Estimate) -> float:
+        """That the position is more than :data:`FAR_M` off, because the belief is wrong or because it is wide."""
+        sd_m = belief.position_sd_m
+        by_width = math.erfc(FAR_M / (math.sqrt(2.0) * sd_m)) if sd_m > 0.0 else 0.0
+        return self.probability_wrong + (1.0 - self.probability_wrong) * by_width
+
+    def predict(self, elapsed_s: float, odometry_tracked: bool) -> None:
+        """The probabilities after a motion."""
+        rate = _WRONG_RATE if odometry_tracked else _WRONG_RATE_WITHOUT_ODOMETRY
+        becomes_wrong = 1.0 - math.exp(-rate * elapsed_s)
+        changes_sight = 1.0 - math.exp(-elapsed_s / _UNSEEN_S)
+        seen, unseen, wrong = self._probabilities
+        right = seen + unseen
+        unseen += changes_sight * (self._model.unseen_share * right - unseen)
+        remaining = 1.0 - becomes_wrong
+        self._probabilities = np.array(
+            [(right - unseen) * remaining, unseen * remaining, wrong + right * becomes_wrong]
+        )
+
+    def update(self, mean_log_likelihood: float, landmarks: LandmarkMeasurement | None) -> None:
+        """The probabilities after a frame's evidence.
+
+        Args:
+            mean_log_likelihood: of the scan; NaN where it says nothing, minus infinity where it fits elsewhere.
+            landmarks: None where nothing was measured.
+        """
+        likelihood = np.ones(3)
+        if not math.isnan(mean_log_likelihood):
+            right, wrong = self._model.scan.likelihoods(mean_log_likelihood)
+            likelihood *= np.array([right, right, wrong]) ** _SCAN_POWER
+        if landmarks is not None and landmarks.expected >= _LEAST_EXPECTED:
+            right, wrong = self._model.landmarks.likelihoods(landmarks.found)
+            some = 0.5 * (wrong + 1.0 / len(self._model.landmarks.right))  # of a right belief that sees some or none
+            likelihood *= np.array([right, some, wrong]) ** _LANDMARK_POWER
+        posterior = self._probabilities * likelihood
+        self._probabilities = posterior / posterior.sum()
+
+    def lose(self) -> None:
+        """The position is unknown."""
+        self._probabilities = self._right_unless(1.0)
+
+    def found_by_landmarks(self) -> None:
+        """The belief is a pose that landmarks found."""
+        self._probabilities = self._right_unless(_LANDMARKS_ARE_WRONG)
+
+    def found_by_scan(self) -> None:
+        """The belief is a pose that scans found twice."""
+        self._probabilities = self._right_unless((1.0 - self._model.scan_search_precision) ** 2)
+
+    def _right_unless(self, wrong: float) -> FloatArray:
+        unseen = self._model.unseen_share
+        return np.array([(1.0 - wrong) * (1.0 - unseen), (1.0 - wrong) * unseen, wrong])
