@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -18,6 +18,7 @@ from monoloc.particle_filter.estimate import Estimate
 from monoloc.particle_filter.particles import Particles
 from monoloc.relocalization import state_machine
 from monoloc.relocalization.state_machine import (
+    SUSPECTED,
     TRANSITIONS,
     Event,
     Mode,
@@ -29,11 +30,13 @@ from particle_helpers import particles_at
 THRESHOLDS = LikelihoodThresholds(low=1.0, lost=0.0)
 FITS, DOUBTFUL, MISFIT = 2.0, 0.5, -1.0
 SCAN = uniform_scan(np.ones((20, 3), dtype=np.float32))
-HERE_M, ELSEWHERE_M = 0.0, 5.0  # places along x; the particles are here
-PERIOD_S = 1.0  # between searches
+HERE_M, ELSEWHERE_M = 0.0, 5.0  # places along x; belief and particles are here
+PERIOD_S = 1.0  # between searches by scans
+KNOWN_SD_M, UNKNOWN_SD_M = 0.1, 0.6  # of the belief's position
+BELIEVED, WRONG = 0.1, 0.9  # probabilities of a wrong belief
 
 
-def estimate_at(x_m: float, sd_m: float = 0.1) -> Estimate:
+def estimate_at(x_m: float, sd_m: float = KNOWN_SD_M) -> Estimate:
     return Estimate(make_pose(np.eye(3), np.array([x_m, 0.0, 0.0])), np.eye(6) * sd_m**2, 0.0)
 
 
@@ -71,8 +74,19 @@ class _Landmarks:
 NO_LANDMARKS = _Landmarks()
 
 
-def machine_with(*answers: tuple[float, float], mode: Mode = Mode.SEARCHING) -> RelocalizationStateMachine:
-    return RelocalizationStateMachine(_Relocalizer(*answers), THRESHOLDS, mode)
+def machine_with(
+    *answers: tuple[float, float], mode: Mode = Mode.SEARCHING, searches_by_scan: bool = True
+) -> RelocalizationStateMachine:
+    return RelocalizationStateMachine(_Relocalizer(*answers), searches_by_scan, THRESHOLDS, mode)
+
+
+class After(NamedTuple):
+    """What a frame left: the mode, the particles' mean place, and by what the belief begins anew."""
+
+    mode: Mode
+    x_m: Any
+    by_landmarks: bool = False
+    confirmed: bool = False
 
 
 def update(
@@ -80,14 +94,22 @@ def update(
     x_m: float = HERE_M,
     scan: Scan = SCAN,
     elapsed_s: float = PERIOD_S,
-    position_lost: bool = False,
+    probability_wrong: float = BELIEVED,
+    sd_m: float = KNOWN_SD_M,
     landmarks: _Landmarks = NO_LANDMARKS,
-) -> tuple[Mode, Any, bool]:
-    """The mode after a frame, where its particles, which were at ``x_m``, are then, and whether it relocalised."""
+) -> After:
+    """After a frame whose particles and belief were at ``x_m``."""
     rng = np.random.default_rng(0)
-    result = machine.update(copies_of(estimate_at(x_m)), scan, elapsed_s, position_lost, landmarks, rng)
+    particles = copies_of(estimate_at(x_m))
+    result = machine.update(
+        particles, estimate_at(x_m, sd_m), scan, elapsed_s, probability_wrong, landmarks, rng
+    )
     assert isinstance(result, Relocalization) and len(result.particles) == 10 and result.mode is machine.mode
-    return result.mode, pytest.approx(result.particles.poses[:, 0, 3].mean()), result.relocalized
+    by_landmarks = result.landmark_pose is not None
+    assert not by_landmarks or result.landmark_pose.pose[0, 3] == landmarks.x_m
+    return After(
+        result.mode, pytest.approx(result.particles.poses[:, 0, 3].mean()), by_landmarks, result.confirmed
+    )
 
 
 # --- The table of transitions ---
@@ -95,15 +117,14 @@ def update(
 
 @dataclass(frozen=True)
 class Frame:
-    """What a frame brings: the scan's place and fit by a search, landmarks, and how the frame before ended."""
+    """What a frame brings: the scan's place and fit by a search, landmarks, and what is known of the belief."""
 
     place_m: float = HERE_M
     value: float = FITS
     landmarks_m: float | None = None
     has_scan: bool = True
-    position_lost: bool = False
-    previous_value: float = FITS
-    previous_sd_m: float = 0.1
+    sd_m: float = KNOWN_SD_M
+    probability_wrong: float = BELIEVED
 
 
 class _RecordedTransitions(dict[tuple[Mode, Event], Mode]):
@@ -125,51 +146,47 @@ def transitions(monkeypatch: pytest.MonkeyPatch) -> _RecordedTransitions:
     return recorded
 
 
-def after_frame(mode: Mode, frame: Frame, transitions: _RecordedTransitions) -> Relocalization:
+def after_frame(mode: Mode, frame: Frame, transitions: _RecordedTransitions) -> After:
     """Of a machine that its own events brought to a mode; each frame takes a second. Only the last is recorded."""
     relocalizer = _Relocalizer((HERE_M, FITS))
     first = Mode.TRACKING if mode is Mode.TRACKING else Mode.SEARCHING
-    machine = RelocalizationStateMachine(relocalizer, THRESHOLDS, first)
+    machine = RelocalizationStateMachine(relocalizer, True, THRESHOLDS, first)
     if mode is Mode.VERIFYING:
         update(machine)
     assert machine.mode is mode
     transitions.looked_up.clear()
-    machine.assess(frame.previous_value, estimate_at(HERE_M, frame.previous_sd_m), PERIOD_S)
     relocalizer.remaining = [(frame.place_m, frame.value)]
-    result = machine.update(
-        copies_of(estimate_at(HERE_M)),
-        SCAN if frame.has_scan else EMPTY_SCAN,
-        PERIOD_S,
-        frame.position_lost,
-        _Landmarks(frame.landmarks_m),
-        np.random.default_rng(0),
+    return update(
+        machine,
+        scan=SCAN if frame.has_scan else EMPTY_SCAN,
+        probability_wrong=frame.probability_wrong,
+        sd_m=frame.sd_m,
+        landmarks=_Landmarks(frame.landmarks_m),
     )
-    assert result.mode is machine.mode
-    return result
 
 
-# In TRACKING, a search takes place only where the scans before did not fit.
-SUSPECTED = {"previous_value": MISFIT}
+# In TRACKING, a search takes place only where the belief is probably wrong.
+DOUBTED = {"probability_wrong": SUSPECTED}
+BLIND_AND_UNKNOWN = Frame(sd_m=UNKNOWN_SD_M, has_scan=False)
 PROVOCATIONS: dict[tuple[Mode, Event], list[Frame]] = {
-    (Mode.TRACKING, Event.POSITION_LOST): [
-        Frame(position_lost=True, has_scan=False),
-        Frame(previous_sd_m=0.6, has_scan=False),
-    ],
-    (Mode.TRACKING, Event.NOT_FOUND): [Frame(value=MISFIT, **SUSPECTED)],
+    (Mode.TRACKING, Event.POSITION_LOST): [BLIND_AND_UNKNOWN],
+    (Mode.TRACKING, Event.LANDMARKS_FOUND): [Frame(landmarks_m=ELSEWHERE_M, **DOUBTED)],
+    (Mode.TRACKING, Event.NOT_FOUND): [Frame(value=MISFIT, **DOUBTED)],
     (Mode.TRACKING, Event.FOUND): [
-        Frame(place_m=ELSEWHERE_M, **SUSPECTED),
-        Frame(place_m=HERE_M, **SUSPECTED),
-        Frame(landmarks_m=ELSEWHERE_M, **SUSPECTED),
+        Frame(place_m=ELSEWHERE_M, **DOUBTED),
+        Frame(place_m=HERE_M, **DOUBTED),
+        Frame(place_m=HERE_M, value=DOUBTFUL, **DOUBTED),
     ],
-    (Mode.TRACKING, Event.CONFIRMED): [Frame(landmarks_m=HERE_M, value=MISFIT, **SUSPECTED)],
-    (Mode.SEARCHING, Event.POSITION_LOST): [Frame(position_lost=True, has_scan=False)],
+    (Mode.SEARCHING, Event.POSITION_LOST): [BLIND_AND_UNKNOWN],
+    (Mode.SEARCHING, Event.LANDMARKS_FOUND): [Frame(landmarks_m=HERE_M), Frame(landmarks_m=ELSEWHERE_M)],
     (Mode.SEARCHING, Event.NOT_FOUND): [Frame(value=MISFIT)],
-    (Mode.SEARCHING, Event.FOUND): [Frame(), Frame(value=DOUBTFUL), Frame(landmarks_m=HERE_M, value=MISFIT)],
-    (Mode.VERIFYING, Event.POSITION_LOST): [Frame(position_lost=True, has_scan=False)],
+    (Mode.SEARCHING, Event.FOUND): [Frame(), Frame(value=DOUBTFUL)],
+    (Mode.VERIFYING, Event.POSITION_LOST): [BLIND_AND_UNKNOWN],
+    (Mode.VERIFYING, Event.LANDMARKS_FOUND): [Frame(landmarks_m=HERE_M), Frame(landmarks_m=ELSEWHERE_M)],
     (Mode.VERIFYING, Event.NOT_FOUND): [Frame(value=MISFIT)],
-    (Mode.VERIFYING, Event.FOUND): [Frame(place_m=ELSEWHERE_M), Frame(landmarks_m=ELSEWHERE_M)],
+    (Mode.VERIFYING, Event.FOUND): [Frame(place_m=ELSEWHERE_M)],
     (Mode.VERIFYING, Event.UNDECIDED): [Frame(value=DOUBTFUL)],
-    (Mode.VERIFYING, Event.CONFIRMED): [Frame(), Frame(landmarks_m=HERE_M, value=MISFIT)],
+    (Mode.VERIFYING, Event.CONFIRMED): [Frame()],
 }
 
 
@@ -179,10 +196,11 @@ PROVOCATIONS: dict[tuple[Mode, Event], list[Frame]] = {
 def test_every_transition_of_the_table_happens(
     transitions: _RecordedTransitions, pair: tuple[Mode, Event], frame: Frame
 ) -> None:
-    result = after_frame(pair[0], frame, transitions)
+    after = after_frame(pair[0], frame, transitions)
     assert transitions.looked_up == [pair]
-    assert result.mode is TRANSITIONS[pair]
-    assert result.relocalized == (pair == (Mode.VERIFYING, Event.CONFIRMED))
+    assert after.mode is TRANSITIONS[pair]
+    assert after.by_landmarks == (pair[1] is Event.LANDMARKS_FOUND)
+    assert after.confirmed == (pair[1] is Event.CONFIRMED)
 
 
 def all_frames() -> Iterator[Frame]:
@@ -193,9 +211,8 @@ def all_frames() -> Iterator[Frame]:
             (FITS, DOUBTFUL, MISFIT),
             (None, HERE_M, ELSEWHERE_M),
             (True, False),
-            (False, True),
-            (FITS, DOUBTFUL, MISFIT, np.nan),
-            (0.1, 0.6),
+            (KNOWN_SD_M, UNKNOWN_SD_M),
+            (BELIEVED, WRONG),
         )
     )
 
@@ -210,17 +227,10 @@ def test_no_other_transition_can_be_provoked(transitions: _RecordedTransitions) 
     impossible = set(product(Mode, Event)) - set(TRANSITIONS)
     assert impossible == {
         (Mode.TRACKING, Event.UNDECIDED),
+        (Mode.TRACKING, Event.CONFIRMED),
         (Mode.SEARCHING, Event.UNDECIDED),
         (Mode.SEARCHING, Event.CONFIRMED),
     }
-
-
-def test_room_that_cannot_be_searched_is_always_tracking(transitions: _RecordedTransitions) -> None:
-    machine = RelocalizationStateMachine(None, THRESHOLDS, Mode.SEARCHING)
-    machine.assess(MISFIT, estimate_at(HERE_M, sd_m=5.0), 10.0)
-    landmarks = _Landmarks(ELSEWHERE_M)
-    assert update(machine, position_lost=True, landmarks=landmarks) == (Mode.TRACKING, HERE_M, False)
-    assert landmarks.calls == 0 and transitions.looked_up == []
 
 
 # --- Over several frames ---
@@ -228,84 +238,99 @@ def test_room_that_cannot_be_searched_is_always_tracking(transitions: _RecordedT
 
 def test_place_found_twice_is_believed_after_a_second() -> None:
     machine = machine_with((3.0, FITS), (3.1, FITS))
-    assert update(machine, 0.0) == (Mode.VERIFYING, 3.0, False)
-    assert update(machine, 3.2, elapsed_s=0.5) == (Mode.VERIFYING, 3.2, False)  # no search is due
-    assert update(machine, 3.2, elapsed_s=0.5) == (Mode.TRACKING, 3.2, True)
+    assert update(machine, 0.0) == After(Mode.VERIFYING, 3.0)
+    assert update(machine, 3.2, elapsed_s=0.5) == After(Mode.VERIFYING, 3.2)  # no search is due
+    assert update(machine, 3.2, elapsed_s=0.5) == After(Mode.TRACKING, 3.2, confirmed=True)
 
 
 def test_place_found_elsewhere_is_verified_anew() -> None:
     machine = machine_with((3.0, FITS), (5.0, FITS), (5.0, FITS))
-    assert update(machine, 0.0) == (Mode.VERIFYING, 3.0, False)
-    assert update(machine, 3.0) == (Mode.VERIFYING, 5.0, False)
-    assert update(machine, 5.0) == (Mode.TRACKING, 5.0, True)
+    assert update(machine, 0.0) == After(Mode.VERIFYING, 3.0)
+    assert update(machine, 3.0) == After(Mode.VERIFYING, 5.0)
+    assert update(machine, 5.0) == After(Mode.TRACKING, 5.0, confirmed=True)
 
 
 def test_doubtful_place_is_followed_until_it_fits_or_does_not() -> None:
     machine = machine_with((3.0, MISFIT), (3.0, DOUBTFUL), (3.0, DOUBTFUL), (3.0, MISFIT), (3.0, DOUBTFUL))
-    assert update(machine, 0.0) == (Mode.SEARCHING, 0.0, False)
-    assert update(machine, 0.0) == (Mode.VERIFYING, 3.0, False)
-    assert update(machine, 3.1) == (Mode.VERIFYING, 3.1, False)
-    assert update(machine, 3.1) == (Mode.SEARCHING, 3.1, False)
-    assert update(machine, 2.0) == (Mode.VERIFYING, 3.0, False)
+    assert update(machine, 0.0) == After(Mode.SEARCHING, 0.0)
+    assert update(machine, 0.0) == After(Mode.VERIFYING, 3.0)
+    assert update(machine, 3.1) == After(Mode.VERIFYING, 3.1)
+    assert update(machine, 3.1) == After(Mode.SEARCHING, 3.1)
+    assert update(machine, 2.0) == After(Mode.VERIFYING, 3.0)
 
 
 def test_search_waits_for_a_scan_with_points() -> None:
     machine = machine_with((3.0, FITS))
-    assert update(machine, 0.0, EMPTY_SCAN) == (Mode.SEARCHING, 0.0, False)
-    assert update(machine, 0.0, elapsed_s=0.0) == (Mode.VERIFYING, 3.0, False)
+    assert update(machine, 0.0, EMPTY_SCAN) == After(Mode.SEARCHING, 0.0)
+    assert update(machine, 0.0, elapsed_s=0.0) == After(Mode.VERIFYING, 3.0)
 
 
-def test_camera_is_suspected_after_scans_have_not_fitted_for_a_second() -> None:
-    machine = machine_with((3.0, FITS), mode=Mode.TRACKING)
-    for value in (MISFIT, np.nan, MISFIT, DOUBTFUL, MISFIT, MISFIT):  # over a second, but not without interruption
-        machine.assess(value, estimate_at(0.0), 0.4)
-        assert update(machine, 0.0) == (Mode.TRACKING, 0.0, False)
-    machine.assess(MISFIT, estimate_at(0.0), 0.4)
-    assert machine.mode is Mode.TRACKING  # the belief is followed until there is another
-    assert update(machine, 0.0) == (Mode.VERIFYING, 3.0, False)
+def test_belief_that_is_probably_wrong_is_followed_until_there_is_another() -> None:
+    """The relocaliser has no second answer to give: it must not be asked before the belief is suspected."""
+    machine = machine_with((3.0, MISFIT), (3.0, FITS), mode=Mode.TRACKING)
+    assert update(machine, 0.0, probability_wrong=SUSPECTED - 0.01) == After(Mode.TRACKING, 0.0)
+    assert update(machine, 0.0, elapsed_s=0.0, probability_wrong=SUSPECTED) == After(Mode.TRACKING, 0.0)
+    assert update(machine, 0.0, elapsed_s=0.9, probability_wrong=SUSPECTED) == After(Mode.TRACKING, 0.0)
+    assert update(machine, 0.0, elapsed_s=0.1, probability_wrong=SUSPECTED) == After(Mode.VERIFYING, 3.0)
 
 
 def test_camera_whose_position_is_lost_is_searched_for_at_once() -> None:
     machine = machine_with((3.0, FITS), mode=Mode.TRACKING)
-    machine.assess(FITS, estimate_at(0.0, sd_m=0.49), 0.1)
-    assert machine.mode is Mode.TRACKING
-    machine.assess(FITS, estimate_at(0.0, sd_m=0.51), 0.1)
-    assert machine.mode is Mode.SEARCHING
-    assert update(machine, 0.0, elapsed_s=0.0) == (Mode.VERIFYING, 3.0, False)
-    machine = machine_with((3.0, FITS), mode=Mode.TRACKING)
-    assert update(machine, 0.0, elapsed_s=0.0, position_lost=True) == (Mode.VERIFYING, 3.0, False)
+    assert update(machine, 0.0, elapsed_s=0.0, sd_m=0.49) == After(Mode.TRACKING, 0.0)
+    assert update(machine, 0.0, elapsed_s=0.0, sd_m=0.51) == After(Mode.VERIFYING, 3.0)
 
 
 # --- Landmarks ---
 
 
-def test_landmarks_are_asked_first_and_only_if_a_search_is_due() -> None:
+@pytest.mark.parametrize("searches_by_scan", [True, False])
+@pytest.mark.parametrize(
+    ("mode", "given"),
+    [
+        (Mode.SEARCHING, {}),
+        (Mode.TRACKING, {"probability_wrong": WRONG}),
+        (Mode.TRACKING, {"sd_m": UNKNOWN_SD_M}),
+    ],
+)
+def test_landmarks_elsewhere_are_believed_at_once(mode: Mode, given: dict[str, float], searches_by_scan: bool) -> None:
     """The relocaliser by scans has no answer to give: it must not be asked."""
-    machine, landmarks = machine_with(), _Landmarks(4.0)
-    assert update(machine, 0.0, landmarks=landmarks) == (Mode.VERIFYING, 4.0, False)
-    assert update(machine, 4.2, elapsed_s=0.5, landmarks=landmarks) == (Mode.VERIFYING, 4.2, False)
+    machine = machine_with(mode=mode, searches_by_scan=searches_by_scan)
+    landmarks = _Landmarks(4.0)
+    assert update(machine, 0.0, landmarks=landmarks, **given) == After(Mode.TRACKING, 4.0, by_landmarks=True)
     assert landmarks.calls == 1
-    assert update(machine, 4.2, elapsed_s=0.5, landmarks=landmarks) == (Mode.TRACKING, 4.0, True)
+
+
+def test_landmarks_end_a_verification() -> None:
+    machine = machine_with((3.0, FITS))
+    assert update(machine, 0.0) == After(Mode.VERIFYING, 3.0)
+    landmarks = _Landmarks(3.1)
+    assert update(machine, 3.0, elapsed_s=0.2, landmarks=landmarks) == After(Mode.TRACKING, 3.1, by_landmarks=True)
+
+
+def test_landmarks_are_asked_five_times_a_second_and_only_if_a_search_is_due() -> None:
+    landmarks, machine = _Landmarks(None), machine_with(mode=Mode.SEARCHING, searches_by_scan=False)
+    for _ in range(20):
+        update(machine, elapsed_s=0.1, landmarks=landmarks)
+    assert landmarks.calls in (10, 11)
+    landmarks, machine = _Landmarks(ELSEWHERE_M), machine_with(mode=Mode.TRACKING)
+    assert update(machine, landmarks=landmarks) == After(Mode.TRACKING, HERE_M)
+    assert landmarks.calls == 0
 
 
 def test_scan_is_searched_where_landmarks_find_nothing() -> None:
     machine = machine_with((3.0, FITS))
-    assert update(machine, 0.0, landmarks=_Landmarks(None)) == (Mode.VERIFYING, 3.0, False)
+    assert update(machine, 0.0, landmarks=_Landmarks(None)) == After(Mode.VERIFYING, 3.0)
 
 
-@pytest.mark.parametrize(("x_m", "mode"), [(0.9, Mode.TRACKING), (1.1, Mode.VERIFYING)])
-def test_landmarks_confirm_a_suspected_camera_within_a_metre(x_m: float, mode: Mode) -> None:
-    """Where depth is biased, no scan fits; particles go on from the landmark pose."""
+def test_only_landmarks_search_a_room_whose_places_scans_cannot_tell_apart() -> None:
+    machine = machine_with(searches_by_scan=False)
+    assert update(machine, 0.0, landmarks=_Landmarks(None)) == After(Mode.SEARCHING, 0.0)
+    assert update(machine, 0.0, landmarks=_Landmarks(3.0)) == After(Mode.TRACKING, 3.0, by_landmarks=True)
+
+
+@pytest.mark.parametrize(("x_m", "begins_anew"), [(0.29, False), (0.31, True)])
+def test_suspected_belief_goes_on_where_landmarks_find_the_camera_there(x_m: float, begins_anew: bool) -> None:
+    """Nor is a scan searched, which could say otherwise."""
     machine = machine_with(mode=Mode.TRACKING)
-    machine.assess(MISFIT, estimate_at(0.0), 1.0)
-    assert update(machine, 0.0, landmarks=_Landmarks(x_m)) == (mode, x_m, False)
-
-
-def test_confirmation_by_landmarks_ends_the_suspicion() -> None:
-    machine = machine_with(mode=Mode.TRACKING)
-    machine.assess(MISFIT, estimate_at(0.0), 1.0)
-    update(machine, 0.0, landmarks=_Landmarks(0.0))
-    landmarks = _Landmarks(0.0)
-    machine.assess(MISFIT, estimate_at(0.0), 0.5)
-    update(machine, 0.0, landmarks=landmarks)
-    assert landmarks.calls == 0
+    after = update(machine, 0.0, probability_wrong=WRONG, landmarks=_Landmarks(x_m))
+    assert after == After(Mode.TRACKING, x_m if begins_anew else 0.0, by_landmarks=begins_anew)

@@ -1,63 +1,104 @@
-"""The state that a user sees."""
+"""The state that a user sees, and its reasons."""
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
+
 import pytest
 
-from monoloc.likelihood.thresholds import LikelihoodThresholds
-from monoloc.particle_filter.estimate import Estimate
 from monoloc.relocalization.state_machine import Mode
-from monoloc.supervision.state import classify_state
-
-THRESHOLDS = LikelihoodThresholds(low=-2.0, lost=-3.0)
+from monoloc.supervision.state import Reason, State, Supervision, classify_state
 
 
-def state_of(
-    value: float,
-    mode: Mode = Mode.TRACKING,
-    position_sd_m: float = 0.05,
-    odometry_tracked: bool = True,
-    landmarks_used: bool = False,
-) -> str:
-    belief = Estimate(np.eye(4), np.diag(np.repeat([position_sd_m**2, 1e-4], 3)), 0.0)
-    return classify_state(belief, mode, value, THRESHOLDS, odometry_tracked, landmarks_used)
+def supervision_of(**given: Any) -> Supervision:
+    """Of a frame at which all is well, but for what is given."""
+    well: dict[str, Any] = {
+        "mode": Mode.TRACKING,
+        "probability_far": 0.01,
+        "probability_wrong": 0.01,
+        "repeated_s": 0.0,
+        "image_is_empty": False,
+        "odometry_tracked": True,
+        "camera_mismatch": False,
+    }
+    return Supervision(**(well | given))
 
 
 @pytest.mark.parametrize(
-    ("value", "state"),
+    ("probability_far", "previous", "state"),
     [
-        (-1.0, "tracking"),
-        (-2.0, "tracking"),  # a value at a threshold is not below it
-        (-2.5, "uncertain"),
-        (-3.0, "uncertain"),
-        (-3.5, "lost"),
-        (np.nan, "uncertain"),
+        (0.0, "tracking", "tracking"),
+        (0.049, "tracking", "tracking"),
+        (0.05, "tracking", "uncertain"),
+        (0.049, "uncertain", "uncertain"),
+        (0.02, "lost", "uncertain"),
+        (0.019, "uncertain", "tracking"),
+        (0.019, "lost", "tracking"),
+        (0.499, "tracking", "uncertain"),
+        (0.5, "tracking", "lost"),
+        (1.0, "uncertain", "lost"),
     ],
 )
-def test_state_by_the_scans_likelihood(value: float, state: str) -> None:
-    assert state_of(value) == state
+def test_state_by_the_probability_of_being_far_off(probability_far: float, previous: State, state: State) -> None:
+    """With hysteresis: what was tracked stays so for longer than it takes to be so again."""
+    supervision = supervision_of(probability_far=probability_far, probability_wrong=probability_far)
+    assert classify_state(supervision, previous)[0] == state
 
 
-@pytest.mark.parametrize("value", [-1.0, -3.5, np.nan])
-@pytest.mark.parametrize("landmarks_used", [False, True])
-def test_camera_of_unknown_position_is_lost(value: float, landmarks_used: bool) -> None:
-    assert state_of(value, position_sd_m=3.0, landmarks_used=landmarks_used) == "lost"
+def test_state_does_not_flicker_between_its_bounds() -> None:
+    state: State = "tracking"
+    seen = []
+    for far in (0.03, 0.06, 0.03, 0.045, 0.03, 0.01, 0.03, 0.045):
+        state, _ = classify_state(supervision_of(probability_far=far), state)
+        seen.append(state)
+    assert seen == ["tracking"] + 4 * ["uncertain"] + 3 * ["tracking"]
 
 
-@pytest.mark.parametrize("value", [-1.0, -3.5, np.nan])
 @pytest.mark.parametrize("mode", [Mode.SEARCHING, Mode.VERIFYING])
-def test_camera_that_is_searched_for_or_verified_is_lost(value: float, mode: Mode) -> None:
-    assert state_of(value, mode) == "lost"
+def test_camera_that_is_searched_for_or_verified_is_lost(mode: Mode) -> None:
+    assert classify_state(supervision_of(mode=mode), "tracking")[0] == "lost"
 
 
-@pytest.mark.parametrize(("value", "state"), [(-1.0, "uncertain"), (-2.5, "uncertain"), (-3.5, "lost")])
-def test_camera_that_odometry_did_not_follow_is_at_best_uncertain(value: float, state: str) -> None:
-    assert state_of(value, odometry_tracked=False) == state
+@pytest.mark.parametrize("doubt", [{"repeated_s": 0.21}, {"camera_mismatch": True}])
+def test_doubtful_images_and_intrinsics_are_at_best_uncertain(doubt: dict[str, Any]) -> None:
+    assert classify_state(supervision_of(**doubt), "tracking")[0] == "uncertain"
+    assert classify_state(supervision_of(probability_far=0.6, **doubt), "tracking")[0] == "lost"
 
 
-@pytest.mark.parametrize(
-    ("value", "state"), [(-1.0, "tracking"), (-2.5, "uncertain"), (-3.5, "uncertain"), (np.nan, "uncertain")]
-)
-def test_scan_that_does_not_fit_is_uncertain_where_landmarks_are_used(value: float, state: str) -> None:
-    assert state_of(value, landmarks_used=True) == state
+@pytest.mark.parametrize("harmless", [{"repeated_s": 0.2}, {"image_is_empty": True}, {"odometry_tracked": False}])
+def test_what_the_probability_allows_for_is_tracking_without_reasons(harmless: dict[str, Any]) -> None:
+    assert classify_state(supervision_of(**harmless), "tracking") == ("tracking", frozenset())
+
+
+REASONS: dict[Reason, dict[str, Any]] = {
+    Reason.SEARCHING: {"mode": Mode.SEARCHING, "probability_far": 1.0, "probability_wrong": 1.0},
+    Reason.VERIFYING: {"mode": Mode.VERIFYING, "probability_far": 1.0, "probability_wrong": 1.0},
+    Reason.BELIEF_CONTRADICTED: {"probability_far": 0.3, "probability_wrong": 0.2},
+    Reason.POSITION_WIDE: {"probability_far": 0.3, "probability_wrong": 0.1},
+    Reason.IMAGE_REPEATED: {"repeated_s": 0.3},
+    Reason.CAMERA_MISMATCH: {"camera_mismatch": True},
+}
+# These come with a width or a doubt, and explain it.
+CAUSES: dict[Reason, dict[str, Any]] = {
+    Reason.NO_ODOMETRY: {"odometry_tracked": False},
+    Reason.IMAGE_EMPTY: {"image_is_empty": True},
+}
+
+
+@pytest.mark.parametrize("reason", Reason)
+def test_every_reason_is_given(reason: Reason) -> None:
+    if reason in CAUSES:
+        given, expected = REASONS[Reason.POSITION_WIDE] | CAUSES[reason], {reason, Reason.POSITION_WIDE}
+    else:
+        given, expected = REASONS[reason], {reason}
+    state, reasons = classify_state(supervision_of(**given), "tracking")
+    assert state != "tracking" and reasons == expected
+
+
+def test_state_that_is_not_tracking_has_a_reason() -> None:
+    """Between the two bounds too, where neither doubt alone reaches either."""
+    for far in (0.02, 0.021, 0.03, 0.05, 0.5, 1.0):
+        for share in (0.0, 0.3, 0.5, 0.7, 1.0):
+            supervision = supervision_of(probability_far=far, probability_wrong=share * far)
+            state, reasons = classify_state(supervision, "uncertain")
+            assert state != "tracking" and reasons, (far, share)
