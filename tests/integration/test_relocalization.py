@@ -117,7 +117,7 @@ def test_camera_whose_depth_has_the_wrong_scale_is_found_by_landmarks(
 ) -> None:
     """Landmarks give the place at once; its scan is compared at the scale that the depth needs."""
     built = RoomRecording(Room(), recording.poses[20:FRAMES:2])
-    landmarks, landmark_bias = build_landmarks(built, built.depth, NoProgress())
+    landmarks, landmark_bias, _ = build_landmarks(built, built.depth, NoProgress())
     settings = with_relocalization_sds(0.2, 0.1).model_copy(
         update={"log_scale_sd": 0.05, "landmark_bias": landmark_bias}
     )

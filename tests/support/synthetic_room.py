@@ -37,6 +37,7 @@ from monoloc.map.mixture import GaussianMixture
 from monoloc.particle_filter.estimate import estimate
 from monoloc.particle_filter.particles import Particles
 from monoloc.start import Start
+from monoloc.supervision.integrity import LANDMARK_EDGES, Classes, IntegrityModel
 
 FloatArray = NDArray[np.float64]
 
@@ -243,6 +244,24 @@ class ParticleStart(Start):
         return self.given
 
 
+def plausible_integrity(thresholds: LikelihoodThresholds, search_precision: float = 0.95) -> IntegrityModel:
+    """What a build would measure in the room, of scans by these thresholds and of landmarks.
+
+    Args:
+        search_precision: share of right poses among those that a scan finds.
+    """
+    return IntegrityModel(
+        scan=Classes(edges=(thresholds.lost, thresholds.low), right=(0.01, 0.04, 0.95), wrong=(0.8, 0.15, 0.05)),
+        landmarks=Classes(
+            edges=LANDMARK_EDGES, right=(0.02, 0.02, 0.02, 0.02, 0.92), wrong=(0.9, 0.04, 0.02, 0.02, 0.02)
+        ),
+        unseen_share=0.2,
+        scan_search_precision=search_precision,
+        focal_mean=0.01,
+        focal_sd=0.01,
+    )
+
+
 def make_localizer(
     mixture: GaussianMixture,
     thresholds: LikelihoodThresholds,
@@ -255,8 +274,10 @@ def make_localizer(
     bias: ArrayLike = 0.0,
     landmarks: Landmarks = Landmarks.none(),
     likelihood: ScanLikelihood | None = None,
+    integrity: IntegrityModel | None = None,
+    camera: Camera = CAMERA,
 ) -> Localizer:
-    """A localizer for :data:`CAMERA` in a room with this map.
+    """A localizer for a camera in a room with this map.
 
     Args:
         start: particles before the first frame; None where the room is to be searched.
@@ -264,6 +285,8 @@ def make_localizer(
         down: direction of gravity in the room; None where it is unknown.
         bias: known at the reference poses, in both directions of flight, a twist (V, 6) or (6,).
         likelihood: in place of the bundle's.
+        integrity: :func:`plausible_integrity` where none is given.
+        camera: the stated one.
     """
     both = np.broadcast_to(bias, (len(reference_poses), 6))
     bundle = Bundle(
@@ -276,6 +299,7 @@ def make_localizer(
         thresholds=thresholds,
         reference_poses=ReferencePoses(reference_poses, both, both),
         landmarks=landmarks,
+        integrity=integrity or plausible_integrity(thresholds),
     )
     bundle.__dict__["down"] = down  # of a cached property
 
@@ -284,7 +308,7 @@ def make_localizer(
         return replace(made, depth=depth, likelihood=likelihood or made.likelihood)
 
     given = None if start is None else ParticleStart.of(start)
-    return Localizer(bundle, CAMERA, given, settings, components, seed)
+    return Localizer(bundle, camera, given, settings, components, seed)
 
 
 def follow(localizer: Localizer, recording: RoomRecording, frames: range | None = None) -> list[Step]:
@@ -334,6 +358,7 @@ def depth_from_blue() -> DepthModel:
 def make_bundle(mixture: GaussianMixture, recording: RoomRecording, built_from: range = range(0)) -> Bundle:
     """A bundle of the room, as if built from some frames of a recording, with the blue network in it."""
     frames = {recording.frame_names[index]: fingerprint(recording.color(index)) for index in built_from}
+    thresholds = measured_thresholds(mixture, recording)
     return Bundle(
         original=mixture,
         adapted=mixture,
@@ -343,8 +368,9 @@ def make_bundle(mixture: GaussianMixture, recording: RoomRecording, built_from: 
         provenance=Provenance(
             recording=recording.name, frames=frames, tune="none", map_transform=False, lambda_kl=0.1, seed=0
         ),
-        thresholds=measured_thresholds(mixture, recording),
+        thresholds=thresholds,
         reference_poses=ReferencePoses.without_bias(recording.poses[list(built_from)]),
+        integrity=plausible_integrity(thresholds),
     )
 
 

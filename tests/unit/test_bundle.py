@@ -28,6 +28,7 @@ from monoloc.likelihood.protocol import LikelihoodConfig
 from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.particle_filter.motion_model import MotionConfig
+from monoloc.supervision.integrity import Classes, IntegrityModel, SensorModel
 
 
 def make_bundle(seed: int = 0) -> Bundle:
@@ -71,6 +72,19 @@ def make_bundle(seed: int = 0) -> Bundle:
         landmarks=Landmarks(
             rng.normal(size=(7, 3)).astype(np.float32), rng.integers(0, 256, (7, 32)).astype(np.uint8)
         ),
+        integrity=IntegrityModel(
+            scan=Classes(edges=(-1.0 / 3.0,), right=(0.1, 0.9), wrong=(2.0 / 3.0, 1.0 / 3.0)),
+            landmarks=Classes(edges=(3.5, 7.5), right=(0.1, 0.2, 0.7), wrong=(0.8, 0.1, 0.1)),
+            unseen_share=1.0 / 7.0,
+            scan_search_precision=0.9,
+            focal_mean=0.01 / 3.0,
+            focal_sd=0.01,
+        ),
+        sensor=SensorModel(
+            thresholds=LikelihoodThresholds(low=-0.5, lost=-1.0 / 3.0),
+            scan=Classes(edges=(0.5,), right=(0.2, 0.8), wrong=(0.9, 0.1)),
+            search_precision=0.8,
+        ),
     )
 
 
@@ -113,6 +127,7 @@ def test_bundle_is_read_as_written(written):
     assert bundle.camera == expected.camera
     assert bundle.provenance == expected.provenance
     assert bundle.thresholds == expected.thresholds
+    assert bundle.integrity == expected.integrity and bundle.sensor == expected.sensor
     for name in ("poses", "forward_bias", "backward_bias"):  # single precision
         read, wrote = getattr(bundle.reference_poses, name), getattr(expected.reference_poses, name)
         np.testing.assert_allclose(read, wrote, atol=1e-6)

@@ -20,6 +20,7 @@ CAMERA = Camera(80, 64, 70.0, 70.0, 39.5, 31.5)
 DEPTH_CAMERA = CAMERA.resized(40, 32)
 CONFIG = LocalizerConfig(scan_points=50, scale_tilt=None)
 COLOR = np.random.default_rng(0).integers(0, 256, (4, 5, 3), dtype=np.uint8).repeat(16, axis=0).repeat(16, axis=1)
+NEXT = np.roll(COLOR, 1, axis=1)  # of a camera that moved
 BLACK = np.zeros_like(COLOR)
 PREDICTED = DepthPrediction(
     np.full((32, 40), 2.0, np.float32), DEPTH_CAMERA, np.linspace(-3.0, 0.0, 1280, dtype=np.float32).reshape(32, 40)
@@ -75,7 +76,8 @@ def test_odometry_tracks_where_it_has_a_motion_and_a_random_walk_always_does() -
     motion = corners_of(PREDICTED, 0.0)
     with_odometry, random_walk = make_front_end(_Odometry(None, motion, None)), make_front_end(None)
     observed = [
-        [front_end.observe(COLOR, 0.1, None, None) for _ in range(3)] for front_end in (with_odometry, random_walk)
+        [front_end.observe(color, 0.1, None, None) for color in (COLOR, NEXT, COLOR)]
+        for front_end in (with_odometry, random_walk)
     ]
     assert [each.motion for each in observed[0]] == [None, motion, None]
     assert [each.odometry_tracked for each in observed[0]] == [True, True, False]
@@ -94,7 +96,7 @@ def test_corners_are_those_of_the_motion_that_are_certain_enough() -> None:
     motion = corners_of(PREDICTED, 0.0)
     front_end = make_front_end(_Odometry(None, motion))
     assert len(front_end.observe(COLOR, 0.0, None, None).corners) == 0
-    corners = front_end.observe(COLOR, 0.1, None, None).corners
+    corners = front_end.observe(NEXT, 0.1, None, None).corners
     expected = scan_from_corners(motion, CONFIG.likelihood.max_corner_log_depth_sd)
     assert 0 < len(corners) < len(motion.points)
     np.testing.assert_array_equal(corners.points, expected.points)
@@ -104,7 +106,7 @@ def test_depth_is_corrected_before_the_scan_is_taken() -> None:
     motion, scale_tilt = corners_of(PREDICTED, 0.3), ScaleTiltConfig(tilt_sd=0.15)
     front_end = make_front_end(_Odometry(None, motion), CONFIG.model_copy(update={"scale_tilt": scale_tilt}))
     assert front_end.observe(COLOR, 0.0, None, None).depth is PREDICTED  # there is no motion yet
-    observation = front_end.observe(COLOR, 0.1, None, None)
+    observation = front_end.observe(NEXT, 0.1, None, None)
     expected = correct_scale_and_tilt(PREDICTED, motion, scale_tilt)
     assert np.ptp(expected.depth_m) > 0.2
     np.testing.assert_array_equal(observation.depth.depth_m, expected.depth_m)
@@ -123,9 +125,41 @@ def test_measured_depth_replaces_the_networks() -> None:
 
 def test_image_without_contrast_gives_an_empty_scan_of_predicted_depth_only() -> None:
     front_end = make_front_end()
-    assert len(front_end.observe(BLACK, 0.0, None, None).scan) == 0
-    assert len(front_end.observe(BLACK, 0.1, MEASURED, None).scan) == 50
-    assert len(front_end.observe(COLOR, 0.1, None, None).scan) == 50
+    dark = front_end.observe(BLACK, 0.0, None, None)
+    assert len(dark.scan) == 0 and dark.is_empty
+    measured = front_end.observe(BLACK + 1, 0.1, MEASURED, None)
+    assert len(measured.scan) == 50 and not measured.is_empty
+    bright = front_end.observe(COLOR, 0.1, None, None)
+    assert len(bright.scan) == 50 and not bright.is_empty
+
+
+@pytest.mark.parametrize("depth", [None, MEASURED])
+def test_repeated_image_gives_neither_motion_nor_scan(depth: DepthPrediction | None) -> None:
+    """Bit for bit: one level of one pixel makes another image. Odometry goes on from the last new one."""
+    motion = corners_of(PREDICTED, 0.0)
+    odometry = _Odometry(None, motion, motion)
+    front_end = make_front_end(odometry)
+    almost = COLOR.copy()
+    almost[5, 7, 1] ^= 1
+    new = [front_end.observe(color, 0.1, depth, None) for color in (COLOR, almost)]
+    assert [observation.repeated_s for observation in new] == [0.0, 0.0] and new[1].motion is motion
+    repeated = [front_end.observe(almost.copy(), elapsed_s, depth, None) for elapsed_s in (0.1, 0.25)]
+    assert [observation.repeated_s for observation in repeated] == pytest.approx([0.1, 0.35])
+    assert odometry.calls == 2
+    for observation in repeated:
+        assert observation.motion is None and not observation.odometry_tracked
+        assert len(observation.scan) == len(observation.corners) == 0
+    moved = front_end.observe(COLOR, 0.1, depth, None)
+    assert moved.repeated_s == 0.0 and moved.motion is motion and len(moved.scan) == 50
+    assert front_end.observe(COLOR, 0.1, depth, None).repeated_s == pytest.approx(0.1)
+
+
+def test_image_that_its_owner_overwrites_is_not_a_repeated_one() -> None:
+    """A camera driver that gives the same buffer with every frame."""
+    front_end, buffer = make_front_end(), COLOR.copy()
+    front_end.observe(buffer, 0.0, None, None)
+    buffer[:] = NEXT
+    assert front_end.observe(buffer, 0.1, None, None).repeated_s == 0.0
 
 
 @pytest.mark.parametrize(("pixels", "enough"), [(0, False), (9, False), (10, True)])

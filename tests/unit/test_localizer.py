@@ -31,6 +31,7 @@ from synthetic_room import (
     depth_from_blue,
     follow,
     make_localizer,
+    plausible_integrity,
     poses_of,
     sparse_depth,
 )
@@ -67,18 +68,17 @@ def test_refused_frame_changes_nothing(
     np.testing.assert_array_equal(*after)
 
 
-@pytest.mark.parametrize(("reference_poses", "relocalization_sd_m"), [(0, 0.1), (10, 0.6)])
+@pytest.mark.parametrize(("reference_poses", "search_precision"), [(0, 0.9), (10, 0.4)])
 def test_start_must_be_given_where_the_room_cannot_be_searched(
     mixture: GaussianMixture,
     recording: RoomRecording,
     thresholds: LikelihoodThresholds,
     reference_poses: int,
-    relocalization_sd_m: float,
+    search_precision: float,
 ) -> None:
-    bias = SETTINGS.particle_bias.model_copy(update={"relocalization_sd_m": relocalization_sd_m})
-    settings = SETTINGS.model_copy(update={"particle_bias": bias})
-    with pytest.raises(ValueError, match="start must be given: this room does not support relocalisation"):
-        make_localizer(mixture, thresholds, None, recording.poses[:reference_poses], settings=settings)
+    integrity = plausible_integrity(thresholds, search_precision)
+    with pytest.raises(ValueError, match="start must be given: neither scans nor landmarks can find the camera in this room"):
+        make_localizer(mixture, thresholds, None, recording.poses[:reference_poses], integrity=integrity)
 
 
 def test_same_seed_gives_the_same_trajectory_and_another_seed_another(

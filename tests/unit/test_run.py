@@ -19,6 +19,7 @@ from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress
 from monoloc.run import Run, localize
 from monoloc.start import Start
+from monoloc.supervision.state import Reason
 from synthetic_room import SETTINGS, SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path
 
 DOWN = np.array([0.0, 1.0, 0.0])
@@ -38,6 +39,8 @@ def test_silent_frames_are_tracking_and_far_off_or_outside_their_covariance(reco
     covariances[[3, 8]] *= 0.01
     states = ["tracking"] * count
     states[2] = "uncertain"
+    reasons: list[frozenset[Reason]] = [frozenset()] * count
+    reasons[2] = frozenset({Reason.NO_ODOMETRY, Reason.POSITION_WIDE})
     figures = Run(
         recording=recording,
         config=SETTINGS,
@@ -47,12 +50,14 @@ def test_silent_frames_are_tracking_and_far_off_or_outside_their_covariance(reco
         odometry=None,
         unseen=np.arange(count) > 5,
         states=states,
+        reasons=reasons,
         mean_log_likelihoods=np.zeros(count),
         log_scales=np.zeros(count),
         step_ms=np.ones(count),
         landmark_used=np.zeros(count, dtype=np.bool_),
         depth=None,
     ).metrics()
+    assert figures["reasons"] == {"position wide": 1, "no odometry": 1}
     assert (figures["silent_frames_30cm"], figures["unseen_silent_frames_30cm"]) == (2, 1)
     assert (figures["silent_frames_3_5_sigma"], figures["unseen_silent_frames_3_5_sigma"]) == (2, 1)
     assert figures["coverage_95"] == figures["coverage_99"] == pytest.approx(18 / 20)
@@ -72,6 +77,7 @@ def test_dead_reckoning_is_evaluated_from_the_truth_and_from_the_start(recording
             odometry=truth,
             unseen=np.arange(count) > 5,
             states=["tracking"] * count,
+            reasons=[frozenset()] * count,
             mean_log_likelihoods=np.zeros(count),
             log_scales=np.zeros(count),
             step_ms=np.ones(count),
@@ -104,6 +110,22 @@ def test_bias_of_the_network_is_not_subtracted_from_poses_by_sensor_depth(
         rng, start = np.random.default_rng(0), Start(few.poses[0])
         poses.append(localize(bundle, few, start, bundle.settings, rng, NoProgress(), use_sensor_depth=True).poses)
     np.testing.assert_array_equal(*poses)
+
+
+def test_reasons_are_counted_by_frame(mixture: GaussianMixture, recording: RoomRecording) -> None:
+    """Without landmarks and without scans that tell places apart, a wide start is uncertain, and says why."""
+    few = select_frames(recording, ":4")
+    bundle = make_bundle(mixture, few)
+    run = localize(bundle, few, Start(few.poses[0], 0.3, 0.1), SETTINGS, np.random.default_rng(0), NoProgress())
+    counts = run.metrics()["reasons"]
+    assert isinstance(counts, dict)
+    for state, reasons in zip(run.states, run.reasons, strict=True):
+        assert (state == "tracking") == (not reasons)
+    assert counts == {
+        reason.value: sum(reason in reasons for reasons in run.reasons)
+        for reason in Reason
+        if any(reason in reasons for reasons in run.reasons)
+    }
 
 
 def test_direction_of_gravity_rotates_the_poses(mixture: GaussianMixture, recording: RoomRecording) -> None:

@@ -28,6 +28,7 @@ from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress
+from monoloc.supervision.integrity import Classes, IntegrityModel, SensorModel
 from synthetic_room import Room, RoomRecording, depth_from_blue
 
 FRAMES = 16
@@ -46,6 +47,8 @@ RESULT = AdaptResult(
 THRESHOLDS = LikelihoodThresholds(low=-1.0, lost=-2.0)
 BIAS_MODEL = BiasModel(sd_at_reference_m=0.03, sd_at_reference_rad=0.02, sd_growth_m=0.2, sd_growth_rad=0.4)
 BIASES = np.random.default_rng(0).normal(0.0, 0.02, (2, FRAMES, 6))
+SCAN_CLASSES = Classes(edges=(-1.5,), right=(0.1, 0.9), wrong=(0.8, 0.2))
+SENSOR = SensorModel(thresholds=LikelihoodThresholds(low=1.0, lost=0.5), search_precision=0.7)
 REMARK = "a warning about the frames"
 
 Likelihood = tuple[GaussianMixture, LikelihoodConfig]  # stands for a likelihood: what it was made of
@@ -55,9 +58,11 @@ Likelihood = tuple[GaussianMixture, LikelihoodConfig]  # stands for a likelihood
 class Measurements:
     """Stands for a build's measurements: stores their arguments and returns fixed results."""
 
-    relocalization_sd: tuple[float, float] = (0.1, 0.05)
+    relocalization: tuple[float, float, float] = (0.1, 0.05, 0.9)
     calibrated: list[tuple[Likelihood, list[Sample]]] = field(default_factory=list)
     relocalized: list[tuple[Likelihood, list[Sample], FloatArray, LocalizerConfig]] = field(default_factory=list)
+    evidence: list[tuple[Likelihood, list[Sample], FloatArray, LocalizerConfig]] = field(default_factory=list)
+    sensed: list[tuple[Bundle, RoomRecording]] = field(default_factory=list)
     localized: dict[str, Bundle] = field(default_factory=dict)
     regions: list[NDArray[np.int64]] = field(default_factory=list)
     is_tuned: bool = False
@@ -88,9 +93,19 @@ class Measurements:
 
     def measure_relocalization_error(
         self, likelihood: Likelihood, samples: list[Sample], poses: FloatArray, config: LocalizerConfig, *_: Any
-    ) -> tuple[float, float]:
+    ) -> tuple[float, float, float]:
         self.relocalized.append((likelihood, samples, poses, config))
-        return self.relocalization_sd
+        return self.relocalization
+
+    def measure_scan_evidence(
+        self, likelihood: Likelihood, samples: list[Sample], poses: FloatArray, config: LocalizerConfig, _: Any
+    ) -> Classes:
+        self.evidence.append((likelihood, samples, poses, config))
+        return SCAN_CLASSES
+
+    def measure_sensor(self, bundle: Bundle, recording: RoomRecording, *_: Any) -> SensorModel:
+        self.sensed.append((bundle, recording))
+        return SENSOR
 
 
 class _Predictor:
@@ -114,7 +129,13 @@ def measurements(monkeypatch: pytest.MonkeyPatch) -> Measurements:
         "localizer_factory": lambda bundle, seed: bundle,
     } | {
         name: getattr(measurements, name)
-        for name in ("calibrate_likelihood", "measure_bias", "measure_relocalization_error")
+        for name in (
+            "calibrate_likelihood",
+            "measure_bias",
+            "measure_relocalization_error",
+            "measure_scan_evidence",
+            "measure_sensor",
+        )
     }
     for name, replacement in replacements.items():
         monkeypatch.setattr(f"monoloc.builder.pipeline.{name}", replacement)
@@ -164,6 +185,10 @@ def test_held_out_frames_are_measured_with_the_hold_out_run(
     (((mixture, _), relocalized, poses, settings),) = measurements.relocalized
     assert mixture is RESULT.hold_out_map and relocalized is samples and settings.log_scale_sd == 0.123
     np.testing.assert_array_equal(poses, recording.poses)
+    (((mixture, _), *evidence),) = measurements.evidence
+    assert mixture is RESULT.hold_out_map and evidence[0] is samples and evidence[1] is poses
+    ((sensed, sensed_recording),) = measurements.sensed
+    assert sensed.adapted is RESULT.adapted and sensed_recording is recording
     assert measurements.regions is RESULT.held_out
     for name, model, mixture in (("final", final, RESULT.adapted), ("hold-out", hold_out, RESULT.hold_out_map)):
         localized = measurements.localized[name]
@@ -176,23 +201,28 @@ def test_held_out_frames_are_measured_with_the_hold_out_run(
 
 
 @pytest.mark.parametrize(
-    ("relocalization_sd", "warnings"),
-    [((0.97, 0.1), ["one image locates the camera only to 1.0 m: flights need a start"]), ((0.1, 0.6), [])],
+    ("relocalization", "warnings"),
+    [
+        ((0.97, 0.1, 0.49), ["one image locates the camera only to 1.0 m: flights need a start"]),
+        ((0.1, 0.6, 0.5), []),
+    ],
 )
 def test_bundle_and_report_hold_the_measurements_and_warn_of_poor_relocalization(
     recording: RoomRecording,
     measurements: Measurements,
-    relocalization_sd: tuple[float, float],
+    relocalization: tuple[float, float, float],
     warnings: list[str],
 ) -> None:
-    measurements.relocalization_sd = relocalization_sd
+    measurements.relocalization = relocalization
     bundle, report = build(recording)
-    sd_m, sd_rad = relocalization_sd
+    sd_m, sd_rad, precision = relocalization
     assert bundle.settings.particle_bias == BIAS_MODEL.model_copy(
         update={"relocalization_sd_m": sd_m, "relocalization_sd_rad": sd_rad}
     )
     assert bundle.settings.log_scale_sd == 0.123 and bundle.thresholds == THRESHOLDS
-    assert bundle.settings.supports_relocalization == (not warnings)
+    assert bundle.integrity == IntegrityModel(scan=SCAN_CLASSES, scan_search_precision=precision)
+    assert bundle.sensor == SENSOR
+    assert bundle.supports_relocalization == (not warnings)
     assert report.warnings == [REMARK, *warnings]
     figures = (report.nll_start, report.nll_end, report.depth_absrel_before, report.depth_absrel_after)
     assert figures == (2.0, 1.0, 0.2, 0.1)

@@ -57,7 +57,7 @@ def poses_on_a_line(count: int, step_m: float) -> FloatArray:
 
 def measure(
     samples: list[Sample], reference_poses: FloatArray, rng: np.random.Generator, likelihood: ScanLikelihood = None
-) -> tuple[float, float]:
+) -> tuple[float, float, float]:
     return measure_relocalization_error(likelihood, samples, reference_poses, SETTINGS, rng, NoProgress())
 
 
@@ -71,7 +71,8 @@ def test_four_errors_of_five_are_within_the_measured_deviations(monkeypatch: pyt
     samples = [Sample(index, wall_of(index), relocalizer.truth[index]) for index in range(25)]
     samples.insert(4, Sample(25, NO_DEPTH, reference_poses[0]))
     chi = np.sqrt(chi2.ppf(0.8, 3))
-    expected = np.percentile(error_m, 80.0) / chi, np.percentile(error_rad, 80.0) / chi
+    share = (np.count_nonzero(error_m < 0.3) + 1) / (25 + 2)
+    expected = np.percentile(error_m, 80.0) / chi, np.percentile(error_rad, 80.0) / chi, share
     assert measure(samples, reference_poses, rng) == pytest.approx(expected, rel=1e-3)
     assert sorted(relocalizer.searched_from) == list(range(25))
     for index, searched_from in relocalizer.searched_from.items():
@@ -91,6 +92,7 @@ def test_in_a_small_recording_the_search_is_from_the_farthest_pose(monkeypatch: 
 def test_exact_depth_relocalizes_within_decimetres(mixture: GaussianMixture, recording: RoomRecording) -> None:
     samples = [Sample(index, sparse_depth(recording, index), recording.poses[index]) for index in (3, 13)]
     likelihood = RayLikelihood(mixture, SETTINGS.likelihood)
-    sd_m, sd_rad = measure(samples, recording.poses[::10], np.random.default_rng(0), likelihood)
+    sd_m, sd_rad, precision = measure(samples, recording.poses[::10], np.random.default_rng(0), likelihood)
     # Over seeds 0..5: 8 to 13 cm and 0.024 to 0.043.
     assert 0.0 < sd_m < 0.2 and 0.0 < sd_rad < 0.1
+    assert precision == 3 / 4  # both near; two prove little

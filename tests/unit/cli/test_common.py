@@ -183,3 +183,9 @@ def test_tables_are_rounded_and_their_titles_are_not_wrapped_or_interpreted(
     out = capfd.readouterr().out
     assert out.startswith(f"{title}\n")
     assert " 0.333, -0.123, 0.0123 " in out
+
+
+def test_dict_in_a_dict_is_indented_below_its_name() -> None:
+    assert text_of({"share": 0.25, "scan": {"edges": [], "right": [1.0]}, "none": {}}) == (
+        "share: 0.250\nscan:\n  edges: \n  right: 1.000\nnone: "
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,9 @@ import pytest
 
 import synthetic_recordings as synthetic
 from cli_helpers import json_of, refused, succeeds
+from monoloc.bundle import write_bundle
+from monoloc.supervision.integrity import Classes, IntegrityModel
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
 
 
 @pytest.fixture
@@ -44,6 +48,27 @@ def test_video_is_described_with_its_distortion(capfd: pytest.CaptureFixture[str
     assert content["distortion"] == [-0.08, 0.01, 0.001, -0.002, 0.0004]
     assert not content["has_poses"] and not content["has_depth"]
     assert "-0.08, 0.01, 0.001, -0.002, 0.0004" in succeeds(capfd, *command)
+
+
+def test_bundle_says_what_tells_right_from_wrong_beliefs(capfd: pytest.CaptureFixture[str], here: Path) -> None:
+    room = Room()
+    recording = RoomRecording(room, make_path(4), SMALL_CAMERA)
+    scan = Classes(edges=(-1.5,), right=(0.1, 0.9), wrong=(0.75, 0.25))
+    integrity = IntegrityModel(scan=scan, unseen_share=0.2, scan_search_precision=0.8)
+    bundle = replace(make_bundle(room_mixture(room, 20), recording), integrity=integrity)
+    write_bundle(here / "room.monoloc", bundle)
+    content = json_of(capfd, "inspect", "room.monoloc")
+    assert content["supports_relocalization"] and content["supports_scan_search"]
+    assert content["integrity"]["unseen_share"] == 0.2
+    assert content["integrity"]["scan_search_precision"] == 0.8
+    assert content["integrity"]["scan"] == {"edges": [-1.5], "right": [0.1, 0.9], "wrong": [0.75, 0.25]}
+    assert content["sensor"]["thresholds"] is None
+    table = succeeds(capfd, "inspect", "room.monoloc")
+    for part in ("supports_relocalization", "scan_search_precision: 0.800", "edges: -1.500", "wrong: 0.750, 0.250"):
+        assert part in table
+    write_bundle(here / "mute.monoloc", replace(bundle, integrity=IntegrityModel()))
+    content = json_of(capfd, "inspect", "mute.monoloc")
+    assert not content["supports_relocalization"] and not content["supports_scan_search"]
 
 
 def test_missing_file_is_named(capfd: pytest.CaptureFixture[str], here: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -78,7 +80,7 @@ def test_last_state_along_a_line_equals_the_batch_solution() -> None:
     rng = np.random.default_rng(0)
     frames, step_m = 12, 0.1
     bias = BiasModel(sd_at_reference_m=0.05)
-    measured_m = step_m * np.arange(frames) + rng.normal(0.0, 0.06, frames)
+    measured_m = step_m * np.arange(frames) + rng.normal(0.0, 0.03, frames)  # within the gate
     correlation = bias.correlation(step_m)
     state = state_at_start(bias)
     # Rows of a weighted system in positions and biases.
@@ -141,7 +143,7 @@ def test_prediction_carries_the_covariance_to_the_new_cameras_frame(seed: int) -
 def test_second_measurement_with_the_same_bias_reveals_nothing_of_it() -> None:
     """A first measurement with unknown bias, then perfect odometry: only the noise is averaged."""
     prior_sds = BiasModel(sd_at_reference_m=0.05, sd_at_reference_rad=0.03).sds(0.0)[None]
-    state = BiasAugmentedState.from_measurement(by_particles(np.eye(4)), prior_sds)
+    state = BiasAugmentedState.from_measurement(0, np.eye(4), np.diag(NOISE_SD**2), prior_sds)
     state = state.predict(STILL, np.zeros((6, 6)), 1.0, prior_sds).update_from_particles(by_particles(np.eye(4)))
     sds = np.sqrt(np.diag(state.covariance))
     np.testing.assert_allclose(sds[6:], prior_sds[0], rtol=1e-6)
@@ -150,7 +152,7 @@ def test_second_measurement_with_the_same_bias_reveals_nothing_of_it() -> None:
 
 def test_state_from_particles_is_independent_of_the_landmarks_bias() -> None:
     prior_sds = np.stack([PARTICLE_BIAS.sds(0.0), LANDMARK_BIAS.sds(0.0)])
-    state = BiasAugmentedState.from_measurement(by_particles(np.eye(4)), prior_sds)
+    state = BiasAugmentedState.from_measurement(0, np.eye(4), np.diag(NOISE_SD**2), prior_sds)
     np.testing.assert_array_equal(state.covariance[:12, 12:], 0.0)
     np.testing.assert_allclose(np.sqrt(np.diag(state.covariance)[6:]), prior_sds.ravel())
     offset_m = 0.04
@@ -370,7 +372,9 @@ def test_reinitialisation_has_the_error_of_a_relocalisation() -> None:
     fusion, measured = filter_at_origin(bias=bias), by_particles(STEP)
     spread = np.sqrt(measured.covariance[3, 3])
     assert fusion.rotation_sd(measured) == pytest.approx(np.hypot(0.01, spread), rel=1e-6)
+    fusion.predict(None, 3.0, measured)
     belief = fusion.reinitialise(measured)
+    assert fusion.time_since_update_s == 0.0
     np.testing.assert_array_equal(belief.pose, STEP)
     expected = np.hypot(NOISE_SD, np.repeat([0.3, 0.2], 3))
     np.testing.assert_allclose(np.sqrt(np.diag(belief.covariance)), expected, rtol=1e-6)
@@ -441,17 +445,58 @@ def test_landmarks_reveal_the_particles_bias() -> None:
     assert errors_m[10] < 0.03 < 0.05 < errors_m[0]
 
 
-def test_landmark_pose_beyond_the_gate_hardly_counts_until_it_is_repeated() -> None:
+def by_few_landmarks(pose: FloatArray) -> LandmarkPose:
+    return replace(by_landmarks(pose), points=np.zeros((19, 3)))
+
+
+def test_pose_of_few_landmarks_beyond_the_gate_hardly_counts_until_it_is_repeated() -> None:
     """A metre off a belief of centimetres."""
     fusion = filter_with(by_particles(np.eye(4)), np.eye(4))
     wrong = along_x(1.0)
     frame(fusion, None, by_particles(np.eye(4)), 0.0)
-    once = fusion.update_from_landmarks(by_landmarks(wrong))
+    once = fusion.update_from_landmarks(by_few_landmarks(wrong))
     assert np.linalg.norm(once.pose[:3, 3]) < 0.1
     for _ in range(100):
         frame(fusion, motion_of(STILL), by_particles(wrong))
-        belief = fusion.update_from_landmarks(by_landmarks(wrong))
+        belief = fusion.update_from_landmarks(by_few_landmarks(wrong))
     assert np.linalg.norm(belief.pose[:3, 3] - wrong[:3, 3]) < 0.15
+
+
+def test_belief_that_many_landmarks_contradict_begins_anew_at_their_pose() -> None:
+    fusion = filter_with(by_particles(np.eye(4)), np.eye(4))
+    frame(fusion, None, by_particles(np.eye(4)), 0.0)
+    belief = fusion.update_from_landmarks(by_landmarks(along_x(1.0)))
+    np.testing.assert_array_equal(belief.pose, along_x(1.0))
+    # Noise and landmarks' bias a metre away from the reference pose.
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(belief.covariance)), np.hypot(NOISE_SD, LANDMARK_BIAS.sds(1.0)), rtol=1e-4
+    )
+
+
+def test_relocalisation_by_landmarks_counts_only_them() -> None:
+    """And as an update: the next frame without odometry is not one of many."""
+    fusion = filter_at_origin()
+    for _ in range(20):
+        fusion.predict(None, ELAPSED_S, by_particles(np.eye(4)))
+    belief = fusion.reinitialise_from_landmarks(by_landmarks(STEP))
+    np.testing.assert_array_equal(belief.pose, STEP)
+    assert fusion.time_since_update_s == 0.0 and fusion.belief.pose is belief.pose
+    # The particles' next pose does not replace it, as it would after a second without odometry.
+    fusion.predict(None, ELAPSED_S, by_particles(along_x(0.1)))
+    belief = fusion.update_from_particles(by_particles(along_x(0.1)))
+    assert not np.allclose(belief.pose, along_x(0.1), atol=1e-3)
+
+
+def test_particles_contradict_the_belief_beyond_the_usual_bias_whatever_bias_was_estimated() -> None:
+    """The estimated bias follows the particles wherever they go."""
+    fusion = filter_with(by_particles(np.eye(4)), np.eye(4))
+    near, far = along_x(0.1), along_x(0.5)
+    assert not fusion.contradicts(by_particles(near)) and fusion.contradicts(by_particles(far))
+    for _ in range(60):
+        frame(fusion, motion_of(STILL), by_particles(far))
+        fusion.update_from_landmarks(by_landmarks(np.eye(4)))
+    assert fusion._state.biases[0, 0] > 0.3  # by now, half a metre is what the filter expects
+    assert fusion.contradicts(by_particles(far)) and not fusion.contradicts(by_particles(near))
 
 
 def test_landmarks_replace_odometry_as_a_reason_to_trust_the_belief() -> None:

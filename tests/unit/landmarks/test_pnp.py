@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from monoloc.builder.landmark_mapping import build_landmarks
 from monoloc.camera import Camera
 from monoloc.evaluation.trajectory import pose_errors
-from monoloc.geometry import FloatArray, invert, se3_exp, se3_log, transform
+from monoloc.geometry import FloatArray, invert, make_pose, se3_exp, se3_log, transform
 from monoloc.landmarks.features import KeypointDetector, Keypoints
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.landmarks.pnp import PRIOR_COVARIANCE as PRIOR
-from monoloc.landmarks.pnp import OrbLandmarkLocalizer, pose_from_matches
+from monoloc.landmarks.pnp import LandmarkMeasurement, NoLandmarks, OrbLandmarkLocalizer, pose_from_matches
 from monoloc.progress import NoProgress
+from monoloc.supervision.camera_check import WELL_OBSERVED_SD
 from synthetic_room import BLACK, CAMERA, Room, RoomRecording, make_path
 
 BUILD_POSES, FLIGHT_POSES = make_path(60)[::3], make_path(60, start_s=0.03)  # the same path, half a frame apart
@@ -49,8 +52,8 @@ def test_pose_is_exact_despite_two_fifths_of_wrong_matches(seed):
     points, pixels = seen_from(pose, rng)
     wrong = rng.choice(80, 32, replace=False)
     pixels[wrong] += rng.uniform(-40.0, 40.0, (32, 2))
-    found = pose_from_matches(points, keypoints_at(pixels), CAMERA, near(pose, rng), PRIOR)
-    assert found is not None and 48 <= len(found.points) <= 55
+    count, found = pose_from_matches(points, keypoints_at(pixels), CAMERA, near(pose, rng), PRIOR)
+    assert found is not None and 48 <= len(found.points) <= 55 and count == len(found.points)
     errors = pose_errors(found.pose[None], pose[None])
     assert errors.position_m[0] < 0.01 and errors.rotation_rad[0] < 0.004
 
@@ -62,7 +65,7 @@ def test_pose_does_not_contain_the_prior():
     points, pixels = seen_from(pose, rng)
     pixels += rng.normal(size=pixels.shape)
     one, other = (
-        pose_from_matches(points, keypoints_at(pixels), CAMERA, pose @ se3_exp(np.full(6, off)), PRIOR)
+        pose_from_matches(points, keypoints_at(pixels), CAMERA, pose @ se3_exp(np.full(6, off)), PRIOR)[1]
         for off in (-0.02, 0.02)
     )
     assert one is not None and other is not None
@@ -83,7 +86,7 @@ def test_squared_errors_match_the_covariance(camera):
         points, pixels = seen_from(pose, rng, camera)
         sd_px = rng.uniform(0.5, 2.0, 80)
         pixels += sd_px[:, None] * rng.normal(size=pixels.shape)
-        found = pose_from_matches(points, keypoints_at(pixels, sd_px), camera, near(pose, rng), PRIOR)
+        _, found = pose_from_matches(points, keypoints_at(pixels, sd_px), camera, near(pose, rng), PRIOR)
         assert found is not None
         error = se3_log(invert(found.pose) @ pose)
         squares.append(error @ np.linalg.solve(found.covariance, error))
@@ -94,7 +97,7 @@ def test_squared_errors_match_the_covariance(camera):
 def test_exact_prior_is_accepted():
     rng = np.random.default_rng(2)
     points, pixels = seen_from(np.eye(4), rng)
-    found = pose_from_matches(points, keypoints_at(pixels), CAMERA, np.eye(4), np.zeros((6, 6)))
+    _, found = pose_from_matches(points, keypoints_at(pixels), CAMERA, np.eye(4), np.zeros((6, 6)))
     assert found is not None
     np.testing.assert_allclose(found.pose, np.eye(4), atol=1e-6)
 
@@ -102,11 +105,41 @@ def test_exact_prior_is_accepted():
 def test_too_few_or_too_concentrated_points_give_no_pose():
     rng = np.random.default_rng(3)
     points, pixels = seen_from(np.eye(4), rng)
-    assert pose_from_matches(points[:14], keypoints_at(pixels[:14]), CAMERA, np.eye(4), PRIOR) is None
-    assert pose_from_matches(points[:0], keypoints_at(pixels[:0]), CAMERA, np.eye(4), PRIOR) is None
+    assert pose_from_matches(points[:14], keypoints_at(pixels[:14]), CAMERA, np.eye(4), PRIOR) == (14, None)
+    assert pose_from_matches(points[:0], keypoints_at(pixels[:0]), CAMERA, np.eye(4), PRIOR) == (0, None)
     # All at one place, seen from afar: the camera's position around it is undetermined.
     narrow = np.array([0.0, 0.0, 4.0]) + 0.02 * rng.normal(size=(80, 3))
-    assert pose_from_matches(narrow, keypoints_at(CAMERA.project(narrow)), CAMERA, np.eye(4), PRIOR) is None
+    seen = keypoints_at(CAMERA.project(narrow))
+    assert pose_from_matches(narrow, seen, CAMERA, np.eye(4), PRIOR) == (80, None)
+
+
+@pytest.mark.parametrize("factor", [0.8, 0.9, 1.0, 1.1, 1.3])
+def test_wrong_focal_length_is_recovered(factor: float) -> None:
+    """From a pose near the true one; the corners' noise explains what remains."""
+    rng = np.random.default_rng(5)
+    true = replace(CAMERA, fx=factor * CAMERA.fx, fy=factor * CAMERA.fy)
+    deviations = []
+    for _ in range(30):
+        pose = se3_exp(rng.normal(size=6))
+        points, pixels = seen_from(pose, rng, true)
+        seen = keypoints_at(pixels + rng.normal(size=pixels.shape))
+        _, found = pose_from_matches(points, seen, CAMERA, near(pose, rng), PRIOR)
+        if found is None:
+            continue
+        assert found.log_focal_sd < 0.01
+        deviations.append((found.log_focal - np.log(factor)) / found.log_focal_sd)
+    assert len(deviations) > 20
+    assert np.median(np.abs(deviations)) < 1.5 and np.percentile(np.abs(deviations), 90.0) < 4.0
+
+
+def test_focal_length_is_undetermined_where_all_points_are_at_one_depth_and_near_the_centre() -> None:
+    """A step along the view looks the same."""
+    rng = np.random.default_rng(6)
+    pixels = rng.uniform((120.0, 90.0), (200.0, 165.0), (80, 2))
+    points = 3.0 * CAMERA.rays(pixels)
+    seen = keypoints_at(pixels + rng.normal(size=pixels.shape), 1.0)
+    _, found = pose_from_matches(points, seen, CAMERA, np.eye(4), PRIOR)
+    assert found is not None and found.log_focal_sd > 5.0 * WELL_OBSERVED_SD
 
 
 # --- The pose in a room ---
@@ -115,7 +148,7 @@ def test_too_few_or_too_concentrated_points_give_no_pose():
 @pytest.fixture(scope="module")
 def localizer() -> OrbLandmarkLocalizer:
     recording = RoomRecording(Room(), BUILD_POSES)
-    landmarks, _ = build_landmarks(recording, recording.depth, NoProgress())
+    landmarks, _, _ = build_landmarks(recording, recording.depth, NoProgress())
     return OrbLandmarkLocalizer(landmarks, CAMERA)
 
 
@@ -123,7 +156,7 @@ def test_camera_is_relocalized_by_one_image(localizer: OrbLandmarkLocalizer) -> 
     """Without a prior, or with one that is too vague."""
     for pose in FLIGHT_POSES[5::20]:
         color, _ = Room().view(pose)
-        for found in (localizer.relocalize(color), localizer.measure(color, BUILD_POSES[0], VAGUE_PRIOR)):
+        for found in (localizer.relocalize(color), localizer.measure(color, BUILD_POSES[0], VAGUE_PRIOR).pose):
             assert found is not None and len(found.points) >= 20
             errors = pose_errors(found.pose[None], pose[None])
             assert errors.position_m[0] < 0.03 and errors.rotation_rad[0] < 0.015
@@ -135,15 +168,36 @@ def test_no_pose_in_the_dark_or_in_another_room(localizer: OrbLandmarkLocalizer)
     for pose in FLIGHT_POSES[::20]:
         for color in (BLACK, other.view(pose)[0]):
             assert localizer.relocalize(color) is None
-            assert localizer.measure(color, pose, PRIOR) is None
+            measured = localizer.measure(color, pose, PRIOR)
+            assert measured.pose is None and measured.found < 8 and measured.expected > 100
+
+
+def test_landmarks_in_view_are_expected_and_found_where_the_camera_is(localizer: OrbLandmarkLocalizer) -> None:
+    """At a prior 1.5 m beside the camera, as many are in view, but few agree on a pose near it."""
+    pose = FLIGHT_POSES[30]
+    color, _ = Room().view(pose)
+    right = localizer.measure(color, pose, PRIOR)
+    detected = localizer._detect.camera
+    in_view = detected.in_sight(transform(invert(pose), localizer._landmarks.points))
+    assert right.pose is not None and right.found == len(right.pose.points) > 60
+    assert right.expected == np.count_nonzero(in_view) > right.found
+    wrong = localizer.measure(color, pose @ se3_exp([1.0, 0.0, -0.5, 0.0, 0.3, 0.0]), PRIOR)
+    assert wrong.expected > 60 and wrong.found < 0.2 * right.found and wrong.pose is None
+    away = make_pose(np.eye(3), np.array([0.0, -50.0, 0.0]))
+    assert localizer.measure(color, away, PRIOR).expected == 0
+
+
+def test_room_without_landmarks_expects_none() -> None:
+    assert NoLandmarks().measure(BLACK, np.eye(4), PRIOR) == LandmarkMeasurement(0, 0, None)
+    assert NoLandmarks().relocalize(BLACK) is None
 
 
 def test_dim_images_show_most_landmarks(localizer: OrbLandmarkLocalizer) -> None:
     pose = FLIGHT_POSES[30]
     color, _ = Room().view(pose)
     bright, dim = (localizer.measure((color / factor).astype(np.uint8), pose, PRIOR) for factor in (1, 8))
-    assert bright is not None and dim is not None
-    assert len(dim.points) > 0.5 * len(bright.points)
+    assert bright.pose is not None and dim.pose is not None
+    assert dim.expected == bright.expected and dim.found > 0.5 * bright.found
 
 
 def test_camera_of_another_focal_length_is_localized(localizer: OrbLandmarkLocalizer) -> None:
@@ -151,7 +205,7 @@ def test_camera_of_another_focal_length_is_localized(localizer: OrbLandmarkLocal
     camera, pose = Camera(640, 480, 700.0, 700.0, 319.5, 239.5), FLIGHT_POSES[20]
     color, _ = Room().view(pose, camera)
     other = OrbLandmarkLocalizer(localizer._landmarks, camera)
-    found = other.measure(color, pose @ se3_exp(np.full(6, 0.02)), PRIOR)
+    found = other.measure(color, pose @ se3_exp(np.full(6, 0.02)), PRIOR).pose
     assert found is not None
     assert pose_errors(found.pose[None], pose[None]).position_m[0] < 0.02
 
@@ -169,6 +223,6 @@ def test_search_radius_is_that_of_visible_landmarks() -> None:
     seen = Keypoints(camera.project(close), landmarks.descriptors[:120], np.ones(120))
     prior = se3_exp([0.03, -0.03, 0.0, 0.0, 0.0, 0.0])  # 16 pixels for what is close, one or two for the rest
     covariance = np.diag([0.02, 0.02, 0.02, 0.003, 0.003, 0.003]) ** 2
-    found = OrbLandmarkLocalizer(landmarks, CAMERA).measure_keypoints(seen, prior, covariance)
+    found = OrbLandmarkLocalizer(landmarks, CAMERA).measure_keypoints(seen, prior, covariance).pose
     assert found is not None and len(found.points) > 100
     np.testing.assert_allclose(found.pose, np.eye(4), atol=1e-3)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from map_helpers import motion_of
-from monoloc.geometry import se3_exp
-from monoloc.particle_filter.estimate import estimate
+from monoloc.geometry import invert, se3_exp, se3_log
+from monoloc.particle_filter.estimate import Estimate, estimate
 from monoloc.particle_filter.filter import ParticleFilter
 from monoloc.particle_filter.motion_model import MotionConfig, predict
 from monoloc.particle_filter.particles import Particles, normalised, scatter
@@ -38,3 +38,20 @@ def test_update_estimates_before_it_resamples() -> None:
     np.testing.assert_array_equal(belief.covariance, estimate(weighed).covariance)
     assert weighed.effective_sample_size < 0.5 * len(START)
     np.testing.assert_allclose(particle_filter.particles.weights, 1.0 / len(START))
+
+
+def test_particles_drawn_anew_are_distributed_as_a_pose_and_keep_their_scales() -> None:
+    rng = np.random.default_rng(2)
+    factor = 0.1 * rng.normal(size=(6, 6))
+    around = Estimate(se3_exp(rng.normal(size=6)), factor @ factor.T, 0.0)
+    particle_filter = ParticleFilter(
+        scatter(np.eye(4), 20000, 0.1, 0.05, 0.05, rng), NOISE, 0.05, 0.5, np.random.default_rng(1)
+    )
+    log_scale = particle_filter.particles.log_scale
+    particle_filter.redraw(around)
+    drawn = particle_filter.particles
+    np.testing.assert_array_equal(drawn.log_scale, log_scale)
+    np.testing.assert_allclose(drawn.weights, 1.0 / 20000)
+    twists = se3_log(invert(around.pose) @ drawn.poses)
+    np.testing.assert_allclose(np.cov(twists.T), around.covariance, atol=0.03 * np.trace(around.covariance))
+    np.testing.assert_allclose(twists.mean(axis=0), 0.0, atol=0.01)

@@ -121,6 +121,14 @@ def test_plotted_values_are_those_of_the_run(shown, bundle):
         np.testing.assert_allclose(np.concatenate(list(values.values())), expected, atol=1e-9)
     states = recorded.frames("/state", "StateChange:state")
     assert [state for (state,) in states.values()] == run.states
+    texts = [text for (text,) in recorded.frames("/reasons", "TextDocument:text").values()]
+    assert len(texts) == FRAMES
+    for text, state, reasons in zip(texts, run.states, run.reasons, strict=True):
+        said, _, listed = text.partition(": ")
+        assert said == state and set(filter(None, listed.split(", "))) == {reason.value for reason in reasons}
+    far = np.concatenate(list(recorded.frames("/probability_far", "Scalars:scalars").values()))
+    assert len(far) == FRAMES and np.all((far >= 0.0) & (far <= 1.0))
+    assert np.all(far[np.array(run.states) == "tracking"] < 0.05)
 
 
 def covariances_of(half_sizes: Any, quaternions: Any, sigmas: float) -> NDArray[np.float64]:
