@@ -212,14 +212,13 @@ def test_localize_searches_the_room_where_no_start_is_known(capfd: Capture, here
     assert errors.position_m.max() < 0.1
 
 
-def test_unknown_start_is_refused_where_one_image_does_not_locate_the_camera(capfd: Capture, here: Path) -> None:
+def test_unknown_start_is_refused_where_nothing_can_find_the_camera(capfd: Capture, here: Path) -> None:
     room = read_bundle(here / "room.monoloc")
-    bias = room.settings.particle_bias.model_copy(update={"relocalization_sd_m": 0.97})
-    write_bundle(
-        here / "room.monoloc", replace(room, settings=room.settings.model_copy(update={"particle_bias": bias}))
-    )
+    precise = room.sensor.model_copy(update={"search_precision": 0.9})
+    integrity = room.integrity.model_copy(update={"scan_search_precision": 0.4})
+    write_bundle(here / "room.monoloc", replace(room, integrity=integrity, sensor=precise))
     command = ("localize", "room.monoloc", "flight", "--start", "unknown", "--out", "trajectory.txt")
-    problem = r"is unknown, and one image locates the camera only to 1\.0 m"
+    problem = "is unknown, and neither scans nor landmarks can find the camera in this room"
     refused(capfd, here, command, "--start", problem, "write TX,TY,TZ,QX,QY,QZ,QW")
     by_sensor = json_of(capfd, *command, "--depth", "sensor")
     assert by_sensor["depth"] == "sensor" and by_sensor["frames"] == FRAMES

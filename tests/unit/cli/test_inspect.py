@@ -11,6 +11,7 @@ import pytest
 import synthetic_recordings as synthetic
 from cli_helpers import json_of, refused, succeeds
 from monoloc.bundle import write_bundle
+from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.supervision.integrity import Classes, IntegrityModel
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
 
@@ -55,7 +56,11 @@ def test_bundle_says_what_tells_right_from_wrong_beliefs(capfd: pytest.CaptureFi
     recording = RoomRecording(room, make_path(4), SMALL_CAMERA)
     scan = Classes(edges=(-1.5,), right=(0.1, 0.9), wrong=(0.75, 0.25))
     integrity = IntegrityModel(scan=scan, unseen_share=0.2, scan_search_precision=0.8)
-    bundle = replace(make_bundle(room_mixture(room, 20), recording), integrity=integrity)
+    bundle = replace(
+        make_bundle(room_mixture(room, 20), recording),
+        integrity=integrity,
+        reference_poses=ReferencePoses.without_bias(recording.poses),
+    )
     write_bundle(here / "room.monoloc", bundle)
     content = json_of(capfd, "inspect", "room.monoloc")
     assert content["supports_relocalization"] and content["supports_scan_search"]

@@ -1,0 +1,226 @@
+"""The probability that a belief is wrong."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import norm
+
+from monoloc.landmarks.pnp import LandmarkMeasurement
+from monoloc.particle_filter.estimate import Estimate
+from monoloc.supervision.integrity import LANDMARK_EDGES, Classes, IntegrityModel, IntegrityMonitor
+
+FRAME_S = 1.0 / 15.0
+MODEL = IntegrityModel(
+    scan=Classes(edges=(0.0, 1.0), right=(0.05, 0.25, 0.7), wrong=(0.7, 0.2, 0.1)),
+    landmarks=Classes(edges=LANDMARK_EDGES, right=(0.02, 0.03, 0.05, 0.1, 0.8), wrong=(0.8, 0.1, 0.05, 0.03, 0.02)),
+    unseen_share=0.2,
+    scan_search_precision=0.9,
+)
+FITS, MISFIT, SILENT = 2.0, -1.0, math.nan
+SEEN, ABSENT = LandmarkMeasurement(100, 60), LandmarkMeasurement(100, 0)
+TRACKING_BELOW, SUSPECTED = 0.05, 0.5
+
+
+def make_monitor(model: IntegrityModel = MODEL, is_searched: bool = False) -> IntegrityMonitor:
+    return IntegrityMonitor(model, is_searched)
+
+
+def after(
+    monitor: IntegrityMonitor,
+    seconds: float,
+    scan: float = SILENT,
+    landmarks: LandmarkMeasurement | None = None,
+    odometry_tracked: bool = True,
+    image_is_new: bool = True,
+) -> float:
+    """The probability of a wrong belief after frames that are all alike."""
+    for _ in range(round(seconds / FRAME_S)):
+        monitor.predict(FRAME_S, odometry_tracked, image_is_new)
+        monitor.update(scan, landmarks)
+    return monitor.probability_wrong
+
+
+# --- Classes ---
+
+
+def test_classes_are_the_measured_shares() -> None:
+    rng = np.random.default_rng(0)
+    right, wrong = rng.normal(2.0, 1.0, 4000), rng.normal(0.0, 1.0, 4000)
+    classes = Classes.from_values((0.0, 1.0, 2.0), right, wrong)
+    assert classes.edges == (0.0, 1.0, 2.0)
+    bounds = np.array([-np.inf, 0.0, 1.0, 2.0, np.inf])
+    np.testing.assert_allclose(classes.right, np.diff(norm.cdf(bounds - 2.0)), atol=0.02)
+    np.testing.assert_allclose(classes.wrong, np.diff(norm.cdf(bounds)), atol=0.02)
+    for value, index in ((-5.0, 0), (0.5, 1), (1.0, 1), (1.01, 2), (9.0, 3), (-np.inf, 0)):
+        assert classes.likelihoods(value) == (classes.right[index], classes.wrong[index])
+
+
+def test_no_class_is_impossible() -> None:
+    """However few values: the pseudo-count keeps a frame from settling the matter."""
+    classes = Classes.from_values((1.0,), [2.0, 2.0], [0.0])
+    assert classes.right == pytest.approx((0.5 / 3.0, 2.5 / 3.0)) and classes.wrong == pytest.approx((0.75, 0.25))
+
+
+def test_single_class_remains_where_wrong_poses_fit_as_well_as_right_ones() -> None:
+    values = np.random.default_rng(0).normal(size=200)
+    for right, wrong in ((values, values + 0.3), (values, np.full(200, 3.0))):
+        classes = Classes.from_values((-1.0, 0.0, 1.0), right, wrong)
+        assert classes.likelihoods(-9.0)[0] / classes.likelihoods(-9.0)[1] == pytest.approx(1.0)
+        assert classes == Classes()
+
+
+samples = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=40)
+
+
+@given(samples, samples, st.lists(st.floats(-3.0, 3.0), max_size=6, unique=True).map(sorted))
+def test_higher_values_never_speak_less_for_a_right_pose(
+    right: list[float], wrong: list[float], edges: list[float]
+) -> None:
+    classes = Classes.from_values(edges, right, wrong)
+    assert set(classes.edges) <= set(edges) and len(classes.right) == len(classes.wrong) == len(classes.edges) + 1
+    assert sum(classes.right) == pytest.approx(1.0) and sum(classes.wrong) == pytest.approx(1.0)
+    assert min(*classes.right, *classes.wrong) > 0.0
+    ratios = np.divide(classes.right, classes.wrong)
+    assert np.all(np.diff(ratios) > -1e-9)
+
+
+def test_edges_between_fits_are_percentiles_of_right_ones() -> None:
+    alike = IntegrityModel.scan_classes(np.ones(50), np.zeros(50))
+    assert len(alike.edges) <= 1
+    apart = IntegrityModel.scan_classes(np.linspace(1.0, 2.0, 101), np.zeros(50))
+    assert apart.edges == pytest.approx((1.05, 1.2, 1.5))
+    assert IntegrityModel.landmark_classes([100.0] * 50, [0.0] * 50).edges == LANDMARK_EDGES
+
+
+# --- The monitor ---
+
+
+def test_belief_whose_landmarks_are_seen_is_soon_believed() -> None:
+    monitor = make_monitor()
+    given_start = monitor.probability_wrong
+    assert after(monitor, 0.2, landmarks=SEEN) < 0.3 * given_start
+    assert after(monitor, 1.0, landmarks=SEEN) < 0.002
+
+
+def test_scans_that_fit_say_the_same_more_slowly() -> None:
+    by_scans, by_landmarks = make_monitor(), make_monitor()
+    assert after(by_landmarks, 0.5, landmarks=SEEN) < after(by_scans, 0.5, FITS) < 0.05
+    assert after(make_monitor(), 3.0, MISFIT) > SUSPECTED
+
+
+def test_landmarks_that_are_absent_for_a_second_do_not_end_an_unbroken_chain() -> None:
+    """Blur or a dark corner, rather than a displaced camera: odometry followed it all the way."""
+    monitor = make_monitor()
+    after(monitor, 2.0, landmarks=SEEN)
+    assert after(monitor, 1.0, landmarks=ABSENT) < TRACKING_BELOW
+
+
+def test_given_start_whose_landmarks_are_absent_is_soon_doubted() -> None:
+    assert after(make_monitor(), 0.3, landmarks=ABSENT) > TRACKING_BELOW
+
+
+def test_kidnapped_camera_is_suspected_within_half_a_second() -> None:
+    """Odometry breaks once, and goes on elsewhere, where the belief's landmarks are absent."""
+    monitor = make_monitor()
+    after(monitor, 2.0, FITS, SEEN)
+    assert after(monitor, FRAME_S, MISFIT, ABSENT, odometry_tracked=False) > TRACKING_BELOW
+    assert after(monitor, 0.4, MISFIT, ABSENT) > 4.0 * TRACKING_BELOW
+
+
+def test_without_odometry_doubt_grows_and_more_where_it_breaks_on_an_image() -> None:
+    still, broken = make_monitor(), make_monitor()
+    for monitor in (still, broken):
+        after(monitor, 2.0, landmarks=SEEN)
+    dark = [after(still, FRAME_S, odometry_tracked=False, image_is_new=False) for _ in range(20)]
+    bright = [after(broken, FRAME_S, odometry_tracked=False) for _ in range(20)]
+    assert np.all(np.diff(dark) > 0.0) and np.all(np.diff(bright) > 0.0)
+    assert dark[0] < 0.03 < 0.09 < bright[0]
+    assert dark[-1] == pytest.approx(1.0 - math.exp(-0.3 * 20 * FRAME_S), abs=0.01)
+    # With odometry, hardly at all.
+    monitor = make_monitor()
+    after(monitor, 2.0, landmarks=SEEN)
+    assert after(monitor, 10.0) < 0.02
+
+
+def test_frames_without_evidence_or_with_few_landmarks_in_view_change_nothing() -> None:
+    monitor = make_monitor()
+    before = monitor.probability_wrong
+    monitor.update(SILENT, None)
+    monitor.update(SILENT, LandmarkMeasurement(29, 0))
+    assert monitor.probability_wrong == pytest.approx(before)
+    monitor.update(SILENT, LandmarkMeasurement(30, 0))
+    assert monitor.probability_wrong > before
+
+
+def test_room_without_evidence_leaves_the_probability_to_the_motion() -> None:
+    monitor = make_monitor(IntegrityModel())
+    before = monitor.probability_wrong
+    monitor.update(-np.inf, LandmarkMeasurement(100, 0))
+    monitor.update(5.0, LandmarkMeasurement(100, 80))
+    assert monitor.probability_wrong == pytest.approx(before)
+
+
+def test_evidence_counts_by_time_and_not_by_frames() -> None:
+    """A camera of twice the rate gives no more independent observations."""
+    fast, slow = make_monitor(), make_monitor()
+    for _ in range(4):
+        fast.predict(0.05, True, True)
+        fast.update(FITS, SEEN)
+    for _ in range(2):
+        slow.predict(0.1, True, True)
+        slow.update(FITS, SEEN)
+    assert math.log(fast.probability_wrong) == pytest.approx(math.log(slow.probability_wrong), abs=0.2)
+
+
+def test_searches_set_the_probability() -> None:
+    monitor = make_monitor(is_searched=True)
+    assert monitor.probability_wrong == 1.0
+    monitor.found_by_landmarks()
+    assert 0.0 < monitor.probability_wrong < TRACKING_BELOW
+    monitor.lose()
+    assert monitor.probability_wrong == 1.0
+    monitor.found_by_scan()  # twice, each right in nine of ten
+    assert monitor.probability_wrong == pytest.approx(0.01)
+
+
+frames = st.lists(
+    st.tuples(
+        st.floats(0.0, 10.0),
+        st.booleans(),
+        st.booleans(),
+        st.sampled_from([FITS, 0.5, MISFIT, SILENT, -np.inf]),
+        st.sampled_from([None, SEEN, ABSENT, LandmarkMeasurement(10, 3), LandmarkMeasurement(60, 20)]),
+    ),
+    max_size=60,
+)
+
+
+@given(frames, st.booleans(), st.sampled_from([MODEL, IntegrityModel()]))
+def test_probabilities_are_probabilities_after_any_frames(
+    given_frames: list[tuple[float, bool, bool, float, LandmarkMeasurement | None]],
+    is_searched: bool,
+    model: IntegrityModel,
+) -> None:
+    monitor = make_monitor(model, is_searched)
+    for elapsed_s, odometry_tracked, image_is_new, scan, landmarks in given_frames:
+        monitor.predict(elapsed_s, odometry_tracked, image_is_new)
+        assert monitor._probabilities.sum() == pytest.approx(1.0)
+        monitor.update(scan, landmarks)
+        assert monitor._probabilities.sum() == pytest.approx(1.0)
+        assert np.all(monitor._probabilities >= 0.0) and 0.0 <= monitor.probability_wrong <= 1.0
+
+
+@pytest.mark.parametrize("sd_m", [0.0, 0.01, 0.1, 0.15, 0.3, 2.0])
+def test_position_is_far_off_where_the_belief_is_wrong_or_wide(sd_m: float) -> None:
+    """By the least certain axis."""
+    covariance = np.diag([0.2 * sd_m, sd_m, 0.5 * sd_m, 0.1, 0.1, 0.1]) ** 2
+    monitor = make_monitor()
+    wrong = monitor.probability_wrong
+    beyond = 2.0 * norm.sf(0.3, scale=sd_m) if sd_m > 0.0 else 0.0
+    far = monitor.probability_far(Estimate(np.eye(4), covariance, 0.0))
+    assert far == pytest.approx(wrong + (1.0 - wrong) * beyond, abs=1e-12)
