@@ -25,7 +25,7 @@ from monoloc.particle_filter.estimate import Estimate
 from monoloc.progress import Progress
 from monoloc.sensor_depth import sensor_bundle, sensor_settings, sparse_depth
 from monoloc.start import Start
-from monoloc.supervision.state import State
+from monoloc.supervision.state import Reason, State
 from monoloc.viz.viewer import NoViewer, Viewer
 
 _COMPARE_WIDTH = 160  # width at which predicted and sensor depth are compared
@@ -42,7 +42,7 @@ class Run:
         odometry: (N, 4, 4) dead reckoning from the first true pose, else from the start, else from the first
             estimate; None if no motion was measured.
         unseen: (N,) frames that the bundle was not built from.
-        states: of the frames.
+        states, reasons: of the frames; a frame that is *tracking* has no reasons.
         mean_log_likelihoods, log_scales, step_ms: (N,).
         landmark_used: (N,) frames in which landmarks measured the pose.
         truth: (N, 4, 4) or None.
@@ -57,6 +57,7 @@ class Run:
     odometry: FloatArray | None
     unseen: NDArray[np.bool_]
     states: list[State]
+    reasons: list[frozenset[Reason]]
     mean_log_likelihoods: FloatArray
     log_scales: FloatArray
     step_ms: FloatArray
@@ -75,6 +76,7 @@ class Run:
             **self._accuracy(everything),
             "lost_frames": self.states.count("lost"),
             "states": dict(Counter(self.states)),
+            "reasons": self._reason_counts(),
             "landmark_used_frames": int(self.landmark_used.sum()),
             "step_ms_median": float(np.median(self.step_ms)),
             "step_ms_p95": float(np.percentile(self.step_ms, 95.0)),
@@ -88,6 +90,11 @@ class Run:
             unseen = {**self._accuracy(self.unseen), **self._depth_accuracy(1)}
             figures |= {f"unseen_{name}": value for name, value in unseen.items()}
         return figures
+
+    def _reason_counts(self) -> dict[str, int]:
+        """Number of frames with each reason that occurs; a frame may have several."""
+        counts = Counter(reason for reasons in self.reasons for reason in reasons)
+        return {reason.value: counts[reason] for reason in Reason if reason in counts}
 
     def _accuracy(self, chosen: NDArray[np.bool_]) -> dict[str, object]:
         if self.truth is None:
@@ -185,6 +192,7 @@ class _Log:
         self._recording, self._start = recording, start
         self._estimates: list[Estimate] = []
         self._states: list[State] = []
+        self._reasons: list[frozenset[Reason]] = []
         self._figures: list[tuple[float, bool, bool, float]] = []
         self._depth = (DepthAccumulator(), DepthAccumulator()) if recording.has_depth else None
         self.dead_reckoning: list[FloatArray] = []
@@ -196,6 +204,7 @@ class _Log:
         self._has_odometry |= step.motion is not None
         self._estimates.append(step.estimate)
         self._states.append(step.state)
+        self._reasons.append(step.reasons)
         self._figures.append((step.mean_log_likelihood, step.landmark_pose is not None, unseen, step_ms))
         if self._depth is not None and sensor_m is not None:
             for accumulator in self._depth if unseen else self._depth[:1]:
@@ -221,6 +230,7 @@ class _Log:
             odometry=np.stack(self.dead_reckoning) if self._has_odometry else None,
             unseen=np.array(unseen, dtype=np.bool_),
             states=self._states,
+            reasons=self._reasons,
             mean_log_likelihoods=np.array(mean_log_likelihoods),
             log_scales=np.array([estimate.log_scale for estimate in self._estimates]),
             step_ms=np.array(step_ms),

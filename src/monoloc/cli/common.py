@@ -236,5 +236,14 @@ def text_of(value: object) -> str:
     if isinstance(value, (list, tuple)):
         return ", ".join(map(text_of, value))
     if isinstance(value, dict):
-        return "\n".join(f"{name}: {text_of(item)}" for name, item in value.items())
+        return "\n".join(f"{name}: {text_of(item)}" for name, item in _flat(value))
     return str(value)
+
+
+def _flat(entries: dict[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
+    """Entries of a dict, those of dicts in it as ``name.entry``."""
+    for name, item in entries.items():
+        if isinstance(item, dict) and item:
+            yield from _flat(item, f"{prefix}{name}.")
+        else:
+            yield prefix + name, item

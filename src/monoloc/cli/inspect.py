@@ -82,7 +82,11 @@ def _bundle(path: Path) -> dict[str, object]:
         "frames": len(bundle.provenance.frames),
         **_known_bias(bundle.reference_poses),
         **_camera(bundle.camera),
+        "supports_relocalization": bundle.supports_relocalization,
+        "supports_scan_search": bundle.supports_scan_search,
         "thresholds": bundle.thresholds.model_dump(),
+        "integrity": bundle.integrity.model_dump(),
+        "sensor": bundle.sensor.model_dump(),
         "settings": bundle.settings.model_dump(mode="json"),
     }
 

@@ -40,6 +40,7 @@ from monoloc.io.recording import Recording
 from monoloc.io.tum_trajectory import write_tum
 from monoloc.progress import ConsoleProgress
 from monoloc.run import Run, localize
+from monoloc.sensor_depth import sensor_bundle
 from monoloc.start import Start
 from monoloc.supervision.state import State
 from monoloc.viz.plots import plot_localization
@@ -109,7 +110,8 @@ def localize_command(
         config = override(room.settings, motion=motion, particles=particles, scan_points=scan_points)
     rng = np.random.default_rng(seed)
     begin = _start(start, recording, start_error_cm / 100.0, np.deg2rad(start_error_deg), rng)
-    if begin is None and not room.supports_relocalization:
+    used = sensor_bundle(room) if depth == "sensor" else room
+    if begin is None and not used.supports_relocalization:
         problem = "is unknown, and neither scans nor landmarks can find the camera in this room"
         raise SettingError("--start", problem, "write TX,TY,TZ,QX,QY,QZ,QW")
     name = f"{bundle.name}: {recording.name}"
@@ -125,8 +127,8 @@ def localize_command(
         written, failures = _write_each(writers)
     metrics = run.metrics()
     if json:
-        used = "sensor" if depth == "sensor" else "network"
-        print_json({"bundle": str(bundle), "source": source, "seed": seed, "depth": used, **metrics})
+        source_of_depth = "sensor" if depth == "sensor" else "network"
+        print_json({"bundle": str(bundle), "source": source, "seed": seed, "depth": source_of_depth, **metrics})
     else:
         show(metrics)
         for path in written:
@@ -197,6 +199,10 @@ def show(metrics: dict[str, object]) -> None:
         f"{metrics['frames']} frames: {counts}; "
         f"{metrics['step_ms_median']:.1f} ms a frame (95 %: {metrics['step_ms_p95']:.1f} ms)"
     )
+    reasons = metrics["reasons"]
+    assert isinstance(reasons, dict)
+    if reasons:
+        stderr.print(f"not tracking because: {', '.join(f'{reason} ({count})' for reason, count in reasons.items())}")
 
 
 def _figure(metrics: dict[str, object], prefix: str, name: str, factor: float, unit: str) -> str:

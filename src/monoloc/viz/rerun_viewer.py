@@ -17,7 +17,7 @@ from monoloc.io.recording import Recording
 from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.localizer import Step
 from monoloc.particle_filter.particles import Particles
-from monoloc.supervision.state import State
+from monoloc.supervision.state import Reason, State
 
 # Colours of Okabe and Ito (2008) that are visible on Rerun's dark background, RGBA.
 _TRUTH, _ESTIMATE, _ODOMETRY, _SCAN = 0xE6E6E6FF, 0x56B4E9FF, 0xE69F00FF, 0x00C78FFF
@@ -29,6 +29,7 @@ _PLOTS = {
     "error_cm/estimate": _ESTIMATE,
     "error_cm/odometry": _ODOMETRY,
     "error_cm/stated_sd": 0x56B4E980,
+    "probability_far": _ESTIMATE,
     "likelihood/scan": _ESTIMATE,
     "likelihood/low": 0xF0E442FF,
     "likelihood/lost": 0xD55E00FF,
@@ -92,7 +93,7 @@ class RerunViewer:
         self._plot("error_cm/stated_sd", 100.0 * np.sqrt(np.trace(step.estimate.covariance[:3, :3])))
         self._show_likelihood(step.mean_log_likelihood)
         self._plot("step_ms", step_ms)
-        self._stream.log("state", rr.StateChange(state=step.state))
+        self._show_state(step)
 
     def _show_images(self, color: NDArray[np.uint8], step: Step) -> None:
         self._stream.log("world/camera/image", rr.Image(color).compress(jpeg_quality=_JPEG_QUALITY))
@@ -129,6 +130,12 @@ class RerunViewer:
         self._plot("likelihood/low", self._thresholds.low)
         self._plot("likelihood/lost", self._thresholds.lost)
 
+    def _show_state(self, step: Step) -> None:
+        self._plot("probability_far", step.probability_far)
+        self._stream.log("state", rr.StateChange(state=step.state))
+        reasons = ", ".join(reason.value for reason in Reason if reason in step.reasons)
+        self._stream.log("reasons", rr.TextDocument(f"{step.state}: {reasons}" if reasons else step.state))
+
     def _plot(self, path: str, value: float) -> None:
         if np.isfinite(value):
             self._stream.log(path, rr.Scalars(value))
@@ -138,7 +145,7 @@ class RerunViewer:
 
 
 def run_blueprint() -> rrb.Blueprint:
-    """Layout with the room on the left, and images, errors, likelihood, state and step time on the right."""
+    """Layout with the room on the left; on the right images, errors, likelihood, state with reasons, step time."""
     up_to_now = rrb.VisibleTimeRanges(
         [rrb.VisibleTimeRange(name, start=rrb.TimeRangeBoundary.infinite(), end=_NOW) for name in _TIMELINES]
     )
@@ -151,15 +158,21 @@ def run_blueprint() -> rrb.Blueprint:
         rrb.Spatial2DView(origin="world/camera/image", name="image"),
         rrb.Spatial2DView(origin="depth", name="depth, to 6 m"),
     )
-    plots = [
+    state = rrb.Horizontal(
+        rrb.StateTimelineView(origin="state", name="state"),
+        rrb.TextDocumentView(origin="reasons", name="state and its reasons"),
+        column_shares=[2.0, 1.0],
+    )
+    far = rrb.ScalarAxis(range=(0.0, 1.0), zoom_lock=True)
+    right = rrb.Vertical(
+        images,
         rrb.TimeSeriesView(origin="error_cm", name="position error (cm)"),
         rrb.TimeSeriesView(origin="likelihood", name="mean log-likelihood (nats)"),
+        state,
+        rrb.TimeSeriesView(origin="probability_far", name="probability of more than 30 cm off", axis_y=far),
         rrb.TimeSeriesView(origin="step_ms", name="time a step (ms)"),
-    ]
-    right = rrb.Vertical(
-        images, plots[0], plots[1], rrb.StateTimelineView(origin="state", name="state"), plots[2],
-        row_shares=[3.0, 3.0, 2.0, 1.3, 1.7],
-    )  # fmt: skip
+        row_shares=[3.0, 2.6, 1.7, 1.3, 1.7, 1.5],
+    )
     return rrb.Blueprint(
         rrb.Horizontal(room, right, column_shares=[3.0, 2.0]),
         rrb.TimePanel(timeline="seconds", state="collapsed"),

@@ -185,7 +185,7 @@ def test_tables_are_rounded_and_their_titles_are_not_wrapped_or_interpreted(
     assert " 0.333, -0.123, 0.0123 " in out
 
 
-def test_dict_in_a_dict_is_indented_below_its_name() -> None:
+def test_entries_of_a_dict_in_a_dict_have_its_name_before_theirs() -> None:
     assert text_of({"share": 0.25, "scan": {"edges": [], "right": [1.0]}, "none": {}}) == (
-        "share: 0.250\nscan:\n  edges: \n  right: 1.000\nnone: "
+        "share: 0.250\nscan.edges: \nscan.right: 1.000\nnone: "
     )

@@ -69,7 +69,12 @@ def test_bundle_says_what_tells_right_from_wrong_beliefs(capfd: pytest.CaptureFi
     assert content["integrity"]["scan"] == {"edges": [-1.5], "right": [0.1, 0.9], "wrong": [0.75, 0.25]}
     assert content["sensor"]["thresholds"] is None
     table = succeeds(capfd, "inspect", "room.monoloc")
-    for part in ("supports_relocalization", "scan_search_precision: 0.800", "edges: -1.500", "wrong: 0.750, 0.250"):
+    for part in (
+        "supports_relocalization",
+        "scan_search_precision: 0.800",
+        "scan.edges: -1.500",
+        "scan.wrong: 0.750, 0.250",
+    ):
         assert part in table
     write_bundle(here / "mute.monoloc", replace(bundle, integrity=IntegrityModel()))
     content = json_of(capfd, "inspect", "mute.monoloc")
