@@ -101,7 +101,7 @@ def test_likelihood_of_ones_own_tracks_far_better_than_odometry(
 ) -> None:
     """After the one call of ``calibrate`` that the page shows."""
     document = "docs/how-to/change-a-part.md"
-    second = RoomRecording(Room(), make_path(2 * FRAMES, rate_hz=7.5))
+    second = RoomRecording(Room(), make_path(FRAMES, rate_hz=5.0))
     monkeypatch.setattr("monoloc.io.registry.open_recording", {"folder:second-recording": second}.__getitem__)
     (code,) = code_blocks(document)
     execute(document, code, {})

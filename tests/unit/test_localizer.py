@@ -77,7 +77,9 @@ def test_start_must_be_given_where_the_room_cannot_be_searched(
     search_precision: float,
 ) -> None:
     integrity = plausible_integrity(thresholds, search_precision)
-    with pytest.raises(ValueError, match="start must be given: neither scans nor landmarks can find the camera in this room"):
+    with pytest.raises(
+        ValueError, match="start must be given: neither scans nor landmarks can find the camera in this room"
+    ):
         make_localizer(mixture, thresholds, None, recording.poses[:reference_poses], integrity=integrity)
 
 

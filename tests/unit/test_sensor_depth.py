@@ -13,7 +13,7 @@ from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.map.mixture import GaussianMixture
 from monoloc.sensor_depth import sensor_bundle, sensor_settings, sparse_depth
 from monoloc.supervision.integrity import Classes, SensorModel
-from synthetic_room import CAMERA, SETTINGS, Room, RoomRecording, make_bundle
+from synthetic_room import CAMERA, SETTINGS, RoomRecording, make_bundle
 
 FRAMES = 3
 
@@ -23,7 +23,9 @@ def test_sparse_pixels_see_what_the_image_sees_there(camera: Camera) -> None:
     """Not averaged: every pixel that is kept has its own depth, along its own ray."""
     depth_m = np.random.default_rng(0).uniform(1.0, 4.0, (camera.height, camera.width)).astype(np.float32)
     sparse = sparse_depth(depth_m, camera)
-    assert sparse.depth_m.shape == (camera.height // 4, camera.width // 4) == (sparse.camera.height, sparse.camera.width)
+    assert (
+        sparse.depth_m.shape == (camera.height // 4, camera.width // 4) == (sparse.camera.height, sparse.camera.width)
+    )
     np.testing.assert_array_equal(sparse.depth_m, depth_m[2::4, 2::4])
     np.testing.assert_allclose(sparse.camera.pixel_rays(), camera.pixel_rays()[2::4, 2::4], atol=1e-6)
 

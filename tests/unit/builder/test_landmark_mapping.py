@@ -72,7 +72,9 @@ def test_focal_length_of_a_build_is_that_of_its_camera(
     assert abs(built[2].focal_mean) < 0.02 and 0.005 <= built[2].focal_sd < 0.02
 
 
-def test_errors_of_build_poses_widen_the_bias(built: tuple[Landmarks, BiasModel, LandmarkEvidence], recording: RoomRecording) -> None:
+def test_errors_of_build_poses_widen_the_bias(
+    built: tuple[Landmarks, BiasModel, LandmarkEvidence], recording: RoomRecording
+) -> None:
     """Poses of another system: the bias is measured against them, and so is at least as large as their errors."""
     with_errors = RoomRecording.__new__(RoomRecording)
     with_errors.__dict__.update(recording.__dict__, poses=noisy(BUILD_POSES))

@@ -101,15 +101,11 @@ def update(
     """After a frame whose particles and belief were at ``x_m``."""
     rng = np.random.default_rng(0)
     particles = copies_of(estimate_at(x_m))
-    result = machine.update(
-        particles, estimate_at(x_m, sd_m), scan, elapsed_s, probability_wrong, landmarks, rng
-    )
+    result = machine.update(particles, estimate_at(x_m, sd_m), scan, elapsed_s, probability_wrong, landmarks, rng)
     assert isinstance(result, Relocalization) and len(result.particles) == 10 and result.mode is machine.mode
     by_landmarks = result.landmark_pose is not None
     assert not by_landmarks or result.landmark_pose.pose[0, 3] == landmarks.x_m
-    return After(
-        result.mode, pytest.approx(result.particles.poses[:, 0, 3].mean()), by_landmarks, result.confirmed
-    )
+    return After(result.mode, pytest.approx(result.particles.poses[:, 0, 3].mean()), by_landmarks, result.confirmed)
 
 
 # --- The table of transitions ---
@@ -292,7 +288,9 @@ def test_camera_whose_position_is_lost_is_searched_for_at_once() -> None:
         (Mode.TRACKING, {"sd_m": UNKNOWN_SD_M}),
     ],
 )
-def test_landmarks_elsewhere_are_believed_at_once(mode: Mode, given: dict[str, float], searches_by_scan: bool) -> None:
+def test_landmarks_elsewhere_are_believed_at_once(
+    mode: Mode, given: dict[str, float], searches_by_scan: bool
+) -> None:
     """The relocaliser by scans has no answer to give: it must not be asked."""
     machine = machine_with(mode=mode, searches_by_scan=searches_by_scan)
     landmarks = _Landmarks(4.0)

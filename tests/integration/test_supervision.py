@@ -1,0 +1,169 @@
+"""What the localizer says of itself where the camera is displaced, stuck or another than stated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from monoloc.builder.landmark_mapping import build_landmarks
+from monoloc.camera import Camera
+from monoloc.depth.predictor import DepthPrediction, DepthPredictor
+from monoloc.evaluation.trajectory import pose_errors
+from monoloc.geometry import FloatArray
+from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.likelihood.thresholds import LikelihoodThresholds
+from monoloc.localizer import Localizer, Step
+from monoloc.map.mixture import GaussianMixture
+from monoloc.particle_filter.particles import scatter
+from monoloc.progress import NoProgress
+from monoloc.relocalization.state_machine import Mode
+from monoloc.supervision.state import Reason
+from synthetic_room import (
+    BLACK,
+    CAMERA,
+    FRAME_S,
+    SETTINGS,
+    Room,
+    RoomRecording,
+    depth_from_blue,
+    follow,
+    make_localizer,
+    make_path,
+    plausible_integrity,
+    poses_of,
+    sparse_depth,
+)
+
+FRAMES = 90
+SOON, SOMETIME = 8, 15  # frames: half a second, and a second
+
+
+class Flights:
+    """Makes localizers that start at a frame of the recording, in a room with landmarks."""
+
+    def __init__(self, mixture: GaussianMixture, thresholds: LikelihoodThresholds, recording: RoomRecording) -> None:
+        self.mixture, self.thresholds, self.recording = mixture, thresholds, recording
+        built = RoomRecording(Room(), make_path(FRAMES, start_s=0.03)[::3])
+        self.landmarks, self.bias, _ = build_landmarks(built, built.depth, NoProgress())
+
+    def localizer(self, first: int = 0, landmarks: Landmarks | None = None, **given: Any) -> Localizer:
+        start = scatter(self.recording.poses[first], SETTINGS.particles, 0.02, 0.01, 0.0, np.random.default_rng(0))
+        settings = SETTINGS.model_copy(update={"landmark_bias": self.bias})
+        known = self.landmarks if landmarks is None else landmarks
+        poses = self.recording.poses[::10]
+        return make_localizer(
+            self.mixture, self.thresholds, start, poses, settings=settings, landmarks=known, **given
+        )
+
+    def errors_m(self, steps: list[Step], frames: range) -> FloatArray:
+        return pose_errors(poses_of(steps), self.recording.poses[frames]).position_m
+
+
+@pytest.fixture(scope="module")
+def flights(mixture: GaussianMixture, thresholds: LikelihoodThresholds, recording: RoomRecording) -> Flights:
+    return Flights(mixture, thresholds, recording)
+
+
+def states(steps: list[Step]) -> list[str]:
+    return [step.state for step in steps]
+
+
+def test_flight_is_tracking_throughout(flights: Flights) -> None:
+    frames = range(30)
+    steps = follow(flights.localizer(), flights.recording, frames)
+    assert set(states(steps)) == {"tracking"} and all(step.reasons == frozenset() for step in steps)
+    assert flights.errors_m(steps, frames).max() < 0.03 and steps[-1].probability_far < 0.001
+
+
+def test_kidnapped_camera_is_not_tracking_until_landmarks_find_it(flights: Flights) -> None:
+    """From one frame to the next, to a place a metre and 40 degrees away, and on from there."""
+    localizer = flights.localizer()
+    assert follow(localizer, flights.recording, range(11))[-1].state == "tracking"
+    frames = range(FRAMES - 1, FRAMES - 1 - SOMETIME, -1)
+    steps = follow(localizer, flights.recording, frames)
+    errors_m = flights.errors_m(steps, frames)
+    assert errors_m[0] > 0.8 and steps[0].state != "tracking" and Reason.NO_ODOMETRY in steps[0].reasons
+    is_tracking = np.array(states(steps)) == "tracking"
+    assert np.all(errors_m[is_tracking] < 0.03) and is_tracking[-1] and is_tracking.sum() > SOON
+
+
+def test_kidnapped_camera_is_not_tracking_where_there_are_no_landmarks(flights: Flights) -> None:
+    """Nor do scans find it in this room."""
+    integrity = plausible_integrity(flights.thresholds, 0.4)
+    localizer = flights.localizer(landmarks=Landmarks.none(), integrity=integrity)
+    assert follow(localizer, flights.recording, range(11))[-1].state == "tracking"
+    frames = range(FRAMES - 1, FRAMES - 1 - 2 * SOMETIME, -1)
+    steps = follow(localizer, flights.recording, frames)
+    is_far = flights.errors_m(steps, frames) > 0.3
+    assert is_far[:SOON].all() and "tracking" not in np.array(states(steps))[is_far]
+
+
+def test_camera_without_a_start_is_found_by_landmarks_alone(flights: Flights) -> None:
+    """In its first frame, in a room whose scans do not tell places apart."""
+    localizer = make_localizer(
+        flights.mixture,
+        flights.thresholds,
+        None,
+        flights.recording.poses[::10],
+        settings=SETTINGS.model_copy(update={"landmark_bias": flights.bias}),
+        landmarks=flights.landmarks,
+        integrity=plausible_integrity(flights.thresholds, 0.4),
+    )
+    frames = range(40, 45)
+    steps = follow(localizer, flights.recording, frames)
+    assert set(states(steps)) == {"tracking"} and flights.errors_m(steps, frames).max() < 0.03
+
+
+def test_covered_camera_without_a_start_is_lost_because_it_searches(flights: Flights) -> None:
+    depth = DepthPredictor(depth_from_blue(), CAMERA)
+    localizer = make_localizer(flights.mixture, flights.thresholds, None, flights.recording.poses[::10], depth=depth)
+    step = localizer.step(BLACK, 0.0)
+    assert step.state == "lost" and step.mode is Mode.SEARCHING and step.probability_far == 1.0
+    assert {Reason.SEARCHING, Reason.IMAGE_EMPTY} <= step.reasons
+
+
+def test_frozen_image_is_uncertain_soon_and_then_lost(flights: Flights) -> None:
+    """Sensor depth or none; the camera may be anywhere by then. A new image finds it again."""
+    localizer = flights.localizer()
+    follow(localizer, flights.recording, range(11))
+    frozen = follow(localizer, flights.recording, [10] * 30)
+    assert all(step.motion is None and len(step.scan) == 0 and step.landmark_pose is None for step in frozen)
+    # After 0.2 s; the first repetition may be a stream's.
+    assert frozen[0].state == "tracking"
+    assert all(step.state != "tracking" and Reason.IMAGE_REPEATED in step.reasons for step in frozen[3:])
+    assert set(states(frozen[3:SOON])) == {"uncertain"} and set(states(frozen[20:])) == {"lost"}
+    frames = range(30, 30 + SOMETIME)
+    thawed = follow(localizer, flights.recording, frames)
+    assert set(states(thawed[SOON:])) == {"tracking"} and flights.errors_m(thawed, frames)[SOON:].max() < 0.03
+
+
+WIDE_FOCAL = pytest.mark.xfail(
+    strict=True, reason="the camera check takes no frame whose log-focal has a deviation above 0.02, however wrong"
+)
+
+
+@pytest.mark.parametrize(
+    ("factor", "first"),
+    [(0.8, 0), (1.1, 40), pytest.param(1.2, 0, marks=WIDE_FOCAL), pytest.param(0.8, 40, marks=WIDE_FOCAL)],
+)
+def test_another_lens_than_stated_is_said(flights: Flights, factor: float, first: int) -> None:
+    """Within two seconds; depth and landmarks all fit a pose that is decimetres off."""
+    lens = replace(CAMERA, fx=factor * CAMERA.fx, fy=factor * CAMERA.fy)
+    count = 30
+    flight = RoomRecording(Room(), flights.recording.poses[first : first + count], lens)
+    stated = Camera(80, 64, CAMERA.fx / 4.0, CAMERA.fy / 4.0, CAMERA.cx / 4.0, CAMERA.cy / 4.0)
+    localizer = flights.localizer(first)
+    for index in range(count):
+        depth = DepthPrediction(sparse_depth(flight, index).depth_m, stated)
+        step = localizer.step(flight.color(index), FRAME_S, depth)
+    assert step.state != "tracking" and Reason.CAMERA_MISMATCH in step.reasons
+
+
+def test_stated_lens_is_never_doubted(flights: Flights) -> None:
+    frames = range(FRAMES)
+    steps = follow(flights.localizer(), flights.recording, frames)
+    assert all(Reason.CAMERA_MISMATCH not in step.reasons for step in steps)
+    assert set(states(steps)) == {"tracking"}
