@@ -118,8 +118,12 @@ class Bundle:
     @property
     def supports_relocalization(self) -> bool:
         """Whether a lost camera can be found: by landmarks, or by scans that tell the room's places apart."""
-        by_scan = self.settings.supports_relocalization and len(self.reference_poses) > 0
-        return by_scan or (len(self.landmarks) > 0 and len(self.reference_poses) > 0)
+        return self.supports_scan_search or (len(self.landmarks) > 0 and len(self.reference_poses) > 0)
+
+    @property
+    def supports_scan_search(self) -> bool:
+        """Whether one scan tells where in the room a lost camera is."""
+        return self.integrity.supports_scan_search and len(self.reference_poses) > 0
 
     @cached_property
     def down(self) -> FloatArray | None:

@@ -107,7 +107,7 @@ class Localizer:
         self._tracker = Tracker(particles, config, bundle.reference_poses, rng)
         self._relocalization = RelocalizationStateMachine(
             relocalizer,
-            config.supports_relocalization and len(bundle.reference_poses) > 0,
+            bundle.supports_scan_search,
             bundle.thresholds,
             Mode.SEARCHING if start is None else Mode.TRACKING,
         )
@@ -141,12 +141,12 @@ class Localizer:
         """
         observation = self._front_end.observe(color, elapsed_s, measured_depth, self._gravity.direction(down))
         predicted = self._predict(observation)
-        relocalization = self._relocalize(observation, predicted)
+        prior = self._tracker.fusion.predicted(observation.motion, observation.elapsed_s)
+        relocalization = self._relocalize(observation, predicted, prior)
         particle_estimate = self._update_particles(observation, relocalization)
         log_likelihood = self._mean_log_likelihood(observation.scan, particle_estimate)
-        belief = self._fuse(observation, particle_estimate, log_likelihood, relocalization)
-        landmarks = self._measure_landmarks(observation, belief, relocalization.mode)
-        belief = self._update_from_landmarks(landmarks)
+        landmarks = self._measure_landmarks(observation, prior, relocalization)
+        belief = self._fuse(observation, particle_estimate, log_likelihood, relocalization, landmarks)
         supervision = self._supervise(observation, belief, log_likelihood, landmarks, particle_estimate)
         self._state, reasons = classify_state(supervision, self._state)
         return Step(
@@ -164,14 +164,15 @@ class Localizer:
         )
 
     def _predict(self, observation: Observation) -> Particles:
-        self._integrity.predict(observation.elapsed_s, observation.odometry_tracked)
+        image_is_new = not observation.is_empty and observation.repeated_s == 0.0
+        self._integrity.predict(observation.elapsed_s, observation.odometry_tracked, image_is_new)
         is_verifying = self._relocalization.mode is Mode.VERIFYING
         return self._tracker.predict(observation.motion, observation.elapsed_s, from_search=is_verifying)
 
-    def _relocalize(self, observation: Observation, predicted: Particles) -> Relocalization:
+    def _relocalize(self, observation: Observation, predicted: Particles, prior: Estimate) -> Relocalization:
         relocalization = self._relocalization.update(
             predicted,
-            self._predicted_belief(observation),
+            prior,
             observation.scan if observation.scan_has_enough_points else EMPTY_SCAN,
             observation.elapsed_s,
             self._integrity.probability_wrong,
@@ -185,12 +186,6 @@ class Localizer:
         elif relocalization.mode is not Mode.TRACKING:
             self._integrity.lose()
         return relocalization
-
-    def _predicted_belief(self, observation: Observation) -> Estimate:
-        """The belief before this frame's measurements: a gap without odometry may be so long that it says nothing."""
-        if observation.is_first or observation.motion is not None:
-            return self._tracker.fusion.belief
-        return self._tracker.fusion.predicted_without_odometry(observation.elapsed_s)
 
     def _update_particles(self, observation: Observation, relocalization: Relocalization) -> Estimate:
         """The particles' pose after scan and corners; while the camera is searched for, these say nothing."""
@@ -221,13 +216,19 @@ class Localizer:
         particle_estimate: Estimate,
         log_likelihood: float,
         relocalization: Relocalization,
+        landmarks: LandmarkMeasurement | None,
     ) -> Estimate:
-        """The belief after motion and particles.
+        """The belief after motion, particles and landmarks.
 
-        Particles of a lost camera gather somewhere all the same: they count only if the scan fits where they are.
+        Particles of a lost camera gather somewhere all the same: they count only if the scan fits where they are, and
+        landmarks do not contradict them.
         """
+        landmark_pose = None if landmarks is None else landmarks.pose
         fits = observation.scan_has_enough_points and log_likelihood >= self._thresholds.lost
-        scan_accepted = fits and relocalization.mode is Mode.TRACKING
+        contradicted = landmark_pose is not None and self._tracker.fusion.contradicts(
+            particle_estimate, landmark_pose
+        )
+        scan_accepted = fits and relocalization.mode is Mode.TRACKING and not contradicted
         measured = self._tracker.fusion.without_known_bias(particle_estimate)
         if scan_accepted:
             rotation_sd = self._tracker.fusion.rotation_sd(particle_estimate)
@@ -235,18 +236,19 @@ class Localizer:
         belief = self._tracker.fuse(observation.motion, observation.elapsed_s, measured, scan_accepted)
         if relocalization.landmark_pose is not None:
             return self._tracker.fusion.reinitialise_from_landmarks(relocalization.landmark_pose)
-        return self._tracker.fusion.reinitialise(measured) if relocalization.confirmed else belief
+        if relocalization.confirmed:
+            return self._tracker.fusion.reinitialise(measured)
+        return belief if landmark_pose is None else self._tracker.fusion.update_from_landmarks(landmark_pose)
 
     def _measure_landmarks(
-        self, observation: Observation, belief: Estimate, mode: Mode
+        self, observation: Observation, prior: Estimate, relocalization: Relocalization
     ) -> LandmarkMeasurement | None:
-        """What the image shows of the landmarks; None where it says nothing or the camera is searched for."""
-        if mode is not Mode.TRACKING or observation.is_empty or observation.repeated_s > 0.0:
+        """What the image shows of the landmarks; None where it says nothing, or the belief starts anew."""
+        starts_anew = relocalization.confirmed or relocalization.landmark_pose is not None
+        says_nothing = observation.is_empty or observation.repeated_s > 0.0
+        if relocalization.mode is not Mode.TRACKING or starts_anew or says_nothing:
             return None
-        return self._landmarks.measure(observation.color, belief.pose, belief.covariance)
-
-    def _update_from_landmarks(self, landmarks: LandmarkMeasurement | None) -> Estimate:
-        return self._tracker.fusion.update_from_landmarks(None if landmarks is None else landmarks.pose)
+        return self._landmarks.measure(observation.color, prior.pose, prior.covariance)
 
     def _supervise(
         self,
@@ -264,7 +266,7 @@ class Localizer:
         mode = self._relocalization.mode
         if mode is Mode.TRACKING:
             landmark_pose = None if landmarks is None else landmarks.pose
-            if self._tracker.fusion.contradicts(particle_estimate):
+            if self._tracker.fusion.contradicts(particle_estimate, landmark_pose):
                 log_likelihood = -np.inf if observation.scan_has_enough_points else log_likelihood
                 if landmark_pose is not None:
                     self._tracker.redraw()

@@ -10,7 +10,6 @@ from monoloc.fusion.bias_model import BiasModel
 from monoloc.likelihood.protocol import LikelihoodConfig
 from monoloc.odometry.scale_tilt import ScaleTiltConfig
 from monoloc.odometry.visual import OdometryConfig
-from monoloc.particle_filter.estimate import UNKNOWN_POSITION_SD_M
 from monoloc.particle_filter.motion_model import MotionConfig
 
 
@@ -44,8 +43,3 @@ class LocalizerConfig(BaseModel):
     scale_tilt: ScaleTiltConfig | None = ScaleTiltConfig()
     particle_bias: BiasModel = BiasModel()
     landmark_bias: BiasModel = BiasModel()
-
-    @property
-    def supports_relocalization(self) -> bool:
-        """Whether one scan tells where in the room a lost camera is, precisely enough to be believed."""
-        return self.particle_bias.relocalization_sd_m < UNKNOWN_POSITION_SD_M

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import astuple, dataclass, field, replace
 
@@ -34,6 +35,7 @@ _MOST_FRAMES = 300  # computation time is quadratic in their number
 _LANDMARKS_PER_FRAME = 100
 _LEAST_M, _LEAST_RAD = 0.001, 0.0005  # smallest errors, even of a static camera
 _WRONG_DISTANCE_M = 0.7  # pose distance between a true and a wrong pose
+_CHI2_90_3 = 6.251388631170325  # 90 % quantile of the chi-squared distribution with 3 degrees of freedom
 _NORMAL_MAD = 1.4826  # standard deviation over median deviation
 _LEAST_FOCAL_FRAMES, _LEAST_FOCAL_SD = 10, 0.005  # frames that tell a deviation of log-focal, and the smallest
 _PRIOR_GROWTH = 0.05  # m/m and rad/m, measured in other rooms
@@ -138,7 +140,38 @@ def _measured(
     away = localized(others, held_out)
     distances_m = np.array([pose_distance_m(poses[index], poses[others]).min() for index in away.frames])
     bias = fit_bias_model(at_reference, at_reference, away.errors, distances_m, _PRIOR_GROWTH)
-    return bias, _evidence([*both, away])
+    errors = PoseErrors(
+        np.concatenate([at_reference.position_m, away.errors.position_m]),
+        np.concatenate([at_reference.rotation_rad, away.errors.rotation_rad]),
+    )
+    all_distances_m = np.concatenate([np.zeros(len(at_reference.position_m)), distances_m])
+    return widened(bias, errors, all_distances_m), _evidence([*both, away])
+
+
+def widened(bias: BiasModel, errors: PoseErrors, distances_m: FloatArray) -> BiasModel:
+    """The bias model, wide enough for nine errors of ten.
+
+    A model fitted to medians is too narrow where errors have heavy tails: a flat view has two poses that look alike.
+
+    Args:
+        bias: fitted to medians.
+        errors: of N poses.
+        distances_m: (N,) from each to the nearest reference pose.
+    """
+    sds = np.stack([bias.sds(distance_m) for distance_m in distances_m])
+
+    def factor(sizes: FloatArray, sd: FloatArray) -> float:
+        return max(1.0, float(np.percentile(sizes / sd, 90.0)) / math.sqrt(_CHI2_90_3))
+
+    by_m, by_rad = factor(errors.position_m, sds[:, 0]), factor(errors.rotation_rad, sds[:, 3])
+    return bias.model_copy(
+        update={
+            "sd_at_reference_m": by_m * bias.sd_at_reference_m,
+            "sd_growth_m": by_m * bias.sd_growth_m,
+            "sd_at_reference_rad": by_rad * bias.sd_at_reference_rad,
+            "sd_growth_rad": by_rad * bias.sd_growth_rad,
+        }
+    )
 
 
 def _localized(

@@ -96,17 +96,11 @@ class BiasAugmentedState:
         return self._gated_update(_PARTICLES, measured.pose, _particle_noise(measured))
 
     def update_from_landmarks(self, measured: LandmarkPose) -> BiasAugmentedState:
-        """After a landmark pose; one beyond the gate gets its noise inflated until it lies on it."""
-        return self._gated_update(_LANDMARKS, measured.pose, _landmark_noise(measured))
-
-    def particle_excess(self, measured: Estimate) -> float:
-        """How far the particles' pose is from the pose, for the bias that is usual here: above 1, beyond the gate.
-
-        The bias as it has been estimated does not count: it follows the particles wherever they go.
-        """
-        offset = se3_log(invert(self.pose) @ measured.pose)
-        usual = self.covariance[:6, :6] + np.diag(self.prior_sds[_PARTICLES] ** 2) + _particle_noise(measured)
-        return float(offset @ np.linalg.solve(usual, offset)) / _GATE
+        """After a landmark pose; one of few landmarks beyond the gate gets its noise inflated until it lies on it."""
+        noise = _landmark_noise(measured)
+        if len(measured.points) >= _DECISIVE:
+            return self._update(_LANDMARKS, measured.pose, noise)
+        return self._gated_update(_LANDMARKS, measured.pose, noise)
 
     def landmark_excess(self, measured: LandmarkPose) -> float:
         """How far a landmark pose is from the expected one: above 1 it is beyond the gate."""
@@ -231,17 +225,16 @@ class BiasAugmentedFilter:
         self.time_since_update_s = 0.0
         return self.belief
 
-    def update_from_landmarks(self, measured: LandmarkPose | None) -> Estimate:
-        """The belief after the landmark pose of the same frame; None leaves it as it is.
+    def update_from_landmarks(self, measured: LandmarkPose) -> Estimate:
+        """The belief after the landmark pose of the same frame.
 
         A belief that is contradicted far beyond its covariance starts anew at the landmarks: dozens of corners that
         agree on one pose are not wrong together.
         """
-        if measured is not None:
-            if self._state.landmark_excess(measured) > _CONTRADICTION and len(measured.points) >= _DECISIVE:
-                return self.reinitialise_from_landmarks(measured)
-            self._state = self._state.update_from_landmarks(measured)
-            self.time_since_update_s = self._time_since_odometry_s = 0.0
+        if self._state.landmark_excess(measured) > _CONTRADICTION and len(measured.points) >= _DECISIVE:
+            return self.reinitialise_from_landmarks(measured)
+        self._state = self._state.update_from_landmarks(measured)
+        self.time_since_update_s = self._time_since_odometry_s = 0.0
         return self.belief
 
     def reinitialise_from_landmarks(self, measured: LandmarkPose) -> Estimate:
@@ -251,9 +244,19 @@ class BiasAugmentedFilter:
         self.time_since_update_s = self._time_since_odometry_s = 0.0
         return self.belief
 
-    def contradicts(self, measured: Estimate) -> bool:
-        """Whether the particles' pose is farther from the belief than both errors allow."""
-        return self._state.particle_excess(self.without_known_bias(measured)) > 1.0
+    def contradicts(self, measured: Estimate, landmark_pose: LandmarkPose | None) -> bool:
+        """Whether the particles' pose is farther from the landmarks', or else from the belief, than errors allow.
+
+        The particles' bias is the usual one: as it has been estimated, it follows them wherever they go.
+        """
+        measured = self.without_known_bias(measured)
+        reference, covariance = self._state.pose, self._state.covariance[:6, :6]
+        if landmark_pose is not None:
+            reference = landmark_pose.pose
+            covariance = _landmark_noise(landmark_pose) + np.diag(self._prior_sds(reference)[_LANDMARKS] ** 2)
+        covariance = covariance + _particle_noise(measured) + np.diag(self._prior_sds(reference)[_PARTICLES] ** 2)
+        offset = se3_log(invert(reference) @ measured.pose)
+        return float(offset @ np.linalg.solve(covariance, offset)) > _GATE
 
     def reinitialise(self, measured: Estimate) -> Estimate:
         """The belief after scans relocalised the camera: only the particles' pose counts."""
@@ -266,9 +269,11 @@ class BiasAugmentedFilter:
         self.time_since_update_s = 0.0
         return self.belief
 
-    def predicted_without_odometry(self, elapsed_s: float) -> Estimate:
-        """What the belief would be after ``elapsed_s`` without odometry; the belief does not change."""
-        return self._predicted(np.eye(4), None, elapsed_s, 0.0).estimate(self._measured.log_scale)
+    def predicted(self, motion: Motion | None, elapsed_s: float) -> Estimate:
+        """What the belief would be after a motion; the belief does not change."""
+        delta = self._scaled(motion)
+        step_m = float(pose_distance_m(np.eye(4), delta[None])[0])
+        return self._predicted(delta, motion, elapsed_s, step_m).estimate(self._measured.log_scale)
 
     def without_known_bias(self, measured: Estimate) -> Estimate:
         """The particles' pose less its bias at the nearest reference poses.

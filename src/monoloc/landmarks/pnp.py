@@ -29,9 +29,15 @@ _KERNEL_SDS = (24.0, 12.0, 6.0, 3.0, 3.0, 3.0)  # standard deviations at which a
 _LEAST_VARIANCE = 1e-8  # of a prior, m^2 and rad^2: a start may be stated as exact
 _UNOBSERVABLE_SD = 0.3  # m or rad: a direction that landmarks constrain no better is not determined
 _NEAREST_M = 0.05  # depth of a landmark
-_FOCAL_SD = 0.3  # of log-focal before landmarks are seen
+_FOCAL_KERNEL_SDS = (
+    12.0,
+    6.0,
+    3.0,
+    3.0,
+    3.0,
+)  # narrower: the pose is known, but for what the focal length does to it
+_SHIFT_SD_M, _TURN_SD_RAD, _FOCAL_SD = 0.5, 0.1, 0.2  # of what a wrong focal length does to a pose, and of its log
 _AGREE_WEIGHT = 0.25  # of a landmark that agrees
-_LEAST_INFORMATION = 1e-6  # so that a degenerate view has an answer, of no certainty
 
 
 @dataclass(frozen=True)
@@ -113,7 +119,12 @@ class OrbLandmarkLocalizer:
         self._detect = KeypointDetector(camera)
 
     def measure(self, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
-        """As :meth:`LandmarkLocalizer.measure`; a prior that is too vague is not used."""
+        """As :meth:`LandmarkLocalizer.measure`; a prior that is too vague is not used.
+
+        The prior counts as vaguer than it is stated: a belief that has drifted would else select the matches that
+        agree with it.
+        """
+        covariance = covariance + PRIOR_COVARIANCE
         visible, local = self._visible(prior)
         if self._radius_px(local, covariance) > _MOST_RADIUS_PX:
             place = self.relocalize(color)
@@ -222,14 +233,16 @@ def _log_focal(pose: FloatArray, points: FloatArray, rays: FloatArray, sd: Float
     and focal length are estimated together, again from a wide kernel, since those that agreed with a wrong focal
     length are near the centre.
     """
-    log_focal, information = 0.0, np.diag([0.0] * 6 + [_FOCAL_SD**-2])
-    for kernel_sd in _KERNEL_SDS:
+    start, log_focal = pose, 0.0
+    information = np.diag(np.repeat([_SHIFT_SD_M, _TURN_SD_RAD, _FOCAL_SD], [3, 3, 1]) ** -2)
+    for kernel_sd in _FOCAL_KERNEL_SDS:
         seen = rays * np.exp(-log_focal)  # a ray is a pixel over the focal length
         residuals, jacobian = _residuals(pose, points, seen, sd)
         columns = np.concatenate([jacobian, (seen / sd)[..., None]], axis=2).reshape(-1, 7)
         weighted = columns * np.repeat(_weights(residuals, kernel_sd), 2)[:, None]
-        normal = weighted.T @ columns + information + _LEAST_INFORMATION * np.eye(7)
-        step = -np.linalg.solve(normal, weighted.T @ residuals.ravel() + information[:, 6] * log_focal)
+        normal = weighted.T @ columns + information
+        offset = np.append(se3_log(invert(start) @ pose), log_focal)
+        step = -np.linalg.solve(normal, weighted.T @ residuals.ravel() + information @ offset)
         pose, log_focal = pose @ se3_exp(step[:6]), log_focal + float(step[6])
     return log_focal, float(np.sqrt(np.linalg.inv(normal)[6, 6]))
 

@@ -23,12 +23,16 @@ LANDMARK_EDGES = (3.5, 7.5, 14.5, 29.5)  # between the classes of numbers of lan
 _LEAST_EXPECTED = 30  # landmarks in view, below which their number says nothing
 _SCAN_PERCENTILES = (5.0, 20.0, 50.0)  # of the fits at right poses: edges between the classes of fits
 _PSEUDO_COUNT = 0.5  # of each class, so that none is impossible
-# The errors of neighbouring frames are correlated: landmarks count as one observation in two frames, scans in five.
-_LANDMARK_POWER, _SCAN_POWER = 0.5, 0.2
+# The errors of neighbouring frames are correlated: so long lasts what counts as one observation, of landmarks and of
+# scans, whose depth errs alike for as long as the view is the same.
+_LANDMARK_S, _SCAN_S = 0.15, 1.0
+_FIRST_S = 0.05  # for which the first frame counts
 _UNSEEN_S = 1.0  # time for which landmarks stay unseen
-# Rates at which a belief becomes wrong, per second: with odometry, by a kidnap; without, by motion as well.
-_WRONG_RATE, _WRONG_RATE_WITHOUT_ODOMETRY = 0.005, 0.3
+# Rates at which a belief becomes wrong, per second: with odometry, which a kidnap breaks; without, by motion as well.
+_WRONG_RATE, _WRONG_RATE_WITHOUT_ODOMETRY = 0.001, 0.3
+_WRONG_AT_BREAK = 0.1  # probability that the camera was displaced where odometry newly fails on an image
 _START_IS_WRONG, _LANDMARKS_ARE_WRONG = 0.05, 0.02  # probability of a given start, of a relocalisation by landmarks
+_LEAST_SEARCH_PRECISION = 0.25  # of relocalisations by a scan, below which they are not tried
 _SEEN, _UNSEEN, _WRONG = 0, 1, 2
 
 
@@ -91,9 +95,14 @@ class IntegrityModel(BaseModel):
     scan: Classes = Classes()
     landmarks: Classes = Classes()
     unseen_share: float = Field(0.5, gt=0.0, lt=1.0)
-    scan_search_precision: float = Field(0.5, gt=0.0, lt=1.0)
+    scan_search_precision: float = Field(0.2, gt=0.0, lt=1.0)
     focal_mean: float = 0.0
     focal_sd: float = Field(1.0, gt=0.0)
+
+    @property
+    def supports_scan_search(self) -> bool:
+        """Whether poses that a scan finds are right often enough to be verified."""
+        return self.scan_search_precision >= _LEAST_SEARCH_PRECISION
 
     @staticmethod
     def scan_classes(right: ArrayLike, wrong: ArrayLike) -> Classes:
@@ -133,6 +142,8 @@ class IntegrityMonitor:
     def __init__(self, model: IntegrityModel, is_searched: bool) -> None:
         self._model = model
         self._probabilities = self._right_unless(1.0 if is_searched else _START_IS_WRONG)
+        self._elapsed_s = 0.0
+        self._odometry_tracked = True
 
     @property
     def probability_wrong(self) -> float:
@@ -145,10 +156,17 @@ class IntegrityMonitor:
         by_width = math.erfc(FAR_M / (math.sqrt(2.0) * sd_m)) if sd_m > 0.0 else 0.0
         return self.probability_wrong + (1.0 - self.probability_wrong) * by_width
 
-    def predict(self, elapsed_s: float, odometry_tracked: bool) -> None:
-        """The probabilities after a motion."""
+    def predict(self, elapsed_s: float, odometry_tracked: bool, image_is_new: bool) -> None:
+        """The probabilities after a motion.
+
+        Args:
+            image_is_new: whether the image shows something, and not the same as before.
+        """
         rate = _WRONG_RATE if odometry_tracked else _WRONG_RATE_WITHOUT_ODOMETRY
         becomes_wrong = 1.0 - math.exp(-rate * elapsed_s)
+        if self._odometry_tracked and not odometry_tracked and image_is_new:
+            becomes_wrong = max(becomes_wrong, _WRONG_AT_BREAK)
+        self._elapsed_s, self._odometry_tracked = elapsed_s, odometry_tracked
         changes_sight = 1.0 - math.exp(-elapsed_s / _UNSEEN_S)
         seen, unseen, wrong = self._probabilities
         right = seen + unseen
@@ -166,13 +184,15 @@ class IntegrityMonitor:
             landmarks: None where nothing was measured.
         """
         likelihood = np.ones(3)
+        elapsed_s = max(self._elapsed_s, _FIRST_S)
         if not math.isnan(mean_log_likelihood):
             right, wrong = self._model.scan.likelihoods(mean_log_likelihood)
-            likelihood *= np.array([right, right, wrong]) ** _SCAN_POWER
+            likelihood *= np.array([right, right, wrong]) ** min(1.0, elapsed_s / _SCAN_S)
         if landmarks is not None and landmarks.expected >= _LEAST_EXPECTED:
             right, wrong = self._model.landmarks.likelihoods(landmarks.found)
-            some = 0.5 * (wrong + 1.0 / len(self._model.landmarks.right))  # of a right belief that sees some or none
-            likelihood *= np.array([right, some, wrong]) ** _LANDMARK_POWER
+            # A right belief whose landmarks are not seen finds as few as a wrong one, or some.
+            some = max(wrong, 1.0 / len(self._model.landmarks.right))
+            likelihood *= np.array([right, some, wrong]) ** min(1.0, elapsed_s / _LANDMARK_S)
         posterior = self._probabilities * likelihood
         self._probabilities = posterior / posterior.sum()
 
