@@ -316,11 +316,13 @@ def test_jump_of_the_particles_is_no_motion() -> None:
         np.testing.assert_array_equal(fusion.without_known_bias(by_particles(pose)).pose, pose)
 
 
-def test_prediction_without_odometry_is_that_of_a_frame_and_changes_nothing() -> None:
+@pytest.mark.parametrize(("motion", "elapsed_s"), [(None, 2.0), (motion_of(STEP), ELAPSED_S)])
+def test_prediction_is_that_of_a_frame_and_changes_nothing(motion: Motion | None, elapsed_s: float) -> None:
     fusion = filter_at_origin()
-    predicted = fusion.predicted_without_odometry(2.0)
-    np.testing.assert_array_equal(fusion.predicted_without_odometry(2.0).covariance, predicted.covariance)
-    belief = fusion.predict(None, 2.0, by_particles(np.eye(4)))
+    predicted = fusion.predicted(motion, elapsed_s)
+    np.testing.assert_array_equal(fusion.predicted(motion, elapsed_s).covariance, predicted.covariance)
+    np.testing.assert_array_equal(fusion.belief.pose, np.eye(4))
+    belief = fusion.predict(motion, elapsed_s, by_particles(np.eye(4)))
     np.testing.assert_array_equal(belief.pose, predicted.pose)
     np.testing.assert_array_equal(belief.covariance, predicted.covariance)
 
@@ -359,8 +361,6 @@ def test_time_since_update_is_reset_by_odometry_particles_and_landmarks() -> Non
         for count in (1, 2):
             fusion.predict(None, ELAPSED_S, measured)
             assert fusion.time_since_update_s == pytest.approx(count * ELAPSED_S)
-        fusion.update_from_landmarks(None)
-        assert fusion.time_since_update_s > 0.0
         constrain()
         assert fusion.time_since_update_s == 0.0
 
@@ -490,13 +490,32 @@ def test_relocalisation_by_landmarks_counts_only_them() -> None:
 def test_particles_contradict_the_belief_beyond_the_usual_bias_whatever_bias_was_estimated() -> None:
     """The estimated bias follows the particles wherever they go."""
     fusion = filter_with(by_particles(np.eye(4)), np.eye(4))
-    near, far = along_x(0.1), along_x(0.5)
-    assert not fusion.contradicts(by_particles(near)) and fusion.contradicts(by_particles(far))
+    near, far = by_particles(along_x(0.1)), by_particles(along_x(0.5))
+    assert not fusion.contradicts(near, None) and fusion.contradicts(far, None)
     for _ in range(60):
-        frame(fusion, motion_of(STILL), by_particles(far))
+        frame(fusion, motion_of(STILL), far)
         fusion.update_from_landmarks(by_landmarks(np.eye(4)))
     assert fusion._state.biases[0, 0] > 0.3  # by now, half a metre is what the filter expects
-    assert fusion.contradicts(by_particles(far)) and not fusion.contradicts(by_particles(near))
+    assert fusion.contradicts(far, None) and not fusion.contradicts(near, None)
+
+
+def test_particles_contradict_landmarks_whatever_is_believed() -> None:
+    """A belief that has followed the particles does not excuse them, nor does a wide one."""
+    for start in (by_particles(along_x(0.5)), Estimate(np.eye(4), np.eye(6), 0.0)):
+        fusion = filter_with(start, np.eye(4))
+        assert not fusion.contradicts(by_particles(along_x(0.5)), None)
+        assert fusion.contradicts(by_particles(along_x(0.5)), by_landmarks(np.eye(4)))
+        assert not fusion.contradicts(by_particles(along_x(0.1)), by_landmarks(np.eye(4)))
+
+
+def test_known_bias_does_not_make_particles_contradict() -> None:
+    """Half a metre, if the build measured it at this place."""
+    known = np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
+    reference_poses = ReferencePoses(np.eye(4)[None], known[None], known[None])
+    bias = BiasModel(sd_at_reference_m=0.05, sd_at_reference_rad=0.03)
+    fusion = filter_with(by_particles(np.eye(4)), reference_poses, bias)
+    assert not fusion.contradicts(by_particles(se3_exp(known)), by_landmarks(np.eye(4)))
+    assert fusion.contradicts(by_particles(se3_exp(-known)), by_landmarks(np.eye(4)))
 
 
 def test_landmarks_replace_odometry_as_a_reason_to_trust_the_belief() -> None:
