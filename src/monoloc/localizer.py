@@ -42,6 +42,8 @@ class Step:
         state: whether to believe it: ``tracking``, ``uncertain`` or ``lost``.
         reasons: why the state is not ``tracking``; empty where it is.
         probability_far: that the position is more than 30 cm off; the state follows from it.
+        restarted: whether the belief started anew at this frame, after a search or a contradiction by landmarks: the
+            pose may have jumped.
         particle_estimate: pose of the particles alone.
         mean_log_likelihood: of the scan at that pose, nats a point; NaN for an empty scan.
         landmark_pose: pose by landmarks; None where there are none, or too few are seen.
@@ -55,6 +57,7 @@ class Step:
     state: State
     reasons: frozenset[Reason]
     probability_far: float
+    restarted: bool
     particle_estimate: Estimate
     mean_log_likelihood: float
     landmark_pose: LandmarkPose | None
@@ -154,6 +157,7 @@ class Localizer:
             state=self._state,
             reasons=reasons,
             probability_far=supervision.probability_far,
+            restarted=self._tracker.fusion.restarted,
             particle_estimate=particle_estimate,
             mean_log_likelihood=log_likelihood,
             landmark_pose=None if landmarks is None else landmarks.pose,

@@ -301,8 +301,8 @@ def _bundle_warnings(bundle: Bundle, config: BuildConfig) -> list[str]:
     if config.landmarks and len(bundle.landmarks) == 0:
         warnings.append("too few corners are seen by several frames: there are no landmarks")
     if not bundle.supports_relocalization:
-        error_m = bundle.settings.particle_bias.relocalization_sd_m
-        warnings.append(f"one image locates the camera only to {error_m:.1f} m: flights need a start")
+        share = bundle.integrity.scan_search_precision
+        warnings.append(f"a search by one scan is right {share:.0%} of the time, too rarely: flights need a start")
     return warnings
 
 

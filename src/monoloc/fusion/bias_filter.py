@@ -170,6 +170,7 @@ class BiasAugmentedFilter:
         reference_poses: of the room, or none.
 
     Attributes:
+        restarted: whether the belief started anew at this frame, so that the pose may jump.
         time_since_update_s: since odometry, particles or landmarks last constrained the pose.
     """
 
@@ -189,6 +190,7 @@ class BiasAugmentedFilter:
         self._time_since_odometry_s = 0.0
         self._recent_motion = np.zeros(6)  # a twist in the camera's frame
         self.time_since_update_s = 0.0
+        self.restarted = False
 
     @property
     def belief(self) -> Estimate:
@@ -202,6 +204,7 @@ class BiasAugmentedFilter:
             elapsed_s: since the previous frame; 0 at the first.
             measured: pose of the particles at this frame, whose motion selects the bias where odometry has none.
         """
+        self.restarted = False
         self._time_since_odometry_s = self._time_since_odometry_s + elapsed_s if motion is None else 0.0
         delta = self._scaled(motion)
         moved = invert(self._measured.pose) @ measured.pose if motion is None else delta
@@ -241,6 +244,7 @@ class BiasAugmentedFilter:
         """The belief after landmarks relocalised the camera: only their pose counts."""
         noise, prior_sds = _landmark_noise(measured), self._prior_sds(measured.pose)
         self._state = BiasAugmentedState.from_measurement(_LANDMARKS, measured.pose, noise, prior_sds)
+        self.restarted = True
         self.time_since_update_s = self._time_since_odometry_s = 0.0
         return self.belief
 
@@ -266,6 +270,7 @@ class BiasAugmentedFilter:
         )
         noise = _particle_noise(measured)
         self._state = BiasAugmentedState.from_measurement(_PARTICLES, measured.pose, noise, prior_sds)
+        self.restarted = True
         self.time_since_update_s = 0.0
         return self.belief
 

@@ -16,8 +16,8 @@ class LikelihoodThresholds(BaseModel):
 
     Attributes:
         low: first percentile at true poses of held-out frames, and well below the median if there are few frames;
-            below it the pose is *uncertain*.
-        lost: as far below ``low`` as ``low`` is below the median; below it the pose is *lost*.
+            a place that a search finds is confirmed only above it.
+        lost: as far below ``low`` as ``low`` is below the median; below it a scan does not count.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

@@ -49,7 +49,7 @@ class Event(Enum):
     NOT_FOUND = "not found"
     """A scan's search found no place that fits."""
     FOUND = "found"
-    """A scan's search found a place other than the current one."""
+    """A scan's search found a place that fits, and that is not under verification."""
     UNDECIDED = "undecided"
     """A scan's search found the place under verification again, but it does not fit well enough."""
     CONFIRMED = "confirmed"

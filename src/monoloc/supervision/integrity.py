@@ -31,7 +31,7 @@ _UNSEEN_S = 1.0  # time for which landmarks stay unseen
 # Rates at which a belief becomes wrong, per second: with odometry, which a kidnap breaks; without, by motion as well.
 _WRONG_RATE, _WRONG_RATE_WITHOUT_ODOMETRY = 0.001, 0.3
 _WRONG_AT_BREAK = 0.1  # probability that the camera was displaced where odometry newly fails on an image
-_START_IS_WRONG, _LANDMARKS_ARE_WRONG = 0.05, 0.02  # probability of a given start, of a relocalisation by landmarks
+_START_IS_WRONG, _LANDMARKS_ARE_WRONG = 0.02, 0.02  # probability of a given start, of a relocalisation by landmarks
 _LEAST_SEARCH_PRECISION = 0.25  # of relocalisations by a scan, below which they are not tried
 _SEEN, _UNSEEN, _WRONG = 0, 1, 2
 
@@ -128,7 +128,7 @@ class SensorModel(BaseModel):
 
     thresholds: LikelihoodThresholds | None = None
     scan: Classes = Classes()
-    search_precision: float = Field(0.5, gt=0.0, lt=1.0)
+    search_precision: float = Field(0.2, gt=0.0, lt=1.0)
 
 
 class IntegrityMonitor:

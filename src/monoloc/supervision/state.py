@@ -23,8 +23,8 @@ class Reason(Enum):
     """The pose is unknown, and the room is searched for the camera."""
     VERIFYING = "verifying"
     """A search found a place, and it is verified."""
-    BELIEF_CONTRADICTED = "belief contradicted"
-    """Scans or landmarks speak against the belief."""
+    BELIEF_DOUBTFUL = "belief doubtful"
+    """Scans or landmarks speak against the belief, or nothing has confirmed it for too long."""
     POSITION_WIDE = "position wide"
     """The covariance allows for more than 30 cm."""
     NO_ODOMETRY = "no odometry"
@@ -82,11 +82,12 @@ def _state(supervision: Supervision, previous: State) -> State:
 def _reasons(supervision: Supervision) -> frozenset[Reason]:
     wrong = supervision.probability_wrong
     wide = supervision.probability_far - wrong
+    is_far = supervision.mode is Mode.TRACKING and supervision.probability_far >= _TRACKING_AGAIN_BELOW
     holds = {
         Reason.SEARCHING: supervision.mode is Mode.SEARCHING,
         Reason.VERIFYING: supervision.mode is Mode.VERIFYING,
-        Reason.BELIEF_CONTRADICTED: supervision.mode is Mode.TRACKING and wrong >= max(wide, _TRACKING_AGAIN_BELOW),
-        Reason.POSITION_WIDE: supervision.mode is Mode.TRACKING and wide >= max(wrong, _TRACKING_AGAIN_BELOW),
+        Reason.BELIEF_DOUBTFUL: is_far and wrong >= wide,
+        Reason.POSITION_WIDE: is_far and wide > wrong,
         Reason.NO_ODOMETRY: not supervision.odometry_tracked,
         Reason.IMAGE_REPEATED: supervision.repeated_s > _MOST_REPEATED_S,
         Reason.IMAGE_EMPTY: supervision.image_is_empty,

@@ -73,7 +73,7 @@ def test_what_the_probability_allows_for_is_tracking_without_reasons(harmless: d
 REASONS: dict[Reason, dict[str, Any]] = {
     Reason.SEARCHING: {"mode": Mode.SEARCHING, "probability_far": 1.0, "probability_wrong": 1.0},
     Reason.VERIFYING: {"mode": Mode.VERIFYING, "probability_far": 1.0, "probability_wrong": 1.0},
-    Reason.BELIEF_CONTRADICTED: {"probability_far": 0.3, "probability_wrong": 0.2},
+    Reason.BELIEF_DOUBTFUL: {"probability_far": 0.3, "probability_wrong": 0.2},
     Reason.POSITION_WIDE: {"probability_far": 0.3, "probability_wrong": 0.1},
     Reason.IMAGE_REPEATED: {"repeated_s": 0.3},
     Reason.CAMERA_MISMATCH: {"camera_mismatch": True},
