@@ -215,7 +215,7 @@ def test_localize_searches_the_room_where_no_start_is_known(capfd: Capture, here
 def test_unknown_start_is_refused_where_nothing_can_find_the_camera(capfd: Capture, here: Path) -> None:
     room = read_bundle(here / "room.monoloc")
     precise = room.sensor.model_copy(update={"search_precision": 0.9})
-    integrity = room.integrity.model_copy(update={"scan_search_precision": 0.4})
+    integrity = room.integrity.model_copy(update={"scan_search_precision": 0.1})
     write_bundle(here / "room.monoloc", replace(room, integrity=integrity, sensor=precise))
     command = ("localize", "room.monoloc", "flight", "--start", "unknown", "--out", "trajectory.txt")
     problem = "is unknown, and neither scans nor landmarks can find the camera in this room"

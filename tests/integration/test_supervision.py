@@ -92,7 +92,7 @@ def test_kidnapped_camera_is_not_tracking_until_landmarks_find_it(flights: Fligh
 
 def test_kidnapped_camera_is_not_tracking_where_there_are_no_landmarks(flights: Flights) -> None:
     """Nor do scans find it in this room."""
-    integrity = plausible_integrity(flights.thresholds, 0.4)
+    integrity = plausible_integrity(flights.thresholds, 0.1)
     localizer = flights.localizer(landmarks=Landmarks.none(), integrity=integrity)
     assert follow(localizer, flights.recording, range(11))[-1].state == "tracking"
     frames = range(FRAMES - 1, FRAMES - 1 - 2 * SOMETIME, -1)
@@ -110,7 +110,7 @@ def test_camera_without_a_start_is_found_by_landmarks_alone(flights: Flights) ->
         flights.recording.poses[::10],
         settings=SETTINGS.model_copy(update={"landmark_bias": flights.bias}),
         landmarks=flights.landmarks,
-        integrity=plausible_integrity(flights.thresholds, 0.4),
+        integrity=plausible_integrity(flights.thresholds, 0.1),
     )
     frames = range(40, 45)
     steps = follow(localizer, flights.recording, frames)
