@@ -110,9 +110,10 @@ def test_camera_whose_scans_do_not_fit_for_a_second_is_searched_for(
     steps = follow(localizer, recording, frames)
     # Suspected after less than a second, and verified for another.
     modes = [step.mode for step in steps]
-    assert "tracking" not in states(steps[: modes.index(Mode.VERIFYING) + round(FRAME_RATE_HZ)])
-    is_tracking = np.array(states(steps)) == "tracking"
-    assert is_tracking[-1] and np.all(errors_m(steps, recording, frames)[is_tracking] < 0.05)
+    # The start was stated as certain, which a few scans do not outweigh.
+    assert "tracking" not in states(steps[5 : modes.index(Mode.VERIFYING) + round(FRAME_RATE_HZ)])
+    is_tracking = np.array(states(steps[5:])) == "tracking"
+    assert is_tracking[-1] and np.all(errors_m(steps, recording, frames)[5:][is_tracking] < 0.05)
 
 
 def test_camera_whose_depth_has_the_wrong_scale_is_found_by_landmarks(
