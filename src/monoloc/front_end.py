@@ -70,6 +70,10 @@ class FrontEnd:
         self._previous: NDArray[np.uint8] | None = None
         self._repeated_s = 0.0
 
+    def reset(self) -> None:
+        """Take the next frame as the first."""
+        self._is_first, self._previous = True, None
+
     def observe(
         self,
         color: NDArray[np.uint8],
@@ -96,6 +100,7 @@ class FrontEnd:
         is_repeated = self._is_repeated(color, elapsed_s)
         depth = self._depth(color) if measured_depth is None else measured_depth
         motion = None if is_repeated else self._motion(color, depth)
+        motion = None if self._is_first else motion  # since before a reset
         depth = self._corrected(depth, motion)
         scan = self._scan(depth)
         is_empty = measured_depth is None and not has_contrast(color)

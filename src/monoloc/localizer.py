@@ -93,30 +93,48 @@ class Localizer:
         components: ComponentsFactory = default_components,
         seed: int | np.random.Generator = 0,
     ) -> None:
-        self._config = config = config or bundle.settings
-        self._rng = rng = np.random.default_rng(seed)
-        made = components(bundle, camera, config)
+        self._bundle, self._config = bundle, config or bundle.settings
+        self._rng = np.random.default_rng(seed)
+        made = components(bundle, camera, self._config)
         self._likelihood, self._landmarks = made.likelihood, made.landmarks
-        poses = bundle.reference_poses.poses if len(bundle.reference_poses) else np.eye(4)[None]
-        relocalizer = GlobalRelocalizer(made.likelihood, config.likelihood, poses, config.log_scale_sd)
-        if start is None and not bundle.supports_relocalization:
-            raise ValueError("start must be given: neither scans nor landmarks can find the camera in this room")
-        particles = (
-            relocalizer.sample_everywhere(config.particles, rng) if start is None else start.particles(config, rng)
-        )
         self._thresholds = bundle.thresholds
         self._gravity = Gravity(bundle.down)
-        self._front_end = FrontEnd(made, camera, config, rng)
-        self._tracker = Tracker(particles, config, bundle.reference_poses, rng)
+        poses = bundle.reference_poses.poses if len(bundle.reference_poses) else np.eye(4)[None]
+        self._relocalizer = GlobalRelocalizer(
+            made.likelihood, self._config.likelihood, poses, self._config.log_scale_sd
+        )
+        self._begin(start)
+        self._front_end = FrontEnd(made, camera, self._config, self._rng)
+
+    def _begin(self, start: Start | None) -> None:
+        """Everything that is believed, before a first frame."""
+        bundle, config = self._bundle, self._config
+        if start is not None:
+            particles = start.particles(config, self._rng)
+        elif bundle.supports_relocalization:
+            particles = self._relocalizer.sample_everywhere(config.particles, self._rng)
+        else:
+            raise ValueError("start must be given: neither scans nor landmarks can find the camera in this room")
+        mode = Mode.SEARCHING if start is None else Mode.TRACKING
+        self._tracker = Tracker(particles, config, bundle.reference_poses, self._rng)
         self._relocalization = RelocalizationStateMachine(
-            relocalizer,
-            bundle.supports_scan_search,
-            bundle.thresholds,
-            Mode.SEARCHING if start is None else Mode.TRACKING,
+            self._relocalizer, bundle.supports_scan_search, bundle.thresholds, mode
         )
         self._integrity = IntegrityMonitor(bundle.integrity, is_searched=start is None)
         self._camera_check = CameraCheck(bundle.integrity.focal_mean, bundle.integrity.focal_sd)
         self._state: State = "tracking"
+
+    def reset(self, start: Start | None) -> None:
+        """Forget what is believed, and begin anew at the next frame, whose elapsed time is ignored.
+
+        Args:
+            start: pose of the next frame; None searches for the camera.
+
+        Raises:
+            ValueError: as the constructor; nothing has changed then.
+        """
+        self._begin(start)
+        self._front_end.reset()
 
     @property
     def particles(self) -> Particles:
