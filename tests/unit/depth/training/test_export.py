@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from depth_helpers import TINY, lively_export, lively_network, random_image, run_onnx, tiny_network
+from depth_helpers import TINY, lively_export, random_image, run_onnx, tiny_network
 from monoloc.camera import Camera
 from monoloc.depth.predictor import DepthPredictor
 from monoloc.depth.spec import FOCAL_KEY, DepthModel, image_tensor, monoloc_spec, network_size
