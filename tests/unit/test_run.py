@@ -123,7 +123,8 @@ def test_frames_are_counted_by_reason(mixture: GaussianMixture, recording: RoomR
     ]  # the same order in every run
     for name, count in counts.items():
         assert count == sum(Reason(name) in reasons for reasons in run.reasons)
-    assert counts["image empty"] == len(few) and "tracking" not in run.states
+    # A stated start is believed for a third of a second; then darkness is a reason.
+    assert counts["image empty"] == sum(state != "tracking" for state in run.states) > 0
 
 
 def test_direction_of_gravity_rotates_the_poses(mixture: GaussianMixture, recording: RoomRecording) -> None:
