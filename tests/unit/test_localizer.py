@@ -219,9 +219,7 @@ def test_reset_without_a_start_is_refused_where_the_room_cannot_be_searched(
     mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
 ) -> None:
     unsearchable = plausible_integrity(thresholds, 0.2)
-    localizer, twin = (
-        localizer_at_truth(mixture, recording, thresholds, integrity=unsearchable) for _ in range(2)
-    )
+    localizer, twin = (localizer_at_truth(mixture, recording, thresholds, integrity=unsearchable) for _ in range(2))
     with pytest.raises(ValueError, match="start must be given"):
         localizer.reset(None)
     np.testing.assert_array_equal(*(poses_of(follow(each, recording, range(3))) for each in (localizer, twin)))
