@@ -102,7 +102,9 @@ def _frozen(frames: Sequence[FlightFrame], around: Surroundings) -> list[FlightF
 
 def _time_backwards(frames: Sequence[FlightFrame], around: Surroundings) -> list[FlightFrame]:
     times_s = [around.last.time_s, *(frame.time_s for frame in frames)]
-    return [replace(frame, told_s=-step) for frame, step in zip(frames, np.diff(times_s).tolist(), strict=True)]
+    return [
+        replace(frame, stated_elapsed_s=-step) for frame, step in zip(frames, np.diff(times_s).tolist(), strict=True)
+    ]
 
 
 def _other_room(frames: Sequence[FlightFrame], around: Surroundings) -> list[FlightFrame]:

@@ -32,14 +32,14 @@ class FlightFrame:
         image: gives (H, W, 3) uint8 RGB; called once, when the frame is flown.
         time_s: since the flight's beginning.
         truth: ``T_world_camera``, (4, 4); None where the camera is not in the bundle's room.
-        told_s: what the localizer is told of the time since the previous frame; None for the true time since the last
-            frame that it took in.
+        stated_elapsed_s: time since the previous frame as the localizer is given it; None for the true time since
+            the last frame that it took in.
     """
 
     image: Callable[[], Image]
     time_s: float
     truth: FloatArray | None
-    told_s: float | None = None
+    stated_elapsed_s: float | None = None
 
 
 class TakesSteps(Protocol):
@@ -117,7 +117,7 @@ def fly(localizer: TakesSteps, frames: Sequence[FlightFrame]) -> JudgedFlight:
     poses, covariances = np.tile(np.eye(4), (count, 1, 1)), np.tile(np.eye(6), (count, 1, 1))
     last_s = frames[0].time_s
     for index, frame in enumerate(frames):
-        elapsed_s = frame.time_s - last_s if frame.told_s is None else frame.told_s
+        elapsed_s = frame.time_s - last_s if frame.stated_elapsed_s is None else frame.stated_elapsed_s
         try:
             step = localizer.step(frame.image(), elapsed_s)
         except ValueError:
@@ -163,7 +163,7 @@ def seconds_until(flight: JudgedFlight, frames: Mask) -> float | None:
 
 
 def longest_run_s(flight: JudgedFlight, frames: Mask) -> float:
-    """Seconds from the first to the last of the most lasting consecutive ``frames`` (N,); 0 if there is none."""
+    """Seconds from the first to the last of the longest run of consecutive ``frames`` (N,); 0 if there is none."""
     borders = np.flatnonzero(np.diff(frames.astype(np.int8), prepend=0, append=0))
     firsts, ends = borders[::2], borders[1::2]
     return float(np.max(flight.times_s[ends - 1] - flight.times_s[firsts], initial=0.0))

@@ -28,7 +28,7 @@ APART_M = 0.7
 _FOUND_S = 3.0  # in which a camera is to be found
 _REPORTED_S = 0.5  # in which a kidnap is to be noticed
 _SETTLED_S = 1.0  # after which the error of a start is forgotten
-_WRONG_PLACE_S = 1.0  # of a wrong pose without a word of doubt, after which a drone flies by it
+_WRONG_PLACE_S = 1.0  # of *tracking* at a wrong pose, after which a drone flies by it
 
 
 @dataclass(frozen=True)

@@ -262,14 +262,7 @@ def _add_landmarks(bundle: Bundle, room: _Room, config: BuildConfig, progress: P
         return bundle
     landmarks, bias, evidence = build_landmarks(room.recording, supervision(room.recording, room.cloud), progress)
     settings = bundle.settings.model_copy(update={"landmark_bias": bias})
-    integrity = bundle.integrity.model_copy(
-        update={
-            "landmarks": evidence.found,
-            "unseen_share": evidence.unseen_share,
-            "focal_mean": evidence.focal_mean,
-            "focal_sd": evidence.focal_sd,
-        }
-    )
+    integrity = bundle.integrity.model_copy(update=vars(evidence))
     return replace(bundle, settings=settings, landmarks=landmarks, integrity=integrity)
 
 

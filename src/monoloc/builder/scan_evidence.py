@@ -16,11 +16,10 @@ from monoloc.localizer_config import LocalizerConfig
 from monoloc.progress import Progress
 from monoloc.relocalization.search import GlobalRelocalizer
 from monoloc.sensor_depth import sensor_settings, sparse_depth
-from monoloc.supervision.integrity import Classes, IntegrityModel, SensorModel
+from monoloc.supervision.integrity import WRONG_DISTANCE_M, Classes, IntegrityModel, SensorModel
 
 _MOST_SCANS = 60
 _WRONG_POSES = 2  # a scan
-_WRONG_DISTANCE_M = 0.7  # pose distance from the true pose, from which particles do not find back
 
 
 def measure_scan_evidence(
@@ -48,7 +47,7 @@ def measure_scan_evidence(
     right, wrong = [], []
     for scan, sample in (scans[index] for index in evenly_spaced(len(scans), _MOST_SCANS).tolist()):
         right.append(relocalizer.refine(sample.pose, scan, rng)[1])
-        others = reference_poses[pose_distance_m(sample.pose, reference_poses) >= _WRONG_DISTANCE_M]
+        others = reference_poses[pose_distance_m(sample.pose, reference_poses) >= WRONG_DISTANCE_M]
         for pose in rng.permutation(others)[:_WRONG_POSES]:
             wrong.append(relocalizer.refine(pose, scan, rng)[1])
     return IntegrityModel.scan_classes(right, wrong) if wrong else Classes()

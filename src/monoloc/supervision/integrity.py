@@ -19,6 +19,9 @@ from monoloc.landmarks.pnp import LandmarkMeasurement
 from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.particle_filter.estimate import Estimate
 
+WRONG_DISTANCE_M = 0.7
+"""Pose distance from the true pose at which a build measures what a wrong belief looks like."""
+
 LANDMARK_EDGES = (3.5, 7.5, 14.5, 29.5)  # between the classes of numbers of landmarks found
 _LEAST_EXPECTED = 30  # landmarks in view, below which their number says nothing
 _SCAN_PERCENTILES = (5.0, 20.0, 50.0)  # of the fits at right poses: edges between the classes of fits
@@ -33,7 +36,6 @@ _WRONG_RATE, _WRONG_RATE_WITHOUT_ODOMETRY = 0.001, 0.3
 _WRONG_AT_BREAK = 0.1  # probability that the camera was displaced where odometry newly fails on an image
 _START_IS_WRONG, _LANDMARKS_ARE_WRONG = 0.02, 0.02  # probability of a given start, of a relocalisation by landmarks
 _LEAST_SEARCH_PRECISION = 0.25  # of relocalisations by a scan, below which they are not tried
-_SEEN, _UNSEEN, _WRONG = 0, 1, 2
 
 
 class Classes(BaseModel):
@@ -141,6 +143,7 @@ class IntegrityMonitor:
 
     def __init__(self, model: IntegrityModel, is_searched: bool) -> None:
         self._model = model
+        # Of three conditions: right and landmarks seen, right and not seen, wrong.
         self._probabilities = self._right_unless(1.0 if is_searched else _START_IS_WRONG)
         self._elapsed_s = 0.0
         self._odometry_tracked = True
@@ -148,7 +151,7 @@ class IntegrityMonitor:
     @property
     def probability_wrong(self) -> float:
         """That the belief is wrong, 0 to 1, whatever its covariance."""
-        return float(self._probabilities[_WRONG])
+        return float(self._probabilities[2])
 
     def probability_far(self, belief: Estimate) -> float:
         """That the position is more than :data:`FAR_M` off, because the belief is wrong or because it is wide."""

@@ -85,7 +85,7 @@ def test_dropped_frames_are_absent_and_times_run_backwards() -> None:
     clean, frames, in_fault = flight_with("dropped-2s")
     assert in_fault.start == in_fault.stop and len(frames) == len(clean) - 2 * RATE_HZ
     _, frames, in_fault = flight_with("time-backwards")
-    np.testing.assert_allclose([frame.told_s for frame in frames[in_fault]], -1.0 / RATE_HZ)
+    np.testing.assert_allclose([frame.stated_elapsed_s for frame in frames[in_fault]], -1.0 / RATE_HZ)
     assert all(frame.truth is None for frame in flight_with("other-room")[1][slice(40, 40 + int(FAULT_S * RATE_HZ))])
 
 

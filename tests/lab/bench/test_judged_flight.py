@@ -1,4 +1,4 @@
-"""What counts as found, far or silent, and arithmetic of times, with a localizer that says what it is told to."""
+"""What counts as found, far or silent, and arithmetic of times, with a localizer whose answers are given."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_errors_of_lost_frames_do_not_count_as_covered_or_not() -> None:
 
 def test_refused_frames_are_known_as_such_and_time_goes_on_from_the_last_one_taken_in() -> None:
     stub, frames = Stub(["tracking", "lost"]), frames_off([0.0, 0.0, 0.0])
-    frames[1] = FlightFrame(frames[1].image, 0.1, frames[1].truth, told_s=-0.1)
+    frames[1] = FlightFrame(frames[1].image, 0.1, frames[1].truth, stated_elapsed_s=-0.1)
     flight = fly(stub, frames)
     assert flight.states.tolist() == ["tracking", REFUSED, "lost"]
     np.testing.assert_allclose(stub.elapsed_s, [0.0, 0.2])

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monoloc.builder.landmark_mapping import LandmarkEvidence, build_landmarks
+from monoloc.builder.landmark_evidence import LandmarkEvidence
+from monoloc.builder.landmark_mapping import build_landmarks
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.geometry import FloatArray, invert, se3_exp, se3_log
 from monoloc.landmarks.landmark_map import Landmarks
@@ -61,7 +62,7 @@ def test_number_of_landmarks_tells_right_poses_from_wrong_ones(
 ) -> None:
     """Walls that are drawn without noise show most of theirs everywhere near the path, and hardly any elsewhere."""
     evidence = built[2]
-    (many_right, many_wrong), (few_right, few_wrong) = (evidence.found.likelihoods(count) for count in (100, 2))
+    (many_right, many_wrong), (few_right, few_wrong) = (evidence.landmarks.likelihoods(count) for count in (100, 2))
     assert many_right > 10.0 * many_wrong and few_wrong > 10.0 * few_right
     assert 0.0 < evidence.unseen_share < 0.5
 

@@ -1,0 +1,179 @@
+"""How far landmark poses are biased, and what the number of landmarks in an image says of a belief."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import astuple, dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.builder.bias import fit_bias_model
+from monoloc.builder.landmark_triangulation import Corners, landmarks_of
+from monoloc.camera import Camera
+from monoloc.evaluation.consistency import FAR_M
+from monoloc.evaluation.hold_out import HELD_OUT_SHARE, REGIONS, hold_out_regions
+from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, twist_errors
+from monoloc.fusion.bias_model import BiasModel
+from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_log
+from monoloc.landmarks.pnp import LEAST_LANDMARKS, PRIOR_COVARIANCE, LandmarkPose, OrbLandmarkLocalizer
+from monoloc.supervision.camera_check import WELL_OBSERVED_SD
+from monoloc.supervision.integrity import WRONG_DISTANCE_M, Classes, IntegrityModel
+
+_LEAST_M, _LEAST_RAD = 0.001, 0.0005  # smallest errors, even of a static camera
+_CHI2_90_3 = 6.251388631170325  # 90 % quantile of the chi-squared distribution with 3 degrees of freedom
+_NORMAL_MAD = 1.4826  # standard deviation over median deviation
+_LEAST_FOCAL_FRAMES, _LEAST_FOCAL_SD = 10, 0.005  # frames that tell a deviation of log-focal, and the smallest
+_PRIOR_GROWTH = 0.05  # m/m and rad/m, measured in other rooms
+
+
+@dataclass(frozen=True)
+class LandmarkEvidence:
+    """What landmarks say of a belief; the fields are those of :class:`IntegrityModel`."""
+
+    landmarks: Classes = field(default_factory=Classes)
+    unseen_share: float = 0.5
+    focal_mean: float = 0.0
+    focal_sd: float = 1.0
+
+
+@dataclass(frozen=True)
+class _Localized:
+    """Frames that are localised by other frames' landmarks.
+
+    Attributes:
+        frames: (M,) those that get a pose.
+        errors: of these poses, beyond estimated noise.
+        found: landmarks found in each frame at its true pose.
+        found_wrong: the same at another frame's pose, where there is one far enough away, and the landmarks do not
+            lead back to the true pose.
+        log_focal: (F,) see :class:`monoloc.landmarks.pnp.LandmarkPose`, of the poses where it is well observed.
+    """
+
+    frames: NDArray[np.int64]
+    errors: PoseErrors
+    found: list[int]
+    found_wrong: list[int]
+    log_focal: FloatArray
+
+
+def measure_landmarks(
+    corners: list[Corners], camera: Camera, detected: Camera, poses: FloatArray
+) -> tuple[BiasModel, LandmarkEvidence] | None:
+    """Bias and evidence of what frames see of other frames' landmarks; None if fewer than half get a pose.
+
+    Args:
+        corners: corners of each frame.
+        camera, detected: intrinsics of the recording, and of the images in which corners were detected.
+        poses: (N, 4, 4) ``T_world_camera`` of the frames.
+    """
+
+    def localized(by: NDArray[np.int64], of: NDArray[np.int64]) -> _Localized:
+        localizer = OrbLandmarkLocalizer(landmarks_of([corners[index] for index in by], detected, poses[by]), camera)
+        return _localized(localizer, corners, poses, of)
+
+    frames = np.arange(len(corners))
+    both = localized(frames[::2], frames[1::2]), localized(frames[1::2], frames[::2])
+    sizes = zip(*(astuple(each.errors) for each in both), strict=True)
+    at_reference = PoseErrors(*(np.concatenate(size) for size in sizes))
+    if 2 * len(at_reference.position_m) < len(frames):
+        return None
+    held_out = np.sort(np.concatenate(hold_out_regions(poses, REGIONS, HELD_OUT_SHARE)))
+    others = np.setdiff1d(frames, held_out)
+    away = localized(others, held_out)
+    distances_m = np.array([pose_distance_m(poses[index], poses[others]).min() for index in away.frames])
+    bias = fit_bias_model(at_reference, at_reference, away.errors, distances_m, _PRIOR_GROWTH)
+    errors = PoseErrors(
+        np.concatenate([at_reference.position_m, away.errors.position_m]),
+        np.concatenate([at_reference.rotation_rad, away.errors.rotation_rad]),
+    )
+    all_distances_m = np.concatenate([np.zeros(len(at_reference.position_m)), distances_m])
+    return widened(bias, errors, all_distances_m), _evidence([*both, away])
+
+
+def widened(bias: BiasModel, errors: PoseErrors, distances_m: FloatArray) -> BiasModel:
+    """The bias model, wide enough for nine errors of ten.
+
+    A model fitted to medians is too narrow where errors have heavy tails: a flat view has two poses that look alike.
+
+    Args:
+        bias: fitted to medians.
+        errors: of N poses.
+        distances_m: (N,) from each to the nearest reference pose.
+    """
+    sds = np.stack([bias.sds(distance_m) for distance_m in distances_m])
+
+    def factor(sizes: FloatArray, sd: FloatArray) -> float:
+        return max(1.0, float(np.percentile(sizes / sd, 90.0)) / math.sqrt(_CHI2_90_3))
+
+    by_m, by_rad = factor(errors.position_m, sds[:, 0]), factor(errors.rotation_rad, sds[:, 3])
+    return bias.model_copy(
+        update={
+            "sd_at_reference_m": by_m * bias.sd_at_reference_m,
+            "sd_growth_m": by_m * bias.sd_growth_m,
+            "sd_at_reference_rad": by_rad * bias.sd_at_reference_rad,
+            "sd_growth_rad": by_rad * bias.sd_growth_rad,
+        }
+    )
+
+
+def _localized(
+    localizer: OrbLandmarkLocalizer, corners: list[Corners], poses: FloatArray, of: NDArray[np.int64]
+) -> _Localized:
+    seen: dict[int, LandmarkPose] = {}
+    found, found_wrong = [], []
+    for index in of.tolist():
+        keypoints = corners[index].keypoints
+        measured = localizer.measure_keypoints(keypoints, poses[index], PRIOR_COVARIANCE)
+        found.append(measured.found)
+        if measured.pose is not None:
+            seen[index] = measured.pose
+        distances_m = pose_distance_m(poses[index], poses)
+        if distances_m.max() >= WRONG_DISTANCE_M:
+            # The nearest of the poses that are far enough away: they see most of the same landmarks.
+            other = int(np.argmin(np.where(distances_m >= WRONG_DISTANCE_M, distances_m, np.inf)))
+            measured = localizer.measure_keypoints(keypoints, poses[other], PRIOR_COVARIANCE)
+            if measured.pose is None or pose_distance_m(poses[index], measured.pose.pose[None])[0] > FAR_M:
+                found_wrong.append(measured.found)
+    twists = [se3_log(invert(poses[index]) @ landmark_pose.pose) for index, landmark_pose in seen.items()]
+    stated = [np.diag(landmark_pose.covariance) for landmark_pose in seen.values()]
+    return _Localized(
+        frames=np.array(list(seen), dtype=np.int64),
+        errors=_beyond_noise(twist_errors(np.reshape(twists, (-1, 6))), np.reshape(stated, (-1, 6))),
+        found=found,
+        found_wrong=found_wrong,
+        log_focal=np.array([pose.log_focal for pose in seen.values() if pose.log_focal_sd <= WELL_OBSERVED_SD]),
+    )
+
+
+def _evidence(measured: list[_Localized]) -> LandmarkEvidence:
+    """From localised frames, those of held-out regions last."""
+    right = [found for each in measured for found in each.found]
+    wrong = [found for each in measured for found in each.found_wrong]
+    if not wrong:
+        return LandmarkEvidence()
+    log_focal = np.concatenate([each.log_focal for each in measured])
+    away = measured[-1].found
+    unseen = sum(found < LEAST_LANDMARKS for found in away)
+    evidence = LandmarkEvidence(
+        landmarks=IntegrityModel.landmark_classes(right, wrong), unseen_share=(unseen + 1.0) / (len(away) + 2.0)
+    )
+    if len(log_focal) < _LEAST_FOCAL_FRAMES:
+        return evidence
+    median = float(np.median(log_focal))
+    deviation = _NORMAL_MAD * float(np.median(np.abs(log_focal - median)))
+    return replace(evidence, focal_mean=median, focal_sd=max(_LEAST_FOCAL_SD, deviation))
+
+
+def _beyond_noise(errors: PoseErrors, stated: FloatArray) -> PoseErrors:
+    """Subtract estimated noise, variances of twists (N, 6), from errors; a third of each error remains."""
+
+    def beyond(errors: FloatArray, variances: FloatArray, least: float) -> FloatArray:
+        noise = CHI2_MEDIAN_3 * variances.mean(axis=1)
+        return np.asarray(
+            np.sqrt(np.maximum.reduce([errors**2 - noise, (errors / 3.0) ** 2, np.full(len(errors), least**2)]))
+        )
+
+    return PoseErrors(
+        beyond(errors.position_m, stated[:, :3], _LEAST_M), beyond(errors.rotation_rad, stated[:, 3:], _LEAST_RAD)
+    )
