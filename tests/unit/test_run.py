@@ -30,6 +30,27 @@ def recording() -> RoomRecording:
     return RoomRecording(Room(), make_path(20), SMALL_CAMERA)
 
 
+def exact_run(recording: RoomRecording) -> Run:
+    """A run whose poses are the truth, of which the first six frames are of the build."""
+    count = len(recording)
+    return Run(
+        recording=recording,
+        config=SETTINGS,
+        start=None,
+        poses=recording.poses,
+        covariances=np.repeat(np.eye(6)[None], count, axis=0),
+        odometry=None,
+        unseen=np.arange(count) > 5,
+        states=["tracking"] * count,
+        reasons=[frozenset()] * count,
+        mean_log_likelihoods=np.zeros(count),
+        log_scales=np.zeros(count),
+        step_ms=np.ones(count),
+        landmark_used=np.zeros(count, dtype=np.bool_),
+        depth=None,
+    )
+
+
 def test_silent_frames_are_tracking_and_far_off_or_outside_their_covariance(recording: RoomRecording) -> None:
     count = len(recording)
     poses = recording.poses.copy()
@@ -41,22 +62,8 @@ def test_silent_frames_are_tracking_and_far_off_or_outside_their_covariance(reco
     states[2] = "uncertain"
     reasons: list[frozenset[Reason]] = [frozenset()] * count
     reasons[2] = frozenset({Reason.NO_ODOMETRY, Reason.POSITION_WIDE})
-    figures = Run(
-        recording=recording,
-        config=SETTINGS,
-        start=None,
-        poses=poses,
-        covariances=covariances,
-        odometry=None,
-        unseen=np.arange(count) > 5,
-        states=states,
-        reasons=reasons,
-        mean_log_likelihoods=np.zeros(count),
-        log_scales=np.zeros(count),
-        step_ms=np.ones(count),
-        landmark_used=np.zeros(count, dtype=np.bool_),
-        depth=None,
-    ).metrics()
+    run = replace(exact_run(recording), poses=poses, covariances=covariances, states=states, reasons=reasons)
+    figures = run.metrics()
     assert figures["reasons"] == {"position wide": 1, "no odometry": 1}
     assert (figures["silent_frames_30cm"], figures["unseen_silent_frames_30cm"]) == (2, 1)
     assert (figures["silent_frames_3_5_sigma"], figures["unseen_silent_frames_3_5_sigma"]) == (2, 1)
@@ -65,25 +72,10 @@ def test_silent_frames_are_tracking_and_far_off_or_outside_their_covariance(reco
 
 def test_dead_reckoning_is_evaluated_from_the_truth_and_from_the_start(recording: RoomRecording) -> None:
     """Exact odometry from a start 5 cm aside stays 5 cm aside; from one that is rotated it drifts."""
-    count, truth = len(recording), recording.poses
+    truth = recording.poses
 
     def figures(start: FloatArray) -> dict[str, object]:
-        return Run(
-            recording=recording,
-            config=SETTINGS,
-            start=start,
-            poses=truth,
-            covariances=np.repeat(np.eye(6)[None], count, axis=0),
-            odometry=truth,
-            unseen=np.arange(count) > 5,
-            states=["tracking"] * count,
-            reasons=[frozenset()] * count,
-            mean_log_likelihoods=np.zeros(count),
-            log_scales=np.zeros(count),
-            step_ms=np.ones(count),
-            landmark_used=np.zeros(count, dtype=np.bool_),
-            depth=None,
-        ).metrics()
+        return replace(exact_run(recording), start=start, odometry=truth).metrics()
 
     aside = make_pose(np.eye(3), np.array([0.03, 0.0, 0.04]))
     for start, expected in ((truth[0], 0.0), (aside @ truth[0], 0.05)):
