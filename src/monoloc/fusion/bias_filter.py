@@ -232,13 +232,20 @@ class BiasAugmentedFilter:
         """The belief after the landmark pose of the same frame.
 
         A belief that is contradicted far beyond its covariance starts anew at the landmarks: dozens of corners that
-        agree on one pose are not wrong together.
+        agree on one pose are not wrong together. Far from the reference poses they can be, as the bias there says.
         """
-        if self._state.landmark_excess(measured) > _CONTRADICTION and len(measured.points) >= _DECISIVE:
+        widened = self._with_bias_of_its_place(measured)
+        if self._state.landmark_excess(widened) > _CONTRADICTION and len(measured.points) >= _DECISIVE:
             return self.reinitialise_from_landmarks(measured)
-        self._state = self._state.update_from_landmarks(measured)
+        self._state = self._state.update_from_landmarks(widened)
         self.time_since_update_s = self._time_since_odometry_s = 0.0
         return self.belief
+
+    def _with_bias_of_its_place(self, measured: LandmarkPose) -> LandmarkPose:
+        """A landmark pose whose noise has what its bias is wider there than at the belief, where the state has it."""
+        there, here = self._prior_sds(measured.pose)[_LANDMARKS], self._state.prior_sds[_LANDMARKS]
+        further = np.diag(np.maximum(there**2 - here**2, 0.0)) / _LANDMARK_INFLATION**2
+        return replace(measured, covariance=measured.covariance + further)
 
     def reinitialise_from_landmarks(self, measured: LandmarkPose) -> Estimate:
         """The belief after landmarks relocalised the camera: only their pose counts."""

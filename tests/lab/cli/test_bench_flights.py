@@ -65,7 +65,7 @@ def test_recovery_and_faults_report_every_figure(capfd: Capture, folder: Path) -
             assert sum(part["states"].values()) == part["frames"]
     faults = found["faults"]
     assert faults["none"]["during"]["silent_frames"] == 0 and faults["none"]["recovery_s"] == 0.0
-    assert faults["black"]["reported_s"] == 0.0 and faults["black"]["during"]["silent_frames"] == 0
+    assert faults["black"]["reported_s"] < 0.2 and faults["black"]["during"]["silent_frames"] == 0
     assert faults["time-backwards"]["during"]["states"] == {"refused": faults["none"]["during"]["frames"]}
     assert faults["dropped-10s"]["during"]["frames"] == 0
 
