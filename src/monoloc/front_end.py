@@ -30,11 +30,11 @@ class Observation:
         is_first: whether there is no previous frame.
         repeated_s: for how long the image has been the same, bit for bit: 0 where it is new. A repeated image says
             nothing of the camera's motion, so there is neither motion nor scan.
-        is_empty: whether the image has no contrast, and no sensor gives depth.
+        is_empty: whether the image has no contrast.
         depth: of the frame, its scale and tilt corrected by odometry's corners.
         motion: odometry's motion since the previous frame, None where there is none.
         odometry_tracked: whether odometry followed the camera; true at the first frame and for a random walk.
-        scan: points of the depth; empty where the image has no contrast.
+        scan: points of the depth; empty where the image has no contrast and no sensor measured depth.
         corners: odometry's corners whose depth parallax has refined.
         down_camera: direction of gravity in the camera's frame, (3,) unit vector, None if it is not known.
     """
@@ -54,6 +54,11 @@ class Observation:
     @property
     def scan_has_enough_points(self) -> bool:
         return len(self.scan) >= _LEAST_POINTS
+
+    @property
+    def image_is_new(self) -> bool:
+        """Whether the image shows something, and not the same as before."""
+        return not self.is_empty and self.repeated_s == 0.0
 
 
 class FrontEnd:
@@ -103,7 +108,7 @@ class FrontEnd:
         motion = None if self._is_first else motion  # since before a reset
         depth = self._corrected(depth, motion)
         scan = self._scan(depth)
-        is_empty = measured_depth is None and not has_contrast(color)
+        is_empty = not has_contrast(color)
         observation = Observation(
             color=color,
             elapsed_s=elapsed_s,
@@ -113,7 +118,7 @@ class FrontEnd:
             depth=depth,
             motion=motion,
             odometry_tracked=self._is_first or self._odometry is None or motion is not None,
-            scan=EMPTY_SCAN if is_empty or is_repeated else scan,
+            scan=EMPTY_SCAN if is_repeated or (is_empty and measured_depth is None) else scan,
             corners=EMPTY_SCAN if motion is None else self._corners(motion),
             down_camera=down_camera,
         )

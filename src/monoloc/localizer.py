@@ -118,7 +118,7 @@ class Localizer:
         mode = Mode.SEARCHING if start is None else Mode.TRACKING
         self._tracker = Tracker(particles, config, bundle.reference_poses, self._rng)
         self._relocalization = RelocalizationStateMachine(
-            self._relocalizer, bundle.supports_scan_search, bundle.thresholds, mode
+            self._relocalizer, bundle.supports_scan_search, len(bundle.landmarks) > 0, bundle.thresholds, mode
         )
         self._integrity = IntegrityMonitor(bundle.integrity, is_searched=start is None)
         self._camera_check = CameraCheck(bundle.integrity.focal_mean, bundle.integrity.focal_sd)
@@ -186,8 +186,7 @@ class Localizer:
         )
 
     def _predict(self, observation: Observation) -> Particles:
-        image_is_new = not observation.is_empty and observation.repeated_s == 0.0
-        self._integrity.predict(observation.elapsed_s, observation.odometry_tracked, image_is_new)
+        self._integrity.predict(observation.elapsed_s, observation.odometry_tracked, observation.image_is_new)
         is_verifying = self._relocalization.mode is Mode.VERIFYING
         return self._tracker.predict(observation.motion, observation.elapsed_s, from_search=is_verifying)
 
@@ -198,7 +197,7 @@ class Localizer:
             observation.scan if observation.scan_has_enough_points else EMPTY_SCAN,
             observation.elapsed_s,
             self._integrity.probability_wrong,
-            partial(self._landmarks.relocalize, observation.color),
+            partial(self._landmarks.relocalize, observation.color) if observation.image_is_new else None,
             self._rng,
         )
         if relocalization.landmark_pose is not None:
@@ -267,8 +266,7 @@ class Localizer:
     ) -> LandmarkMeasurement | None:
         """What the image shows of the landmarks; None where it says nothing, or the belief starts anew."""
         starts_anew = relocalization.confirmed or relocalization.landmark_pose is not None
-        says_nothing = observation.is_empty or observation.repeated_s > 0.0
-        if relocalization.mode is not Mode.TRACKING or starts_anew or says_nothing:
+        if relocalization.mode is not Mode.TRACKING or starts_anew or not observation.image_is_new:
             return None
         return self._landmarks.measure(observation.color, prior.pose, prior.covariance)
 

@@ -128,9 +128,9 @@ def test_image_without_contrast_gives_an_empty_scan_of_predicted_depth_only() ->
     dark = front_end.observe(BLACK, 0.0, None, None)
     assert len(dark.scan) == 0 and dark.is_empty
     measured = front_end.observe(BLACK + 1, 0.1, MEASURED, None)
-    assert len(measured.scan) == 50 and not measured.is_empty
+    assert len(measured.scan) == 50 and measured.is_empty and not measured.image_is_new
     bright = front_end.observe(COLOR, 0.1, None, None)
-    assert len(bright.scan) == 50 and not bright.is_empty
+    assert len(bright.scan) == 50 and not bright.is_empty and bright.image_is_new
 
 
 @pytest.mark.parametrize("depth", [None, MEASURED])

@@ -98,6 +98,8 @@ class RelocalizationStateMachine:
     Args:
         relocalizer: draws particles around places, and searches by scans.
         searches_by_scan: whether one scan tells the places of the room apart.
+        searches_by_landmarks: whether the room has landmarks. Where neither searches, a lost camera stays with its
+            belief, which scans may correct: no search could bring it back.
         thresholds: of the scan's likelihood.
         mode: at the start; ``SEARCHING`` where nothing is known of the pose.
     """
@@ -106,10 +108,12 @@ class RelocalizationStateMachine:
         self,
         relocalizer: GlobalRelocalizer,
         searches_by_scan: bool,
+        searches_by_landmarks: bool,
         thresholds: LikelihoodThresholds,
         mode: Mode = Mode.TRACKING,
     ) -> None:
-        self._relocalizer, self._searches_by_scan = relocalizer, searches_by_scan
+        self._relocalizer = relocalizer
+        self._searches_by_scan, self._searches_by_landmarks = searches_by_scan, searches_by_landmarks
         self._thresholds = thresholds
         self.mode = mode
         self._since_scan_search_s = _SCAN_PERIOD_S
@@ -122,33 +126,36 @@ class RelocalizationStateMachine:
         scan: Scan,
         elapsed_s: float,
         probability_wrong: float,
-        by_landmarks: Callable[[], LandmarkPose | None],
+        by_landmarks: Callable[[], LandmarkPose | None] | None,
         rng: np.random.Generator,
     ) -> Relocalization:
         """The mode for a frame, after a search where one is due: by landmarks, or else by the scan.
 
         Args:
             particles, belief: predicted for this frame.
-            scan: of this frame; empty where the image says nothing.
+            scan: of this frame; empty where depth says nothing.
             elapsed_s: since the previous frame.
             probability_wrong: that the belief is wrong.
-            by_landmarks: relocalises by landmarks; called only if a search is due.
+            by_landmarks: relocalises by landmarks; called only if a search is due. None where the image says nothing.
             rng: used only if a search is due.
         """
+        if not (self._searches_by_scan or self._searches_by_landmarks):
+            return Relocalization(self.mode, particles)
         if belief.position_is_unknown:
             self._transition(Event.POSITION_LOST)
         self._since_scan_search_s += elapsed_s
         self._since_landmark_search_s += elapsed_s
         is_sought = self.mode is not Mode.TRACKING or probability_wrong >= SUSPECTED
-        if not is_sought or len(scan) == 0:
+        if not is_sought:
             return Relocalization(self.mode, particles)
-        seen = self._search_by_landmarks(by_landmarks)
+        seen = None if by_landmarks is None else self._search_by_landmarks(by_landmarks)
         if seen is not None and not self._is_believed(seen, belief):
             self._transition(Event.LANDMARKS_FOUND)
             place = Estimate(seen.pose, seen.covariance, estimate(particles).log_scale)
             particles = self._relocalizer.sample_around(place, len(particles), rng)
             return Relocalization(self.mode, particles, landmark_pose=seen)
-        if seen is None and self._searches_by_scan and self._since_scan_search_s >= _SCAN_PERIOD_S:
+        scan_is_due = len(scan) > 0 and self._searches_by_scan and self._since_scan_search_s >= _SCAN_PERIOD_S
+        if seen is None and scan_is_due:
             self._since_scan_search_s = 0.0
             return self._search_by_scan(particles, scan, rng)
         return Relocalization(self.mode, particles)
@@ -159,7 +166,7 @@ class RelocalizationStateMachine:
         return self.mode is Mode.TRACKING and distance_m < _SAME_PLACE_M
 
     def _search_by_landmarks(self, by_landmarks: Callable[[], LandmarkPose | None]) -> LandmarkPose | None:
-        if self._since_landmark_search_s < _LANDMARK_PERIOD_S:
+        if not self._searches_by_landmarks or self._since_landmark_search_s < _LANDMARK_PERIOD_S:
             return None
         self._since_landmark_search_s = 0.0
         return by_landmarks()

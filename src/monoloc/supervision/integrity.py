@@ -61,7 +61,10 @@ class Classes(BaseModel):
         """
         bounds = np.asarray(edges, dtype=np.float64).tolist()
         counts = np.stack(
-            [np.bincount(np.searchsorted(bounds, values), minlength=len(bounds) + 1) for values in (right, wrong)]
+            [
+                np.bincount(np.searchsorted(bounds, values, side="right"), minlength=len(bounds) + 1)
+                for values in (right, wrong)
+            ]
         )
         while len(bounds):
             smoothed = counts + _PSEUDO_COUNT
@@ -77,7 +80,7 @@ class Classes(BaseModel):
 
     def likelihoods(self, value: float) -> tuple[float, float]:
         """Probability of a value's class at right and at wrong poses."""
-        index = int(np.searchsorted(self.edges, value))
+        index = int(np.searchsorted(self.edges, value, side="right"))
         return self.right[index], self.wrong[index]
 
 
@@ -169,7 +172,9 @@ class IntegrityMonitor:
         becomes_wrong = 1.0 - math.exp(-rate * elapsed_s)
         if self._odometry_tracked and not odometry_tracked and image_is_new:
             becomes_wrong = max(becomes_wrong, _WRONG_AT_BREAK)
-        self._elapsed_s, self._odometry_tracked = elapsed_s, odometry_tracked
+        self._elapsed_s = elapsed_s
+        if image_is_new:  # of others odometry says nothing; the break shows at the next one
+            self._odometry_tracked = odometry_tracked
         changes_sight = 1.0 - math.exp(-elapsed_s / _UNSEEN_S)
         seen, unseen, wrong = self._probabilities
         right = seen + unseen

@@ -75,9 +75,13 @@ NO_LANDMARKS = _Landmarks()
 
 
 def machine_with(
-    *answers: tuple[float, float], mode: Mode = Mode.SEARCHING, searches_by_scan: bool = True
+    *answers: tuple[float, float],
+    mode: Mode = Mode.SEARCHING,
+    searches_by_scan: bool = True,
+    searches_by_landmarks: bool = True,
 ) -> RelocalizationStateMachine:
-    return RelocalizationStateMachine(_Relocalizer(*answers), searches_by_scan, THRESHOLDS, mode)
+    relocalizer = _Relocalizer(*answers)
+    return RelocalizationStateMachine(relocalizer, searches_by_scan, searches_by_landmarks, THRESHOLDS, mode)
 
 
 class After(NamedTuple):
@@ -96,7 +100,7 @@ def update(
     elapsed_s: float = PERIOD_S,
     probability_wrong: float = BELIEVED,
     sd_m: float = KNOWN_SD_M,
-    landmarks: _Landmarks = NO_LANDMARKS,
+    landmarks: _Landmarks | None = NO_LANDMARKS,
 ) -> After:
     """After a frame whose particles and belief were at ``x_m``."""
     rng = np.random.default_rng(0)
@@ -146,7 +150,7 @@ def after_frame(mode: Mode, frame: Frame, transitions: _RecordedTransitions) -> 
     """Of a machine that its own events brought to a mode; each frame takes a second. Only the last is recorded."""
     relocalizer = _Relocalizer((HERE_M, FITS))
     first = Mode.TRACKING if mode is Mode.TRACKING else Mode.SEARCHING
-    machine = RelocalizationStateMachine(relocalizer, True, THRESHOLDS, first)
+    machine = RelocalizationStateMachine(relocalizer, True, True, THRESHOLDS, first)
     if mode is Mode.VERIFYING:
         update(machine)
     assert machine.mode is mode
@@ -261,6 +265,12 @@ def test_search_waits_for_a_scan_with_points() -> None:
     assert update(machine, 0.0, elapsed_s=0.0) == After(Mode.VERIFYING, 3.0)
 
 
+def test_room_that_nothing_searches_keeps_its_belief() -> None:
+    """No search could end the search; scans may bring the belief back."""
+    machine = machine_with(mode=Mode.TRACKING, searches_by_scan=False, searches_by_landmarks=False)
+    assert update(machine, 1.0, sd_m=UNKNOWN_SD_M, probability_wrong=WRONG) == After(Mode.TRACKING, 1.0)
+
+
 def test_belief_that_is_probably_wrong_is_followed_until_there_is_another() -> None:
     """The relocaliser has no second answer to give: it must not be asked before the belief is suspected."""
     machine = machine_with((3.0, MISFIT), (3.0, FITS), mode=Mode.TRACKING)
@@ -296,6 +306,13 @@ def test_landmarks_elsewhere_are_believed_at_once(
     landmarks = _Landmarks(4.0)
     assert update(machine, 0.0, landmarks=landmarks, **given) == After(Mode.TRACKING, 4.0, by_landmarks=True)
     assert landmarks.calls == 1
+
+
+def test_landmarks_find_a_camera_without_depth_but_not_in_an_image_that_says_nothing() -> None:
+    machine = machine_with()
+    assert update(machine, 0.0, EMPTY_SCAN, landmarks=None) == After(Mode.SEARCHING, 0.0)
+    found = After(Mode.TRACKING, 3.0, by_landmarks=True)
+    assert update(machine, 0.0, EMPTY_SCAN, landmarks=_Landmarks(3.0)) == found
 
 
 def test_landmarks_end_a_verification() -> None:

@@ -56,7 +56,7 @@ def test_classes_are_the_measured_shares() -> None:
     bounds = np.array([-np.inf, 0.0, 1.0, 2.0, np.inf])
     np.testing.assert_allclose(classes.right, np.diff(norm.cdf(bounds - 2.0)), atol=0.02)
     np.testing.assert_allclose(classes.wrong, np.diff(norm.cdf(bounds)), atol=0.02)
-    for value, index in ((-5.0, 0), (0.5, 1), (1.0, 1), (1.01, 2), (9.0, 3), (-np.inf, 0)):
+    for value, index in ((-5.0, 0), (0.5, 1), (0.99, 1), (1.0, 2), (9.0, 3), (-np.inf, 0)):
         assert classes.likelihoods(value) == (classes.right[index], classes.wrong[index])
 
 
@@ -94,6 +94,8 @@ def test_edges_between_fits_are_percentiles_of_right_ones() -> None:
     assert len(alike.edges) <= 1
     apart = IntegrityModel.scan_classes(np.linspace(1.0, 2.0, 101), np.zeros(50))
     assert apart.edges == pytest.approx((1.05, 1.2, 1.5))
+    # A value on an edge is above it: of equal fits, none is in the class below.
+    assert IntegrityModel.scan_classes([1.0, *np.full(9, 2.0)], np.zeros(10)).likelihoods(2.0)[0] > 0.8
     assert IntegrityModel.landmark_classes([100.0] * 50, [0.0] * 50).edges == LANDMARK_EDGES
 
 
@@ -141,6 +143,8 @@ def test_without_odometry_doubt_grows_and_more_where_it_breaks_on_an_image() -> 
     assert np.all(np.diff(dark) > 0.0) and np.all(np.diff(bright) > 0.0)
     assert dark[0] < 0.03 < 0.09 < bright[0]
     assert dark[-1] == pytest.approx(1.0 - math.exp(-0.3 * 20 * FRAME_S), abs=0.01)
+    # A break is seen at the first image that shows something.
+    assert after(still, FRAME_S, odometry_tracked=False) > dark[-1] + 0.5 * (1.0 - dark[-1]) * 0.1
     # With odometry, hardly at all.
     monitor = make_monitor()
     after(monitor, 2.0, landmarks=SEEN)
