@@ -136,6 +136,20 @@ def fingerprint(color: NDArray[np.uint8]) -> int:
     return zlib.crc32(np.ascontiguousarray(color).tobytes())
 
 
+def digest_of(path: Path) -> str:
+    """SHA-256 of a bundle's manifest, which holds those of the other files: equal only for the same bundle.
+
+    Raises:
+        BundleError: there is no bundle at the path.
+    """
+    try:
+        return hashlib.sha256((path / _MANIFEST).read_bytes()).hexdigest()
+    except OSError as error:
+        raise BundleError(
+            path, f"is not a bundle (no {_MANIFEST})", "give a folder made by: monoloc build"
+        ) from error
+
+
 def check_target(path: Path) -> None:
     """Refuse a path where a bundle must not be written, before the work is done.
 

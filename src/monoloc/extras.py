@@ -34,6 +34,30 @@ def require_viewing() -> None:
         raise MissingExtraError("the viewer", "view") from error
 
 
+def require_mavlink() -> None:
+    """Check that pymavlink is installed, before a link is opened.
+
+    Raises:
+        MissingExtraError: pymavlink is not installed.
+    """
+    try:
+        import pymavlink  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("MAVLink", "mavlink") from error
+
+
+def require_stream() -> None:
+    """Check that PyAV is installed, before a stream is opened.
+
+    Raises:
+        MissingExtraError: PyAV is not installed.
+    """
+    try:
+        import av  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("streams over a network", "stream") from error
+
+
 @contextmanager
 def training_extra() -> Iterator[None]:
     """Context for imports of PyTorch and related libraries.

@@ -96,7 +96,7 @@ def test_build_then_localize(capfd: Capture, here: Path, recording: RoomRecordin
     assert inspected["landmarks"] == len(bundle.landmarks)
     assert inspected["landmark_bytes"] == 44 * len(bundle.landmarks)
     assert inspected["settings"]["landmark_bias"]["sd_at_reference_m"] > 0.0
-    metrics = json_of(capfd, "localize", "x.monoloc", "flight", "--out", "trajectory.txt")
+    metrics = json_of(capfd, "localize", "x.monoloc", "flight", "--start", "truth", "--out", "trajectory.txt")
     assert metrics["unseen_frames"] == FRAMES // 2 and metrics["landmark_used_frames"] == FRAMES
     assert metrics["ate_median_m"] < 0.03
     assert read_tum(here / "trajectory.txt")[1].shape == (FRAMES, 4, 4)
@@ -115,7 +115,7 @@ def test_build_refines_poses_stores_no_landmarks_and_tolerates_frames_without_de
     assert 0.0 < report["pose_shift_median_m"] < 0.02 and 0.0 < report["pose_turn_median_deg"] < 1.0
     inspected = json_of(capfd, "inspect", "x.monoloc")
     assert inspected["landmarks"] == 0 and inspected["settings"]["landmark_bias"]["sd_at_reference_m"] == 0.0
-    metrics = json_of(capfd, "localize", "x.monoloc", "flight", "--depth", "sensor")
+    metrics = json_of(capfd, "localize", "x.monoloc", "flight", "--start", "truth", "--depth", "sensor")
     assert metrics["frames"] == FRAMES and metrics["landmark_used_frames"] == 0
     assert metrics["depth_absrel"] < 0.02
 
@@ -138,7 +138,7 @@ def test_bundle_may_contain_its_network_in_8_bits(capfd: Capture, here: Path) ->
     report = json_of(capfd, "build", "flight", "--no-landmarks", *QUICK, "--out", "x.monoloc", "--int8")
     assert report["bytes"] < shipped_file("tiny-0.35").stat().st_size
     assert json_of(capfd, "inspect", "x.monoloc")["network"] == "tiny-0.35 in 8 bits"
-    metrics = json_of(capfd, "localize", "x.monoloc", "flight", "--frames", "0:3")
+    metrics = json_of(capfd, "localize", "x.monoloc", "flight", "--start", "truth", "--frames", "0:3")
     assert metrics["frames"] == 3 and metrics["depth_absrel"] < 1.0
 
 
@@ -146,7 +146,7 @@ def test_bundle_may_contain_its_network_in_8_bits(capfd: Capture, here: Path) ->
 
 
 def test_localize_gives_all_metrics_and_repeats(capfd: Capture, here: Path, recording: RoomRecording) -> None:
-    command = ("localize", "room.monoloc", "flight", "--out", "trajectory.txt", "--seed")
+    command = ("localize", "room.monoloc", "flight", "--start", "truth", "--out", "trajectory.txt", "--seed")
     metrics = json_of(capfd, *command, "3")
     assert set(metrics) >= LOCALIZE_KEYS | {f"unseen_{key}" for key in ACCURACY_KEYS} | {"unseen_frames", "states"}
     assert metrics["frames"] == FRAMES and metrics["unseen_frames"] == FRAMES // 2
@@ -176,7 +176,7 @@ def test_localize_gives_all_metrics_and_repeats(capfd: Capture, here: Path, reco
 
 def test_localize_options_reach_the_filter(capfd: Capture, here: Path) -> None:
     options = ("--particles", "50", "--scan-points", "40", "--motion", "random-walk", "--frames", "0:6")
-    metrics = json_of(capfd, "localize", "room.monoloc", "flight", *options)
+    metrics = json_of(capfd, "localize", "room.monoloc", "flight", "--start", "truth", *options)
     assert metrics["particles"] == 50 and metrics["scan_points"] == 40 and metrics["motion"] == "random-walk"
     assert metrics["frames"] == 6
     assert "odometry_ate_rmse_m" not in metrics
@@ -219,7 +219,14 @@ def test_unknown_start_is_refused_where_nothing_can_find_the_camera(capfd: Captu
     write_bundle(here / "room.monoloc", replace(room, integrity=integrity, sensor=precise))
     command = ("localize", "room.monoloc", "flight", "--start", "unknown", "--out", "trajectory.txt")
     problem = "is unknown, and neither scans nor landmarks can find the camera in this room"
-    refused(capfd, here, command, "--start", problem, "write TX,TY,TZ,QX,QY,QZ,QW")
+    fix = "write TX,TY,TZ,QX,QY,QZ,QW, or truth for the recording's first pose"
+    refused(capfd, here, command, "--start", problem, fix)
+    description = here / "flight" / "dataset.toml"
+    posed = description.read_text()
+    description.write_text(posed.replace('poses = "poses.txt"', f"rate_hz = {FRAME_RATE_HZ}"))
+    by_truth = (*command, "--start", "truth")
+    refused(capfd, here, by_truth, "--start", "is truth, but the recording has no poses", "or unknown")
+    description.write_text(posed)
     by_sensor = json_of(capfd, *command, "--depth", "sensor")
     assert by_sensor["depth"] == "sensor" and by_sensor["frames"] == FRAMES
     assert "odometry_ate_rmse_m" in by_sensor and "odometry_from_start_ate_rmse_m" not in by_sensor
@@ -228,7 +235,8 @@ def test_unknown_start_is_refused_where_nothing_can_find_the_camera(capfd: Captu
 def test_localize_prints_a_table_and_draws_a_plot(capfd: Capture, here: Path) -> None:
     (here / "[kitchen]").mkdir()
     path = "[kitchen]/:a:.txt"
-    out, err = outputs(capfd, "localize", "room.monoloc", "flight", "--out", path, "--plot", "plot.png")
+    command = ("localize", "room.monoloc", "flight", "--start", "truth", "--out", path, "--plot", "plot.png")
+    out, err = outputs(capfd, *command)
     assert re.search(r"all .* cm .*°.* %.* %", out) and "unseen" in out and "coverage" in out
     picture = cv2.imread("plot.png")
     assert picture is not None and min(picture.shape[:2]) > 300
@@ -305,7 +313,7 @@ def test_outputs_are_written_through_links_and_replaced(capfd: Capture, here: Pa
     for name in ("trajectory.txt", "trajectory.rrd"):
         (here / name).symlink_to(here / "elsewhere" / name)
     (here / "elsewhere" / "trajectory.txt").write_text("older")
-    command = ("localize", "room.monoloc", "flight", "--frames", "0:4")
+    command = ("localize", "room.monoloc", "flight", "--start", "truth", "--frames", "0:4")
     succeeds(capfd, *command, "--out", "trajectory.txt", "--record", "trajectory.rrd")
     assert all((here / name).is_symlink() for name in ("trajectory.txt", "trajectory.rrd"))
     assert len(read_tum(here / "elsewhere" / "trajectory.txt")[0]) == 4

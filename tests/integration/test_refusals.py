@@ -15,7 +15,7 @@ from monoloc.io.tum_trajectory import write_tum
 from onnx_networks import MIDAS, onnx_network, write_network
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 
-LOCALIZE = ("localize", "room.monoloc", "flight", "--out", "trajectory.txt", "--plot", "plot.png")
+LOCALIZE = ("localize", "room.monoloc", "flight", "--start", "truth", "--out", "trajectory.txt", "--plot", "plot.png")
 BUILD = ("build", "flight", "--out", "x.monoloc")
 DEPTH_EVALUATE = ("depth", "evaluate", "room.monoloc", "flight", "--plot", "depth.png")
 

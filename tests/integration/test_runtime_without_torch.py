@@ -118,7 +118,7 @@ def test_all_modules_but_those_of_training_can_be_imported() -> None:
 
 def test_commands_of_the_drone(here: Path, recording: RoomRecording) -> None:
     commands = [
-        ("localize", "room.monoloc", "recording", "--out", "trajectory.txt"),
+        ("localize", "room.monoloc", "recording", "--start", "truth", "--out", "trajectory.txt"),
         ("evaluate", "trajectory.txt", "recording"),
         ("inspect", "room.monoloc"),
         ("inspect", "recording"),
@@ -141,7 +141,7 @@ def test_build_without_adaptation(here: Path) -> None:
     built, localized = monoloc(
         here,
         ("build", "recording", "--out", "plain.monoloc", *options),
-        ("localize", "plain.monoloc", "recording", "--depth", "sensor"),
+        ("localize", "plain.monoloc", "recording", "--start", "truth", "--depth", "sensor"),
     )
     assert built.code == localized.code == 0, built.err + localized.err
     assert json.loads(built.out)["components"] == 30
@@ -172,7 +172,7 @@ def test_installed_extras_are_not_imported(here: Path) -> None:
     code = f"""
 import sys
 from monoloc.cli.main import invoke
-assert invoke(["localize", "room.monoloc", "recording", "--json"]) == 0
+assert invoke(["localize", "room.monoloc", "recording", "--start", "truth", "--json"]) == 0
 assert invoke(["evaluate", "recording/poses.txt", "recording", "--json"]) == 0
 print({{name.partition(".")[0] for name in sys.modules}} & set({ABSENT!r}), file=sys.stderr)
 """

@@ -46,7 +46,7 @@ def here(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_localize_records_the_written_trajectory(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    localize = ["localize", "room.monoloc", "recording"]
+    localize = ["localize", "room.monoloc", "recording", "--start", "truth"]
     assert invoke([*localize, "--out", "plain.txt"]) == 0
     assert invoke([*localize, "--out", "recorded.txt", "--record", "run.rrd"]) == 0
     assert "written: run.rrd" in capfd.readouterr().err
@@ -103,7 +103,7 @@ def test_failed_run_leaves_the_older_recording(here: Path, capfd: pytest.Capture
     Path("run.rrd").write_bytes(b"older")
     Path("recording/color/000002.png").write_bytes(b"no image")
     before = file_names(here)
-    assert invoke(["localize", "room.monoloc", "recording", "--record", "run.rrd"]) == 2
+    assert invoke(["localize", "room.monoloc", "recording", "--start", "truth", "--record", "run.rrd"]) == 2
     assert "000002.png" in capfd.readouterr().err
     assert file_names(here) == before and Path("run.rrd").read_bytes() == b"older"
 

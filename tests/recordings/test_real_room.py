@@ -76,12 +76,12 @@ def adapted(kitchen, here) -> tuple[Path, dict[str, Any]]:
 @pytest.fixture(scope="module")
 def sensor_run(kitchen, without_landmarks, here) -> dict[str, Any]:
     options = ("--depth", "sensor", "--out", here / "sensor.txt", "--plot", here / "sensor.png")
-    return monoloc("localize", without_landmarks, kitchen, "--frames", RUN_FRAMES, *options)
+    return monoloc("localize", without_landmarks, kitchen, "--start", "truth", "--frames", RUN_FRAMES, *options)
 
 
 @pytest.fixture(scope="module")
 def adapted_run(kitchen, adapted, here) -> dict[str, Any]:
-    return monoloc("localize", adapted[0], kitchen, "--frames", RUN_FRAMES, "--out", here / "adapted.txt")
+    return monoloc("localize", adapted[0], kitchen, "--start", "truth", "--frames", RUN_FRAMES, "--out", here / "adapted.txt")
 
 
 # --- build ---
@@ -170,7 +170,7 @@ def test_extrapolation_is_about_as_accurate_as_odometry(kitchen, adapted, here):
     squares = []
     for seed in range(3):
         options = ("--frames", "200:300", "--seed", str(seed), "--out", here / f"extrapolation-{seed}.txt")
-        run = monoloc("localize", adapted[0], kitchen, *options)
+        run = monoloc("localize", adapted[0], kitchen, "--start", "truth", *options)
         squares.append([run["ate_rmse_m"] ** 2, run["odometry_from_start_ate_rmse_m"] ** 2])
     fused, odometry = np.sqrt(np.mean(squares, axis=0))
     assert fused < 1.4 * odometry
@@ -180,7 +180,7 @@ def test_landmarks_give_centimetres_although_depth_errs_by_a_fifth(kitchen, unad
     """2.1 cm where no other method is below 15."""
     path, report = unadapted
     assert 400 < report["landmarks"] < 2500
-    run = monoloc("localize", path, kitchen, "--frames", "60:120")
+    run = monoloc("localize", path, kitchen, "--start", "truth", "--frames", "60:120")
     assert run["depth_absrel"] > 0.15 and run["landmark_used_frames"] >= 55
     assert run["unseen_ate_median_m"] < 0.04 and run["unseen_rot_median_deg"] < 1.5
     assert run["unseen_ate_rmse_m"] < 0.3 * run["unseen_odometry_from_start_ate_rmse_m"]
@@ -191,7 +191,7 @@ def test_landmarks_give_centimetres_although_depth_errs_by_a_fifth(kitchen, unad
 @pytest.mark.parametrize("frames", ["0:120", "100:220", "200:300", "300:400"])
 def test_no_sequence_is_worse_than_its_own_odometry(kitchen, unadapted, frames):
     """By more than a tenth; with landmarks and unadapted depth. Ratios are 0.1 to 0.6."""
-    run = monoloc("localize", unadapted[0], kitchen, "--frames", frames)
+    run = monoloc("localize", unadapted[0], kitchen, "--start", "truth", "--frames", frames)
     assert run["unseen_ate_rmse_m"] < 1.1 * run["unseen_odometry_from_start_ate_rmse_m"]
 
 
@@ -215,7 +215,7 @@ def test_same_seed_gives_the_same_trajectory(kitchen, adapted, here):
     trajectories = []
     for number, seed in enumerate((5, 5, 6)):
         out = here / f"seed-{number}.txt"
-        monoloc("localize", adapted[0], kitchen, "--frames", "0:30", "--seed", str(seed), "--out", out)
+        monoloc("localize", adapted[0], kitchen, "--start", "truth", "--frames", "0:30", "--seed", str(seed), "--out", out)
         trajectories.append(out.read_bytes())
     assert trajectories[0] == trajectories[1]
     assert trajectories[0] != trajectories[2]

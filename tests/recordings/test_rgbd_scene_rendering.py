@@ -54,7 +54,7 @@ def test_rendered_frames_are_the_scene_s_cloud_at_its_poses(source: str, poses_a
 def test_build_and_localize_by_sensor_depth(source: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     room = str(tmp_path / "room.monoloc")
     succeeds(capfd, "build", source, "--frames", "::2", *UNTUNED, "--out", room)
-    metrics = json_of(capfd, "localize", room, source, "--depth", "sensor")
+    metrics = json_of(capfd, "localize", room, source, "--start", "truth", "--depth", "sensor")
     assert metrics["unseen_frames"] == len(NUMBERS) // 2
     assert metrics["unseen_ate_rmse_m"] < 0.06 and metrics["unseen_rot_median_deg"] < 2.0
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from typer.exceptions import Abort, TyperException
 
-from monoloc.cli import build, depth, evaluate, inspect, localize, map_
+from monoloc.cli import build, depth, evaluate, fly, inspect, localize, map_
 from monoloc.errors import MonolocError
 from monoloc.version import __version__
 
@@ -27,6 +27,7 @@ app.command("build")(build.build)
 app.command("localize")(localize.localize_command)
 app.command("evaluate")(evaluate.evaluate)
 app.command("inspect")(inspect.inspect)
+app.command("fly")(fly.fly)
 app.add_typer(map_.app, name="map")
 app.add_typer(depth.app, name="depth")
 

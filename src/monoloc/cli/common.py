@@ -87,13 +87,13 @@ def open_source(
         DataError, SettingError: from the reader, or an option is invalid.
     """
     with naming({"frames": frames_option, "camera": "--intrinsics", "depth_scale": "--depth-scale"}):
-        camera, keeps_distortion = (None, False) if intrinsics is None else _parse_camera(intrinsics)
+        camera, keeps_distortion = (None, False) if intrinsics is None else parse_intrinsics(intrinsics)
         options = ReaderOptions(camera, keeps_distortion, depth_scale)
         return select_frames(open_recording(source, options), frames)
 
 
-def _parse_camera(text: str) -> tuple[Camera, bool]:
-    """Parse the intrinsics, and return whether they omit the distortion."""
+def parse_intrinsics(text: str) -> tuple[Camera, bool]:
+    """The camera of ``--intrinsics``, and whether its distortion was left out."""
     try:
         width, height, *rest = text.split(",")
         fx, fy, cx, cy, *distortion = (float(part) for part in rest)

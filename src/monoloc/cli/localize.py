@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from functools import partial
@@ -32,23 +31,16 @@ from monoloc.cli.common import (
     print_table,
     stderr,
 )
+from monoloc.cli.start_option import METAVAR, UNKNOWN, start_of
 from monoloc.config import override
-from monoloc.errors import MonolocError, SettingError
-from monoloc.geometry import FloatArray, make_pose, quaternion_to_rotation
-from monoloc.io.pose_files import UNIT_TOLERANCE
-from monoloc.io.recording import Recording
+from monoloc.errors import MonolocError
 from monoloc.io.tum_trajectory import write_tum
 from monoloc.progress import ConsoleProgress
 from monoloc.run import Run, localize
 from monoloc.sensor_depth import sensor_bundle
-from monoloc.start import Start
 from monoloc.supervision.state import State
 from monoloc.viz.plots import plot_localization
 from monoloc.viz.viewer import run_viewer
-
-_MIN_ERROR_M, _MIN_ERROR_RAD = 0.03, 0.015  # lower bounds of the error of a start
-_UNKNOWN = "unknown"  # value of --start
-_MAX_COORDINATE_M = 1e6  # of a start; no map is larger
 
 
 def localize_command(
@@ -56,14 +48,14 @@ def localize_command(
     source: SourceArgument,
     frames: FramesOption = "::",
     start: Annotated[
-        str | None,
+        str,
         typer.Option(
             "--start",
-            metavar="TX,TY,TZ,QX,QY,QZ,QW",
-            help="First camera pose in the world frame, or 'unknown' to search the room. "
-            "[true pose with a random error; unknown if there is none]",
+            metavar=METAVAR,
+            help="First camera pose in the world frame; 'unknown' searches the room; 'truth' takes the recording's "
+            "first pose with a random error.",
         ),
-    ] = None,
+    ] = UNKNOWN,
     start_error_cm: Annotated[
         float, typer.Option("--start-error-cm", min=0.0, max=1e5, help="Position error of the start.")
     ] = 10.0,
@@ -98,7 +90,7 @@ def localize_command(
       monoloc localize kitchen.monoloc 7scenes:redkitchen --frames 0:400 --seed 0 --json
       monoloc localize room.monoloc flight.mp4 --intrinsics 640,480,525,525,319.5,239.5 --out trajectory.txt
       monoloc localize room.monoloc flight.mp4 --intrinsics 640,480,525,525,319.5,239.5 --start 0.5,0.2,1.1,0,0,0,1
-      monoloc localize room.monoloc tum:fr1_room --start unknown --motion random-walk
+      monoloc localize room.monoloc tum:fr1_room --start truth --motion random-walk
       monoloc localize kitchen.monoloc 7scenes:redkitchen --view --record trajectory.rrd
     """
     check_outputs({"--out": out, "--plot": plot, "--record": record}, (bundle, source))
@@ -109,11 +101,10 @@ def localize_command(
     with naming({"particles": "--particles", "scan_points": "--scan-points"}):
         config = override(room.settings, motion=motion, particles=particles, scan_points=scan_points)
     rng = np.random.default_rng(seed)
-    begin = _start(start, recording, start_error_cm / 100.0, np.deg2rad(start_error_deg), rng)
     used = sensor_bundle(room) if depth == "sensor" else room
-    if begin is None and not used.supports_relocalization:
-        problem = "is unknown, and neither scans nor landmarks can find the camera in this room"
-        raise SettingError("--start", problem, "write TX,TY,TZ,QX,QY,QZ,QW")
+    first_pose = None if recording.poses is None else recording.poses[0]
+    error_rad = float(np.deg2rad(start_error_deg))
+    begin = start_of(start, used, first_pose, start_error_cm / 100.0, error_rad, rng)
     name = f"{bundle.name}: {recording.name}"
     cv2.setNumThreads(1)  # more do not speed up small images, and the drone needs its other cores
     with ExitStack() as viewing:
@@ -208,34 +199,3 @@ def show(metrics: dict[str, object]) -> None:
 def _figure(metrics: dict[str, object], prefix: str, name: str, factor: float, unit: str) -> str:
     value = metrics.get(prefix + name)
     return f"{factor * value:.1f}{unit}" if isinstance(value, float) else "-"
-
-
-def _start(
-    text: str | None, recording: Recording, error_m: float, error_rad: float, rng: np.random.Generator
-) -> Start | None:
-    if text == _UNKNOWN:
-        return None
-    if text is not None:
-        pose = _parse_pose(text)
-    elif recording.poses is not None:
-        pose = Start.disturbed(recording.poses[0], rng, error_m, error_rad).pose
-    else:
-        return None
-    return Start(pose, max(_MIN_ERROR_M, error_m), max(_MIN_ERROR_RAD, error_rad))
-
-
-def _parse_pose(text: str) -> FloatArray:
-    try:
-        values = np.array([float(part) for part in text.split(",")])
-        if values.shape != (7,) or not np.all(np.isfinite(values)):
-            raise ValueError
-    except ValueError as error:
-        fix = f"write TX,TY,TZ,QX,QY,QZ,QW in metres, or {_UNKNOWN}"
-        raise SettingError("--start", f"is {text!r}", fix) from error
-    far_m, length = float(np.abs(values[:3]).max()), math.hypot(*values[3:])
-    if far_m > _MAX_COORDINATE_M:
-        raise SettingError("--start", f"is {text!r}, {far_m:.3g} m away", "write TX,TY,TZ,QX,QY,QZ,QW in metres")
-    if abs(length - 1.0) > UNIT_TOLERANCE:
-        fix = "write TX,TY,TZ,QX,QY,QZ,QW, the last four of length 1"
-        raise SettingError("--start", f"is {text!r}, with a quaternion of length {length:.3g}", fix)
-    return make_pose(quaternion_to_rotation(values[3:]), values[:3])

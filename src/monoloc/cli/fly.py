@@ -1,0 +1,172 @@
+"""``monoloc fly``: localise a live camera."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Annotated
+
+import cv2
+import numpy as np
+import typer
+
+from monoloc.bundle import digest_of, read_bundle
+from monoloc.camera import Camera
+from monoloc.cli.common import (
+    FramesOption,
+    IntrinsicsOption,
+    JsonOption,
+    SeedOption,
+    check_outputs,
+    open_source,
+    parse_intrinsics,
+    print_json,
+    refuse_frames,
+    stderr,
+)
+from monoloc.cli.start_option import METAVAR, UNKNOWN, start_of
+from monoloc.config import load_settings
+from monoloc.errors import SettingError
+from monoloc.flight.flight_loop import Flight, FlightOutput, FlightSummary
+from monoloc.flight.flight_recording import FlightHeader, FlightRecorder
+from monoloc.flight.flight_settings import FlightSettings
+from monoloc.flight.pose_log import PoseLog
+from monoloc.flight.status_output import StatusOutput
+from monoloc.flight.watchdog_output import WatchdogOutput
+from monoloc.geometry import FloatArray
+from monoloc.live.frame_source import FrameSource
+from monoloc.live.opening import is_live, open_live
+from monoloc.live.replayed_recording import PacedRecording, UnpacedRecording
+from monoloc.localizer import Localizer
+from monoloc.start import Start
+
+
+def fly(
+    room: Annotated[Path, typer.Argument(metavar="ROOM", help="Bundle from monoloc build.", show_default=False)],
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SOURCE",
+            help="camera:0, picamera, realsense, oak, rtsp://..., - (motion JPEG on standard input), or a recording.",
+        ),
+    ] = "camera:0",
+    intrinsics: IntrinsicsOption = None,
+    settings: Annotated[
+        Path | None, typer.Option("--settings", help="TOML file: mount, north_deg, most_age_s, rate_hz, obstacles.")
+    ] = None,
+    start: Annotated[
+        str, typer.Option("--start", metavar=METAVAR, help="First camera pose; 'unknown' searches the room.")
+    ] = UNKNOWN,
+    start_error_cm: Annotated[
+        float, typer.Option("--start-error-cm", min=0.0, max=1e5, help="Position error of the start.")
+    ] = 10.0,
+    start_error_deg: Annotated[
+        float, typer.Option("--start-error-deg", min=0.0, max=180.0, help="Rotation error of the start.")
+    ] = 3.0,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="CSV to write: pose, covariance, state and reasons a frame.")
+    ] = None,
+    record: Annotated[
+        Path | None, typer.Option("--record", metavar="DIR", help="Folder to write, for monoloc replay.")
+    ] = None,
+    fast: Annotated[
+        bool, typer.Option("--fast", help="Take every frame of a recording, as fast as possible.")
+    ] = False,
+    frames: FramesOption = "::",
+    seed: SeedOption = 0,
+    json: JsonOption = False,
+) -> None:
+    """Localise a live camera, and send its pose to an autopilot.
+
+    Ctrl-C and SIGTERM end a flight; what it wrote is whole.
+
+    \b
+    Examples:
+      monoloc fly room.monoloc camera:0 --intrinsics 640,480,525,525,319.5,239.5
+      monoloc fly room.monoloc rtsp://192.168.1.20/stream --settings flight.toml --record flight-1
+      ffmpeg -i flight.mp4 -f mjpeg - | monoloc fly room.monoloc -
+      monoloc fly room.monoloc 7scenes:redkitchen --frames 0:400 --out poses.csv
+    """
+    check_outputs({"--out": out}, (room, source, settings))
+    flight_settings = FlightSettings() if settings is None else load_settings(settings, FlightSettings)
+    bundle = read_bundle(room)
+    rng = np.random.default_rng(seed)
+    with ExitStack() as opened, _stopped_by_signals() as stop:
+        frame_source, camera, first_pose = _open(source, frames, intrinsics, fast)
+        opened.callback(frame_source.close)
+        begin = start_of(start, bundle, first_pose, start_error_cm / 100.0, float(np.deg2rad(start_error_deg)), rng)
+        cv2.setNumThreads(1)  # more do not speed up small images, and the drone needs its other cores
+        localizer = Localizer(bundle, camera, begin, seed=seed)
+        outputs: list[FlightOutput] = [WatchdogOutput()]
+        if out is not None:
+            outputs.append(PoseLog(out))
+        if record is not None:
+            outputs.append(FlightRecorder(record, _header(room, camera, begin, seed, flight_settings)))
+        flight = Flight(localizer, camera, frame_source, outputs, flight_settings.most_age_s, lambda _: None, stop)
+        outputs.append(StatusOutput(stderr, flight.summary))
+        for output in outputs:
+            opened.enter_context(closing(output))
+        summary = flight.run()
+    _report(summary, frame_source, json)
+
+
+def _open(
+    source: str, frames: str, intrinsics: str | None, fast: bool
+) -> tuple[FrameSource, Camera, FloatArray | None]:
+    """The source, its camera, and the first pose of a recording that has poses."""
+    if not is_live(source):
+        recording = open_source(source, frames, intrinsics)
+        paced = UnpacedRecording(recording) if fast else PacedRecording(recording)
+        return paced, recording.camera, None if recording.poses is None else recording.poses[0]
+    refuse_frames(frames, "a live camera")
+    if fast:
+        raise SettingError("--fast", "has no meaning for a live camera", "leave it out")
+    if intrinsics is None:
+        raise SettingError("--intrinsics", "is missing: a live camera does not tell its own", "give W,H,FX,FY,CX,CY")
+    camera = parse_intrinsics(intrinsics)[0]
+    return open_live(source, camera), camera, None
+
+
+@contextmanager
+def _stopped_by_signals() -> Iterator[Callable[[], bool]]:
+    """Whether a signal asked for the end. The next one interrupts at once, where a driver hangs."""
+    asked = threading.Event()
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        asked.set()
+        for each, handler in before.items():
+            signal.signal(each, handler)
+
+    for number, handler in before.items():
+        if handler is not signal.SIG_IGN:
+            signal.signal(number, ask)
+    try:
+        yield asked.is_set
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _header(room: Path, camera: Camera, start: Start | None, seed: int, settings: FlightSettings) -> FlightHeader:
+    known = None if start is None else (tuple(start.pose.ravel().tolist()), start.error_m, float(start.error_rad))
+    return FlightHeader(
+        bundle=str(room.resolve()),
+        digest=digest_of(room),
+        camera=camera,
+        start=known,
+        seed=seed,
+        settings=settings,
+    )
+
+
+def _report(summary: FlightSummary, source: FrameSource, json: bool) -> None:
+    figures = {**summary.figures(), "reconnections": source.reconnections}
+    if json:
+        print_json(figures)
+        return
+    stderr.print(", ".join(f"{name} {value}" for name, value in figures.items()))

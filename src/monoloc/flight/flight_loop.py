@@ -1,0 +1,179 @@
+"""The loop of a flight: the newest frame in, a step, and what becomes of it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from monoloc.camera import Camera
+from monoloc.errors import DataError
+from monoloc.geometry import FloatArray
+from monoloc.live.frame_source import EndOfStreamError, FrameSource, LiveFrame
+from monoloc.localizer import Localizer, Step
+
+_WAIT_S = 0.1  # for a frame, before the outputs hear that there is none
+_KEPT = 10_000  # latencies and intervals that the summary is made of, the last ones
+
+
+@dataclass(frozen=True)
+class FlightStep:
+    """A frame and its result.
+
+    Attributes:
+        frame: as the camera gave it.
+        elapsed_s: since the previous localised frame, 0 at the first.
+        down_camera: direction of gravity that was used, (3,) in the camera's frame, or None.
+        step: the localizer's result.
+        done_s: when it was known, by the source's clock.
+    """
+
+    frame: LiveFrame
+    elapsed_s: float
+    down_camera: FloatArray | None
+    step: Step
+    done_s: float
+
+
+class FlightOutput(Protocol):
+    """Takes the results of a flight."""
+
+    def take(self, result: FlightStep) -> None:
+        """A frame was localised."""
+        ...
+
+    def idle(self, now_s: float) -> None:
+        """No frame came for a tenth of a second."""
+        ...
+
+    def close(self) -> None:
+        """The flight is over: write what is still held."""
+        ...
+
+
+@dataclass
+class FlightSummary:
+    """What a flight came to.
+
+    Attributes:
+        frames: localised.
+        dropped: frames that were not, by reason: ``skipped`` (a newer one had come), ``old`` (older than the limit
+            when their turn came), ``unordered`` (captured no later than the one before).
+        states: number of frames in each state.
+        latencies_s: from capture to result, of the last frames.
+        intervals_s: between localised frames, of the last ones.
+    """
+
+    frames: int = 0
+    dropped: Counter[str] = field(default_factory=Counter)
+    states: Counter[str] = field(default_factory=Counter)
+    latencies_s: list[float] = field(default_factory=list)
+    intervals_s: list[float] = field(default_factory=list)
+
+    def add(self, result: FlightStep) -> None:
+        self.frames += 1
+        self.states[result.step.state] += 1
+        self.latencies_s.append(result.done_s - result.frame.captured_s)
+        if self.frames > 1:
+            self.intervals_s.append(result.elapsed_s)
+        for values in (self.latencies_s, self.intervals_s):
+            del values[:-_KEPT]
+
+    def figures(self) -> dict[str, object]:
+        """Ready for JSON."""
+
+        def percentile(values: list[float], share: float) -> float | None:
+            return float(np.percentile(values, share)) if values else None
+
+        interval_s = percentile(self.intervals_s, 50.0)
+        return {
+            "frames": self.frames,
+            "dropped": dict(self.dropped),
+            "states": dict(self.states),
+            "rate_hz": 1.0 / interval_s if interval_s else None,
+            "latency_s_median": percentile(self.latencies_s, 50.0),
+            "latency_s_p95": percentile(self.latencies_s, 95.0),
+        }
+
+
+class Flight:
+    """Localises a camera until it ends or is stopped; call :meth:`run` once.
+
+    Args:
+        localizer: of the room.
+        camera: of the source's images.
+        source: of frames.
+        outputs: take every result, in this order.
+        most_age_s: since its capture, beyond which a frame is dropped.
+        down_at: direction of gravity in the camera's frame at a time of capture, (3,); None where it is not known.
+        stop: says whether to stop; asked between frames.
+    """
+
+    def __init__(
+        self,
+        localizer: Localizer,
+        camera: Camera,
+        source: FrameSource,
+        outputs: Sequence[FlightOutput],
+        most_age_s: float,
+        down_at: Callable[[float], FloatArray | None],
+        stop: Callable[[], bool],
+    ) -> None:
+        self._localizer, self._camera, self._source, self._outputs = localizer, camera, source, outputs
+        self._most_age_s, self._down_at, self._stop = most_age_s, down_at, stop
+        self._previous: LiveFrame | None = None
+        self._sequence = -1
+        self.summary = FlightSummary()
+
+    def run(self) -> FlightSummary:
+        """Localise every frame that is in time.
+
+        Raises:
+            DataError: the camera's images are of another size, or cannot be read.
+        """
+        while not self._stop():
+            try:
+                frame = self._source.next(_WAIT_S)
+            except EndOfStreamError:
+                break
+            if frame is None:
+                for output in self._outputs:
+                    output.idle(self._source.now_s())
+            elif self._is_in_time(frame):
+                self._localize(frame)
+        return self.summary
+
+    def _is_in_time(self, frame: LiveFrame) -> bool:
+        self.summary.dropped["skipped"] += frame.sequence - self._sequence - 1
+        self._sequence = frame.sequence
+        if self._previous is not None and frame.captured_s <= self._previous.captured_s:
+            self.summary.dropped["unordered"] += 1
+            return False
+        if self._source.now_s() - frame.captured_s > self._most_age_s:
+            self.summary.dropped["old"] += 1
+            return False
+        return True
+
+    def _localize(self, frame: LiveFrame) -> None:
+        self._check_size(frame)
+        elapsed_s = 0.0 if self._previous is None else frame.captured_s - self._previous.captured_s
+        down_camera = self._down_at(frame.captured_s)
+        step = self._localizer.step(frame.color, elapsed_s, down=down_camera)
+        self._previous = frame
+        result = FlightStep(frame, elapsed_s, down_camera, step, self._source.now_s())
+        self.summary.add(result)
+        for output in self._outputs:
+            output.take(result)
+
+    def _check_size(self, frame: LiveFrame) -> None:
+        height, width = frame.color.shape[:2]
+        if (width, height) != (self._camera.width, self._camera.height):
+            problem = (
+                f"gives images of {width}x{height}, but the camera is {self._camera.width}x{self._camera.height}"
+            )
+            raise DataError(
+                self._source.name, problem, "give the intrinsics of these images, or set the camera's size"
+            )

@@ -1,0 +1,58 @@
+"""Settings of a flight: how the camera sits on the vehicle, how the map lies, what is too old (``flight.toml``)."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from monoloc.geometry import FloatArray, make_pose, so3_exp
+
+_R_BODY_FORWARD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+"""Axes of a camera that looks forward and stands upright, in the body's axes: forward, right, down."""
+
+
+class Mount(BaseModel):
+    """How the camera sits on the vehicle.
+
+    Attributes:
+        forward_m, right_m, down_m: position of the camera, from where the autopilot has its origin.
+        yaw_deg, pitch_deg, roll_deg: turn of a camera that looks forward and stands upright, in this order: to the
+            right, then up, then clockwise as the camera sees. A camera that looks down has a pitch of -90.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    forward_m: float = Field(0.0, ge=-10.0, le=10.0)
+    right_m: float = Field(0.0, ge=-10.0, le=10.0)
+    down_m: float = Field(0.0, ge=-10.0, le=10.0)
+    yaw_deg: float = Field(0.0, ge=-360.0, le=360.0)
+    pitch_deg: float = Field(0.0, ge=-90.0, le=90.0)
+    roll_deg: float = Field(0.0, ge=-360.0, le=360.0)
+
+    @property
+    def T_body_camera(self) -> FloatArray:
+        """Pose of the camera on the body, whose axes are forward, right, down; (4, 4)."""
+        turns = np.deg2rad(np.diag([self.roll_deg, self.pitch_deg, self.yaw_deg]))  # about forward, right, down
+        rotation = so3_exp(turns[2]) @ so3_exp(turns[1]) @ so3_exp(turns[0]) @ _R_BODY_FORWARD
+        return make_pose(rotation, [self.forward_m, self.right_m, self.down_m])
+
+
+class FlightSettings(BaseModel):
+    """Settings of a flight.
+
+    Attributes:
+        mount: of the camera.
+        north_deg: heading of the map's x axis, clockwise from north as seen from above; ``monoloc fly --align``
+            measures it.
+        most_age_s: since its capture, beyond which a frame is not localised and a pose is not sent.
+        rate_hz: most messages a second of each kind.
+        obstacles: whether OBSTACLE_DISTANCE is sent.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    mount: Mount = Mount()
+    north_deg: float = Field(0.0, ge=-360.0, le=360.0)
+    most_age_s: float = Field(0.2, gt=0.0, le=10.0)
+    rate_hz: float = Field(50.0, gt=0.0, le=500.0)
+    obstacles: bool = True

@@ -1,0 +1,66 @@
+"""What a person reads during a flight: every change of state, and once a second how it goes."""
+
+from __future__ import annotations
+
+from rich.console import Console
+
+from monoloc.flight.flight_loop import FlightStep, FlightSummary
+
+_PERIOD_S = 1.0
+_NO_IMAGE_S = 0.5  # without a frame, after which it is said
+
+
+class StatusOutput:
+    """A :class:`~monoloc.flight.flight_loop.FlightOutput` that prints lines.
+
+    Args:
+        console: to print on.
+        summary: of the flight, for the counts of dropped frames.
+    """
+
+    def __init__(self, console: Console, summary: FlightSummary) -> None:
+        self._console, self._summary = console, summary
+        self._began_s: float | None = None
+        self._said: tuple[str, frozenset[object]] = ("", frozenset())
+        self._frame_s = self._printed_s = float("-inf")
+        self._frames = 0
+        self._is_without_image = False
+
+    def take(self, result: FlightStep) -> None:
+        now_s, step = result.done_s, result.step
+        self._began_s = now_s if self._began_s is None else self._began_s
+        self._frame_s = now_s
+        if self._is_without_image:
+            self._print(now_s, "images again")
+            self._is_without_image = False
+        if self._said != (step.state, step.reasons):
+            self._said = (step.state, step.reasons)
+            why = ", ".join(sorted(reason.value for reason in step.reasons))
+            self._print(now_s, f"{step.state}: {why}" if why else step.state)
+        self._say_how_it_goes(result)
+
+    def idle(self, now_s: float) -> None:
+        if self._began_s is not None and not self._is_without_image and now_s - self._frame_s > _NO_IMAGE_S:
+            self._is_without_image = True
+            self._print(now_s, "no image: the camera gives none")
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def _say_how_it_goes(self, result: FlightStep) -> None:
+        now_s = result.done_s
+        if not self._console.is_terminal or now_s - self._printed_s < _PERIOD_S:
+            return
+        rate_hz = (self._summary.frames - self._frames) / (now_s - self._printed_s)
+        self._printed_s, self._frames = now_s, self._summary.frames
+        x, y, z = result.step.estimate.pose[:3, 3]
+        self._print(
+            now_s,
+            f"{result.step.state}, x {x:.2f} y {y:.2f} z {z:.2f} m, {rate_hz:.0f} Hz, "
+            f"{1e3 * (now_s - result.frame.captured_s):.0f} ms after capture, "
+            f"{self._summary.dropped.total()} frames dropped",
+        )
+
+    def _print(self, now_s: float, text: str) -> None:
+        assert self._began_s is not None
+        self._console.print(f"{now_s - self._began_s:8.2f} s  {text}", soft_wrap=True)

@@ -1,0 +1,50 @@
+"""Tells systemd that the flight goes on, by its notification socket (sd_notify(3))."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+
+from monoloc.flight.flight_loop import FlightStep
+
+_PERIOD_S = 0.5
+
+
+class WatchdogOutput:
+    """A :class:`~monoloc.flight.flight_loop.FlightOutput` that says READY at the first frame, and then WATCHDOG.
+
+    A camera that gives no frames does not stop it, since the loop itself goes on and waits for the camera. Without
+    systemd, where NOTIFY_SOCKET is not set, it does nothing.
+    """
+
+    def __init__(self) -> None:
+        address = os.environ.get("NOTIFY_SOCKET")
+        self._socket = None if not address else socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        # A leading @ stands for a NUL: an address without a file.
+        self._address = "" if not address else address.replace("@", "\0", 1) if address[0] == "@" else address
+        self._said_s = float("-inf")
+        self._is_ready = False
+
+    def take(self, result: FlightStep) -> None:
+        if not self._is_ready:
+            self._is_ready = True
+            self._send("READY=1")
+        self.idle(result.done_s)
+
+    def idle(self, now_s: float) -> None:
+        if now_s - self._said_s >= _PERIOD_S:
+            self._said_s = now_s
+            self._send("WATCHDOG=1")
+
+    def close(self) -> None:
+        self._send("STOPPING=1")
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def _send(self, text: str) -> None:
+        if self._socket is None:
+            return
+        with contextlib.suppress(OSError):  # without systemd the flight goes on
+            self._socket.sendto(text.encode(), self._address)
