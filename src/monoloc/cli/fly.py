@@ -31,9 +31,11 @@ from monoloc.cli.common import (
 from monoloc.cli.start_option import METAVAR, UNKNOWN, start_of
 from monoloc.config import load_settings
 from monoloc.errors import SettingError
+from monoloc.flight.autopilot import down_world, gravity_of, senders
 from monoloc.flight.flight_loop import Flight, FlightOutput, FlightSummary
 from monoloc.flight.flight_recording import FlightHeader, FlightRecorder
 from monoloc.flight.flight_settings import FlightSettings
+from monoloc.flight.north_measurement import NorthMeasurement
 from monoloc.flight.pose_log import PoseLog
 from monoloc.flight.status_output import StatusOutput
 from monoloc.flight.watchdog_output import WatchdogOutput
@@ -42,6 +44,8 @@ from monoloc.live.frame_source import FrameSource
 from monoloc.live.opening import is_live, open_live
 from monoloc.live.replayed_recording import PacedRecording, UnpacedRecording
 from monoloc.localizer import Localizer
+from monoloc.mavlink.autopilot_link import AutopilotLink
+from monoloc.mavlink.firmware import Firmware
 from monoloc.start import Start
 
 
@@ -67,6 +71,18 @@ def fly(
     start_error_deg: Annotated[
         float, typer.Option("--start-error-deg", min=0.0, max=180.0, help="Rotation error of the start.")
     ] = 3.0,
+    mavlink: Annotated[
+        str | None,
+        typer.Option(
+            "--mavlink", metavar="URL", help="Autopilot: udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD."
+        ),
+    ] = None,
+    firmware: Annotated[
+        Firmware | None, typer.Option("--firmware", help="The autopilot's firmware, with --mavlink.")
+    ] = None,
+    align: Annotated[
+        bool, typer.Option("--align", help="Only measure north_deg by the autopilot's yaw, and end.")
+    ] = False,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="CSV to write: pose, covariance, state and reasons a frame.")
     ] = None,
@@ -87,31 +103,63 @@ def fly(
     \b
     Examples:
       monoloc fly room.monoloc camera:0 --intrinsics 640,480,525,525,319.5,239.5
+      monoloc fly room.monoloc camera:0 --camera cam.toml --mavlink serial:/dev/ttyAMA0:921600 --firmware px4
+      monoloc fly room.monoloc camera:0 --camera cam.toml --mavlink udpin:0.0.0.0:14550 --firmware ardupilot --align
       monoloc fly room.monoloc rtsp://192.168.1.20/stream --settings flight.toml --record flight-1
       ffmpeg -i flight.mp4 -f mjpeg - | monoloc fly room.monoloc -
       monoloc fly room.monoloc 7scenes:redkitchen --frames 0:400 --out poses.csv
     """
     check_outputs({"--out": out}, (room, source, settings))
+    _check_autopilot(mavlink, firmware, align)
     flight_settings = FlightSettings() if settings is None else load_settings(settings, FlightSettings)
     bundle = read_bundle(room)
     rng = np.random.default_rng(seed)
+    cv2.setNumThreads(1)  # more do not speed up small images, and the drone needs its other cores
+    summary, north = FlightSummary(), None
+    outputs: list[FlightOutput] = [WatchdogOutput(), StatusOutput(stderr, summary)]
     with ExitStack() as opened, _stopped_by_signals() as stop:
         frame_source, camera, first_pose = _open(source, frames, intrinsics, fast)
         opened.callback(frame_source.close)
         begin = start_of(start, bundle, first_pose, start_error_cm / 100.0, float(np.deg2rad(start_error_deg)), rng)
-        cv2.setNumThreads(1)  # more do not speed up small images, and the drone needs its other cores
         localizer = Localizer(bundle, camera, begin, seed=seed)
-        outputs: list[FlightOutput] = [WatchdogOutput()]
+        link = None if mavlink is None else opened.enter_context(closing(AutopilotLink(mavlink)))
         if out is not None:
             outputs.append(PoseLog(out))
         if record is not None:
-            outputs.append(FlightRecorder(record, _header(room, camera, begin, seed, flight_settings)))
-        flight = Flight(localizer, camera, frame_source, outputs, flight_settings.most_age_s, lambda _: None, stop)
-        outputs.append(StatusOutput(stderr, flight.summary))
+            header = _header(room, camera, begin, seed, flight_settings, firmware)
+            outputs.append(FlightRecorder(record, header))
+        if link is not None and align:
+            T_body_camera = flight_settings.mount.T_body_camera
+            north = NorthMeasurement(T_body_camera, down_world(bundle, flight_settings), link.attitude_at)
+            outputs.append(north)
+        elif firmware is not None:
+            outputs += senders(link, record, bundle, firmware, flight_settings)
         for output in outputs:
             opened.enter_context(closing(output))
-        summary = flight.run()
-    _report(summary, frame_source, json)
+        Flight(
+            localizer,
+            camera,
+            frame_source,
+            outputs,
+            flight_settings.most_age_s,
+            gravity_of(bundle, link, flight_settings),
+            lambda: stop() or (north is not None and north.is_done),
+            summary,
+        ).run()
+    if north is not None:
+        north_deg, sd_deg = north.north_deg()
+        stderr.print(f"north_deg = {north_deg:.1f}     (write it into the --settings file; varied by {sd_deg:.1f}°)")
+    _report(summary, frame_source, link, json)
+
+
+def _check_autopilot(mavlink: str | None, firmware: Firmware | None, align: bool) -> None:
+    names = ", ".join(each.value for each in Firmware)
+    if mavlink is not None and firmware is None:
+        raise SettingError("--firmware", "is missing: firmwares take other frames", f"choose from {names}")
+    if mavlink is None and firmware is not None:
+        raise SettingError("--firmware", "is given without --mavlink", "give the autopilot's address with --mavlink")
+    if align and mavlink is None:
+        raise SettingError("--align", "needs the autopilot's yaw", "give its address with --mavlink")
 
 
 def _open(
@@ -126,7 +174,8 @@ def _open(
     if fast:
         raise SettingError("--fast", "has no meaning for a live camera", "leave it out")
     if intrinsics is None:
-        raise SettingError("--intrinsics", "is missing: a live camera does not tell its own", "give W,H,FX,FY,CX,CY")
+        problem = "is missing: a live camera does not tell its own"
+        raise SettingError("--intrinsics", problem, "give W,H,FX,FY,CX,CY")
     camera = parse_intrinsics(intrinsics)[0]
     return open_live(source, camera), camera, None
 
@@ -152,7 +201,9 @@ def _stopped_by_signals() -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
-def _header(room: Path, camera: Camera, start: Start | None, seed: int, settings: FlightSettings) -> FlightHeader:
+def _header(
+    room: Path, camera: Camera, start: Start | None, seed: int, settings: FlightSettings, firmware: Firmware | None
+) -> FlightHeader:
     known = None if start is None else (tuple(start.pose.ravel().tolist()), start.error_m, float(start.error_rad))
     return FlightHeader(
         bundle=str(room.resolve()),
@@ -161,11 +212,14 @@ def _header(room: Path, camera: Camera, start: Start | None, seed: int, settings
         start=known,
         seed=seed,
         settings=settings,
+        firmware=firmware,
     )
 
 
-def _report(summary: FlightSummary, source: FrameSource, json: bool) -> None:
+def _report(summary: FlightSummary, source: FrameSource, link: AutopilotLink | None, json: bool) -> None:
     figures = {**summary.figures(), "reconnections": source.reconnections}
+    if link is not None:
+        figures["autopilot"] = dict(link.counts)
     if json:
         print_json(figures)
         return

@@ -10,12 +10,13 @@ from typing import Protocol
 import numpy as np
 
 from monoloc.camera import Camera
-from monoloc.errors import DataError
+from monoloc.errors import DataError, MonolocError
 from monoloc.geometry import FloatArray
 from monoloc.live.frame_source import EndOfStreamError, FrameSource, LiveFrame
 from monoloc.localizer import Localizer, Step
 
 _WAIT_S = 0.1  # for a frame, before the outputs hear that there is none
+_MOST_AHEAD_S = 0.02  # of the clock, by which a camera's stamps may be off
 _KEPT = 10_000  # latencies and intervals that the summary is made of, the last ones
 
 
@@ -39,14 +40,18 @@ class FlightStep:
 
 
 class FlightOutput(Protocol):
-    """Takes the results of a flight."""
+    """Takes the results of a flight.
+
+    An output that raises a MonolocError hears no more until the end, and the flight goes on: a full disk must not take
+    the pose from an autopilot.
+    """
 
     def take(self, result: FlightStep) -> None:
         """A frame was localised."""
         ...
 
     def idle(self, now_s: float) -> None:
-        """No frame came for a tenth of a second."""
+        """No frame came for a tenth of a second, or the one that came was dropped."""
         ...
 
     def close(self) -> None:
@@ -61,8 +66,10 @@ class FlightSummary:
     Attributes:
         frames: localised.
         dropped: frames that were not, by reason: ``skipped`` (a newer one had come), ``old`` (older than the limit
-            when their turn came), ``unordered`` (captured no later than the one before).
+            when their turn came), ``future`` (captured after they came, by a clock that is wrong), ``unordered``
+            (captured no later than the one before).
         states: number of frames in each state.
+        failures: of outputs, which took no more frames.
         latencies_s: from capture to result, of the last frames.
         intervals_s: between localised frames, of the last ones.
     """
@@ -70,6 +77,7 @@ class FlightSummary:
     frames: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
     states: Counter[str] = field(default_factory=Counter)
+    failures: list[MonolocError] = field(default_factory=list)
     latencies_s: list[float] = field(default_factory=list)
     intervals_s: list[float] = field(default_factory=list)
 
@@ -110,6 +118,7 @@ class Flight:
         most_age_s: since its capture, beyond which a frame is dropped.
         down_at: direction of gravity in the camera's frame at a time of capture, (3,); None where it is not known.
         stop: says whether to stop; asked between frames.
+        summary: is filled as the flight goes.
     """
 
     def __init__(
@@ -121,14 +130,16 @@ class Flight:
         most_age_s: float,
         down_at: Callable[[float], FloatArray | None],
         stop: Callable[[], bool],
+        summary: FlightSummary,
     ) -> None:
         self._localizer, self._camera, self._source, self._outputs = localizer, camera, source, outputs
         self._most_age_s, self._down_at, self._stop = most_age_s, down_at, stop
         self._previous: LiveFrame | None = None
         self._sequence = -1
-        self.summary = FlightSummary()
+        self._summary = summary
+        self._failed: list[FlightOutput] = []
 
-    def run(self) -> FlightSummary:
+    def run(self) -> None:
         """Localise every frame that is in time.
 
         Raises:
@@ -139,23 +150,26 @@ class Flight:
                 frame = self._source.next(_WAIT_S)
             except EndOfStreamError:
                 break
-            if frame is None:
-                for output in self._outputs:
-                    output.idle(self._source.now_s())
-            elif self._is_in_time(frame):
+            if frame is not None and self._is_in_time(frame):
                 self._localize(frame)
-        return self.summary
+            else:
+                now_s = self._source.now_s()
+                self._hand_on(lambda output, now_s=now_s: output.idle(now_s))
 
     def _is_in_time(self, frame: LiveFrame) -> bool:
-        self.summary.dropped["skipped"] += frame.sequence - self._sequence - 1
+        self._summary.dropped["skipped"] += frame.sequence - self._sequence - 1
         self._sequence = frame.sequence
-        if self._previous is not None and frame.captured_s <= self._previous.captured_s:
-            self.summary.dropped["unordered"] += 1
-            return False
-        if self._source.now_s() - frame.captured_s > self._most_age_s:
-            self.summary.dropped["old"] += 1
-            return False
-        return True
+        age_s = self._source.now_s() - frame.captured_s
+        if age_s > self._most_age_s:
+            reason = "old"
+        elif age_s < -_MOST_AHEAD_S:
+            reason = "future"
+        elif self._previous is not None and frame.captured_s <= self._previous.captured_s:
+            reason = "unordered"
+        else:
+            return True
+        self._summary.dropped[reason] += 1
+        return False
 
     def _localize(self, frame: LiveFrame) -> None:
         self._check_size(frame)
@@ -164,9 +178,18 @@ class Flight:
         step = self._localizer.step(frame.color, elapsed_s, down=down_camera)
         self._previous = frame
         result = FlightStep(frame, elapsed_s, down_camera, step, self._source.now_s())
-        self.summary.add(result)
+        self._summary.add(result)
+        self._hand_on(lambda output: output.take(result))
+
+    def _hand_on(self, say: Callable[[FlightOutput], None]) -> None:
         for output in self._outputs:
-            output.take(result)
+            if output in self._failed:
+                continue
+            try:
+                say(output)
+            except MonolocError as error:
+                self._failed.append(output)
+                self._summary.failures.append(error)
 
     def _check_size(self, frame: LiveFrame) -> None:
         height, width = frame.color.shape[:2]

@@ -3,7 +3,7 @@
 ::
 
     flight.json      bundle, camera, start, seed and settings
-    frames.jsonl     one line a localised frame: times, gravity
+    frames.jsonl     one line a localised frame: times, gravity; and one whenever no frame came
     images/          the frames, PNG
     poses.csv        what was computed, see :mod:`monoloc.flight.pose_log`
     messages.tlog    what was sent to the autopilot, where there was one
@@ -11,7 +11,6 @@
 
 from __future__ import annotations
 
-import json
 import queue
 import threading
 from collections.abc import Iterator
@@ -20,7 +19,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from monoloc.camera import Camera
 from monoloc.config import describe
@@ -30,6 +29,7 @@ from monoloc.flight.flight_loop import FlightStep
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.pose_log import PoseLog
 from monoloc.geometry import FloatArray
+from monoloc.mavlink.firmware import Firmware
 from monoloc.start import Start
 from monoloc.version import __version__
 
@@ -61,7 +61,7 @@ class FlightHeader(BaseModel):
     start: tuple[tuple[float, ...], float, float] | None
     seed: int
     settings: FlightSettings
-    firmware: str | None = None
+    firmware: Firmware | None = None
 
     def localizer_start(self) -> Start | None:
         """The start, as the localizer takes it."""
@@ -89,6 +89,17 @@ class RecordedFrame(BaseModel):
     @property
     def down(self) -> FloatArray | None:
         return None if self.down_camera is None else np.array(self.down_camera)
+
+
+class RecordedIdle(BaseModel):
+    """A tenth of a second in which no frame came."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    idle_s: float
+
+
+_EVENT: TypeAdapter[RecordedFrame | RecordedIdle] = TypeAdapter(RecordedFrame | RecordedIdle)
 
 
 class FlightRecorder:
@@ -132,12 +143,11 @@ class FlightRecorder:
             done_s=result.done_s,
             down_camera=None if down is None else (float(down[0]), float(down[1]), float(down[2])),
         )
-        self._frames.write(frame.model_dump_json() + "\n")
-        self._frames.flush()
+        self._write(frame)
         self._poses.take(result)
 
     def idle(self, now_s: float) -> None:
-        """Nothing: only frames are recorded."""
+        self._write(RecordedIdle(idle_s=now_s))
 
     def close(self) -> None:
         """Raises DataError if an image could not be written."""
@@ -147,6 +157,10 @@ class FlightRecorder:
         self._poses.close()
         if self._failure is not None:
             raise self._failure
+
+    def _write(self, line: RecordedFrame | RecordedIdle) -> None:
+        self._frames.write(line.model_dump_json() + "\n")
+        self._frames.flush()
 
     def _write_images(self) -> None:
         while (item := self._images.get()) is not None:
@@ -179,22 +193,32 @@ def read_header(folder: Path) -> FlightHeader:
         raise DataError(path, f"is damaged ({what})", "give another flight") from error
 
 
-def read_frames(folder: Path) -> Iterator[tuple[NDArray[np.uint8], RecordedFrame]]:
-    """Images (H, W, 3) uint8 RGB and times of a recorded flight, in order; a last line that was cut is left out.
+def read_events(folder: Path) -> Iterator[tuple[NDArray[np.uint8], RecordedFrame] | RecordedIdle]:
+    """Images (H, W, 3) uint8 RGB with their times, and idle times of a recorded flight, in order.
+
+    A last line that was cut is left out.
 
     Raises:
         DataError: a file is missing or damaged.
     """
-    path = folder / _FRAMES
+    path, index = folder / _FRAMES, 0
     with path.open(encoding="utf-8") as lines:
-        for index, line in enumerate(lines):
+        for number, line in enumerate(lines, start=1):
             if not line.endswith("\n"):
                 return
             try:
-                frame = RecordedFrame.model_validate(json.loads(line))
-            except (ValueError, RecursionError) as error:
-                raise DataError(path, f"is damaged in line {index + 1}", "give another flight") from error
-            bgr = cv2.imread(str(image_path(folder, index)), cv2.IMREAD_COLOR)
-            if bgr is None:
-                raise DataError(image_path(folder, index), "cannot be read", "restore it, or give another flight")
-            yield np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8), frame
+                event = _EVENT.validate_json(line)
+            except ValidationError as error:
+                raise DataError(path, f"is damaged in line {number}", "give another flight") from error
+            if isinstance(event, RecordedIdle):
+                yield event
+            else:
+                yield _read_image(image_path(folder, index)), event
+                index += 1
+
+
+def _read_image(path: Path) -> NDArray[np.uint8]:
+    bgr = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if bgr is None:
+        raise DataError(path, "cannot be read", "restore it, or give another flight")
+    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8)

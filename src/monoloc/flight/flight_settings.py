@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -44,15 +46,19 @@ class FlightSettings(BaseModel):
         mount: of the camera.
         north_deg: heading of the map's x axis, clockwise from north as seen from above; ``monoloc fly --align``
             measures it.
+        down: direction of gravity in the map; None takes that of the map's floor and walls.
         most_age_s: since its capture, beyond which a frame is not localised and a pose is not sent.
         rate_hz: most messages a second of each kind.
         obstacles: whether OBSTACLE_DISTANCE is sent.
+        message: that carries the pose; ``vision_position_estimate`` is for firmware that does not know ODOMETRY.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     mount: Mount = Mount()
     north_deg: float = Field(0.0, ge=-360.0, le=360.0)
+    down: tuple[float, float, float] | None = None
     most_age_s: float = Field(0.2, gt=0.0, le=10.0)
     rate_hz: float = Field(50.0, gt=0.0, le=500.0)
     obstacles: bool = True
+    message: Literal["odometry", "vision_position_estimate"] = "odometry"

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 from pathlib import Path
 
 import numpy as np
 
+from monoloc.errors import DataError
 from monoloc.flight.flight_loop import FlightStep
 from monoloc.geometry import FloatArray, rotation_to_quaternion
 from monoloc.localizer import Step
@@ -32,26 +34,43 @@ class PoseLog:
 
     Args:
         path: is replaced.
+
+    Raises:
+        DataError: it cannot be written, at once or later.
     """
 
     def __init__(self, path: Path) -> None:
-        self._file = path.open("w", encoding="utf-8", newline="")
+        self._path = path
+        try:
+            self._file = path.open("w", encoding="utf-8", newline="")
+        except OSError as error:
+            fix = "name a file in a folder you can write to"
+            raise DataError(path, f"cannot be written ({error.strerror})", fix) from error
         self._rows = csv.writer(self._file, lineterminator="\n")
         self._write(COLUMNS)
 
     def take(self, result: FlightStep) -> None:
+        """Add the frame of a flight."""
+        self.add(result.frame.captured_s, result.step)
+
+    def add(self, time_s: float, step: Step) -> None:
         """Add a frame: a lost one too, whose pose says nothing."""
-        self._write(row(result.frame.captured_s, result.step))
+        self._write(row(time_s, step))
 
     def idle(self, now_s: float) -> None:
         """Nothing: the table has a row a frame."""
 
     def _write(self, values: tuple[str, ...]) -> None:
-        self._rows.writerow(values)
-        self._file.flush()
+        try:
+            self._rows.writerow(values)
+            self._file.flush()
+        except OSError as error:
+            fix = "make room, or choose another disk"
+            raise DataError(self._path, f"cannot be written ({error.strerror})", fix) from error
 
     def close(self) -> None:
-        self._file.close()
+        with contextlib.suppress(OSError):  # only what a write that failed has left is not yet in the file
+            self._file.close()
 
 
 def row(time_s: float, step: Step) -> tuple[str, ...]:

@@ -23,12 +23,12 @@ class StatusOutput:
         self._began_s: float | None = None
         self._said: tuple[str, frozenset[object]] = ("", frozenset())
         self._frame_s = self._printed_s = float("-inf")
-        self._frames = 0
+        self._frames = self._failures = 0
         self._is_without_image = False
 
     def take(self, result: FlightStep) -> None:
         now_s, step = result.done_s, result.step
-        self._began_s = now_s if self._began_s is None else self._began_s
+        self._begin(now_s)
         self._frame_s = now_s
         if self._is_without_image:
             self._print(now_s, "images again")
@@ -37,15 +37,23 @@ class StatusOutput:
             self._said = (step.state, step.reasons)
             why = ", ".join(sorted(reason.value for reason in step.reasons))
             self._print(now_s, f"{step.state}: {why}" if why else step.state)
+        for failure in self._summary.failures[self._failures :]:
+            self._failures += 1
+            self._print(now_s, f"no longer written: {failure}")
         self._say_how_it_goes(result)
 
     def idle(self, now_s: float) -> None:
-        if self._began_s is not None and not self._is_without_image and now_s - self._frame_s > _NO_IMAGE_S:
+        self._begin(now_s)
+        if not self._is_without_image and now_s - self._frame_s > _NO_IMAGE_S:
             self._is_without_image = True
-            self._print(now_s, "no image: the camera gives none")
+            self._print(now_s, "no image in time from the camera")
 
     def close(self) -> None:
         """Nothing is held."""
+
+    def _begin(self, now_s: float) -> None:
+        if self._began_s is None:
+            self._began_s = self._frame_s = self._printed_s = now_s
 
     def _say_how_it_goes(self, result: FlightStep) -> None:
         now_s = result.done_s

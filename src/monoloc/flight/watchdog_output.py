@@ -21,6 +21,8 @@ class WatchdogOutput:
     def __init__(self) -> None:
         address = os.environ.get("NOTIFY_SOCKET")
         self._socket = None if not address else socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        if self._socket is not None:
+            self._socket.setblocking(False)  # a flight waits for no one
         # A leading @ stands for a NUL: an address without a file.
         self._address = "" if not address else address.replace("@", "\0", 1) if address[0] == "@" else address
         self._said_s = float("-inf")

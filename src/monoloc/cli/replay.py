@@ -1,0 +1,98 @@
+"""``monoloc replay``: compute a recorded flight again."""
+
+from __future__ import annotations
+
+import tempfile
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import typer
+
+from monoloc.bundle import digest_of, read_bundle
+from monoloc.cli.common import JsonOption, check_outputs, print_json, stderr
+from monoloc.errors import DataError
+from monoloc.flight.autopilot import senders
+from monoloc.flight.flight_loop import FlightOutput
+from monoloc.flight.flight_recording import MESSAGES, POSES, FlightHeader, read_header
+from monoloc.flight.pose_log import PoseLog
+from monoloc.flight.recomputation import recompute
+from monoloc.progress import ConsoleProgress
+from monoloc.version import __version__
+
+
+def replay(
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder from monoloc fly --record.", show_default=False)
+    ],
+    room: Annotated[
+        Path | None, typer.Option("--room", help="The bundle, where it is no longer at the place of the flight.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="CSV of the poses to write.")] = None,
+    json: JsonOption = False,
+) -> None:
+    """Compute a recorded flight again, and compare it with what the flight computed and sent.
+
+    On the same machine, with the same version and bundle, poses and messages are the same to the last bit.
+
+    \b
+    Examples:
+      monoloc replay flight-1
+      monoloc replay flight-1 --room copies/room.monoloc --out poses.csv
+    """
+    check_outputs({"--out": out}, (folder, room))
+    header = read_header(folder)
+    bundle_path = Path(header.bundle) if room is None else room
+    if digest_of(bundle_path) != header.digest:
+        raise DataError(bundle_path, "is not the bundle of this flight", "give that one with --room")
+    bundle = read_bundle(bundle_path)
+    recorded = _lines(folder / POSES)
+    cv2.setNumThreads(1)  # as in the flight
+    with tempfile.TemporaryDirectory() as made, ExitStack() as opened:
+        again = Path(made)
+        outputs: list[FlightOutput] = [PoseLog(path) for path in (again / POSES, out) if path is not None]
+        if header.firmware is not None:
+            outputs += senders(None, again, bundle, header.firmware, header.settings)
+        for output in outputs:
+            opened.enter_context(closing(output))
+        with ConsoleProgress(stderr).task("replay", max(1, len(recorded) - 1)) as show:
+            frames = recompute(folder, header, bundle, outputs, show)
+        pairs = zip(recorded[1:], _lines(again / POSES)[1:], strict=False)
+        different = [index for index, (before, now) in enumerate(pairs) if before != now]
+        same_messages = None if header.firmware is None else _same_start(folder / MESSAGES, again / MESSAGES)
+    _report(frames, different, same_messages, header, json)
+
+
+def _lines(path: Path) -> list[bytes]:
+    """Whole lines of a table; a last line that was cut is left out."""
+    try:
+        return [line for line in path.read_bytes().splitlines(keepends=True) if line.endswith(b"\n")]
+    except OSError as error:
+        raise DataError(path, "cannot be read", "give another flight") from error
+
+
+def _same_start(recorded: Path, again: Path) -> bool:
+    """Whether one file is the other's beginning: a flight that was killed lacks its end."""
+    try:
+        before, now = recorded.read_bytes(), again.read_bytes()
+    except OSError as error:
+        raise DataError(recorded, "cannot be read", "give another flight") from error
+    length = min(len(before), len(now))
+    return before[:length] == now[:length]
+
+
+def _report(frames: int, different: list[int], same_messages: bool | None, header: FlightHeader, json: bool) -> None:
+    if json:
+        first = different[0] if different else None
+        figures = {"frames": frames, "different_frames": len(different), "first_different_frame": first}
+        print_json({**figures, "same_messages": same_messages})
+        return
+    version = header.monoloc_version
+    other = "" if version == __version__ else f" (monoloc {version} computed it)"
+    if different:
+        stderr.print(f"{frames} frames: {len(different)} differ from the flight{other}, the first is {different[0]}")
+    else:
+        stderr.print(f"{frames} frames: every pose is the same to the last bit")
+    if same_messages is not None:
+        stderr.print("messages: the same to the last bit" if same_messages else f"messages: not the same{other}")

@@ -1,0 +1,81 @@
+"""What a flight with an autopilot needs of map, vehicle and link."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from monoloc.bundle import Bundle
+from monoloc.errors import SettingError
+from monoloc.flight.flight_loop import FlightOutput
+from monoloc.flight.flight_recording import MESSAGES
+from monoloc.flight.flight_settings import FlightSettings
+from monoloc.flight.message_log import MessageLog
+from monoloc.flight.pose_sender import MessageSink, PoseSender
+from monoloc.geometry import FloatArray
+from monoloc.mavlink.autopilot_frames import AutopilotFrames
+from monoloc.mavlink.autopilot_link import AutopilotLink
+from monoloc.mavlink.firmware import Firmware
+
+
+def down_world(bundle: Bundle, settings: FlightSettings) -> FloatArray:
+    """Direction of gravity in the map, (3,).
+
+    Raises:
+        SettingError: neither the map nor the settings tell it.
+    """
+    down = bundle.down if settings.down is None else np.array(settings.down)
+    if down is None:
+        fix = "write down = [x, y, z] in the --settings file: the direction of gravity in the map"
+        raise SettingError("down", "is not told by this map, which shows too little of floor and walls", fix)
+    return down
+
+
+def frames_of(bundle: Bundle, settings: FlightSettings) -> AutopilotFrames:
+    """How the camera sits on the vehicle and how the map lies in the world.
+
+    Raises:
+        SettingError: as :func:`down_world`.
+    """
+    north_rad = float(np.deg2rad(settings.north_deg))
+    return AutopilotFrames(settings.mount.T_body_camera, down_world(bundle, settings), north_rad)
+
+
+def senders(
+    sink: MessageSink | None, folder: Path | None, bundle: Bundle, firmware: Firmware, settings: FlightSettings
+) -> list[FlightOutput]:
+    """The outputs that send to an autopilot, in their order.
+
+    Args:
+        sink: takes the messages; None only writes them.
+        folder: of a recording, where they are written; None writes none.
+        bundle, firmware, settings: of the flight.
+
+    Raises:
+        SettingError: as :func:`down_world`.
+    """
+    frames = frames_of(bundle, settings)
+    if folder is not None:
+        log = MessageLog(folder / MESSAGES, sink)
+        return [log, PoseSender(log, frames, firmware, settings)]
+    return [] if sink is None else [PoseSender(sink, frames, firmware, settings)]
+
+
+def gravity_of(
+    bundle: Bundle, link: AutopilotLink | None, settings: FlightSettings
+) -> Callable[[float], FloatArray | None]:
+    """Direction of gravity in the camera's frame at a time of capture, (3,), from the autopilot's attitude.
+
+    None where there is no attitude, or where the map does not tell its own direction of gravity.
+    """
+    if link is None or bundle.down is None:
+        return lambda captured_s: None
+    frames, attitude_at = frames_of(bundle, settings), link.attitude_at
+
+    def down_camera(captured_s: float) -> FloatArray | None:
+        attitude = attitude_at(captured_s)
+        return None if attitude is None else frames.down_camera(attitude.roll_rad, attitude.pitch_rad)
+
+    return down_camera

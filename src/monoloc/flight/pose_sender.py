@@ -1,0 +1,127 @@
+"""What is sent to the autopilot, and when: never a pose while lost, never a stale one, and every jump is said."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any, Protocol
+
+import numpy as np
+
+from monoloc.flight.flight_loop import FlightStep
+from monoloc.flight.flight_settings import FlightSettings
+from monoloc.geometry import FloatArray, make_pose, so3_exp
+from monoloc.mavlink.autopilot_frames import AutopilotFrames, BodyPose
+from monoloc.mavlink.firmware import Firmware
+from monoloc.mavlink.messages import obstacle_distance, odometry, status_text, vision_position_estimate
+from monoloc.mavlink.obstacle_sectors import LEAST_M, MOST_M, sector_distances_cm
+
+_OBSTACLES_HZ = 10.0
+_MOST_SPEED_M_S, _JUMP_M = 4.0, 0.2  # a pose that moved farther than a vehicle can, has jumped
+_NO_IMAGE_S = 0.5
+_TEXT_S = 1.0  # between texts on the same state: one that flickers must not fill the pilot's screen
+
+
+class MessageSink(Protocol):
+    """Takes messages; a :class:`~monoloc.mavlink.autopilot_link.AutopilotLink` is one."""
+
+    def send(self, message: Any) -> None: ...
+
+
+class PoseSender:
+    """A :class:`~monoloc.flight.flight_loop.FlightOutput` that sends pose, obstacles and texts.
+
+    What is sent depends on the results alone, so that a replay sends the same bytes.
+
+    Args:
+        sink: takes the messages.
+        frames: of vehicle and map.
+        firmware: of the autopilot.
+        settings: of the flight.
+    """
+
+    def __init__(
+        self, sink: MessageSink, frames: AutopilotFrames, firmware: Firmware, settings: FlightSettings
+    ) -> None:
+        self._sink, self._frames, self._firmware, self._settings = sink, frames, firmware, settings
+        self.counts: Counter[str] = Counter()
+        self._reset_counter = 0
+        self._jumped = False
+        self._sent: tuple[float, FloatArray] | None = None  # time of capture and position of the last pose
+        self._obstacles_s = float("-inf")
+        self._said: tuple[str, float] = ("", float("-inf"))
+        self._frame_s: float | None = None
+
+    def take(self, result: FlightStep) -> None:
+        self._frame_s = result.done_s
+        self._say_state(result)
+        if result.step.state == "lost":
+            self._jumped = True  # whatever comes next is elsewhere
+            return
+        self._jumped |= result.step.restarted
+        pose = self._frames.body_pose(result.step.estimate)
+        if self._is_to_send(result, pose):
+            self._send_pose(result, pose)
+        self._send_obstacles(result, pose)
+
+    def idle(self, now_s: float) -> None:
+        if self._frame_s is not None and now_s - self._frame_s > _NO_IMAGE_S:
+            self._say("monoloc: no image from the camera", True, now_s)
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def _is_to_send(self, result: FlightStep, pose: BodyPose) -> bool:
+        """Whether the pose is a number, in time, and due."""
+        captured_s = result.frame.captured_s
+        if not pose.is_finite:
+            self.counts["not finite"] += 1
+            return False
+        age_s = result.done_s - captured_s
+        if not 0.0 <= age_s <= self._settings.most_age_s:
+            self.counts["old" if age_s > 0.0 else "future"] += 1
+            return False
+        if self._sent is None:
+            return True
+        return captured_s - self._sent[0] >= 0.99 / self._settings.rate_hz
+
+    def _send_pose(self, result: FlightStep, pose: BodyPose) -> None:
+        captured_s, position = result.frame.captured_s, pose.T_ned_body[:3, 3]
+        if self._sent is not None:
+            before_s, before = self._sent
+            possible_m = _JUMP_M + _MOST_SPEED_M_S * (captured_s - before_s)
+            if self._jumped or float(np.linalg.norm(position - before)) > possible_m:
+                self._reset_counter = (self._reset_counter + 1) % 256
+        self._jumped = False
+        self._sent = captured_s, position
+        quality = max(1, min(100, round(100.0 * (1.0 - result.step.probability_far))))
+        if self._settings.message == "odometry":
+            message = odometry(captured_s, pose, quality, self._reset_counter, self._firmware)
+        else:
+            message = vision_position_estimate(captured_s, pose, self._reset_counter)
+        self.counts["poses"] += 1
+        self._sink.send(message)
+
+    def _send_obstacles(self, result: FlightStep, pose: BodyPose) -> None:
+        captured_s = result.frame.captured_s
+        is_due = captured_s - self._obstacles_s >= 0.99 / _OBSTACLES_HZ
+        if not (self._settings.obstacles and is_due and pose.is_finite):
+            return
+        self._obstacles_s = captured_s
+        level = make_pose(so3_exp([0.0, 0.0, -pose.euler_rad[2]]), np.zeros(3)) @ self._frames.T_ned_world
+        R_level_camera = (level @ result.step.estimate.pose)[:3, :3]
+        distances_cm = sector_distances_cm(result.step.depth, R_level_camera)
+        self.counts["obstacles"] += 1
+        self._sink.send(obstacle_distance(captured_s, distances_cm, LEAST_M, MOST_M))
+
+    def _say_state(self, result: FlightStep) -> None:
+        step = result.step
+        why = ", ".join(sorted(reason.value for reason in step.reasons))
+        self._say(f"monoloc: {step.state}" + (f": {why}" if why else ""), step.state != "tracking", result.done_s)
+
+    def _say(self, text: str, is_alarming: bool, now_s: float) -> None:
+        """Say a state once, and no sooner than a second after the last."""
+        said, said_s = self._said
+        if text == said or now_s - said_s < _TEXT_S:
+            return
+        self._said = text, now_s
+        self._sink.send(status_text(text, is_alarming))

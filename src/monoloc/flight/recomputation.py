@@ -1,0 +1,51 @@
+"""A recorded flight, computed again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from monoloc.bundle import Bundle
+from monoloc.flight.flight_loop import FlightOutput, FlightStep
+from monoloc.flight.flight_recording import FlightHeader, RecordedIdle, read_events
+from monoloc.live.frame_source import LiveFrame
+from monoloc.localizer import Localizer
+
+
+def recompute(
+    folder: Path,
+    header: FlightHeader,
+    bundle: Bundle,
+    outputs: Sequence[FlightOutput],
+    show: Callable[[int], None],
+) -> int:
+    """Localise the frames of a recorded flight, with its times and its gravity.
+
+    Args:
+        folder, header: of the flight.
+        bundle: of the flight.
+        outputs: take the results, as they did in the flight.
+        show: is told the number of frames after each.
+
+    Returns:
+        The number of frames.
+
+    Raises:
+        DataError: a file is missing or damaged.
+    """
+    localizer = Localizer(bundle, header.camera, header.localizer_start(), seed=header.seed)
+    count = 0
+    for event in read_events(folder):
+        if isinstance(event, RecordedIdle):
+            for output in outputs:
+                output.idle(event.idle_s)
+            continue
+        color, frame = event
+        step = localizer.step(color, frame.elapsed_s, down=frame.down)
+        taken = LiveFrame(color, frame.captured_s, count)
+        result = FlightStep(taken, frame.elapsed_s, frame.down, step, frame.done_s)
+        for output in outputs:
+            output.take(result)
+        count += 1
+        show(count)
+    return count
