@@ -1,0 +1,137 @@
+"""What reaches an autopilot, and what must not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mavlink_helpers import Wire, result_at, step_at
+from monoloc.flight.flight_settings import FlightSettings
+from monoloc.flight.pose_sender import PoseSender
+from monoloc.geometry import FloatArray, make_pose
+from monoloc.mavlink.autopilot_frames import AutopilotFrames
+from monoloc.mavlink.firmware import Firmware
+from monoloc.supervision.state import Reason
+from px4_decoder import Px4
+
+FRAMES = AutopilotFrames(FlightSettings().mount.T_body_camera, [0.0, 0.0, -1.0], 0.0)
+# A camera that looks along the map's x axis.
+R_WORLD_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+def at(x_m: float) -> FloatArray:
+    return make_pose(R_WORLD_CAMERA, [x_m, 0.0, 1.0])
+
+
+def sender(firmware: Firmware = Firmware.PX4, **settings: object) -> tuple[PoseSender, Wire]:
+    wire = Wire()
+    return PoseSender(wire, FRAMES, firmware, FlightSettings.model_validate(settings)), wire
+
+
+def test_pose_has_the_time_of_capture_and_all_that_the_firmware_needs() -> None:
+    for firmware, frame in ((Firmware.PX4, 1), (Firmware.ARDUPILOT, 20)):
+        flight, wire = sender(firmware)
+        flight.take(result_at(12.5, step_at(at(0.3), probability_far=0.2)))
+        (message,) = wire.of("ODOMETRY")
+        assert (message.time_usec, message.frame_id, message.child_frame_id) == (12_500_000, frame, 12)
+        assert (message.estimator_type, message.quality, message.reset_counter) == (2, 80, 0)
+        assert np.all(np.isnan([message.vx, message.vy, message.vz])) and np.all(np.isfinite(message.pose_covariance))
+        assert message.x == pytest.approx(0.3) and message.z == pytest.approx(-1.0)
+
+
+def test_nothing_is_sent_while_lost_and_the_jump_after_it_is_said() -> None:
+    flight, wire = sender()
+    flight.take(result_at(1.0, step_at(at(0.0))))
+    for index in range(5):
+        lost = step_at(at(0.0), "lost", frozenset({Reason.SEARCHING}), probability_far=1.0)
+        flight.take(result_at(1.1 + 0.05 * index, lost))
+    assert len(wire.of("ODOMETRY")) == 1 and len(wire.of("OBSTACLE_DISTANCE")) == 1
+    flight.take(result_at(1.5, step_at(at(0.0))))
+    flight.take(result_at(1.6, step_at(at(0.01))))
+    assert [message.reset_counter for message in wire.of("ODOMETRY")] == [0, 1, 1]
+
+
+def test_jump_and_restart_are_said_and_a_fast_vehicle_is_none() -> None:
+    flight, wire = sender()
+    places = [(0.0, False), (0.2, False), (1.5, False), (1.5, True), (1.5, False)]
+    for index, (x_m, restarted) in enumerate(places):
+        flight.take(result_at(1.0 + 0.1 * index, step_at(at(x_m), restarted=restarted)))
+    assert [message.reset_counter for message in wire.of("ODOMETRY")] == [0, 0, 1, 2, 2]
+
+
+def test_reset_counter_goes_on_from_zero_after_255() -> None:
+    flight, wire = sender(obstacles=False)
+    for index in range(258):
+        flight.take(result_at(0.1 * index, step_at(at(0.0), restarted=True)))
+    counters = [message.reset_counter for message in wire.of("ODOMETRY")]
+    assert counters[0] == 0 and counters[255:] == [255, 0, 1]
+
+
+def test_stale_future_and_infinite_poses_are_not_sent_but_counted() -> None:
+    flight, wire = sender(most_age_s=0.2)
+    flight.take(result_at(1.0, step_at(at(0.0)), age_s=0.3))
+    flight.take(result_at(1.1, step_at(at(0.0)), age_s=-0.1))
+    flight.take(result_at(1.2, step_at(at(0.0), covariance=np.full((6, 6), np.nan))))
+    assert wire.of("ODOMETRY") == []
+    assert flight.counts["old"] == flight.counts["future"] == flight.counts["not finite"] == 1
+
+
+def test_rate_is_bounded() -> None:
+    flight, wire = sender(rate_hz=10.0)
+    for index in range(60):
+        flight.take(result_at(index / 30.0, step_at(at(0.0))))
+    assert len(wire.of("ODOMETRY")) == 20 and 18 <= len(wire.of("OBSTACLE_DISTANCE")) <= 20
+
+
+def test_small_variances_are_under_the_firmwares_floor_and_large_ones_pass() -> None:
+    flight, wire = sender()
+    flight.take(result_at(1.0, step_at(at(0.0), covariance=np.eye(6) * 1e-6)))
+    flight.take(result_at(1.1, step_at(at(0.0), covariance=np.diag([0.25, 0.25, 0.25, 0.09, 0.09, 0.09]))))
+    sure, vague = (Px4().odometry(message) for message in wire.of("ODOMETRY"))
+    np.testing.assert_allclose(sure.position_variance, 0.1**2)
+    np.testing.assert_allclose(vague.position_variance, 0.25, rtol=1e-5)
+    assert vague.yaw_variance == pytest.approx(0.09)
+
+
+def test_pilot_hears_every_state_once_within_fifty_bytes() -> None:
+    flight, wire = sender()
+    reasons = frozenset({Reason.NO_ODOMETRY, Reason.IMAGE_EMPTY, Reason.BELIEF_DOUBTFUL})
+    for index in range(40):
+        flight.take(result_at(0.1 * index, step_at(at(0.0))))
+    for index in range(40):
+        flight.take(result_at(4.0 + 0.1 * index, step_at(at(0.0), "uncertain", reasons, 0.1)))
+    assert [(m.severity, m.text) for m in wire.of("STATUSTEXT")] == [
+        (5, "monoloc: tracking"),
+        (4, "monoloc: uncertain: belief doubtful, image empty, "),
+    ]
+
+
+def test_flickering_state_does_not_fill_the_screen_and_the_last_is_said() -> None:
+    flight, wire = sender()
+    for index in range(100):
+        state = "tracking" if index % 2 and index < 95 else "uncertain"
+        flight.take(result_at(0.05 * index, step_at(at(0.0), state)))
+    assert len(wire.of("STATUSTEXT")) <= 6
+    for index in range(30):
+        flight.take(result_at(5.0 + 0.05 * index, step_at(at(0.0), "uncertain")))
+    assert wire.of("STATUSTEXT")[-1].text == "monoloc: uncertain"
+
+
+def test_pilot_hears_that_the_camera_gives_no_image() -> None:
+    flight, wire = sender()
+    flight.idle(0.0)
+    assert wire.received == []
+    flight.take(result_at(1.0, step_at(at(0.0))))
+    for index in range(30):
+        flight.idle(1.1 + 0.1 * index)
+    texts = [message.text for message in wire.of("STATUSTEXT")]
+    assert texts == ["monoloc: tracking", "monoloc: no image from the camera"]
+
+
+def test_old_firmware_gets_euler_angles() -> None:
+    flight, wire = sender(message="vision_position_estimate")
+    flight.take(result_at(1.0, step_at(at(0.3))))
+    (message,) = wire.of("VISION_POSITION_ESTIMATE")
+    assert wire.of("ODOMETRY") == [] and message.usec == 1_000_000
+    assert (message.x, message.z) == (pytest.approx(0.3), pytest.approx(-1.0))
+    assert (message.roll, message.pitch, message.yaw) == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
