@@ -119,13 +119,14 @@ void max_pool_gradient(const Images& gradient, const Images& from, std::size_t t
                              out.data());
 }
 
-void draw_points(const Vectors& points, const Pose& camera_from_world, const Array<double, nb::shape<9>>& camera,
-                 const Array<double, nb::shape<3>>& sight, double behind, const WritableNumbers& front,
+void draw_points(const Vectors& points, const Pose& camera_from_world, const Array<double, nb::shape<12>>& camera,
+                 bool is_fisheye, const Array<double, nb::shape<4>>& sight, double behind, const WritableNumbers& front,
                  const WritableDepth& depth) {
   const double *c = camera.data(), *s = sight.data();
   nb::gil_scoped_release release;
   monoloc::draw_points(points.data(), points.shape(0), camera_from_world.data(),
-                       {c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8]}, {s[0], s[1], s[2]}, behind,
+                       {c[0], c[1], c[2], c[3], {c[4], c[5], c[6], c[7], c[8], c[9], c[10], c[11]}, is_fisheye},
+                       {s[0], s[1], s[2], s[3]}, behind,
                        front.shape(0), front.shape(1), front.data(), depth.data());
 }
 
@@ -141,8 +142,8 @@ NB_MODULE(_core, m) {
         "from_"_a.noconvert());
   m.def("max_pool_gradient", &max_pool_gradient, "gradient"_a, "from_"_a, "threads"_a,
         "out"_a.noconvert());
-  m.def("draw_points", &draw_points, "points"_a, "camera_from_world"_a, "camera"_a, "sight"_a, "behind"_a,
-        "front"_a.noconvert(), "depth"_a.noconvert());
+  m.def("draw_points", &draw_points, "points"_a, "camera_from_world"_a, "camera"_a, "is_fisheye"_a, "sight"_a,
+        "behind"_a, "front"_a.noconvert(), "depth"_a.noconvert());
   m.def("instruction_set", [] { return monoloc::kernels().name; });
   m.def(
       "multiply_add",

@@ -32,10 +32,29 @@ struct Seen {
   float depth;
 };
 
-std::vector<Seen> project(const double* points, std::size_t count, const double* camera_from_world,
-                          const Pinhole& camera, const Sight& sight, std::size_t rows, std::size_t columns) {
+struct Point {
+  double x, y;
+};
+
+// Image coordinates, in focal lengths, of a point at a depth of one.
+Point distorted(const Lens& camera, double x, double y, double r2) {
+  const double* k = camera.coefficients;
+  if (camera.is_fisheye) {
+    const double r = std::sqrt(std::max(r2, 1e-18)), angle = std::atan(r), a2 = angle * angle;
+    const double radial = angle / r * (1.0 + a2 * (k[0] + a2 * (k[1] + a2 * (k[2] + a2 * k[3]))));
+    return {x * radial, y * radial};
+  }
+  const double above = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4])), below = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]));
+  const double radial = above / below, p1 = k[2], p2 = k[3];
+  return {x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+          y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y};
+}
+
+std::vector<Seen> project(const double* points, std::size_t count, const double* camera_from_world, const Lens& camera,
+                          const Sight& sight, std::size_t rows, std::size_t columns) {
   const double* m = camera_from_world;  // (4, 4), row-major
   const auto most_u = static_cast<double>(columns), most_v = static_cast<double>(rows);
+  const double most_r2 = sight.most_radius * sight.most_radius;
   std::vector<Seen> seen;
   seen.reserve(count);
   for (std::size_t i = 0; i < count; ++i) {
@@ -46,10 +65,9 @@ std::vector<Seen> project(const double* points, std::size_t count, const double*
     const double y = (m[4] * p[0] + m[5] * p[1] + m[6] * p[2] + m[7]) / z;
     if (!(std::abs(x) < sight.most_x && std::abs(y) < sight.most_y)) continue;
     const double r2 = x * x + y * y;
-    const double radial = 1.0 + r2 * (camera.k1 + r2 * (camera.k2 + r2 * camera.k3));
-    const double bent_x = x * radial + 2.0 * camera.p1 * x * y + camera.p2 * (r2 + 2.0 * x * x);
-    const double bent_y = y * radial + camera.p1 * (r2 + 2.0 * y * y) + 2.0 * camera.p2 * x * y;
-    const double u = std::floor(bent_x * camera.fx + camera.cx), v = std::floor(bent_y * camera.fy + camera.cy);
+    if (!(r2 < most_r2)) continue;
+    const Point bent = distorted(camera, x, y, r2);
+    const double u = std::floor(bent.x * camera.fx + camera.cx), v = std::floor(bent.y * camera.fy + camera.cy);
     if (!(u >= -1.0 && v >= -1.0 && u < most_u && v < most_v)) continue;
     const std::size_t corner = static_cast<std::size_t>(v + 1.0) * (columns + 2) + static_cast<std::size_t>(u + 1.0);
     seen.push_back({static_cast<std::uint32_t>(corner), static_cast<std::uint32_t>(i), static_cast<float>(z)});
@@ -59,7 +77,7 @@ std::vector<Seen> project(const double* points, std::size_t count, const double*
 
 }  // namespace
 
-void draw_points(const double* points, std::size_t count, const double* camera_from_world, const Pinhole& camera,
+void draw_points(const double* points, std::size_t count, const double* camera_from_world, const Lens& camera,
                  const Sight& sight, double behind, std::size_t rows, std::size_t columns, std::uint32_t* front,
                  float* depth) {
   const std::size_t stride = columns + 2, size = (rows + 2) * stride;

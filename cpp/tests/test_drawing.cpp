@@ -11,8 +11,8 @@ namespace {
 
 constexpr std::size_t kRows = 3, kColumns = 4;
 constexpr double kIdentity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
-constexpr monoloc::Pinhole kCamera{1, 1, 0, 0, 0, 0, 0, 0, 0};  // at a depth of one, metres are pixels
-constexpr monoloc::Sight kSight{0.1, 10.0, 10.0};
+constexpr monoloc::Lens kCamera{1, 1, 0, 0, {}, false};  // at a depth of one, metres are pixels
+constexpr monoloc::Sight kSight{0.1, 10.0, 10.0, 14.0};
 constexpr double kBehind = 0.25;
 
 struct Image {
@@ -21,7 +21,7 @@ struct Image {
 };
 
 Image drawn(const std::vector<double>& points, const double* pose = kIdentity,
-            const monoloc::Pinhole& camera = kCamera) {
+            const monoloc::Lens& camera = kCamera) {
   Image image;
   monoloc::draw_points(points.data(), points.size() / 3, pose, camera, kSight, kBehind, kRows, kColumns,
                        image.front.data(), image.depth.data());
@@ -68,6 +68,13 @@ void test_drawing() {
   // With a pose, and with distortion: k1 = 1 doubles the distance from the centre at r = 1.
   const double pose[16] = {0, -1, 0, 1, 1, 0, 0, 0, 0, 0, 1, -1, 0, 0, 0, 1};
   CHECK(drawn({0.25, -0.5, 2.0}, pose).front[at(0, 1)] == 0);
-  const monoloc::Pinhole bent{1, 1, 0, 0, 1, 0, 0, 0, 0};
+  const monoloc::Lens bent{1, 1, 0, 0, {1}, false};
   CHECK(drawn({1.0, 0.0, 1.0}, kIdentity, bent).front[at(0, 2)] == 0);
+  // k4 = -0.5 does, too.
+  const monoloc::Lens rational{1, 1, 0, 0, {0, 0, 0, 0, 0, -0.5}, false};
+  CHECK(drawn({1.0, 0.0, 1.0}, kIdentity, rational).front[at(0, 2)] == 0);
+  // A fisheye shows 45 degrees at a distance of pi / 4; beyond the field of view, nothing.
+  const monoloc::Lens fisheye{4, 4, 0, 0, {}, true};
+  CHECK(drawn({1.0, 0.0, 1.0}, kIdentity, fisheye).front[at(0, 3)] == 0);
+  CHECK(count_drawn(drawn({9.99, 9.99, 1.0}, kIdentity, {0.5, 0.5, 0, 0, {}, true})) == 0);
 }

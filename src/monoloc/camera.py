@@ -1,4 +1,4 @@
-"""The pinhole camera, with optional Brown distortion.
+"""The camera: a pinhole, with optional distortion of one of OpenCV's three models.
 
 Axes as in OpenCV: x right, y down, z forward. The centre of the top-left pixel is (0, 0), so an image
 of width w spans -0.5 .. w - 0.5. Depth is z, not range.
@@ -7,18 +7,16 @@ of width w spans -0.5 .. w - 0.5. Depth is z, not range.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from monoloc.distortion import COEFFICIENTS, MODELS, WIDEST_RAD, DistortionModel, Lens, is_one_to_one, widest_radius
 from monoloc.errors import SettingError
 from monoloc.geometry import FloatArray
 
 _MIN_DEPTH_M = 0.1  # nearer points are not visible
 _BORDER_RAYS = 9  # along a side; the widest of them bound the field of view
-_GRID_POINTS = 17  # along a side, at which the distortion is inverted as a check
-_ROUND_TRIP_TOLERANCE = 1e-9  # largest error of undistorting and distorting again, at z = 1
 
 
 @dataclass(frozen=True)
@@ -27,13 +25,16 @@ class Camera:
 
     Attributes:
         width, height: image size, pixels.
-        fx, fy: focal lengths, pixels.
+        fx, fy: focal lengths, pixels: the magnification at the principal point, whatever the distortion model.
         cx, cy: principal point, pixels, pixel centres at integers.
-        distortion: Brown coefficients (k1, k2, p1, p2, k3) in OpenCV's order; all zero for a pinhole.
+        distortion: coefficients in OpenCV's order (:data:`monoloc.distortion.COEFFICIENTS`). *brown* has five, of
+            which k3 may be left out, *rational* eight and *fisheye* four; none given are all zero.
+        distortion_model: model of the coefficients. Five zeros of *brown* are a pinhole.
 
     Raises:
-        SettingError: a size or focal length is not positive and finite, the principal point is outside the image, or
-            the distortion is not five finite numbers or not invertible over the image.
+        SettingError: a size or focal length is not positive and finite, the principal point is outside the image, the
+            coefficients are not finite or not as many as the model has, or the distortion is not invertible over the
+            image or sees more than 85 degrees off the optical axis.
     """
 
     width: int
@@ -42,7 +43,8 @@ class Camera:
     fy: float
     cx: float
     cy: float
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    distortion: tuple[float, ...] = ()
+    distortion_model: DistortionModel = "brown"
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
@@ -57,20 +59,46 @@ class Camera:
                 f"({self.cx}, {self.cy}) lies outside the {self.width}x{self.height} image",
                 "check that the intrinsics belong to this image size",
             )
-        if len(self.distortion) != 5 or not np.all(np.isfinite(self.distortion)):
-            raise SettingError("camera.distortion", f"is {self.distortion}", "give k1, k2, p1, p2, k3")
-        if self.is_distorted and not self._is_one_to_one():
+        object.__setattr__(self, "distortion", self._whole_distortion())
+        if self.is_distorted:
+            self._check_lens()
+
+    def _whole_distortion(self) -> tuple[float, ...]:
+        """The coefficients, as many as the model has."""
+        if self.distortion_model not in MODELS:
+            problem = f"is {self.distortion_model!r}"
+            raise SettingError("camera.distortion_model", problem, f"choose from {', '.join(MODELS)}")
+        names, given = COEFFICIENTS[self.distortion_model], tuple(float(value) for value in self.distortion)
+        whole = given
+        if not given or (self.distortion_model == "brown" and len(given) == 4):
+            whole = given + (0.0,) * (len(names) - len(given))
+        if len(whole) != len(names) or not np.all(np.isfinite(whole)):
+            raise SettingError("camera.distortion", f"is {given}", f"give {', '.join(names)}")
+        return whole
+
+    def _check_lens(self) -> None:
+        """Check that the distortion maps one ray, and no other, to each pixel."""
+        ends = ((-0.5, self.width - 0.5, self.cx, self.fx), (-0.5, self.height - 0.5, self.cy, self.fy))
+        x, y = (((first - middle) / f, (last - middle) / f) for first, last, middle, f in ends)
+        reach = widest_radius(self._lens)
+        if np.hypot(max(-x[0], x[1]), max(-y[0], y[1])) > reach:
+            degrees = np.rad2deg(WIDEST_RAD)
+            raise SettingError(
+                "camera.distortion",
+                f"shows more than {degrees:.0f} degrees off the optical axis in the corners of the image",
+                f"crop the images to within {reach * min(self.fx, self.fy):.0f} pixels of (cx, cy)",
+            )
+        if not is_one_to_one(self._lens, *x, *y):
+            names = ", ".join(COEFFICIENTS[self.distortion_model])
             raise SettingError(
                 "camera.distortion",
                 f"{self.distortion} folds the image onto itself",
-                "give k1, k2, p1, p2, k3 as they were measured with these focal lengths",
+                f"give {names} as they were measured with these focal lengths",
             )
 
-    def _is_one_to_one(self) -> bool:
-        """Whether the distortion maps one ray, and no other, to each pixel."""
-        ends = ((-0.5, self.width - 0.5, self.cx, self.fx), (-0.5, self.height - 0.5, self.cy, self.fy))
-        x, y = (((first - middle) / f, (last - middle) / f) for first, last, middle, f in ends)
-        return _is_one_to_one(tuple(self.distortion), *x, *y)
+    @property
+    def _lens(self) -> Lens:
+        return Lens(self.distortion_model, self.distortion)
 
     @property
     def matrix(self) -> FloatArray:
@@ -84,7 +112,8 @@ class Camera:
 
     @property
     def is_distorted(self) -> bool:
-        return any(self.distortion)
+        """Whether the camera differs from a pinhole."""
+        return self._lens.is_distorted
 
     def resized(self, width: int, height: int) -> Camera:
         """Camera of the same image resampled to width x height; the borders of the two images coincide."""
@@ -105,8 +134,9 @@ class Camera:
 
     def flipped(self) -> Camera:
         """Camera of the image mirrored left to right."""
-        k1, k2, p1, p2, k3 = self.distortion
-        return replace(self, cx=self.width - 1 - self.cx, distortion=(k1, k2, p1, -p2, k3))
+        names = COEFFICIENTS[self.distortion_model]
+        mirrored = tuple(-k if name == "p2" else k for name, k in zip(names, self.distortion, strict=True))
+        return replace(self, cx=self.width - 1 - self.cx, distortion=mirrored)
 
     def project(self, points_camera: ArrayLike) -> FloatArray:
         """Project points in the camera's frame: (..., 3) m -> (..., 2) px; NaN for points with z <= 0."""
@@ -121,22 +151,36 @@ class Camera:
         The field of view extends one pixel beyond the image. Test points before :meth:`project`: the distortion
         polynomial folds points far outside the field of view back into the image.
         """
-        least_m, most_x, most_y = self.sight()
+        least_m, most_x, most_y, most_radius = self.sight()
         x, y, z = points_camera.T
-        return np.asarray((z > least_m) & (np.abs(x) < most_x * z) & (np.abs(y) < most_y * z))
+        is_within = (np.abs(x) < most_x * z) & (np.abs(y) < most_y * z) & (np.hypot(x, y) < most_radius * z)
+        return np.asarray((z > least_m) & is_within)
 
-    def sight(self) -> tuple[float, float, float]:
-        """Bounds of :meth:`in_sight`: smallest depth in metres, and largest abs(x) and abs(y) at z = 1."""
+    def sight(self) -> tuple[float, float, float, float]:
+        """Bounds of :meth:`in_sight`: smallest depth, metres, and largest abs(x), abs(y) and hypot(x, y) at z = 1."""
         columns, rows = (np.linspace(-1.0, size, _BORDER_RAYS) for size in (self.width, self.height))
-        most = np.abs(self.rays(np.stack(np.meshgrid(columns, rows), axis=-1))).max(axis=(0, 1))
-        return _MIN_DEPTH_M, float(most[0]), float(most[1])
+        x, y, _ = np.moveaxis(self.rays(np.stack(np.meshgrid(columns, rows), axis=-1)), -1, 0)
+        return _MIN_DEPTH_M, float(np.abs(x).max()), float(np.abs(y).max()), float(np.hypot(x, y).max())
 
     def rays(self, pixels: ArrayLike) -> FloatArray:
         """Ray directions with z = 1 of pixels, (..., 2) px -> (..., 3): ``depth * ray`` is the point."""
         uv = np.asarray(pixels, dtype=np.float64)
         distorted = (uv - np.array([self.cx, self.cy])) / np.array([self.fx, self.fy])
-        normalised = self._undistort(distorted)
+        normalised = self._lens.undistort(distorted)
         return np.concatenate([normalised, np.ones((*normalised.shape[:-1], 1))], axis=-1)
+
+    def for_pnp(self, pixels: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Pixels (N, 2), intrinsic matrix (3, 3) and coefficients as OpenCV's perspective-n-point solvers take them.
+
+        These know no fisheye. Its pixels become coordinates at z = 1, in units of a pixel's median span there.
+        """
+        uv = np.asarray(pixels, dtype=np.float64)
+        if self.distortion_model != "fisheye" or len(uv) == 0:
+            return uv, self.matrix, np.asarray(self.distortion)
+        rays = self.rays(uv)[:, :2]
+        J_xx, J_xy, J_yy = self._lens.jacobian(*rays.T)
+        scale = self.focal_px * float(np.median(np.sqrt(J_xx * J_yy - J_xy * J_xy)))
+        return rays * scale, np.diag([scale, scale, 1.0]), np.zeros(5)
 
     def pixel_rays(self) -> FloatArray:
         """Rays of every pixel, (height, width, 3)."""
@@ -155,63 +199,4 @@ class Camera:
         return depth[..., None] * self.pixel_rays()
 
     def _distort(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return _distort(self.distortion, x, y) if self.is_distorted else (x, y)
-
-    def _undistort(self, distorted: FloatArray) -> FloatArray:
-        return _undistort(self.distortion, distorted) if self.is_distorted else distorted
-
-
-Distortion = tuple[float, float, float, float, float]
-
-
-def _distort(distortion: Distortion, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Map undistorted to distorted image coordinates at z = 1, (...) each (Brown 1971, as in OpenCV)."""
-    k1, k2, p1, p2, k3 = distortion
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    dx = 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
-    dy = p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
-    return x * radial + dx, y * radial + dy
-
-
-def _jacobian(distortion: Distortion, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Entries xx, xy and yy, (...) each, of the symmetric Jacobian of :func:`_distort`."""
-    k1, k2, p1, p2, k3 = distortion
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
-    J_xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
-    J_xy = slope * x * y + 2.0 * (p1 * x + p2 * y)
-    J_yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
-    return J_xx, J_xy, J_yy
-
-
-def _undistort(distortion: Distortion, distorted: FloatArray) -> FloatArray:
-    """Invert :func:`_distort` by Newton's method."""
-    x, y = distorted[..., 0], distorted[..., 1]
-    for _ in range(20):
-        J_xx, J_xy, J_yy = _jacobian(distortion, x, y)
-        predicted_x, predicted_y = _distort(distortion, x, y)
-        dx, dy = distorted[..., 0] - predicted_x, distorted[..., 1] - predicted_y
-        determinant = J_xx * J_yy - J_xy * J_xy
-        step_x, step_y = (J_yy * dx - J_xy * dy) / determinant, (J_xx * dy - J_xy * dx) / determinant
-        x, y = x + step_x, y + step_y
-        if max(np.max(np.abs(step_x), initial=0.0), np.max(np.abs(step_y), initial=0.0)) < 1e-12:
-            break
-    return np.stack([x, y], axis=-1)
-
-
-@lru_cache(maxsize=256)
-def _is_one_to_one(distortion: Distortion, left: float, right: float, top: float, bottom: float) -> bool:
-    """Whether the inverse exists throughout a rectangle of distorted coordinates that contains (0, 0)."""
-    grid = np.meshgrid(np.linspace(left, right, _GRID_POINTS), np.linspace(top, bottom, _GRID_POINTS))
-    points = np.stack(grid, axis=-1)
-    with np.errstate(all="ignore"):
-        undistorted = _undistort(distortion, points)
-        x, y = undistorted[..., 0], undistorted[..., 1]
-        J_xx, J_xy, J_yy = _jacobian(distortion, x, y)
-        residual = np.abs(np.stack(_distort(distortion, x, y), axis=-1) - points).max()
-        # Both eigenvalues are positive, as at the centre, up to the first fold.
-        return bool(
-            residual < _ROUND_TRIP_TOLERANCE and np.all(J_xx + J_yy > 0.0) and np.all(J_xx * J_yy - J_xy**2 > 0.0)
-        )
+        return self._lens.distort(x, y) if self.is_distorted else (x, y)

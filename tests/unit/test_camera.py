@@ -1,11 +1,13 @@
-"""The pinhole camera: properties, and OpenCV as the oracle for distortion."""
+"""The camera: properties for every distortion model, and OpenCV as the oracle for distortion."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, reject
 from hypothesis import strategies as st
 
 from monoloc.camera import Camera
@@ -13,29 +15,37 @@ from monoloc.errors import SettingError
 
 TUM_FREIBURG1 = Camera(640, 480, 517.3, 516.5, 318.6, 255.3, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633))
 
-# Lenses whose distortion is invertible over the whole image (it folds where the radius stops growing).
-coefficients = st.tuples(
-    st.floats(-0.1, 0.1),
-    st.floats(-0.01, 0.01),
-    st.floats(-0.005, 0.005),
-    st.floats(-0.005, 0.005),
-    st.floats(-0.002, 0.002),
+# 170 degrees from corner to corner. The coefficients are near those of a RealSense T265.
+WIDE = Camera(600, 460, 275.5, 276.5, 299.5, 229.5, (-0.006, 0.042, -0.04, 0.007), "fisheye")
+# 120 degrees from corner to corner.
+RATIONAL = Camera(640, 480, 250.0, 251.0, 322.0, 238.0, (0.51, 0.1, 1e-3, -1e-3, 0.01, 0.8, 0.2, 0.03), "rational")
+LENSES = [TUM_FREIBURG1, RATIONAL, WIDE]
+
+
+def within(*bounds: float) -> st.SearchStrategy:
+    return st.tuples(*(st.floats(-bound, bound) for bound in bounds))
+
+
+# Lenses whose distortion is invertible over the whole image (it folds where the radius stops growing), and the
+# shortest focal length over the longer side of the image.
+coefficients = st.one_of(
+    st.tuples(st.just("brown"), within(0.1, 0.01, 0.005, 0.005, 0.002), st.just(0.9)),
+    st.tuples(st.just("rational"), within(0.1, 0.01, 0.005, 0.005, 0.002, 0.1, 0.01, 0.002), st.just(0.9)),
+    st.tuples(st.just("fisheye"), within(0.02, 0.01, 0.005, 0.001), st.just(0.6)),
 )
+pinholes = st.tuples(st.just("brown"), st.just((0.0,) * 5), st.just(0.9))
 
 
 @st.composite
-def cameras(draw: st.DrawFn, distortion: st.SearchStrategy = coefficients) -> Camera:
+def cameras(draw: st.DrawFn, lens: st.SearchStrategy = coefficients) -> Camera:
     width, height = draw(st.integers(16, 1280)), draw(st.integers(16, 960))
-    focal = draw(st.floats(0.9, 2.0)) * max(width, height)
-    return Camera(
-        width,
-        height,
-        focal,
-        focal * draw(st.floats(0.95, 1.05)),
-        width * draw(st.floats(0.4, 0.6)),
-        height * draw(st.floats(0.4, 0.6)),
-        draw(distortion),
-    )
+    model, distortion, shortest = draw(lens)
+    focal = draw(st.floats(shortest, 2.0)) * max(width, height)
+    fy, cx, cy = focal * draw(st.floats(0.95, 1.05)), *(size * draw(st.floats(0.4, 0.6)) for size in (width, height))
+    try:
+        return Camera(width, height, focal, fy, cx, cy, distortion, model)
+    except SettingError:  # a corner is beyond the widest view
+        reject()
 
 
 def points_in_view(camera: Camera, seed: int, count: int = 30) -> np.ndarray:
@@ -45,29 +55,82 @@ def points_in_view(camera: Camera, seed: int, count: int = 30) -> np.ndarray:
     return camera.rays(pixels) * rng.uniform(0.3, 10.0, size=(count, 1))
 
 
-@given(cameras(), st.integers(0, 1000))
+def project_by_opencv(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """Pixels (N, 2) of points (N, 3)."""
+    project = cv2.fisheye.projectPoints if camera.distortion_model == "fisheye" else cv2.projectPoints
+    nothing, distortion = np.zeros(3), np.array(camera.distortion)
+    return project(points[:, None], nothing, nothing, camera.matrix, distortion)[0].reshape(-1, 2)
+
+
+def undistort_by_opencv(camera: Camera, pixels: np.ndarray) -> np.ndarray:
+    """Coordinates at z = 1, (N, 2), of pixels (N, 2)."""
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-14)
+    arguments = pixels[:, None], camera.matrix, np.array(camera.distortion)
+    if camera.distortion_model == "fisheye":
+        return cv2.fisheye.undistortPoints(*arguments, criteria=criteria)[:, 0]
+    # OpenCV 4 has the iteration's criteria in a function of its own.
+    undistort = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
+    return undistort(*arguments, R=None, P=None, criteria=criteria)[:, 0]
+
+
+@given(cameras() | st.sampled_from(LENSES), st.integers(0, 1000))
 def test_projection_agrees_with_opencv(camera, seed):
     points = points_in_view(camera, seed)
-    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.matrix, camera.distortion)
-    np.testing.assert_allclose(camera.project(points), expected[:, 0], atol=1e-6)
+    np.testing.assert_allclose(camera.project(points), project_by_opencv(camera, points), atol=1e-6)
 
 
-@given(cameras(), st.integers(0, 1000))
+@given(cameras() | st.just(WIDE), st.integers(0, 1000))
 def test_rays_agree_with_opencv_and_invert_projection(camera, seed):
     pixels = camera.project(points_in_view(camera, seed))
     rays = camera.rays(pixels)
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
-    # OpenCV 4 has the iteration's criteria in a function of its own.
-    undistort = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
-    expected = undistort(pixels, camera.matrix, np.array(camera.distortion), R=None, P=None, criteria=criteria)
-    np.testing.assert_allclose(rays[:, :2], expected[:, 0], atol=1e-8)
+    np.testing.assert_allclose(rays[:, :2], undistort_by_opencv(camera, pixels), rtol=1e-7, atol=1e-8)
     np.testing.assert_allclose(camera.project(rays), pixels, atol=1e-6)
 
 
-def test_strongly_distorted_camera_round_trips_at_every_pixel():
-    v, u = np.mgrid[0:480, 0:640]
-    pixels = TUM_FREIBURG1.project(TUM_FREIBURG1.pixel_rays())
+@pytest.mark.parametrize("camera", LENSES)
+def test_strongly_distorted_camera_round_trips_at_every_pixel(camera):
+    v, u = np.mgrid[0 : camera.height, 0 : camera.width]
+    pixels = camera.project(camera.pixel_rays())
     np.testing.assert_allclose(pixels, np.stack([u, v], axis=-1), atol=1e-6)
+
+
+@pytest.mark.parametrize("camera", LENSES)
+def test_a_point_in_sight_has_one_pixel_and_a_pixel_is_in_sight(camera):
+    """A distortion polynomial folds directions far outside the field of view back into the image."""
+    inside = points_in_view(camera, 0, 2000)
+    assert camera.in_sight(inside).all()
+    directions = np.random.default_rng(1).normal(size=(20_000, 3))
+    seen = directions[camera.in_sight(directions)]
+    pixels = camera.project(seen)
+    within_image = ((pixels >= -0.5) & (pixels < [camera.width - 0.5, camera.height - 0.5])).all(axis=1)
+    assert within_image.sum() > 500
+    expected = seen[within_image, :2] / seen[within_image, 2:]
+    np.testing.assert_allclose(camera.rays(pixels[within_image])[:, :2], expected, rtol=1e-6, atol=1e-9)
+
+
+def test_a_pixel_beside_a_wide_image_has_a_ray_in_front_of_the_camera():
+    rays = WIDE.rays([[-30.0, -30.0], [WIDE.width + 30.0, WIDE.height + 30.0]])
+    assert np.rad2deg(np.arctan(np.hypot(rays[:, 0], rays[:, 1]))) == pytest.approx([87.0, 87.0])
+
+
+def test_fisheye_without_coefficients_is_equidistant():
+    camera = Camera(600, 400, 300.0, 300.0, 299.5, 199.5, distortion_model="fisheye")
+    assert camera.is_distorted and camera.distortion == (0.0,) * 4
+    angle = 0.7
+    np.testing.assert_allclose(camera.project([np.sin(angle), 0.0, np.cos(angle)]), [299.5 + 300.0 * angle, 199.5])
+
+
+@pytest.mark.parametrize("camera", LENSES)
+def test_pose_solver_is_given_a_view_that_it_knows(camera):
+    """OpenCV's solvers find the pose; errors of pixels are about as large in the view as in the image."""
+    rng = np.random.default_rng(0)
+    points = points_in_view(camera, 0, 100)
+    pixels = camera.project(points) + rng.normal(scale=0.1, size=(100, 2))
+    seen, K, distortion = camera.for_pnp(pixels)
+    ok, rotation, translation, inliers = cv2.solvePnPRansac(points, seen, K, distortion, reprojectionError=1.0)
+    assert ok and len(inliers) > 80
+    np.testing.assert_allclose(rotation, 0.0, atol=5e-3)
+    np.testing.assert_allclose(translation, 0.0, atol=2e-2)
 
 
 @given(cameras(), st.integers(1, 2000), st.integers(1, 2000), st.integers(0, 1000))
@@ -111,7 +174,7 @@ def test_flipping_mirrors_projections(camera, seed):
     assert camera.flipped().flipped().cx == pytest.approx(camera.cx)
 
 
-@given(cameras(distortion=st.just((0.0,) * 5)))
+@given(cameras(pinholes))
 def test_pinhole_ignores_the_distortion_model(camera):
     assert not camera.is_distorted
     ray = camera.rays([camera.cx + camera.fx, camera.cy - camera.fy])
@@ -147,6 +210,14 @@ def test_depth_of_another_size_is_refused():
         ({"cy": np.nan}, "camera.cx/cy"),
         ({"distortion": (0.1, 0.2)}, "camera.distortion"),
         ({"distortion": (0.1, 0.2, 0.0, 0.0, np.inf)}, "camera.distortion"),
+        ({"distortion": (0.1,) * 8}, r"camera\.distortion: is .*; give k1, k2, p1, p2, k3$"),
+        ({"distortion": (0.1,) * 5, "distortion_model": "fisheye"}, r"give k1, k2, k3, k4$"),
+        ({"distortion": (0.1,) * 4, "distortion_model": "rational"}, r"give k1, k2, p1, p2, k3, k4, k5, k6$"),
+        ({"distortion_model": "omni"}, r"distortion_model: is 'omni'; choose from brown, rational, fisheye"),
+        (
+            {"fx": 250.0, "fy": 250.0, "distortion_model": "fisheye"},
+            r"shows more than 85 degrees off the optical axis .*; crop the images to within 371 pixels",
+        ),
     ],
 )
 def test_impossible_intrinsics_are_refused(change, field):
@@ -165,3 +236,16 @@ def test_distortion_that_folds_the_image_is_refused(bend, share):
     Camera(width, height, inside, inside, 319.5, 239.5, (-bend, 0.0, 0.0, 0.0, 0.0))
     with pytest.raises(SettingError, match=r"camera\.distortion: .* folds the image onto itself; give k1"):
         Camera(width, height, outside, outside, 319.5, 239.5, (-bend, 0.0, 0.0, 0.0, 0.0))
+
+
+def test_fisheye_that_folds_the_image_is_refused():
+    """The angle t becomes t - t^3 / 3, which grows up to t = 1, where it is 2/3."""
+    bend = (-1.0 / 3.0, 0.0, 0.0, 0.0)
+    corner_px = np.hypot(320.0, 240.0)
+    Camera(640, 480, *(1.52 * corner_px,) * 2, 319.5, 239.5, bend, "fisheye")
+    with pytest.raises(SettingError, match=r"folds the image onto itself; give k1, k2, k3, k4 as"):
+        Camera(640, 480, *(1.48 * corner_px,) * 2, 319.5, 239.5, bend, "fisheye")
+
+
+def test_brown_of_four_coefficients_has_no_k3():
+    assert replace(TUM_FREIBURG1, distortion=(0.1, -0.2, 0.001, 0.002)).distortion == (0.1, -0.2, 0.001, 0.002, 0.0)

@@ -137,8 +137,7 @@ class KeypointLocalizer:
         config = self._config
         if len(np.unique(seen)) < config.min_inliers:
             return None
-        pixels = pixels[seen]
-        K, distortion = self._camera.matrix, np.asarray(self._camera.distortion)
+        pixels, K, distortion = self._camera.for_pnp(pixels[seen])
         ok, rotation, translation, inliers = cv2.solvePnPRansac(
             points_world,
             pixels,

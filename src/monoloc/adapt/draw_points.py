@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
+from monoloc.distortion import COEFFICIENTS, DistortionModel
 from monoloc.geometry import FloatArray, transform
 
 NO_POINT = 0xFFFFFFFF
@@ -16,6 +17,7 @@ def draw_points(
     points: FloatArray,
     camera_from_world: FloatArray,
     camera: FloatArray,
+    is_fisheye: bool,
     sight: FloatArray,
     behind: float,
     front: NDArray[np.uint32],
@@ -26,7 +28,9 @@ def draw_points(
     Args:
         points: (N, 3) world frame, metres.
         camera_from_world: ``T_camera_world``, (4, 4).
-        camera: fx, fy, cx, cy, k1, k2, p1, p2, k3.
+        camera: (12,) fx, fy, cx, cy, and k1, k2, p1, p2, k3, k4, k5, k6 of the rational model, of which the last three
+            are 0 for Brown's, or k1 to k4 of a fisheye and four zeros.
+        is_fisheye: which of the two.
         sight: limits of the field of view, see :meth:`monoloc.camera.Camera.sight`.
         behind: depth tolerance of a surface, relative: points at most this much farther than the nearest point of a
             pixel belong to the same surface.
@@ -35,13 +39,15 @@ def draw_points(
         depth: (height, width) output: mean depth of the points on the nearest surface, metres; 0 where there is none.
     """
     height, width = front.shape
-    fx, fy, cx, cy, k1, k2, p1, p2, k3 = camera.tolist()
-    pinhole = Camera(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
+    fx, fy, cx, cy, *coefficients = camera.tolist()
+    model: DistortionModel = "fisheye" if is_fisheye else "rational"
+    lens = Camera(width, height, fx, fy, cx, cy, tuple(coefficients[: len(COEFFICIENTS[model])]), model)
     in_camera = transform(camera_from_world, points)
-    least_m, most_x, most_y = sight
+    least_m, most_x, most_y, most_radius = sight
     x, y, z = in_camera.T
-    seen = np.flatnonzero((z > least_m) & (np.abs(x) < most_x * z) & (np.abs(y) < most_y * z))
-    u, v = np.floor(pinhole.project(in_camera[seen])).T
+    within = (np.abs(x) < most_x * z) & (np.abs(y) < most_y * z) & (np.hypot(x, y) < most_radius * z)
+    seen = np.flatnonzero((z > least_m) & within)
+    u, v = np.floor(lens.project(in_camera[seen])).T
     inside = (u >= -1.0) & (v >= -1.0) & (u < width) & (v < height)
     # Each point appears four times, once per covered pixel, in an image with a margin of one pixel.
     number = np.tile(seen[inside], 4)

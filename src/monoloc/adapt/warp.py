@@ -63,15 +63,24 @@ def forward_warp(
         holes.
     """
     fine = camera.resized(camera.width * _FINE, camera.height * _FINE)
-    lens, sight = np.array([fine.fx, fine.fy, fine.cx, fine.cy, *fine.distortion]), np.array(fine.sight())
+    lens, sight = lens_array(fine), np.array(fine.sight())
     points = np.concatenate([source.points for source in sources])
     colors = np.concatenate([*(source.colors for source in sources), np.zeros((1, 3), dtype=np.uint8)])
     front = np.empty((fine.height, fine.width), dtype=np.uint32)
     depth_m = np.empty((fine.height, fine.width), dtype=np.float32)
+    is_fisheye = camera.distortion_model == "fisheye"
     # A point covers four pixels, so that surfaces stay closed when the camera moves closer to them.
-    _core.draw_points(points, invert(T_world_camera), lens, sight, _SAME_SURFACE, front, depth_m)
+    _core.draw_points(points, invert(T_world_camera), lens, is_fisheye, sight, _SAME_SURFACE, front, depth_m)
     image = np.take(colors, np.minimum(front, len(points)), axis=0)
     return _averaged(image, depth_m, camera)
+
+
+def lens_array(camera: Camera) -> FloatArray:
+    """Focal lengths, principal point and coefficients as the kernel takes them, (12,): 0 for those a model lacks."""
+    lens = np.zeros(12)
+    values = (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
+    lens[: len(values)] = values
+    return lens
 
 
 def _averaged(

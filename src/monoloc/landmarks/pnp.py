@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import cv2
@@ -38,6 +38,7 @@ _FOCAL_KERNEL_SDS = (
 )  # narrower: the pose is known, but for what the focal length does to it
 _SHIFT_SD_M, _TURN_SD_RAD, _FOCAL_SD = 0.5, 0.1, 0.2  # of what a wrong focal length does to a pose, and of its log
 _AGREE_WEIGHT = 0.25  # of a landmark that agrees
+_NO_INDICES, _NO_FLAGS = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
 
 
 @dataclass(frozen=True)
@@ -68,11 +69,16 @@ class LandmarkMeasurement:
         expected: number of landmarks in view of a camera at the prior.
         found: number of these that agree with one pose near the prior.
         pose: that pose; None where too few agree, or where they leave a direction undetermined.
+        visible: (E,) int64, indices in the room's landmarks of those in view; empty where it is not known which of
+            them were found.
+        is_found: (E,) bool, whether each of these agrees.
     """
 
     expected: int = 0
     found: int = 0
     pose: LandmarkPose | None = None
+    visible: NDArray[np.int64] = field(default_factory=lambda: _NO_INDICES)
+    is_found: NDArray[np.bool_] = field(default_factory=lambda: _NO_FLAGS)
 
 
 class LandmarkLocalizer(Protocol):
@@ -150,8 +156,10 @@ class OrbLandmarkLocalizer:
             self._radius_px(local, covariance),
         )
         points = room.points[visible[which]].astype(np.float64)
-        found, pose = pose_from_matches(points, seen.select(where), camera, prior, covariance)
-        return LandmarkMeasurement(len(visible), found, pose)
+        agree, pose = pose_from_matches(points, seen.select(where), camera, prior, covariance)
+        is_found = np.zeros(len(visible), dtype=np.bool_)
+        is_found[which[agree]] = True
+        return LandmarkMeasurement(len(visible), int(agree.sum()), pose, visible, is_found)
 
     def _visible(self, prior: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
         """Indices (M,) of the landmarks in view of a camera at the prior, and their points in its frame, (M, 3)."""
@@ -198,7 +206,7 @@ class OrbLandmarkLocalizer:
 
 def pose_from_matches(
     points: FloatArray, seen: Keypoints, camera: Camera, prior: FloatArray, covariance: FloatArray
-) -> tuple[int, LandmarkPose | None]:
+) -> tuple[NDArray[np.bool_], LandmarkPose | None]:
     """Pose of a camera that sees points (M, 3), world frame, as M keypoints, of which some are wrong matches.
 
     Gauss-Newton with Geman-McClure weights that start wide (Yang et al., *Graduated Non-Convexity for Robust Spatial
@@ -206,7 +214,7 @@ def pose_from_matches(
     the prior, since the filter fuses both.
 
     Returns:
-        The number of points that agree, and the pose: None where these are too few, or where they leave a direction
+        Which points agree, (M,) bool, and the pose: None where these are too few, or where they leave a direction
         undetermined.
     """
     rays, sd = seen.rays(camera)
@@ -218,12 +226,11 @@ def pose_from_matches(
         pose = pose @ se3_exp(-np.linalg.solve(normal + information, gradient + information @ offset))
     normal, gradient, weights = _normal_equations(pose, points, rays, sd, _KERNEL_SDS[-1])
     agree = weights > _AGREE_WEIGHT
-    found = int(agree.sum())
-    if found < LEAST_LANDMARKS or np.linalg.eigvalsh(normal)[0] < 1.0 / _UNOBSERVABLE_SD**2:
-        return found, None
+    if int(agree.sum()) < LEAST_LANDMARKS or np.linalg.eigvalsh(normal)[0] < 1.0 / _UNOBSERVABLE_SD**2:
+        return agree, None
     spread = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     focal = _log_focal(pose, points, rays, sd)
-    return found, LandmarkPose(pose @ se3_exp(-spread @ gradient), spread, points[agree], *focal)
+    return agree, LandmarkPose(pose @ se3_exp(-spread @ gradient), spread, points[agree], *focal)
 
 
 def _log_focal(pose: FloatArray, points: FloatArray, rays: FloatArray, sd: FloatArray) -> tuple[float, float]:

@@ -214,10 +214,10 @@ class VisualOdometry:
         """Solve PnP for ``T_r_current`` and the indices of inliers; None on failure."""
         if len(points) < self.config.min_inliers:
             return None
-        K, distortion = self._camera.matrix, np.asarray(self._camera.distortion)
+        seen, K, distortion = self._camera.for_pnp(pixels)
         ok, rotation, translation, inliers = cv2.solvePnPRansac(
             points,
-            pixels.astype(np.float64),
+            seen,
             K,
             distortion,
             iterationsCount=100,
@@ -230,7 +230,7 @@ class VisualOdometry:
             return None
         chosen = inliers.ravel().astype(np.int64)
         rotation, translation = cv2.solvePnPRefineLM(
-            points[chosen], pixels[chosen].astype(np.float64), K, distortion, rotation, translation
+            points[chosen], seen[chosen], K, distortion, rotation, translation
         )
         T_current_r = make_pose(so3_exp(rotation.ravel()), translation.ravel())
         return (invert(T_current_r), chosen) if np.all(np.isfinite(T_current_r)) else None

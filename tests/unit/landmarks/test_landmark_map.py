@@ -2,15 +2,57 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.geometry import se3_exp
+from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
 
 
 def test_a_landmark_takes_44_bytes() -> None:
     assert Landmarks(np.zeros((7, 3), np.float32), np.zeros((7, 32), np.uint8)).bytes == 7 * 44
     assert len(Landmarks.none()) == Landmarks.none().bytes == 0
+
+
+def with_views(landmarks: int = 11) -> Landmarks:
+    rng = np.random.default_rng(0)
+    views = LandmarkViews(se3_exp(rng.normal(size=(5, 6))), rng.uniform(size=(5, landmarks)) < 0.5)
+    points = rng.normal(size=(landmarks, 3)).astype(np.float32)
+    return Landmarks(points, rng.integers(0, 256, (landmarks, 32), dtype=np.uint8), views)
+
+
+def test_arrays_hold_landmarks_and_views() -> None:
+    """A view takes 24 bytes and a bit a landmark; bundles of earlier versions have none."""
+    landmarks = with_views()
+    assert landmarks.bytes == 11 * 44 + 5 * (24 + 2)
+    again = Landmarks.from_arrays(landmarks.to_arrays())
+    assert again.views is not None and landmarks.views is not None
+    np.testing.assert_array_equal(again.points, landmarks.points)
+    np.testing.assert_array_equal(again.descriptors, landmarks.descriptors)
+    np.testing.assert_array_equal(again.views.found, landmarks.views.found)
+    np.testing.assert_allclose(again.views.poses, landmarks.views.poses, atol=1e-6)
+    earlier = {name: array for name, array in landmarks.to_arrays().items() if not name.startswith("view")}
+    assert Landmarks.from_arrays(earlier).views is None
+
+
+def test_times_found_are_of_the_three_nearest_views() -> None:
+    """As far as they are near; a single view tells nothing."""
+    along_x_m = np.array([0.0, 0.05, 0.1, 0.15, 1.0, 1.3])
+    poses = se3_exp(np.stack([along_x_m, *np.zeros((5, 6))], axis=1))
+    views = LandmarkViews(poses, np.tri(6, dtype=np.bool_))  # view v found landmarks 0 to v
+    assert views.times_found(np.eye(4)).tolist() == [3, 2, 1, 0, 0, 0]
+    assert views.without(1).times_found(np.eye(4)).tolist() == [3, 2, 2, 1, 0, 0]
+    assert views.times_found(se3_exp([-0.12, 0.0, 0.0, 0.0, 0.0, 0.0])).tolist() == [2, 1, 0, 0, 0, 0]
+    assert views.times_found(poses[4]) is None
+
+
+def test_views_of_other_shapes_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"must be \(V, 4, 4\) and \(V, L\), got \(2, 4, 4\) and \(3, 7\)"):
+        LandmarkViews(np.zeros((2, 4, 4)), np.zeros((3, 7), np.bool_))
+    with pytest.raises(ValueError, match=r"views.found must be \(V, 12\), got \(5, 11\)"):
+        replace(with_views(12), views=with_views(11).views)
 
 
 def test_other_types_are_refused() -> None:

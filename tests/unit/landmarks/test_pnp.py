@@ -52,8 +52,9 @@ def test_pose_is_exact_despite_two_fifths_of_wrong_matches(seed):
     points, pixels = seen_from(pose, rng)
     wrong = rng.choice(80, 32, replace=False)
     pixels[wrong] += rng.uniform(-40.0, 40.0, (32, 2))
-    count, found = pose_from_matches(points, keypoints_at(pixels), CAMERA, near(pose, rng), PRIOR)
-    assert found is not None and 48 <= len(found.points) <= 55 and count == len(found.points)
+    agree, found = pose_from_matches(points, keypoints_at(pixels), CAMERA, near(pose, rng), PRIOR)
+    assert found is not None and 48 <= len(found.points) <= 55
+    np.testing.assert_array_equal(points[agree], found.points)
     errors = pose_errors(found.pose[None], pose[None])
     assert errors.position_m[0] < 0.01 and errors.rotation_rad[0] < 0.004
 
@@ -105,12 +106,14 @@ def test_exact_prior_is_accepted():
 def test_too_few_or_too_concentrated_points_give_no_pose():
     rng = np.random.default_rng(3)
     points, pixels = seen_from(np.eye(4), rng)
-    assert pose_from_matches(points[:14], keypoints_at(pixels[:14]), CAMERA, np.eye(4), PRIOR) == (14, None)
-    assert pose_from_matches(points[:0], keypoints_at(pixels[:0]), CAMERA, np.eye(4), PRIOR) == (0, None)
+    for count in (14, 0):
+        agree, found = pose_from_matches(points[:count], keypoints_at(pixels[:count]), CAMERA, np.eye(4), PRIOR)
+        assert agree.tolist() == [True] * count and found is None
     # All at one place, seen from afar: the camera's position around it is undetermined.
     narrow = np.array([0.0, 0.0, 4.0]) + 0.02 * rng.normal(size=(80, 3))
     seen = keypoints_at(CAMERA.project(narrow))
-    assert pose_from_matches(narrow, seen, CAMERA, np.eye(4), PRIOR) == (80, None)
+    agree, found = pose_from_matches(narrow, seen, CAMERA, np.eye(4), PRIOR)
+    assert agree.sum() == 80 and found is None
 
 
 @pytest.mark.parametrize("factor", [0.8, 0.9, 1.0, 1.1, 1.3])
@@ -181,6 +184,8 @@ def test_landmarks_in_view_are_expected_and_found_where_the_camera_is(localizer:
     in_view = detected.in_sight(transform(invert(pose), localizer._landmarks.points))
     assert right.pose is not None and right.found == len(right.pose.points) > 60
     assert right.expected == np.count_nonzero(in_view) > right.found
+    np.testing.assert_array_equal(right.visible, np.flatnonzero(in_view))
+    np.testing.assert_array_equal(localizer._landmarks.points[right.visible[right.is_found]], right.pose.points)
     wrong = localizer.measure(color, pose @ se3_exp([1.0, 0.0, -0.5, 0.0, 0.3, 0.0]), PRIOR)
     assert wrong.expected > 60 and wrong.found < 0.2 * right.found and wrong.pose is None
     away = make_pose(np.eye(3), np.array([0.0, -50.0, 0.0]))
