@@ -17,9 +17,13 @@ from monoloc.camera import Camera
 from monoloc.errors import SettingError
 from monoloc.extras import require_plotting, require_viewing
 from monoloc.files import json_text, target_of
+from monoloc.geometry import FloatArray
+from monoloc.io.camera_file import read_camera
+from monoloc.io.cloud_files import read_cloud
+from monoloc.io.corrected import DEPTH_FIXES, Fixes, corrected
 from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.recording import Selection
-from monoloc.io.registry import open_recording, select_frames
+from monoloc.io.registry import FORMATS, open_recording, select_frames
 from monoloc.viz.viewer import require_window
 
 # Rich must not interpret brackets and colons in paths.
@@ -31,7 +35,7 @@ SourceArgument = Annotated[
     str,
     typer.Argument(
         metavar="SOURCE",
-        help="Recording: FORMAT:PATH (7scenes, tum, rgbd-scenes-v2, nyu, folder, video) or a path.",
+        help=f"Recording: FORMAT:PATH ({', '.join(FORMATS)}) or a path.",
         show_default=False,
     ),
 ]
@@ -41,13 +45,28 @@ SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Random seed; the
 IntrinsicsOption = Annotated[
     str | None,
     typer.Option(
+        "--camera",
         "--intrinsics",
-        metavar="W,H,FX,FY,CX,CY[,K1,K2,P1,P2,K3]",
-        help="Intrinsics of the colour images, overriding the files. Without K1 to K3, the distortion is unchanged.",
+        metavar="FILE.toml|W,H,FX,FY,CX,CY[,K1,K2,P1,P2,K3]",
+        help="Intrinsics of the colour images, overriding the files': a file from monoloc calibrate, or numbers. "
+        "Without K1 to K3, the distortion is unchanged.",
     ),
 ]
 DepthScaleOption = Annotated[
     float | None, typer.Option("--depth-scale", help="Stored depth value of one metre; overrides the format's.")
+]
+FixPosesOption = Annotated[
+    str | None,
+    typer.Option(
+        "--fix-poses",
+        metavar="NAME[,NAME]",
+        help="What the poses are, if not camera-to-world with OpenCV's axes in metres: opengl, world-to-camera, "
+        "w-first, robot, left-handed, millimetres, late:FRAMES and others.",
+    ),
+]
+FixDepthOption = Annotated[
+    str | None,
+    typer.Option("--fix-depth", metavar="NAME", help=f"What the depth is, if not z: {', '.join(DEPTH_FIXES)}."),
 ]
 
 ViewOption = Annotated[bool, typer.Option("--view", help="Show a live view in Rerun's viewer.")]
@@ -73,8 +92,9 @@ def open_source(
     intrinsics: str | None = None,
     depth_scale: float | None = None,
     frames_option: str = "--frames",
+    fixes: Fixes = Fixes(),
 ) -> Selection:
-    """Open a recording and select frames.
+    """Open a recording, print its notes on stderr, and select frames.
 
     Args:
         source: SOURCE, see :func:`monoloc.io.registry.open_recording`.
@@ -82,6 +102,7 @@ def open_source(
         intrinsics: value of ``--intrinsics``.
         depth_scale: stored depth value of one metre.
         frames_option: name of the option that selected the frames, for error messages.
+        fixes: of poses and depth of another convention.
 
     Raises:
         DataError, SettingError: from the reader, or an option is invalid.
@@ -89,18 +110,43 @@ def open_source(
     with naming({"frames": frames_option, "camera": "--intrinsics", "depth_scale": "--depth-scale"}):
         camera, keeps_distortion = (None, False) if intrinsics is None else parse_intrinsics(intrinsics)
         options = ReaderOptions(camera, keeps_distortion, depth_scale)
-        return select_frames(open_recording(source, options), frames)
+        recording = open_recording(source, options)
+        for note in recording.notes:
+            stderr.print(f"note: {recording.name}: {note}", soft_wrap=True)
+        return select_frames(corrected(recording, fixes), frames)
+
+
+def open_cloud(path: Path) -> FloatArray:
+    """Read a cloud file, (N, 3) metres, and print its notes on stderr.
+
+    Raises:
+        DataError: see :func:`monoloc.io.cloud_files.read_cloud`.
+    """
+    notes: list[str] = []
+    points = read_cloud(path, notes)
+    for note in notes:
+        stderr.print(f"note: {path}: {note}", soft_wrap=True)
+    return points
 
 
 def parse_intrinsics(text: str) -> tuple[Camera, bool]:
-    """The camera of ``--intrinsics``, and whether its distortion was left out."""
+    """The camera of ``--intrinsics`` or ``--camera``, and whether its distortion was left out.
+
+    Raises:
+        DataError: the file is that of no camera.
+        SettingError: the numbers are.
+    """
+    if text.endswith(".toml"):
+        return read_camera(Path(text)), False
     try:
         width, height, *rest = text.split(",")
         fx, fy, cx, cy, *distortion = (float(part) for part in rest)
         k1, k2, p1, p2, k3 = distortion or [0.0] * 5
         return Camera(int(width), int(height), fx, fy, cx, cy, (k1, k2, p1, p2, k3)), not distortion
     except ValueError as error:
-        fix = "write W,H,FX,FY,CX,CY in pixels, and K1,K2,P1,P2,K3 after them for distortion"
+        fix = (
+            "name a .toml of monoloc calibrate, or write W,H,FX,FY,CX,CY in pixels, and K1,K2,P1,P2,K3 for distortion"
+        )
         raise SettingError("--intrinsics", f"is {text!r}", fix) from error
     except SettingError as error:
         part = error.field.removeprefix("camera.")

@@ -1,159 +1,159 @@
-"""Readers of point cloud files: ply, pcd, xyz, npz."""
+"""Readers of point cloud files: ply, pcd, xyz, csv, npz, and COLMAP's points3D."""
 
 from __future__ import annotations
 
+import re
 import warnings
 import zipfile
-from collections.abc import Callable
-from io import BufferedReader
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
-from monoloc.io.ply import read_ply
+from monoloc.io.binary_reader import BinaryReader
+from monoloc.io.mesh_sampling import sample_triangles, triangles_of
+from monoloc.io.pcd import read_pcd
+from monoloc.io.ply import Column, read_ply
 
-Fields = list[tuple[str, str]]  # name and little-endian NumPy type of each value of a point
-
-_PCD_KINDS = {"F": "f", "I": "i", "U": "u"}
 _AGAIN = "export the cloud again"
 # Errors that NumPy and the parsers below raise for files that are truncated or not clouds.
 _UNREADABLE = (OSError, EOFError, ValueError, TypeError, LookupError, AttributeError, zipfile.BadZipFile)
+_POINTS_3D = "points3D"
 
 
-def read_cloud(path: Path) -> FloatArray:
+def read_cloud(path: Path, notes: list[str] | None = None) -> FloatArray:
     """Read the points of a cloud file: (N, 3) float64, in the file's frame, metres.
 
-    The suffix selects the format: ``.ply`` (ascii, binary little endian), ``.pcd`` (ascii, binary), ``.xyz`` and
-    ``.txt`` (first three columns), ``.npz`` (array ``points``). Other properties and columns are ignored.
+    The suffix selects the format: ``.ply`` (ascii, binary), ``.pcd`` (ascii, binary, compressed), ``.xyz``, ``.txt``
+    and ``.csv`` (columns x, y, z of the header, or the first three), ``.npz`` (array ``points``), and COLMAP's
+    ``points3D.bin`` and ``points3D.txt``. Other properties and columns are ignored. To the vertices of a mesh in a
+    ``.ply``, points on its faces are added. Points that are not finite are left out.
+
+    Args:
+        path: the file.
+        notes: receives a sentence on what was left out or added.
 
     Raises:
-        DataError: the file is missing, in an unknown format, truncated or empty, or a point is not finite.
+        DataError: the file is missing, in an unknown format, truncated or empty, or no point is finite.
     """
-    path = Path(path)
-    reader = _READERS.get(path.suffix.lower())
+    path, told = Path(path), [] if notes is None else notes
+    reader = _reader_of(path)
     if reader is None:
         raise DataError(path, f"has the unknown suffix {path.suffix!r}", f"give one of {', '.join(sorted(_READERS))}")
     try:
-        points = reader(path)
+        points = reader(path, told)
     except FileNotFoundError:
         raise DataError(path, "there is no such file", "check the path") from None
     except _UNREADABLE as error:
         raise DataError(path, f"cannot be read as {path.suffix[1:]} ({error})", _AGAIN) from None
     if len(points) == 0:
         raise DataError(path, "holds no points", _AGAIN)
-    broken = int((~np.isfinite(points).all(axis=1)).sum())
-    if broken:
-        raise DataError(
-            path,
-            f"{broken} of {len(points)} points are not finite",
-            "remove them, for example with np.isfinite, and save the cloud again",
-        )
-    return points
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.any():
+        raise DataError(path, f"none of its {len(points)} points is finite", _AGAIN)
+    if not finite.all():
+        told.append(f"{int((~finite).sum())} of {len(points)} points are left out: they are not finite")
+    return np.asarray(points[finite])
 
 
-def _read_ply(path: Path) -> FloatArray:
-    vertices = read_ply(path.read_bytes(), "vertex").get("vertex")
+def _reader_of(path: Path) -> Callable[[Path, list[str]], FloatArray] | None:
+    if path.stem == _POINTS_3D and path.suffix == ".txt":
+        return _read_points_3d_text
+    return _READERS.get(path.suffix.lower())
+
+
+def _read_ply(path: Path, notes: list[str]) -> FloatArray:
+    elements = read_ply(path.read_bytes(), "vertex", "face")
+    vertices = elements.get("vertex")
     if vertices is None:
         raise ValueError("it has no element 'vertex'")
-    columns = list(vertices.values())
-    axes = [columns[position] for position in _positions(list(vertices))]
+    axes = []
+    for axis in "xyz":
+        if axis not in vertices:
+            raise ValueError(f"points have no property {axis!r}")
+        axes.append(vertices[axis])
     if any(isinstance(axis, list) for axis in axes):
         raise ValueError("x, y or z are lists")
-    return np.stack(axes, axis=1)
+    points = np.stack(axes, axis=1)
+    corners = _corners(elements.get("face", {}))
+    if not corners:
+        return points
+    sampled = sample_triangles(points, triangles_of(corners, len(points)))
+    notes.append(f"{len(sampled)} points on the faces of a mesh are added to its {len(points)} vertices")
+    return np.concatenate([points, sampled])
 
 
-def _read_pcd(path: Path) -> FloatArray:
+def _corners(faces: dict[str, Column]) -> list[FloatArray]:
+    """Vertex indices of each face; none of files without a mesh."""
+    for name in ("vertex_indices", "vertex_index"):
+        column = faces.get(name)
+        if isinstance(column, list):
+            return column
+    return []
+
+
+def _read_pcd(path: Path, _: list[str]) -> FloatArray:
+    return read_pcd(path)
+
+
+def _read_columns(path: Path, _: list[str]) -> FloatArray:
+    """Columns that white space or commas separate, named by a first line or in the order x, y, z."""
     with path.open("rb") as file:
-        header = {words[0].upper(): words[1:] for words in _header(file, "DATA")}
-        missing = [key for key in ("FIELDS", "SIZE", "TYPE", "POINTS", "DATA") if not header.get(key)]
-        if missing:
-            raise ValueError(f"the header has no {missing[0]}")
-        repeats = [int(count) for count in header.get("COUNT", ["1"] * len(header["FIELDS"]))]
-        fields: Fields = []
-        for name, size, kind, repeat in zip(header["FIELDS"], header["SIZE"], header["TYPE"], repeats, strict=True):
-            if kind not in _PCD_KINDS:
-                raise ValueError(f"field {name!r} has the unknown type {kind!r}")
-            fields += [(name, f"<{_PCD_KINDS[kind]}{size}")] * repeat
-        count, encoding = int(header["POINTS"][0]), header["DATA"][0]
-        if encoding == "ascii":
-            return _ascii_points(file, fields, count)
-        if encoding == "binary":
-            return _binary_points(file, fields, count)
-        raise ValueError(f"DATA {encoding} is neither ascii nor binary")
+        first = file.readline().decode("utf-8-sig", errors="replace")
+        names = re.split(r"[\s,;]+", first.strip().lower().lstrip("#/ "))
+        if {"x", "y", "z"} <= set(names):
+            return _columns(file, (names.index("x"), names.index("y"), names.index("z")))
+        file.seek(0)
+        return _columns(file, (0, 1, 2))
 
 
-def _read_xyz(path: Path) -> FloatArray:
-    with path.open("rb") as file:
-        return _columns(file, (0, 1, 2), None)
+def _columns(lines: Iterator[bytes], columns: tuple[int, int, int]) -> FloatArray:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # "input contained no data": an empty file is reported by count
+        separated = (line.replace(b",", b" ").replace(b";", b" ") for line in lines)
+        return np.loadtxt(separated, dtype=np.float64, usecols=columns, ndmin=2)
 
 
-def _read_npz(path: Path) -> FloatArray:
+def _read_npz(path: Path, _: list[str]) -> FloatArray:
     with np.load(path, allow_pickle=False) as file:
         if "points" not in file:
             raise ValueError("it has no array 'points'")
-        points = np.asarray(file["points"])
+        points: NDArray[np.generic] = np.asarray(file["points"])
     if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "fiu":
         raise ValueError(f"points must be numbers of shape (N, 3), got {points.dtype} of shape {points.shape}")
     return points.astype(np.float64)
 
 
-def _header(file: BufferedReader, last: str) -> list[list[str]]:
-    """Words of each header line without comments, up to and including the line that starts with ``last``."""
-    lines: list[list[str]] = []
-    for raw in file:
-        words = raw.decode("ascii", errors="replace").split()
-        if words and words[0] not in ("comment", "obj_info") and not words[0].startswith("#"):
-            lines.append(words)
-            if words[0] == last:
-                return lines
-    raise ValueError(f"the header has no {last}")
+def _read_points_3d_text(path: Path, _: list[str]) -> FloatArray:
+    """Lines of ``POINT3D_ID X Y Z R G B ERROR TRACK[]`` (https://colmap.github.io/format.html)."""
+    with path.open("rb") as file:
+        return _columns(file, (1, 2, 3))
 
 
-def _positions(names: list[str]) -> tuple[int, int, int]:
-    for axis in "xyz":
-        if axis not in names:
-            raise ValueError(f"points have no property {axis!r}")
-    return names.index("x"), names.index("y"), names.index("z")
+def _read_points_3d_binary(path: Path, _: list[str]) -> FloatArray:
+    if path.stem != _POINTS_3D:
+        raise ValueError("of .bin files, only COLMAP's points3D.bin is a cloud")
+    if not path.is_file():
+        raise FileNotFoundError
+    file = BinaryReader(path, _AGAIN)
+    points = []
+    for _point in range(*file.take("Q")):
+        _identity, x, y, z, *_color_and_error, observations = file.take("Q3d3BdQ")
+        file.skip(8 * observations)
+        points.append((x, y, z))
+    return np.array(points, dtype=np.float64).reshape(-1, 3)
 
 
-def _ascii_points(file: BufferedReader, fields: Fields, count: int) -> FloatArray:
-    points = _columns(file, _positions([name for name, _ in fields]), count)
-    _check_count(len(points), count)
-    return points
-
-
-def _binary_points(file: BufferedReader, fields: Fields, count: int) -> FloatArray:
-    positions = _positions([name for name, _ in fields])
-    # Fields are named by number: all padding fields of a file share one name.
-    dtype = np.dtype([(str(index), kind) for index, (_, kind) in enumerate(fields)])
-    data = file.read(max(count, 0) * dtype.itemsize)
-    _check_count(len(data) // dtype.itemsize, count)
-    vertices = np.frombuffer(data, dtype=dtype)
-    return np.column_stack([vertices[str(index)].astype(np.float64) for index in positions])
-
-
-def _check_count(got: int, count: int) -> None:
-    if count < 0:
-        raise ValueError("the header does not say how many points there are")
-    if got < count:
-        raise ValueError(f"it ends after {got} of {count} points")
-
-
-def _columns(file: BufferedReader, columns: tuple[int, int, int], count: int | None) -> FloatArray:
-    if count == 0:
-        return np.empty((0, 3))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # "input contained no data": an empty file is reported below
-        return np.loadtxt(file, dtype=np.float64, usecols=columns, max_rows=count, ndmin=2)
-
-
-_READERS: dict[str, Callable[[Path], FloatArray]] = {
+_READERS: dict[str, Callable[[Path, list[str]], FloatArray]] = {
     ".ply": _read_ply,
     ".pcd": _read_pcd,
-    ".xyz": _read_xyz,
-    ".txt": _read_xyz,
+    ".xyz": _read_columns,
+    ".txt": _read_columns,
+    ".csv": _read_columns,
     ".npz": _read_npz,
+    ".bin": _read_points_3d_binary,
 }
 CLOUD_SUFFIXES = frozenset(_READERS)

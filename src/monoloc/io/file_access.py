@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import io
+import json
+import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
@@ -47,21 +52,22 @@ def read_text(path: Path) -> str:
         raise DataError(path, "is not a text file", "copy the file again") from error
 
 
-def read_rows(path: Path, columns: int, meaning: str) -> FloatArray:
+def read_rows(path: Path, columns: int, meaning: str, *, optional: int = 0) -> FloatArray:
     """Read rows of numbers separated by white space; empty lines and lines that start with # are skipped.
 
     Args:
         path: the file.
         columns: number of values in each row.
         meaning: description of a row, for error messages.
+        optional: number of further values that all rows may have.
 
     Returns:
-        (rows, columns) float64; NaN and infinity are not rejected.
+        (rows, columns) or (rows, columns + optional) float64; NaN and infinity are not rejected.
 
     Raises:
-        DataError: the file is unreadable or has no rows, or a row is not ``columns`` numbers.
+        DataError: the file is unreadable or has no rows, or a row is not that many numbers.
     """
-    rows = []
+    rows: list[list[float]] = []
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
@@ -69,9 +75,69 @@ def read_rows(path: Path, columns: int, meaning: str) -> FloatArray:
             row = [float(word) for word in line.split()]
         except ValueError:
             row = []
-        if len(row) != columns:
-            raise DataError(path, f"line {number} is not {columns} numbers", f"each line holds: {meaning}")
+        expected = (len(rows[0]),) if rows else (columns, columns + optional)
+        if len(row) not in expected:
+            raise DataError(path, f"line {number} is not {expected[0]} numbers", f"each line holds: {meaning}")
         rows.append(row)
     if not rows:
         raise DataError(path, "has no lines of numbers", f"each line holds: {meaning}")
     return np.array(rows)
+
+
+def decode_array(data: bytes, path: Path) -> NDArray[Any]:
+    """Decode the content of a NumPy array file (.npy); its header is checked before the array is allocated.
+
+    Raises:
+        DataError: the content is not such an array, is shorter than its header says, or holds objects.
+    """
+    file = io.BytesIO(data)
+    try:
+        is_first_version = np.lib.format.read_magic(file) == (1, 0)
+        header = np.lib.format.read_array_header_1_0 if is_first_version else np.lib.format.read_array_header_2_0
+        shape, _, dtype = header(file)
+        if math.prod(shape) * dtype.itemsize > len(data) - file.tell():
+            raise ValueError("it is cut short")
+        file.seek(0)
+        return np.asarray(np.load(file, allow_pickle=False))
+    except (ValueError, EOFError, OSError) as error:
+        raise DataError(path, f"cannot be read as a NumPy array ({error})", "copy the file again") from error
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object; raise DataError if the file is unreadable or not an object."""
+    return decode_json(read_text(path), path)
+
+
+def decode_json(text: str, path: Path) -> dict[str, Any]:
+    """Parse a JSON object; raise DataError, which names ``path``, if it is not one."""
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise DataError(path, f"is not valid JSON ({error})", "export the recording again") from error
+    if not isinstance(content, dict):
+        raise DataError(path, "is not a JSON object", "export the recording again")
+    return content
+
+
+def json_number(content: dict[str, Any], key: str, path: Path) -> float:
+    """A finite number of a JSON object; raise DataError if it is missing or something else."""
+    value = content.get(key)
+    # JSON's true becomes Python's True, which is an int.
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise DataError(path, f"{key} is {value!r}, not a number", "export the recording again")
+    return float(value)
+
+
+def json_rows(content: dict[str, Any], key: str, columns: int, path: Path) -> FloatArray:
+    """Rows of numbers of a JSON object, (rows, columns); NaN and infinity are not rejected.
+
+    Raises:
+        DataError: the key is missing, or is not a list of lists of that many numbers.
+    """
+    try:
+        rows = np.array(content.get(key), dtype=np.float64)
+    except (ValueError, TypeError):
+        rows = np.empty(0)
+    if rows.ndim != 2 or rows.shape[1] != columns:
+        raise DataError(path, f"{key} is not a list of {columns} numbers each", "export the recording again")
+    return rows

@@ -5,54 +5,44 @@
     kind = "sequence"                 # or "pairs": unrelated images with depth and without poses
     color = "color/{index:06d}.jpg"   # pattern, relative to dataset.toml
     depth = "depth/{index:06d}.png"   # optional for a sequence
-    count = 400                       # or stop; defaults: start = 0, step = 1
-    width = 640                       # size of the colour images; depth has the same size and camera
+    count = 400                       # or stop; defaults: start = 0, step = 1. Without both: the images that exist
+    width = 640                       # size of the colour images
     height = 480
     fx = 525.0
     fy = 525.0
     cx = 319.5
     cy = 239.5
     distortion = [0, 0, 0, 0, 0]      # optional: k1, k2, p1, p2, k3 of the stored images
+    distortion_model = "brown"        # or "rational" (8 coefficients) or "fisheye" (4)
     depth_scale = 1000                # stored value of one metre; required with depth
-    poses = "poses.txt"               # for a sequence: one line per frame, t tx ty tz qx qy qz qw (TUM)
-    rate_hz = 30                      # frame rate of a sequence without poses
+    poses = "poses.txt"               # for a sequence: one line per frame, t tx ty tz qx qy qz qw (TUM);
+                                      # or a pattern of 4x4 matrices (.txt, .npy), with rate_hz
+    rate_hz = 30                      # frame rate of a sequence whose poses have no times, or without poses
+
+Optional, with their defaults: ``pose_axes = "opencv"`` (or ``"opengl"``), ``pose_direction = "camera-to-world"`` (or
+``"world-to-camera"``) and ``pose_unit_m = 1``; ``confidence``, a pattern, with ``least_confidence``; ``depth_width``
+to ``depth_cy`` of a depth camera of its own, with ``T_color_depth``.
 """
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monoloc.camera import Camera
-from monoloc.errors import DataError, SettingError
-from monoloc.io.file_access import read_text, require_file, require_folder
+from monoloc.errors import DataError
+from monoloc.geometry import FloatArray, invert
+from monoloc.io.dataset_description import FILE_NAME, DatasetDescription
+from monoloc.io.file_access import require_file, require_folder
+from monoloc.io.frame_filter import FrameFilter
 from monoloc.io.images import ImageRecording, names_of
-from monoloc.io.pose_files import read_tum
-from monoloc.io.reader_options import ReaderOptions, depth_scale_problem
+from monoloc.io.pose_files import OPENGL_AXES, checked_poses, read_matrix_pose, read_tum_with_gaps
+from monoloc.io.reader_options import ReaderOptions
+from monoloc.io.registration import DepthRegistration
 
-FILE_NAME = "dataset.toml"
-_EXAMPLES = {
-    "kind": '"sequence" or "pairs"',
-    "color": '"color/{index:06d}.jpg"',
-    "depth": '"depth/{index:06d}.png"',
-    "poses": '"poses.txt"',
-    "count": "400",
-    "start": "0",
-    "stop": "400",
-    "step": "1",
-    "width": "640",
-    "height": "480",
-    "fx": "525.0",
-    "fy": "525.0",
-    "cx": "319.5",
-    "cy": "239.5",
-    "distortion": "[0, 0, 0, 0, 0]",
-    "depth_scale": "1000",
-    "rate_hz": "30",
-}
+_UNPOSED = "without a pose"
 
 
 def recognises(path: Path) -> bool:
@@ -63,7 +53,9 @@ def recognises(path: Path) -> bool:
 def read(path: Path, options: ReaderOptions) -> ImageRecording:
     """Open the recording that a ``dataset.toml`` describes; ``path`` is that file or its folder.
 
-    Pairs have no poses, and their time stamps are frame numbers.
+    Frames without a pose are left out if the others have one. Where the frames are not stated by ``count`` or
+    ``stop``, they are those of the colour images that exist, and frames without a depth image are left out. Pairs
+    have no poses, and their time stamps are frame numbers.
 
     Raises:
         DataError: a key is missing, unknown, of a wrong type or inconsistent with the files, or a pose is not rigid.
@@ -72,139 +64,116 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
     options.allow_only("folder", "camera", "depth_scale")
     folder = path.parent if path.name == FILE_NAME else path
     require_folder(folder)
-    description = _Description(folder / FILE_NAME)
-    kind = description.text("kind")
-    if kind not in ("sequence", "pairs"):
-        raise description.error("kind", f"is {kind!r}")
+    description = DatasetDescription(folder / FILE_NAME)
+    if not description.has("kind"):
+        raise description.error("kind", "is missing")
+    kind = description.choice("kind", "sequence", "pairs")
     indices = description.indices()
-    color_paths = description.paths("color", indices)
+    frames = FrameFilter(len(indices))
+    color_paths = description.existing_paths("color", indices)
     has_depth = kind == "pairs" or description.has("depth")
-    depth_paths = description.paths("depth", indices) if has_depth else None
+    depth_paths = _depth_paths(description, indices, frames) if has_depth else None
 
     timestamps_s, poses = np.arange(len(indices), dtype=np.float64), None
-    if kind == "sequence" and not description.has("poses"):
-        timestamps_s /= description.rate_hz()
-    elif kind == "sequence":
-        pose_path = folder / description.text("poses")
-        require_file(pose_path, f"write it, or correct poses in {FILE_NAME}")
-        timestamps_s, poses = read_tum(pose_path)
-        if len(poses) != len(indices):
-            raise DataError(
-                pose_path,
-                f"has {len(poses)} poses for {len(indices)} frames",
-                f"write one line for each frame; if some have no pose, renumber the images of the others, or give "
-                f"rate_hz instead of poses in {FILE_NAME}, for localisation only",
-            )
+    if kind == "sequence":
+        timestamps_s, poses = _times_and_poses(description, indices, frames)
+    used = frames.positions(description.path, "correct depth and poses, or restore the files")
+    used_color_paths = [color_paths[p] for p in used]
+    camera = options.camera_or(description.camera())
     return ImageRecording(
         name=folder.resolve().name,
         folder=folder,
-        camera=options.camera_or(description.camera()),
-        frame_names=names_of(color_paths, folder),
-        timestamps_s=timestamps_s,
-        poses=poses,
-        color_paths=color_paths,
-        depth_paths=depth_paths,
+        camera=camera,
+        frame_names=names_of(used_color_paths, folder),
+        timestamps_s=timestamps_s[used],
+        poses=None if poses is None else poses[used],
+        color_paths=used_color_paths,
+        depth_paths=None if depth_paths is None else [depth_paths[p] for p in used],
         depth_scale=options.depth_scale or (description.number("depth_scale") if has_depth else 1.0),
+        registration=_registration(description, camera),
+        confidence_paths=(
+            description.existing_paths("confidence", [indices[p] for p in used])
+            if description.has("confidence")
+            else None
+        ),
+        least_confidence=description.integer("least_confidence") if description.has("confidence") else 0,
+        notes=frames.notes(),
     )
 
 
-class _Description:
-    """The keys of a ``dataset.toml``; each is validated when it is read."""
+def _depth_paths(description: DatasetDescription, indices: list[int], frames: FrameFilter) -> list[Path]:
+    if description.states_frames:
+        return description.existing_paths("depth", indices)
+    paths = description.paths("depth", indices)
+    frames.require([path.is_file() for path in paths], "without depth")
+    return paths
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        require_file(path, "write one with kind, color, count, width, height, fx, fy, cx, cy")
-        try:
-            self._keys: dict[str, Any] = tomllib.loads(read_text(path))
-        except (ValueError, RecursionError) as error:
-            raise DataError(path, f"is not valid TOML ({error})", "correct that line") from error
-        for key in self._keys:
-            if key not in _EXAMPLES:
-                raise DataError(path, f"{key} is not a known key", f"known are: {', '.join(_EXAMPLES)}")
 
-    def error(self, key: str, problem: str) -> DataError:
-        return DataError(self.path, f"{key} {problem}", f"write {key} = {_EXAMPLES[key]}, for example")
+def _registration(description: DatasetDescription, color_camera: Camera) -> DepthRegistration | None:
+    depth_camera = description.depth_camera()
+    if depth_camera is None:
+        return None
+    return DepthRegistration(depth_camera, color_camera, description.T_color_depth())
 
-    def has(self, key: str) -> bool:
-        return key in self._keys
 
-    def text(self, key: str) -> str:
-        value = self._value(key)
-        if not isinstance(value, str):
-            raise self.error(key, f"is {value!r}, not a text")
-        return value
+def _times_and_poses(
+    description: DatasetDescription, indices: list[int], frames: FrameFilter
+) -> tuple[FloatArray, FloatArray | None]:
+    """Time stamps (N,) and ``T_world_camera`` (N, 4, 4) of a sequence; leaves out frames without a pose."""
+    if not description.has("poses"):
+        return _times_by_rate(description, indices), None
+    if "{" in description.text("poses"):
+        times_s = _times_by_rate(description, indices)
+        known, poses = _poses_of_files(description, indices)
+    else:
+        times_s, known, poses = _poses_of_one_file(description, len(indices))
+    frames.require(known, _UNPOSED)
+    if description.has("pose_unit_m"):
+        poses[:, :3, 3] *= description.positive("pose_unit_m")
+    if description.choice("pose_direction", "camera-to-world", "world-to-camera") == "world-to-camera":
+        poses = invert(poses)
+    if description.choice("pose_axes", "opencv", "opengl") == "opengl":
+        poses = poses @ OPENGL_AXES
+    return times_s, poses
 
-    def number(self, key: str) -> float:
-        value = self._value(key)
-        # TOML's true becomes Python's True, which is an int.
-        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-            raise self.error(key, f"is {value!r}, not a number")
-        if key == "depth_scale" and (problem := depth_scale_problem(value)) is not None:
-            raise self.error(key, problem)
-        return float(value)
 
-    def rate_hz(self) -> float:
-        """Frame rate of a sequence without poses, whose file would hold the time stamps."""
-        if not self.has("rate_hz"):
-            raise self.error("poses", "is missing, and so is rate_hz, which takes its place where there are no poses")
-        rate_hz = self.number("rate_hz")
-        if rate_hz <= 0.0:
-            raise self.error("rate_hz", f"is {rate_hz!r}, not positive")
-        return rate_hz
+def _times_by_rate(description: DatasetDescription, indices: list[int]) -> FloatArray:
+    """Time stamps (N,) from the frame rate, with the gaps of the numbering."""
+    if not description.has("rate_hz"):
+        if description.has("poses"):
+            raise description.error("rate_hz", "is missing; files of one pose each have no times")
+        raise description.error(
+            "poses", "is missing, and so is rate_hz, which takes its place where there are no poses"
+        )
+    numbers = (np.array(indices, dtype=np.float64) - indices[0]) / description.step()
+    return np.asarray(numbers / description.positive("rate_hz"))
 
-    def integer(self, key: str) -> int:
-        value = self._value(key)
-        if isinstance(value, bool) or not isinstance(value, int):
-            raise self.error(key, f"is {value!r}, not a whole number")
-        return value
 
-    def indices(self) -> range:
-        """Frame numbers that are inserted into the patterns."""
-        start = self.integer("start") if self.has("start") else 0
-        step = self.integer("step") if self.has("step") else 1
-        if step < 1:
-            raise self.error("step", f"is {step}, not positive")
-        if self.has("stop") and self.has("count"):
-            raise self.error("stop", "is given beside count; remove one of the two")
-        stop = self.integer("stop") if self.has("stop") else start + self.integer("count") * step
-        if stop <= start:
-            raise self.error("stop" if self.has("stop") else "count", "leaves no frames")
-        return range(start, stop, step)
+def _poses_of_one_file(
+    description: DatasetDescription, count: int
+) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:
+    """Time stamps (N,), whether the pose is known (N,), and the poses (N, 4, 4)."""
+    path = description.path.parent / description.text("poses")
+    require_file(path, f"write it, or correct poses in {FILE_NAME}")
+    times_s, known, poses = read_tum_with_gaps(path)
+    if len(poses) != count:
+        raise DataError(
+            path,
+            f"has {len(poses)} poses for {count} frames",
+            "write one line for each frame, with nan in place of an unknown pose's seven numbers; or give rate_hz "
+            f"instead of poses in {FILE_NAME}, for localisation only",
+        )
+    return times_s, known, poses
 
-    def paths(self, key: str, indices: range) -> list[Path]:
-        """Files of a pattern, one per frame; raises DataError if one is missing."""
-        pattern = self.text(key)
-        try:
-            names = [pattern.format(index=index) for index in indices]
-        except (KeyError, IndexError, ValueError, AttributeError, OverflowError, MemoryError) as error:
-            raise self.error(key, f"is {pattern!r}, not a pattern of {{index}}") from error
-        if len(set(names)) < len(names):
-            raise self.error(key, f"is {pattern!r}, the same file for every index")
-        files = [self.path.parent / name for name in names]
-        for file in files:
-            require_file(file, f"restore it, or correct {key} or count in {FILE_NAME}")
-        return files
 
-    def camera(self) -> Camera:
-        fx, fy, cx, cy = (self.number(key) for key in ("fx", "fy", "cx", "cy"))
-        try:
-            return Camera(
-                self.integer("width"), self.integer("height"), fx, fy, cx, cy, distortion=self._distortion()
-            )
-        except SettingError as error:
-            problem, _, fix = str(error).partition("; ")
-            raise DataError(self.path, problem, fix) from error
-
-    def _distortion(self) -> tuple[float, float, float, float, float]:
-        values = self._keys.get("distortion", [0.0] * 5)
-        if not isinstance(values, list) or len(values) != 5:
-            raise self.error("distortion", f"is {values!r}, not five numbers k1, k2, p1, p2, k3")
-        if any(isinstance(value, bool) or not isinstance(value, int | float) for value in values):
-            raise self.error("distortion", f"is {values!r}, not five numbers k1, k2, p1, p2, k3")
-        k1, k2, p1, p2, k3 = (float(value) for value in values)
-        return (k1, k2, p1, p2, k3)
-
-    def _value(self, key: str) -> Any:
-        if key not in self._keys:
-            raise self.error(key, "is missing")
-        return self._keys[key]
+def _poses_of_files(description: DatasetDescription, indices: list[int]) -> tuple[NDArray[np.bool_], FloatArray]:
+    """Whether each frame has a file with a finite pose (N,), and the poses (N, 4, 4)."""
+    paths = description.paths("poses", indices)
+    poses = np.tile(np.eye(4), (len(indices), 1, 1))
+    known = np.zeros(len(indices), dtype=np.bool_)
+    for position, path in enumerate(paths):
+        if path.is_file():
+            matrix = read_matrix_pose(path)
+            known[position] = np.isfinite(matrix).all()
+            poses[position] = matrix if known[position] else np.eye(4)
+    return known, checked_poses(poses, paths, [path.stem for path in paths])

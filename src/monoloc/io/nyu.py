@@ -67,6 +67,7 @@ class NyuRecording:
         self.timestamps_s = np.arange(images[0], dtype=np.float64)
         self.poses: NDArray[np.float64] | None = None
         self.has_depth = True
+        self.notes: list[str] = []
 
     def __len__(self) -> int:
         return len(self.frame_names)

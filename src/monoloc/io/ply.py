@@ -6,6 +6,7 @@ import re
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice, repeat
 
 import numpy as np
@@ -46,7 +47,7 @@ _Read = Callable[[_Element], dict[str, Column]]  # reads the elements of a file,
 
 
 def read_ply(content: bytes, *wanted: str) -> dict[str, dict[str, Column]]:
-    """Read the elements of an ascii or binary little-endian ply file.
+    """Read the elements of an ascii or binary ply file.
 
     Args:
         content: content of the file.
@@ -66,7 +67,7 @@ def read_ply(content: bytes, *wanted: str) -> dict[str, dict[str, Column]]:
         raise ValueError("the header has no end_header")
     encoding, elements = _header(match[1].decode("ascii", errors="replace"))
     if encoding not in _ENCODINGS:
-        raise ValueError(f"format {encoding!r} is neither {' nor '.join(_ENCODINGS)}")
+        raise ValueError(f"format {encoding!r} is none of {', '.join(_ENCODINGS)}")
     last = max((index for index, element in enumerate(elements) if element.name in wanted), default=-1)
     columns = _ENCODINGS[encoding](content[match.end() :])
     return {element.name: columns(element) for element in elements[: last + 1]}
@@ -106,12 +107,12 @@ def _ascii(body: bytes) -> _Read:
     return read
 
 
-def _binary(body: bytes) -> _Read:
+def _binary(body: bytes, order: str) -> _Read:
     at = 0
 
     def take(kinds: Sequence[str], rows: int) -> FloatArray:
         nonlocal at
-        row = np.dtype(",".join(f"<{kind}" for kind in kinds))
+        row = np.dtype(",".join(f"{order}{kind}" for kind in kinds))
         got = min(max(rows, 0), (len(body) - at) // row.itemsize)
         table = np.frombuffer(body, row, got, at)
         at += got * row.itemsize
@@ -130,7 +131,11 @@ def _binary(body: bytes) -> _Read:
     return read
 
 
-_ENCODINGS = {"ascii": _ascii, "binary_little_endian": _binary}
+_ENCODINGS: dict[str, Callable[[bytes], _Read]] = {
+    "ascii": _ascii,
+    "binary_little_endian": partial(_binary, order="<"),
+    "binary_big_endian": partial(_binary, order=">"),
+}
 
 
 def _numbers(text: bytes) -> FloatArray:

@@ -9,11 +9,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.errors import DataError
-from monoloc.geometry import FloatArray, is_rigid, make_pose, nearest_rotation, quaternion_to_rotation
-from monoloc.io.file_access import read_rows
+from monoloc.geometry import (
+    FloatArray,
+    invert,
+    is_rigid,
+    make_pose,
+    nearest_rotation,
+    quaternion_to_rotation,
+    se3_exp,
+    se3_log,
+)
+from monoloc.io.file_access import decode_array, read_bytes, read_rows
+from monoloc.io.image_header import is_numpy
 
 # Tolerance of a quaternion's length. Files have 3 to 6 digits; a larger deviation means columns in another order.
 UNIT_TOLERANCE = 1e-2
+
+OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
+"""``T_opengl_opencv``: camera axes x right, y up, z backward, from x right, y down, z forward; (4, 4)."""
+
+# Between samples further apart, a hand-held camera departs from constant velocity by more than its poses' errors:
+# 1 m/s^2 over 0.25 s is 8 mm.
+MAX_POSE_GAP_S = 0.25
+MAX_POSE_OFFSET_S = 0.02  # a pose this near is that of the image, without interpolation
+
+UNTIMED_RATE_HZ = 5.0
+UNTIMED = f"the files state no times; frames are taken to be {1.0 / UNTIMED_RATE_HZ:g} s apart"
 
 
 def checked_poses(poses: FloatArray, files: Sequence[Path], names: Sequence[str]) -> FloatArray:
@@ -44,11 +65,19 @@ def checked_poses(poses: FloatArray, files: Sequence[Path], names: Sequence[str]
 
 
 def read_matrix_pose(path: Path) -> FloatArray:
-    """Read a 4x4 matrix from a text file, without a check that it is rigid.
+    """Read a 4x4 matrix from a text file or a NumPy file, without a check that it is rigid.
 
     Raises:
         DataError: the file is not four rows of four numbers.
     """
+    data = read_bytes(path)
+    if is_numpy(data):
+        matrix = decode_array(data, path)
+        if matrix.shape != (4, 4) or matrix.dtype.kind not in "fiu":
+            raise DataError(
+                path, f"holds {matrix.dtype} of shape {matrix.shape}", "write a 4x4 camera-to-world matrix"
+            )
+        return matrix.astype(np.float64)
     rows = read_rows(path, 4, "four numbers of a 4x4 camera-to-world matrix")
     if len(rows) != 4:
         raise DataError(path, f"has {len(rows)} rows", "write a 4x4 camera-to-world matrix")
@@ -88,11 +117,31 @@ def read_tum(path: Path) -> tuple[FloatArray, FloatArray]:
     return rows[:, 0], poses_from_quaternions(rows[:, 4:], rows[:, 1:4], path)
 
 
+def read_tum_with_gaps(path: Path) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:
+    """Read a TUM trajectory of which some lines have a time stamp and no pose (NaN or infinity).
+
+    Returns:
+        Increasing time stamps (N,) in seconds, whether the pose is known (N,), and the poses (N, 4, 4), the identity
+        where unknown.
+
+    Raises:
+        DataError: see :func:`read_tum`.
+    """
+    rows = read_rows(path, 8, "t tx ty tz qx qy qz qw")
+    check_increasing(rows[:, 0], path)
+    known = np.asarray(np.isfinite(rows[:, 1:]).all(axis=1), dtype=np.bool_)
+    rows[~known, 1:] = np.eye(7)[6]
+    return rows[:, 0], known, poses_from_quaternions(rows[:, 4:], rows[:, 1:4], path)
+
+
 def check_increasing(times_s: FloatArray, path: Path) -> None:
     """Raise DataError unless the time stamps (N,) are finite and strictly increasing."""
     increases = np.diff(times_s, prepend=-np.inf) > 0.0
     if not (np.isfinite(times_s).all() and increases.all()):
         row = int(np.argmin(np.isfinite(times_s) & increases)) + 1
+        if row > 1 and times_s[row - 1] == times_s[row - 2]:
+            problem = f"the time stamp of entry {row} does not increase: it is doubled"
+            raise DataError(path, problem, "keep one of the two entries, sorted by time")
         raise DataError(path, f"the time stamp of entry {row} does not increase", "sort the entries by time")
 
 
@@ -101,3 +150,34 @@ def nearest_times(query_s: FloatArray, times_s: FloatArray) -> NDArray[np.int64]
     after = np.searchsorted(times_s, query_s).clip(max=len(times_s) - 1)
     before = (after - 1).clip(min=0)
     return np.where(np.abs(query_s - times_s[before]) < np.abs(times_s[after] - query_s), before, after)
+
+
+def interpolate_poses(
+    query_s: FloatArray, times_s: FloatArray, poses: FloatArray
+) -> tuple[NDArray[np.bool_], FloatArray]:
+    """Poses at other times than they were sampled at.
+
+    Between samples at most 0.25 s apart, the pose is interpolated on SE(3) with a constant twist; elsewhere it is the
+    nearest sample within 20 ms.
+
+    Args:
+        query_s: (Q,) seconds.
+        times_s: (N,) seconds, increasing, N >= 1.
+        poses: (N, 4, 4).
+
+    Returns:
+        Whether the pose is known at each query, (Q,), and the pose (Q, 4, 4), which is arbitrary where it is unknown.
+    """
+    nearest = nearest_times(query_s, times_s)
+    known = np.abs(times_s[nearest] - query_s) <= MAX_POSE_OFFSET_S
+    result = poses[nearest]
+    if len(times_s) == 1:
+        return known, result
+    after = np.searchsorted(times_s, query_s).clip(1, len(times_s) - 1)
+    start_s, end_s = times_s[after - 1], times_s[after]
+    inside = (query_s >= start_s) & (query_s <= end_s) & (end_s - start_s <= MAX_POSE_GAP_S)
+    fraction = ((query_s - start_s) / (end_s - start_s))[inside, None]
+    start = poses[after[inside] - 1]
+    step = se3_log(invert(start) @ poses[after[inside]])
+    result[inside] = start @ se3_exp(fraction * step)
+    return known | inside, result

@@ -44,7 +44,9 @@ class ReaderOptions:
         """The overriding camera, or the recording's ``own`` if there is no override."""
         if self.camera is None:
             return own
-        return replace(self.camera, distortion=own.distortion) if self.keeps_distortion else self.camera
+        if not self.keeps_distortion:
+            return self.camera
+        return replace(self.camera, distortion=own.distortion, distortion_model=own.distortion_model)
 
     def allow_only(self, reader: str, *names: str) -> None:
         """Reject overrides that the reader would ignore.

@@ -55,6 +55,16 @@ class Recording(Protocol):
         ...
 
 
+class StoredRecording(Recording, Protocol):
+    """A :class:`Recording` that was read from files.
+
+    Attributes:
+        notes: sentences on what a user may not expect: frames that are left out and why, metadata that was assumed.
+    """
+
+    notes: list[str]
+
+
 class Selection:
     """A :class:`Recording` of some frames of another, selected by their ``positions`` in the source."""
 

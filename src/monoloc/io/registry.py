@@ -8,9 +8,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from monoloc.errors import DataError, SettingError
-from monoloc.io import folder, nyu, rgbd_scenes_v2, seven_scenes, tum_recording, video
+from monoloc.io import (
+    colmap,
+    folder,
+    nerfstudio,
+    nyu,
+    polycam,
+    record3d,
+    rgbd_scenes_v2,
+    rtabmap,
+    seven_scenes,
+    stray_scanner,
+    tum_recording,
+    video,
+)
 from monoloc.io.reader_options import ReaderOptions
-from monoloc.io.recording import Recording, Selection
+from monoloc.io.recording import Recording, Selection, StoredRecording
 
 
 @dataclass(frozen=True)
@@ -22,16 +35,22 @@ class Format:
         recognises: whether the name or the content of a path indicates this format.
     """
 
-    read: Callable[[Path, ReaderOptions], Recording]
+    read: Callable[[Path, ReaderOptions], StoredRecording]
     recognises: Callable[[Path], bool]
 
 
 # A path without a format is tried in this order, most explicit format first.
 FORMATS: dict[str, Format] = {
     "folder": Format(folder.read, folder.recognises),
+    "nerfstudio": Format(nerfstudio.read, nerfstudio.recognises),
+    "stray-scanner": Format(stray_scanner.read, stray_scanner.recognises),
+    "record3d": Format(record3d.read, record3d.recognises),
+    "polycam": Format(polycam.read, polycam.recognises),
+    "rtabmap": Format(rtabmap.read, rtabmap.recognises),
     "tum": Format(tum_recording.read, tum_recording.recognises),
     "7scenes": Format(seven_scenes.read, seven_scenes.recognises),
     "rgbd-scenes-v2": Format(rgbd_scenes_v2.read, rgbd_scenes_v2.recognises),
+    "colmap": Format(colmap.read, colmap.recognises),
     "nyu": Format(nyu.read, nyu.recognises),
     "video": Format(video.read, video.recognises),
 }
@@ -40,7 +59,7 @@ _SOURCE = re.compile(r"([A-Za-z0-9_-]{2,}):(.+)")  # at least two letters, becau
 _FRAMES = re.compile(r"(\d*):(\d*)(?::(\d*))?")
 
 
-def open_recording(source: str, options: ReaderOptions | None = None) -> Recording:
+def open_recording(source: str, options: ReaderOptions | None = None) -> StoredRecording:
     """Open the recording at SOURCE: ``FORMAT:PATH``, or a path whose format is recognised.
 
     Raises:
@@ -58,6 +77,8 @@ def open_recording(source: str, options: ReaderOptions | None = None) -> Recordi
     for known in FORMATS.values():
         if known.recognises(path):
             return known.read(path, options)
+    if path.suffix.lower() == ".zip":
+        raise DataError(path, "is an archive", "unpack it, and give the folder")
     raise DataError(
         path,
         "is not recognised as a recording",

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from monoloc.camera import Camera
 from monoloc.errors import DataError
-from monoloc.geometry import FloatArray, invert, se3_exp, se3_log
+from monoloc.geometry import FloatArray
 from monoloc.io.file_access import read_text, require_file, require_folder
+from monoloc.io.frame_filter import FrameFilter
 from monoloc.io.images import ImageRecording, names_of
-from monoloc.io.pose_files import check_increasing, nearest_times, read_tum
+from monoloc.io.pose_files import check_increasing, interpolate_poses, nearest_times, read_tum
 from monoloc.io.reader_options import ReaderOptions
 
 DEPTH_SCALE = 5000.0
@@ -29,6 +30,10 @@ _CAMERAS = {
     "freiburg3": Camera(640, 480, 535.4, 539.2, 320.1, 247.6),
 }
 _DEFAULT_CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
+_DEFAULT_CAMERA_NOTE = (
+    "the intrinsics are assumed (f = 525 pixels, ROS's default), because the folder's name has no freiburg1, 2 or 3; "
+    "give --intrinsics for another camera"
+)
 
 
 def recognises(path: Path) -> bool:
@@ -40,9 +45,9 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
     """Open a sequence folder. freiburg1, 2 or 3 in the folder's name selects the intrinsics.
 
     The recording contains each colour frame that has a depth image within 20 ms (mutual nearest neighbours, hence one
-    to one) and a pose. The pose is interpolated on SE(3) if the neighbouring ground-truth samples are at most 40 ms
-    apart; otherwise it is the nearest sample within 20 ms. Without ``depth.txt`` the recording has no depth, and
-    without ``groundtruth.txt`` it has no poses.
+    to one) and a pose. Poses may have another rate than images, see
+    :func:`monoloc.io.pose_files.interpolate_poses`. Without ``depth.txt`` the recording has no depth, and without
+    ``groundtruth.txt`` it has no poses.
 
     Raises:
         DataError: a list is missing or malformed, no frame remains, or images have another size.
@@ -51,37 +56,32 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
     options.allow_only("tum", "camera", "depth_scale")
     require_folder(path)
     color_times, color_paths = _read_list(path / "rgb.txt")
-    usable, poses, depth_paths = np.ones(len(color_paths), dtype=np.bool_), None, None
-    if (path / "groundtruth.txt").is_file():
-        truth_times, truth_poses = read_tum(path / "groundtruth.txt")
-        usable, poses = _poses_at(color_times, truth_times, truth_poses)
+    frames, poses, depth_paths = FrameFilter(len(color_paths)), None, None
     if (path / "depth.txt").is_file():
         depth_times, all_depth_paths = _read_list(path / "depth.txt")
         partner = _mutual_nearest(color_times, depth_times)
-        usable &= partner >= 0
-        depth_paths = [all_depth_paths[j] for j in partner[usable]]
-    if not usable.any():
-        raise DataError(
-            path,
-            f"has no frame whose colour, depth and pose lie within {MAX_TIME_DIFFERENCE_S} s",
-            "check that the three lists use one clock",
-        )
-    usable_color_paths = [p for p, keep in zip(color_paths, usable, strict=True) if keep]
+        frames.require(partner >= 0, f"without depth within {1e3 * MAX_TIME_DIFFERENCE_S:g} ms")
+        depth_paths = [all_depth_paths[j] for j in partner]
+    if (path / "groundtruth.txt").is_file():
+        known, poses = interpolate_poses(color_times, *read_tum(path / "groundtruth.txt"))
+        frames.require(known, "without a pose")
+    positions = frames.positions(path, "check that the three lists use one clock")
+    name = path.resolve().name
+    camera = next((camera for freiburg, camera in _CAMERAS.items() if freiburg in name), None)
+    is_assumed = camera is None and options.camera is None
+    used_color_paths = [color_paths[p] for p in positions]
     return ImageRecording(
-        name=path.resolve().name,
+        name=name,
         folder=path,
-        camera=options.camera_or(_camera_of(path.resolve().name)),
-        frame_names=names_of(usable_color_paths, path),
-        timestamps_s=color_times[usable],
-        poses=None if poses is None else poses[usable],
-        color_paths=usable_color_paths,
-        depth_paths=depth_paths,
+        camera=options.camera_or(camera or _DEFAULT_CAMERA),
+        frame_names=names_of(used_color_paths, path),
+        timestamps_s=color_times[positions],
+        poses=None if poses is None else poses[positions],
+        color_paths=used_color_paths,
+        depth_paths=None if depth_paths is None else [depth_paths[p] for p in positions],
         depth_scale=options.depth_scale or DEPTH_SCALE,
+        notes=[*frames.notes(), *([_DEFAULT_CAMERA_NOTE] if is_assumed else [])],
     )
-
-
-def _camera_of(folder_name: str) -> Camera:
-    return next((camera for name, camera in _CAMERAS.items() if name in folder_name), _DEFAULT_CAMERA)
 
 
 def _read_list(path: Path) -> tuple[FloatArray, list[Path]]:
@@ -115,20 +115,3 @@ def _mutual_nearest(color_s: FloatArray, depth_s: FloatArray) -> NDArray[np.int6
     mutual = nearest_times(depth_s, color_s)[partner] == np.arange(len(color_s))
     close = np.abs(depth_s[partner] - color_s) <= MAX_TIME_DIFFERENCE_S
     return np.where(mutual & close, partner, -1)
-
-
-def _poses_at(query_s: FloatArray, times_s: FloatArray, poses: FloatArray) -> tuple[NDArray[np.bool_], FloatArray]:
-    """Whether the pose is known at each query (Q,), and the pose (Q, 4, 4), which is arbitrary where unknown."""
-    nearest = nearest_times(query_s, times_s)
-    known = np.abs(times_s[nearest] - query_s) <= MAX_TIME_DIFFERENCE_S
-    result = poses[nearest]
-
-    after = np.searchsorted(times_s, query_s).clip(1, max(len(times_s) - 1, 1))
-    if len(times_s) > 1:
-        start_s, end_s = times_s[after - 1], times_s[after]
-        inside = (query_s >= start_s) & (query_s <= end_s) & (end_s - start_s <= 2.0 * MAX_TIME_DIFFERENCE_S)
-        fraction = ((query_s - start_s) / (end_s - start_s))[inside, None]
-        start = poses[after[inside] - 1]
-        step = se3_log(invert(start) @ poses[after[inside]])
-        result[inside] = start @ se3_exp(fraction * step)
-    return known, result

@@ -73,7 +73,7 @@ def test_group_without_a_command_shows_its_help(capfd: pytest.CaptureFixture[str
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("fly", r"No such command 'fly'\. \(see: monoloc --help\)"),
+        ("soar", r"No such command 'soar'\. \(see: monoloc --help\)"),
         ("map fly", r"No such command 'fly'\. \(see: monoloc map --help\)"),
         ("build room --out x.monoloc --fast", "No such option: --fast.*build --help"),
         ("build room", r"Missing option '--out' / '-o'\. \(see: monoloc build --help\)"),

@@ -16,6 +16,7 @@ from monoloc.cli.common import (
     check_outputs,
     check_picture,
     naming,
+    open_cloud,
     open_source,
     print_table,
     refuse_frames,
@@ -62,6 +63,23 @@ def test_settings_of_a_recording_are_named_by_their_options(tmp_path: Path) -> N
     refuses_setting(lambda: open_source(source, "9:"), "--frames", "selects none of the 3", "START")
     refuses_setting(lambda: open_source(source, "9:", frames_option="--validate"), "--validate", "selects none", "")
     refuses_setting(lambda: open_source(source, "::", depth_scale=0.0), "--depth-scale", "is 0.0", "such as 1000")
+
+
+def test_what_a_reader_left_out_is_told_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    synthetic.write_folder(tmp_path / "walk")
+    path = tmp_path / "walk/poses.txt"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:2], "5.1" + 7 * " nan", lines[3]]))
+    assert len(open_source(str(tmp_path / "walk"), "::")) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err == "note: walk: 1 of 3 frames are left out: 1 without a pose\n"
+
+
+def test_what_is_left_out_of_a_cloud_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.xyz").write_text("1 2 3\nnan 2 3\n")
+    assert len(open_cloud(tmp_path / "a.xyz")) == 1
+    expected = f"note: {tmp_path / 'a.xyz'}: 1 of 2 points are left out: they are not finite\n"
+    assert capsys.readouterr().err == expected
 
 
 def test_six_intrinsics_do_not_change_the_distortion_and_eleven_do(tmp_path: Path) -> None:

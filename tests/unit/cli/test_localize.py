@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from monoloc.cli.localize import _parse_pose, _write_each
+from monoloc.cli.localize import _write_each
+from monoloc.cli.start_option import parse_pose
 from monoloc.errors import DataError, SettingError
 from refusals import refuses
 
@@ -27,11 +28,11 @@ from refusals import refuses
     ],
 )
 def test_start_that_is_no_pose_is_refused(start: str) -> None:
-    refuses(lambda: _parse_pose(start), SettingError, f"^--start: is '{start}'.*; write TX,TY,TZ,QX,QY,QZ,QW")
+    refuses(lambda: parse_pose(start), SettingError, f"^--start: is '{start}'.*; write TX,TY,TZ,QX,QY,QZ,QW")
 
 
 def test_start_is_a_translation_and_a_quaternion() -> None:
-    pose = _parse_pose("1,2,3,0,0,1,0")
+    pose = parse_pose("1,2,3,0,0,1,0")
     np.testing.assert_allclose(pose, np.array([[-1, 0, 0, 1], [0, -1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]), atol=1e-12)
 
 

@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from capture_writers import Capture, pinhole_of, write_colmap
 from monoloc.errors import DataError
 from monoloc.io.cloud_files import read_cloud
+from monoloc.io.pcd import decompress_lzf
 
 POINTS = np.array([[0.5, -1.25, 2.0], [3.0, 4.5, -0.125], [1e3, 0.0, 7.0]])
 
@@ -18,7 +20,7 @@ def ply_header(encoding: str, count: int = 3) -> bytes:
     return (
         f"ply\nformat {encoding} 1.0\ncomment made by hand\nelement vertex {count}\nproperty uchar red\n"
         "property double x\nproperty float32 nx\nproperty double y\nproperty double z\n"
-        "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        "element edge 1\nproperty list uchar int vertex_pair\nend_header\n"
     ).encode()
 
 
@@ -28,19 +30,63 @@ def test_ply_skips_other_properties_and_elements(tmp_path: Path) -> None:
     path.write_bytes(ply_header("ascii") + rows.encode() + b"3 0 1 2\n")
     np.testing.assert_array_equal(read_cloud(path), POINTS)
 
-    layout = np.dtype([("red", "u1"), ("x", "<f8"), ("nx", "<f4"), ("y", "<f8"), ("z", "<f8")])
-    vertices = np.zeros(3, layout)
-    for axis, name in enumerate("xyz"):
-        vertices[name] = POINTS[:, axis]
-    path.write_bytes(ply_header("binary_little_endian") + vertices.tobytes() + b"\x03" + bytes(12))
-    np.testing.assert_array_equal(read_cloud(path), POINTS)
+    for encoding, order in (("binary_little_endian", "<"), ("binary_big_endian", ">")):
+        kinds = [("red", "u1"), ("x", f"{order}f8"), ("nx", f"{order}f4"), ("y", f"{order}f8"), ("z", f"{order}f8")]
+        vertices = np.zeros(3, np.dtype(kinds))
+        for axis, name in enumerate("xyz"):
+            vertices[name] = POINTS[:, axis]
+        path.write_bytes(ply_header(encoding) + vertices.tobytes() + b"\x03" + bytes(12))
+        np.testing.assert_array_equal(read_cloud(path), POINTS)
+
+
+def write_mesh(path: Path, vertices: np.ndarray, faces: list[list[int]]) -> None:
+    rows = [" ".join(map(str, row)) for row in vertices.tolist()]
+    rows += [" ".join(map(str, [len(face), *face])) for face in faces]
+    path.write_text(
+        f"ply\nformat ascii 1.0\nelement vertex {len(vertices)}\nproperty float x\nproperty float y\n"
+        f"property float z\nelement face {len(faces)}\nproperty list uchar int vertex_index\nend_header\n"
+        + "\n".join(rows)
+        + "\n"
+    )
+
+
+def test_faces_of_a_mesh_are_sampled_by_area(tmp_path: Path) -> None:
+    """A square of one metre at z = 1, and a triangle of a quarter of its area at z = 2: a point for each 2.25 cm2."""
+    vertices = np.array(
+        [[0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1], [0, 0, 2], [1, 0, 2], [0, 0.5, 2], [np.nan, 0, 0]]
+    )
+    write_mesh(tmp_path / "a.ply", vertices, [[0, 1, 2, 3], [4, 5, 6], [4, 5, 7], [0, 1]])
+    notes: list[str] = []
+    points = read_cloud(tmp_path / "a.ply", notes)
+    assert notes == [
+        "5555 points on the faces of a mesh are added to its 8 vertices",
+        "1 of 5563 points are left out: they are not finite",
+    ]
+    np.testing.assert_array_equal(points, read_cloud(tmp_path / "a.ply"))
+    square, triangle = (points[7:][points[7:, 2] == z] for z in (1.0, 2.0))
+    assert len(square) + len(triangle) == 5555
+    assert len(triangle) == pytest.approx(1111, abs=100)
+    counts, _, _ = np.histogram2d(square[:, 0], square[:, 1], bins=5, range=[[0, 1], [0, 1]])
+    assert counts.sum() == len(square) and counts.min() > 120 and counts.max() < 240  # 178 expected
+    assert (triangle[:, :2] >= 0.0).all() and (triangle[:, 0] + 2.0 * triangle[:, 1] <= 1.0 + 1e-12).all()
+
+
+def test_mesh_with_faces_of_no_area_is_its_vertices(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "a.ply", POINTS, [[0, 0, 1]])
+    np.testing.assert_array_equal(read_cloud(tmp_path / "a.ply"), POINTS)
+
+
+def test_face_without_its_vertex_is_refused(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "a.ply", POINTS, [[0, 1, 3]])
+    with pytest.raises(DataError, match="a face refers to a vertex beyond the 3 that there are"):
+        read_cloud(tmp_path / "a.ply")
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian"])
-def test_ply_with_faces_before_vertices(tmp_path: Path, encoding: str) -> None:
+def test_ply_with_lists_before_vertices(tmp_path: Path, encoding: str) -> None:
     path = tmp_path / "a.ply"
     header = (
-        f"ply\nformat {encoding} 1.0\nelement face 2\nproperty list uchar int vertex_indices\nproperty float area\n"
+        f"ply\nformat {encoding} 1.0\nelement strip 2\nproperty list uchar int vertices\nproperty float area\n"
         "element vertex 3\nproperty double x\nproperty double y\nproperty double z\nend_header\n"
     ).encode()
     if encoding == "ascii":
@@ -87,11 +133,63 @@ def test_pcd_with_padding(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_cloud(path), POINTS)
 
 
+def lzf_literals(data: bytes) -> bytes:
+    """An LZF stream without repetitions."""
+    runs = [data[start : start + 32] for start in range(0, len(data), 32)]
+    return b"".join(bytes([len(run) - 1]) + run for run in runs)
+
+
+def test_compressed_pcd(tmp_path: Path) -> None:
+    """Column by column; zeros at the end are a repetition."""
+    columns = POINTS.T.astype("<f4").tobytes() + np.array([255] * 3, "<u4").tobytes()
+    content = columns + bytes(12)
+    # 12 zeros: one literal, then 11 = 9 + 2 bytes from a distance of 0 + 1.
+    stream = lzf_literals(columns) + b"\x00\x00" + bytes([7 << 5, 9 - 7, 0])
+    path = tmp_path / "a.pcd"
+    header = pcd_header("binary_compressed")
+    path.write_bytes(header + struct.pack("<II", len(stream), len(content)) + stream)
+    np.testing.assert_array_equal(read_cloud(path), POINTS)
+
+
+def test_lzf_repeats_what_it_writes() -> None:
+    assert decompress_lzf(b"\x02abc" + bytes([4 << 5, 2]) + b"\x00d", 10) == b"abcabcabcd"
+
+
 @pytest.mark.parametrize("suffix", ["xyz", "txt"])
 def test_xyz_takes_the_first_three_columns(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"a.{suffix}"
     path.write_text("# x y z intensity\n" + "".join(f"{x} {y} {z} 9\n" for x, y, z in POINTS))
     np.testing.assert_array_equal(read_cloud(path), POINTS)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.csv", "x,y,z,red\n{0},{1},{2},9\n"),
+        ("a.csv", "Intensity;Z;X;Y\n9;{2};{0};{1}\n"),
+        ("a.txt", "//X Y Z\n{0} {1} {2}\n"),
+        ("a.xyz", "{0}, {1}, {2}\n"),
+    ],
+)
+def test_commas_and_headers(tmp_path: Path, name: str, text: str) -> None:
+    """As spreadsheets and CloudCompare write them."""
+    *header, row = text.splitlines(keepends=True)
+    (tmp_path / name).write_text("".join([*header, *(row.format(*point) for point in POINTS)]))
+    np.testing.assert_array_equal(read_cloud(tmp_path / name), POINTS)
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_points_of_a_colmap_model(tmp_path: Path, capture: Capture, binary: bool) -> None:
+    write_colmap(tmp_path, capture, binary, [pinhole_of(capture.camera)], POINTS)
+    path = tmp_path / f"sparse/0/points3D.{'bin' if binary else 'txt'}"
+    np.testing.assert_array_equal(read_cloud(path), POINTS)
+
+
+def test_points_that_are_not_finite_are_counted(tmp_path: Path) -> None:
+    (tmp_path / "a.xyz").write_text("1 2 3\nnan 2 3\n1 inf 3\n")
+    notes: list[str] = []
+    np.testing.assert_array_equal(read_cloud(tmp_path / "a.xyz", notes), [[1.0, 2.0, 3.0]])
+    assert notes == ["2 of 3 points are left out: they are not finite"]
 
 
 def test_npz(tmp_path: Path) -> None:
@@ -100,14 +198,19 @@ def test_npz(tmp_path: Path) -> None:
 
 
 INVALID_FILES: dict[str, tuple[bytes, str]] = {
-    "a.obj": (b"", "has the unknown suffix '.obj'; give one of .npz, .pcd, .ply, .txt, .xyz"),
+    "a.obj": (b"", "has the unknown suffix '.obj'; give one of .bin, .csv, .npz, .pcd, .ply, .txt, .xyz"),
     "empty.ply": (b"", "cannot be read as ply .the first line is not 'ply'."),
     "cut.ply": (ply_header("ascii") + b"7 1 0 1 1\n", "it ends after 1 of 3 rows of 'vertex'"),
     "cutbinary.ply": (ply_header("binary_little_endian") + bytes(40), "it ends after 1 of 3 rows of 'vertex'"),
     "none.ply": (ply_header("ascii", 0), "holds no points; export the cloud again"),
+    "nomesh.ply": (
+        b"ply\nformat ascii 1.0\nelement vertex 0\nelement face 1\n"
+        b"property list uchar int vertex_index\nend_header\n",
+        "it ends after 0 of 1 rows of 'face'",
+    ),
     "headless.ply": (b"ply\nformat ascii 1.0\n", "the header has no end_header"),
-    "big.ply": (ply_header("binary_big_endian"), "format 'binary_big_endian' is neither"),
-    "pixels.ply": (b"ply\nformat ascii 1.0\nelement face 1\nend_header\n\n", "it has no element 'vertex'"),
+    "zip.ply": (ply_header("binary_zip"), "format 'binary_zip' is none of ascii, binary_little_endian"),
+    "pixels.ply": (b"ply\nformat ascii 1.0\nelement pixel 1\nend_header\n\n", "it has no element 'vertex'"),
     "lists.ply": (
         b"ply\nformat ascii 1.0\nelement vertex 1\n"
         b"property list uchar int x\nproperty int y\nproperty int z\nend_header\n2 5 5 6 7\n",
@@ -130,13 +233,34 @@ INVALID_FILES: dict[str, tuple[bytes, str]] = {
         b"ply\nformat ascii 1.0\nelement vertex many\nend_header\n",
         "the header's line 'element vertex many' cannot be understood",
     ),
-    "compressed.pcd": (pcd_header("binary_compressed"), "DATA binary_compressed is neither ascii nor binary"),
+    "zip.pcd": (pcd_header("zip"), "DATA zip is none of ascii, binary, binary_compressed"),
+    "headless.pcd": (pcd_header("binary_compressed"), "the compressed data is cut short"),
+    "size.pcd2.pcd": (
+        pcd_header("binary_compressed") + struct.pack("<II", 3, 1 << 31),
+        "the compressed data is of 2147483648 bytes, but 3 points are 60",
+    ),
+    "cut.pcd": (pcd_header("binary_compressed") + struct.pack("<II", 9, 60), "the compressed data is cut short"),
+    "short.pcd": (
+        pcd_header("binary_compressed") + struct.pack("<II", 2, 60) + b"\x00a",
+        "the compressed data holds 1 of 60 bytes",
+    ),
+    "far.pcd": (
+        pcd_header("binary_compressed") + struct.pack("<II", 4, 60) + b"\x00a\x20\x05",
+        "the compressed data is damaged",
+    ),
+    "uncounted.pcd": (
+        b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS -1\nDATA ascii\n",
+        "the header does not say how many points there are",
+    ),
+    "noend.pcd": (b"FIELDS x y z\n", "the header has no DATA"),
+    "weights.bin": (b"", "of .bin files, only COLMAP's points3D.bin is a cloud"),
+    "points3D.bin": (struct.pack("<Q", 3), "is cut short; export the cloud again"),
     "nofields.pcd": (b"POINTS 3\nDATA ascii\n", "the header has no FIELDS"),
     "type.pcd": (b"FIELDS x\nSIZE 4\nTYPE Q\nPOINTS 3\nDATA ascii\n", "field 'x' has the unknown type 'Q'"),
     "size.pcd": (b"FIELDS x y z\nSIZE 3 3 3\nTYPE F F F\nPOINTS 3\nDATA binary\n", "cannot be read as pcd"),
     "words.xyz": (b"one two three\n", "cannot be read as xyz"),
     "blank.txt": (b"", "holds no points"),
-    "nan.xyz": (b"1 2 3\nnan 2 3\n1 inf 3\n", "2 of 3 points are not finite; remove them"),
+    "nan.xyz": (b"nan 2 3\n1 inf 3\n", "none of its 2 points is finite"),
     "notzip.npz": (b"PK\x03\x04 no more", "cannot be read as npz"),
 }
 
@@ -153,8 +277,9 @@ def test_invalid_file_is_named_with_its_problem(tmp_path: Path, name: str) -> No
 
 
 def test_missing_file_and_invalid_npz_are_named(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"absent\.ply: there is no such file; check the path"):
-        read_cloud(tmp_path / "absent.ply")
+    for name in ("absent.ply", "points3D.bin", "points3D.txt"):
+        with pytest.raises(DataError, match=rf"{name}: there is no such file; check the path"):
+            read_cloud(tmp_path / name)
     np.savez(tmp_path / "other.npz", cloud=POINTS)
     with pytest.raises(DataError, match="it has no array 'points'"):
         read_cloud(tmp_path / "other.npz")

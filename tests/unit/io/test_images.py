@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import struct
 from pathlib import Path
 
 import cv2
@@ -81,10 +83,121 @@ def test_colour_of_another_size_is_refused(folder: Path) -> None:
     refuses_data(lambda: recording.color(1), folder / "color/000015.jpg", "is 16x12.*for 32x24", "intrinsics")
 
 
-def test_depth_of_another_size_is_refused(folder: Path) -> None:
-    synthetic.write_depth(folder / "depth/000015.png", synthetic.constant_depth(16, 12, 1000))
+@pytest.mark.parametrize(("width", "height"), [(16, 12), (64, 48), (11, 8), (32, 24)])
+def test_depth_of_another_size_has_the_same_field_of_view(folder: Path, width: int, height: int) -> None:
+    """Each pixel has the depth of the stored pixel that its centre lies in."""
+    v, u = np.mgrid[0:height, 0:width]
+    stored = (1000 + 100 * v + u).astype(np.uint16)
+    synthetic.write_depth(folder / "depth/000015.png", stored)
+    rows, columns = (np.arange(24) + 0.5) * height / 24, (np.arange(32) + 0.5) * width / 32
+    expected = stored[rows.astype(int)[:, None], columns.astype(int)] / 1000.0
+    np.testing.assert_allclose(open_recording(str(folder)).depth(1), expected, atol=1e-6)
+
+
+def test_depth_of_another_shape_is_refused(folder: Path) -> None:
+    synthetic.write_depth(folder / "depth/000015.png", synthetic.constant_depth(16, 14, 1000))
     recording = open_recording(str(folder))
-    refuses_data(lambda: recording.depth(1), folder / "depth/000015.png", "is 16x12.*for 32x24", "images of that")
+    refuses_data(lambda: recording.depth(1), folder / "depth/000015.png", "is 16x14.*for 32x24", "depth_width")
+
+
+METRES = np.array([[1.5, np.nan], [np.inf, -1.0]]).repeat(12, axis=0).repeat(16, axis=1)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("kind", ["tiff", "npy"])
+def test_depth_of_floating_point_numbers(folder: Path, kind: str, dtype: type) -> None:
+    """NaN, infinity and negative depth are unknown."""
+    toml = synthetic.SEQUENCE_TOML.replace("depth_scale = 1000", "depth_scale = 1").replace("}.png", f"}}.{kind}")
+    (folder / "dataset.toml").write_text(toml)
+    for index in (10, 15, 20):
+        file = folder / f"depth/{index:06d}.{kind}"
+        if kind == "npy":
+            np.save(file, METRES.astype(dtype))
+        else:
+            assert cv2.imwrite(str(file), METRES.astype(dtype))
+    np.testing.assert_array_equal(open_recording(str(folder)).depth(1), np.where(METRES == 1.5, 1.5, 0.0))
+
+
+def test_depth_in_a_numpy_file_of_millimetres(folder: Path) -> None:
+    np.save(folder / "depth/000015.npy", synthetic.constant_depth(32, 24, 1500))
+    (folder / "depth/000015.npy").rename(folder / "depth/000015.png")  # the content counts
+    recording = open_recording(str(folder))
+    np.testing.assert_array_equal(recording.depth(1), recording.depth(0))
+
+
+def numpy_header(shape: tuple[int, ...]) -> bytes:
+    file = io.BytesIO()
+    np.lib.format.write_array_header_1_0(file, {"descr": "<f4", "fortran_order": False, "shape": shape})
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("content", "problem", "fix"),
+    [
+        (b"v/1\x01\x02\x00\x00\x00", "is OpenEXR", "oiiotool"),
+        (numpy_header((10**6, 10**6)), "cannot be read as a NumPy array .it is cut short", "copy the file again"),
+        (b"\x93NUMPY", "cannot be read as a NumPy array", "copy the file again"),
+        (numpy_header((2, 3, 4)) + bytes(96), "is not a depth image", "one channel"),
+        (cv2.imencode(".tiff", np.zeros((24, 32), np.float32))[1].tobytes()[:50], "is cut short", "copy the file"),
+        (struct.pack(">8sI4sII", b"\x89PNG\r\n\x1a\n", 13, b"IHDR", 1 << 20, 1 << 20), "1048576x1048576", "camera's"),
+    ],
+)
+def test_depth_that_is_no_image_is_refused(
+    folder: Path, content: bytes, problem: str, fix: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    recording = open_recording(str(folder))
+    (folder / "depth/000015.png").write_bytes(content)
+    refuses_data(lambda: recording.depth(1), folder / "depth/000015.png", problem, fix)
+    assert capfd.readouterr().err == ""
+
+
+def test_image_of_another_size_is_refused_before_it_is_decoded(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synthetic.write_color(folder / "color/000015.jpg", synthetic.make_color(64, 48))
+    recording = open_recording(str(folder))
+    monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("was decoded"))
+    refuses_data(lambda: recording.color(1), folder / "color/000015.jpg", "is 64x48.*for 32x24", "intrinsics")
+
+
+# --- Orientation tags ---
+
+
+def tag_orientation(path: Path, orientation: int, order: str) -> None:
+    """Put an EXIF segment with the tag after the start of a JPEG."""
+    tiff = {"<": b"II*\0", ">": b"MM\0*"}[order] + struct.pack(f"{order}IHHHIHHI", 8, 1, 274, 3, 1, orientation, 0, 0)
+    body = b"Exif\0\0" + tiff
+    data = path.read_bytes()
+    path.write_bytes(data[:2] + b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body + data[2:])
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize(("orientation", "quarter_turns"), [(6, -1), (8, 1)])
+def test_image_is_turned_as_tagged_to_the_size_of_the_intrinsics(
+    folder: Path, orientation: int, quarter_turns: int, order: str
+) -> None:
+    """A phone held upright stores a lying image; intrinsics are of the image as shown."""
+    shown = synthetic.make_color(32, 24)
+    synthetic.write_color(folder / "color/000015.jpg", np.rot90(shown, -quarter_turns))
+    tag_orientation(folder / "color/000015.jpg", orientation, order)
+    assert np.abs(open_recording(str(folder)).color(1).astype(float) - shown).mean() < 4.0
+
+
+def test_tag_is_ignored_where_the_intrinsics_are_of_the_stored_image(folder: Path) -> None:
+    expected = open_recording(str(folder)).color(1)
+    tag_orientation(folder / "color/000015.jpg", 6, "<")
+    np.testing.assert_array_equal(open_recording(str(folder)).color(1), expected)
+
+
+def test_tag_that_leaves_two_readings_is_refused(folder: Path) -> None:
+    tag_orientation(folder / "color/000015.jpg", 3, "<")
+    recording = open_recording(str(folder))
+    refuses_data(
+        lambda: recording.color(1), folder / "color/000015.jpg", "EXIF orientation 3", "mogrify -auto-orient"
+    )
+
+
+def test_tag_of_no_meaning_is_ignored(folder: Path) -> None:
+    tag_orientation(folder / "color/000015.jpg", 9, "<")
+    check_recording(open_recording(str(folder)), 3)
 
 
 def test_colour_image_is_no_depth(folder: Path) -> None:

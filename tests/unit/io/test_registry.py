@@ -16,7 +16,10 @@ from synthetic_recordings import check_recording
 
 
 def test_known_formats() -> None:
-    assert sorted(FORMATS) == ["7scenes", "folder", "nyu", "rgbd-scenes-v2", "tum", "video"]
+    assert list(FORMATS) == [
+        *("folder", "nerfstudio", "stray-scanner", "record3d", "polycam", "rtabmap", "tum", "7scenes"),
+        *("rgbd-scenes-v2", "colmap", "nyu", "video"),
+    ]
 
 
 def test_existing_path_with_a_colon_is_a_path(tmp_path: Path) -> None:
@@ -53,6 +56,11 @@ def test_file_where_a_folder_is_meant_is_refused(tmp_path: Path) -> None:
 
 def test_folder_of_no_known_format_is_refused(tmp_path: Path) -> None:
     refuses_to_open(tmp_path, tmp_path, "is not recognised", "FORMAT:PATH with one of .*7scenes")
+
+
+def test_archive_is_to_be_unpacked(tmp_path: Path) -> None:
+    (tmp_path / "walk.zip").write_bytes(b"PK")
+    refuses_to_open(tmp_path / "walk.zip", tmp_path / "walk.zip", "is an archive", "unpack it")
 
 
 def test_unknown_format_is_refused() -> None:

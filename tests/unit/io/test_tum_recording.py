@@ -42,15 +42,34 @@ def test_frames_without_depth_or_pose_are_dropped(tmp_path: Path) -> None:
         (tmp_path / f"{name}.txt").write_text("\n".join(lines) + "\n")
     recording = open_recording(str(tmp_path))
     np.testing.assert_allclose(recording.timestamps_s, [100.0, 100.066667, 100.1], atol=1e-5)
+    assert recording.notes == [
+        "2 of 5 frames are left out: 1 without depth within 20 ms, 1 without a pose",
+        "the intrinsics are assumed (f = 525 pixels, ROS's default), because the folder's name has no freiburg1, 2 "
+        "or 3; give --intrinsics for another camera",
+    ]
 
 
-def test_nearest_truth_is_taken_where_samples_are_far_apart(tmp_path: Path) -> None:
-    expected = synthetic.write_tum(tmp_path)
-    times_s = 100.0 + np.arange(4) / 30.0 + 0.003
-    (tmp_path / "groundtruth.txt").write_text(synthetic.tum_lines(times_s[::2], expected[::2]))
+def test_poses_of_another_rate_are_interpolated(tmp_path: Path) -> None:
+    """At 5 Hz, of a constant twist; beyond their ends the nearest is taken, within 20 ms."""
+    expected = synthetic.write_tum(tmp_path, frames=10)
+    rows = np.loadtxt(tmp_path / "groundtruth.txt")
+    kept = rows[np.abs(rows[:, :1] - [100.01, 100.21]).min(axis=1) < 0.001]
+    assert len(kept) == 2
+    np.savetxt(tmp_path / "groundtruth.txt", kept)
     recording = open_recording(str(tmp_path))
-    np.testing.assert_allclose(recording.timestamps_s, [100.0, 100.066667], atol=1e-5)
-    np.testing.assert_allclose(recording.poses, expected[::2], atol=1e-6)
+    np.testing.assert_allclose(recording.timestamps_s, 100.0 + np.arange(7) / 30.0, atol=1e-5)
+    np.testing.assert_allclose(recording.poses[1:], expected[1:7], atol=1e-6)
+    np.testing.assert_allclose(recording.poses[0], open_recording(str(tmp_path)).poses[0])
+    assert recording.notes[0] == "3 of 10 frames are left out: 3 without a pose"
+
+
+def test_poses_too_far_apart_are_not_interpolated(tmp_path: Path) -> None:
+    expected = synthetic.write_tum(tmp_path, frames=10)
+    times_s = 100.0 + np.arange(10) / 30.0 + 0.003
+    (tmp_path / "groundtruth.txt").write_text(synthetic.tum_lines(times_s[::9], expected[::9]))
+    recording = open_recording(str(tmp_path))
+    np.testing.assert_allclose(recording.timestamps_s, [100.0, 100.3], atol=1e-5)
+    np.testing.assert_allclose(recording.poses, expected[::9], atol=1e-6)
 
 
 def test_association_is_one_to_one(tmp_path: Path) -> None:
@@ -68,6 +87,9 @@ def test_cameras_are_known_by_name(tmp_path: Path, name: str, fx: float) -> None
     recording = open_recording(f"tum:{tmp_path / name}")
     assert recording.camera.fx == fx
     assert not recording.has_depth
+    assert bool(recording.notes) == (name == "mine")
+    given = ReaderOptions(camera=recording.camera)
+    assert open_recording(f"tum:{tmp_path / name}", given).notes == []
 
 
 def test_poses_are_optional(tmp_path: Path) -> None:
@@ -110,4 +132,4 @@ def test_time_that_does_not_increase_is_refused(sequence: Path, name: str) -> No
 def test_clocks_that_differ_are_refused(sequence: Path) -> None:
     rows = np.loadtxt(sequence / "groundtruth.txt")
     np.savetxt(sequence / "groundtruth.txt", rows + np.eye(8)[0] * 3600.0)
-    refuses_to_open(sequence, sequence, "has no frame whose colour, depth and pose", "one clock")
+    refuses_to_open(sequence, sequence, "none of its 4 frames can be used: 4 without a pose", "one clock")

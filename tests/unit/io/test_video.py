@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import synthetic_recordings as synthetic
+from capture_writers import tag_rotation, write_video_of
 from monoloc.camera import Camera
 from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.registry import open_recording
@@ -37,6 +38,20 @@ def test_frames_have_the_times_of_the_container(tmp_path: Path) -> None:
     recording = open_recording(str(path), VIDEO_OPTIONS)
     check_recording(recording, 6)
     np.testing.assert_allclose(recording.timestamps_s, [0.0, 0.05, 0.1, 0.3, 0.4, 0.5])
+
+
+def test_rotation_tag_is_obeyed(tmp_path: Path) -> None:
+    """Intrinsics are those of the turned frames; those of the stored ones are refused."""
+    path = tmp_path / "flight.mp4"
+    left_is_bright = np.zeros((48, 64, 3), dtype=np.uint8)
+    left_is_bright[:, :32] = 200
+    write_video_of(path, [left_is_bright] * 3)
+    tag_rotation(path, 1)  # clockwise: left becomes top
+    turned = ReaderOptions(camera=Camera(48, 64, 50.0, 50.0, 23.0, 31.0))
+    image = open_recording(str(path), turned).color(1)
+    assert image.shape == (64, 48, 3) and image[:30].mean() > 150.0 and image[34:].mean() < 50.0
+    problem = "is for 64x48, but .* is 48x64, turned by the (90|270) degrees of its rotation tag"
+    refuses_setting(lambda: open_recording(str(path), VIDEO_OPTIONS), "camera", problem, "this video's images")
 
 
 def test_only_frames_that_can_be_decoded_are_counted(tmp_path: Path) -> None:

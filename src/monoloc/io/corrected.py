@@ -1,0 +1,149 @@
+"""A recording whose poses or depth are of another convention, read as what they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.camera import Camera
+from monoloc.errors import DataError, SettingError
+from monoloc.geometry import FloatArray
+from monoloc.io import seven_scenes
+from monoloc.io.images import ImageRecording
+from monoloc.io.pose_fixes import PoseFixes, parse_pose_fixes
+from monoloc.io.recording import Recording, Selection
+from monoloc.io.registration import DepthRegistration
+
+DepthFix = Literal["range", "kinect", "registered", "turned-180"]
+_DepthMap = Callable[[NDArray[np.float32]], NDArray[np.float32]]
+
+DEPTH_FIXES: dict[DepthFix, str] = {
+    "range": "distance from the camera instead of z",
+    "kinect": "not registered to the colour camera of a Kinect",
+    "registered": "registered already, so the Kinect's constants do not apply",
+    "turned-180": "upside down against the images",
+}
+
+
+@dataclass(frozen=True)
+class Fixes:
+    """What ``--fix-poses`` and ``--fix-depth`` ask for.
+
+    Attributes:
+        poses: names, see :func:`monoloc.io.pose_fixes.parse_pose_fixes`; None leaves the poses as they are.
+        depth: key of ``DEPTH_FIXES``; None leaves the depth as it is.
+
+    Raises:
+        SettingError: a name is unknown.
+    """
+
+    poses: str | None = None
+    depth: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.poses is not None:
+            parse_pose_fixes(self.poses)
+        if self.depth is not None and self.depth not in DEPTH_FIXES:
+            raise SettingError("fix_depth", f"is {self.depth!r}", f"choose one of {', '.join(DEPTH_FIXES)}")
+
+
+class _Converted:
+    """A recording with poses and depth of its own."""
+
+    def __init__(self, source: Recording, poses: FloatArray | None, depth_map: _DepthMap | None) -> None:
+        self._source, self._depth_map = source, depth_map
+        self.name, self.camera = source.name, source.camera
+        self.frame_names, self.timestamps_s = source.frame_names, source.timestamps_s
+        self.poses, self.has_depth = poses, source.has_depth
+        self.notes: list[str] = getattr(source, "notes", [])
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+    def color(self, index: int) -> NDArray[np.uint8]:
+        return self._source.color(index)
+
+    def depth(self, index: int) -> NDArray[np.float32]:
+        depth = self._source.depth(index)
+        return depth if self._depth_map is None else self._depth_map(depth)
+
+
+def with_poses(recording: Recording, poses: FloatArray) -> Recording:
+    """The recording with other poses ``T_world_camera``, (N, 4, 4)."""
+    return _Converted(recording, poses, None)
+
+
+def corrected(recording: Recording, fixes: Fixes) -> Recording:
+    """The recording, read as the fixes say; the fix of the depth is applied first.
+
+    With late or early poses, the frames at one end have none and are left out.
+
+    Raises:
+        DataError: there is nothing to fix, or too few frames are left.
+    """
+    if fixes.depth is not None:
+        recording = with_depth_fix(recording, fixes.depth)
+    if fixes.poses is not None:
+        recording = _with_pose_fixes(recording, parse_pose_fixes(fixes.poses))
+    return recording
+
+
+def _with_pose_fixes(recording: Recording, fixes: PoseFixes) -> Recording:
+    if recording.poses is None:
+        raise DataError(recording.name, "has no poses to fix", "leave out --fix-poses")
+    rows = np.arange(len(recording)) + fixes.late_frames
+    frames = np.flatnonzero((rows >= 0) & (rows < len(recording)))
+    if len(frames) == 0:
+        problem = f"has {len(recording)} frames, and poses off by {fixes.late_frames} leave none"
+        raise DataError(recording.name, problem, "give fewer frames in --fix-poses")
+    poses = fixes.convert(recording.poses[rows[frames]])
+    return _Converted(Selection(recording, frames), poses, None)
+
+
+def with_depth_fix(recording: Recording, name: str) -> Recording:
+    """The recording with its depth read as ``name`` of ``DEPTH_FIXES`` says.
+
+    Raises:
+        DataError: the recording has no depth, or none that the fix applies to.
+    """
+    if not recording.has_depth:
+        raise DataError(recording.name, "has no depth to fix", "leave out --fix-depth")
+    if name == "registered":
+        return _as_registered(recording)
+    return _Converted(recording, recording.poses, _depth_map(name, recording.camera))
+
+
+def _depth_map(name: str, camera: Camera) -> _DepthMap:
+    if name == "kinect":
+        size = (camera.width, camera.height)
+        return DepthRegistration(seven_scenes.DEPTH_CAMERA.resized(*size), camera, seven_scenes.T_COLOR_DEPTH)
+    if name == "range":
+        z_per_range = (1.0 / np.linalg.norm(camera.pixel_rays(), axis=-1)).astype(np.float32)
+        return lambda depth: depth * z_per_range
+    return lambda depth: np.ascontiguousarray(depth[::-1, ::-1])
+
+
+def is_seven_scenes(recording: Recording) -> bool:
+    """Whether the constants of 7-Scenes' Kinect were applied to a recording's depth and poses."""
+    if isinstance(recording, Selection):
+        return is_seven_scenes(recording.source)
+    return (
+        isinstance(recording, ImageRecording)
+        and recording.registration is not None
+        and seven_scenes.recognises(recording.folder)
+    )
+
+
+def _as_registered(recording: Recording) -> Recording:
+    """Depth as stored, and the poses as the colour camera's."""
+    if isinstance(recording, Selection):
+        return Selection(_as_registered(recording.source), recording.positions)
+    if not is_seven_scenes(recording) or not isinstance(recording, ImageRecording):
+        problem = "is not in the layout of 7-Scenes, so no Kinect's constants are applied to it"
+        raise DataError(recording.name, problem, "leave out --fix-depth registered")
+    poses = None if recording.poses is None else recording.poses @ seven_scenes.T_COLOR_DEPTH
+    return replace(recording, registration=None, poses=poses)

@@ -1,0 +1,239 @@
+"""The keys of a ``dataset.toml``; each is validated when it is read."""
+
+from __future__ import annotations
+
+import glob
+import re
+import string
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from monoloc.camera import Camera
+from monoloc.distortion import COEFFICIENTS, DistortionModel
+from monoloc.errors import DataError, SettingError
+from monoloc.geometry import FloatArray, is_rigid
+from monoloc.io.file_access import read_text, require_file
+from monoloc.io.reader_options import depth_scale_problem
+
+FILE_NAME = "dataset.toml"
+_EXAMPLES = {
+    "kind": '"sequence" or "pairs"',
+    "color": '"color/{index:06d}.jpg"',
+    "depth": '"depth/{index:06d}.png"',
+    "confidence": '"confidence/{index:06d}.png"',
+    "least_confidence": "2",
+    "poses": '"poses.txt" or "pose/{index:06d}.txt"',
+    "pose_axes": '"opencv" or "opengl"',
+    "pose_direction": '"camera-to-world" or "world-to-camera"',
+    "pose_unit_m": "0.001",
+    "count": "400",
+    "start": "0",
+    "stop": "400",
+    "step": "1",
+    "width": "640",
+    "height": "480",
+    "fx": "525.0",
+    "fy": "525.0",
+    "cx": "319.5",
+    "cy": "239.5",
+    "distortion": "[0, 0, 0, 0, 0]",
+    "distortion_model": '"brown", "rational" or "fisheye"',
+    "depth_scale": "1000",
+    "depth_width": "640",
+    "depth_height": "480",
+    "depth_fx": "585.0",
+    "depth_fy": "585.0",
+    "depth_cx": "319.5",
+    "depth_cy": "239.5",
+    "T_color_depth": "[[1, 0, 0, 0.025], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]",
+    "rate_hz": "30",
+}
+_INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
+_DEPTH_INTRINSICS = tuple(f"depth_{key}" for key in _INTRINSICS)
+# Keys that have no meaning without another.
+_NEEDS = {
+    **dict.fromkeys(("pose_axes", "pose_direction", "pose_unit_m"), "poses"),
+    **dict.fromkeys(("confidence", *_DEPTH_INTRINSICS), "depth"),
+    "T_color_depth": "depth_fx",
+    "least_confidence": "confidence",
+    "distortion_model": "distortion",
+}
+
+
+class DatasetDescription:
+    """A ``dataset.toml``.
+
+    Raises:
+        DataError: the file is missing or not TOML, or a key is unknown or has no meaning without another.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        require_file(path, "write one with kind, color, width, height, fx, fy, cx, cy")
+        try:
+            self._keys: dict[str, Any] = tomllib.loads(read_text(path))
+        except (ValueError, RecursionError) as error:
+            raise DataError(path, f"is not valid TOML ({error})", "correct that line") from error
+        for key in self._keys:
+            if key not in _EXAMPLES:
+                raise DataError(path, f"{key} is not a known key", f"known are: {', '.join(_EXAMPLES)}")
+            needed = _NEEDS.get(key)
+            if needed is not None and needed not in self._keys:
+                raise self.error(needed, f"is missing, without which {key} has no meaning")
+
+    def error(self, key: str, problem: str) -> DataError:
+        return DataError(self.path, f"{key} {problem}", f"write {key} = {_EXAMPLES[key]}, for example")
+
+    def has(self, key: str) -> bool:
+        return key in self._keys
+
+    def text(self, key: str) -> str:
+        value = self._value(key)
+        if not isinstance(value, str):
+            raise self.error(key, f"is {value!r}, not a text")
+        return value
+
+    def choice(self, key: str, *choices: str) -> str:
+        """One of the choices; the first if the key is absent."""
+        value = self.text(key) if self.has(key) else choices[0]
+        if value not in choices:
+            raise self.error(key, f"is {value!r}")
+        return value
+
+    def number(self, key: str) -> float:
+        value = self._value(key)
+        # TOML's true becomes Python's True, which is an int.
+        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+            raise self.error(key, f"is {value!r}, not a number")
+        if key == "depth_scale" and (problem := depth_scale_problem(value)) is not None:
+            raise self.error(key, problem)
+        return float(value)
+
+    def positive(self, key: str) -> float:
+        value = self.number(key)
+        if value <= 0.0:
+            raise self.error(key, f"is {value!r}, not positive")
+        return value
+
+    def integer(self, key: str) -> int:
+        value = self._value(key)
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise self.error(key, f"is {value!r}, not a whole number")
+        return value
+
+    @property
+    def states_frames(self) -> bool:
+        """Whether the frames are stated; otherwise they are those of the colour images that exist."""
+        return self.has("count") or self.has("stop")
+
+    def indices(self) -> list[int]:
+        """Frame numbers, in ascending order: as stated, or of the colour images that exist."""
+        start = self.integer("start") if self.has("start") else 0
+        step = self.step()
+        if not self.states_frames:
+            found = [index for index in self._indices_of("color") if index >= start and (index - start) % step == 0]
+            if not found:
+                raise self.error("color", f"is {self.text('color')!r}, which no file matches")
+            return found
+        if self.has("stop") and self.has("count"):
+            raise self.error("stop", "is given beside count; remove one of the two")
+        stop = self.integer("stop") if self.has("stop") else start + self.integer("count") * step
+        if stop <= start:
+            raise self.error("stop" if self.has("stop") else "count", "leaves no frames")
+        return list(range(start, stop, step))
+
+    def step(self) -> int:
+        step = self.integer("step") if self.has("step") else 1
+        if step < 1:
+            raise self.error("step", f"is {step}, not positive")
+        return step
+
+    def paths(self, key: str, indices: list[int]) -> list[Path]:
+        """Files of a pattern, one per frame, of which some may not exist."""
+        pattern = self.text(key)
+        try:
+            names = [pattern.format(index=index) for index in indices]
+        except (KeyError, IndexError, ValueError, AttributeError, OverflowError, MemoryError) as error:
+            raise self.error(key, f"is {pattern!r}, not a pattern of {{index}}") from error
+        if len(set(names)) < len(names):
+            raise self.error(key, f"is {pattern!r}, the same file for every index")
+        return [self.path.parent / name for name in names]
+
+    def existing_paths(self, key: str, indices: list[int]) -> list[Path]:
+        """Files of a pattern, one per frame; raises DataError if one is missing."""
+        files = self.paths(key, indices)
+        for file in files:
+            require_file(file, f"restore it, or correct {key} or count in {FILE_NAME}")
+        return files
+
+    def camera(self) -> Camera:
+        """The colour camera."""
+        model: Any = self.choice("distortion_model", *COEFFICIENTS)
+        return self._camera(_INTRINSICS, self._distortion(model), model)
+
+    def depth_camera(self) -> Camera | None:
+        """The depth camera, or None if depth is registered to colour."""
+        if not any(self.has(key) for key in _DEPTH_INTRINSICS):
+            return None
+        return self._camera(_DEPTH_INTRINSICS, (), "brown")
+
+    def T_color_depth(self) -> FloatArray:
+        """Pose of the depth camera in the colour camera's frame, (4, 4); the identity if the key is absent."""
+        if not self.has("T_color_depth"):
+            return np.eye(4)
+        value = self._value("T_color_depth")
+        try:
+            matrix = np.array(value, dtype=np.float64)
+        except (ValueError, TypeError):
+            matrix = np.empty(0)
+        if matrix.shape != (4, 4) or not is_rigid(matrix):
+            raise self.error("T_color_depth", f"is {value!r}, not a rigid 4x4 matrix")
+        return matrix
+
+    def _indices_of(self, key: str) -> list[int]:
+        """Frame numbers of the files that match a pattern, in ascending order."""
+        pattern = self.text(key)
+        try:
+            parts = list(string.Formatter().parse(pattern))
+        except ValueError as error:
+            raise self.error(key, f"is {pattern!r}, not a pattern of {{index}}") from error
+        names = [name for _, name, _, _ in parts if name is not None]
+        if names != ["index"]:
+            raise self.error(key, f"is {pattern!r}, not a pattern with one {{index}}")
+        wildcards, expression = "", ""
+        for text, name, _, _ in parts:
+            wildcards += glob.escape(text) + ("*" if name else "")
+            expression += re.escape(text) + (r"(\d+)" if name else "")
+        files = glob.glob(wildcards, root_dir=self.path.parent)  # noqa: PTH207 - pathlib rejects ".." in patterns
+        numbers = {int(match[1]) for file in files if (match := re.fullmatch(expression, file))}
+        return sorted(index for index in numbers if self.paths(key, [index])[0].is_file())
+
+    def _camera(self, keys: tuple[str, ...], distortion: tuple[float, ...], model: DistortionModel) -> Camera:
+        width, height = (self.integer(key) for key in keys[:2])
+        fx, fy, cx, cy = (self.number(key) for key in keys[2:])
+        try:
+            return Camera(width, height, fx, fy, cx, cy, distortion, model)
+        except SettingError as error:
+            field = error.field.replace("camera.", "depth camera ") if keys == _DEPTH_INTRINSICS else error.field
+            raise DataError(self.path, f"{field}: {error.problem}", error.fix) from error
+
+    def _distortion(self, model: DistortionModel) -> tuple[float, ...]:
+        values, names = self._keys.get("distortion", []), COEFFICIENTS[model]
+        counts = (0, len(names), len(names) - 1) if model == "brown" else (0, len(names))
+        if (
+            not isinstance(values, list)
+            or len(values) not in counts
+            or any(isinstance(value, bool) or not isinstance(value, int | float) for value in values)
+        ):
+            raise self.error(
+                "distortion", f"is {values!r}, not the {len(names)} numbers {', '.join(names)} of {model}"
+            )
+        return tuple(float(value) for value in values)
+
+    def _value(self, key: str) -> Any:
+        if key not in self._keys:
+            raise self.error(key, "is missing")
+        return self._keys[key]

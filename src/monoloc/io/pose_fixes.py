@@ -1,0 +1,131 @@
+"""Conversions of poses of another convention to ``T_world_camera`` with OpenCV's axes, by name.
+
+A name stands for what the poses are, not for what is done to them: ``opengl`` converts poses with OpenGL's axes.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from monoloc.errors import SettingError
+from monoloc.geometry import FloatArray, invert, make_pose, quaternion_to_rotation, rotation_to_quaternion
+
+PoseFix = Callable[[FloatArray], FloatArray]
+
+
+def _turned(rotation_to_camera: list[list[float]]) -> PoseFix:
+    """Of poses whose body axes are others: rows are the camera's axes in the body's frame."""
+    T_body_camera = make_pose(np.array(rotation_to_camera).T, np.zeros(3))
+
+    def convert(poses: FloatArray) -> FloatArray:
+        return poses @ T_body_camera
+
+    return convert
+
+
+def _mirrored(signed_axes: list[list[float]]) -> PoseFix:
+    """Of poses in a left-handed world, whose cameras have the same axes: rows are ours in theirs."""
+    ours_of_theirs = np.eye(4)
+    ours_of_theirs[:3, :3] = signed_axes
+
+    def convert(poses: FloatArray) -> FloatArray:
+        return ours_of_theirs @ poses @ ours_of_theirs.T
+
+    return convert
+
+
+def _rolled_quaternion(places: int) -> PoseFix:
+    def convert(poses: FloatArray) -> FloatArray:
+        quaternions = np.roll(rotation_to_quaternion(poses[:, :3, :3]), places, axis=1)
+        return make_pose(quaternion_to_rotation(quaternions), poses[:, :3, 3])
+
+    return convert
+
+
+def _scaled(factor: float) -> PoseFix:
+    def convert(poses: FloatArray) -> FloatArray:
+        return make_pose(poses[:, :3, :3], factor * poses[:, :3, 3])
+
+    return convert
+
+
+@dataclass(frozen=True)
+class Convention:
+    """What poses are.
+
+    Attributes:
+        what: for messages: "the poses fit as ...".
+        convert: (N, 4, 4) of this convention -> ``T_world_camera``.
+    """
+
+    what: str
+    convert: PoseFix
+
+
+QUATERNIONS = {
+    "w-first": Convention("quaternions with w first", _rolled_quaternion(-1)),
+    "w-last": Convention("quaternions with w last", _rolled_quaternion(1)),
+}
+DIRECTIONS = {"world-to-camera": Convention("world-to-camera", invert)}
+AXES = {
+    "opengl": Convention("camera axes of OpenGL (y up, z backward)", _turned([[1, 0, 0], [0, -1, 0], [0, 0, -1]])),
+    "robot": Convention("a robot's axes (x forward, z up)", _turned([[0, -1, 0], [0, 0, -1], [1, 0, 0]])),
+    "left-handed": Convention("a left-handed world (Unity, y up)", _mirrored([[1, 0, 0], [0, -1, 0], [0, 0, 1]])),
+    "left-handed-z": Convention("a left-handed world (z mirrored)", _mirrored([[1, 0, 0], [0, 1, 0], [0, 0, -1]])),
+    "unreal": Convention("a left-handed world (Unreal, x forward)", _mirrored([[0, 1, 0], [0, 0, -1], [1, 0, 0]])),
+    "turned-90": Convention("a camera turned by 90 degrees", _turned([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])),
+    "turned-180": Convention("a camera upside down", _turned([[-1, 0, 0], [0, -1, 0], [0, 0, 1]])),
+    "turned-270": Convention("a camera turned by 270 degrees", _turned([[0, -1, 0], [1, 0, 0], [0, 0, 1]])),
+}
+UNITS = {
+    "millimetres": Convention("millimetres", _scaled(1e-3)),
+    "centimetres": Convention("centimetres", _scaled(1e-2)),
+}
+CONVENTIONS = QUATERNIONS | DIRECTIONS | AXES | UNITS
+
+_WITH_NUMBER = re.compile(r"(scaled|late|early):(\d+(?:\.\d+)?(?:e-?\d+)?)")
+_FIX = f"names are {', '.join(CONVENTIONS)}, scaled:FACTOR, late:FRAMES and early:FRAMES, with commas between them"
+
+
+@dataclass(frozen=True)
+class PoseFixes:
+    """What ``--fix-poses`` asks for.
+
+    Attributes:
+        convert: (N, 4, 4) as stored -> ``T_world_camera``.
+        late_frames: a frame's pose is stored so many frames after it; negative if before it.
+    """
+
+    convert: PoseFix
+    late_frames: int = 0
+
+
+def parse_pose_fixes(text: str) -> PoseFixes:
+    """Parse names with commas between them, which are applied in their order.
+
+    Raises:
+        SettingError: a name is unknown, or its number is not usable.
+    """
+    steps: list[PoseFix] = []
+    late = 0
+    for name in text.split(","):
+        numbered = _WITH_NUMBER.fullmatch(name.strip())
+        if name.strip() in CONVENTIONS:
+            steps.append(CONVENTIONS[name.strip()].convert)
+        elif numbered and numbered[1] == "scaled" and float(numbered[2]) > 0.0:
+            steps.append(_scaled(float(numbered[2])))
+        elif numbered and numbered[1] != "scaled" and float(numbered[2]).is_integer():
+            late += int(float(numbered[2])) * (1 if numbered[1] == "late" else -1)
+        else:
+            raise SettingError("fix_poses", f"is {text!r}, and {name.strip()!r} is no fix", _FIX)
+
+    def convert(poses: FloatArray) -> FloatArray:
+        for step in steps:
+            poses = step(poses)
+        return poses
+
+    return PoseFixes(convert, late)

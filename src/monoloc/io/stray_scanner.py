@@ -1,0 +1,184 @@
+"""Reader of Stray Scanner's recordings (iPhone or iPad with LiDAR): a video, depth images and ARKit's poses.
+
+Layout (https://github.com/strayrobots/scanner, docs/format.md): ``rgb.mp4``, ``depth/NNNNNN.png`` (16-bit
+millimetres, 256x192, of the same field of view as colour), ``confidence/NNNNNN.png`` (0, 1, 2), ``camera_matrix.csv``
+(3x3, of the video's size) and ``odometry.csv``: ``timestamp, frame, x, y, z, qx, qy, qz, qw``, camera to world, with
+OpenCV's camera axes and y up in the world. Early versions wrote depth as .npy, and poses without a header, time stamp
+and number, one line for each frame of the video.
+
+ARKit's lower confidence levels mark depth that is filled in at edges and on dark or shiny surfaces, which would blur
+the map. Only depth of the highest level is used.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.camera import Camera
+from monoloc.errors import DataError
+from monoloc.geometry import FloatArray
+from monoloc.io.file_access import read_text, require_file, require_folder
+from monoloc.io.frame_filter import FrameFilter
+from monoloc.io.image_cameras import stated_by
+from monoloc.io.image_files import read_depth
+from monoloc.io.pose_files import check_increasing, poses_from_quaternions
+from monoloc.io.reader_options import ReaderOptions
+from monoloc.io.video_frames import VideoFrames
+
+DEPTH_SCALE = 1000.0
+HIGH_CONFIDENCE = 2
+_VIDEO, _ODOMETRY, _MATRIX = "rgb.mp4", "odometry.csv", "camera_matrix.csv"
+_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+_AGAIN = "export the recording from Stray Scanner again"
+# Frames are kept as JPEG for the next pass over the recording, because a step back in a video costs a decoding from
+# its start. The video is a lossy code with halved colour resolution itself.
+_QUALITY, _MOST_KEPT_BYTES = 95, 1 << 29
+
+
+def recognises(path: Path) -> bool:
+    """Whether a folder contains ``rgb.mp4`` and ``odometry.csv``."""
+    return (path / _VIDEO).is_file() and (path / _ODOMETRY).is_file()
+
+
+def read(path: Path, options: ReaderOptions) -> StrayScannerRecording:
+    """Open a recording's folder.
+
+    Frames of the video without a pose or a depth image are left out. Colour is as stored: a rotation tag of the video
+    is ignored, as the intrinsics and the depth are those of the stored pixels.
+
+    Raises:
+        DataError: a file is missing or malformed, or no frame remains.
+        SettingError: an override does not apply to this format.
+    """
+    options.allow_only("stray-scanner", "camera", "depth_scale")
+    require_folder(path)
+    for name in (_ODOMETRY, _MATRIX):
+        require_file(path / name, "give a folder that Stray Scanner exported, with all its files")
+    return StrayScannerRecording(path, options)
+
+
+class StrayScannerRecording:
+    """A :class:`~monoloc.io.recording.StoredRecording` of a folder of Stray Scanner."""
+
+    def __init__(self, path: Path, options: ReaderOptions) -> None:
+        self._video = VideoFrames(path / _VIDEO, turned=False)
+        self._kept: dict[int, bytes] = {}
+        self._kept_bytes = 0
+        self._folder = path
+        times_s, numbers, poses = _read_odometry(path / _ODOMETRY)
+        count = self._video.stated_count
+        if times_s is None:
+            video_times_s = self._video.times_s()
+            count = len(video_times_s)
+            times_s = video_times_s[np.minimum(numbers, count - 1)]
+        frames = FrameFilter(len(poses))
+        frames.require(numbers < count, "without an image in the video")
+        depth_paths = [_file_of(path / "depth", number) for number in numbers]
+        self.has_depth = any(depth_path is not None for depth_path in depth_paths)
+        if self.has_depth:
+            frames.require([depth_path is not None for depth_path in depth_paths], "without depth")
+        used = frames.positions(path, _AGAIN)
+        check_increasing(times_s[used], path / _ODOMETRY)
+        self._numbers = numbers[used]
+        self._depth_paths = [depth_paths[p] for p in used]
+        self._depth_scale = options.depth_scale or DEPTH_SCALE
+        self.name = path.resolve().name
+        self.camera = options.camera_or(_read_camera(path / _MATRIX, self._video.size))
+        self.frame_names = [f"{number:06d}" for number in self._numbers]
+        self.timestamps_s = times_s[used]
+        self.poses: FloatArray | None = poses[used]
+        self.notes = frames.notes()
+        if self.has_depth and not (path / "confidence").is_dir():
+            self.notes.append("there is no folder confidence/, so depth of every confidence is used")
+        self.color(0)
+
+    def __len__(self) -> int:
+        return len(self.frame_names)
+
+    def color(self, index: int) -> NDArray[np.uint8]:
+        """See :meth:`monoloc.io.recording.Recording.color`."""
+        number = int(self._numbers[index])
+        if number not in self._kept:
+            bgr = cv2.cvtColor(self._checked(self._video.read(number)), cv2.COLOR_RGB2BGR)
+            self._keep(number, cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes())
+        stored = np.frombuffer(self._kept[number], dtype=np.uint8)
+        bgr = np.asarray(cv2.imdecode(stored, cv2.IMREAD_COLOR), dtype=np.uint8)
+        return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+    def depth(self, index: int) -> NDArray[np.float32]:
+        """See :meth:`monoloc.io.recording.Recording.depth`."""
+        depth_path = self._depth_paths[index]
+        if depth_path is None:
+            raise DataError(self._folder, "has no depth images", "use a recording with depth, or predicted depth")
+        confidence_path = _file_of(self._folder / "confidence", int(self._numbers[index]))
+        return read_depth(depth_path, self._depth_scale, self.camera, confidence_path, HIGH_CONFIDENCE)
+
+    def _checked(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        height, width = image.shape[:2]
+        if (width, height) != (self.camera.width, self.camera.height):
+            raise DataError(
+                self._video.path,
+                f"is {width}x{height}, but the intrinsics are for {self.camera.width}x{self.camera.height}",
+                "give the intrinsics of this video's stored images",
+            )
+        return image
+
+    def _keep(self, number: int, image: bytes) -> None:
+        while self._kept and self._kept_bytes + len(image) > _MOST_KEPT_BYTES:
+            self._kept_bytes -= len(self._kept.pop(next(iter(self._kept))))  # the oldest
+        self._kept[number] = image
+        self._kept_bytes += len(image)
+
+
+def _file_of(folder: Path, number: int) -> Path | None:
+    """Image of a frame, or None."""
+    files = (folder / f"{number:06d}{suffix}" for suffix in (".png", ".npy"))
+    return next((file for file in files if file.is_file()), None)
+
+
+def _read_camera(path: Path, size: tuple[int, int]) -> Camera:
+    rows = _numbers(path, [line for line in read_text(path).splitlines() if line.strip()], 3)
+    if rows.shape != (3, 3):
+        raise DataError(path, f"has {len(rows)} rows instead of 3", _AGAIN)
+    with stated_by(path):
+        return Camera(*size, rows[0, 0], rows[1, 1], rows[0, 2], rows[1, 2])
+
+
+def _read_odometry(path: Path) -> tuple[FloatArray | None, NDArray[np.int64], FloatArray]:
+    """Time stamps (N,) in seconds, or None; frame numbers (N,); and ``T_world_camera`` (N, 4, 4)."""
+    lines = [line for line in read_text(path).splitlines() if line.strip()]
+    header = [name.strip() for name in lines[0].split(",")] if lines else []
+    if "qw" in header:
+        lines = lines[1:]
+    else:
+        header = list(_POSE)
+    missing = [name for name in _POSE if name not in header]
+    if missing or not lines:
+        problem = f"has no column {missing[0]}" if missing else "holds no poses"
+        raise DataError(path, problem, _AGAIN)
+    columns = dict(zip(header, _numbers(path, lines, len(header)).T, strict=True))
+    quaternions, positions_m = (
+        np.stack([columns[name] for name in names], axis=1) for names in (_POSE[3:], _POSE[:3])
+    )
+    numbers = columns.get("frame", np.arange(len(lines), dtype=np.float64))
+    if not (np.isfinite(numbers) & (numbers >= 0.0)).all():
+        raise DataError(path, "column frame has a value that is no frame number", _AGAIN)
+    return columns.get("timestamp"), numbers.astype(np.int64), poses_from_quaternions(quaternions, positions_m, path)
+
+
+def _numbers(path: Path, lines: list[str], count: int) -> FloatArray:
+    """Rows of ``count`` numbers each, separated by commas: (N, count)."""
+    rows = []
+    for line in lines:
+        try:
+            row = [float(word) for word in line.split(",")]
+        except ValueError:
+            row = []
+        if len(row) != count:
+            raise DataError(path, f"{line[:80]!r} is not {count} numbers", _AGAIN)
+        rows.append(row)
+    return np.array(rows)

@@ -1,0 +1,107 @@
+"""Decoding of video files by frame number."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.errors import DataError
+from monoloc.io.file_access import require_file
+
+# Silences the decoder (-8), whose messages would add to the one line of an error. It reads this on first use.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+
+
+class VideoFrames:
+    """Frames of a video file that OpenCV can decode.
+
+    Frames are decoded sequentially. A step forward skips frames without converting them. A step back restarts at the
+    first frame, because seeking in compressed video is not always exact.
+
+    Args:
+        path: the file.
+        turned: whether frames are turned as the file's rotation tag asks; otherwise they are as stored.
+
+    Attributes:
+        size: width and height of the frames, pixels.
+        rotation_deg: what the rotation tag says, 0 without one.
+
+    Raises:
+        DataError: the file is missing, cannot be decoded, or has a name that OpenCV cannot open.
+    """
+
+    def __init__(self, path: Path, turned: bool = True) -> None:
+        require_file(path.absolute(), "check the path")
+        _check_name(path)
+        self.path = path
+        self._turned = turned
+        self._rewind()
+        width, height = (self._capture.get(key) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        self.size = (int(width), int(height))
+        self.rotation_deg = int(self._capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360
+
+    @property
+    def stated_count(self) -> int:
+        """Number of frames that the container states; wrong if an .avi was cut."""
+        return max(int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
+
+    def read(self, index: int) -> NDArray[np.uint8]:
+        """Frame ``index`` >= 0: (height, width, 3) uint8, RGB.
+
+        Raises:
+            DataError: the frame cannot be decoded.
+        """
+        if index < self._next:
+            self._rewind()
+        while self._next < index and self._capture.grab():
+            self._next += 1
+        bgr = self._capture.read()[1] if self._next == index else None
+        if bgr is None:
+            raise DataError(
+                self.path,
+                f"cannot be decoded after frame {self._next - 1}",
+                f"use --frames 0:{self._next}, or convert the video again",
+            )
+        self._next += 1
+        return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+    def times_s(self) -> NDArray[np.float64]:
+        """Time stamps of all frames that can be decoded, (N,) seconds, increasing; decodes the whole file.
+
+        Raises:
+            DataError: no frame can be decoded, or the file states neither usable times nor a frame rate.
+        """
+        self._rewind()
+        times_ms = []
+        while self._capture.grab():
+            times_ms.append(self._capture.get(cv2.CAP_PROP_POS_MSEC))  # of the last grabbed frame
+        rate_hz = self._capture.get(cv2.CAP_PROP_FPS)
+        self._rewind()
+        if not times_ms:
+            raise DataError(self.path, "has no frame that can be decoded", "convert it to .mp4")
+        times_s = np.array(times_ms) / 1000.0
+        if np.all(np.diff(times_s) > 0.0):
+            return times_s
+        # A raw stream has no time stamps, and a broken one has duplicates.
+        if not rate_hz > 0.0:
+            raise DataError(self.path, "states neither times that increase nor a frame rate", "convert it to .mp4")
+        return np.arange(len(times_s)) / rate_hz
+
+    def _rewind(self) -> None:
+        self._capture = cv2.VideoCapture(str(self.path))
+        self._next = 0
+        if not self._capture.isOpened():
+            raise DataError(self.path, "cannot be decoded as a video", "convert it to .mp4 or .avi")
+        self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, float(self._turned))  # the default depends on the version
+
+
+def _check_name(path: Path) -> None:
+    """Raise DataError if a path is not UTF-8; OpenCV would crash."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError as error:
+        raise DataError(path, "has a name that is not UTF-8", "rename the file, or the folder it is in") from error

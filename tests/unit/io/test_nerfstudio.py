@@ -1,0 +1,123 @@
+"""nerfstudio's transforms.json: intrinsics for all or for each frame, and what may be wrong with it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from capture_writers import Capture, check_opened, write_nerfstudio
+from monoloc.io.reader_options import ReaderOptions
+from monoloc.io.registry import open_recording
+from refusals import refuses_data, refuses_to_open
+from synthetic_recordings import check_recording
+
+UNTIMED = "the files state no times; frames are taken to be 0.2 s apart"
+
+
+def rewrite(folder: Path, content: dict[str, Any]) -> Path:
+    (folder / "transforms.json").write_text(json.dumps(content))
+    return folder
+
+
+def test_transforms_open(tmp_path: Path, capture: Capture) -> None:
+    write_nerfstudio(tmp_path / "walk", capture)
+    for path in (tmp_path / "walk", tmp_path / "walk/transforms.json"):
+        recording = open_recording(str(path))
+        check_recording(recording, len(capture))
+        check_opened(recording, capture, capture.depths_mm)
+        assert recording.camera == capture.camera and recording.name == "walk" and recording.notes == [UNTIMED]
+        np.testing.assert_allclose(recording.timestamps_s, np.arange(12) / 5.0)
+    assert recording.frame_names[1:] == [f"frame_{number}" for number in range(2, 13)]
+    assert open_recording(str(path), ReaderOptions(depth_scale=100.0)).depth(0).max() > 5.0
+
+
+def test_scaled_poses_and_poses_of_three_rows(tmp_path: Path, capture: Capture) -> None:
+    content = write_nerfstudio(tmp_path, capture, applied_scale=0.25)
+    for frame in content["frames"]:
+        matrix = np.array(frame["transform_matrix"])
+        matrix[:3, 3] *= 0.25
+        frame["transform_matrix"] = matrix[:3].tolist()
+    check_opened(open_recording(str(rewrite(tmp_path, content))), capture, capture.depths_mm)
+
+
+def test_intrinsics_may_be_those_of_each_frame(tmp_path: Path, capture: Capture) -> None:
+    content = write_nerfstudio(tmp_path, capture)
+    for frame in content["frames"]:
+        frame |= {key: content[key] for key in ("fl_x", "fl_y", "cx", "cy", "w", "h")}
+    for key in ("fl_x", "fl_y", "cx", "cy", "w", "h"):
+        del content[key]
+    recording = open_recording(str(rewrite(tmp_path, content)))
+    assert recording.camera == capture.camera
+    check_opened(recording, capture, capture.depths_mm)
+
+
+def test_incomplete_frames_are_counted(tmp_path: Path, capture: Capture) -> None:
+    content = write_nerfstudio(tmp_path, capture)
+    (tmp_path / "images/frame_2.jpg").unlink()
+    (tmp_path / "depths/frame_3.png").unlink()
+    del next(frame for frame in content["frames"] if frame["file_path"].endswith("_4.jpg"))["depth_file_path"]
+    recording = open_recording(str(rewrite(tmp_path, content)))
+    assert len(recording) == 9
+    assert recording.notes == ["3 of 12 frames are left out: 1 without an image, 2 without depth", UNTIMED]
+
+
+@pytest.mark.parametrize(
+    ("changes", "model", "distortion"),
+    [
+        ({"k1": 0.1, "k2": -0.02, "p1": 0.001, "p2": 0.002}, "brown", (0.1, -0.02, 0.001, 0.002, 0.0)),
+        ({"camera_model": "OPENCV_FISHEYE", "k1": 0.1, "k4": 0.01}, "fisheye", (0.1, 0.0, 0.0, 0.01)),
+        ({"is_fisheye": True, "k1": 0.1}, "fisheye", (0.1, 0.0, 0.0, 0.0)),
+    ],
+)
+def test_lens(tmp_path: Path, capture: Capture, changes: dict[str, Any], model: str, distortion: Any) -> None:
+    write_nerfstudio(tmp_path, capture, **changes)
+    camera = open_recording(str(tmp_path)).camera
+    assert (camera.distortion_model, camera.distortion) == (model, distortion)
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem", "fix"),
+    [
+        ({"frames": []}, "has no list of frames", "ns-process-data"),
+        ({"frames": [{"transform_matrix": 3}]}, "entry 0 of frames has no file_path", "ns-process-data"),
+        ({"fl_x": "wide"}, "fl_x is 'wide', not a number", "export"),
+        ({"fl_y": -2.0}, "camera.fx/fy: is", "positive"),
+        ({"camera_model": "EQUIRECTANGULAR"}, "camera_model is 'EQUIRECTANGULAR'", "colmap image_undistorter"),
+        ({"k4": 0.1}, "k4 is 0.1 in a model without it", "colmap image_undistorter"),
+        ({"applied_scale": 0}, "applied_scale is 0.0, not positive", "ns-process-data"),
+    ],
+)
+def test_malformed_transforms_are_refused(
+    tmp_path: Path, capture: Capture, changes: dict[str, Any], problem: str, fix: str
+) -> None:
+    write_nerfstudio(tmp_path, capture, **changes)
+    refuses_to_open(tmp_path, tmp_path / "transforms.json", problem, fix)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "problem"),
+    [
+        (None, "transform_matrix is not a list of 4 numbers each"),
+        ([[1, 0, 0, 0]], "transform_matrix of images/frame_5.jpg has 1 rows"),
+        ([[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0]], "the pose of images/frame_5.jpg is not rigid"),
+        ([[1, 0, 0, float("nan")], [0, 1, 0, 0], [0, 0, 1, 0]], "the pose of images/frame_5.jpg is NaN"),
+    ],
+)
+def test_malformed_pose_is_refused(tmp_path: Path, capture: Capture, matrix: Any, problem: str) -> None:
+    content = write_nerfstudio(tmp_path, capture)
+    next(each for each in content["frames"] if each["file_path"].endswith("_5.jpg"))["transform_matrix"] = matrix
+    refuses_to_open(rewrite(tmp_path, content), tmp_path / "transforms.json", problem, "")
+
+
+def test_missing_files_are_refused(tmp_path: Path, capture: Capture) -> None:
+    refuses_data(
+        lambda: open_recording(f"nerfstudio:{tmp_path}"), tmp_path / "transforms.json", "is missing", "its folder"
+    )
+    write_nerfstudio(tmp_path, capture)
+    (tmp_path / "images").rename(tmp_path / "pictures")
+    problem = "none of its 12 frames can be used: 12 without an image"
+    refuses_to_open(tmp_path, tmp_path / "transforms.json", problem, "correct file_path")
