@@ -1,11 +1,15 @@
-"""Consistency checks of frames and map before a build's long computations."""
+"""Consistency checks of recording, network and map before a build's long computations."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from monoloc.builder.build_config import BuildConfig
+from monoloc.camera import Camera
+from monoloc.depth.depth_image import sample_depth
 from monoloc.depth.predictor import DepthPrediction, DepthPredictor
 from monoloc.depth.spec import DepthModel
 from monoloc.errors import DataError
@@ -14,11 +18,17 @@ from monoloc.io.recording import Recording, evenly_spaced
 from monoloc.likelihood.protocol import LikelihoodConfig, best_over_scales
 from monoloc.likelihood.scan import Scan, scan_from_depth
 from monoloc.likelihood.volume import VolumeLikelihood
-from monoloc.map.depth_rendering import supervision
+from monoloc.map.cloud import voxel_thin
+from monoloc.map.depth_rendering import map_depth, supervision
 from monoloc.map.mixture import GaussianMixture
+from monoloc.progress import NoProgress, Progress
+from monoloc.recording_check.depth_check import check_depth, require_registered_z
+from monoloc.recording_check.pose_check import check_poses, require_agreement
+from monoloc.recording_check.time_stamps import check_times, require_seconds
 
 _FRAMES, _POINTS = 20, 300  # checked: enough for a mean, within seconds
 _LEAST_POINTS = 50  # with fewer, a frame sees nothing of the map
+_SMOOTH = 0.1  # largest relative step of depth that is compared with a network's
 
 _TURNS = make_pose(so3_exp(np.outer([0.5, 1.0, 1.5], [0.0, np.pi, 0.0])), np.zeros((3, 3)))
 
@@ -50,6 +60,10 @@ _NETWORK = _PoseCheck(
 # gives up to 0.03 for both; RedKitchen gives 0.37 and 0.19, the corner of a room 0.28 and at least 0.05.
 _FLAT, _TWO_DIRECTIONS = 0.05, 0.04
 
+# Median ratio of depth to that of a metric network. The largest and the smallest shipped network gave 0.75 to 1.25 in
+# RedKitchen, the desk and the living room; a cloud from structure from motion has any scale.
+_LEAST_SCALE, _MOST_SCALE = 0.6, 1.6
+
 
 @dataclass(frozen=True)
 class _PosedScan:
@@ -57,6 +71,72 @@ class _PosedScan:
 
     scan: Scan
     pose: FloatArray
+
+
+def check_recording(
+    recording: Recording,
+    cloud: FloatArray | None,
+    config: BuildConfig,
+    progress: Progress = NoProgress(),
+) -> list[str]:
+    """Check that times, depth, poses and images of a recording agree, and that its scale is plausible.
+
+    Args:
+        recording: posed frames; with depth, unless the cloud is given.
+        cloud: (N, 3) world frame, metres, if one was supplied.
+        config: of the build.
+
+    Returns:
+        Warnings, one line each.
+
+    Raises:
+        DataError: the recording is consistent only if it is read otherwise, it contradicts itself, or a frame cannot
+            be read.
+    """
+    with progress.task("check", 3) as step:
+        warnings = require_seconds(recording.name, check_times(recording))
+        thin = None if cloud is None else voxel_thin(cloud, config.voxel_m)
+        check = check_poses(recording, thin)
+        step(1)
+        # A wrong focal length or convention also bends planes and shifts edges: poses have the first word.
+        warnings += require_agreement(recording.name, check, config.refine_poses)
+        step(2)
+        if recording.has_depth:
+            require_registered_z(recording.name, check_depth(recording))
+        step(3)
+    return warnings
+
+
+def _check_scale(recording: Recording, cloud: FloatArray, model: DepthModel) -> list[str]:
+    """Compare the sensor's depth, or else the cloud's, with that of a metric network."""
+    if not model.spec.is_usable:
+        return []
+    depth_of = recording.depth if recording.has_depth else map_depth(recording, cloud)
+    what = "depth" if recording.has_depth else "the cloud"
+    predictor = DepthPredictor(model, recording.camera)
+    ratios = [
+        ratio
+        for index in evenly_spaced(len(recording), _FRAMES).tolist()
+        if (ratio := _scale_ratio(depth_of(index), recording.camera, predictor(recording.color(index)))) is not None
+    ]
+    if not ratios:
+        return []
+    scale = float(np.median(ratios))
+    if _LEAST_SCALE < scale < _MOST_SCALE:
+        return []
+    return [f"{what} is {scale:.2f} times as far as the network's; it may be in a scale of its own, not in metres"]
+
+
+def _scale_ratio(depth_m: NDArray[np.float32], camera: Camera, predicted: DepthPrediction) -> float | None:
+    """Median ratio of depth (H, W) of a camera to predicted depth; None if they share too few pixels."""
+    at = predicted.camera
+    u, v = np.meshgrid(np.arange(at.width), np.arange(at.height))
+    pixels = np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float32)
+    given = sample_depth(pixels, at, depth_m, camera, _SMOOTH).reshape(at.height, at.width)
+    known = (given > 0.0) & (predicted.depth_m > 0.0)
+    if known.sum() < _LEAST_POINTS:
+        return None
+    return float(np.median(given[known] / predicted.depth_m[known]))
 
 
 def check_frames(
@@ -74,7 +154,7 @@ def check_frames(
         cloud, mixture: the room's cloud, (N, 3) world frame, metres, and the map fitted to it.
         cloud_is_given: whether the cloud was supplied separately, so that its frame may differ from that of the
             poses.
-        model: predicts depth if the recording has none.
+        model: predicts depth if the recording has none; if it is metric, the scales are compared.
         rng: draws the scan points.
 
     Returns:
@@ -109,7 +189,8 @@ def check_frames(
         check = _SENSOR if recording.has_depth else _NETWORK
         warnings = _check_poses(recording.name, posed_scans, mixture, check)
     # At wrong poses, the check of surfaces is meaningless.
-    return warnings or _check_surfaces(recording.name, seen, mixture)
+    warnings = warnings or _check_surfaces(recording.name, seen, mixture)
+    return warnings + _check_scale(recording, cloud, model)
 
 
 def _scan(depth: DepthPrediction, rng: np.random.Generator) -> Scan:

@@ -1,4 +1,4 @@
-"""How far landmark poses are biased, and what the number of landmarks in an image says of a belief."""
+"""How far landmark poses are biased, and what the landmarks found in an image say of a belief and of the map."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from monoloc.evaluation.hold_out import HELD_OUT_SHARE, REGIONS, hold_out_region
 from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, twist_errors
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_log
+from monoloc.landmarks.landmark_map import FAMILIAR_TIMES, Landmarks, LandmarkViews
 from monoloc.landmarks.pnp import LEAST_LANDMARKS, PRIOR_COVARIANCE, LandmarkPose, OrbLandmarkLocalizer
 from monoloc.supervision.camera_check import WELL_OBSERVED_SD
 from monoloc.supervision.integrity import WRONG_DISTANCE_M, Classes, IntegrityModel
@@ -24,6 +25,7 @@ _LEAST_M, _LEAST_RAD = 0.001, 0.0005  # smallest errors, even of a static camera
 _CHI2_90_3 = 6.251388631170325  # 90 % quantile of the chi-squared distribution with 3 degrees of freedom
 _NORMAL_MAD = 1.4826  # standard deviation over median deviation
 _LEAST_FOCAL_FRAMES, _LEAST_FOCAL_SD = 10, 0.005  # frames that tell a deviation of log-focal, and the smallest
+_LEAST_VIEWS = 10  # frames that tell how well nearby frames predict what is found
 _PRIOR_GROWTH = 0.05  # m/m and rad/m, measured in other rooms
 
 
@@ -35,6 +37,8 @@ class LandmarkEvidence:
     unseen_share: float = 0.5
     focal_mean: float = 0.0
     focal_sd: float = 1.0
+    familiar_found: float = 0.0
+    strange_found: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -115,6 +119,43 @@ def widened(bias: BiasModel, errors: PoseErrors, distances_m: FloatArray) -> Bia
             "sd_growth_rad": by_rad * bias.sd_growth_rad,
         }
     )
+
+
+def measure_views(
+    landmarks: Landmarks, corners: list[Corners], camera: Camera, poses: FloatArray
+) -> tuple[LandmarkViews, float, float]:
+    """Which landmarks frames find at their true poses, and how well nearby frames tell that.
+
+    Args:
+        landmarks: of the frames.
+        corners: corners of each frame.
+        camera: intrinsics of the recording.
+        poses: (N, 4, 4) ``T_world_camera`` of the frames.
+
+    Returns:
+        The frames as views, and ``familiar_found`` and ``strange_found`` of :class:`IntegrityModel`, of each frame by
+        all others; ``familiar_found`` is 0 where too few frames have others nearby.
+    """
+    localizer = OrbLandmarkLocalizer(landmarks, camera)
+    measured = [
+        localizer.measure_keypoints(each.keypoints, pose, PRIOR_COVARIANCE)
+        for each, pose in zip(corners, poses, strict=True)
+    ]
+    found = np.zeros((len(poses), len(landmarks)), dtype=np.bool_)
+    for row, each in zip(found, measured, strict=True):
+        row[each.visible[each.is_found]] = True
+    views = LandmarkViews(poses, found)
+    familiar, strange = [], []
+    for index, each in enumerate(measured):
+        times = views.without(index).times_found(poses[index])
+        if times is not None:
+            familiar.append(each.is_found[times[each.visible] >= FAMILIAR_TIMES])
+            strange.append(each.is_found[times[each.visible] == 0])
+    if len(familiar) < _LEAST_VIEWS:
+        return views, 0.0, 0.5
+    # Laplace's rule, so that neither is 0 or 1.
+    shares = [(float(np.sum(each)) + 1.0) / (len(each) + 2.0) for each in map(np.concatenate, (familiar, strange))]
+    return views, shares[0], shares[1]
 
 
 def _localized(

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.builder.landmark_evidence import LandmarkEvidence, measure_landmarks
+from monoloc.builder.landmark_evidence import LandmarkEvidence, measure_landmarks, measure_views
 from monoloc.builder.landmark_triangulation import Corners, landmarks_of
 from monoloc.depth.depth_image import sample_depth
 from monoloc.fusion.bias_model import BiasModel
@@ -52,4 +53,8 @@ def build_landmarks(
         measured = measure_landmarks(corners, recording.camera, detect.camera, poses)
         if measured is None:
             return Landmarks.none(), BiasModel(), LandmarkEvidence()
-        return landmarks_of(corners, detect.camera, poses), *measured
+    bias, evidence = measured
+    landmarks = landmarks_of(corners, detect.camera, poses)
+    views, familiar_found, strange_found = measure_views(landmarks, corners, recording.camera, poses)
+    evidence = replace(evidence, familiar_found=familiar_found, strange_found=strange_found)
+    return replace(landmarks, views=views), bias, evidence

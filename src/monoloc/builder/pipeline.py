@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from monoloc.builder.bias import localizer_factory, measure_bias
 from monoloc.builder.build_config import BuildConfig, BuildReport
 from monoloc.builder.calibrate import calibrate_likelihood
-from monoloc.builder.checks import check_frames
+from monoloc.builder.checks import check_frames, check_recording
 from monoloc.builder.landmark_mapping import build_landmarks
 from monoloc.builder.pose_refinement import PosePrior, refine_poses, rounds
 from monoloc.builder.relocalization_error import measure_relocalization_error
@@ -105,8 +105,8 @@ def build_bundle(
             tuned.
 
     Raises:
-        DataError: no poses, too few frames, neither depth nor a cloud, frames that cannot give a pose (see
-            :func:`monoloc.builder.checks.check_frames`), or an unusable network.
+        DataError: no poses, too few frames, neither depth nor a cloud, a recording that contradicts itself or frames
+            that cannot give a pose (see :mod:`monoloc.builder.checks`), or an unusable network.
         SettingError: something is to be tuned of a network that cannot be.
         MissingExtraError: something is to be tuned and PyTorch is not installed.
     """
@@ -134,8 +134,9 @@ def _map(
     if len(frames) < len(recording):
         raise DataError(recording.name, "has frames of the same name", "give every frame a name of its own")
     cloud_is_given = cloud is not None
+    warnings = check_recording(recording, cloud, config, progress)
     cloud, mixture = fit_map(recording, cloud, config, rng, progress)
-    warnings = check_frames(recording, cloud, mixture, cloud_is_given, model, np.random.default_rng(seed))
+    warnings += check_frames(recording, cloud, mixture, cloud_is_given, model, np.random.default_rng(seed))
     refinement = None
     if config.refine_poses:
         recording, refinement = _refined(recording, mixture, cloud_is_given, config, rng, progress)

@@ -14,6 +14,8 @@ from monoloc.builder.pipeline import build_bundle
 from monoloc.bundle import check_target, write_bundle
 from monoloc.cli.common import (
     DepthScaleOption,
+    FixDepthOption,
+    FixPosesOption,
     FramesOption,
     IntrinsicsOption,
     JsonOption,
@@ -31,6 +33,7 @@ from monoloc.depth.models import DEFAULT, is_shipped
 from monoloc.errors import SettingError
 from monoloc.files import target_of
 from monoloc.io.cloud_files import read_cloud
+from monoloc.io.corrected import Fixes
 from monoloc.progress import ConsoleProgress
 
 _OPTIONS = {
@@ -41,6 +44,8 @@ _OPTIONS = {
     "adapt.tune": "--tune",
     "adapt.map_transform": "--map-transform",
     "adapt.lambda_kl": "--lambda",
+    "fix_poses": "--fix-poses",
+    "fix_depth": "--fix-depth",
 }
 
 
@@ -84,6 +89,8 @@ def build(
     settings: Annotated[Path | None, typer.Option("--settings", help="TOML file of settings.")] = None,
     intrinsics: IntrinsicsOption = None,
     depth_scale: DepthScaleOption = None,
+    fix_poses: FixPosesOption = None,
+    fix_depth: FixDepthOption = None,
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
@@ -97,6 +104,7 @@ def build(
       monoloc build tum:rgbd_dataset_freiburg1_room --out room.monoloc -k 400
       monoloc build my-recording --cloud room.ply --out room.monoloc
       monoloc build my-recording --refine-poses --out room.monoloc     (poses with errors of 2 cm and 1 degree)
+      monoloc build my-recording --fix-poses opengl --out room.monoloc     (poses with axes of OpenGL)
       monoloc build my-recording --tune last --no-landmarks --out paper.monoloc     (the paper's variant)
       monoloc build my-recording --tune none --no-map-transform --no-landmarks --out plain.monoloc
       monoloc build my-recording --network midas.toml --out midas.monoloc     (another network)
@@ -117,12 +125,13 @@ def build(
     adapt = {"tune": tune, "map_transform": map_transform, "lambda_kl": lambda_kl}
     given = {"components": components, "int8": int8, "landmarks": landmarks, "refine_poses": refine_poses}
     values = given | {f"adapt.{name}": value for name, value in adapt.items()}
+    values |= {"fix_poses": fix_poses, "fix_depth": fix_depth}
     # Errors name the option if it was given, or if there is no settings file.
     options = {name: _OPTIONS[name] for name, value in values.items() if value is not None or settings is None}
     with naming(options):
         config = override(config, **given, adapt=adapt)
         points = None if cloud is None else read_cloud(cloud)
-        recording = open_source(source, frames, intrinsics, depth_scale)
+        recording = open_source(source, frames, intrinsics, depth_scale, fixes=Fixes(fix_poses, fix_depth))
         bundle, report = build_bundle(recording, config, seed, ConsoleProgress(stderr), points, network)
     size = write_bundle(target_of(out), bundle)  # follows links, like all file writes
     report = replace(report, warnings=remarks + report.warnings)

@@ -18,6 +18,7 @@ from monoloc.io.recording import Recording
 STRIDE = 32  # monoloc networks halve their input five times
 FOCAL_KEY = "monoloc_focal_px"
 LEAST_INPUT_PX = 64
+_MOST_NORMALISATION = 2.0  # of values from 0 to 1; those of values from 0 to 255 are 50 and more
 _WIDEST = 6.0  # image side over focal length, 143 degrees; beyond it the focal length is not in pixels
 
 _Size = Annotated[int, Field(ge=LEAST_INPUT_PX)]
@@ -34,7 +35,7 @@ class ModelSpec(BaseModel):
         focal_px: canonical focal length; images are resized to approximately this focal length, and the predicted
             depth is that of a camera with it.
         stride: with ``focal_px``, width and height are multiples of it.
-        mean, std: normalisation of red, green and blue, for values from 0 to 1.
+        mean, std: normalisation of red, green and blue, for values from 0 to 1, so at most 2.
         channels, layout: order of the colour channels and of the input's axes.
         output: quantity of the network's first output.
         metric: whether that output is in metres (1/m for disparity); if not, scale and shift must be fitted.
@@ -64,6 +65,15 @@ class ModelSpec(BaseModel):
         if "width" in info.data and (height is None) != (info.data["width"] is None):
             raise PydanticCustomError("size", "Width and height go together")
         return height
+
+    @field_validator("mean", "std")
+    @classmethod
+    def _of_values_up_to_1(cls, values: tuple[float, float, float]) -> tuple[float, float, float]:
+        if max(abs(value) for value in values) > _MOST_NORMALISATION:
+            raise PydanticCustomError(
+                "range", "Mean and std are of values from 0 to 1: divide those of 0 to 255 by 255"
+            )
+        return values
 
     @field_validator("focal_px")
     @classmethod

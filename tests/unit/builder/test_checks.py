@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from altered_recordings import Altered, range_of
 from monoloc.builder.build_config import BuildConfig
-from monoloc.builder.checks import check_frames
+from monoloc.builder.checks import check_frames, check_recording
 from monoloc.builder.room_map import fit_map
 from monoloc.errors import DataError
 from monoloc.geometry import invert, make_pose, so3_exp
@@ -175,3 +176,45 @@ def test_cloud_in_millimetres_is_refused() -> None:
         DataError, match=r"^cloud: none of \d+ points has neighbours .*; give a denser one, in metres"
     ):
         fit_map(None, 1000.0 * Room().cloud(0.2), BuildConfig(), np.random.default_rng(0), NoProgress())
+
+
+# --- Scale ---
+
+
+@pytest.mark.parametrize(("scale", "is_warned_of"), [(1.0, False), (0.75, False), (0.5, True), (1.8, True)])
+@pytest.mark.parametrize("has_depth", [True, False])
+def test_scale_that_is_not_the_networks_is_warned_of(scale: float, is_warned_of: bool, has_depth: bool) -> None:
+    """A cloud from structure from motion, or a whole recording, in a scale of its own."""
+    cloud = scale * Room().cloud(0.04)
+    recording = RoomRecording(Room(), flying(), SMALL_CAMERA, has_depth)
+    assert recording.poses is not None
+    scaled = Altered(
+        recording,
+        poses=make_pose(recording.poses[:, :3, :3], scale * recording.poses[:, :3, 3]),
+        depth=lambda depth: scale * depth,
+        has_depth=has_depth,
+    )
+    mixture = fit_mixture(cloud, 60, np.random.default_rng(0)).mixture
+    warnings = [each for each in check(scaled, cloud, mixture, given=not has_depth) if "network's" in each]
+    assert len(warnings) == is_warned_of
+    if warnings:
+        what = "depth" if has_depth else "the cloud"
+        found = re.fullmatch(
+            rf"{what} is ([\d.]+) times as far as the network's; it may be in a scale .*", warnings[0]
+        )
+        assert found and float(found[1]) == pytest.approx(scale, rel=0.06)
+
+
+# --- Recording ---
+
+
+def test_recording_is_checked_before_its_map() -> None:
+    """Poses have the first word, and a right recording is silent."""
+    recording = RoomRecording(Room(), make_path(24), SMALL_CAMERA)
+    assert check_recording(recording, None, BuildConfig()) == []
+    assert recording.poses is not None
+    inverted = Altered(recording, poses=invert(recording.poses), depth=range_of(recording))
+    with pytest.raises(DataError, match=r"^room: poses and images disagree: .* as world-to-camera; give --fix-poses"):
+        check_recording(inverted, None, BuildConfig())
+    with pytest.raises(DataError, match=r"^room: depth is distance .*; give --fix-depth range$"):
+        check_recording(Altered(recording, depth=range_of(recording)), None, BuildConfig())

@@ -1,0 +1,162 @@
+"""Corners matched between neighbouring frames of a recording, with which its poses, depth and camera are compared.
+
+Sources: Shi & Tomasi 1994 (corners); Bouguet 2000 (pyramidal Lucas-Kanade); Kalal et al. 2010 (forward-backward
+check).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.camera import Camera
+from monoloc.contrast import equaliser, has_contrast
+from monoloc.depth.depth_image import sample_depth
+from monoloc.geometry import FloatArray
+from monoloc.io.recording import Recording, evenly_spaced
+from monoloc.odometry.visual import OdometryConfig
+
+DepthOf = Callable[[int], NDArray[np.float32]]
+
+_PAIRS = 30
+_TRACKING = OdometryConfig()  # the odometry's settings for corners
+_STEPS = (1, 2, 4, 8)  # frames apart; the first that moves far enough is used
+_ENOUGH_MOTION, _LEAST_MOTION = 0.05, 0.01  # median motion of the corners, share of the image's width
+_LEAST_CORNERS, _LEAST_MATCHES = 30, 20  # of a frame, and of a pair
+_MOST_MATCHES = 120  # of a pair: enough for a median
+
+
+@dataclass(frozen=True)
+class Matches:
+    """P corners matched over N pairs of frames.
+
+    Attributes:
+        camera: of the images in which corners are matched, at most 320 pixels wide.
+        frames: (N, 2) indices of the two frames of each pair.
+        pair: (P,) index of the pair of each match, ascending.
+        pixels: (P, 2, 2) where the corner is in the first and in the second frame, pixels of ``camera``.
+        motion_px: (N,) median motion of the pair's corners.
+    """
+
+    camera: Camera
+    frames: NDArray[np.int64]
+    pair: NDArray[np.int64]
+    pixels: NDArray[np.float32]
+    motion_px: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def of_pair(self, index: int) -> slice:
+        """The matches of one pair."""
+        first, last = np.searchsorted(self.pair, [index, index + 1])
+        return slice(int(first), int(last))
+
+    def select(self, pairs: NDArray[np.int64]) -> Matches:
+        """The matches of some pairs, in ascending order."""
+        kept = np.isin(self.pair, pairs)
+        renumbered = np.searchsorted(pairs, self.pair[kept])
+        return Matches(self.camera, self.frames[pairs], renumbered, self.pixels[kept], self.motion_px[pairs])
+
+    def rays(self) -> tuple[FloatArray, FloatArray]:
+        """Rays with z = 1 of the corners in the first and in the second frame, (P, 3) each."""
+        return self.camera.rays(self.pixels[:, 0]), self.camera.rays(self.pixels[:, 1])
+
+    def depth_m(self, recording: Recording, depth_of: DepthOf) -> FloatArray:
+        """Depth of the corners in the first frame, (P,) metres; 0 where it is unknown or at an occlusion edge.
+
+        Args:
+            recording: the one that was matched.
+            depth_of: returns the depth (H, W) m of a frame.
+        """
+        depth = np.zeros(len(self.pair))
+        for index, first in enumerate(self.frames[:, 0].tolist()):
+            of = self.of_pair(index)
+            depth[of] = sample_depth(
+                self.pixels[of, 0], self.camera, depth_of(first), recording.camera, _TRACKING.depth_jump
+            )
+        return depth
+
+
+def match_corners(recording: Recording) -> Matches:
+    """Match corners over a few dozen pairs of neighbouring frames, spread over the recording.
+
+    The frames of a pair are 1, 2, 4 or 8 frames apart, so that their corners move by 5 % of the image's width if
+    they can. Pairs with too little motion or too few corners are left out.
+
+    Raises:
+        DataError: a frame cannot be read.
+    """
+    width, height = recording.camera.width, recording.camera.height
+    factor = min(1.0, _TRACKING.width / width)
+    images = _TrackingImages(recording, recording.camera.resized(round(width * factor), round(height * factor)))
+    starts = evenly_spaced(len(recording) - 1, _PAIRS) if len(recording) > 1 else np.zeros(0, np.int64)
+    found = [pair for start in starts.tolist() if (pair := _match(images, start, len(recording))) is not None]
+    if not found:
+        nothing = np.zeros(0, np.int64)
+        return Matches(images.camera, nothing.reshape(0, 2), nothing, np.zeros((0, 2, 2), np.float32), np.zeros(0))
+    return Matches(
+        images.camera,
+        frames=np.array([frames for frames, _ in found], dtype=np.int64),
+        pair=np.repeat(np.arange(len(found)), [len(pixels) for _, pixels in found]),
+        pixels=np.concatenate([pixels for _, pixels in found]),
+        motion_px=np.array([_motion(pixels) for _, pixels in found]),
+    )
+
+
+class _TrackingImages:
+    """Equalised grey images (h, w) uint8 of a recording, in the size of ``camera``."""
+
+    def __init__(self, recording: Recording, camera: Camera) -> None:
+        self.camera = camera
+        self._recording, self._equalise = recording, equaliser()
+
+    def __call__(self, index: int) -> NDArray[np.uint8] | None:
+        """None where the image shows nothing."""
+        color = self._recording.color(index)
+        if not has_contrast(color):
+            return None
+        small = cv2.resize(color, (self.camera.width, self.camera.height), interpolation=cv2.INTER_AREA)
+        return np.asarray(self._equalise.apply(cv2.cvtColor(small, cv2.COLOR_RGB2GRAY)), dtype=np.uint8)
+
+
+def _motion(pixels: NDArray[np.float32]) -> float:
+    return float(np.median(np.linalg.norm(pixels[:, 1] - pixels[:, 0], axis=1)))
+
+
+def _match(images: _TrackingImages, start: int, count: int) -> tuple[tuple[int, int], NDArray[np.float32]] | None:
+    """The pair of frames from ``start`` on, and its matches (M, 2, 2); None if it has none, or hardly moves."""
+    before = images(start)
+    if before is None:
+        return None
+    corners = cv2.goodFeaturesToTrack(before, _TRACKING.corners, 0.005, _TRACKING.min_distance_px)
+    if corners is None or len(corners) < _LEAST_CORNERS:
+        return None
+    corners = np.asarray(corners, dtype=np.float32).reshape(-1, 2)
+    best = None
+    for step in _STEPS:
+        after = images(start + step) if start + step < count else None
+        matched = None if after is None else _follow(before, after, corners)
+        if matched is None or len(matched) < _LEAST_MATCHES:
+            break
+        best = (start, start + step), matched
+        if _motion(matched) > _ENOUGH_MOTION * images.camera.width:
+            break
+    if best is None or _motion(best[1]) < _LEAST_MOTION * images.camera.width:
+        return None
+    frames, pixels = best
+    return frames, pixels[evenly_spaced(len(pixels), _MOST_MATCHES)]
+
+
+def _follow(before: NDArray[np.uint8], after: NDArray[np.uint8], corners: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Corners (N, 2) that are found again, and found back from there: (M, 2, 2)."""
+    size = (_TRACKING.search_px, _TRACKING.search_px)
+    forward, found, _ = cv2.calcOpticalFlowPyrLK(before, after, corners, corners.copy(), winSize=size, maxLevel=3)
+    back, found_back, _ = cv2.calcOpticalFlowPyrLK(after, before, forward, forward.copy(), winSize=size, maxLevel=3)
+    is_back = np.linalg.norm(back - corners, axis=1) < _TRACKING.forward_backward_px
+    valid = (found[:, 0] == 1) & (found_back[:, 0] == 1) & is_back
+    return np.asarray(np.stack([corners, forward], axis=1)[valid], dtype=np.float32)

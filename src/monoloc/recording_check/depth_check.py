@@ -1,0 +1,184 @@
+"""Whether a sensor's depth is z, and registered to the colour image, by planes and by the edges of both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.depth.depth_image import at_discontinuity
+from monoloc.errors import DataError
+from monoloc.geometry import FloatArray
+from monoloc.io.corrected import DEPTH_FIXES, DepthFix, is_seven_scenes, with_depth_fix
+from monoloc.io.recording import Recording, evenly_spaced
+
+_FRAMES = 16
+_LEAST_FRAMES = 6  # in which a quantity is measured
+
+# Planes: of z read as z, the largest holds 1.5 to 2.6 times the points of the same depth read as range (RedKitchen
+# 0:200, desk 0:350), in every frame.
+_POINTS, _TRIALS, _LEAST_POINTS = 1500, 150, 300
+_PLANE_TOLERANCE = 0.01  # of depth
+_FLATTER, _AGREEING = 1.25, 0.8  # median ratio, and share of the frames that are flatter
+
+# Edges: strength of the image's gradient at depth's edges, relative to that around. Registered depth gave 1.8, and
+# 1.1 times that at best after a zoom of 1.02 (RedKitchen 0:200); the same depth unregistered gave 1.0, and 2.1 times
+# that after a zoom of 0.90.
+_EDGE, _LEAST_EDGES = 0.05, 200
+_WIDTH, _NEIGHBOURHOOD_PX, _SEARCH_PX = 320, 41, 16
+_ZOOMS = np.linspace(0.84, 1.16, 33)
+_GAIN, _LEAST_ZOOM = 1.4, 0.05  # of depth that is not registered, by a zoom that differs from 1 at least so much
+
+
+@dataclass(frozen=True)
+class DepthCheck:
+    """What a recording's depth looks like.
+
+    Attributes:
+        coverage: mean share of pixels with depth.
+        median_m: median depth.
+        flatness: factor by which planes are flatter if the depth is taken as range; None if unknown.
+        edges: strength of the image's gradient at depth's edges, 1 as anywhere; None if unknown.
+        zoom: factor about the image's centre that brings depth's edges to those of the image, where the depth is not
+            registered; None where it is.
+        fix: key of ``DEPTH_FIXES`` under which the depth fits; None if it fits as it is, or if none is known.
+    """
+
+    coverage: float
+    median_m: float
+    flatness: float | None
+    edges: float | None
+    zoom: float | None = None
+    fix: DepthFix | None = None
+
+    @property
+    def problem(self) -> str | None:
+        """What is wrong, for a message."""
+        if self.fix == "range":
+            return f"depth is {DEPTH_FIXES['range']}: planes are {self.flatness:.1f} times as flat"
+        if self.zoom is not None:
+            named = f", as if {DEPTH_FIXES[self.fix]}" if self.fix else ""
+            return f"depth is not registered to the images: its edges fit {self.zoom:.2f} times as wide{named}"
+        return None
+
+    @property
+    def remedy(self) -> str:
+        return f"give --fix-depth {self.fix}" if self.fix else "align depth to colour in the recorder"
+
+
+def check_depth(recording: Recording) -> DepthCheck:
+    """Look at a few frames of a recording with depth.
+
+    Raises:
+        DataError: a frame cannot be read.
+    """
+    chosen = evenly_spaced(len(recording), _FRAMES).tolist()
+    depths = [recording.depth(index) for index in chosen]
+    values = np.concatenate([depth[depth > 0.0][::37] for depth in depths])
+    coverage = float(np.mean([(depth > 0.0).mean() for depth in depths]))
+    median_m = float(np.median(values)) if len(values) else float("nan")
+    flatness, is_range = _flatness_as_range(recording, depths)
+    images = [_relative_gradient(recording.color(index)) for index in chosen]
+    aligned = _Alignment(recording, depths, images)
+    check = DepthCheck(coverage, median_m, flatness, aligned.stated, aligned.zoom, "range" if is_range else None)
+    if aligned.zoom is None or is_range:
+        return check
+    name: DepthFix = "registered" if is_seven_scenes(recording) else "kinect"
+    fixed = with_depth_fix(recording, name)
+    refined = _Alignment(fixed, [fixed.depth(index) for index in chosen], images)
+    is_better = refined.zoom is None and (refined.stated or 0.0) > _GAIN * (aligned.stated or 0.0)
+    return replace(check, fix=name if is_better else None)
+
+
+def require_registered_z(name: str, check: DepthCheck) -> None:
+    """Refuse depth that is of another kind.
+
+    Raises:
+        DataError: the depth is range, or not registered.
+    """
+    if check.problem is not None:
+        raise DataError(name, check.problem, check.remedy)
+
+
+def _flatness_as_range(recording: Recording, depths: list[NDArray[np.float32]]) -> tuple[float | None, bool]:
+    """Median ratio of planar points, depth taken as range over depth taken as z, and whether it is range."""
+    rays = recording.camera.pixel_rays().reshape(-1, 3)
+    z_per_range = 1.0 / np.linalg.norm(rays, axis=1)
+    ratios = []
+    for depth in depths:
+        known = np.flatnonzero(depth > 0.0)
+        if len(known) < _LEAST_POINTS:
+            continue
+        chosen = known[:: max(1, len(known) // _POINTS)]
+        points = rays[chosen] * depth.reshape(-1)[chosen, None].astype(np.float64)
+        ratios.append(_planar_share(points * z_per_range[chosen, None]) / _planar_share(points))
+    if len(ratios) < _LEAST_FRAMES:
+        return None, False
+    ratio = float(np.median(ratios))
+    return ratio, ratio > _FLATTER and float(np.mean(np.array(ratios) > 1.0)) >= _AGREEING
+
+
+def _planar_share(points: FloatArray) -> float:
+    """Share of points (N, 3) on the largest plane (Fischler & Bolles 1981)."""
+    chosen = np.random.default_rng(0).integers(len(points), size=(_TRIALS, 3))
+    a, b, c = np.moveaxis(points[chosen], 1, 0)
+    normals = np.cross(b - a, c - a)
+    length = np.linalg.norm(normals, axis=1)
+    normals, a = normals[length > 0.0] / length[length > 0.0, None], a[length > 0.0]
+    if len(normals) == 0:
+        return 1.0
+    distance = np.abs(points @ normals.T - np.sum(a * normals, axis=1))
+    return float((distance < _PLANE_TOLERANCE * points[:, 2:]).mean(axis=0).max())
+
+
+def _relative_gradient(color: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Gradient of an image relative to its mean around, (h, w) float32, 320 pixels wide or less."""
+    factor = min(1.0, _WIDTH / color.shape[1])
+    size = (round(color.shape[1] * factor), round(color.shape[0] * factor))
+    gray = cv2.cvtColor(cv2.resize(color, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY).astype(np.float32)
+    gradient = np.hypot(cv2.Sobel(gray, cv2.CV_32F, 1, 0), cv2.Sobel(gray, cv2.CV_32F, 0, 1))
+    around = cv2.blur(gradient, (_NEIGHBOURHOOD_PX, _NEIGHBOURHOOD_PX))
+    return np.asarray(gradient / np.maximum(around, 1e-3), dtype=np.float32)
+
+
+class _Alignment:
+    """How well depth's edges lie on those of the images.
+
+    Attributes:
+        stated: mean relative gradient at depth's edges; None if too few frames have edges.
+        zoom: that of the best zoom and shift, if the depth is not registered; else None.
+    """
+
+    def __init__(
+        self, recording: Recording, depths: list[NDArray[np.float32]], images: list[NDArray[np.float32]]
+    ) -> None:
+        edges = [np.argwhere(at_discontinuity(depth, _EDGE))[:, ::-1] for depth in depths]
+        seen = [(xy, image) for xy, image in zip(edges, images, strict=True) if len(xy) >= _LEAST_EDGES]
+        self.stated: float | None = None
+        self.zoom: float | None = None
+        if len(seen) < _LEAST_FRAMES:
+            return
+        self._camera = recording.camera
+        best, at_rest = [], 0.0
+        for zoom in _ZOOMS:
+            strength = np.mean([self._strengths(xy, image, zoom) for xy, image in seen], axis=0)
+            best.append(float(strength.max()))
+            if abs(zoom - 1.0) < 1e-6:
+                at_rest = float(strength[_SEARCH_PX - 1 : _SEARCH_PX + 2, _SEARCH_PX - 1 : _SEARCH_PX + 2].max())
+        self.stated = at_rest
+        zoom = float(_ZOOMS[int(np.argmax(best))])
+        if abs(zoom - 1.0) >= _LEAST_ZOOM - 1e-6 and max(best) > _GAIN * at_rest:
+            self.zoom = zoom
+
+    def _strengths(self, xy: NDArray[np.int64], image: NDArray[np.float32], zoom: float) -> NDArray[np.float32]:
+        """Mean gradient at edges (E, 2), zoomed about the principal point, for each shift: (2 S + 1, 2 S + 1)."""
+        centre = np.array([self._camera.cx, self._camera.cy])
+        factor = image.shape[1] / self._camera.width
+        moved = np.round(((xy - centre) * zoom + centre + 0.5) * factor - 0.5).astype(np.int64)
+        inside = (moved >= 0).all(axis=1) & (moved < [image.shape[1], image.shape[0]]).all(axis=1)
+        weights = np.zeros(image.shape, dtype=np.float32)
+        np.add.at(weights, (moved[inside, 1], moved[inside, 0]), np.float32(1.0 / max(1, int(inside.sum()))))
+        wide = np.pad(image, _SEARCH_PX, mode="edge")
+        return np.asarray(cv2.matchTemplate(wide, weights, cv2.TM_CCORR))

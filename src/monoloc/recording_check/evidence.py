@@ -1,0 +1,131 @@
+"""What hypotheses about a recording are tried on: its corners with depth, and its poses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.geometry import FloatArray
+from monoloc.io.corrected import is_seven_scenes, with_depth_fix, with_poses
+from monoloc.io.pose_fixes import CONVENTIONS
+from monoloc.io.recording import Recording, Selection, evenly_spaced
+from monoloc.io.seven_scenes import COLOR_CAMERA
+from monoloc.map.cloud import voxel_thin
+from monoloc.map.depth_rendering import map_depth
+from monoloc.recording_check.correspondences import Matches, match_corners
+from monoloc.recording_check.reprojection import Reprojector, relative_poses
+
+# Points of the cloud are up to 5 pixels apart in a rendered image, which is 160 pixels wide.
+_GAPS_PER_WIDTH = 24
+_SAME_SURFACE = 1.15
+_VOXEL_M = 0.06  # of the cloud, which every hypothesis renders again,
+_RENDERED_PAIRS = 10  # in the frames of so many pairs
+
+
+class Evidence:
+    """Corners of a recording, and poses and depth to compare them with.
+
+    Attributes:
+        recording: posed.
+        reproject: errors of the matches under relative poses.
+        what, option: what the recording is taken as, other than stated, and the option for that; empty as stated.
+        focal_is_unknown: whether the camera's stated focal length is that of another camera.
+    """
+
+    def __init__(
+        self, recording: Recording, matches: Matches, cloud: FloatArray | None, what: str = "", option: str = ""
+    ) -> None:
+        assert recording.poses is not None
+        self.recording, self.reproject, self.what, self.option = recording, Reprojector(matches), what, option
+        self.poses, self.focal_is_unknown = recording.poses, False
+        self._cloud = cloud
+        self._measured: FloatArray | None = None
+
+    @property
+    def matches(self) -> Matches:
+        return self.reproject.matches
+
+    def depth_m(self, poses: FloatArray) -> FloatArray:
+        """Depth of the corners in the first frame, (P,): the sensor's, or that of the cloud seen from the poses."""
+        if not self.recording.has_depth:
+            assert self._cloud is not None
+            rendered = map_depth(with_poses(self.recording, poses), self._cloud)
+            return self.matches.depth_m(self.recording, lambda index: _without_gaps(rendered(index)))
+        if self._measured is None:
+            self._measured = self.matches.depth_m(self.recording, self.recording.depth)
+        return self._measured
+
+    def for_search(self) -> Evidence:
+        """The same evidence, with fewer pairs if many hypotheses on all of them would take a minute."""
+        if self.recording.has_depth:
+            return self
+        pairs = evenly_spaced(len(self.matches), _RENDERED_PAIRS)
+        return Evidence(self.recording, self.matches.select(pairs), self._cloud)
+
+    def relative(self, poses: FloatArray) -> FloatArray:
+        """``T_second_first`` of the pairs, (N, 4, 4), from poses of the recording's frames."""
+        return relative_poses(poses, self.matches.frames)
+
+    def relative_late(self, frames: int) -> FloatArray:
+        """As :meth:`relative`, with each pose taken from so many frames later; NaN beyond the ends.
+
+        Frames are those of the recording that the selection is from: poses are late by a time.
+        """
+        poses, rows = self.poses, self.matches.frames
+        if isinstance(self.recording, Selection) and self.recording.source.poses is not None:
+            poses, rows = self.recording.source.poses, self.recording.positions[rows]
+        rows = rows + frames
+        inside = ((rows >= 0) & (rows < len(poses))).all(axis=1)
+        relative = np.full((len(rows), 4, 4), np.nan)
+        relative[inside] = relative_poses(poses, rows[inside])
+        return relative
+
+
+def gather_evidence(recording: Recording, cloud: FloatArray | None) -> Evidence:
+    """Match corners of a posed recording that has depth, unless the cloud (N, 3) of the room is given.
+
+    Raises:
+        DataError: a frame cannot be read.
+    """
+    thin = None if cloud is None or recording.has_depth else voxel_thin(cloud, _VOXEL_M)
+    return Evidence(recording, match_corners(recording), thin)
+
+
+def other_readings(evidence: Evidence) -> list[Evidence]:
+    """The same corners, with the recording's depth read otherwise."""
+    recording, matches = evidence.recording, evidence.matches
+    if not recording.has_depth:
+        return []
+    upside_down = with_poses(
+        with_depth_fix(recording, "turned-180"), CONVENTIONS["turned-180"].convert(evidence.poses)
+    )
+    readings = [
+        Evidence(
+            upside_down, matches, None, "images upside down against depth and poses",
+            "--fix-depth turned-180 --fix-poses turned-180",
+        )
+    ]  # fmt: skip
+    if is_seven_scenes(recording):
+        what = "a camera of your own, whose depth is registered already, in the layout of 7-Scenes"
+        is_assumed = recording.camera == COLOR_CAMERA
+        if is_assumed:
+            matches = replace(matches, camera=replace(matches.camera, distortion=()))
+        registered = with_depth_fix(recording, "registered")
+        readings.append(Evidence(registered, matches, None, what, "--fix-depth registered"))
+        readings[-1].focal_is_unknown = is_assumed
+    return readings
+
+
+def _without_gaps(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Depth (H, W) rendered from a cloud, with the gaps between points filled where one surface surrounds them."""
+    size = max(3, depth_m.shape[1] // _GAPS_PER_WIDTH)
+    window = np.ones((size, size), dtype=np.uint8)
+    known = depth_m > 0.0
+    nearest = cv2.erode(np.where(known, depth_m, np.float32(np.inf)), window)
+    farthest = cv2.dilate(depth_m, window)
+    weight = cv2.blur(known.astype(np.float32), (size, size))
+    mean = cv2.blur(depth_m, (size, size)) / np.maximum(weight, np.float32(1e-6))
+    return np.where((weight > 0.0) & (farthest / np.float32(_SAME_SURFACE) <= nearest), mean, np.float32(0.0))

@@ -1,0 +1,244 @@
+"""Everything that is checked of a recording, as findings: good, a warning, or bad."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from monoloc.bundle import Bundle
+from monoloc.camera import Camera
+from monoloc.geometry import FloatArray
+from monoloc.io.recording import Recording, Selection
+from monoloc.progress import NoProgress, Progress
+from monoloc.recording_check.depth_check import DepthCheck, check_depth
+from monoloc.recording_check.evidence import Evidence, gather_evidence
+from monoloc.recording_check.factors import Factor, fit_focal
+from monoloc.recording_check.image_quality import BLURRED, TOO_DARK, ImageQuality, measure_images
+from monoloc.recording_check.map_agreement import LEAST_FOUND, MapAgreement, compare_with_map
+from monoloc.recording_check.motion_coverage import MotionCoverage, cover
+from monoloc.recording_check.pose_check import PoseCheck, judge
+from monoloc.recording_check.time_stamps import TimeCheck, check_times
+
+Level = Literal["good", "warning", "bad"]
+
+_BLURRED_SHARE = 0.2  # of the images
+_CLIPPED_SHARE = 0.25  # of the pixels that are black, or saturated
+_LEAST_COVERAGE = 0.3  # of the pixels with depth
+_FOCAL_ERROR, _FOCAL_SDS = 0.04, 3.0  # relative error that moves a pose, and how certain it must be
+_LEAST_FOUND_SHARE = 0.3  # of the frames, in which landmarks of the map are found
+_SAME_WORLD_M, _SAME_WORLD_RAD = 0.1, np.deg2rad(3.0)
+_AGREEING_SHARE = 0.7  # of the frames with landmarks, that are one transform away
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of a check.
+
+    Attributes:
+        name: what was looked at.
+        level: how good it is.
+        value: what was found.
+        remark: what follows, and what to do; empty if nothing does.
+    """
+
+    name: str
+    level: Level
+    value: str
+    remark: str = ""
+
+
+def worst(findings: Iterable[Finding]) -> Level:
+    """The worst level of findings; good where there are none."""
+    levels = {finding.level for finding in findings}
+    return "bad" if "bad" in levels else "warning" if "warning" in levels else "good"
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """A recording, looked at from all sides.
+
+    Attributes:
+        recording: the frames that were looked at.
+        findings: in order of the processing.
+        times, images: of all recordings.
+        motion: of one with poses.
+        depth: of one with depth.
+        poses, evidence: poses against images and depth, and the corners behind it; of one with both.
+        agreement: with a bundle's map.
+    """
+
+    recording: Recording
+    findings: list[Finding]
+    times: TimeCheck
+    images: ImageQuality
+    motion: MotionCoverage | None = None
+    depth: DepthCheck | None = None
+    poses: PoseCheck | None = None
+    evidence: Evidence | None = None
+    agreement: MapAgreement | None = None
+
+    @property
+    def level(self) -> Level:
+        """The worst of the findings."""
+        return worst(self.findings)
+
+
+def inspect_recording(
+    recording: Recording,
+    cloud: FloatArray | None = None,
+    bundle: Bundle | None = None,
+    progress: Progress = NoProgress(),
+) -> Inspection:
+    """Check a recording against itself, and against a bundle if there is one.
+
+    Args:
+        cloud: (N, 3) of the room, world frame, metres; replaces depth that the recording lacks.
+        bundle: that the recording is to fly with.
+
+    Raises:
+        DataError: a frame cannot be read.
+    """
+    with progress.task("check", 5) as step:
+        times, images = check_times(recording), measure_images(recording)
+        step(1)
+        motion = None if recording.poses is None else cover(recording.poses)
+        depth = check_depth(recording) if recording.has_depth else None
+        step(2)
+        evidence, poses, focal = None, None, None
+        if recording.poses is not None and (recording.has_depth or cloud is not None):
+            evidence = gather_evidence(recording, cloud)
+            poses = judge(evidence)
+            step(3)
+            focal = fit_focal(evidence) if poses.verdict == "agree" else None
+        step(4)
+        agreement = None if bundle is None else compare_with_map(bundle, recording)
+        step(5)
+    # A wrong focal length or convention also shifts edges and displaces landmarks: poses have the first word.
+    is_explained = poses is not None and poses.verdict == "explained"
+    findings = [
+        *_of_frames(recording, times),
+        *_of_images(images),
+        *(_of_motion(motion) if motion is not None else ()),
+        *(_of_depth(depth, is_explained) if depth is not None else ()),
+        *(_of_poses(poses) if poses is not None else _without_poses(recording)),
+        *(_of_focal(focal, recording.camera) if focal is not None else ()),
+    ]
+    if agreement is not None and bundle is not None:
+        findings += [_of_camera(agreement, recording.camera, bundle.camera), _of_landmarks(agreement)]
+        if agreement.agreeing is not None and not is_explained:
+            findings.append(_of_world(agreement, agreement.agreeing))
+    return Inspection(recording, findings, times, images, motion, depth, poses, evidence, agreement)
+
+
+def _of_frames(recording: Recording, times: TimeCheck) -> Iterator[Finding]:
+    source = recording.source if isinstance(recording, Selection) else recording
+    notes: list[str] = getattr(source, "notes", [])
+    yield Finding("frames", "warning" if notes else "good", f"{times.frames}", "; ".join(notes))
+    if times.rate_hz is None:
+        return
+    value = f"{times.duration_s:.1f} s, {times.rate_hz:.3g} Hz"
+    if times.problem is not None:
+        yield Finding("times", "bad" if times.is_certain else "warning", value, f"{times.problem}; {times.remedy}")
+        return
+    remark = ""
+    if times.gaps_s:
+        remark = f"{len(times.gaps_s)} gap{'s' * (len(times.gaps_s) > 1)}, the longest {max(times.gaps_s):.1f} s"
+    yield Finding("times", "warning" if times.gaps_s else "good", value, remark)
+
+
+def _of_images(images: ImageQuality) -> Iterator[Finding]:
+    blurred = images.blurred_share
+    remark = "move more slowly, or expose for a shorter time" if blurred > _BLURRED_SHARE else ""
+    value = f"{float(np.median(images.blur)):.2f} median, {blurred:.0%} of images over {BLURRED}"
+    yield Finding("blur", "warning" if remark else "good", value, remark)
+    brightness, dark, bright = (float(np.mean(a)) for a in (images.brightness, images.dark, images.saturated))
+    remark = ""
+    if brightness < TOO_DARK or dark > _CLIPPED_SHARE:
+        remark = "record in more light"
+    elif bright > _CLIPPED_SHARE:
+        remark = "expose for a shorter time"
+    value = f"{brightness:.0f} of 255, {dark:.0%} of pixels black, {bright:.0%} saturated"
+    yield Finding("exposure", "warning" if remark else "good", value, remark)
+
+
+def _of_motion(motion: MotionCoverage) -> Iterator[Finding]:
+    value = f"{motion.path_m:.1f} m, within {motion.extent_m:.1f} m, turned by {np.rad2deg(motion.turned_rad):.0f}°"
+    remark = "" if motion.problem is None else f"{motion.problem}; walk through the room"
+    yield Finding("motion", "warning" if remark else "good", value, remark)
+
+
+def _of_depth(depth: DepthCheck, is_explained: bool) -> Iterator[Finding]:
+    value = f"{depth.coverage:.0%} of pixels, median {depth.median_m:.1f} m"
+    if depth.problem is not None and not is_explained:
+        yield Finding("depth", "bad", value, f"{depth.problem}; {depth.remedy}")
+        return
+    too_little = depth.coverage < _LEAST_COVERAGE
+    remark = "keep within the sensor's range, away from dark and shiny surfaces" if too_little else ""
+    yield Finding("depth", "warning" if too_little else "good", value, remark)
+
+
+def _without_poses(recording: Recording) -> Iterator[Finding]:
+    if recording.poses is None:
+        yield Finding("poses", "warning", "none", "a build needs poses; localising does not")
+    else:
+        yield Finding("poses", "warning", "not compared", "give --cloud, since there is no depth to compare with")
+
+
+def _of_poses(poses: PoseCheck) -> Iterator[Finding]:
+    if poses.share is None:
+        yield Finding("poses", "warning", "not compared", poses.sentence)
+        return
+    value = f"{poses.share:.0%} of the corners' motion off"
+    if poses.verdict == "agree":
+        yield Finding("poses", "good", value)
+        return
+    level: Level = "warning" if poses.verdict == "doubtful" else "bad"
+    why = (
+        poses.sentence if poses.explanation is None else f"{poses.explanation.share:.0%} as {poses.explanation.what}"
+    )
+    yield Finding("poses", level, value, f"{why}; {poses.fix}")
+
+
+def _of_focal(focal: Factor, camera: Camera) -> Iterator[Finding]:
+    is_wrong = abs(focal.log_value) > max(_FOCAL_ERROR, _FOCAL_SDS * focal.log_sd)
+    value = f"{focal.value:.3f} ± {focal.log_sd:.3f} of the stated {camera.focal_px:.0f} px"
+    remark = "calibrate the camera, or check that the intrinsics are of this image size" if is_wrong else ""
+    yield Finding("focal length", "warning" if is_wrong else "good", value, remark)
+
+
+def _of_landmarks(agreement: MapAgreement) -> Finding:
+    value = f"landmarks found in {agreement.found} of {agreement.frames} frames"
+    if agreement.found >= max(LEAST_FOUND, _LEAST_FOUND_SHARE * agreement.frames):
+        return Finding("map", "good", value)
+    level: Level = "bad" if agreement.found < LEAST_FOUND else "warning"
+    return Finding("map", level, value, "another room, other light, or intrinsics that are far off")
+
+
+def _of_camera(agreement: MapAgreement, camera: Camera, built: Camera) -> Finding:
+    value = f"{camera.width}x{camera.height}, f {camera.focal_px:.0f} px"
+    build = f"the build's is {built.width}x{built.height}, f {built.focal_px:.0f} px"
+    if agreement.focal is not None and agreement.focal_log_sd is not None:
+        certain = max(_FOCAL_ERROR, _FOCAL_SDS * agreement.focal_log_sd)
+        if abs(np.log(agreement.focal)) > certain:
+            remark = f"landmarks fit {agreement.focal:.2f} times the stated focal length; correct --intrinsics"
+            return Finding("camera", "bad", value, remark)
+    if (camera.width, camera.height) != (built.width, built.height):
+        return Finding("camera", "good", value, build)
+    if abs(np.log(camera.focal_px / built.focal_px)) > _FOCAL_ERROR:
+        return Finding("camera", "warning", value, f"{build}; for the same camera, give the same intrinsics")
+    return Finding("camera", "good", value, "" if camera == built else build)
+
+
+def _of_world(agreement: MapAgreement, agreeing: int) -> Finding:
+    assert agreement.offset_m is not None and agreement.offset_rad is not None
+    offset = f"{100.0 * agreement.offset_m:.0f} cm, {np.rad2deg(agreement.offset_rad):.0f} degrees"
+    if agreeing < _AGREEING_SHARE * agreement.found:
+        value = f"{agreeing} of {agreement.found} frames agree"
+        return Finding("world", "bad", value, "poses of the recording do not fit the map by any rigid transform")
+    if agreement.offset_m < _SAME_WORLD_M and agreement.offset_rad < _SAME_WORLD_RAD:
+        return Finding("world", "good", f"that of the map, to {offset}")
+    remark = "its poses are in another world; errors against them need that transform"
+    return Finding("world", "warning", f"one rigid transform away: {offset}", remark)

@@ -1,0 +1,282 @@
+"""Whether a recording's poses agree with its images and depth, and if not, what they would agree as."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from monoloc.camera import Camera
+from monoloc.errors import DataError
+from monoloc.geometry import FloatArray, so3_log
+from monoloc.io.images import ImageRecording
+from monoloc.io.pose_fixes import AXES
+from monoloc.io.recording import Recording, Selection
+from monoloc.recording_check.evidence import Evidence, gather_evidence, other_readings
+from monoloc.recording_check.factors import Factor, fit_depth_scale, fit_focal
+from monoloc.recording_check.pose_hypotheses import as_stated, conventions, delays
+
+# Median error, share of the corners' motion. On RedKitchen (0:200), whose poses have 2 cm of noise, it is 0.07, on
+# the desk (0:350) 0.08; later parts of both have up to 0.14. There, wrong conventions gave 0.48 and more, poses one
+# frame late 0.17 and 0.22, a focal length or depth 20 % off 0.12 to 0.22, and independent noise of 2 cm and 1 degree
+# over the whole recordings 0.45 and 0.90.
+_RIGHT = 0.12  # with at most this, no other reading is tried
+_FITS = 0.15  # a hypothesis must come to this,
+_IMPROVEMENT = 0.6  # and to this share of the stated poses' error
+_POOR = 0.25  # without an explanation, a larger error gives a warning
+_HOPELESS = 0.5  # as large as that of wrong conventions
+# Correlation of the motions by the poses with those by the corners. Right poses gave 0.87 and more, noise of 2 cm and
+# 1 degree 0.49 and more; of 46 wrong camera axes and directions, at most one in a room came to 0.4 in both.
+_RELATED = 0.4
+_CLEAR = 0.35  # a convention that brings the error so far down needs no comparison with fitted factors
+_TIE = 1.15  # hypotheses within this factor of the best are equal, and the simplest is named
+_EXACT_POSES = 0.05  # smaller errors are equal too
+_LEAST_PAIRS = 8
+
+_COMMON_SCALES = (1.0, 100.0, 256.0, 1000.0, 4000.0, 5000.0, 6553.5, 10000.0)
+_SAME = 0.04  # relative difference of an estimated factor from a common value that it is taken for
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What a recording agrees as.
+
+    Attributes:
+        what: "camera axes of OpenGL".
+        option: command-line option that applies it.
+        parts: number of things that are other than stated.
+        share: median error under it, share of the corners' motion.
+    """
+
+    what: str
+    option: str
+    parts: int
+    share: float
+
+
+@dataclass(frozen=True)
+class PoseCheck:
+    """Agreement of poses with images and depth.
+
+    Attributes:
+        verdict: ``unknown`` where too few frames have corners, depth and motion.
+        pairs, corners: number of pairs and matches that were compared.
+        share: median error of the corners under the poses, share of their motion; None if unknown.
+        free_share: the same under the motion that the corners themselves give.
+        correlation: of the motions by the poses with those that the corners give, the lower one of rotation and
+            translation; None if unknown.
+        explanation: what the poses would agree as; None if nothing is found, or nothing is wrong.
+    """
+
+    verdict: Literal["unknown", "agree", "doubtful", "explained", "disagree"]
+    pairs: int
+    corners: int
+    share: float | None = None
+    free_share: float | None = None
+    correlation: float | None = None
+    explanation: Explanation | None = None
+
+    @property
+    def sentence(self) -> str:
+        """The finding, for a message."""
+        if self.share is None:
+            return f"poses are not compared with the images: {self.pairs} pairs of frames show corners that move"
+        found = f"corners land {_percent(self.share)} of their motion off by poses and depth"
+        if self.explanation is not None:
+            return f"{found}, and {_percent(self.explanation.share)} off as {self.explanation.what}"
+        related = "" if self.correlation is None else f", and motions correlate by {self.correlation:.2f}"
+        return f"{found} ({_percent(self.free_share)} by their own motion{related})"
+
+    @property
+    def fix(self) -> str:
+        if self.explanation is not None:
+            return f"give {self.explanation.option}"
+        return "check the poses' convention, their times, the depth's scale and the intrinsics"
+
+
+def check_poses(recording: Recording, cloud: FloatArray | None = None) -> PoseCheck:
+    """Compare a recording's poses with its images and depth.
+
+    Args:
+        recording: with poses.
+        cloud: (N, 3) of the room, world frame, metres, which gives depth where the recording has none.
+
+    Raises:
+        DataError: a frame cannot be read.
+    """
+    if recording.poses is None or not (recording.has_depth or cloud is not None):
+        return PoseCheck("unknown", 0, 0)
+    return judge(gather_evidence(recording, cloud))
+
+
+def judge(evidence: Evidence) -> PoseCheck:
+    """As :func:`check_poses`, of corners that are matched already."""
+    stated = as_stated(evidence)
+    corners = len(evidence.matches.pair)
+    if stated.pairs < _LEAST_PAIRS and not _enough_otherwise(evidence):
+        return PoseCheck("unknown", stated.pairs, corners)
+    share = stated.median
+    depth_m = evidence.depth_m(evidence.poses)
+    free_motion = evidence.reproject.free_motion(depth_m)
+    free = evidence.reproject(free_motion, depth_m)
+    correlation = _correlation(evidence.relative(evidence.poses), free_motion)
+    check = PoseCheck("agree", stated.pairs, corners, share, free.median if free.pairs else None, correlation)
+    if share <= _RIGHT:
+        return check
+    explanation = _explain(evidence, share)
+    if explanation is not None:
+        return replace(check, verdict="explained", explanation=explanation)
+    if share > _HOPELESS and (correlation is None or correlation < _RELATED):
+        return replace(check, verdict="disagree")
+    return replace(check, verdict="doubtful") if share > _POOR else check
+
+
+def _correlation(stated: FloatArray, free: FloatArray) -> float | None:
+    """Lower correlation of rotation vectors and of translations of relative poses (N, 4, 4); NaN where unknown."""
+    known = np.isfinite(free).all(axis=(1, 2))
+    if known.sum() < _LEAST_PAIRS:
+        return None
+    stated, free = stated[known], free[known]
+    vectors = [(T[:, :3, 3], so3_log(T[:, :3, :3])) for T in (stated, free)]
+    return float(min(np.sum(a * b) / np.sqrt(np.sum(a * a) * np.sum(b * b)) for a, b in zip(*vectors, strict=True)))
+
+
+def require_agreement(name: str, check: PoseCheck, poses_are_refined: bool) -> list[str]:
+    """Warnings of a check before a build.
+
+    Args:
+        name: of the recording.
+        check: of it.
+        poses_are_refined: whether the build aligns noisy poses with the map.
+
+    Raises:
+        DataError: another reading of the recording agrees, or the poses have nothing to do with the images.
+    """
+    if check.verdict == "explained" or (check.verdict == "disagree" and not poses_are_refined):
+        raise DataError(name, f"poses and images disagree: {check.sentence}", check.fix)
+    if check.verdict in ("doubtful", "disagree") and not poses_are_refined:
+        return [f"poses fit the images poorly: {check.sentence}; --refine-poses may help"]
+    return []
+
+
+def _explain(evidence: Evidence, share: float) -> Explanation | None:
+    """The simplest of the best explanations; None if none brings the error down to that of a right recording."""
+    evidence = evidence.for_search()
+    readings = other_readings(evidence)
+    exact = [*_exact(evidence), *(_by_reading(reading) for reading in readings)]
+    plain = _best(exact, _CLEAR * share)
+    if plain is not None:
+        return plain
+    stages: tuple[Iterable[Explanation], ...] = (
+        (*exact, *_fitted(evidence)),
+        (explanation for reading in readings for explanation in _exact(reading)),
+        _in_another_scale(evidence),
+    )
+    found = (_best(list(explanations), _IMPROVEMENT * share) for explanations in stages)
+    return next((explanation for explanation in found if explanation is not None), None)
+
+
+def _best(explanations: list[Explanation], most: float) -> Explanation | None:
+    """The simplest of those that are about as good as the best, if their error is that of a right recording."""
+    fitting = [each for each in explanations if each.share <= min(_FITS, most)]
+    if not fitting:
+        return None
+    equal = _TIE * max(_EXACT_POSES, min(each.share for each in fitting))
+    return min((each for each in fitting if each.share <= equal), key=lambda each: (each.parts, each.share))
+
+
+def _exact(evidence: Evidence) -> Iterator[Explanation]:
+    """Explanations without unknown numbers, by one reading of the depth."""
+    for hypothesis in (*conventions(), *(delays() if evidence.recording.has_depth else ())):
+        share = hypothesis.measure(evidence).median
+        yield Explanation(*_joined(evidence, hypothesis.what, hypothesis.option), hypothesis.parts, share)
+
+
+def _fitted(evidence: Evidence) -> Iterator[Explanation]:
+    """Explanations by one factor; they have it as a further part."""
+    if evidence.recording.has_depth:
+        yield _by_scale(evidence, fit_depth_scale(evidence), "", 2)
+    focal = fit_focal(evidence)
+    yield Explanation(*_focal_words(evidence, focal), 2, focal.fit.median)
+
+
+def _by_reading(reading: Evidence) -> Explanation:
+    """By another reading of the depth alone."""
+    if reading.focal_is_unknown:
+        focal = fit_focal(reading)
+        return Explanation(*_joined(reading, *_focal_words(reading, focal)), 1, focal.fit.median)
+    return Explanation(reading.what, reading.option, 1, as_stated(reading).median)
+
+
+def _in_another_scale(evidence: Evidence) -> Iterator[Explanation]:
+    """Camera axes of another convention together with an unknown scale."""
+    if not evidence.recording.has_depth:
+        return
+    for name, convention in AXES.items():
+        yield _by_scale(evidence, fit_depth_scale(evidence, convention.convert), name, 3)
+
+
+def _by_scale(evidence: Evidence, scale: Factor, axes: str, parts: int) -> Explanation:
+    """Depth and poses that differ by a factor; which of the two is wrong, images do not tell."""
+    what = f"depth and poses of scales that differ by a factor of {_digits(max(scale.value, 1.0 / scale.value))}"
+    of_poses = f"--fix-poses {axes}{',' * bool(axes)}scaled:{_digits(scale.value)}"
+    stored = _depth_scale(evidence.recording)
+    option = f"{of_poses} if the depth is right"
+    if stored is not None:
+        axes_too = f"--fix-poses {axes} " if axes else ""
+        option = f"{axes_too}--depth-scale {_common(stored * scale.value):g} if the poses are right, or {option}"
+    if axes:
+        what = f"{AXES[axes].what} and {what}"
+    return Explanation(*_joined(evidence, what, option), parts, scale.fit.median)
+
+
+def _focal_words(evidence: Evidence, focal: Factor) -> tuple[str, str]:
+    camera = evidence.recording.camera
+    sd = f" (to {_percent(focal.log_sd)})" if np.isfinite(focal.log_sd) else ""
+    what = f"a focal length of {focal.value * camera.focal_px:.0f} px{sd} instead of {camera.focal_px:.0f}"
+    return what, f"--intrinsics {intrinsics_text(evidence.matches.camera, camera, focal.value)}"
+
+
+def intrinsics_text(matched: Camera, stated: Camera, factor: float) -> str:
+    """Value of ``--intrinsics`` for the stated camera with its focal lengths multiplied by a factor."""
+    values = [stated.width, stated.height, stated.fx * factor, stated.fy * factor, stated.cx, stated.cy]
+    text = ",".join(f"{value:.5g}" for value in values)
+    return text if matched.distortion == stated.distortion else text + ",0,0,0,0,0"
+
+
+def _joined(evidence: Evidence, what: str, option: str) -> tuple[str, str]:
+    """What the evidence and a hypothesis change, in one."""
+    if not evidence.what:
+        return what, option
+    if option.startswith("--fix-poses ") and "--fix-poses" in evidence.option:
+        return f"{evidence.what}, and {what}", f"{evidence.option},{option.removeprefix('--fix-poses ')}"
+    return f"{evidence.what}, and {what}", f"{evidence.option} {option}"
+
+
+def _enough_otherwise(evidence: Evidence) -> bool:
+    """Whether corners have depth if it is read otherwise, although few have as it is stated."""
+    return any(as_stated(reading).pairs >= _LEAST_PAIRS for reading in other_readings(evidence))
+
+
+def _depth_scale(recording: Recording) -> float | None:
+    """Stored depth value of one metre, where it is known."""
+    source = recording.source if isinstance(recording, Selection) else recording
+    return source.depth_scale if isinstance(source, ImageRecording) else None
+
+
+def _common(value: float) -> float:
+    """The common depth scale near a value, or the value with three digits."""
+    nearest = min(_COMMON_SCALES, key=lambda common: abs(np.log(value / common)))
+    return nearest if abs(value / nearest - 1.0) < _SAME else float(_digits(value))
+
+
+def _digits(value: float) -> str:
+    return f"{value:.3g}"
+
+
+def _percent(share: float | None) -> str:
+    if share is None:
+        return "unknown"
+    return f"{share:.0%}" if share < 10.0 else f"{share:.0f} times"

@@ -1,0 +1,120 @@
+"""The command ``check``: its exit code, table, JSON and picture; and builds that it refuses."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from altered_recordings import POSES
+from cli_helpers import QUICK, outputs, refused, write_workspace
+from monoloc.cli.main import invoke
+from plot_helpers import check_picture
+from synthetic_recordings import tum_lines
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
+
+FRAMES = 30
+
+
+@pytest.fixture(scope="module")
+def flight() -> RoomRecording:
+    return RoomRecording(Room(), make_path(FRAMES), SMALL_CAMERA)
+
+
+@pytest.fixture
+def workspace(tmp_path: Path, flight: RoomRecording, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    write_workspace(tmp_path, flight)
+    monkeypatch.chdir(tmp_path)
+    yield tmp_path
+
+
+def write_poses(workspace: Path, flight: RoomRecording, poses: np.ndarray, times: np.ndarray | None = None) -> None:
+    text = tum_lines(flight.timestamps_s if times is None else times, poses)
+    (workspace / "flight" / "poses.txt").write_text(text)
+
+
+def checked(capfd: pytest.CaptureFixture[str], code: int, *arguments: str) -> tuple[dict[str, Any], str]:
+    """The JSON and stderr of a check that ends with an exit code."""
+    capfd.readouterr()
+    assert invoke(["check", *arguments, "--json"]) == code
+    out, err = capfd.readouterr()
+    result = json.loads(out)
+    assert isinstance(result, dict)
+    return result, err
+
+
+def test_right_recording_is_good(workspace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    result, err = checked(capfd, 0, "flight", "--plot", "pictures.png")
+    assert result["level"] == "good" and result["poses"]["verdict"] == "agree"
+    assert {finding["level"] for finding in result["findings"]} == {"good"}
+    assert "flight: good" in err and "focal length" in err
+    (workspace / "drawn").mkdir()
+    (workspace / "pictures.png").rename(workspace / "drawn" / "pictures.png")
+    check_picture(workspace / "drawn" / "pictures.png", 1200, 800)
+
+
+def test_other_convention_is_bad_is_not_built_and_can_be_fixed(
+    workspace: Path, flight: RoomRecording, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert flight.poses is not None
+    write_poses(workspace, flight, POSES["COLMAP"].poses(flight.poses))
+    fix = "--fix-poses w-first,world-to-camera"
+    result, err = checked(capfd, 2, "flight")
+    assert result["poses"]["explanation"]["option"] == fix and "w first" in err
+    problem = r"poses and images disagree: corners land \d+% .* quaternions with w first and world-to-camera"
+    refused(capfd, workspace, ("build", "flight", "--out", "a.monoloc", *QUICK), "flight: ", problem, f"give {fix}$")
+    assert checked(capfd, 0, "flight", *fix.split())[0]["level"] == "good"
+    outputs(capfd, "build", "flight", "--out", "a.monoloc", "--no-landmarks", *fix.split(), *QUICK)
+    assert (workspace / "a.monoloc" / "manifest.json").is_file()
+
+
+def test_times_in_milliseconds_are_not_built(
+    workspace: Path, flight: RoomRecording, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert flight.poses is not None
+    write_poses(workspace, flight, flight.poses, 1000.0 * flight.timestamps_s)
+    arguments = ("build", "flight", "--out", "a.monoloc", *QUICK)
+    refused(capfd, workspace, arguments, "flight: ", "they look like milliseconds", "divide them by 1000")
+
+
+def test_frame_numbers_give_exit_code_1(
+    workspace: Path, flight: RoomRecording, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert flight.poses is not None
+    write_poses(workspace, flight, flight.poses, np.arange(float(FRAMES)))
+    result, err = checked(capfd, 1, "flight")
+    assert result["level"] == "warning" and "they look like frame numbers" in " ".join(err.split())
+
+
+def test_doubled_times_are_called_doubled(
+    workspace: Path, flight: RoomRecording, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert flight.poses is not None
+    times = flight.timestamps_s.copy()
+    times[7] = times[6]
+    write_poses(workspace, flight, flight.poses, times)
+    refused(
+        capfd, workspace, ("check", "flight"), "flight/poses.txt: ", "entry 8 .* it is doubled", "keep one of the two"
+    )
+
+
+def test_unusable_arguments_are_refused(workspace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    for arguments, names, problem, fix in (
+        (("flight", "--fix-poses", "sideways"), "--fix-poses: ", "'sideways' is no fix", "names are w-first"),
+        (("flight", "--fix-depth", "sideways"), "--fix-depth: ", "is 'sideways'", "choose one of range"),
+        (("room.monoloc",), "SOURCE: ", "is missing after the bundle", "give the recording"),
+        (("flight", "--plot", "check.jpg"), "--plot: ", "is a PNG by another name", "name it"),
+    ):
+        refused(capfd, workspace, ("check", *arguments), names, problem, fix)
+
+
+def test_bundle_without_landmarks_in_sight_is_bad(workspace: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    result, _ = checked(capfd, 2, "room.monoloc", "flight")
+    assert result["map"] == {
+        "frames": 24, "found": 0, "agreeing": None, "offset_m": None, "offset_deg": None, "T_map_world": None,
+        "focal": None,
+    }  # fmt: skip

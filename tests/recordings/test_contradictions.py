@@ -1,0 +1,123 @@
+"""Recordings of real rooms that contradict themselves are refused by what they would fit as; right ones are not."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from altered_recordings import POSES, Altered, judged, range_of, refusal, upside_down, with_focal
+from monoloc.io.corrected import Fixes, corrected
+from monoloc.io.recording import Recording, Selection
+from monoloc.io.registry import open_recording, select_frames
+from monoloc.recording_check.correspondences import Matches, match_corners
+from monoloc.recording_check.depth_check import check_depth
+from monoloc.recording_check.pose_check import check_poses, require_agreement
+
+KITCHEN, DESK = "7scenes/redkitchen", "office-desk"
+
+
+def opened(data_root: Path, folder: str, frames: str) -> Selection:
+    if not (data_root / folder).is_dir():
+        pytest.skip(f"no recording at {data_root / folder}")
+    return select_frames(open_recording(str(data_root / folder)), frames)
+
+
+@pytest.fixture(scope="module", params=[(KITCHEN, "200:400:2"), (DESK, "0:350:2")], ids=["kitchen", "desk"])
+def room(request: pytest.FixtureRequest, data_root: Path) -> tuple[Recording, Matches]:
+    recording = opened(data_root, *request.param)
+    return recording, match_corners(recording)
+
+
+@pytest.mark.parametrize(
+    ("folder", "frames"),
+    [
+        *((KITCHEN, frames) for frames in ("::", "::3", "::4", "::12", "0:400:16", "200:", "0:100", "300:")),
+        *((DESK, frames) for frames in ("::", "::4", "::14", "350:")),
+    ],
+)
+def test_right_recordings_are_not_doubted(data_root: Path, folder: str, frames: str) -> None:
+    recording = opened(data_root, folder, frames)
+    check = check_poses(recording)
+    assert check.verdict == "agree" and require_agreement("walk", check, poses_are_refined=False) == []
+    depth = check_depth(recording)
+    assert depth.problem is None, depth
+
+
+@pytest.mark.parametrize("name", POSES)
+def test_poses_of_another_convention_are_named(room: tuple[Recording, Matches], name: str) -> None:
+    recording, matches = room
+    assert recording.poses is not None
+    check = judged(Altered(recording, poses=POSES[name].poses(recording.poses)), matches)
+    assert re.fullmatch(f".* off as [^;]*{POSES[name].words}.*; give {POSES[name].option}", refusal(check))
+
+
+@pytest.mark.parametrize(("said", "right"), [(1000.0, 5000.0), (5000.0, 1000.0)])
+def test_depth_scale_is_named_with_its_value(data_root: Path, said: float, right: float) -> None:
+    """The depth of the kitchen, stored as ``right`` to the metre and read as ``said``."""
+    whole = open_recording(str(data_root / KITCHEN))
+    whole.depth_scale *= said / right  # type: ignore[attr-defined]
+    line = refusal(check_poses(select_frames(whole, "::2")))
+    stored = 1000  # of these files
+    assert re.search(rf"factor of [45]\.\d+; give --depth-scale {stored} if the poses are right, or --fix", line), (
+        line
+    )
+
+
+@pytest.mark.parametrize("factor", [0.75, 1.3])
+def test_another_focal_length_is_named(room: tuple[Recording, Matches], factor: float) -> None:
+    recording, matches = room
+    camera = with_focal(recording.camera, factor)
+    matches = replace(matches, camera=with_focal(matches.camera, factor))
+    line = refusal(judged(Altered(recording, camera=camera), matches))
+    found = re.search(r" as a focal length of (\d+) px .*; give --intrinsics 640,480,([\d.]+),", line)
+    assert found and float(found[2]) == pytest.approx(recording.camera.fx, rel=0.06), line
+
+
+def test_images_upside_down_are_named(room: tuple[Recording, Matches]) -> None:
+    line = refusal(check_poses(Altered(room[0], color=upside_down)))
+    assert line.endswith("; give --fix-depth turned-180 --fix-poses turned-180")
+
+
+def test_range_is_named(room: tuple[Recording, Matches]) -> None:
+    check = check_depth(Altered(room[0], depth=range_of(room[0])))
+    assert check.problem is not None and check.problem.startswith("depth is distance from the camera instead of z")
+    assert check.remedy == "give --fix-depth range"
+
+
+def test_unregistered_depth_is_named_and_fixed(data_root: Path, tmp_path: Path) -> None:
+    """The kitchen's stored depth, in a recording that says that it is registered."""
+    kitchen = open_recording(str(data_root / KITCHEN))
+    kitchen.registration, kitchen.folder = None, tmp_path  # type: ignore[attr-defined]
+    recording = select_frames(kitchen, "::4")
+    check = check_depth(recording)
+    assert check.fix == "kinect" and check.remedy == "give --fix-depth kinect"
+    assert check.problem is not None and "not registered to the colour camera of a Kinect" in check.problem
+    assert check_depth(corrected(recording, Fixes(depth="kinect"))).problem is None
+
+
+def test_own_camera_in_the_layout_of_7_scenes_is_named_and_fixed(data_root: Path, tmp_path: Path) -> None:
+    desk = opened(data_root, DESK, "0:120:2")
+    assert desk.poses is not None
+    folder = tmp_path / "seq-01"
+    folder.mkdir()
+    for index in range(len(desk)):
+        stem = folder / f"frame-{index:06d}"
+        position = int(desk.positions[index])
+        shutil.copy(data_root / DESK / f"color/{position:04d}.jpg", f"{stem}.color.jpg")
+        shutil.copy(data_root / DESK / f"depth/{position:04d}.png", f"{stem}.depth.png")
+        np.savetxt(f"{stem}.pose.txt", desk.poses[index])
+    assert cv2.imread(f"{stem}.color.jpg") is not None
+    recording = open_recording(f"7scenes:{tmp_path}")
+    line = refusal(check_poses(recording))
+    found = re.search(r"a camera of your own.*; give --fix-depth registered --intrinsics 640,480,([\d.]+),", line)
+    assert found and float(found[1]) == pytest.approx(desk.camera.fx, rel=0.06), line
+    fixed = corrected(recording, Fixes(depth="registered"))
+    assert fixed.poses is not None
+    np.testing.assert_allclose(fixed.poses, desk.poses, atol=1e-6)
+    np.testing.assert_array_equal(fixed.depth(0), desk.depth(0))

@@ -1,0 +1,156 @@
+"""Poses, depth and camera that contradict the images are recognised and named; right ones are not doubted."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from altered_recordings import POSES, Altered, judged, late, range_of, refusal, upside_down, with_focal
+from monoloc.geometry import FloatArray, make_pose, se3_exp, so3_exp
+from monoloc.io.corrected import Fixes, corrected
+from monoloc.io.pose_fixes import parse_pose_fixes
+from monoloc.io.recording import Recording, Selection
+from monoloc.io.registry import open_recording
+from monoloc.recording_check.correspondences import Matches, match_corners
+from monoloc.recording_check.pose_check import check_poses, require_agreement
+from monoloc_lab.rooms import BUILD, TESTS
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
+
+
+def turning_path(count: int) -> FloatArray:
+    """Poses that move and turn about all axes, so that no two conventions agree."""
+    t = np.arange(count) / 15.0
+    positions = np.stack([1.2 * np.sin(0.8 * t), 0.5 * np.sin(1.1 * t), 0.8 * np.cos(0.9 * t) - 0.6], axis=1)
+    turns = np.stack([0.2 * np.sin(1.9 * t), 0.4 * np.sin(1.3 * t + 0.3), 0.3 * np.sin(2.3 * t)], axis=1)
+    return make_pose(so3_exp(turns), positions)
+
+
+@pytest.fixture(scope="module")
+def room() -> tuple[Recording, Matches]:
+    """A right recording, and its corners."""
+    recording = RoomRecording(Room(), turning_path(60), SMALL_CAMERA)
+    return recording, match_corners(recording)
+
+
+def test_right_recordings_agree(room: tuple[Recording, Matches]) -> None:
+    check = judged(*room)
+    assert check.verdict == "agree" and check.share is not None and check.share < 0.12
+    assert require_agreement("walk", check, poses_are_refined=False) == []
+
+
+@pytest.mark.parametrize("name", POSES)
+def test_poses_of_another_convention_are_named_and_fixed(room: tuple[Recording, Matches], name: str) -> None:
+    recording, matches = room
+    assert recording.poses is not None
+    altered = POSES[name].poses(recording.poses)
+    check = judged(Altered(recording, poses=altered), matches)
+    assert re.fullmatch(f".*% off as [^;]*{POSES[name].words}.*; give {POSES[name].option}", refusal(check))
+    if name not in ("late", "early"):  # which cannot be undone at the ends
+        fixes = parse_pose_fixes(POSES[name].option.removeprefix("--fix-poses "))
+        np.testing.assert_allclose(fixes.convert(altered), recording.poses, atol=1e-6)
+
+
+@pytest.mark.parametrize("factor", [0.2, 1.4, 5.0])
+def test_depth_of_another_scale_is_named(room: tuple[Recording, Matches], factor: float) -> None:
+    recording, matches = room
+    line = refusal(judged(Altered(recording, depth=lambda depth: depth * factor), matches))
+    found = re.fullmatch(r".* differ by a factor of ([\d.]+); give --fix-poses scaled:([\d.]+) if the .*", line)
+    assert found, line
+    assert float(found[1]) == pytest.approx(max(factor, 1.0 / factor), rel=0.05)
+    assert float(found[2]) == pytest.approx(factor, rel=0.05)
+
+
+@pytest.mark.parametrize("factor", [0.75, 1.3])
+def test_another_focal_length_is_named(room: tuple[Recording, Matches], factor: float) -> None:
+    recording, matches = room
+    right = recording.camera.focal_px
+    camera = with_focal(recording.camera, factor)
+    matches = replace(matches, camera=with_focal(matches.camera, factor))
+    line = refusal(judged(Altered(recording, camera=camera), matches))
+    found = re.fullmatch(r".* as a focal length of (\d+) px .*; give --intrinsics \d+,\d+,([\d.]+),.*", line)
+    assert found, line
+    assert float(found[1]) == pytest.approx(right, rel=0.06)
+    assert float(found[2]) == pytest.approx(recording.camera.fx, rel=0.06)
+
+
+def test_images_upside_down_are_named(room: tuple[Recording, Matches]) -> None:
+    """Turned by software, with depth and poses as they were, or the camera with its depth."""
+    recording, _ = room
+    line = refusal(check_poses(Altered(recording, color=upside_down)))
+    assert line.endswith("; give --fix-depth turned-180 --fix-poses turned-180") and "images upside down" in line
+    line = refusal(check_poses(Altered(recording, color=upside_down, depth=upside_down)))
+    assert line.endswith("; give --fix-poses turned-180")
+
+
+def test_noisy_poses_give_a_warning_and_unrelated_poses_are_refused(room: tuple[Recording, Matches]) -> None:
+    recording, matches = room
+    assert recording.poses is not None
+    rng = np.random.default_rng(0)
+    noise = rng.normal(size=(len(recording), 6)) * np.repeat([0.01, np.deg2rad(0.5)], 3)
+    noisy = judged(Altered(recording, poses=recording.poses @ se3_exp(noise)), matches)
+    assert noisy.verdict in ("agree", "doubtful")
+    assert len(require_agreement("walk", noisy, poses_are_refined=False)) == (noisy.verdict == "doubtful")
+    other = recording.poses[rng.permutation(len(recording))]
+    check = judged(Altered(recording, poses=other), matches)
+    line = refusal(check)
+    assert re.search(r"by their own motion, and motions correlate by -?0\.\d\d\); check the poses", line)
+    assert require_agreement("walk", check, poses_are_refined=True) == []  # refinement starts from any
+
+
+def test_poses_with_a_cloud_in_place_of_depth() -> None:
+    recording = RoomRecording(Room(), turning_path(60), SMALL_CAMERA)
+    cloud = Room().cloud(0.04)
+    assert check_poses(Altered(recording, has_depth=False), cloud).verdict == "agree"
+    assert recording.poses is not None
+    wrong = Altered(recording, poses=POSES["OpenGL"].poses(recording.poses), has_depth=False)
+    assert refusal(check_poses(wrong, cloud)).endswith("; give --fix-poses opengl")
+
+
+def test_delay_counts_frames_of_the_whole_recording() -> None:
+    """Where every third frame is selected, poses late by two frames are no whole number of selected frames late."""
+    recording = RoomRecording(Room(), turning_path(90), SMALL_CAMERA)
+    assert recording.poses is not None
+    recording.poses = late(recording.poses, 2)
+    check = check_poses(Selection(recording, range(0, 90, 3)))
+    assert refusal(check).endswith("; give --fix-poses late:2")
+
+
+def test_scale_and_axes_together_are_named() -> None:
+    """As from structure from motion with OpenGL's axes."""
+    recording = RoomRecording(Room(), turning_path(60), SMALL_CAMERA)
+    assert recording.poses is not None
+    poses = POSES["OpenGL"].poses(recording.poses)
+    poses[:, :3, 3] *= 3.7
+    line = refusal(check_poses(Altered(recording, poses=poses)))
+    assert re.search(r"; give --fix-poses opengl,scaled:0\.27\d? if the depth is right", line), line
+
+
+def test_too_little_motion_is_not_judged() -> None:
+    still = np.repeat(make_path(1), 30, axis=0)
+    check = check_poses(RoomRecording(Room(), still, SMALL_CAMERA))
+    assert check.verdict == "unknown" and "0 pairs of frames show corners that move" in check.sentence
+    assert require_agreement("walk", check, poses_are_refined=False) == []
+
+
+def test_range_leaves_the_pose_check_silent() -> None:
+    """Its effect on corners is as small as that of noisy poses: planes tell it (test_depth_check.py)."""
+    recording = RoomRecording(Room(), turning_path(60), SMALL_CAMERA)
+    assert check_poses(Altered(recording, depth=range_of(recording))).verdict == "agree"
+
+
+def test_fixed_recording_agrees() -> None:
+    recording = RoomRecording(Room(), turning_path(60), SMALL_CAMERA)
+    assert recording.poses is not None
+    wrong = Altered(recording, poses=late(POSES["COLMAP"].poses(recording.poses), 4))
+    fixed = corrected(wrong, Fixes(poses="w-first,world-to-camera,late:4"))
+    assert len(fixed) == 56 and fixed.frame_names == recording.frame_names[:56]
+    assert check_poses(fixed).verdict == "agree"
+
+
+@pytest.mark.parametrize("folder", [BUILD, *TESTS.values()], ids=["build", *TESTS])
+def test_living_room_is_not_doubted(folder: Path) -> None:
+    assert check_poses(open_recording(str(folder))).verdict == "agree"

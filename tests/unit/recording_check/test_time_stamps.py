@@ -1,0 +1,61 @@
+"""Times that are not seconds are said to be what they look like."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from monoloc.errors import DataError
+from monoloc.io.recording import Selection
+from monoloc.recording_check.time_stamps import check_times, require_seconds
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
+
+
+def timed(times_s: np.ndarray) -> RoomRecording:
+    recording = RoomRecording(Room(), make_path(len(times_s)), SMALL_CAMERA.resized(32, 26))
+    recording.timestamps_s = times_s
+    return recording
+
+
+def test_seconds_are_not_doubted() -> None:
+    check = check_times(timed(1700000000.0 + np.arange(20) / 15.0))
+    assert check.problem is None and check.rate_hz == pytest.approx(15.0) and check.gaps_s == []
+    assert require_seconds("walk", check) == []
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [
+        (1e3, r"67 s apart: they look like milliseconds; divide them by 1000$"),
+        (1e9, r"e\+07 s apart: they look like nanoseconds; divide them by 1000000000$"),
+        (1e-3, r"15000 frames a second: they are not seconds; write the times in seconds$"),
+    ],
+)
+def test_other_units_are_refused(factor: float, words: str) -> None:
+    with pytest.raises(DataError) as raised:
+        require_seconds("walk", check_times(timed(factor * np.arange(20) / 15.0)))
+    assert re.search(words, str(raised.value)), raised.value
+
+
+def test_frame_numbers_give_a_warning() -> None:
+    (warning,) = require_seconds("walk", check_times(timed(np.arange(20.0))))
+    assert warning.startswith(
+        "time stamps are whole numbers, one frame a second: they look like frame numbers; divide"
+    )
+
+
+def test_selected_frames_one_second_apart_are_no_frame_numbers() -> None:
+    assert check_times(Selection(timed(np.arange(60) / 15.0), range(0, 60, 15))).problem is None
+
+
+def test_gaps_are_counted() -> None:
+    times = np.arange(20) / 15.0
+    times[12:] += 2.0
+    check = check_times(timed(times))
+    assert check.gaps_s == [pytest.approx(2.0 + 1.0 / 15.0)]
+
+
+def test_one_frame_has_no_rate() -> None:
+    assert check_times(timed(np.zeros(1))).rate_hz is None
