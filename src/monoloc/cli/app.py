@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from typer.exceptions import Abort, TyperException
 
-from monoloc.cli import build, depth, evaluate, fly, inspect, localize, map_
+from monoloc.cli import build, check, depth, doctor, evaluate, fly, inspect, localize, map_, replay
 from monoloc.errors import MonolocError
 from monoloc.version import __version__
 
@@ -24,10 +24,13 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command("build")(build.build)
+app.command("check")(check.check)
 app.command("localize")(localize.localize_command)
 app.command("evaluate")(evaluate.evaluate)
 app.command("inspect")(inspect.inspect)
 app.command("fly")(fly.fly)
+app.command("doctor")(doctor.doctor)
+app.command("replay")(replay.replay)
 app.add_typer(map_.app, name="map")
 app.add_typer(depth.app, name="depth")
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Annotated
+from typing import Annotated, get_args
 
 import cv2
 import numpy as np
@@ -21,6 +21,8 @@ from monoloc.cli.common import (
     IntrinsicsOption,
     JsonOption,
     SeedOption,
+    check_apart,
+    check_folder,
     check_outputs,
     open_source,
     parse_intrinsics,
@@ -47,6 +49,7 @@ from monoloc.localizer import Localizer
 from monoloc.mavlink.autopilot_link import AutopilotLink
 from monoloc.mavlink.firmware import Firmware
 from monoloc.start import Start
+from monoloc.supervision.state import State
 
 
 def fly(
@@ -106,34 +109,39 @@ def fly(
       monoloc fly room.monoloc camera:0 --camera cam.toml --mavlink serial:/dev/ttyAMA0:921600 --firmware px4
       monoloc fly room.monoloc camera:0 --camera cam.toml --mavlink udpin:0.0.0.0:14550 --firmware ardupilot --align
       monoloc fly room.monoloc rtsp://192.168.1.20/stream --settings flight.toml --record flight-1
-      ffmpeg -i flight.mp4 -f mjpeg - | monoloc fly room.monoloc -
       monoloc fly room.monoloc 7scenes:redkitchen --frames 0:400 --out poses.csv
     """
     check_outputs({"--out": out}, (room, source, settings))
-    _check_autopilot(mavlink, firmware, align)
+    if record is not None:
+        check_folder(record, "--record")
+        check_apart(record, "--record", (room, source))
+    check_autopilot(mavlink, firmware, align, fast)
     flight_settings = FlightSettings() if settings is None else load_settings(settings, FlightSettings)
     bundle = read_bundle(room)
     rng = np.random.default_rng(seed)
     cv2.setNumThreads(1)  # more do not speed up small images, and the drone needs its other cores
     summary, north = FlightSummary(), None
     outputs: list[FlightOutput] = [WatchdogOutput(), StatusOutput(stderr, summary)]
-    with ExitStack() as opened, _stopped_by_signals() as stop:
-        frame_source, camera, first_pose = _open(source, frames, intrinsics, fast)
+    with _stopped_by_signals() as stop, ExitStack() as opened:
+        frame_source, camera, first_pose = open_frames(source, frames, intrinsics, fast)
         opened.callback(frame_source.close)
         begin = start_of(start, bundle, first_pose, start_error_cm / 100.0, float(np.deg2rad(start_error_deg)), rng)
         localizer = Localizer(bundle, camera, begin, seed=seed)
+        if firmware is not None:
+            down_world(bundle, flight_settings)  # or it is refused, before anything is written
         link = None if mavlink is None else opened.enter_context(closing(AutopilotLink(mavlink)))
+        if record is not None:
+            header = _header(room, camera, begin, seed, flight_settings, None if align else firmware)
+            outputs.append(FlightRecorder(record, header))
         if out is not None:
             outputs.append(PoseLog(out))
-        if record is not None:
-            header = _header(room, camera, begin, seed, flight_settings, firmware)
-            outputs.append(FlightRecorder(record, header))
         if link is not None and align:
             T_body_camera = flight_settings.mount.T_body_camera
             north = NorthMeasurement(T_body_camera, down_world(bundle, flight_settings), link.attitude_at)
             outputs.append(north)
         elif firmware is not None:
-            outputs += senders(link, record, bundle, firmware, flight_settings)
+            # The autopilot first: what is written may wait for a disk.
+            outputs[:0] = senders(link, record, bundle, firmware, flight_settings)
         for output in outputs:
             opened.enter_context(closing(output))
         Flight(
@@ -150,9 +158,11 @@ def fly(
         north_deg, sd_deg = north.north_deg()
         stderr.print(f"north_deg = {north_deg:.1f}     (write it into the --settings file; varied by {sd_deg:.1f}°)")
     _report(summary, frame_source, link, json)
+    if summary.failures:
+        raise summary.failures[0]
 
 
-def _check_autopilot(mavlink: str | None, firmware: Firmware | None, align: bool) -> None:
+def check_autopilot(mavlink: str | None, firmware: Firmware | None, align: bool, fast: bool) -> None:
     names = ", ".join(each.value for each in Firmware)
     if mavlink is not None and firmware is None:
         raise SettingError("--firmware", "is missing: firmwares take other frames", f"choose from {names}")
@@ -160,12 +170,18 @@ def _check_autopilot(mavlink: str | None, firmware: Firmware | None, align: bool
         raise SettingError("--firmware", "is given without --mavlink", "give the autopilot's address with --mavlink")
     if align and mavlink is None:
         raise SettingError("--align", "needs the autopilot's yaw", "give its address with --mavlink")
+    if fast and mavlink is not None:
+        raise SettingError("--fast", "takes the recording's clock, not the autopilot's", "leave it out")
 
 
-def _open(
+def open_frames(
     source: str, frames: str, intrinsics: str | None, fast: bool
 ) -> tuple[FrameSource, Camera, FloatArray | None]:
-    """The source, its camera, and the first pose of a recording that has poses."""
+    """The source, its camera, and the first pose, (4, 4), of a recording that has poses.
+
+    Raises:
+        DataError, SettingError: from the reader or the camera, or an option is invalid.
+    """
     if not is_live(source):
         recording = open_source(source, frames, intrinsics)
         paced = UnpacedRecording(recording) if fast else PacedRecording(recording)
@@ -175,7 +191,7 @@ def _open(
         raise SettingError("--fast", "has no meaning for a live camera", "leave it out")
     if intrinsics is None:
         problem = "is missing: a live camera does not tell its own"
-        raise SettingError("--intrinsics", problem, "give W,H,FX,FY,CX,CY")
+        raise SettingError("--camera", problem, "name the file that monoloc calibrate wrote")
     camera = parse_intrinsics(intrinsics)[0]
     return open_live(source, camera), camera, None
 
@@ -223,4 +239,14 @@ def _report(summary: FlightSummary, source: FrameSource, link: AutopilotLink | N
     if json:
         print_json(figures)
         return
-    stderr.print(", ".join(f"{name} {value}" for name, value in figures.items()))
+    states = ", ".join(f"{summary.states[state]} {state}" for state in get_args(State))
+    rate_hz, median_s, most_s = (figures[name] for name in ("rate_hz", "latency_s_median", "latency_s_p95"))
+    how = f"; {rate_hz:.1f} Hz" if isinstance(rate_hz, float) else ""
+    if isinstance(median_s, float) and isinstance(most_s, float) and most_s > 0.0:  # else nothing took time: --fast
+        how += f", {1e3 * median_s:.0f} ms after capture (95 %: {1e3 * most_s:.0f} ms)"
+    stderr.print(f"{summary.frames} frames: {states}{how}", soft_wrap=True)
+    dropped = ", ".join(f"{count} {reason}" for reason, count in summary.dropped.items() if count)
+    stderr.print(f"dropped: {dropped or 'none'}; reconnections of the camera: {source.reconnections}", soft_wrap=True)
+    if link is not None:
+        messages = ", ".join(f"{count} {what}" for what, count in sorted(link.counts.items()))
+        stderr.print(f"autopilot: {messages or 'no messages'}", soft_wrap=True)

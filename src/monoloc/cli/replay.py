@@ -13,6 +13,7 @@ import typer
 from monoloc.bundle import digest_of, read_bundle
 from monoloc.cli.common import JsonOption, check_outputs, print_json, stderr
 from monoloc.errors import DataError
+from monoloc.files import write_whole
 from monoloc.flight.autopilot import senders
 from monoloc.flight.flight_loop import FlightOutput
 from monoloc.flight.flight_recording import MESSAGES, POSES, FlightHeader, read_header
@@ -24,7 +25,7 @@ from monoloc.version import __version__
 
 def replay(
     folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Folder from monoloc fly --record.", show_default=False)
+        Path, typer.Argument(metavar="DIR", help="Folder that monoloc fly recorded.", show_default=False)
     ],
     room: Annotated[
         Path | None, typer.Option("--room", help="The bundle, where it is no longer at the place of the flight.")
@@ -41,7 +42,7 @@ def replay(
       monoloc replay flight-1
       monoloc replay flight-1 --room copies/room.monoloc --out poses.csv
     """
-    check_outputs({"--out": out}, (folder, room))
+    check_outputs({"--out": out}, (folder, room, *folder.glob("*")))
     header = read_header(folder)
     bundle_path = Path(header.bundle) if room is None else room
     if digest_of(bundle_path) != header.digest:
@@ -51,16 +52,21 @@ def replay(
     cv2.setNumThreads(1)  # as in the flight
     with tempfile.TemporaryDirectory() as made, ExitStack() as opened:
         again = Path(made)
-        outputs: list[FlightOutput] = [PoseLog(path) for path in (again / POSES, out) if path is not None]
+        outputs: list[FlightOutput] = [PoseLog(again / POSES)]
         if header.firmware is not None:
             outputs += senders(None, again, bundle, header.firmware, header.settings)
         for output in outputs:
             opened.enter_context(closing(output))
         with ConsoleProgress(stderr).task("replay", max(1, len(recorded) - 1)) as show:
             frames = recompute(folder, header, bundle, outputs, show)
-        pairs = zip(recorded[1:], _lines(again / POSES)[1:], strict=False)
+        if len(recorded) <= frames:
+            problem = f"has {max(0, len(recorded) - 1)} poses for {frames} frames"
+            raise DataError(folder / POSES, problem, "give another flight")
+        pairs = zip(recorded[1:], _lines(again / POSES)[1:], strict=False)  # after a kill, the last pose has no frame
         different = [index for index, (before, now) in enumerate(pairs) if before != now]
-        same_messages = None if header.firmware is None else _same_start(folder / MESSAGES, again / MESSAGES)
+        same_messages = None if header.firmware is None else _begins_with(folder / MESSAGES, again / MESSAGES)
+        if out is not None:
+            write_whole(out, (again / POSES).read_bytes())
     _report(frames, different, same_messages, header, json)
 
 
@@ -72,14 +78,12 @@ def _lines(path: Path) -> list[bytes]:
         raise DataError(path, "cannot be read", "give another flight") from error
 
 
-def _same_start(recorded: Path, again: Path) -> bool:
-    """Whether one file is the other's beginning: a flight that was killed lacks its end."""
+def _begins_with(recorded: Path, again: Path) -> bool:
+    """Whether a file begins with another's content: after a kill, the last messages have no frame."""
     try:
-        before, now = recorded.read_bytes(), again.read_bytes()
+        return recorded.read_bytes().startswith(again.read_bytes())
     except OSError as error:
         raise DataError(recorded, "cannot be read", "give another flight") from error
-    length = min(len(before), len(now))
-    return before[:length] == now[:length]
 
 
 def _report(frames: int, different: list[int], same_messages: bool | None, header: FlightHeader, json: bool) -> None:

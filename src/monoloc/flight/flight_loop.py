@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from operator import methodcaller
 from typing import Protocol
 
 import numpy as np
@@ -42,8 +43,8 @@ class FlightStep:
 class FlightOutput(Protocol):
     """Takes the results of a flight.
 
-    An output that raises a MonolocError hears no more until the end, and the flight goes on: a full disk must not take
-    the pose from an autopilot.
+    An output that raises a MonolocError hears no more until the end, and the flight goes on: a full disk must not
+    take the pose from an autopilot.
     """
 
     def take(self, result: FlightStep) -> None:
@@ -153,8 +154,7 @@ class Flight:
             if frame is not None and self._is_in_time(frame):
                 self._localize(frame)
             else:
-                now_s = self._source.now_s()
-                self._hand_on(lambda output, now_s=now_s: output.idle(now_s))
+                self._hand_on(methodcaller("idle", self._source.now_s()))
 
     def _is_in_time(self, frame: LiveFrame) -> bool:
         self._summary.dropped["skipped"] += frame.sequence - self._sequence - 1
@@ -179,7 +179,7 @@ class Flight:
         self._previous = frame
         result = FlightStep(frame, elapsed_s, down_camera, step, self._source.now_s())
         self._summary.add(result)
-        self._hand_on(lambda output: output.take(result))
+        self._hand_on(methodcaller("take", result))
 
     def _hand_on(self, say: Callable[[FlightOutput], None]) -> None:
         for output in self._outputs:

@@ -3,7 +3,7 @@
 ::
 
     flight.json      bundle, camera, start, seed and settings
-    frames.jsonl     one line a localised frame: times, gravity; and one whenever no frame came
+    frames.jsonl     one line a localised frame: times, gravity; and one whenever no frame came or one was dropped
     images/          the frames, PNG
     poses.csv        what was computed, see :mod:`monoloc.flight.pose_log`
     messages.tlog    what was sent to the autopilot, where there was one
@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import threading
 from collections.abc import Iterator
@@ -19,22 +20,25 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from monoloc.camera import Camera
 from monoloc.config import describe
-from monoloc.errors import DataError
+from monoloc.errors import DataError, SettingError
 from monoloc.files import write_whole
 from monoloc.flight.flight_loop import FlightStep
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.pose_log import PoseLog
 from monoloc.geometry import FloatArray
+from monoloc.io.file_access import read_text
+from monoloc.io.image_files import read_color
 from monoloc.mavlink.firmware import Firmware
 from monoloc.start import Start
 from monoloc.version import __version__
 
 _HEADER, _FRAMES, _IMAGES, POSES, MESSAGES = "flight.json", "frames.jsonl", "images", "poses.csv", "messages.tlog"
-_QUEUED = 32  # images that wait for the disk, before the flight waits for it
+_QUEUED = 32  # frames that wait for the disk, before the flight waits for it
+_MOST_WAIT_S = 0.5  # for the disk, before the recording ends: the pose matters more
 _FAST_PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 
 
@@ -79,10 +83,10 @@ class RecordedFrame(BaseModel):
         down_camera: direction of gravity that was used, or None.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     captured_s: float
-    elapsed_s: float
+    elapsed_s: float = Field(ge=0.0)
     done_s: float
     down_camera: tuple[float, float, float] | None
 
@@ -92,9 +96,9 @@ class RecordedFrame(BaseModel):
 
 
 class RecordedIdle(BaseModel):
-    """A tenth of a second in which no frame came."""
+    """A tenth of a second in which no frame came, or a frame that was dropped."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     idle_s: float
 
@@ -105,71 +109,105 @@ _EVENT: TypeAdapter[RecordedFrame | RecordedIdle] = TypeAdapter(RecordedFrame | 
 class FlightRecorder:
     """A :class:`~monoloc.flight.flight_loop.FlightOutput` that writes a flight's folder.
 
-    A thread writes the images. Where the disk is slower than the camera for long, the flight waits for it, and the
-    source drops frames: what is recorded is whole.
+    A thread writes, a frame's line after its image and its pose: what has a line is whole, even after a kill. Where
+    the disk is slower than the camera the flight waits for it, and the source drops frames; where it stands still the
+    recording ends, and the flight goes on.
 
     Args:
         folder: new or empty.
         header: is written at once.
 
     Raises:
-        DataError: the folder is not empty, or cannot be written to.
+        DataError: the folder is not empty, or cannot be written to, at once or later.
     """
 
     def __init__(self, folder: Path, header: FlightHeader) -> None:
-        if folder.exists() and any(folder.iterdir()):
-            raise DataError(folder, "is not empty", "name a new folder for this flight")
-        (folder / _IMAGES).mkdir(parents=True, exist_ok=True)
-        write_whole(folder / _HEADER, header.model_dump_json(indent=2).encode())
         self.folder = folder
+        self._make_folder()
+        write_whole(folder / _HEADER, header.model_dump_json(indent=2).encode())
         self._poses = PoseLog(folder / POSES)
         self._frames = (folder / _FRAMES).open("w", encoding="utf-8")
         self._count = 0
         self._failure: Exception | None = None
-        self._images: queue.Queue[tuple[int, NDArray[np.uint8]] | None] = queue.Queue(_QUEUED)
-        self._thread = threading.Thread(target=self._write_images, name="flight recorder", daemon=True)
+        self._is_known = False  # to the flight, that it failed
+        self._queue: queue.Queue[FlightStep | RecordedIdle | None] = queue.Queue(_QUEUED)
+        self._thread = threading.Thread(target=self._run, name="flight recorder", daemon=True)
         self._thread.start()
 
     def take(self, result: FlightStep) -> None:
-        """Raises DataError if an image could not be written."""
-        if self._failure is not None:
-            raise self._failure
-        self._images.put((self._count, result.frame.color))
-        self._count += 1
-        down = result.down_camera
-        frame = RecordedFrame(
-            captured_s=result.frame.captured_s,
-            elapsed_s=result.elapsed_s,
-            done_s=result.done_s,
-            down_camera=None if down is None else (float(down[0]), float(down[1]), float(down[2])),
-        )
-        self._write(frame)
-        self._poses.take(result)
+        """Raises DataError if an earlier frame could not be written."""
+        self._hand_over(result)
 
     def idle(self, now_s: float) -> None:
-        self._write(RecordedIdle(idle_s=now_s))
+        """Raises DataError as :meth:`take`: what is sent to an autopilot depends on it too."""
+        self._hand_over(RecordedIdle(idle_s=now_s))
 
     def close(self) -> None:
-        """Raises DataError if an image could not be written."""
-        self._images.put(None)
+        """Raises DataError if a frame could not be written and neither :meth:`take` nor :meth:`idle` said so."""
+        self._queue.put(None)
         self._thread.join()
-        self._frames.close()
+        with contextlib.suppress(OSError):  # only what a write that failed has left is not yet in the file
+            self._frames.close()
         self._poses.close()
-        if self._failure is not None:
-            raise self._failure
+        self._raise_failure()
 
-    def _write(self, line: RecordedFrame | RecordedIdle) -> None:
-        self._frames.write(line.model_dump_json() + "\n")
-        self._frames.flush()
+    def _make_folder(self) -> None:
+        try:
+            if self.folder.exists() and any(self.folder.iterdir()):
+                raise DataError(self.folder, "is not empty", "name a new folder for this flight")
+            (self.folder / _IMAGES).mkdir(parents=True)
+        except OSError as error:
+            fix = "name a new folder in one you can write to"
+            raise DataError(self.folder, f"cannot be made ({error.strerror})", fix) from error
 
-    def _write_images(self) -> None:
-        while (item := self._images.get()) is not None:
-            index, color = item
-            path = image_path(self.folder, index)
-            if self._failure is None and not cv2.imwrite(
-                str(path), cv2.cvtColor(color, cv2.COLOR_RGB2BGR), _FAST_PNG
-            ):
-                self._failure = DataError(path, "cannot be written", "check the space on this disk")
+    def _hand_over(self, event: FlightStep | RecordedIdle) -> None:
+        self._raise_failure()
+        try:
+            self._queue.put(event, timeout=_MOST_WAIT_S)
+        except queue.Full as error:
+            self._failure = DataError(
+                self.folder, "cannot be written as fast as the frames come", "use a faster disk"
+            )
+            self._raise_failure(error)
+
+    def _raise_failure(self, cause: Exception | None = None) -> None:
+        if self._failure is not None and not self._is_known:
+            self._is_known = True
+            raise self._failure from cause
+
+    def _run(self) -> None:
+        while (event := self._queue.get()) is not None:
+            if self._failure is None:  # else it only empties the queue, on which the flight may wait
+                try:
+                    self._write(event)
+                except Exception as error:
+                    self._failure = error
+
+    def _write(self, event: FlightStep | RecordedIdle) -> None:
+        if isinstance(event, RecordedIdle):
+            self._write_line(event)
+            return
+        bgr = cv2.cvtColor(event.frame.color, cv2.COLOR_RGB2BGR)
+        write_whole(image_path(self.folder, self._count), cv2.imencode(".png", bgr, _FAST_PNG)[1].tobytes())
+        self._count += 1
+        self._poses.take(event)
+        down = event.down_camera
+        self._write_line(
+            RecordedFrame(
+                captured_s=event.frame.captured_s,
+                elapsed_s=event.elapsed_s,
+                done_s=event.done_s,
+                down_camera=None if down is None else (float(down[0]), float(down[1]), float(down[2])),
+            )
+        )
+
+    def _write_line(self, line: RecordedFrame | RecordedIdle) -> None:
+        try:
+            self._frames.write(line.model_dump_json() + "\n")
+            self._frames.flush()
+        except OSError as error:
+            fix = "make room, or choose another disk"
+            raise DataError(self.folder / _FRAMES, f"cannot be written ({error.strerror})", fix) from error
 
 
 def image_path(folder: Path, index: int) -> Path:
@@ -184,41 +222,43 @@ def read_header(folder: Path) -> FlightHeader:
         DataError: it is missing, or not as written.
     """
     path = folder / _HEADER
+    if not path.is_file():
+        raise DataError(folder, f"is no recorded flight (no {_HEADER})", "give a folder of monoloc fly --record")
     try:
-        return FlightHeader.model_validate_json(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DataError(path, "cannot be read", "give a folder that monoloc fly --record wrote") from error
-    except (ValidationError, UnicodeDecodeError) as error:
-        what = describe(error) if isinstance(error, ValidationError) else str(error)
+        header = FlightHeader.model_validate_json(read_text(path))
+        header.localizer_start()
+    except (ValueError, SettingError) as error:
+        what = describe(error) if isinstance(error, ValidationError) else " ".join(str(error).split())
         raise DataError(path, f"is damaged ({what})", "give another flight") from error
+    return header
 
 
-def read_events(folder: Path) -> Iterator[tuple[NDArray[np.uint8], RecordedFrame] | RecordedIdle]:
+def read_events(folder: Path, camera: Camera) -> Iterator[tuple[NDArray[np.uint8], RecordedFrame] | RecordedIdle]:
     """Images (H, W, 3) uint8 RGB with their times, and idle times of a recorded flight, in order.
 
     A last line that was cut is left out.
 
+    Args:
+        folder: of the flight.
+        camera: of the images.
+
     Raises:
-        DataError: a file is missing or damaged.
+        DataError: a file is missing or damaged, or an image of another size.
     """
     path, index = folder / _FRAMES, 0
-    with path.open(encoding="utf-8") as lines:
-        for number, line in enumerate(lines, start=1):
-            if not line.endswith("\n"):
-                return
-            try:
-                event = _EVENT.validate_json(line)
-            except ValidationError as error:
-                raise DataError(path, f"is damaged in line {number}", "give another flight") from error
-            if isinstance(event, RecordedIdle):
-                yield event
-            else:
-                yield _read_image(image_path(folder, index)), event
-                index += 1
-
-
-def _read_image(path: Path) -> NDArray[np.uint8]:
-    bgr = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if bgr is None:
-        raise DataError(path, "cannot be read", "restore it, or give another flight")
-    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8)
+    try:
+        lines = path.read_bytes().splitlines(keepends=True)
+    except OSError as error:
+        raise DataError(path, f"cannot be read ({error.strerror})", "give another flight") from error
+    for number, line in enumerate(lines, start=1):
+        if not line.endswith(b"\n"):
+            return
+        try:
+            event = _EVENT.validate_json(line)
+        except ValidationError as error:
+            raise DataError(path, f"is damaged in line {number}", "give another flight") from error
+        if isinstance(event, RecordedIdle):
+            yield event
+        else:
+            yield read_color(image_path(folder, index), camera), event
+            index += 1

@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from monoloc.geometry import FloatArray, make_pose, so3_exp
 
+_LEAST_LENGTH = 1e-6  # of a direction
 _R_BODY_FORWARD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Axes of a camera that looks forward and stands upright, in the body's axes: forward, right, down."""
 
@@ -62,3 +63,10 @@ class FlightSettings(BaseModel):
     rate_hz: float = Field(50.0, gt=0.0, le=500.0)
     obstacles: bool = True
     message: Literal["odometry", "vision_position_estimate"] = "odometry"
+
+    @field_validator("down")
+    @classmethod
+    def _check_down(cls, down: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
+        if down is not None and np.linalg.norm(down) < _LEAST_LENGTH:
+            raise ValueError("it has no direction")
+        return down

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from monoloc.bundle import Bundle
+from monoloc.errors import DataError
 from monoloc.flight.flight_loop import FlightOutput, FlightStep
 from monoloc.flight.flight_recording import FlightHeader, RecordedIdle, read_events
 from monoloc.live.frame_source import LiveFrame
@@ -31,11 +32,11 @@ def recompute(
         The number of frames.
 
     Raises:
-        DataError: a file is missing or damaged.
+        DataError: a file is missing or damaged, or there is no frame.
     """
     localizer = Localizer(bundle, header.camera, header.localizer_start(), seed=header.seed)
     count = 0
-    for event in read_events(folder):
+    for event in read_events(folder, header.camera):
         if isinstance(event, RecordedIdle):
             for output in outputs:
                 output.idle(event.idle_s)
@@ -48,4 +49,6 @@ def recompute(
             output.take(result)
         count += 1
         show(count)
+    if count == 0:
+        raise DataError(folder, "holds no frame", "give another flight")
     return count

@@ -54,6 +54,7 @@ class StatusOutput:
     def _begin(self, now_s: float) -> None:
         if self._began_s is None:
             self._began_s = self._frame_s = self._printed_s = now_s
+            self._frames = self._summary.frames
 
     def _say_how_it_goes(self, result: FlightStep) -> None:
         now_s = result.done_s

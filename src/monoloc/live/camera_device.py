@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import cv2
 import numpy as np
@@ -12,7 +14,8 @@ from monoloc.camera import Camera
 from monoloc.errors import DataError
 from monoloc.live.frame_source import CameraGoneError
 
-_MOST_LATENCY_S = 1.0  # a driver's stamp that is older is by another clock
+_MOST_LATENCY_S = 1.0  # of a first image; a driver's stamp that is older is by another clock
+_MOST_DAMAGED = 30  # images in a row that cannot be decoded, with which a camera is as good as gone
 
 
 class CameraDevice:
@@ -30,9 +33,11 @@ class CameraDevice:
         self.name = f"camera:{index}"
         self._index, self._camera = index, camera
         self._capture: cv2.VideoCapture | None = None
+        self._stamps_are_ours: bool | None = None  # None before the first image
 
     def open(self) -> None:
-        capture = cv2.VideoCapture(self._index)
+        with _without_warnings():
+            capture = cv2.VideoCapture(self._index)
         if not capture.isOpened():
             capture.release()
             raise DataError(
@@ -45,21 +50,40 @@ class CameraDevice:
             (cv2.CAP_PROP_AUTOFOCUS, 0),
         ):
             capture.set(key, value)
-        self._capture = capture
+        self._capture, self._stamps_are_ours = capture, None
 
     def grab(self) -> tuple[NDArray[np.uint8], float]:
-        if self._capture is None or not self._capture.grab():
-            raise CameraGoneError
-        arrived_s = time.monotonic()
-        stamp_s = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
-        has_image, bgr = self._capture.retrieve()
-        if not has_image:
-            raise CameraGoneError
-        # V4L2 stamps by the monotonic clock when the exposure ends; other drivers by none or by their own.
-        is_ours = 0.0 <= arrived_s - stamp_s <= _MOST_LATENCY_S
-        return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8), stamp_s if is_ours else arrived_s
+        for _ in range(_MOST_DAMAGED):
+            if self._capture is None or not self._capture.grab():
+                break
+            arrived_s = time.monotonic()
+            stamp_s = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
+            has_image, bgr = self._capture.retrieve()
+            if has_image:  # one that is damaged on its way is left out
+                captured_s = self._captured_s(stamp_s, arrived_s)
+                return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8), captured_s
+        raise CameraGoneError
+
+    def _captured_s(self, stamp_s: float, arrived_s: float) -> float:
+        """V4L2 stamps by the monotonic clock, with an image's first or last byte; other drivers by none or their own.
+
+        The first image tells. A later one that is old was held back in the driver's queue, and must count as old.
+        """
+        if self._stamps_are_ours is None:
+            self._stamps_are_ours = 0.0 <= arrived_s - stamp_s <= _MOST_LATENCY_S
+        return stamp_s if self._stamps_are_ours else arrived_s
 
     def close(self) -> None:
         if self._capture is not None:
             self._capture.release()
             self._capture = None
+
+
+@contextmanager
+def _without_warnings() -> Iterator[None]:
+    """OpenCV's warnings off: of a camera that is absent the error says all, and it is looked for again and again."""
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(level)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from typing import BinaryIO
 
@@ -13,11 +14,16 @@ from monoloc.camera import Camera
 from monoloc.errors import DataError
 from monoloc.live.frame_source import EndOfStreamError
 
-_BEGIN, _END = b"\xff\xd8\xff", b"\xff\xd9"
+_BEGIN = b"\xff\xd8\xff"
+_SOI, _EOI = 0xD8, 0xD9  # markers of an image's begin and end
 _SCAN = 0xDA  # marker of the segment that the compressed pixels follow
 _SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # markers of the segment that states the image's size
+# What ends compressed pixels: in them, a zero follows 0xFF, or the number of a restart (ITU-T T.81, B.1.1.5).
+_AFTER_PIXELS = re.compile(rb"\xff[\x01-\xcf\xd8-\xfe]")
+_INCOMPLETE, _DAMAGED = 0, -1
 _CHUNK = 1 << 16
-_BYTES_PER_PIXEL = 4  # no JPEG has more; it bounds what is kept of a stream without images
+_BYTES_PER_PIXEL = 4  # no JPEG has more; it bounds what is read of a stream without images
+_FLAGS = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION  # the intrinsics are those of the stored pixels
 
 
 class MjpegStream:
@@ -31,6 +37,7 @@ class MjpegStream:
     def __init__(self, stream: BinaryIO, camera: Camera) -> None:
         self.name = "standard input"
         self._stream, self._camera, self._buffer = stream, camera, b""
+        self._skipped = 0  # bytes that belong to no image, since the last one
         self._most_bytes = camera.width * camera.height * _BYTES_PER_PIXEL + _CHUNK
 
     def open(self) -> None:
@@ -45,40 +52,57 @@ class MjpegStream:
         while True:
             jpeg = self._next_jpeg()
             arrived_s = time.monotonic()
-            bgr = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+            bgr = cv2.imdecode(np.frombuffer(jpeg, np.uint8), _FLAGS)
             if bgr is not None:  # a damaged image is left out
                 return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8), arrived_s
 
     def _next_jpeg(self) -> bytes:
         while True:
-            begin = self._buffer.find(_BEGIN)
-            self._buffer = self._buffer[max(begin, 0) :]
-            end = self._end() if begin >= 0 else -1
-            if end >= 0:
-                jpeg, self._buffer = self._buffer[:end], self._buffer[end:]
+            end = self._find_image()
+            if end != _INCOMPLETE:
+                jpeg, self._buffer, self._skipped = self._buffer[:end], self._buffer[end:], 0
                 return jpeg
-            if len(self._buffer) > self._most_bytes:
+            if self._skipped + len(self._buffer) > self._most_bytes:
                 raise DataError(self.name, "holds no JPEG images", "write motion JPEG to it, without a container")
             chunk = self._stream.read(_CHUNK)
             if not chunk:
                 raise EndOfStreamError
             self._buffer += chunk
 
+    def _find_image(self) -> int:
+        """Skip to the first image, and find where it ends. One in which another begins was cut: it is skipped."""
+        self._skip_to(0)
+        while (end := self._end()) == _DAMAGED:
+            self._skip_to(len(_BEGIN))
+        return end
+
+    def _skip_to(self, at: int) -> None:
+        """Skip to the next image at or after a place in the buffer, or to what may become its first bytes."""
+        begin = self._buffer.find(_BEGIN, at)
+        at = begin if begin >= 0 else max(at, len(self._buffer) - len(_BEGIN) + 1)
+        self._buffer, self._skipped = self._buffer[at:], self._skipped + at
+
     def _end(self) -> int:
-        """Where the image ends that begins the buffer, or -1 where it is not yet complete.
+        """Where the image ends that begins the buffer.
 
         Segments are skipped by their lengths, since a thumbnail in one is itself a JPEG.
         """
-        at = 2
-        while at + 9 <= len(self._buffer) and self._buffer[at] == 0xFF:
-            marker, length = self._buffer[at + 1], int.from_bytes(self._buffer[at + 2 : at + 4], "big")
-            if marker == _SCAN:
-                end = self._buffer.find(_END, at)
-                return end + 2 if end >= 0 else -1
+        at, data = 2, self._buffer
+        while at + 2 <= len(data):
+            marker = data[at + 1]
+            if data[at] != 0xFF or marker == _SOI:
+                return _DAMAGED
+            if marker == _EOI:
+                return at + 2
+            if at + 9 > len(data):
+                break
             if marker in _SIZES:
-                self._check_size(self._buffer[at + 5 : at + 9])
-            at += 2 + length
-        return -1
+                self._check_size(data[at + 5 : at + 9])
+            at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+            if marker == _SCAN:
+                following = _AFTER_PIXELS.search(data, at)
+                at = len(data) if following is None else following.start()
+        return _INCOMPLETE
 
     def _check_size(self, size: bytes) -> None:
         height, width = int.from_bytes(size[:2], "big"), int.from_bytes(size[2:], "big")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -14,8 +16,8 @@ from monoloc.live.capture_clock import CaptureClock
 from monoloc.live.frame_source import CameraGoneError
 
 _TIMEOUT_S = 5.0  # for opening, and for the next packet
-# TCP loses no packets, and a decoder that does not wait for reordered frames shows each at once.
-_OPTIONS = {"rtsp_transport": "tcp", "fflags": "nobuffer", "flags": "low_delay"}
+_OPTIONS = {"rtsp_transport": "tcp", "fflags": "nobuffer"}  # TCP loses no packets
+_CREDENTIALS = re.compile(r"(?<=//)[^/]*@")  # of a URL: they belong in no message
 
 
 class NetworkStream:
@@ -27,7 +29,8 @@ class NetworkStream:
 
     def __init__(self, url: str) -> None:
         require_stream()
-        self.name = url
+        self.name = _CREDENTIALS.sub("", url)
+        self._url = url
         self._container: Any = None
         self._frames: Any = None
         self._clock = CaptureClock()
@@ -36,15 +39,26 @@ class NetworkStream:
         import av
 
         try:
-            self._container = av.open(self.name, options=_OPTIONS, timeout=_TIMEOUT_S)
+            self._container = av.open(self._url, options=_OPTIONS, timeout=_TIMEOUT_S)
             video = self._container.streams.video[0]
         except (av.FFmpegError, OSError, IndexError) as error:
             self.close()
             fix = "check the address, and that another player shows it"
-            raise DataError(self.name, f"gives no video ({error})", fix) from error
+            reason = getattr(error, "strerror", None) or "it has none"  # the error's whole text repeats the URL
+            raise DataError(self.name, f"gives no video ({reason})", fix) from error
         video.thread_type = "SLICE"  # threads by frame add a frame of delay each
-        self._frames = self._container.decode(video)
+        self._frames = self._decoded(video)
         self._clock = CaptureClock()
+
+    def _decoded(self, video: Any) -> Iterator[Any]:
+        import av
+
+        for packet in self._container.demux(video):
+            try:
+                frames = packet.decode()
+            except av.error.InvalidDataError:  # damaged, or before the first whole image
+                continue
+            yield from frames
 
     def grab(self) -> tuple[NDArray[np.uint8], float]:
         import av

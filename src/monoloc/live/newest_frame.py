@@ -6,9 +6,9 @@ is emptied by a thread of its own, which keeps one frame.
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
-from types import TracebackType
 from typing import Protocol
 
 import numpy as np
@@ -41,6 +41,8 @@ class Grabber(Protocol):
     def grab(self) -> tuple[NDArray[np.uint8], float]:
         """Wait for the next image: (H, W, 3) uint8 RGB, and its time of capture by ``time.monotonic``, seconds.
 
+        It is called only while the camera is open, and does not wait for ever where the camera hangs, if it can.
+
         Raises:
             CameraGoneError: it gives no more images; :meth:`open` may bring it back.
             EndOfStreamError: it has no more images.
@@ -48,7 +50,7 @@ class Grabber(Protocol):
         ...
 
     def close(self) -> None:
-        """Release the camera; called also where it was never opened."""
+        """Release the camera, also one that is gone or was never opened; raises nothing."""
         ...
 
 
@@ -66,6 +68,7 @@ class NewestFrame:
         self._grabber = grabber
         self._frame: LiveFrame | None = None
         self._count = 0
+        self._is_reopened, self._retry_s = False, _FIRST_RETRY_S
         self._failure: Exception | None = None
         self._arrived = threading.Condition()
         self._closing = threading.Event()
@@ -88,14 +91,6 @@ class NewestFrame:
         self._closing.set()
         self._thread.join(_JOIN_S)
 
-    def __enter__(self) -> NewestFrame:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
-    ) -> None:
-        self.close()
-
     def _run(self) -> None:
         try:
             while not self._closing.is_set():
@@ -116,18 +111,18 @@ class NewestFrame:
             except CameraGoneError:
                 return
             with self._arrived:
+                # A camera is back, not when it can be opened, but when it gives an image.
+                self.reconnections += self._is_reopened
+                self._is_reopened, self._retry_s = False, _FIRST_RETRY_S
                 self._frame = LiveFrame(color, captured_s, self._count)
                 self._count += 1
                 self._arrived.notify_all()
 
     def _reopen(self) -> None:
-        wait_s = _FIRST_RETRY_S
         self._grabber.close()
-        while not self._closing.wait(wait_s):
-            try:
+        self._is_reopened = True
+        while not self._closing.wait(self._retry_s):
+            self._retry_s = min(2.0 * self._retry_s, _LAST_RETRY_S)
+            with contextlib.suppress(MonolocError):
                 self._grabber.open()
-            except MonolocError:
-                wait_s = min(2.0 * wait_s, _LAST_RETRY_S)
-            else:
-                self.reconnections += 1
                 return

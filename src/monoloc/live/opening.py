@@ -47,7 +47,9 @@ def _grabber(source: str, camera: Camera) -> Grabber:
     if _STREAM.fullmatch(source):
         return NetworkStream(source)
     if source == "-":
-        return MjpegStream(os.fdopen(os.dup(sys.stdin.fileno()), "rb", buffering=0), camera)
+        if sys.stdin is None:
+            raise SettingError("SOURCE", "is -, but standard input is closed", "write motion JPEG to it")
+        return MjpegStream(os.fdopen(sys.stdin.fileno(), "rb", buffering=0, closefd=False), camera)
     if source in _VENDORS:
         return _VENDORS[source](camera)
     raise SettingError(

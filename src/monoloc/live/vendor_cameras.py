@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import time
+from datetime import timedelta
 from types import ModuleType
 from typing import Any
 
@@ -15,7 +17,7 @@ from monoloc.errors import DataError, SettingError
 from monoloc.live.capture_clock import CaptureClock
 from monoloc.live.frame_source import CameraGoneError
 
-_TIMEOUT_S = 1.0  # for the next frame
+_TIMEOUT_S = 5.0  # for the next frame; some cameras need two seconds to give the first one
 _RATE_HZ = 30
 
 
@@ -23,12 +25,12 @@ def _library(module: str, source: str, package: str) -> ModuleType:
     """The maker's library.
 
     Raises:
-        SettingError: it is not installed.
+        SettingError: it cannot be imported.
     """
     try:
         return importlib.import_module(module)
-    except ImportError as error:
-        raise SettingError("SOURCE", f"{source} needs {module}", f"install {package}") from error
+    except ImportError as error:  # which also says what the library itself lacks
+        raise SettingError("SOURCE", f"{source} needs {module} ({error})", f"install {package}") from error
 
 
 class PiCamera:
@@ -41,34 +43,34 @@ class PiCamera:
         self._device: Any = None
 
     def open(self) -> None:
+        size = (self._camera.width, self._camera.height)
         try:
-            device = self._library.Picamera2()
-            size = (self._camera.width, self._camera.height)
+            self._device = self._library.Picamera2()
             # The library names the order of bytes in a word, so this is RGB.
-            device.configure(device.create_video_configuration(main={"size": size, "format": "BGR888"}))
-            device.start()
+            main = {"size": size, "format": "BGR888"}
+            self._device.configure(self._device.create_video_configuration(main=main))
+            self._device.start()
         except (RuntimeError, IndexError) as error:
+            self.close()
             raise DataError(self.name, f"cannot be opened ({error})", "check it with rpicam-hello") from error
-        self._device = device
 
     def grab(self) -> tuple[NDArray[np.uint8], float]:
         try:
-            request = self._device.capture_request()
-        except (RuntimeError, AttributeError) as error:
+            request = self._device.capture_request(wait=_TIMEOUT_S)
+            try:
+                color = np.asarray(request.make_array("main"), np.uint8)  # a copy of the camera's buffer
+                # Pipeline handlers for the Pi pass on V4L2's stamp, which is by the monotonic clock.
+                return color, request.get_metadata()["SensorTimestamp"] / 1e9
+            finally:
+                request.release()
+        except (RuntimeError, TimeoutError) as error:
             raise CameraGoneError from error
-        try:
-            color = np.array(request.make_array("main"), dtype=np.uint8)
-            stamp_s = request.get_metadata()["SensorTimestamp"] / 1e9
-        finally:
-            request.release()
-        # The stamp counts time asleep, the monotonic clock does not.
-        asleep_s = time.clock_gettime(time.CLOCK_BOOTTIME) - time.monotonic()
-        return color, stamp_s - asleep_s
 
     def close(self) -> None:
-        if self._device is not None:
-            self._device.close()
-            self._device = None
+        device, self._device = self._device, None
+        if device is not None:
+            with contextlib.suppress(RuntimeError):
+                device.close()
 
 
 class RealSense:
@@ -96,15 +98,16 @@ class RealSense:
         try:
             frame = self._pipeline.wait_for_frames(round(_TIMEOUT_S * 1000.0)).get_color_frame()
             arrived_s = time.monotonic()
-        except (RuntimeError, AttributeError) as error:
+            color = np.array(frame.get_data(), dtype=np.uint8)  # a copy: the library takes the buffer back
+            return color, self._clock.captured_s(frame.get_timestamp() / 1000.0, arrived_s)
+        except RuntimeError as error:
             raise CameraGoneError from error
-        color = np.array(frame.get_data(), dtype=np.uint8)  # a copy: the library takes the buffer back
-        return color, self._clock.captured_s(frame.get_timestamp() / 1000.0, arrived_s)
 
     def close(self) -> None:
-        if self._pipeline is not None:
-            self._pipeline.stop()
-            self._pipeline = None
+        pipeline, self._pipeline = self._pipeline, None
+        if pipeline is not None:
+            with contextlib.suppress(RuntimeError):
+                pipeline.stop()
 
 
 class Oak:
@@ -119,24 +122,28 @@ class Oak:
 
     def open(self) -> None:
         dai = self._library
+        size = (self._camera.width, self._camera.height)
         try:
-            pipeline = dai.Pipeline()
-            output = pipeline.create(dai.node.Camera).build().requestOutput((self._camera.width, self._camera.height))
+            self._pipeline = dai.Pipeline()
+            output = self._pipeline.create(dai.node.Camera).build().requestOutput(size)
             self._queue = output.createOutputQueue(maxSize=1, blocking=False)
-            pipeline.start()
+            self._pipeline.start()
         except RuntimeError as error:
+            self.close()
             raise DataError(self.name, f"cannot be opened ({error})", "check the cable and its power") from error
-        self._pipeline = pipeline
 
     def grab(self) -> tuple[NDArray[np.uint8], float]:
         try:
-            frame = self._queue.get()
-        except (RuntimeError, AttributeError) as error:
+            frame = self._queue.get(timedelta(seconds=_TIMEOUT_S))
+        except (RuntimeError, self._library.MessageQueue.QueueException) as error:
             raise CameraGoneError from error
+        if frame is None:
+            raise CameraGoneError
         # The library brings its stamps to the monotonic clock of this machine.
         return np.ascontiguousarray(frame.getCvFrame()[..., ::-1]), frame.getTimestamp().total_seconds()
 
     def close(self) -> None:
-        if self._pipeline is not None:
-            self._pipeline.stop()
-            self._pipeline = self._queue = None
+        pipeline, self._pipeline, self._queue = self._pipeline, None, None
+        if pipeline is not None:
+            with contextlib.suppress(RuntimeError):
+                pipeline.stop()

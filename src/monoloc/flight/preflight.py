@@ -1,0 +1,147 @@
+"""What a short flight on the ground says of camera, room and link, before the first arm."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.flight.flight_loop import FlightStep, FlightSummary
+from monoloc.mavlink.firmware import Firmware
+from monoloc.recording_check.image_quality import BLURRED, TOO_DARK, quality_of
+from monoloc.recording_check.inspection import Finding, Level
+from monoloc.supervision.state import Reason
+
+_LEAST_RATE_HZ, _GOOD_RATE_HZ = 5.0, 15.0  # PX4 stops to fuse below 5 Hz; its guide asks for 30
+_GOOD_LATENCY_S, _MOST_LATENCY_S = 0.1, 0.2  # from capture to result
+_BLURRED_SHARE, _CLIPPED_SHARE = 0.2, 0.25
+_GOOD_TRACKING, _LEAST_TRACKING = 0.9, 0.5  # shares of frames
+_GOOD_LANDMARKS = 20
+_EVERY = 3  # of the frames whose image is measured
+
+
+@dataclass(frozen=True)
+class LinkReport:
+    """What is known of an autopilot.
+
+    Attributes:
+        firmware: that the user says it has.
+        is_alive: whether its heartbeat is heard.
+        has_attitude: whether it sends its attitude.
+        parameters: values that it gave, by name.
+    """
+
+    firmware: Firmware
+    is_alive: bool
+    has_attitude: bool
+    parameters: Mapping[str, float]
+
+
+class Preflight:
+    """A :class:`~monoloc.flight.flight_loop.FlightOutput` that looks at every frame."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._quality: list[tuple[float, float, float, float]] = []
+        self._landmarks: list[int] = []
+        self._reasons: Counter[Reason] = Counter()
+
+    def take(self, result: FlightStep) -> None:
+        if self._count % _EVERY == 0:
+            self._quality.append(quality_of(result.frame.color))
+        self._count += 1
+        place = result.step.landmark_pose
+        self._landmarks.append(0 if place is None else len(place.points))
+        self._reasons.update(result.step.reasons)
+
+    def idle(self, now_s: float) -> None:
+        """Nothing: the summary tells the rate."""
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def findings(self, summary: FlightSummary, link: LinkReport | None) -> list[Finding]:
+        """What was found, in order of the way from the lens to the autopilot."""
+        if summary.frames == 0:
+            found = [Finding("camera", "bad", "no frame", "check the cable, and the source that was named")]
+        else:
+            found = [
+                *_of_timing(summary),
+                *_of_images(np.array(self._quality)),
+                *self._of_intrinsics(),
+                *self._of_room(summary),
+            ]
+        return found if link is None else [*found, *_of_link(link)]
+
+    def _of_intrinsics(self) -> Iterator[Finding]:
+        if self._reasons[Reason.CAMERA_MISMATCH]:
+            remark = "calibrate the camera at this resolution, with its focus fixed"
+            yield Finding("intrinsics", "bad", "landmarks fit another focal length", remark)
+        elif np.median(self._landmarks) >= _GOOD_LANDMARKS:
+            yield Finding("intrinsics", "good", "landmarks fit the stated focal length")
+        else:
+            yield Finding("intrinsics", "warning", "not compared", "look where the build recorded corners")
+
+    def _of_room(self, summary: FlightSummary) -> Iterator[Finding]:
+        seen = int(np.median(self._landmarks))
+        remark = "" if seen >= _GOOD_LANDMARKS else "look at a part of the room that the build recorded"
+        yield Finding("landmarks", "warning" if remark else "good", f"{seen} a frame (median)", remark)
+        share = summary.states["tracking"] / summary.frames
+        level: Level = "good" if share >= _GOOD_TRACKING else "warning" if share >= _LEAST_TRACKING else "bad"
+        why = ", ".join(f"{reason.value} ({count})" for reason, count in self._reasons.most_common(3))
+        yield Finding("state", level, f"tracking in {share:.0%} of {summary.frames} frames", why)
+
+
+def _of_timing(summary: FlightSummary) -> Iterator[Finding]:
+    figures = summary.figures()
+    rate_hz, median_s, p95_s = (figures[name] for name in ("rate_hz", "latency_s_median", "latency_s_p95"))
+    if isinstance(rate_hz, float):
+        level: Level = "good" if rate_hz >= _GOOD_RATE_HZ else "warning" if rate_hz >= _LEAST_RATE_HZ else "bad"
+        dropped = sum(summary.dropped.values())
+        remark = "" if level == "good" else "take a smaller network, or fewer particles and scan points"
+        yield Finding("rate", level, f"{rate_hz:.1f} Hz, {dropped} frames dropped", remark)
+    if isinstance(median_s, float) and isinstance(p95_s, float):
+        level = "good" if p95_s <= _GOOD_LATENCY_S else "warning" if p95_s <= _MOST_LATENCY_S else "bad"
+        remark = (
+            "" if level == "good" else "older poses than 0.2 s are not sent; set the autopilot's delay to the median"
+        )
+        yield Finding("latency", level, f"{1e3 * median_s:.0f} ms (95 %: {1e3 * p95_s:.0f} ms)", remark)
+
+
+def _of_images(quality: NDArray[np.float64]) -> Iterator[Finding]:
+    """Of (M, 4) blur, brightness, dark and saturated shares."""
+    blurred = float(np.mean(quality[:, 0] > BLURRED))
+    remark = "expose for a shorter time, add light, clean the lens" if blurred > _BLURRED_SHARE else ""
+    value = f"{float(np.median(quality[:, 0])):.2f} median, {blurred:.0%} of images over {BLURRED}"
+    yield Finding("blur", "warning" if remark else "good", value, remark)
+    brightness, dark, saturated = quality[:, 1:].mean(axis=0).tolist()
+    remark = ""
+    if brightness < TOO_DARK or dark > _CLIPPED_SHARE:
+        remark = "add light"
+    elif saturated > _CLIPPED_SHARE:
+        remark = "expose for a shorter time"
+    value = f"{brightness:.0f} of 255, {dark:.0%} of pixels black, {saturated:.0%} saturated"
+    yield Finding("exposure", "warning" if remark else "good", value, remark)
+
+
+def _of_link(link: LinkReport) -> Iterator[Finding]:
+    if not link.is_alive:
+        yield Finding("autopilot", "bad", "no heartbeat", "check address, cable and the port's protocol")
+        return
+    yield Finding("autopilot", "good", "its heartbeat is heard")
+    if link.has_attitude:
+        yield Finding("attitude", "good", "received")
+    else:
+        yield Finding("attitude", "warning", "none", "without it, gravity is not used; ask the port for ATTITUDE")
+    for rule in link.firmware.parameters:
+        if rule.name not in link.parameters:
+            yield Finding(rule.name, "warning", "not answered", f"set it to {rule.value:g}: {rule.why}")
+        elif rule.holds(link.parameters[rule.name]):
+            yield Finding(rule.name, "good", f"{link.parameters[rule.name]:g}")
+        else:
+            yield Finding(
+                rule.name, "bad", f"{link.parameters[rule.name]:g}", f"set it to {rule.value:g}: {rule.why}"
+            )

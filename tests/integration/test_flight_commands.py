@@ -1,0 +1,266 @@
+"""``monoloc fly`` and ``monoloc replay``, end to end on a synthetic room."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from cli_helpers import json_of, listing, outputs, refused, write_workspace
+from monoloc.cli.main import invoke
+from monoloc.flight.flight_recording import image_path
+from monoloc.flight.pose_log import COLUMNS
+from monoloc.geometry import quaternion_to_rotation, rotation_angle
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
+
+FRAMES = 12
+INTRINSICS = f"{SMALL_CAMERA.width},{SMALL_CAMERA.height},{SMALL_CAMERA.fx},{SMALL_CAMERA.fy}," + (
+    f"{SMALL_CAMERA.cx},{SMALL_CAMERA.cy}"
+)
+RUN = [sys.executable, "-c", "from monoloc.cli.main import run; run()"]
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(scope="module")
+def recording() -> RoomRecording:
+    return RoomRecording(Room(), make_path(FRAMES), SMALL_CAMERA)
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory: pytest.TempPathFactory, recording: RoomRecording) -> Path:
+    """A folder with a recording, a bundle built from every second frame of it, and its fast flight ``log``."""
+    folder = tmp_path_factory.mktemp("workspace")
+    write_workspace(folder, recording)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        fly = ["fly", "room.monoloc", "flight", "--fast", "--start", "truth", "--out", "poses.csv", "--record", "log"]
+        assert invoke(fly) == 0
+    return folder
+
+
+@pytest.fixture
+def here(workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the workspace, as working folder."""
+    shutil.copytree(workspace, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as lines:
+        rows = list(csv.DictReader(lines))
+    assert all(tuple(row) == COLUMNS and None not in row.values() for row in rows)
+    return rows
+
+
+# --- Fly and replay ---
+
+
+def test_a_flight_is_where_the_camera_was(here: Path, recording: RoomRecording) -> None:
+    rows = rows_of(here / "poses.csv")
+    assert [row["state"] for row in rows].count("tracking") >= FRAMES - 1
+    positions = np.array([[float(row[name]) for name in ("tx_m", "ty_m", "tz_m")] for row in rows])
+    assert np.linalg.norm(positions - recording.poses[:, :3, 3], axis=1).max() < 0.15
+    quaternions = np.array([[float(row[name]) for name in ("qx", "qy", "qz", "qw")] for row in rows])
+    turns = np.swapaxes(quaternion_to_rotation(quaternions), 1, 2) @ recording.poses[:, :3, :3]
+    assert np.rad2deg(rotation_angle(turns)).max() < 6.0
+    times_s = np.array([float(row["time_s"]) for row in rows])
+    np.testing.assert_allclose(np.diff(times_s), np.diff(recording.timestamps_s), atol=1e-6)
+    assert (here / "log" / "poses.csv").read_bytes() == (here / "poses.csv").read_bytes()
+    assert len(list((here / "log" / "images").iterdir())) == FRAMES
+
+
+def test_replay_computes_every_pose_to_the_last_bit(capfd: Capture, here: Path) -> None:
+    figures = json_of(capfd, "replay", "log", "--out", "again.csv")
+    expected = {"frames": FRAMES, "different_frames": 0, "first_different_frame": None, "same_messages": None}
+    assert figures == expected
+    assert (here / "again.csv").read_bytes() == (here / "poses.csv").read_bytes()
+    shutil.move("room.monoloc", "elsewhere.monoloc")
+    _, err = outputs(capfd, "replay", "log", "--room", "elsewhere.monoloc")
+    assert err.endswith(f"{FRAMES} frames: every pose is the same to the last bit\n")
+
+
+def test_replay_says_which_pose_is_not_the_same(capfd: Capture, here: Path) -> None:
+    path = image_path(here / "log", 4)
+    image = cv2.imread(str(path))
+    assert image is not None and cv2.imwrite(str(path), image // 2)
+    _, err = outputs(capfd, "replay", "log")
+    assert f"{FRAMES} frames: " in err and " differ from the flight, the first is 4\n" in err
+
+
+def test_a_flight_that_was_killed_is_replayed_up_to_there(capfd: Capture, here: Path) -> None:
+    """Its last line is cut, and the next pose and image are there already."""
+    events = here / "log" / "frames.jsonl"
+    lines = events.read_bytes().splitlines(keepends=True)
+    events.write_bytes(b"".join(lines[:6]) + lines[6][:-10])
+    assert json_of(capfd, "replay", "log") == {
+        "frames": 6,
+        "different_frames": 0,
+        "first_different_frame": None,
+        "same_messages": None,
+    }
+
+
+def test_a_flight_at_the_recordings_pace_says_how_it_went(capfd: Capture, here: Path) -> None:
+    _, err = outputs(capfd, "fly", "room.monoloc", "flight", "--start", "truth")
+    *_, frames, dropped = err.splitlines()
+    assert "tracking" in frames and " Hz, " in frames and " ms after capture (95 %: " in frames
+    assert dropped.startswith("dropped: ") and dropped.endswith("; reconnections of the camera: 0")
+    figures = json_of(capfd, "fly", "room.monoloc", "flight", "--start", "truth")
+    assert figures["frames"] + sum(figures["dropped"].values()) == FRAMES
+    assert sum(figures["states"].values()) == figures["frames"] > 0
+    assert 0.0 < figures["latency_s_median"] <= figures["latency_s_p95"]
+    assert figures["reconnections"] == 0
+
+
+def test_a_fast_flight_claims_no_latency(capfd: Capture, here: Path) -> None:
+    _, err = outputs(capfd, "fly", "room.monoloc", "flight", "--fast", "--start", "truth")
+    assert f"{FRAMES} frames: " in err and "after capture" not in err
+    assert "dropped: none; reconnections of the camera: 0\n" in err
+
+
+# --- What is refused, with nothing half-written ---
+
+LIVE = ("fly", "room.monoloc", "camera:987")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "names", "problem", "fix"),
+    [
+        (LIVE, "--intrinsics", "is missing", "W,H,FX"),
+        ((*LIVE, "--intrinsics", INTRINSICS, "--fast"), "--fast", "no meaning for a live camera", "leave it out"),
+        ((*LIVE, "--intrinsics", INTRINSICS, "--frames", "0:5"), "--frames", "no meaning for a live", "leave it out"),
+        ((*LIVE, "--intrinsics", INTRINSICS), "camera:987", "cannot be opened", "plugged in"),
+        (("fly", "absent.monoloc", "flight"), "absent.monoloc", "", "monoloc build"),
+        (("fly", "room.monoloc", "absent"), "", "does not exist", ""),
+        (("fly", "room.monoloc", "flight", "--start", "1,2"), "--start", "is '1,2'", "TX,TY,TZ"),
+        (("fly", "room.monoloc", "flight", "--settings", "absent.toml"), "absent.toml", "cannot be read", "TOML"),
+        (("fly", "room.monoloc", "flight", "--record", "log"), "log", "is not empty", "new folder"),
+        (("fly", "room.monoloc", "flight", "--record", "poses.csv"), "--record", "is a file", "name a folder"),
+        (("fly", "room.monoloc", "flight", "--record", "x/y"), "--record", "does not exist", "make the folder"),
+        (
+            ("fly", "room.monoloc", "flight", "--record", "room.monoloc/x"),
+            "--record",
+            "lies in the bundle",
+            "another",
+        ),
+        (("fly", "room.monoloc", "flight", "--out", "x/y.csv"), "--out", "does not exist", "make the folder"),
+        (("fly", "room.monoloc", "flight", "--out", "poses.csv", "--record", "log"), "log", "is not empty", "new"),
+        (("replay", "absent"), "absent", "is no recorded flight", "monoloc fly --record"),
+        (("replay", "flight"), "flight", "is no recorded flight", "monoloc fly --record"),
+        (("replay", "log", "--room", "flight"), "flight", "is not a bundle", "monoloc build"),
+        (("replay", "log", "--out", "log/poses.csv"), "--out", "is read by this command", "another place"),
+    ],
+)
+def test_wrong_arguments_are_refused(
+    capfd: Capture, here: Path, arguments: tuple[str, ...], names: str, problem: str, fix: str
+) -> None:
+    refused(capfd, here, arguments, names, problem, fix)
+
+
+def test_another_bundle_and_damaged_flights_are_refused(capfd: Capture, here: Path) -> None:
+    log, again = here / "log", ("replay", "log", "--room", "room.monoloc", "--out", "again.csv")
+    manifest = here / "room.monoloc" / "manifest.json"
+    whole = manifest.read_bytes()
+    manifest.write_bytes(whole + b"\n")
+    refused(capfd, here, again, "room.monoloc", "is not the bundle of this flight", "--room")
+    manifest.write_bytes(whole)
+
+    def is_refused_without(path: Path, content: bytes | None, names: str, problem: str, fix: str) -> None:
+        before = path.read_bytes()
+        path.unlink() if content is None else path.write_bytes(content)
+        refused(capfd, here, again, names, problem, fix)
+        path.write_bytes(before)
+
+    events, poses, image = log / "frames.jsonl", log / "poses.csv", image_path(log, 7)
+    lines = events.read_bytes().splitlines(keepends=True)
+    rows = poses.read_bytes().splitlines(keepends=True)
+    is_refused_without(log / "flight.json", b"{", "log/flight.json", "is damaged", "another flight")
+    is_refused_without(events, None, "log/frames.jsonl", "cannot be read", "another flight")
+    is_refused_without(events, b"", "log", "holds no frame", "another flight")
+    is_refused_without(events, b"".join([*lines[:5], b"\xff\n", *lines[5:]]), "log/frames.jsonl", "line 6", "another")
+    is_refused_without(poses, None, "log/poses.csv", "cannot be read", "another flight")
+    is_refused_without(poses, b"".join(rows[:-1]), "log/poses.csv", "has 11 poses for 12 frames", "another flight")
+    is_refused_without(image, None, "log/images/000007.png", "cannot be read", "restore")
+    is_refused_without(image, image.read_bytes()[:-20], "log/images/000007.png", "is cut short", "copy")
+
+
+def test_images_of_another_size_than_the_intrinsics_end_the_flight(capfd: Capture, here: Path) -> None:
+    with (here / "small.jpg").open("wb") as file:
+        file.write(cv2.imencode(".jpg", np.zeros((20, 30, 3), np.uint8))[1].tobytes())
+    process = fly_in_process(here, "fly", "room.monoloc", "-", "--intrinsics", INTRINSICS)
+    _, err = process.communicate((here / "small.jpg").read_bytes(), timeout=120)
+    assert process.returncode == 2
+    assert err.decode() == (
+        "monoloc: standard input: gives images of 30x20, but the camera is 160x128; "
+        "give the intrinsics of these images\n"
+    )
+
+
+# --- In a process of its own ---
+
+
+def fly_in_process(folder: Path, *arguments: str) -> subprocess.Popen[bytes]:
+    pipe = subprocess.PIPE
+    return subprocess.Popen([*RUN, *arguments], cwd=folder, stdin=pipe, stdout=pipe, stderr=pipe)
+
+
+def wait_for_rows(path: Path, count: int) -> None:
+    end_s = time.monotonic() + 60.0
+    while not path.exists() or path.read_bytes().count(b"\n") <= count:
+        assert time.monotonic() < end_s
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
+def test_a_signal_ends_a_flight_with_whole_files_and_a_summary(capfd: Capture, here: Path, number: int) -> None:
+    """A recording of an hour, at its own pace: it would not have ended. A kill takes the summary, but no file."""
+    poses = here / "flight" / "poses.txt"
+    comment, *lines = poses.read_text().splitlines()
+    times_s = [float(line.split()[0]) for line in lines]
+    later = [line.replace(f"{t:.9f}", f"{t + 3600.0:.9f}") for line, t in zip(lines, times_s, strict=True)]
+    poses.write_text("\n".join([comment, *lines[:4], *later[4:]]) + "\n")
+    fly = ("fly", "room.monoloc", "flight", "--start", "truth", "--out", "live.csv", "--record", "live", "--json")
+    process = fly_in_process(here, *fly)
+    wait_for_rows(here / "live.csv", 2)
+    process.send_signal(number)
+    out, err = process.communicate(timeout=60)
+    rows = rows_of(here / "live.csv")
+    if number == signal.SIGKILL:
+        assert process.returncode == -number
+    else:
+        assert process.returncode == 0, err
+        assert len(rows) == json.loads(out)["frames"] < FRAMES
+    again = json_of(capfd, "replay", "live")
+    assert (again["frames"], again["different_frames"]) == (len(rows), 0)
+    assert not [name for name in listing(here) if "partial" in name]
+
+
+def test_motion_jpeg_on_standard_input(here: Path, recording: RoomRecording) -> None:
+    """Two frames are localised while the writer still writes; then it ends, and so does the flight."""
+    jpegs = [
+        cv2.imencode(".jpg", recording.color(index)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 98])[1].tobytes()
+        for index in range(FRAMES)
+    ]
+    process = fly_in_process(here, "fly", "room.monoloc", "-", "--intrinsics", INTRINSICS, "--out", "live.csv")
+    assert process.stdin is not None
+    for index, jpeg in enumerate(jpegs[:2]):
+        process.stdin.write(jpeg)
+        process.stdin.flush()
+        wait_for_rows(here / "live.csv", index + 1)
+    _, err = process.communicate(b"".join(jpegs[2:]), timeout=60)
+    assert process.returncode == 0, err
+    rows = rows_of(here / "live.csv")
+    assert len(rows) >= 3 and rows[0]["state"] == "lost"  # it was told no start
+    times_s = [float(row["time_s"]) for row in rows]
+    assert (np.diff(times_s) > 0.0).all()
+    assert f"{len(rows)} frames: " in err.decode()

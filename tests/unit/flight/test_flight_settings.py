@@ -1,0 +1,66 @@
+"""How a camera sits on the vehicle: where it looks, by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from monoloc.config import load_settings
+from monoloc.flight.flight_settings import FlightSettings, Mount
+from monoloc.geometry import is_rigid
+from refusals import refuses_data
+
+FORWARD, BACK = (1, 0, 0), (-1, 0, 0)
+RIGHT, LEFT = (0, 1, 0), (0, -1, 0)
+DOWN, UP = (0, 0, 1), (0, 0, -1)
+H = np.sqrt(0.5)
+
+MOUNTS = [
+    # turns, where the camera looks, where the right border of its image is
+    ({}, FORWARD, RIGHT),
+    ({"yaw_deg": 90}, RIGHT, BACK),
+    ({"yaw_deg": -90}, LEFT, FORWARD),
+    ({"yaw_deg": 180}, BACK, LEFT),
+    ({"pitch_deg": 90}, UP, RIGHT),
+    ({"pitch_deg": -90}, DOWN, RIGHT),
+    ({"pitch_deg": -45}, (H, 0, H), RIGHT),
+    ({"roll_deg": 90}, FORWARD, DOWN),  # clockwise, as the camera sees
+    ({"roll_deg": 180}, FORWARD, LEFT),
+    ({"yaw_deg": 90, "pitch_deg": -90}, DOWN, BACK),  # down, the top of the image to the right
+    ({"yaw_deg": 90, "pitch_deg": -45}, (0, H, H), BACK),
+    ({"pitch_deg": -90, "roll_deg": 90}, DOWN, BACK),
+    ({"yaw_deg": 180, "roll_deg": 90}, BACK, DOWN),
+]
+
+
+@pytest.mark.parametrize(("turns", "axis", "image_right"), MOUNTS)
+def test_where_a_turned_camera_looks(
+    turns: dict[str, float], axis: tuple[float, ...], image_right: tuple[float, ...]
+) -> None:
+    T_body_camera = Mount.model_validate({**turns, "forward_m": 0.1, "right_m": -0.02, "down_m": 0.03}).T_body_camera
+    assert is_rigid(T_body_camera)
+    np.testing.assert_allclose(T_body_camera[:3, 2], axis, atol=1e-12)
+    np.testing.assert_allclose(T_body_camera[:3, 0], image_right, atol=1e-12)
+    np.testing.assert_array_equal(T_body_camera[:3, 3], [0.1, -0.02, 0.03])
+
+
+def test_settings_are_read_from_a_file_and_wrong_ones_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "flight.toml"
+    path.write_text("north_deg = 75.5\nmost_age_s = 0.3\n[mount]\npitch_deg = -90\ndown_m = 0.05\n")
+    settings = load_settings(path, FlightSettings)
+    assert (settings.north_deg, settings.most_age_s, settings.rate_hz) == (75.5, 0.3, 50.0)
+    assert settings.mount == Mount(pitch_deg=-90, down_m=0.05)
+    for line, problem in (
+        ("most_age_s = 0", "most_age_s: .*greater than 0"),
+        ("most_age_s = nan", "most_age_s: .*finite"),
+        ("rate_hz = 1e4", "rate_hz: .*less than or equal to 500"),
+        ("nort_deg = 3", "nort_deg: Extra"),
+        ("[mount]\npitch_deg = 91", "mount.pitch_deg: .*less than or equal to 90"),
+        ("[mount]\nup_m = 1", "mount.up_m: Extra"),
+        ("down = [0, 0]", "down.2: Field required"),
+        ("down = [0, 0, 0.0]", "down: .*no direction"),
+    ):
+        path.write_text(line + "\n")
+        refuses_data(lambda: load_settings(path, FlightSettings), path, problem, "mend")

@@ -1,0 +1,80 @@
+"""The table of poses: what other programs read from it is what was computed, to the last bit."""
+
+from __future__ import annotations
+
+import csv
+import resource
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mavlink_helpers import result_at, step_at
+from monoloc.errors import DataError
+from monoloc.flight.pose_log import COLUMNS, PoseLog
+from monoloc.geometry import quaternion_to_rotation, se3_exp
+from monoloc.supervision.state import Reason
+from refusals import refuses_data
+
+
+def test_csv_and_numpy_read_what_was_written_to_the_last_bit(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    path = tmp_path / "poses.csv"
+    log = PoseLog(path)
+    poses = se3_exp(rng.standard_normal((20, 6)))
+    roots = rng.standard_normal((20, 6, 6)) * 10.0 ** rng.uniform(-9, 9, (20, 6, 1))
+    covariances = roots @ np.swapaxes(roots, 1, 2)
+    covariances = (covariances + np.swapaxes(covariances, 1, 2)) / 2.0
+    times_s = np.cumsum(rng.uniform(0.0, 1.0, 20)) + 1.7e9
+    for index, (time_s, pose, covariance) in enumerate(zip(times_s, poses, covariances, strict=True)):
+        lost = (
+            {"state": "lost", "reasons": frozenset({Reason.SEARCHING, Reason.IMAGE_EMPTY})} if index % 3 == 0 else {}
+        )
+        step = step_at(pose, **lost, covariance=covariance, probability_far=1.0 / (index + 1), restarted=index == 1)
+        log.take(result_at(float(time_s), step))
+        assert path.read_bytes().count(b"\n") == index + 2  # each row at once, whole
+    log.close()
+
+    with path.open(newline="") as lines:
+        rows = list(csv.DictReader(lines))
+    assert tuple(rows[0]) == COLUMNS and len(rows) == 20
+    assert (rows[0]["state"], rows[0]["reasons"]) == ("lost", "image empty;searching")
+    assert (rows[1]["state"], rows[1]["reasons"], rows[1]["restarted"]) == ("tracking", "", "1")
+    assert [float(row["probability_far"]) for row in rows] == [1.0 / (index + 1) for index in range(20)]
+
+    numbers = [index for index, name in enumerate(COLUMNS) if name not in ("state", "reasons")]
+    table = np.loadtxt(path, delimiter=",", skiprows=1, usecols=numbers)
+    names = [COLUMNS[index] for index in numbers]
+    np.testing.assert_array_equal(table[:, names.index("time_s")], times_s)
+    position = names.index("tx_m")
+    np.testing.assert_array_equal(table[:, position : position + 3], poses[:, :3, 3])
+    rotations = quaternion_to_rotation(table[:, position + 3 : position + 7])
+    np.testing.assert_allclose(rotations, poses[:, :3, :3], atol=1e-12)
+    upper = table[:, names.index("cov_x_x") :]
+    np.testing.assert_array_equal(upper, covariances[:, *np.triu_indices(6)])
+    assert names[names.index("cov_x_x") :][6:8] == ["cov_y_y", "cov_y_z"]
+
+
+def test_a_file_that_cannot_be_written_is_named_at_once_or_when_the_disk_is_full(tmp_path: Path) -> None:
+    refuses_data(lambda: PoseLog(tmp_path), tmp_path, "cannot be written .Is a directory.", "folder you can write to")
+    full = Path("/dev/full")  # every write to it finds no space
+    if full.exists():
+        refuses_data(lambda: PoseLog(full), full, "cannot be written .No space left on device.", "make room")
+
+
+def test_a_disk_that_fills_up_is_said_once_and_the_rows_before_are_whole(tmp_path: Path) -> None:
+    path, most_bytes = tmp_path / "poses.csv", 4000
+    log, result = PoseLog(path), result_at(0.1, step_at(np.eye(4)))
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, before[1]))  # as a disk with so much room
+    try:
+        with pytest.raises(DataError, match=r"poses\.csv: cannot be written \(File too large\); make room"):
+            for _ in range(1000):
+                log.take(result)
+        log.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    with path.open(newline="") as lines:
+        *whole, _ = csv.reader(lines)  # the last row is cut
+    assert path.stat().st_size == most_bytes
+    assert len(whole) > 5 and {len(row) for row in whole} == {len(COLUMNS)}

@@ -1,0 +1,87 @@
+"""What the doctor says of good and bad flights on the ground."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mavlink_helpers import result_at, step_at
+from monoloc.flight.flight_loop import FlightStep, FlightSummary
+from monoloc.flight.preflight import LinkReport, Preflight
+from monoloc.geometry import FloatArray
+from monoloc.landmarks.pnp import LandmarkPose
+from monoloc.localizer import Step
+from monoloc.mavlink.firmware import Firmware
+from monoloc.recording_check.inspection import Level, worst
+from monoloc.supervision.state import Reason
+
+SHARP = np.random.default_rng(0).integers(0, 256, (60, 80, 3)).astype(np.uint8)
+PARAMETERS = {rule.name: rule.value for rule in Firmware.PX4.parameters}
+HEARD = LinkReport(Firmware.PX4, True, True, PARAMETERS)
+
+
+def good_step(landmarks: int = 80) -> Step:
+    place = LandmarkPose(np.eye(4), np.eye(6), np.zeros((landmarks, 3)))
+    return replace(step_at(np.eye(4)), landmark_pose=place)
+
+
+def levels_of(
+    step: Step, color: FloatArray = SHARP, rate_hz: float = 30.0, age_s: float = 0.04, link: LinkReport | None = HEARD
+) -> dict[str, Level]:
+    """Levels by name after 60 equal frames."""
+    preflight, summary = Preflight(), FlightSummary()
+    for index in range(60):
+        result = result_at(index / rate_hz, step, age_s)
+        frame = replace(result.frame, color=color)
+        result = FlightStep(frame, 1.0 / rate_hz, None, step, result.done_s)
+        summary.add(result)
+        preflight.take(result)
+    findings = preflight.findings(summary, link)
+    assert all(finding.level == "good" or finding.remark for finding in findings)
+    return {finding.name: finding.level for finding in findings}
+
+
+def test_good_flight_with_every_parameter_right_is_good() -> None:
+    levels = levels_of(good_step())
+    assert set(levels.values()) == {"good"}
+    assert {"rate", "latency", "blur", "exposure", "intrinsics", "landmarks", "state", "attitude"} < set(levels)
+    assert set(PARAMETERS) < set(levels)
+
+
+@pytest.mark.parametrize(
+    ("name", "level", "given"),
+    [
+        ("rate", "warning", {"rate_hz": 8.0}),
+        ("rate", "bad", {"rate_hz": 3.0}),
+        ("latency", "warning", {"age_s": 0.15}),
+        ("latency", "bad", {"age_s": 0.3}),
+        ("exposure", "warning", {"color": np.zeros((60, 80, 3), np.uint8)}),
+        ("exposure", "warning", {"color": np.full((60, 80, 3), 255, np.uint8)}),
+        ("blur", "warning", {"color": np.zeros((60, 80, 3), np.uint8)}),
+        ("landmarks", "warning", {"step": good_step(3)}),
+        ("intrinsics", "warning", {"step": good_step(3)}),
+        ("intrinsics", "bad", {"step": replace(good_step(), reasons=frozenset({Reason.CAMERA_MISMATCH}))}),
+        ("state", "bad", {"step": replace(good_step(), state="lost", reasons=frozenset({Reason.SEARCHING}))}),
+        ("autopilot", "bad", {"link": replace(HEARD, is_alive=False)}),
+        ("attitude", "warning", {"link": replace(HEARD, has_attitude=False)}),
+        ("EKF2_HGT_REF", "bad", {"link": replace(HEARD, parameters={**PARAMETERS, "EKF2_HGT_REF": 1.0})}),
+        ("EKF2_HGT_REF", "warning", {"link": replace(HEARD, parameters={})}),
+    ],
+)
+def test_what_is_wrong_is_named(name: str, level: Level, given: dict[str, object]) -> None:
+    assert levels_of(**{"step": good_step(), **given})[name] == level  # type: ignore[arg-type]
+
+
+def test_set_of_bits_may_have_more() -> None:
+    more = {**PARAMETERS, "EKF2_EV_CTRL": 15.0}
+    assert levels_of(good_step(), link=replace(HEARD, parameters=more))["EKF2_EV_CTRL"] == "good"
+    fewer = {**PARAMETERS, "EKF2_EV_CTRL": 3.0}
+    assert levels_of(good_step(), link=replace(HEARD, parameters=fewer))["EKF2_EV_CTRL"] == "bad"
+
+
+def test_no_frame_is_bad() -> None:
+    findings = Preflight().findings(FlightSummary(states=Counter()), None)
+    assert worst(findings) == "bad" and [finding.name for finding in findings] == ["camera"]

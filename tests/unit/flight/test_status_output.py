@@ -1,0 +1,85 @@
+"""What a person reads during a flight."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+from rich.console import Console
+
+from mavlink_helpers import result_at, step_at
+from monoloc.errors import DataError
+from monoloc.flight.flight_loop import FlightSummary
+from monoloc.flight.status_output import StatusOutput
+from monoloc.geometry import make_pose
+from monoloc.supervision.state import Reason, State
+
+POSE = make_pose(np.eye(3), [1.0, -2.0, 0.456])
+
+
+class Flight:
+    """An output, and what it printed."""
+
+    def __init__(self, is_terminal: bool = False) -> None:
+        self._text, self.summary = io.StringIO(), FlightSummary()
+        console = Console(file=self._text, force_terminal=is_terminal, color_system=None, width=200)
+        self.output = StatusOutput(console, self.summary)
+
+    def take(self, done_s: float, state: State = "tracking", *reasons: Reason) -> None:
+        result = result_at(done_s - 0.04, step_at(POSE, state, frozenset(reasons)), age_s=0.04)
+        self.summary.add(result)
+        self.output.take(result)
+
+    def printed(self) -> list[str]:
+        text = self._text.getvalue()
+        self._text.seek(0)
+        self._text.truncate()
+        return text.splitlines()
+
+
+def test_every_change_of_state_is_said_with_its_reasons_and_its_time() -> None:
+    flight = Flight()
+    flight.take(100.0, "lost", Reason.SEARCHING)
+    flight.take(100.1, "lost", Reason.SEARCHING)
+    flight.take(101.25, "lost", Reason.SEARCHING, Reason.IMAGE_EMPTY)
+    flight.take(102.5)
+    flight.take(104.0)
+    assert flight.printed() == [
+        "    0.00 s  lost: searching",
+        "    1.25 s  lost: image empty, searching",
+        "    2.50 s  tracking",
+    ]
+
+
+def test_on_a_terminal_it_says_once_a_second_how_it_goes() -> None:
+    flight = Flight(is_terminal=True)
+    flight.summary.dropped["old"] += 3
+    for index in range(26):
+        flight.take(100.0 + index * 0.1)
+    first, *periods = flight.printed()
+    assert first == "    0.00 s  tracking"
+    line = "tracking, x 1.00 y -2.00 z 0.46 m, 10 Hz, 40 ms after capture, 3 frames dropped"
+    assert periods == [f"    {s}.00 s  {line}" for s in (1, 2)]
+
+
+def test_a_camera_without_images_is_said_once_also_before_the_first_and_that_they_are_back() -> None:
+    flight = Flight()
+    for index in range(10):
+        flight.output.idle(100.0 + 0.1 * index)
+    assert flight.printed() == ["    0.60 s  no image in time from the camera"]
+    flight.take(101.5)
+    assert flight.printed() == ["    1.50 s  images again", "    1.50 s  tracking"]
+    flight.output.idle(101.7)
+    flight.take(101.9)
+    assert flight.printed() == []
+    flight.output.idle(102.5)
+    assert flight.printed() == ["    2.50 s  no image in time from the camera"]
+
+
+def test_an_output_that_failed_is_said_once() -> None:
+    flight = Flight()
+    flight.take(100.0)
+    flight.summary.failures.append(DataError("poses.csv", "cannot be written", "make room"))
+    flight.take(100.1)
+    flight.take(100.2)
+    assert flight.printed()[1:] == ["    0.10 s  no longer written: poses.csv: cannot be written; make room"]

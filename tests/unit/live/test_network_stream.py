@@ -1,0 +1,169 @@
+"""Streams by PyAV: a file, and the same over a socket, as a camera sends it; damaged, ended, absent."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from monoloc.errors import DataError
+from monoloc.live import network_stream
+from monoloc.live.frame_source import CameraGoneError
+from monoloc.live.network_stream import NetworkStream
+from refusals import refuses, refuses_data
+from synthetic_recordings import write_video
+
+av = pytest.importorskip("av")
+
+FRAMES = 60
+# FFmpeg reads some packets to find out what a stream is, and with nobuffer it does not give them again.
+MOST_PROBED = 30
+
+
+@pytest.fixture(scope="module")
+def transport_stream(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """A video of grey 4, 8 and so on, as MPEG-TS: the container for streams that are cut anywhere."""
+    path = tmp_path_factory.mktemp("video") / "stream.ts"
+    with av.open(str(path), "w") as container:
+        video = container.add_stream("mpeg2video", rate=25)
+        video.width, video.height, video.pix_fmt, video.gop_size = 64, 48, "yuv420p", 1
+        for index in range(FRAMES):
+            image = np.full((48, 64, 3), 4 * (index + 1), np.uint8)
+            container.mux(video.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        container.mux(video.encode())
+    return path.read_bytes()
+
+
+@contextmanager
+def served(*contents: bytes, pause_s: float = 0.0) -> Iterator[str]:
+    """The URL of a server that gives each client the next content, and then closes the connection."""
+
+    def serve() -> None:
+        for content in contents:
+            client, _ = server.accept()
+            with client:
+                for at in range(0, len(content), 1880):
+                    client.sendall(content[at : at + 1880])
+                    time.sleep(pause_s)
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        yield f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        thread.join(10.0)
+
+
+def frames_of(stream: NetworkStream) -> tuple[list[int], list[float]]:
+    """Greys and times of capture of all frames until the camera is gone."""
+    greys, times_s = [], []
+    while True:
+        try:
+            color, captured_s = stream.grab()
+        except CameraGoneError:
+            return greys, times_s
+        assert color.shape == (48, 64, 3) and color.dtype == np.uint8
+        assert captured_s <= time.monotonic()
+        greys.append(round(float(color.mean())))
+        times_s.append(captured_s)
+
+
+def test_a_file_gives_its_frames_and_then_the_camera_is_gone(tmp_path: Path) -> None:
+    write_video(tmp_path / "flight.mp4", codec="mp4v")
+    stream = NetworkStream(str(tmp_path / "flight.mp4"))
+    for _ in range(2):  # it can be opened again
+        stream.open()
+        greys, times_s = frames_of(stream)
+        assert greys == pytest.approx([40, 60, 80, 100, 120], abs=6)  # the first was probed
+        assert (np.diff(times_s) > 0.0).all()
+        stream.close()
+    stream.close()
+
+
+def test_a_stream_over_a_socket_ends_with_its_last_frame_and_can_be_opened_again(transport_stream: bytes) -> None:
+    with served(transport_stream, transport_stream) as url:
+        stream = NetworkStream(url)
+        for _ in range(2):
+            stream.open()
+            greys, _ = frames_of(stream)
+            stream.close()
+            assert greys == pytest.approx(list(range(4 * (FRAMES - len(greys) + 1), 4 * FRAMES + 1, 4)), abs=3)
+            assert len(greys) >= FRAMES - MOST_PROBED
+
+
+def test_a_damaged_part_costs_its_frames_and_no_others(transport_stream: bytes) -> None:
+    damaged = bytearray(transport_stream)
+    middle = len(damaged) // 2
+    damaged[middle : middle + 400] = bytes(400)
+    with served(bytes(damaged)) as url:
+        stream = NetworkStream(url)
+        stream.open()
+        greys, _ = frames_of(stream)
+        stream.close()
+    lost = np.flatnonzero(np.diff(greys) > 6)
+    assert len(lost) == 1 and len(greys) >= FRAMES - MOST_PROBED
+    assert greys[-1] == pytest.approx(4 * FRAMES, abs=3)
+
+
+def test_a_packet_that_cannot_be_decoded_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_video(tmp_path / "flight.mp4", codec="mp4v")
+    stream = NetworkStream(str(tmp_path / "flight.mp4"))
+    stream.open()
+    whole = stream._container.demux
+
+    class Damaged:
+        def decode(self) -> object:
+            raise av.error.InvalidDataError(1094995529, "Invalid data found")
+
+    def demux(video: object) -> Iterator[object]:
+        for packet in whole(video):
+            yield Damaged()
+            yield packet
+
+    monkeypatch.setattr(stream, "_container", type("Container", (), {"demux": staticmethod(demux)}))
+    stream._frames = stream._decoded(0)
+    assert len(frames_of(stream)[0]) == 5
+
+
+def test_a_camera_that_stops_sending_is_gone(transport_stream: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(network_stream, "_TIMEOUT_S", 0.3)
+    release = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            client, _ = server.accept()
+            with client:
+                client.sendall(transport_stream)
+                release.wait(10.0)
+
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        stream = NetworkStream(f"tcp://127.0.0.1:{server.getsockname()[1]}")
+        stream.open()
+        began_s = time.monotonic()
+        frames_of(stream)
+        assert time.monotonic() - began_s < 5.0
+        stream.close()
+        release.set()
+        thread.join(10.0)
+
+
+def test_an_address_that_gives_no_video_is_refused_without_its_password(tmp_path: Path) -> None:
+    fix = "another player"
+    absent = NetworkStream("rtsp://pilot:se@cret@127.0.0.1:1/x")
+    refuses(absent.open, DataError, "^rtsp://127.0.0.1:1/x: gives no video .Connection refused.; .*another player")
+    (tmp_path / "noise.ts").write_bytes(bytes(5000))
+    noise = NetworkStream(str(tmp_path / "noise.ts"))
+    refuses_data(noise.open, tmp_path / "noise.ts", "gives no video .Invalid data", fix)
+    sound = tmp_path / "sound.wav"
+    with av.open(str(sound), "w") as container:
+        audio = container.add_stream("pcm_s16le", rate=8000, layout="mono")
+        frame = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), format="s16", layout="mono")
+        frame.sample_rate = 8000
+        container.mux(audio.encode(frame))
+    refuses_data(NetworkStream(str(sound)).open, sound, "gives no video .it has none.", fix)
