@@ -178,7 +178,7 @@ def write_bundle(path: str | Path, bundle: Bundle) -> int:
     check_target(path)
     contents = {
         _MAP: _pack_maps(bundle),
-        _LANDMARKS: _packed({"points": bundle.landmarks.points, "descriptors": bundle.landmarks.descriptors}),
+        _LANDMARKS: _packed(bundle.landmarks.to_arrays()),
         _DEPTH: bundle.depth_model.content,
     }
     manifest = Manifest(
@@ -248,7 +248,7 @@ def read_bundle(path: str | Path) -> Bundle:
         raise BundleError(path / _MAP, f"is no map ({error})", "rebuild it with this version") from error
     try:
         with np.load(io.BytesIO(contents[_LANDMARKS]), allow_pickle=False) as arrays:
-            landmarks = Landmarks(arrays["points"], arrays["descriptors"])
+            landmarks = Landmarks.from_arrays(arrays)
     except (KeyError, ValueError, zipfile.BadZipFile) as error:
         fix = "rebuild it with this version"
         raise BundleError(path / _LANDMARKS, f"holds no landmarks ({error})", fix) from error

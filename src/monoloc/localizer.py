@@ -29,6 +29,7 @@ from monoloc.relocalization.state_machine import Mode, Relocalization, Relocaliz
 from monoloc.start import Start
 from monoloc.supervision.camera_check import CameraCheck
 from monoloc.supervision.integrity import IntegrityMonitor
+from monoloc.supervision.map_change import ChangedRegion, MapChangeMonitor
 from monoloc.supervision.state import Reason, State, Supervision, classify_state
 from monoloc.tracker import Tracker
 
@@ -39,7 +40,8 @@ class Step:
 
     Attributes:
         estimate: the belief: pose, covariance, depth scale.
-        state: whether to believe it: ``tracking``, ``uncertain`` or ``lost``.
+        state: whether to believe it: ``tracking``, ``uncertain``, ``lost``, or ``map-changed``, where the pose is as
+            good as while ``tracking``, but the map no longer holds in a region in view.
         reasons: why the state is not ``tracking``; empty where it is.
         probability_far: that the position is more than 30 cm off; the state follows from it.
         restarted: whether the belief started anew at this frame, after a search or a contradiction by landmarks: the
@@ -51,6 +53,8 @@ class Step:
         motion: odometry's motion since the previous frame; None where there is none.
         depth: of the frame, after the correction of scale and tilt.
         scan: its points that were compared with the map.
+        changed_region: in view, in which the map no longer holds; None where there is none, or the pose is not known
+            well enough to tell.
     """
 
     estimate: Estimate
@@ -65,6 +69,7 @@ class Step:
     motion: Motion | None
     depth: DepthPrediction
     scan: Scan
+    changed_region: ChangedRegion | None
 
 
 class Localizer:
@@ -122,6 +127,7 @@ class Localizer:
         )
         self._integrity = IntegrityMonitor(bundle.integrity, is_searched=start is None)
         self._camera_check = CameraCheck(bundle.integrity.focal_mean, bundle.integrity.focal_sd)
+        self._map_change = MapChangeMonitor(bundle.landmarks, bundle.integrity)
         self._state: State = "tracking"
 
     def reset(self, start: Start | None) -> None:
@@ -183,6 +189,7 @@ class Localizer:
             motion=observation.motion,
             depth=observation.depth,
             scan=observation.scan,
+            changed_region=supervision.changed_region,
         )
 
     def _predict(self, observation: Observation) -> Particles:
@@ -293,12 +300,14 @@ class Localizer:
                     log_likelihood = float("nan")
             self._integrity.update(log_likelihood, landmarks)
             self._camera_check.update(landmark_pose, observation.elapsed_s)
+        probability_far = self._integrity.probability_far(belief)
         return Supervision(
             mode=mode,
-            probability_far=self._integrity.probability_far(belief),
+            probability_far=probability_far,
             probability_wrong=self._integrity.probability_wrong,
             repeated_s=observation.repeated_s,
             image_is_empty=observation.is_empty,
             odometry_tracked=observation.odometry_tracked,
             camera_mismatch=self._camera_check.mismatch,
+            changed_region=self._map_change.update(belief.pose, probability_far, landmarks, observation.elapsed_s),
         )

@@ -25,7 +25,7 @@ from monoloc.particle_filter.estimate import Estimate
 from monoloc.progress import Progress
 from monoloc.sensor_depth import sensor_bundle, sensor_settings, sparse_depth
 from monoloc.start import Start
-from monoloc.supervision.state import Reason, State
+from monoloc.supervision.state import VOUCHED_FOR, Reason, State
 from monoloc.viz.viewer import NoViewer, Viewer
 
 _COMPARE_WIDTH = 160  # width at which predicted and sensor depth are compared
@@ -113,12 +113,12 @@ class Run:
 
     def _consistency(self, chosen: NDArray[np.bool_], poses: FloatArray, truth: FloatArray) -> dict[str, object]:
         errors = consistency(poses, truth, self.covariances[chosen])
-        tracking = np.array(self.states)[chosen] == "tracking"
+        vouched_for = np.isin(np.array(self.states)[chosen], list(VOUCHED_FOR))
         return {
             "coverage_95": errors.coverage_95,
             "coverage_99": errors.coverage_99,
-            "silent_frames_30cm": int(np.sum(tracking & errors.is_far)),
-            "silent_frames_3_5_sigma": int(np.sum(tracking & errors.is_beyond_covariance)),
+            "silent_frames_30cm": int(np.sum(vouched_for & errors.is_far)),
+            "silent_frames_3_5_sigma": int(np.sum(vouched_for & errors.is_beyond_covariance)),
         }
 
     def _depth_accuracy(self, which: int) -> dict[str, object]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -47,13 +47,16 @@ class Flights:
     def __init__(self, mixture: GaussianMixture, thresholds: LikelihoodThresholds, recording: RoomRecording) -> None:
         self.mixture, self.thresholds, self.recording = mixture, thresholds, recording
         built = RoomRecording(Room(), make_path(FRAMES, start_s=0.03)[::3])
-        self.landmarks, self.bias, _ = build_landmarks(built, built.depth, NoProgress())
+        self.landmarks, self.bias, evidence = build_landmarks(built, built.depth, NoProgress())
+        shares = {"familiar_found": evidence.familiar_found, "strange_found": evidence.strange_found}
+        self.integrity = plausible_integrity(thresholds).model_copy(update=shares)
 
     def localizer(self, first: int = 0, landmarks: Landmarks | None = None, **given: Any) -> Localizer:
         start = scatter(self.recording.poses[first], SETTINGS.particles, 0.02, 0.01, 0.0, np.random.default_rng(0))
         settings = SETTINGS.model_copy(update={"landmark_bias": self.bias})
         known = self.landmarks if landmarks is None else landmarks
         poses = self.recording.poses[::10]
+        given = {"integrity": self.integrity} | given
         return make_localizer(
             self.mixture, self.thresholds, start, poses, settings=settings, landmarks=known, **given
         )
@@ -141,7 +144,9 @@ def test_frozen_image_is_uncertain_soon_and_then_lost(flights: Flights) -> None:
 
 
 WIDE_FOCAL = pytest.mark.xfail(
-    strict=True, reason="the camera check takes no frame whose log-focal has a deviation above 0.02, however wrong"
+    strict=True,
+    reason="in flat views focal length and distance cannot be told apart: log-focal's stated deviation above 0.02 "
+    "goes with errors of 8 to 15 deviations at right poses, in RedKitchen and at the desk",
 )
 
 
@@ -167,3 +172,48 @@ def test_stated_lens_is_never_doubted(flights: Flights) -> None:
     steps = follow(flights.localizer(), flights.recording, frames)
     assert all(Reason.CAMERA_MISMATCH not in step.reasons for step in steps)
     assert set(states(steps)) == {"tracking"}
+
+
+@dataclass(frozen=True)
+class RearrangedRoom(Room):
+    """One of the boxes stands elsewhere."""
+
+    box: int = 0
+    shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def _boxes(self) -> FloatArray:
+        boxes = super()._boxes.copy()
+        boxes[self.box] += self.shift_m
+        return boxes
+
+
+def test_moved_furniture_is_a_changed_map_whose_place_is_named(flights: Flights) -> None:
+    """A cupboard that stands half a metre to the left and nearer; the pose stays as good as it was."""
+    number, shift_m = 1, (-0.5, 0.0, -0.5)
+    flight = RoomRecording(RearrangedRoom(box=number, shift_m=shift_m), flights.recording.poses)
+    assert flights.integrity.familiar_found > 0.6 and flights.integrity.strange_found < 0.3
+    steps = follow(flights.localizer(), flight)
+    assert set(states(steps)) == {"tracking", "map-changed"}
+    assert flights.errors_m(steps, range(FRAMES)).max() < 0.03
+    changed = [step for step in steps if step.state == "map-changed"]
+    assert len(changed) > 2 * SOMETIME and all(step.reasons == {Reason.MAP_CHANGED} for step in changed)
+    lower, upper = Room()._boxes[number]
+    regions = [step.changed_region for step in changed]
+    assert regions[-1] is not None and np.all(regions[-1].lower < upper) and np.all(regions[-1].upper > lower)
+    for region in regions:
+        # What the cupboard hides where it stands now is missing too, up to the wall behind it.
+        assert (
+            region is not None and np.all(region.lower > lower + shift_m - 0.7) and np.all(region.upper < upper + 0.7)
+        )
+    unchanged = [step for step in steps if step.state == "tracking"]
+    assert all(step.changed_region is None and step.reasons == frozenset() for step in unchanged)
+
+
+def test_room_as_it_was_is_not_a_changed_map_in_half_the_light(flights: Flights) -> None:
+    """Nor in its own light, see above."""
+    localizer = flights.localizer()
+    for index in range(FRAMES):
+        color = (0.5 * flights.recording.color(index)).astype(np.uint8)
+        step = localizer.step(color, FRAME_S, sparse_depth(flights.recording, index))
+        assert step.state == "tracking" and step.changed_region is None

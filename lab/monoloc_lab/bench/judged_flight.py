@@ -13,6 +13,7 @@ from monoloc.evaluation.consistency import FAR_M, Consistency, consistency
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray
 from monoloc.localizer import Step
+from monoloc.supervision.state import VOUCHED_FOR
 
 REFUSED = "refused"
 """State of a frame that the localizer refuses to take in; to the user, it has said that it does not know."""
@@ -81,27 +82,27 @@ class JudgedFlight:
 
     @property
     def is_tracking(self) -> Mask:
-        """(N,) frames whose pose the localizer vouches for."""
-        return np.asarray(self.states == "tracking")
+        """(N,) frames whose pose the localizer vouches for: *tracking* or *map-changed*."""
+        return np.isin(self.states, list(VOUCHED_FOR))
 
     @property
     def is_far(self) -> Mask:
-        """(N,) *tracking* frames that are more than :data:`FAR_M` off, or not in the room at all."""
+        """(N,) frames of :attr:`is_tracking` that are more than :data:`FAR_M` off, or not in the room at all."""
         return self.is_tracking & (self.errors.is_far | ~self.in_room)
 
     @property
     def is_silent(self) -> Mask:
-        """(N,) *tracking* frames that are far, or whose position lies outside its covariance."""
+        """(N,) frames of :attr:`is_tracking` that are far, or whose position lies outside its covariance."""
         return self.is_far | (self.is_tracking & self.errors.is_beyond_covariance)
 
     @property
     def is_found(self) -> Mask:
-        """(N,) *tracking* frames less than :data:`RIGHT_M` and :data:`RIGHT_DEG` off."""
+        """(N,) frames of :attr:`is_tracking` less than :data:`RIGHT_M` and :data:`RIGHT_DEG` off."""
         return self.is_tracking & (self.errors.position_m < RIGHT_M) & (self.rotation_deg < RIGHT_DEG)
 
     @property
     def is_near(self) -> Mask:
-        """(N,) *tracking* frames less than :data:`FAR_M` off."""
+        """(N,) frames of :attr:`is_tracking` less than :data:`FAR_M` off."""
         return self.is_tracking & (self.errors.position_m < FAR_M)
 
     @property

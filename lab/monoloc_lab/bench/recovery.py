@@ -1,4 +1,7 @@
-"""How a localizer recovers from kidnaps and finds itself without a start, on frames that did not build its bundle."""
+"""How a localizer recovers from kidnaps, finds itself without a start, and notices edits of the map.
+
+All on frames that did not build its bundle.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ from monoloc.localizer import Localizer
 from monoloc.progress import Progress
 from monoloc.start import Start
 from monoloc_lab.bench.judged_flight import JudgedFlight, fly, longest_run_s, pooled, seconds_until, share
+from monoloc_lab.bench.map_edits import EditedFlight, fly_edits
 from monoloc_lab.bench.unseen_frames import Frames, UnseenFrames
 
 BEFORE_FRAMES = 30
@@ -34,7 +38,7 @@ _WRONG_PLACE_S = 1.0  # of *tracking* at a wrong pose, after which a drone flies
 @dataclass(frozen=True)
 class RecoveryFigures:
     """Figures over all kidnaps and unknown starts; those without a name of either are over the frames of both, from
-    the kidnap or start on. Rates are shares, 0..1; None of nothing.
+    the kidnap or start on. A *map-changed* frame counts as *tracking*. Rates are shares, 0..1; None of nothing.
 
     Attributes:
         starts, kidnaps: number of flights.
@@ -46,6 +50,9 @@ class RecoveryFigures:
         false_alarm_rate: frames before the kidnaps, later than 1 s after the start, that are not *tracking*.
         coverage_95, coverage_99, nees: of frames that are not *lost*; ``nees`` is the mean, divided by 6.
         recovery_s_median: of the kidnaps that are recovered from.
+        map_edits: number of flights over edited maps, and of the same flights over the true map.
+        map_changed_rate: flights over edited maps in which a *map-changed* frame names a region of the edit.
+        map_changed_false_rate: flights over the true map in which a frame is *map-changed*.
     """
 
     starts: int
@@ -61,6 +68,9 @@ class RecoveryFigures:
     coverage_99: float | None
     nees: float | None
     recovery_s_median: float | None
+    map_edits: int
+    map_changed_rate: float | None
+    map_changed_false_rate: float | None
 
 
 @dataclass(frozen=True)
@@ -107,12 +117,12 @@ def _afters(frames: UnseenFrames) -> list[Frames]:
 
 
 def bench_recovery(
-    bundle: Bundle, recording: Recording, kidnaps: int, starts: int, seed: int, progress: Progress
+    bundle: Bundle, recording: Recording, kidnaps: int, starts: int, map_edits: int, seed: int, progress: Progress
 ) -> RecoveryFigures:
-    """Fly kidnaps and unknown starts over the frames of a recording that did not build the bundle.
+    """Fly kidnaps, unknown starts and edited maps over the frames of a recording that did not build the bundle.
 
     Args:
-        kidnaps, starts: number of flights.
+        kidnaps, starts, map_edits: number of flights.
         seed: of the draws, the starts and the localizers.
 
     Raises:
@@ -131,7 +141,8 @@ def bench_recovery(
         for number, start in enumerate(drawn_starts):
             started.append(_fly_start(bundle, frames, start, np.random.default_rng((seed, 1, number))))
             show(number + 1)
-    return recovery_figures(kidnapped, started)
+    edited = fly_edits(bundle, recording, frames, map_edits, seed, progress)
+    return recovery_figures(kidnapped, started, edited)
 
 
 def _fly_kidnap(bundle: Bundle, frames: UnseenFrames, kidnap: Kidnap, rng: np.random.Generator) -> JudgedFlight:
@@ -149,12 +160,15 @@ def _fly_start(bundle: Bundle, frames: UnseenFrames, start: Frames, rng: np.rand
     return fly(localizer, frames.flight(start))
 
 
-def recovery_figures(kidnapped: list[JudgedFlight], started: list[JudgedFlight | None]) -> RecoveryFigures:
+def recovery_figures(
+    kidnapped: list[JudgedFlight], started: list[JudgedFlight | None], edited: list[EditedFlight]
+) -> RecoveryFigures:
     """Figures of flights.
 
     Args:
         kidnapped: of which the first :data:`BEFORE_FRAMES` frames are before the kidnap.
         started: without a pose; None where the localizer does not start so.
+        edited: over edited maps.
     """
     befores = [flight.part(slice(BEFORE_FRAMES)) for flight in kidnapped]
     afters = [flight.part(slice(BEFORE_FRAMES, None)) for flight in kidnapped]
@@ -179,6 +193,9 @@ def recovery_figures(kidnapped: list[JudgedFlight], started: list[JudgedFlight |
         coverage_99=None if not_lost is None else not_lost.coverage_99,
         nees=None if not_lost is None else float(np.mean(not_lost.pose_nees)) / 6.0,
         recovery_s_median=float(np.median(recovered_s)) if recovered_s else None,
+        map_edits=len(edited),
+        map_changed_rate=_rate([flight.names_edit for flight in edited]),
+        map_changed_false_rate=_rate([flight.is_false for flight in edited]),
     )
 
 

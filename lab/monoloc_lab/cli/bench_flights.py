@@ -40,10 +40,11 @@ def recovery(
     frames: FramesOption = "::",
     kidnaps: Annotated[int, typer.Option("--kidnaps", min=0, help="Number of kidnaps.")] = 30,
     starts: Annotated[int, typer.Option("--starts", min=0, help="Number of starts without a pose.")] = 30,
+    map_edits: Annotated[int, typer.Option("--map-edits", min=0, help="Number of edited maps.")] = 20,
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
-    """Kidnap the camera, and start it without a pose, over frames that did not build the bundle.
+    """Kidnap the camera, start it without a pose, and edit its map, over frames that did not build the bundle.
 
     \b
     Examples:
@@ -51,7 +52,7 @@ def recovery(
       monoloc bench recovery kitchen.monoloc 7scenes:redkitchen --kidnaps 100 --json
     """
     room, recording = read_bundle(bundle), open_source(source, frames)
-    figures = bench_recovery(room, recording, kidnaps, starts, seed, ConsoleProgress(stderr))
+    figures = bench_recovery(room, recording, kidnaps, starts, map_edits, seed, ConsoleProgress(stderr))
     if starts and not figures.supports_starts:
         stderr.print(f"{bundle} does not support starts without a pose, so none of them counts as found")
     content = asdict(figures)

@@ -93,6 +93,10 @@ class IntegrityModel(BaseModel):
         unseen_share: share of frames at right poses, away from the build's viewpoints, whose landmarks are not seen.
         scan_search_precision: share of relocalisations by a scan that are less than :data:`FAR_M` off.
         focal_mean, focal_sd: of log-focal (:class:`monoloc.landmarks.pnp.LandmarkPose`) at right poses.
+        familiar_found: share of the familiar landmarks in view that are found at right poses, see
+            :class:`monoloc.supervision.map_change.MapChangeMonitor`; 0 if it was not measured, so that the map is
+            never said to have changed.
+        strange_found: the same of the landmarks that no view nearby found; such finds are wrong matches.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -103,6 +107,8 @@ class IntegrityModel(BaseModel):
     scan_search_precision: float = Field(0.2, gt=0.0, lt=1.0)
     focal_mean: float = 0.0
     focal_sd: float = Field(1.0, gt=0.0)
+    familiar_found: float = Field(0.0, ge=0.0, lt=1.0)
+    strange_found: float = Field(0.5, gt=0.0, lt=1.0)
 
     @property
     def supports_scan_search(self) -> bool:

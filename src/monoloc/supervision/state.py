@@ -7,11 +7,15 @@ from enum import Enum
 from typing import Literal
 
 from monoloc.relocalization.state_machine import Mode
+from monoloc.supervision.map_change import ChangedRegion
 
-State = Literal["tracking", "uncertain", "lost"]
+State = Literal["tracking", "uncertain", "lost", "map-changed"]
 
-# Probabilities that the position is more than 30 cm off. It is *tracking* below the first; once it is not, below the
-# second, so that the state does not flicker; and *lost* above the third.
+VOUCHED_FOR: frozenset[State] = frozenset({"tracking", "map-changed"})
+"""States whose pose may be used: an error that its covariance does not allow for is silent."""
+
+# Probabilities that the position is more than 30 cm off. It is vouched for below the first; once it is not, below
+# the second, so that the state does not flicker; and it is *lost* above the third.
 _TRACKING_BELOW, _TRACKING_AGAIN_BELOW, _LOST_ABOVE = 0.05, 0.02, 0.5
 _MOST_REPEATED_S = 0.2  # for which an image may repeat: streams show a frame twice
 
@@ -35,6 +39,8 @@ class Reason(Enum):
     """The image has no contrast: dark, covered or saturated."""
     CAMERA_MISMATCH = "camera mismatch"
     """Landmarks fit another focal length than the camera's stated one."""
+    MAP_CHANGED = "map changed"
+    """Landmarks are missing in one region in view, while those of the rest of the view are found."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +55,7 @@ class Supervision:
         image_is_empty: whether the image has no contrast.
         odometry_tracked: whether odometry, if there is any, followed the camera.
         camera_mismatch: whether landmarks fit another focal length.
+        changed_region: in view, in which the map no longer holds; None where there is none.
     """
 
     mode: Mode
@@ -58,6 +65,7 @@ class Supervision:
     image_is_empty: bool
     odometry_tracked: bool
     camera_mismatch: bool
+    changed_region: ChangedRegion | None
 
 
 def classify_state(supervision: Supervision, previous: State) -> tuple[State, frozenset[Reason]]:
@@ -67,6 +75,8 @@ def classify_state(supervision: Supervision, previous: State) -> tuple[State, fr
         previous: the state after the previous frame.
     """
     state = _state(supervision, previous)
+    if state == "map-changed":
+        return state, frozenset({Reason.MAP_CHANGED})
     return state, frozenset() if state == "tracking" else _reasons(supervision)
 
 
@@ -74,9 +84,11 @@ def _state(supervision: Supervision, previous: State) -> State:
     far = supervision.probability_far
     if supervision.mode is not Mode.TRACKING or far >= _LOST_ABOVE:
         return "lost"
-    bound = _TRACKING_BELOW if previous == "tracking" else _TRACKING_AGAIN_BELOW
+    bound = _TRACKING_BELOW if previous in VOUCHED_FOR else _TRACKING_AGAIN_BELOW
     doubtful = supervision.camera_mismatch or supervision.repeated_s > _MOST_REPEATED_S
-    return "uncertain" if doubtful or far >= bound else "tracking"
+    if doubtful or far >= bound:
+        return "uncertain"
+    return "tracking" if supervision.changed_region is None else "map-changed"
 
 
 def _reasons(supervision: Supervision) -> frozenset[Reason]:
@@ -92,5 +104,6 @@ def _reasons(supervision: Supervision) -> frozenset[Reason]:
         Reason.IMAGE_REPEATED: supervision.repeated_s > _MOST_REPEATED_S,
         Reason.IMAGE_EMPTY: supervision.image_is_empty,
         Reason.CAMERA_MISMATCH: supervision.camera_mismatch,
+        Reason.MAP_CHANGED: supervision.changed_region is not None,
     }
     return frozenset(reason for reason, is_so in holds.items() if is_so)

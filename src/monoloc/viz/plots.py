@@ -44,7 +44,7 @@ def plot_localization(
         covariances: (N, 6, 6) in the estimated camera's tangent space, order (rho, phi), m and rad.
         odometry: ``T_world_camera`` from odometry alone, (N, 4, 4), in the same world frame.
         unseen: (N,) True for frames that were not used to build the map.
-        states: state of each frame, N of "tracking", "uncertain", "lost".
+        states: state of each frame, N of :data:`monoloc.supervision.state.State`.
         mixture: means (K, 3) and covariances (K, 3, 3) of the map, world frame, metres.
         title: title of the figure.
 

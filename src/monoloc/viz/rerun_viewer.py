@@ -24,7 +24,12 @@ _TRUTH, _ESTIMATE, _ODOMETRY, _SCAN = 0xE6E6E6FF, 0x56B4E9FF, 0xE69F00FF, 0x00C7
 _LANDMARKS, _SEEN = 0xCC79A760, 0xCC79A7FF
 _ORIGINAL, _ADAPTED = 0x56B4E9FF, 0xE69F00FF
 _MAP, _COVARIANCE = 0xA0A0A01C, 0x56B4E9A0
-_STATES: dict[State, int] = {"tracking": 0x009E73FF, "uncertain": 0xF0E442FF, "lost": 0xD55E00FF}
+_STATES: dict[State, int] = {
+    "tracking": 0x009E73FF,
+    "uncertain": 0xF0E442FF,
+    "lost": 0xD55E00FF,
+    "map-changed": 0xCC79A7FF,
+}
 _PLOTS = {
     "error_cm/estimate": _ESTIMATE,
     "error_cm/odometry": _ODOMETRY,

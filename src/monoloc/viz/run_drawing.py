@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray
-from monoloc.viz.picture import BLUE, GREEN, INK, ORANGE, VERMILION, YELLOW
+from monoloc.viz.picture import BLUE, GREEN, INK, ORANGE, PURPLE, VERMILION, YELLOW
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import SubFigure
 
-_STATE_COLOURS = {"uncertain": YELLOW, "lost": VERMILION}
+_STATE_COLOURS = {"uncertain": YELLOW, "lost": VERMILION, "map-changed": PURPLE}
 _DASHED = (0, (4, 2))
 _ELLIPSE_SIGMA = 1.5
 _VIEWS_ASPECT = 1.05  # total height of both views over their width, in the left half

@@ -1,20 +1,26 @@
-"""Figures of kidnaps and unknown starts whose outcome is known."""
+"""Figures of kidnaps, unknown starts and edited maps whose outcome is known."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from monoloc.evaluation.consistency import Consistency
+from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.supervision.map_change import ChangedRegion
 from monoloc_lab.bench.judged_flight import JudgedFlight
+from monoloc_lab.bench.map_edits import EditedFlight, MapEdit
 from monoloc_lab.bench.recovery import BEFORE_FRAMES, recovery_figures
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
 
 AFTER = 50  # frames, a tenth of a second each
 
 
 def flight(states: str, errors_m: list[float]) -> JudgedFlight:
     """A flight with states by their first letters; 10 cm off is one standard deviation."""
-    names = {"t": "tracking", "u": "uncertain", "l": "lost"}
+    names = {"t": "tracking", "u": "uncertain", "l": "lost", "m": "map-changed"}
     position_m = np.array(errors_m)
     nees = (position_m / 0.1) ** 2
     return JudgedFlight(
@@ -39,7 +45,7 @@ RIGHT_AT_ONCE = kidnap("t" * AFTER, [0.0] * AFTER)
 
 
 def test_kidnaps_count_as_recovered_and_noticed_within_their_times() -> None:
-    figures = recovery_figures([RECOVERED, UNNOTICED, RIGHT_AT_ONCE], [])
+    figures = recovery_figures([RECOVERED, UNNOTICED, RIGHT_AT_ONCE], [], [])
     assert (figures.kidnaps, figures.starts) == (3, 0) and figures.global_start_rate is None
     assert figures.kidnap_recovery_rate == pytest.approx(2 / 3)
     assert figures.lost_reported_rate == pytest.approx(2 / 3)
@@ -49,19 +55,51 @@ def test_kidnaps_count_as_recovered_and_noticed_within_their_times() -> None:
     assert figures.false_alarm_rate == 0.0
 
 
+def test_changed_map_counts_as_vouched_for() -> None:
+    """Its pose is used, so an error of it is silent; it reports no kidnap."""
+    silent = kidnap("m" * AFTER, [1.0] * AFTER)
+    figures = recovery_figures([silent], [], [])
+    assert figures.false_tracking_rate == figures.wrong_place_rate == 1.0 and figures.lost_reported_rate == 0.0
+    assert recovery_figures([kidnap("m" * AFTER, [0.1] * AFTER)], [], []).kidnap_recovery_rate == 1.0
+
+
+def test_edited_maps_are_counted_by_flights() -> None:
+    edited = [EditedFlight(True, False), EditedFlight(True, True), EditedFlight(False, False)]
+    figures = recovery_figures([], [], edited)
+    assert (figures.map_edits, figures.map_changed_rate) == (3, pytest.approx(2 / 3))
+    assert figures.map_changed_false_rate == pytest.approx(1 / 3)
+    assert recovery_figures([], [], []).map_changed_rate is None
+
+
+def test_map_edit_moves_what_is_in_its_box_and_nothing_else() -> None:
+    recording = RoomRecording(Room(), make_path(2), SMALL_CAMERA)
+    bundle = make_bundle(room_mixture(Room(), 100), recording)
+    points = np.array([[0.0, 0.0, 2.0], [0.0, 0.0, 2.6]], dtype=np.float32)
+    bundle = replace(bundle, landmarks=Landmarks(points, np.zeros((2, 32), np.uint8)))
+    edit = MapEdit(np.array([-0.5, -0.5, 1.5]), np.array([0.5, 0.5, 2.5]), np.array([0.5, 0.0, 0.0]))
+    edited = edit.of(bundle)
+    np.testing.assert_allclose(edited.landmarks.points, [[0.5, 0.0, 2.0], [0.0, 0.0, 2.6]])
+    for before, after in ((bundle.original, edited.original), (bundle.adapted, edited.adapted)):
+        moved_m = after.means - before.means
+        np.testing.assert_allclose(moved_m, edit.holds(before.means)[:, None] * edit.shift_m, atol=1e-12)
+    at_new_place = ChangedRegion(np.array([0.8, 0.0, 2.0]), np.array([1.2, 0.3, 2.3]))
+    elsewhere = ChangedRegion(np.array([1.1, 0.0, 2.0]), np.array([1.2, 0.3, 2.3]))
+    assert edit.overlaps(at_new_place) and not edit.overlaps(elsewhere)
+
+
 def test_a_second_of_wrong_tracking_is_not_yet_a_wrong_place() -> None:
     short = kidnap("t" * 11 + "l" * 39, [1.0] * AFTER)
-    assert recovery_figures([short], []).wrong_place_rate == 0.0
+    assert recovery_figures([short], [], []).wrong_place_rate == 0.0
 
 
 def test_false_alarms_are_counted_once_the_start_is_settled() -> None:
     before = "u" * 11 + "t" * 14 + "u" * 5
-    figures = recovery_figures([kidnap("t" * AFTER, [0.0] * AFTER, before)], [])
+    figures = recovery_figures([kidnap("t" * AFTER, [0.0] * AFTER, before)], [], [])
     assert figures.false_alarm_rate == pytest.approx(5 / 19)
 
 
 def test_consistency_is_of_frames_after_the_kidnap_that_are_not_lost() -> None:
-    figures = recovery_figures([kidnap("l" * 10 + "u" * 40, [9.0] * 10 + [0.1] * 30 + [0.4] * 10)], [])
+    figures = recovery_figures([kidnap("l" * 10 + "u" * 40, [9.0] * 10 + [0.1] * 30 + [0.4] * 10)], [], [])
     assert figures.coverage_95 == pytest.approx(0.75)
     assert figures.coverage_99 == 1.0
     assert figures.nees == pytest.approx((30 * 1.0 + 10 * 16.0) / 40 / 6.0)
@@ -70,8 +108,8 @@ def test_consistency_is_of_frames_after_the_kidnap_that_are_not_lost() -> None:
 
 def test_starts_that_are_not_supported_count_as_not_found() -> None:
     found = flight("l" * 10 + "t" * 40, [1.0] * 10 + [0.1] * 40)
-    assert recovery_figures([], [found, found]).supports_starts
-    figures = recovery_figures([], [found, None])
+    assert recovery_figures([], [found, found], []).supports_starts
+    figures = recovery_figures([], [found, None], [])
     assert figures.global_start_rate == 0.5 and not figures.supports_starts
-    nothing = recovery_figures([], [None])
+    nothing = recovery_figures([], [None], [])
     assert nothing.global_start_rate == 0.0 and nothing.coverage_95 is None and nothing.false_alarm_rate is None

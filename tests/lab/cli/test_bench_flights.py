@@ -24,7 +24,7 @@ FRAMES = 300  # 20 s, so that 10 s may be missing
 RECOVERY_KEYS = {
     "starts", "supports_starts", "global_start_rate", "kidnaps", "kidnap_recovery_rate", "lost_reported_rate",
     "false_tracking_rate", "wrong_place_rate", "false_alarm_rate", "coverage_95", "coverage_99", "nees",
-    "recovery_s_median",
+    "recovery_s_median", "map_edits", "map_changed_rate", "map_changed_false_rate",
 }  # fmt: skip
 RATES = {key for key in RECOVERY_KEYS if key.endswith("_rate") or key.startswith("coverage")}
 # One fault of each kind.
@@ -48,7 +48,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_recovery_and_faults_report_every_figure(capfd: Capture, folder: Path) -> None:
     arguments = (str(folder / "room.monoloc"), str(folder / "flight"))
-    figures = json_of(capfd, "bench", "recovery", *arguments, "--kidnaps", "2", "--starts", "1")
+    figures = json_of(capfd, "bench", "recovery", *arguments, "--kidnaps", "2", "--starts", "1", "--map-edits", "1")
     assert set(figures) == RECOVERY_KEYS
     assert (figures["kidnaps"], figures["starts"]) == (2, 1)
     assert all(figures[key] is None or 0.0 <= figures[key] <= 1.0 for key in RATES)
@@ -73,7 +73,7 @@ def test_recovery_and_faults_report_every_figure(capfd: Capture, folder: Path) -
 def test_recovery_and_faults_print_tables(capfd: Capture, folder: Path) -> None:
     """Of few frames, of which those for ten seconds without images are too few."""
     arguments = (str(folder / "room.monoloc"), str(folder / "flight"), "--frames", "0:240")
-    out, _ = outputs(capfd, "bench", "recovery", *arguments, "--kidnaps", "0", "--starts", "0")
+    out, _ = outputs(capfd, "bench", "recovery", *arguments, "--kidnaps", "0", "--starts", "0", "--map-edits", "0")
     assert "false_tracking_rate" in out
     out, err = outputs(
         capfd, "bench", "faults", *arguments, "--only", "black", "--only", "dropped-10s", "--flights", "1"

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from monoloc.relocalization.state_machine import Mode
+from monoloc.supervision.map_change import ChangedRegion
 from monoloc.supervision.state import Reason, State, Supervision, classify_state
 
 
@@ -20,6 +22,7 @@ def supervision_of(**given: Any) -> Supervision:
         "image_is_empty": False,
         "odometry_tracked": True,
         "camera_mismatch": False,
+        "changed_region": None,
     }
     return Supervision(**(well | given))
 
@@ -65,6 +68,22 @@ def test_doubtful_images_and_intrinsics_are_at_best_uncertain(doubt: dict[str, A
     assert classify_state(supervision_of(probability_far=0.6, **doubt), "tracking")[0] == "lost"
 
 
+REGION = ChangedRegion(np.zeros(3), np.ones(3))
+
+
+def test_changed_map_is_said_where_the_pose_is_vouched_for() -> None:
+    """With the hysteresis of *tracking*, and for no other reason; doubts about the pose win."""
+    said = ("map-changed", frozenset({Reason.MAP_CHANGED}))
+    assert classify_state(supervision_of(changed_region=REGION), "lost") == said
+    for previous in ("tracking", "map-changed"):
+        near_bound = supervision_of(changed_region=REGION, probability_far=0.04, odometry_tracked=False)
+        assert classify_state(near_bound, previous) == said
+    assert classify_state(supervision_of(probability_far=0.04), "map-changed")[0] == "tracking"
+    for far, state in ((0.06, "uncertain"), (0.6, "lost")):
+        assert classify_state(supervision_of(changed_region=REGION, probability_far=far), "map-changed")[0] == state
+    assert classify_state(supervision_of(changed_region=REGION, camera_mismatch=True), "tracking")[0] == "uncertain"
+
+
 @pytest.mark.parametrize("harmless", [{"repeated_s": 0.2}, {"image_is_empty": True}, {"odometry_tracked": False}])
 def test_what_the_probability_allows_for_is_tracking_without_reasons(harmless: dict[str, Any]) -> None:
     assert classify_state(supervision_of(**harmless), "tracking") == ("tracking", frozenset())
@@ -77,6 +96,7 @@ REASONS: dict[Reason, dict[str, Any]] = {
     Reason.POSITION_WIDE: {"probability_far": 0.3, "probability_wrong": 0.1},
     Reason.IMAGE_REPEATED: {"repeated_s": 0.3},
     Reason.CAMERA_MISMATCH: {"camera_mismatch": True},
+    Reason.MAP_CHANGED: {"changed_region": REGION},
 }
 # These come with a width or a doubt, and explain it.
 CAUSES: dict[Reason, dict[str, Any]] = {

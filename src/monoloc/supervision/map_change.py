@@ -1,0 +1,161 @@
+"""Where the room is no longer as the map says.
+
+Landmarks that the build found from views near the camera's are *familiar*: they are found again in two frames of
+three, unless something else stands there now. Where those of one region are missing, while those of the rest of the
+same images are found, the map has changed in that region.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.geometry import FloatArray
+from monoloc.landmarks.landmark_map import FAMILIAR_TIMES, Landmarks
+from monoloc.landmarks.pnp import LandmarkMeasurement
+from monoloc.supervision.integrity import IntegrityModel
+
+_CELL_M = 0.2  # edge of the cells of space; one is tested together with those that touch it
+_OBSERVATION_S = 0.5  # that counts as one observation, since errors of neighbouring frames are correlated
+_FIRST_S = 0.05  # for which the first frame counts
+# Evidence that one landmark gives, nats. It is bounded, since what hides a landmark hides it for long: only several
+# missing landmarks show a change.
+_LEAST_NATS, _MOST_NATS = -3.0, 1.0
+_CHANGED_NATS, _UNCHANGED_NATS = 5.0, 2.5  # of evidence: from the first on a cell is changed, until below the second
+_LEAST_S = 0.5  # for which it must be so while the cell is in view: what passes by does not change the map
+_FORGOTTEN_S = 60.0  # time constant of evidence that is not renewed
+_CERTAIN_BELOW = 0.05  # probability that the pose is far off
+_LEAST_REST = 8  # familiar landmarks in view around a cell
+_EXPLAINED = 0.5  # of the share of familiar landmarks that a build finds, at least found around a cell
+
+
+@dataclass(frozen=True)
+class ChangedRegion:
+    """A box in which the map no longer holds.
+
+    Attributes:
+        lower, upper: corners, (3,), world frame, metres.
+    """
+
+    lower: FloatArray
+    upper: FloatArray
+
+    @property
+    def centre(self) -> FloatArray:
+        return np.asarray(0.5 * (self.lower + self.upper))
+
+    @property
+    def size(self) -> FloatArray:
+        return np.asarray(self.upper - self.lower)
+
+
+class MapChangeMonitor:
+    """Follows the evidence that the map has changed, in each cell of space that has landmarks.
+
+    A landmark is familiar if at least :data:`FAMILIAR_TIMES` of the three views of the build that are nearest to the
+    camera found it. Where nothing has changed, it is found as often as familiar landmarks in the rest of the image;
+    where something else stands now, as often as landmarks that are not there.
+
+    Args:
+        landmarks: of the room.
+        model: what the build measured.
+    """
+
+    def __init__(self, landmarks: Landmarks, model: IntegrityModel) -> None:
+        # Not measured, or no better than wrong matches: then landmarks say nothing of the map.
+        self._views = landmarks.views if model.familiar_found > model.strange_found else None
+        self._familiar_found, self._strange_found = model.familiar_found, model.strange_found
+        cells = np.floor(landmarks.points.astype(np.float64) / _CELL_M).astype(np.int64)
+        self._cells, cell_of = np.unique(cells, axis=0, return_inverse=True)
+        self._cell_of: NDArray[np.int64] = cell_of.reshape(-1)
+        self._touching = _touching(self._cells)
+        self._nats = np.zeros(len(landmarks))
+        self._above_s = np.zeros(len(self._cells))
+        self._is_changed = np.zeros(len(self._cells), dtype=np.bool_)
+
+    def update(
+        self, pose: FloatArray, probability_far: float, landmarks: LandmarkMeasurement | None, elapsed_s: float
+    ) -> ChangedRegion | None:
+        """The changed region in view after a frame; of several, the one with most evidence.
+
+        Args:
+            pose: ``T_world_camera``, (4, 4), of the belief.
+            probability_far: that its position is far off; a pose that is not certain says nothing of the map.
+            landmarks: in the frame; None where nothing was measured.
+            elapsed_s: since the previous frame.
+        """
+        if landmarks is None or landmarks.pose is None or probability_far >= _CERTAIN_BELOW:
+            return None
+        times_found = None if self._views is None else self._views.times_found(pose)
+        if times_found is None:
+            return None
+        is_familiar = times_found[landmarks.visible] >= FAMILIAR_TIMES
+        familiar, is_found = landmarks.visible[is_familiar], landmarks.is_found[is_familiar]
+        elapsed_s = max(elapsed_s, _FIRST_S)
+        self._nats *= math.exp(-elapsed_s / _FORGOTTEN_S)
+        in_view = self._cell_of[familiar]
+        added = self._evidence(in_view, is_found) * min(1.0, elapsed_s / _OBSERVATION_S)
+        self._nats[familiar] = np.clip(self._nats[familiar] + added, _LEAST_NATS, _MOST_NATS)
+        nats = self._around(self._sums(self._cell_of, self._nats))
+        self._above_s[self._sums(in_view) > 0.0] += elapsed_s
+        self._above_s[nats < _CHANGED_NATS] = 0.0
+        self._is_changed = (self._above_s >= _LEAST_S) | (self._is_changed & (nats >= _UNCHANGED_NATS))
+        return self._region(nats, in_view)
+
+    def _evidence(self, cells: NDArray[np.int64], is_found: NDArray[np.bool_]) -> FloatArray:
+        """Logarithm of how much more probable it is with a change that a landmark is found, or not, (F,).
+
+        Args:
+            cells: (F,) of the familiar landmarks in view.
+            is_found: (F,) bool.
+        """
+        rest = len(cells) - self._around(self._sums(cells))
+        rest_found = is_found.sum() - self._around(self._sums(cells, is_found))
+        rate = (rest_found + self._familiar_found) / (rest + 1.0)
+        is_explained = (rest >= _LEAST_REST) & (rate >= _EXPLAINED * self._familiar_found)
+        rate = np.clip(rate, self._strange_found, self._familiar_found)[cells]
+        strange = self._strange_found
+        nats = np.where(is_found, np.log(strange / rate), np.log((1.0 - strange) / (1.0 - rate)))
+        return np.where(is_explained[cells], nats, 0.0)
+
+    def _sums(self, cells: NDArray[np.int64], values: NDArray[Any] | None = None) -> FloatArray:
+        """Sum over each cell of values (N,) in cells (N,), or their number, (C,)."""
+        return np.bincount(cells, values, minlength=len(self._cells)).astype(np.float64)
+
+    def _around(self, sums: FloatArray) -> FloatArray:
+        """Sums (C,) over each cell together with those that touch it."""
+        cell, other = self._touching
+        return np.bincount(cell, sums[other], minlength=len(self._cells)).astype(np.float64)
+
+    def _region(self, nats: FloatArray, in_view: NDArray[np.int64]) -> ChangedRegion | None:
+        """Changed cells that touch each other, of which one is in view."""
+        seen = in_view[self._is_changed[in_view]]
+        if len(seen) == 0:
+            return None
+        cell, other = (each[self._is_changed[self._touching].all(axis=0)] for each in self._touching)
+        region = np.zeros(len(self._cells), dtype=np.bool_)
+        region[seen[np.argmax(nats[seen])]] = True
+        size = 0
+        while region.sum() > size:
+            size = int(region.sum())
+            region[other[region[cell]]] = True
+        lower, upper = self._cells[region].min(axis=0), self._cells[region].max(axis=0) + 1
+        return ChangedRegion(lower * _CELL_M, upper * _CELL_M)
+
+
+def _touching(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Pairs of cells (C, 3) that touch each other, (2, P): of each cell all others, and itself."""
+    numbers = {tuple(cell): number for number, cell in enumerate(cells.tolist())}
+    steps = list(itertools.product((-1, 0, 1), repeat=3))
+    pairs = [
+        (number, numbers[other])
+        for (x, y, z), number in numbers.items()
+        for dx, dy, dz in steps
+        if (other := (x + dx, y + dy, z + dz)) in numbers
+    ]
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2).T
