@@ -30,11 +30,13 @@ class Camera:
         distortion: coefficients in OpenCV's order (:data:`monoloc.distortion.COEFFICIENTS`). *brown* has five, of
             which k3 may be left out, *rational* eight and *fisheye* four; none given are all zero.
         distortion_model: model of the coefficients. Five zeros of *brown* are a pinhole.
+        is_window: whether the image is part of a larger one, so that the principal point may be outside. Elsewhere it
+            is inside, or the intrinsics belong to another image size.
 
     Raises:
-        SettingError: a size or focal length is not positive and finite, the principal point is outside the image, the
-            coefficients are not finite or not as many as the model has, or the distortion is not invertible over the
-            image or sees more than 85 degrees off the optical axis.
+        SettingError: a size or focal length is not positive and finite, the principal point is outside, coefficients
+            are not finite or not as many as the model has, or the distortion is not invertible over the image or sees
+            more than 85 degrees off the optical axis.
     """
 
     width: int
@@ -45,6 +47,7 @@ class Camera:
     cy: float
     distortion: tuple[float, ...] = ()
     distortion_model: DistortionModel = "brown"
+    is_window: bool = False
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
@@ -53,7 +56,8 @@ class Camera:
             )
         if not all(np.isfinite(f) and f > 0.0 for f in (self.fx, self.fy)):
             raise SettingError("camera.fx/fy", f"is ({self.fx}, {self.fy})", "focal lengths are positive pixels")
-        if not (-0.5 <= self.cx <= self.width - 0.5 and -0.5 <= self.cy <= self.height - 0.5):
+        may_be_outside = self.is_window and np.isfinite(self.cx) and np.isfinite(self.cy)
+        if not may_be_outside and not _is_inside(self.cx, self.cy, self.width, self.height):
             raise SettingError(
                 "camera.cx/cy",
                 f"({self.cx}, {self.cy}) lies outside the {self.width}x{self.height} image",
@@ -130,7 +134,17 @@ class Camera:
 
     def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
         """Camera of the window whose top-left pixel is (left, top)."""
-        return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
+        return self._window(width, height, self.fx, self.fy, self.cx - left, self.cy - top)
+
+    def sampled(self, first: int, step: int) -> Camera:
+        """Camera of every ``step``-th column and row from number ``first``, which are kept and not averaged."""
+        width, height = (len(range(first, size, step)) for size in (self.width, self.height))
+        fx, fy, cx, cy = (value / step for value in (self.fx, self.fy, self.cx - first, self.cy - first))
+        return self._window(width, height, fx, fy, cx, cy)
+
+    def _window(self, width: int, height: int, fx: float, fy: float, cx: float, cy: float) -> Camera:
+        is_window = self.is_window or not _is_inside(cx, cy, width, height)
+        return replace(self, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, is_window=is_window)
 
     def flipped(self) -> Camera:
         """Camera of the image mirrored left to right."""
@@ -200,3 +214,7 @@ class Camera:
 
     def _distort(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         return self._lens.distort(x, y) if self.is_distorted else (x, y)
+
+
+def _is_inside(cx: float, cy: float, width: int, height: int) -> bool:
+    return -0.5 <= cx <= width - 0.5 and -0.5 <= cy <= height - 0.5

@@ -50,15 +50,4 @@ def sparse_depth(depth_m: NDArray[np.float32], camera: Camera) -> DepthPredictio
     """Every fourth pixel of a sensor's image, (H, W) metres, not averaged, which would mix surfaces."""
     offset = _STRIDE // 2
     sparse = np.ascontiguousarray(depth_m[offset::_STRIDE, offset::_STRIDE])
-    height, width = sparse.shape
-    # Centres of the sampled pixels are at offset + stride * (column, row).
-    sampled = Camera(
-        width,
-        height,
-        camera.fx / _STRIDE,
-        camera.fy / _STRIDE,
-        (camera.cx - offset) / _STRIDE,
-        (camera.cy - offset) / _STRIDE,
-        camera.distortion,
-    )
-    return DepthPrediction(sparse, sampled)
+    return DepthPrediction(sparse, camera.sampled(offset, _STRIDE))

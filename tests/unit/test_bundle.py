@@ -135,6 +135,19 @@ def test_bundle_is_read_as_written(written):
     np.testing.assert_array_equal(bundle.landmarks.descriptors, expected.landmarks.descriptors)
 
 
+def test_camera_of_any_lens_is_read_as_written_and_one_without_a_model_is_browns(written):
+    lens = Camera(640, 480, 330.0, 331.0, 320.0, 240.0, (-0.01, 0.01, -0.006, 0.001), "fisheye")
+    write_bundle(written, replace(make_bundle(), camera=lens))
+    assert read_bundle(written).camera == lens
+    write_bundle(written, make_bundle())
+    manifest = written / "manifest.json"
+    body = json.loads(manifest.read_bytes())
+    for name in ("manifest_sha256", "distortion_model", "is_window"):
+        (body if name in body else body["camera"]).pop(name)
+    manifest.write_text(json.dumps(body | {"manifest_sha256": bundle_module._digest(body)}))
+    assert read_bundle(written).camera == make_bundle().camera
+
+
 def test_bundle_written_again_is_the_same(written, tmp_path):
     again = tmp_path / "again.monoloc"
     write_bundle(again, read_bundle(written))

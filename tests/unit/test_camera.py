@@ -165,6 +165,18 @@ def test_cropping_moves_projections_by_the_corner(camera, seed, data):
     np.testing.assert_allclose(cropped.project(points), camera.project(points) - [left, top], atol=1e-6)
 
 
+def test_a_window_may_leave_out_the_principal_point():
+    camera = TUM_FREIBURG1.cropped(400, 300, 200, 150)
+    assert camera.cx < -0.5 and camera.cy < -0.5
+    v, u = np.mgrid[0:150, 0:200]
+    np.testing.assert_allclose(camera.pixel_rays(), TUM_FREIBURG1.pixel_rays()[300:450, 400:600], atol=1e-9)
+    np.testing.assert_allclose(camera.project(camera.pixel_rays()), np.stack([u, v], axis=-1), atol=1e-6)
+    assert camera.in_sight(camera.pixel_rays().reshape(-1, 3)).all()
+    # A window of a window, and other sizes of one, are windows; a window about the principal point is a plain camera.
+    assert camera.resized(100, 75).cropped(10, 10, 50, 50).cx == pytest.approx(0.5 * (camera.cx + 0.5) - 10.5)
+    assert TUM_FREIBURG1.cropped(0, 0, 640, 480) == TUM_FREIBURG1
+
+
 @given(cameras(), st.integers(0, 1000))
 def test_flipping_mirrors_projections(camera, seed):
     points = points_in_view(camera, seed)

@@ -18,7 +18,17 @@ from synthetic_room import CAMERA, SETTINGS, RoomRecording, make_bundle
 FRAMES = 3
 
 
-@pytest.mark.parametrize("camera", [CAMERA, replace(CAMERA, distortion=(-0.2, 0.05, 0.0, 0.0, 0.0))])
+@pytest.mark.parametrize(
+    "camera",
+    [
+        CAMERA,
+        replace(CAMERA, distortion=(-0.2, 0.05, 0.0, 0.0, 0.0)),
+        replace(CAMERA, distortion=(), distortion_model="fisheye"),
+        replace(CAMERA, cx=-0.4, cy=-0.4),
+        CAMERA.cropped(200, 140, 120, 116),
+    ],
+    ids=["pinhole", "brown", "fisheye", "centre at the corner", "centre outside"],
+)
 def test_sparse_pixels_see_what_the_image_sees_there(camera: Camera) -> None:
     """Not averaged: every pixel that is kept has its own depth, along its own ray."""
     depth_m = np.random.default_rng(0).uniform(1.0, 4.0, (camera.height, camera.width)).astype(np.float32)

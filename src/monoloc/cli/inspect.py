@@ -129,4 +129,5 @@ def _camera(camera: Camera) -> dict[str, object]:
         "image": [camera.width, camera.height],
         "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
         "distortion": list(camera.distortion),
+        "distortion_model": camera.distortion_model,
     }

@@ -18,6 +18,7 @@ from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.localizer import Step
 from monoloc.particle_filter.particles import Particles
 from monoloc.supervision.state import Reason, State
+from monoloc.viz.pinhole_view import PinholeView
 
 # Colours of Okabe and Ito (2008) that are visible on Rerun's dark background, RGBA.
 _TRUTH, _ESTIMATE, _ODOMETRY, _SCAN = 0xE6E6E6FF, 0x56B4E9FF, 0xE69F00FF, 0x00C78FFF
@@ -56,6 +57,7 @@ class RerunViewer:
         self._stream = stream
         self._recording: Recording | None = None
         self._thresholds: LikelihoodThresholds | None = None
+        self._view: PinholeView
         self._ends: dict[str, FloatArray] = {}  # last position of each trajectory, (3,)
 
     def begin(self, room: Bundle, recording: Recording) -> None:
@@ -68,7 +70,8 @@ class RerunViewer:
         if recording.poses is not None:
             truth = rr.LineStrips3D([recording.poses[:, :3, 3]], colors=_TRUTH, radii=rr.Radius.ui_points(1.0))
             self._static("world/truth", truth)
-        self._static("world/camera/image", _pinhole(recording.camera))
+        self._view = PinholeView(recording.camera)
+        self._static("world/camera/image", _pinhole(self._view.camera))
         for path, color in _PLOTS.items():
             self._static(path, rr.SeriesLines(colors=color, names=path.rpartition("/")[2]))
         colors = np.array(list(_STATES.values()), dtype=np.uint32)
@@ -101,7 +104,7 @@ class RerunViewer:
         self._show_state(step)
 
     def _show_images(self, color: NDArray[np.uint8], step: Step) -> None:
-        self._stream.log("world/camera/image", rr.Image(color).compress(jpeg_quality=_JPEG_QUALITY))
+        self._stream.log("world/camera/image", rr.Image(self._view(color)).compress(jpeg_quality=_JPEG_QUALITY))
         # Not below the camera's entity, where the viewer would back-project the uncorrected depth into the room.
         depth = rr.DepthImage(step.depth.depth_m, meter=1.0, colormap="viridis", depth_range=_DEPTH_SHOWN_M)
         self._stream.log("depth", depth)
@@ -253,7 +256,7 @@ def _view_coordinates(down: ArrayLike) -> rr.AsComponents:
 
 
 def _pinhole(camera: Camera) -> rr.Pinhole:
-    """Convert a camera to Rerun's pinhole, which has pixel centres at half integers and no distortion."""
+    """Convert a pinhole to Rerun's, which has pixel centres at half integers."""
     return rr.Pinhole(
         focal_length=(camera.fx, camera.fy),
         principal_point=(camera.cx + 0.5, camera.cy + 0.5),
