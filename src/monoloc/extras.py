@@ -58,6 +58,18 @@ def require_stream() -> None:
         raise MissingExtraError("streams over a network", "stream") from error
 
 
+def require_ros() -> None:
+    """Check that rosbags is installed, before a bag is opened.
+
+    Raises:
+        MissingExtraError: rosbags is not installed.
+    """
+    try:
+        import rosbags  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("reading ROS bags", "ros") from error
+
+
 @contextmanager
 def training_extra() -> Iterator[None]:
     """Context for imports of PyTorch and related libraries.

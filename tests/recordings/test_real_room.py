@@ -81,7 +81,9 @@ def sensor_run(kitchen, without_landmarks, here) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def adapted_run(kitchen, adapted, here) -> dict[str, Any]:
-    return monoloc("localize", adapted[0], kitchen, "--start", "truth", "--frames", RUN_FRAMES, "--out", here / "adapted.txt")
+    return monoloc(
+        "localize", adapted[0], kitchen, "--start", "truth", "--frames", RUN_FRAMES, "--out", here / "adapted.txt"
+    )
 
 
 # --- build ---
@@ -215,7 +217,9 @@ def test_same_seed_gives_the_same_trajectory(kitchen, adapted, here):
     trajectories = []
     for number, seed in enumerate((5, 5, 6)):
         out = here / f"seed-{number}.txt"
-        monoloc("localize", adapted[0], kitchen, "--start", "truth", "--frames", "0:30", "--seed", str(seed), "--out", out)
+        monoloc(
+            "localize", adapted[0], kitchen, "--start", "truth", "--frames", "0:30", "--seed", str(seed), "--out", out
+        )
         trajectories.append(out.read_bytes())
     assert trajectories[0] == trajectories[1]
     assert trajectories[0] != trajectories[2]

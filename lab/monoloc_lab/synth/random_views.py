@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 from monoloc.files import write_whole
 from monoloc.geometry import FloatArray, make_pose, so3_exp
-from monoloc.io.folder import FILE_NAME
+from monoloc.io.dataset_description import FILE_NAME
 from monoloc.progress import Progress, Step
 from monoloc_lab.synth.flights import FlightConfig, free_places
 from monoloc_lab.synth.layout import generate_room

@@ -26,7 +26,7 @@ from monoloc.camera import Camera
 from monoloc.errors import DataError
 from monoloc.files import write_whole
 from monoloc.geometry import FloatArray
-from monoloc.io.folder import FILE_NAME
+from monoloc.io.dataset_description import FILE_NAME
 from monoloc.io.tum_trajectory import write_tum
 from monoloc.progress import Progress
 from monoloc_lab.synth.blur import motion_blurred

@@ -28,8 +28,8 @@ def draw_points(
     Args:
         points: (N, 3) world frame, metres.
         camera_from_world: ``T_camera_world``, (4, 4).
-        camera: (12,) fx, fy, cx, cy, and k1, k2, p1, p2, k3, k4, k5, k6 of the rational model, of which the last three
-            are 0 for Brown's, or k1 to k4 of a fisheye and four zeros.
+        camera: (12,) fx, fy, cx, cy, and k1, k2, p1, p2, k3, k4, k5, k6 of the rational model, the last three of
+            which are 0 for Brown's, or k1 to k4 of a fisheye and four zeros.
         is_fisheye: which of the two.
         sight: limits of the field of view, see :meth:`monoloc.camera.Camera.sight`.
         behind: depth tolerance of a surface, relative: points at most this much farther than the nearest point of a

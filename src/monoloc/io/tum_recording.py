@@ -59,7 +59,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
     frames, poses, depth_paths = FrameFilter(len(color_paths)), None, None
     if (path / "depth.txt").is_file():
         depth_times, all_depth_paths = _read_list(path / "depth.txt")
-        partner = _mutual_nearest(color_times, depth_times)
+        partner = mutual_nearest(color_times, depth_times)
         frames.require(partner >= 0, f"without depth within {1e3 * MAX_TIME_DIFFERENCE_S:g} ms")
         depth_paths = [all_depth_paths[j] for j in partner]
     if (path / "groundtruth.txt").is_file():
@@ -109,8 +109,11 @@ def _read_list(path: Path) -> tuple[FloatArray, list[Path]]:
     return times_s, files
 
 
-def _mutual_nearest(color_s: FloatArray, depth_s: FloatArray) -> NDArray[np.int64]:
-    """Index of the matching depth image for each colour image, or -1: (N,), (M,) seconds -> (N,)."""
+def mutual_nearest(color_s: FloatArray, depth_s: FloatArray) -> NDArray[np.int64]:
+    """Index of the matching depth image for each colour image, or -1: (N,), (M,) seconds, increasing -> (N,).
+
+    Matching images are mutual nearest neighbours, hence one to one, at most 20 ms apart.
+    """
     partner = nearest_times(color_s, depth_s)
     mutual = nearest_times(depth_s, color_s)[partner] == np.arange(len(color_s))
     close = np.abs(depth_s[partner] - color_s) <= MAX_TIME_DIFFERENCE_S

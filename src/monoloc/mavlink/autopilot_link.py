@@ -1,33 +1,34 @@
-"""The link to an autopilot: a thread that reads and answers, and one place that sends.
+"""The link to an autopilot: what it says is kept, its questions are answered, and one place sends.
 
 The clock of everything that is sent is ``time.monotonic``: that of times of capture, and of the answers to TIMESYNC.
 """
 
 from __future__ import annotations
 
-import os
-import re
+import math
+import struct
 import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
-from monoloc.errors import DataError, SettingError
 from monoloc.extras import require_mavlink
 from monoloc.live.capture_clock import CaptureClock
-from monoloc.mavlink.messages import COMPONENT, heartbeat, timesync_answer
+from monoloc.mavlink.byte_link import ByteLink
+from monoloc.mavlink.link_port import parse_address
+from monoloc.mavlink.messages import COMPONENT, dialect, heartbeat, parameter_request, timesync
 
-_HEARTBEAT_S = 1.0
+_SECOND_S = 1.0  # between heartbeats, and between questions for the time and for a parameter
 _ATTITUDES = 200  # that are kept: four seconds at 50 Hz
 _ATTITUDE_S = 0.1  # between a frame and the nearest attitude, beyond which there is none
-_READ_S = 0.05  # for which the reader waits for a message
 _ALIVE_S = 3.0  # since the autopilot's last heartbeat
-_PARAMETER_S = 1.0  # to wait for a parameter before it is asked for again
-_INVALID_AUTOPILOT = 8  # in the heartbeat of what is no autopilot
-_URL = re.compile(r"(?:udpout|udpin|tcp|tcpin):[^:]+:\d+|serial:[^:]+:\d+")
+_INVALID_AUTOPILOT, _PX4 = 8, 12  # of HEARTBEAT's autopilot; the first is of what is none
+_GOES_STALE = {"ODOMETRY", "VISION_POSITION_ESTIMATE", "OBSTACLE_DISTANCE", "TIMESYNC"}
+_MAGIC_2, _HEADER_2_BYTES, _HEADER_1_BYTES = 0xFD, 10, 6  # of MAVLink 2 and 1
+# MAV_PARAM_TYPE of the whole numbers, which PX4 sends as their bytes in place of a float's.
+_BYTES_OF = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,9 @@ class AutopilotLink:
         url: ``udpout:HOST:PORT``, ``udpin:HOST:PORT``, ``tcp:HOST:PORT`` or ``serial:DEVICE:BAUD``.
         on_sent: is given the bytes of every message and the time it was sent, for a recording.
 
+    Attributes:
+        round_trip_s: of the last TIMESYNC that the autopilot answered; None before.
+
     Raises:
         SettingError: the address is none of these.
         DataError: the port cannot be opened.
@@ -59,22 +63,38 @@ class AutopilotLink:
     """
 
     def __init__(self, url: str, on_sent: Callable[[bytes, float], None] | None = None) -> None:
-        if not _URL.fullmatch(url):
-            fix = "write udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD"
-            raise SettingError("--mavlink", f"is {url!r}", fix)
+        parse_address(url)  # a wrong address is refused with and without pymavlink
         require_mavlink()
-        self._url, self._on_sent = url, on_sent
-        self._connection = _connect(url)
-        self._sending = threading.Lock()
-        self._state = threading.Lock()
+        self.round_trip_s: float | None = None
+        self._on_sent = on_sent
+        self._packing = threading.Lock()
+        self._packer = dialect().MAVLink(None, srcSystem=1, srcComponent=COMPONENT)
+        self._parser = _parser()
+        self._changed = threading.Condition()
         self._attitudes: deque[Attitude] = deque(maxlen=_ATTITUDES)
         self._clock = CaptureClock()
         self._parameters: dict[str, float] = {}
-        self._heard_s = float("-inf")
-        self.counts: Counter[str] = Counter()
-        self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="autopilot", daemon=True)
-        self._thread.start()
+        self._vehicle: tuple[int, int] | None = None  # system and component of the autopilot
+        self._is_px4 = False
+        self._heard_s = self._beat_s = float("-inf")
+        self._asked_ns = 0
+        self._bytes = ByteLink(url, self._take_bytes, self._tick)
+        self._bytes.start()
+
+    @property
+    def counts(self) -> Counter[str]:
+        """Frames sent, dropped, received and damaged, and reconnections."""
+        return self._bytes.counts
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the port is open; of a device that is unplugged it is not."""
+        return self._bytes.is_open
+
+    @property
+    def queued(self) -> int:
+        """How many frames wait for the port to take them."""
+        return self._bytes.queued
 
     @property
     def is_alive(self) -> bool:
@@ -84,123 +104,105 @@ class AutopilotLink:
     @property
     def parameters(self) -> Mapping[str, float]:
         """Values of the parameters that were read."""
-        with self._state:
-            return MappingProxyType(dict(self._parameters))
+        with self._changed:
+            return dict(self._parameters)
 
     def attitude_at(self, time_s: float) -> Attitude | None:
         """The attitude nearest to a time of capture; None where none is within a tenth of a second."""
-        with self._state:
+        with self._changed:
             nearest = min(self._attitudes, key=lambda attitude: abs(attitude.time_s - time_s), default=None)
         return None if nearest is None or abs(nearest.time_s - time_s) > _ATTITUDE_S else nearest
 
     def send(self, message: Any) -> None:
-        """Send a message; a port that does not take it counts as a failure, and the flight goes on."""
-        with self._sending:
-            connection = self._connection
-            data: bytes = message.pack(connection.mav)
-            connection.mav.seq = (connection.mav.seq + 1) % 256
-            now_s = time.monotonic()
-            try:
-                connection.write(data)
-            except (OSError, ValueError):  # unplugged; the reader opens it again
-                self.counts["failed"] += 1
-                return
-            self.counts["sent"] += 1
+        """Queue a message. A pose, obstacles and an answer to TIMESYNC are dropped if the port holds them up."""
+        with self._packing:
+            data: bytes = message.pack(self._packer)
+            self._packer.seq = (self._packer.seq + 1) % 256
+            self._bytes.send(data, message.get_type() in _GOES_STALE)
         if self._on_sent is not None:
-            self._on_sent(data, now_s)
+            self._on_sent(data, time.monotonic())
 
     def read_parameters(self, names: tuple[str, ...], timeout_s: float) -> dict[str, float]:
         """Ask for parameters, as many times as the timeout allows; those that did not come are missing."""
         end_s = time.monotonic() + timeout_s
-        while time.monotonic() < end_s and not self._closing.is_set():
+        while (left_s := end_s - time.monotonic()) > 0.0:
             missing = [name for name in names if name not in self.parameters]
             if not missing:
                 break
+            system = 0 if self._vehicle is None else self._vehicle[0]
             for name in missing:
-                self.send(self._parameter_request(name))
-            again_s = min(time.monotonic() + _PARAMETER_S, end_s)
-            while time.monotonic() < again_s and any(name not in self.parameters for name in missing):
-                time.sleep(0.01)
+                self.send(parameter_request(name, system))
+            with self._changed:
+                self._changed.wait_for(lambda: self._parameters.keys() >= set(names), min(_SECOND_S, left_s))
         known = self.parameters
         return {name: known[name] for name in names if name in known}
 
     def close(self) -> None:
-        self._closing.set()
-        self._thread.join()
-        with self._sending:
-            self._connection.close()
+        """Send what is queued, and close the port."""
+        self._bytes.close()
 
-    def _parameter_request(self, name: str) -> Any:
-        connection = self._connection
-        return connection.mav.param_request_read_encode(
-            connection.target_system, connection.target_component, name.encode("ascii"), -1
-        )
+    def _tick(self) -> None:
+        now_s = time.monotonic()
+        if now_s - self._beat_s >= _SECOND_S:
+            self._beat_s = now_s
+            self.send(heartbeat())
+            if self._vehicle is not None:
+                self._asked_ns = time.monotonic_ns()
+                self.send(timesync(0, self._asked_ns))
 
-    def _run(self) -> None:
-        beat_s = float("-inf")
-        while not self._closing.is_set():
-            now_s = time.monotonic()
-            if now_s - beat_s >= _HEARTBEAT_S:
-                beat_s = now_s
-                self.send(heartbeat())
-            try:
-                message = self._connection.recv_match(blocking=True, timeout=_READ_S)
-            except (OSError, ValueError, TypeError):  # pyserial raises TypeError for a port that vanished
-                self._reopen()
-                continue
-            if message is not None:
-                self._take(message, time.monotonic())
-
-    def _reopen(self) -> None:
-        """Open the port again, until it is there."""
-        self.counts["reconnections"] += 1
-        while not self._closing.wait(_HEARTBEAT_S / 2.0):
-            try:
-                connection = _connect(self._url)
-            except DataError:
-                continue
-            with self._sending:
-                self._connection.close()
-                self._connection = connection
-            return
+    def _take_bytes(self, data: bytes) -> None:
+        arrived_s = time.monotonic()
+        try:
+            messages = self._parser.parse_buffer(data) or []
+        except (dialect().MAVError, ValueError):  # a frame with a right checksum that is no message
+            self._parser = _parser()
+            messages = []
+            self.counts["damaged"] += 1
+        for message in messages:
+            if message.get_type() == "BAD_DATA":
+                self.counts["damaged"] += 1
+            elif message.get_srcComponent() != COMPONENT:
+                self.counts["received"] += 1
+                self._take(message, arrived_s)
 
     def _take(self, message: Any, arrived_s: float) -> None:
         """Act on a message of the vehicle."""
         kind = message.get_type()
-        if kind == "BAD_DATA" or message.get_srcComponent() == COMPONENT:
-            return
-        self.counts["received"] += 1
-        if kind == "HEARTBEAT" and message.autopilot != _INVALID_AUTOPILOT:
-            self._heard_s = arrived_s
-            self._connection.target_system = message.get_srcSystem()
-            self._connection.target_component = message.get_srcComponent()
-            self._connection.mav.srcSystem = message.get_srcSystem()  # a part of the same vehicle
+        sender = message.get_srcSystem(), message.get_srcComponent()
+        if kind == "HEARTBEAT" and message.autopilot != _INVALID_AUTOPILOT and sender[0] != 0:
+            self._vehicle, self._heard_s, self._is_px4 = sender, arrived_s, message.autopilot == _PX4
+            self._packer.srcSystem = sender[0]  # a part of the same vehicle
         elif kind == "TIMESYNC" and message.tc1 == 0:
-            self.send(timesync_answer(time.monotonic_ns(), message.ts1))
-        elif kind == "ATTITUDE":
+            self.send(timesync(time.monotonic_ns(), message.ts1))
+        elif self._vehicle in (None, sender):
+            self._take_of_autopilot(kind, message, arrived_s)
+
+    def _take_of_autopilot(self, kind: str, message: Any, arrived_s: float) -> None:
+        """Act on a message of the autopilot itself."""
+        if kind == "TIMESYNC" and message.ts1 == self._asked_ns:
+            self.round_trip_s = (time.monotonic_ns() - self._asked_ns) / 1e9
+        elif kind == "ATTITUDE" and all(map(math.isfinite, (message.roll, message.pitch, message.yaw))):
             time_s = self._clock.captured_s(message.time_boot_ms / 1e3, arrived_s)
-            with self._state:
+            with self._changed:
                 self._attitudes.append(Attitude(time_s, message.roll, message.pitch, message.yaw))
         elif kind == "PARAM_VALUE":
-            with self._state:
-                self._parameters[message.param_id] = float(message.param_value)
+            with self._changed:
+                self._parameters[str(message.param_id)] = _value_of(message, self._is_px4)
+                self._changed.notify_all()
 
 
-def _connect(url: str) -> Any:
-    """A connection of pymavlink, with version 2 of the protocol and the common dialect.
+def _value_of(parameter: Any, is_px4: bool) -> float:
+    """The value of PARAM_VALUE, whose first field is a float or, of PX4's whole numbers, has their bytes."""
+    whole_number = _BYTES_OF.get(parameter.param_type)
+    if not is_px4 or whole_number is None:
+        return float(parameter.param_value)
+    frame = parameter.get_msgbuf()
+    header_bytes = _HEADER_2_BYTES if frame[0] == _MAGIC_2 else _HEADER_1_BYTES
+    (value,) = struct.unpack_from(whole_number, frame, header_bytes)
+    return float(value)
 
-    Raises:
-        DataError: the port cannot be opened.
-    """
-    os.environ["MAVLINK20"] = "1"
-    from pymavlink import mavutil
 
-    mavutil.set_dialect("common")
-    given: dict[str, Any] = {"source_system": 1, "source_component": COMPONENT}
-    try:
-        if url.startswith("serial:"):
-            _, device, baud = url.split(":")
-            return mavutil.mavlink_connection(device, baud=int(baud), **given)
-        return mavutil.mavlink_connection(url, **given)
-    except (OSError, ValueError) as error:
-        raise DataError(url, f"cannot be opened ({error})", "check the address, the cable and your rights") from error
+def _parser() -> Any:
+    parser = dialect().MAVLink(None)
+    parser.robust_parsing = True  # damaged bytes are told, not raised
+    return parser

@@ -21,6 +21,7 @@ COMPONENT = 197
 UNKNOWN_CM = 65535
 """Of a sector of OBSTACLE_DISTANCE of which nothing is known."""
 
+_AUTOPILOT_COMPONENT = 1
 _ONBOARD_CONTROLLER, _INVALID_AUTOPILOT, _ACTIVE = 18, 8, 4  # of HEARTBEAT: type, autopilot, system_status
 _VISION = 2  # MAV_ESTIMATOR_TYPE_VISION; PX4 ignores the covariance of a NAIVE one
 _UNKNOWN_SENSOR = 4  # MAV_DISTANCE_SENSOR_UNKNOWN
@@ -118,9 +119,14 @@ def heartbeat() -> Any:
     return dialect().MAVLink_heartbeat_message(_ONBOARD_CONTROLLER, _INVALID_AUTOPILOT, 0, 0, _ACTIVE, 3)
 
 
-def timesync_answer(now_ns: int, asked: int) -> Any:
-    """Answer to TIMESYNC: own clock, and the asker's stamp as it came."""
-    return dialect().MAVLink_timesync_message(now_ns, asked)
+def timesync(own_ns: int, asked_ns: int) -> Any:
+    """TIMESYNC: an answer has the own clock and the asker's stamp as it came; a question has 0 and the own stamp."""
+    return dialect().MAVLink_timesync_message(own_ns, asked_ns)
+
+
+def parameter_request(name: str, system: int) -> Any:
+    """PARAM_REQUEST_READ of a parameter of the autopilot of a vehicle."""
+    return dialect().MAVLink_param_request_read_message(system, _AUTOPILOT_COMPONENT, name.encode("ascii"), -1)
 
 
 def _microseconds(time_s: float) -> int:

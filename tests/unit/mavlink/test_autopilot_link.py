@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import os
+import random
+import select
 import socket
+import struct
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 
-from monoloc.errors import SettingError
+from monoloc.errors import DataError, SettingError
 from monoloc.mavlink.autopilot_link import AutopilotLink
-from monoloc.mavlink.messages import status_text
+from monoloc.mavlink.messages import dialect, heartbeat, obstacle_distance, status_text
 
 mavutil = pytest.importorskip("pymavlink.mavutil")
 SOON_S = 5.0
@@ -40,6 +45,13 @@ class Peer:
 
     def beat(self) -> None:
         self.mav.heartbeat_send(2, 12, 0, 0, 4)
+
+    def address_of_link(self) -> Any:
+        """Where the link was heard from."""
+        return self._connection.last_address
+
+    def send_bytes(self, data: bytes, address: Any) -> None:
+        self._connection.port.sendto(data, address)
 
     def close(self) -> None:
         self._connection.close()
@@ -73,8 +85,8 @@ def test_heartbeat_is_that_of_a_visual_odometry(peer: Peer, link: AutopilotLink)
     assert not link.is_alive
     peer.beat()
     eventually(lambda: link.is_alive)
-    # It is a part of the vehicle that it heard.
-    assert peer.wait_for("HEARTBEAT", lambda m: m.get_srcSystem() == 7).get_srcComponent() == 197
+    link.send(status_text("as a part of the vehicle that it heard", False))
+    assert peer.wait_for("STATUSTEXT", lambda m: m.get_srcSystem() == 7).get_srcComponent() == 197
 
 
 def test_timesync_is_answered_with_the_clock_of_the_images(peer: Peer, link: AutopilotLink) -> None:
@@ -140,7 +152,163 @@ def test_what_is_sent_can_be_recorded(peer: Peer) -> None:
     assert any(b"hello" in data for data, _ in sent) and all(data[0] == 0xFD for data, _ in sent)  # version 2
 
 
-@pytest.mark.parametrize("url", ["127.0.0.1:14550", "udp:", "serial:/dev/ttyAMA0", "udpout:host:port"])
+@pytest.mark.parametrize("value", [11, -1, 2_000_000_000])
+def test_whole_numbers_of_px4_come_as_their_bytes(peer: Peer, link: AutopilotLink, value: int) -> None:
+    peer.beat()
+    eventually(lambda: link.is_alive)
+    (as_float,) = struct.unpack("<f", struct.pack("<i", value))
+    peer.mav.param_value_send(b"EKF2_EV_CTRL", as_float, 6, 1, 0)
+    eventually(lambda: "EKF2_EV_CTRL" in link.parameters)
+    assert link.parameters["EKF2_EV_CTRL"] == value
+
+
+def test_attitude_that_is_no_number_or_of_another_is_ignored(peer: Peer, link: AutopilotLink) -> None:
+    peer.beat()
+    eventually(lambda: link.is_alive)
+    received = link.counts["received"]
+    peer.mav.attitude_send(5000, float("nan"), 0.0, 0.0, 0, 0, 0)
+    peer.mav.srcComponent = 154  # a gimbal
+    peer.mav.attitude_send(5000, 0.5, 0.0, 0.0, 0, 0, 0)
+    eventually(lambda: link.counts["received"] >= received + 2)
+    assert link.attitude_at(time.monotonic()) is None
+
+
+def test_round_trip_is_measured_by_a_question_of_its_own(peer: Peer, link: AutopilotLink) -> None:
+    peer.beat()
+    question = peer.wait_for("TIMESYNC", lambda message: message.tc1 == 0)
+    peer.mav.timesync_send(99, question.ts1 + 1)  # an answer to another's
+    peer.mav.timesync_send(99, question.ts1)
+    eventually(lambda: link.round_trip_s is not None)
+    assert link.round_trip_s is not None and 0.0 < link.round_trip_s < SOON_S
+
+
+def test_any_bytes_are_survived(peer: Peer, link: AutopilotLink) -> None:
+    """Noise, and frames of every message with right checksums and random contents."""
+    from fastcrc.crc16 import mcrf4xx
+
+    rng = random.Random(0)
+    address = peer.address_of_link()
+    for number, message in dialect().mavlink_map.items():
+        payload = rng.randbytes(rng.randrange(1, 256))
+        head = struct.pack("<6BHB", len(payload), 0, 0, 0, 7, 1, number & 0xFFFF, number >> 16)
+        checksum = struct.pack("<H", mcrf4xx(head + payload + bytes([message.crc_extra])))
+        peer.send_bytes(b"\xfd" + head + payload + checksum, address)
+        peer.send_bytes(rng.randbytes(40), address)
+    link.send(status_text("still here", False))
+    peer.wait_for("STATUSTEXT", lambda m: m.text == "still here")
+    peer.beat()
+    eventually(lambda: link.is_alive and link.counts["damaged"] > 0)
+
+
+def test_tcp_server_that_restarts_is_connected_to_again() -> None:
+    server = socket.create_server(("127.0.0.1", 0))
+    address = server.getsockname()
+    link = AutopilotLink(f"tcp:127.0.0.1:{address[1]}")
+    try:
+        connection, _ = server.accept()
+        assert connection.recv(1) == b"\xfd"
+        server.close()
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # frees the port
+        connection.close()
+        server = socket.create_server(address)
+        server.settimeout(SOON_S)
+        connection, _ = server.accept()
+        connection.settimeout(SOON_S)
+        assert connection.recv(1) == b"\xfd"
+        assert link.counts["reconnections"] == 1
+        connection.close()
+    finally:
+        link.close()
+        server.close()
+
+
+def test_serial_port_is_read_and_written_and_found_gone() -> None:
+    controller, device = os.openpty()
+    name = os.ttyname(device)
+    link = AutopilotLink(f"serial:{name}:57600")
+    parser = dialect().MAVLink(None)
+    try:
+        data = b""
+        while b"hello" not in data:
+            link.send(status_text("hello", False))
+            assert select.select([controller], [], [], SOON_S)[0]
+            data = os.read(controller, 4096)
+        assert any(message.get_type() == "STATUSTEXT" for message in parser.parse_buffer(data))
+        os.write(
+            controller, dialect().MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3).pack(dialect().MAVLink(None, 1, 1))
+        )
+        eventually(lambda: link.is_alive)
+        os.close(device)
+        os.close(controller)
+        eventually(lambda: not link.is_open)
+        link.send(status_text("nobody hears this", False))
+    finally:
+        link.close()
+
+
+def test_udp_server_sends_to_who_was_heard() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    link = AutopilotLink(f"udpin:127.0.0.1:{port}")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        client.settimeout(SOON_S)
+        client.sendto(b"\0", ("127.0.0.1", port))
+        assert client.recv(300)[0] == 0xFD
+    link.close()
+
+
+def test_port_that_takes_nothing_makes_nobody_wait_and_gets_no_old_distances() -> None:
+    """A TCP peer that does not read; when it does, texts come, and what went stale does not."""
+    server = socket.create_server(("127.0.0.1", 0))
+    server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    link = AutopilotLink(f"tcp:127.0.0.1:{server.getsockname()[1]}")
+    try:
+        connection, _ = server.accept()
+        stale = obstacle_distance(1.0, np.full(72, 100, dtype=np.uint16), 0.3, 5.0)
+        began_s = time.monotonic()
+        while link.counts["dropped"] < 200:  # until all buffers between are full
+            for _ in range(50):
+                link.send(stale)
+            time.sleep(0.001)
+            assert time.monotonic() - began_s < SOON_S
+        link.send(status_text("read this", True))
+        eventually(lambda: link.queued <= 3)
+        connection.settimeout(SOON_S)
+        data = b""
+        while b"read this" not in data:
+            data = data[-64:] + connection.recv(1 << 16)
+        connection.close()
+    finally:
+        link.close()
+        server.close()
+
+
+def test_what_is_queued_is_sent_before_the_end(peer: Peer) -> None:
+    link = AutopilotLink(f"udpout:127.0.0.1:{peer.port}")
+    for index in range(20):
+        link.send(status_text(f"text {index}", False))
+    link.close()
+    link.close()
+    assert peer.wait_for("STATUSTEXT", lambda m: m.text == "text 19")
+    link.send(heartbeat())  # goes nowhere, and harms nothing
+
+
+@pytest.mark.parametrize("url", ["127.0.0.1:14550", "udp:", "serial:/dev/ttyAMA0", "udpout:host:port", "tcp:a:65536"])
 def test_address_that_is_none_is_refused(url: str) -> None:
     with pytest.raises(SettingError, match="write udpout:HOST:PORT"):
+        AutopilotLink(url)
+
+
+@pytest.mark.parametrize(
+    ("url", "problem"),
+    [
+        ("serial:/dev/does-not-exist:57600", "No such file"),
+        ("serial:/dev/null:57600", "no serial port"),
+        ("serial:/dev/null:57601", "no 57601 baud"),
+        ("udpin:192.0.2.1:14550", "assign requested address"),
+    ],
+)
+def test_port_that_cannot_be_opened_is_refused(url: str, problem: str) -> None:
+    with pytest.raises(DataError, match=problem):
         AutopilotLink(url)
