@@ -170,6 +170,8 @@ class AutopilotLink:
         kind = message.get_type()
         sender = message.get_srcSystem(), message.get_srcComponent()
         if kind == "HEARTBEAT" and message.autopilot != _INVALID_AUTOPILOT and sender[0] != 0:
+            if self._vehicle != sender:
+                self._beat_s = float("-inf")  # it hears at once who is there
             self._vehicle, self._heard_s, self._is_px4 = sender, arrived_s, message.autopilot == _PX4
             self._packer.srcSystem = sender[0]  # a part of the same vehicle
         elif kind == "TIMESYNC" and message.tc1 == 0:
