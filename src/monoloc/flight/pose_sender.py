@@ -9,14 +9,17 @@ import numpy as np
 
 from monoloc.flight.flight_loop import FlightStep
 from monoloc.flight.flight_settings import FlightSettings
-from monoloc.geometry import FloatArray, make_pose, so3_exp
+from monoloc.geometry import FloatArray, invert, make_pose, rotation_angle, so3_exp
 from monoloc.mavlink.autopilot_frames import AutopilotFrames, BodyPose
 from monoloc.mavlink.firmware import Firmware
 from monoloc.mavlink.messages import obstacle_distance, odometry, status_text, vision_position_estimate
 from monoloc.mavlink.obstacle_sectors import LEAST_M, MOST_M, sector_distances_cm
+from monoloc.supervision.state import Reason
 
 _OBSTACLES_HZ = 10.0
-_MOST_SPEED_M_S, _JUMP_M = 4.0, 0.2  # a pose that moved farther than a vehicle can, has jumped
+_MOST_SPEED_M_S, _JUMP_M = 4.0, 0.2  # a pose that moved or turned farther than a vehicle can, has jumped
+_MOST_TURN_RAD_S, _JUMP_RAD = 3.0, 0.15
+_BLIND = frozenset({Reason.IMAGE_REPEATED, Reason.IMAGE_EMPTY})  # what the state then rests on is old
 _NO_IMAGE_S = 0.5
 _TEXT_S = 1.0  # between texts on the same state: one that flickers must not fill the pilot's screen
 
@@ -46,7 +49,7 @@ class PoseSender:
         self.counts: Counter[str] = Counter()
         self._reset_counter = 0
         self._jumped = False
-        self._sent: tuple[float, FloatArray] | None = None  # time of capture and position of the last pose
+        self._sent: tuple[float, FloatArray] | None = None  # time of capture and T_ned_body of the last pose
         self._obstacles_s = float("-inf")
         self._said: tuple[str, float] = ("", float("-inf"))
         self._frame_s: float | None = None
@@ -59,7 +62,9 @@ class PoseSender:
             return
         self._jumped |= result.step.restarted
         pose = self._frames.body_pose(result.step.estimate)
-        if self._is_to_send(result, pose):
+        if not self._is_usable(result, pose):
+            return
+        if self._sent is None or result.frame.captured_s - self._sent[0] >= 0.99 / self._settings.rate_hz:
             self._send_pose(result, pose)
         self._send_obstacles(result, pose)
 
@@ -70,29 +75,29 @@ class PoseSender:
     def close(self) -> None:
         """Nothing is held."""
 
-    def _is_to_send(self, result: FlightStep, pose: BodyPose) -> bool:
-        """Whether the pose is a number, in time, and due."""
-        captured_s = result.frame.captured_s
+    def _is_usable(self, result: FlightStep, pose: BodyPose) -> bool:
+        """Whether the result is of an image that shows something, a number, and in time."""
+        if result.step.reasons & _BLIND:
+            self.counts["without image"] += 1
+            return False
         if not pose.is_finite:
             self.counts["not finite"] += 1
             return False
-        age_s = result.done_s - captured_s
+        age_s = result.done_s - result.frame.captured_s
         if not 0.0 <= age_s <= self._settings.most_age_s:
             self.counts["old" if age_s > 0.0 else "future"] += 1
             return False
-        if self._sent is None:
-            return True
-        return captured_s - self._sent[0] >= 0.99 / self._settings.rate_hz
+        return True
 
     def _send_pose(self, result: FlightStep, pose: BodyPose) -> None:
-        captured_s, position = result.frame.captured_s, pose.T_ned_body[:3, 3]
-        if self._sent is not None:
-            before_s, before = self._sent
-            possible_m = _JUMP_M + _MOST_SPEED_M_S * (captured_s - before_s)
-            if self._jumped or float(np.linalg.norm(position - before)) > possible_m:
-                self._reset_counter = (self._reset_counter + 1) % 256
+        captured_s = result.frame.captured_s
+        if self._sent is None:
+            # After a restart of this program, the autopilot must see another count than before.
+            self._reset_counter = int(captured_s) % 256
+        elif self._jumped or _moved_too_far(self._sent, (captured_s, pose.T_ned_body)):
+            self._reset_counter = (self._reset_counter + 1) % 256
         self._jumped = False
-        self._sent = captured_s, position
+        self._sent = captured_s, pose.T_ned_body
         quality = max(1, min(100, round(100.0 * (1.0 - result.step.probability_far))))
         if self._settings.message == "odometry":
             message = odometry(captured_s, pose, quality, self._reset_counter, self._firmware)
@@ -104,7 +109,7 @@ class PoseSender:
     def _send_obstacles(self, result: FlightStep, pose: BodyPose) -> None:
         captured_s = result.frame.captured_s
         is_due = captured_s - self._obstacles_s >= 0.99 / _OBSTACLES_HZ
-        if not (self._settings.obstacles and is_due and pose.is_finite):
+        if not (self._settings.obstacles and is_due):
             return
         self._obstacles_s = captured_s
         level = make_pose(so3_exp([0.0, 0.0, -pose.euler_rad[2]]), np.zeros(3)) @ self._frames.T_ned_world
@@ -125,3 +130,10 @@ class PoseSender:
             return
         self._said = text, now_s
         self._sink.send(status_text(text, is_alarming))
+
+
+def _moved_too_far(before: tuple[float, FloatArray], after: tuple[float, FloatArray]) -> bool:
+    """Whether a vehicle cannot have gone from one pose to the other, each a time in seconds and ``T_ned_body``."""
+    elapsed_s, motion = after[0] - before[0], invert(before[1]) @ after[1]
+    too_far = float(np.linalg.norm(motion[:3, 3])) > _JUMP_M + _MOST_SPEED_M_S * elapsed_s
+    return too_far or float(rotation_angle(motion[:3, :3])) > _JUMP_RAD + _MOST_TURN_RAD_S * elapsed_s

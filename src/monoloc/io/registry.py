@@ -16,6 +16,7 @@ from monoloc.io import (
     polycam,
     record3d,
     rgbd_scenes_v2,
+    rosbag,
     rtabmap,
     seven_scenes,
     stray_scanner,
@@ -51,6 +52,7 @@ FORMATS: dict[str, Format] = {
     "7scenes": Format(seven_scenes.read, seven_scenes.recognises),
     "rgbd-scenes-v2": Format(rgbd_scenes_v2.read, rgbd_scenes_v2.recognises),
     "colmap": Format(colmap.read, colmap.recognises),
+    "rosbag": Format(rosbag.read, rosbag.recognises),
     "nyu": Format(nyu.read, nyu.recognises),
     "video": Format(video.read, video.recognises),
 }

@@ -193,7 +193,7 @@ class _SerialPort:
         self._file = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
             control = termios.tcgetattr(self._file)[6]
-            control[termios.VMIN], control[termios.VTIME] = 0, 0
+            control[termios.VMIN], control[termios.VTIME] = 1, 0  # so that no byte means that the device is gone
             flags = termios.CS8 | termios.CREAD | termios.CLOCAL
             termios.tcsetattr(self._file, termios.TCSANOW, [0, 0, flags, 0, speed, speed, control])
             fcntl.ioctl(self._file, termios.TIOCEXCL)

@@ -99,7 +99,7 @@ def obstacle_distance(captured_s: float, distances_cm: NDArray[np.uint16], least
         time_usec=_microseconds(captured_s),
         sensor_type=_UNKNOWN_SENSOR,
         distances=distances_cm.tolist(),
-        increment=0,
+        increment=360 // len(distances_cm),
         min_distance=round(100.0 * least_m),
         max_distance=round(100.0 * most_m),
         increment_f=360.0 / len(distances_cm),

@@ -15,7 +15,7 @@ LEAST_M, MOST_M = 0.3, 5.0
 
 _HALF_HEIGHT_M = 0.25  # above and below the camera: what a vehicle that flies level can hit
 _LEAST_POINTS = 6  # in a sector, that say anything of it
-_NEAREST_SHARE = 0.05  # of a sector's points, that are nearer than its distance: single pixels are outliers
+_NEAREST_SHARE, _OUTLIERS = 0.05, 2  # share and least number of a sector's points that are nearer: outliers
 
 
 def sector_distances_cm(depth: DepthPrediction, R_level_camera: FloatArray) -> NDArray[np.uint16]:
@@ -40,7 +40,7 @@ def sector_distances_cm(depth: DepthPrediction, R_level_camera: FloatArray) -> N
     order = np.lexsort((distances_m, sector))
     counts = np.bincount(sector, minlength=SECTORS)
     first = np.cumsum(counts) - counts
-    nearest = first + np.floor(_NEAREST_SHARE * counts).astype(np.int64)
+    nearest = first + np.maximum(_OUTLIERS, np.floor(_NEAREST_SHARE * counts)).astype(np.int64)
     result = np.full(SECTORS, UNKNOWN_CM, dtype=np.uint16)
     known = np.flatnonzero(counts >= _LEAST_POINTS)
     found_m = distances_m[order][nearest[known]]

@@ -8,7 +8,7 @@ import pytest
 from mavlink_helpers import Wire, result_at, step_at
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.pose_sender import PoseSender
-from monoloc.geometry import FloatArray, make_pose
+from monoloc.geometry import FloatArray, make_pose, so3_exp
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
 from monoloc.mavlink.firmware import Firmware
 from monoloc.supervision.state import Reason
@@ -28,13 +28,19 @@ def sender(firmware: Firmware = Firmware.PX4, **settings: object) -> tuple[PoseS
     return PoseSender(wire, FRAMES, firmware, FlightSettings.model_validate(settings)), wire
 
 
+def resets(wire: Wire) -> list[int]:
+    """Number of resets before each pose, since the first."""
+    counters = [message.reset_counter for message in wire.of("ODOMETRY")]
+    return [(counter - counters[0]) % 256 for counter in counters]
+
+
 def test_pose_has_the_time_of_capture_and_all_that_the_firmware_needs() -> None:
     for firmware, frame in ((Firmware.PX4, 1), (Firmware.ARDUPILOT, 20)):
         flight, wire = sender(firmware)
         flight.take(result_at(12.5, step_at(at(0.3), probability_far=0.2)))
         (message,) = wire.of("ODOMETRY")
         assert (message.time_usec, message.frame_id, message.child_frame_id) == (12_500_000, frame, 12)
-        assert (message.estimator_type, message.quality, message.reset_counter) == (2, 80, 0)
+        assert (message.estimator_type, message.quality, message.reset_counter) == (2, 80, 12)
         assert np.all(np.isnan([message.vx, message.vy, message.vz])) and np.all(np.isfinite(message.pose_covariance))
         assert message.x == pytest.approx(0.3) and message.z == pytest.approx(-1.0)
 
@@ -48,7 +54,7 @@ def test_nothing_is_sent_while_lost_and_the_jump_after_it_is_said() -> None:
     assert len(wire.of("ODOMETRY")) == 1 and len(wire.of("OBSTACLE_DISTANCE")) == 1
     flight.take(result_at(1.5, step_at(at(0.0))))
     flight.take(result_at(1.6, step_at(at(0.01))))
-    assert [message.reset_counter for message in wire.of("ODOMETRY")] == [0, 1, 1]
+    assert resets(wire) == [0, 1, 1]
 
 
 def test_jump_and_restart_are_said_and_a_fast_vehicle_is_none() -> None:
@@ -56,7 +62,24 @@ def test_jump_and_restart_are_said_and_a_fast_vehicle_is_none() -> None:
     places = [(0.0, False), (0.2, False), (1.5, False), (1.5, True), (1.5, False)]
     for index, (x_m, restarted) in enumerate(places):
         flight.take(result_at(1.0 + 0.1 * index, step_at(at(x_m), restarted=restarted)))
-    assert [message.reset_counter for message in wire.of("ODOMETRY")] == [0, 0, 1, 2, 2]
+    assert resets(wire) == [0, 0, 1, 2, 2]
+
+
+def test_turn_in_place_that_no_vehicle_makes_is_a_jump() -> None:
+    flight, wire = sender()
+    for index, turn_rad in enumerate((0.0, 0.3, 1.2, 1.2)):
+        flight.take(
+            result_at(1.0 + 0.1 * index, step_at(make_pose(so3_exp([0.0, 0.0, turn_rad]), np.zeros(3)) @ at(0.0)))
+        )
+    assert resets(wire) == [0, 0, 1, 1]
+
+
+@pytest.mark.parametrize("reason", [Reason.IMAGE_REPEATED, Reason.IMAGE_EMPTY])
+def test_nothing_is_sent_of_an_image_that_says_nothing(reason: Reason) -> None:
+    flight, wire = sender()
+    flight.take(result_at(1.0, step_at(at(0.0), "uncertain", frozenset({reason}), 0.1)))
+    flight.take(result_at(2.5, step_at(at(0.0), "uncertain", frozenset({Reason.NO_ODOMETRY}), 0.1)))
+    assert len(wire.of("ODOMETRY")) == len(wire.of("OBSTACLE_DISTANCE")) == 1
 
 
 def test_reset_counter_goes_on_from_zero_after_255() -> None:
@@ -72,7 +95,7 @@ def test_stale_future_and_infinite_poses_are_not_sent_but_counted() -> None:
     flight.take(result_at(1.0, step_at(at(0.0)), age_s=0.3))
     flight.take(result_at(1.1, step_at(at(0.0)), age_s=-0.1))
     flight.take(result_at(1.2, step_at(at(0.0), covariance=np.full((6, 6), np.nan))))
-    assert wire.of("ODOMETRY") == []
+    assert wire.of("ODOMETRY") == [] and wire.of("OBSTACLE_DISTANCE") == []
     assert flight.counts["old"] == flight.counts["future"] == flight.counts["not finite"] == 1
 
 

@@ -18,7 +18,7 @@ from synthetic_recordings import check_recording
 def test_known_formats() -> None:
     assert list(FORMATS) == [
         *("folder", "nerfstudio", "stray-scanner", "record3d", "polycam", "rtabmap", "tum", "7scenes"),
-        *("rgbd-scenes-v2", "colmap", "nyu", "video"),
+        *("rgbd-scenes-v2", "colmap", "rosbag", "nyu", "video"),
     ]
 
 

@@ -1,0 +1,656 @@
+"""ROS bags of both versions and all storages, written by rosbags' own writers, and logs of other projects."""
+
+from __future__ import annotations
+
+import sqlite3
+import struct
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from capture_writers import Capture, check_opened, halved, quaternions_xyzw
+from monoloc.camera import Camera
+from monoloc.errors import MissingExtraError
+from monoloc.io.reader_options import ReaderOptions
+from monoloc.io.registry import open_recording
+from refusals import refuses, refuses_data, refuses_setting, refuses_to_open
+from synthetic_recordings import check_recording
+
+pytest.importorskip("rosbags")
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as Ros2Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+COLOR, DEPTH, ODOM = "/cam/color/image_raw", "/cam/aligned_depth_to_color/image_raw", "/odom"
+OPTICAL, BODY, WORLD = "cam_color_optical_frame", "base_link", "map"
+# A camera that looks ahead of a body with x forward, y left, z up (REP 103), 10 cm ahead and 5 cm above it.
+T_BODY_CAMERA = np.array([[0.0, 0, 1, 0.1], [-1, 0, 0, 0], [0, -1, 0, 0.05], [0, 0, 0, 1]])
+TF = "tf2_msgs/msg/TFMessage"
+
+
+class Ros:
+    """Messages of one ROS version, from plain values."""
+
+    def __init__(self, version: int) -> None:
+        self.version = version
+        self.store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_JAZZY)
+        if version == 1:
+            self.store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+
+    def make(self, kind: str, **values: Any) -> Any:
+        return self.store.types[kind](**values)
+
+    def header(self, time_s: float, frame: str) -> Any:
+        nanoseconds = round(time_s * 1e9)
+        stamp = self.make("builtin_interfaces/msg/Time", sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+        sequence = {"seq": 0} if self.version == 1 else {}
+        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame, **sequence)
+
+    def image(self, time_s: float, frame: str, pixels: NDArray[Any], encoding: str, padding: int = 0) -> Any:
+        rows = pixels.reshape(len(pixels), -1).view(np.uint8)
+        rows = np.pad(rows, ((0, 0), (0, padding)), constant_values=7)
+        return self.make(
+            "sensor_msgs/msg/Image",
+            header=self.header(time_s, frame),
+            height=pixels.shape[0],
+            width=pixels.shape[1],
+            encoding=encoding,
+            is_bigendian=int(pixels.dtype.byteorder == ">"),
+            step=rows.shape[1],
+            data=rows.reshape(-1),
+        )
+
+    def compressed(self, time_s: float, frame: str, data: bytes, fmt: str) -> Any:
+        content = np.frombuffer(data, dtype=np.uint8)
+        return self.make(
+            "sensor_msgs/msg/CompressedImage", header=self.header(time_s, frame), format=fmt, data=content
+        )
+
+    def info(self, camera: Camera, frame: str, model: str = "plumb_bob", **changes: Any) -> Any:
+        roi = self.make(
+            "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
+        )
+        matrices = {
+            "d": np.array(camera.distortion),
+            "k": camera.matrix.reshape(-1),
+            "r": np.eye(3).reshape(-1),
+            "p": np.hstack([camera.matrix, np.zeros((3, 1))]).reshape(-1),
+        } | changes
+        if self.version == 1:
+            matrices = {name.upper(): value for name, value in matrices.items()}
+        return self.make(
+            "sensor_msgs/msg/CameraInfo",
+            header=self.header(0.0, frame),
+            height=camera.height,
+            width=camera.width,
+            distortion_model=model,
+            binning_x=0,
+            binning_y=0,
+            roi=roi,
+            **matrices,
+        )
+
+    def transform(self, time_s: float, parent: str, child: str, pose: NDArray[np.float64]) -> Any:
+        position, rotation = self._parts(pose)
+        transform = self.make(
+            "geometry_msgs/msg/Transform",
+            translation=self.make("geometry_msgs/msg/Vector3", **position),
+            rotation=rotation,
+        )
+        return self.make(
+            "geometry_msgs/msg/TransformStamped",
+            header=self.header(time_s, parent),
+            child_frame_id=child,
+            transform=transform,
+        )
+
+    def tf(self, *transforms: Any) -> Any:
+        return self.make(TF, transforms=list(transforms))
+
+    def pose(self, pose: NDArray[np.float64]) -> Any:
+        position, rotation = self._parts(pose)
+        point = self.make("geometry_msgs/msg/Point", **position)
+        return self.make("geometry_msgs/msg/Pose", position=point, orientation=rotation)
+
+    def pose_stamped(self, time_s: float, world: str, pose: NDArray[np.float64]) -> Any:
+        header = self.header(time_s, world)
+        return self.make("geometry_msgs/msg/PoseStamped", header=header, pose=self.pose(pose))
+
+    def odometry(self, time_s: float, body: str, pose: NDArray[np.float64]) -> Any:
+        zero = self.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+        twist = self.make("geometry_msgs/msg/Twist", linear=zero, angular=zero)
+        return self.make(
+            "nav_msgs/msg/Odometry",
+            header=self.header(time_s, WORLD),
+            child_frame_id=body,
+            pose=self.make("geometry_msgs/msg/PoseWithCovariance", pose=self.pose(pose), covariance=np.zeros(36)),
+            twist=self.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
+        )
+
+    def _parts(self, pose: NDArray[np.float64]) -> tuple[dict[str, float], Any]:
+        quaternion = dict(zip("xyzw", quaternions_xyzw(pose[None])[0].tolist(), strict=True))
+        position = dict(zip("xyz", pose[:3, 3].tolist(), strict=True))
+        return position, self.make("geometry_msgs/msg/Quaternion", **quaternion)
+
+
+@dataclass
+class Bag:
+    """Messages by topic, each with the time at which it was recorded."""
+
+    ros: Ros
+    topics: dict[str, list[tuple[float, Any]]] = field(default_factory=dict)
+
+    def add(self, topic: str, time_s: float, message: Any) -> None:
+        self.topics.setdefault(topic, []).append((time_s, message))
+
+    def write(self, path: Path, storage: str = "", compression: str = "") -> Path:
+        if self.ros.version == 1:
+            path = path.with_suffix(".bag")
+            writer: Any = Ros1Writer(path)
+            if compression:
+                writer.set_compression(Ros1Writer.CompressionFormat[compression])
+            serialise = self.ros.store.serialize_ros1
+        else:
+            plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
+            writer = Ros2Writer(path, version=9, storage_plugin=plugin)
+            if compression:
+                writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
+            serialise = self.ros.store.serialize_cdr
+        messages = sorted(
+            ((time_s, topic, each) for topic, all_of in self.topics.items() for time_s, each in all_of),
+            key=lambda item: item[0],
+        )
+        with writer:
+            connections = {
+                topic: writer.add_connection(topic, all_of[0][1].__msgtype__, typestore=self.ros.store)
+                for topic, all_of in self.topics.items()
+            }
+            for time_s, topic, message in messages:
+                writer.write(connections[topic], round(time_s * 1e9), serialise(message, message.__msgtype__))
+        return path
+
+
+def bag_of(capture: Capture, version: int = 2, poses: bool = True, depth: bool = True) -> Bag:
+    """Colour, aligned depth, and odometry of a body that carries the camera, at ten times the rate of images."""
+    ros = Ros(version)
+    bag = Bag(ros)
+    bag.add("/cam/color/camera_info", 0.0, ros.info(capture.camera, OPTICAL))
+    for time_s, color, depth_mm in zip(capture.times_s, capture.colors, capture.depths_mm, strict=True):
+        bag.add(COLOR, time_s + 0.03, ros.image(time_s, OPTICAL, color, "rgb8", padding=5))  # recorded late
+        if depth:
+            bag.add(DEPTH, time_s + 0.05, ros.image(time_s + 0.004, OPTICAL, depth_mm, "16UC1"))
+    if poses:
+        bag.add("/tf_static", 0.0, ros.tf(ros.transform(0.0, BODY, OPTICAL, T_BODY_CAMERA)))
+        for time_s, pose in odometry_of(capture):
+            bag.add(ODOM, time_s + 0.01, ros.odometry(time_s, BODY, pose))
+    return bag
+
+
+def odometry_of(capture: Capture) -> list[tuple[float, NDArray[np.float64]]]:
+    """Poses of the body at the images' times."""
+    return list(zip(capture.times_s.tolist(), capture.poses @ np.linalg.inv(T_BODY_CAMERA), strict=True))
+
+
+@pytest.fixture
+def capture(capture: Capture) -> Capture:
+    return replace(capture, times_s=capture.times_s + 1_700_000_000.0)
+
+
+@pytest.mark.parametrize(
+    ("version", "storage", "compression"),
+    [
+        (1, "", ""),
+        (1, "", "LZ4"),
+        (1, "", "BZ2"),
+        (2, "sqlite3", ""),
+        (2, "sqlite3", "MESSAGE"),
+        (2, "sqlite3", "FILE"),
+        (2, "mcap", ""),
+        (2, "mcap", "STORAGE"),
+    ],
+)
+def test_bag_opens(tmp_path: Path, capture: Capture, version: int, storage: str, compression: str) -> None:
+    path = bag_of(capture, version).write(tmp_path / "walk", storage, compression)
+    recording = open_recording(str(path))
+    check_recording(recording, len(capture))
+    check_opened(recording, capture, capture.depths_mm, color_error=1e-9)
+    np.testing.assert_allclose(recording.timestamps_s, capture.times_s, atol=1e-6)
+    assert recording.camera == capture.camera and recording.name == "walk"
+    assert recording.notes == [
+        f"colour is {COLOR}; intrinsics are those of /cam/color/camera_info; depth is {DEPTH}, aligned to colour; "
+        f"poses are those of {ODOM}, of {BODY}, brought to {OPTICAL} by /tf_static"
+    ]
+    np.testing.assert_array_equal(recording.color(7), capture.colors[7])  # at random
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".db3"])
+def test_single_file_of_ros2_opens(tmp_path: Path, capture: Capture, suffix: str) -> None:
+    folder = bag_of(capture).write(tmp_path / "walk", suffix[1:])
+    check_opened(open_recording(str(folder / f"walk{suffix}")), capture, capture.depths_mm, 1e-9)
+
+
+def test_images_are_decoded_from_each_encoding(tmp_path: Path, capture: Capture) -> None:
+    bag = bag_of(capture, poses=False, depth=False)
+    ros, color, time_s = bag.ros, capture.colors[0], float(capture.times_s[0])
+    bgr = np.ascontiguousarray(color[..., ::-1])
+    grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
+    alpha = np.full((*grey.shape, 1), 9, dtype=np.uint8)
+    encodings = {
+        "bgr8": bgr,
+        "rgba8": np.concatenate([color, alpha], axis=2),
+        "bgra8": np.concatenate([bgr, alpha], axis=2),
+        "mono8": grey,
+    }
+    for encoding, pixels in encodings.items():
+        bag.add(f"/cam/{encoding}", time_s, ros.image(time_s, OPTICAL, pixels, encoding))
+    for fmt in ("png", "jpg"):
+        data = cv2.imencode(f".{fmt}", bgr)[1].tobytes()
+        bag.add(
+            f"/cam/{fmt}/compressed", time_s, ros.compressed(time_s, OPTICAL, data, f"rgb8; {fmt} compressed bgr8")
+        )
+    path = bag.write(tmp_path / "walk")
+    for topic, expected, error in [
+        *((f"/cam/{name}", color, 0.0) for name in ("bgr8", "rgba8", "bgra8")),
+        ("/cam/mono8", np.repeat(grey[..., None], 3, axis=2), 0.0),
+        ("/cam/png/compressed", color, 0.0),
+        ("/cam/jpg/compressed", color, 4.0),
+    ]:
+        recording = open_recording(f"rosbag:{path}#color={topic}")
+        assert np.abs(recording.color(0).astype(float) - expected).mean() <= error
+    assert "also in the bag, with numbers of messages: color=/cam/bgr8 (1), " in open_recording(str(path)).notes[1]
+
+
+def inverse_depth(depth_m: NDArray[np.float32]) -> bytes:
+    """compressedDepth of 32FC1, as compressed_depth_image_transport quantises it."""
+    a, b = 100.0 * 101.0, 1.0 - 100.0 * 101.0 / 10.0
+    stored = np.where(depth_m > 0.0, a / np.maximum(depth_m, 1e-3) + b, 0.0).round().astype(np.uint16)
+    return struct.pack("<iff", 1, a, b) + cv2.imencode(".png", stored)[1].tobytes()
+
+
+@pytest.mark.parametrize(
+    ("make", "tolerance_m"),
+    [
+        (lambda ros, t, mm: ros.image(t, OPTICAL, (mm / 1000.0).astype(np.float32), "32FC1"), 1e-6),
+        (lambda ros, t, mm: ros.image(t, OPTICAL, np.where(mm, mm / 1000.0, np.nan).astype("<f4"), "32FC1"), 1e-6),
+        (lambda ros, t, mm: ros.image(t, OPTICAL, mm.astype(">u2"), "16UC1"), 1e-6),
+        (
+            lambda ros, t, mm: ros.compressed(
+                t, OPTICAL, bytes(12) + cv2.imencode(".png", mm)[1].tobytes(), "16UC1; compressedDepth png"
+            ),
+            1e-6,
+        ),
+        (
+            lambda ros, t, mm: ros.compressed(
+                t, OPTICAL, inverse_depth((mm / 1000.0).astype(np.float32)), "32FC1; compressedDepth png"
+            ),
+            5e-3,
+        ),
+    ],
+)
+def test_depth_is_in_metres(
+    tmp_path: Path, capture: Capture, make: Callable[[Ros, float, Any], Any], tolerance_m: float
+) -> None:
+    bag = bag_of(capture, depth=False)
+    for time_s, mm in zip(capture.times_s, capture.depths_mm, strict=True):
+        holed = mm.copy()
+        holed[5:9] = 0
+        bag.add(DEPTH, time_s, make(bag.ros, time_s, holed))
+    depth_m = open_recording(str(bag.write(tmp_path / "walk"))).depth(3)
+    assert depth_m.dtype == np.float32 and not depth_m[5:9].any()
+    expected = capture.depths_mm[3] / 1000.0
+    np.testing.assert_allclose(depth_m[9:], expected[9:], atol=tolerance_m)
+
+
+def depth_camera_of(capture: Capture) -> Camera:
+    return capture.camera.resized(capture.camera.width // 2, capture.camera.height // 2)
+
+
+@pytest.mark.parametrize("distance_m", [0.0, 0.05])
+def test_depth_of_another_camera_is_registered(tmp_path: Path, capture: Capture, distance_m: float) -> None:
+    bag = bag_of(capture, depth=False)
+    ros, frame = bag.ros, "cam_depth_optical_frame"
+    bag.add("/cam/depth/camera_info", 0.0, ros.info(depth_camera_of(capture), frame))
+    T_color_depth = np.eye(4)
+    T_color_depth[0, 3] = distance_m
+    static = ros.transform(0.0, BODY, frame, T_BODY_CAMERA @ T_color_depth)
+    bag.topics["/tf_static"][0][1].transforms.append(static)
+    wall_m = 2.0
+    for time_s in capture.times_s:
+        wall = np.full((capture.camera.height // 2, capture.camera.width // 2), 1000 * wall_m, dtype=np.uint16)
+        bag.add("/cam/depth/image_rect_raw", time_s, ros.image(time_s, frame, wall, "16UC1"))
+    recording = open_recording(str(bag.write(tmp_path / "walk")))
+    depth_m = recording.depth(0)
+    assert "registered to colour by /cam/depth/camera_info and /tf_static" in recording.notes[0]
+    np.testing.assert_allclose(depth_m[depth_m > 0.0], wall_m, atol=1e-6)
+    # Seen from a camera to the right of colour, the wall's left edge moves right by f * distance / depth.
+    first = np.flatnonzero((depth_m > 0.0).any(axis=0))[0]
+    assert abs(first - capture.camera.fx * distance_m / wall_m) <= 1.0
+
+
+def test_depth_that_cannot_be_aligned_is_refused(tmp_path: Path, capture: Capture) -> None:
+    bag = bag_of(capture, depth=False)
+    for time_s, mm in zip(capture.times_s, capture.depths_mm, strict=True):
+        bag.add(
+            "/cam/depth/image_rect_raw", time_s, bag.ros.image(time_s, "cam_depth_optical_frame", halved(mm), "16UC1")
+        )
+    path = bag.write(tmp_path / "walk")
+    problem, fix = "is not aligned to /cam/color/image_raw .*cam_depth", "align_depth.enable:=true.*#depth=none"
+    refuses_to_open(path, path / "cam/depth/image_rect_raw", problem, fix)
+    assert not open_recording(f"rosbag:{path}#depth=none").has_depth
+
+
+def without_poses(capture: Capture) -> Bag:
+    bag = bag_of(capture)
+    del bag.topics[ODOM]
+    return bag
+
+
+def test_poses_are_chained_from_transforms(tmp_path: Path, capture: Capture) -> None:
+    """map to odom drifts slowly, odom to the body moves; the body's mount is static."""
+    bag = without_poses(capture)
+    ros = bag.ros
+    for index, (time_s, T_map_body) in enumerate(odometry_of(capture)):
+        T_map_odom = np.eye(4)
+        T_map_odom[1, 3] = 0.01 * index
+        parts = (("map", "odom", T_map_odom), ("odom", BODY, np.linalg.inv(T_map_odom) @ T_map_body))
+        for parent, child, pose in parts:
+            bag.add("/tf", time_s, ros.tf(ros.transform(time_s, parent, child, pose)))
+    recording = open_recording(str(bag.write(tmp_path / "walk")))
+    check_opened(recording, capture, capture.depths_mm, 1e-9)
+    assert recording.notes[0].endswith(f"poses are those of /tf, from map to {OPTICAL}")
+
+
+def test_poses_are_interpolated_and_what_is_left_out_is_told(tmp_path: Path, capture: Capture) -> None:
+    bag = without_poses(capture)
+    for time_s, pose in odometry_of(capture)[:6]:
+        for offset in (-0.03, 0.03):  # seconds, and metres: 1 m/s along x
+            shifted = pose.copy()
+            shifted[0, 3] += offset
+            bag.add(ODOM, time_s, bag.ros.odometry(time_s + offset, BODY, shifted))
+    lost = bag.ros.odometry(capture.times_s[-1], BODY, np.eye(4))  # what a tracker may say that has lost its way
+    lost.pose.pose.position.x = np.nan
+    bag.add(ODOM, capture.times_s[-1], lost)
+    recording = open_recording(str(bag.write(tmp_path / "walk")))
+    assert recording.notes[1:] == ["6 of 12 frames are left out: 6 without a pose"]
+    assert recording.poses is not None
+    np.testing.assert_allclose(recording.poses, capture.poses[:6], atol=1e-6)
+
+
+def test_pose_without_a_body_needs_one(tmp_path: Path, capture: Capture) -> None:
+    bag = without_poses(capture)
+    for time_s, pose in odometry_of(capture):
+        bag.add("/mocap", time_s, bag.ros.pose_stamped(time_s, WORLD, pose))
+    path = bag.write(tmp_path / "walk")
+    refuses_to_open(path, path / "mocap", "does not say which frame", f"#poses=/mocap,body=FRAME.*{OPTICAL}")
+    check_opened(open_recording(f"rosbag:{path}#poses=/mocap,body={BODY}"), capture, capture.depths_mm, 1e-9)
+
+
+def test_optical_poses_are_taken_as_they_are(tmp_path: Path, capture: Capture) -> None:
+    bag = bag_of(capture, poses=False)
+    for time_s, pose in zip(capture.times_s, capture.poses, strict=True):
+        bag.add("/vio", time_s, bag.ros.odometry(time_s, "left_optical", pose))
+    recording = open_recording(str(bag.write(tmp_path / "walk")))
+    check_opened(recording, capture, capture.depths_mm, 1e-9)
+    assert "of left_optical, taken as the colour camera's" in recording.notes[0]
+
+
+def test_pose_of_a_body_with_unknown_mount_is_refused(tmp_path: Path, capture: Capture) -> None:
+    bag = bag_of(capture)
+    del bag.topics["/tf_static"]
+    path = bag.write(tmp_path / "walk")
+    refuses_to_open(path, path / "odom", f"poses of {BODY}, and /tf_static does not say where", "#poses=none")
+    assert open_recording(f"rosbag:{path}#poses=none").poses is None
+    refuses_data(
+        lambda: open_recording(f"rosbag:{path}#poses=/tf"), path, "no moving frame above", "record /tf_static"
+    )
+
+
+@pytest.mark.parametrize(
+    ("model", "coefficients", "expected"),
+    [
+        ("plumb_bob", (0.05, -0.02, 0.001, 0.002, 0.0), "brown"),
+        ("rational_polynomial", (0.05, 0.01, 0.001, 0.002, 0.0, 0.04, 0.0, 0.0), "rational"),
+        ("equidistant", (0.01, 0.002, 0.0, 0.0), "fisheye"),
+        ("", (), "brown"),
+    ],
+)
+def test_lens_of_each_model(
+    tmp_path: Path, capture: Capture, model: str, coefficients: Sequence[float], expected: str
+) -> None:
+    bag = bag_of(capture, version=1, poses=False, depth=False)
+    bag.topics["/cam/color/camera_info"] = [
+        (0.0, bag.ros.info(capture.camera, OPTICAL, model, d=np.array(coefficients)))
+    ]
+    camera = open_recording(str(bag.write(tmp_path / "walk"))).camera
+    assert camera == replace(capture.camera, distortion=tuple(coefficients), distortion_model=expected)
+
+
+def test_intrinsics_that_change_are_told(tmp_path: Path, capture: Capture) -> None:
+    bag = bag_of(capture, poses=False, depth=False)
+    bag.add("/cam/color/camera_info", 1.0, bag.ros.info(replace(capture.camera, fx=140.0), OPTICAL))
+    recording = open_recording(str(bag.write(tmp_path / "walk")))
+    assert recording.camera == capture.camera and "of which the first is used, as they change" in recording.notes[0]
+
+
+def test_rectified_images_have_the_projection_matrix(tmp_path: Path, capture: Capture) -> None:
+    bag = bag_of(capture, poses=False, depth=False)
+    lens = replace(capture.camera, fx=100.0, distortion=(0.05, 0.0, 0.0, 0.0, 0.0))
+    P = np.hstack([capture.camera.matrix, np.zeros((3, 1))]).reshape(-1)
+    bag.topics = {
+        "/cam/color/camera_info": [(0.0, bag.ros.info(lens, OPTICAL, p=P))],
+        "/cam/color/image_rect_color": bag.topics[COLOR],
+    }
+    assert open_recording(str(bag.write(tmp_path / "walk"))).camera == capture.camera
+
+
+@pytest.mark.parametrize(
+    ("changes", "model", "problem", "fix"),
+    [
+        ({"k": np.zeros(9)}, "plumb_bob", "has no focal length in K", "calibrate"),
+        ({"d": np.full(5, 0.01)}, "ftheta", "model 'ftheta'", "one of plumb_bob"),
+        ({"d": np.full(14, 0.001)}, "rational_polynomial", "has 14 coefficients", "k1, k2"),
+    ],
+)
+def test_unusable_camera_info_is_refused(
+    tmp_path: Path, capture: Capture, changes: dict[str, Any], model: str, problem: str, fix: str
+) -> None:
+    bag = bag_of(capture, poses=False, depth=False)
+    bag.topics["/cam/color/camera_info"] = [(0.0, bag.ros.info(capture.camera, OPTICAL, model, **changes))]
+    path = bag.write(tmp_path / "walk")
+    refuses_to_open(path, path / "cam/color/camera_info", problem, fix)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "encoding", "problem", "fix"),
+    [
+        (np.zeros((128, 160), np.uint8), "bayer_rggb8", "encoding 'bayer_rggb8'", "debayer node"),
+        (np.zeros((128, 160, 2), np.uint8), "yuv422", "encoding 'yuv422'", "record one of rgb8"),
+        (np.zeros((64, 80, 3), np.uint8), "rgb8", "is 80x64, but the intrinsics are for 160x128", "CameraInfo"),
+        (np.zeros((128, 160), np.uint8), "rgb8", "holds 20480 bytes, rows of 160", "record it again"),
+    ],
+)
+def test_unusable_image_is_refused(
+    tmp_path: Path, capture: Capture, pixels: NDArray[Any], encoding: str, problem: str, fix: str
+) -> None:
+    bag = bag_of(capture, poses=False, depth=False)
+    bag.topics[COLOR] = [(1.0, bag.ros.image(1.0, OPTICAL, pixels, encoding))]
+    path = bag.write(tmp_path / "walk")
+    refuses_to_open(path, path / COLOR[1:], problem, fix)
+
+
+def test_rvl_is_refused(tmp_path: Path, capture: Capture) -> None:
+    bag = bag_of(capture, depth=False)
+    bag.add(
+        DEPTH, 1.0, bag.ros.compressed(float(capture.times_s[0]), OPTICAL, bytes(64), "16UC1; compressedDepth rvl")
+    )
+    path = bag.write(tmp_path / "walk")
+    refuses_to_open(path, path / DEPTH[1:], "RVL", "format of compressedDepth set to png")
+
+
+@pytest.mark.parametrize(
+    ("choice", "problem", "fix"),
+    [
+        ("color=/no", "color=/no is not in the bag", "choose from /cam/color/image_raw"),
+        ("poses=/no", "poses=/no is not in the bag", "choose from /odom, /tf"),
+        ("colour=/no", "is no choice of topics", "write PATH#color=TOPIC"),
+        ("color", "is no choice of topics", "write PATH#color=TOPIC"),
+    ],
+)
+def test_wrong_choice_is_refused(tmp_path: Path, capture: Capture, choice: str, problem: str, fix: str) -> None:
+    path = bag_of(capture).write(tmp_path / "walk")
+    refuses_setting(lambda: open_recording(f"rosbag:{path}#{choice}"), "SOURCE", problem, fix)
+
+
+def _cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def _replace(old: bytes, new: bytes) -> Callable[[Path], None]:
+    def change(path: Path) -> None:
+        data = path.read_bytes()
+        assert old in data and len(old) == len(new)
+        path.write_bytes(data.replace(old, new))
+
+    return change
+
+
+def _forget_index(path: Path) -> None:
+    """Set the footer's offset of the summary to 0."""
+    data = bytearray(path.read_bytes())
+    data[-28:-20] = bytes(8)
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("version", "storage", "damage", "problem", "fix"),
+    [
+        (1, "", _cut, "cannot be read", "rosbag reindex"),
+        (1, "", _replace(b"#ROSBAG V2.0", b"#ROSBAG V1.2"), "version 102", "rosbag fix"),
+        (1, "", _replace(b"compression=none", b"compression=nine"), "Compression 'nine'", "rosbag decompress"),
+        (2, "mcap", _cut, "end magic is invalid", "mcap recover"),
+        (2, "mcap", _replace(b"\x04\x00\x00\x00ros2", b"\x04\x00\x00\x00ros1"), "Profile is not ros2", "ros2 bag"),
+        (2, "mcap", _forget_index, "has no index of chunks", "mcap recover"),
+        (2, "db3", _cut, "cannot be read as a ROS bag", "copy the bag again"),
+    ],
+)
+def test_damaged_bag_is_refused(
+    tmp_path: Path,
+    capture: Capture,
+    version: int,
+    storage: str,
+    damage: Callable[[Path], None],
+    problem: str,
+    fix: str,
+) -> None:
+    path = bag_of(capture, version).write(tmp_path / "walk", storage)
+    if version == 2:
+        path = path / f"walk.{storage}"
+    damage(path)
+    refuses_to_open(path, path, problem, fix)
+
+
+def test_encrypted_bag_is_refused(tmp_path: Path, capture: Capture) -> None:
+    path = bag_of(capture, 1).write(tmp_path / "walk")
+    data = path.read_bytes()
+    start = data.index(b"\n") + 1
+    (length,) = struct.unpack_from("<I", data, start)
+    entry = b"encryptor=rosbag/AesCbcEncryptor"
+    header = data[start + 4 : start + 4 + length] + struct.pack("<I", len(entry)) + entry
+    (padding,) = struct.unpack_from("<I", data, start + 4 + length)
+    grown = len(entry) + 4
+    rest = struct.pack("<I", padding - grown) + data[start + 8 + length : -grown or None]
+    body = data[start + 8 + length + grown :]
+    path.write_bytes(data[:start] + struct.pack("<I", len(header)) + header + rest[:4] + body)
+    refuses_to_open(path, path, "encryption 'rosbag/AesCbcEncryptor' is not supported", "rosbag decrypt")
+
+
+def test_compressed_messages_need_the_metadata(tmp_path: Path, capture: Capture) -> None:
+    path = bag_of(capture).write(tmp_path / "walk", "sqlite3", "MESSAGE")
+    (file,) = path.glob("*.db3*")
+    refuses_to_open(file, file, "has compressed messages", "folder with its metadata.yaml")
+
+
+def test_missing_file_of_a_bag_is_refused(tmp_path: Path, capture: Capture) -> None:
+    path = bag_of(capture).write(tmp_path / "walk")
+    next(path.glob("*.db3")).unlink()
+    refuses_to_open(path, path, "database files are missing", "ros2 bag reindex")
+    (path / "metadata.yaml").unlink()
+    refuses_data(lambda: open_recording(f"rosbag:{path}"), path, "is not a ROS bag", "metadata.yaml")
+
+
+def test_unusable_poses_are_refused(tmp_path: Path, capture: Capture) -> None:
+    bag = bag_of(capture)
+    bag.add(ODOM, 0.0, bag.ros.odometry(0.0, "arm", np.eye(4)))
+    path = bag.write(tmp_path / "mixed")
+    refuses_to_open(path, path / "odom", "holds poses of several frames", "#poses=none")
+    for _, message in bag.topics[ODOM]:
+        message.child_frame_id, message.pose.pose.orientation.w = BODY, np.nan
+    path = bag.write(tmp_path / "lost")
+    refuses_to_open(path, path / "odom", "holds no finite pose", "after the tracker has started")
+
+
+def test_bag_that_changes_is_refused(tmp_path: Path, capture: Capture) -> None:
+    path = bag_of(capture).write(tmp_path / "walk") / "walk.db3"
+    recording = open_recording(str(path))
+    with sqlite3.connect(path) as database:
+        database.execute("DELETE FROM messages WHERE id > 3")
+    database.close()
+    refuses_data(lambda: recording.color(9), path, "no longer holds a message of /cam|cannot be read", "leave|copy")
+
+
+def test_other_clock_is_refused(tmp_path: Path, capture: Capture) -> None:
+    bag = bag_of(capture, depth=False)
+    bag.topics[ODOM] = [(t, bag.ros.odometry(t - 1e6, BODY, np.eye(4))) for t in capture.times_s]
+    path = bag.write(tmp_path / "walk")
+    refuses_to_open(path, path, "none of its 12 frames can be used: 12 without a pose", "one clock")
+
+
+def test_missing_extra_is_named(tmp_path: Path, capture: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = bag_of(capture).write(tmp_path / "walk")
+    monkeypatch.setitem(sys.modules, "rosbags", None)
+    refuses(lambda: open_recording(str(path)), MissingExtraError, r"\[ros\]")
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("name", "problem", "fix"),
+    [
+        ("ros1-images.bag", "holds no CameraInfo of /image", "--intrinsics"),
+        ("realsense-d4xx.bag", "recording of the RealSense SDK", "ros2 bag record"),
+        ("lz4.bag", r"holds no colour images; its topics are .*turtle1/pose", "record sensor_msgs/Image"),
+        ("tf.bag", "holds no colour images; its topics are /tf", "record"),
+        ("tf.db3", "holds no colour images; its topics are /tf", "record"),
+        ("compressed-messages.db3", "holds no colour images", "record"),
+        ("nav2-turtlebot.mcap", "holds no colour images; its topics are /amcl_pose", "record"),
+    ],
+)
+def test_real_log_is_refused(data_root: Path, name: str, problem: str, fix: str) -> None:
+    path = data_root / "logs" / name
+    if not path.is_file():
+        pytest.skip(f"no log at {path}")
+    refuses_to_open(path, path, problem, fix)
+
+
+@pytest.mark.data
+def test_real_logs_with_images_open(data_root: Path) -> None:
+    logs = data_root / "logs"
+    if not logs.is_dir():
+        pytest.skip(f"no logs at {logs}")
+    camera = Camera(360, 240, 300.0, 300.0, 180.0, 120.0)
+    first = open_recording(str(logs / "ros1-images.bag"), ReaderOptions(camera))
+    assert first.color(0)[0, 0].tolist() == [166, 163, 175] and first.notes[-1].startswith(
+        "/image has no time stamps"
+    )
+    second = open_recording(str(logs / "ros2-sensors.mcap"))
+    assert second.camera == Camera(640, 480, 500.0, 500.0, 320.0, 240.0)
+    assert second.color(0)[0, 0].tolist() == [219, 0, 4]
+    compressed = open_recording(f"rosbag:{logs}/ros2-sensors.mcap#color=/compressed_image")
+    assert compressed.color(0).shape == (480, 640, 3)

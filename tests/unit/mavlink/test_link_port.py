@@ -1,0 +1,69 @@
+"""Ports whose other side is gone say so at once, and ports that take nothing do not wait."""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+
+import pytest
+
+from monoloc.mavlink.link_port import Address, open_port, parse_address
+
+SOON_S = 5.0
+
+
+def test_addresses_as_users_write_them() -> None:
+    assert parse_address("serial:/dev/ttyAMA0:921600") == Address("serial", "/dev/ttyAMA0", 921600)
+    assert parse_address("udpin:0.0.0.0:14550") == Address("udpin", "0.0.0.0", 14550)
+    assert parse_address("tcp:[::1]:5760") == Address("tcp", "::1", 5760)
+
+
+def test_tcp_peer_that_ended_is_gone_at_the_next_read() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = open_port(Address("tcp", "127.0.0.1", server.getsockname()[1]))
+        connection, _ = server.accept()
+        assert port.read() == b""  # nothing came
+        connection.sendall(b"abc")
+        select.select([port], [], [], SOON_S)
+        assert port.read() == b"abc"
+        connection.close()
+        select.select([port], [], [], SOON_S)
+        with pytest.raises(ConnectionResetError):
+            port.read()
+        port.close()
+
+
+def test_tcp_peer_that_does_not_read_fills_the_port() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = open_port(Address("tcp", "127.0.0.1", server.getsockname()[1]))
+        while port.write(bytes(1 << 20)):
+            pass  # it ends, without waiting
+        port.close()
+
+
+def test_serial_device_that_was_unplugged_is_gone_at_the_next_read() -> None:
+    controller, device = os.openpty()
+    port = open_port(Address("serial", os.ttyname(device), 115200))
+    assert port.read() == b""
+    sent = bytes(range(256))  # also what a terminal would change or act on
+    os.write(controller, sent)
+    select.select([port], [], [], SOON_S)
+    assert port.read() == sent
+    assert port.write(sent) == 256 and os.read(controller, 512) == sent
+    os.close(device)
+    os.close(controller)
+    select.select([port], [], [], SOON_S)
+    with pytest.raises(OSError):
+        port.read()
+    port.close()
+
+
+def test_udp_peer_that_does_not_listen_disturbs_nothing() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as closed:
+        closed.bind(("127.0.0.1", 0))
+        number = closed.getsockname()[1]
+    port = open_port(Address("udpout", "127.0.0.1", number))
+    for _ in range(3):
+        assert port.write(b"abc") == 3 and port.read() == b""
+    port.close()
