@@ -109,7 +109,7 @@ def test_build_and_localize_with_another_network(capfd: Capture, here: Path) -> 
     assert bundle.provenance.tune == "none" and not bundle.provenance.map_transform
     fitted = {"scale": report["depth_scale"], "shift": report["depth_shift"]}
     assert bundle.depth_model.spec == MIDAS.model_copy(update=fitted)
-    metrics = json_of(capfd, "localize", "x.monoloc", "flight")
+    metrics = json_of(capfd, "localize", "x.monoloc", "flight", "--start", "truth")
     assert metrics["depth_absrel"] < 0.03
     assert metrics["ate_max_m"] < 0.15 and metrics["ate_median_m"] < 0.08
     inspected = json_of(capfd, "inspect", "x.monoloc")

@@ -136,7 +136,7 @@ LIVE = ("fly", "room.monoloc", "camera:987")
 @pytest.mark.parametrize(
     ("arguments", "names", "problem", "fix"),
     [
-        (LIVE, "--intrinsics", "is missing", "W,H,FX"),
+        (LIVE, "--camera", "is missing", "monoloc calibrate"),
         ((*LIVE, "--intrinsics", INTRINSICS, "--fast"), "--fast", "no meaning for a live camera", "leave it out"),
         ((*LIVE, "--intrinsics", INTRINSICS, "--frames", "0:5"), "--frames", "no meaning for a live", "leave it out"),
         ((*LIVE, "--intrinsics", INTRINSICS), "camera:987", "cannot be opened", "plugged in"),

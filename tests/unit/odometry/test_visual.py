@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from monoloc.camera import Camera
 from monoloc.depth.depth_image import sample_depth
 from monoloc.evaluation.trajectory import PoseErrors, pose_errors
 from monoloc.geometry import FloatArray, invert
@@ -178,6 +179,12 @@ def test_distortion_is_taken_into_account(room):
     check(errors(follow(recording), recording))
     ignored = errors(follow(recording, VisualOdometry(CAMERA)), recording)
     assert np.median(ignored.position_m) > 1.5 * MEDIAN_M
+
+
+def test_motion_of_a_fisheye_of_160_degrees(room):
+    camera = Camera(320, 256, 150.0, 151.0, 158.0, 129.0, (-0.01, 0.02, -0.012, 0.001), "fisheye")
+    recording = RoomRecording(room, make_path(12), camera)
+    check(errors(follow(recording), recording))
 
 
 # --- Failure and recovery ---
