@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from typer.exceptions import Abort, TyperException
 
-from monoloc.cli import build, check, depth, doctor, evaluate, fly, inspect, localize, map_, replay
+from monoloc.cli import build, calibrate_camera, check, depth, doctor, evaluate, fly, inspect, localize, map_, replay
 from monoloc.errors import MonolocError
 from monoloc.version import __version__
 
@@ -33,6 +33,7 @@ app.command("doctor")(doctor.doctor)
 app.command("replay")(replay.replay)
 app.add_typer(map_.app, name="map")
 app.add_typer(depth.app, name="depth")
+app.add_typer(calibrate_camera.app, name="calibrate")
 
 
 def _add_installed_commands() -> None:
