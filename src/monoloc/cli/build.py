@@ -23,6 +23,7 @@ from monoloc.cli.common import (
     SourceArgument,
     check_apart,
     naming,
+    open_cloud,
     open_source,
     print_json,
     stderr,
@@ -32,7 +33,6 @@ from monoloc.depth.model_files import trainable_file
 from monoloc.depth.models import DEFAULT, is_shipped
 from monoloc.errors import SettingError
 from monoloc.files import target_of
-from monoloc.io.cloud_files import read_cloud
 from monoloc.io.corrected import Fixes
 from monoloc.progress import ConsoleProgress
 
@@ -55,7 +55,7 @@ def build(
     frames: FramesOption = "::",
     cloud: Annotated[
         Path | None,
-        typer.Option("--cloud", help="Cloud of the room (ply, pcd, xyz, txt, npz), in the world frame."),
+        typer.Option("--cloud", help="Cloud of the room (ply, pcd, xyz, txt, csv, npz, points3D), world frame."),
     ] = None,
     components: Annotated[
         str | None,
@@ -130,7 +130,7 @@ def build(
     options = {name: _OPTIONS[name] for name, value in values.items() if value is not None or settings is None}
     with naming(options):
         config = override(config, **given, adapt=adapt)
-        points = None if cloud is None else read_cloud(cloud)
+        points = None if cloud is None else open_cloud(cloud)
         recording = open_source(source, frames, intrinsics, depth_scale, fixes=Fixes(fix_poses, fix_depth))
         bundle, report = build_bundle(recording, config, seed, ConsoleProgress(stderr), points, network)
     size = write_bundle(target_of(out), bundle)  # follows links, like all file writes

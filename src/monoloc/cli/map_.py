@@ -22,6 +22,7 @@ from monoloc.cli.common import (
     check_picture,
     check_viewing,
     naming,
+    open_cloud,
     open_source,
     print_json,
     print_table,
@@ -31,7 +32,7 @@ from monoloc.cli.common import (
 )
 from monoloc.config import override
 from monoloc.evaluation.cloud_metrics import COMPARED_POINTS, compare_clouds
-from monoloc.io.cloud_files import CLOUD_SUFFIXES, read_cloud
+from monoloc.io.cloud_files import CLOUD_SUFFIXES
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import ConsoleProgress
 from monoloc.viz.map_drawing import plot_map_change
@@ -68,7 +69,7 @@ def fit(
         refuse_frames(frames, "a cloud")
     with naming({"components": "--components"}):
         config = override(BuildConfig(), components=components)
-        cloud = read_cloud(Path(source)) if is_cloud else None
+        cloud = open_cloud(Path(source)) if is_cloud else None
         recording = None if cloud is not None else open_source(source, frames)
         cloud, mixture = fit_map(recording, cloud, config, np.random.default_rng(seed), ConsoleProgress(stderr))
     mixture.save(out)

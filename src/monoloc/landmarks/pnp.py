@@ -187,12 +187,9 @@ class OrbLandmarkLocalizer:
         matched = np.flatnonzero((bits[:, 0] < MATCH_BITS) & (bits[:, 0] < _RATIO * others))
         if len(matched) < LEAST_LANDMARKS:
             return None
-        camera = self._detect.camera
         ok, rotation, translation, inliers = cv2.solvePnPRansac(
             self._landmarks.points[nearest[matched, 0]].astype(np.float64),
-            seen.pixels[matched],
-            camera.matrix,
-            np.asarray(camera.distortion),
+            *self._detect.camera.for_pnp(seen.pixels[matched]),
             iterationsCount=1000,
             reprojectionError=_INLIER_PX,
             confidence=0.999,
