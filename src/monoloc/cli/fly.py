@@ -30,7 +30,7 @@ from monoloc.cli.common import (
     refuse_frames,
     stderr,
 )
-from monoloc.cli.start_option import METAVAR, UNKNOWN, start_of
+from monoloc.cli.start_option import METAVAR, UNKNOWN, StartErrorCmOption, StartErrorDegOption, start_of
 from monoloc.config import load_settings
 from monoloc.errors import SettingError
 from monoloc.flight.autopilot import down_world, gravity_of, senders
@@ -68,12 +68,8 @@ def fly(
     start: Annotated[
         str, typer.Option("--start", metavar=METAVAR, help="First camera pose; 'unknown' searches the room.")
     ] = UNKNOWN,
-    start_error_cm: Annotated[
-        float, typer.Option("--start-error-cm", min=0.0, max=1e5, help="Position error of the start.")
-    ] = 10.0,
-    start_error_deg: Annotated[
-        float, typer.Option("--start-error-deg", min=0.0, max=180.0, help="Rotation error of the start.")
-    ] = 3.0,
+    start_error_cm: StartErrorCmOption = 10.0,
+    start_error_deg: StartErrorDegOption = 3.0,
     mavlink: Annotated[
         str | None,
         typer.Option(
@@ -240,9 +236,9 @@ def _report(summary: FlightSummary, source: FrameSource, link: AutopilotLink | N
         print_json(figures)
         return
     states = ", ".join(f"{summary.states[state]} {state}" for state in get_args(State))
-    rate_hz, median_s, most_s = (figures[name] for name in ("rate_hz", "latency_s_median", "latency_s_p95"))
-    how = f"; {rate_hz:.1f} Hz" if isinstance(rate_hz, float) else ""
-    if isinstance(median_s, float) and isinstance(most_s, float) and most_s > 0.0:  # else nothing took time: --fast
+    rate_hz, median_s, most_s = summary.rate_hz, summary.latency_s(50.0), summary.latency_s(95.0)
+    how = "" if rate_hz is None else f"; {rate_hz:.1f} Hz"
+    if median_s is not None and most_s:  # else nothing took time: --fast
         how += f", {1e3 * median_s:.0f} ms after capture (95 %: {1e3 * most_s:.0f} ms)"
     stderr.print(f"{summary.frames} frames: {states}{how}", soft_wrap=True)
     dropped = ", ".join(f"{count} {reason}" for reason, count in summary.dropped.items() if count)

@@ -31,7 +31,7 @@ from monoloc.cli.common import (
     print_table,
     stderr,
 )
-from monoloc.cli.start_option import METAVAR, UNKNOWN, start_of
+from monoloc.cli.start_option import METAVAR, UNKNOWN, StartErrorCmOption, StartErrorDegOption, start_of
 from monoloc.config import override
 from monoloc.errors import MonolocError
 from monoloc.io.tum_trajectory import write_tum
@@ -56,12 +56,8 @@ def localize_command(
             "first pose with a random error.",
         ),
     ] = UNKNOWN,
-    start_error_cm: Annotated[
-        float, typer.Option("--start-error-cm", min=0.0, max=1e5, help="Position error of the start.")
-    ] = 10.0,
-    start_error_deg: Annotated[
-        float, typer.Option("--start-error-deg", min=0.0, max=180.0, help="Rotation error of the start.")
-    ] = 3.0,
+    start_error_cm: StartErrorCmOption = 10.0,
+    start_error_deg: StartErrorDegOption = 3.0,
     motion: Annotated[
         Literal["visual", "random-walk"] | None, typer.Option("--motion", help="Motion model. [visual]")
     ] = None,

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 import numpy as np
+import typer
 
 from monoloc.bundle import Bundle
 from monoloc.errors import SettingError
@@ -15,6 +17,13 @@ from monoloc.start import Start
 METAVAR = "TX,TY,TZ,QX,QY,QZ,QW"
 UNKNOWN, TRUTH = "unknown", "truth"
 """Values of the option beside a pose."""
+
+StartErrorCmOption = Annotated[
+    float, typer.Option("--start-error-cm", min=0.0, max=1e5, help="Position error of the start.")
+]
+StartErrorDegOption = Annotated[
+    float, typer.Option("--start-error-deg", min=0.0, max=180.0, help="Rotation error of the start.")
+]
 
 _MIN_ERROR_M, _MIN_ERROR_RAD = 0.03, 0.015  # lower bounds of the error of a start
 _MAX_COORDINATE_M = 1e6  # of a start; no map is larger

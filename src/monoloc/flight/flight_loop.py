@@ -91,20 +91,25 @@ class FlightSummary:
         for values in (self.latencies_s, self.intervals_s):
             del values[:-_KEPT]
 
+    @property
+    def rate_hz(self) -> float | None:
+        """One over the median interval; None of a single frame."""
+        interval_s = float(np.median(self.intervals_s)) if self.intervals_s else 0.0
+        return 1.0 / interval_s if interval_s else None
+
+    def latency_s(self, percent: float) -> float | None:
+        """That many per cent of the frames took no longer; None without frames."""
+        return float(np.percentile(self.latencies_s, percent)) if self.latencies_s else None
+
     def figures(self) -> dict[str, object]:
         """Ready for JSON."""
-
-        def percentile(values: list[float], share: float) -> float | None:
-            return float(np.percentile(values, share)) if values else None
-
-        interval_s = percentile(self.intervals_s, 50.0)
         return {
             "frames": self.frames,
             "dropped": dict(self.dropped),
             "states": dict(self.states),
-            "rate_hz": 1.0 / interval_s if interval_s else None,
-            "latency_s_median": percentile(self.latencies_s, 50.0),
-            "latency_s_p95": percentile(self.latencies_s, 95.0),
+            "rate_hz": self.rate_hz,
+            "latency_s_median": self.latency_s(50.0),
+            "latency_s_p95": self.latency_s(95.0),
         }
 
 

@@ -7,17 +7,15 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from monoloc.flight.flight_loop import FlightStep, FlightSummary
 from monoloc.mavlink.firmware import Firmware
-from monoloc.recording_check.image_quality import BLURRED, TOO_DARK, quality_of
-from monoloc.recording_check.inspection import Finding, Level
+from monoloc.recording_check.image_quality import ImageQuality, quality_of
+from monoloc.recording_check.inspection import Finding, Level, image_findings
 from monoloc.supervision.state import Reason
 
 _LEAST_RATE_HZ, _GOOD_RATE_HZ = 5.0, 15.0  # PX4 stops to fuse below 5 Hz; its guide asks for 30
 _GOOD_LATENCY_S, _MOST_LATENCY_S = 0.1, 0.2  # from capture to result
-_BLURRED_SHARE, _CLIPPED_SHARE = 0.2, 0.25
 _GOOD_TRACKING, _LEAST_TRACKING = 0.9, 0.5  # shares of frames
 _GOOD_LANDMARKS = 20
 _EVERY = 3  # of the frames whose image is measured
@@ -70,11 +68,14 @@ class Preflight:
         else:
             found = [
                 *_of_timing(summary),
-                *_of_images(np.array(self._quality)),
+                *image_findings(self._images(), "expose for a shorter time, add light, clean the lens", "add light"),
                 *self._of_intrinsics(),
                 *self._of_room(summary),
             ]
         return found if link is None else [*found, *_of_link(link)]
+
+    def _images(self) -> ImageQuality:
+        return ImageQuality(np.arange(len(self._quality)), *np.array(self._quality).T)
 
     def _of_intrinsics(self) -> Iterator[Finding]:
         if self._reasons[Reason.CAMERA_MISMATCH]:
@@ -96,35 +97,17 @@ class Preflight:
 
 
 def _of_timing(summary: FlightSummary) -> Iterator[Finding]:
-    figures = summary.figures()
-    rate_hz, median_s, p95_s = (figures[name] for name in ("rate_hz", "latency_s_median", "latency_s_p95"))
-    if isinstance(rate_hz, float):
+    rate_hz, median_s, p95_s = summary.rate_hz, summary.latency_s(50.0), summary.latency_s(95.0)
+    if rate_hz is not None:
         level: Level = "good" if rate_hz >= _GOOD_RATE_HZ else "warning" if rate_hz >= _LEAST_RATE_HZ else "bad"
-        dropped = sum(summary.dropped.values())
         remark = "" if level == "good" else "take a smaller network, or fewer particles and scan points"
-        yield Finding("rate", level, f"{rate_hz:.1f} Hz, {dropped} frames dropped", remark)
-    if isinstance(median_s, float) and isinstance(p95_s, float):
+        yield Finding("rate", level, f"{rate_hz:.1f} Hz, {summary.dropped.total()} frames dropped", remark)
+    if median_s is not None and p95_s is not None:
         level = "good" if p95_s <= _GOOD_LATENCY_S else "warning" if p95_s <= _MOST_LATENCY_S else "bad"
         remark = (
             "" if level == "good" else "older poses than 0.2 s are not sent; set the autopilot's delay to the median"
         )
         yield Finding("latency", level, f"{1e3 * median_s:.0f} ms (95 %: {1e3 * p95_s:.0f} ms)", remark)
-
-
-def _of_images(quality: NDArray[np.float64]) -> Iterator[Finding]:
-    """Of (M, 4) blur, brightness, dark and saturated shares."""
-    blurred = float(np.mean(quality[:, 0] > BLURRED))
-    remark = "expose for a shorter time, add light, clean the lens" if blurred > _BLURRED_SHARE else ""
-    value = f"{float(np.median(quality[:, 0])):.2f} median, {blurred:.0%} of images over {BLURRED}"
-    yield Finding("blur", "warning" if remark else "good", value, remark)
-    brightness, dark, saturated = quality[:, 1:].mean(axis=0).tolist()
-    remark = ""
-    if brightness < TOO_DARK or dark > _CLIPPED_SHARE:
-        remark = "add light"
-    elif saturated > _CLIPPED_SHARE:
-        remark = "expose for a shorter time"
-    value = f"{brightness:.0f} of 255, {dark:.0%} of pixels black, {saturated:.0%} saturated"
-    yield Finding("exposure", "warning" if remark else "good", value, remark)
 
 
 def _of_link(link: LinkReport) -> Iterator[Finding]:

@@ -39,12 +39,12 @@ def read_cloud(path: Path, notes: list[str] | None = None) -> FloatArray:
     Raises:
         DataError: the file is missing, in an unknown format, truncated or empty, or no point is finite.
     """
-    path, told = Path(path), [] if notes is None else notes
+    path, notes = Path(path), [] if notes is None else notes
     reader = _reader_of(path)
     if reader is None:
         raise DataError(path, f"has the unknown suffix {path.suffix!r}", f"give one of {', '.join(sorted(_READERS))}")
     try:
-        points = reader(path, told)
+        points = reader(path, notes)
     except FileNotFoundError:
         raise DataError(path, "there is no such file", "check the path") from None
     except _UNREADABLE as error:
@@ -55,7 +55,7 @@ def read_cloud(path: Path, notes: list[str] | None = None) -> FloatArray:
     if not finite.any():
         raise DataError(path, f"none of its {len(points)} points is finite", _AGAIN)
     if not finite.all():
-        told.append(f"{int((~finite).sum())} of {len(points)} points are left out: they are not finite")
+        notes.append(f"{int((~finite).sum())} of {len(points)} points are left out: they are not finite")
     return np.asarray(points[finite])
 
 

@@ -1,4 +1,4 @@
-"""Frames of a recording that cannot be used: left out, counted and told."""
+"""Frames of a recording that cannot be used: left out, counted and reported."""
 
 from __future__ import annotations
 

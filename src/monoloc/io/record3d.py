@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import importlib
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -157,7 +158,8 @@ class _Archive:
         try:
             with zipfile.ZipFile(self.path) as file:
                 return file.read(member)
-        except (zipfile.BadZipFile, OSError, EOFError, KeyError, NotImplementedError) as error:
+        # RuntimeError: encrypted, or compressed by a method that this Python lacks.
+        except (zipfile.BadZipFile, zlib.error, OSError, EOFError, RuntimeError) as error:
             raise DataError(self.path / member, "cannot be unpacked", "copy the .r3d file again") from error
 
 

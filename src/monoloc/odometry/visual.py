@@ -189,7 +189,7 @@ class VisualOdometry:
         """Track the corners into ``gray``, solve for its ``T_r_camera``, and drop outlier tracks."""
         if self._tracks is None or self._gray is None or len(self._tracks.points) < self.config.min_inliers:
             return None
-        pixels, tracked = self._track(self._gray, gray, self._tracks.pixels)
+        pixels, tracked = track_corners(self._gray, gray, self._tracks.pixels, self.config)
         tracks = replace(self._tracks, pixels=pixels).select(tracked)
         solution = self._solve(tracks.points, tracks.pixels)
         if solution is None:
@@ -197,18 +197,6 @@ class VisualOdometry:
         T_r_current, inliers = solution
         self._tracks = tracks.select(inliers)
         return T_r_current
-
-    def _track(
-        self, before: NDArray[np.uint8], after: NDArray[np.uint8], pixels: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        size = (self.config.search_px, self.config.search_px)
-        forward, found, _ = cv2.calcOpticalFlowPyrLK(before, after, pixels, pixels.copy(), winSize=size, maxLevel=3)
-        back, found_back, _ = cv2.calcOpticalFlowPyrLK(
-            after, before, forward, forward.copy(), winSize=size, maxLevel=3
-        )
-        distance = np.linalg.norm(back - pixels, axis=1)
-        valid = (found[:, 0] == 1) & (found_back[:, 0] == 1) & (distance < self.config.forward_backward_px)
-        return np.asarray(forward, dtype=np.float32), valid
 
     def _solve(self, points: FloatArray, pixels: NDArray[np.float32]) -> tuple[FloatArray, NDArray[np.int64]] | None:
         """Solve PnP for ``T_r_current`` and the indices of inliers; None on failure."""
@@ -298,6 +286,22 @@ class VisualOdometry:
         if corners is None or len(corners) == 0:
             return np.zeros((0, 2), dtype=np.float32)
         return np.asarray(corners, dtype=np.float32).reshape(-1, 2)
+
+
+def track_corners(
+    before: NDArray[np.uint8], after: NDArray[np.uint8], pixels: NDArray[np.float32], config: OdometryConfig
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Track corners (N, 2) of one grey image (H, W) into another, by pyramidal Lucas-Kanade.
+
+    Returns:
+        Their pixels (N, 2), and which are found and, tracked back, lead to where they began, (N,).
+    """
+    size = (config.search_px, config.search_px)
+    forward, found, _ = cv2.calcOpticalFlowPyrLK(before, after, pixels, pixels.copy(), winSize=size, maxLevel=3)
+    back, found_back, _ = cv2.calcOpticalFlowPyrLK(after, before, forward, forward.copy(), winSize=size, maxLevel=3)
+    distance = np.linalg.norm(back - pixels, axis=1)
+    valid = (found[:, 0] == 1) & (found_back[:, 0] == 1) & (distance < config.forward_backward_px)
+    return np.asarray(forward, dtype=np.float32), valid
 
 
 def _log_depth_sd(T_r_camera: FloatArray, points: FloatArray, information: FloatArray, prior_sd: float) -> FloatArray:

@@ -18,7 +18,7 @@ from monoloc.contrast import equaliser, has_contrast
 from monoloc.depth.depth_image import sample_depth
 from monoloc.geometry import FloatArray
 from monoloc.io.recording import Recording, evenly_spaced
-from monoloc.odometry.visual import OdometryConfig
+from monoloc.odometry.visual import OdometryConfig, track_corners
 
 DepthOf = Callable[[int], NDArray[np.float32]]
 
@@ -154,9 +154,5 @@ def _match(images: _TrackingImages, start: int, count: int) -> tuple[tuple[int, 
 
 def _follow(before: NDArray[np.uint8], after: NDArray[np.uint8], corners: NDArray[np.float32]) -> NDArray[np.float32]:
     """Corners (N, 2) that are found again, and found back from there: (M, 2, 2)."""
-    size = (_TRACKING.search_px, _TRACKING.search_px)
-    forward, found, _ = cv2.calcOpticalFlowPyrLK(before, after, corners, corners.copy(), winSize=size, maxLevel=3)
-    back, found_back, _ = cv2.calcOpticalFlowPyrLK(after, before, forward, forward.copy(), winSize=size, maxLevel=3)
-    is_back = np.linalg.norm(back - corners, axis=1) < _TRACKING.forward_backward_px
-    valid = (found[:, 0] == 1) & (found_back[:, 0] == 1) & is_back
+    forward, valid = track_corners(before, after, corners, _TRACKING)
     return np.asarray(np.stack([corners, forward], axis=1)[valid], dtype=np.float32)

@@ -120,7 +120,7 @@ def inspect_recording(
     is_explained = poses is not None and poses.verdict == "explained"
     findings = [
         *_of_frames(recording, times),
-        *_of_images(images),
+        *image_findings(images, "move more slowly, or expose for a shorter time", "record in more light"),
         *(_of_motion(motion) if motion is not None else ()),
         *(_of_depth(depth, is_explained) if depth is not None else ()),
         *(_of_poses(poses) if poses is not None else _without_poses(recording)),
@@ -149,15 +149,16 @@ def _of_frames(recording: Recording, times: TimeCheck) -> Iterator[Finding]:
     yield Finding("times", "warning" if times.gaps_s else "good", value, remark)
 
 
-def _of_images(images: ImageQuality) -> Iterator[Finding]:
+def image_findings(images: ImageQuality, if_blurred: str, if_dark: str) -> Iterator[Finding]:
+    """Findings on blur and exposure, with what to do about blurred and about dark images."""
     blurred = images.blurred_share
-    remark = "move more slowly, or expose for a shorter time" if blurred > _BLURRED_SHARE else ""
+    remark = if_blurred if blurred > _BLURRED_SHARE else ""
     value = f"{float(np.median(images.blur)):.2f} median, {blurred:.0%} of images over {BLURRED}"
     yield Finding("blur", "warning" if remark else "good", value, remark)
     brightness, dark, bright = (float(np.mean(a)) for a in (images.brightness, images.dark, images.saturated))
     remark = ""
     if brightness < TOO_DARK or dark > _CLIPPED_SHARE:
-        remark = "record in more light"
+        remark = if_dark
     elif bright > _CLIPPED_SHARE:
         remark = "expose for a shorter time"
     value = f"{brightness:.0f} of 255, {dark:.0%} of pixels black, {bright:.0%} saturated"

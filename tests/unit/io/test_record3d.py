@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -195,3 +196,23 @@ def test_member_that_claims_too_much_is_not_unpacked(
     write_record3d(tmp_path / "walk.r3d", members | {"rgbd/5.jpg": bytes(30_001)})
     recording = open_recording(str(tmp_path / "walk.r3d"))
     refuses_data(lambda: recording.color(5), tmp_path / "walk.r3d/rgbd/5.jpg", "says it is 0 MB", "again")
+
+
+def test_damaged_or_encrypted_member_is_refused(tmp_path: Path, members: dict[str, bytes]) -> None:
+    """Damage to compressed data, and the bit of an encrypted member in both of its headers (APPNOTE 4.4.4)."""
+    path, member = tmp_path / "walk.r3d", "rgbd/4.jpg"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, content in members.items():
+            file.writestr(name, content)
+        info = file.getinfo(member)
+    whole = path.read_bytes()
+    begin = info.header_offset + 30 + len(member)
+    damaged = whole[:begin] + b"\xff" * 40 + whole[begin + 40 :]
+    central = whole.index(member.encode(), begin) - 46
+    encrypted = bytearray(whole)
+    encrypted[info.header_offset + 6] |= 1
+    encrypted[central + 8] |= 1
+    for content in (damaged, bytes(encrypted)):
+        path.write_bytes(content)
+        recording = open_recording(str(path))
+        refuses_data(lambda read=recording: read.color(4), path / member, "cannot be unpacked", "copy the .r3d")
