@@ -11,7 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
-from monoloc.geometry import FloatArray, hat, invert, make_pose, ray_jacobian, se3_exp, se3_log, so3_exp, transform
+from monoloc.geometry import (
+    FloatArray,
+    hat,
+    invert,
+    make_pose,
+    pose_distance_m,
+    ray_jacobian,
+    se3_exp,
+    se3_log,
+    so3_exp,
+    transform,
+)
 from monoloc.landmarks.features import MATCH_BITS, KeypointDetector, Keypoints, match_descriptors
 from monoloc.landmarks.landmark_map import Landmarks
 
@@ -25,6 +36,14 @@ _LEAST_RADIUS_PX, _MOST_RADIUS_PX = 6.0, 40.0  # of the search around a landmark
 _RATIO = 0.85  # of the best match's distance to that of the best match at another place (Lowe 2004)
 _CANDIDATES, _OTHER_PLACE_M = 8, 0.05  # best matches among which another place is sought, and its distance
 _INLIER_PX, _LEAST_INLIERS, _LEAST_CONFIRMED = 3.0, 8, 20
+# Of a relocalisation: a single object that was moved, such as a window on a screen, may hold landmarks of less spread.
+# At true poses the least was 0.076 and 0.093 (two real rooms, frames near those of the build).
+_LEAST_SPREAD = 0.075
+# Of two poses without a prior: pose distance from which they are two, and the share of the better one's landmarks
+# with which the other counts as well.
+_APART_M, _RIVAL_SHARE = 0.5, 0.3
+# Of RANSAC. Where two places look alike, most of the keypoints that agree with one agree with the other.
+_ITERATIONS, _RIVAL_ITERATIONS = 1000, 100
 _KERNEL_SDS = (24.0, 12.0, 6.0, 3.0, 3.0, 3.0)  # standard deviations at which a landmark's weight is a quarter
 _LEAST_VARIANCE = 1e-8  # of a prior, m^2 and rad^2: a start may be stated as exact
 _UNOBSERVABLE_SD = 0.3  # m or rad: a direction that landmarks constrain no better is not determined
@@ -138,14 +157,27 @@ class OrbLandmarkLocalizer:
         return self.measure_keypoints(self._detect(color), prior, covariance)
 
     def relocalize(self, color: NDArray[np.uint8]) -> LandmarkPose | None:
-        """As :meth:`LandmarkLocalizer.relocalize`."""
+        """As :meth:`LandmarkLocalizer.relocalize`; None too where two places look alike."""
         seen = self._detect(color)
         place = self._pose_without_prior(seen)
-        found = None if place is None else self.measure_keypoints(seen, place, PRIOR_COVARIANCE).pose
-        return None if found is None or len(found.points) < _LEAST_CONFIRMED else found
+        if place is None:
+            return None
+        measured, where = self._agreeing(seen, place, PRIOR_COVARIANCE)
+        found = measured.pose
+        if found is None or len(found.points) < _LEAST_CONFIRMED:
+            return None
+        if self._spread(seen.pixels[where]) < _LEAST_SPREAD or self._fits_elsewhere(seen, where, found):
+            return None
+        return found
 
     def measure_keypoints(self, seen: Keypoints, prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
         """As :meth:`LandmarkLocalizer.measure`, from keypoints that are detected already."""
+        return self._agreeing(seen, prior, covariance)[0]
+
+    def _agreeing(
+        self, seen: Keypoints, prior: FloatArray, covariance: FloatArray
+    ) -> tuple[LandmarkMeasurement, NDArray[np.int64]]:
+        """As :meth:`measure_keypoints`, with the indices of the keypoints whose landmarks agree."""
         visible, local = self._visible(prior)
         camera, room = self._detect.camera, self._landmarks
         which, where = match_descriptors(
@@ -159,7 +191,7 @@ class OrbLandmarkLocalizer:
         agree, pose = pose_from_matches(points, seen.select(where), camera, prior, covariance)
         is_found = np.zeros(len(visible), dtype=np.bool_)
         is_found[which[agree]] = True
-        return LandmarkMeasurement(len(visible), int(agree.sum()), pose, visible, is_found)
+        return LandmarkMeasurement(len(visible), int(agree.sum()), pose, visible, is_found), where[agree]
 
     def _visible(self, prior: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
         """Indices (M,) of the landmarks in view of a camera at the prior, and their points in its frame, (M, 3)."""
@@ -174,23 +206,67 @@ class OrbLandmarkLocalizer:
 
     def _pose_without_prior(self, seen: Keypoints) -> FloatArray | None:
         """``T_world_camera`` (4, 4) from descriptors alone; None where too few landmarks agree."""
-        known = self._landmarks.descriptors
-        if min(len(seen.descriptors), len(known)) < LEAST_LANDMARKS:
+        if min(len(seen.descriptors), len(self._landmarks)) < LEAST_LANDMARKS:
             return None
-        bits, nearest = cv2.batchDistance(
-            seen.descriptors, known, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=_CANDIDATES
-        )
+        bits, nearest = self._candidates(seen)
         # One corner may have several landmarks, one a scale: the ratio test is with the best at another place.
         found = self._landmarks.points[nearest]
         is_elsewhere = np.linalg.norm(found - found[:, :1], axis=2) > _OTHER_PLACE_M
         others = np.where(is_elsewhere, bits, 256).min(axis=1)
         matched = np.flatnonzero((bits[:, 0] < MATCH_BITS) & (bits[:, 0] < _RATIO * others))
-        if len(matched) < LEAST_LANDMARKS:
+        return self._pose_by_consensus(seen.pixels[matched], nearest[matched, 0], _ITERATIONS)
+
+    def _spread(self, pixels: FloatArray) -> float:
+        """Standard deviation of pixels (A, 2) along the direction in which it is least, in image heights."""
+        variance = float(np.linalg.eigvalsh(np.cov(pixels.T))[0])
+        return math.sqrt(max(variance, 0.0)) / self._detect.camera.height
+
+    def _fits_elsewhere(self, seen: Keypoints, where: NDArray[np.int64], found: LandmarkPose) -> bool:
+        """Whether keypoints that agree with a pose agree with another one, far away, nearly as well.
+
+        Args:
+            where: (A,) indices of the keypoints that agree with the pose.
+        """
+        agreeing = seen.select(where)
+        bits, nearest = self._candidates(agreeing)
+        local = transform(invert(found.pose), self._landmarks.points[nearest].reshape(-1, 3)).reshape(
+            *nearest.shape, 3
+        )
+        off_m = np.linalg.norm(
+            local[..., :2] - local[..., 2:] * agreeing.rays(self._detect.camera)[0][:, None], axis=2
+        )
+        rivals = np.where(off_m > _OTHER_PLACE_M, bits, 256)
+        best = rivals.argmin(axis=1)
+        rows = np.flatnonzero(rivals.min(axis=1) < MATCH_BITS)
+        other = self._pose_by_consensus(agreeing.pixels[rows], nearest[rows, best[rows]], _RIVAL_ITERATIONS)
+        rival = None if other is None else self.measure_keypoints(seen, other, PRIOR_COVARIANCE).pose
+        if rival is None or float(pose_distance_m(found.pose, rival.pose[None])[0]) < _APART_M:
+            return False
+        return len(rival.points) >= _RIVAL_SHARE * len(found.points)
+
+    def _candidates(self, seen: Keypoints) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Of each of N keypoints, the differing bits and the indices of the most similar landmarks, (N, 8) each."""
+        bits, nearest = cv2.batchDistance(
+            seen.descriptors, self._landmarks.descriptors, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=_CANDIDATES
+        )
+        return np.asarray(bits, dtype=np.int32), np.asarray(nearest, dtype=np.int32)
+
+    def _pose_by_consensus(
+        self, pixels: FloatArray, landmarks: NDArray[np.int32], iterations: int
+    ) -> FloatArray | None:
+        """``T_world_camera`` (4, 4) that most of N matches agree with; None where they are too few.
+
+        Args:
+            pixels: (N, 2).
+            landmarks: (N,) indices.
+            iterations: of RANSAC, at most.
+        """
+        if len(pixels) < LEAST_LANDMARKS:
             return None
         ok, rotation, translation, inliers = cv2.solvePnPRansac(
-            self._landmarks.points[nearest[matched, 0]].astype(np.float64),
-            *self._detect.camera.for_pnp(seen.pixels[matched]),
-            iterationsCount=1000,
+            self._landmarks.points[landmarks].astype(np.float64),
+            *self._detect.camera.for_pnp(pixels),
+            iterationsCount=iterations,
             reprojectionError=_INLIER_PX,
             confidence=0.999,
             flags=cv2.SOLVEPNP_P3P,

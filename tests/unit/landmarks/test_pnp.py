@@ -165,6 +165,41 @@ def test_camera_is_relocalized_by_one_image(localizer: OrbLandmarkLocalizer) -> 
             assert errors.position_m[0] < 0.03 and errors.rotation_rad[0] < 0.015
 
 
+def test_two_places_that_look_alike_give_no_pose(localizer: OrbLandmarkLocalizer) -> None:
+    """A second room is equal to the first, whose map lacks three landmarks of ten."""
+    room = localizer._landmarks
+    rng = np.random.default_rng(7)
+    kept = rng.uniform(size=len(room)) < 0.7
+    twin = Landmarks(room.points + np.array([12.0, 0.0, 0.0], np.float32), room.descriptors)
+    both = Landmarks(
+        np.concatenate([room.points[kept], twin.points]), np.concatenate([room.descriptors[kept], twin.descriptors])
+    )
+    for pose in FLIGHT_POSES[5::20]:
+        color, _ = Room().view(pose)
+        mistaken = OrbLandmarkLocalizer(twin, CAMERA).relocalize(color)
+        assert mistaken is not None and mistaken.pose[0, 3] - pose[0, 3] == pytest.approx(12.0, abs=0.03)
+        assert OrbLandmarkLocalizer(both, CAMERA).relocalize(color) is None
+
+
+def test_landmarks_in_a_narrow_band_do_not_relocalize(localizer: OrbLandmarkLocalizer) -> None:
+    """The same number of landmarks all over the image does."""
+    pose = FLIGHT_POSES[30]
+    color, _ = Room().view(pose)
+    room, camera = localizer._landmarks, localizer._detect.camera
+    local = transform(invert(pose), room.points)
+    seen = np.flatnonzero(camera.in_sight(local))
+    height = camera.project(local[seen])[:, 1]
+    band = seen[np.abs(height - np.median(height)) < 0.12 * camera.height]
+    anywhere = np.random.default_rng(8).choice(seen, len(band), replace=False)
+    narrow, wide = (
+        OrbLandmarkLocalizer(Landmarks(room.points[chosen], room.descriptors[chosen]), CAMERA)
+        for chosen in (band, anywhere)
+    )
+    found = narrow.measure(color, pose, PRIOR)
+    assert found.found >= 20 and found.pose is not None
+    assert narrow.relocalize(color) is None and wide.relocalize(color) is not None
+
+
 def test_no_pose_in_the_dark_or_in_another_room(localizer: OrbLandmarkLocalizer) -> None:
     """Walls with other paint have the same shape and other landmarks."""
     other = Room(seed=1)
