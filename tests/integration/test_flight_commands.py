@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
+import os
+import pty
 import shutil
 import signal
 import subprocess
@@ -18,8 +21,8 @@ import pytest
 from cli_helpers import json_of, listing, outputs, refused, write_workspace
 from monoloc.cli.main import invoke
 from monoloc.flight.flight_recording import image_path
-from monoloc.flight.pose_log import COLUMNS
 from monoloc.geometry import quaternion_to_rotation, rotation_angle
+from monoloc.io.pose_table import COLUMNS
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 
 FRAMES = 12
@@ -221,14 +224,19 @@ def wait_for_rows(path: Path, count: int) -> None:
         time.sleep(0.02)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
-def test_a_signal_ends_a_flight_with_whole_files_and_a_summary(capfd: Capture, here: Path, number: int) -> None:
-    """A recording of an hour, at its own pace: it would not have ended. A kill takes the summary, but no file."""
-    poses = here / "flight" / "poses.txt"
+def stay_at_frame(recording: Path, index: int) -> None:
+    """Make an hour pass before a frame of a recording."""
+    poses = recording / "poses.txt"
     comment, *lines = poses.read_text().splitlines()
     times_s = [float(line.split()[0]) for line in lines]
     later = [line.replace(f"{t:.9f}", f"{t + 3600.0:.9f}") for line, t in zip(lines, times_s, strict=True)]
-    poses.write_text("\n".join([comment, *lines[:4], *later[4:]]) + "\n")
+    poses.write_text("\n".join([comment, *lines[:index], *later[index:]]) + "\n")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGKILL])
+def test_a_signal_ends_a_flight_with_whole_files_and_a_summary(capfd: Capture, here: Path, number: int) -> None:
+    """A recording of an hour, at its own pace: it would not have ended. A kill takes the summary, but no file."""
+    stay_at_frame(here / "flight", 4)
     fly = ("fly", "room.monoloc", "flight", "--start", "truth", "--out", "live.csv", "--record", "live", "--json")
     process = fly_in_process(here, *fly)
     wait_for_rows(here / "live.csv", 2)
@@ -243,6 +251,37 @@ def test_a_signal_ends_a_flight_with_whole_files_and_a_summary(capfd: Capture, h
     again = json_of(capfd, "replay", "live")
     assert (again["frames"], again["different_frames"]) == (len(rows), 0)
     assert not [name for name in listing(here) if "partial" in name]
+
+
+def test_a_terminal_that_hangs_up_ends_a_flight_as_a_signal_does(capfd: Capture, here: Path) -> None:
+    """As a dropped ssh session: writing to the terminal fails, too, and the kernel signals a second time."""
+    stay_at_frame(here / "flight", 4)
+    terminal, side = pty.openpty()
+    fly = ("fly", "room.monoloc", "flight", "--start", "truth", "--out", "live.csv", "--record", "live")
+    process = subprocess.Popen([*RUN, *fly], cwd=here, stdin=side, stdout=side, stderr=side, start_new_session=True)
+    os.close(side)
+    wait_for_rows(here / "live.csv", 2)
+    process.send_signal(signal.SIGHUP)
+    os.close(terminal)
+    process.send_signal(signal.SIGHUP)
+    assert process.wait(60) == 0
+    again = json_of(capfd, "replay", "live")
+    assert (again["frames"], again["different_frames"]) == (len(rows_of(here / "live.csv")), 0)
+
+
+def test_a_flight_does_not_wait_for_those_who_should_read_its_lines(here: Path) -> None:
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(writing, b"x" * 4096)
+    os.set_blocking(writing, True)
+    fly = ("fly", "room.monoloc", "flight", "--fast", "--start", "truth", "--out", "live.csv")
+    process = subprocess.Popen([*RUN, *fly], cwd=here, stderr=writing)
+    assert process.wait(60) == 0
+    assert len(rows_of(here / "live.csv")) == FRAMES
+    os.close(reading)
+    os.close(writing)
 
 
 def test_motion_jpeg_on_standard_input(here: Path, recording: RoomRecording) -> None:

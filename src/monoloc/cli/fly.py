@@ -37,6 +37,7 @@ from monoloc.flight.autopilot import down_world, gravity_of, senders
 from monoloc.flight.flight_loop import Flight, FlightOutput, FlightSummary
 from monoloc.flight.flight_recording import FlightHeader, FlightRecorder
 from monoloc.flight.flight_settings import FlightSettings
+from monoloc.flight.line_writer import LineWriter
 from monoloc.flight.north_measurement import NorthMeasurement
 from monoloc.flight.pose_log import PoseLog
 from monoloc.flight.status_output import StatusOutput
@@ -97,7 +98,7 @@ def fly(
 ) -> None:
     """Localise a live camera, and send its pose to an autopilot.
 
-    Ctrl-C and SIGTERM end a flight; what it wrote is whole.
+    Ctrl-C, SIGTERM and a terminal that hangs up end a flight; what it wrote is whole.
 
     \b
     Examples:
@@ -117,43 +118,46 @@ def fly(
     rng = np.random.default_rng(seed)
     cv2.setNumThreads(1)  # more do not speed up small images, and the drone needs its other cores
     summary, north = FlightSummary(), None
-    outputs: list[FlightOutput] = [WatchdogOutput(), StatusOutput(stderr, summary)]
-    with _stopped_by_signals() as stop, ExitStack() as opened:
-        frame_source, camera, first_pose = open_frames(source, frames, intrinsics, fast)
-        opened.callback(frame_source.close)
-        begin = start_of(start, bundle, first_pose, start_error_cm / 100.0, float(np.deg2rad(start_error_deg)), rng)
-        localizer = Localizer(bundle, camera, begin, seed=seed)
-        if firmware is not None:
-            down_world(bundle, flight_settings)  # or it is refused, before anything is written
-        link = None if mavlink is None else opened.enter_context(closing(AutopilotLink(mavlink)))
-        if record is not None:
-            header = _header(room, camera, begin, seed, flight_settings, None if align else firmware)
-            outputs.append(FlightRecorder(record, header))
-        if out is not None:
-            outputs.append(PoseLog(out))
-        if link is not None and align:
-            T_body_camera = flight_settings.mount.T_body_camera
-            north = NorthMeasurement(T_body_camera, down_world(bundle, flight_settings), link.attitude_at)
-            outputs.append(north)
-        elif firmware is not None:
-            # The autopilot first: what is written may wait for a disk.
-            outputs[:0] = senders(link, record, bundle, firmware, flight_settings)
-        for output in outputs:
-            opened.enter_context(closing(output))
-        Flight(
-            localizer,
-            camera,
-            frame_source,
-            outputs,
-            flight_settings.most_age_s,
-            gravity_of(bundle, link, flight_settings),
-            lambda: stop() or (north is not None and north.is_done),
-            summary,
-        ).run()
-    if north is not None:
-        north_deg, sd_deg = north.north_deg()
-        stderr.print(f"north_deg = {north_deg:.1f}     (write it into the --settings file; varied by {sd_deg:.1f}°)")
-    _report(summary, frame_source, link, json)
+    with _stopped_by_signals() as stop, _lines() as say:
+        outputs: list[FlightOutput] = [WatchdogOutput(), StatusOutput(say, stderr.is_terminal, summary)]
+        with ExitStack() as opened:
+            frame_source, camera, first_pose = open_frames(source, frames, intrinsics, fast)
+            opened.callback(frame_source.close)
+            begin = start_of(
+                start, bundle, first_pose, start_error_cm / 100.0, float(np.deg2rad(start_error_deg)), rng
+            )
+            localizer = Localizer(bundle, camera, begin, seed=seed)
+            if firmware is not None:
+                down_world(bundle, flight_settings)  # or it is refused, before anything is written
+            link = None if mavlink is None else opened.enter_context(closing(AutopilotLink(mavlink)))
+            if record is not None:
+                header = _header(room, camera, begin, seed, flight_settings, None if align else firmware)
+                outputs.append(FlightRecorder(record, header))
+            if out is not None:
+                outputs.append(PoseLog(out))
+            if link is not None and align:
+                T_body_camera = flight_settings.mount.T_body_camera
+                north = NorthMeasurement(T_body_camera, down_world(bundle, flight_settings), link.attitude_at)
+                outputs.append(north)
+            elif firmware is not None:
+                # The autopilot first: what is written may wait for a disk.
+                outputs[:0] = senders(link, record, bundle, firmware, flight_settings)
+            for output in outputs:
+                opened.enter_context(closing(output))
+            Flight(
+                localizer,
+                camera,
+                frame_source,
+                outputs,
+                flight_settings.most_age_s,
+                gravity_of(bundle, link, flight_settings),
+                lambda: stop() or (north is not None and north.is_done),
+                summary,
+            ).run()
+        if north is not None:
+            north_deg, sd_deg = north.north_deg()
+            say(f"north_deg = {north_deg:.1f}     (write it into the --settings file; varied by {sd_deg:.1f}°)")
+        _report(summary, frame_source, link, say, json)
     if summary.failures:
         raise summary.failures[0]
 
@@ -194,14 +198,17 @@ def open_frames(
 
 @contextmanager
 def _stopped_by_signals() -> Iterator[Callable[[], bool]]:
-    """Whether a signal asked for the end. The next one interrupts at once, where a driver hangs."""
+    """Whether a signal asked for the end. The next one interrupts at once, where a driver hangs.
+
+    A terminal that hangs up sends its signal twice, by the shell and by the kernel: that one never interrupts.
+    """
     asked = threading.Event()
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
 
     def ask(number: int, frame: FrameType | None) -> None:
         asked.set()
-        for each, handler in before.items():
-            signal.signal(each, handler)
+        for each in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(each, before[each])
 
     for number, handler in before.items():
         if handler is not signal.SIG_IGN:
@@ -211,6 +218,16 @@ def _stopped_by_signals() -> Iterator[Callable[[], bool]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def _lines() -> Iterator[Callable[[str], None]]:
+    """Takes lines for standard error, which may be full or gone: a flight does not wait for it."""
+    writer = LineWriter(stderr.file.fileno())
+    try:
+        yield writer.write
+    finally:
+        writer.close()
 
 
 def _header(
@@ -228,7 +245,9 @@ def _header(
     )
 
 
-def _report(summary: FlightSummary, source: FrameSource, link: AutopilotLink | None, json: bool) -> None:
+def _report(
+    summary: FlightSummary, source: FrameSource, link: AutopilotLink | None, say: Callable[[str], None], json: bool
+) -> None:
     figures = {**summary.figures(), "reconnections": source.reconnections}
     if link is not None:
         figures["autopilot"] = dict(link.counts)
@@ -240,9 +259,9 @@ def _report(summary: FlightSummary, source: FrameSource, link: AutopilotLink | N
     how = "" if rate_hz is None else f"; {rate_hz:.1f} Hz"
     if median_s is not None and most_s:  # else nothing took time: --fast
         how += f", {1e3 * median_s:.0f} ms after capture (95 %: {1e3 * most_s:.0f} ms)"
-    stderr.print(f"{summary.frames} frames: {states}{how}", soft_wrap=True)
+    say(f"{summary.frames} frames: {states}{how}")
     dropped = ", ".join(f"{count} {reason}" for reason, count in summary.dropped.items() if count)
-    stderr.print(f"dropped: {dropped or 'none'}; reconnections of the camera: {source.reconnections}", soft_wrap=True)
+    say(f"dropped: {dropped or 'none'}; reconnections of the camera: {source.reconnections}")
     if link is not None:
         messages = ", ".join(f"{count} {what}" for what, count in sorted(link.counts.items()))
-        stderr.print(f"autopilot: {messages or 'no messages'}", soft_wrap=True)
+        say(f"autopilot: {messages or 'no messages'}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rich.console import Console
+from collections.abc import Callable
 
 from monoloc.flight.flight_loop import FlightStep, FlightSummary
 
@@ -11,15 +11,16 @@ _NO_IMAGE_S = 0.5  # without a frame, after which it is said
 
 
 class StatusOutput:
-    """A :class:`~monoloc.flight.flight_loop.FlightOutput` that prints lines.
+    """A :class:`~monoloc.flight.flight_loop.FlightOutput` that says lines.
 
     Args:
-        console: to print on.
+        say: takes a line, and does not wait; :meth:`monoloc.flight.line_writer.LineWriter.write` is one.
+        says_each_second: whether to say once a second how it goes, beside what changes.
         summary: of the flight, for the counts of dropped frames.
     """
 
-    def __init__(self, console: Console, summary: FlightSummary) -> None:
-        self._console, self._summary = console, summary
+    def __init__(self, say: Callable[[str], None], says_each_second: bool, summary: FlightSummary) -> None:
+        self._say, self._says_each_second, self._summary = say, says_each_second, summary
         self._began_s: float | None = None
         self._said: tuple[str, frozenset[object]] = ("", frozenset())
         self._frame_s = self._printed_s = float("-inf")
@@ -58,7 +59,7 @@ class StatusOutput:
 
     def _say_how_it_goes(self, result: FlightStep) -> None:
         now_s = result.done_s
-        if not self._console.is_terminal or now_s - self._printed_s < _PERIOD_S:
+        if not self._says_each_second or now_s - self._printed_s < _PERIOD_S:
             return
         rate_hz = (self._summary.frames - self._frames) / (now_s - self._printed_s)
         self._printed_s, self._frames = now_s, self._summary.frames
@@ -72,4 +73,4 @@ class StatusOutput:
 
     def _print(self, now_s: float, text: str) -> None:
         assert self._began_s is not None
-        self._console.print(f"{now_s - self._began_s:8.2f} s  {text}", soft_wrap=True)
+        self._say(f"{now_s - self._began_s:8.2f} s  {text}")

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import io
-
 import numpy as np
-from rich.console import Console
 
 from mavlink_helpers import result_at, step_at
 from monoloc.errors import DataError
@@ -21,9 +18,9 @@ class Flight:
     """An output, and what it printed."""
 
     def __init__(self, is_terminal: bool = False) -> None:
-        self._text, self.summary = io.StringIO(), FlightSummary()
-        console = Console(file=self._text, force_terminal=is_terminal, color_system=None, width=200)
-        self.output = StatusOutput(console, self.summary)
+        self._lines: list[str] = []
+        self.summary = FlightSummary()
+        self.output = StatusOutput(self._lines.append, is_terminal, self.summary)
 
     def take(self, done_s: float, state: State = "tracking", *reasons: Reason) -> None:
         result = result_at(done_s - 0.04, step_at(POSE, state, frozenset(reasons)), age_s=0.04)
@@ -31,10 +28,9 @@ class Flight:
         self.output.take(result)
 
     def printed(self) -> list[str]:
-        text = self._text.getvalue()
-        self._text.seek(0)
-        self._text.truncate()
-        return text.splitlines()
+        lines = self._lines[:]
+        self._lines.clear()
+        return lines
 
 
 def test_every_change_of_state_is_said_with_its_reasons_and_its_time() -> None:
