@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from monoloc.errors import DataError
 from monoloc.extras import require_stream
 from monoloc.live.capture_clock import CaptureClock
-from monoloc.live.frame_source import CameraGoneError
+from monoloc.live.frame_source import CameraGoneError, EndOfStreamError
 
 _TIMEOUT_S = 5.0  # for opening, and for the next packet
 _OPTIONS = {"rtsp_transport": "tcp", "fflags": "nobuffer"}  # TCP loses no packets
@@ -22,6 +22,8 @@ _CREDENTIALS = re.compile(r"(?<=//)[^/]*@")  # of a URL: they belong in no messa
 
 class NetworkStream:
     """A :class:`~monoloc.live.newest_frame.Grabber` of a URL, with times from the stream's own stamps.
+
+    A file on a server, whose size or duration is known, ends; a camera that ends is gone and may come back.
 
     Raises:
         MissingExtraError: PyAV is not installed.
@@ -33,6 +35,7 @@ class NetworkStream:
         self._url = url
         self._container: Any = None
         self._frames: Any = None
+        self._is_file = False
         self._clock = CaptureClock()
 
     def open(self) -> None:
@@ -48,6 +51,9 @@ class NetworkStream:
             raise DataError(self.name, f"gives no video ({reason})", fix) from error
         video.thread_type = "SLICE"  # threads by frame add a frame of delay each
         self._frames = self._decoded(video)
+        # Some cameras state a duration over RTSP that means nothing.
+        is_rtsp = self._url.startswith("rtsp")
+        self._is_file = not is_rtsp and (self._container.duration is not None or self._container.size > 0)
         self._clock = CaptureClock()
 
     def _decoded(self, video: Any) -> Iterator[Any]:
@@ -61,12 +67,22 @@ class NetworkStream:
             yield from frames
 
     def grab(self) -> tuple[NDArray[np.uint8], float]:
+        """See :meth:`monoloc.live.newest_frame.Grabber.grab`.
+
+        Raises:
+            DataError: a file breaks off.
+        """
         import av
 
         try:
             frame = next(self._frames)
             arrived_s = time.monotonic()
-        except (StopIteration, av.FFmpegError, OSError) as error:
+        except StopIteration as error:
+            raise (EndOfStreamError if self._is_file else CameraGoneError) from error
+        except (av.FFmpegError, OSError) as error:
+            if self._is_file:  # opened again, it would play from its start
+                problem = f"breaks off ({getattr(error, 'strerror', None) or type(error).__name__})"
+                raise DataError(self.name, problem, "copy it here, and name the file") from error
             raise CameraGoneError from error
         color: NDArray[np.uint8] = frame.to_ndarray(format="rgb24")
         return color, arrived_s if frame.time is None else self._clock.captured_s(frame.time, arrived_s)

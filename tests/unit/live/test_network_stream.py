@@ -7,15 +7,19 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from monoloc.errors import DataError
 from monoloc.live import network_stream
-from monoloc.live.frame_source import CameraGoneError
+from monoloc.live.frame_source import CameraGoneError, EndOfStreamError
 from monoloc.live.network_stream import NetworkStream
+from monoloc.live.newest_frame import NewestFrame
 from refusals import refuses, refuses_data
 from synthetic_recordings import write_video
 
@@ -59,13 +63,13 @@ def served(*contents: bytes, pause_s: float = 0.0) -> Iterator[str]:
         thread.join(10.0)
 
 
-def frames_of(stream: NetworkStream) -> tuple[list[int], list[float]]:
-    """Greys and times of capture of all frames until the camera is gone."""
+def frames_of(stream: NetworkStream, end: type[Exception] = CameraGoneError) -> tuple[list[int], list[float]]:
+    """Greys and times of capture of all frames until the end, by default that the camera is gone."""
     greys, times_s = [], []
     while True:
         try:
             color, captured_s = stream.grab()
-        except CameraGoneError:
+        except end:
             return greys, times_s
         assert color.shape == (48, 64, 3) and color.dtype == np.uint8
         assert captured_s <= time.monotonic()
@@ -73,12 +77,57 @@ def frames_of(stream: NetworkStream) -> tuple[list[int], list[float]]:
         times_s.append(captured_s)
 
 
-def test_a_file_gives_its_frames_and_then_the_camera_is_gone(tmp_path: Path) -> None:
+class Quiet(SimpleHTTPRequestHandler):
+    """Serves files, a part at a time, and no more than a share of each."""
+
+    share = 1.0
+
+    def log_message(self, *arguments: object) -> None:
+        pass
+
+    def copyfile(self, source: Any, outputfile: Any) -> None:
+        content = source.read()
+        outputfile.write(content[: int(self.share * len(content))])
+
+
+@contextmanager
+def http_server(folder: Path, share: float = 1.0) -> Iterator[str]:
+    handler = type("Handler", (Quiet,), {"share": share})
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(handler, directory=str(folder))) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_address[1]}"
+        server.shutdown()
+
+
+@pytest.mark.parametrize("kind", ["mp4", "ts"])
+def test_a_file_on_a_server_ends_and_does_not_play_again(tmp_path: Path, transport_stream: bytes, kind: str) -> None:
+    write_video(tmp_path / "flight.mp4", codec="mp4v")
+    (tmp_path / "flight.ts").write_bytes(transport_stream)
+    with http_server(tmp_path) as address:
+        source = NewestFrame(NetworkStream(f"{address}/flight.{kind}"))
+        end_s = time.monotonic() + 20.0
+        with pytest.raises(EndOfStreamError):
+            while time.monotonic() < end_s:
+                source.next(0.1)
+        assert source.reconnections == 0
+        source.close()
+
+
+def test_a_file_on_a_server_that_breaks_off_is_named(tmp_path: Path, transport_stream: bytes) -> None:
+    (tmp_path / "flight.ts").write_bytes(transport_stream)
+    with http_server(tmp_path, share=0.6) as address:
+        stream = NetworkStream(f"{address}/flight.ts")
+        stream.open()
+        refuses(lambda: frames_of(stream), DataError, "flight.ts: breaks off .*; copy it here")
+        stream.close()
+
+
+def test_a_file_gives_its_frames_and_can_be_opened_again(tmp_path: Path) -> None:
     write_video(tmp_path / "flight.mp4", codec="mp4v")
     stream = NetworkStream(str(tmp_path / "flight.mp4"))
     for _ in range(2):  # it can be opened again
         stream.open()
-        greys, times_s = frames_of(stream)
+        greys, times_s = frames_of(stream, EndOfStreamError)
         assert greys == pytest.approx([40, 60, 80, 100, 120], abs=6)  # the first was probed
         assert (np.diff(times_s) > 0.0).all()
         stream.close()
@@ -127,7 +176,7 @@ def test_a_packet_that_cannot_be_decoded_is_left_out(tmp_path: Path, monkeypatch
 
     monkeypatch.setattr(stream, "_container", type("Container", (), {"demux": staticmethod(demux)}))
     stream._frames = stream._decoded(0)
-    assert len(frames_of(stream)[0]) == 5
+    assert len(frames_of(stream, EndOfStreamError)[0]) == 5
 
 
 def test_a_camera_that_stops_sending_is_gone(transport_stream: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
