@@ -163,10 +163,12 @@ def test_localize_gives_all_metrics_and_repeats(capfd: Capture, here: Path, reco
         assert metrics[key] == pytest.approx(getattr(expected, key), abs=1e-6)
     # From a start 10 cm off, by predicted depth.
     assert metrics["ate_max_m"] < 0.15 and metrics["ate_median_m"] < 0.08
-    evaluated = json_of(capfd, "evaluate", "trajectory.txt", "flight")
-    assert evaluated["frames"] == FRAMES and evaluated["unmatched"] == evaluated["missed"] == 0
-    for key in ACCURACY_KEYS:
-        assert evaluated[key] == pytest.approx(metrics[key], abs=1e-6)
+    succeeds(capfd, *command, "3", "--out", "trajectory.csv")
+    for name in ("trajectory.txt", "trajectory.csv"):
+        evaluated = json_of(capfd, "evaluate", name, "flight")
+        assert evaluated["frames"] == FRAMES and evaluated["unmatched"] == evaluated["missed"] == 0
+        for key in ACCURACY_KEYS:
+            assert evaluated[key] == pytest.approx(metrics[key], abs=1e-6)
     first = (here / "trajectory.txt").read_bytes()
     succeeds(capfd, *command, "3")
     assert (here / "trajectory.txt").read_bytes() == first
@@ -208,7 +210,9 @@ def test_localize_searches_the_room_where_no_start_is_known(capfd: Capture, here
     verified_after = metrics["states"]["lost"]
     assert round(FRAME_RATE_HZ) <= verified_after < 20  # no pose is claimed during a second of verification
     assert flight.poses is not None
-    errors = pose_errors(read_tum(here / "trajectory.txt")[1][verified_after:], flight.poses[verified_after:])
+    times_s, poses = read_tum(here / "trajectory.txt")
+    np.testing.assert_allclose(times_s, flight.timestamps_s[verified_after:], atol=1e-6)
+    errors = pose_errors(poses, flight.poses[verified_after:])
     assert errors.position_m.max() < 0.1
 
 

@@ -137,6 +137,7 @@ def with_trajectory(here: Path) -> None:
         (without_depth, (*LOCALIZE, "--depth", "sensor"), "flight", "has no depth", "--depth"),
         (nothing, (*LOCALIZE, "--particles", "3"), "--particles", "greater than or equal to 10", "--help"),
         (nothing, (*LOCALIZE, "--start", "here"), "--start", "is 'here'", "TX,TY,TZ"),
+        (nothing, (*LOCALIZE[:6], "a.json"), "--out", "a.json has no suffix of a trajectory", "choose from .txt"),
         (nothing, (*LOCALIZE[:-1], "plot.pdf"), "--plot", "plot.pdf is a PNG by another name", "NAME.png"),
         (
             nothing,

@@ -14,12 +14,19 @@ from monoloc.errors import DataError
 from monoloc.evaluation.trajectory import relative_pose_errors, summarise
 from monoloc.geometry import FloatArray
 from monoloc.io.pose_files import nearest_times, read_tum
+from monoloc.io.pose_table import read_pose_table
 from monoloc.io.registry import FORMATS
 from monoloc.io.tum_recording import MAX_TIME_DIFFERENCE_S
 
 
 def evaluate(
-    trajectory: Annotated[Path, typer.Argument(help="TUM trajectory: t tx ty tz qx qy qz qw.", show_default=False)],
+    trajectory: Annotated[
+        Path,
+        typer.Argument(
+            help="TUM trajectory (t tx ty tz qx qy qz qw), or .csv of localize or fly, without its lost frames.",
+            show_default=False,
+        ),
+    ],
     truth: Annotated[
         str,
         typer.Argument(
@@ -36,9 +43,10 @@ def evaluate(
     \b
     Examples:
       monoloc evaluate trajectory.txt 7scenes:redkitchen
-      monoloc evaluate trajectory.txt groundtruth.txt --json
+      monoloc evaluate trajectory.csv groundtruth.txt --json
     """
-    times, poses = read_tum(trajectory)
+    read = read_pose_table if trajectory.suffix.lower() == ".csv" else read_tum
+    times, poses = read(trajectory)
     true_times, true_poses = _read_truth(truth, frames)
     nearest = nearest_times(times, true_times)
     matched = np.abs(times - true_times[nearest]) <= MAX_TIME_DIFFERENCE_S

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal, get_args
@@ -34,11 +34,11 @@ from monoloc.cli.common import (
 from monoloc.cli.start_option import METAVAR, UNKNOWN, StartErrorCmOption, StartErrorDegOption, start_of
 from monoloc.config import override
 from monoloc.errors import MonolocError
-from monoloc.io.tum_trajectory import write_tum
 from monoloc.progress import ConsoleProgress
 from monoloc.run import Run, localize
 from monoloc.sensor_depth import sensor_bundle
 from monoloc.supervision.state import State
+from monoloc.trajectory_output import WritingViewer, check_suffix, trajectory_output
 from monoloc.viz.plots import plot_localization
 from monoloc.viz.viewer import run_viewer
 
@@ -67,7 +67,15 @@ def localize_command(
     ] = "predicted",
     particles: Annotated[int | None, typer.Option("--particles", help="Number of particles. [the bundle's]")] = None,
     scan_points: Annotated[int | None, typer.Option("--scan-points", help="Points per scan. [the bundle's]")] = None,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="TUM trajectory to write.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="Trajectory to write: .csv with covariance, state and reasons, or .txt or .tum without lost frames.",
+        ),
+    ] = None,
     plot: Annotated[
         Path | None, typer.Option("--plot", help="PNG to write: trajectory over the map, and errors.")
     ] = None,
@@ -83,13 +91,15 @@ def localize_command(
     \b
     Examples:
       monoloc localize kitchen.monoloc 7scenes:redkitchen --out trajectory.txt --plot trajectory.png
-      monoloc localize kitchen.monoloc 7scenes:redkitchen --frames 0:400 --seed 0 --json
+      monoloc localize kitchen.monoloc 7scenes:redkitchen --frames 0:400 --out trajectory.csv --json
       monoloc localize room.monoloc flight.mp4 --intrinsics 640,480,525,525,319.5,239.5 --out trajectory.txt
       monoloc localize room.monoloc flight.mp4 --intrinsics 640,480,525,525,319.5,239.5 --start 0.5,0.2,1.1,0,0,0,1
       monoloc localize room.monoloc tum:fr1_room --start truth --motion random-walk
       monoloc localize kitchen.monoloc 7scenes:redkitchen --view --record trajectory.rrd
     """
     check_outputs({"--out": out, "--plot": plot, "--record": record}, (bundle, source))
+    if out is not None:
+        check_suffix(out, "--out")
     check_picture(plot, "--plot")
     check_viewing(view, record)
     room = read_bundle(bundle)
@@ -103,14 +113,19 @@ def localize_command(
     begin = start_of(start, used, first_pose, start_error_cm / 100.0, error_rad, rng)
     name = f"{bundle.name}: {recording.name}"
     cv2.setNumThreads(1)  # more do not speed up small images, and the drone needs its other cores
-    with ExitStack() as viewing:
+    with ExitStack() as writing, ExitStack() as viewing:
         viewer = viewing.enter_context(run_viewer(name, view, record))
+        trajectory = None if out is None else writing.enter_context(closing(trajectory_output(out)))
+        if trajectory is not None:
+            viewer = WritingViewer(viewer, trajectory)
         run = localize(room, recording, begin, config, rng, ConsoleProgress(stderr), depth == "sensor", viewer=viewer)
-        writers = [
-            (out, lambda path: write_tum(path, recording.timestamps_s, run.poses)),
+        writers: list[tuple[Path | None, Callable[[Path], None]]] = [
             (plot, lambda path: draw(path, run, room, name)),
             (record, lambda _: viewing.close()),
         ]
+        if trajectory is not None:
+            write_trajectory = trajectory.write
+            writers.insert(0, (out, lambda _: write_trajectory()))
         written, failures = _write_each(writers)
     metrics = run.metrics()
     if json:

@@ -11,8 +11,9 @@ import pytest
 
 from mavlink_helpers import result_at, step_at
 from monoloc.errors import DataError
-from monoloc.flight.pose_log import COLUMNS, PoseLog
+from monoloc.flight.pose_log import PoseLog
 from monoloc.geometry import quaternion_to_rotation, se3_exp
+from monoloc.io.pose_table import COLUMNS
 from monoloc.supervision.state import Reason
 from refusals import refuses_data
 
@@ -38,6 +39,7 @@ def test_csv_and_numpy_read_what_was_written_to_the_last_bit(tmp_path: Path) -> 
     with path.open(newline="") as lines:
         rows = list(csv.DictReader(lines))
     assert tuple(rows[0]) == COLUMNS and len(rows) == 20
+    assert [row["frame"] for row in rows] == [f"{index:06d}" for index in range(20)]
     assert (rows[0]["state"], rows[0]["reasons"]) == ("lost", "image empty;searching")
     assert (rows[1]["state"], rows[1]["reasons"], rows[1]["restarted"]) == ("tracking", "", "1")
     assert [float(row["probability_far"]) for row in rows] == [1.0 / (index + 1) for index in range(20)]
@@ -50,9 +52,10 @@ def test_csv_and_numpy_read_what_was_written_to_the_last_bit(tmp_path: Path) -> 
     np.testing.assert_array_equal(table[:, position : position + 3], poses[:, :3, 3])
     rotations = quaternion_to_rotation(table[:, position + 3 : position + 7])
     np.testing.assert_allclose(rotations, poses[:, :3, :3], atol=1e-12)
-    upper = table[:, names.index("cov_x_x") :]
+    upper = table[:, names.index("cov_x_x_m2") :]
     np.testing.assert_array_equal(upper, covariances[:, *np.triu_indices(6)])
-    assert names[names.index("cov_x_x") :][6:8] == ["cov_y_y", "cov_y_z"]
+    assert names[names.index("cov_x_x_m2") :][5:8] == ["cov_x_rz_m_rad", "cov_y_y_m2", "cov_y_z_m2"]
+    assert names[-1] == "cov_rz_rz_rad2"
 
 
 def test_a_file_that_cannot_be_written_is_named_at_once_or_when_the_disk_is_full(tmp_path: Path) -> None:
