@@ -125,12 +125,27 @@ class Oak:
         size = (self._camera.width, self._camera.height)
         try:
             self._pipeline = dai.Pipeline()
-            output = self._pipeline.create(dai.node.Camera).build().requestOutput(size)
-            self._queue = output.createOutputQueue(maxSize=1, blocking=False)
+            node = self._pipeline.create(dai.node.Camera).build()
+            self._fix_focus(node)
+            self._queue = node.requestOutput(size).createOutputQueue(maxSize=1, blocking=False)
             self._pipeline.start()
         except RuntimeError as error:
             self.close()
             raise DataError(self.name, f"cannot be opened ({error})", "check the cable and its power") from error
+
+    def _fix_focus(self, node: Any) -> None:
+        """Keep a lens that moves where the factory calibrated it, since focus changes the focal length.
+
+        Of a camera that was never calibrated, whose position is 0 or none, the lens stays where it is.
+        """
+        position = 0
+        with contextlib.suppress(RuntimeError):
+            calibration = self._pipeline.getDefaultDevice().readCalibration()
+            position = calibration.getLensPosition(node.getBoardSocket())
+        if position:
+            node.initialControl.setManualFocus(position)
+        else:
+            node.initialControl.setAutoFocusMode(self._library.CameraControl.AutoFocusMode.OFF)
 
     def grab(self) -> tuple[NDArray[np.uint8], float]:
         try:

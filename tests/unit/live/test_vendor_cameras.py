@@ -42,6 +42,8 @@ class Plugged:
         starts: whether it then starts.
         closes: whether it can be closed; libraries raise where the cable is out.
         opened: cameras that were not closed again.
+        lens_position: of the factory's calibration; 0 or None for none.
+        focus: what was asked of the lens before the camera started.
     """
 
     frames: list[tuple[float, NDArray[np.uint8]]] = field(default_factory=list)
@@ -50,6 +52,8 @@ class Plugged:
     starts: bool = True
     closes: bool = True
     opened: int = 0
+    lens_position: int | None = 130
+    focus: list[tuple[str, object]] = field(default_factory=list)
 
     def start(self) -> None:
         if not self.starts:
@@ -183,9 +187,25 @@ class Output:
         return MessageQueue()
 
 
+class Control(Device):
+    """As in the library, it moves the lens at the start of the pipeline, unless autofocus stays on."""
+
+    def setManualFocus(self, lensPosition: int) -> None:
+        assert type(lensPosition) is int and 0 < lensPosition <= 255
+        self.plugged.focus.append(("manual", lensPosition))
+
+    def setAutoFocusMode(self, mode: str) -> None:
+        self.plugged.focus.append(("mode", mode))
+
+
 class CameraNode:
+    initialControl = Control()
+
     def build(self) -> CameraNode:
         return self
+
+    def getBoardSocket(self) -> str:
+        return "CAM_A"
 
     def requestOutput(self, size: tuple[int, int]) -> Output:
         assert size == (64, 48)
@@ -200,6 +220,14 @@ class OakPipeline(Device):
 
     def create(self, node: type[CameraNode]) -> CameraNode:
         return node()
+
+    def getDefaultDevice(self) -> SimpleNamespace:
+        def position_of(socket: str) -> int:
+            if self.plugged.lens_position is None:
+                raise RuntimeError(f"There is no Camera data available corresponding to {socket}")
+            return self.plugged.lens_position
+
+        return SimpleNamespace(readCalibration=lambda: SimpleNamespace(getLensPosition=position_of))
 
     def start(self) -> None:
         self.plugged.start()
@@ -216,7 +244,12 @@ LIBRARIES: dict[str, dict[str, object]] = {
         "stream": SimpleNamespace(color="color"),
         "format": SimpleNamespace(rgb8="rgb8"),
     },
-    "depthai": {"Pipeline": OakPipeline, "MessageQueue": MessageQueue, "node": SimpleNamespace(Camera=CameraNode)},
+    "depthai": {
+        "Pipeline": OakPipeline,
+        "MessageQueue": MessageQueue,
+        "node": SimpleNamespace(Camera=CameraNode),
+        "CameraControl": SimpleNamespace(AutoFocusMode=SimpleNamespace(OFF="off")),
+    },
 }
 KINDS: dict[str, Callable[[Camera], Grabber]] = {"picamera": PiCamera, "realsense": RealSense, "oak": Oak}
 
@@ -294,6 +327,19 @@ def test_a_camera_that_does_not_start_is_closed_again(camera: Grabber, plugged: 
     plugged.starts = False
     refuses_data(camera.open, Path(camera.name), "cannot be opened .failed to set power state.", "check")
     assert plugged.opened == 0
+
+
+@pytest.mark.parametrize(
+    ("position", "focus"), [(130, ("manual", 130)), (0, ("mode", "off")), (None, ("mode", "off"))]
+)
+def test_the_lens_of_an_oak_does_not_move(plugged: Plugged, position: int | None, focus: tuple[str, object]) -> None:
+    """It is kept where the factory calibrated it, also after the camera came back."""
+    plugged.lens_position = position
+    camera = Oak(CAMERA)
+    for _ in range(2):
+        camera.open()
+        camera.close()
+    assert plugged.focus == [focus, focus]
 
 
 @pytest.mark.parametrize(
