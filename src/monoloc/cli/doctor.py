@@ -88,4 +88,5 @@ def _ask(link: AutopilotLink, firmware: Firmware) -> LinkReport:
     """What the autopilot says of itself."""
     names = tuple(rule.name for rule in firmware.parameters)
     parameters = link.read_parameters(names, _PARAMETERS_S) if link.is_alive else {}
-    return LinkReport(firmware, link.is_alive, link.attitude_at(time.monotonic()) is not None, parameters)
+    has_attitude = link.attitude_at(time.monotonic()) is not None
+    return LinkReport(firmware, link.is_alive, has_attitude, link.round_trip_s, parameters)

@@ -11,6 +11,7 @@ from monoloc.flight.flight_loop import FlightStep
 from monoloc.geometry import FloatArray
 from monoloc.mavlink.autopilot_frames import north_from_heading
 from monoloc.mavlink.autopilot_link import Attitude
+from monoloc.supervision.state import VOUCHED_FOR
 
 _FRAMES = 90  # that are enough
 _LEAST_FRAMES = 10
@@ -37,7 +38,7 @@ class NorthMeasurement:
 
     def take(self, result: FlightStep) -> None:
         attitude = self._attitude_at(result.frame.captured_s)
-        if result.step.state != "tracking" or attitude is None:
+        if result.step.state not in VOUCHED_FOR or attitude is None:
             return
         pose = result.step.estimate.pose
         self._norths_rad.append(north_from_heading(pose, self._T_body_camera, self._down_world, attitude.yaw_rad))

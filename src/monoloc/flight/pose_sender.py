@@ -112,9 +112,10 @@ class PoseSender:
         if not (self._settings.obstacles and is_due):
             return
         self._obstacles_s = captured_s
-        level = make_pose(so3_exp([0.0, 0.0, -pose.euler_rad[2]]), np.zeros(3)) @ self._frames.T_ned_world
-        R_level_camera = (level @ result.step.estimate.pose)[:3, :3]
-        distances_cm = sector_distances_cm(result.step.depth, R_level_camera)
+        estimate = result.step.estimate
+        T_ned_level = make_pose(so3_exp([0.0, 0.0, pose.euler_rad[2]]), pose.T_ned_body[:3, 3])
+        T_level_camera = invert(T_ned_level) @ self._frames.T_ned_world @ estimate.pose
+        distances_cm = sector_distances_cm(result.step.depth, estimate.log_scale, T_level_camera)
         self.counts["obstacles"] += 1
         self._sink.send(obstacle_distance(captured_s, distances_cm, LEAST_M, MOST_M))
 

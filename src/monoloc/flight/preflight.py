@@ -12,11 +12,12 @@ from monoloc.flight.flight_loop import FlightStep, FlightSummary
 from monoloc.mavlink.firmware import Firmware
 from monoloc.recording_check.image_quality import ImageQuality, quality_of
 from monoloc.recording_check.inspection import Finding, Level, image_findings
-from monoloc.supervision.state import Reason
+from monoloc.supervision.state import VOUCHED_FOR, Reason
 
 _LEAST_RATE_HZ, _GOOD_RATE_HZ = 5.0, 15.0  # PX4 stops to fuse below 5 Hz; its guide asks for 30
 _GOOD_LATENCY_S, _MOST_LATENCY_S = 0.1, 0.2  # from capture to result
 _GOOD_TRACKING, _LEAST_TRACKING = 0.9, 0.5  # shares of frames
+_GOOD_ROUND_TRIP_S = 0.05  # beyond it, what is sent waits for the port
 _GOOD_LANDMARKS = 20
 _EVERY = 3  # of the frames whose image is measured
 
@@ -29,12 +30,14 @@ class LinkReport:
         firmware: that the user says it has.
         is_alive: whether its heartbeat is heard.
         has_attitude: whether it sends its attitude.
+        round_trip_s: of a question for the time; None where none was answered.
         parameters: values that it gave, by name.
     """
 
     firmware: Firmware
     is_alive: bool
     has_attitude: bool
+    round_trip_s: float | None
     parameters: Mapping[str, float]
 
 
@@ -90,10 +93,15 @@ class Preflight:
         seen = int(np.median(self._landmarks))
         remark = "" if seen >= _GOOD_LANDMARKS else "look at a part of the room that the build recorded"
         yield Finding("landmarks", "warning" if remark else "good", f"{seen} a frame (median)", remark)
-        share = summary.states["tracking"] / summary.frames
+        share = sum(summary.states[state] for state in VOUCHED_FOR) / summary.frames
         level: Level = "good" if share >= _GOOD_TRACKING else "warning" if share >= _LEAST_TRACKING else "bad"
         why = ", ".join(f"{reason.value} ({count})" for reason, count in self._reasons.most_common(3))
-        yield Finding("state", level, f"tracking in {share:.0%} of {summary.frames} frames", why)
+        yield Finding(
+            "state",
+            level,
+            f"{' or '.join(sorted(VOUCHED_FOR, reverse=True))} in {share:.0%} of {summary.frames} frames",
+            why,
+        )
 
 
 def _of_timing(summary: FlightSummary) -> Iterator[Finding]:
@@ -119,6 +127,13 @@ def _of_link(link: LinkReport) -> Iterator[Finding]:
         yield Finding("attitude", "good", "received")
     else:
         yield Finding("attitude", "warning", "none", "without it, gravity is not used; ask the port for ATTITUDE")
+    if link.round_trip_s is None:
+        remark = "it does not answer TIMESYNC: its clock is not compared, and stamps may count as times of arrival"
+        yield Finding("round trip", "warning", "unknown", remark)
+    else:
+        is_good = link.round_trip_s <= _GOOD_ROUND_TRIP_S
+        remark = "" if is_good else "take a faster port or fewer messages: what is sent waits for it"
+        yield Finding("round trip", "good" if is_good else "warning", f"{1e3 * link.round_trip_s:.0f} ms", remark)
     for rule in link.firmware.parameters:
         if rule.name not in link.parameters:
             yield Finding(rule.name, "warning", "not answered", f"set it to {rule.value:g}: {rule.why}")

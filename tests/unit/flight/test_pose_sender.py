@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from ardupilot_decoder import ArduPilot
 from mavlink_helpers import Wire, result_at, step_at
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.pose_sender import PoseSender
-from monoloc.geometry import FloatArray, make_pose, so3_exp
+from monoloc.geometry import FloatArray, invert, make_pose, so3_exp
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
 from monoloc.mavlink.firmware import Firmware
 from monoloc.supervision.state import Reason
@@ -149,6 +152,32 @@ def test_pilot_hears_that_the_camera_gives_no_image() -> None:
         flight.idle(1.1 + 0.1 * index)
     texts = [message.text for message in wire.of("STATUSTEXT")]
     assert texts == ["monoloc: tracking", "monoloc: no image from the camera"]
+
+
+@pytest.mark.parametrize(
+    ("mount", "yaw_deg", "log_scale", "expected_m"),
+    [
+        ({}, 0.0, 0.0, 2.0),
+        ({}, 0.0, float(np.log(1.5)), 3.0),  # the belief knows that the depth is too small
+        ({"forward_m": 0.4}, 0.0, 0.0, 2.4),  # a camera at the nose
+        ({"forward_m": -0.4}, 130.0, 0.0, 1.6),
+        ({"forward_m": 0.4, "pitch_deg": -10.0}, 40.0, float(np.log(0.5)), 1.4 / np.cos(np.deg2rad(10.0))),
+    ],
+)
+def test_obstacles_are_as_far_from_the_vehicle_as_the_belief_says(
+    mount: dict[str, float], yaw_deg: float, log_scale: float, expected_m: float
+) -> None:
+    settings = FlightSettings.model_validate({"mount": mount})
+    T_body_camera = settings.mount.T_body_camera
+    frames = AutopilotFrames(T_body_camera, [0.0, 0.0, -1.0], 0.0)
+    wire = Wire()
+    T_ned_body = make_pose(so3_exp([0.0, 0.0, np.deg2rad(yaw_deg)]), [0.3, -0.8, 1.0])
+    pose = invert(frames.T_ned_world) @ T_ned_body @ T_body_camera
+    step = step_at(pose, depth_m=2.0)
+    step = replace(step, estimate=replace(step.estimate, log_scale=log_scale))
+    PoseSender(wire, frames, Firmware.ARDUPILOT, settings).take(result_at(1.0, step))
+    (message,) = wire.of("OBSTACLE_DISTANCE")
+    assert ArduPilot.obstacles(message)[0.0] == pytest.approx(expected_m, rel=0.03)
 
 
 def test_old_firmware_gets_euler_angles() -> None:

@@ -20,7 +20,7 @@ from monoloc.supervision.state import Reason
 
 SHARP = np.random.default_rng(0).integers(0, 256, (60, 80, 3)).astype(np.uint8)
 PARAMETERS = {rule.name: rule.value for rule in Firmware.PX4.parameters}
-HEARD = LinkReport(Firmware.PX4, True, True, PARAMETERS)
+HEARD = LinkReport(Firmware.PX4, True, True, 0.004, PARAMETERS)
 
 
 def good_step(landmarks: int = 80) -> Step:
@@ -47,7 +47,17 @@ def levels_of(
 def test_good_flight_with_every_parameter_right_is_good() -> None:
     levels = levels_of(good_step())
     assert set(levels.values()) == {"good"}
-    assert {"rate", "latency", "blur", "exposure", "intrinsics", "landmarks", "state", "attitude"} < set(levels)
+    assert {
+        "rate",
+        "latency",
+        "blur",
+        "exposure",
+        "intrinsics",
+        "landmarks",
+        "state",
+        "attitude",
+        "round trip",
+    } < set(levels)
     assert set(PARAMETERS) < set(levels)
 
 
@@ -67,6 +77,9 @@ def test_good_flight_with_every_parameter_right_is_good() -> None:
         ("state", "bad", {"step": replace(good_step(), state="lost", reasons=frozenset({Reason.SEARCHING}))}),
         ("autopilot", "bad", {"link": replace(HEARD, is_alive=False)}),
         ("attitude", "warning", {"link": replace(HEARD, has_attitude=False)}),
+        ("state", "good", {"step": replace(good_step(), state="map-changed", reasons={Reason.MAP_CHANGED})}),
+        ("round trip", "warning", {"link": replace(HEARD, round_trip_s=0.2)}),
+        ("round trip", "warning", {"link": replace(HEARD, round_trip_s=None)}),
         ("EKF2_HGT_REF", "bad", {"link": replace(HEARD, parameters={**PARAMETERS, "EKF2_HGT_REF": 1.0})}),
         ("EKF2_HGT_REF", "warning", {"link": replace(HEARD, parameters={})}),
     ],
