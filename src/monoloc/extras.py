@@ -46,6 +46,18 @@ def require_mavlink() -> None:
         raise MissingExtraError("MAVLink", "mavlink") from error
 
 
+def require_mcap() -> None:
+    """Check that mcap and mcap-ros2-support are installed, before a file is written.
+
+    Raises:
+        MissingExtraError: one of them is not installed.
+    """
+    try:
+        import mcap_ros2.writer  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("writing MCAP", "mcap") from error
+
+
 def require_stream() -> None:
     """Check that PyAV is installed, before a stream is opened.
 

@@ -11,8 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle
-from monoloc.errors import SettingError
+from monoloc.camera import Camera
+from monoloc.errors import DataError, SettingError
+from monoloc.extras import require_mcap
 from monoloc.files import write_whole
+from monoloc.flight.flight_settings import FlightSettings
+from monoloc.flight.mcap_log import step_recorder
 from monoloc.flight.pose_log import row
 from monoloc.geometry import FloatArray
 from monoloc.io.pose_table import COLUMNS
@@ -89,20 +93,66 @@ class TableOutput:
         """Nothing: it is written at once."""
 
 
-TABLE, TRAJECTORY = ".csv", (".txt", ".tum")
-SUFFIXES = (*TRAJECTORY, TABLE)
+class McapOutput:
+    """An MCAP file of ROS 2 messages, see :mod:`monoloc.ros.step_messages`, of a camera that looks forward.
+
+    Raises:
+        DataError, SettingError: as :func:`monoloc.flight.mcap_log.step_recorder`.
+    """
+
+    def __init__(self, path: Path, bundle: Bundle, camera: Camera) -> None:
+        self._recorder = step_recorder(path, False, bundle, camera, FlightSettings())
+        self._failure: DataError | None = None
+
+    def add(self, time_s: float, name: str, color: NDArray[np.uint8], step: Step) -> None:
+        if self._failure is None:
+            try:
+                self._recorder.add(time_s, color, step)
+            except DataError as error:
+                self._failure = error  # the run goes on for the other outputs
+
+    def write(self) -> None:
+        if self._failure is not None:
+            raise self._failure
+        self._recorder.file.finish()
+
+    def close(self) -> None:
+        self._recorder.file.close()
 
 
-def check_suffix(path: Path, option: str) -> None:
-    """Raise SettingError, which names the option, unless the path's suffix is that of a trajectory."""
-    if path.suffix.lower() not in SUFFIXES:
-        problem = f"{path} has no suffix of a trajectory"
-        raise SettingError(option, problem, f"choose from {', '.join(SUFFIXES)}")
+TABLE, MCAP, TRAJECTORY = ".csv", ".mcap", (".txt", ".tum")
+SUFFIXES = (*TRAJECTORY, TABLE, MCAP)
 
 
-def trajectory_output(path: Path) -> TrajectoryOutput:
-    """The output of a path that :func:`check_suffix` accepts."""
-    return TableOutput(path) if path.suffix.lower() == TABLE else TumOutput(path)
+def check_trajectory(path: Path, option: str) -> None:
+    """Reject a path whose suffix is not that of a trajectory, or that cannot be written, before long work starts.
+
+    Raises:
+        SettingError: the suffix is another; the error names the option.
+        MissingExtraError: a library for the format is not installed.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise SettingError(option, f"{path} has no suffix of a trajectory", f"choose from {', '.join(SUFFIXES)}")
+    if suffix == MCAP:
+        require_mcap()
+
+
+def trajectory_output(path: Path, bundle: Bundle, camera: Camera) -> TrajectoryOutput:
+    """The output of a path that :func:`check_trajectory` accepts.
+
+    Args:
+        path: the file.
+        bundle: of the room.
+        camera: of the images.
+
+    Raises:
+        DataError, SettingError: the file cannot be made.
+    """
+    suffix = path.suffix.lower()
+    if suffix == MCAP:
+        return McapOutput(path, bundle, camera)
+    return TableOutput(path) if suffix == TABLE else TumOutput(path)
 
 
 class WritingViewer:

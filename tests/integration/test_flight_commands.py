@@ -18,11 +18,16 @@ import cv2
 import numpy as np
 import pytest
 
-from cli_helpers import json_of, listing, outputs, refused, write_workspace
+from cli_helpers import json_of, listing, outputs, refused, succeeds, write_workspace
+from monoloc.bundle import read_bundle
 from monoloc.cli.main import invoke
 from monoloc.flight.flight_recording import image_path
+from monoloc.flight.flight_settings import FlightSettings
+from monoloc.flight.mcap_log import ros_frames_of
 from monoloc.geometry import quaternion_to_rotation, rotation_angle
-from monoloc.io.pose_table import COLUMNS
+from monoloc.io.pose_table import COLUMNS, read_pose_table
+from monoloc.io.reader_options import ReaderOptions
+from monoloc.io.rosbag import read as read_rosbag
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 
 FRAMES = 12
@@ -131,6 +136,23 @@ def test_a_fast_flight_claims_no_latency(capfd: Capture, here: Path) -> None:
     assert "dropped: none; reconnections of the camera: 0\n" in err
 
 
+def test_a_flights_mcap_file_is_a_recording_with_its_poses(capfd: Capture, here: Path) -> None:
+    """The room's y axis is down, the map's z axis is up; read back, the flight differs by that turn alone."""
+    fly = ("fly", "room.monoloc", "flight", "--fast", "--start", "truth", "--out", "poses.csv", "--mcap", "a.mcap")
+    assert json_of(capfd, *fly)["frames"] == FRAMES
+    recording = read_rosbag(here / "a.mcap", ReaderOptions())
+    times_s, poses = read_pose_table(here / "poses.csv")
+    T_map_room = ros_frames_of(read_bundle(here / "room.monoloc"), FlightSettings()).T_map_room
+    assert recording.poses is not None and len(recording) == len(times_s) // 3 == 4  # images come 5 times a second
+    np.testing.assert_allclose(recording.timestamps_s, times_s[::3], atol=1e-6)
+    np.testing.assert_allclose(recording.poses, T_map_room @ poses[::3], atol=1e-9)
+    flight = RoomRecording(Room(), make_path(FRAMES), SMALL_CAMERA)
+    differences = [np.abs(recording.color(1).astype(int) - flight.color(index)).mean() for index in range(FRAMES)]
+    assert np.argmin(differences) == 3
+    succeeds(capfd, "localize", "room.monoloc", "flight", "--start", "truth", "--out", "b.mcap")
+    assert len(read_rosbag(here / "b.mcap", ReaderOptions())) == 4
+
+
 # --- What is refused, with nothing half-written ---
 
 LIVE = ("fly", "room.monoloc", "camera:987")
@@ -156,6 +178,13 @@ LIVE = ("fly", "room.monoloc", "camera:987")
             "lies in the bundle",
             "another",
         ),
+        (
+            ("fly", "room.monoloc", "flight", "--mcap", "a.bag"),
+            "--mcap",
+            "a.bag is MCAP by another name",
+            "NAME.mcap",
+        ),
+        (("fly", "room.monoloc", "flight", "--mcap", "x/y.mcap"), "--mcap", "does not exist", "make the folder"),
         (("fly", "room.monoloc", "flight", "--out", "x/y.csv"), "--out", "does not exist", "make the folder"),
         (("fly", "room.monoloc", "flight", "--out", "poses.csv", "--record", "log"), "log", "is not empty", "new"),
         (("replay", "absent"), "absent", "is no recorded flight", "monoloc fly --record"),

@@ -36,6 +36,9 @@ ABSENT = (
     "distributed",
     "dask",
     "reportlab",
+    "rosbags",
+    "mcap",
+    "mcap_ros2",
 )
 FORBID = f"""
 import sys
@@ -158,6 +161,8 @@ def test_command_that_needs_an_extra_says_which_before_it_works(here: Path) -> N
         ("depth", "evaluate", "room.monoloc", "recording", "--plot", "x.png"): "report",
         ("localize", "room.monoloc", "recording", "--record", "x.rrd"): "view",
         ("localize", "room.monoloc", "recording", "--view"): "view",
+        ("localize", "room.monoloc", "recording", "--out", "x.mcap"): "mcap",
+        ("fly", "room.monoloc", "recording", "--mcap", "x.mcap"): "mcap",
     }
     before = sorted(path.name for path in here.iterdir())
     for result, (command, extra) in zip(monoloc(here, *needed), needed.items(), strict=True):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
@@ -14,7 +15,7 @@ import cv2
 import numpy as np
 import typer
 
-from monoloc.bundle import digest_of, read_bundle
+from monoloc.bundle import Bundle, digest_of, read_bundle
 from monoloc.camera import Camera
 from monoloc.cli.common import (
     FramesOption,
@@ -33,11 +34,13 @@ from monoloc.cli.common import (
 from monoloc.cli.start_option import METAVAR, UNKNOWN, StartErrorCmOption, StartErrorDegOption, start_of
 from monoloc.config import load_settings
 from monoloc.errors import SettingError
+from monoloc.extras import require_mcap
 from monoloc.flight.autopilot import down_world, gravity_of, senders
 from monoloc.flight.flight_loop import Flight, FlightOutput, FlightSummary
 from monoloc.flight.flight_recording import FlightHeader, FlightRecorder
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.line_writer import LineWriter
+from monoloc.flight.mcap_log import McapLog, step_recorder
 from monoloc.flight.north_measurement import NorthMeasurement
 from monoloc.flight.pose_log import PoseLog
 from monoloc.flight.status_output import StatusOutput
@@ -86,6 +89,12 @@ def fly(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="CSV to write: pose, covariance, state and reasons a frame.")
     ] = None,
+    mcap: Annotated[
+        Path | None,
+        typer.Option(
+            "--mcap", metavar="FILE", help="MCAP to write: pose, transforms, state, obstacles, images, ROS 2."
+        ),
+    ] = None,
     record: Annotated[
         Path | None, typer.Option("--record", metavar="DIR", help="Folder to write, for monoloc replay.")
     ] = None,
@@ -106,9 +115,10 @@ def fly(
       monoloc fly room.monoloc camera:0 --camera cam.toml --mavlink serial:/dev/ttyAMA0:921600 --firmware px4
       monoloc fly room.monoloc camera:0 --camera cam.toml --mavlink udpin:0.0.0.0:14550 --firmware ardupilot --align
       monoloc fly room.monoloc rtsp://192.168.1.20/stream --settings flight.toml --record flight-1
-      monoloc fly room.monoloc 7scenes:redkitchen --frames 0:400 --out poses.csv
+      monoloc fly room.monoloc 7scenes:redkitchen --frames 0:400 --out poses.csv --mcap flight.mcap
     """
-    check_outputs({"--out": out}, (room, source, settings))
+    check_outputs({"--out": out, "--mcap": mcap}, (room, source, settings))
+    check_mcap(mcap)
     if record is not None:
         check_folder(record, "--record")
         check_apart(record, "--record", (room, source))
@@ -133,8 +143,8 @@ def fly(
             if record is not None:
                 header = _header(room, camera, begin, seed, flight_settings, None if align else firmware)
                 outputs.append(FlightRecorder(record, header))
-            if out is not None:
-                outputs.append(PoseLog(out))
+            clock_offset_s = 0.0 if fast else time.time() - frame_source.now_s()
+            outputs += _logs(out, mcap, bundle, camera, flight_settings, clock_offset_s)
             if link is not None and align:
                 T_body_camera = flight_settings.mount.T_body_camera
                 north = NorthMeasurement(T_body_camera, down_world(bundle, flight_settings), link.attitude_at)
@@ -160,6 +170,29 @@ def fly(
         _report(summary, frame_source, link, say, json)
     if summary.failures:
         raise summary.failures[0]
+
+
+def check_mcap(path: Path | None) -> None:
+    """Reject a path that is not named as MCAP, or that cannot be written for want of a library."""
+    if path is not None and path.suffix.lower() != ".mcap":
+        raise SettingError("--mcap", f"{path} is MCAP by another name", "name it NAME.mcap")
+    if path is not None:
+        require_mcap()
+
+
+def _logs(
+    out: Path | None,
+    mcap: Path | None,
+    bundle: Bundle,
+    camera: Camera,
+    settings: FlightSettings,
+    clock_offset_s: float,
+) -> Iterator[FlightOutput]:
+    """What a flight writes of its results, beside a recording of it."""
+    if out is not None:
+        yield PoseLog(out)
+    if mcap is not None:
+        yield McapLog(step_recorder(mcap, True, bundle, camera, settings), clock_offset_s)
 
 
 def check_autopilot(mavlink: str | None, firmware: Firmware | None, align: bool, fast: bool) -> None:

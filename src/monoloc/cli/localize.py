@@ -38,7 +38,7 @@ from monoloc.progress import ConsoleProgress
 from monoloc.run import Run, localize
 from monoloc.sensor_depth import sensor_bundle
 from monoloc.supervision.state import State
-from monoloc.trajectory_output import WritingViewer, check_suffix, trajectory_output
+from monoloc.trajectory_output import WritingViewer, check_trajectory, trajectory_output
 from monoloc.viz.plots import plot_localization
 from monoloc.viz.viewer import run_viewer
 
@@ -73,7 +73,8 @@ def localize_command(
             "--out",
             "-o",
             metavar="FILE",
-            help="Trajectory to write: .csv with covariance, state and reasons, or .txt or .tum without lost frames.",
+            help="Trajectory to write: .csv or .mcap (ROS 2) with covariance and state, or .txt or .tum, which leave "
+            "out lost frames.",
         ),
     ] = None,
     plot: Annotated[
@@ -99,7 +100,7 @@ def localize_command(
     """
     check_outputs({"--out": out, "--plot": plot, "--record": record}, (bundle, source))
     if out is not None:
-        check_suffix(out, "--out")
+        check_trajectory(out, "--out")
     check_picture(plot, "--plot")
     check_viewing(view, record)
     room = read_bundle(bundle)
@@ -115,8 +116,9 @@ def localize_command(
     cv2.setNumThreads(1)  # more do not speed up small images, and the drone needs its other cores
     with ExitStack() as writing, ExitStack() as viewing:
         viewer = viewing.enter_context(run_viewer(name, view, record))
-        trajectory = None if out is None else writing.enter_context(closing(trajectory_output(out)))
+        trajectory = None if out is None else trajectory_output(out, used, recording.camera)
         if trajectory is not None:
+            writing.enter_context(closing(trajectory))
             viewer = WritingViewer(viewer, trajectory)
         run = localize(room, recording, begin, config, rng, ConsoleProgress(stderr), depth == "sensor", viewer=viewer)
         writers: list[tuple[Path | None, Callable[[Path], None]]] = [

@@ -14,12 +14,11 @@ from monoloc.mavlink.autopilot_frames import AutopilotFrames, BodyPose
 from monoloc.mavlink.firmware import Firmware
 from monoloc.mavlink.messages import obstacle_distance, odometry, status_text, vision_position_estimate
 from monoloc.mavlink.obstacle_sectors import LEAST_M, MOST_M, sector_distances_cm
-from monoloc.supervision.state import Reason
+from monoloc.supervision.state import BLIND
 
 _OBSTACLES_HZ = 10.0
 _MOST_SPEED_M_S, _JUMP_M = 4.0, 0.2  # a pose that moved or turned farther than a vehicle can, has jumped
 _MOST_TURN_RAD_S, _JUMP_RAD = 3.0, 0.15
-_BLIND = frozenset({Reason.IMAGE_REPEATED, Reason.IMAGE_EMPTY})  # what the state then rests on is old
 _NO_IMAGE_S = 0.5
 _TEXT_S = 1.0  # between texts on the same state: one that flickers must not fill the pilot's screen
 
@@ -77,7 +76,7 @@ class PoseSender:
 
     def _is_usable(self, result: FlightStep, pose: BodyPose) -> bool:
         """Whether the result is of an image that shows something, a number, and in time."""
-        if result.step.reasons & _BLIND:
+        if result.step.reasons & BLIND:
             self.counts["without image"] += 1
             return False
         if not pose.is_finite:

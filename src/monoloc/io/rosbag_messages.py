@@ -46,7 +46,7 @@ GREY = ("mono8", "8UC1")
 _DEPTH = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 _DEPTH_FORMAT = ("16UC1", "mono16", "32FC1", "compressedDepth")
 _COMPRESSED_DEPTH_HEADER = struct.Struct("<iff")
-_MODELS: dict[str, DistortionModel] = {
+DISTORTION_MODELS: dict[str, DistortionModel] = {
     "plumb_bob": "brown",
     "rational_polynomial": "rational",
     "equidistant": "fisheye",
@@ -205,10 +205,10 @@ def _distortion(info: Any, path: Path) -> tuple[DistortionModel, tuple[float, ..
     name = info.distortion_model
     if name != "equidistant" and not any(coefficients):
         return "brown", ()
-    if name not in _MODELS:
-        known = ", ".join(_MODELS)
+    if name not in DISTORTION_MODELS:
+        known = ", ".join(DISTORTION_MODELS)
         raise DataError(path, f"has the distortion model {name!r}", f"calibrate the camera by one of {known}")
-    model = _MODELS[name]
+    model = DISTORTION_MODELS[name]
     count = len(COEFFICIENTS[model])
     if any(coefficients[count:]):
         fix = f"calibrate the camera with {', '.join(COEFFICIENTS[model])} only"

@@ -43,6 +43,10 @@ class Reason(Enum):
     """Landmarks are missing in one region in view, while those of the rest of the view are found."""
 
 
+BLIND = frozenset({Reason.IMAGE_REPEATED, Reason.IMAGE_EMPTY})
+"""Reasons with which the frame's image says nothing: the pose rests on earlier ones."""
+
+
 @dataclass(frozen=True)
 class Supervision:
     """What is known of the belief after a frame.

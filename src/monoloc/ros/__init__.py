@@ -1,0 +1,1 @@
+"""What monoloc says in ROS 2 messages; nothing here imports ROS."""

@@ -1,0 +1,66 @@
+"""The MCAP file of a flight: times by ROS's clock, and a disk that fills up is said once."""
+
+from __future__ import annotations
+
+import resource
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from mavlink_helpers import CAMERA, result_at, step_at
+from monoloc.bundle import Bundle
+from monoloc.errors import DataError
+from monoloc.flight.flight_settings import FlightSettings
+from monoloc.flight.mcap_log import McapLog, ros_frames_of, step_recorder
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
+
+
+@pytest.fixture(scope="module")
+def bundle() -> Bundle:
+    return make_bundle(room_mixture(Room(), 60), RoomRecording(Room(), make_path(6), SMALL_CAMERA))
+
+
+def topics_and_times(path: Path) -> list[tuple[str, int]]:
+    with path.open("rb") as file:
+        return [(channel.topic, message.log_time) for _, channel, message in make_reader(file).iter_messages()]
+
+
+@pytest.mark.parametrize(
+    ("tune", "obstacles", "has_cloud"), [("none", True, False), ("decoder", True, True), ("decoder", False, False)]
+)
+def test_times_are_those_of_capture_since_1970_and_obstacles_need_a_tuned_network(
+    bundle: Bundle, tmp_path: Path, tune: str, obstacles: bool, has_cloud: bool
+) -> None:
+    bundle = replace(bundle, provenance=bundle.provenance.model_copy(update={"tune": tune}))
+    path = tmp_path / "flight.mcap"
+    log = McapLog(step_recorder(path, True, bundle, CAMERA, FlightSettings(obstacles=obstacles)), 1.7e9)
+    for index in range(3):
+        log.take(result_at(50.0 + index, step_at(np.eye(4))))
+    log.close()
+    found = topics_and_times(path)
+    assert {time_ns for _, time_ns in found} == {(1_700_000_050 + index) * 10**9 for index in range(3)}
+    assert ("/monoloc/obstacles" in {topic for topic, _ in found}) == has_cloud
+
+
+def test_the_settings_say_where_down_is_and_how_the_camera_sits(bundle: Bundle) -> None:
+    settings = FlightSettings.model_validate({"down": (0.0, 1.0, 0.0), "mount": {"pitch_deg": -90.0, "down_m": 0.1}})
+    frames = ros_frames_of(bundle, settings)
+    np.testing.assert_allclose(frames.T_map_room[:3, :3] @ [0.0, 1.0, 0.0], [0.0, 0.0, -1.0], atol=1e-12)
+    np.testing.assert_allclose(frames.T_base_camera[:3, 2], [0.0, 0.0, -1.0], atol=1e-12)  # it looks down
+    np.testing.assert_allclose(frames.T_base_camera[:3, 3], [0.0, 0.0, -0.1], atol=1e-12)
+
+
+def test_a_disk_that_fills_up_is_said_once(bundle: Bundle, tmp_path: Path) -> None:
+    path, before = tmp_path / "flight.mcap", resource.getrlimit(resource.RLIMIT_FSIZE)
+    log = McapLog(step_recorder(path, True, bundle, CAMERA, FlightSettings()), 0.0)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+    try:
+        with pytest.raises(DataError, match=r"flight\.mcap: cannot be written \(File too large\); make room"):
+            for index in range(2000):
+                log.take(result_at(float(index), step_at(np.eye(4))))
+        log.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
