@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
@@ -28,7 +30,33 @@ def load_settings(path: Path, model: type[Settings]) -> Settings:
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        raise DataError(path, describe(error), "mend the field named") from error
+        raise DataError(path, _unknown_key(error, model) or describe(error), "mend the field named") from error
+
+
+def _unknown_key(error: ValidationError, model: type[BaseModel]) -> str | None:
+    """The first invalid field with the known one that is nearest, if it is unknown."""
+    first = error.errors()[0]
+    if first["type"] != "extra_forbidden":
+        return None
+    *within, key = first["loc"]
+    nearest = get_close_matches(str(key), _keys(model, within), n=1, cutoff=0.0)
+    return f"{'.'.join(map(str, first['loc']))}: is unknown" + "".join(f", the nearest is {name}" for name in nearest)
+
+
+def _keys(model: type[BaseModel], within: Sequence[int | str]) -> list[str]:
+    """Names of the fields of the settings at a place within a model; numbers in it are those of a list's entries."""
+    for part in within:
+        field = model.model_fields.get(str(part))
+        if field is not None:
+            model = next(_models_in(field.annotation), model)
+    return list(model.model_fields)
+
+
+def _models_in(annotation: object) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _models_in(part)
 
 
 def describe(error: ValidationError) -> str:

@@ -12,6 +12,8 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import cv2
@@ -19,16 +21,18 @@ import numpy as np
 import pytest
 
 from cli_helpers import json_of, listing, outputs, refused, succeeds, write_workspace
-from monoloc.bundle import read_bundle
+from marker_images import with_marker
+from monoloc.bundle import read_bundle, write_bundle
 from monoloc.cli.main import invoke
 from monoloc.flight.flight_recording import image_path
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.mcap_log import ros_frames_of
-from monoloc.geometry import quaternion_to_rotation, rotation_angle
+from monoloc.geometry import make_pose, quaternion_to_rotation, rotation_angle, rotation_to_quaternion, so3_exp
 from monoloc.io.pose_table import COLUMNS, read_pose_table
 from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.rosbag import read as read_rosbag
-from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
+from monoloc.landmarks.landmark_map import Landmarks
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path, plausible_integrity
 
 FRAMES = 12
 INTRINSICS = f"{SMALL_CAMERA.width},{SMALL_CAMERA.height},{SMALL_CAMERA.fx},{SMALL_CAMERA.fy}," + (
@@ -153,6 +157,56 @@ def test_a_flights_mcap_file_is_a_recording_with_its_poses(capfd: Capture, here:
     assert len(read_rosbag(here / "b.mcap", ReaderOptions())) == 4
 
 
+# --- A file that holds the flight ---
+
+FLIGHT = 'room = "room.monoloc"\nsource = "folder:flight"\nstart = "truth"\nout = "file.csv"\nrecord = "log-%Y"\n'
+
+
+def test_a_file_alone_starts_a_flight_and_the_command_line_wins(
+    capfd: Capture, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (here / "flight.toml").write_text(FLIGHT)
+    (here / "elsewhere").mkdir()
+    monkeypatch.chdir(here / "elsewhere")  # paths are beside the file
+    outputs(capfd, "fly", "../flight.toml", "--fast")
+    assert (here / "file.csv").read_bytes() == (here / "poses.csv").read_bytes()
+    assert (here / f"log-{datetime.now():%Y}" / "poses.csv").is_file()
+    figures = json_of(capfd, "fly", "../flight.toml", "--start", "unknown", "--out", "other.csv", "--record", "log")
+    assert figures["frames"] > 0 and rows_of(here / "elsewhere" / "other.csv")[0]["state"] == "lost"
+    assert json_of(capfd, "replay", "log")["different_frames"] == 0
+
+
+def test_a_marker_starts_a_flight_in_a_room_that_cannot_be_searched(
+    capfd: Capture, here: Path, recording: RoomRecording
+) -> None:
+    """It is seen in the fourth frame alone; before, nothing is localised, and then the camera is where it was."""
+    bundle = read_bundle(here / "room.monoloc")
+    integrity = plausible_integrity(bundle.thresholds, search_precision=0.1)
+    shutil.rmtree(here / "room.monoloc")
+    write_bundle(here / "room.monoloc", replace(bundle, landmarks=Landmarks.none(), integrity=integrity))
+    T_camera_marker = make_pose(so3_exp([2.6, 0.4, 0.3]), [0.05, 0.0, 0.7])
+    image = with_marker(recording.color(3), SMALL_CAMERA, T_camera_marker, 0.25, 7)
+    assert cv2.imwrite(str(here / "flight" / "color" / "000003.png"), image[..., ::-1])
+    T_world_marker = recording.poses[3] @ T_camera_marker
+    place, turn = T_world_marker[:3, 3].tolist(), rotation_to_quaternion(T_world_marker[:3, :3]).tolist()
+    marker = f"[[marker]]\nid = 7\nsize_m = 0.25\nposition_m = {place}\nquaternion = {turn}\n"
+    (here / "flight.toml").write_text('room = "room.monoloc"\nsource = "flight"\n' + marker)
+    figures = json_of(capfd, "fly", "flight.toml", "--fast", "--out", "file.csv", "--record", "marked")
+    assert figures["dropped"] == {"skipped": 0, "without start": 3}
+    rows = rows_of(here / "file.csv")
+    positions = np.array([[float(row[name]) for name in ("tx_m", "ty_m", "tz_m")] for row in rows])
+    assert np.linalg.norm(positions - recording.poses[3:, :3, 3], axis=1).max() < 0.2
+    again = json_of(capfd, "replay", "marked")
+    assert (again["frames"], again["different_frames"]) == (FRAMES - 3, 0)
+
+
+def test_a_doctors_report_is_written(capfd: Capture, here: Path) -> None:
+    assert invoke(["doctor", "room.monoloc", "flight", "--seconds", "1", "--report", "report.json"]) in (0, 1, 2)
+    report = json.loads((here / "report.json").read_text())
+    assert report["findings"] and report["source"] == "recording"
+    assert str(here) not in (here / "report.json").read_text()
+
+
 # --- What is refused, with nothing half-written ---
 
 LIVE = ("fly", "room.monoloc", "camera:987")
@@ -165,6 +219,7 @@ LIVE = ("fly", "room.monoloc", "camera:987")
         ((*LIVE, "--intrinsics", INTRINSICS, "--fast"), "--fast", "no meaning for a live camera", "leave it out"),
         ((*LIVE, "--intrinsics", INTRINSICS, "--frames", "0:5"), "--frames", "no meaning for a live", "leave it out"),
         ((*LIVE, "--intrinsics", INTRINSICS), "camera:987", "cannot be opened", "plugged in"),
+        (("fly",), "ROOM", "is missing", "name a bundle"),
         (("fly", "absent.monoloc", "flight"), "absent.monoloc", "", "monoloc build"),
         (("fly", "room.monoloc", "absent"), "", "does not exist", ""),
         (("fly", "room.monoloc", "flight", "--start", "1,2"), "--start", "is '1,2'", "TX,TY,TZ"),

@@ -17,8 +17,8 @@ from refusals import refuses, refuses_data
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("compnents = 5\n", "compnents: Extra inputs are not permitted"),
-        ("[adapt]\nstep = 5\n", "adapt.step: Extra inputs are not permitted"),
+        ("compnents = 5\n", "compnents: is unknown, the nearest is components"),
+        ("[adapt]\nstep = 5\n", "adapt.step: is unknown, the nearest is steps"),
         ("voxel_m = -1\n", "voxel_m: Input should be greater than 0"),
         ('components = "many"\n', "components: Input should be a valid integer.*or Input should be 'bic'"),
         ('[adapt]\ntune = "most"\n', "adapt.tune: Input should be 'none', 'last', 'decoder' or 'all'"),

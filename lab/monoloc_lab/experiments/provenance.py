@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-import os
-import platform
 import subprocess
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+
+from monoloc.machine import library_versions, machine_facts
 
 _LIBRARIES = ("monoloc", "numpy", "torch", "onnxruntime", "opencv-python-headless", "matplotlib")
 
 
 def provenance() -> dict[str, str]:
     """Date, commit, processor, cores and versions, as text."""
-    found = {"date": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", "commit": _commit(), "processor": _processor()}
-    found |= {"cores": str(os.cpu_count()), "system": f"{platform.system()} {platform.machine()}"}
-    found |= {"Python": platform.python_version()}
-    for library in _LIBRARIES:
-        try:
-            found[library] = version(library)
-        except PackageNotFoundError:
-            found[library] = "not installed"
-    return found
+    found = {"date": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", "commit": _commit()}
+    return {**found, **machine_facts(), **library_versions(_LIBRARIES)}
 
 
 def _commit() -> str:
@@ -44,12 +36,3 @@ def _commit() -> str:
 def _git(folder: Path, *arguments: str) -> str:
     done = subprocess.run(["git", *arguments], cwd=folder, capture_output=True, text=True, check=True)
     return done.stdout.strip()
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        lines = []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or "unknown"

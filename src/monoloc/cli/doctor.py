@@ -9,17 +9,28 @@ from pathlib import Path
 from typing import Annotated
 
 import cv2
+import numpy as np
 import typer
 
 from monoloc.bundle import read_bundle
-from monoloc.cli.common import FramesOption, IntrinsicsOption, JsonOption, print_json
+from monoloc.cli.common import FramesOption, IntrinsicsOption, JsonOption, check_outputs, print_json, stderr
 from monoloc.cli.findings import EXIT_CODES, print_findings
-from monoloc.cli.fly import check_autopilot, open_frames
-from monoloc.config import load_settings
+from monoloc.cli.flight_options import (
+    FirmwareOption,
+    MavlinkOption,
+    RoomOrFlightArgument,
+    SettingsOption,
+    check_autopilot,
+    flight_of,
+    starting_of,
+)
+from monoloc.cli.fly import open_frames
+from monoloc.cli.start_option import UNKNOWN
 from monoloc.errors import SettingError
+from monoloc.files import json_text, write_whole
 from monoloc.flight.autopilot import gravity_of
+from monoloc.flight.bug_report import bug_report
 from monoloc.flight.flight_loop import Flight, FlightSummary
-from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.preflight import LinkReport, Preflight
 from monoloc.localizer import Localizer
 from monoloc.mavlink.autopilot_link import AutopilotLink
@@ -30,16 +41,21 @@ _PARAMETERS_S = 5.0  # to wait for the autopilot's parameters
 
 
 def doctor(
-    room: Annotated[Path, typer.Argument(metavar="ROOM", help="Bundle from monoloc build.", show_default=False)],
+    room: RoomOrFlightArgument = None,
     source: Annotated[
-        str, typer.Argument(metavar="SOURCE", help="As for monoloc fly; the camera sees the room.")
-    ] = "camera:0",
+        str | None,
+        typer.Argument(metavar="[SOURCE]", help="As for monoloc fly; the camera sees the room.", show_default=False),
+    ] = None,
     intrinsics: IntrinsicsOption = None,
-    settings: Annotated[Path | None, typer.Option("--settings", help="TOML file, as for monoloc fly.")] = None,
-    mavlink: Annotated[str | None, typer.Option("--mavlink", metavar="URL", help="As for monoloc fly.")] = None,
-    firmware: Annotated[Firmware | None, typer.Option("--firmware", help="The autopilot's firmware.")] = None,
+    settings: SettingsOption = None,
+    mavlink: MavlinkOption = None,
+    firmware: FirmwareOption = None,
     seconds: Annotated[float, typer.Option("--seconds", min=1.0, max=600.0, help="How long to look.")] = 10.0,
     frames: FramesOption = "::",
+    report: Annotated[
+        Path | None,
+        typer.Option("--report", metavar="FILE.json", help="File to write for a bug report, without private paths."),
+    ] = None,
     json: JsonOption = False,
 ) -> int:
     """Check camera, room and autopilot, without sending a pose.
@@ -49,23 +65,26 @@ def doctor(
     \b
     Examples:
       monoloc doctor room.monoloc camera:0 --camera cam.toml
+      monoloc doctor flight.toml --report report.json
       monoloc doctor room.monoloc camera:0 --camera cam.toml --mavlink serial:/dev/ttyAMA0:921600 --firmware px4
     """
-    check_autopilot(mavlink, firmware, align=False, fast=False)
-    flight_settings = FlightSettings() if settings is None else load_settings(settings, FlightSettings)
-    bundle = read_bundle(room)
-    if not bundle.supports_relocalization:
+    room, flight = flight_of(room, settings, source=source, camera=intrinsics, mavlink=mavlink, firmware=firmware)
+    check_outputs({"--report": report}, (room, flight.source, settings))
+    check_autopilot(flight, align=False, fast=False)
+    bundle, flight_settings = read_bundle(room), flight.settings
+    if not (bundle.supports_relocalization or flight.marker or flight.start != UNKNOWN):
         problem = "cannot be searched: neither scans nor landmarks find the camera in it"
-        raise SettingError("ROOM", problem, "fly it with --start; the doctor has no start")
+        raise SettingError("ROOM", problem, "write a start or a marker into flight.toml")
     cv2.setNumThreads(1)  # as in a flight
     summary, preflight = FlightSummary(), Preflight()
     with ExitStack() as opened:
-        frame_source, camera, _ = open_frames(source, frames, intrinsics, fast=False)
+        frame_source, camera, first_pose = open_frames(flight.source, frames, flight.camera, fast=False)
         opened.callback(frame_source.close)
-        link = None if mavlink is None else opened.enter_context(closing(AutopilotLink(mavlink)))
+        starting = starting_of(flight, bundle, camera, first_pose, np.random.default_rng(0))
+        link = None if flight.mavlink is None else opened.enter_context(closing(AutopilotLink(flight.mavlink)))
         end_s = time.monotonic() + seconds
         Flight(
-            Localizer(bundle, camera),
+            Localizer(bundle, camera, starting.start),
             camera,
             frame_source,
             [preflight],
@@ -73,14 +92,19 @@ def doctor(
             gravity_of(bundle, link, flight_settings),
             lambda: time.monotonic() > end_s,
             summary,
+            starting.find,
+            starting.begins,
         ).run()
-        report = None if link is None or firmware is None else _ask(link, firmware)
-    findings = preflight.findings(summary, report)
+        heard = None if link is None or flight.firmware is None else _ask(link, flight.firmware)
+    findings = preflight.findings(summary, heard)
     level = worst(findings)
-    print_findings(f"{source} in {room}", findings, level)
+    print_findings(f"{flight.source} in {room}", findings, level)
+    content = {"level": level, "findings": [asdict(finding) for finding in findings], **summary.figures()}
+    if report is not None:
+        write_whole(report, json_text(bug_report(flight, bundle, camera, content)).encode() + b"\n")
+        stderr.print(f"written: {report}", soft_wrap=True)
     if json:
-        content = {"level": level, "findings": [asdict(finding) for finding in findings]}
-        print_json({**content, **summary.figures()})
+        print_json(content)
     return EXIT_CODES[level]
 
 

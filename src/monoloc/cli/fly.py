@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
-from types import FrameType
 from typing import Annotated, get_args
 
 import cv2
@@ -31,13 +28,22 @@ from monoloc.cli.common import (
     refuse_frames,
     stderr,
 )
-from monoloc.cli.start_option import METAVAR, UNKNOWN, StartErrorCmOption, StartErrorDegOption, start_of
-from monoloc.config import load_settings
+from monoloc.cli.flight_options import (
+    FirmwareOption,
+    MavlinkOption,
+    RoomOrFlightArgument,
+    SettingsOption,
+    check_autopilot,
+    flight_of,
+    starting_of,
+)
+from monoloc.cli.start_option import METAVAR
+from monoloc.cli.stop_signals import stopped_by_signals
 from monoloc.errors import SettingError
 from monoloc.extras import require_mcap
 from monoloc.flight.autopilot import down_world, gravity_of, senders
 from monoloc.flight.flight_loop import Flight, FlightOutput, FlightSummary
-from monoloc.flight.flight_recording import FlightHeader, FlightRecorder
+from monoloc.flight.flight_recording import FlightHeader, FlightRecorder, RecordedStart
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.line_writer import LineWriter
 from monoloc.flight.mcap_log import McapLog, step_recorder
@@ -57,32 +63,30 @@ from monoloc.supervision.state import State
 
 
 def fly(
-    room: Annotated[Path, typer.Argument(metavar="ROOM", help="Bundle from monoloc build.", show_default=False)],
+    room: RoomOrFlightArgument = None,
     source: Annotated[
-        str,
-        typer.Argument(
-            metavar="SOURCE",
-            help="camera:0, picamera, realsense, oak, rtsp://..., - (motion JPEG on standard input), or a recording.",
-        ),
-    ] = "camera:0",
-    intrinsics: IntrinsicsOption = None,
-    settings: Annotated[
-        Path | None, typer.Option("--settings", help="TOML file: mount, north_deg, most_age_s, rate_hz, obstacles.")
-    ] = None,
-    start: Annotated[
-        str, typer.Option("--start", metavar=METAVAR, help="First camera pose; 'unknown' searches the room.")
-    ] = UNKNOWN,
-    start_error_cm: StartErrorCmOption = 10.0,
-    start_error_deg: StartErrorDegOption = 3.0,
-    mavlink: Annotated[
         str | None,
-        typer.Option(
-            "--mavlink", metavar="URL", help="Autopilot: udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD."
+        typer.Argument(
+            metavar="[SOURCE]",
+            help="camera:0, picamera, realsense, oak, rtsp://..., - (motion JPEG on standard input), or a recording; "
+            "camera:0 if neither this nor the file says.",
+            show_default=False,
         ),
     ] = None,
-    firmware: Annotated[
-        Firmware | None, typer.Option("--firmware", help="The autopilot's firmware, with --mavlink.")
+    intrinsics: IntrinsicsOption = None,
+    settings: SettingsOption = None,
+    start: Annotated[
+        str | None,
+        typer.Option("--start", metavar=METAVAR, help="First camera pose; without it, the room is searched."),
     ] = None,
+    start_error_cm: Annotated[
+        float | None, typer.Option("--start-error-cm", help="Position error of the start; 10 without it.")
+    ] = None,
+    start_error_deg: Annotated[
+        float | None, typer.Option("--start-error-deg", help="Rotation error of the start; 3 without it.")
+    ] = None,
+    mavlink: MavlinkOption = None,
+    firmware: FirmwareOption = None,
     align: Annotated[
         bool, typer.Option("--align", help="Only measure north_deg by the autopilot's yaw, and end.")
     ] = False,
@@ -107,51 +111,64 @@ def fly(
 ) -> None:
     """Localise a live camera, and send its pose to an autopilot.
 
-    Ctrl-C, SIGTERM and a terminal that hangs up end a flight; what it wrote is whole.
+    Ctrl-C, SIGTERM and a terminal that hangs up end a flight; what it wrote is whole. A file can hold all options
+    but the last ones; what is given here wins.
 
     \b
     Examples:
       monoloc fly room.monoloc camera:0 --intrinsics 640,480,525,525,319.5,239.5
       monoloc fly room.monoloc camera:0 --camera cam.toml --mavlink serial:/dev/ttyAMA0:921600 --firmware px4
       monoloc fly room.monoloc camera:0 --camera cam.toml --mavlink udpin:0.0.0.0:14550 --firmware ardupilot --align
-      monoloc fly room.monoloc rtsp://192.168.1.20/stream --settings flight.toml --record flight-1
+      monoloc fly flight.toml
+      monoloc fly flight.toml rtsp://192.168.1.20/stream --record flight-%Y%m%d-%H%M%S
       monoloc fly room.monoloc 7scenes:redkitchen --frames 0:400 --out poses.csv --mcap flight.mcap
     """
-    check_outputs({"--out": out, "--mcap": mcap}, (room, source, settings))
+    room, flight = flight_of(
+        room,
+        settings,
+        source=source,
+        camera=intrinsics,
+        start=start,
+        start_error_cm=start_error_cm,
+        start_error_deg=start_error_deg,
+        mavlink=mavlink,
+        firmware=firmware,
+        out=out,
+        record=record,
+    )
+    check_outputs({"--out": flight.out, "--mcap": mcap}, (room, flight.source, settings))
     check_mcap(mcap)
-    if record is not None:
-        check_folder(record, "--record")
-        check_apart(record, "--record", (room, source))
-    check_autopilot(mavlink, firmware, align, fast)
-    flight_settings = FlightSettings() if settings is None else load_settings(settings, FlightSettings)
-    bundle = read_bundle(room)
+    if flight.record is not None:
+        check_folder(flight.record, "--record")
+        check_apart(flight.record, "--record", (room, flight.source))
+    check_autopilot(flight, align, fast)
+    bundle, flight_settings, firmware = read_bundle(room), flight.settings, flight.firmware
     rng = np.random.default_rng(seed)
     cv2.setNumThreads(1)  # more do not speed up small images, and the drone needs its other cores
     summary, north = FlightSummary(), None
-    with _stopped_by_signals() as stop, _lines() as say:
+    with stopped_by_signals() as stop, _lines() as say:
         outputs: list[FlightOutput] = [WatchdogOutput(), StatusOutput(say, stderr.is_terminal, summary)]
         with ExitStack() as opened:
-            frame_source, camera, first_pose = open_frames(source, frames, intrinsics, fast)
+            frame_source, camera, first_pose = open_frames(flight.source, frames, flight.camera, fast)
             opened.callback(frame_source.close)
-            begin = start_of(
-                start, bundle, first_pose, start_error_cm / 100.0, float(np.deg2rad(start_error_deg)), rng
-            )
-            localizer = Localizer(bundle, camera, begin, seed=seed)
+            starting = starting_of(flight, bundle, camera, first_pose, rng)
+            localizer = Localizer(bundle, camera, starting.start, seed=seed)
             if firmware is not None:
                 down_world(bundle, flight_settings)  # or it is refused, before anything is written
-            link = None if mavlink is None else opened.enter_context(closing(AutopilotLink(mavlink)))
-            if record is not None:
-                header = _header(room, camera, begin, seed, flight_settings, None if align else firmware)
-                outputs.append(FlightRecorder(record, header))
+            link = None if flight.mavlink is None else opened.enter_context(closing(AutopilotLink(flight.mavlink)))
+            if flight.record is not None:
+                sent_to = None if align else firmware
+                header = _header(room, camera, starting.start, seed, flight_settings, sent_to)
+                outputs.append(FlightRecorder(flight.record, header))
             clock_offset_s = 0.0 if fast else time.time() - frame_source.now_s()
-            outputs += _logs(out, mcap, bundle, camera, flight_settings, clock_offset_s)
+            outputs += _logs(flight.out, mcap, bundle, camera, flight_settings, clock_offset_s)
             if link is not None and align:
                 T_body_camera = flight_settings.mount.T_body_camera
                 north = NorthMeasurement(T_body_camera, down_world(bundle, flight_settings), link.attitude_at)
                 outputs.append(north)
             elif firmware is not None:
                 # The autopilot first: what is written may wait for a disk.
-                outputs[:0] = senders(link, record, bundle, firmware, flight_settings)
+                outputs[:0] = senders(link, flight.record, bundle, firmware, flight_settings)
             for output in outputs:
                 opened.enter_context(closing(output))
             Flight(
@@ -163,10 +180,12 @@ def fly(
                 gravity_of(bundle, link, flight_settings),
                 lambda: stop() or (north is not None and north.is_done),
                 summary,
+                starting.find,
+                starting.begins,
             ).run()
         if north is not None:
             north_deg, sd_deg = north.north_deg()
-            say(f"north_deg = {north_deg:.1f}     (write it into the --settings file; varied by {sd_deg:.1f}°)")
+            say(f"north_deg = {north_deg:.1f}     (write it into flight.toml; varied by {sd_deg:.1f}°)")
         _report(summary, frame_source, link, say, json)
     if summary.failures:
         raise summary.failures[0]
@@ -195,18 +214,6 @@ def _logs(
         yield McapLog(step_recorder(mcap, True, bundle, camera, settings), clock_offset_s)
 
 
-def check_autopilot(mavlink: str | None, firmware: Firmware | None, align: bool, fast: bool) -> None:
-    names = ", ".join(each.value for each in Firmware)
-    if mavlink is not None and firmware is None:
-        raise SettingError("--firmware", "is missing: firmwares take other frames", f"choose from {names}")
-    if mavlink is None and firmware is not None:
-        raise SettingError("--firmware", "is given without --mavlink", "give the autopilot's address with --mavlink")
-    if align and mavlink is None:
-        raise SettingError("--align", "needs the autopilot's yaw", "give its address with --mavlink")
-    if fast and mavlink is not None:
-        raise SettingError("--fast", "takes the recording's clock, not the autopilot's", "leave it out")
-
-
 def open_frames(
     source: str, frames: str, intrinsics: str | None, fast: bool
 ) -> tuple[FrameSource, Camera, FloatArray | None]:
@@ -230,30 +237,6 @@ def open_frames(
 
 
 @contextmanager
-def _stopped_by_signals() -> Iterator[Callable[[], bool]]:
-    """Whether a signal asked for the end. The next one interrupts at once, where a driver hangs.
-
-    A terminal that hangs up sends its signal twice, by the shell and by the kernel: that one never interrupts.
-    """
-    asked = threading.Event()
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-
-    def ask(number: int, frame: FrameType | None) -> None:
-        asked.set()
-        for each in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(each, before[each])
-
-    for number, handler in before.items():
-        if handler is not signal.SIG_IGN:
-            signal.signal(number, ask)
-    try:
-        yield asked.is_set
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-@contextmanager
 def _lines() -> Iterator[Callable[[str], None]]:
     """Takes lines for standard error, which may be full or gone: a flight does not wait for it."""
     writer = LineWriter(stderr.file.fileno())
@@ -266,12 +249,11 @@ def _lines() -> Iterator[Callable[[str], None]]:
 def _header(
     room: Path, camera: Camera, start: Start | None, seed: int, settings: FlightSettings, firmware: Firmware | None
 ) -> FlightHeader:
-    known = None if start is None else (tuple(start.pose.ravel().tolist()), start.error_m, float(start.error_rad))
     return FlightHeader(
         bundle=str(room.resolve()),
         digest=digest_of(room),
         camera=camera,
-        start=known,
+        start=RecordedStart.of(start),
         seed=seed,
         settings=settings,
         firmware=firmware,

@@ -6,15 +6,17 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from operator import methodcaller
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monoloc.camera import Camera
 from monoloc.errors import DataError, MonolocError
 from monoloc.geometry import FloatArray
 from monoloc.live.frame_source import EndOfStreamError, FrameSource, LiveFrame
 from monoloc.localizer import Localizer, Step
+from monoloc.start import Start
 
 _WAIT_S = 0.1  # for a frame, before the outputs hear that there is none
 _MOST_AHEAD_S = 0.02  # of the clock, by which a camera's stamps may be off
@@ -31,6 +33,7 @@ class FlightStep:
         down_camera: direction of gravity that was used, (3,) in the camera's frame, or None.
         step: the localizer's result.
         done_s: when it was known, by the source's clock.
+        start: from which the localizer began anew at this frame, such as a marker tells it.
     """
 
     frame: LiveFrame
@@ -38,6 +41,7 @@ class FlightStep:
     down_camera: FloatArray | None
     step: Step
     done_s: float
+    start: Start | None = None
 
 
 class FlightOutput(Protocol):
@@ -68,7 +72,7 @@ class FlightSummary:
         frames: localised.
         dropped: frames that were not, by reason: ``skipped`` (a newer one had come), ``old`` (older than the limit
             when their turn came), ``future`` (captured after they came, by a clock that is wrong), ``unordered``
-            (captured no later than the one before).
+            (captured no later than the one before), ``without start`` (before the first marker).
         states: number of frames in each state.
         failures: of outputs, which took no more frames.
         latencies_s: from capture to result, of the last frames.
@@ -125,6 +129,9 @@ class Flight:
         down_at: direction of gravity in the camera's frame at a time of capture, (3,); None where it is not known.
         stop: says whether to stop; asked between frames.
         summary: is filled as the flight goes.
+        finds_start: tells a start from an image (H, W, 3), such as by a marker; asked while the state is lost.
+        begins: whether the localizer has a start (``known``), searches the room and asks ``finds_start``
+            (``searching``), or can do nothing before ``finds_start`` tells it (``waiting``).
     """
 
     def __init__(
@@ -137,13 +144,18 @@ class Flight:
         down_at: Callable[[float], FloatArray | None],
         stop: Callable[[], bool],
         summary: FlightSummary,
+        finds_start: Callable[[NDArray[np.uint8]], Start | None] = lambda color: None,
+        begins: Literal["known", "searching", "waiting"] = "known",
     ) -> None:
         self._localizer, self._camera, self._source, self._outputs = localizer, camera, source, outputs
         self._most_age_s, self._down_at, self._stop = most_age_s, down_at, stop
         self._previous: LiveFrame | None = None
+        self._start: Start | None = None
         self._sequence = -1
         self._summary = summary
         self._failed: list[FlightOutput] = []
+        self._finds_start, self._is_waiting = finds_start, begins == "waiting"
+        self._is_lost = begins != "known"
 
     def run(self) -> None:
         """Localise every frame that is in time.
@@ -156,7 +168,7 @@ class Flight:
                 frame = self._source.next(_WAIT_S)
             except EndOfStreamError:
                 break
-            if frame is not None and self._is_in_time(frame):
+            if frame is not None and self._is_in_time(frame) and self._begins(frame):
                 self._localize(frame)
             else:
                 self._hand_on(methodcaller("idle", self._source.now_s()))
@@ -176,13 +188,23 @@ class Flight:
         self._summary.dropped[reason] += 1
         return False
 
-    def _localize(self, frame: LiveFrame) -> None:
+    def _begins(self, frame: LiveFrame) -> bool:
+        """Whether the frame can be localised, after a start was looked for in it, if that is needed."""
         self._check_size(frame)
+        self._start = self._finds_start(frame.color) if self._is_lost else None
+        if self._start is not None:
+            self._localizer.reset(self._start)
+            self._is_waiting = False
+        if self._is_waiting:
+            self._summary.dropped["without start"] += 1
+        return not self._is_waiting
+
+    def _localize(self, frame: LiveFrame) -> None:
         elapsed_s = 0.0 if self._previous is None else frame.captured_s - self._previous.captured_s
         down_camera = self._down_at(frame.captured_s)
         step = self._localizer.step(frame.color, elapsed_s, down=down_camera)
-        self._previous = frame
-        result = FlightStep(frame, elapsed_s, down_camera, step, self._source.now_s())
+        self._previous, self._is_lost = frame, step.state == "lost"
+        result = FlightStep(frame, elapsed_s, down_camera, step, self._source.now_s(), self._start)
         self._summary.add(result)
         self._hand_on(methodcaller("take", result))
 

@@ -42,6 +42,29 @@ _MOST_WAIT_S = 0.5  # for the disk, before the recording ends: the pose matters 
 _FAST_PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 
 
+class RecordedStart(BaseModel):
+    """A :class:`~monoloc.start.Start`, whose pose is 16 numbers, row by row."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    pose: tuple[float, ...] = Field(min_length=16, max_length=16)
+    error_m: float
+    error_rad: float
+
+    @classmethod
+    def of(cls, start: Start | None) -> RecordedStart | None:
+        if start is None:
+            return None
+        return cls(
+            pose=tuple(start.pose.ravel().tolist()), error_m=float(start.error_m), error_rad=float(start.error_rad)
+        )
+
+    @property
+    def start(self) -> Start:
+        """Raises ValueError if it is none."""
+        return Start(np.reshape(self.pose, (4, 4)), self.error_m, self.error_rad)
+
+
 class FlightHeader(BaseModel):
     """What a flight began with.
 
@@ -50,7 +73,7 @@ class FlightHeader(BaseModel):
         bundle: path.
         digest: of the bundle, see :func:`monoloc.bundle.digest_of`.
         camera: of the images.
-        start: ``T_world_camera`` as 16 numbers, row by row, and its errors in metres and radians; None without one.
+        start: of the localizer; None without one.
         seed: of the localizer.
         settings: of the flight.
         firmware: that messages were written for; None without an autopilot.
@@ -62,17 +85,10 @@ class FlightHeader(BaseModel):
     bundle: str
     digest: str
     camera: Camera
-    start: tuple[tuple[float, ...], float, float] | None
+    start: RecordedStart | None
     seed: int
     settings: FlightSettings
     firmware: Firmware | None = None
-
-    def localizer_start(self) -> Start | None:
-        """The start, as the localizer takes it."""
-        if self.start is None:
-            return None
-        pose, error_m, error_rad = self.start
-        return Start(np.reshape(pose, (4, 4)), error_m, error_rad)
 
 
 class RecordedFrame(BaseModel):
@@ -81,6 +97,7 @@ class RecordedFrame(BaseModel):
     Attributes:
         captured_s, elapsed_s, done_s: see :class:`~monoloc.flight.flight_loop.FlightStep`.
         down_camera: direction of gravity that was used, or None.
+        start: from which the localizer began anew at this frame, or None.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -89,6 +106,7 @@ class RecordedFrame(BaseModel):
     elapsed_s: float = Field(ge=0.0)
     done_s: float
     down_camera: tuple[float, float, float] | None
+    start: RecordedStart | None = None
 
     @property
     def down(self) -> FloatArray | None:
@@ -198,6 +216,7 @@ class FlightRecorder:
                 elapsed_s=event.elapsed_s,
                 done_s=event.done_s,
                 down_camera=None if down is None else (float(down[0]), float(down[1]), float(down[2])),
+                start=RecordedStart.of(event.start),
             )
         )
 
@@ -226,7 +245,8 @@ def read_header(folder: Path) -> FlightHeader:
         raise DataError(folder, f"is no recorded flight (no {_HEADER})", "give a folder of monoloc fly --record")
     try:
         header = FlightHeader.model_validate_json(read_text(path))
-        header.localizer_start()
+        if header.start is not None:
+            header.start.start  # noqa: B018 - raises where it is none
     except (ValueError, SettingError) as error:
         what = describe(error) if isinstance(error, ValidationError) else " ".join(str(error).split())
         raise DataError(path, f"is damaged ({what})", "give another flight") from error

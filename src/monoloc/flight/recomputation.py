@@ -34,7 +34,8 @@ def recompute(
     Raises:
         DataError: a file is missing or damaged, or there is no frame.
     """
-    localizer = Localizer(bundle, header.camera, header.localizer_start(), seed=header.seed)
+    start = None if header.start is None else header.start.start
+    localizer = Localizer(bundle, header.camera, start, seed=header.seed)
     count = 0
     for event in read_events(folder, header.camera):
         if isinstance(event, RecordedIdle):
@@ -42,6 +43,8 @@ def recompute(
                 output.idle(event.idle_s)
             continue
         color, frame = event
+        if frame.start is not None:
+            localizer.reset(frame.start.start)
         step = localizer.step(color, frame.elapsed_s, down=frame.down)
         taken = LiveFrame(color, frame.captured_s, count)
         result = FlightStep(taken, frame.elapsed_s, frame.down, step, frame.done_s)

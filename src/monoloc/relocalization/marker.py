@@ -7,7 +7,7 @@ from typing import Literal
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from monoloc.camera import Camera
 from monoloc.geometry import FloatArray, invert, make_pose, quaternion_to_rotation, so3_exp, transform
@@ -18,7 +18,11 @@ _LEAST_RATIO = 2.0  # of reprojection errors of a square's two poses, below whic
 _MOST_ERROR_PX = 3.0  # of the better one: a marker of another size fits as well, but not a wrong lens
 _STEP_M, _STEP_RAD = 1e-4, 1e-4  # of the numerical Jacobian
 
-_DICTIONARIES = {
+Dictionary = Literal[
+    "4x4_50", "5x5_100", "6x6_250", "aruco_original", "apriltag_16h5", "apriltag_25h9", "apriltag_36h11"
+]
+DEFAULT_DICTIONARY: Dictionary = "apriltag_36h11"
+_DICTIONARIES: dict[Dictionary, int] = {
     "4x4_50": cv2.aruco.DICT_4X4_50,
     "5x5_100": cv2.aruco.DICT_5X5_100,
     "6x6_250": cv2.aruco.DICT_6X6_250,
@@ -39,7 +43,8 @@ class Marker(BaseModel):
         id: its number in the dictionary.
         size_m: side of the black square.
         position_m: of its centre, world frame.
-        quaternion: ``R_world_marker`` as x, y, z, w.
+        quaternion: ``R_world_marker`` as x, y, z, w; either this or ``rpy_deg``.
+        rpy_deg: the same as turns about the world's x, then its y, then its z axis, degrees.
         error_m, error_rad: standard deviations of its place, per axis.
     """
 
@@ -48,19 +53,29 @@ class Marker(BaseModel):
     id: int = Field(ge=0)
     size_m: float = Field(gt=0.005, le=5.0)
     position_m: tuple[float, float, float]
-    quaternion: tuple[float, float, float, float]
+    quaternion: tuple[float, float, float, float] | None = None
+    rpy_deg: tuple[float, float, float] | None = None
     error_m: float = Field(0.01, ge=0.0, le=1.0)
     error_rad: float = Field(0.01, ge=0.0, le=1.0)
 
     @field_validator("quaternion")
     @classmethod
-    def _is_unit(cls, quaternion: tuple[float, ...]) -> tuple[float, ...]:
-        if abs(float(np.linalg.norm(quaternion)) - 1.0) > 1e-3:
+    def _is_unit(cls, quaternion: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if quaternion is not None and abs(float(np.linalg.norm(quaternion)) - 1.0) > 1e-3:
             raise ValueError("give x, y, z, w of length 1")
         return quaternion
 
+    @model_validator(mode="after")
+    def _has_one_rotation(self) -> Marker:
+        if (self.quaternion is None) == (self.rpy_deg is None):
+            raise ValueError("give either quaternion or rpy_deg")
+        return self
+
     @property
     def T_world_marker(self) -> FloatArray:
+        if self.rpy_deg is not None:
+            turns = np.diag(np.deg2rad(self.rpy_deg))
+            return make_pose(so3_exp(turns[2]) @ so3_exp(turns[1]) @ so3_exp(turns[0]), self.position_m)
         return make_pose(quaternion_to_rotation(np.array(self.quaternion)), self.position_m)
 
     @property
@@ -79,10 +94,27 @@ class Markers(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    dictionary: Literal[
-        "4x4_50", "5x5_100", "6x6_250", "aruco_original", "apriltag_16h5", "apriltag_25h9", "apriltag_36h11"
-    ] = "apriltag_36h11"
+    dictionary: Dictionary = DEFAULT_DICTIONARY
     marker: tuple[Marker, ...] = Field(min_length=1)
+
+
+class MarkerDetector:
+    """Finds the markers of a dictionary in images."""
+
+    def __init__(self, dictionary: Dictionary) -> None:
+        parameters = cv2.aruco.DetectorParameters()
+        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+        known = cv2.aruco.getPredefinedDictionary(_DICTIONARIES[dictionary])
+        self._detector = cv2.aruco.ArucoDetector(known, parameters)
+
+    def __call__(self, color: NDArray[np.uint8]) -> list[tuple[int, FloatArray]]:
+        """Numbers and corners, (4, 2) px clockwise from the top left, of all markers in an image (H, W, 3) RGB."""
+        corners, numbers, _ = self._detector.detectMarkers(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY))
+        known = () if numbers is None else np.ravel(numbers).tolist()  # no array where there is none
+        return [
+            (int(number), np.asarray(found, dtype=np.float64).reshape(4, 2))
+            for number, found in zip(known, corners, strict=True)
+        ]
 
 
 class MarkerLocalizer:
@@ -96,10 +128,7 @@ class MarkerLocalizer:
     def __init__(self, markers: Markers, camera: Camera) -> None:
         self._markers = {marker.id: marker for marker in markers.marker}
         self._camera = camera
-        parameters = cv2.aruco.DetectorParameters()
-        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-        dictionary = cv2.aruco.getPredefinedDictionary(_DICTIONARIES[markers.dictionary])
-        self._detector = cv2.aruco.ArucoDetector(dictionary, parameters)
+        self._detected = MarkerDetector(markers.dictionary)
 
     def start(self, color: NDArray[np.uint8]) -> Start | None:
         """The camera's pose from the marker that tells it best, or None where none does.
@@ -112,15 +141,6 @@ class MarkerLocalizer:
             if number in self._markers and (start := self._from_marker(self._markers[number], corners)) is not None:
                 starts.append(start)
         return min(starts, key=lambda start: start.error_m, default=None)
-
-    def _detected(self, color: NDArray[np.uint8]) -> list[tuple[int, FloatArray]]:
-        """Numbers and corners, (4, 2) px, of all markers of the dictionary in an image."""
-        corners, numbers, _ = self._detector.detectMarkers(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY))
-        known = () if numbers is None else np.ravel(numbers).tolist()  # no array where there is none
-        return [
-            (int(number), np.asarray(found, dtype=np.float64).reshape(4, 2))
-            for number, found in zip(known, corners, strict=True)
-        ]
 
     def _from_marker(self, marker: Marker, pixels: FloatArray) -> Start | None:
         """A square seen from afar has two poses that look alike; where it is not clear which, there is none."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 import pytest
@@ -18,6 +18,8 @@ from monoloc.flight.flight_loop import Flight, FlightOutput, FlightStep, FlightS
 from monoloc.geometry import FloatArray
 from monoloc.live.frame_source import EndOfStreamError, LiveFrame
 from monoloc.localizer import Localizer
+from monoloc.start import Start
+from monoloc.supervision.state import State
 from refusals import refuses_data
 
 CAMERA = Camera(4, 3, 5.0, 5.0, 1.5, 1.0)
@@ -58,12 +60,17 @@ class Calls:
     source: Source
     elapsed_s: list[float] = field(default_factory=list)
     down: list[FloatArray | None] = field(default_factory=list)
+    states: list[State] = field(default_factory=list)
+    resets: list[tuple[int, Start | None]] = field(default_factory=list)
+
+    def reset(self, start: Start | None) -> None:
+        self.resets.append((len(self.elapsed_s), start))
 
     def step(self, color: NDArray[np.uint8], elapsed_s: float, down: FloatArray | None) -> Any:
         self.elapsed_s.append(elapsed_s)
         self.down.append(down)
         self.source.clock_s += STEP_S
-        return step_at(np.eye(4))
+        return step_at(np.eye(4), self.states.pop(0) if self.states else "tracking")
 
 
 @dataclass
@@ -99,6 +106,34 @@ def fly(
     given: list[FlightOutput] = list(outputs)
     Flight(cast(Localizer, localizer), camera, source, given, 0.2, down_at, stop, summary).run()
     return summary, localizer
+
+
+@pytest.mark.parametrize("begins", ["known", "searching", "waiting"])
+def test_a_start_is_looked_for_while_lost_and_at_the_beginning_where_none_is_known(
+    begins: Literal["known", "searching", "waiting"],
+) -> None:
+    """The marker is seen from the third frame on; before, a flight that waits for it localises nothing."""
+    source, heard, summary = (
+        Source([(100.0 + i / 10, 100.05 + i / 10, i) for i in range(6)]),
+        Heard(),
+        FlightSummary(),
+    )
+    lost: list[State] = ["lost", "lost", "tracking", "tracking", "lost", "tracking"]
+    localizer = Calls(source, states=lost if begins != "waiting" else lost[2:])
+    start, looked = Start(np.eye(4), 0.1, 0.1), 0
+
+    def find(color: NDArray[np.uint8]) -> Start | None:
+        nonlocal looked
+        looked += 1
+        return start if source.clock_s > 100.2 else None
+
+    flight = (cast(Localizer, localizer), CAMERA, source, [heard], 0.2, lambda at_s: None, lambda: False, summary)
+    Flight(*flight, find, begins).run()
+    before = 0 if begins == "waiting" else 2
+    assert looked == (3 if begins == "known" else 4)  # not at the first frame, where it knows; never while it tracks
+    assert localizer.resets == [(before, start), (before + 3, start)]
+    assert [result.start for result in heard.results] == [None] * before + [start, None, None, start]
+    assert summary.dropped["without start"] == len(heard.idle_s) == (2 if begins == "waiting" else 0)
 
 
 def test_elapsed_time_is_between_times_of_capture_also_across_frames_that_were_not_localised() -> None:

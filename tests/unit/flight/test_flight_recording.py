@@ -20,6 +20,7 @@ from monoloc.flight.flight_recording import (
     FlightRecorder,
     RecordedFrame,
     RecordedIdle,
+    RecordedStart,
     image_path,
     read_events,
     read_header,
@@ -35,7 +36,7 @@ HEADER = FlightHeader(
     bundle="/rooms/kitchen.monoloc",
     digest="ab" * 32,
     camera=replace(CAMERA, distortion=(-0.08, 0.01, 0.0, 1e-4, 0.0)),
-    start=(tuple(POSE.ravel().tolist()), 0.1, 1.0 / 3.0),
+    start=RecordedStart.of(Start(POSE, 0.1, 1.0 / 3.0)),
     seed=7,
     settings=FlightSettings(mount=Mount(pitch_deg=-30.1), down=(0.0, 0.1, 1.0)),
     firmware=Firmware.PX4,
@@ -71,8 +72,9 @@ def lines(folder: Path) -> list[bytes]:
 def test_what_is_read_is_what_was_recorded_to_the_last_bit(tmp_path: Path) -> None:
     results = record(tmp_path / "new" / "flight")
     assert read_header(tmp_path / "new" / "flight") == HEADER
-    start = HEADER.localizer_start()
-    assert isinstance(start, Start) and (start.pose == POSE).all() and start.error_rad == 1.0 / 3.0
+    header = FlightHeader.model_validate_json(HEADER.model_dump_json())
+    assert header.start is not None
+    assert (header.start.start.pose == POSE).all() and header.start.error_rad == 1.0 / 3.0
     events = list(read_events(tmp_path / "new" / "flight", CAMERA))
     assert events.pop(2) == RecordedIdle(idle_s=0.1 + 0.2)
     for event, before in zip(events, results, strict=True):
@@ -160,8 +162,8 @@ def test_damaged_headers_are_named(tmp_path: Path) -> None:
         ({"digest": None}, "digest: "),
         ({"more": 1}, "more: "),
         ({"camera": {**whole["camera"], "fx": -1.0}}, "camera.fx/fy"),
-        ({"start": [[1.0] * 15, 0.1, 0.1]}, "cannot reshape|start"),
-        ({"start": [[1.0] * 16, 0.1, 0.1]}, "pose must be a rigid"),
+        ({"start": {"pose": [1.0] * 15, "error_m": 0.1, "error_rad": 0.1}}, "start.pose: .*at least 16"),
+        ({"start": {"pose": [1.0] * 16, "error_m": 0.1, "error_rad": 0.1}}, "pose must be a rigid"),
         ({"settings": {"rate_hz": 0}}, "settings.rate_hz: "),
     ):
         path.write_text(json.dumps({**whole, **changes}))

@@ -1,0 +1,132 @@
+"""A flight from the options of a command and the file that may hold them: what is given on the command line wins."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from monoloc.bundle import Bundle
+from monoloc.camera import Camera
+from monoloc.cli.common import naming
+from monoloc.cli.start_option import UNKNOWN, start_of
+from monoloc.config import override
+from monoloc.errors import SettingError
+from monoloc.flight.flight_file import FlightFile, read_flight_file
+from monoloc.geometry import FloatArray
+from monoloc.mavlink.firmware import Firmware
+from monoloc.relocalization.marker import MarkerLocalizer
+from monoloc.start import Start
+
+RoomOrFlightArgument = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="ROOM|FLIGHT.toml",
+        help="Bundle from monoloc build, or a file that names it and all else of a flight.",
+        show_default=False,
+    ),
+]
+SettingsOption = Annotated[
+    Path | None,
+    typer.Option("--settings", metavar="FLIGHT.toml", help="The file, where the first argument is a bundle."),
+]
+MavlinkOption = Annotated[
+    str | None,
+    typer.Option(
+        "--mavlink",
+        metavar="URL",
+        help="Autopilot: udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD.",
+    ),
+]
+FirmwareOption = Annotated[
+    Firmware | None, typer.Option("--firmware", help="The autopilot's firmware, with --mavlink.")
+]
+
+
+def flight_of(room: Path | None, settings: Path | None, **options: object) -> tuple[Path, FlightFile]:
+    """The bundle and the flight that a user asks for.
+
+    Args:
+        room: first argument, a bundle or a file.
+        settings: value of ``--settings``.
+        options: fields of the file by name; None takes the file's value.
+
+    Raises:
+        DataError: the file cannot be used.
+        SettingError: there is no bundle, two files are named, or an option is invalid.
+    """
+    if room is not None and room.suffix.lower() == ".toml" and room.is_file():
+        if settings is not None:
+            raise SettingError("--settings", f"is given beside {room}", "name one file")
+        room, settings = None, room
+    flight = FlightFile() if settings is None else read_flight_file(settings)
+    with naming({name: "--" + name.replace("_", "-") for name in options}):
+        flight = override(flight, room=room, **options)
+    bundle = flight.room
+    if bundle is None:
+        where = "" if settings is None else f" and {settings} has no room"
+        raise SettingError("ROOM", f"is missing{where}", "name a bundle of monoloc build")
+    if flight.record is not None and "%" in str(flight.record):
+        flight = flight.model_copy(update={"record": Path(time.strftime(str(flight.record)))})
+    return bundle, flight
+
+
+def check_autopilot(flight: FlightFile, align: bool, fast: bool) -> None:
+    """Check that options for an autopilot come together.
+
+    Raises:
+        SettingError: one is missing, or contradicts another.
+    """
+    names = ", ".join(each.value for each in Firmware)
+    if flight.mavlink is not None and flight.firmware is None:
+        raise SettingError("--firmware", "is missing: firmwares take other frames", f"choose from {names}")
+    if flight.mavlink is None and flight.firmware is not None:
+        raise SettingError("--firmware", "is given without --mavlink", "give the autopilot's address with --mavlink")
+    if align and flight.mavlink is None:
+        raise SettingError("--align", "needs the autopilot's yaw", "give its address with --mavlink")
+    if fast and flight.mavlink is not None:
+        raise SettingError("--fast", "takes the recording's clock, not the autopilot's", "leave it out")
+
+
+@dataclass(frozen=True)
+class Starting:
+    """How a flight begins; arguments of :class:`~monoloc.localizer.Localizer` and
+    :class:`~monoloc.flight.flight_loop.Flight`.
+
+    Attributes:
+        start: of the localizer; without any meaning while it is ``waiting``.
+        find: tells a start from an image, by the markers.
+        begins: with a start, by a search, or only once a marker is seen.
+    """
+
+    start: Start | None
+    find: Callable[[NDArray[np.uint8]], Start | None]
+    begins: Literal["known", "searching", "waiting"]
+
+
+def starting_of(
+    flight: FlightFile, bundle: Bundle, camera: Camera, first_pose: FloatArray | None, rng: np.random.Generator
+) -> Starting:
+    """How the flight begins that a user asks for.
+
+    Args:
+        flight: what was asked for.
+        camera: of the images.
+        bundle, first_pose, rng: as :func:`monoloc.cli.start_option.start_of`.
+
+    Raises:
+        SettingError: as :func:`monoloc.cli.start_option.start_of`.
+    """
+    markers = flight.markers
+    find = (lambda color: None) if markers is None else MarkerLocalizer(markers, camera).start
+    if flight.start == UNKNOWN and markers is not None and not bundle.supports_relocalization:
+        return Starting(Start(np.eye(4)), find, "waiting")
+    error_m, error_rad = flight.start_error_cm / 100.0, float(np.deg2rad(flight.start_error_deg))
+    start = start_of(flight.start, bundle, first_pose, error_m, error_rad, rng)
+    return Starting(start, find, "searching" if start is None else "known")

@@ -1,0 +1,49 @@
+"""What a bug report needs of machine, room and flight, without names of places or people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+
+from monoloc.bundle import Bundle
+from monoloc.camera import Camera
+from monoloc.flight.flight_file import FlightFile
+from monoloc.live.opening import is_live
+from monoloc.machine import library_versions, machine_facts
+from monoloc.version import __version__
+
+_LIBRARIES = ("numpy", "onnxruntime", "opencv-python-headless", "pymavlink", "av")
+
+
+def bug_report(flight: FlightFile, bundle: Bundle, camera: Camera, found: Mapping[str, object]) -> dict[str, object]:
+    """The report, ready for JSON.
+
+    Addresses, paths and the recording's name are left out: of a source and a link, only the kind is told.
+
+    Args:
+        flight: as it was asked for.
+        bundle: the room.
+        camera: of the images.
+        found: by the doctor.
+    """
+    return {
+        "monoloc": __version__,
+        "machine": machine_facts(),
+        "libraries": library_versions(_LIBRARIES),
+        "source": flight.source.partition("://")[0] if is_live(flight.source) else "recording",
+        "link": None if flight.mavlink is None else flight.mavlink.partition(":")[0],
+        "firmware": None if flight.firmware is None else flight.firmware.value,
+        "markers": len(flight.marker),
+        "flight_settings": flight.settings.model_dump(mode="json"),
+        "camera": asdict(camera),
+        "room": {
+            "network": bundle.depth_model.name,
+            "tune": bundle.provenance.tune,
+            "frames": len(bundle.provenance.frames),
+            "components": len(bundle.adapted.means),
+            "landmarks": len(bundle.landmarks),
+            "supports_relocalization": bundle.supports_relocalization,
+            "settings": bundle.settings.model_dump(mode="json"),
+        },
+        **found,
+    }

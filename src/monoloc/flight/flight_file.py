@@ -1,0 +1,87 @@
+"""Everything of a flight in one file, ``flight.toml``: what ``monoloc fly`` and ``doctor`` take as options."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from pydantic import Field, model_validator
+
+from monoloc.config import load_settings
+from monoloc.flight.flight_settings import FlightSettings
+from monoloc.io.registry import FORMATS
+from monoloc.live.opening import is_live
+from monoloc.mavlink.firmware import Firmware
+from monoloc.relocalization.marker import DEFAULT_DICTIONARY, Dictionary, Marker, Markers
+
+_FORMAT = re.compile(rf"({'|'.join(FORMATS)}):(.+)")
+
+
+class FlightFile(FlightSettings):
+    """A flight. Each field but those of :class:`FlightSettings` and the markers is also an option of ``monoloc fly``.
+
+    Attributes:
+        room: bundle.
+        source: camera, stream or recording.
+        camera: file of intrinsics, or numbers as ``--camera`` takes them.
+        mavlink, firmware: address and firmware of the autopilot.
+        start: pose ``TX,TY,TZ,QX,QY,QZ,QW`` of the first frame, ``unknown`` or ``truth``.
+        start_error_cm, start_error_deg: of the start.
+        out: table to write.
+        record: folder to write; ``%Y``, ``%m``, ``%d``, ``%H``, ``%M`` and ``%S`` stand for the time of the start.
+        dictionary, marker: markers of known place, see :class:`~monoloc.relocalization.marker.Markers`.
+    """
+
+    room: Path | None = None
+    source: str = "camera:0"
+    camera: str | None = None
+    mavlink: str | None = None
+    firmware: Firmware | None = None
+    start: str = "unknown"
+    start_error_cm: float = Field(10.0, ge=0.0, le=1e5)
+    start_error_deg: float = Field(3.0, ge=0.0, le=180.0)
+    out: Path | None = None
+    record: Path | None = None
+    dictionary: Dictionary = DEFAULT_DICTIONARY
+    marker: tuple[Marker, ...] = ()
+
+    @model_validator(mode="after")
+    def _check_markers(self) -> FlightFile:
+        numbers = [marker.id for marker in self.marker]
+        if len(set(numbers)) < len(numbers):
+            raise ValueError("two markers have the same id")
+        return self
+
+    @property
+    def markers(self) -> Markers | None:
+        """The markers of the room, or None without any."""
+        return Markers(dictionary=self.dictionary, marker=self.marker) if self.marker else None
+
+    @property
+    def settings(self) -> FlightSettings:
+        """What poses and messages follow from, beside the images."""
+        return FlightSettings.model_validate(self.model_dump(include=set(FlightSettings.model_fields)))
+
+
+def read_flight_file(path: Path) -> FlightFile:
+    """Read a flight; paths in it are relative to its folder.
+
+    Raises:
+        DataError: the file is unreadable or not TOML, or a field is unknown or out of range; the message names it.
+    """
+    flight, folder = load_settings(path, FlightFile), path.parent
+    changes: dict[str, object] = {"source": _source_beside(flight.source, folder)}
+    for name in ("room", "out", "record"):
+        given = getattr(flight, name)
+        changes[name] = None if given is None else folder / given.expanduser()
+    if flight.camera is not None and flight.camera.endswith(".toml"):
+        changes["camera"] = str(folder / Path(flight.camera).expanduser())
+    return flight.model_copy(update=changes)
+
+
+def _source_beside(source: str, folder: Path) -> str:
+    if is_live(source):
+        return source
+    if known := _FORMAT.fullmatch(source):
+        return f"{known[1]}:{folder / Path(known[2]).expanduser()}"
+    return str(folder / Path(source).expanduser())

@@ -1,0 +1,72 @@
+"""A file that holds everything of a flight."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from monoloc.flight.flight_file import read_flight_file
+from monoloc.flight.flight_settings import FlightSettings, Mount
+from monoloc.mavlink.firmware import Firmware
+from refusals import refuses_data
+
+MARKER = "[[marker]]\nid = 7\nsize_m = 0.16\nposition_m = [1.0, 2.0, 0.5]\n"
+TEXT = f"""
+room = "kitchen.monoloc"
+source = "7scenes:kitchen"
+camera = "cam.toml"
+mavlink = "udpout:127.0.0.1:14540"
+firmware = "px4"
+start = "0,0,1,0,0,0,1"
+start_error_cm = 20
+record = "flight-%Y"
+north_deg = 75.5
+most_age_s = 0.3
+dictionary = "apriltag_25h9"
+
+[mount]
+pitch_deg = -90
+
+{MARKER}rpy_deg = [90, 0, 0]
+"""
+
+
+def test_everything_is_read_and_paths_are_beside_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "flight.toml"
+    path.write_text(TEXT)
+    flight = read_flight_file(path)
+    assert flight.room == tmp_path / "kitchen.monoloc" and flight.record == tmp_path / "flight-%Y"
+    assert (flight.source, flight.camera) == (f"7scenes:{tmp_path}/kitchen", str(tmp_path / "cam.toml"))
+    assert (flight.mavlink, flight.firmware) == ("udpout:127.0.0.1:14540", Firmware.PX4)
+    assert (flight.start, flight.start_error_cm) == ("0,0,1,0,0,0,1", 20.0)
+    assert flight.settings == FlightSettings(mount=Mount(pitch_deg=-90), north_deg=75.5, most_age_s=0.3)
+    assert flight.markers is not None and flight.markers.dictionary == "apriltag_25h9"
+    # On a wall: what is up on the sheet is up in the world, whose z axis points up.
+    np.testing.assert_allclose(flight.marker[0].T_world_marker[:3, 1], [0.0, 0.0, 1.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("source", ["camera:1", "rtsp://10.0.0.1/x", "picamera", "-"])
+def test_a_live_source_is_no_path(tmp_path: Path, source: str) -> None:
+    (tmp_path / "flight.toml").write_text(f'source = "{source}"\ncamera = "640,480,525,525,319.5,239.5"\n')
+    flight = read_flight_file(tmp_path / "flight.toml")
+    assert (flight.source, flight.camera) == (source, "640,480,525,525,319.5,239.5")
+    assert flight.markers is None
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ('mavlnik = "udpin:0.0.0.0:14550"\n', "mavlnik: is unknown, the nearest is mavlink"),
+        (MARKER + "siz_m = 1\n", "marker.0.siz_m: is unknown, the nearest is size_m"),
+        ('firmware = "inav"\n', "firmware: .*'px4' or 'ardupilot'"),
+        (MARKER, "give either quaternion or rpy_deg"),
+        (MARKER + "rpy_deg = [0, 0, 0]\nquaternion = [0, 0, 0, 1]\n", "give either quaternion or rpy_deg"),
+        (2 * (MARKER + "rpy_deg = [0, 0, 0]\n"), "two markers have the same id"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path: Path, text: str, problem: str) -> None:
+    path = tmp_path / "flight.toml"
+    path.write_text(text)
+    refuses_data(lambda: read_flight_file(path), path, problem, "mend the field named")
