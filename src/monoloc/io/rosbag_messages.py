@@ -165,7 +165,7 @@ def _pixels(message: Any, path: Path, dtype: np.dtype[Any], channels: int) -> ND
             f"holds {len(message.data)} bytes, rows of {step}, for {width}x{height} pixels of {message.encoding}"
         )
         raise DataError(path, problem, "record it again")
-    rows = message.data[: height * step].reshape(height, step)[:, :row]
+    rows = np.asarray(message.data)[: height * step].reshape(height, step)[:, :row]
     pixels = np.ascontiguousarray(rows).view(dtype)
     return pixels if channels == 1 else pixels.reshape(height, width, channels)
 

@@ -7,7 +7,6 @@ it is, and so is one whose direction of gravity is not known. *odom* is where *b
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from monoloc.geometry import FloatArray, adjoint, invert, is_rigid, make_pose, quaternion_to_rotation
+from monoloc.io.rosbag_messages import pose_row
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.start import START_ERROR_DEG, START_ERROR_M, Start
@@ -100,26 +100,25 @@ class RosFrames:
         return Start(pose, *(float(np.sqrt(max(0.0, part.sum()))) for part in (variances[:3], variances[3:])))
 
 
-def pose_of(content: Mapping[str, Any]) -> FloatArray:
-    """Pose (4, 4) of the fields of a geometry_msgs/Pose or geometry_msgs/Transform.
+def pose_of(message: Any) -> FloatArray:
+    """Pose (4, 4) of a message with a pose or a transform, see :func:`monoloc.io.rosbag_messages.pose_row`.
 
     Raises:
         ValueError: its quaternion is zero or not finite.
     """
-    place, turn = ("translation", "rotation") if "rotation" in content else ("position", "orientation")
-    rotation = quaternion_to_rotation([content[turn][axis] for axis in "xyzw"])
-    return make_pose(rotation, [content[place][axis] for axis in "xyz"])
+    row = pose_row(message)
+    return make_pose(quaternion_to_rotation(row[3:]), row[:3])
 
 
-def down_camera(orientation: Mapping[str, float], T_imu_camera: FloatArray) -> FloatArray:
+def down_camera(orientation: Any, T_imu_camera: FloatArray) -> FloatArray:
     """Direction of gravity in the camera's frame, (3,), from the orientation of a sensor_msgs/Imu.
 
     Args:
-        orientation: fields of the quaternion that turns the sensor's axes to those of the world, z up (REP 145).
+        orientation: geometry_msgs/Quaternion that turns the sensor's axes to those of the world, z up (REP 145).
         T_imu_camera: pose of the camera in the sensor's frame, (4, 4).
 
     Raises:
         ValueError: as :func:`pose_of`.
     """
-    R_level_imu = quaternion_to_rotation([orientation[axis] for axis in "xyzw"])
+    R_level_imu = quaternion_to_rotation([orientation.x, orientation.y, orientation.z, orientation.w])
     return np.asarray(T_imu_camera[:3, :3].T @ R_level_imu.T @ -_UP)

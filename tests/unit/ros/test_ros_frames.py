@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -90,19 +92,24 @@ def test_a_start_is_the_pose_and_the_size_of_the_error_that_were_published() -> 
             frames.start(pose_, np.eye(6) if covariance_ is None else covariance_)
 
 
+def quaternion(*xyzw: float) -> SimpleNamespace:
+    return SimpleNamespace(**dict(zip("xyzw", xyzw, strict=True)))
+
+
 def test_gravity_is_that_of_an_imu() -> None:
     """A vehicle that is rolled to the right by 0.2 rad, with a camera that looks forward."""
     frames = RosFrames(Mount().T_body_camera, None)
-    quaternion = dict(zip("xyzw", rotation_to_quaternion(so3_exp([0.2, 0.0, 0.0])), strict=True))
-    down = down_camera(quaternion, frames.T_base_camera)
+    down = down_camera(quaternion(*rotation_to_quaternion(so3_exp([0.2, 0.0, 0.0]))), frames.T_base_camera)
     np.testing.assert_allclose(down, [np.sin(0.2), np.cos(0.2), 0.0], atol=1e-12)
 
 
 def test_poses_of_messages() -> None:
-    turn = {"x": 0.0, "y": 0.0, "z": 2.0, "w": 0.0}
-    place = {"x": 1.0, "y": 2.0, "z": 3.0}
-    expected = make_pose(np.diag([-1.0, -1.0, 1.0]), [1.0, 2.0, 3.0])
-    for content in ({"position": place, "orientation": turn}, {"translation": place, "rotation": turn}):
-        np.testing.assert_allclose(pose_of(content), expected, atol=1e-12)
+    place = SimpleNamespace(x=1.0, y=2.0, z=3.0)
+    for turn in (quaternion(0.0, 0.0, 2.0, 0.0), quaternion(0.0, 0.0, -1.0, 0.0)):
+        pose = SimpleNamespace(pose=SimpleNamespace(position=place, orientation=turn))
+        transform = SimpleNamespace(transform=SimpleNamespace(translation=place, rotation=turn))
+        for message in (pose, transform):
+            expected = make_pose(np.diag([-1.0, -1.0, 1.0]), [1.0, 2.0, 3.0])
+            np.testing.assert_allclose(pose_of(message), expected, atol=1e-12)
     with pytest.raises(ValueError, match="quaternion"):
-        pose_of({"position": place, "orientation": dict.fromkeys("xyzw", 0.0)})
+        pose_of(SimpleNamespace(position=place, orientation=quaternion(0.0, 0.0, 0.0, 0.0)))

@@ -1,0 +1,223 @@
+"""A ROS 2 node that localises a camera: topics in, monoloc's step, topics out."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import rclpy
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.executors import ExternalShutdownException
+from rclpy.logging import get_logger
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.time import Time
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
+from tf2_ros import Buffer, TransformException, TransformListener
+
+from monoloc import Camera, Localizer, Start, load
+from monoloc.config import load_settings
+from monoloc.errors import DataError, MonolocError, SettingError
+from monoloc.flight.flight_settings import FlightSettings
+from monoloc.geometry import FloatArray
+from monoloc.io.rosbag_messages import camera_of, color_of
+from monoloc.ros.ros_frames import FrameNames, RosFrames, down_camera, pose_of
+from monoloc.ros.step_messages import OBSTACLES, POSE, STATE, TF, StepMessages
+from monoloc_ros.conversion import KINDS, filled
+
+_NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # images that wait would be old
+_PUBLISHED = {
+    POSE: "geometry_msgs/PoseWithCovarianceStamped",
+    TF: "tf2_msgs/TFMessage",
+    STATE: "diagnostic_msgs/DiagnosticArray",
+    OBSTACLES: "sensor_msgs/PointCloud2",
+}
+_MOST_IMU_AGE_NS = 50_000_000
+_WARN_PERIOD_S = 5.0
+
+
+class MonolocNode(Node):
+    """Localises the newest image of a camera.
+
+    Parameters:
+        bundle: of the room.
+        settings: a flight.toml with mount, down and most_age_s; empty takes the mount from /tf.
+        map_frame, odom_frame, base_frame: names.
+        publish_odom: false where another node publishes odom -> base_link.
+        rectified: whether the images are.
+
+    Raises:
+        MonolocError: bundle or settings cannot be used.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("monoloc")
+        settings = self._parameter("settings", "")
+        self._has_mount = bool(settings)
+        self._settings = load_settings(Path(settings), FlightSettings) if settings else FlightSettings()
+        bundle = self._parameter("bundle", "")
+        if not bundle:
+            raise SettingError("bundle", "is missing", "name the bundle that monoloc build wrote")
+        self._bundle = load(bundle)
+        self._map, self._odom, self._base = (
+            self._parameter(name, default)
+            for name, default in (("map_frame", "map"), ("odom_frame", "odom"), ("base_frame", "base_link"))
+        )
+        self._publish_odom: bool = self._parameter("publish_odom", True)
+        self._is_rectified: bool = self._parameter("rectified", False)
+        self._camera: Camera | None = None
+        self._start: Start | None = None
+        self._localizer: Localizer | None = None
+        self._frames: RosFrames | None = None
+        self._messages: StepMessages | None = None
+        self._imu: Imu | None = None
+        self._previous_ns: int | None = None
+        self._tf = Buffer()
+        self._listener = TransformListener(self._tf, self)
+        self._topics = {topic: self.create_publisher(KINDS[kind], topic, 10) for topic, kind in _PUBLISHED.items()}
+        subscribe = partial(self.create_subscription, qos_profile=_NEWEST)
+        subscribe(Image, "image", self._take_image)
+        subscribe(CompressedImage, "image/compressed", self._take_image)
+        subscribe(CameraInfo, "camera_info", self._take_camera)
+        subscribe(Imu, "imu", self._take_imu)
+        self.create_subscription(PoseWithCovarianceStamped, "/initialpose", self._take_start, 1)
+
+    def _parameter(self, name: str, default: Any) -> Any:
+        return self.declare_parameter(name, default).value
+
+    # --- What comes in ---
+
+    def _take_camera(self, message: CameraInfo) -> None:
+        if self._camera is None:
+            try:
+                self._camera = camera_of(message, self._is_rectified, Path("camera_info"))
+            except MonolocError as error:
+                self._warn(str(error))
+
+    def _take_imu(self, message: Imu) -> None:
+        self._imu = message
+
+    def _take_start(self, message: PoseWithCovarianceStamped) -> None:
+        """Begin anew at the next image; a pose that cannot be used changes nothing."""
+        if message.header.frame_id != self._map:
+            self._warn(f"/initialpose is in frame {message.header.frame_id!r}; give it in {self._map!r}")
+            return
+        if self._frames is None:
+            self._warn("/initialpose came before the first image; give it again")
+            return
+        try:
+            covariance = np.array(message.pose.covariance, dtype=np.float64).reshape(6, 6)
+            self._start = self._frames.start(pose_of(message), covariance)
+        except ValueError as error:
+            self._warn(f"/initialpose cannot be used: {error}")
+            return
+        if self._localizer is not None:
+            self._localizer.reset(self._start)
+
+    def _take_image(self, message: Image | CompressedImage) -> None:
+        stamp_ns = _nanoseconds(message.header.stamp)
+        if self._camera is None:
+            self._warn("no camera_info yet")
+        elif self._is_in_time(stamp_ns) and self._is_ready(message.header.frame_id, self._camera):
+            try:
+                color = color_of(message, Path("image"), self._camera)
+            except DataError as error:
+                self._warn(str(error))
+                return
+            self._localize(color, message, stamp_ns)
+
+    def _is_in_time(self, stamp_ns: int) -> bool:
+        age_s = (self.get_clock().now().nanoseconds - stamp_ns) / 1e9
+        if age_s > self._settings.most_age_s:
+            self._warn(f"images are {age_s:.2f} s old when they come, and are dropped")
+            return False
+        return self._previous_ns is None or stamp_ns > self._previous_ns
+
+    # --- Begin ---
+
+    def _is_ready(self, camera_frame: str, camera: Camera) -> bool:
+        """Whether there is a localizer; at the first image, how the camera is mounted must be known."""
+        try:
+            if self._frames is None:
+                self._frames = self._frames_of(camera_frame)
+                with_obstacles = self._settings.obstacles and self._bundle.provenance.tune != "none"
+                self._messages = StepMessages(self._frames, with_obstacles, with_mount=self._has_mount)
+            if self._localizer is None:
+                if self._start is None and not self._bundle.supports_relocalization:
+                    self._warn("this room cannot be searched for the camera; publish /initialpose")
+                    return False
+                self._localizer = Localizer(self._bundle, camera, self._start)
+        except (TransformException, MonolocError) as error:
+            self._warn(str(error))
+            return False
+        return True
+
+    def _frames_of(self, camera_frame: str) -> RosFrames:
+        names = FrameNames(map=self._map, odom=self._odom, base=self._base, camera=camera_frame)
+        down = self._bundle.down if self._settings.down is None else np.array(self._settings.down)
+        if self._has_mount:
+            return RosFrames(self._settings.mount.T_body_camera, down, names)
+        return RosFrames.of_base(self._transform(self._base, camera_frame, Time()), down, names)
+
+    # --- Localise ---
+
+    def _localize(self, color: Any, message: Image | CompressedImage, stamp_ns: int) -> None:
+        assert self._localizer is not None and self._messages is not None
+        elapsed_s = 0.0 if self._previous_ns is None else (stamp_ns - self._previous_ns) / 1e9
+        step = self._localizer.step(color, elapsed_s, down=self._down(stamp_ns, message.header.frame_id))
+        self._previous_ns = stamp_ns
+        try:
+            odom_base = None
+            if not self._publish_odom:
+                odom_base = self._transform(self._odom, self._base, Time.from_msg(message.header.stamp))
+        except TransformException as error:
+            self._warn(f"no odometry, so that nothing is published: {error}")
+            return
+        for each in self._messages.of(stamp_ns, step, odom_base):
+            self._topics[each.topic].publish(filled(KINDS[each.kind](), each.content))
+
+    def _down(self, stamp_ns: int, camera_frame: str) -> FloatArray | None:
+        """Direction of gravity in the camera's frame by the IMU; None where either end does not know it."""
+        imu = self._imu
+        if imu is None or self._bundle.down is None or imu.orientation_covariance[0] < 0.0:
+            return None
+        if abs(_nanoseconds(imu.header.stamp) - stamp_ns) > _MOST_IMU_AGE_NS:
+            return None
+        try:
+            return down_camera(imu.orientation, self._transform(imu.header.frame_id, camera_frame, Time()))
+        except (TransformException, ValueError) as error:
+            self._warn(f"the IMU is not used: {error}")
+            return None
+
+    def _transform(self, parent: str, child: str, time: Time) -> FloatArray:
+        return pose_of(self._tf.lookup_transform(parent, child, time))
+
+    def _warn(self, text: str) -> None:
+        self.get_logger().warning(text, throttle_duration_sec=_WARN_PERIOD_S)
+
+
+def _nanoseconds(stamp: Any) -> int:
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+
+def main() -> None:
+    """Run the node until it is stopped."""
+    cv2.setNumThreads(1)  # more do not speed up small images
+    rclpy.init()
+    try:
+        node = MonolocNode()
+    except MonolocError as error:
+        get_logger("monoloc").fatal(str(error))
+        rclpy.try_shutdown()
+        sys.exit(2)
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()

@@ -1,0 +1,4 @@
+from geometry_msgs.msg import TransformStamped
+
+class TFMessage:
+    transforms: list[TransformStamped]

@@ -1,0 +1,262 @@
+"""The ROS 2 node, run by a stand-in for ROS that replays frames of a synthetic room. ROS itself never ran it."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+import pytest
+
+import ros_stand_in
+from cli_helpers import write_workspace
+from monoloc.bundle import Bundle, read_bundle
+from monoloc.flight.flight_settings import FlightSettings
+from monoloc.flight.mcap_log import ros_frames_of
+from monoloc.geometry import FloatArray, invert, rotation_to_quaternion
+from monoloc.ros.message_contents import camera_info, pose_with_covariance, transforms
+from monoloc.ros.ros_frames import pose_of
+from monoloc.ros.step_messages import OBSTACLES, POSE, STATE, TF
+from repository import REPOSITORY
+from synthetic_room import FRAME_S, SMALL_CAMERA, Room, RoomRecording, make_path
+
+FRAMES = 12
+BEGIN_NS, PERIOD_NS = 1_700_000_000_123_456_789, round(FRAME_S * 1e9)
+COVARIANCE = np.diag([0.003, 0.003, 0.003, 0.001, 0.001, 0.001])
+
+
+@pytest.fixture(scope="module")
+def recording() -> RoomRecording:
+    return RoomRecording(Room(), make_path(FRAMES), SMALL_CAMERA)
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory: pytest.TempPathFactory, recording: RoomRecording) -> Path:
+    folder = tmp_path_factory.mktemp("workspace")
+    write_workspace(folder, recording)
+    (folder / "flight.toml").write_text("[mount]\nforward_m = 0.1\n")
+    return folder
+
+
+class Stage:
+    """A node in its room, and what it is told.
+
+    Attributes:
+        ros: the stand-in.
+        bundle: of the room.
+    """
+
+    def __init__(
+        self, ros: ros_stand_in.Runtime, module: ModuleType, workspace: Path, recording: RoomRecording
+    ) -> None:
+        self.ros, self._module, self._recording = ros, module, recording
+        self.bundle: Bundle = read_bundle(workspace / "room.monoloc")
+        self.path = str(workspace / "room.monoloc")
+        self.ros.parameters |= {"bundle": self.path, "settings": str(workspace / "flight.toml")}
+
+    def begin(self, **parameters: Any) -> None:
+        self.ros.parameters |= parameters
+        self._module.MonolocNode()
+
+    def message(self, kind: str, content: dict[str, Any]) -> Any:
+        package, name = kind.split("/")
+        filled = sys.modules["monoloc_ros.conversion"].filled
+        return filled(getattr(sys.modules[f"{package}.msg"], name)(), content)
+
+    def give_camera(self) -> None:
+        content = camera_info(BEGIN_NS, "cam_optical", SMALL_CAMERA)
+        self.ros.give("camera_info", self.message("sensor_msgs/CameraInfo", content))
+
+    def give_image(self, index: int, age_s: float = 0.02, compressed: bool = False) -> None:
+        stamp_ns = BEGIN_NS + index * PERIOD_NS
+        self.ros.now_ns = stamp_ns + round(age_s * 1e9)
+        color = self._recording.color(index)
+        header = camera_info(stamp_ns, "cam_optical", SMALL_CAMERA)["header"]
+        if compressed:
+            data = cv2.imencode(".png", color[..., ::-1])[1].tobytes()
+            content = {"header": header, "format": "png", "data": data}
+            self.ros.give("image/compressed", self.message("sensor_msgs/CompressedImage", content))
+            return
+        height, width = color.shape[:2]
+        content = {"header": header, "height": height, "width": width, "encoding": "rgb8", "step": 3 * width}
+        self.ros.give("image", self.message("sensor_msgs/Image", {**content, "data": color.tobytes()}))
+
+    def give_start(self, T_map_base: FloatArray, covariance: FloatArray = COVARIANCE, frame: str = "map") -> None:
+        content = pose_with_covariance(BEGIN_NS, frame, T_map_base, covariance)
+        self.ros.give("/initialpose", self.message("geometry_msgs/PoseWithCovarianceStamped", content))
+
+    def set_transform(self, parent: str, child: str, pose: FloatArray) -> None:
+        (content,) = transforms(BEGIN_NS, [(parent, child, pose)])["transforms"]
+        self.ros.transforms[parent, child] = self.message("geometry_msgs/TransformStamped", content)
+
+    def tree(self, index: int) -> dict[tuple[str, str], FloatArray]:
+        message = self.ros.of(TF)[index]
+        return {(each.header.frame_id, each.child_frame_id): pose_of(each) for each in message.transforms}
+
+
+@pytest.fixture
+def stage(monkeypatch: pytest.MonkeyPatch, workspace: Path, recording: RoomRecording) -> Stage:
+    ros = ros_stand_in.install(monkeypatch)
+    return Stage(ros, importlib.import_module("monoloc_ros.node"), workspace, recording)
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_images_in_poses_and_the_whole_tree_out(stage: Stage, recording: RoomRecording, compressed: bool) -> None:
+    stage.begin()
+    stage.give_image(0)
+    assert stage.ros.said == ["no camera_info yet"]
+    stage.give_camera()
+    stage.give_image(0)  # by which the frames are known; the room is searched
+    frames = ros_frames_of(stage.bundle, FlightSettings.model_validate({"mount": {"forward_m": 0.1}}))
+    T_map_base = frames.T_map_room @ recording.poses @ invert(frames.T_base_camera)
+    stage.give_start(T_map_base[1])
+    stage.ros.published.clear()
+    for index in range(1, FRAMES):
+        stage.give_image(index, compressed=compressed)
+    poses = stage.ros.of(POSE)
+    assert len(poses) >= FRAMES - 2
+    stamps_ns = [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in poses]
+    indices = [(stamp_ns - BEGIN_NS) // PERIOD_NS for stamp_ns in stamps_ns]
+    assert stamps_ns == [BEGIN_NS + index * PERIOD_NS for index in indices]  # to the nanosecond
+    stated = np.array([pose_of(message) for message in poses])
+    assert np.linalg.norm(stated[:, :3, 3] - T_map_base[indices, :3, 3], axis=1).max() < 0.15
+    for message in poses:
+        assert message.header.frame_id == "map" and np.diag(message.pose.covariance.reshape(6, 6)).min() > 0.0
+    tree = stage.tree(-1)
+    assert set(tree) == {("map", "odom"), ("odom", "base_link"), ("base_link", "cam_optical"), ("map", "room")}
+    np.testing.assert_allclose(tree["map", "odom"] @ tree["odom", "base_link"], stated[-1], atol=1e-9)
+    states = [message.status[0] for message in stage.ros.of(STATE)]
+    assert len(states) == FRAMES - 1 and states[-1].level == b"\0" and states[-1].message == "tracking"
+    assert not stage.ros.of(OBSTACLES)  # the bundle's network was not tuned
+
+
+def test_without_settings_the_mount_is_that_of_the_tree_and_odometry_may_be_anothers(
+    stage: Stage, recording: RoomRecording
+) -> None:
+    stage.begin(settings="", publish_odom=False, map_frame="world", base_frame="drone")
+    stage.give_camera()
+    stage.give_image(0)
+    assert stage.ros.said == ["cam_optical is not connected to drone"] and not stage.ros.published
+    T_base_camera = np.array([[0.0, 0, 1, 0.3], [-1, 0, 0, 0.1], [0, -1, 0, -0.2], [0, 0, 0, 1]])
+    stage.set_transform("drone", "cam_optical", T_base_camera)
+    stage.give_image(0)
+    assert stage.ros.said[1].startswith("no odometry") and not stage.ros.published
+    T_map_room = ros_frames_of(stage.bundle, FlightSettings()).T_map_room
+    T_odom_base = np.array([[0.0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 7], [0, 0, 0, 1]])
+    stage.set_transform("odom", "drone", T_odom_base)
+    T_map_base = T_map_room @ recording.poses @ invert(T_base_camera)
+    stage.give_start(T_map_base[1], frame="world")
+    for index in range(1, 4):
+        stage.give_image(index)
+    tree = stage.tree(-1)
+    assert set(tree) == {("world", "room"), ("world", "odom")}
+    stated = tree["world", "odom"] @ T_odom_base
+    assert np.linalg.norm(stated[:3, 3] - T_map_base[3, :3, 3]) < 0.15
+
+
+def test_what_cannot_be_used_is_said_and_changes_nothing(stage: Stage, recording: RoomRecording) -> None:
+    stage.begin()
+    stage.give_start(np.eye(4))
+    stage.give_camera()
+    stage.give_image(0, age_s=0.5)
+    stage.give_image(1)
+    stage.give_image(0)  # out of order
+    assert len(stage.ros.of(STATE)) == 1
+    stage.give_start(np.eye(4), frame="odom")
+    stage.give_start(np.eye(4), np.full((6, 6), np.nan))
+    wrong = stage.message(
+        "sensor_msgs/Image", {"width": 10, "height": 8, "step": 30, "encoding": "rgb8", "data": b""}
+    )
+    wrong.header.stamp.sec = BEGIN_NS // 10**9 + 60
+    stage.ros.give("image", wrong)
+    assert len(stage.ros.of(STATE)) == 1
+    patterns = ["before the first image", "0.50 s old", "in frame 'odom'", "must be finite", "is 10x8, but"]
+    for text, pattern in zip(stage.ros.said, patterns, strict=True):
+        assert pattern in text
+    stage.give_image(2)
+    assert len(stage.ros.of(STATE)) == 2
+
+
+def test_gravity_of_the_imu_reaches_the_localizer(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A camera that looks forward on a level vehicle: down is its y axis. An IMU without orientation says nothing."""
+    given: list[Any] = []
+    module = sys.modules["monoloc_ros.node"]
+    step = module.Localizer.step
+
+    def spy(self: Any, color: Any, elapsed_s: float, down: Any = None) -> Any:
+        given.append((elapsed_s, down))
+        return step(self, color, elapsed_s)
+
+    monkeypatch.setattr(module.Localizer, "step", spy)
+    monkeypatch.setattr(Bundle, "down", np.array([0.0, 1.0, 0.0]))
+    stage.begin()
+    stage.give_camera()
+    stage.set_transform(
+        "imu_link", "cam_optical", np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+    )
+    turn = dict(zip("xyzw", rotation_to_quaternion(np.eye(3)).tolist(), strict=True))
+    for index, (age_ns, known) in enumerate(((10**7, 0.0), (10**7, -1.0), (10**9, 0.0))):
+        header = camera_info(BEGIN_NS + index * PERIOD_NS - age_ns, "imu_link", SMALL_CAMERA)["header"]
+        content = {"header": header, "orientation": turn, "orientation_covariance": [known] + [0.0] * 8}
+        stage.ros.give("imu", stage.message("sensor_msgs/Imu", content))
+        stage.give_image(index)
+    elapsed, downs = zip(*given, strict=True)
+    np.testing.assert_allclose(elapsed, [0.0, FRAME_S, FRAME_S], atol=1e-8)
+    np.testing.assert_allclose(downs[0], [0.0, 1.0, 0.0], atol=1e-12)
+    assert downs[1:] == (None, None)
+
+
+def test_a_room_that_cannot_be_searched_waits_for_a_start(
+    stage: Stage, recording: RoomRecording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Bundle, "supports_relocalization", False)
+    stage.begin()
+    stage.give_camera()
+    stage.give_image(0)
+    assert stage.ros.said == ["this room cannot be searched for the camera; publish /initialpose"]
+    frames = ros_frames_of(stage.bundle, FlightSettings.model_validate({"mount": {"forward_m": 0.1}}))
+    stage.give_start(frames.T_map_room @ recording.poses[1] @ invert(frames.T_base_camera))
+    stage.give_image(1)
+    assert len(stage.ros.of(POSE)) == 1
+
+
+def test_main_ends_with_one_line_without_a_bundle_and_whole_when_it_is_stopped(stage: Stage) -> None:
+    main = sys.modules["monoloc_ros.node"].main
+    stage.ros.parameters["bundle"] = ""
+    with pytest.raises(SystemExit) as exit_:
+        main()
+    assert exit_.value.code == 2
+    assert stage.ros.said == ["bundle: is missing; name the bundle that monoloc build wrote", "shut down"]
+    stage.ros.parameters["bundle"] = str(REPOSITORY / "absent.monoloc")
+    with pytest.raises(SystemExit):
+        main()
+    assert "monoloc build" in stage.ros.said[2]
+    stage.ros.parameters["bundle"] = stage.path
+
+    def interrupt(node: Any) -> None:
+        raise KeyboardInterrupt
+
+    stage.ros.spin = interrupt
+    main()
+    assert stage.ros.said[-2:] == ["destroyed", "shut down"]
+
+
+def test_the_package_names_what_the_node_has() -> None:
+    """Parameters and topics of the launch file are the node's, and so is the program that is installed."""
+    folder = REPOSITORY / "ros" / "monoloc_ros"
+    source = (folder / "monoloc_ros" / "node.py").read_text()
+    (node,) = ElementTree.parse(folder / "launch" / "monoloc.launch.xml").getroot().iter("node")
+    for name in [each.attrib["name"] for each in node.iter("param")] + [
+        each.attrib["from"] for each in node.iter("remap")
+    ]:
+        assert f'"{name}"' in source, name
+    assert "node = monoloc_ros.node:main" in (folder / "setup.py").read_text() and node.attrib["exec"] == "node"
+    lines = sum(len(path.read_text().splitlines()) for path in (folder / "monoloc_ros").glob("*.py"))
+    assert lines <= 300
+    needed = {each.text for each in ElementTree.parse(folder / "package.xml").getroot().iter("exec_depend")}
+    assert needed == {"rclpy", "tf2_ros", "tf2_msgs", "sensor_msgs", "geometry_msgs", "diagnostic_msgs"}
