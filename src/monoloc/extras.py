@@ -82,6 +82,18 @@ def require_ros() -> None:
         raise MissingExtraError("reading ROS bags", "ros") from error
 
 
+def require_structure_from_motion() -> None:
+    """Check that pycolmap is installed, before long work starts.
+
+    Raises:
+        MissingExtraError: pycolmap is not installed.
+    """
+    try:
+        import pycolmap  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("a map from images without poses", "sfm") from error
+
+
 @contextmanager
 def training_extra() -> Iterator[None]:
     """Context for imports of PyTorch and related libraries.

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from monoloc.builder.build_config import BuildConfig
-from monoloc.camera import Camera
-from monoloc.depth.depth_image import sample_depth
 from monoloc.depth.predictor import DepthPrediction, DepthPredictor
+from monoloc.depth.scale_ratio import scale_ratio
 from monoloc.depth.spec import DepthModel
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, make_pose, so3_exp, transform
@@ -28,7 +26,6 @@ from monoloc.recording_check.time_stamps import check_times, require_seconds
 
 _FRAMES, _POINTS = 20, 300  # checked: enough for a mean, within seconds
 _LEAST_POINTS = 50  # with fewer, a frame sees nothing of the map
-_SMOOTH = 0.1  # largest relative step of depth that is compared with a network's
 
 _TURNS = make_pose(so3_exp(np.outer([0.5, 1.0, 1.5], [0.0, np.pi, 0.0])), np.zeros((3, 3)))
 
@@ -117,7 +114,7 @@ def _check_scale(recording: Recording, cloud: FloatArray, model: DepthModel) -> 
     ratios = [
         ratio
         for index in evenly_spaced(len(recording), _FRAMES).tolist()
-        if (ratio := _scale_ratio(depth_of(index), recording.camera, predictor(recording.color(index)))) is not None
+        if (ratio := scale_ratio(depth_of(index), recording.camera, predictor(recording.color(index)))) is not None
     ]
     if not ratios:
         return []
@@ -125,18 +122,6 @@ def _check_scale(recording: Recording, cloud: FloatArray, model: DepthModel) -> 
     if _LEAST_SCALE < scale < _MOST_SCALE:
         return []
     return [f"{what} is {scale:.2f} times as far as the network's; it may be in a scale of its own, not in metres"]
-
-
-def _scale_ratio(depth_m: NDArray[np.float32], camera: Camera, predicted: DepthPrediction) -> float | None:
-    """Median ratio of depth (H, W) of a camera to predicted depth; None if they share too few pixels."""
-    at = predicted.camera
-    u, v = np.meshgrid(np.arange(at.width), np.arange(at.height))
-    pixels = np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float32)
-    given = sample_depth(pixels, at, depth_m, camera, _SMOOTH).reshape(at.height, at.width)
-    known = (given > 0.0) & (predicted.depth_m > 0.0)
-    if known.sum() < _LEAST_POINTS:
-        return None
-    return float(np.median(given[known] / predicted.depth_m[known]))
 
 
 def check_frames(

@@ -155,7 +155,15 @@ def _poses(images: list[_Image], path: Path) -> FloatArray:
     return invert(poses_from_quaternions(np.roll(quaternions_wxyz, -1, axis=1), translations_m, path))
 
 
-def _camera(name: str, width: int, height: int, values: list[float], path: Path) -> Camera:
+def camera_of(name: str, width: int, height: int, values: list[float], path: Path) -> Camera:
+    """A camera by COLMAP's name of its model and the model's parameters.
+
+    Args:
+        path: the file that states them, for error messages.
+
+    Raises:
+        DataError: the model is not supported, or the parameters are those of no camera.
+    """
     lens = _LENSES.get(name)
     if lens is None:
         fix = "undistort the images: colmap image_undistorter, and give the folder that it writes"
@@ -170,6 +178,29 @@ def _camera(name: str, width: int, height: int, values: list[float], path: Path)
         return Camera(width, height, fx, fy, cx - 0.5, cy - 0.5, tuple(distortion), lens.model)
 
 
+def parameters_of(camera: Camera, name: str | None = None) -> tuple[str, list[float]]:
+    """COLMAP's name of a camera's model, and the model's parameters.
+
+    Args:
+        name: a model that leaves out coefficients of the camera; None chooses one that has them all.
+    """
+    if name is None:
+        has_k3 = camera.distortion_model == "brown" and camera.distortion[4] != 0.0
+        rational = has_k3 or camera.distortion_model == "rational"
+        name = (
+            "FULL_OPENCV" if rational else {"brown": "OPENCV", "fisheye": "OPENCV_FISHEYE"}[camera.distortion_model]
+        )
+    lens = _LENSES[name]
+    values = [0.0] * lens.parameters
+    for position, value in zip(
+        lens.intrinsics, (camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5), strict=True
+    ):
+        values[position] = value
+    for position, value in zip(lens.distortion, camera.distortion, strict=False):
+        values[position] = value
+    return name, values
+
+
 def _text_cameras(path: Path) -> dict[int, Camera]:
     cameras = {}
     for words in (line.split() for line in _lines(path)):
@@ -179,7 +210,7 @@ def _text_cameras(path: Path) -> dict[int, Camera]:
             identity = int(number)
         except ValueError as error:
             raise DataError(path, f"{' '.join(words)[:80]!r} is not a camera", _AGAIN) from error
-        cameras[identity] = _camera(*arguments)
+        cameras[identity] = camera_of(*arguments)
     return cameras
 
 
@@ -212,7 +243,7 @@ def _binary_cameras(path: Path) -> dict[int, Camera]:
         number, model, width, height = file.take("iiQQ")
         name = _NAMES[model] if 0 <= model < len(_NAMES) else f"number {model}"
         values = file.take(f"{_LENSES[name].parameters}d") if name in _LENSES else ()
-        cameras[number] = _camera(name, width, height, list(values), path)
+        cameras[number] = camera_of(name, width, height, list(values), path)
     return cameras
 
 

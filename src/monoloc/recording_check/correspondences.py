@@ -93,7 +93,7 @@ def match_corners(recording: Recording) -> Matches:
     """
     width, height = recording.camera.width, recording.camera.height
     factor = min(1.0, _TRACKING.width / width)
-    images = _TrackingImages(recording, recording.camera.resized(round(width * factor), round(height * factor)))
+    images = TrackingImages(recording, recording.camera.resized(round(width * factor), round(height * factor)))
     starts = evenly_spaced(len(recording) - 1, _PAIRS) if len(recording) > 1 else np.zeros(0, np.int64)
     found = [pair for start in starts.tolist() if (pair := _match(images, start, len(recording))) is not None]
     if not found:
@@ -108,7 +108,7 @@ def match_corners(recording: Recording) -> Matches:
     )
 
 
-class _TrackingImages:
+class TrackingImages:
     """Equalised grey images (h, w) uint8 of a recording, in the size of ``camera``."""
 
     def __init__(self, recording: Recording, camera: Camera) -> None:
@@ -128,7 +128,7 @@ def _motion(pixels: NDArray[np.float32]) -> float:
     return float(np.median(np.linalg.norm(pixels[:, 1] - pixels[:, 0], axis=1)))
 
 
-def _match(images: _TrackingImages, start: int, count: int) -> tuple[tuple[int, int], NDArray[np.float32]] | None:
+def _match(images: TrackingImages, start: int, count: int) -> tuple[tuple[int, int], NDArray[np.float32]] | None:
     """The pair of frames from ``start`` on, and its matches (M, 2, 2); None if it has none, or hardly moves."""
     before = images(start)
     if before is None:

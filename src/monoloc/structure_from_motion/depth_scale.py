@@ -1,0 +1,77 @@
+"""Scale by depth: the recording's own in some frames, or a network's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.bundle import read_network
+from monoloc.depth.models import DEFAULT
+from monoloc.depth.predictor import DepthPrediction, DepthPredictor
+from monoloc.depth.scale_ratio import scale_ratio
+from monoloc.errors import SettingError
+from monoloc.io.recording import Recording, evenly_spaced
+from monoloc.structure_from_motion.dense_depth import small_camera
+from monoloc.structure_from_motion.metric_scale import MetricScale, from_log_ratios
+from monoloc.structure_from_motion.sparse_model import SparseModel
+
+_SENSOR_FRAMES, _NETWORK_FRAMES = 10, 60
+_SENSOR_SD = 0.01  # of a depth sensor's own scale
+# Of a shipped network's scale in a room. Its depth, times a factor of exp(-0.05) and exp(-0.23), was that of the
+# sensor on frames 0:300 of RedKitchen and 0:350 of the desk.
+_NETWORK_SD = 0.25
+
+
+@dataclass(frozen=True)
+class DepthScale:
+    """The recording's own depth, of at most ten frames."""
+
+    def frames(self, recording: Recording) -> list[int]:
+        """See :meth:`monoloc.structure_from_motion.metric_scale.ScaleSource.frames`."""
+        if not recording.has_depth:
+            raise SettingError("scale", f"is depth, but {recording.name} has none", "give another --scale")
+        return []
+
+    def measure(self, recording: Recording, model: SparseModel, depths: Sequence[NDArray[np.float32]]) -> MetricScale:
+        """See :meth:`monoloc.structure_from_motion.metric_scale.ScaleSource.measure`."""
+        camera = small_camera(model.camera)
+        ratios = [
+            scale_ratio(
+                recording.depth(int(model.frames[frame])), model.camera, DepthPrediction(depths[frame], camera)
+            )
+            for frame in evenly_spaced(len(depths), _SENSOR_FRAMES).tolist()
+        ]
+        logs = [float(np.log(ratio)) for ratio in ratios if ratio is not None]
+        return from_log_ratios(logs, _SENSOR_SD, f"depth of {len(logs)} frames", recording.name)
+
+
+@dataclass(frozen=True)
+class NetworkScale:
+    """Depth that a network predicts.
+
+    Attributes:
+        network: as :func:`monoloc.bundle.read_network` takes it.
+    """
+
+    network: str = DEFAULT
+
+    def frames(self, recording: Recording) -> list[int]:
+        """See :meth:`monoloc.structure_from_motion.metric_scale.ScaleSource.frames`."""
+        if not read_network(self.network).spec.is_usable:
+            problem = f"is network, but {self.network} gives relative depth"
+            raise SettingError("scale", problem, "name a network that predicts metres, as network:NAME")
+        return []
+
+    def measure(self, recording: Recording, model: SparseModel, depths: Sequence[NDArray[np.float32]]) -> MetricScale:
+        """See :meth:`monoloc.structure_from_motion.metric_scale.ScaleSource.measure`."""
+        predict = DepthPredictor(read_network(self.network), model.camera)
+        camera = small_camera(model.camera)
+        logs = []
+        for frame in evenly_spaced(len(depths), _NETWORK_FRAMES).tolist():
+            ratio = scale_ratio(depths[frame], camera, predict(recording.color(int(model.frames[frame]))))
+            if ratio is not None:
+                logs.append(-float(np.log(ratio)))
+        return from_log_ratios(logs, _NETWORK_SD, f"predicted depth of {len(logs)} frames", recording.name)

@@ -1,0 +1,98 @@
+"""Scale by a known distance between two points that a person has marked in some frames.
+
+::
+
+    metres = 2.40
+    sd_m = 0.005                                        # optional: of the distance
+    a = [["000012", 310, 77], ["000090", 402, 80]]      # frame, x and y in pixels; at least two frames
+    b = [["000012", 120, 210], ["000061", 98, 233]]
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from monoloc.config import describe
+from monoloc.errors import DataError
+from monoloc.geometry import FloatArray
+from monoloc.io.file_access import read_text, require_file
+from monoloc.io.recording import Recording
+from monoloc.structure_from_motion.metric_scale import MetricScale, from_length
+from monoloc.structure_from_motion.sparse_model import SparseModel
+from monoloc.structure_from_motion.triangulation import distance_sd, triangulate
+
+_CLICK_SD_PX = 1.5
+_FIX = "write metres, a and b, each of the two as [[frame, x, y], [frame, x, y]]"
+
+_Pixel = tuple[str, float, float]
+
+
+class _Distance(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    metres: float = Field(gt=0.0, le=1000.0)
+    sd_m: float = Field(0.005, ge=0.0)
+    a: list[_Pixel] = Field(min_length=2)
+    b: list[_Pixel] = Field(min_length=2)
+
+
+@dataclass(frozen=True)
+class DistanceScale:
+    """A distance between two points.
+
+    Attributes:
+        path: TOML file that says where they are.
+    """
+
+    path: Path
+
+    def frames(self, recording: Recording) -> list[int]:
+        """See :meth:`monoloc.structure_from_motion.metric_scale.ScaleSource.frames`."""
+        distance = self._distance()
+        return sorted({self._index(recording, name) for name, _, _ in (*distance.a, *distance.b)})
+
+    def measure(self, recording: Recording, model: SparseModel, depths: Sequence[NDArray[np.float32]]) -> MetricScale:
+        """See :meth:`monoloc.structure_from_motion.metric_scale.ScaleSource.measure`."""
+        distance = self._distance()
+        ends = []
+        for name, pixels in (("a", distance.a), ("b", distance.b)):
+            end = self._placed(recording, model, pixels)
+            if end is None:
+                problem = f"{name} is marked in fewer than two frames that could be placed, or from one side only"
+                raise DataError(self.path, problem, "mark it in frames further apart")
+            ends.append(end)
+        length, length_sd = distance_sd(ends[0], ends[1])
+        how = f"a distance of {distance.metres:g} m"
+        return from_length(length, _CLICK_SD_PX * length_sd, distance.metres, distance.sd_m, how, str(self.path))
+
+    def _placed(
+        self, recording: Recording, model: SparseModel, pixels: Sequence[_Pixel]
+    ) -> tuple[FloatArray, FloatArray] | None:
+        indices = [self._index(recording, name) for name, _, _ in pixels]
+        placed = np.isin(indices, model.frames)
+        if placed.sum() < 2:
+            return None
+        poses = model.poses[np.searchsorted(model.frames, np.array(indices)[placed])]
+        return triangulate(model.camera, poses, np.array([pixel[1:] for pixel in pixels])[placed])
+
+    def _index(self, recording: Recording, name: str) -> int:
+        if name not in recording.frame_names:
+            first, last = recording.frame_names[0], recording.frame_names[-1]
+            raise DataError(self.path, f"{name!r} is no frame of {recording.name}", f"they are {first} to {last}")
+        return recording.frame_names.index(name)
+
+    def _distance(self) -> _Distance:
+        require_file(self.path, _FIX)
+        try:
+            return _Distance.model_validate(tomllib.loads(read_text(self.path)))
+        except ValidationError as error:
+            raise DataError(self.path, describe(error), _FIX) from error
+        except ValueError as error:
+            raise DataError(self.path, f"is not valid TOML ({error})", "correct that line") from error

@@ -1,0 +1,70 @@
+"""Scale by an ArUco marker or AprilTag of known size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.errors import DataError
+from monoloc.geometry import FloatArray
+from monoloc.io.recording import Recording
+from monoloc.relocalization.marker import DEFAULT_DICTIONARY, Dictionary, MarkerDetector
+from monoloc.structure_from_motion.metric_scale import MetricScale, from_length
+from monoloc.structure_from_motion.sparse_model import SparseModel
+from monoloc.structure_from_motion.triangulation import distance_sd, triangulate
+
+_CORNER_SD_PX = 0.5
+_SIZE_SD = 0.005  # relative, of a size measured with a ruler
+_SQUARE = 0.15  # relative difference of sides, above which it is no square
+
+
+@dataclass(frozen=True)
+class MarkerScale:
+    """A marker.
+
+    Attributes:
+        number: in the dictionary.
+        size_m: side of the black square.
+        dictionary: that it is printed from.
+    """
+
+    number: int
+    size_m: float
+    dictionary: Dictionary = DEFAULT_DICTIONARY
+
+    def frames(self, recording: Recording) -> list[int]:
+        """See :meth:`monoloc.structure_from_motion.metric_scale.ScaleSource.frames`."""
+        return []
+
+    def measure(self, recording: Recording, model: SparseModel, depths: Sequence[NDArray[np.float32]]) -> MetricScale:
+        """See :meth:`monoloc.structure_from_motion.metric_scale.ScaleSource.measure`."""
+        poses, corners = self._seen(recording, model)
+        if len(poses) < 2:
+            problem = f"shows marker {self.number} of {self.dictionary} in {len(poses)} of the frames used"
+            raise DataError(recording.name, problem, "film it in at least two, or correct --scale")
+        found = [triangulate(model.camera, poses, corners[:, corner]) for corner in range(4)]
+        placed = [each for each in found if each is not None]
+        if len(placed) < 4:
+            raise DataError(
+                recording.name, f"shows marker {self.number} from one side only", "film it from more sides"
+            )
+        sides = np.array([distance_sd(placed[corner], placed[(corner + 1) % 4]) for corner in range(4)])
+        length = float(sides[:, 0].mean())
+        if np.ptp(sides[:, 0]) > _SQUARE * length:
+            problem = f"shows marker {self.number} with sides that differ by {np.ptp(sides[:, 0]) / length:.0%}"
+            raise DataError(recording.name, problem, "film it from nearer, flat and at rest")
+        length_sd = max(_CORNER_SD_PX * float(np.sqrt(np.mean(sides[:, 1] ** 2))), float(np.std(sides[:, 0]))) / 2.0
+        how = f"marker {self.number} in {len(poses)} frames"
+        return from_length(length, length_sd, self.size_m, _SIZE_SD * self.size_m, how, recording.name)
+
+    def _seen(self, recording: Recording, model: SparseModel) -> tuple[FloatArray, FloatArray]:
+        """Poses of the frames that show the marker, (M, 4, 4), and its corners there, (M, 4, 2)."""
+        detect = MarkerDetector(self.dictionary)
+        seen = []
+        for frame, index in enumerate(model.frames.tolist()):
+            seen += [(frame, corners) for number, corners in detect(recording.color(index)) if number == self.number]
+        poses = model.poses[[frame for frame, _ in seen]]
+        return poses, np.array([corners for _, corners in seen]).reshape(-1, 4, 2)

@@ -1,0 +1,126 @@
+"""A recording with poses and depth, from images without poses.
+
+keyframes -> sparse model -> dense depth -> scale -> upright world
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.camera import Camera
+from monoloc.io.image_resampling import resize_nearest
+from monoloc.io.recording import Recording
+from monoloc.progress import NoProgress, Progress
+from monoloc.structure_from_motion.dense_depth import dense_depth, small_camera
+from monoloc.structure_from_motion.keyframe_choice import choose_keyframes
+from monoloc.structure_from_motion.levelling import levelled
+from monoloc.structure_from_motion.mapping import map_keyframes
+from monoloc.structure_from_motion.metric_scale import MetricScale, ScaleSource
+from monoloc.structure_from_motion.sparse_model import SparseModel
+
+
+class ReconstructedRecording:
+    """The placed frames of a recording, with the poses and the depth that were found.
+
+    Attributes:
+        scale_sd: relative standard deviation of the scale of poses and depth.
+    """
+
+    def __init__(
+        self,
+        source: Recording,
+        model: SparseModel,
+        depths: Sequence[NDArray[np.float32]],
+        scale_sd: float,
+        notes: list[str],
+    ) -> None:
+        frames = model.frames
+        self._source, self._frames, self._depths = source, frames, depths
+        self.name, self.camera, self.poses, self.has_depth = source.name, model.camera, model.poses, True
+        self.frame_names = [source.frame_names[index] for index in frames]
+        self.timestamps_s = source.timestamps_s[frames]
+        self.scale_sd, self.notes = scale_sd, notes
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def color(self, index: int) -> NDArray[np.uint8]:
+        """See :meth:`monoloc.io.recording.Recording.color`."""
+        return self._source.color(int(self._frames[index]))
+
+    def depth(self, index: int) -> NDArray[np.float32]:
+        """See :meth:`monoloc.io.recording.Recording.depth`."""
+        return resize_nearest(self._depths[index], self.camera.width, self.camera.height)
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """What was found.
+
+    Attributes:
+        recording: to build from.
+        model: poses and sparse points, metres, z up.
+        depths: of its frames, (h, w) metres of ``depth_camera``, 0 where unknown.
+        scale: of the model.
+        is_upright: whether surfaces told the vertical, and not only how the camera was held.
+    """
+
+    recording: ReconstructedRecording
+    model: SparseModel
+    depths: list[NDArray[np.float32]]
+    scale: MetricScale
+    is_upright: bool
+
+    @property
+    def depth_camera(self) -> Camera:
+        """Intrinsics of ``depths``."""
+        return small_camera(self.model.camera)
+
+
+def reconstruct(
+    recording: Recording, scale: ScaleSource, refine_camera: bool, seed: int = 0, progress: Progress = NoProgress()
+) -> Reconstruction:
+    """Place the frames of a recording by its colour images, and find their depth.
+
+    Poses and depth that the recording may have are not used, but for what measures the scale.
+
+    Args:
+        scale: what the scale is measured by.
+        refine_camera: whether the recording's camera is a guess, whose focal length and radial distortion are found.
+        seed: the same seed gives the same result on the same machine.
+
+    Raises:
+        MissingExtraError: pycolmap is not installed.
+        SettingError: the scale cannot be measured by what was chosen.
+        DataError: as :func:`monoloc.structure_from_motion.mapping.map_keyframes`, or no scale was found.
+    """
+    required = scale.frames(recording)  # refuses what cannot be measured before the work is done
+    keyframes = choose_keyframes(recording, required, progress)
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        unscaled = map_keyframes(recording, keyframes, refine_camera, seed, progress)
+        depths = dense_depth(recording, unscaled, progress)
+    finally:
+        cv2.setNumThreads(threads)
+    metric = scale.measure(recording, unscaled, depths)
+    depths = [depth * np.float32(metric.metres) for depth in depths]
+    model, is_upright = levelled(unscaled.scaled(metric.metres), depths, np.random.default_rng(seed))
+    found = ReconstructedRecording(recording, model, depths, metric.sd, _notes(recording, model, metric))
+    return Reconstruction(found, model, depths, metric, is_upright)
+
+
+def _notes(recording: Recording, model: SparseModel, scale: MetricScale) -> list[str]:
+    notes = [
+        f"poses and depth are by structure from motion, of {len(model.frames)} keyframes of {len(recording)} frames",
+        f"the scale is by {scale.how}, ± {100.0 * scale.sd:.2g} %",
+    ]
+    lost = model.tried - len(model.frames)
+    if lost:
+        notes.append(f"{lost} of {model.tried} keyframes are left out: they could not be placed")
+    return notes
