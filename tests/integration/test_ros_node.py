@@ -39,7 +39,7 @@ def recording() -> RoomRecording:
 def workspace(tmp_path_factory: pytest.TempPathFactory, recording: RoomRecording) -> Path:
     folder = tmp_path_factory.mktemp("workspace")
     write_workspace(folder, recording)
-    (folder / "flight.toml").write_text("[mount]\nforward_m = 0.1\n")
+    (folder / "flight.toml").write_text('room = "room.monoloc"\n[mount]\nforward_m = 0.1\n')
     return folder
 
 
@@ -57,7 +57,7 @@ class Stage:
         self.ros, self._module, self._recording = ros, module, recording
         self.bundle: Bundle = read_bundle(workspace / "room.monoloc")
         self.path = str(workspace / "room.monoloc")
-        self.ros.parameters |= {"bundle": self.path, "settings": str(workspace / "flight.toml")}
+        self.ros.parameters |= {"settings": str(workspace / "flight.toml")}
 
     def begin(self, **parameters: Any) -> None:
         self.ros.parameters |= parameters
@@ -138,7 +138,7 @@ def test_images_in_poses_and_the_whole_tree_out(stage: Stage, recording: RoomRec
 def test_without_settings_the_mount_is_that_of_the_tree_and_odometry_may_be_anothers(
     stage: Stage, recording: RoomRecording
 ) -> None:
-    stage.begin(settings="", publish_odom=False, map_frame="world", base_frame="drone")
+    stage.begin(settings="", bundle=stage.path, publish_odom=False, map_frame="world", base_frame="drone")
     stage.give_camera()
     stage.give_image(0)
     assert stage.ros.said == ["cam_optical is not connected to drone"] and not stage.ros.published
@@ -227,7 +227,7 @@ def test_a_room_that_cannot_be_searched_waits_for_a_start(
 
 def test_main_ends_with_one_line_without_a_bundle_and_whole_when_it_is_stopped(stage: Stage) -> None:
     main = sys.modules["monoloc_ros.node"].main
-    stage.ros.parameters["bundle"] = ""
+    stage.ros.parameters["settings"] = ""
     with pytest.raises(SystemExit) as exit_:
         main()
     assert exit_.value.code == 2

@@ -20,9 +20,8 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 from tf2_ros import Buffer, TransformException, TransformListener
 
 from monoloc import Camera, Localizer, Start, load
-from monoloc.config import load_settings
 from monoloc.errors import DataError, MonolocError, SettingError
-from monoloc.flight.flight_settings import FlightSettings
+from monoloc.flight.flight_file import FlightFile, read_flight_file
 from monoloc.geometry import FloatArray
 from monoloc.io.rosbag_messages import camera_of, color_of
 from monoloc.ros.ros_frames import FrameNames, RosFrames, down_camera, pose_of
@@ -44,8 +43,9 @@ class MonolocNode(Node):
     """Localises the newest image of a camera.
 
     Parameters:
-        bundle: of the room.
-        settings: a flight.toml with mount, down and most_age_s; empty takes the mount from /tf.
+        bundle: of the room; empty takes that of the settings.
+        settings: a flight.toml, of which room, mount, down, obstacles and most_age_s are used; empty takes the mount
+            from /tf.
         map_frame, odom_frame, base_frame: names.
         publish_odom: false where another node publishes odom -> base_link.
         rectified: whether the images are.
@@ -58,8 +58,9 @@ class MonolocNode(Node):
         super().__init__("monoloc")
         settings = self._parameter("settings", "")
         self._has_mount = bool(settings)
-        self._settings = load_settings(Path(settings), FlightSettings) if settings else FlightSettings()
-        bundle = self._parameter("bundle", "")
+        flight = read_flight_file(Path(settings)) if settings else FlightFile()
+        self._settings = flight.settings
+        bundle = self._parameter("bundle", "") or flight.room
         if not bundle:
             raise SettingError("bundle", "is missing", "name the bundle that monoloc build wrote")
         self._bundle = load(bundle)

@@ -72,9 +72,9 @@ def flight_of(room: Path | None, settings: Path | None, **options: object) -> tu
     if bundle is None:
         where = "" if settings is None else f" and {settings} has no room"
         raise SettingError("ROOM", f"is missing{where}", "name a bundle of monoloc build")
-    if flight.record is not None and "%" in str(flight.record):
-        flight = flight.model_copy(update={"record": Path(time.strftime(str(flight.record)))})
-    return bundle, flight
+    timed = {name: getattr(flight, name) for name in ("mcap", "record")}
+    changes = {name: Path(time.strftime(str(path))) for name, path in timed.items() if path and "%" in str(path)}
+    return bundle, flight.model_copy(update=changes)
 
 
 def check_autopilot(flight: FlightFile, align: bool, fast: bool) -> None:

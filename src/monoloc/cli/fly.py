@@ -42,6 +42,7 @@ from monoloc.cli.stop_signals import stopped_by_signals
 from monoloc.errors import SettingError
 from monoloc.extras import require_mcap
 from monoloc.flight.autopilot import down_world, gravity_of, senders
+from monoloc.flight.flight_file import FlightFile
 from monoloc.flight.flight_loop import Flight, FlightOutput, FlightSummary
 from monoloc.flight.flight_recording import FlightHeader, FlightRecorder, RecordedStart
 from monoloc.flight.flight_settings import FlightSettings
@@ -134,10 +135,11 @@ def fly(
         mavlink=mavlink,
         firmware=firmware,
         out=out,
+        mcap=mcap,
         record=record,
     )
-    check_outputs({"--out": flight.out, "--mcap": mcap}, (room, flight.source, settings))
-    check_mcap(mcap)
+    check_outputs({"--out": flight.out, "--mcap": flight.mcap}, (room, flight.source, settings))
+    check_mcap(flight.mcap)
     if flight.record is not None:
         check_folder(flight.record, "--record")
         check_apart(flight.record, "--record", (room, flight.source))
@@ -161,7 +163,7 @@ def fly(
                 header = _header(room, camera, starting.start, seed, flight_settings, sent_to)
                 outputs.append(FlightRecorder(flight.record, header))
             clock_offset_s = 0.0 if fast else time.time() - frame_source.now_s()
-            outputs += _logs(flight.out, mcap, bundle, camera, flight_settings, clock_offset_s)
+            outputs += _logs(flight, bundle, camera, clock_offset_s)
             if link is not None and align:
                 T_body_camera = flight_settings.mount.T_body_camera
                 north = NorthMeasurement(T_body_camera, down_world(bundle, flight_settings), link.attitude_at)
@@ -199,19 +201,12 @@ def check_mcap(path: Path | None) -> None:
         require_mcap()
 
 
-def _logs(
-    out: Path | None,
-    mcap: Path | None,
-    bundle: Bundle,
-    camera: Camera,
-    settings: FlightSettings,
-    clock_offset_s: float,
-) -> Iterator[FlightOutput]:
+def _logs(flight: FlightFile, bundle: Bundle, camera: Camera, clock_offset_s: float) -> Iterator[FlightOutput]:
     """What a flight writes of its results, beside a recording of it."""
-    if out is not None:
-        yield PoseLog(out)
-    if mcap is not None:
-        yield McapLog(step_recorder(mcap, True, bundle, camera, settings), clock_offset_s)
+    if flight.out is not None:
+        yield PoseLog(flight.out)
+    if flight.mcap is not None:
+        yield McapLog(step_recorder(flight.mcap, True, bundle, camera, flight.settings), clock_offset_s)
 
 
 def open_frames(

@@ -28,7 +28,8 @@ class FlightFile(FlightSettings):
         start: pose ``TX,TY,TZ,QX,QY,QZ,QW`` of the first frame, ``unknown`` or ``truth``.
         start_error_cm, start_error_deg: of the start.
         out: table to write.
-        record: folder to write; ``%Y``, ``%m``, ``%d``, ``%H``, ``%M`` and ``%S`` stand for the time of the start.
+        mcap, record: file and folder to write; in both, ``%Y``, ``%m``, ``%d``, ``%H``, ``%M`` and ``%S`` stand for
+            the time of the start.
         dictionary, marker: markers of known place, see :class:`~monoloc.relocalization.marker.Markers`.
     """
 
@@ -41,6 +42,7 @@ class FlightFile(FlightSettings):
     start_error_cm: float = Field(10.0, ge=0.0, le=1e5)
     start_error_deg: float = Field(3.0, ge=0.0, le=180.0)
     out: Path | None = None
+    mcap: Path | None = None
     record: Path | None = None
     dictionary: Dictionary = DEFAULT_DICTIONARY
     marker: tuple[Marker, ...] = ()
@@ -71,7 +73,7 @@ def read_flight_file(path: Path) -> FlightFile:
     """
     flight, folder = load_settings(path, FlightFile), path.parent
     changes: dict[str, object] = {"source": _source_beside(flight.source, folder)}
-    for name in ("room", "out", "record"):
+    for name in ("room", "out", "mcap", "record"):
         given = getattr(flight, name)
         changes[name] = None if given is None else folder / given.expanduser()
     if flight.camera is not None and flight.camera.endswith(".toml"):

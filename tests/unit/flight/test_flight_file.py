@@ -22,6 +22,7 @@ firmware = "px4"
 start = "0,0,1,0,0,0,1"
 start_error_cm = 20
 record = "flight-%Y"
+mcap = "logs/%Y.mcap"
 north_deg = 75.5
 most_age_s = 0.3
 dictionary = "apriltag_25h9"
@@ -38,6 +39,7 @@ def test_everything_is_read_and_paths_are_beside_the_file(tmp_path: Path) -> Non
     path.write_text(TEXT)
     flight = read_flight_file(path)
     assert flight.room == tmp_path / "kitchen.monoloc" and flight.record == tmp_path / "flight-%Y"
+    assert flight.mcap == tmp_path / "logs" / "%Y.mcap"
     assert (flight.source, flight.camera) == (f"7scenes:{tmp_path}/kitchen", str(tmp_path / "cam.toml"))
     assert (flight.mavlink, flight.firmware) == ("udpout:127.0.0.1:14540", Firmware.PX4)
     assert (flight.start, flight.start_error_cm) == ("0,0,1,0,0,0,1", 20.0)
