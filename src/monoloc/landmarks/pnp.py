@@ -57,6 +57,7 @@ _FOCAL_KERNEL_SDS = (
 )  # narrower: the pose is known, but for what the focal length does to it
 _SHIFT_SD_M, _TURN_SD_RAD, _FOCAL_SD = 0.5, 0.1, 0.2  # of what a wrong focal length does to a pose, and of its log
 _AGREE_WEIGHT = 0.25  # of a landmark that agrees
+_CHI2_99_6 = 16.8  # 99 % quantile of the chi-squared distribution with 6 degrees of freedom
 _NO_INDICES, _NO_FLAGS = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
 
 
@@ -144,31 +145,27 @@ class OrbLandmarkLocalizer:
         self._detect = KeypointDetector(camera)
 
     def measure(self, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
-        """As :meth:`LandmarkLocalizer.measure`; a prior that is too vague is not used.
+        """As :meth:`LandmarkLocalizer.measure`; a prior that is vague only tells which landmarks are in view.
 
         The prior counts as vaguer than it is stated: a belief that has drifted would else select the matches that
         agree with it.
         """
         covariance = covariance + PRIOR_COVARIANCE
         visible, local = self._visible(prior)
-        if self._radius_px(local, covariance) > _MOST_RADIUS_PX:
-            place = self.relocalize(color)
-            return LandmarkMeasurement(len(visible), 0 if place is None else len(place.points), place)
-        return self.measure_keypoints(self._detect(color), prior, covariance)
+        seen = self._detect(color)
+        if self._radius_px(local, covariance) <= _MOST_RADIUS_PX:
+            return self.measure_keypoints(seen, prior, covariance)
+        # Too vague to say where in the image a landmark is to be sought, but not where in the room.
+        pose = self._confirmed(seen, visible)[0]
+        if pose is None or not _is_within(pose.pose, prior, covariance):
+            return LandmarkMeasurement(len(visible))
+        return LandmarkMeasurement(len(visible), len(pose.points), pose)
 
     def relocalize(self, color: NDArray[np.uint8]) -> LandmarkPose | None:
         """As :meth:`LandmarkLocalizer.relocalize`; None too where two places look alike."""
         seen = self._detect(color)
-        place = self._pose_without_prior(seen)
-        if place is None:
-            return None
-        measured, where = self._agreeing(seen, place, PRIOR_COVARIANCE)
-        found = measured.pose
-        if found is None or len(found.points) < _LEAST_CONFIRMED:
-            return None
-        if self._spread(seen.pixels[where]) < _LEAST_SPREAD or self._fits_elsewhere(seen, where, found):
-            return None
-        return found
+        found, where = self._confirmed(seen, np.arange(len(self._landmarks)))
+        return None if found is None or self._fits_elsewhere(seen, where, found) else found
 
     def measure_keypoints(self, seen: Keypoints, prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
         """As :meth:`LandmarkLocalizer.measure`, from keypoints that are detected already."""
@@ -204,17 +201,32 @@ class OrbLandmarkLocalizer:
         depth_m = float(np.median(local[:, 2])) if len(local) else 1.0
         return max(_LEAST_RADIUS_PX, 3.0 * self._detect.camera.focal_px * _direction_sd(covariance, depth_m))
 
-    def _pose_without_prior(self, seen: Keypoints) -> FloatArray | None:
-        """``T_world_camera`` (4, 4) from descriptors alone; None where too few landmarks agree."""
-        if min(len(seen.descriptors), len(self._landmarks)) < LEAST_LANDMARKS:
+    def _pose_without_prior(self, seen: Keypoints, possible: NDArray[np.int64]) -> FloatArray | None:
+        """``T_world_camera`` (4, 4) from descriptors of some landmarks; None where too few agree."""
+        if min(len(seen.descriptors), len(possible)) < LEAST_LANDMARKS:
             return None
-        bits, nearest = self._candidates(seen)
+        bits, nearest = self._candidates(seen, possible)
         # One corner may have several landmarks, one a scale: the ratio test is with the best at another place.
         found = self._landmarks.points[nearest]
         is_elsewhere = np.linalg.norm(found - found[:, :1], axis=2) > _OTHER_PLACE_M
         others = np.where(is_elsewhere, bits, 256).min(axis=1)
         matched = np.flatnonzero((bits[:, 0] < MATCH_BITS) & (bits[:, 0] < _RATIO * others))
         return self._pose_by_consensus(seen.pixels[matched], nearest[matched, 0], _ITERATIONS)
+
+    def _confirmed(
+        self, seen: Keypoints, possible: NDArray[np.int64]
+    ) -> tuple[LandmarkPose | None, NDArray[np.int64]]:
+        """Pose from descriptors alone, and the indices of the keypoints whose landmarks agree.
+
+        Args:
+            possible: indices of the landmarks that may be in view.
+        """
+        place = self._pose_without_prior(seen, possible)
+        if place is None:
+            return None, _NO_INDICES
+        measured, where = self._agreeing(seen, place, PRIOR_COVARIANCE)
+        is_confirmed = len(where) >= _LEAST_CONFIRMED and self._spread(seen.pixels[where]) >= _LEAST_SPREAD
+        return measured.pose if is_confirmed else None, where
 
     def _spread(self, pixels: FloatArray) -> float:
         """Standard deviation of pixels (A, 2) along the direction in which it is least, in image heights."""
@@ -228,7 +240,7 @@ class OrbLandmarkLocalizer:
             where: (A,) indices of the keypoints that agree with the pose.
         """
         agreeing = seen.select(where)
-        bits, nearest = self._candidates(agreeing)
+        bits, nearest = self._candidates(agreeing, np.arange(len(self._landmarks)))
         local = transform(invert(found.pose), self._landmarks.points[nearest].reshape(-1, 3)).reshape(
             *nearest.shape, 3
         )
@@ -244,15 +256,22 @@ class OrbLandmarkLocalizer:
             return False
         return len(rival.points) >= _RIVAL_SHARE * len(found.points)
 
-    def _candidates(self, seen: Keypoints) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Of each of N keypoints, the differing bits and the indices of the most similar landmarks, (N, 8) each."""
+    def _candidates(
+        self, seen: Keypoints, possible: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+        """Of each of N keypoints, the differing bits and the indices of the most similar landmarks, (N, 8) each.
+
+        Args:
+            possible: indices of the landmarks to choose from.
+        """
+        known = self._landmarks.descriptors[possible]
         bits, nearest = cv2.batchDistance(
-            seen.descriptors, self._landmarks.descriptors, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=_CANDIDATES
+            seen.descriptors, known, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=min(_CANDIDATES, len(known))
         )
-        return np.asarray(bits, dtype=np.int32), np.asarray(nearest, dtype=np.int32)
+        return np.asarray(bits, dtype=np.int32), possible[np.asarray(nearest)]
 
     def _pose_by_consensus(
-        self, pixels: FloatArray, landmarks: NDArray[np.int32], iterations: int
+        self, pixels: FloatArray, landmarks: NDArray[np.int64], iterations: int
     ) -> FloatArray | None:
         """``T_world_camera`` (4, 4) that most of N matches agree with; None where they are too few.
 
@@ -359,6 +378,12 @@ def _jacobian(local: FloatArray) -> FloatArray:
     """Derivative of rays' x and y by the camera's twist, (M, 2, 6), for points (M, 3) in its frame."""
     by_point = ray_jacobian(local)
     return np.concatenate([-by_point, by_point @ hat(local)], axis=2)
+
+
+def _is_within(pose: FloatArray, prior: FloatArray, covariance: FloatArray) -> bool:
+    """Whether a pose (4, 4) is one that a prior expects, up to one in a hundred."""
+    offset = se3_log(invert(prior) @ pose)
+    return float(offset @ np.linalg.solve(covariance, offset)) < _CHI2_99_6
 
 
 def _direction_sd(covariance: FloatArray, depth_m: float) -> float:

@@ -200,6 +200,23 @@ def test_landmarks_in_a_narrow_band_do_not_relocalize(localizer: OrbLandmarkLoca
     assert narrow.relocalize(color) is None and wide.relocalize(color) is not None
 
 
+def test_vague_prior_tells_equal_places_apart_and_contradicts_a_pose_far_from_it(
+    localizer: OrbLandmarkLocalizer,
+) -> None:
+    room = localizer._landmarks
+    twin = room.points + np.array([12.0, 0.0, 0.0], np.float32)
+    both = Landmarks(np.concatenate([room.points, twin]), np.tile(room.descriptors, (2, 1)))
+    pose = FLIGHT_POSES[25]
+    color, _ = Room().view(pose)
+    covariance = np.diag([0.3, 0.3, 0.3, 0.1, 0.1, 0.1]) ** 2
+    near_it, far = pose @ se3_exp([0.2, 0.1, -0.2, 0.05, 0.1, 0.0]), pose @ se3_exp([1.6, 0.0, 0.0, 0.0, 0.0, 0.0])
+    found = OrbLandmarkLocalizer(both, CAMERA).measure(color, near_it, covariance)
+    assert found.pose is not None and found.found == len(found.pose.points) >= 20
+    assert pose_errors(found.pose.pose[None], pose[None]).position_m[0] < 0.03
+    contradicted = OrbLandmarkLocalizer(both, CAMERA).measure(color, far, covariance)
+    assert contradicted.expected > 60 and contradicted.found == 0 and contradicted.pose is None
+
+
 def test_no_pose_in_the_dark_or_in_another_room(localizer: OrbLandmarkLocalizer) -> None:
     """Walls with other paint have the same shape and other landmarks."""
     other = Room(seed=1)
