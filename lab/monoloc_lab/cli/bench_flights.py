@@ -1,7 +1,8 @@
-"""``monoloc bench recovery`` and ``faults``: what a localizer says when it is kidnapped, or its camera fails."""
+"""``monoloc bench recovery``, ``faults`` and ``fly``: what happens when a camera is kidnapped, fails or is gone."""
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, get_args
@@ -21,6 +22,8 @@ from monoloc.cli.common import (
     text_of,
 )
 from monoloc.errors import SettingError
+from monoloc.extras import require_mavlink, require_stream
+from monoloc.mavlink.firmware import Firmware
 from monoloc.progress import ConsoleProgress
 from monoloc.supervision.state import State
 from monoloc_lab.bench.fault_flights import FaultFigures, bench_faults
@@ -28,6 +31,7 @@ from monoloc_lab.bench.faults import FAULTS
 from monoloc_lab.bench.judged_flight import REFUSED
 from monoloc_lab.bench.recovery import bench_recovery
 from monoloc_lab.rooms import TESTS
+from monoloc_lab.soak.live_flight import bench_live_flight
 
 _OTHER_ROOM = f"folder:{TESTS['L1']}"
 
@@ -125,3 +129,33 @@ def _row(name: str, figures: FaultFigures, is_after: bool) -> list[str]:
 
 def _text(value: object) -> str:
     return "-" if value is None else text_of(value)
+
+
+def fly(
+    bundle: BundleArgument,
+    source: SourceArgument,
+    frames: FramesOption = "::",
+    seconds: Annotated[float, typer.Option("--seconds", min=15.0, help="Undisturbed flight.")] = 60.0,
+    rate_hz: Annotated[float, typer.Option("--rate-hz", min=1.0, max=120.0, help="Of the camera.")] = 30.0,
+    firmware: Annotated[Firmware, typer.Option("--firmware", help="Whose decoder takes the poses.")] = Firmware.PX4,
+    json: JsonOption = False,
+) -> None:
+    """Fly a recording live, over sockets, and lose camera, link and process on the way. Linux only.
+
+    \b
+    Examples:
+      monoloc bench fly kitchen.monoloc 7scenes:redkitchen --frames 0:400
+      monoloc bench fly kitchen.monoloc 7scenes:redkitchen --firmware ardupilot --json
+    """
+    camera = open_source(source, frames).camera
+    require_mavlink()
+    require_stream()
+    with tempfile.TemporaryDirectory() as folder:
+        figures = bench_live_flight(
+            bundle, source, frames, camera, seconds, rate_hz, firmware, Path(folder), stderr.print
+        )
+    content = asdict(figures)
+    if json:
+        print_json(content)
+    else:
+        print_table(f"{bundle}, {source}", ["", ""], [[name, text_of(value)] for name, value in content.items()])

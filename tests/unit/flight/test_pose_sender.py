@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ardupilot_decoder import ArduPilot
 from mavlink_helpers import Wire, result_at, step_at
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.pose_sender import PoseSender
@@ -15,7 +14,8 @@ from monoloc.geometry import FloatArray, invert, make_pose, so3_exp
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
 from monoloc.mavlink.firmware import Firmware
 from monoloc.supervision.state import Reason
-from px4_decoder import Px4
+from monoloc_lab.soak.ardupilot_decoder import ArduPilot
+from monoloc_lab.soak.px4_decoder import Px4
 
 FRAMES = AutopilotFrames(FlightSettings().mount.T_body_camera, [0.0, 0.0, -1.0], 0.0)
 # A camera that looks along the map's x axis.

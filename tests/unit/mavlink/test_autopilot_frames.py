@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ardupilot_decoder import ArduPilot
 from mavlink_helpers import over_the_wire
 from monoloc.errors import SettingError
 from monoloc.flight.flight_settings import Mount
@@ -14,7 +13,8 @@ from monoloc.mavlink.autopilot_frames import AutopilotFrames, euler_of, north_fr
 from monoloc.mavlink.firmware import Firmware
 from monoloc.mavlink.messages import odometry
 from monoloc.particle_filter.estimate import Estimate
-from px4_decoder import Px4
+from monoloc_lab.soak.ardupilot_decoder import ArduPilot
+from monoloc_lab.soak.px4_decoder import Px4
 
 DOWN = np.array([0.0, 0.0, -1.0])  # the map's z points up
 FORWARD = Mount(forward_m=0.1, right_m=-0.05, down_m=0.02)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ardupilot_decoder import ArduPilot
 from mavlink_helpers import over_the_wire
 from monoloc.camera import Camera
 from monoloc.depth.predictor import DepthPrediction
@@ -14,7 +13,8 @@ from monoloc.flight.flight_settings import Mount
 from monoloc.geometry import FloatArray, make_pose, so3_exp
 from monoloc.mavlink.messages import UNKNOWN_CM, obstacle_distance
 from monoloc.mavlink.obstacle_sectors import LEAST_M, MOST_M, SECTORS, sector_distances_cm
-from px4_decoder import Px4
+from monoloc_lab.soak.ardupilot_decoder import ArduPilot
+from monoloc_lab.soak.px4_decoder import Px4
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)  # 67 degrees wide
 LEVEL = Mount().T_body_camera

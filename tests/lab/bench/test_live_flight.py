@@ -1,0 +1,38 @@
+"""A live flight over sockets on a synthetic room: camera, link and process go and come back."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cli_helpers import json_of, write_workspace
+from monoloc.mavlink.firmware import Firmware
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
+
+pytest.importorskip("av")
+pytest.importorskip("pymavlink")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="it reads /proc")
+@pytest.mark.parametrize("firmware", [each.value for each in Firmware])
+def test_poses_come_again_after_every_loss(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, firmware: str
+) -> None:
+    write_workspace(tmp_path, RoomRecording(Room(), make_path(40), SMALL_CAMERA))
+    monkeypatch.chdir(tmp_path)
+    options = ("--seconds", "15", "--rate-hz", "15", "--firmware", firmware)
+    figures: dict[str, Any] = json_of(capfd, "bench", "fly", "room.monoloc", "flight", *options)
+    assert figures["poses"] > 100 and figures["poses_refused"] == 0
+    # An independent reader sees what the decoder sees, but for what came before it listened.
+    assert figures["poses_by_mavsdk"] is None or figures["poses_by_mavsdk"] > 0.9 * figures["poses"]
+    assert figures["timesync_answered"] > 100
+    assert figures["summary"]["reconnections"] == 1
+    assert "monoloc: no image from the camera" in figures["texts"]
+    assert figures["resident_mb_end"] < 1.2 * figures["resident_mb_start"]
+    for recording in figures["recordings"]:
+        assert recording["frames"] > 20
+        assert recording["different_frames"] == 0 and recording["same_messages"]
