@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
 from monoloc.depth.predictor import DepthPredictor, DepthSource
-from monoloc.landmarks.pnp import LandmarkLocalizer, NoLandmarks, OrbLandmarkLocalizer
+from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
+from monoloc.landmarks.pnp import LandmarkLocalizer, NoLandmarks
 from monoloc.likelihood import make_likelihood
 from monoloc.likelihood.protocol import ScanLikelihood
 from monoloc.localizer_config import LocalizerConfig

@@ -20,7 +20,7 @@ from monoloc.io.pose_files import read_tum
 from monoloc.io.recording import Selection
 from monoloc.io.registry import open_recording, select_frames
 from monoloc.landmarks.landmark_map import Landmarks
-from monoloc.landmarks.pnp import OrbLandmarkLocalizer
+from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress
 from recording_helpers import monoloc, source

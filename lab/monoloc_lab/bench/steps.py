@@ -24,7 +24,7 @@ from monoloc.bundle import read_bundle
 from monoloc.depth.predictor import DepthPredictor
 from monoloc.errors import MonolocError
 from monoloc.io.registry import open_recording, select_frames
-from monoloc.landmarks.pnp import OrbLandmarkLocalizer
+from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.likelihood.ray import RayLikelihood
 from monoloc.localizer import Localizer
 from monoloc.odometry.visual import VisualOdometry

@@ -17,7 +17,8 @@ from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, twist_error
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_log
 from monoloc.landmarks.landmark_map import FAMILIAR_TIMES, Landmarks, LandmarkViews
-from monoloc.landmarks.pnp import LEAST_LANDMARKS, PRIOR_COVARIANCE, LandmarkPose, OrbLandmarkLocalizer
+from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
+from monoloc.landmarks.pnp import LEAST_LANDMARKS, PRIOR_COVARIANCE, LandmarkPose
 from monoloc.supervision.camera_check import WELL_OBSERVED_SD
 from monoloc.supervision.integrity import WRONG_DISTANCE_M, Classes, IntegrityModel
 

@@ -9,7 +9,8 @@ import numpy as np
 from monoloc.bundle import Bundle
 from monoloc.geometry import FloatArray, invert, make_pose, nearest_rotation, rotation_angle
 from monoloc.io.recording import Recording, evenly_spaced
-from monoloc.landmarks.pnp import LandmarkPose, OrbLandmarkLocalizer
+from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
+from monoloc.landmarks.pnp import LandmarkPose
 from monoloc.supervision.camera_check import WELL_OBSERVED_SD
 
 _FRAMES = 24

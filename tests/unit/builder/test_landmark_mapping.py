@@ -10,7 +10,8 @@ from monoloc.builder.landmark_mapping import build_landmarks
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.geometry import FloatArray, invert, se3_exp, se3_log
 from monoloc.landmarks.landmark_map import Landmarks
-from monoloc.landmarks.pnp import PRIOR_COVARIANCE, OrbLandmarkLocalizer
+from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
+from monoloc.landmarks.pnp import PRIOR_COVARIANCE
 from monoloc.progress import NoProgress
 from synthetic_room import BLACK, CAMERA, Room, RoomRecording, make_path
 

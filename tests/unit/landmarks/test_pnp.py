@@ -1,4 +1,4 @@
-"""Poses from landmarks: the solver on points, and the localizer in a room."""
+"""Poses of points: the solver."""
 
 from __future__ import annotations
 
@@ -7,28 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from monoloc.builder.landmark_mapping import build_landmarks
 from monoloc.camera import Camera
 from monoloc.evaluation.trajectory import pose_errors
-from monoloc.geometry import FloatArray, invert, make_pose, se3_exp, se3_log, transform
-from monoloc.landmarks.features import KeypointDetector, Keypoints
-from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.geometry import FloatArray, invert, se3_exp, se3_log, transform
+from monoloc.landmarks.features import Keypoints
 from monoloc.landmarks.pnp import PRIOR_COVARIANCE as PRIOR
-from monoloc.landmarks.pnp import LandmarkMeasurement, NoLandmarks, OrbLandmarkLocalizer, pose_from_matches
-from monoloc.progress import NoProgress
+from monoloc.landmarks.pnp import pose_from_matches
 from monoloc.supervision.camera_check import WELL_OBSERVED_SD
-from synthetic_room import BLACK, CAMERA, Room, RoomRecording, make_path
-
-BUILD_POSES, FLIGHT_POSES = make_path(60)[::3], make_path(60, start_s=0.03)  # the same path, half a frame apart
-VAGUE_PRIOR = np.eye(6)
+from synthetic_room import CAMERA
 
 
 def near(pose: FloatArray, rng: np.random.Generator) -> FloatArray:
     """A pose whose error has the covariance PRIOR."""
     return np.asarray(pose @ se3_exp(np.sqrt(np.diag(PRIOR)) * rng.standard_normal(6)))
-
-
-# --- The pose of points ---
 
 
 def seen_from(
@@ -143,143 +134,3 @@ def test_focal_length_is_undetermined_where_all_points_are_at_one_depth_and_near
     seen = keypoints_at(pixels + rng.normal(size=pixels.shape), 1.0)
     _, found = pose_from_matches(points, seen, CAMERA, np.eye(4), PRIOR)
     assert found is not None and found.log_focal_sd > WELL_OBSERVED_SD
-
-
-# --- The pose in a room ---
-
-
-@pytest.fixture(scope="module")
-def localizer() -> OrbLandmarkLocalizer:
-    recording = RoomRecording(Room(), BUILD_POSES)
-    landmarks, _, _ = build_landmarks(recording, recording.depth, NoProgress())
-    return OrbLandmarkLocalizer(landmarks, CAMERA)
-
-
-def test_camera_is_relocalized_by_one_image(localizer: OrbLandmarkLocalizer) -> None:
-    """Without a prior, or with one that is too vague."""
-    for pose in FLIGHT_POSES[5::20]:
-        color, _ = Room().view(pose)
-        for found in (localizer.relocalize(color), localizer.measure(color, BUILD_POSES[0], VAGUE_PRIOR).pose):
-            assert found is not None and len(found.points) >= 20
-            errors = pose_errors(found.pose[None], pose[None])
-            assert errors.position_m[0] < 0.03 and errors.rotation_rad[0] < 0.015
-
-
-def test_two_places_that_look_alike_give_no_pose(localizer: OrbLandmarkLocalizer) -> None:
-    """A second room is equal to the first, whose map lacks three landmarks of ten."""
-    room = localizer._landmarks
-    rng = np.random.default_rng(7)
-    kept = rng.uniform(size=len(room)) < 0.7
-    twin = Landmarks(room.points + np.array([12.0, 0.0, 0.0], np.float32), room.descriptors)
-    both = Landmarks(
-        np.concatenate([room.points[kept], twin.points]), np.concatenate([room.descriptors[kept], twin.descriptors])
-    )
-    for pose in FLIGHT_POSES[5::20]:
-        color, _ = Room().view(pose)
-        mistaken = OrbLandmarkLocalizer(twin, CAMERA).relocalize(color)
-        assert mistaken is not None and mistaken.pose[0, 3] - pose[0, 3] == pytest.approx(12.0, abs=0.03)
-        assert OrbLandmarkLocalizer(both, CAMERA).relocalize(color) is None
-
-
-def test_landmarks_in_a_narrow_band_do_not_relocalize(localizer: OrbLandmarkLocalizer) -> None:
-    """The same number of landmarks all over the image does."""
-    pose = FLIGHT_POSES[30]
-    color, _ = Room().view(pose)
-    room, camera = localizer._landmarks, localizer._detect.camera
-    local = transform(invert(pose), room.points)
-    seen = np.flatnonzero(camera.in_sight(local))
-    height = camera.project(local[seen])[:, 1]
-    band = seen[np.abs(height - np.median(height)) < 0.12 * camera.height]
-    anywhere = np.random.default_rng(8).choice(seen, len(band), replace=False)
-    narrow, wide = (
-        OrbLandmarkLocalizer(Landmarks(room.points[chosen], room.descriptors[chosen]), CAMERA)
-        for chosen in (band, anywhere)
-    )
-    found = narrow.measure(color, pose, PRIOR)
-    assert found.found >= 20 and found.pose is not None
-    assert narrow.relocalize(color) is None and wide.relocalize(color) is not None
-
-
-def test_vague_prior_tells_equal_places_apart_and_contradicts_a_pose_far_from_it(
-    localizer: OrbLandmarkLocalizer,
-) -> None:
-    room = localizer._landmarks
-    twin = room.points + np.array([12.0, 0.0, 0.0], np.float32)
-    both = Landmarks(np.concatenate([room.points, twin]), np.tile(room.descriptors, (2, 1)))
-    pose = FLIGHT_POSES[25]
-    color, _ = Room().view(pose)
-    covariance = np.diag([0.3, 0.3, 0.3, 0.1, 0.1, 0.1]) ** 2
-    near_it, far = pose @ se3_exp([0.2, 0.1, -0.2, 0.05, 0.1, 0.0]), pose @ se3_exp([1.6, 0.0, 0.0, 0.0, 0.0, 0.0])
-    found = OrbLandmarkLocalizer(both, CAMERA).measure(color, near_it, covariance)
-    assert found.pose is not None and found.found == len(found.pose.points) >= 20
-    assert pose_errors(found.pose.pose[None], pose[None]).position_m[0] < 0.03
-    contradicted = OrbLandmarkLocalizer(both, CAMERA).measure(color, far, covariance)
-    assert contradicted.expected > 60 and contradicted.found == 0 and contradicted.pose is None
-
-
-def test_no_pose_in_the_dark_or_in_another_room(localizer: OrbLandmarkLocalizer) -> None:
-    """Walls with other paint have the same shape and other landmarks."""
-    other = Room(seed=1)
-    for pose in FLIGHT_POSES[::20]:
-        for color in (BLACK, other.view(pose)[0]):
-            assert localizer.relocalize(color) is None
-            measured = localizer.measure(color, pose, PRIOR)
-            assert measured.pose is None and measured.found < 8 and measured.expected > 100
-
-
-def test_landmarks_in_view_are_expected_and_found_where_the_camera_is(localizer: OrbLandmarkLocalizer) -> None:
-    """At a prior 1.5 m beside the camera, as many are in view, but few agree on a pose near it."""
-    pose = FLIGHT_POSES[30]
-    color, _ = Room().view(pose)
-    right = localizer.measure(color, pose, PRIOR)
-    detected = localizer._detect.camera
-    in_view = detected.in_sight(transform(invert(pose), localizer._landmarks.points))
-    assert right.pose is not None and right.found == len(right.pose.points) > 60
-    assert right.expected == np.count_nonzero(in_view) > right.found
-    np.testing.assert_array_equal(right.visible, np.flatnonzero(in_view))
-    np.testing.assert_array_equal(localizer._landmarks.points[right.visible[right.is_found]], right.pose.points)
-    wrong = localizer.measure(color, pose @ se3_exp([1.0, 0.0, -0.5, 0.0, 0.3, 0.0]), PRIOR)
-    assert wrong.expected > 60 and wrong.found < 0.2 * right.found and wrong.pose is None
-    away = make_pose(np.eye(3), np.array([0.0, -50.0, 0.0]))
-    assert localizer.measure(color, away, PRIOR).expected == 0
-
-
-def test_room_without_landmarks_expects_none() -> None:
-    assert NoLandmarks().measure(BLACK, np.eye(4), PRIOR) == LandmarkMeasurement(0, 0, None)
-    assert NoLandmarks().relocalize(BLACK) is None
-
-
-def test_dim_images_show_most_landmarks(localizer: OrbLandmarkLocalizer) -> None:
-    pose = FLIGHT_POSES[30]
-    color, _ = Room().view(pose)
-    bright, dim = (localizer.measure((color / factor).astype(np.uint8), pose, PRIOR) for factor in (1, 8))
-    assert bright.pose is not None and dim.pose is not None
-    assert dim.expected == bright.expected and dim.found > 0.5 * bright.found
-
-
-def test_camera_of_another_focal_length_is_localized(localizer: OrbLandmarkLocalizer) -> None:
-    """Keypoints are detected at one focal length in pixels, so that their scales are comparable."""
-    camera, pose = Camera(640, 480, 700.0, 700.0, 319.5, 239.5), FLIGHT_POSES[20]
-    color, _ = Room().view(pose, camera)
-    other = OrbLandmarkLocalizer(localizer._landmarks, camera)
-    found = other.measure(color, pose @ se3_exp(np.full(6, 0.02)), PRIOR).pose
-    assert found is not None
-    assert pose_errors(found.pose[None], pose[None]).position_m[0] < 0.02
-
-
-def test_search_radius_is_that_of_visible_landmarks() -> None:
-    """Near a wall it is as large as the prior asks for, whatever the rest of the room."""
-    rng = np.random.default_rng(4)
-    camera = KeypointDetector(CAMERA).camera
-    points, _ = seen_from(np.eye(4), rng, camera, 120)
-    close = 0.5 * points / points[:, 2:]
-    out_of_view = np.array([6.0, 0.0, 6.0]) * rng.uniform(1.0, 1.5, (400, 1))
-    landmarks = Landmarks(
-        np.concatenate([close, out_of_view]).astype(np.float32), rng.integers(0, 256, (520, 32)).astype(np.uint8)
-    )
-    seen = Keypoints(camera.project(close), landmarks.descriptors[:120], np.ones(120))
-    prior = se3_exp([0.03, -0.03, 0.0, 0.0, 0.0, 0.0])  # 16 pixels for what is close, one or two for the rest
-    covariance = np.diag([0.02, 0.02, 0.02, 0.003, 0.003, 0.003]) ** 2
-    found = OrbLandmarkLocalizer(landmarks, CAMERA).measure_keypoints(seen, prior, covariance).pose
-    assert found is not None and len(found.points) > 100
-    np.testing.assert_allclose(found.pose, np.eye(4), atol=1e-3)

@@ -1,0 +1,238 @@
+"""Localises a camera by a room's ORB landmarks, with a prior pose and without one."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.camera import Camera
+from monoloc.geometry import FloatArray, invert, make_pose, pose_distance_m, se3_log, so3_exp, transform
+from monoloc.landmarks.features import MATCH_BITS, KeypointDetector, Keypoints, match_descriptors
+from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.landmarks.pnp import (
+    LEAST_LANDMARKS,
+    PRIOR_COVARIANCE,
+    LandmarkMeasurement,
+    LandmarkPose,
+    pose_from_matches,
+)
+
+_LEAST_RADIUS_PX, _MOST_RADIUS_PX = 6.0, 40.0  # of the search around a landmark's expected pixel
+_RATIO = 0.85  # of the best match's distance to that of the best match at another place (Lowe 2004)
+_CANDIDATES, _OTHER_PLACE_M = 8, 0.05  # best matches among which another place is sought, and its distance
+_INLIER_PX, _LEAST_INLIERS, _LEAST_CONFIRMED = 3.0, 8, 20
+# Of a relocalisation: a single object that was moved, such as a window on a screen, may hold all of less spread.
+# At true poses the least was 0.076 and 0.093 (two real rooms, frames near those of the build).
+_LEAST_SPREAD = 0.075
+# Of two poses without a prior: pose distance from which they are two, and the share of the better one's landmarks
+# with which the other counts as well.
+_APART_M, _RIVAL_SHARE = 0.5, 0.3
+_RIVAL_CANDIDATES, _MOST_RIVALS = 32, 8  # best matches of a keypoint among which other places are sought
+_ITERATIONS, _RIVAL_ITERATIONS = 1000, 100  # of RANSAC
+_CHI2_99_6 = 16.8  # 99 % quantile of the chi-squared distribution with 6 degrees of freedom
+_NO_INDICES = np.zeros(0, dtype=np.int64)
+
+
+class OrbLandmarkLocalizer:
+    """Finds a room's landmarks in the images of one camera.
+
+    With a prior, each landmark is matched near its expected pixel. Without one, descriptors are matched over the
+    whole image, and the pose comes from triples (Gao et al. 2003) and RANSAC (Fischler & Bolles 1981).
+    """
+
+    def __init__(self, landmarks: Landmarks, camera: Camera) -> None:
+        self._landmarks = landmarks
+        self._detect = KeypointDetector(camera)
+
+    def measure(self, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
+        """As :meth:`LandmarkLocalizer.measure`; a prior that is vague only tells which landmarks are in view.
+
+        The prior counts as vaguer than it is stated: a belief that has drifted would else select the matches that
+        agree with it.
+        """
+        covariance = covariance + PRIOR_COVARIANCE
+        visible, local = self._visible(prior)
+        seen = self._detect(color)
+        if self._radius_px(local, covariance) <= _MOST_RADIUS_PX:
+            return self.measure_keypoints(seen, prior, covariance)
+        # Too vague to say where in the image a landmark is to be sought, but not where in the room.
+        pose = self._confirmed(seen, visible)[0]
+        if pose is None or not _is_within(pose.pose, prior, covariance):
+            return LandmarkMeasurement(len(visible))
+        return LandmarkMeasurement(len(visible), len(pose.points), pose)
+
+    def relocalize(self, color: NDArray[np.uint8]) -> LandmarkPose | None:
+        """As :meth:`LandmarkLocalizer.relocalize`; None too where two places look alike."""
+        seen = self._detect(color)
+        found, where = self._confirmed(seen, np.arange(len(self._landmarks)))
+        return None if found is None or self._fits_elsewhere(seen, where, found) else found
+
+    def measure_keypoints(self, seen: Keypoints, prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
+        """As :meth:`LandmarkLocalizer.measure`, from keypoints that are detected already."""
+        return self._agreeing(seen, prior, covariance)[0]
+
+    def _agreeing(
+        self, seen: Keypoints, prior: FloatArray, covariance: FloatArray
+    ) -> tuple[LandmarkMeasurement, NDArray[np.int64]]:
+        """As :meth:`measure_keypoints`, with the indices of the keypoints whose landmarks agree."""
+        visible, local = self._visible(prior)
+        camera, room = self._detect.camera, self._landmarks
+        which, where = match_descriptors(
+            camera.project(local),
+            room.descriptors[visible],
+            seen.pixels,
+            seen.descriptors,
+            self._radius_px(local, covariance),
+        )
+        points = room.points[visible[which]].astype(np.float64)
+        agree, pose = pose_from_matches(points, seen.select(where), camera, prior, covariance)
+        is_found = np.zeros(len(visible), dtype=np.bool_)
+        is_found[which[agree]] = True
+        return LandmarkMeasurement(len(visible), int(agree.sum()), pose, visible, is_found), where[agree]
+
+    def _visible(self, prior: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+        """Indices (M,) of the landmarks in view of a camera at the prior, and their points in its frame, (M, 3)."""
+        local = transform(invert(prior), self._landmarks.points)
+        visible = np.flatnonzero(self._detect.camera.in_sight(local))
+        return visible, local[visible]
+
+    def _radius_px(self, local: FloatArray, covariance: FloatArray) -> float:
+        """Three standard deviations of the expected pixel of points (M, 3) in the camera's frame."""
+        depth_m = float(np.median(local[:, 2])) if len(local) else 1.0
+        return max(_LEAST_RADIUS_PX, 3.0 * self._detect.camera.focal_px * _direction_sd(covariance, depth_m))
+
+    def _pose_without_prior(self, seen: Keypoints, possible: NDArray[np.int64]) -> FloatArray | None:
+        """``T_world_camera`` (4, 4) from descriptors of some landmarks; None where too few agree."""
+        if min(len(seen.descriptors), len(possible)) < LEAST_LANDMARKS:
+            return None
+        bits, nearest = self._candidates(seen, possible, _CANDIDATES)
+        # One corner may have several landmarks, one a scale: the ratio test is with the best at another place.
+        found = self._landmarks.points[nearest]
+        is_elsewhere = np.linalg.norm(found - found[:, :1], axis=2) > _OTHER_PLACE_M
+        others = np.where(is_elsewhere, bits, 256).min(axis=1)
+        matched = np.flatnonzero((bits[:, 0] < MATCH_BITS) & (bits[:, 0] < _RATIO * others))
+        return self._pose_by_consensus(seen.pixels[matched], nearest[matched, 0], _ITERATIONS)
+
+    def _confirmed(
+        self, seen: Keypoints, possible: NDArray[np.int64]
+    ) -> tuple[LandmarkPose | None, NDArray[np.int64]]:
+        """Pose from descriptors alone, and the indices of the keypoints whose landmarks agree.
+
+        Args:
+            possible: indices of the landmarks that may be in view.
+        """
+        place = self._pose_without_prior(seen, possible)
+        if place is None:
+            return None, _NO_INDICES
+        measured, where = self._agreeing(seen, place, PRIOR_COVARIANCE)
+        is_confirmed = len(where) >= _LEAST_CONFIRMED and self._spread(seen.pixels[where]) >= _LEAST_SPREAD
+        return measured.pose if is_confirmed else None, where
+
+    def _spread(self, pixels: FloatArray) -> float:
+        """Standard deviation of pixels (A, 2) along the direction in which it is least, in image heights."""
+        variance = float(np.linalg.eigvalsh(np.cov(pixels.T))[0])
+        return math.sqrt(max(variance, 0.0)) / self._detect.camera.height
+
+    def _fits_elsewhere(self, seen: Keypoints, where: NDArray[np.int64], found: LandmarkPose) -> bool:
+        """Whether keypoints that agree with a pose agree with another one, far away, nearly as well.
+
+        Args:
+            where: (A,) indices of the keypoints that agree with the pose.
+        """
+        agreeing = seen.select(where)
+        bits, nearest = self._candidates(agreeing, np.arange(len(self._landmarks)), _RIVAL_CANDIDATES)
+        points = self._landmarks.points[nearest]
+        local = transform(invert(found.pose), points.reshape(-1, 3)).reshape(points.shape)
+        off_m = np.linalg.norm(
+            local[..., :2] - local[..., 2:] * agreeing.rays(self._detect.camera)[0][:, None], axis=2
+        )
+        is_rival = (off_m > _OTHER_PLACE_M) & (bits < MATCH_BITS)
+        # Several places may look alike; each is as wide as what agrees.
+        width_m = 2.0 * float(
+            np.percentile(np.linalg.norm(found.points - np.median(found.points, axis=0), axis=1), 90)
+        )
+        for _ in range(_MOST_RIVALS):
+            if np.count_nonzero(is_rival.any(axis=1)) < LEAST_LANDMARKS:
+                return False
+            seed = np.unravel_index(int(np.where(is_rival, bits, 256).argmin()), bits.shape)
+            is_here = is_rival & (np.linalg.norm(points - points[seed], axis=2) < width_m)
+            if self._agrees_at(seen, agreeing, np.where(is_here, bits, 256), nearest, found):
+                return True
+            is_rival &= ~is_here
+        return False
+
+    def _agrees_at(
+        self,
+        seen: Keypoints,
+        agreeing: Keypoints,
+        bits: NDArray[np.int32],
+        nearest: NDArray[np.int64],
+        found: LandmarkPose,
+    ) -> bool:
+        """Whether the A agreeing keypoints, by their candidates at another place, lead to a pose there that holds.
+
+        Args:
+            bits, nearest: of the candidates, (A, C); those that are not of that place have 256 bits.
+        """
+        rows, best = np.flatnonzero(bits.min(axis=1) < MATCH_BITS), bits.argmin(axis=1)
+        other = self._pose_by_consensus(agreeing.pixels[rows], nearest[rows, best[rows]], _RIVAL_ITERATIONS)
+        rival = None if other is None else self.measure_keypoints(seen, other, PRIOR_COVARIANCE).pose
+        if rival is None or float(pose_distance_m(found.pose, rival.pose[None])[0]) < _APART_M:
+            return False
+        return len(rival.points) >= _RIVAL_SHARE * len(found.points)
+
+    def _candidates(
+        self, seen: Keypoints, possible: NDArray[np.int64], count: int
+    ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+        """Of each of N keypoints, the differing bits and the indices of the most similar landmarks, (N, C) each.
+
+        Args:
+            possible: indices of the landmarks to choose from.
+            count: of landmarks a keypoint, at most.
+        """
+        known = self._landmarks.descriptors[possible]
+        bits, nearest = cv2.batchDistance(
+            seen.descriptors, known, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=min(count, len(known))
+        )
+        return np.asarray(bits, dtype=np.int32), possible[np.asarray(nearest)]
+
+    def _pose_by_consensus(
+        self, pixels: FloatArray, landmarks: NDArray[np.int64], iterations: int
+    ) -> FloatArray | None:
+        """``T_world_camera`` (4, 4) that most of N matches agree with; None where they are too few.
+
+        Args:
+            pixels: (N, 2).
+            landmarks: (N,) indices.
+            iterations: of RANSAC, at most.
+        """
+        if len(pixels) < LEAST_LANDMARKS:
+            return None
+        ok, rotation, translation, inliers = cv2.solvePnPRansac(
+            self._landmarks.points[landmarks].astype(np.float64),
+            *self._detect.camera.for_pnp(pixels),
+            iterationsCount=iterations,
+            reprojectionError=_INLIER_PX,
+            confidence=0.999,
+            flags=cv2.SOLVEPNP_P3P,
+        )
+        if not ok or inliers is None or len(inliers) < _LEAST_INLIERS:
+            return None
+        T_camera_world = make_pose(so3_exp(rotation.ravel()), translation.ravel())
+        return invert(T_camera_world) if np.all(np.isfinite(T_camera_world)) else None
+
+
+def _is_within(pose: FloatArray, prior: FloatArray, covariance: FloatArray) -> bool:
+    """Whether a pose (4, 4) is one that a prior expects, up to one in a hundred."""
+    offset = se3_log(invert(prior) @ pose)
+    return float(offset @ np.linalg.solve(covariance, offset)) < _CHI2_99_6
+
+
+def _direction_sd(covariance: FloatArray, depth_m: float) -> float:
+    """Standard deviation, rad, of the direction to a point at a depth."""
+    position = float(np.linalg.eigvalsh(covariance[:3, :3])[-1])
+    rotation = float(np.linalg.eigvalsh(covariance[3:, 3:])[-1])
+    return float(np.sqrt(position / depth_m**2 + rotation))
