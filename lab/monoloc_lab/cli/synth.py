@@ -16,6 +16,8 @@ from monoloc.io.pose_files import read_tum
 from monoloc.io.tum_trajectory import write_tum
 from monoloc.progress import ConsoleProgress
 from monoloc_lab.synth.blur import velocities
+from monoloc_lab.synth.corridor import corridor as make_corridor
+from monoloc_lab.synth.corridor import door_walk, mapping_walk
 from monoloc_lab.synth.flights import FlightConfig, plan_flight
 from monoloc_lab.synth.inertial import ImuModel, OdometryModel, simulate_imu, simulate_odometry, write_imu
 from monoloc_lab.synth.layout import generate_room, imported_room
@@ -35,6 +37,9 @@ RoomOption = Annotated[
     Path | None, typer.Option("--room", help="A room.json. [OUT/room.json, or a room from the seed]")
 ]
 SecondsOption = Annotated[float, typer.Option("--seconds", min=1.0, max=600.0, help="Duration of the flight.")]
+WidthOption = Annotated[
+    int, typer.Option("--width", min=32, max=1920, help="Of the images; the height is 3/4 of it.")
+]
 SamplesOption = Annotated[int, typer.Option("--samples", min=1, help="Paths per pixel and light group.")]
 
 
@@ -114,9 +119,7 @@ def render(
     lights: Annotated[
         list[str] | None, typer.Option("--light", help="L1, L2 or L3; may be repeated. [all three]")
     ] = None,
-    width: Annotated[
-        int, typer.Option("--width", min=32, max=1920, help="Of the images; the height is 3/4 of it.")
-    ] = 320,
+    width: WidthOption = 320,
     samples: SamplesOption = 64,
     depth: Annotated[
         Literal["exact", "sensor"],
@@ -140,15 +143,48 @@ def render(
     require_mitsuba()
     made = _room(room, out, seed)
     times_s, trajectory = _trajectory(poses, out, made, seconds, seed)
-    height = round(0.75 * width)
-    focal_px = _FOCAL_SHARE * width
-    camera = Camera(width, height, focal_px, focal_px, (width - 1) / 2.0, (height - 1) / 2.0)
+    camera = _camera(width)
     config = RenderConfig(samples=samples, depth=depth)
     progress = ConsoleProgress(stderr)
     rendered = (trajectory[::every], times_s[::every], velocities(trajectory, times_s)[::every])
     recordings = render_sequence(made, *rendered, camera, chosen, config, seed, out, progress)
     if json:
         print_json({"recordings": [str(path) for path in recordings], "frames": len(trajectory[::every])})
+    else:
+        stderr.print("recordings: " + ", ".join(f"folder:{path}" for path in recordings))
+
+
+@app.command()
+def corridor(
+    out: OutOption,
+    seed: SeedOption = 0,
+    doors: Annotated[int, typer.Option("--doors", min=2, max=20, help="Doors in each side wall.")] = 5,
+    width: WidthOption = 320,
+    samples: SamplesOption = 8,
+    json: JsonOption = False,
+) -> None:
+    """Render a corridor with equal doors, in which a lost camera must not be found at a wrong one.
+
+    OUT/map is a walk to build from; OUT/door-0, ... are flights that begin at a door and end at the east end.
+
+    \b
+    Examples:
+      monoloc synth corridor --out corridor
+      monoloc build folder:corridor/map/L1 --tune none --out corridor.monoloc
+      monoloc localize corridor.monoloc folder:corridor/door-1/L1
+    """
+    check_folder(out, "--out")
+    require_mitsuba()
+    made, camera = make_corridor(doors), _camera(width)
+    out.mkdir(exist_ok=True)
+    walks = {"map": mapping_walk(doors), **{f"door-{door}": door_walk(doors, door) for door in range(doors - 1)}}
+    recordings = []
+    for name, (times_s, poses) in walks.items():
+        rendered = (poses, times_s, np.zeros((len(poses), 6)))  # without motion blur: what is alike stays alike
+        config, progress = RenderConfig(samples=samples), ConsoleProgress(stderr)
+        recordings += render_sequence(made, *rendered, camera, [LIGHTS["L1"]], config, seed, out / name, progress)
+    if json:
+        print_json({"recordings": [str(path) for path in recordings]})
     else:
         stderr.print("recordings: " + ", ".join(f"folder:{path}" for path in recordings))
 
@@ -206,6 +242,11 @@ def _trajectory(
         return read_tum(given or out / _FLIGHT)
     planned = plan_flight(room, FlightConfig(seconds=seconds), seed)
     return planned.times_s, planned.camera_poses()
+
+
+def _camera(width: int) -> Camera:
+    height, focal_px = round(0.75 * width), _FOCAL_SHARE * width
+    return Camera(width, height, focal_px, focal_px, (width - 1) / 2.0, (height - 1) / 2.0)
 
 
 def _light(name: str) -> Light:
