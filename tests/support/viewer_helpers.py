@@ -46,13 +46,13 @@ class Recorded:
         self.entities = {str(entity) for entity in self.reader.stream().collect().schema().entity_paths()}
         (self.store,) = self.reader.recordings()
 
-    def frames(self, entity: str, component: str) -> dict[int, Any]:
-        """Values of a component that changes, by the number of the frame."""
-        values: dict[int, Any] = {}
+    def frames(self, entity: str, component: str, timeline: str = "frame") -> dict[Any, Any]:
+        """Values of a component that changes, by the number of the frame, or by another time."""
+        values: dict[Any, Any] = {}
         for chunk in self.reader.stream().filter(content=entity, is_static=False).to_chunks():
             batch = chunk.to_record_batch()
             if component in batch.schema.names:
-                values |= zip(batch["frame"].to_pylist(), batch[component].to_pylist(), strict=True)
+                values |= zip(batch[timeline].to_pylist(), batch[component].to_pylist(), strict=True)
         return values
 
     def static(self, entity: str, component: str) -> Any:

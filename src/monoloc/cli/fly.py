@@ -22,6 +22,7 @@ from monoloc.cli.common import (
     check_apart,
     check_folder,
     check_outputs,
+    check_viewing,
     open_source,
     parse_intrinsics,
     print_json,
@@ -40,8 +41,8 @@ from monoloc.cli.flight_options import (
 from monoloc.cli.start_option import METAVAR
 from monoloc.cli.stop_signals import stopped_by_signals
 from monoloc.errors import SettingError
-from monoloc.extras import require_mcap
-from monoloc.flight.autopilot import down_world, gravity_of, senders
+from monoloc.extras import require_mcap, require_viewing
+from monoloc.flight.autopilot import down_world, frames_if_known, gravity_of, senders
 from monoloc.flight.flight_file import FlightFile
 from monoloc.flight.flight_loop import Flight, FlightOutput, FlightSummary
 from monoloc.flight.flight_recording import FlightHeader, FlightRecorder, RecordedStart
@@ -61,6 +62,7 @@ from monoloc.mavlink.autopilot_link import AutopilotLink
 from monoloc.mavlink.firmware import Firmware
 from monoloc.start import Start
 from monoloc.supervision.state import State
+from monoloc.viz.flight_view import flight_view
 
 
 def fly(
@@ -103,6 +105,13 @@ def fly(
     record: Annotated[
         Path | None, typer.Option("--record", metavar="DIR", help="Folder to write, for monoloc replay.")
     ] = None,
+    view: Annotated[bool, typer.Option("--view", help="Show the flight in Rerun's window.")] = False,
+    view_port: Annotated[
+        int | None,
+        typer.Option(
+            "--view-port", min=1024, max=65534, metavar="PORT", help="Serve the flight to a browser, also elsewhere."
+        ),
+    ] = None,
     fast: Annotated[
         bool, typer.Option("--fast", help="Take every frame of a recording, as fast as possible.")
     ] = False,
@@ -143,6 +152,7 @@ def fly(
     if flight.record is not None:
         check_folder(flight.record, "--record")
         check_apart(flight.record, "--record", (room, flight.source))
+    check_view(view, view_port)
     check_autopilot(flight, align, fast)
     bundle, flight_settings, firmware = read_bundle(room), flight.settings, flight.firmware
     rng = np.random.default_rng(seed)
@@ -164,6 +174,18 @@ def fly(
                 outputs.append(FlightRecorder(flight.record, header))
             clock_offset_s = 0.0 if fast else time.time() - frame_source.now_s()
             outputs += _logs(flight, bundle, camera, clock_offset_s)
+            if view or view_port is not None:
+                shown = flight_view(
+                    f"{room}: {flight.source}",
+                    view_port,
+                    bundle,
+                    camera,
+                    frames_if_known(bundle, flight_settings),
+                    lambda: localizer.particles,
+                )
+                output, told = opened.enter_context(shown)
+                outputs.append(output)
+                say(told)
             if link is not None and align:
                 T_body_camera = flight_settings.mount.T_body_camera
                 north = NorthMeasurement(T_body_camera, down_world(bundle, flight_settings), link.attitude_at)
@@ -191,6 +213,15 @@ def fly(
         _report(summary, frame_source, link, say, json)
     if summary.failures:
         raise summary.failures[0]
+
+
+def check_view(view: bool, port: int | None) -> None:
+    """Check that a viewer can be shown, before anything is opened."""
+    if view and port is not None:
+        raise SettingError("--view-port", "is given beside --view", "choose between a window and a browser")
+    check_viewing(view)
+    if port is not None:
+        require_viewing()
 
 
 def check_mcap(path: Path | None) -> None:

@@ -43,6 +43,11 @@ def frames_of(bundle: Bundle, settings: FlightSettings) -> AutopilotFrames:
     return AutopilotFrames(settings.mount.T_body_camera, down_world(bundle, settings), north_rad)
 
 
+def frames_if_known(bundle: Bundle, settings: FlightSettings) -> AutopilotFrames | None:
+    """:func:`frames_of`, or None where neither the map nor the settings tell the direction of gravity."""
+    return None if bundle.down is None and settings.down is None else frames_of(bundle, settings)
+
+
 def senders(
     sink: MessageSink | None, folder: Path | None, bundle: Bundle, firmware: Firmware, settings: FlightSettings
 ) -> list[FlightOutput]:

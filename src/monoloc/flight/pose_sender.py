@@ -9,7 +9,7 @@ import numpy as np
 
 from monoloc.flight.flight_loop import FlightStep
 from monoloc.flight.flight_settings import FlightSettings
-from monoloc.geometry import FloatArray, invert, make_pose, rotation_angle, so3_exp
+from monoloc.geometry import FloatArray, invert, rotation_angle
 from monoloc.mavlink.autopilot_frames import AutopilotFrames, BodyPose
 from monoloc.mavlink.firmware import Firmware
 from monoloc.mavlink.messages import obstacle_distance, odometry, status_text, vision_position_estimate
@@ -65,7 +65,7 @@ class PoseSender:
             return
         if self._sent is None or result.frame.captured_s - self._sent[0] >= 0.99 / self._settings.rate_hz:
             self._send_pose(result, pose)
-        self._send_obstacles(result, pose)
+        self._send_obstacles(result)
 
     def idle(self, now_s: float) -> None:
         if self._frame_s is not None and now_s - self._frame_s > _NO_IMAGE_S:
@@ -105,15 +105,14 @@ class PoseSender:
         self.counts["poses"] += 1
         self._sink.send(message)
 
-    def _send_obstacles(self, result: FlightStep, pose: BodyPose) -> None:
+    def _send_obstacles(self, result: FlightStep) -> None:
         captured_s = result.frame.captured_s
         is_due = captured_s - self._obstacles_s >= 0.99 / _OBSTACLES_HZ
         if not (self._settings.obstacles and is_due):
             return
         self._obstacles_s = captured_s
         estimate = result.step.estimate
-        T_ned_level = make_pose(so3_exp([0.0, 0.0, pose.euler_rad[2]]), pose.T_ned_body[:3, 3])
-        T_level_camera = invert(T_ned_level) @ self._frames.T_ned_world @ estimate.pose
+        T_level_camera = self._frames.T_level_camera(estimate)
         distances_cm = sector_distances_cm(result.step.depth, estimate.log_scale, T_level_camera)
         self.counts["obstacles"] += 1
         self._sink.send(obstacle_distance(captured_s, distances_cm, LEAST_M, MOST_M))

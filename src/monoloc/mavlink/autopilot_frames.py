@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from monoloc.errors import SettingError
-from monoloc.geometry import FloatArray, adjoint, invert, is_rigid, make_pose
+from monoloc.geometry import FloatArray, adjoint, invert, is_rigid, make_pose, so3_exp
 from monoloc.particle_filter.estimate import Estimate
 
 _LEAST_HORIZONTAL = np.sin(np.deg2rad(20.0))  # of an axis that has a heading
@@ -81,6 +81,13 @@ class AutopilotFrames:
         jacobian[3:, 3:] = _euler_rates(euler_of(T_ned_body[:3, :3]))
         covariance = jacobian @ covariance_body @ jacobian.T
         return BodyPose(T_ned_body, (covariance + covariance.T) / 2.0)
+
+    def T_level_camera(self, estimate: Estimate) -> FloatArray:
+        """Pose of the camera from the vehicle's origin along axes that are level: forward, right, down; (4, 4)."""
+        T_ned_camera = self.T_ned_world @ estimate.pose
+        T_ned_body = T_ned_camera @ self._T_camera_body
+        heading = make_pose(so3_exp([0.0, 0.0, euler_of(T_ned_body[:3, :3])[2]]), T_ned_body[:3, 3])
+        return np.asarray(invert(heading) @ T_ned_camera)
 
     def down_camera(self, roll_rad: float, pitch_rad: float) -> FloatArray:
         """Direction of gravity in the camera's frame from the vehicle's attitude, (3,) unit vector."""

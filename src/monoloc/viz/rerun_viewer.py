@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
-from monoloc.geometry import FloatArray, rotation_to_quaternion, transform
+from monoloc.geometry import FloatArray, invert, rotation_to_quaternion, transform
 from monoloc.io.recording import Recording
 from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.localizer import Step
@@ -61,16 +61,21 @@ class RerunViewer:
         self._ends: dict[str, FloatArray] = {}  # last position of each trajectory, (3,)
 
     def begin(self, room: Bundle, recording: Recording) -> None:
-        self._recording, self._thresholds = recording, room.thresholds
+        self._recording = recording
+        self.begin_room(room, recording.camera)
+        if recording.poses is not None:
+            truth = rr.LineStrips3D([recording.poses[:, :3, 3]], colors=_TRUTH, radii=rr.Radius.ui_points(1.0))
+            self._static("world/truth", truth)
+
+    def begin_room(self, room: Bundle, camera: Camera) -> None:
+        """Log what does not change."""
+        self._thresholds = room.thresholds
         self._static("world", _view_coordinates(room.provenance.down_world))
         map_ = room.adapted
         self._static("world/map", _ellipsoids(map_.means, map_.covariances, _SURFACE_SIGMAS, _MAP, "solid"))
         landmarks = rr.Points3D(room.landmarks.points, colors=_LANDMARKS, radii=rr.Radius.ui_points(1.0))
         self._static("world/landmarks", landmarks)
-        if recording.poses is not None:
-            truth = rr.LineStrips3D([recording.poses[:, :3, 3]], colors=_TRUTH, radii=rr.Radius.ui_points(1.0))
-            self._static("world/truth", truth)
-        self._view = PinholeView(recording.camera)
+        self._view = PinholeView(camera)
         self._static("world/camera/image", _pinhole(self._view.camera))
         for path, color in _PLOTS.items():
             self._static(path, rr.SeriesLines(colors=color, names=path.rpartition("/")[2]))
@@ -91,16 +96,20 @@ class RerunViewer:
         self._stream.set_time("frame", sequence=index)
         self._stream.set_time("seconds", duration=float(times_s[index] - times_s[0]))
         truth = None if self._recording.poses is None else self._recording.poses[index]
-        self._show_images(color, step)
-        self._show_belief(step, particles)
-        self._show_trajectory("estimate", step.estimate.pose, truth, _ESTIMATE)
+        self.show_step(color, step, particles, truth)
         # Odometry does not change without a motion, and a random walk never has one.
         if step.motion is not None:
             self._show_trajectory("odometry", odometry, truth, _ODOMETRY)
         self._ends["odometry"] = odometry[:3, 3]
+        self._plot("step_ms", step_ms)
+
+    def show_step(self, color: NDArray[np.uint8], step: Step, particles: Particles, truth: FloatArray | None) -> None:
+        """Log a frame at the stream's time: images, belief, likelihood and state."""
+        self._show_images(color, step)
+        self._show_belief(step, particles)
+        self._show_trajectory("estimate", step.estimate.pose, truth, _ESTIMATE)
         self._plot("error_cm/stated_sd", 100.0 * np.sqrt(np.trace(step.estimate.covariance[:3, :3])))
         self._show_likelihood(step.mean_log_likelihood)
-        self._plot("step_ms", step_ms)
         self._show_state(step)
 
     def _show_images(self, color: NDArray[np.uint8], step: Step) -> None:
@@ -108,6 +117,13 @@ class RerunViewer:
         # Not below the camera's entity, where the viewer would back-project the uncorrected depth into the room.
         depth = rr.DepthImage(step.depth.depth_m, meter=1.0, colormap="viridis", depth_range=_DEPTH_SHOWN_M)
         self._stream.log("depth", depth)
+        self._stream.log("world/camera/image/landmarks", self._landmarks_in_image(step))
+
+    def _landmarks_in_image(self, step: Step) -> rr.Points2D:
+        seen = np.zeros((0, 3)) if step.landmark_pose is None else step.landmark_pose.points
+        points = transform(invert(step.estimate.pose), seen)
+        pixels = self._view.camera.project(points[points[:, 2] > 0.0]) + 0.5  # Rerun's pixel centres
+        return rr.Points2D(pixels, colors=_SEEN, radii=rr.Radius.ui_points(3.0))
 
     def _show_belief(self, step: Step, particles: Particles) -> None:
         pose, covariance = step.estimate.pose, step.estimate.covariance[:3, :3]

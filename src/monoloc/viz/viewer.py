@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rerun import RecordingStream
     from rerun.blueprint import Blueprint
 
-_PORT = 9876  # Rerun's default; a viewer that listens there is used, also one forwarded from another machine
+WINDOW_PORT = 9876  # Rerun's default; a viewer that listens there is used, also one forwarded from another machine
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 
 
@@ -128,10 +128,10 @@ def _rerun_stream(
     import rerun
 
     if view:
-        _open_window()
+        open_window()
     target = None if record is None else target_of(record)
     partial = None if target is None else partial_of(target)
-    window = [rerun.GrpcSink(f"rerun+http://127.0.0.1:{_PORT}/proxy")] if view else []
+    window = [rerun.GrpcSink(f"rerun+http://127.0.0.1:{WINDOW_PORT}/proxy")] if view else []
     file_sink = [] if partial is None else [rerun.FileSink(partial)]
     stream = rerun.RecordingStream(application, recording_id=uuid4())
     stream.set_log_tick_enabled(False)
@@ -188,18 +188,23 @@ def require_window() -> None:
         SettingError: there is neither a display nor a listening viewer.
     """
     if sys.platform == "linux" and not any(os.environ.get(name) for name in _DISPLAYS) and not _is_listening():
-        fix = f"give --record FILE.rrd and open that elsewhere, or forward a viewer's port {_PORT} to here"
+        fix = f"give --record FILE.rrd and open that elsewhere, or forward a viewer's port {WINDOW_PORT} to here"
         raise SettingError("--view", "there is no display", fix)
 
 
-def _open_window() -> None:
+def open_window() -> None:
+    """Open Rerun's window, if none is open.
+
+    Raises:
+        SettingError: it cannot be opened.
+    """
     require_window()
     if _is_listening():
         return
     import rerun
 
     try:
-        rerun.spawn(port=_PORT, connect=False, hide_welcome_screen=True)
+        rerun.spawn(port=WINDOW_PORT, connect=False, hide_welcome_screen=True)
     except RuntimeError as error:
         raise SettingError("--view", f"Rerun does not start ({error})", "see that 'rerun' does") from error
     if not _is_listening():
@@ -208,7 +213,7 @@ def _open_window() -> None:
 
 def _is_listening() -> bool:
     try:
-        with socket.create_connection(("127.0.0.1", _PORT), timeout=1.0):
+        with socket.create_connection(("127.0.0.1", WINDOW_PORT), timeout=1.0):
             return True
     except OSError:
         return False

@@ -34,7 +34,7 @@ def no_display(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(viewer, "_PORT", free_port())
+    monkeypatch.setattr(viewer, "WINDOW_PORT", free_port())
 
 
 def test_missing_display_is_reported(no_display: None) -> None:
@@ -55,7 +55,7 @@ def test_lost_window_is_not_reported_as_a_problem_of_the_file(monkeypatch, tmp_p
         viewer.partial_of(tmp_path / "run.rrd").touch()
         raise RuntimeError("no connection")
 
-    monkeypatch.setattr(viewer, "_open_window", lambda: None)
+    monkeypatch.setattr(viewer, "open_window", lambda: None)
     monkeypatch.setattr(rerun.RecordingStream, "set_sinks", lost)
     viewing = run_viewer("a run", view=True, record=tmp_path / "run.rrd")
     with pytest.raises(SettingError, match=r"^--view: the window is lost \(no connection\); try again$"), viewing:
@@ -70,7 +70,7 @@ def test_listening_viewer_receives_the_run(tmp_path, no_display):
     bundle = make_bundle(room_mixture(Room(), 60), recording)
     program = Path(rerun_cli.__file__).with_name("rerun")
     live = tmp_path / "live.rrd"
-    command = [program, "--save", live, "--port", str(viewer._PORT)]
+    command = [program, "--save", live, "--port", str(viewer.WINDOW_PORT)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as listener:
         while not viewer._is_listening():
             assert listener.poll() is None

@@ -1,0 +1,110 @@
+"""Content of Rerun's viewer in flight: what a run shows, and obstacle sectors and latency."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from monoloc.bundle import Bundle
+from monoloc.camera import Camera
+from monoloc.flight.flight_loop import FlightStep
+from monoloc.geometry import FloatArray, invert, transform
+from monoloc.mavlink.autopilot_frames import AutopilotFrames
+from monoloc.mavlink.obstacle_sectors import MOST_M, SECTORS, sector_distances_cm
+from monoloc.particle_filter.particles import Particles
+from monoloc.viz.rerun_viewer import RerunViewer
+
+_NEAR, _FAR, _NEAR_M = 0xD55E00FF, 0xF0E442FF, 1.0  # colours of Okabe and Ito
+_LATENCY = 0x56B4E9FF
+
+
+class FlightDrawing:
+    """Logs a flight to a stream.
+
+    Args:
+        stream: to the viewer.
+        room: of the flight.
+        camera: of its images.
+        frames: of the vehicle, for obstacles; None shows none.
+    """
+
+    def __init__(
+        self, stream: rr.RecordingStream, room: Bundle, camera: Camera, frames: AutopilotFrames | None
+    ) -> None:
+        self._stream, self._frames = stream, frames
+        self._began_s: float | None = None
+        self._viewer = RerunViewer(stream)
+        self._viewer.begin_room(room, camera)
+        stream.log("latency_ms", rr.SeriesLines(colors=_LATENCY, names="latency"), static=True)
+
+    def show(self, result: FlightStep, particles: Particles) -> None:
+        """Log a frame, with the particles after its step."""
+        captured_s = result.frame.captured_s
+        self._began_s = captured_s if self._began_s is None else self._began_s
+        self._stream.set_time("seconds", duration=captured_s - self._began_s)
+        self._viewer.show_step(result.frame.color, result.step, particles, None)
+        self._stream.log("latency_ms", rr.Scalars(1e3 * (result.done_s - captured_s)))
+        if self._frames is not None:
+            self._stream.log("world/obstacles", self._obstacles(result, self._frames))
+
+    def _obstacles(self, result: FlightStep, frames: AutopilotFrames) -> rr.LineStrips3D:
+        """An arc for each sector that is not free, at its distance around the vehicle; red within a metre."""
+        estimate = result.step.estimate
+        T_level_camera = frames.T_level_camera(estimate)
+        distances_m = sector_distances_cm(result.step.depth, estimate.log_scale, T_level_camera) / 100.0
+        T_world_level = estimate.pose @ invert(T_level_camera)
+        known = np.flatnonzero(distances_m <= MOST_M)
+        arcs = [transform(T_world_level, _arc(int(sector), float(distances_m[sector]))) for sector in known]
+        colors = np.where(distances_m[known] < _NEAR_M, _NEAR, _FAR).astype(np.uint32)
+        return rr.LineStrips3D(arcs, colors=colors, radii=rr.Radius.ui_points(3.0))
+
+
+def _arc(sector: int, distance_m: float) -> FloatArray:
+    """Both ends of a sector at a distance, (2, 3): forward, right, down."""
+    width = 2.0 * np.pi / SECTORS
+    azimuth = width * (sector + np.array([-0.5, 0.5]))
+    return distance_m * np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(2)], axis=1)
+
+
+def flight_blueprint() -> rrb.Blueprint:
+    """Layout with the room on the left; on the right images, state with reasons, plots of the last minute."""
+    last_seconds = [
+        rrb.VisibleTimeRange("seconds", start=rrb.TimeRangeBoundary.cursor_relative(seconds=-10.0), end=_NOW)
+    ]
+    last_minute = rrb.VisibleTimeRange(
+        "seconds", start=rrb.TimeRangeBoundary.cursor_relative(seconds=-60.0), end=_NOW
+    )
+    room = rrb.Spatial3DView(
+        origin="world", name="room", overrides={"world/estimate": rrb.VisibleTimeRanges(last_seconds)}
+    )
+    images = rrb.Horizontal(
+        rrb.Spatial2DView(origin="world/camera/image", name="image, landmarks"),
+        rrb.Spatial2DView(origin="depth", name="depth, 0 to 6 m"),
+    )
+    state = rrb.Horizontal(
+        rrb.StateTimelineView(origin="state", name="state"),
+        rrb.TextDocumentView(origin="reasons", name="state and its reasons"),
+        column_shares=[2.0, 1.0],
+    )
+    right = rrb.Vertical(
+        images,
+        state,
+        rrb.TimeSeriesView(origin="latency_ms", name="latency (ms)", time_ranges=[last_minute]),
+        rrb.TimeSeriesView(
+            origin="probability_far",
+            name="probability of more than 30 cm off",
+            axis_y=rrb.ScalarAxis(range=(0.0, 1.0), zoom_lock=True),
+            time_ranges=[last_minute],
+        ),
+        row_shares=[3.0, 1.3, 1.5, 1.5],
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(room, right, column_shares=[3.0, 2.0]),
+        rrb.TimePanel(timeline="seconds", state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+    )
+
+
+_NOW = rrb.TimeRangeBoundary.cursor_relative(seconds=0.0)

@@ -1,0 +1,121 @@
+"""What a viewer shows of a flight, and that the flight does not wait for it."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun
+
+from mavlink_helpers import CAMERA, result_at, step_at
+from monoloc.errors import SettingError
+from monoloc.flight.flight_loop import FlightStep
+from monoloc.flight.flight_settings import Mount
+from monoloc.geometry import invert, make_pose
+from monoloc.mavlink.autopilot_frames import AutopilotFrames
+from monoloc.particle_filter.particles import Particles
+from monoloc.viz.flight_drawing import FlightDrawing, flight_blueprint
+from monoloc.viz.flight_view import FlightView, _check_free, has_connection
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
+from viewer_helpers import Recorded
+
+PARTICLES = Particles(np.eye(4)[None], np.zeros(1), np.zeros(1))
+RESULT = result_at(1.0, step_at(np.eye(4)))
+SOON_S = 20.0
+
+
+def until(holds: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + SOON_S
+    while not holds():
+        assert time.monotonic() < end_s
+        time.sleep(0.01)
+
+
+class Held:
+    """A drawing that hangs until it is released."""
+
+    def __init__(self) -> None:
+        self.drawn: list[float] = []
+        self.begun, self.release = threading.Event(), threading.Event()
+
+    def show(self, result: FlightStep, particles: Particles) -> None:
+        self.begun.set()
+        self.release.wait(SOON_S)
+        self.drawn.append(result.frame.captured_s)
+
+
+def test_while_nobody_looks_nothing_is_drawn_nor_even_asked_for() -> None:
+    drawing, looked = Held(), threading.Event()
+
+    def is_watched() -> bool:
+        looked.set()
+        return False
+
+    def particles() -> Particles:
+        raise AssertionError("nobody looks")
+
+    view = FlightView(drawing, particles, is_watched)
+    assert looked.wait(SOON_S)
+    for index in range(20):
+        view.take(result_at(0.2 * index, step_at(np.eye(4))))
+    view.close()
+    assert drawing.drawn == []
+
+
+def test_a_viewer_that_hangs_holds_up_nobody() -> None:
+    drawing = Held()
+    view = FlightView(drawing, lambda: PARTICLES, lambda: True)
+    until(lambda: view.take(RESULT) or drawing.begun.is_set())
+    for index in range(1, 50):
+        view.take(result_at(1.0 + 0.2 * index, step_at(np.eye(4))))
+    assert drawing.drawn == []  # it hangs still, and every frame was taken
+    drawing.release.set()
+    view.close()
+    assert 1 <= len(drawing.drawn) <= 3
+
+
+def test_a_connection_is_seen_when_it_is_there() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        assert not has_connection(port)
+        with socket.create_connection(("127.0.0.1", port)):
+            assert has_connection(port)
+        with pytest.raises(SettingError, match=f"^--view-port: needs the port {port}, .*; give another one"):
+            _check_free(port)
+
+
+def test_a_flight_is_drawn_with_obstacles_and_latency(tmp_path: Path) -> None:
+    """A wall two metres ahead of a camera that looks along the map's x axis, 30 cm ahead of the vehicle's origin."""
+    mount = Mount(forward_m=0.3).T_body_camera
+    frames = AutopilotFrames(mount, [0.0, 0.0, -1.0], 0.0)
+    pose = invert(frames.T_ned_world) @ make_pose(np.eye(3), [0.5, 0.0, -1.0]) @ mount
+    bundle = make_bundle(room_mixture(Room(), 60), RoomRecording(Room(), make_path(2), SMALL_CAMERA))
+    stream = rerun.RecordingStream("monoloc fly")
+    stream.set_log_tick_enabled(False)
+    stream.set_log_time_enabled(False)
+    stream.save(tmp_path / "flight.rrd", default_blueprint=flight_blueprint())
+    drawing = FlightDrawing(stream, bundle, CAMERA, frames)
+    for index in range(3):
+        drawing.show(result_at(5.0 + 0.1 * index, step_at(pose), age_s=0.04), PARTICLES)
+    stream.disconnect()
+    recorded = Recorded(tmp_path / "flight.rrd")
+    assert len(recorded.reader.blueprints()) == 1
+    assert recorded.entities >= {
+        "/world/map",
+        "/world/camera/image",
+        "/depth",
+        "/world/particles",
+        "/state",
+        "/reasons",
+    }
+    latencies = np.concatenate(list(recorded.frames("/latency_ms", "Scalars:scalars", "seconds").values()))
+    np.testing.assert_allclose(latencies, 40.0, atol=1e-6)
+    arcs = np.array(list(recorded.frames("/world/obstacles", "LineStrips3D:strips", "seconds").values())[-1])
+    middle = arcs.mean(axis=1)
+    ahead = middle[np.abs(middle[:, 1]) < 0.1]
+    np.testing.assert_allclose(ahead, [[2.8, 0.0, 1.0]], atol=0.03)
