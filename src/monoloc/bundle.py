@@ -13,7 +13,6 @@ import json
 import os
 import shutil
 import tempfile
-import zipfile
 import zlib
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -24,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from monoloc.array_files import decode_arrays, read_regular
 from monoloc.camera import Camera
 from monoloc.config import describe
 from monoloc.depth.model_files import read_model
@@ -43,6 +43,7 @@ from monoloc.version import __version__
 SCHEMA = 9
 _MANIFEST, _MAP, _LANDMARKS, _DEPTH = "manifest.json", "map.npz", "landmarks.npz", "depth.onnx"
 _CONTENTS = (_MAP, _LANDMARKS, _DEPTH)
+_COPY = "copy the bundle again or rebuild it"
 _REFERENCES = ("reference_poses", "forward_bias", "backward_bias")  # twists (V, 6), float32
 
 
@@ -55,6 +56,7 @@ class Provenance(BaseModel):
         tune, map_transform, lambda_kl: the adaptation's variant.
         seed: of the build.
         down_world: mean direction of the cameras' y axes over those frames: down, if the camera was held upright.
+        scale_sd: relative standard deviation of the map's scale; None where a sensor measured it.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -66,6 +68,7 @@ class Provenance(BaseModel):
     lambda_kl: float
     seed: int
     down_world: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    scale_sd: float | None = None
 
 
 class Manifest(BaseModel):
@@ -235,21 +238,23 @@ def read_bundle(path: str | Path) -> Bundle:
     contents = {}
     for name in _CONTENTS:
         try:
-            contents[name] = (path / name).read_bytes()
+            contents[name] = read_regular(path / name)
         except OSError as error:
             raise BundleError(path / name, "is missing", "copy the bundle again, whole") from error
+        except ValueError as error:
+            raise BundleError(path / name, f"is not what was written ({error})", _COPY) from error
         if hashlib.sha256(contents[name]).hexdigest() != manifest.sha256.get(name):
-            raise BundleError(path / name, "is not what was written", "copy the bundle again or rebuild it")
+            raise BundleError(path / name, "is not what was written", _COPY)
     try:
-        with np.load(io.BytesIO(contents[_MAP]), allow_pickle=False) as arrays:
-            original, adapted = (GaussianMixture.from_arrays(arrays, name) for name in ("original_", "adapted_"))
-            poses, forward, backward = (arrays[name].reshape(-1, 6).astype(np.float64) for name in _REFERENCES)
-    except (KeyError, ValueError, zipfile.BadZipFile) as error:
+        arrays = decode_arrays(contents[_MAP])
+        original, adapted = (GaussianMixture.from_arrays(arrays, name) for name in ("original_", "adapted_"))
+        poses, forward, backward = (arrays[name].reshape(-1, 6).astype(np.float64) for name in _REFERENCES)
+        reference_poses = ReferencePoses(se3_exp(poses), forward, backward)
+    except (KeyError, ValueError, TypeError) as error:
         raise BundleError(path / _MAP, f"is no map ({error})", "rebuild it with this version") from error
     try:
-        with np.load(io.BytesIO(contents[_LANDMARKS]), allow_pickle=False) as arrays:
-            landmarks = Landmarks.from_arrays(arrays)
-    except (KeyError, ValueError, zipfile.BadZipFile) as error:
+        landmarks = Landmarks.from_arrays(decode_arrays(contents[_LANDMARKS]))
+    except (KeyError, ValueError, TypeError) as error:
         fix = "rebuild it with this version"
         raise BundleError(path / _LANDMARKS, f"holds no landmarks ({error})", fix) from error
     return Bundle(
@@ -260,7 +265,7 @@ def read_bundle(path: str | Path) -> Bundle:
         camera=manifest.camera,
         provenance=manifest.provenance,
         thresholds=manifest.thresholds,
-        reference_poses=ReferencePoses(se3_exp(poses), forward, backward),
+        reference_poses=reference_poses,
         landmarks=landmarks,
         integrity=manifest.integrity,
         sensor=manifest.sensor,
@@ -308,18 +313,18 @@ def _digest(body: dict[str, object]) -> str:
 def _read_manifest(path: Path) -> Manifest:
     file = path / _MANIFEST
     try:
-        body = json.loads(file.read_bytes())
+        body = json.loads(read_regular(file))
     except OSError as error:
         raise BundleError(
             path, f"is not a bundle (no {_MANIFEST})", "give a folder made by: monoloc build"
         ) from error
     except (ValueError, RecursionError) as error:
-        raise BundleError(file, "is cut short or edited", "copy the bundle again or rebuild it") from error
+        raise BundleError(file, "is cut short or edited", _COPY) from error
     if not isinstance(body, dict) or body.get("schema_version") != SCHEMA:
         found = body.get("schema_version") if isinstance(body, dict) else None
         raise BundleError(file, f"has schema {found}, this monoloc reads {SCHEMA}", "rebuild it with this version")
     if body.pop("manifest_sha256", None) != _digest(body):
-        raise BundleError(file, "was edited", "copy the bundle again or rebuild it")
+        raise BundleError(file, "was edited", _COPY)
     try:
         return Manifest.model_validate(body)
     except ValidationError as error:

@@ -74,7 +74,31 @@ def with_trajectory(here: Path) -> None:
     ("spoil", "command", "names", "problem", "fix"),
     [
         # Build.
-        (without_poses, BUILD, "flight", "has no poses", "with camera poses"),
+        (without_poses, BUILD, "flight", "moves so little that it has [0-9] keyframes", "walk through the room"),
+        (
+            lambda here: (without_poses(here), (here / "room.xyz").write_text("0 0 1\n")),
+            (*BUILD, "--cloud", "room.xyz"),
+            "--cloud",
+            "is of a world that images without poses are not in",
+            "leave it out",
+        ),
+        (
+            nothing,
+            (*BUILD, "--scale", "depth"),
+            "--scale",
+            "has no meaning for a recording with poses",
+            "leave it out",
+        ),
+        (without_poses, (*BUILD, "--scale", "2"), "--scale", "is '2'", "marker:ID:SIZE_M"),
+        (nothing, ("reconstruct", "flight", "--out", "flight"), "--out", "is read by this command", "another place"),
+        (nothing, ("reconstruct", "flight", "--out", "room.monoloc"), "room.monoloc", "holds files", "a new folder"),
+        (
+            nothing,
+            ("reconstruct", "flight", "--out", "walk", "--camera-out", "cam.toml"),
+            "--camera-out",
+            "has no meaning where the intrinsics are given",
+            "leave it out",
+        ),
         (without_depth, (*BUILD, *QUICK), "flight", "has no depth", "cloud"),
         (without_depth, (*BUILD, "--refine-poses"), "--refine-poses", "needs depth", "leave it out"),
         (nothing, (*BUILD, "--frames", "0:3"), "flight", "gives 3 frames", "at least 5"),

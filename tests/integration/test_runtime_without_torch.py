@@ -36,7 +36,7 @@ ABSENT = (
     "distributed",
     "dask",
     "reportlab",
-    "rosbags",
+    "pycolmap", "rosbags",
     "mcap",
     "mcap_ros2",
 )

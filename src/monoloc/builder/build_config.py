@@ -46,7 +46,8 @@ class BuildReport:
 
     ``nll`` and AbsRel are of held-out frames, in regions apart from the others. The change of the map is as in
     :class:`monoloc.map.compare.MapChange`. Scale and shift of the network's output are None where they were not
-    fitted, see :class:`monoloc.depth.spec.ModelSpec`.
+    fitted, see :class:`monoloc.depth.spec.ModelSpec`. ``scale_sd`` is the relative standard deviation of the map's
+    scale, None where a sensor measured it.
     """
 
     frames: int
@@ -65,6 +66,7 @@ class BuildReport:
     depth_scale: float | None
     depth_shift: float | None
     steps: int
+    scale_sd: float | None
     pose_shift_median_m: float | None
     pose_turn_median_deg: float | None
     seconds: float

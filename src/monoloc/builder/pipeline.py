@@ -33,7 +33,7 @@ from monoloc.evaluation.trajectory import PoseErrors, pose_errors
 from monoloc.extras import training_extra
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray
-from monoloc.io.recording import Recording
+from monoloc.io.recording import Recording, scale_sd_of
 from monoloc.likelihood import make_likelihood
 from monoloc.map.compare import compare_maps
 from monoloc.map.depth_rendering import supervision
@@ -233,6 +233,7 @@ def _calibrate(
             lambda_kl=config.adapt.lambda_kl,
             seed=seed,
             down_world=_mean_down(room.poses),
+            scale_sd=scale_sd_of(room.recording),
         ),
         thresholds=thresholds,
         reference_poses=ReferencePoses.none(),
@@ -284,6 +285,7 @@ def _report(bundle: Bundle, room: _Room, adapted: _Adapted, config: BuildConfig,
         depth_shift=fitted.shift if fitted and fitted.has_shift else None,
         steps=adapted.steps,
         pose_shift_median_m=None if refinement is None else float(np.median(refinement.position_m)),
+        scale_sd=bundle.provenance.scale_sd,
         pose_turn_median_deg=None if refinement is None else float(np.rad2deg(np.median(refinement.rotation_rad))),
         seconds=seconds,
         warnings=[*room.warnings, *_bundle_warnings(bundle, config)],

@@ -8,7 +8,20 @@ from typing import Annotated
 import typer
 from typer.exceptions import Abort, TyperException
 
-from monoloc.cli import build, calibrate_camera, check, depth, doctor, evaluate, fly, inspect, localize, map_, replay
+from monoloc.cli import (
+    build,
+    calibrate_camera,
+    check,
+    depth,
+    doctor,
+    evaluate,
+    fly,
+    inspect,
+    localize,
+    map_,
+    reconstruct,
+    replay,
+)
 from monoloc.errors import MonolocError
 from monoloc.version import __version__
 
@@ -25,6 +38,7 @@ app = typer.Typer(
 )
 app.command("build")(build.build)
 app.command("check")(check.check)
+app.command("reconstruct")(reconstruct.reconstruct_command)
 app.command("localize")(localize.localize_command)
 app.command("evaluate")(evaluate.evaluate)
 app.command("inspect")(inspect.inspect)

@@ -19,6 +19,7 @@ from monoloc.cli.common import (
     FramesOption,
     IntrinsicsOption,
     JsonOption,
+    ScaleOption,
     SeedOption,
     SourceArgument,
     check_apart,
@@ -28,12 +29,14 @@ from monoloc.cli.common import (
     print_json,
     stderr,
 )
+from monoloc.cli.reconstruct import reconstruct_source
 from monoloc.config import load_settings, override
 from monoloc.depth.model_files import trainable_file
 from monoloc.depth.models import DEFAULT, is_shipped
 from monoloc.errors import SettingError
 from monoloc.files import target_of
 from monoloc.io.corrected import Fixes
+from monoloc.io.recording import Recording
 from monoloc.progress import ConsoleProgress
 
 _OPTIONS = {
@@ -87,6 +90,7 @@ def build(
         bool | None, typer.Option("--int8/--no-int8", help="Quantise the network to 8 bits. [no]")
     ] = None,
     settings: Annotated[Path | None, typer.Option("--settings", help="TOML file of settings.")] = None,
+    scale: ScaleOption = None,
     intrinsics: IntrinsicsOption = None,
     depth_scale: DepthScaleOption = None,
     fix_poses: FixPosesOption = None,
@@ -105,6 +109,7 @@ def build(
       monoloc build my-recording --cloud room.ply --out room.monoloc
       monoloc build my-recording --refine-poses --out room.monoloc     (poses with errors of 2 cm and 1 degree)
       monoloc build my-recording --fix-poses opengl --out room.monoloc     (poses with axes of OpenGL)
+      monoloc build walk.mp4 --scale marker:7:0.16 --out room.monoloc     (a plain video)
       monoloc build my-recording --tune last --no-landmarks --out paper.monoloc     (the paper's variant)
       monoloc build my-recording --tune none --no-map-transform --no-landmarks --out plain.monoloc
       monoloc build my-recording --network midas.toml --out midas.monoloc     (another network)
@@ -131,7 +136,9 @@ def build(
     with naming(options):
         config = override(config, **given, adapt=adapt)
         points = None if cloud is None else open_cloud(cloud)
-        recording = open_source(source, frames, intrinsics, depth_scale, fixes=Fixes(fix_poses, fix_depth))
+        fixes = Fixes(fix_poses, fix_depth)
+        recording: Recording = open_source(source, frames, intrinsics, depth_scale, fixes=fixes, guesses_camera=True)
+        recording = _with_poses(recording, scale, seed, cloud)
         bundle, report = build_bundle(recording, config, seed, ConsoleProgress(stderr), points, network)
     size = write_bundle(target_of(out), bundle)  # follows links, like all file writes
     report = replace(report, warnings=remarks + report.warnings)
@@ -150,9 +157,22 @@ def build(
             f"held-out frames: depth error {100 * report.depth_absrel_before:.1f} % -> "
             f"{100 * report.depth_absrel_after:.1f} %, map moved {100 * report.shift_median_m:.1f} cm (median)"
         )
+    if report.scale_sd is not None:
+        stderr.print(f"the map's scale is known to ± {100.0 * report.scale_sd:.2g} % (standard deviation)")
     if report.depth_scale is not None:
         shift = "" if report.depth_shift is None else f" and shift {report.depth_shift:.4g}"
         stderr.print(f"{network} is used as it is, with scale {report.depth_scale:.4g}{shift} fitted on these frames")
+
+
+def _with_poses(recording: Recording, scale: str | None, seed: int, cloud: Path | None) -> Recording:
+    """The recording, reconstructed if it has no poses."""
+    if recording.poses is None:
+        if cloud is not None:
+            raise SettingError("--cloud", "is of a world that images without poses are not in", "leave it out")
+        return reconstruct_source(recording, scale, seed).recording
+    if scale is not None:
+        raise SettingError("--scale", "has no meaning for a recording with poses", "leave it out")
+    return recording
 
 
 def _not_tuned(network: str) -> str:

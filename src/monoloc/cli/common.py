@@ -24,6 +24,7 @@ from monoloc.io.corrected import DEPTH_FIXES, Fixes, corrected
 from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.recording import Selection
 from monoloc.io.registry import FORMATS, open_recording, select_frames
+from monoloc.structure_from_motion.scale_option import SCALE_FORMS
 from monoloc.viz.viewer import require_window
 
 # Rich must not interpret brackets and colons in paths.
@@ -69,6 +70,15 @@ FixDepthOption = Annotated[
     typer.Option("--fix-depth", metavar="NAME", help=f"What the depth is, if not z: {', '.join(DEPTH_FIXES)}."),
 ]
 
+ScaleOption = Annotated[
+    str | None,
+    typer.Option(
+        "--scale",
+        metavar=SCALE_FORMS,
+        help="What tells the metres of images without poses. [depth if there is some, else network]",
+    ),
+]
+
 ViewOption = Annotated[bool, typer.Option("--view", help="Show a live view in Rerun's viewer.")]
 RecordOption = Annotated[
     Path | None, typer.Option("--record", metavar="FILE.rrd", help="Write a recording for Rerun's viewer.")
@@ -93,6 +103,7 @@ def open_source(
     depth_scale: float | None = None,
     frames_option: str = "--frames",
     fixes: Fixes = Fixes(),
+    guesses_camera: bool = False,
 ) -> Selection:
     """Open a recording, print its notes on stderr, and select frames.
 
@@ -103,13 +114,14 @@ def open_source(
         depth_scale: stored depth value of one metre.
         frames_option: name of the option that selected the frames, for error messages.
         fixes: of poses and depth of another convention.
+        guesses_camera: whether a video needs no intrinsics.
 
     Raises:
         DataError, SettingError: from the reader, or an option is invalid.
     """
     with naming({"frames": frames_option, "camera": "--intrinsics", "depth_scale": "--depth-scale"}):
         camera, keeps_distortion = (None, False) if intrinsics is None else parse_intrinsics(intrinsics)
-        options = ReaderOptions(camera, keeps_distortion, depth_scale)
+        options = ReaderOptions(camera, keeps_distortion, depth_scale, guesses_camera)
         recording = open_recording(source, options)
         for note in recording.notes:
             stderr.print(f"note: {recording.name}: {note}", soft_wrap=True)

@@ -15,7 +15,7 @@ from monoloc.geometry import FloatArray
 from monoloc.io import seven_scenes
 from monoloc.io.images import ImageRecording
 from monoloc.io.pose_fixes import PoseFixes, parse_pose_fixes
-from monoloc.io.recording import Recording, Selection
+from monoloc.io.recording import Recording, Selection, scale_sd_of
 from monoloc.io.registration import DepthRegistration
 
 DepthFix = Literal["range", "kinect", "registered", "turned-180"]
@@ -60,6 +60,7 @@ class _Converted:
         self.frame_names, self.timestamps_s = source.frame_names, source.timestamps_s
         self.poses, self.has_depth = poses, source.has_depth
         self.notes: list[str] = getattr(source, "notes", [])
+        self.scale_sd = scale_sd_of(source)
 
     def __len__(self) -> int:
         return len(self._source)

@@ -50,12 +50,13 @@ _EXAMPLES = {
     "depth_cy": "239.5",
     "T_color_depth": "[[1, 0, 0, 0.025], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]",
     "rate_hz": "30",
+    "scale_sd": "0.02",
 }
 _INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
 _DEPTH_INTRINSICS = tuple(f"depth_{key}" for key in _INTRINSICS)
 # Keys that have no meaning without another.
 _NEEDS = {
-    **dict.fromkeys(("pose_axes", "pose_direction", "pose_unit_m"), "poses"),
+    **dict.fromkeys(("pose_axes", "pose_direction", "pose_unit_m", "scale_sd"), "poses"),
     **dict.fromkeys(("confidence", *_DEPTH_INTRINSICS), "depth"),
     "T_color_depth": "depth_fx",
     "least_confidence": "confidence",

@@ -21,7 +21,8 @@
 
 Optional, with their defaults: ``pose_axes = "opencv"`` (or ``"opengl"``), ``pose_direction = "camera-to-world"`` (or
 ``"world-to-camera"``) and ``pose_unit_m = 1``; ``confidence``, a pattern, with ``least_confidence``; ``depth_width``
-to ``depth_cy`` of a depth camera of its own, with ``T_color_depth``.
+to ``depth_cy`` of a depth camera of its own, with ``T_color_depth``; ``scale_sd``, the relative standard deviation of
+the scale of poses and depth, where ``monoloc reconstruct`` found them.
 """
 
 from __future__ import annotations
@@ -97,6 +98,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
             else None
         ),
         least_confidence=description.integer("least_confidence") if description.has("confidence") else 0,
+        scale_sd=description.positive("scale_sd") if description.has("scale_sd") else None,
         notes=frames.notes(),
     )
 

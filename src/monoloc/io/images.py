@@ -48,6 +48,7 @@ class ImageRecording:
         confidence_paths: image of each depth image's confidence, or None.
         least_confidence: depth of a lower confidence is taken as unknown.
         cameras: camera of each image, where they differ: images are rendered as ``camera`` sees them.
+        scale_sd: see :func:`monoloc.io.recording.scale_sd_of`.
 
     Raises:
         DataError: the recording has no frames, or its first image is unusable.
@@ -66,6 +67,7 @@ class ImageRecording:
     confidence_paths: list[Path] | None = None
     least_confidence: int = 0
     cameras: list[Camera] | None = None
+    scale_sd: float | None = None
     notes: list[str] = field(default_factory=list)
     has_depth: bool = field(init=False)
 

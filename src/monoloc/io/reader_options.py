@@ -26,6 +26,7 @@ class ReaderOptions:
         camera: intrinsics of the stored colour images.
         keeps_distortion: whether ``camera`` leaves the distortion of the files or the format unchanged.
         depth_scale: stored depth value per metre (``metres = value / depth_scale``).
+        guesses_camera: whether a video without ``camera`` gets a guess, for structure from motion to refine.
 
     Raises:
         SettingError: the depth scale is outside the valid range.
@@ -34,6 +35,7 @@ class ReaderOptions:
     camera: Camera | None = None
     keeps_distortion: bool = False
     depth_scale: float | None = None
+    guesses_camera: bool = False
 
     def __post_init__(self) -> None:
         problem = None if self.depth_scale is None else depth_scale_problem(self.depth_scale)
@@ -55,6 +57,9 @@ class ReaderOptions:
             SettingError: an option that is not in ``names`` differs from its default.
         """
         for field in fields(self):
-            # keeps_distortion only matters together with a camera.
-            if field.name not in (*names, "keeps_distortion") and getattr(self, field.name) != field.default:
+            # keeps_distortion only matters together with a camera, and guesses_camera without one.
+            if (
+                field.name not in (*names, "keeps_distortion", "guesses_camera")
+                and getattr(self, field.name) != field.default
+            ):
                 raise SettingError(field.name, f"has no meaning for a {reader} recording", "leave this option out")

@@ -77,6 +77,7 @@ class Selection:
         self.timestamps_s = source.timestamps_s[self.positions]
         self.poses = None if source.poses is None else source.poses[self.positions]
         self.has_depth = source.has_depth
+        self.scale_sd = scale_sd_of(source)
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -86,6 +87,11 @@ class Selection:
 
     def depth(self, index: int) -> NDArray[np.float32]:
         return self.source.depth(int(self.positions[index]))
+
+
+def scale_sd_of(recording: Recording) -> float | None:
+    """Relative standard deviation of the scale of poses and depth; None where a sensor measured them in metres."""
+    return getattr(recording, "scale_sd", None)
 
 
 def evenly_spaced(count: int, most: int) -> NDArray[np.int64]:

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 from monoloc.errors import DataError, SettingError
 from monoloc.io.reader_options import ReaderOptions
+from monoloc.io.recording import Recording, Selection
 from monoloc.io.video_frames import VideoFrames
 
 _SUFFIXES = {".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpg", ".webm"}
+_GUESSED_FOCAL = 0.85  # of the longer side: 61 degrees, as most phones film
 
 
 def recognises(path: Path) -> bool:
@@ -21,14 +23,21 @@ def recognises(path: Path) -> bool:
 
 
 def read(path: Path, options: ReaderOptions) -> VideoRecording:
-    """Open a video file. The file does not contain intrinsics, so the camera option is required.
+    """Open a video file. The file does not contain intrinsics: they are given, or guessed if that is allowed.
 
     Raises:
         DataError: the file is missing or undecodable, or no camera is given.
         SettingError: an override does not apply to this format, or the camera has another image size.
     """
     options.allow_only("video", "camera")
-    return VideoRecording(path, options.camera)
+    return VideoRecording(path, options.camera, options.guesses_camera)
+
+
+def has_guessed_camera(recording: Recording) -> bool:
+    """Whether a recording is a video whose intrinsics are a guess."""
+    if isinstance(recording, Selection):
+        return has_guessed_camera(recording.source)
+    return isinstance(recording, VideoRecording) and recording.camera_is_guessed
 
 
 class VideoRecording:
@@ -37,11 +46,18 @@ class VideoRecording:
     The constructor reads all frames once to get their time stamps and number. Containers store only a mean frame
     rate, and a wrong number of frames if the file was cut. Frames are turned as the file's rotation tag asks, and the
     intrinsics are those of the turned frames.
+
+    Attributes:
+        camera_is_guessed: whether the intrinsics are a guess.
     """
 
-    def __init__(self, path: Path, camera: Camera | None) -> None:
+    def __init__(self, path: Path, camera: Camera | None, guesses_camera: bool = False) -> None:
         self._frames = VideoFrames(path)
         width, height = self._frames.size
+        self.camera_is_guessed = camera is None and guesses_camera
+        if self.camera_is_guessed:
+            focal_px = _GUESSED_FOCAL * max(width, height)
+            camera = Camera(width, height, focal_px, focal_px, (width - 1) / 2.0, (height - 1) / 2.0)
         if camera is None:
             problem = "is a video, without poses, without depth, and says nothing of its camera"
             fix = f"give monoloc localize or inspect --intrinsics {width},{height},FX,FY,CX,CY"

@@ -11,7 +11,7 @@ _WITHIN_RAD = np.deg2rad([30.0, 20.0, 10.0, 5.0, 5.0])  # tolerance of horizonta
 _MIN_SHARE = 0.1  # of the flat surfaces; required both of horizontal and of vertical ones
 
 
-def down_of(mixture: GaussianMixture, roughly: FloatArray) -> FloatArray | None:
+def down_of(mixture: GaussianMixture, roughly: FloatArray, within_rad: FloatArray = _WITHIN_RAD) -> FloatArray | None:
     """Estimate the down direction from horizontal and vertical flat surfaces: (3,) unit vector, world frame.
 
     The estimate minimises ``sum w (n . down)^2`` over vertical surfaces minus the same sum over horizontal ones,
@@ -20,6 +20,7 @@ def down_of(mixture: GaussianMixture, roughly: FloatArray) -> FloatArray | None:
     Args:
         mixture: the room's map.
         roughly: (3,) approximate down direction of any length, within about 25 degrees.
+        within_rad: tolerance of each iteration, (I,); wider ones for surfaces that are known less exactly.
 
     Returns:
         None if too few surfaces are horizontal or too few are vertical.
@@ -31,7 +32,7 @@ def down_of(mixture: GaussianMixture, roughly: FloatArray) -> FloatArray | None:
     if length == 0.0:
         return None
     down = np.asarray(roughly, dtype=np.float64) / length
-    for within in _WITHIN_RAD:
+    for within in within_rad:
         cosine = np.abs(normals @ down)
         is_horizontal, is_vertical = cosine > np.cos(within), cosine < np.sin(within)
         if min(weights[is_horizontal].sum(), weights[is_vertical].sum()) <= _MIN_SHARE * weights.sum():

@@ -71,9 +71,10 @@ def choose_keyframes(
 
 
 def _sharpest(frames: list[_Frame]) -> int:
-    """Position of the sharpest of the frames that moved almost as far as the last."""
-    far = [position for position, frame in enumerate(frames) if frame.motion >= _CANDIDATE * frames[-1].motion]
-    return min(far, key=lambda position: _blur(frames[position].gray))
+    """Position of the sharpest of the later frames that moved almost as far as the last."""
+    later = range(len(frames) // 2, len(frames))
+    far = [position for position in later if frames[position].motion >= _CANDIDATE * frames[-1].motion]
+    return min(far, key=lambda position: (_blur(frames[position].gray), -position))
 
 
 def _blur(gray: NDArray[np.uint8] | None) -> float:

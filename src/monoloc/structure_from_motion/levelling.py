@@ -15,7 +15,8 @@ from monoloc.structure_from_motion.dense_depth import small_camera
 from monoloc.structure_from_motion.sparse_model import SparseModel
 
 _VOXEL_M = 0.05
-_COMPONENTS, _ITERATIONS = 100, 30
+_COMPONENTS, _ITERATIONS = 200, 30
+_WITHIN_RAD = np.deg2rad([30.0, 20.0, 15.0, 10.0, 10.0])  # see down_of; depth by parallax is rough
 _STRIDE = 2
 _PITCH_WEIGHT = 0.02  # of the mean y axis beside the x axes
 
@@ -68,4 +69,4 @@ def _down(
     cloud = remove_outliers(voxel_thin(np.concatenate(clouds), _VOXEL_M), _VOXEL_M)
     if len(cloud) < 10 * _COMPONENTS:
         return None
-    return down_of(fit_mixture(cloud, _COMPONENTS, rng, max_iterations=_ITERATIONS).mixture, held)
+    return down_of(fit_mixture(cloud, _COMPONENTS, rng, max_iterations=_ITERATIONS).mixture, held, _WITHIN_RAD)

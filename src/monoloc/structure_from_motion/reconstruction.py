@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
+from monoloc.geometry import FloatArray
 from monoloc.io.image_resampling import resize_nearest
 from monoloc.io.recording import Recording
 from monoloc.progress import NoProgress, Progress
@@ -41,7 +42,8 @@ class ReconstructedRecording:
     ) -> None:
         frames = model.frames
         self._source, self._frames, self._depths = source, frames, depths
-        self.name, self.camera, self.poses, self.has_depth = source.name, model.camera, model.poses, True
+        self.name, self.camera, self.has_depth = source.name, model.camera, True
+        self.poses: FloatArray | None = model.poses
         self.frame_names = [source.frame_names[index] for index in frames]
         self.timestamps_s = source.timestamps_s[frames]
         self.scale_sd, self.notes = scale_sd, notes

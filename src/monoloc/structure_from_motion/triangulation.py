@@ -29,7 +29,7 @@ def triangulate(camera: Camera, poses: FloatArray, pixels: FloatArray) -> tuple[
         return None
     point = np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, poses[:, :3, 3]))
     for _ in range(_STEPS):
-        local = transform(invert(poses), point)
+        local = transform(invert(poses), point[None])[:, 0]
         if np.any(local[:, 2] <= 0.0):
             return None
         jacobian = ray_jacobian(local) @ np.swapaxes(poses[:, :3, :3], 1, 2)
