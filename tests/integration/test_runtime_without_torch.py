@@ -36,7 +36,8 @@ ABSENT = (
     "distributed",
     "dask",
     "reportlab",
-    "pycolmap", "rosbags",
+    "pycolmap",
+    "rosbags",
     "mcap",
     "mcap_ros2",
 )
