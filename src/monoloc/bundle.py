@@ -59,7 +59,7 @@ class Provenance(BaseModel):
         scale_sd: relative standard deviation of the map's scale; None where a sensor measured it.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     recording: str
     frames: dict[str, int]
@@ -74,7 +74,7 @@ class Provenance(BaseModel):
 class Manifest(BaseModel):
     """The bundle's table of contents; see :class:`Bundle` for the parts."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     schema_version: int
     monoloc_version: str

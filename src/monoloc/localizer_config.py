@@ -30,13 +30,13 @@ class LocalizerConfig(BaseModel):
         landmark_bias: the same of landmark poses.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    particles: int = Field(500, ge=10)
-    scan_points: int = Field(200, ge=10)
+    particles: int = Field(500, ge=10, le=100000)
+    scan_points: int = Field(200, ge=10, le=20000)
     motion: Literal["visual", "random-walk"] = "visual"
     ess_fraction: float = Field(0.5, gt=0.0, le=1.0)
-    log_scale_sd: float = Field(0.05, ge=0.0)
+    log_scale_sd: float = Field(0.05, ge=0.0, le=1.0)
     likelihood: LikelihoodConfig = LikelihoodConfig()
     motion_noise: MotionConfig = MotionConfig()
     odometry: OdometryConfig = OdometryConfig()

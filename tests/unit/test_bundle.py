@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -412,17 +413,71 @@ def test_unknown_setting_with_valid_checksum_is_named(written):
     refuses(lambda: read_bundle(written), file, "settings.teleport")
 
 
+def resealed(written: Path, change: Callable[[dict[str, Any]], object]) -> Path:
+    """Change the manifest, and seal it again as anybody can."""
+    file = written / "manifest.json"
+    body = json.loads(file.read_text())
+    change(body)
+    del body["manifest_sha256"]
+    body["manifest_sha256"] = bundle_module._digest(body)
+    file.write_text(json.dumps(body))
+    return file
+
+
+@pytest.mark.parametrize(
+    ("part", "key", "value"),
+    [
+        ("settings", "particles", 10_000_000),
+        ("settings.odometry", "min_distance_px", 1e19),
+        ("settings.odometry", "width", 1_000_000),
+        ("settings.particle_bias", "sd_growth_m", float("inf")),
+        ("settings.likelihood", "effective_points", float("nan")),
+        ("thresholds", "low", float("nan")),
+        ("thresholds", "lost", float("-inf")),
+        ("integrity.scan", "right", [0.5, 0.2, 0.3]),
+        ("integrity", "unseen_share", float("nan")),
+        ("provenance", "lambda_kl", float("nan")),
+    ],
+)
+def test_sealed_nonsense_is_named(written, part, key, value):
+    """The seal is a checksum, which proves no author."""
+
+    def change(body: dict[str, Any]) -> None:
+        for name in part.split("."):
+            body = body[name]
+        body[key] = value
+
+    file = resealed(written, change)
+    refuses(lambda: read_bundle(written), file, part if part == "integrity.scan" else f"{part}.{key}")
+
+
+def replace_content(written: Path, name: str, content: bytes) -> None:
+    """Replace a file, with a matching checksum."""
+    (written / name).write_bytes(content)
+    resealed(written, lambda body: body["sha256"].update({name: hashlib.sha256(content).hexdigest()}))
+
+
 def replace_arrays(written: Path, name: str, **arrays: object) -> None:
     """Replace a file by other arrays, with a matching checksum."""
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)
-    (written / name).write_bytes(buffer.getvalue())
-    file = written / "manifest.json"
-    body = json.loads(file.read_text())
-    body["sha256"][name] = hashlib.sha256(buffer.getvalue()).hexdigest()
-    del body["manifest_sha256"]
-    body["manifest_sha256"] = bundle_module._digest(body)
-    file.write_text(json.dumps(body))
+    replace_content(written, name, buffer.getvalue())
+
+
+def test_pipe_in_place_of_a_file_is_named(written):
+    (written / "map.npz").unlink()
+    os.mkfifo(written / "map.npz")
+    refuses(lambda: read_bundle(written), written / "map.npz", "it is not a regular file")
+
+
+def test_reference_poses_and_biases_of_other_numbers_are_named(written):
+    with np.load(written / "map.npz") as file:
+        arrays = dict(file)
+    name = next(name for name, values in arrays.items() if values.shape[1:] == (6,) and "bias" in name)
+    replace_arrays(written, "map.npz", **{**arrays, name: arrays[name][:-1]})
+    refuses(
+        lambda: read_bundle(written), written / "map.npz", "poses and biases must be (V, 4, 4), (V, 6) and (V, 6)"
+    )
 
 
 def test_map_without_a_mixture_is_named(written):
@@ -438,6 +493,10 @@ def test_map_without_a_mixture_is_named(written):
         (
             {"points": np.zeros((4, 3), np.float32), "descriptors": np.zeros((5, 32), np.uint8)},
             "points and descriptors must be (L, 3) and (L, 32), got (4, 3) and (5, 32)",
+        ),
+        (
+            {"points": np.full((4, 3), np.nan, np.float32), "descriptors": np.zeros((4, 32), np.uint8)},
+            "points must be finite",
         ),
     ],
 )

@@ -170,7 +170,7 @@ def corridor(
     \b
     Examples:
       monoloc synth corridor --out corridor
-      monoloc build folder:corridor/map/L1 --tune none --out corridor.monoloc
+      monoloc build folder:corridor/map/L1 --out corridor.monoloc
       monoloc localize corridor.monoloc folder:corridor/door-1/L1
     """
     check_folder(out, "--out")

@@ -25,14 +25,14 @@ class BiasModel(BaseModel):
         relocalization_sd_m, relocalization_sd_rad: of a relocalised pose, where that is wider.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    sd_at_reference_m: float = Field(0.0, ge=0.0)
-    sd_at_reference_rad: float = Field(0.0, ge=0.0)
-    sd_growth_m: float = Field(0.0, ge=0.0)
-    sd_growth_rad: float = Field(0.0, ge=0.0)
-    relocalization_sd_m: float = Field(0.0, ge=0.0)
-    relocalization_sd_rad: float = Field(0.0, ge=0.0)
+    sd_at_reference_m: float = Field(0.0, ge=0.0, le=100.0)
+    sd_at_reference_rad: float = Field(0.0, ge=0.0, le=100.0)
+    sd_growth_m: float = Field(0.0, ge=0.0, le=100.0)
+    sd_growth_rad: float = Field(0.0, ge=0.0, le=100.0)
+    relocalization_sd_m: float = Field(0.0, ge=0.0, le=100.0)
+    relocalization_sd_rad: float = Field(0.0, ge=0.0, le=100.0)
 
     def reference_variance_share(self, distance_m: float) -> FloatArray:
         """Variance at the reference poses divided by that at a distance, (6,)."""

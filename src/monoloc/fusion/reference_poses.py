@@ -26,11 +26,22 @@ class ReferencePoses:
         poses: ``T_world_camera``, (V, 4, 4).
         forward_bias: bias of a flight that passes the poses in order.
         backward_bias: bias of a flight that passes them in reverse order.
+
+    Raises:
+        ValueError: other shapes, or values that are not finite.
     """
 
     poses: FloatArray
     forward_bias: FloatArray
     backward_bias: FloatArray
+
+    def __post_init__(self) -> None:
+        shapes = self.poses.shape, self.forward_bias.shape, self.backward_bias.shape
+        count = len(self.poses)
+        if shapes != ((count, 4, 4), (count, 6), (count, 6)):
+            raise ValueError(f"poses and biases must be (V, 4, 4), (V, 6) and (V, 6), got {shapes}")
+        if not all(np.isfinite(each).all() for each in (self.poses, self.forward_bias, self.backward_bias)):
+            raise ValueError("poses and biases must be finite")
 
     @classmethod
     def without_bias(cls, poses: FloatArray) -> ReferencePoses:

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from monoloc.array_files import read_arrays
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
 from monoloc.io.binary_reader import BinaryReader
@@ -118,10 +118,10 @@ def _columns(lines: Iterator[bytes], columns: tuple[int, int, int]) -> FloatArra
 
 
 def _read_npz(path: Path, _: list[str]) -> FloatArray:
-    with np.load(path, allow_pickle=False) as file:
-        if "points" not in file:
-            raise ValueError("it has no array 'points'")
-        points: NDArray[np.generic] = np.asarray(file["points"])
+    arrays = read_arrays(path)
+    if "points" not in arrays:
+        raise ValueError("it has no array 'points'")
+    points = arrays["points"]
     if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "fiu":
         raise ValueError(f"points must be numbers of shape (N, 3), got {points.dtype} of shape {points.shape}")
     return points.astype(np.float64)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
@@ -82,25 +80,6 @@ def read_rows(path: Path, columns: int, meaning: str, *, optional: int = 0) -> F
     if not rows:
         raise DataError(path, "has no lines of numbers", f"each line holds: {meaning}")
     return np.array(rows)
-
-
-def decode_array(data: bytes, path: Path) -> NDArray[Any]:
-    """Decode the content of a NumPy array file (.npy); its header is checked before the array is allocated.
-
-    Raises:
-        DataError: the content is not such an array, is shorter than its header says, or holds objects.
-    """
-    file = io.BytesIO(data)
-    try:
-        is_first_version = np.lib.format.read_magic(file) == (1, 0)
-        header = np.lib.format.read_array_header_1_0 if is_first_version else np.lib.format.read_array_header_2_0
-        shape, _, dtype = header(file)
-        if math.prod(shape) * dtype.itemsize > len(data) - file.tell():
-            raise ValueError("it is cut short")
-        file.seek(0)
-        return np.asarray(np.load(file, allow_pickle=False))
-    except (ValueError, EOFError, OSError) as error:
-        raise DataError(path, f"cannot be read as a NumPy array ({error})", "copy the file again") from error
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -8,9 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from monoloc.array_files import decode_array
 from monoloc.camera import Camera
 from monoloc.errors import DataError
-from monoloc.io.file_access import decode_array, read_bytes
+from monoloc.io.file_access import read_bytes
 from monoloc.io.image_header import image_header, is_numpy, is_tiff
 from monoloc.io.image_resampling import resize_nearest
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from monoloc.array_files import decode_array
 from monoloc.errors import DataError
 from monoloc.geometry import (
     FloatArray,
@@ -19,7 +20,7 @@ from monoloc.geometry import (
     se3_exp,
     se3_log,
 )
-from monoloc.io.file_access import decode_array, read_bytes, read_rows
+from monoloc.io.file_access import read_bytes, read_rows
 from monoloc.io.image_header import is_numpy
 
 # Tolerance of a quaternion's length. Files have 3 to 6 digits; a larger deviation means columns in another order.

@@ -74,7 +74,7 @@ class Landmarks:
         views: from which they were found; without any, nothing is said of where the map has changed.
 
     Raises:
-        ValueError: other shapes or types.
+        ValueError: other shapes or types, or points that are not finite.
     """
 
     points: NDArray[np.float32]
@@ -89,6 +89,8 @@ class Landmarks:
         if points.dtype != np.float32 or descriptors.dtype != np.uint8:
             types = f"{points.dtype} and {descriptors.dtype}"
             raise ValueError(f"points and descriptors must be float32 and uint8, got {types}")
+        if not np.isfinite(points).all():
+            raise ValueError("points must be finite")
         if self.views is not None and self.views.found.shape[1:] != (len(points),):
             raise ValueError(f"views.found must be (V, {len(points)}), got {self.views.found.shape}")
 

@@ -31,17 +31,17 @@ class LikelihoodConfig(BaseModel):
         max_corner_log_depth_sd: corners whose stated standard deviation of log-depth is above this are left out.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     kind: Literal["ray", "volume"] = "ray"
     outlier_share: float = Field(0.3, gt=0.0, lt=1.0)
-    noise_sd_m: float = Field(0.02, ge=0.0)
-    log_depth_sd: float = Field(0.06, gt=0.0)
-    effective_points: float = Field(100.0, ge=0.0)
-    effective_corners: float = Field(20.0, ge=0.0)
-    error_power: float = Field(1.0, ge=0.0)
-    corner_log_depth_sd: float = Field(0.04, gt=0.0)
-    max_corner_log_depth_sd: float = Field(0.1, gt=0.0)
+    noise_sd_m: float = Field(0.02, ge=0.0, le=10.0)
+    log_depth_sd: float = Field(0.06, gt=0.0, le=10.0)
+    effective_points: float = Field(100.0, ge=0.0, le=1e6)
+    effective_corners: float = Field(20.0, ge=0.0, le=1e6)
+    error_power: float = Field(1.0, ge=0.0, le=10.0)
+    corner_log_depth_sd: float = Field(0.04, gt=0.0, le=10.0)
+    max_corner_log_depth_sd: float = Field(0.1, gt=0.0, le=10.0)
 
 
 class ScanLikelihood(Protocol):

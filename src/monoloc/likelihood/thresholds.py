@@ -20,7 +20,7 @@ class LikelihoodThresholds(BaseModel):
         lost: as far below ``low`` as ``low`` is below the median; below it a scan does not count.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     low: float
     lost: float
@@ -37,4 +37,4 @@ class LikelihoodThresholds(BaseModel):
     @classmethod
     def none(cls) -> LikelihoodThresholds:
         """Thresholds that no scan falls below."""
-        return cls(low=-np.inf, lost=-np.inf)
+        return cls.model_construct(low=-np.inf, lost=-np.inf)  # no bundle has these

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import monoloc._core as _core
+from monoloc.array_files import read_arrays
 from monoloc.errors import DataError
 from monoloc.files import write_whole
 from monoloc.geometry import FloatArray
@@ -192,11 +192,8 @@ class GaussianMixture:
         """
         fix = "give a map written by `monoloc map fit`, or fit it again"
         try:
-            if Path(path).is_file() and not zipfile.is_zipfile(path):
-                raise ValueError("not a whole .npz file")  # NumPy would suggest to unpickle it
-            with np.load(path, allow_pickle=False) as file:
-                return cls.from_arrays({name: file[name] for name in file.files})
+            return cls.from_arrays(read_arrays(Path(path)))
         except FileNotFoundError:
             raise DataError(path, "there is no such file", fix) from None
-        except (OSError, EOFError, ValueError, TypeError, zipfile.BadZipFile) as error:
+        except (OSError, KeyError, ValueError, TypeError) as error:
             raise DataError(path, f"is no mixture map ({error})", fix) from None

@@ -35,13 +35,13 @@ class ScaleTiltConfig(BaseModel):
         effective_corners: number of independent corners that they count as, since their errors are correlated.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    scale_sd: float = Field(0.02, gt=0.0)
-    tilt_sd: float = Field(0.02, gt=0.0)
-    corner_sd: float = Field(0.05, gt=0.0)
-    max_corner_log_depth_sd: float = Field(0.15, gt=0.0)
-    effective_corners: float = Field(20.0, gt=0.0)
+    scale_sd: float = Field(0.02, gt=0.0, le=10.0)
+    tilt_sd: float = Field(0.02, gt=0.0, le=10.0)
+    corner_sd: float = Field(0.05, gt=0.0, le=10.0)
+    max_corner_log_depth_sd: float = Field(0.15, gt=0.0, le=10.0)
+    effective_corners: float = Field(20.0, gt=0.0, le=1e6)
 
 
 def correct_scale_and_tilt(depth: DepthPrediction, motion: Motion, config: ScaleTiltConfig) -> DepthPrediction:

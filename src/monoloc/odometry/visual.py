@@ -50,22 +50,22 @@ class OdometryConfig(BaseModel):
         scale_memory: weight of the window's scale in a new keyframe; the rest is the weight of the depth source.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    width: int = Field(320, ge=80)
-    corners: int = Field(300, ge=20)
-    min_distance_px: float = Field(7.0, gt=0.0)
-    search_px: int = Field(15, ge=5)
-    forward_backward_px: float = Field(0.7, gt=0.0)
-    reprojection_px: float = Field(1.5, gt=0.0)
-    min_inliers: int = Field(15, ge=6)
+    width: int = Field(320, ge=80, le=4096)
+    corners: int = Field(300, ge=20, le=10000)
+    min_distance_px: float = Field(7.0, gt=0.0, le=1000.0)
+    search_px: int = Field(15, ge=5, le=200)
+    forward_backward_px: float = Field(0.7, gt=0.0, le=100.0)
+    reprojection_px: float = Field(1.5, gt=0.0, le=100.0)
+    min_inliers: int = Field(15, ge=6, le=10000)
     min_inlier_share: float = Field(0.4, ge=0.0, le=1.0)
-    depth_jump: float = Field(0.15, gt=0.0)
-    keyframes: int = Field(12, ge=2)
-    keyframe_motion_px: float = Field(10.0, gt=0.0)
+    depth_jump: float = Field(0.15, gt=0.0, le=10.0)
+    keyframes: int = Field(12, ge=2, le=200)
+    keyframe_motion_px: float = Field(10.0, gt=0.0, le=1000.0)
     keyframe_share: float = Field(0.75, gt=0.0, le=1.0)
-    corner_sd_px: float = Field(0.7, gt=0.0)
-    log_depth_sd: float = Field(0.3, gt=0.0)
+    corner_sd_px: float = Field(0.7, gt=0.0, le=100.0)
+    log_depth_sd: float = Field(0.3, gt=0.0, le=10.0)
     scale_memory: float = Field(0.95, ge=0.0, le=1.0)
 
 

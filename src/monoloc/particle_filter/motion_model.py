@@ -22,14 +22,14 @@ class MotionConfig(BaseModel):
         log_scale_correlation: correlation of the depth's log-scale over one second.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    speed_sd_m_s: float = Field(0.35, gt=0.0)
-    turn_sd_rad_s: float = Field(0.5, gt=0.0)
-    translation_sd_m: float = Field(0.002, gt=0.0)
-    translation_sd_ratio: float = Field(0.1, ge=0.0)
-    rotation_sd_rad: float = Field(0.0015, gt=0.0)
-    rotation_sd_ratio: float = Field(0.05, ge=0.0)
+    speed_sd_m_s: float = Field(0.35, gt=0.0, le=100.0)
+    turn_sd_rad_s: float = Field(0.5, gt=0.0, le=100.0)
+    translation_sd_m: float = Field(0.002, gt=0.0, le=10.0)
+    translation_sd_ratio: float = Field(0.1, ge=0.0, le=10.0)
+    rotation_sd_rad: float = Field(0.0015, gt=0.0, le=10.0)
+    rotation_sd_ratio: float = Field(0.05, ge=0.0, le=10.0)
     log_scale_correlation: float = Field(0.95, ge=0.0, lt=1.0)
 
 

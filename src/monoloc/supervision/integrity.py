@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from monoloc.evaluation.consistency import FAR_M
 from monoloc.geometry import FloatArray
@@ -46,11 +46,19 @@ class Classes(BaseModel):
         right, wrong: C probabilities each.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     edges: tuple[float, ...] = ()
     right: tuple[float, ...] = (1.0,)
     wrong: tuple[float, ...] = (1.0,)
+
+    @model_validator(mode="after")
+    def _check(self) -> Classes:
+        if not len(self.right) == len(self.wrong) == len(self.edges) + 1:
+            raise ValueError("right and wrong must have one probability more than there are edges")
+        if min(*self.right, *self.wrong) <= 0.0 or list(self.edges) != sorted(self.edges):
+            raise ValueError("probabilities must be positive, and edges ascending")
+        return self
 
     @classmethod
     def from_values(cls, edges: ArrayLike, right: ArrayLike, wrong: ArrayLike) -> Classes:
@@ -99,7 +107,7 @@ class IntegrityModel(BaseModel):
         strange_found: the same of the landmarks that no view nearby found; such finds are wrong matches.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     scan: Classes = Classes()
     landmarks: Classes = Classes()
@@ -135,7 +143,7 @@ class SensorModel(BaseModel):
         scan, search_precision: as in :class:`IntegrityModel`.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     thresholds: LikelihoodThresholds | None = None
     scan: Classes = Classes()

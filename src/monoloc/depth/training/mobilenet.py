@@ -6,9 +6,8 @@ remaining blocks keep their names. Inputs are RGB in [-1, 1], (B, 3, H, W) with 
 
 from __future__ import annotations
 
-import zipfile
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol, cast
 
@@ -18,6 +17,7 @@ from pydantic_core import PydanticCustomError
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from monoloc.array_files import read_arrays
 from monoloc.errors import DataError
 
 # Expansion, channels at width 1, first stride (Sandler et al., table 2).
@@ -183,9 +183,8 @@ def load_encoder_weights(network: HasEncoder, path: Path) -> None:
         DataError: no such archive, or a tensor is missing or has another shape (the message gives both shapes).
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays: Mapping[str, np.ndarray] = {name: archive[name] for name in archive.files}
-    except (OSError, EOFError, ValueError, TypeError, zipfile.BadZipFile) as error:
+        arrays = read_arrays(path)
+    except (OSError, ValueError) as error:
         raise DataError(path, "is not a readable .npz archive", "give MobileNetV2 weights as .npz") from error
     state = network.encoder.state_dict()
     for name, target in state.items():

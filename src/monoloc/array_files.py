@@ -1,0 +1,96 @@
+"""NumPy arrays (.npy) and archives of them (.npz) from files that may come from anywhere.
+
+What a header promises is checked before memory is taken for it, and nothing is unpickled.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.errors import DataError
+
+MOST_BYTES = 1 << 30
+"""Size of a file, and of all arrays of an archive, that is read."""
+
+_MOST_ARRAYS = 1000  # of an archive
+_ENCRYPTED = 0x1  # flag of a member of an archive
+
+
+def decode_array(data: bytes, path: Path) -> NDArray[Any]:
+    """Decode the content of a .npy file; its header is checked before the array is allocated.
+
+    Raises:
+        DataError: the content is not such an array, is shorter than its header says, or holds objects.
+    """
+    try:
+        return _array(data)
+    except (ValueError, EOFError, OSError) as error:
+        raise DataError(path, f"cannot be read as a NumPy array ({error})", "copy the file again") from error
+
+
+def decode_arrays(data: bytes) -> dict[str, NDArray[Any]]:
+    """Decode the content of a .npz file: its arrays by name.
+
+    Raises:
+        ValueError: the content is no such archive, or promises more than :data:`MOST_BYTES`.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            members = archive.infolist()
+            _check(members)
+            return {member.filename.removesuffix(".npy"): _array(archive.read(member)) for member in members}
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, OSError) as error:
+        raise ValueError(f"it is no whole archive of arrays: {error}") from error
+
+
+def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """The arrays of a .npz file by name.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: as :func:`decode_arrays`, or it is no regular file.
+    """
+    return decode_arrays(read_regular(path))
+
+
+def read_regular(path: Path) -> bytes:
+    """All bytes of a file of at most :data:`MOST_BYTES`.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is larger, or no regular file: a pipe would block, a device would never end.
+    """
+    if path.exists() and not path.is_file():
+        raise ValueError("it is not a regular file")
+    if path.stat().st_size > MOST_BYTES:
+        raise ValueError(f"it is larger than {MOST_BYTES >> 20} MB")
+    return path.read_bytes()
+
+
+def _check(members: list[zipfile.ZipInfo]) -> None:
+    if len(members) > _MOST_ARRAYS:
+        raise ValueError(f"it has {len(members)} arrays")
+    if any(member.flag_bits & _ENCRYPTED for member in members):
+        raise ValueError("it is encrypted")
+    size = sum(member.file_size for member in members)
+    if size > MOST_BYTES:
+        raise ValueError(f"its arrays would take {size >> 20} MB")
+
+
+def _array(data: bytes) -> NDArray[Any]:
+    file = io.BytesIO(data)
+    is_first_version = np.lib.format.read_magic(file) == (1, 0)
+    header = np.lib.format.read_array_header_1_0 if is_first_version else np.lib.format.read_array_header_2_0
+    shape, _, dtype = header(file)
+    if math.prod(shape) * dtype.itemsize > len(data) - file.tell():
+        raise ValueError("it is cut short")
+    file.seek(0)
+    return np.asarray(np.load(file, allow_pickle=False))
