@@ -42,7 +42,7 @@ from monoloc.cli.start_option import METAVAR
 from monoloc.cli.stop_signals import stopped_by_signals
 from monoloc.errors import SettingError
 from monoloc.extras import require_mcap, require_viewing
-from monoloc.flight.autopilot import down_world, frames_if_known, gravity_of, senders
+from monoloc.flight.autopilot import down_world, gravity_of, obstacle_frames, senders
 from monoloc.flight.flight_file import FlightFile
 from monoloc.flight.flight_loop import Flight, FlightOutput, FlightSummary
 from monoloc.flight.flight_recording import FlightHeader, FlightRecorder, RecordedStart
@@ -180,7 +180,7 @@ def fly(
                     view_port,
                     bundle,
                     camera,
-                    frames_if_known(bundle, flight_settings),
+                    obstacle_frames(bundle, flight_settings),
                     lambda: localizer.particles,
                 )
                 output, told = opened.enter_context(shown)

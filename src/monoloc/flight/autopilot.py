@@ -43,9 +43,15 @@ def frames_of(bundle: Bundle, settings: FlightSettings) -> AutopilotFrames:
     return AutopilotFrames(settings.mount.T_body_camera, down_world(bundle, settings), north_rad)
 
 
-def frames_if_known(bundle: Bundle, settings: FlightSettings) -> AutopilotFrames | None:
-    """:func:`frames_of`, or None where neither the map nor the settings tell the direction of gravity."""
-    return None if bundle.down is None and settings.down is None else frames_of(bundle, settings)
+def obstacle_frames(bundle: Bundle, settings: FlightSettings) -> AutopilotFrames | None:
+    """:func:`frames_of` to show obstacles by, or None where none are to be believed or gravity is not known."""
+    has_gravity = bundle.down is not None or settings.down is not None
+    return frames_of(bundle, settings) if has_gravity and _tells_obstacles(bundle) else None
+
+
+def _tells_obstacles(bundle: Bundle) -> bool:
+    """Whether the network was tuned: others report half or more of the obstacles under a metre as farther away."""
+    return bundle.provenance.tune != "none"
 
 
 def senders(
@@ -62,8 +68,7 @@ def senders(
         SettingError: as :func:`down_world`.
     """
     frames = frames_of(bundle, settings)
-    if bundle.provenance.tune == "none":
-        # Such a network reports half or more of the obstacles under a metre as farther away.
+    if not _tells_obstacles(bundle):
         settings = settings.model_copy(update={"obstacles": False})
     if folder is not None:
         log = MessageLog(folder / MESSAGES, sink)

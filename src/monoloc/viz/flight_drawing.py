@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
@@ -17,6 +18,7 @@ from monoloc.viz.rerun_viewer import RerunViewer
 
 _NEAR, _FAR, _NEAR_M = 0xD55E00FF, 0xF0E442FF, 1.0  # colours of Okabe and Ito
 _LATENCY = 0x56B4E9FF
+_SHOWN_PX = 320  # width of the image in the viewer
 
 
 class FlightDrawing:
@@ -34,8 +36,10 @@ class FlightDrawing:
     ) -> None:
         self._stream, self._frames = stream, frames
         self._began_s: float | None = None
-        self._viewer = RerunViewer(stream)
-        self._viewer.begin_room(room, camera)
+        # A browser decodes JPEG only of pages that it calls secure; a smaller image needs none.
+        self._size = _SHOWN_PX, round(camera.height * _SHOWN_PX / camera.width)
+        self._viewer = RerunViewer(stream, as_jpeg=False)
+        self._viewer.begin_room(room, camera.resized(*self._size))
         stream.log("latency_ms", rr.SeriesLines(colors=_LATENCY, names="latency"), static=True)
 
     def show(self, result: FlightStep, particles: Particles) -> None:
@@ -43,7 +47,8 @@ class FlightDrawing:
         captured_s = result.frame.captured_s
         self._began_s = captured_s if self._began_s is None else self._began_s
         self._stream.set_time("seconds", duration=captured_s - self._began_s)
-        self._viewer.show_step(result.frame.color, result.step, particles, None)
+        color = cv2.resize(result.frame.color, self._size, interpolation=cv2.INTER_AREA)
+        self._viewer.show_step(np.asarray(color, dtype=np.uint8), result.step, particles, None)
         self._stream.log("latency_ms", rr.Scalars(1e3 * (result.done_s - captured_s)))
         if self._frames is not None:
             self._stream.log("world/obstacles", self._obstacles(result, self._frames))
@@ -101,7 +106,7 @@ def flight_blueprint() -> rrb.Blueprint:
     )
     return rrb.Blueprint(
         rrb.Horizontal(room, right, column_shares=[3.0, 2.0]),
-        rrb.TimePanel(timeline="seconds", state="collapsed"),
+        rrb.TimePanel(timeline="seconds", state="collapsed", play_state="following"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )

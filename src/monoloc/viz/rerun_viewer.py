@@ -51,10 +51,15 @@ _JPEG_QUALITY = 85
 
 
 class RerunViewer:
-    """Logs one run to a stream; see :class:`monoloc.viz.viewer.Viewer`."""
+    """Logs one run to a stream; see :class:`monoloc.viz.viewer.Viewer`.
 
-    def __init__(self, stream: rr.RecordingStream) -> None:
-        self._stream = stream
+    Args:
+        stream: to the viewer.
+        as_jpeg: whether images are compressed.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, as_jpeg: bool = True) -> None:
+        self._stream, self._as_jpeg = stream, as_jpeg
         self._recording: Recording | None = None
         self._thresholds: LikelihoodThresholds | None = None
         self._view: PinholeView
@@ -113,7 +118,9 @@ class RerunViewer:
         self._show_state(step)
 
     def _show_images(self, color: NDArray[np.uint8], step: Step) -> None:
-        self._stream.log("world/camera/image", rr.Image(self._view(color)).compress(jpeg_quality=_JPEG_QUALITY))
+        image = rr.Image(self._view(color))
+        shown = image.compress(jpeg_quality=_JPEG_QUALITY) if self._as_jpeg else image
+        self._stream.log("world/camera/image", shown)
         # Not below the camera's entity, where the viewer would back-project the uncorrected depth into the room.
         depth = rr.DepthImage(step.depth.depth_m, meter=1.0, colormap="viridis", depth_range=_DEPTH_SHOWN_M)
         self._stream.log("depth", depth)
