@@ -140,7 +140,9 @@ def fly(
     firmware: Annotated[Firmware, typer.Option("--firmware", help="Whose decoder takes the poses.")] = Firmware.PX4,
     json: JsonOption = False,
 ) -> None:
-    """Fly a recording live, over sockets, and lose camera, link and process on the way. Linux only.
+    """Fly a recording live, over sockets, and lose camera, link and process on the way.
+
+    It needs Linux.
 
     \b
     Examples:
