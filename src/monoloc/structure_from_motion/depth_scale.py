@@ -19,7 +19,8 @@ from monoloc.structure_from_motion.metric_scale import MetricScale, from_log_rat
 from monoloc.structure_from_motion.sparse_model import SparseModel
 
 _SENSOR_FRAMES, _NETWORK_FRAMES = 10, 60
-_SENSOR_SD = 0.01  # of a depth sensor's own scale
+# Of a depth sensor's own scale: by it, RedKitchen and the desk were 1.2 % and 1.8 % smaller than by their poses.
+_SENSOR_SD = 0.015
 # Of a shipped network's scale in a room: by it, frames 0:300 of RedKitchen were 4 % too large and 0:350 of the desk
 # 48 %, which is 0.28 in the root mean square of the logarithm.
 _NETWORK_SD = 0.3

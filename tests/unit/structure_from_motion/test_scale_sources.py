@@ -39,7 +39,7 @@ def own_depths(walk: RoomRecording) -> list[NDArray[np.float32]]:
 def test_depth_of_the_recording_gives_the_scale(walk: RoomRecording, model: SparseModel) -> None:
     found = DepthScale().measure(walk, model, own_depths(walk))
     assert found.metres == pytest.approx(UNIT_M, rel=0.002)
-    assert 0.01 <= found.sd < 0.011  # a sensor's own error, as all frames agree
+    assert 0.015 <= found.sd < 0.016  # a sensor's own error, as all frames agree
 
 
 def test_networks_depth_gives_the_scale(
