@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from monoloc.flight.flight_file import read_flight_file
 from monoloc.flight.flight_settings import FlightSettings, Mount
 from monoloc.mavlink.firmware import Firmware
 from refusals import refuses_data
+from repository import REPOSITORY
 
 MARKER = "[[marker]]\nid = 7\nsize_m = 0.16\nposition_m = [1.0, 2.0, 0.5]\n"
 TEXT = f"""
@@ -72,3 +74,13 @@ def test_what_is_wrong_is_named(tmp_path: Path, text: str, problem: str) -> None
     path = tmp_path / "flight.toml"
     path.write_text(text)
     refuses_data(lambda: read_flight_file(path), path, problem, "mend the field named")
+
+
+@pytest.mark.parametrize("page", ["fly", "mavlink", "companion-computer", "start-by-a-marker"])
+def test_the_documents_examples_are_flights(tmp_path: Path, page: str) -> None:
+    text = (REPOSITORY / "docs" / "how-to" / f"{page}.md").read_text(encoding="utf-8")
+    examples = re.findall(r"^ *```toml\n(.*?)^ *```", text, re.DOTALL | re.MULTILINE)
+    assert examples
+    for example in examples:
+        (tmp_path / "flight.toml").write_text(example)
+        read_flight_file(tmp_path / "flight.toml")

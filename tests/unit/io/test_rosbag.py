@@ -456,6 +456,7 @@ def test_rectified_images_have_the_projection_matrix(tmp_path: Path, capture: Ca
     [
         ({"k": np.zeros(9)}, "plumb_bob", "has no focal length in K", "calibrate"),
         ({"d": np.full(5, 0.01)}, "ftheta", "model 'ftheta'", "one of plumb_bob"),
+        ({"d": np.full(8, 0.001)}, "plumb_bob", "has 8 coefficients of plumb_bob", "k1, k2"),
         ({"d": np.full(14, 0.001)}, "rational_polynomial", "has 14 coefficients", "k1, k2"),
     ],
 )
