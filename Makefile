@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 NATIVE := CMakeLists.txt $(shell find cpp -type f)
 
-.PHONY: demo test test-all lint native-test docs clean
+.PHONY: demo test test-all lint native-test sanitize docs clean
 
 demo: $(VENV)/installed
 	$(BIN)/monoloc demo
@@ -34,6 +34,13 @@ native-test: $(VENV)/installed
 	$(BIN)/cmake -S . -B build/cpp -DMONOLOC_BUILD_PYTHON=OFF -DMONOLOC_BUILD_TESTS=ON
 	$(BIN)/cmake --build build/cpp -j 2
 	$(BIN)/ctest --test-dir build/cpp --output-on-failure
+
+# The core's tests under the address and undefined-behaviour sanitizers.
+sanitize: $(VENV)/installed
+	$(BIN)/cmake -S . -B build/sanitized -DMONOLOC_BUILD_PYTHON=OFF -DMONOLOC_BUILD_TESTS=ON \
+		-DCMAKE_BUILD_TYPE=Debug -DCMAKE_CXX_FLAGS="-fsanitize=undefined,address -fno-sanitize-recover=all -O1"
+	$(BIN)/cmake --build build/sanitized -j 2
+	$(BIN)/ctest --test-dir build/sanitized --output-on-failure
 
 $(VENV)/installed: pyproject.toml lab/pyproject.toml constraints.txt $(NATIVE)
 	$(PYTHON) -m venv $(VENV)

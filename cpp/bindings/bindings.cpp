@@ -1,4 +1,4 @@
-// Converts types and nothing else. Shapes are checked in Python, where the messages name the argument.
+// Converts types, and checks that lengths agree. Python checks shapes first, where the messages name the argument.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
@@ -42,7 +42,14 @@ Result to_numpy(std::vector<double> values, std::initializer_list<std::size_t> s
   return Result(data, shape, owner);
 }
 
+void require(bool agrees, const char* what) {
+  if (!agrees) throw nb::value_error(what);
+}
+
 std::vector<monoloc::Component> components(const Scalars& weights, const Vectors& means, const Matrices& covariances) {
+  const std::size_t count = weights.shape(0);
+  require(means.shape(0) == count && covariances.shape(0) == count,
+          "weights, means and covariances must be of one number of components");
   return monoloc::make_components(weights.data(), means.data(), covariances.data(), weights.shape(0));
 }
 
@@ -78,9 +85,17 @@ Result index_log_density(const monoloc::MixtureIndex& index, const Vectors& poin
   return to_numpy(std::move(out), {count});
 }
 
+// Of particles and scans: one log-scale a pose, and one weight a point, if there are weights.
+void require_lengths(const Poses& poses, const Scalars& log_scales, const FloatVectors& scan,
+                     const std::optional<Floats>& point_weights) {
+  require(log_scales.shape(0) == poses.shape(0), "poses and log_scales must be of one number");
+  require(!point_weights || point_weights->shape(0) == scan.shape(0), "scan and point_weights must be of one number");
+}
+
 Result index_weigh(const monoloc::MixtureIndex& index, const Poses& poses, const Scalars& log_scales,
                    const FloatVectors& scan, const std::optional<Floats>& point_weights, double outlier_share,
                    double volume_m3, std::size_t threads) {
+  require_lengths(poses, log_scales, scan, point_weights);
   const std::size_t count = poses.shape(0);
   std::vector<double> out(count);
   {
@@ -94,6 +109,7 @@ Result index_weigh(const monoloc::MixtureIndex& index, const Poses& poses, const
 Result rays_weigh(const monoloc::RayMixture& mixture, const Poses& poses, const Scalars& log_scales,
                   const FloatVectors& scan, const std::optional<Floats>& point_weights, double log_depth_sd,
                   double outlier_share, double log_depth_range, std::size_t threads) {
+  require_lengths(poses, log_scales, scan, point_weights);
   const std::size_t count = poses.shape(0);
   std::vector<double> out(count);
   {
@@ -104,16 +120,26 @@ Result rays_weigh(const monoloc::RayMixture& mixture, const Poses& poses, const 
   return to_numpy(std::move(out), {count});
 }
 
+template <class First, class Second>
+void require_same_shape(const First& first, const Second& second, const char* what) {
+  for (std::size_t axis = 0; axis < first.ndim(); ++axis) require(first.shape(axis) == second.shape(axis), what);
+}
+
 monoloc::ImageShape image_shape(const Images& images) {
   return {images.shape(1), images.shape(2), images.shape(3)};
 }
 
 void max_pool(const Images& values, std::size_t threads, const WritableImages& largest, const WritableImages& from) {
+  require_same_shape(values, largest, "values and largest must have one shape");
+  require_same_shape(values, from, "values and from_ must have one shape");
+  require(image_shape(values).pixels() <= monoloc::kMostPooledPixels, "images have too many pixels");
   nb::gil_scoped_release release;
   monoloc::max_pool(values.data(), values.shape(0), image_shape(values), threads, largest.data(), from.data());
 }
 
 void max_pool_gradient(const Images& gradient, const Images& from, std::size_t threads, const WritableImages& out) {
+  require_same_shape(gradient, from, "gradient and from_ must have one shape");
+  require_same_shape(gradient, out, "gradient and out must have one shape");
   nb::gil_scoped_release release;
   monoloc::max_pool_gradient(gradient.data(), from.data(), gradient.shape(0), image_shape(gradient), threads,
                              out.data());
@@ -122,6 +148,7 @@ void max_pool_gradient(const Images& gradient, const Images& from, std::size_t t
 void draw_points(const Vectors& points, const Pose& camera_from_world, const Array<double, nb::shape<12>>& camera,
                  bool is_fisheye, const Array<double, nb::shape<4>>& sight, double behind, const WritableNumbers& front,
                  const WritableDepth& depth) {
+  require_same_shape(front, depth, "front and depth must have one shape");
   const double *c = camera.data(), *s = sight.data();
   nb::gil_scoped_release release;
   monoloc::draw_points(points.data(), points.shape(0), camera_from_world.data(),

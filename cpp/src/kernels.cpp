@@ -81,7 +81,7 @@ MONOLOC_INLINE void evaluate(const IndexView& index, Batch& batch, std::size_t i
   const FB y0 = row(0) * xs + row(6);
   const FB y1 = row(1) * xs + (row(2) * ys + row(7));
   const FB y2 = row(3) * xs + (row(4) * ys + (row(5) * zs + row(8)));
-  sum_parts(exp2_fast<FB, IB>(row(9) - y0 * y0 - y1 * y1 - y2 * y2), sum);
+  sum_parts(exp2_fast<FB, UB>(row(9) - y0 * y0 - y1 * y1 - y2 * y2), sum);
   for (std::size_t i = 0; i < kTogether; ++i) batch.density[batch.items[item + i].point] += sum[i];
 }
 
@@ -183,7 +183,7 @@ void component_density(const Component& component, const double* corner, const f
     const FW y0 = x * a0 + b0;
     const FW y1 = x * a1 + (y * a2 + b1);
     const FW y2 = x * a3 + (y * a4 + (z * a5 + b2));
-    const FW value = exp2_fast<FW, IW>(peak - y0 * y0 - y1 * y1 - y2 * y2);
+    const FW value = exp2_fast<FW, UW>(peak - y0 * y0 - y1 * y1 - y2 * y2);
     store(out + i, value);
     store(total + i, load<FW>(total + i) + value);
   }

@@ -121,11 +121,11 @@ void weigh_rays(const RayView& view, const float* particles, const float* offset
       FW mass{}, density{};
       for (std::size_t c = 0; c < count; ++c) {
         const FW surface = load<FW>(scratch + 3 * c * kWide), root = load<FW>(scratch + (3 * c + 1) * kWide);
-        const FW part = exp2_fast<FW, IW>(load<FW>(scratch + (3 * c + 2) * kWide) - largest) * root;
+        const FW part = exp2_fast<FW, UW>(load<FW>(scratch + (3 * c + 2) * kWide) - largest) * root;
         const FW spread = inverse_root(root * root * (1.0f / kPrecision) + variance * surface * surface);
         const FW off = (depth - surface) * spread;
         mass += part;
-        density += part * spread * exp2_fast<FW, IW>(off * off * -kHalfLog2E);
+        density += part * spread * exp2_fast<FW, UW>(off * off * -kHalfLog2E);
       }
       // Without a surface in front of the camera, only an outlier is possible.
       const FW seen = largest > splat<FW>(-1e8f) ? density / mass : splat<FW>(0.0f);

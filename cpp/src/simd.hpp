@@ -15,7 +15,7 @@ namespace monoloc {
 namespace {
 
 typedef float F8 __attribute__((vector_size(32)));
-typedef std::int32_t I8 __attribute__((vector_size(32)));
+typedef std::uint32_t U8 __attribute__((vector_size(32)));
 
 #if defined(__AVX512F__)
 typedef float FW __attribute__((vector_size(64)));
@@ -23,18 +23,21 @@ typedef std::int32_t IW __attribute__((vector_size(64)));
 typedef std::uint32_t UW __attribute__((vector_size(64)));
 typedef double DW __attribute__((vector_size(64)));
 typedef std::int64_t LW __attribute__((vector_size(64)));
+typedef std::uint64_t ULW __attribute__((vector_size(64)));
 #elif defined(__AVX2__)
 typedef float FW __attribute__((vector_size(32)));
 typedef std::int32_t IW __attribute__((vector_size(32)));
 typedef std::uint32_t UW __attribute__((vector_size(32)));
 typedef double DW __attribute__((vector_size(32)));
 typedef std::int64_t LW __attribute__((vector_size(32)));
+typedef std::uint64_t ULW __attribute__((vector_size(32)));
 #else
 typedef float FW __attribute__((vector_size(16)));
 typedef std::int32_t IW __attribute__((vector_size(16)));
 typedef std::uint32_t UW __attribute__((vector_size(16)));
 typedef double DW __attribute__((vector_size(16)));
 typedef std::int64_t LW __attribute__((vector_size(16)));
+typedef std::uint64_t ULW __attribute__((vector_size(16)));
 #endif
 
 constexpr std::size_t kWide = sizeof(FW) / sizeof(float);
@@ -71,8 +74,9 @@ MONOLOC_INLINE V larger(V a, V b) {
 }
 
 // 2^t, relative error below 2.5e-7. t below -125 gives 2^-125 (2.4e-38); t must be below 127.
-// Splits t = n + f with |f| <= 1/2. A minimax polynomial of degree 5 gives 2^f, and n is added to the exponent bits.
-template <class F, class I>
+// Splits t = n + f with |f| <= 1/2. A minimax polynomial of degree 5 gives 2^f, and n is added to the exponent bits,
+// as unsigned numbers, whose overflow is defined.
+template <class F, class U>
 MONOLOC_INLINE F exp2_fast(F t) {
   t = larger(t, splat<F>(-125.0f));
   const F shifted = t + 12582912.0f;  // 1.5 * 2^23: rounds to an integer in the low bits
@@ -82,7 +86,7 @@ MONOLOC_INLINE F exp2_fast(F t) {
   p = p * f + 0.24022119722710720f;
   p = p * f + 0.69314696706503522f;
   p = p * f + 1.0000000716547141f;
-  return bits<F>(bits<I>(p) + (bits<I>(shifted) << 23));
+  return bits<F>(bits<U>(p) + (bits<U>(shifted) << 23));
 }
 
 // Natural logarithm, absolute or relative error below 2e-7, whichever is larger; x must be positive and normal.
@@ -91,7 +95,7 @@ template <class F, class I>
 MONOLOC_INLINE F log_fast(F x) {
   const I raw = bits<I>(x);
   const I exponent = (raw - 0x3F3504F3) >> 23;
-  const F f = bits<F>(raw - (exponent << 23)) - 1.0f;
+  const F f = bits<F>(raw - exponent * (1 << 23)) - 1.0f;
   F p = f * 7.0376836292e-2f - 1.1514610310e-1f;
   p = p * f + 1.1676998740e-1f;
   p = p * f - 1.2420140846e-1f;
@@ -121,7 +125,7 @@ MONOLOC_INLINE DW exp2_exact(DW t) {
   p = p * f + 0.24022650695910156204;
   p = p * f + 0.69314718055994533046;
   p = p * f + 0.9999999999999999971;
-  return bits<DW>(bits<LW>(p) + (bits<LW>(shifted) << 52));
+  return bits<DW>(bits<ULW>(p) + (bits<ULW>(shifted) << 52));
 }
 
 // Whether a > b in any lane.
@@ -140,7 +144,7 @@ MONOLOC_INLINE bool any_greater(DW a, DW b) {
 // lanes, and sum_parts sums the lanes of each point.
 #if defined(__AVX512F__)
 typedef FW FB;
-typedef IW IB;
+typedef UW UB;
 MONOLOC_INLINE FB join(const F8* parts) {
   return bits<FB>(_mm512_insertf32x8(_mm512_castps256_ps512(bits<__m256>(parts[0])), bits<__m256>(parts[1]), 1));
 }
@@ -154,7 +158,7 @@ MONOLOC_INLINE void sum_parts(FB v, float* sums) {
 }
 #else
 typedef F8 FB;
-typedef I8 IB;
+typedef U8 UB;
 MONOLOC_INLINE FB join(const F8* part) { return part[0]; }
 MONOLOC_INLINE void sum_parts(FB v, float* sum) {
   typedef float F4 __attribute__((vector_size(16)));

@@ -1,4 +1,4 @@
-"""Native kernels (C++, see ``cpp/``). Shapes are checked by the callers."""
+"""Native kernels (C++, see ``cpp/``). Lengths that disagree raise ValueError; all else is checked by the callers."""
 
 import numpy as np
 from numpy.typing import NDArray

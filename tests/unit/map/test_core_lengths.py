@@ -1,0 +1,63 @@
+"""The native core refuses arrays whose lengths disagree, whoever calls it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+import monoloc._core as core
+
+POINTS, SCAN = np.zeros((7, 3)), np.ones((5, 3), np.float32)
+MIXTURE = np.array([0.5, 0.5]), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1))
+POSES, LOG_SCALES = np.tile(np.eye(4), (3, 1, 1)), np.zeros(3)
+IMAGES, FEWER = np.zeros((2, 8, 8, 4), np.uint16), np.zeros((2, 8, 7, 4), np.uint16)
+
+
+def weigh_by_index(log_scales: np.ndarray, weights: np.ndarray | None) -> None:
+    core.MixtureIndex(*MIXTURE, 0.1, 1e-9, 1e-3).weigh(POSES, log_scales, SCAN, weights, 0.3, 100.0, 1)
+
+
+def weigh_by_rays(log_scales: np.ndarray, weights: np.ndarray | None) -> None:
+    core.RayMixture(*MIXTURE).weigh(POSES, log_scales, SCAN, weights, 0.1, 0.3, 3.0, 1)
+
+
+@pytest.mark.parametrize(
+    ("call", "problem"),
+    [
+        (lambda: core.log_density(POINTS, MIXTURE[0][:1], *MIXTURE[1:]), "number of components"),
+        (lambda: core.expectation(POINTS, *MIXTURE[:2], MIXTURE[2][:1]), "number of components"),
+        (lambda: core.MixtureIndex(MIXTURE[0], MIXTURE[1][:1], MIXTURE[2], 0.1, 1e-9, 1e-3), "number of components"),
+        (lambda: core.RayMixture(MIXTURE[0], MIXTURE[1][:1], MIXTURE[2]), "number of components"),
+        (lambda: weigh_by_index(LOG_SCALES[:2], None), "log_scales"),
+        (lambda: weigh_by_index(LOG_SCALES, np.ones(4, np.float32)), "point_weights"),
+        (lambda: weigh_by_rays(LOG_SCALES[:2], None), "log_scales"),
+        (lambda: weigh_by_rays(LOG_SCALES, np.ones(4, np.float32)), "point_weights"),
+        (lambda: core.max_pool(IMAGES, 1, FEWER, IMAGES.copy()), "largest"),
+        (lambda: core.max_pool(IMAGES, 1, IMAGES.copy(), FEWER), "from_"),
+        (lambda: core.max_pool_gradient(IMAGES, FEWER, 1, IMAGES.copy()), "from_"),
+        (lambda: core.max_pool_gradient(IMAGES, IMAGES, 1, FEWER), "out"),
+        (
+            lambda: core.draw_points(
+                POINTS,
+                np.eye(4),
+                np.ones(12),
+                False,
+                np.ones(4),
+                0.0,
+                np.zeros((4, 5), np.uint32),
+                np.zeros((4, 4), np.float32),
+            ),
+            "front and depth",
+        ),
+    ],
+)
+def test_lengths_that_disagree_are_refused(call: Callable[[], object], problem: str) -> None:
+    with pytest.raises(ValueError, match=problem):
+        call()
+
+
+def test_lengths_that_agree_are_taken() -> None:
+    weigh_by_index(LOG_SCALES, np.ones(5, np.float32))
+    weigh_by_rays(LOG_SCALES, None)
