@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -88,10 +90,14 @@ def require_structure_from_motion() -> None:
     Raises:
         MissingExtraError: pycolmap is not installed.
     """
+    on_termination = signal.getsignal(signal.SIGTERM)
     try:
         import pycolmap  # noqa: F401
     except ImportError as error:
         raise MissingExtraError("a map from images without poses", "sfm") from error
+    # Its logging library takes SIGTERM for a crash: it prints a stack, and temporary files stay.
+    if threading.current_thread() is threading.main_thread() and on_termination is not None:
+        signal.signal(signal.SIGTERM, on_termination)
 
 
 @contextmanager

@@ -1,7 +1,8 @@
-"""A build that is interrupted leaves nothing half-written, and an older bundle as it was."""
+"""What is interrupted leaves nothing half-written, and older files as they were."""
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -9,7 +10,7 @@ import time
 from pathlib import Path
 
 from cli_helpers import UNTUNED, listing, write_workspace
-from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path, write_recording
 
 
 def test_interrupted_build_leaves_nothing_half_written(tmp_path: Path) -> None:
@@ -35,4 +36,26 @@ def test_interrupted_build_leaves_nothing_half_written(tmp_path: Path) -> None:
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert out == "" and err == "monoloc: interrupted; nothing half-written is left\n"
+    assert listing(tmp_path) == before
+
+
+def test_terminated_reconstruction_leaves_nothing(tmp_path: Path) -> None:
+    write_recording(tmp_path / "flight", RoomRecording(Room(), make_path(40, rate_hz=3.0), SMALL_CAMERA))
+    (tmp_path / "temporary").mkdir()
+    before = listing(tmp_path)
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from monoloc.cli.main import run; run()", "reconstruct", "flight", "--out", "walk"],
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+        env=os.environ | {"TMPDIR": str(tmp_path / "temporary")},
+    )
+    assert process.stderr is not None
+    assert process.stderr.readline().startswith("keyframes: done")
+    time.sleep(1.0)
+    assert process.poll() is None, "the reconstruction ended before it could be terminated"
+    process.send_signal(signal.SIGTERM)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err.splitlines()[-1] == "monoloc: interrupted; nothing half-written is left"
     assert listing(tmp_path) == before

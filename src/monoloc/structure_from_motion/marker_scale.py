@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
-from monoloc.io.recording import Recording
+from monoloc.io.recording import Recording, evenly_spaced
 from monoloc.relocalization.marker import DEFAULT_DICTIONARY, Dictionary, MarkerDetector
 from monoloc.structure_from_motion.metric_scale import MetricScale, from_length
 from monoloc.structure_from_motion.sparse_model import SparseModel
 from monoloc.structure_from_motion.triangulation import distance_sd, triangulate
 
+_LOOKED_AT, _MARKER_FRAMES = 600, 20  # frames of a recording; of these, keyframes for their view of the marker
 _CORNER_SD_PX = 0.5
 _SIZE_SD = 0.005  # relative, of a size measured with a ruler
 _SQUARE = 0.15  # relative difference of sides, above which it is no square
@@ -36,21 +37,27 @@ class MarkerScale:
     dictionary: Dictionary = DEFAULT_DICTIONARY
 
     def frames(self, recording: Recording) -> list[int]:
-        """See :meth:`monoloc.structure_from_motion.metric_scale.ScaleSource.frames`."""
-        return []
+        """Some of the frames that show the marker.
+
+        Raises:
+            DataError: fewer than two do.
+        """
+        detect = MarkerDetector(self.dictionary)
+        looked_at = evenly_spaced(len(recording), _LOOKED_AT).tolist()
+        seen = [index for index in looked_at if self._corners(detect, recording, index) is not None]
+        if len(seen) < 2:
+            problem = f"shows marker {self.number} of {self.dictionary} in {len(seen)} of {len(looked_at)} frames"
+            raise DataError(recording.name, problem, "film it in at least two, or correct --scale")
+        return [seen[position] for position in evenly_spaced(len(seen), _MARKER_FRAMES)]
 
     def measure(self, recording: Recording, model: SparseModel, depths: Sequence[NDArray[np.float32]]) -> MetricScale:
         """See :meth:`monoloc.structure_from_motion.metric_scale.ScaleSource.measure`."""
         poses, corners = self._seen(recording, model)
-        if len(poses) < 2:
-            problem = f"shows marker {self.number} of {self.dictionary} in {len(poses)} of the frames used"
-            raise DataError(recording.name, problem, "film it in at least two, or correct --scale")
-        found = [triangulate(model.camera, poses, corners[:, corner]) for corner in range(4)]
+        found = [triangulate(model.camera, poses, corners[:, corner]) for corner in range(4) if len(poses) > 1]
         placed = [each for each in found if each is not None]
         if len(placed) < 4:
-            raise DataError(
-                recording.name, f"shows marker {self.number} from one side only", "film it from more sides"
-            )
+            problem = f"shows marker {self.number} from one side only, in {len(poses)} of the frames that were placed"
+            raise DataError(recording.name, problem, "film it from more sides")
         sides = np.array([distance_sd(placed[corner], placed[(corner + 1) % 4]) for corner in range(4)])
         length = float(sides[:, 0].mean())
         if np.ptp(sides[:, 0]) > _SQUARE * length:
@@ -65,6 +72,13 @@ class MarkerScale:
         detect = MarkerDetector(self.dictionary)
         seen = []
         for frame, index in enumerate(model.frames.tolist()):
-            seen += [(frame, corners) for number, corners in detect(recording.color(index)) if number == self.number]
+            corners = self._corners(detect, recording, index)
+            if corners is not None:
+                seen.append((frame, corners))
         poses = model.poses[[frame for frame, _ in seen]]
         return poses, np.array([corners for _, corners in seen]).reshape(-1, 4, 2)
+
+    def _corners(self, detect: MarkerDetector, recording: Recording, index: int) -> FloatArray | None:
+        """The marker's corners in a frame, (4, 2) px; None where it is not seen, or more than once."""
+        found = [corners for number, corners in detect(recording.color(index)) if number == self.number]
+        return found[0] if len(found) == 1 else None

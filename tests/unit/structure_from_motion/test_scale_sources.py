@@ -92,6 +92,7 @@ def test_marker_gives_the_scale_within_its_stated_error(
     assert walk.poses is not None
     images = with_marker(walk, walk.poses)
     monkeypatch.setattr(walk, "color", lambda index: images[index])
+    assert len(MarkerScale(7, SIZE_M).frames(walk)) >= 3
     found = MarkerScale(7, SIZE_M).measure(walk, model, [])
     assert abs(np.log(found.metres / UNIT_M)) < 2.0 * found.sd < 0.1
 
@@ -101,9 +102,14 @@ def test_marker_that_is_not_there_or_not_square_is_refused(
 ) -> None:
     assert walk.poses is not None
     refuses(
+        lambda: MarkerScale(7, SIZE_M).frames(walk),
+        DataError,
+        "room: shows marker 7 of apriltag_36h11 in 0 of 12 frames",
+    )
+    refuses(
         lambda: MarkerScale(7, SIZE_M).measure(walk, model, []),
         DataError,
-        "room: shows marker 7 of apriltag_36h11 in 0 of the frames used",
+        "room: shows marker 7 from one side only, in 0",
     )
     images = with_marker(walk, walk.poses, squeeze=0.7)
     monkeypatch.setattr(walk, "color", lambda index: images[index])
