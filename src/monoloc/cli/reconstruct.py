@@ -28,7 +28,6 @@ from monoloc.cli.common import (
     stderr,
 )
 from monoloc.errors import SettingError
-from monoloc.extras import require_structure_from_motion
 from monoloc.io.camera_file import write_camera
 from monoloc.io.folder_writer import require_empty, write_folder
 from monoloc.io.recording import Recording
@@ -99,7 +98,6 @@ def reconstruct_source(recording: Recording, scale: str | None, seed: int) -> Re
     Raises:
         MissingExtraError, SettingError, DataError: as :func:`reconstruct` and :func:`parse_scale`.
     """
-    require_structure_from_motion()
     with naming({"scale": "--scale"}):
         chosen = parse_scale(scale, recording.has_depth)
         found = reconstruct(recording, chosen, has_guessed_camera(recording), seed, ConsoleProgress(stderr))

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from monoloc.camera import Camera
 from monoloc.errors import DataError, SettingError
-from monoloc.extras import require_structure_from_motion
 from monoloc.geometry import FloatArray, invert
 from monoloc.io.colmap import camera_of, parameters_of
 from monoloc.io.recording import Recording, evenly_spaced
@@ -50,11 +49,9 @@ def map_keyframes(
         seed: the same seed gives the same model on the same machine.
 
     Raises:
-        MissingExtraError: pycolmap is not installed.
         DataError: too few keyframes, too few of them could be placed, the camera only turned, the refined intrinsics
             are no camera's, or a frame cannot be read.
     """
-    require_structure_from_motion()
     import pycolmap
 
     if len(keyframes) < _LEAST_FRAMES:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
+from monoloc.extras import require_structure_from_motion
 from monoloc.geometry import FloatArray
 from monoloc.io.image_resampling import resize_nearest
 from monoloc.io.recording import Recording
@@ -101,6 +102,7 @@ def reconstruct(
         SettingError: the scale cannot be measured by what was chosen.
         DataError: as :func:`monoloc.structure_from_motion.mapping.map_keyframes`, or no scale was found.
     """
+    require_structure_from_motion()
     required = scale.frames(recording)  # refuses what cannot be measured before the work is done
     keyframes = choose_keyframes(recording, required, progress)
     threads = cv2.getNumThreads()
@@ -122,6 +124,10 @@ def _notes(recording: Recording, model: SparseModel, scale: MetricScale) -> list
         f"poses and depth are by structure from motion, of {len(model.frames)} keyframes of {len(recording)} frames",
         f"the scale is by {scale.how}, ± {100.0 * scale.sd:.2g} %",
     ]
+    if model.camera_sd:
+        notes.append(
+            f"the focal length is {model.camera.fx:.0f} ± {model.camera_sd['f']:.0f} px, found with the poses"
+        )
     lost = model.tried - len(model.frames)
     if lost:
         notes.append(f"{lost} of {model.tried} keyframes are left out: they could not be placed")
