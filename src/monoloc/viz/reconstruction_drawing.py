@@ -38,7 +38,7 @@ def plot_reconstruction(path: str | Path, found: Reconstruction, title: str) -> 
         top.set_title(f"From above: {len(found.model.frames)} cameras, {len(found.model.points)} points")
         _draw_from(side, found, (0, 2))
         side.set_title(f"From the side; scale by {found.scale.how}, ± {100.0 * found.scale.sd:.2g} %")
-        side.legend(loc="upper right", frameon=True, framealpha=0.9, edgecolor="none")
+        side.legend(loc="upper right", markerscale=2.0, frameon=True, framealpha=0.9, edgecolor="none")
         axes = below.subplots(1, 2 * _FRAMES).tolist()
         for number, frame in enumerate(evenly_spaced(len(found.recording), _FRAMES + 2)[1:-1].tolist()):
             _draw_frame(axes[2 * number], axes[2 * number + 1], found, frame)
@@ -49,7 +49,7 @@ def _draw_from(axis: Axes, found: Reconstruction, shown: tuple[int, int]) -> Non
     first, second = shown
     points, poses = found.model.points, found.model.poses
     positions = poses[:, :3, 3]
-    axis.plot(points[:, first], points[:, second], ",", color=GREY, alpha=0.6, label="points")
+    axis.plot(points[:, first], points[:, second], ".", color=GREY, markersize=1.5, alpha=0.7, label="points")
     axis.plot(positions[:, first], positions[:, second], color=BLUE, linewidth=1.5, label="path")
     some = poses[evenly_spaced(len(poses), _VIEWS)]
     axis.quiver(
