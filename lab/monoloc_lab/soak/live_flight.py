@@ -182,7 +182,7 @@ def bench_live_flight(
         if mavsdk is not None:
             mavsdk.listen(_SOON_S)
         say("undisturbed")
-        begin_s = _next_pose(peer.heard, 0.0)
+        begin_s = _next_pose(flight, peer.heard, 0.0)
         time.sleep(10.0)
         resident_start = _resident_mb(flight)
         time.sleep(max(0.0, seconds - 10.0))
@@ -192,21 +192,21 @@ def bench_live_flight(
         flight.unplug()
         time.sleep(_GAP_S)
         flight.plug_in()
-        camera_s = _back(peer.heard)
+        camera_s = _back(flight, peer.heard)
         say("link gone")
         peer.close()
         time.sleep(_GAP_S)
         peer.open()
-        link_s = _back(peer.heard)
+        link_s = _back(flight, peer.heard)
         resident_end = _resident_mb(flight)
         summary = flight.stop()
         say("killed, and started again")
         flight.start(folder / "killed")
-        _next_pose(peer.heard, time.monotonic())
+        _next_pose(flight, peer.heard, time.monotonic())
         time.sleep(_AFTER_S)
         _end(flight.process, signal.SIGKILL)
         flight.start(folder / "after")
-        process_s = _back(peer.heard)
+        process_s = _back(flight, peer.heard)
         flight.stop()
     finally:
         flight.close()
@@ -263,24 +263,27 @@ def _mavsdk() -> tuple[MavsdkPeer | None, int | None]:
     return MavsdkPeer(port), port
 
 
-def _next_pose(heard: Heard, after_s: float) -> float:
+def _next_pose(flight: _Flight, heard: Heard, after_s: float) -> float:
     """Time of arrival of the first pose after a time.
 
     Raises:
-        MonolocError: none comes.
+        MonolocError: none comes, or the process has ended.
     """
     end_s = time.monotonic() + _SOON_S
     while time.monotonic() < end_s:
         if heard.poses and heard.poses[-1][0] > after_s:
             return next(pose[0] for pose in heard.poses if pose[0] > after_s)
+        if flight.process is not None and flight.process.poll() is not None:
+            break
         time.sleep(0.02)
-    raise MonolocError(f"no pose came within {_SOON_S:.0f} s")
+    said = (flight.folder / "fly.txt").read_text(encoding="utf-8").splitlines()[-1:]
+    raise MonolocError(f"no pose came within {_SOON_S:.0f} s; monoloc fly said last: {' '.join(said) or 'nothing'}")
 
 
-def _back(heard: Heard) -> float:
+def _back(flight: _Flight, heard: Heard) -> float:
     """Seconds to the next pose; waits some more, so that the flight goes on."""
     now_s = time.monotonic()
-    back_s = _next_pose(heard, now_s) - now_s
+    back_s = _next_pose(flight, heard, now_s) - now_s
     time.sleep(_AFTER_S)
     return back_s
 

@@ -60,7 +60,8 @@ def _send(images: list[NDArray[np.uint8]], client: socket.socket, rate_hz: float
     # NUT holds whole images: a reader of MPEG-TS must wait for the beginning of the next one.
     container = av.open(cast(BinaryIO, _Sink(client)), "w", format="nut", options={"flush_packets": "1"})
     video = container.add_stream("mjpeg", rate=round(rate_hz))
-    video.width, video.height, video.pix_fmt = width, height, "yuvj420p"
+    # Colour at full resolution: the network of the synthetic rooms reads depth from it.
+    video.width, video.height, video.pix_fmt = width, height, "yuvj444p"
     video.time_base = video.codec_context.time_base = Fraction(1, _CLOCK_HZ)
     video.options = {"qmin": "1", "qmax": "2", "threads": "1"}
     began_s = time.monotonic()
