@@ -44,7 +44,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory, recording: RoomRecording
 
 
 class Stage:
-    """A node in its room, and what it is told.
+    """A node in its room, and what it receives.
 
     Attributes:
         ros: the stand-in.

@@ -166,7 +166,7 @@ def bench_live_flight(
         rate_hz: of the camera.
         firmware: of the autopilot.
         folder: empty, for logs and recordings.
-        say: is told what happens.
+        say: takes a line on what happens.
 
     Raises:
         MonolocError: a process does not do what it must; the message says which.

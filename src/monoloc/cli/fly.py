@@ -183,9 +183,9 @@ def fly(
                     obstacle_frames(bundle, flight_settings),
                     lambda: localizer.particles,
                 )
-                output, told = opened.enter_context(shown)
+                output, remark = opened.enter_context(shown)
                 outputs.append(output)
-                say(told)
+                say(remark)
             if link is not None and align:
                 T_body_camera = flight_settings.mount.T_body_camera
                 north = NorthMeasurement(T_body_camera, down_world(bundle, flight_settings), link.attitude_at)

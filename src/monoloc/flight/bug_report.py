@@ -18,7 +18,7 @@ _LIBRARIES = ("numpy", "onnxruntime", "opencv-python-headless", "pymavlink", "av
 def bug_report(flight: FlightFile, bundle: Bundle, camera: Camera, found: Mapping[str, object]) -> dict[str, object]:
     """The report, ready for JSON.
 
-    Addresses, paths and the recording's name are left out: of a source and a link, only the kind is told.
+    Addresses, paths and the recording's name are left out: of a source and a link, only the kind is given.
 
     Args:
         flight: as it was asked for.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
+from monoloc.evaluation.consistency import CHI2_6_QUANTILE_99
 from monoloc.geometry import FloatArray, invert, make_pose, pose_distance_m, se3_log, so3_exp, transform
 from monoloc.landmarks.features import MATCH_BITS, KeypointDetector, Keypoints, match_descriptors
 from monoloc.landmarks.landmark_map import Landmarks
@@ -32,7 +33,6 @@ _LEAST_SPREAD = 0.075
 _APART_M, _RIVAL_SHARE = 0.5, 0.3
 _RIVAL_CANDIDATES, _MOST_RIVALS = 32, 8  # best matches of a keypoint among which other places are sought
 _ITERATIONS, _RIVAL_ITERATIONS = 1000, 100  # of RANSAC
-_CHI2_99_6 = 16.8  # 99 % quantile of the chi-squared distribution with 6 degrees of freedom
 _NO_INDICES = np.zeros(0, dtype=np.int64)
 
 
@@ -228,7 +228,7 @@ class OrbLandmarkLocalizer:
 def _is_within(pose: FloatArray, prior: FloatArray, covariance: FloatArray) -> bool:
     """Whether a pose (4, 4) is one that a prior expects, up to one in a hundred."""
     offset = se3_log(invert(prior) @ pose)
-    return float(offset @ np.linalg.solve(covariance, offset)) < _CHI2_99_6
+    return float(offset @ np.linalg.solve(covariance, offset)) < CHI2_6_QUANTILE_99
 
 
 def _direction_sd(covariance: FloatArray, depth_m: float) -> float:

@@ -33,7 +33,7 @@ def levelled(
         rng: starts the fit of the surfaces.
 
     Returns:
-        The model, and whether surfaces told its vertical. Otherwise it is how the camera was held, without roll.
+        The model, and whether surfaces determined its vertical. Otherwise the camera, held without roll, did.
     """
     held = _held_down(model.poses)
     found = _down(model, depths, held, rng)

@@ -70,7 +70,7 @@ class Reconstruction:
         model: poses and sparse points, metres, z up.
         depths: of its frames, (h, w) metres of ``depth_camera``, 0 where unknown.
         scale: of the model.
-        is_upright: whether surfaces told the vertical, and not only how the camera was held.
+        is_upright: whether surfaces determined the vertical, and not only how the camera was held.
     """
 
     recording: ReconstructedRecording

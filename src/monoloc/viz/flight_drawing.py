@@ -14,7 +14,7 @@ from monoloc.geometry import FloatArray, invert, transform
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
 from monoloc.mavlink.obstacle_sectors import MOST_M, SECTORS, sector_distances_cm
 from monoloc.particle_filter.particles import Particles
-from monoloc.viz.rerun_viewer import RerunViewer
+from monoloc.viz.rerun_viewer import RerunViewer, state_views
 
 _NEAR, _FAR, _NEAR_M = 0xD55E00FF, 0xF0E442FF, 1.0  # colours of Okabe and Ito
 _LATENCY = 0x56B4E9FF
@@ -87,14 +87,9 @@ def flight_blueprint() -> rrb.Blueprint:
         rrb.Spatial2DView(origin="world/camera/image", name="image, landmarks"),
         rrb.Spatial2DView(origin="depth", name="depth, 0 to 6 m"),
     )
-    state = rrb.Horizontal(
-        rrb.StateTimelineView(origin="state", name="state"),
-        rrb.TextDocumentView(origin="reasons", name="state and its reasons"),
-        column_shares=[2.0, 1.0],
-    )
     right = rrb.Vertical(
         images,
-        state,
+        state_views(),
         rrb.TimeSeriesView(origin="latency_ms", name="latency (ms)", time_ranges=[last_minute]),
         rrb.TimeSeriesView(
             origin="probability_far",

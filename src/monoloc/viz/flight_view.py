@@ -119,13 +119,13 @@ def flight_view(
     if port is None:
         open_window()
         stream.connect_grpc(f"rerun+http://127.0.0.1:{WINDOW_PORT}/proxy", default_blueprint=flight_blueprint())
-        data_port, told = WINDOW_PORT, "view: in Rerun's window"
+        data_port, remark = WINDOW_PORT, "view: in Rerun's window"
     else:
-        data_port, told = port + 1, _serve(stream, port)
+        data_port, remark = port + 1, _serve(stream, port)
     stream.send_recording_name(name)
     try:
         drawing = FlightDrawing(stream, room, camera, frames)
-        yield FlightView(drawing, particles, lambda: has_connection(data_port)), told
+        yield FlightView(drawing, particles, lambda: has_connection(data_port)), remark
     finally:
         stream.disconnect()
 

@@ -175,6 +175,15 @@ class RerunViewer:
         self._stream.log(path, entity, static=True)
 
 
+def state_views() -> rrb.Horizontal:
+    """Timeline of the state, and its reasons in words."""
+    return rrb.Horizontal(
+        rrb.StateTimelineView(origin="state", name="state"),
+        rrb.TextDocumentView(origin="reasons", name="state and its reasons"),
+        column_shares=[2.0, 1.0],
+    )
+
+
 def run_blueprint() -> rrb.Blueprint:
     """Layout with the room on the left; on the right images, errors, likelihood, state with reasons, step time."""
     up_to_now = rrb.VisibleTimeRanges(
@@ -189,17 +198,12 @@ def run_blueprint() -> rrb.Blueprint:
         rrb.Spatial2DView(origin="world/camera/image", name="image"),
         rrb.Spatial2DView(origin="depth", name="depth, to 6 m"),
     )
-    state = rrb.Horizontal(
-        rrb.StateTimelineView(origin="state", name="state"),
-        rrb.TextDocumentView(origin="reasons", name="state and its reasons"),
-        column_shares=[2.0, 1.0],
-    )
     far = rrb.ScalarAxis(range=(0.0, 1.0), zoom_lock=True)
     right = rrb.Vertical(
         images,
         rrb.TimeSeriesView(origin="error_cm", name="position error (cm)"),
         rrb.TimeSeriesView(origin="likelihood", name="mean log-likelihood (nats)"),
-        state,
+        state_views(),
         rrb.TimeSeriesView(origin="probability_far", name="probability of more than 30 cm off", axis_y=far),
         rrb.TimeSeriesView(origin="step_ms", name="time a step (ms)"),
         row_shares=[3.0, 2.6, 1.7, 1.3, 1.7, 1.5],

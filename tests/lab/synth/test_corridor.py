@@ -1,4 +1,4 @@
-"""A corridor whose doors cannot be told apart."""
+"""A corridor whose doors look alike."""
 
 from __future__ import annotations
 
