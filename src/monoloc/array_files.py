@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.errors import DataError
+from monoloc.files import read_regular
 
-MOST_BYTES = 1 << 30
-"""Size of a file, and of all arrays of an archive, that is read."""
-
+_MOST_BYTES = 1 << 28  # of all arrays of an archive: it is held three times while it is unpacked
 _MOST_ARRAYS = 1000  # of an archive
 _ENCRYPTED = 0x1  # flag of a member of an archive
 
@@ -40,7 +39,7 @@ def decode_arrays(data: bytes) -> dict[str, NDArray[Any]]:
     """Decode the content of a .npz file: its arrays by name.
 
     Raises:
-        ValueError: the content is no such archive, or promises more than :data:`MOST_BYTES`.
+        ValueError: the content is no such archive, or promises more than 256 MB.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -56,23 +55,9 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: as :func:`decode_arrays`, or it is no regular file.
+        ValueError: as :func:`decode_arrays` and :func:`monoloc.files.read_regular`.
     """
-    return decode_arrays(read_regular(path))
-
-
-def read_regular(path: Path) -> bytes:
-    """All bytes of a file of at most :data:`MOST_BYTES`.
-
-    Raises:
-        OSError: the file cannot be read.
-        ValueError: it is larger, or no regular file: a pipe would block, a device would never end.
-    """
-    if path.exists() and not path.is_file():
-        raise ValueError("it is not a regular file")
-    if path.stat().st_size > MOST_BYTES:
-        raise ValueError(f"it is larger than {MOST_BYTES >> 20} MB")
-    return path.read_bytes()
+    return decode_arrays(read_regular(path, _MOST_BYTES))
 
 
 def _check(members: list[zipfile.ZipInfo]) -> None:
@@ -81,7 +66,7 @@ def _check(members: list[zipfile.ZipInfo]) -> None:
     if any(member.flag_bits & _ENCRYPTED for member in members):
         raise ValueError("it is encrypted")
     size = sum(member.file_size for member in members)
-    if size > MOST_BYTES:
+    if size > _MOST_BYTES:
         raise ValueError(f"its arrays would take {size >> 20} MB")
 
 

@@ -23,13 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from monoloc.array_files import decode_arrays, read_regular
+from monoloc.array_files import decode_arrays
 from monoloc.camera import Camera
 from monoloc.config import describe
 from monoloc.depth.model_files import read_model
 from monoloc.depth.models import is_shipped
 from monoloc.depth.spec import DepthModel, ModelSpec
 from monoloc.errors import BundleError
+from monoloc.files import read_regular
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray, se3_exp, se3_log
 from monoloc.landmarks.landmark_map import Landmarks

@@ -15,6 +15,7 @@ from monoloc.distortion import COEFFICIENTS, MODELS, WIDEST_RAD, DistortionModel
 from monoloc.errors import SettingError
 from monoloc.geometry import FloatArray
 
+_MOST_PX = 1 << 15
 _MIN_DEPTH_M = 0.1  # nearer points are not visible
 _BORDER_RAYS = 9  # along a side; the widest of them bound the field of view
 
@@ -53,6 +54,12 @@ class Camera:
         if self.width < 1 or self.height < 1:
             raise SettingError(
                 "camera.width/height", f"is {self.width}x{self.height}", "give the image size in pixels"
+            )
+        if max(self.width, self.height) > _MOST_PX:
+            raise SettingError(
+                "camera.width/height",
+                f"is {self.width}x{self.height}",
+                f"give images of at most {_MOST_PX} pixels a side",
             )
         if not all(np.isfinite(f) and f > 0.0 for f in (self.fx, self.fy)):
             raise SettingError("camera.fx/fy", f"is ({self.fx}, {self.fy})", "focal lengths are positive pixels")

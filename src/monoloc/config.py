@@ -6,13 +6,16 @@ import tomllib
 from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TypeVar, get_args
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
 from monoloc.errors import DataError, SettingError
+from monoloc.files import read_regular
 
 Settings = TypeVar("Settings", bound=BaseModel)
+
+_MOST_BYTES = 1 << 20  # of a TOML file
 
 
 def load_settings(path: Path, model: type[Settings]) -> Settings:
@@ -22,15 +25,25 @@ def load_settings(path: Path, model: type[Settings]) -> Settings:
         DataError: the file is unreadable or not TOML, or a field is unknown or out of range; the message names it.
     """
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise DataError(path, "cannot be read", "give a TOML settings file") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise DataError(path, f"is not TOML ({error})", "mend the line named") from error
-    try:
-        return model.model_validate(content)
+        return model.model_validate(read_toml(path))
     except ValidationError as error:
         raise DataError(path, _unknown_key(error, model) or describe(error), "mend the field named") from error
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The content of a TOML file.
+
+    Raises:
+        DataError: the file is unreadable or not TOML.
+    """
+    try:
+        return tomllib.loads(read_regular(path, _MOST_BYTES).decode("utf-8-sig"))
+    except OSError as error:
+        raise DataError(path, f"cannot be read ({error.strerror})", "give a TOML file") from error
+    except RecursionError as error:
+        raise DataError(path, "is not valid TOML (it is nested too deep)", "mend it") from error
+    except ValueError as error:  # of TOML, text and numbers
+        raise DataError(path, f"is not valid TOML ({error})", "mend the line named") from error
 
 
 def _unknown_key(error: ValidationError, model: type[BaseModel]) -> str | None:

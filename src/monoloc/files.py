@@ -1,4 +1,4 @@
-"""Atomic file writes."""
+"""Files are read within bounds, and written whole or not at all."""
 
 from __future__ import annotations
 
@@ -6,10 +6,36 @@ import contextlib
 import json
 import math
 import os
+import stat
 from collections.abc import Mapping
 from pathlib import Path
 
 from monoloc.errors import DataError
+
+MOST_BYTES = 1 << 30
+"""Size of a file that is read whole."""
+
+
+def read_regular(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
+    """All bytes of a file.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is larger, or no regular file: a pipe would block, a device would never end; or its name holds
+            a null character.
+    """
+    with open(path, "rb", opener=_without_waiting) as file:
+        status = os.fstat(file.fileno())
+        if not stat.S_ISREG(status.st_mode):
+            raise ValueError("it is not a regular file")
+        if status.st_size > most_bytes:
+            raise ValueError(f"it is larger than {most_bytes >> 20} MB")
+        return file.read(status.st_size)  # takes memory for as many at once
+
+
+def _without_waiting(name: str, flags: int) -> int:
+    """Opens a pipe without a wait for its writer."""
+    return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))  # Windows has no such flag, nor such pipes
 
 
 def partial_of(path: Path) -> Path:

@@ -105,7 +105,7 @@ def with_trajectory(here: Path) -> None:
         (nothing, (*BUILD, "--frames", "90:"), "--frames", "selects none of the 6", "START"),
         (nothing, (*BUILD, *QUICK, "--depth-scale", "1"), "flight", "has no depth between 0 and", "depth scale"),
         (nothing, (*BUILD, *UNTUNED, "-k", "1000000"), "--components", "is 1000000 for a cloud of", ""),
-        (nothing, (*BUILD, "--lambda", "nan"), "--lambda", "greater than or equal to 0", "--help"),
+        (nothing, (*BUILD, "--lambda", "nan"), "--lambda", "a finite number", "--help"),
         (
             with_settings("components = 1000000\n"),
             (*BUILD, *UNTUNED, "--settings", "s.toml"),

@@ -64,7 +64,7 @@ def test_archive_that_grows_beyond_the_bound_is_not_unpacked(
 ) -> None:
     bomb = archive(a=npy(np.zeros(500_000)), b=npy(np.zeros(500_000)))
     assert len(bomb) < 20_000
-    monkeypatch.setattr(array_files, "MOST_BYTES", 1 << 20)
+    monkeypatch.setattr(array_files, "_MOST_BYTES", 1 << 20)
     monkeypatch.setattr(zipfile.ZipFile, "read", lambda *_: pytest.fail("it was unpacked"))
     with pytest.raises(ValueError, match="its arrays would take 7 MB"):
         decode_arrays(bomb)
@@ -83,6 +83,6 @@ def test_pipes_and_large_files_are_refused(tmp_path: Path, monkeypatch: pytest.M
     with pytest.raises(ValueError, match="not a regular file"):
         read_arrays(tmp_path / "pipe.npz")
     (tmp_path / "large.npz").write_bytes(bytes(3 << 20))
-    monkeypatch.setattr(array_files, "MOST_BYTES", 2 << 20)
+    monkeypatch.setattr(array_files, "_MOST_BYTES", 2 << 20)
     with pytest.raises(ValueError, match="larger than 2 MB"):
         read_arrays(tmp_path / "large.npz")

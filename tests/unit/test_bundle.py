@@ -480,6 +480,15 @@ def test_reference_poses_and_biases_of_other_numbers_are_named(written):
     )
 
 
+def test_more_reference_poses_than_any_build_has_are_named(written):
+    with np.load(written / "map.npz") as file:
+        arrays = dict(file)
+    many = {name: np.zeros((20_001, 6), np.float32) for name in arrays if name.endswith("bias") or "poses" in name}
+    assert len(many) == 3
+    replace_arrays(written, "map.npz", **{**arrays, **many})
+    refuses(lambda: read_bundle(written), written / "map.npz", "there are 20001 poses, more than 20000")
+
+
 def test_map_without_a_mixture_is_named(written):
     """Bytes that match their checksum and still are no map."""
     replace_arrays(written, "map.npz", something=np.zeros(3))

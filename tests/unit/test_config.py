@@ -9,7 +9,7 @@ import pytest
 
 from monoloc.builder.build_config import BuildConfig
 from monoloc.config import load_settings, override
-from monoloc.errors import DataError, SettingError
+from monoloc.errors import SettingError
 from monoloc.localizer_config import LocalizerConfig
 from refusals import refuses, refuses_data
 
@@ -19,11 +19,14 @@ from refusals import refuses, refuses_data
     [
         ("compnents = 5\n", "compnents: is unknown, the nearest is components"),
         ("[adapt]\nstep = 5\n", "adapt.step: is unknown, the nearest is steps"),
-        ("voxel_m = -1\n", "voxel_m: Input should be greater than 0"),
+        ("voxel_m = -1\n", "voxel_m: Input should be greater than or equal to 0.001"),
         ('components = "many"\n', "components: Input should be a valid integer.*or Input should be 'bic'"),
         ('[adapt]\ntune = "most"\n', "adapt.tune: Input should be 'none', 'last', 'decoder' or 'all'"),
         ("[localizer.likelihood]\noutlier_share = 1.0\n", "localizer.likelihood.outlier_share: .*less than 1"),
-        ("components 5\n", "is not TOML"),
+        ("components 5\n", "is not valid TOML"),
+        ("components = " + 5000 * "9", "is not valid TOML"),
+        ("voxel_m = inf\n", "voxel_m: Input should be a finite number"),
+        ("components = 1000000000\n", "components: .*less than or equal to 1000000"),
     ],
 )
 def test_invalid_settings_file_is_refused(tmp_path: Path, text: str, problem: str) -> None:
@@ -34,9 +37,7 @@ def test_invalid_settings_file_is_refused(tmp_path: Path, text: str, problem: st
 
 def test_missing_settings_file_is_named(tmp_path: Path) -> None:
     path = tmp_path / "no.toml"
-    refuses(
-        lambda: load_settings(path, BuildConfig), DataError, r"no\.toml: cannot be read; give a TOML settings file"
-    )
+    refuses_data(lambda: load_settings(path, BuildConfig), path, "cannot be read", "give a TOML file")
 
 
 @pytest.mark.parametrize(
@@ -44,7 +45,8 @@ def test_missing_settings_file_is_named(tmp_path: Path) -> None:
     [
         (BuildConfig(), "components", "0", "greater than or equal to 1, or .*'bic'"),
         (BuildConfig(), "components", "forty", "valid integer.*or .*'bic'"),
-        (BuildConfig(), "adapt.lambda_kl", float("nan"), "greater than or equal to 0"),
+        (BuildConfig(), "adapt.lambda_kl", -1.0, "greater than or equal to 0"),
+        (BuildConfig(), "adapt.lambda_kl", float("nan"), "a finite number"),
         (LocalizerConfig(), "particles", 3, "greater than or equal to 10"),
         (LocalizerConfig(), "scan_points", 3, "greater than or equal to 10"),
     ],

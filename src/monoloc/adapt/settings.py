@@ -40,23 +40,23 @@ class AdaptConfig(BaseModel):
             far from the map a gradient.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     tune: Tune = "all"
     map_transform: bool = True
-    lambda_kl: float = Field(0.1, ge=0.0)
-    steps: int | None = Field(None, ge=1)
-    batch_views: int = Field(16, ge=1)
-    pixels_per_view: int = Field(32, ge=1)
-    synthesised_views: int = Field(1200, ge=0)
+    lambda_kl: float = Field(0.1, ge=0.0, le=1e9)
+    steps: int | None = Field(None, ge=1, le=10_000_000)
+    batch_views: int = Field(16, ge=1, le=10_000)
+    pixels_per_view: int = Field(32, ge=1, le=1_000_000)
+    synthesised_views: int = Field(1200, ge=0, le=1_000_000)
     relit_share: float = Field(0.25, ge=0.0, le=1.0)
-    network_rate: float | None = Field(None, gt=0.0)
-    map_rate: float = Field(1e-3, gt=0.0)
-    likelihood_weight: float = Field(0.05, ge=0.0)
-    depth_weight: float = Field(1.0, ge=0.0)
-    pose_weight: float = Field(1.0, ge=0.0)
+    network_rate: float | None = Field(None, gt=0.0, le=10.0)
+    map_rate: float = Field(1e-3, gt=0.0, le=10.0)
+    likelihood_weight: float = Field(0.05, ge=0.0, le=1e9)
+    depth_weight: float = Field(1.0, ge=0.0, le=1e9)
+    pose_weight: float = Field(1.0, ge=0.0, le=1e9)
     outlier_share: float = Field(0.1, gt=0.0, lt=1.0)
-    inflation_m: float = Field(0.3, ge=0.0)
+    inflation_m: float = Field(0.3, ge=0.0, le=100.0)
 
     @property
     def by_depth(self) -> bool:

@@ -26,15 +26,15 @@ class BuildConfig(BaseModel):
         localizer: settings written into the bundle, before calibration.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    components: Annotated[int, Field(ge=1)] | Literal["bic"] = 200
-    voxel_m: float = Field(0.03, gt=0.0)
-    max_depth_m: float = Field(4.5, gt=0.0)
+    components: Annotated[int, Field(ge=1, le=1_000_000)] | Literal["bic"] = 200
+    voxel_m: float = Field(0.03, ge=0.001, le=10.0)
+    max_depth_m: float = Field(4.5, gt=0.0, le=1000.0)
     adapt: AdaptConfig = AdaptConfig()
     refine_poses: bool = False
-    pose_sd_m: float = Field(0.02, gt=0.0)
-    pose_sd_deg: float = Field(1.0, gt=0.0)
+    pose_sd_m: float = Field(0.02, ge=1e-6, le=10.0)
+    pose_sd_deg: float = Field(1.0, ge=1e-6, le=180.0)
     landmarks: bool = True
     int8: bool = False
     localizer: LocalizerConfig = LocalizerConfig()

@@ -17,7 +17,7 @@ from monoloc.calibration.board_views import BoardDetector, BoardView, diverse_vi
 from monoloc.camera import Camera
 from monoloc.errors import DataError
 from monoloc.io.file_access import read_bytes
-from monoloc.io.image_header import image_header
+from monoloc.io.image_files import checked_header
 from monoloc.io.video_frames import VideoFrames
 from monoloc.live.camera_device import CameraDevice
 from monoloc.live.frame_source import CameraGoneError
@@ -26,7 +26,6 @@ from monoloc.progress import Progress
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"}
 _MOST_VIEWS = 60  # that are solved for; more cost time and tell little
 _MOST_FRAMES = 600  # of a video, spread evenly, in which the board is looked for
-_MOST_PIXELS = 1 << 26  # of an image
 _DEVICE = re.compile(r"camera:(\d+)")
 
 Gray = NDArray[np.uint8]
@@ -112,9 +111,7 @@ def _found(
 def _pictures(paths: list[Path]) -> Iterator[tuple[str, Gray]]:
     for path in paths:
         data = read_bytes(path)
-        header = image_header(data)
-        if header is not None and header.width * header.height > _MOST_PIXELS:
-            raise DataError(path, f"says it is {header.width}x{header.height}", "give images of a camera's size")
+        checked_header(data, path)
         flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
         if image is None:

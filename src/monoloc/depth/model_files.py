@@ -12,6 +12,10 @@ from monoloc.depth.predictor import check_input, load_session
 from monoloc.depth.spec import FOCAL_KEY, DepthModel, ModelSpec, monoloc_spec
 from monoloc.errors import DataError
 from monoloc.extras import training_extra
+from monoloc.files import read_regular
+
+MOST_NETWORK_BYTES = 1 << 28
+"""Size of an ONNX file that is loaded."""
 
 _TOML, _SAFETENSORS = ".toml", ".safetensors"
 # A tensor of every float monoloc network and of no 8-bit one. The raw bytes are searched, because onnx is an extra.
@@ -42,7 +46,7 @@ def read_model(network: str | Path) -> DepthModel:
             from monoloc.depth.training.checkpoint import load_network
             from monoloc.depth.training.export import export_model
         return export_model(load_network(path), path.stem)
-    return _own_model(path.read_bytes(), path, path.stem)
+    return _own_model(_read(path), path, path.stem)
 
 
 def trainable_file(network: str | Path) -> Path | None:
@@ -80,6 +84,13 @@ def _checked_path(network: str | Path) -> Path:
     return path
 
 
+def _read(path: Path) -> bytes:
+    try:
+        return read_regular(path, MOST_NETWORK_BYTES)
+    except ValueError as error:
+        raise DataError(path, f"cannot be read ({error})", "give a depth network as ONNX") from error
+
+
 def _own_model(content: bytes, label: str | Path, name: str) -> DepthModel:
     """Load a network that monoloc exported; its metadata says how to use it."""
     session = load_session(content, label)
@@ -110,8 +121,8 @@ def _described_model(path: Path) -> DepthModel:
     description = load_settings(path, _Description)
     file = path.parent / description.file
     try:
-        content = file.read_bytes()
-    except OSError as error:
+        content = read_regular(file, MOST_NETWORK_BYTES)
+    except (OSError, ValueError) as error:
         raise DataError(path, f"file: {file} cannot be read", "name the ONNX file, relative to the TOML") from error
     spec = ModelSpec(**description.model_dump(exclude={"file"}))
     check_input(load_session(content, file), spec, path)

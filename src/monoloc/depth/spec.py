@@ -18,11 +18,13 @@ from monoloc.io.recording import Recording
 STRIDE = 32  # monoloc networks halve their input five times
 FOCAL_KEY = "monoloc_focal_px"
 LEAST_INPUT_PX = 64
+MOST_INPUT_PX = 4096
 _MOST_NORMALISATION = 2.0  # of values from 0 to 1; those of values from 0 to 255 are 50 and more
 _WIDEST = 6.0  # image side over focal length, 143 degrees; beyond it the focal length is not in pixels
 
-_Size = Annotated[int, Field(ge=LEAST_INPUT_PX)]
-_Positive = Annotated[float, Field(gt=0.0)]
+_Size = Annotated[int, Field(ge=LEAST_INPUT_PX, le=MOST_INPUT_PX)]
+_Focal = Annotated[float, Field(gt=0.0, le=1e5)]
+_Positive = Annotated[float, Field(gt=0.0, le=1e9)]
 
 
 class ModelSpec(BaseModel):
@@ -48,8 +50,8 @@ class ModelSpec(BaseModel):
 
     width: _Size | None = None
     height: _Size | None = Field(None, validate_default=True)
-    focal_px: _Positive | None = Field(None, validate_default=True)
-    stride: int = Field(STRIDE, ge=1)
+    focal_px: _Focal | None = Field(None, validate_default=True)
+    stride: int = Field(STRIDE, ge=1, le=1024)
     mean: tuple[float, float, float]
     std: tuple[_Positive, _Positive, _Positive]
     channels: Literal["rgb", "bgr"] = "rgb"
@@ -57,7 +59,7 @@ class ModelSpec(BaseModel):
     output: Literal["depth", "log-depth", "disparity"]
     metric: bool
     scale: _Positive | None = None
-    shift: float = 0.0
+    shift: float = Field(0.0, ge=-1e9, le=1e9)
 
     @field_validator("height")
     @classmethod
@@ -153,6 +155,9 @@ def network_size(camera: Camera, focal_px: float, stride: int = STRIDE) -> tuple
     scale = focal_px / camera.focal_px
     width = max(1, round(camera.width * scale / stride)) * stride
     height = max(1, round(camera.height * scale / stride)) * stride
+    if max(width, height) > MOST_INPUT_PX:
+        problem = f"has images that become {width}x{height} at the network's focal length of {focal_px:.3g} px"
+        raise SettingError("camera", problem, "check the intrinsics and the network's focal_px")
     return width, height
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_log
 
 MOST_STEP_M = 0.5  # pose distance from one frame to the next beyond which no camera can be followed
+MOST_POSES = 20_000  # 22 minutes at 15 Hz
 _KERNEL_M = 0.1  # pose distance beyond the nearest at which a reference pose's weight has fallen to 1 / e
 _STILL_M = 0.02  # recent motion, in pose distance, below which the camera moves in no direction
 _ROUNDING_M = 1e-4  # steps shorter than this, in pose distance, have no direction
@@ -28,7 +29,7 @@ class ReferencePoses:
         backward_bias: bias of a flight that passes them in reverse order.
 
     Raises:
-        ValueError: other shapes, or values that are not finite.
+        ValueError: other shapes, too many poses, or values that are not finite.
     """
 
     poses: FloatArray
@@ -40,6 +41,8 @@ class ReferencePoses:
         count = len(self.poses)
         if shapes != ((count, 4, 4), (count, 6), (count, 6)):
             raise ValueError(f"poses and biases must be (V, 4, 4), (V, 6) and (V, 6), got {shapes}")
+        if count > MOST_POSES:
+            raise ValueError(f"there are {count} poses, more than {MOST_POSES}")
         if not all(np.isfinite(each).all() for each in (self.poses, self.forward_bias, self.backward_bias)):
             raise ValueError("poses and biases must be finite")
 

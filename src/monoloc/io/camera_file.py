@@ -17,7 +17,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,11 +24,11 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from monoloc.camera import Camera
-from monoloc.config import describe
+from monoloc.config import describe, read_toml
 from monoloc.distortion import DistortionModel
 from monoloc.errors import DataError, SettingError
 from monoloc.files import write_whole
-from monoloc.io.file_access import read_text, require_file
+from monoloc.io.file_access import require_file
 
 
 class _CameraFile(BaseModel):
@@ -55,11 +54,9 @@ def read_camera(path: Path) -> Camera:
     """
     require_file(path, "give a file that monoloc calibrate wrote")
     try:
-        content = _CameraFile.model_validate(tomllib.loads(read_text(path)))
+        content = _CameraFile.model_validate(read_toml(path))
     except ValidationError as error:
         raise DataError(path, describe(error), "give a file that monoloc calibrate wrote") from error
-    except (ValueError, RecursionError) as error:
-        raise DataError(path, f"is not valid TOML ({error})", "correct that line") from error
     try:
         return Camera(**content.model_dump(exclude={"calibration"}))
     except SettingError as error:

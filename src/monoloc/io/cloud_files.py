@@ -12,11 +12,13 @@ import numpy as np
 
 from monoloc.array_files import read_arrays
 from monoloc.errors import DataError
+from monoloc.files import read_regular
 from monoloc.geometry import FloatArray
 from monoloc.io.binary_reader import BinaryReader
 from monoloc.io.mesh_sampling import sample_triangles, triangles_of
 from monoloc.io.pcd import read_pcd
 from monoloc.io.ply import Column, read_ply
+from monoloc.io.pose_files import MAX_DISTANCE_M
 
 _AGAIN = "export the cloud again"
 # Errors that NumPy and the parsers below raise for files that are truncated or not clouds.
@@ -30,7 +32,8 @@ def read_cloud(path: Path, notes: list[str] | None = None) -> FloatArray:
     The suffix selects the format: ``.ply`` (ascii, binary), ``.pcd`` (ascii, binary, compressed), ``.xyz``, ``.txt``
     and ``.csv`` (columns x, y, z of the header, or the first three), ``.npz`` (array ``points``), and COLMAP's
     ``points3D.bin`` and ``points3D.txt``. Other properties and columns are ignored. To the vertices of a mesh in a
-    ``.ply``, points on its faces are added. Points that are not finite are left out.
+    ``.ply``, points on its faces are added. Points that are not finite, or farther
+    than 100 km from the origin, are left out.
 
     Args:
         path: the file.
@@ -43,6 +46,8 @@ def read_cloud(path: Path, notes: list[str] | None = None) -> FloatArray:
     reader = _reader_of(path)
     if reader is None:
         raise DataError(path, f"has the unknown suffix {path.suffix!r}", f"give one of {', '.join(sorted(_READERS))}")
+    if path.exists() and not path.is_file():
+        raise DataError(path, "is not a regular file", "give a file")
     try:
         points = reader(path, notes)
     except FileNotFoundError:
@@ -54,9 +59,14 @@ def read_cloud(path: Path, notes: list[str] | None = None) -> FloatArray:
     finite = np.isfinite(points).all(axis=1)
     if not finite.any():
         raise DataError(path, f"none of its {len(points)} points is finite", _AGAIN)
-    if not finite.all():
-        notes.append(f"{int((~finite).sum())} of {len(points)} points are left out: they are not finite")
-    return np.asarray(points[finite])
+    is_far = finite & (np.abs(points) > MAX_DISTANCE_M).any(axis=1)
+    usable = finite & ~is_far
+    if not usable.any():
+        raise DataError(path, "all its points are 100 km from the origin and farther", "subtract an offset from them")
+    for left_out, why in ((~finite, "they are not finite"), (is_far, "they are farther than 100 km from the origin")):
+        if left_out.any():
+            notes.append(f"{int(left_out.sum())} of {len(points)} points are left out: {why}")
+    return np.asarray(points[usable])
 
 
 def _reader_of(path: Path) -> Callable[[Path, list[str]], FloatArray] | None:
@@ -66,7 +76,7 @@ def _reader_of(path: Path) -> Callable[[Path, list[str]], FloatArray] | None:
 
 
 def _read_ply(path: Path, notes: list[str]) -> FloatArray:
-    elements = read_ply(path.read_bytes(), "vertex", "face")
+    elements = read_ply(read_regular(path), "vertex", "face")
     vertices = elements.get("vertex")
     if vertices is None:
         raise ValueError("it has no element 'vertex'")

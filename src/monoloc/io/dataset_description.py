@@ -5,17 +5,17 @@ from __future__ import annotations
 import glob
 import re
 import string
-import tomllib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from monoloc.camera import Camera
+from monoloc.config import read_toml
 from monoloc.distortion import COEFFICIENTS, DistortionModel
 from monoloc.errors import DataError, SettingError
 from monoloc.geometry import FloatArray, is_rigid
-from monoloc.io.file_access import read_text, require_file
+from monoloc.io.file_access import require_file
 from monoloc.io.reader_options import depth_scale_problem
 
 FILE_NAME = "dataset.toml"
@@ -64,6 +64,10 @@ _NEEDS = {
 }
 
 
+_MOST_FRAMES = 1_000_000
+_INDEX_FORMAT = re.compile(r"0?\d{0,2}d?")  # a width of a hundred digits and more is no file name
+
+
 class DatasetDescription:
     """A ``dataset.toml``.
 
@@ -74,10 +78,7 @@ class DatasetDescription:
     def __init__(self, path: Path) -> None:
         self.path = path
         require_file(path, "write one with kind, color, width, height, fx, fy, cx, cy")
-        try:
-            self._keys: dict[str, Any] = tomllib.loads(read_text(path))
-        except (ValueError, RecursionError) as error:
-            raise DataError(path, f"is not valid TOML ({error})", "correct that line") from error
+        self._keys = read_toml(path)
         for key in self._keys:
             if key not in _EXAMPLES:
                 raise DataError(path, f"{key} is not a known key", f"known are: {', '.join(_EXAMPLES)}")
@@ -144,6 +145,8 @@ class DatasetDescription:
         stop = self.integer("stop") if self.has("stop") else start + self.integer("count") * step
         if stop <= start:
             raise self.error("stop" if self.has("stop") else "count", "leaves no frames")
+        if stop - start > _MOST_FRAMES * step:
+            raise self.error("stop" if self.has("stop") else "count", f"makes more than {_MOST_FRAMES} frames")
         return list(range(start, stop, step))
 
     def step(self) -> int:
@@ -155,10 +158,8 @@ class DatasetDescription:
     def paths(self, key: str, indices: list[int]) -> list[Path]:
         """Files of a pattern, one per frame, of which some may not exist."""
         pattern = self.text(key)
-        try:
-            names = [pattern.format(index=index) for index in indices]
-        except (KeyError, IndexError, ValueError, AttributeError, OverflowError, MemoryError) as error:
-            raise self.error(key, f"is {pattern!r}, not a pattern of {{index}}") from error
+        self._parts(key)
+        names = [pattern.format(index=index) for index in indices]
         if len(set(names)) < len(names):
             raise self.error(key, f"is {pattern!r}, the same file for every index")
         return [self.path.parent / name for name in names]
@@ -196,21 +197,30 @@ class DatasetDescription:
 
     def _indices_of(self, key: str) -> list[int]:
         """Frame numbers of the files that match a pattern, in ascending order."""
+        parts = self._parts(key)
+        if sum(is_index for _, is_index in parts) != 1:
+            raise self.error(key, f"is {self.text(key)!r}, not a pattern with one {{index}}")
+        wildcards, expression = "", ""
+        for text, is_index in parts:
+            wildcards += glob.escape(text) + ("*" if is_index else "")
+            expression += re.escape(text) + (r"(\d+)" if is_index else "")
+        files = glob.glob(wildcards, root_dir=self.path.parent)  # noqa: PTH207 - pathlib rejects ".." in patterns
+        numbers = {int(match[1]) for file in files if (match := re.fullmatch(expression, file))}
+        return sorted(index for index in numbers if self.paths(key, [index])[0].is_file())
+
+    def _parts(self, key: str) -> list[tuple[str, bool]]:
+        """The texts of a pattern, each with whether an index follows it."""
         pattern = self.text(key)
         try:
             parts = list(string.Formatter().parse(pattern))
         except ValueError as error:
             raise self.error(key, f"is {pattern!r}, not a pattern of {{index}}") from error
-        names = [name for _, name, _, _ in parts if name is not None]
-        if names != ["index"]:
-            raise self.error(key, f"is {pattern!r}, not a pattern with one {{index}}")
-        wildcards, expression = "", ""
-        for text, name, _, _ in parts:
-            wildcards += glob.escape(text) + ("*" if name else "")
-            expression += re.escape(text) + (r"(\d+)" if name else "")
-        files = glob.glob(wildcards, root_dir=self.path.parent)  # noqa: PTH207 - pathlib rejects ".." in patterns
-        numbers = {int(match[1]) for file in files if (match := re.fullmatch(expression, file))}
-        return sorted(index for index in numbers if self.paths(key, [index])[0].is_file())
+        for _, name, form, conversion in parts:
+            if name is None:
+                continue
+            if name != "index" or conversion is not None or not _INDEX_FORMAT.fullmatch(form or ""):
+                raise self.error(key, f"is {pattern!r}, not a pattern of {{index}}")
+        return [(text, name is not None) for text, name, _, _ in parts]
 
     def _camera(self, keys: tuple[str, ...], distortion: tuple[float, ...], model: DistortionModel) -> Camera:
         width, height = (self.integer(key) for key in keys[:2])

@@ -10,7 +10,10 @@ from typing import Any
 import numpy as np
 
 from monoloc.errors import DataError
+from monoloc.files import MOST_BYTES, read_regular
 from monoloc.geometry import FloatArray
+
+_MOST_TEXT_BYTES = 1 << 26
 
 
 def require_folder(path: Path) -> None:
@@ -25,27 +28,28 @@ def require_file(path: Path, fix: str) -> None:
     """Raise DataError, with ``fix``, unless ``path`` is a file."""
     try:
         is_there = path.is_file()
-    except OSError:  # its name is too long
+    except (OSError, ValueError):  # its name is too long, or holds a null character
         is_there = False
     if not is_there:
         raise DataError(path, "is missing", fix)
 
 
-def read_bytes(path: Path) -> bytes:
-    """Read all bytes of a file; raise DataError if it is unreadable or empty."""
+def read_bytes(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
+    """Read all bytes of a file; raise DataError if it is unreadable, empty or larger."""
     try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise DataError(path, f"cannot be read ({error.strerror})", "check the path, or restore the file") from error
+        data = read_regular(path, most_bytes)
+    except (OSError, ValueError) as error:
+        problem = error.strerror if isinstance(error, OSError) else error
+        raise DataError(path, f"cannot be read ({problem})", "check the path, or restore the file") from error
     if not data:
         raise DataError(path, "is empty", "copy the file again")
     return data
 
 
 def read_text(path: Path) -> str:
-    """Read a text file without its byte-order mark; raise DataError if it is unreadable or not text."""
+    """Read a text file without its byte-order mark; raise DataError if it is unreadable, not text or large."""
     try:
-        return read_bytes(path).decode("utf-8-sig")
+        return read_bytes(path, _MOST_TEXT_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise DataError(path, "is not a text file", "copy the file again") from error
 

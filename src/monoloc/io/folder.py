@@ -43,6 +43,7 @@ from monoloc.io.pose_files import OPENGL_AXES, checked_poses, read_matrix_pose, 
 from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.registration import DepthRegistration
 
+_LEAST_RATE_HZ, _MOST_RATE_HZ = 1e-3, 1e4
 _UNPOSED = "without a pose"
 
 
@@ -148,7 +149,10 @@ def _times_by_rate(description: DatasetDescription, indices: list[int]) -> Float
             "poses", "is missing, and so is rate_hz, which takes its place where there are no poses"
         )
     numbers = (np.array(indices, dtype=np.float64) - indices[0]) / description.step()
-    return np.asarray(numbers / description.positive("rate_hz"))
+    rate_hz = description.positive("rate_hz")
+    if not _LEAST_RATE_HZ <= rate_hz <= _MOST_RATE_HZ:
+        raise description.error("rate_hz", f"is {rate_hz:g}, the rate of no camera")
+    return np.asarray(numbers / rate_hz)
 
 
 def _poses_of_one_file(

@@ -12,7 +12,7 @@ from monoloc.array_files import decode_array
 from monoloc.camera import Camera
 from monoloc.errors import DataError
 from monoloc.io.file_access import read_bytes
-from monoloc.io.image_header import image_header, is_numpy, is_tiff
+from monoloc.io.image_header import ImageHeader, image_header, is_numpy, is_tiff
 from monoloc.io.image_resampling import resize_nearest
 
 _PNG_START, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
@@ -20,7 +20,7 @@ _JPEG_START, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
 _EXR_START = b"v/1\x01"
 _TAIL_BYTES = 1024  # some cameras write a few bytes after the end marker
 _NO_DEPTH_16_BIT = 65535  # marks missing depth in 7-Scenes; elsewhere it is a saturated, invalid reading
-_MOST_PIXELS = 1 << 26  # of a depth image, far beyond any sensor's
+_MOST_PIXELS = 1 << 26  # far beyond any camera's
 
 Stored = NDArray[np.integer | np.floating]
 
@@ -49,13 +49,12 @@ def decode_color(data: bytes, path: Path, camera: Camera) -> NDArray[np.uint8]:
         DataError: the file is truncated or not an image, its size differs from the camera's, or it has an orientation
             with which its stored and its turned pixels both have the camera's size.
     """
-    header = image_header(data)
+    header = checked_header(data, path)
     flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-    if header is not None:
-        stored = (header.width, header.height)
-        if header.orientation != 1 and _is_turned(stored, header.orientation, camera, path):
-            flags, stored = cv2.IMREAD_COLOR, stored[::-1]
-        _check_size(path, stored, camera)
+    stored = (header.width, header.height)
+    if header.orientation != 1 and _is_turned(stored, header.orientation, camera, path):
+        flags, stored = cv2.IMREAD_COLOR, stored[::-1]
+    _check_size(path, stored, camera)
     bgr = _decode(data, path, flags)
     _check_size(path, (bgr.shape[1], bgr.shape[0]), camera)
     return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8)
@@ -107,10 +106,11 @@ def decode_stored(data: bytes, path: Path) -> Stored:
             "is OpenEXR, which OpenCV's packages do not decode",
             "convert it to a TIFF of floating-point numbers: oiiotool depth.exr --ch 0 -d float -o depth.tiff",
         )
-    header = image_header(data)
-    if header is not None and header.width * header.height > _MOST_PIXELS:
-        raise DataError(path, f"says it is {header.width}x{header.height}", "give depth images of a camera's size")
-    stored = decode_array(data, path) if is_numpy(data) else _decode(data, path, cv2.IMREAD_UNCHANGED)
+    if is_numpy(data):
+        stored = decode_array(data, path)
+    else:
+        checked_header(data, path)
+        stored = _decode(data, path, cv2.IMREAD_UNCHANGED)
     if stored.ndim != 2 or not (stored.dtype in (np.uint8, np.uint16) or stored.dtype.kind == "f"):
         raise DataError(
             path, "is not a depth image", "depth is one channel of 8 or 16 bits, or of floating-point numbers"
@@ -147,16 +147,33 @@ def fit_depth(depth_m: NDArray[np.float32], path: Path, camera: Camera) -> NDArr
     return resize_nearest(depth_m, camera.width, camera.height)
 
 
-def _decode(data: bytes, path: Path, flags: int) -> Stored:
+def checked_header(data: bytes, path: Path) -> ImageHeader:
+    """The header of an image that is not cut short.
+
+    Raises:
+        DataError: it is cut short, has too many pixels, or its size is not known before it is decoded.
+    """
+    header = image_header(data)
+    if header is not None and header.width * header.height > _MOST_PIXELS:
+        raise DataError(path, f"says it is {header.width}x{header.height}", "give images of a camera's size")
     # Some decoders return the available part of a truncated file.
     tail = data[-_TAIL_BYTES:]
     if (
         (data.startswith(_PNG_START) and _PNG_END not in tail)
         or (data.startswith(_JPEG_START) and _JPEG_END not in tail)
-        or (is_tiff(data) and image_header(data) is None)
+        or (is_tiff(data) and header is None)
     ):
         raise DataError(path, "is cut short", "copy the file again")
-    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
+    if header is None:
+        raise DataError(path, "cannot be decoded as an image", "copy or convert the file again")
+    return header
+
+
+def _decode(data: bytes, path: Path, flags: int) -> Stored:
+    try:
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
+    except cv2.error:  # of sizes beyond its own bound
+        image = None
     if image is None:
         raise DataError(path, "cannot be decoded as an image", "copy or convert the file again")
     return np.asarray(image)

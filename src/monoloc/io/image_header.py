@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from dataclasses import dataclass
 
 _PNG, _JPEG, _NUMPY = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"\x93NUMPY"
+_WEBP, _BMP = b"WEBP", b"BM"
+# Portable any-map: kind, width and height, between white space and comments.
+_GAP = rb"(?:\s|#[^\n]{0,1000}\n)+"
+_PNM = re.compile(rb"P[1-6Ff]" + _GAP + rb"(\d{1,9})" + _GAP + rb"(\d{1,9})\s")
 _TIFF = {b"II*\x00": "<", b"MM\x00*": ">"}  # byte order
 _WIDTH, _HEIGHT, _ORIENTATION = 256, 257, 274  # TIFF tags
 _SHORT, _LONG = 3, 4  # TIFF types
@@ -29,12 +34,22 @@ class ImageHeader:
 
 
 def image_header(data: bytes) -> ImageHeader | None:
-    """Header of a PNG, JPEG or TIFF image; None for other formats and for headers that are cut short."""
+    """Header of a PNG, JPEG, TIFF, BMP, WebP or portable any-map image.
+
+    None for other formats and for headers that are cut short.
+    """
     try:
         if data.startswith(_PNG):
             return ImageHeader(*struct.unpack_from(">II", data, 16))
         if data.startswith(_JPEG):
             return _jpeg(data)
+        if data.startswith(_BMP):
+            width, height = struct.unpack_from("<ii", data, 18)
+            return ImageHeader(abs(width), abs(height))  # a negative height is stored from the top
+        if data[8:12] == _WEBP:
+            return _webp(data)
+        if (match := _PNM.match(data)) is not None:
+            return ImageHeader(int(match[1]), int(match[2]))
         if is_tiff(data):
             tags = _tiff_tags(data)
             return ImageHeader(tags[_WIDTH], tags[_HEIGHT])
@@ -51,6 +66,21 @@ def is_tiff(data: bytes) -> bool:
 def is_numpy(data: bytes) -> bool:
     """Whether the data is a NumPy array file."""
     return data.startswith(_NUMPY)
+
+
+def _webp(data: bytes) -> ImageHeader | None:
+    """Size in the first chunk (RFC 9649)."""
+    kind = data[12:16]
+    if kind == b"VP8 ":
+        width, height = struct.unpack_from("<HH", data, 26)
+        return ImageHeader(width & 0x3FFF, height & 0x3FFF)
+    if kind == b"VP8L":
+        (bits,) = struct.unpack_from("<I", data, 21)
+        return ImageHeader((bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1)
+    if kind == b"VP8X":
+        low_width, high_width, low_height, high_height = struct.unpack_from("<HBHB", data, 24)
+        return ImageHeader((high_width << 16 | low_width) + 1, (high_height << 16 | low_height) + 1)
+    return None
 
 
 def _jpeg(data: bytes) -> ImageHeader | None:

@@ -16,6 +16,9 @@ import numpy as np
 from monoloc.geometry import FloatArray
 
 _Fields = list[tuple[str, str]]  # name and little-endian NumPy type of each value of a point
+_MOST_VALUES = 1000  # of a point
+_MOST_POINTS = 1 << 28
+_MOST_LZF_RATIO = 100  # three bytes of LZF make at most 264
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 
 
@@ -31,14 +34,16 @@ def read_pcd(path: Path) -> FloatArray:
         if missing:
             raise ValueError(f"the header has no {missing[0]}")
         repeats = [int(count) for count in header.get("COUNT", ["1"] * len(header["FIELDS"]))]
+        if min(repeats) < 1 or sum(repeats) > _MOST_VALUES:
+            raise ValueError(f"COUNT is {' '.join(header['COUNT'])}")
         fields: _Fields = []
         for name, size, kind, repeat in zip(header["FIELDS"], header["SIZE"], header["TYPE"], repeats, strict=True):
             if kind not in _KINDS:
                 raise ValueError(f"field {name!r} has the unknown type {kind!r}")
             fields += [(name, f"<{_KINDS[kind]}{size}")] * repeat
         count, encoding = int(header["POINTS"][0]), header["DATA"][0]
-        if count < 0:
-            raise ValueError("the header does not say how many points there are")
+        if not 0 <= count <= _MOST_POINTS:
+            raise ValueError(f"the header does not say how many points there are, but {count}")
         readers = {"ascii": _ascii_points, "binary": _binary_points, "binary_compressed": _compressed_points}
         if encoding not in readers:
             raise ValueError(f"DATA {encoding} is none of {', '.join(readers)}")
@@ -117,9 +122,9 @@ def _binary_points(file: BufferedReader, fields: _Fields, count: int) -> FloatAr
     positions = _positions(fields)
     # Fields are named by number: all padding fields of a file share one name.
     dtype = np.dtype([(str(index), kind) for index, (_, kind) in enumerate(fields)])
-    data = file.read(count * dtype.itemsize)
+    data = file.read()
     _check_count(len(data) // dtype.itemsize, count)
-    vertices = np.frombuffer(data, dtype=dtype)
+    vertices = np.frombuffer(data, dtype=dtype, count=count)
     return np.column_stack([vertices[str(index)].astype(np.float64) for index in positions])
 
 
@@ -134,7 +139,7 @@ def _compressed_points(file: BufferedReader, fields: _Fields, count: int) -> Flo
             f"the compressed data is of {uncompressed} bytes, but {count} points are {sum(sizes) * count}"
         )
     data = file.read(compressed)
-    if len(data) < compressed:
+    if len(data) < compressed or uncompressed > _MOST_LZF_RATIO * compressed:
         raise ValueError("the compressed data is cut short")
     columns, content = [], decompress_lzf(data, uncompressed)
     for position in _positions(fields):

@@ -18,6 +18,8 @@ Column = FloatArray | list[FloatArray]
 # (NumPy type of each column, R) -> the next R rows, or fewer at the end of the file.
 _Take = Callable[[Sequence[str], int], FloatArray]
 
+_MOST_LIST_ROWS = 2_000_000  # rows of lists are read one by one, in 5 s a million
+_MOST_LIST = 1 << 20
 _TYPES = {
     **{"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2"},
     **{"uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4"},
@@ -158,11 +160,15 @@ def _columns_by_name(element: _Element, table: FloatArray) -> dict[str, Column]:
 
 def _read_list_rows(element: _Element, rows: Iterable[_Take]) -> dict[str, Column]:
     """Read an element with list properties, whose rows differ in length; ``rows`` yields the reader of each row."""
+    if element.count > _MOST_LIST_ROWS:
+        raise ValueError(f"it has {element.count} rows of {element.name!r}, more than {_MOST_LIST_ROWS}")
     values: list[list[FloatArray]] = [[] for _ in element.properties]
     for row, take in enumerate(rows):
         for column, each in zip(values, element.properties, strict=True):
             length = np.ones((1, 1)) if each.length is None else take([each.length], 1)
-            items = take([each.kind], int(length[0, 0])) if len(length) else length
+            if not np.isfinite(length).all():
+                raise ValueError(f"a list of {element.name!r} has the length {length[0, 0]}")
+            items = take([each.kind], int(min(length[0, 0], _MOST_LIST))) if len(length) else length
             if len(length) == 0 or len(items) != length[0, 0]:
                 raise _cut_short(element, row)
             column.append(items[:, 0])

@@ -34,6 +34,8 @@ OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 MAX_POSE_GAP_S = 0.25
 MAX_POSE_OFFSET_S = 0.02  # a pose this near is that of the image, without interpolation
 
+MAX_DISTANCE_M = 1e5  # from the origin; single precision resolves 8 mm there
+
 UNTIMED_RATE_HZ = 5.0
 UNTIMED = f"the files state no times; frames are taken to be {1.0 / UNTIMED_RATE_HZ:g} s apart"
 
@@ -61,6 +63,7 @@ def checked_poses(poses: FloatArray, files: Sequence[Path], names: Sequence[str]
             f"the pose of {names[bad]} is not rigid",
             "write camera-to-world [R t; 0 0 0 1] with a proper rotation R",
         )
+    _check_reach(poses[:, :3, 3], files, names)
     # Files round rotations to a few digits, but inversion by the transpose requires exact ones.
     return make_pose(nearest_rotation(poses[:, :3, :3]), poses[:, :3, 3])
 
@@ -104,7 +107,18 @@ def poses_from_quaternions(quaternions_xyzw: FloatArray, translations_m: FloatAr
             f"pose {row + 1} is not rigid: its quaternion has length {norms[row]:.3g}",
             "write unit quaternions, in this format's order",
         )
+    count = len(translations_m)
+    _check_reach(translations_m, [file] * count, [str(row + 1) for row in range(count)])
     return make_pose(quaternion_to_rotation(quaternions_xyzw), translations_m)
+
+
+def _check_reach(translations_m: FloatArray, files: Sequence[Path], names: Sequence[str]) -> None:
+    """Raise DataError unless translations (N, 3) are so near that a map in single precision resolves centimetres."""
+    distances_m = np.abs(translations_m).max(axis=1, initial=0.0)
+    if not (distances_m <= MAX_DISTANCE_M).all():
+        bad = int(np.argmax(distances_m))
+        fix = "subtract the same offset from all poses, in metres"
+        raise DataError(files[bad], f"the pose of {names[bad]} is {distances_m[bad]:.3g} m from the origin", fix)
 
 
 def read_tum(path: Path) -> tuple[FloatArray, FloatArray]:

@@ -100,8 +100,7 @@ def _read_list(path: Path) -> tuple[FloatArray, list[Path]]:
                 path, f"line {number} is not a time stamp and a file", "each line holds: t filename"
             ) from error
         files.append(path.parent / file_text)
-        if not files[-1].is_file():
-            raise DataError(files[-1], f"is missing, but listed in {path.name}", "restore it or its line")
+        require_file(files[-1], f"restore it, or remove its line from {path.name}")
     if not files:
         raise DataError(path, "lists no images", "each line holds: t filename")
     times_s = np.array(times)

@@ -64,8 +64,8 @@ class OdometryConfig(BaseModel):
     keyframes: int = Field(12, ge=2, le=200)
     keyframe_motion_px: float = Field(10.0, gt=0.0, le=1000.0)
     keyframe_share: float = Field(0.75, gt=0.0, le=1.0)
-    corner_sd_px: float = Field(0.7, gt=0.0, le=100.0)
-    log_depth_sd: float = Field(0.3, gt=0.0, le=10.0)
+    corner_sd_px: float = Field(0.7, ge=1e-3, le=100.0)
+    log_depth_sd: float = Field(0.3, ge=1e-3, le=10.0)
     scale_memory: float = Field(0.95, ge=0.0, le=1.0)
 
 

@@ -18,6 +18,7 @@ from monoloc.particle_filter.particles import Particles, scatter
 from monoloc.particle_filter.tempering import tempered_update
 
 _SEED_DISTANCE_M = 0.3  # pose distance between reference poses that are searched around
+_MOST_SEEDS = 1000
 _DRAWN, _DRAWN_SD = 20, np.repeat([0.2, np.deg2rad(10.0)], 3)  # around each: metres, radians
 _COARSE_POINTS = 50  # tell places apart as well as all points do, at a quarter of the time
 _COARSE_LOG_DEPTH_SD = 0.1
@@ -94,10 +95,13 @@ class GlobalRelocalizer:
 
 
 def _spread_out(poses: FloatArray, distance_m: float) -> FloatArray:
-    """A subset such that every pose is within a distance of one of it: greedily, the farthest (Gonzalez 1985)."""
+    """A subset such that every pose is within a distance of one of it: greedily, the farthest (Gonzalez 1985).
+
+    A room has a few hundred; beyond :data:`_MOST_SEEDS` no more are taken.
+    """
     chosen = [0]
     distances = pose_distance_m(poses[0], poses)
-    while distances.max() > distance_m:
+    while distances.max() > distance_m and len(chosen) < _MOST_SEEDS:
         chosen.append(int(np.argmax(distances)))
         distances = np.minimum(distances, pose_distance_m(poses[chosen[-1]], poses))
     return poses[chosen]

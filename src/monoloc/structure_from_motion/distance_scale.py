@@ -10,7 +10,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from monoloc.config import describe
+from monoloc.config import describe, read_toml
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
-from monoloc.io.file_access import read_text, require_file
+from monoloc.io.file_access import require_file
 from monoloc.io.recording import Recording
 from monoloc.structure_from_motion.metric_scale import MetricScale, from_length
 from monoloc.structure_from_motion.sparse_model import SparseModel
@@ -91,8 +90,6 @@ class DistanceScale:
     def _distance(self) -> _Distance:
         require_file(self.path, _FIX)
         try:
-            return _Distance.model_validate(tomllib.loads(read_text(self.path)))
+            return _Distance.model_validate(read_toml(self.path))
         except ValidationError as error:
             raise DataError(self.path, describe(error), _FIX) from error
-        except ValueError as error:
-            raise DataError(self.path, f"is not valid TOML ({error})", "correct that line") from error

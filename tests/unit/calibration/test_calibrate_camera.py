@@ -246,7 +246,7 @@ def test_camera_command_writes_the_camera_that_other_commands_read(
     assert "99.png: is 100x100, and others are 640x480" in capfd.readouterr().err
     Path("pictures/00.png").write_bytes(b"no image")
     assert invoke(["calibrate", "camera", "pictures", "--out", "x.toml"]) == 2
-    assert "00.png: cannot be decoded as an image; remove it" in capfd.readouterr().err
+    assert "00.png: cannot be decoded as an image; " in capfd.readouterr().err
     assert not Path("x.toml").exists()
 
 

@@ -87,7 +87,7 @@ def test_mistyped_name_lists_the_known_ones() -> None:
             "shift: Log-depth has a scale only",
         ),
         (lambda text: text + "scale = -2\n", "scale: .*greater than 0"),
-        (lambda text: "width 3\n", "is not TOML"),
+        (lambda text: "width 3\n", "is not valid TOML"),
         (lambda text: text.replace("another.onnx", "no.onnx"), "file: .*no.onnx cannot be read; name the ONNX file"),
     ],
 )

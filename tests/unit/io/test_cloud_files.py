@@ -197,6 +197,21 @@ def test_npz(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_cloud(tmp_path / "a.npz"), POINTS)
 
 
+def pcd_of(points: int, count: int) -> bytes:
+    """A header of any numbers, and 16 bytes."""
+    return (
+        f"FIELDS x y z a\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 {count}\nPOINTS {points}\nDATA binary\n".encode()
+        + bytes(16)
+    )
+
+
+def ply_of_faces(length: str, count: int = 1) -> bytes:
+    return (
+        f"ply\nformat binary_little_endian 1.0\nelement face {count}\n"
+        f"property list {length} int vertex_indices\nelement vertex 1\nproperty float x\nend_header\n"
+    ).encode()
+
+
 INVALID_FILES: dict[str, tuple[bytes, str]] = {
     "a.obj": (b"", "has the unknown suffix '.obj'; give one of .bin, .csv, .npz, .pcd, .ply, .txt, .xyz"),
     "empty.ply": (b"", "cannot be read as ply .the first line is not 'ply'."),
@@ -261,6 +276,18 @@ INVALID_FILES: dict[str, tuple[bytes, str]] = {
     "words.xyz": (b"one two three\n", "cannot be read as xyz"),
     "blank.txt": (b"", "holds no points"),
     "nan.xyz": (b"nan 2 3\n1 inf 3\n", "none of its 2 points is finite"),
+    "far.xyz": (b"1e6 2 3\n1e300 0 0\n", "all its points are 100 km from the origin and farther; subtract"),
+    "endless.pcd": (pcd_of(10**30, 1), "does not say how many points there are"),
+    "longer.pcd": (pcd_of(2 * 10**8, 1), "it ends after 1 of 200000000 points"),
+    "wide.pcd": (pcd_of(1, 10**12), "COUNT is 1 1 1 1000000000000"),
+    "narrow.pcd": (pcd_of(1, 0), "COUNT is 1 1 1 0"),
+    "bomb.pcd": (
+        pcd_of(10**7, 1)[:-16].replace(b"DATA binary", b"DATA binary_compressed")
+        + struct.pack("<II", 2, 160_000_000),
+        "the compressed data is cut short",
+    ),
+    "infinite.ply": (ply_of_faces("float") + struct.pack("<f", np.inf), "a list of 'face' has the length inf"),
+    "manyfaces.ply": (ply_of_faces("uchar", 10**9) + bytes(100), "it has 1000000000 rows of 'face', more than"),
     "notzip.npz": (b"PK\x03\x04 no more", "cannot be read as npz"),
 }
 

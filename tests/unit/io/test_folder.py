@@ -91,7 +91,7 @@ def test_missing_description_is_refused(tmp_path: Path) -> None:
 def test_description_that_is_not_toml_is_refused(folder: Path, text: str, problem: str) -> None:
     """The second is nested deeper than a parser's stack."""
     (folder / "dataset.toml").write_text(text)
-    refuses_to_open(folder, folder / "dataset.toml", problem, "correct that line")
+    refuses_to_open(folder, folder / "dataset.toml", problem, "mend")
 
 
 def test_unknown_key_is_refused(folder: Path) -> None:
@@ -161,7 +161,7 @@ def test_missing_image_is_refused(folder: Path) -> None:
 
 
 def test_image_name_that_is_too_long_is_refused(folder: Path) -> None:
-    (folder / "dataset.toml").write_text(synthetic.SEQUENCE_TOML.replace("06d}.png", "0999d}.png"))
+    (folder / "dataset.toml").write_text(synthetic.SEQUENCE_TOML.replace("depth/", "depth/" + 300 * "d"))
     with pytest.raises(DataError, match="is missing; restore it, or correct depth"):
         open_recording(str(folder))
 
@@ -190,6 +190,46 @@ def test_advice_about_unknown_poses_leads_to_a_recording(folder: Path) -> None:
     path.write_text("".join(lines[:-1]))
     (folder / "dataset.toml").write_text(synthetic.SEQUENCE_TOML.replace('poses = "poses.txt"', "rate_hz = 10"))
     assert open_recording(str(folder)).poses is None
+
+
+@pytest.mark.parametrize("rate", ["1e-320", "1e300"])
+def test_rate_of_no_camera_is_refused(folder: Path, rate: str) -> None:
+    toml = synthetic.SEQUENCE_TOML.replace('poses = "poses.txt"', f"rate_hz = {rate}")
+    (folder / "dataset.toml").write_text(toml)
+    refuses_to_open(folder, folder / "dataset.toml", "the rate of no camera", "write rate_hz = 30")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "problem"),
+    [
+        ("{index:06d}.jpg", "{index:0999999999d}.jpg", "not a pattern of {index}"),
+        ("{index:06d}.jpg", "{index.__class__}.jpg", "not a pattern of {index}"),
+        ("{index:06d}.jpg", "{index!r}.jpg", "not a pattern of {index}"),
+        ("poses.txt", "/dev/zero", "is missing"),
+        ("poses.txt", "a\\u0000b", "is missing"),
+    ],
+)
+def test_paths_that_are_none_are_refused(folder: Path, old: str, new: str, problem: str) -> None:
+    text = synthetic.SEQUENCE_TOML
+    assert old in text
+    (folder / "dataset.toml").write_text(text.replace(old, new))
+    with pytest.raises(DataError, match=problem):
+        open_recording(str(folder))
+
+
+@pytest.mark.parametrize("end", ["1000000000", 30 * "9"])
+def test_frames_without_end_are_refused(folder: Path, end: str) -> None:
+    text = synthetic.SEQUENCE_TOML.replace("count = 3", f"stop = {end}")
+    (folder / "dataset.toml").write_text(text)
+    refuses_to_open(folder, folder / "dataset.toml", "makes more than 1000000 frames", "write stop = 400")
+
+
+def test_pose_beyond_any_room_is_refused(folder: Path) -> None:
+    path = folder / "poses.txt"
+    lines = path.read_text().splitlines()
+    time, _, *rest = lines[-1].split()
+    path.write_text("\n".join([*lines[:-1], " ".join([time, "1e300", *rest])]))
+    refuses_to_open(folder, path, "is 1e.300 m from the origin", "subtract the same offset")
 
 
 @pytest.mark.parametrize("rate", ["0", "-1", "true", '"30"'])

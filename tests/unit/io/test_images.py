@@ -151,6 +151,21 @@ def test_depth_that_is_no_image_is_refused(
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"BM" + struct.pack("<IHHIIii", 54, 0, 0, 54, 40, 60000, 60000), "says it is 60000x60000"),
+        (b"P6 100000 100000 255\n", "says it is 100000x100000"),
+        (b"GIF89a\xff\xff\xff\xff\x80\0\0" + bytes(40), "cannot be decoded"),
+        (b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 100000 +X 100000\n", "cannot be decoded"),
+    ],
+)
+def test_colour_of_a_large_or_unknown_size_is_refused(folder: Path, content: bytes, problem: str) -> None:
+    recording = open_recording(str(folder))
+    (folder / "color/000015.jpg").write_bytes(content)
+    refuses_data(lambda: recording.color(1), folder / "color/000015.jpg", problem, "")
+
+
 def test_image_of_another_size_is_refused_before_it_is_decoded(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     synthetic.write_color(folder / "color/000015.jpg", synthetic.make_color(64, 48))
     recording = open_recording(str(folder))

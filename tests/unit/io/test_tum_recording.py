@@ -119,7 +119,7 @@ def test_empty_list_is_refused(sequence: Path) -> None:
 def test_listed_image_that_is_missing_is_refused(sequence: Path) -> None:
     path = sequence / "rgb" / "100.000000.png"
     path.unlink()
-    refuses_to_open(sequence, path, "is missing, but listed in rgb.txt", "restore it")
+    refuses_to_open(sequence, path, "is missing", "restore it, or remove its line from rgb.txt")
 
 
 @pytest.mark.parametrize("name", ["rgb.txt", "groundtruth.txt"])
