@@ -319,7 +319,7 @@ def stay_at_frame(recording: Path, index: int) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGKILL])
 def test_a_signal_ends_a_flight_with_whole_files_and_a_summary(capfd: Capture, here: Path, number: int) -> None:
-    """A recording of an hour, at its own pace: it would not have ended. A kill takes the summary and the last frames, but no file."""
+    """A recording of an hour would not have ended. A kill takes the summary and the last frames, but no file."""
     stay_at_frame(here / "flight", 4)
     fly = ("fly", "room.monoloc", "flight", "--start", "truth", "--out", "live.csv", "--record", "live", "--json")
     process = fly_in_process(here, *fly)
