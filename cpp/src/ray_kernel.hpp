@@ -63,31 +63,71 @@ MONOLOC_INLINE void turn(const float* rotations, std::size_t stride, float x, fl
   }
 }
 
+// Bounds of a component's mass over all neighbours of a ray follow from the triangle inequality: its Mahalanobis distance
+// changes by at most norm * slack_m, and |u| by at most norm * turned.
+std::size_t ray_shortlist(const ShortlistView& view, const float* ray, float least, float* scratch,
+                          std::uint32_t* out) {
+  const std::size_t stride = view.stride;
+  const FW zero = splat<FW>(0.0f);
+  FW largest = splat<FW>(-1e9f);
+  for (std::size_t k = 0; k < stride; k += kWide) {
+    const auto row = [&view, stride, k](int r) __attribute__((always_inline)) {
+      return load<FW>(view.whiten + r * stride + k);
+    };
+    const FW u0 = row(0) * ray[0], u1 = row(1) * ray[0] + row(2) * ray[1];
+    const FW u2 = row(3) * ray[0] + (row(4) * ray[1] + row(5) * ray[2]);
+    const FW y0 = load<FW>(view.offsets + k), y1 = load<FW>(view.offsets + stride + k);
+    const FW y2 = load<FW>(view.offsets + 2 * stride + k);
+    const FW norm = load<FW>(view.norm + k), slack = load<FW>(view.slack_m + k);
+    const FW squared = u0 * u0 + (u1 * u1 + u2 * u2), root = inverse_root(squared), length = squared * root;
+    const FW depth = (u0 * y0 + (u1 * y1 + u2 * y2)) * root * root;
+    const FW e0 = y0 - depth * u0, e1 = y1 - depth * u1, e2 = y2 - depth * u2;
+    const FW e_squared = e0 * e0 + (e1 * e1 + e2 * e2) + 1e-12f, e = e_squared * inverse_root(e_squared);
+    const FW nearer = larger(e - norm * slack, zero), farther = e + norm * slack;
+    const FW shortest = larger(length - norm * view.turned, load<FW>(view.least + k));
+    const FW peak = load<FW>(view.log2_peak + k);
+    const FW most = peak - nearer * nearer - log_fast<FW, IW>(shortest) * kLog2E;
+    const FW fewest = peak - farther * farther - log_fast<FW, IW>(length + norm * view.turned) * kLog2E;
+    store(scratch + k, depth > kNearest - slack ? most : splat<FW>(-2e9f));
+    largest = larger(largest, depth > kNearest + slack ? fewest : splat<FW>(-1e9f));
+  }
+  float bound = -1e9f;
+  for (std::size_t lane = 0; lane < kWide; ++lane) bound = largest[lane] > bound ? largest[lane] : bound;
+  std::size_t count = 0;
+  for (std::size_t k = 0; k < stride; ++k) {
+    out[count] = static_cast<std::uint32_t>(k);
+    count += scratch[k] > bound + least;
+  }
+  return count;
+}
+
 std::size_t ray_candidates(const RayView& view, const float* rotations, const float* offsets, std::size_t stride,
-                           float x, float y, float least, float* scratch, std::uint32_t* out) {
+                           float x, float y, float least, const std::uint32_t* shortlist, std::size_t listed,
+                           float* scratch, std::uint32_t* out) {
   alignas(64) float rays[3 * kRayBatch], largest[kRayBatch];
   for (std::size_t i = 0; i < stride; i += kWide) {
     turn(rotations, stride, x, y, rays, kRayBatch, i);
     store(largest + i, splat<FW>(-1e9f));
   }
-  for (std::size_t k = 0; k < view.components; ++k) {
+  for (std::size_t s = 0; s < listed; ++s) {
+    const std::size_t k = shortlist[s];
     for (std::size_t i = 0; i < stride; i += kWide) {
       const Cut at = cut(view.whiten + 6 * k, view.log2_peak[k], offsets + 3 * k * stride + i, stride,
                          load<FW>(rays + i), load<FW>(rays + kRayBatch + i), load<FW>(rays + 2 * kRayBatch + i));
       const FW mass = at.log2_peak + log_fast<FW, IW>(at.inverse_root) * kLog2E;
-      store(scratch + k * stride + i, mass);
+      store(scratch + s * stride + i, mass);
       store(largest + i, larger(load<FW>(largest + i), mass));
     }
   }
   std::size_t count = 0;
-  for (std::size_t k = 0; k < view.components; ++k) {
+  for (std::size_t s = 0; s < listed; ++s) {
     IW matters{};
     for (std::size_t i = 0; i < stride; i += kWide) {
-      matters |= load<FW>(scratch + k * stride + i) > load<FW>(largest + i) + least;
+      matters |= load<FW>(scratch + s * stride + i) > load<FW>(largest + i) + least;
     }
     std::int32_t any = 0;
     for (std::size_t lane = 0; lane < kWide; ++lane) any |= matters[lane];
-    out[count] = static_cast<std::uint32_t>(k);
+    out[count] = shortlist[s];
     count += any != 0;
   }
   return count;

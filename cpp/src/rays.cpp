@@ -85,6 +85,94 @@ std::vector<float> offsets_of(const RayView& view, const std::vector<float>& par
   return offsets;
 }
 
+// Input of the shortlist: the components, as seen by the mean camera, and how far the cameras are from it.
+struct Shortlist {
+  std::vector<float> rows;  // 13 rows of `stride`: whiten (6), offsets (3), log2_peak, norm, least, slack_m
+  std::size_t stride;
+  float turned;
+  double rotation[9];  // of the mean camera, row-major
+
+  ShortlistView view() const {
+    const float* at = rows.data();
+    return {at,          at + 6 * stride,  at + 9 * stride,  at + 10 * stride,
+            at + 11 * stride, at + 12 * stride, stride, turned};
+  }
+};
+
+constexpr double kRayLength = 1.5;     // upper bound of |(x, y, 1)|
+constexpr double kBeyond_m = 1.0;      // by which a component may extend beyond its mean, seen from the camera
+
+// Mean of `count` cameras, as rows of `stride` floats, and the largest distances from it.
+struct Cameras {
+  double rotation[9] = {}, centre[3] = {};
+  double moved = 0.0, turned = 0.0;
+
+  Cameras(const std::vector<float>& rows, std::size_t stride) {
+    const auto value = [&](std::size_t row, std::size_t i) { return static_cast<double>(rows[row * stride + i]); };
+    for (std::size_t i = 0; i < stride; ++i) {
+      for (std::size_t r = 0; r < 9; ++r) rotation[r] += value(r, i) / static_cast<double>(stride);
+      for (std::size_t r = 0; r < 3; ++r) centre[r] += value(10 + r, i) / static_cast<double>(stride);
+    }
+    for (std::size_t i = 0; i < stride; ++i) {
+      double by = 0.0, around = 0.0;
+      for (std::size_t r = 0; r < 3; ++r) by += std::pow(value(10 + r, i) - centre[r], 2);
+      for (std::size_t r = 0; r < 9; ++r) around += std::pow(value(r, i) - rotation[r], 2);
+      moved = std::max(moved, std::sqrt(by));
+      turned = std::max(turned, kRayLength * std::sqrt(around));
+    }
+  }
+};
+
+// Frobenius norms of a lower triangular matrix (0), (1, 2), (3, 4, 5), and of its inverse.
+double norm_of(const float* w) {
+  double squares = 0.0;
+  for (int i = 0; i < 6; ++i) squares += static_cast<double>(w[i]) * w[i];
+  return std::sqrt(squares);
+}
+
+double inverse_norm_of(const float* w) {
+  const double a = w[0], b = w[2], c = w[5];
+  const double entries[6] = {1.0 / a, 1.0 / b, 1.0 / c, w[1] / (a * b), w[4] / (b * c),
+                             (static_cast<double>(w[1]) * w[4] - b * w[3]) / (a * b * c)};
+  double squares = 0.0;
+  for (const double entry : entries) squares += entry * entry;
+  return std::sqrt(squares);
+}
+
+Shortlist shortlist_of(const RayView& view, const std::vector<float>& particles, std::size_t particle_stride) {
+  const Cameras cameras(particles, particle_stride);
+  Shortlist list{{}, padded(view.components), static_cast<float>(cameras.turned), {}};
+  std::copy(cameras.rotation, cameras.rotation + 9, list.rotation);
+  list.rows.assign(13 * list.stride, 0.0f);
+  const auto put = [&](std::size_t row, std::size_t k, double value) {
+    list.rows[row * list.stride + k] = static_cast<float>(value);
+  };
+  for (std::size_t k = 0; k < list.stride; ++k) {  // padding: a unit Gaussian without mass
+    put(0, k, 1.0);
+    put(2, k, 1.0);
+    put(5, k, 1.0);
+    put(9, k, -1e9);
+    put(11, k, 1.0);
+  }
+  for (std::size_t k = 0; k < view.components; ++k) {
+    const float* w = view.whiten + 6 * k;
+    double offset[3], squared = 0.0;
+    for (int axis = 0; axis < 3; ++axis) {
+      offset[axis] = view.means[3 * k + axis] - cameras.centre[axis];
+      squared += offset[axis] * offset[axis];
+    }
+    for (std::size_t i = 0; i < 6; ++i) put(i, k, w[i]);
+    put(6, k, w[0] * offset[0]);
+    put(7, k, w[1] * offset[0] + w[2] * offset[1]);
+    put(8, k, w[3] * offset[0] + w[4] * offset[1] + w[5] * offset[2]);
+    put(9, k, view.log2_peak[k]);
+    put(10, k, norm_of(w));
+    put(11, k, 1.0 / inverse_norm_of(w));
+    put(12, k, cameras.moved + (std::sqrt(squared) + kBeyond_m) * cameras.turned);
+  }
+  return list;
+}
+
 // Components that matter along each ray; those of point p are from first[p] up to first[p + 1].
 struct Candidates {
   std::vector<std::uint32_t> components;
@@ -94,15 +182,25 @@ struct Candidates {
 // Selection of components at the given particles; scan: x / z, then y / z.
 Candidates candidates_of(const RayView& view, const std::vector<float>& particles, const std::vector<float>& offsets,
                          std::size_t stride, const std::vector<float>& scan, std::size_t points) {
+  const Shortlist shortlist = shortlist_of(view, particles, stride);
   Candidates candidates;
   candidates.first.resize(points + 1);
-  std::vector<float> scratch(view.components * stride);
+  std::vector<float> bounds(shortlist.stride), scratch(view.components * stride);
+  std::vector<std::uint32_t> listed(shortlist.stride + 1);
   for (std::size_t p = 0; p < points; ++p) {
+    float ray[3];
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      const double* row = shortlist.rotation + 3 * axis;
+      ray[axis] = static_cast<float>(row[0] * scan[p] + row[1] * scan[points + p] + row[2]);
+    }
+    const std::size_t count =
+        kernels().ray_shortlist(shortlist.view(), ray, kLeastLog2, bounds.data(), listed.data());
     const std::size_t first = candidates.first[p];
-    candidates.components.resize(first + view.components + 1);  // one more than the kernel can return
+    candidates.components.resize(first + count + 1);  // one more than the kernel can return
     candidates.first[p + 1] =
         first + kernels().ray_candidates(view, particles.data(), offsets.data(), stride, scan[p], scan[points + p],
-                                         kLeastLog2, scratch.data(), candidates.components.data() + first);
+                                         kLeastLog2, listed.data(), count, scratch.data(),
+                                         candidates.components.data() + first);
   }
   return candidates;
 }
@@ -131,9 +229,9 @@ void RayMixture::weigh(const double* poses, const double* log_scales, std::size_
   const bool alike = spread.reach < kNarrow_m;
   Candidates shared;
   if (alike) {
-    const std::size_t step = (particles + kFew - 1) / kFew;
-    const std::vector<float> few = particle_rows(poses, log_scales, particles, spread.centre, 0, step, kFew);
-    shared = candidates_of(view, few, offsets_of(view, few, kFew), kFew, scan_rows, points);
+    const std::size_t count = std::min(kFew, padded(particles)), step = (particles + count - 1) / count;
+    const std::vector<float> few = particle_rows(poses, log_scales, particles, spread.centre, 0, step, count);
+    shared = candidates_of(view, few, offsets_of(view, few, count), count, scan_rows, points);
   }
   const auto sd = static_cast<float>(noise.log_depth_sd);
   const auto inlier_share = static_cast<float>(1.0 - noise.outlier_share);

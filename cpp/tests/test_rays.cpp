@@ -1,6 +1,7 @@
 // Likelihood of particles along rays.
 #include <cmath>
 #include <cstdint>
+#include <numeric>
 #include <random>
 #include <vector>
 
@@ -81,11 +82,14 @@ void test_rays(const monoloc::Kernels& kernels) {
   std::vector<std::size_t> first(points + 1, 0);
   std::vector<std::uint32_t> candidates;
   std::vector<float> masses(components * stride), scratch(3 * monoloc::kPadding * components);
+  std::vector<std::uint32_t> every(components);
+  std::iota(every.begin(), every.end(), 0u);
   bool all_chosen_that_matter = true;
   for (std::size_t p = 0; p < points; ++p) {
     candidates.resize(first[p] + components + 1);
-    const std::size_t count = kernels.ray_candidates(view, particles.data(), offsets.data(), stride, scan[p],
-                                                     scan[points + p], least, masses.data(), &candidates[first[p]]);
+    const std::size_t count =
+        kernels.ray_candidates(view, particles.data(), offsets.data(), stride, scan[p], scan[points + p], least,
+                               every.data(), components, masses.data(), &candidates[first[p]]);
     first[p + 1] = first[p] + count;
     for (std::size_t n = 0; n < stride; ++n) {
       const double origin[3] = {centres[n], centres[stride + n], centres[2 * stride + n]};

@@ -53,6 +53,20 @@ struct RayView {
   std::size_t components;
 };
 
+// The same mixture in rows of `stride` floats, padded by components without mass, and what a neighbouring ray may
+// change: `norm` bounds |whiten x| / |x| from above and `least` from below; `slack_m` bounds how far apart the rays are
+// at the component.
+struct ShortlistView {
+  const float* whiten;   // 6 rows
+  const float* offsets;  // 3 rows: whiten * (mean - o)
+  const float* log2_peak;
+  const float* norm;
+  const float* least;
+  const float* slack_m;
+  std::size_t stride;
+  float turned;  // largest change of the ray's direction
+};
+
 struct Kernels {
   const char* name;
 
@@ -92,12 +106,18 @@ struct Kernels {
   // whiten * (mean - o) of each component (3 rows of `stride` floats each) for origins o (3 rows), padded.
   void (*ray_offsets)(const RayView& view, const float* centres, std::size_t stride, float* out);
 
-  // Components with more than 2^least of the largest component's mass along the ray (x, y, 1) of any of `stride` <=
-  // kRayBatch cameras. rotations: 9 rows; offsets: as above; scratch: one row per component; out: capacity of one
-  // more than the number of components. Returns the number of selected components.
+  // Components that may have more than 2^least of the largest component's mass along a ray (3) or along one of its
+  // neighbours, so that only these need ray_candidates. scratch: one row; out: capacity of `stride` + 1. Returns their
+  // number.
+  std::size_t (*ray_shortlist)(const ShortlistView& view, const float* ray, float least, float* scratch,
+                               std::uint32_t* out);
+
+  // Components of a shortlist with more than 2^least of the largest one's mass along the ray (x, y, 1) of any of
+  // `stride` <= kRayBatch cameras. rotations: 9 rows; offsets: as above; scratch: one row per component of the
+  // shortlist; out: capacity of one more than the shortlist. Returns the number of selected components.
   std::size_t (*ray_candidates)(const RayView& view, const float* rotations, const float* offsets,
-                                std::size_t stride, float x, float y, float least, float* scratch,
-                                std::uint32_t* out);
+                                std::size_t stride, float x, float y, float least, const std::uint32_t* shortlist,
+                                std::size_t count, float* scratch, std::uint32_t* out);
 
   // sum_p w_p log p(log d_p | ray) of kRayBatch particles. particles: 10 rows (rotation, scale); scan: 3 rows of
   // `points` (x / z, y / z, z); candidates of point p: from first_candidate[p] up to first_candidate[p + 1]; scratch:
