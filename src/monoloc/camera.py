@@ -7,6 +7,7 @@ of width w spans -0.5 .. w - 0.5. Depth is z, not range.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -172,11 +173,12 @@ class Camera:
         The field of view extends one pixel beyond the image. Test points before :meth:`project`: the distortion
         polynomial folds points far outside the field of view back into the image.
         """
-        least_m, most_x, most_y, most_radius = self.sight()
+        least_m, most_x, most_y, most_radius = self.sight
         x, y, z = points_camera.T
         is_within = (np.abs(x) < most_x * z) & (np.abs(y) < most_y * z) & (np.hypot(x, y) < most_radius * z)
         return np.asarray((z > least_m) & is_within)
 
+    @cached_property
     def sight(self) -> tuple[float, float, float, float]:
         """Bounds of :meth:`in_sight`: smallest depth, metres, and largest abs(x), abs(y) and hypot(x, y) at z = 1."""
         columns, rows = (np.linspace(-1.0, size, _BORDER_RAYS) for size in (self.width, self.height))
@@ -204,9 +206,8 @@ class Camera:
         return rays * scale, np.diag([scale, scale, 1.0]), np.zeros(5)
 
     def pixel_rays(self) -> FloatArray:
-        """Rays of every pixel, (height, width, 3)."""
-        u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))
-        return self.rays(np.stack([u, v], axis=-1))
+        """Rays of every pixel, (height, width, 3); read-only, since those of a few cameras are kept."""
+        return _pixel_rays(self)
 
     def back_project(self, depth_m: ArrayLike) -> FloatArray:
         """Back-project a depth image into the camera's frame: (height, width) m -> (height, width, 3) m.
@@ -225,3 +226,11 @@ class Camera:
 
 def _is_inside(cx: float, cy: float, width: int, height: int) -> bool:
     return -0.5 <= cx <= width - 0.5 and -0.5 <= cy <= height - 0.5
+
+
+@lru_cache(2)
+def _pixel_rays(camera: Camera) -> FloatArray:
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    rays = camera.rays(np.stack([u, v], axis=-1))
+    rays.flags.writeable = False
+    return rays

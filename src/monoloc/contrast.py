@@ -6,17 +6,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from monoloc.image_size import resize_image
+
 _SIZE = (32, 24)  # at this size, a sensor's noise is averaged out
 _LEAST_SD = 2.0  # of 255; a covered lens has 0.5 or less, a room by moonlight with automatic exposure over 20
 
 
-def has_contrast(color: NDArray[np.uint8]) -> bool:
-    """Whether an image (H, W, 3) uint8 shows more than darkness, glare or sensor noise.
+def has_contrast(image: NDArray[np.uint8]) -> bool:
+    """Whether an image (H, W) or (H, W, 3) uint8 shows more than darkness, glare or sensor noise.
 
     A depth network answers any image, and optical flow tracks noise; neither says that its output means nothing.
     """
-    small = np.asarray(cv2.resize(color, _SIZE, interpolation=cv2.INTER_AREA), dtype=np.float64)
-    return bool(small.mean(axis=2).std() >= _LEAST_SD)
+    small = np.atleast_3d(resize_image(image, _SIZE)).mean(axis=2)
+    return bool(small.std() >= _LEAST_SD)
 
 
 def equaliser() -> cv2.CLAHE:

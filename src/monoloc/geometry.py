@@ -47,14 +47,32 @@ def so3_exp(rotation_vector: ArrayLike) -> FloatArray:
 
 def so3_log(rotation: ArrayLike) -> FloatArray:
     """Rotation vector of a rotation matrix, norm in [0, pi]: (..., 3, 3) -> (..., 3) rad."""
-    # The unit quaternion is well conditioned at every angle, including pi.
-    quaternion = rotation_to_quaternion(rotation)
+    R = np.asarray(rotation, dtype=np.float64)
+    axial, sine, cosine = _axis_and_angle(R)
+    if np.any(cosine < -0.5):  # towards pi the axial vector vanishes
+        return _so3_log_by_quaternion(R)
+    small = sine < _SMALL_ANGLE
+    scale = np.where(small, 1.0 + sine**2 / 6.0, np.arctan2(sine, cosine) / np.where(small, 1.0, sine))
+    return np.asarray(scale[..., None] * axial)
+
+
+def _axis_and_angle(R: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Axis times sine of the angle, (..., 3), that sine and the cosine, (...)."""
+    difference = R - np.swapaxes(R, -1, -2)
+    axial = 0.5 * np.stack([difference[..., 2, 1], difference[..., 0, 2], difference[..., 1, 0]], axis=-1)
+    cosine = 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1.0)
+    return axial, np.sqrt(np.einsum("...i,...i->...", axial, axial)), cosine
+
+
+def _so3_log_by_quaternion(R: FloatArray) -> FloatArray:
+    """As :func:`so3_log`, well conditioned at every angle, including pi."""
+    quaternion = rotation_to_quaternion(R)
     vector, w = quaternion[..., :3], quaternion[..., 3]
     norm = np.linalg.norm(vector, axis=-1)
     small = norm < _SMALL_ANGLE
     # If the norm (a sine) is small, w (a cosine) is near 1; otherwise w may be 0, at pi.
     scale = np.where(small, 2.0 / np.where(small, w, 1.0), 2.0 * np.arctan2(norm, w) / np.where(small, 1.0, norm))
-    return scale[..., None] * vector
+    return np.asarray(scale[..., None] * vector)
 
 
 def se3_exp(twist: ArrayLike) -> FloatArray:
@@ -76,11 +94,16 @@ def se3_log(pose: ArrayLike) -> FloatArray:
     """Twist (rho, phi) of a pose: (..., 4, 4) -> (..., 6)."""
     T = np.asarray(pose, dtype=np.float64)
     phi = so3_log(T[..., :3, :3])
-    _, b, c = _angle_quotients(np.linalg.norm(phi, axis=-1))
+    a, b, _ = _angle_quotients(np.sqrt(np.einsum("...i,...i->...", phi, phi)))
     phi_hat = hat(phi)
-    left_jacobian = np.eye(3) + b[..., None, None] * phi_hat + c[..., None, None] * (phi_hat @ phi_hat)
-    rho = np.linalg.solve(left_jacobian, T[..., :3, 3:])[..., 0]
-    return np.concatenate([rho, phi], axis=-1)
+    # The inverse of the left Jacobian, I - phi^ / 2 + d phi^ phi^, with d = (1 - a / (2 b)) / t^2.
+    squared = np.einsum("...i,...i->...", phi, phi)
+    small = squared < _SMALL_ANGLE
+    d = np.where(small, 1.0 / 12.0 + squared / 720.0, (1.0 - 0.5 * a / b) / np.where(small, 1.0, squared))
+    t = T[..., :3, 3:]
+    turned = phi_hat @ t
+    rho = t - 0.5 * turned + d[..., None, None] * (phi_hat @ turned)
+    return np.concatenate([rho[..., 0], phi], axis=-1)
 
 
 def make_pose(rotation: ArrayLike, translation_m: ArrayLike) -> FloatArray:
@@ -108,7 +131,8 @@ def transform(pose: ArrayLike, points: ArrayLike) -> FloatArray:
 
 def rotation_angle(rotation: ArrayLike) -> FloatArray:
     """Angle of a rotation, in [0, pi]: (..., 3, 3) -> (...) rad."""
-    return np.asarray(np.linalg.norm(so3_log(rotation), axis=-1))
+    _, sine, cosine = _axis_and_angle(np.asarray(rotation, dtype=np.float64))
+    return np.asarray(np.arctan2(sine, cosine))
 
 
 def adjoint(pose: ArrayLike) -> FloatArray:
@@ -132,8 +156,9 @@ def ray_jacobian(points: FloatArray) -> FloatArray:
 
 def pose_distance_m(pose: FloatArray, others: FloatArray) -> FloatArray:
     """Distance in metres plus one metre per radian of rotation, from a pose (4, 4) to others (N, 4, 4): (N,)."""
-    relative = invert(pose) @ others
-    return np.asarray(np.linalg.norm(relative[:, :3, 3], axis=1) + TURN_WORTH_M * rotation_angle(relative[:, :3, :3]))
+    shift = others[:, :3, 3] - pose[:3, 3]
+    turn = rotation_angle(pose[:3, :3].T @ others[:, :3, :3])
+    return np.asarray(np.sqrt(np.einsum("ni,ni->n", shift, shift)) + TURN_WORTH_M * turn)
 
 
 def is_rigid(pose: ArrayLike, tolerance: float = 1e-3) -> NDArray[np.bool_]:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from monoloc.adapt.training_views import make_views
 from monoloc.camera import Camera
-from monoloc.depth.spec import image_tensor, network_size, resize_image
+from monoloc.depth.spec import image_tensor, network_size
 from monoloc.depth.training.augment import AugmentConfig, random_exposure
 from monoloc.depth.training.checkpoint import load_network
 from monoloc.depth.training.examples import network_input
@@ -26,6 +26,7 @@ from monoloc.errors import DataError, SettingError
 from monoloc.evaluation.hold_out import hold_out_blocks
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import TURN_WORTH_M, FloatArray
+from monoloc.image_size import resize_image
 from monoloc.io.recording import Recording
 from monoloc.progress import Progress
 from monoloc_lab.baselines.pose_error import PoseError

@@ -14,8 +14,9 @@ from torch import Tensor
 
 from monoloc.adapt.warp import ColoredPoints, forward_warp, halved, points_of
 from monoloc.camera import Camera
-from monoloc.depth.spec import network_size, resize_image
+from monoloc.depth.spec import network_size
 from monoloc.geometry import FloatArray, pose_distance_m, se3_exp
+from monoloc.image_size import resize_image
 from monoloc.io.recording import Recording
 
 DepthImages = Callable[[int], NDArray[np.float32]]

@@ -63,7 +63,7 @@ def forward_warp(
         holes.
     """
     fine = camera.resized(camera.width * _FINE, camera.height * _FINE)
-    lens, sight = lens_array(fine), np.array(fine.sight())
+    lens, sight = lens_array(fine), np.array(fine.sight)
     points = np.concatenate([source.points for source in sources])
     colors = np.concatenate([*(source.colors for source in sources), np.zeros((1, 3), dtype=np.uint8)])
     front = np.empty((fine.height, fine.width), dtype=np.uint32)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
@@ -13,6 +12,7 @@ from pydantic_core import PydanticCustomError
 
 from monoloc.camera import Camera
 from monoloc.errors import SettingError
+from monoloc.image_size import resize_image
 from monoloc.io.recording import Recording
 
 STRIDE = 32  # monoloc networks halve their input five times
@@ -159,13 +159,6 @@ def network_size(camera: Camera, focal_px: float, stride: int = STRIDE) -> tuple
         problem = f"has images that become {width}x{height} at the network's focal length of {focal_px:.3g} px"
         raise SettingError("camera", problem, "check the intrinsics and the network's focal_px")
     return width, height
-
-
-def resize_image(color: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Resize an image (H, W, 3) uint8 to a network's size (width, height); training and runtime share it."""
-    enlarges = size[0] > color.shape[1] and size[1] > color.shape[0]
-    interpolation = cv2.INTER_LINEAR if enlarges else cv2.INTER_AREA  # INTER_AREA makes blocks when it enlarges
-    return np.asarray(cv2.resize(color, size, interpolation=interpolation), np.uint8)
 
 
 def image_tensor(

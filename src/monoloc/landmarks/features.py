@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 from monoloc.contrast import equaliser
 from monoloc.geometry import FloatArray
+from monoloc.image_size import gray_image
 
 FOCAL_PX = 260.0  # of the images in which keypoints are detected, so that their scales are comparable
 MATCH_BITS = 64  # of 256, by which the descriptors of one corner may differ
@@ -59,7 +60,6 @@ class KeypointDetector:
         width, height = camera.width, camera.height
         factor = max(FOCAL_PX / camera.focal_px, _LEAST_SIDE_PX / min(width, height))
         self.camera = camera.resized(round(width * factor), round(height * factor))
-        self._interpolation = cv2.INTER_AREA if factor < 1.0 else cv2.INTER_LINEAR
         self._equalise = equaliser()
         library: Any = cv2  # whose stubs lack it
         self._orb = library.ORB_create(nfeatures=_KEYPOINTS, scaleFactor=1.25, nlevels=6, fastThreshold=5)
@@ -67,8 +67,7 @@ class KeypointDetector:
 
     def __call__(self, color: NDArray[np.uint8]) -> Keypoints:
         """Keypoints of an image (H, W, 3) uint8 RGB."""
-        size = (self.camera.width, self.camera.height)
-        gray = cv2.cvtColor(cv2.resize(color, size, interpolation=self._interpolation), cv2.COLOR_RGB2GRAY)
+        gray = gray_image(color, (self.camera.width, self.camera.height))
         found, descriptors = self._orb.detectAndCompute(self._equalise.apply(gray), None)
         if descriptors is None:
             return Keypoints(np.zeros((0, 2)), np.zeros((0, 32), np.uint8), np.zeros(0))

@@ -59,8 +59,7 @@ def scan_from_depth(
         # One from each of `count` runs of neighbouring pixels: even over the image, different every frame.
         bounds = np.linspace(0.0, len(candidates), count + 1)
         candidates = candidates[(bounds[:-1] + rng.uniform(size=count) * np.diff(bounds)).astype(np.int64)]
-    rows, columns = np.divmod(candidates, depth_m.shape[1])
-    rays = camera.rays(np.stack([columns, rows], axis=1))
+    rays = camera.pixel_rays().reshape(-1, 3)[candidates]
     points = np.asarray(rays * depth_m.ravel()[candidates, None], dtype=np.float32)
     if depth.log_error is None or error_power == 0.0 or len(points) == 0:
         return uniform_scan(points)

@@ -25,7 +25,12 @@ from monoloc.camera import Camera
 from monoloc.contrast import equaliser, has_contrast
 from monoloc.depth.depth_image import sample_depth
 from monoloc.geometry import FloatArray, invert, make_pose, so3_exp, transform
+from monoloc.image_size import gray_image
 from monoloc.odometry.window import Window, adjust
+
+_LEVELS, _NEAR_LEVELS = 3, 1  # of the image pyramid above the image, without and with expected pixels
+_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.03)  # iterations a level, and px of the last one
+_ENOUGH_TRACKED = 0.6  # share of the corners; if fewer are found, what was expected is wrong
 
 
 class OdometryConfig(BaseModel):
@@ -150,6 +155,7 @@ class VisualOdometry:
         self._equalise = equaliser()
         self._gray: NDArray[np.uint8] | None = None
         self._T_r_previous = np.eye(4)
+        self._last_motion = np.eye(4)  # T_previous_current of the frame before, which is expected to go on
         self._tracks: _Tracks | None = None
 
     def step(self, color: NDArray[np.uint8], depth_m: NDArray[np.float32], depth_camera: Camera) -> Motion | None:
@@ -160,13 +166,14 @@ class VisualOdometry:
             depth_m: (h, w) depth of this frame at any resolution, metres; 0 where it is unknown.
             depth_camera: intrinsics of the depth image.
         """
-        if not has_contrast(color):
+        gray = gray_image(color, (self._camera.width, self._camera.height))
+        if not has_contrast(gray):
             self._tracks = None
             return None
-        gray = self._tracking_image(color)
+        gray = np.asarray(self._equalise.apply(gray), dtype=np.uint8)
         T_r_current = self._follow(gray)
         if T_r_current is None:
-            self._tracks, self._T_r_previous = None, np.eye(4)
+            self._tracks, self._T_r_previous, self._last_motion = None, np.eye(4), np.eye(4)
             self._add_keyframe(gray, np.eye(4), depth_m, depth_camera)
             self._gray = gray
             return None
@@ -176,20 +183,16 @@ class VisualOdometry:
         inliers = len(self._tracks.points)
         if self._needs_keyframe():
             T_r_current = self._add_keyframe(gray, T_r_current, depth_m, depth_camera)
-        self._gray, self._T_r_previous = gray, T_r_current
+        self._gray, self._T_r_previous, self._last_motion = gray, T_r_current, T_previous_current
         points = transform(invert(T_r_current), self._tracks.points)
         return Motion(T_previous_current, inliers, points, self._tracks.log_depth_sd)
-
-    def _tracking_image(self, color: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        size = (self._camera.width, self._camera.height)
-        gray = cv2.cvtColor(cv2.resize(color, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY)
-        return np.asarray(self._equalise.apply(gray), dtype=np.uint8)
 
     def _follow(self, gray: NDArray[np.uint8]) -> FloatArray | None:
         """Track the corners into ``gray``, solve for its ``T_r_camera``, and drop outlier tracks."""
         if self._tracks is None or self._gray is None or len(self._tracks.points) < self.config.min_inliers:
             return None
-        pixels, tracked = track_corners(self._gray, gray, self._tracks.pixels, self.config)
+        expected = self._expected_pixels(self._tracks)
+        pixels, tracked = follow_corners(self._gray, gray, self._tracks.pixels, expected, self.config)
         tracks = replace(self._tracks, pixels=pixels).select(tracked)
         solution = self._solve(tracks.points, tracks.pixels)
         if solution is None:
@@ -197,6 +200,12 @@ class VisualOdometry:
         T_r_current, inliers = solution
         self._tracks = tracks.select(inliers)
         return T_r_current
+
+    def _expected_pixels(self, tracks: _Tracks) -> NDArray[np.float32]:
+        """Where the corners are, (N, 2), if the camera goes on as before."""
+        local = transform(invert(self._T_r_previous @ self._last_motion), tracks.points)
+        expected = self._camera.project(local)
+        return np.where(np.isfinite(expected), expected, tracks.pixels).astype(np.float32)
 
     def _solve(self, points: FloatArray, pixels: NDArray[np.float32]) -> tuple[FloatArray, NDArray[np.int64]] | None:
         """Solve PnP for ``T_r_current`` and the indices of inliers; None on failure."""
@@ -288,6 +297,20 @@ class VisualOdometry:
         return np.asarray(corners, dtype=np.float32).reshape(-1, 2)
 
 
+def follow_corners(
+    before: NDArray[np.uint8],
+    after: NDArray[np.uint8],
+    pixels: NDArray[np.float32],
+    expected: NDArray[np.float32],
+    config: OdometryConfig,
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """As :func:`track_corners`, beginning at expected pixels (N, 2); without their help where these are wrong."""
+    found, valid = _track(before, after, pixels, expected, _NEAR_LEVELS, config)
+    if valid.sum() >= _ENOUGH_TRACKED * len(pixels):
+        return found, valid
+    return track_corners(before, after, pixels, config)
+
+
 def track_corners(
     before: NDArray[np.uint8], after: NDArray[np.uint8], pixels: NDArray[np.float32], config: OdometryConfig
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
@@ -296,9 +319,22 @@ def track_corners(
     Returns:
         Their pixels (N, 2), and which are found and, tracked back, lead to where they began, (N,).
     """
-    size = (config.search_px, config.search_px)
-    forward, found, _ = cv2.calcOpticalFlowPyrLK(before, after, pixels, pixels.copy(), winSize=size, maxLevel=3)
-    back, found_back, _ = cv2.calcOpticalFlowPyrLK(after, before, forward, forward.copy(), winSize=size, maxLevel=3)
+    return _track(before, after, pixels, pixels, _LEVELS, config)
+
+
+def _track(
+    before: NDArray[np.uint8],
+    after: NDArray[np.uint8],
+    pixels: NDArray[np.float32],
+    start: NDArray[np.float32],
+    levels: int,
+    config: OdometryConfig,
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Forward from ``start`` (N, 2) over the pyramid's levels, and back from there, at the finest level only."""
+    options = {"winSize": (config.search_px, config.search_px), "criteria": _CRITERIA}
+    options["flags"] = cv2.OPTFLOW_USE_INITIAL_FLOW
+    forward, found, _ = cv2.calcOpticalFlowPyrLK(before, after, pixels, start.copy(), maxLevel=levels, **options)
+    back, found_back, _ = cv2.calcOpticalFlowPyrLK(after, before, forward, pixels.copy(), maxLevel=0, **options)
     distance = np.linalg.norm(back - pixels, axis=1)
     valid = (found[:, 0] == 1) & (found_back[:, 0] == 1) & (distance < config.forward_backward_px)
     return np.asarray(forward, dtype=np.float32), valid

@@ -17,6 +17,7 @@ from monoloc.camera import Camera
 from monoloc.contrast import equaliser, has_contrast
 from monoloc.depth.depth_image import sample_depth
 from monoloc.geometry import FloatArray
+from monoloc.image_size import gray_image
 from monoloc.io.recording import Recording, evenly_spaced
 from monoloc.odometry.visual import OdometryConfig, track_corners
 
@@ -120,8 +121,8 @@ class TrackingImages:
         color = self._recording.color(index)
         if not has_contrast(color):
             return None
-        small = cv2.resize(color, (self.camera.width, self.camera.height), interpolation=cv2.INTER_AREA)
-        return np.asarray(self._equalise.apply(cv2.cvtColor(small, cv2.COLOR_RGB2GRAY)), dtype=np.uint8)
+        gray = gray_image(color, (self.camera.width, self.camera.height))
+        return np.asarray(self._equalise.apply(gray), dtype=np.uint8)
 
 
 def _motion(pixels: NDArray[np.float32]) -> float:

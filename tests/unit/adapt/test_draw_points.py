@@ -39,7 +39,7 @@ def test_kernel_draws_as_numpy_does(model: DistortionModel, seed: int) -> None:
     shape = (camera.height, camera.width)
     images = [(np.empty(shape, np.uint32), np.empty(shape, np.float32)) for _ in range(2)]
     for draw, image in zip((_core.draw_points, draw_points), images, strict=True):
-        draw(points, pose, lens, is_fisheye, np.array(camera.sight()), 0.3, *image)
+        draw(points, pose, lens, is_fisheye, np.array(camera.sight), 0.3, *image)
     (front, depth_m), (expected_front, expected_depth) = images
     is_drawn = expected_front != NO_POINT
     assert np.mean(is_drawn) > 0.01  # 0.013 at least, over all seeds

@@ -115,13 +115,14 @@ class Scaled(RoomRecording):
 
 def test_wrong_scale_of_depth_scales_only_translation(recording):
     factor = 0.5
-    # Powers of two scale without rounding. Later on RANSAC's choice among inliers may tip all the same.
+    # Powers of two scale without rounding, but where tracking begins is rounded, and it ends within 0.03 pixels. Later
+    # on RANSAC's choice among inliers may tip.
     exact, scaled = (
         np.stack([motion.T_previous_current for motion in follow(one)])[:15]
         for one in (recording, Scaled(recording, factor))
     )
-    assert np.allclose(scaled[:, :3, 3], factor * exact[:, :3, 3], atol=1e-6)
-    assert np.allclose(scaled[:, :3, :3], exact[:, :3, :3], atol=1e-6)
+    assert np.allclose(scaled[:, :3, 3], factor * exact[:, :3, 3], atol=1e-4)
+    assert np.allclose(scaled[:, :3, :3], exact[:, :3, :3], atol=1e-5)
 
 
 def test_wrong_scale_of_depth_that_is_no_power_of_two(recording):

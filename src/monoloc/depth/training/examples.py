@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from monoloc.camera import Camera
-from monoloc.depth.spec import network_size, resize_image
+from monoloc.depth.spec import network_size
 from monoloc.depth.training.augment import AugmentConfig, random_exposure, random_view, whole_view
 from monoloc.depth.training.network import DepthNetwork
 from monoloc.errors import DataError
+from monoloc.image_size import resize_image
 from monoloc.io.recording import Recording
 
 _BATCHES_AHEAD = 3
