@@ -14,6 +14,7 @@ int main() {
   test_ray_mixture();
   test_pooling();
   test_drawing();
+  test_matching();
   for (const monoloc::Kernels* const* k = monoloc::available_kernels(); *k != nullptr; ++k) {
     std::printf("%s\n", (*k)->name);
     test_component_density(**k);

@@ -12,6 +12,7 @@ import monoloc._core as core
 POINTS, SCAN = np.zeros((7, 3)), np.ones((5, 3), np.float32)
 MIXTURE = np.array([0.5, 0.5]), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1))
 POSES, LOG_SCALES = np.tile(np.eye(4), (3, 1, 1)), np.zeros(3)
+PIXELS, DESCRIPTORS = np.zeros((4, 2)), np.zeros((4, 32), np.uint8)
 IMAGES, FEWER = np.zeros((2, 8, 8, 4), np.uint16), np.zeros((2, 8, 7, 4), np.uint16)
 
 
@@ -51,6 +52,8 @@ def weigh_by_rays(log_scales: np.ndarray, weights: np.ndarray | None) -> None:
             ),
             "front and depth",
         ),
+        (lambda: core.match_descriptors(PIXELS, DESCRIPTORS[:3], PIXELS, DESCRIPTORS, 9.0, 64), "expected and known"),
+        (lambda: core.match_descriptors(PIXELS, DESCRIPTORS, PIXELS[:3], DESCRIPTORS, 9.0, 64), "pixels and desc"),
     ],
 )
 def test_lengths_that_disagree_are_refused(call: Callable[[], object], problem: str) -> None:
