@@ -20,3 +20,4 @@ void test_largest_of_five(const monoloc::Kernels& kernels);
 void test_pooling();
 void test_drawing();
 void test_matching();
+void test_landmark_pose();
