@@ -10,6 +10,8 @@
 
 #include "monoloc/drawing.hpp"
 #include "monoloc/index.hpp"
+#include "monoloc/landmark_pose.hpp"
+#include "monoloc/matching.hpp"
 #include "monoloc/mixture.hpp"
 #include "monoloc/pooling.hpp"
 #include "monoloc/rays.hpp"
@@ -25,21 +27,26 @@ using Scalars = Array<double, nb::shape<-1>>;
 using Vectors = Array<double, nb::shape<-1, 3>>;
 using Matrices = Array<double, nb::shape<-1, 3, 3>>;
 using Poses = Array<double, nb::shape<-1, 4, 4>>;
-using Pose = Array<double, nb::shape<4, 4>>;
 using Floats = Array<float, nb::shape<-1>>;
 using FloatVectors = Array<float, nb::shape<-1, 3>>;
 using Images = Array<std::uint16_t, nb::shape<-1, -1, -1, -1>>;
 using WritableImages = nb::ndarray<std::uint16_t, nb::shape<-1, -1, -1, -1>, nb::c_contig, nb::device::cpu>;
 using WritableNumbers = nb::ndarray<std::uint32_t, nb::shape<-1, -1>, nb::c_contig, nb::device::cpu>;
 using WritableDepth = nb::ndarray<float, nb::shape<-1, -1>, nb::c_contig, nb::device::cpu>;
+template <long size>
+using Square = Array<double, nb::shape<size, size>>;
+using Pose = Square<4>;
+using Pixels = Array<double, nb::shape<-1, 2>>;
+using Descriptors = Array<std::uint8_t, nb::shape<-1, monoloc::kDescriptorBytes>>;
 using Result = nb::ndarray<nb::numpy, double>;
 
 // A NumPy array that owns the values.
-Result to_numpy(std::vector<double> values, std::initializer_list<std::size_t> shape) {
-  auto kept = std::make_unique<std::vector<double>>(std::move(values));
-  double* data = kept->data();
-  nb::capsule owner(kept.release(), [](void* p) noexcept { delete static_cast<std::vector<double>*>(p); });
-  return Result(data, shape, owner);
+template <class T>
+nb::ndarray<nb::numpy, T> to_numpy(std::vector<T> values, std::initializer_list<std::size_t> shape) {
+  auto kept = std::make_unique<std::vector<T>>(std::move(values));
+  T* data = kept->data();
+  nb::capsule owner(kept.release(), [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
+  return nb::ndarray<nb::numpy, T>(data, shape, owner);
 }
 
 void require(bool agrees, const char* what) {
@@ -157,11 +164,59 @@ void draw_points(const Vectors& points, const Pose& camera_from_world, const Arr
                        front.shape(0), front.shape(1), front.data(), depth.data());
 }
 
+nb::tuple match_descriptors(const Pixels& expected, const Descriptors& known, const Pixels& pixels,
+                            const Descriptors& descriptors, double radius_px, int most_bits) {
+  require(known.shape(0) == expected.shape(0), "expected and known must be of one number");
+  require(descriptors.shape(0) == pixels.shape(0), "pixels and descriptors must be of one number");
+  monoloc::Matches matches;
+  {
+    nb::gil_scoped_release release;
+    matches = monoloc::match_descriptors({expected.data(), known.data(), expected.shape(0)},
+                                         {pixels.data(), descriptors.data(), pixels.shape(0)}, radius_px, most_bits);
+  }
+  const std::size_t count = matches.landmarks.size();
+  return nb::make_tuple(to_numpy(std::move(matches.landmarks), {count}), to_numpy(std::move(matches.keypoints), {count}));
+}
+
+monoloc::SeenLandmarks seen_landmarks(const Vectors& points, const Pixels& rays, const Pixels& sd,
+                                      const Scalars& kernel_sds, double nearest_m) {
+  const std::size_t count = points.shape(0);
+  require(rays.shape(0) == count && sd.shape(0) == count, "points, rays and sd must be of one number");
+  require(kernel_sds.shape(0) > 0, "kernel_sds must have an entry");
+  return {points.data(), rays.data(), sd.data(), count, nearest_m};
+}
+
+nb::tuple fit_pose(const Vectors& points, const Pixels& rays, const Pixels& sd, const Pose& prior,
+                   const Square<6>& information, const Scalars& kernel_sds, double nearest_m) {
+  const monoloc::SeenLandmarks seen = seen_landmarks(points, rays, sd, kernel_sds, nearest_m);
+  monoloc::PoseFit fit;
+  {
+    nb::gil_scoped_release release;
+    fit = monoloc::fit_pose(seen, prior.data(), information.data(), {kernel_sds.data(), kernel_sds.shape(0)});
+  }
+  return nb::make_tuple(to_numpy(std::vector<double>(fit.pose, fit.pose + 16), {4, 4}),
+                        to_numpy(std::vector<double>(fit.normal, fit.normal + 36), {6, 6}),
+                        to_numpy(std::vector<double>(fit.gradient, fit.gradient + 6), {6}),
+                        to_numpy(std::move(fit.weights), {seen.count}));
+}
+
+nb::tuple fit_log_focal(const Vectors& points, const Pixels& rays, const Pixels& sd, const Pose& pose,
+                        const Square<7>& information, const Scalars& kernel_sds, double nearest_m) {
+  const monoloc::SeenLandmarks seen = seen_landmarks(points, rays, sd, kernel_sds, nearest_m);
+  monoloc::FocalFit fit;
+  {
+    nb::gil_scoped_release release;
+    fit = monoloc::fit_log_focal(seen, pose.data(), information.data(), {kernel_sds.data(), kernel_sds.shape(0)});
+  }
+  return nb::make_tuple(fit.log_focal, fit.sd);
+}
+
 }  // namespace
 
 NB_MODULE(_core, m) {
   m.doc() =
-      "Native kernels of monoloc: mixture density, E-step of EM, weighing of particles, max-pooling, drawing of points.";
+      "Native kernels of monoloc: mixture density, E-step of EM, weighing of particles, max-pooling, drawing of points, "
+      "matching of descriptors, poses of landmarks.";
   m.def("log_density", &log_density, "points"_a, "weights"_a, "means"_a, "covariances"_a);
   m.def("expectation", &expectation, "points"_a, "weights"_a, "means"_a, "covariances"_a);
   m.attr("MOST_POOLED_PIXELS") = monoloc::kMostPooledPixels;
@@ -171,6 +226,12 @@ NB_MODULE(_core, m) {
         "out"_a.noconvert());
   m.def("draw_points", &draw_points, "points"_a, "camera_from_world"_a, "camera"_a, "is_fisheye"_a, "sight"_a,
         "behind"_a, "front"_a.noconvert(), "depth"_a.noconvert());
+  m.def("match_descriptors", &match_descriptors, "expected"_a, "known"_a, "pixels"_a, "descriptors"_a, "radius_px"_a,
+        "most_bits"_a);
+  m.def("fit_pose", &fit_pose, "points"_a, "rays"_a, "sd"_a, "prior"_a, "information"_a, "kernel_sds"_a,
+        "nearest_m"_a);
+  m.def("fit_log_focal", &fit_log_focal, "points"_a, "rays"_a, "sd"_a, "pose"_a, "information"_a, "kernel_sds"_a,
+        "nearest_m"_a);
   m.def("instruction_set", [] { return monoloc::kernels().name; });
   m.def(
       "multiply_add",

@@ -14,6 +14,8 @@ int main() {
   test_ray_mixture();
   test_pooling();
   test_drawing();
+  test_matching();
+  test_landmark_pose();
   for (const monoloc::Kernels* const* k = monoloc::available_kernels(); *k != nullptr; ++k) {
     std::printf("%s\n", (*k)->name);
     test_component_density(**k);

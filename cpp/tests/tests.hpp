@@ -19,3 +19,5 @@ void test_keys(const monoloc::Kernels& kernels);
 void test_largest_of_five(const monoloc::Kernels& kernels);
 void test_pooling();
 void test_drawing();
+void test_matching();
+void test_landmark_pose();

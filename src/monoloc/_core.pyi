@@ -5,6 +5,8 @@ from numpy.typing import NDArray
 
 _F64 = NDArray[np.float64]
 _F32 = NDArray[np.float32]
+_I64 = NDArray[np.int64]
+_U8 = NDArray[np.uint8]
 _U16 = NDArray[np.uint16]
 _U32 = NDArray[np.uint32]
 
@@ -25,6 +27,15 @@ def draw_points(
     front: _U32,
     depth: _F32,
 ) -> None: ...
+def match_descriptors(
+    expected: _F64, known: _U8, pixels: _F64, descriptors: _U8, radius_px: float, most_bits: int
+) -> tuple[_I64, _I64]: ...
+def fit_pose(
+    points: _F64, rays: _F64, sd: _F64, prior: _F64, information: _F64, kernel_sds: _F64, nearest_m: float
+) -> tuple[_F64, _F64, _F64, _F64]: ...
+def fit_log_focal(
+    points: _F64, rays: _F64, sd: _F64, pose: _F64, information: _F64, kernel_sds: _F64, nearest_m: float
+) -> tuple[float, float]: ...
 def instruction_set() -> str: ...
 def multiply_add(rounds: int) -> float: ...
 

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+import monoloc._core as _core
 from monoloc.camera import Camera
 from monoloc.contrast import equaliser
 from monoloc.geometry import FloatArray
@@ -22,7 +23,6 @@ MATCH_BITS = 64  # of 256, by which the descriptors of one corner may differ
 _LEAST_SIDE_PX = 96.0  # of an image in which keypoints are detected: ORB ignores a margin of 31 px
 _KEYPOINTS = 600
 _CORNER_SD_PX = 1.0  # standard deviation of a keypoint's position, at the pyramid's finest level
-_ONES = np.array([bin(byte).count("1") for byte in range(256)], dtype=np.uint8)
 
 
 @dataclass(frozen=True)
@@ -85,27 +85,13 @@ def match_descriptors(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Mutual nearest neighbours of landmarks and keypoints within a radius: their indices, (M,) each.
 
+    Of several that are as near, the first landmark counts, and the keypoint with the least x, then the first. NumPy
+    twin: :func:`monoloc.landmarks.landmark_numpy_twins.match_descriptors`.
+
     Args:
-        expected: (L, 2) expected pixels of landmarks.
+        expected: (L, 2) expected pixels of landmarks; one with a NaN matches none.
         known: (L, 32) their descriptors.
         pixels: (N, 2) of keypoints.
         descriptors: (N, 32) of keypoints.
     """
-    by_x = np.argsort(pixels[:, 0])
-    first, last = (np.searchsorted(pixels[by_x, 0], expected[:, 0] + side * radius_px) for side in (-1.0, 1.0))
-    counts = last - first
-    which = np.repeat(np.arange(len(expected)), counts)
-    where = by_x[np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts - first, counts)]
-    is_near = np.abs(expected[which, 1] - pixels[where, 1]) < radius_px
-    which, where = which[is_near], where[is_near]
-    bits = _ONES[known[which] ^ descriptors[where]].sum(axis=1, dtype=np.int64)
-    matches = bits < MATCH_BITS
-    which, where, bits = which[matches], where[matches], bits[matches]
-    order = np.argsort(bits, kind="stable")
-    first_which, first_where = np.full(len(expected), -1), np.full(len(pixels), -1)
-    first_which[which[order[::-1]]] = order[::-1]  # the last to be written is the best match
-    first_where[where[order[::-1]]] = order[::-1]
-    both = np.flatnonzero(
-        (first_which[which] == np.arange(len(which))) & (first_where[where] == np.arange(len(which)))
-    )
-    return which[both], where[both]
+    return _core.match_descriptors(expected, known, pixels, descriptors, radius_px, MATCH_BITS)

@@ -9,16 +9,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+import monoloc._core as _core
 from monoloc.camera import Camera
-from monoloc.geometry import (
-    FloatArray,
-    hat,
-    invert,
-    ray_jacobian,
-    se3_exp,
-    se3_log,
-    transform,
-)
+from monoloc.geometry import FloatArray, se3_exp
 from monoloc.landmarks.features import Keypoints
 
 PRIOR_COVARIANCE = np.diag([0.05, 0.05, 0.05, 0.03, 0.03, 0.03]) ** 2
@@ -27,13 +20,15 @@ PRIOR_COVARIANCE = np.diag([0.05, 0.05, 0.05, 0.03, 0.03, 0.03]) ** 2
 LEAST_LANDMARKS = 15
 """Number of landmarks that determine a pose."""
 
-_KERNEL_SDS = (24.0, 12.0, 6.0, 3.0, 3.0, 3.0)  # standard deviations at which a landmark's weight is a quarter
+# Standard deviations at which a landmark's weight is a quarter.
+_KERNEL_SDS = np.array([24.0, 12.0, 6.0, 3.0, 3.0, 3.0])
 _LEAST_VARIANCE = 1e-8  # of a prior, m^2 and rad^2: a start may be stated as exact
 _UNOBSERVABLE_SD = 0.3  # m or rad: a direction that landmarks constrain no better is not determined
 _NEAREST_M = 0.05  # depth of a landmark
 # Narrower: the pose is known, but for what the focal length does to it.
-_FOCAL_KERNEL_SDS = (12.0, 6.0, 3.0, 3.0, 3.0)
-_SHIFT_SD_M, _TURN_SD_RAD, _FOCAL_SD = 0.5, 0.1, 0.2  # of what a wrong focal length does to a pose, and of its log
+_FOCAL_KERNEL_SDS = np.array([12.0, 6.0, 3.0, 3.0, 3.0])
+# Of the inverse covariance of what a wrong focal length does to a pose, (6,), and of its logarithm.
+_FOCAL_INFORMATION = np.diag(np.repeat([0.5, 0.1, 0.2], [3, 3, 1]) ** -2)
 _AGREE_WEIGHT = 0.25  # of a landmark that agrees
 _NO_INDICES, _NO_FLAGS = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
 
@@ -117,78 +112,18 @@ def pose_from_matches(
 
     Gauss-Newton with Geman-McClure weights that start wide (Yang et al., *Graduated Non-Convexity for Robust Spatial
     Perception*, 2020) rejects wrong matches with the help of the prior. The pose returned is the measurement without
-    the prior, since the filter fuses both.
+    the prior, since the filter fuses both. The formulas: :mod:`monoloc.landmarks.landmark_numpy_twins`.
 
     Returns:
         Which points agree, (M,) bool, and the pose: None where these are too few, or where they leave a direction
         undetermined.
     """
     rays, sd = seen.rays(camera)
-    pose: FloatArray = prior
-    information = np.asarray(np.linalg.inv(covariance + _LEAST_VARIANCE * np.eye(6)), dtype=np.float64)
-    for kernel_sd in _KERNEL_SDS:
-        normal, gradient, _ = _normal_equations(pose, points, rays, sd, kernel_sd)
-        offset = se3_log(invert(prior) @ pose)
-        pose = pose @ se3_exp(-np.linalg.solve(normal + information, gradient + information @ offset))
-    normal, gradient, weights = _normal_equations(pose, points, rays, sd, _KERNEL_SDS[-1])
+    information = np.linalg.inv(covariance + _LEAST_VARIANCE * np.eye(6))
+    pose, normal, gradient, weights = _core.fit_pose(points, rays, sd, prior, information, _KERNEL_SDS, _NEAREST_M)
     agree = weights > _AGREE_WEIGHT
     if int(agree.sum()) < LEAST_LANDMARKS or np.linalg.eigvalsh(normal)[0] < 1.0 / _UNOBSERVABLE_SD**2:
         return agree, None
     spread = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-    focal = _log_focal(pose, points, rays, sd)
+    focal = _core.fit_log_focal(points, rays, sd, pose, _FOCAL_INFORMATION, _FOCAL_KERNEL_SDS, _NEAREST_M)
     return agree, LandmarkPose(pose @ se3_exp(-spread @ gradient), spread, points[agree], *focal)
-
-
-def _log_focal(pose: FloatArray, points: FloatArray, rays: FloatArray, sd: FloatArray) -> tuple[float, float]:
-    """Logarithm of true over stated focal length, and its standard deviation, from landmarks (M, 3) seen as rays.
-
-    The residuals of a wrong focal length grow with the radius; a step along the view takes up a part of them. So pose
-    and focal length are estimated together, again from a wide kernel, since those that agreed with a wrong focal
-    length are near the centre.
-    """
-    start, log_focal = pose, 0.0
-    information = np.diag(np.repeat([_SHIFT_SD_M, _TURN_SD_RAD, _FOCAL_SD], [3, 3, 1]) ** -2)
-    for kernel_sd in _FOCAL_KERNEL_SDS:
-        seen = rays * np.exp(-log_focal)  # a ray is a pixel over the focal length
-        residuals, jacobian = _residuals(pose, points, seen, sd)
-        columns = np.concatenate([jacobian, (seen / sd)[..., None]], axis=2).reshape(-1, 7)
-        weighted = columns * np.repeat(_weights(residuals, kernel_sd), 2)[:, None]
-        normal = weighted.T @ columns + information
-        offset = np.append(se3_log(invert(start) @ pose), log_focal)
-        step = -np.linalg.solve(normal, weighted.T @ residuals.ravel() + information @ offset)
-        pose, log_focal = pose @ se3_exp(step[:6]), log_focal + float(step[6])
-    return log_focal, float(np.sqrt(np.linalg.inv(normal)[6, 6]))
-
-
-def _normal_equations(
-    pose: FloatArray, points: FloatArray, rays: FloatArray, sd: FloatArray, kernel_sd: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Normal matrix (6, 6) and gradient (6,) of the pose's twist, and weights (M,) of the points.
-
-    A weight is a quarter at a residual of ``kernel_sd`` standard deviations.
-    """
-    residuals, jacobian = _residuals(pose, points, rays, sd)
-    weights = _weights(residuals, kernel_sd)
-    flat = jacobian.reshape(-1, 6)
-    weighted = flat * np.repeat(weights, 2)[:, None]
-    return weighted.T @ flat, weighted.T @ residuals.ravel(), weights
-
-
-def _weights(residuals: FloatArray, kernel_sd: float) -> FloatArray:
-    """Geman-McClure weights (M,) of residuals (M, 2) in standard deviations."""
-    return np.asarray((1.0 + np.sum(residuals**2, axis=1) / kernel_sd**2) ** -2)
-
-
-def _residuals(
-    pose: FloatArray, points: FloatArray, rays: FloatArray, sd: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Residuals (M, 2) in standard deviations, and their derivative by the pose's twist, (M, 2, 6)."""
-    local = transform(invert(pose), points)
-    local[:, 2] = np.maximum(local[:, 2], _NEAREST_M)
-    return (local[:, :2] / local[:, 2:] - rays) / sd, _jacobian(local) / sd[..., None]
-
-
-def _jacobian(local: FloatArray) -> FloatArray:
-    """Derivative of rays' x and y by the camera's twist, (M, 2, 6), for points (M, 3) in its frame."""
-    by_point = ray_jacobian(local)
-    return np.concatenate([-by_point, by_point @ hat(local)], axis=2)

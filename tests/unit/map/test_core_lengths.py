@@ -12,6 +12,7 @@ import monoloc._core as core
 POINTS, SCAN = np.zeros((7, 3)), np.ones((5, 3), np.float32)
 MIXTURE = np.array([0.5, 0.5]), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1))
 POSES, LOG_SCALES = np.tile(np.eye(4), (3, 1, 1)), np.zeros(3)
+PIXELS, DESCRIPTORS = np.zeros((4, 2)), np.zeros((4, 32), np.uint8)
 IMAGES, FEWER = np.zeros((2, 8, 8, 4), np.uint16), np.zeros((2, 8, 7, 4), np.uint16)
 
 
@@ -50,6 +51,17 @@ def weigh_by_rays(log_scales: np.ndarray, weights: np.ndarray | None) -> None:
                 np.zeros((4, 4), np.float32),
             ),
             "front and depth",
+        ),
+        (lambda: core.match_descriptors(PIXELS, DESCRIPTORS[:3], PIXELS, DESCRIPTORS, 9.0, 64), "expected and known"),
+        (lambda: core.match_descriptors(PIXELS, DESCRIPTORS, PIXELS[:3], DESCRIPTORS, 9.0, 64), "pixels and desc"),
+        (lambda: core.fit_pose(POINTS, PIXELS, PIXELS, np.eye(4), np.eye(6), np.ones(1), 0.1), "points, rays and sd"),
+        (
+            lambda: core.fit_log_focal(POINTS[:4], PIXELS, PIXELS[:3], np.eye(4), np.eye(7), np.ones(1), 0.1),
+            "points, rays and sd",
+        ),
+        (
+            lambda: core.fit_pose(POINTS[:4], PIXELS, PIXELS, np.eye(4), np.eye(6), np.ones(0), 0.1),
+            "kernel_sds",
         ),
     ],
 )

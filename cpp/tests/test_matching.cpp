@@ -1,0 +1,68 @@
+// Matches of descriptors: mutual, near, and the first of several.
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include "check.hpp"
+#include "monoloc/matching.hpp"
+#include "tests.hpp"
+
+namespace {
+
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+constexpr int kMostBits = 64;
+
+// A corner whose descriptor begins with this many ones.
+struct Corner {
+  double x, y;
+  int ones;
+};
+
+struct Image {
+  std::vector<double> pixels;
+  std::vector<std::uint8_t> descriptors;
+
+  explicit Image(const std::vector<Corner>& all) {
+    for (const Corner& corner : all) {
+      pixels.insert(pixels.end(), {corner.x, corner.y});
+      for (int bit = 0; bit < 256; bit += 8) {
+        const int left = corner.ones - bit;
+        descriptors.push_back(left >= 8 ? 255 : left <= 0 ? 0 : static_cast<std::uint8_t>((1 << left) - 1));
+      }
+    }
+  }
+
+  monoloc::Corners corners() const { return {pixels.data(), descriptors.data(), pixels.size() / 2}; }
+};
+
+using Indices = std::vector<std::int64_t>;
+
+bool matched(const std::vector<Corner>& landmarks, const std::vector<Corner>& keypoints, const Indices& which,
+             const Indices& where) {
+  const monoloc::Matches found =
+      monoloc::match_descriptors(Image(landmarks).corners(), Image(keypoints).corners(), 10.0, kMostBits);
+  return found.landmarks == which && found.keypoints == where;
+}
+
+}  // namespace
+
+void test_matching() {
+  // Each takes its nearest; a landmark whose nearest keypoint has a nearer landmark takes none.
+  CHECK(matched({{0, 0, 0}, {1, 0, 100}, {2, 0, 103}}, {{3, 0, 101}, {4, 0, 5}}, {0, 1}, {1, 0}));
+  // Of several as near, the first landmark, and the keypoint with the least x, then the first.
+  CHECK(matched({{0, 0, 2}, {1, 0, 2}}, {{3, 0, 1}, {2, 0, 3}, {2, 0, 1}}, {0}, {1}));
+  // Descriptors that differ too much, also in all bits.
+  CHECK(matched({{0, 0, 0}}, {{0, 0, 63}}, {0}, {0}));
+  for (const int ones : {64, 128, 255, 256}) CHECK(matched({{0, 0, 0}}, {{0, 0, ones}}, {}, {}));
+  // Pixels at the radius: on the left in, elsewhere out.
+  CHECK(matched({{0, 0, 0}}, {{-10, 0, 0}}, {0}, {0}));
+  for (const Corner& far : {Corner{10, 0, 0}, {0, 10, 0}, {0, -10, 0}, {-10.1, 0, 0}}) {
+    CHECK(matched({{0, 0, 0}}, {far}, {}, {}));
+  }
+  // NaN on either side, and nothing on either.
+  const std::vector<Corner> unknown = {{kNaN, 0, 0}, {0, kNaN, 0}, {kNaN, kNaN, 0}};
+  CHECK(matched(unknown, {{1, 0, 0}, {kNaN, 0, 0}}, {}, {}));
+  CHECK(matched({{0, 0, 0}, {1, 0, 0}}, unknown, {}, {}));
+  CHECK(matched({}, {{0, 0, 0}}, {}, {}));
+  CHECK(matched({{0, 0, 0}}, {}, {}, {}));
+}
