@@ -19,8 +19,10 @@ def resize_image(image: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.
     rows, columns = image.shape[:2]
     if (columns, rows) == size:
         return image
-    enlarges = width > columns and height > rows
-    interpolation = cv2.INTER_LINEAR if enlarges else cv2.INTER_AREA  # INTER_AREA makes blocks when it enlarges
+    # Of an image that is reduced by up to a half, bilinear interpolation leaves no pixel out, and INTER_AREA makes
+    # blocks where it enlarges.
+    is_near = columns <= 2 * width and rows <= 2 * height
+    interpolation = cv2.INTER_LINEAR if is_near else cv2.INTER_AREA
     return np.asarray(cv2.resize(image, size, interpolation=interpolation), np.uint8)
 
 

@@ -115,7 +115,7 @@ class Scaled(RoomRecording):
 
 def test_wrong_scale_of_depth_scales_only_translation(recording):
     factor = 0.5
-    # Powers of two scale without rounding, but where tracking begins is rounded, and it ends within 0.03 pixels. Later
+    # Powers of two scale without rounding, but where tracking begins is rounded, and it ends within 0.03 px. Later
     # on RANSAC's choice among inliers may tip.
     exact, scaled = (
         np.stack([motion.T_previous_current for motion in follow(one)])[:15]
