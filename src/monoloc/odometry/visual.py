@@ -14,7 +14,8 @@ initialised with a network's prediction).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from functools import partial
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,6 +26,7 @@ from monoloc.camera import Camera
 from monoloc.contrast import equaliser, has_contrast
 from monoloc.depth.depth_image import sample_depth
 from monoloc.geometry import FloatArray, invert, make_pose, so3_exp, transform
+from monoloc.odometry.motion import Motion
 from monoloc.odometry.window import Window, adjust
 
 
@@ -70,23 +72,6 @@ class OdometryConfig(BaseModel):
 
 
 @dataclass(frozen=True)
-class Motion:
-    """Motion of the camera between two frames, and the tracked corners.
-
-    Attributes:
-        T_previous_current: (4, 4), translation in the unit of the depth source.
-        inliers: number of tracks that agree with the motion.
-        points: (N, 3) corners in the current camera's frame, with depth refined by parallax, in the same unit.
-        log_depth_sd: (N,) standard deviation of the logarithm of the corners' depth.
-    """
-
-    T_previous_current: FloatArray
-    inliers: int
-    points: FloatArray
-    log_depth_sd: FloatArray
-
-
-@dataclass(frozen=True)
 class _Tracks:
     """N tracked corners; r is the frame of the window's first keyframe.
 
@@ -119,27 +104,6 @@ class _Tracks:
         )
 
 
-class Odometry(Protocol):
-    """Interface of odometry, such as :class:`VisualOdometry`."""
-
-    def step(self, color: NDArray[np.uint8], depth_m: NDArray[np.float32], depth_camera: Camera) -> Motion | None:
-        """Motion since the previous frame; None at the first frame, and where it is unknown.
-
-        Called once for every frame, in order.
-
-        Args:
-            color: (H, W, 3) uint8 RGB.
-            depth_m: (h, w) metres, 0 where unknown.
-            depth_camera: its intrinsics.
-
-        Returns:
-            The motion, its translation in the unit of ``depth_m``: the filter multiplies it by each particle's depth
-            scale. So metric odometry, as of wheels or an IMU, needs ``log_scale_sd = 0``. Without corners, ``points``
-            and ``log_depth_sd`` are empty, and scale and tilt are not corrected.
-        """
-        ...
-
-
 class VisualOdometry:
     """Frame-to-frame visual odometry; call :meth:`step` for each frame in order."""
 
@@ -152,19 +116,27 @@ class VisualOdometry:
         self._T_r_previous = np.eye(4)
         self._tracks: _Tracks | None = None
 
-    def step(self, color: NDArray[np.uint8], depth_m: NDArray[np.float32], depth_camera: Camera) -> Motion | None:
+    def step(
+        self,
+        color: NDArray[np.uint8],
+        depth_m: NDArray[np.float32],
+        depth_camera: Camera,
+        R_previous_current: FloatArray | None = None,
+    ) -> Motion | None:
         """Motion since the previous frame; None for the first frame, after a tracking failure, and in the dark.
 
         Args:
             color: (H, W, 3) uint8 RGB.
             depth_m: (h, w) depth of this frame at any resolution, metres; 0 where it is unknown.
             depth_camera: intrinsics of the depth image.
+            R_previous_current: rotation since the previous frame by another sensor, (3, 3), which says where to look
+                for the corners; None looks where they were.
         """
         if not has_contrast(color):
             self._tracks = None
             return None
         gray = self._tracking_image(color)
-        T_r_current = self._follow(gray)
+        T_r_current = self._follow(gray, R_previous_current)
         if T_r_current is None:
             self._tracks, self._T_r_previous = None, np.eye(4)
             self._add_keyframe(gray, np.eye(4), depth_m, depth_camera)
@@ -185,11 +157,13 @@ class VisualOdometry:
         gray = cv2.cvtColor(cv2.resize(color, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY)
         return np.asarray(self._equalise.apply(gray), dtype=np.uint8)
 
-    def _follow(self, gray: NDArray[np.uint8]) -> FloatArray | None:
+    def _follow(self, gray: NDArray[np.uint8], R_previous_current: FloatArray | None) -> FloatArray | None:
         """Track the corners into ``gray``, solve for its ``T_r_camera``, and drop outlier tracks."""
         if self._tracks is None or self._gray is None or len(self._tracks.points) < self.config.min_inliers:
             return None
-        pixels, tracked = track_corners(self._gray, gray, self._tracks.pixels, self.config)
+        known = self._tracks.pixels
+        expected = None if R_previous_current is None else turned(known, self._camera, R_previous_current)
+        pixels, tracked = track_corners(self._gray, gray, known, self.config, expected)
         tracks = replace(self._tracks, pixels=pixels).select(tracked)
         solution = self._solve(tracks.points, tracks.pixels)
         if solution is None:
@@ -288,17 +262,41 @@ class VisualOdometry:
         return np.asarray(corners, dtype=np.float32).reshape(-1, 2)
 
 
+def turned(pixels: NDArray[np.float32], camera: Camera, R_previous_current: FloatArray) -> NDArray[np.float32]:
+    """Where a rotation of the camera (3, 3) takes pixels (N, 2) of distant points, (N, 2).
+
+    Those that it turns out of sight stay.
+    """
+    rays = camera.rays(pixels) @ R_previous_current
+    expected = np.where(camera.in_sight(rays)[:, None], camera.project(rays), pixels)
+    return np.asarray(expected, dtype=np.float32)
+
+
 def track_corners(
-    before: NDArray[np.uint8], after: NDArray[np.uint8], pixels: NDArray[np.float32], config: OdometryConfig
+    before: NDArray[np.uint8],
+    after: NDArray[np.uint8],
+    pixels: NDArray[np.float32],
+    config: OdometryConfig,
+    expected: NDArray[np.float32] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Track corners (N, 2) of one grey image (H, W) into another, by pyramidal Lucas-Kanade.
+
+    Args:
+        expected: (N, 2) where the search begins; None where the corners were.
 
     Returns:
         Their pixels (N, 2), and which are found and, tracked back, lead to where they began, (N,).
     """
-    size = (config.search_px, config.search_px)
-    forward, found, _ = cv2.calcOpticalFlowPyrLK(before, after, pixels, pixels.copy(), winSize=size, maxLevel=3)
-    back, found_back, _ = cv2.calcOpticalFlowPyrLK(after, before, forward, forward.copy(), winSize=size, maxLevel=3)
+    expected = pixels if expected is None else expected
+    search = partial(
+        cv2.calcOpticalFlowPyrLK,
+        winSize=(config.search_px, config.search_px),
+        maxLevel=3,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )
+    forward, found, _ = search(before, after, pixels, expected.copy())
+    # The way back begins by the same shift: from the corners themselves, it would always lead to them.
+    back, found_back, _ = search(after, before, forward, forward - (expected - pixels))
     distance = np.linalg.norm(back - pixels, axis=1)
     valid = (found[:, 0] == 1) & (found_back[:, 0] == 1) & (distance < config.forward_backward_px)
     return np.asarray(forward, dtype=np.float32), valid
