@@ -13,7 +13,8 @@ from monoloc.landmarks.pnp import LandmarkLocalizer, NoLandmarks
 from monoloc.likelihood import make_likelihood
 from monoloc.likelihood.protocol import ScanLikelihood
 from monoloc.localizer_config import LocalizerConfig
-from monoloc.odometry.visual import Odometry, VisualOdometry
+from monoloc.odometry.motion import Odometry
+from monoloc.odometry.visual import VisualOdometry
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class Components:
 
     Attributes:
         depth: predicts the depth of a colour image.
-        odometry: measures the camera's motion; None for a random walk.
+        odometry: measures the camera's motion by its images; None for a random walk.
         likelihood: the likelihood of a scan under the map.
         landmarks: measures the pose by landmarks.
     """

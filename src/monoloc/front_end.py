@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,9 @@ from monoloc.depth.predictor import DepthPrediction
 from monoloc.geometry import FloatArray
 from monoloc.likelihood.scan import EMPTY_SCAN, Scan, scan_from_corners, scan_from_depth
 from monoloc.localizer_config import LocalizerConfig
+from monoloc.odometry.motion import Motion, chained, tracks_translation
 from monoloc.odometry.scale_tilt import correct_scale_and_tilt
-from monoloc.odometry.visual import Motion
+from monoloc.particle_filter.motion_model import motion_sd
 
 _LEAST_POINTS = 10  # of a scan that constrains the pose
 
@@ -32,8 +33,9 @@ class Observation:
             nothing of the camera's motion, so there is neither motion nor scan.
         is_empty: whether the image has no contrast.
         depth: of the frame, its scale and tilt corrected by odometry's corners.
-        motion: odometry's motion since the previous frame, None where there is none.
-        odometry_tracked: whether odometry followed the camera; true at the first frame and for a random walk.
+        motion: since the previous frame, None where it is not known at all.
+        odometry_tracked: whether images or another sensor told how the camera moved, not only how it turned; true at
+            the first frame and for a random walk.
         scan: points of the depth; empty where the image has no contrast and no sensor measured depth.
         corners: odometry's corners whose depth parallax has refined.
         down_camera: direction of gravity in the camera's frame, (3,) unit vector, None if it is not known.
@@ -74,10 +76,11 @@ class FrontEnd:
         self._is_first = True
         self._previous: NDArray[np.uint8] | None = None
         self._repeated_s = 0.0
+        self._measured: list[Motion | None] = []  # by another sensor, since the previous image
 
     def reset(self) -> None:
         """Take the next frame as the first."""
-        self._is_first, self._previous = True, None
+        self._is_first, self._previous, self._measured = True, None, []
 
     def observe(
         self,
@@ -85,6 +88,7 @@ class FrontEnd:
         elapsed_s: float,
         measured_depth: DepthPrediction | None,
         down_camera: FloatArray | None,
+        measured_motion: Motion | None = None,
     ) -> Observation:
         """Observe one frame.
 
@@ -93,17 +97,21 @@ class FrontEnd:
             elapsed_s: since the previous frame; ignored at the first.
             measured_depth: of a depth sensor; None predicts it.
             down_camera: direction of gravity, (3,) unit vector, or None.
+            measured_motion: since the previous frame, by another sensor; ignored at the first.
 
         Raises:
-            ValueError: the image does not have the camera's size or type, or time runs backwards; nothing has
-                changed then.
+            ValueError: the image does not have the camera's size or type, time runs backwards, or the motion does
+                not state its noise; nothing has changed then.
         """
         self._check_image(color)
+        if measured_motion is not None and measured_motion.rotation_sd_rad is None:
+            raise ValueError("measured_motion must state its noise: make it by Motion.rotation or Motion.metric")
         elapsed_s = 0.0 if self._is_first else elapsed_s
         if not 0.0 <= elapsed_s < np.inf:
             raise ValueError(f"elapsed_s must be finite and not negative, got {elapsed_s}")
         is_repeated = self._is_repeated(color, elapsed_s)
         depth = self._depth(color) if measured_depth is None else measured_depth
+        self._measured.append(None if self._is_first else measured_motion)
         motion = None if is_repeated else self._motion(color, depth)
         motion = None if self._is_first else motion  # since before a reset
         depth = self._corrected(depth, motion)
@@ -117,7 +125,7 @@ class FrontEnd:
             is_empty=is_empty,
             depth=depth,
             motion=motion,
-            odometry_tracked=self._is_first or self._odometry is None or motion is not None,
+            odometry_tracked=self._is_first or self._odometry is None or tracks_translation(motion),
             scan=EMPTY_SCAN if is_repeated or (is_empty and measured_depth is None) else scan,
             corners=EMPTY_SCAN if motion is None else self._corners(motion),
             down_camera=down_camera,
@@ -133,9 +141,27 @@ class FrontEnd:
         return is_repeated
 
     def _motion(self, color: NDArray[np.uint8], depth: DepthPrediction) -> Motion | None:
+        """The motion since the previous image that was new, by the odometry and the other sensor."""
+        measured, self._measured = chained(self._measured), []
         if self._odometry is None:
-            return None
-        return self._odometry.step(color, depth.depth_m, depth.camera)
+            return measured
+        rotation = None if measured is None else measured.T_previous_current[:3, :3]
+        odometry = self._odometry.step(color, depth.depth_m, depth.camera, rotation)
+        return self._best(odometry, measured)
+
+    def _best(self, odometry: Motion | None, measured: Motion | None) -> Motion | None:
+        """The motion that states the smaller noise; corners are the odometry's.
+
+        The two are not averaged: odometry's errors of rotation and translation go together, and its translation has
+        another unit. For the same reason a gyroscope's rotation does not replace that of odometry.
+        """
+        if odometry is None or measured is None:
+            return measured if odometry is None else odometry
+        noise = self._config.motion_noise
+        odometry_sd, measured_sd = (motion_sd(motion, 0.0, 0.0, noise) for motion in (odometry, measured))
+        if not tracks_translation(measured) or np.linalg.norm(odometry_sd) <= np.linalg.norm(measured_sd):
+            return odometry
+        return replace(measured, inliers=odometry.inliers, points=odometry.points, log_depth_sd=odometry.log_depth_sd)
 
     def _check_image(self, color: NDArray[np.uint8]) -> None:
         shape = (self._camera.height, self._camera.width, 3)

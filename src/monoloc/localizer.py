@@ -20,7 +20,7 @@ from monoloc.landmarks.pnp import LandmarkMeasurement, LandmarkPose
 from monoloc.likelihood.protocol import weigh_corners, weigh_depth_image
 from monoloc.likelihood.scan import EMPTY_SCAN, Scan
 from monoloc.localizer_config import LocalizerConfig
-from monoloc.odometry.visual import Motion
+from monoloc.odometry.motion import Motion
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.particle_filter.particles import Particles
 from monoloc.particle_filter.tempering import tempered_update
@@ -50,7 +50,7 @@ class Step:
         mean_log_likelihood: of the scan at that pose, nats a point; NaN for an empty scan.
         landmark_pose: pose by landmarks; None where there are none, or too few are seen.
         mode: of the relocalisation.
-        motion: odometry's motion since the previous frame; None where there is none.
+        motion: since the previous frame, by images or by another sensor; None where there is none.
         depth: of the frame, after the correction of scale and tilt.
         scan: its points that were compared with the map.
         changed_region: in view, in which the map no longer holds; None where there is none, or the pose is not known
@@ -152,6 +152,7 @@ class Localizer:
         elapsed_s: float,
         measured_depth: DepthPrediction | None = None,
         down: FloatArray | None = None,
+        measured_motion: Motion | None = None,
     ) -> Step:
         """Take in one frame.
 
@@ -161,12 +162,16 @@ class Localizer:
             measured_depth: of a depth sensor, in place of the network's.
             down: direction of gravity in the camera's frame, (3,) of any length, as a flight controller's attitude
                 gives it; a standard deviation of one degree is assumed.
+            measured_motion: since the previous frame, by another sensor: :meth:`Motion.rotation` of a gyroscope or
+                an attitude, or :meth:`Motion.metric` of another odometry; ignored at the first frame.
 
         Raises:
-            ValueError: the image does not have the camera's size or type, time runs backwards, or ``down`` is no
-                direction or unknown for the room; nothing has changed then.
+            ValueError: the image does not have the camera's size or type, time runs backwards, ``down`` is no
+                direction or unknown for the room, or ``measured_motion`` does not state its noise; nothing has
+                changed then.
         """
-        observation = self._front_end.observe(color, elapsed_s, measured_depth, self._gravity.direction(down))
+        down_camera = self._gravity.direction(down)
+        observation = self._front_end.observe(color, elapsed_s, measured_depth, down_camera, measured_motion)
         predicted = self._predict(observation)
         prior = self._tracker.fusion.predicted(observation.motion, observation.elapsed_s)
         relocalization = self._relocalize(observation, predicted, prior)

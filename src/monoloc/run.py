@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -21,6 +22,7 @@ from monoloc.geometry import FloatArray, invert
 from monoloc.io.recording import Recording, Relight
 from monoloc.localizer import Localizer, Step
 from monoloc.localizer_config import LocalizerConfig
+from monoloc.odometry.motion import Motion, MotionSource
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.progress import Progress
 from monoloc.sensor_depth import sensor_bundle, sensor_settings, sparse_depth
@@ -140,6 +142,7 @@ def localize(
     viewer: Viewer = NoViewer(),
     components: ComponentsFactory = default_components,
     down: FloatArray | None = None,
+    sensor_motion: MotionSource | None = None,
 ) -> Run:
     """Localise every frame of a recording.
 
@@ -151,6 +154,7 @@ def localize(
         relight: changes the light of the images; None leaves them.
         viewer: is shown every frame; its time does not count.
         down: (N, 3) as :meth:`monoloc.localizer.Localizer.step` takes it, one a frame.
+        sensor_motion: another sensor, asked for the motion between the frames' time stamps.
 
     Raises:
         DataError: sensor depth is asked for and there is none, there are no frames, or one cannot be read.
@@ -168,6 +172,7 @@ def localize(
     build_frames = set(bundle.provenance.frames.values())
     log = _Log(recording, None if start is None else start.pose)
     elapsed = np.diff(recording.timestamps_s, prepend=recording.timestamps_s[:1])
+    motions = _motions_between(recording.timestamps_s, sensor_motion)
     viewer.begin(bundle, recording)
     with progress.task("localize", len(recording)) as show:
         for index in range(len(recording)):
@@ -177,12 +182,20 @@ def localize(
             measured = sparse_depth(sensor, recording.camera) if use_sensor_depth and sensor is not None else None
             color = color if relight is None else relight(color)
             began = time.perf_counter()
-            step = localizer.step(color, float(elapsed[index]), measured, None if down is None else down[index])
+            gravity = None if down is None else down[index]
+            step = localizer.step(color, float(elapsed[index]), measured, gravity, motions[index])
             step_ms = (time.perf_counter() - began) * 1e3
             log.add(step, unseen, step_ms, sensor)
             viewer.show(index, color, step, localizer.particles, log.dead_reckoning[-1], step_ms)
             show(index + 1)
     return log.run(config)
+
+
+def _motions_between(times_s: FloatArray, sensor: MotionSource | None) -> list[Motion | None]:
+    """Motions by a sensor since the previous of the frames (N,): N."""
+    if sensor is None:
+        return [None] * len(times_s)
+    return [None, *(sensor.between(float(start_s), float(end_s)) for start_s, end_s in pairwise(times_s))]
 
 
 class _Log:

@@ -9,7 +9,7 @@ import numpy as np
 from monoloc.fusion.bias_filter import BiasAugmentedFilter
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.localizer_config import LocalizerConfig
-from monoloc.odometry.visual import Motion
+from monoloc.odometry.motion import Motion
 from monoloc.particle_filter.estimate import Estimate, estimate
 from monoloc.particle_filter.filter import ParticleFilter
 from monoloc.particle_filter.particles import Particles

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from monoloc.geometry import se3_exp, so3_exp
 from monoloc.map.mixture import GaussianMixture
-from monoloc.odometry.visual import Motion
+from monoloc.odometry.motion import Motion
 
 FloatArray = NDArray[np.float64]
 

@@ -10,11 +10,11 @@ from monoloc.camera import Camera
 from monoloc.components import Components
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.front_end import FrontEnd
-from monoloc.geometry import se3_exp
+from monoloc.geometry import FloatArray, se3_exp
 from monoloc.likelihood.scan import scan_from_corners, scan_from_depth
 from monoloc.localizer_config import LocalizerConfig
+from monoloc.odometry.motion import Motion
 from monoloc.odometry.scale_tilt import ScaleTiltConfig, correct_scale_and_tilt
-from monoloc.odometry.visual import Motion
 
 CAMERA = Camera(80, 64, 70.0, 70.0, 39.5, 31.5)
 DEPTH_CAMERA = CAMERA.resized(40, 32)
@@ -52,7 +52,13 @@ class _Odometry:
         self._motions = list(motions)
         self.calls = 0
 
-    def step(self, color: NDArray[np.uint8], depth_m: NDArray[np.float32], camera: Camera) -> Motion | None:
+    def step(
+        self,
+        color: NDArray[np.uint8],
+        depth_m: NDArray[np.float32],
+        depth_camera: Camera,
+        R_previous_current: FloatArray | None = None,
+    ) -> Motion | None:
         self.calls += 1
         return self._motions.pop(0) if self._motions else None
 

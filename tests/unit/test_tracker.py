@@ -11,7 +11,7 @@ from monoloc.fusion.bias_model import BiasModel
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import se3_exp
 from monoloc.localizer_config import LocalizerConfig
-from monoloc.odometry.visual import Motion
+from monoloc.odometry.motion import Motion
 from monoloc.particle_filter.estimate import Estimate, estimate
 from monoloc.particle_filter.motion_model import predict
 from monoloc.particle_filter.particles import Particles, normalised, scatter

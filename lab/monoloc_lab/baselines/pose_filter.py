@@ -17,7 +17,8 @@ from monoloc.depth.predictor import DepthSource
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray
 from monoloc.localizer_config import LocalizerConfig
-from monoloc.odometry.visual import Motion, VisualOdometry
+from monoloc.odometry.motion import Motion
+from monoloc.odometry.visual import VisualOdometry
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.particle_filter.particles import Particles, normalised
 from monoloc.tracker import Tracker

@@ -19,7 +19,7 @@ from monoloc.fusion.bias_model import BiasModel
 from monoloc.fusion.reference_poses import MOST_STEP_M, ReferencePoses
 from monoloc.geometry import FloatArray, adjoint, invert, pose_distance_m, se3_exp, se3_log
 from monoloc.landmarks.pnp import LandmarkPose
-from monoloc.odometry.visual import Motion
+from monoloc.odometry.motion import Motion, tracks_translation
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.particle_filter.motion_model import MotionConfig, motion_sd
 
@@ -200,21 +200,23 @@ class BiasAugmentedFilter:
         """The belief after the motion since the previous frame.
 
         Args:
-            motion: of the odometry, None where it has none.
+            motion: of the odometry, None where it has none. One of which only the rotation is known turns the belief,
+                and counts as none in everything else.
             elapsed_s: since the previous frame; 0 at the first.
             measured: pose of the particles at this frame, whose motion selects the bias where odometry has none.
         """
         self.restarted = False
-        self._time_since_odometry_s = self._time_since_odometry_s + elapsed_s if motion is None else 0.0
+        is_tracked = tracks_translation(motion)
+        self._time_since_odometry_s = 0.0 if is_tracked else self._time_since_odometry_s + elapsed_s
         delta = self._scaled(motion)
-        moved = invert(self._measured.pose) @ measured.pose if motion is None else delta
+        moved = delta if is_tracked else invert(self._measured.pose) @ measured.pose
         step_m = float(pose_distance_m(np.eye(4), moved[None])[0])
-        is_jump = motion is None and (elapsed_s == 0.0 or step_m > MOST_STEP_M)  # of the particles, not the camera
+        is_jump = not is_tracked and (elapsed_s == 0.0 or step_m > MOST_STEP_M)  # of the particles, not the camera
         decay = math.exp(-elapsed_s / _RECENT_MOTION_S)
         self._recent_motion = decay * self._recent_motion + (np.zeros(6) if is_jump else se3_log(moved))
         self._state = self._predicted(delta, motion, elapsed_s, step_m)
         self._measured = measured
-        self.time_since_update_s = 0.0 if motion is not None else self.time_since_update_s + elapsed_s
+        self.time_since_update_s = 0.0 if is_tracked else self.time_since_update_s + elapsed_s
         return self.belief
 
     def update_from_particles(self, measured: Estimate) -> Estimate:
@@ -304,17 +306,19 @@ class BiasAugmentedFilter:
         return float(np.sqrt(bias**2 + variance))
 
     def _scaled(self, motion: Motion | None) -> FloatArray:
-        """Odometry's motion, (4, 4), with its translation, measured in predicted depth, in metres."""
+        """A motion, (4, 4), with its translation in metres, also if it was measured in predicted depth."""
         delta = np.eye(4) if motion is None else motion.T_previous_current.copy()
-        delta[:3, 3] *= np.exp(self._measured.log_scale)
+        if motion is not None and motion.translation == "scaled":
+            delta[:3, 3] *= np.exp(self._measured.log_scale)
         return delta
 
     def _predicted(
         self, delta: FloatArray, motion: Motion | None, elapsed_s: float, step_m: float
     ) -> BiasAugmentedState:
         sd = motion_sd(motion, elapsed_s, self.time_since_update_s, self._noise)
-        if motion is not None:  # without odometry, the noise already is that of correlated frames
-            sd = _ODOMETRY_INFLATION * sd
+        # Without odometry, the noise already is that of correlated frames.
+        sd[:3] *= _ODOMETRY_INFLATION if tracks_translation(motion) else 1.0
+        sd[3:] *= _ODOMETRY_INFLATION if motion is not None else 1.0
         prior_sds = self._prior_sds(self._state.pose @ delta)
         return self._state.predict(delta, np.diag(sd**2), self._particle_bias.correlation(step_m), prior_sds)
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from monoloc.depth.depth_image import at_discontinuity
 from monoloc.depth.predictor import DepthPrediction
-from monoloc.odometry.visual import Motion
+from monoloc.odometry.motion import Motion
 
 _LEAST_WEIGHT, _MOST_WEIGHT = 0.25, 4.0  # so that no point dominates and none is wasted
 

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from monoloc.depth.depth_image import sample_depth
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.geometry import FloatArray
-from monoloc.odometry.visual import Motion
+from monoloc.odometry.motion import Motion
 
 _HUBER = 1.5  # standard deviations beyond which a corner counts linearly
 _ITERATIONS = 4

@@ -14,7 +14,7 @@ initialised with a network's prediction).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
@@ -26,6 +26,7 @@ from monoloc.contrast import equaliser, has_contrast
 from monoloc.depth.depth_image import sample_depth
 from monoloc.geometry import FloatArray, invert, make_pose, so3_exp, transform
 from monoloc.image_size import gray_image
+from monoloc.odometry.motion import Motion
 from monoloc.odometry.window import Window, adjust
 
 _LEVELS, _NEAR_LEVELS = 3, 1  # of the image pyramid above the image, without and with expected pixels
@@ -75,23 +76,6 @@ class OdometryConfig(BaseModel):
 
 
 @dataclass(frozen=True)
-class Motion:
-    """Motion of the camera between two frames, and the tracked corners.
-
-    Attributes:
-        T_previous_current: (4, 4), translation in the unit of the depth source.
-        inliers: number of tracks that agree with the motion.
-        points: (N, 3) corners in the current camera's frame, with depth refined by parallax, in the same unit.
-        log_depth_sd: (N,) standard deviation of the logarithm of the corners' depth.
-    """
-
-    T_previous_current: FloatArray
-    inliers: int
-    points: FloatArray
-    log_depth_sd: FloatArray
-
-
-@dataclass(frozen=True)
 class _Tracks:
     """N tracked corners; r is the frame of the window's first keyframe.
 
@@ -124,27 +108,6 @@ class _Tracks:
         )
 
 
-class Odometry(Protocol):
-    """Interface of odometry, such as :class:`VisualOdometry`."""
-
-    def step(self, color: NDArray[np.uint8], depth_m: NDArray[np.float32], depth_camera: Camera) -> Motion | None:
-        """Motion since the previous frame; None at the first frame, and where it is unknown.
-
-        Called once for every frame, in order.
-
-        Args:
-            color: (H, W, 3) uint8 RGB.
-            depth_m: (h, w) metres, 0 where unknown.
-            depth_camera: its intrinsics.
-
-        Returns:
-            The motion, its translation in the unit of ``depth_m``: the filter multiplies it by each particle's depth
-            scale. So metric odometry, as of wheels or an IMU, needs ``log_scale_sd = 0``. Without corners, ``points``
-            and ``log_depth_sd`` are empty, and scale and tilt are not corrected.
-        """
-        ...
-
-
 class VisualOdometry:
     """Frame-to-frame visual odometry; call :meth:`step` for each frame in order."""
 
@@ -158,20 +121,28 @@ class VisualOdometry:
         self._last_motion = np.eye(4)  # T_previous_current of the frame before, which is expected to go on
         self._tracks: _Tracks | None = None
 
-    def step(self, color: NDArray[np.uint8], depth_m: NDArray[np.float32], depth_camera: Camera) -> Motion | None:
+    def step(
+        self,
+        color: NDArray[np.uint8],
+        depth_m: NDArray[np.float32],
+        depth_camera: Camera,
+        R_previous_current: FloatArray | None = None,
+    ) -> Motion | None:
         """Motion since the previous frame; None for the first frame, after a tracking failure, and in the dark.
 
         Args:
             color: (H, W, 3) uint8 RGB.
             depth_m: (h, w) depth of this frame at any resolution, metres; 0 where it is unknown.
             depth_camera: intrinsics of the depth image.
+            R_previous_current: rotation since the previous frame by another sensor, (3, 3), which says where to look
+                for the corners; None expects the motion to go on.
         """
         gray = gray_image(color, (self._camera.width, self._camera.height))
         if not has_contrast(gray):
             self._tracks = None
             return None
         gray = np.asarray(self._equalise.apply(gray), dtype=np.uint8)
-        T_r_current = self._follow(gray)
+        T_r_current = self._follow(gray, R_previous_current)
         if T_r_current is None:
             self._tracks, self._T_r_previous, self._last_motion = None, np.eye(4), np.eye(4)
             self._add_keyframe(gray, np.eye(4), depth_m, depth_camera)
@@ -187,11 +158,11 @@ class VisualOdometry:
         points = transform(invert(T_r_current), self._tracks.points)
         return Motion(T_previous_current, inliers, points, self._tracks.log_depth_sd)
 
-    def _follow(self, gray: NDArray[np.uint8]) -> FloatArray | None:
+    def _follow(self, gray: NDArray[np.uint8], R_previous_current: FloatArray | None) -> FloatArray | None:
         """Track the corners into ``gray``, solve for its ``T_r_camera``, and drop outlier tracks."""
         if self._tracks is None or self._gray is None or len(self._tracks.points) < self.config.min_inliers:
             return None
-        expected = self._expected_pixels(self._tracks)
+        expected = self._expected_pixels(self._tracks, R_previous_current)
         pixels, tracked = follow_corners(self._gray, gray, self._tracks.pixels, expected, self.config)
         tracks = replace(self._tracks, pixels=pixels).select(tracked)
         solution = self._solve(tracks.points, tracks.pixels)
@@ -201,11 +172,14 @@ class VisualOdometry:
         self._tracks = tracks.select(inliers)
         return T_r_current
 
-    def _expected_pixels(self, tracks: _Tracks) -> NDArray[np.float32]:
-        """Where the corners are, (N, 2), if the camera goes on as before."""
-        local = transform(invert(self._T_r_previous @ self._last_motion), tracks.points)
-        expected = self._camera.project(local)
-        return np.where(np.isfinite(expected), expected, tracks.pixels).astype(np.float32)
+    def _expected_pixels(self, tracks: _Tracks, R_previous_current: FloatArray | None) -> NDArray[np.float32]:
+        """Where the corners are, (N, 2), if the camera goes on as before, or turns as another sensor says."""
+        expected_motion = self._last_motion.copy()
+        if R_previous_current is not None:
+            expected_motion[:3, :3] = R_previous_current
+        local = transform(invert(self._T_r_previous @ expected_motion), tracks.points)
+        expected = np.where(self._camera.in_sight(local)[:, None], self._camera.project(local), tracks.pixels)
+        return np.asarray(expected, dtype=np.float32)
 
     def _solve(self, points: FloatArray, pixels: NDArray[np.float32]) -> tuple[FloatArray, NDArray[np.int64]] | None:
         """Solve PnP for ``T_r_current`` and the indices of inliers; None on failure."""
@@ -312,9 +286,16 @@ def follow_corners(
 
 
 def track_corners(
-    before: NDArray[np.uint8], after: NDArray[np.uint8], pixels: NDArray[np.float32], config: OdometryConfig
+    before: NDArray[np.uint8],
+    after: NDArray[np.uint8],
+    pixels: NDArray[np.float32],
+    config: OdometryConfig,
+    expected: NDArray[np.float32] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Track corners (N, 2) of one grey image (H, W) into another, by pyramidal Lucas-Kanade.
+
+    Args:
+        expected: (N, 2) where the search begins; None where the corners were.
 
     Returns:
         Their pixels (N, 2), and which are found and, tracked back, lead to where they began, (N,).

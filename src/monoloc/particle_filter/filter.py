@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from monoloc.geometry import se3_exp
-from monoloc.odometry.visual import Motion
+from monoloc.odometry.motion import Motion
 from monoloc.particle_filter.estimate import Estimate, estimate
 from monoloc.particle_filter.motion_model import MotionConfig, predict
 from monoloc.particle_filter.particles import Particles

@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.geometry import FloatArray, rotation_angle, se3_exp
-from monoloc.odometry.visual import Motion
+from monoloc.odometry.motion import Motion
 from monoloc.particle_filter.particles import Particles
 
 
@@ -40,15 +40,21 @@ def motion_sd(
 
     Args:
         motion: of the odometry; None for an unknown constant velocity over ``time_since_update_s + elapsed_s``, of
-            whose spread the last ``elapsed_s`` is returned.
+            whose spread the last ``elapsed_s`` is returned. So is the translation's where only the rotation is known.
         time_since_update_s: from the last frame that constrained the pose to the previous one.
     """
+    equivalent_s = float(np.sqrt((time_since_update_s + elapsed_s) ** 2 - time_since_update_s**2))
     if motion is None:
-        equivalent_s = float(np.sqrt((time_since_update_s + elapsed_s) ** 2 - time_since_update_s**2))
         return np.repeat([config.speed_sd_m_s, config.turn_sd_rad_s], 3) * equivalent_s
     delta = motion.T_previous_current
     translation_sd = np.hypot(config.translation_sd_m, config.translation_sd_ratio * np.linalg.norm(delta[:3, 3]))
     rotation_sd = np.hypot(config.rotation_sd_rad, config.rotation_sd_ratio * rotation_angle(delta[:3, :3]))
+    if motion.translation == "unknown":
+        translation_sd = config.speed_sd_m_s * equivalent_s
+    elif motion.translation_sd_m is not None:
+        translation_sd = motion.translation_sd_m
+    if motion.rotation_sd_rad is not None:
+        rotation_sd = motion.rotation_sd_rad
     return np.repeat([float(translation_sd), float(rotation_sd)], 3)
 
 
@@ -63,14 +69,15 @@ def predict(
 ) -> Particles:
     """Move every particle by odometry where there is some, else at random; noise as :func:`motion_sd`.
 
-    Odometry's translation was measured in predicted depth, so each particle scales it by its own depth scale.
+    A translation that was measured in predicted depth is multiplied by each particle's own depth scale.
     The log-scale is a first-order autoregressive process whose spread stays ``log_scale_sd``.
     """
     count = len(particles)
     noise = rng.standard_normal((count, 6)) * motion_sd(motion, elapsed_s, time_since_update_s, config)
     poses = particles.poses
     if motion is not None:
-        poses = poses @ _scaled(motion.T_previous_current, np.exp(particles.log_scale))
+        factors = np.ones(count) if motion.translation == "metric" else np.exp(particles.log_scale)
+        poses = poses @ _scaled(motion.T_previous_current, factors)
     poses = poses @ se3_exp(noise)
     keep = config.log_scale_correlation**elapsed_s
     spread = log_scale_sd * np.sqrt(1.0 - keep**2)

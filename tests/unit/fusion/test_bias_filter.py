@@ -13,7 +13,7 @@ from monoloc.fusion.bias_model import BiasModel
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray, invert, is_rigid, pose_distance_m, se3_exp, se3_log
 from monoloc.landmarks.pnp import LandmarkPose
-from monoloc.odometry.visual import Motion
+from monoloc.odometry.motion import Motion
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.particle_filter.motion_model import MotionConfig, motion_sd
 

@@ -10,7 +10,7 @@ from monoloc.depth.depth_image import at_discontinuity
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.geometry import transform
 from monoloc.likelihood.scan import scan_from_corners, scan_from_depth
-from monoloc.odometry.visual import Motion
+from monoloc.odometry.motion import Motion
 from synthetic_room import CAMERA, Room, make_path
 
 SMALL = Camera(40, 30, 30.0, 30.0, 19.5, 14.5)

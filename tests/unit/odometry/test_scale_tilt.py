@@ -8,8 +8,8 @@ import pytest
 from monoloc.camera import Camera
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.geometry import FloatArray
+from monoloc.odometry.motion import Motion
 from monoloc.odometry.scale_tilt import ScaleTiltConfig, correct_scale_and_tilt
-from monoloc.odometry.visual import Motion
 
 PINHOLE = Camera(80, 60, 70.0, 70.0, 39.5, 29.5)
 DISTORTED = Camera(80, 60, 70.0, 70.0, 39.0, 30.0, (-0.2, 0.03, 0.001, -0.002, 0.0))

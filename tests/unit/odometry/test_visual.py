@@ -13,7 +13,8 @@ from monoloc.camera import Camera
 from monoloc.depth.depth_image import sample_depth
 from monoloc.evaluation.trajectory import PoseErrors, pose_errors
 from monoloc.geometry import FloatArray, invert
-from monoloc.odometry.visual import Motion, VisualOdometry
+from monoloc.odometry.motion import Motion
+from monoloc.odometry.visual import VisualOdometry
 from synthetic_room import BLACK, CAMERA, Room, RoomRecording, make_path
 
 # Measured over the path below with exact depth: median 1.3 mm and 0.025 degrees a frame, largest 5.2 mm and 0.081.

@@ -7,7 +7,7 @@ import pytest
 
 from map_helpers import motion_of
 from monoloc.geometry import FloatArray, invert, make_pose, se3_exp, se3_log, so3_exp
-from monoloc.odometry.visual import Motion
+from monoloc.odometry.motion import Motion
 from monoloc.particle_filter.motion_model import MotionConfig, motion_sd, predict
 from monoloc.particle_filter.particles import scatter
 from particle_helpers import particles_at

@@ -12,7 +12,7 @@ import pytest
 from mavlink_helpers import BLACK, CAMERA, step_at
 from monoloc.flight.flight_settings import Mount
 from monoloc.geometry import FloatArray, invert, make_pose, se3_exp, so3_exp
-from monoloc.odometry.visual import Motion
+from monoloc.odometry.motion import Motion
 from monoloc.ros.message_contents import TopicMessage
 from monoloc.ros.ros_frames import RosFrames, pose_of
 from monoloc.ros.step_messages import IMAGE, INFO, OBSTACLES, POSE, STATE, TF, ImageMessages, StepMessages

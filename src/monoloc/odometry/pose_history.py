@@ -1,0 +1,82 @@
+"""Poses by time stamp: what a frame, at a time of its own, needs of a sensor with another clock rate."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from monoloc.geometry import FloatArray, invert, is_rigid, se3_exp, se3_log
+
+
+class PoseHistory:
+    """The latest poses of a sensor, interpolated on SE(3) between samples.
+
+    Samples arrive later than the frame that they belong to. So the newest velocity is taken to last for half of
+    ``max_gap_s``.
+
+    Args:
+        max_gap_s: between samples. A longer one is a dropout, across which nothing is known: the sensor may have
+            begun anew in it.
+        memory_s: for which samples are kept at least.
+    """
+
+    def __init__(self, max_gap_s: float, memory_s: float = 60.0) -> None:
+        if not max_gap_s > 0.0:
+            raise ValueError(f"max_gap_s must be positive, got {max_gap_s}")
+        self._max_gap_s, self._memory_s = max_gap_s, memory_s
+        self._times_s: list[float] = []
+        self._poses: list[FloatArray] = []
+
+    def add(self, time_s: float, pose: ArrayLike) -> None:
+        """Take a sample, later than all before.
+
+        Args:
+            time_s: when it was measured.
+            pose: ``T_reference_sensor``, (4, 4), in a frame of reference that the sensor keeps.
+
+        Raises:
+            ValueError: the time is not finite or not after the last one, or the pose is not rigid; nothing has
+                changed then.
+        """
+        if not np.isfinite(time_s):
+            raise ValueError(f"the time of a sample must be finite, got {time_s}")
+        if self._times_s and time_s <= self._times_s[-1]:
+            raise ValueError(f"a sample of {time_s:.6f} s came after one of {self._times_s[-1]:.6f} s")
+        sample = np.asarray(pose, dtype=np.float64)
+        if sample.shape != (4, 4) or not bool(is_rigid(sample)):
+            raise ValueError(f"the pose at {time_s:.6f} s must be rigid, (4, 4)")
+        self._times_s.append(float(time_s))
+        self._poses.append(sample)
+        if self._times_s[0] < time_s - 2.0 * self._memory_s:  # seldom, as it copies
+            old = bisect_left(self._times_s, time_s - self._memory_s)
+            del self._times_s[:old], self._poses[:old]
+
+    @property
+    def newest(self) -> tuple[float, FloatArray] | None:
+        """Time and pose of the last sample."""
+        return (self._times_s[-1], self._poses[-1]) if self._times_s else None
+
+    def between(self, start_s: float, end_s: float) -> FloatArray | None:
+        """``T_start_end``, (4, 4), of the sensor at two times; None if samples before, between or after them miss."""
+        after = self._sample_after(start_s), self._sample_after(end_s)
+        if after[0] is None or after[1] is None:
+            return None
+        first, last = sorted(after)
+        if np.any(np.diff(self._times_s[first - 1 : last + 1]) > self._max_gap_s):
+            return None
+        return invert(self._at(start_s, after[0])) @ self._at(end_s, after[1])
+
+    def _sample_after(self, time_s: float) -> int | None:
+        """Index, at least 1, of the second of two samples that tell the pose at a time."""
+        times_s = self._times_s
+        if len(times_s) < 2 or not times_s[0] <= time_s <= times_s[-1] + 0.5 * self._max_gap_s:
+            return None
+        return min(max(bisect_left(times_s, time_s), 1), len(times_s) - 1)
+
+    def _at(self, time_s: float, after: int) -> FloatArray:
+        start_s, end_s = self._times_s[after - 1], self._times_s[after]
+        start, end = self._poses[after - 1], self._poses[after]
+        twist = se3_log(invert(start) @ end)
+        return np.asarray(start @ se3_exp((time_s - start_s) / (end_s - start_s) * twist))
