@@ -15,6 +15,7 @@
 #include "monoloc/mixture.hpp"
 #include "monoloc/pooling.hpp"
 #include "monoloc/rays.hpp"
+#include "monoloc/window.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -175,7 +176,8 @@ nb::tuple match_descriptors(const Pixels& expected, const Descriptors& known, co
                                          {pixels.data(), descriptors.data(), pixels.shape(0)}, radius_px, most_bits);
   }
   const std::size_t count = matches.landmarks.size();
-  return nb::make_tuple(to_numpy(std::move(matches.landmarks), {count}), to_numpy(std::move(matches.keypoints), {count}));
+  return nb::make_tuple(to_numpy(std::move(matches.landmarks), {count}),
+                        to_numpy(std::move(matches.keypoints), {count}));
 }
 
 monoloc::SeenLandmarks seen_landmarks(const Vectors& points, const Pixels& rays, const Pixels& sd,
@@ -211,12 +213,30 @@ nb::tuple fit_log_focal(const Vectors& points, const Pixels& rays, const Pixels&
   return nb::make_tuple(fit.log_focal, fit.sd);
 }
 
+nb::tuple adjust_window(const Poses& poses, const Vectors& points, const Array<double, nb::shape<-1, -1, 2>>& rays,
+                        const Array<double, nb::shape<-1, -1>>& log_depth, double ray_sd, double log_depth_sd,
+                        std::size_t iterations) {
+  const std::size_t corners = points.shape(0), frames = poses.shape(0);
+  require(rays.shape(0) == corners && log_depth.shape(0) == corners,
+          "points, rays and log_depth must be of one number");
+  require(rays.shape(1) == frames && log_depth.shape(1) == frames, "poses, rays and log_depth must be of one number");
+  std::vector<double> moved(poses.data(), poses.data() + 16 * frames);
+  std::vector<double> placed(points.data(), points.data() + 3 * corners), information(9 * corners, 0.0);
+  {
+    nb::gil_scoped_release release;
+    monoloc::adjust_window({rays.data(), log_depth.data(), corners, frames, ray_sd, log_depth_sd}, iterations,
+                           moved.data(), placed.data(), information.data());
+  }
+  return nb::make_tuple(to_numpy(std::move(moved), {frames, 4, 4}), to_numpy(std::move(placed), {corners, 3}),
+                        to_numpy(std::move(information), {corners, 3, 3}));
+}
+
 }  // namespace
 
 NB_MODULE(_core, m) {
   m.doc() =
-      "Native kernels of monoloc: mixture density, E-step of EM, weighing of particles, max-pooling, drawing of points, "
-      "matching of descriptors, poses of landmarks.";
+      "Native kernels of monoloc: mixture density, E-step of EM, weighing of particles, max-pooling, drawing of "
+      "points, matching of descriptors, poses of landmarks, bundle adjustment.";
   m.def("log_density", &log_density, "points"_a, "weights"_a, "means"_a, "covariances"_a);
   m.def("expectation", &expectation, "points"_a, "weights"_a, "means"_a, "covariances"_a);
   m.attr("MOST_POOLED_PIXELS") = monoloc::kMostPooledPixels;
@@ -232,6 +252,8 @@ NB_MODULE(_core, m) {
         "nearest_m"_a);
   m.def("fit_log_focal", &fit_log_focal, "points"_a, "rays"_a, "sd"_a, "pose"_a, "information"_a, "kernel_sds"_a,
         "nearest_m"_a);
+  m.def("adjust_window", &adjust_window, "poses"_a, "points"_a, "rays"_a, "log_depth"_a, "ray_sd"_a,
+        "log_depth_sd"_a, "iterations"_a);
   m.def("instruction_set", [] { return monoloc::kernels().name; });
   m.def(
       "multiply_add",

@@ -1,9 +1,11 @@
 // The hot loops. Compiled once for each instruction set, with MONOLOC_ISA as its name.
 #include "monoloc/kernels.hpp"
 
+#include "gram_kernel.hpp"
 #include "pooling_kernel.hpp"
 #include "ray_kernel.hpp"
 #include "simd.hpp"
+#include "window_kernel.hpp"
 
 #define MONOLOC_JOIN_(a, b) a##b
 #define MONOLOC_JOIN(a, b) MONOLOC_JOIN_(a, b)
@@ -306,6 +308,7 @@ double multiply_add(std::size_t rounds, float* out) {
 extern const Kernels MONOLOC_JOIN(kernels_, MONOLOC_ISA);
 const Kernels MONOLOC_JOIN(kernels_, MONOLOC_ISA) = {
     MONOLOC_TEXT(MONOLOC_ISA), weigh, density, component_density, divide, largest_sum, log_density, expectation,
-    ray_offsets, ray_shortlist, ray_candidates, weigh_rays, to_keys, from_keys, largest_of_five, multiply_add};
+    ray_offsets, ray_shortlist, ray_candidates, weigh_rays, to_keys, from_keys, largest_of_five, linearise_window,
+    add_gram, multiply_add};
 
 }  // namespace monoloc

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <numeric>
 
 #include "padded.hpp"
 #include "pool.hpp"
@@ -179,22 +180,24 @@ struct Candidates {
   std::vector<std::size_t> first;
 };
 
-// Selection of components at the given particles; scan: x / z, then y / z.
+// Selection of components at the given particles; scan: x / z, then y / z. alike: whether the particles are so close
+// together that the bounds of a shortlist hold.
 Candidates candidates_of(const RayView& view, const std::vector<float>& particles, const std::vector<float>& offsets,
-                         std::size_t stride, const std::vector<float>& scan, std::size_t points) {
+                         std::size_t stride, const std::vector<float>& scan, std::size_t points, bool alike) {
   const Shortlist shortlist = shortlist_of(view, particles, stride);
   Candidates candidates;
   candidates.first.resize(points + 1);
   std::vector<float> bounds(shortlist.stride), scratch(view.components * stride);
   std::vector<std::uint32_t> listed(shortlist.stride + 1);
+  std::iota(listed.begin(), listed.end(), 0u);
   for (std::size_t p = 0; p < points; ++p) {
     float ray[3];
     for (std::size_t axis = 0; axis < 3; ++axis) {
       const double* row = shortlist.rotation + 3 * axis;
       ray[axis] = static_cast<float>(row[0] * scan[p] + row[1] * scan[points + p] + row[2]);
     }
-    const std::size_t count =
-        kernels().ray_shortlist(shortlist.view(), ray, kLeastLog2, bounds.data(), listed.data());
+    std::size_t count = view.components;
+    if (alike) count = kernels().ray_shortlist(shortlist.view(), ray, kLeastLog2, bounds.data(), listed.data());
     const std::size_t first = candidates.first[p];
     candidates.components.resize(first + count + 1);  // one more than the kernel can return
     candidates.first[p + 1] =
@@ -231,7 +234,7 @@ void RayMixture::weigh(const double* poses, const double* log_scales, std::size_
   if (alike) {
     const std::size_t count = std::min(kFew, padded(particles)), step = (particles + count - 1) / count;
     const std::vector<float> few = particle_rows(poses, log_scales, particles, spread.centre, 0, step, count);
-    shared = candidates_of(view, few, offsets_of(view, few, count), count, scan_rows, points);
+    shared = candidates_of(view, few, offsets_of(view, few, count), count, scan_rows, points, true);
   }
   const auto sd = static_cast<float>(noise.log_depth_sd);
   const auto inlier_share = static_cast<float>(1.0 - noise.outlier_share);
@@ -241,7 +244,7 @@ void RayMixture::weigh(const double* poses, const double* log_scales, std::size_
     const std::vector<float> batch = particle_rows(poses, log_scales, particles, spread.centre, first, 1, kRayBatch);
     const std::vector<float> offsets = offsets_of(view, batch, kRayBatch);
     Candidates own;
-    if (!alike) own = candidates_of(view, batch, offsets, kRayBatch, scan_rows, points);
+    if (!alike) own = candidates_of(view, batch, offsets, kRayBatch, scan_rows, points, false);
     const Candidates& candidates = alike ? shared : own;
     std::vector<float> scratch(3 * kPadding * view.components);
     double result[kRayBatch];

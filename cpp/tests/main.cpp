@@ -16,6 +16,7 @@ int main() {
   test_drawing();
   test_matching();
   test_landmark_pose();
+  test_window();
   for (const monoloc::Kernels* const* k = monoloc::available_kernels(); *k != nullptr; ++k) {
     std::printf("%s\n", (*k)->name);
     test_component_density(**k);
@@ -26,6 +27,7 @@ int main() {
     test_rays(**k);
     test_keys(**k);
     test_largest_of_five(**k);
+    test_gram(**k);
   }
   if (failures == 0) std::printf("all passed\n");
   return failures == 0 ? 0 : 1;

@@ -21,3 +21,5 @@ void test_pooling();
 void test_drawing();
 void test_matching();
 void test_landmark_pose();
+void test_gram(const monoloc::Kernels& kernels);
+void test_window();

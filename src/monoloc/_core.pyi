@@ -36,6 +36,15 @@ def fit_pose(
 def fit_log_focal(
     points: _F64, rays: _F64, sd: _F64, pose: _F64, information: _F64, kernel_sds: _F64, nearest_m: float
 ) -> tuple[float, float]: ...
+def adjust_window(
+    poses: _F64,
+    points: _F64,
+    rays: _F64,
+    log_depth: _F64,
+    ray_sd: float,
+    log_depth_sd: float,
+    iterations: int,
+) -> tuple[_F64, _F64, _F64]: ...
 def instruction_set() -> str: ...
 def multiply_add(rounds: int) -> float: ...
 

@@ -42,6 +42,30 @@ struct IndexView {
   const float* blocks;
 };
 
+constexpr double kWindowDamping = 1e-4;  // relative to the diagonal of a window's normal matrix; against rounding
+
+// A window of keyframes that observe corners; rows of `stride` doubles, one for each corner, padded.
+struct WindowView {
+  const double* cameras;       // 12 per keyframe: rotation, row-major, and translation; camera from common frame
+  const double* observations;  // 6 rows per keyframe: x and y at z = 1, log-depth; 1 where known; 0 where missing
+  const double* points;        // 3 rows
+  std::size_t frames, stride;
+  double ray_scale, log_depth_scale;  // reciprocals of the standard deviations
+};
+
+constexpr std::size_t kPoseSums = 33;
+
+// Normal equations of a window. Each point is eliminated: with L L^T its damped normal matrix, its three rows are L^-1
+// times its products with the twists (rho, phi) of all keyframes but the first and, in the last column, its gradient.
+struct WindowSums {
+  double* poses;  // kPoseSums rows of kPadding partial sums per keyframe: blocks rho rho, rho phi and phi phi, gradient
+  double* information;  // 6 rows: normal matrix of each point, by its rays alone: xx xy xz yy yz zz
+  double* whiten;       // 6 rows: L^-1 of each point, lower triangle by rows
+  double* rows;         // 3 rows per point; entries of keyframes that do not observe it stay as they are
+  std::size_t row_stride;
+  double* scratch;  // 12 * kPadding per keyframe
+};
+
 constexpr std::size_t kRayBatch = 64;    // particles per batch
 constexpr float kNearest = 0.05f;        // metres; components nearer along the ray are ignored
 
@@ -138,6 +162,14 @@ struct Kernels {
 
   // Element-wise maximum of five rows of keys.
   void (*largest_of_five)(const std::int32_t* const* rows, std::size_t count, std::int32_t* out);
+
+  // Linearises the observations of kPadding corners from `first`: adds to the poses' sums, and writes the points'.
+  void (*linearise_window)(const WindowView& view, std::size_t first, const WindowSums& sums);
+
+  // Adds the products of columns, sum_k rows[k, i] rows[k, j], to the entries i <= j < columns of a matrix, and to some
+  // of the other entries. rows: (count, columns), out: (columns, columns); each row begins `stride` doubles after the
+  // last, and both are padded.
+  void (*add_gram)(const double* rows, std::size_t count, std::size_t columns, std::size_t stride, double* out);
 
   // Multiplies and adds at peak speed, `rounds` times, as a reference for benchmarks. Returns the number of
   // operations. out: kPadding floats; writing them prevents the compiler from removing the work.

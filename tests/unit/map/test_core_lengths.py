@@ -13,6 +13,7 @@ POINTS, SCAN = np.zeros((7, 3)), np.ones((5, 3), np.float32)
 MIXTURE = np.array([0.5, 0.5]), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1))
 POSES, LOG_SCALES = np.tile(np.eye(4), (3, 1, 1)), np.zeros(3)
 PIXELS, DESCRIPTORS = np.zeros((4, 2)), np.zeros((4, 32), np.uint8)
+RAYS, DEPTHS = np.zeros((7, 3, 2)), np.zeros((7, 3))
 IMAGES, FEWER = np.zeros((2, 8, 8, 4), np.uint16), np.zeros((2, 8, 7, 4), np.uint16)
 
 
@@ -63,6 +64,10 @@ def weigh_by_rays(log_scales: np.ndarray, weights: np.ndarray | None) -> None:
             lambda: core.fit_pose(POINTS[:4], PIXELS, PIXELS, np.eye(4), np.eye(6), np.ones(0), 0.1),
             "kernel_sds",
         ),
+        (lambda: core.adjust_window(POSES, POINTS, RAYS[:6], DEPTHS, 0.1, 0.1, 3), "points, rays and log_depth"),
+        (lambda: core.adjust_window(POSES, POINTS, RAYS, DEPTHS[:6], 0.1, 0.1, 3), "points, rays and log_depth"),
+        (lambda: core.adjust_window(POSES[:2], POINTS, RAYS, DEPTHS, 0.1, 0.1, 3), "poses, rays and log_depth"),
+        (lambda: core.adjust_window(POSES, POINTS, RAYS, DEPTHS[:, :2], 0.1, 0.1, 3), "poses, rays and log_depth"),
     ],
 )
 def test_lengths_that_disagree_are_refused(call: Callable[[], object], problem: str) -> None:
