@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -22,7 +22,7 @@ from monoloc.geometry import FloatArray, invert
 from monoloc.io.recording import Recording, Relight
 from monoloc.localizer import Localizer, Step
 from monoloc.localizer_config import LocalizerConfig
-from monoloc.odometry.motion import Motion, MotionSource
+from monoloc.odometry.motion import Motion
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.progress import Progress
 from monoloc.sensor_depth import sensor_bundle, sensor_settings, sparse_depth
@@ -142,7 +142,7 @@ def localize(
     viewer: Viewer = NoViewer(),
     components: ComponentsFactory = default_components,
     down: FloatArray | None = None,
-    sensor_motion: MotionSource | None = None,
+    motions: Sequence[Motion | None] | None = None,
 ) -> Run:
     """Localise every frame of a recording.
 
@@ -154,16 +154,18 @@ def localize(
         relight: changes the light of the images; None leaves them.
         viewer: is shown every frame; its time does not count.
         down: (N, 3) as :meth:`monoloc.localizer.Localizer.step` takes it, one a frame.
-        sensor_motion: another sensor, asked for the motion between the frames' time stamps.
+        motions: by another sensor, likewise; see :func:`monoloc.odometry.motion.motions_between`.
 
     Raises:
         DataError: sensor depth is asked for and there is none, there are no frames, or one cannot be read.
-        ValueError: as :class:`monoloc.localizer.Localizer`, or ``down`` is not one a frame.
+        ValueError: as :class:`monoloc.localizer.Localizer`, or ``down`` or ``motions`` are not one a frame.
     """
     if len(recording) == 0:
         raise DataError(recording.name, "gives no frames", "give a recording with at least one")
     if down is not None and len(down) != len(recording):
         raise ValueError(f"down must have shape ({len(recording)}, 3), got {np.shape(down)}")
+    if motions is not None and len(motions) != len(recording):
+        raise ValueError(f"motions must be {len(recording)}, one a frame, got {len(motions)}")
     if use_sensor_depth:
         if not recording.has_depth:
             raise DataError(recording.name, "has no depth", "leave out --depth sensor")
@@ -172,7 +174,6 @@ def localize(
     build_frames = set(bundle.provenance.frames.values())
     log = _Log(recording, None if start is None else start.pose)
     elapsed = np.diff(recording.timestamps_s, prepend=recording.timestamps_s[:1])
-    motions = _motions_between(recording.timestamps_s, sensor_motion)
     viewer.begin(bundle, recording)
     with progress.task("localize", len(recording)) as show:
         for index in range(len(recording)):
@@ -183,19 +184,13 @@ def localize(
             color = color if relight is None else relight(color)
             began = time.perf_counter()
             gravity = None if down is None else down[index]
-            step = localizer.step(color, float(elapsed[index]), measured, gravity, motions[index])
+            motion = None if motions is None else motions[index]
+            step = localizer.step(color, float(elapsed[index]), measured, gravity, motion)
             step_ms = (time.perf_counter() - began) * 1e3
             log.add(step, unseen, step_ms, sensor)
             viewer.show(index, color, step, localizer.particles, log.dead_reckoning[-1], step_ms)
             show(index + 1)
     return log.run(config)
-
-
-def _motions_between(times_s: FloatArray, sensor: MotionSource | None) -> list[Motion | None]:
-    """Motions by a sensor since the previous of the frames (N,): N."""
-    if sensor is None:
-        return [None] * len(times_s)
-    return [None, *(sensor.between(float(start_s), float(end_s)) for start_s, end_s in pairwise(times_s))]
 
 
 class _Log:

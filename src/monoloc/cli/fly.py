@@ -42,7 +42,7 @@ from monoloc.cli.start_option import METAVAR
 from monoloc.cli.stop_signals import stopped_by_signals
 from monoloc.errors import SettingError
 from monoloc.extras import require_mcap, require_viewing
-from monoloc.flight.autopilot import down_world, gravity_of, obstacle_frames, senders
+from monoloc.flight.autopilot import down_world, gravity_of, link_to, obstacle_frames, senders, turns_of
 from monoloc.flight.flight_file import FlightFile
 from monoloc.flight.flight_loop import Flight, FlightOutput, FlightSummary
 from monoloc.flight.flight_recording import FlightHeader, FlightRecorder, RecordedStart
@@ -167,7 +167,8 @@ def fly(
             localizer = Localizer(bundle, camera, starting.start, seed=seed)
             if firmware is not None:
                 down_world(bundle, flight_settings)  # or it is refused, before anything is written
-            link = None if flight.mavlink is None else opened.enter_context(closing(AutopilotLink(flight.mavlink)))
+            address = flight.mavlink
+            link = None if address is None else opened.enter_context(closing(link_to(address, flight_settings)))
             if flight.record is not None:
                 sent_to = None if align else firmware
                 header = _header(room, camera, starting.start, seed, flight_settings, sent_to)
@@ -206,6 +207,7 @@ def fly(
                 summary,
                 starting.find,
                 starting.begins,
+                turns_of(link),
             ).run()
         if north is not None:
             north_deg, sd_deg = north.north_deg()

@@ -31,6 +31,13 @@ from monoloc.cli.common import (
     print_table,
     stderr,
 )
+from monoloc.cli.motion_options import (
+    GyroscopeOption,
+    MountOption,
+    OdometryDelayOption,
+    OdometryOption,
+    measured_motions,
+)
 from monoloc.cli.start_option import METAVAR, UNKNOWN, StartErrorCmOption, StartErrorDegOption, start_of
 from monoloc.config import override
 from monoloc.errors import MonolocError
@@ -61,6 +68,10 @@ def localize_command(
     motion: Annotated[
         Literal["visual", "random-walk"] | None, typer.Option("--motion", help="Motion model. [visual]")
     ] = None,
+    gyroscope: GyroscopeOption = None,
+    odometry: OdometryOption = None,
+    odometry_delay: OdometryDelayOption = 0.0,
+    mount: MountOption = None,
     depth: Annotated[
         Literal["predicted", "sensor"],
         typer.Option("--depth", help="Depth of the network or of the recording's sensor (upper bound)."),
@@ -96,15 +107,18 @@ def localize_command(
       monoloc localize room.monoloc flight.mp4 --intrinsics 640,480,525,525,319.5,239.5 --out trajectory.txt
       monoloc localize room.monoloc flight.mp4 --intrinsics 640,480,525,525,319.5,239.5 --start 0.5,0.2,1.1,0,0,0,1
       monoloc localize room.monoloc tum:fr1_room --start truth --motion random-walk
+      monoloc localize room.monoloc folder:flight --gyroscope flight/imu.csv --mount flight.toml
+      monoloc localize room.monoloc folder:flight --odometry wheels.txt --odometry-delay 0.08
       monoloc localize kitchen.monoloc 7scenes:redkitchen --view --record trajectory.rrd
     """
-    check_outputs({"--out": out, "--plot": plot, "--record": record}, (bundle, source))
+    check_outputs({"--out": out, "--plot": plot, "--record": record}, (bundle, source, gyroscope, odometry, mount))
     if out is not None:
         check_trajectory(out, "--out")
     check_picture(plot, "--plot")
     check_viewing(view, record)
     room = read_bundle(bundle)
     recording = open_source(source, frames, intrinsics, depth_scale)
+    motions = measured_motions(recording.timestamps_s, gyroscope, odometry, odometry_delay, mount)
     with naming({"particles": "--particles", "scan_points": "--scan-points"}):
         config = override(room.settings, motion=motion, particles=particles, scan_points=scan_points)
     rng = np.random.default_rng(seed)
@@ -120,7 +134,8 @@ def localize_command(
         if trajectory is not None:
             writing.enter_context(closing(trajectory))
             viewer = WritingViewer(viewer, trajectory)
-        run = localize(room, recording, begin, config, rng, ConsoleProgress(stderr), depth == "sensor", viewer=viewer)
+        show_progress, sensor = ConsoleProgress(stderr), depth == "sensor"
+        run = localize(room, recording, begin, config, rng, show_progress, sensor, viewer=viewer, motions=motions)
         writers: list[tuple[Path | None, Callable[[Path], None]]] = [
             (plot, lambda path: draw(path, run, room, name)),
             (record, lambda _: viewing.close()),

@@ -18,6 +18,7 @@ from monoloc.geometry import FloatArray
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
 from monoloc.mavlink.autopilot_link import AutopilotLink
 from monoloc.mavlink.firmware import Firmware
+from monoloc.odometry.motion import Motion
 
 
 def down_world(bundle: Bundle, settings: FlightSettings) -> FloatArray:
@@ -92,3 +93,13 @@ def gravity_of(
         return None if attitude is None else frames.down_camera(attitude.roll_rad, attitude.pitch_rad)
 
     return down_camera
+
+
+def link_to(url: str, settings: FlightSettings) -> AutopilotLink:
+    """The link to an autopilot on whose vehicle the camera is mounted; raises as :class:`AutopilotLink`."""
+    return AutopilotLink(url, R_body_camera=settings.mount.T_body_camera[:3, :3])
+
+
+def turns_of(link: AutopilotLink | None) -> Callable[[float, float], Motion | None]:
+    """The camera's rotation between two times of capture, from the autopilot's attitude; None where there is none."""
+    return (lambda start_s, end_s: None) if link is None else link.turn_between

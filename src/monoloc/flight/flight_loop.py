@@ -16,6 +16,7 @@ from monoloc.errors import DataError, MonolocError
 from monoloc.geometry import FloatArray
 from monoloc.live.frame_source import EndOfStreamError, FrameSource, LiveFrame
 from monoloc.localizer import Localizer, Step
+from monoloc.odometry.motion import Motion
 from monoloc.start import Start
 
 _WAIT_S = 0.1  # for a frame, before the outputs hear that there is none
@@ -34,6 +35,8 @@ class FlightStep:
         step: the localizer's result.
         done_s: when it was known, by the source's clock.
         start: from which the localizer began anew at this frame, such as a marker tells it.
+        measured_motion: since the previous localised frame that was used, by another sensor than the camera, or
+            None.
     """
 
     frame: LiveFrame
@@ -42,6 +45,7 @@ class FlightStep:
     step: Step
     done_s: float
     start: Start | None = None
+    measured_motion: Motion | None = None
 
 
 class FlightOutput(Protocol):
@@ -132,6 +136,8 @@ class Flight:
         finds_start: tells a start from an image (H, W, 3), such as by a marker; asked while the state is lost.
         begins: whether the localizer has a start (``known``), searches the room and asks ``finds_start``
             (``searching``), or can do nothing before ``finds_start`` tells it (``waiting``).
+        motion_between: the camera's motion between two times of capture by another sensor; None where it is not
+            known.
     """
 
     def __init__(
@@ -146,6 +152,7 @@ class Flight:
         summary: FlightSummary,
         finds_start: Callable[[NDArray[np.uint8]], Start | None] = lambda color: None,
         begins: Literal["known", "searching", "waiting"] = "known",
+        motion_between: Callable[[float, float], Motion | None] = lambda start_s, end_s: None,
     ) -> None:
         self._localizer, self._camera, self._source, self._outputs = localizer, camera, source, outputs
         self._most_age_s, self._down_at, self._stop = most_age_s, down_at, stop
@@ -154,6 +161,7 @@ class Flight:
         self._sequence = -1
         self._summary = summary
         self._failed: list[FlightOutput] = []
+        self._motion_between = motion_between
         self._finds_start, self._is_waiting = finds_start, begins == "waiting"
         self._is_lost = begins != "known"
 
@@ -200,11 +208,13 @@ class Flight:
         return not self._is_waiting
 
     def _localize(self, frame: LiveFrame) -> None:
-        elapsed_s = 0.0 if self._previous is None else frame.captured_s - self._previous.captured_s
+        before_s = frame.captured_s if self._previous is None else self._previous.captured_s
+        elapsed_s = frame.captured_s - before_s
         down_camera = self._down_at(frame.captured_s)
-        step = self._localizer.step(frame.color, elapsed_s, down=down_camera)
+        motion = None if self._previous is None else self._motion_between(before_s, frame.captured_s)
+        step = self._localizer.step(frame.color, elapsed_s, down=down_camera, measured_motion=motion)
         self._previous, self._is_lost = frame, step.state == "lost"
-        result = FlightStep(frame, elapsed_s, down_camera, step, self._source.now_s(), self._start)
+        result = FlightStep(frame, elapsed_s, down_camera, step, self._source.now_s(), self._start, motion)
         self._summary.add(result)
         self._hand_on(methodcaller("take", result))
 

@@ -3,7 +3,8 @@
 ::
 
     flight.json      bundle, camera, start, seed and settings
-    frames.jsonl     one line a localised frame: times, gravity; and one whenever no frame came or one was dropped
+    frames.jsonl     one line a localised frame: times, gravity, rotation; and one whenever no frame came or one was
+                     dropped
     images/          the frames, PNG
     poses.csv        what was computed, see :mod:`monoloc.flight.pose_log`
     messages.tlog    what was sent to the autopilot, where there was one
@@ -20,7 +21,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
 from monoloc.camera import Camera
 from monoloc.config import describe
@@ -33,6 +34,7 @@ from monoloc.geometry import FloatArray
 from monoloc.io.file_access import read_text
 from monoloc.io.image_files import read_color
 from monoloc.mavlink.firmware import Firmware
+from monoloc.odometry.motion import Motion
 from monoloc.start import Start
 from monoloc.version import __version__
 
@@ -91,6 +93,31 @@ class FlightHeader(BaseModel):
     firmware: Firmware | None = None
 
 
+class RecordedRotation(BaseModel):
+    """A motion of which only the rotation is known: nine numbers, row by row, and its standard deviation."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    R_previous_current: tuple[float, ...] = Field(min_length=9, max_length=9)
+    sd_rad: float
+
+    @classmethod
+    def of(cls, motion: Motion | None) -> RecordedRotation | None:
+        if motion is None or motion.rotation_sd_rad is None:
+            return None
+        rotation = motion.T_previous_current[:3, :3]
+        return cls(R_previous_current=tuple(rotation.ravel().tolist()), sd_rad=motion.rotation_sd_rad)
+
+    @model_validator(mode="after")
+    def _check(self) -> RecordedRotation:
+        self.motion  # noqa: B018 - raises where it is no rotation
+        return self
+
+    @property
+    def motion(self) -> Motion:
+        return Motion.rotation(np.reshape(self.R_previous_current, (3, 3)), self.sd_rad)
+
+
 class RecordedFrame(BaseModel):
     """A localised frame.
 
@@ -98,6 +125,7 @@ class RecordedFrame(BaseModel):
         captured_s, elapsed_s, done_s: see :class:`~monoloc.flight.flight_loop.FlightStep`.
         down_camera: direction of gravity that was used, or None.
         start: from which the localizer began anew at this frame, or None.
+        rotation: since the previous frame by the autopilot's attitude that was used, or None.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -107,6 +135,11 @@ class RecordedFrame(BaseModel):
     done_s: float
     down_camera: tuple[float, float, float] | None
     start: RecordedStart | None = None
+    rotation: RecordedRotation | None = None
+
+    @property
+    def motion(self) -> Motion | None:
+        return None if self.rotation is None else self.rotation.motion
 
     @property
     def down(self) -> FloatArray | None:
@@ -217,6 +250,7 @@ class FlightRecorder:
                 done_s=event.done_s,
                 down_camera=None if down is None else (float(down[0]), float(down[1]), float(down[2])),
                 start=RecordedStart.of(event.start),
+                rotation=RecordedRotation.of(event.measured_motion),
             )
         )
 

@@ -20,7 +20,7 @@ def recompute(
     outputs: Sequence[FlightOutput],
     show: Callable[[int], None],
 ) -> int:
-    """Localise the frames of a recorded flight, with its times and its gravity.
+    """Localise the frames of a recorded flight, with its times, its gravity and its attitude.
 
     Args:
         folder, header: of the flight.
@@ -45,9 +45,10 @@ def recompute(
         color, frame = event
         if frame.start is not None:
             localizer.reset(frame.start.start)
-        step = localizer.step(color, frame.elapsed_s, down=frame.down)
+        motion = frame.motion
+        step = localizer.step(color, frame.elapsed_s, down=frame.down, measured_motion=motion)
         taken = LiveFrame(color, frame.captured_s, count)
-        result = FlightStep(taken, frame.elapsed_s, frame.down, step, frame.done_s)
+        result = FlightStep(taken, frame.elapsed_s, frame.down, step, frame.done_s, measured_motion=motion)
         for output in outputs:
             output.take(result)
         count += 1

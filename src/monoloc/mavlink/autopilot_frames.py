@@ -127,6 +127,12 @@ def euler_of(rotation: FloatArray) -> FloatArray:
     return np.array([roll, np.arcsin(sin_pitch), np.arctan2(rotation[1, 0], rotation[0, 0])])
 
 
+def rotation_of(roll_rad: float, pitch_rad: float, yaw_rad: float) -> FloatArray:
+    """``R_ned_body``, (3, 3), of roll, pitch and yaw."""
+    roll, pitch, yaw = so3_exp(np.diag([roll_rad, pitch_rad, yaw_rad]))
+    return np.asarray(yaw @ pitch @ roll)
+
+
 def _euler_rates(euler_rad: FloatArray) -> FloatArray:
     """Changes of roll, pitch and yaw by small rotations about the body's axes, (3, 3)."""
     roll, pitch, _ = euler_rad

@@ -5,6 +5,7 @@ The clock of everything that is sent is ``time.monotonic``: that of times of cap
 
 from __future__ import annotations
 
+import contextlib
 import math
 import struct
 import threading
@@ -14,11 +15,17 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from monoloc.extras import require_mavlink
 from monoloc.live.capture_clock import CaptureClock
+from monoloc.mavlink.autopilot_frames import rotation_of
 from monoloc.mavlink.byte_link import ByteLink
 from monoloc.mavlink.link_port import parse_address
 from monoloc.mavlink.messages import COMPONENT, dialect, heartbeat, parameter_request, timesync
+from monoloc.odometry.attitude import AttitudeHistory
+from monoloc.odometry.motion import Motion
 
 _SECOND_S = 1.0  # between heartbeats, and between questions for the time and for a parameter
 _ATTITUDES = 200  # that are kept: four seconds at 50 Hz
@@ -52,6 +59,7 @@ class AutopilotLink:
     Args:
         url: ``udpout:HOST:PORT``, ``udpin:HOST:PORT``, ``tcp:HOST:PORT`` or ``serial:DEVICE:BAUD``.
         on_sent: is given the bytes of every message and the time it was sent, for a recording.
+        R_body_camera: turns the camera's axes into the body's, forward, right, down; (3, 3).
 
     Attributes:
         round_trip_s: of the last TIMESYNC that the autopilot answered; None before.
@@ -62,7 +70,12 @@ class AutopilotLink:
         MissingExtraError: pymavlink is not installed.
     """
 
-    def __init__(self, url: str, on_sent: Callable[[bytes, float], None] | None = None) -> None:
+    def __init__(
+        self,
+        url: str,
+        on_sent: Callable[[bytes, float], None] | None = None,
+        R_body_camera: ArrayLike = np.eye(3),
+    ) -> None:
         parse_address(url)  # a wrong address is refused with and without pymavlink
         require_mavlink()
         self.round_trip_s: float | None = None
@@ -72,6 +85,7 @@ class AutopilotLink:
         self._parser = _parser()
         self._changed = threading.Condition()
         self._attitudes: deque[Attitude] = deque(maxlen=_ATTITUDES)
+        self._history = AttitudeHistory(R_body_camera)
         self._clock = CaptureClock()
         self._parameters: dict[str, float] = {}
         self._vehicle: tuple[int, int] | None = None  # system and component of the autopilot
@@ -112,6 +126,11 @@ class AutopilotLink:
         with self._changed:
             nearest = min(self._attitudes, key=lambda attitude: abs(attitude.time_s - time_s), default=None)
         return None if nearest is None or abs(nearest.time_s - time_s) > _ATTITUDE_S else nearest
+
+    def turn_between(self, start_s: float, end_s: float) -> Motion | None:
+        """The camera's rotation between two times of capture; None where attitudes are missing for 0.12 s."""
+        with self._changed:
+            return self._history.between(start_s, end_s)
 
     def send(self, message: Any) -> None:
         """Queue a message. A pose, obstacles and an answer to TIMESYNC are dropped if the port holds them up."""
@@ -187,6 +206,8 @@ class AutopilotLink:
             time_s = self._clock.captured_s(message.time_boot_ms / 1e3, arrived_s)
             with self._changed:
                 self._attitudes.append(Attitude(time_s, message.roll, message.pitch, message.yaw))
+                with contextlib.suppress(ValueError):  # a stamp that is not after the last one says nothing new
+                    self._history.add(time_s, rotation_of(message.roll, message.pitch, message.yaw))
         elif kind == "PARAM_VALUE":
             with self._changed:
                 self._parameters[str(message.param_id)] = _value_of(message, self._is_px4)

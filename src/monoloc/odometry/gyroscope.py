@@ -54,7 +54,7 @@ class Gyroscope:
         """
         rate = np.asarray(rate_rad_s, dtype=np.float64)
         if rate.shape != (3,) or not np.all(np.isfinite(rate)):
-            raise ValueError(f"an angular velocity is three finite numbers, got {rate_rad_s}")
+            raise ValueError(f"an angular velocity is three finite numbers, got {rate_rad_s!r}")
         rate = self._R_camera_sensor @ rate
         rotation, newest = np.eye(3), self._history.newest
         if newest is not None:

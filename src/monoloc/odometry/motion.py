@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Literal, Protocol
 
 import numpy as np
@@ -127,3 +128,16 @@ class MotionSource(Protocol):
     def between(self, start_s: float, end_s: float) -> Motion | None:
         """The camera's motion from one time of capture to another; None where the sensor does not tell it."""
         ...
+
+
+def motions_between(times_s: FloatArray, sources: Sequence[MotionSource]) -> list[Motion | None]:
+    """Motions since the previous of N frames, each of the first source that tells it: N, the first None.
+
+    Args:
+        times_s: of capture, (N,).
+    """
+    motions: list[Motion | None] = [None] * min(1, len(times_s))
+    for start_s, end_s in pairwise(times_s.tolist()):
+        told = (source.between(start_s, end_s) for source in sources)
+        motions.append(next((motion for motion in told if motion is not None), None))
+    return motions

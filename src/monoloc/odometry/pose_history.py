@@ -59,14 +59,14 @@ class PoseHistory:
         return (self._times_s[-1], self._poses[-1]) if self._times_s else None
 
     def between(self, start_s: float, end_s: float) -> FloatArray | None:
-        """``T_start_end``, (4, 4), of the sensor at two times; None if samples before, between or after them miss."""
-        after = self._sample_after(start_s), self._sample_after(end_s)
-        if after[0] is None or after[1] is None:
+        """``T_start_end``, (4, 4), of the sensor at two times; None if a sample about or between them is missing."""
+        start, end = self._sample_after(start_s), self._sample_after(end_s)
+        if start is None or end is None:
             return None
-        first, last = sorted(after)
-        if np.any(np.diff(self._times_s[first - 1 : last + 1]) > self._max_gap_s):
+        times_s = self._times_s[min(start, end) - 1 : max(start, end) + 1]
+        if max(np.diff(np.array(times_s))) > self._max_gap_s:
             return None
-        return invert(self._at(start_s, after[0])) @ self._at(end_s, after[1])
+        return invert(self._at(start_s, start)) @ self._at(end_s, end)
 
     def _sample_after(self, time_s: float) -> int | None:
         """Index, at least 1, of the second of two samples that tell the pose at a time."""

@@ -47,15 +47,16 @@ def motion_sd(
     if motion is None:
         return np.repeat([config.speed_sd_m_s, config.turn_sd_rad_s], 3) * equivalent_s
     delta = motion.T_previous_current
-    translation_sd = np.hypot(config.translation_sd_m, config.translation_sd_ratio * np.linalg.norm(delta[:3, 3]))
-    rotation_sd = np.hypot(config.rotation_sd_rad, config.rotation_sd_ratio * rotation_angle(delta[:3, :3]))
+    translation_ratio, rotation_ratio = config.translation_sd_ratio, config.rotation_sd_ratio
+    translation_sd = float(np.hypot(config.translation_sd_m, translation_ratio * np.linalg.norm(delta[:3, 3])))
+    rotation_sd = float(np.hypot(config.rotation_sd_rad, rotation_ratio * rotation_angle(delta[:3, :3])))
     if motion.translation == "unknown":
         translation_sd = config.speed_sd_m_s * equivalent_s
     elif motion.translation_sd_m is not None:
         translation_sd = motion.translation_sd_m
     if motion.rotation_sd_rad is not None:
         rotation_sd = motion.rotation_sd_rad
-    return np.repeat([float(translation_sd), float(rotation_sd)], 3)
+    return np.repeat([translation_sd, rotation_sd], 3)
 
 
 def predict(

@@ -18,6 +18,7 @@ from monoloc.flight.flight_loop import Flight, FlightOutput, FlightStep, FlightS
 from monoloc.geometry import FloatArray
 from monoloc.live.frame_source import EndOfStreamError, LiveFrame
 from monoloc.localizer import Localizer
+from monoloc.odometry.motion import Motion
 from monoloc.start import Start
 from monoloc.supervision.state import State
 from refusals import refuses_data
@@ -61,14 +62,22 @@ class Calls:
     elapsed_s: list[float] = field(default_factory=list)
     down: list[FloatArray | None] = field(default_factory=list)
     states: list[State] = field(default_factory=list)
+    motions: list[Motion | None] = field(default_factory=list)
     resets: list[tuple[int, Start | None]] = field(default_factory=list)
 
     def reset(self, start: Start | None) -> None:
         self.resets.append((len(self.elapsed_s), start))
 
-    def step(self, color: NDArray[np.uint8], elapsed_s: float, down: FloatArray | None) -> Any:
+    def step(
+        self,
+        color: NDArray[np.uint8],
+        elapsed_s: float,
+        down: FloatArray | None,
+        measured_motion: Motion | None,
+    ) -> Any:
         self.elapsed_s.append(elapsed_s)
         self.down.append(down)
+        self.motions.append(measured_motion)
         self.source.clock_s += STEP_S
         return step_at(np.eye(4), self.states.pop(0) if self.states else "tracking")
 
@@ -100,11 +109,13 @@ def fly(
     down_at: Callable[[float], FloatArray | None] = lambda captured_s: None,
     stop: Callable[[], bool] = lambda: False,
     camera: Camera = CAMERA,
+    motion_between: Callable[[float, float], Motion | None] = lambda start_s, end_s: None,
 ) -> tuple[FlightSummary, Calls]:
     source = Source(frames)
     localizer, summary = Calls(source), FlightSummary()
     given: list[FlightOutput] = list(outputs)
-    Flight(cast(Localizer, localizer), camera, source, given, 0.2, down_at, stop, summary).run()
+    flight = (cast(Localizer, localizer), camera, source, given, 0.2, down_at, stop, summary)
+    Flight(*flight, motion_between=motion_between).run()
     return summary, localizer
 
 
@@ -188,6 +199,20 @@ def test_gravity_is_asked_for_at_the_time_of_capture() -> None:
     assert asked == [100.0, 100.1] and localizer.down[0] is None
     np.testing.assert_array_equal(localizer.down[1], [0.0, 1.0, 100.1])
     assert [result.down_camera for result in heard.results] == localizer.down
+
+
+def test_motion_is_asked_for_between_the_frames_that_were_localised() -> None:
+    """The second frame is too old: the motion since the first one counts."""
+    asked, heard = [], Heard()
+
+    def motion_between(start_s: float, end_s: float) -> Motion:
+        asked.append((start_s, end_s))
+        return Motion.rotation(np.eye(3), end_s - start_s)
+
+    frames = [(100.0, 100.05, 0), (100.1, 100.35, 1), (100.3, 100.4, 2)]
+    _, localizer = fly(frames, heard, motion_between=motion_between)
+    assert asked == [(100.0, 100.3)] and localizer.motions[0] is None and localizer.motions[1] is not None
+    assert [result.measured_motion for result in heard.results] == localizer.motions
 
 
 def test_an_image_of_another_size_is_refused_before_it_is_localised() -> None:

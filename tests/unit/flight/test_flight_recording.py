@@ -26,8 +26,9 @@ from monoloc.flight.flight_recording import (
     read_header,
 )
 from monoloc.flight.flight_settings import FlightSettings, Mount
-from monoloc.geometry import se3_exp
+from monoloc.geometry import se3_exp, so3_exp
 from monoloc.mavlink.firmware import Firmware
+from monoloc.odometry.motion import Motion
 from monoloc.start import Start
 from refusals import refuses_data
 
@@ -44,13 +45,14 @@ HEADER = FlightHeader(
 
 
 def result(index: int) -> FlightStep:
-    """A frame of noise, whose times are no round numbers, and every second one with gravity."""
+    """A frame of noise, whose times are no round numbers, and every second one with gravity and a rotation."""
     rng = np.random.default_rng(index)
     color = rng.integers(0, 256, (CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
     made = result_at(1234.5 + index / 3.0, step_at(POSE))
     down = None if index % 2 else rng.standard_normal(3)
+    motion = None if index % 2 else Motion.rotation(so3_exp(rng.standard_normal(3)), 1.0 / 300.0)
     frame = replace(made.frame, color=color)
-    return replace(made, frame=frame, elapsed_s=index / 7.0, down_camera=down)
+    return replace(made, frame=frame, elapsed_s=index / 7.0, down_camera=down, measured_motion=motion)
 
 
 def record(folder: Path, frames: int = 4) -> list[FlightStep]:
@@ -86,6 +88,11 @@ def test_what_is_read_is_what_was_recorded_to_the_last_bit(tmp_path: Path) -> No
         assert (frame.down is None) == (before.down_camera is None)
         if frame.down is not None:
             np.testing.assert_array_equal(frame.down, before.down_camera)
+        assert (frame.motion is None) == (before.measured_motion is None)
+        if frame.motion is not None and before.measured_motion is not None:
+            expected = before.measured_motion
+            np.testing.assert_array_equal(frame.motion.T_previous_current, expected.T_previous_current)
+            assert frame.motion.rotation_sd_rad == expected.rotation_sd_rad and frame.motion.translation == "unknown"
 
 
 def test_a_folder_that_holds_something_or_cannot_be_made_is_refused_and_unchanged(tmp_path: Path) -> None:
@@ -133,6 +140,8 @@ def test_damaged_files_are_named(tmp_path: Path) -> None:
         first.replace(b'"elapsed_s":0.0', b'"elapsed_s":-1.0'),
         first.replace(b'"elapsed_s":0.0', b'"elapsed_s":NaN'),
         first.replace(b'"done_s":', b'"more":1,"done_s":'),
+        first.replace(b'"sd_rad":0.0', b'"sd_rad":-1.0'),
+        first.replace(b'"R_previous_current":[', b'"R_previous_current":[2'),
         b"[" * 100_000 + b"\n",
     ):
         assert damaged != first

@@ -9,12 +9,16 @@ import socket
 import struct
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from typing import Any
 
 import numpy as np
 import pytest
 
 from monoloc.errors import DataError, SettingError
+from monoloc.flight.flight_settings import Mount
+from monoloc.geometry import so3_log
+from monoloc.mavlink.autopilot_frames import rotation_of
 from monoloc.mavlink.autopilot_link import AutopilotLink
 from monoloc.mavlink.messages import dialect, heartbeat, obstacle_distance, status_text
 
@@ -105,6 +109,29 @@ def test_attitude_is_that_of_the_time_of_capture(peer: Peer, link: AutopilotLink
     earlier = link.attitude_at(newest.time_s - 0.06)
     assert earlier is not None and earlier.roll_rad == pytest.approx(0.06, abs=0.011)
     assert link.attitude_at(newest.time_s + 0.2) is None and link.attitude_at(newest.time_s - 5.0) is None
+
+
+def test_turn_is_that_of_the_camera_between_two_times_of_capture(peer: Peer) -> None:
+    """Half a radian a second to the right, which a camera that looks forward sees about its axis down."""
+    made = AutopilotLink(f"udpout:127.0.0.1:{peer.port}", R_body_camera=Mount().T_body_camera[:3, :3])
+    with closing(made):
+        peer.wait_for("HEARTBEAT")
+        for index in range(10):
+            peer.mav.attitude_send(5000 + 20 * index, 0.3, -0.2, 3.1 + 0.01 * index, 0, 0, 0)
+            time.sleep(0.02)
+        eventually(lambda: made.counts["received"] >= 10)
+        newest = made.attitude_at(time.monotonic())
+        assert newest is not None
+        turn = made.turn_between(newest.time_s - 0.11, newest.time_s - 0.01)
+        assert turn is not None and turn.translation == "unknown"
+        R_ned_body = rotation_of(0.3, -0.2, 0.0)
+        down_camera = Mount().T_body_camera[:3, :3].T @ R_ned_body.T @ [0.0, 0.0, 1.0]
+        rotation = so3_log(turn.T_previous_current[:3, :3])
+        angle = np.linalg.norm(rotation)
+        assert angle == pytest.approx(0.05, abs=0.015)  # the clock of arrivals varies by milliseconds
+        np.testing.assert_allclose(rotation / angle, down_camera, atol=1e-6)
+        assert made.turn_between(newest.time_s - 0.5, newest.time_s) is None
+        assert made.turn_between(newest.time_s, newest.time_s + 0.2) is None
 
 
 def test_parameters_are_asked_for_until_they_come(peer: Peer, link: AutopilotLink) -> None:
