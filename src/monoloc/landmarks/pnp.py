@@ -119,7 +119,7 @@ def pose_from_matches(
         undetermined.
     """
     rays, sd = seen.rays(camera)
-    information = np.linalg.inv(covariance + _LEAST_VARIANCE * np.eye(6))
+    information = np.asarray(np.linalg.inv(covariance + _LEAST_VARIANCE * np.eye(6)), dtype=np.float64)
     pose, normal, gradient, weights = _core.fit_pose(points, rays, sd, prior, information, _KERNEL_SDS, _NEAREST_M)
     agree = weights > _AGREE_WEIGHT
     if int(agree.sum()) < LEAST_LANDMARKS or np.linalg.eigvalsh(normal)[0] < 1.0 / _UNOBSERVABLE_SD**2:
