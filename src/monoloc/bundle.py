@@ -41,7 +41,7 @@ from monoloc.map.mixture import GaussianMixture
 from monoloc.supervision.integrity import IntegrityModel, SensorModel
 from monoloc.version import __version__
 
-SCHEMA = 9
+SCHEMA = 10
 _MANIFEST, _MAP, _LANDMARKS, _DEPTH = "manifest.json", "map.npz", "landmarks.npz", "depth.onnx"
 _CONTENTS = (_MAP, _LANDMARKS, _DEPTH)
 _COPY = "copy the bundle again or rebuild it"

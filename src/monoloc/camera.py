@@ -192,6 +192,14 @@ class Camera:
         normalised = self._lens.undistort(distorted)
         return np.concatenate([normalised, np.ones((*normalised.shape[:-1], 1))], axis=-1)
 
+    def ray_spread(self, rays: FloatArray) -> FloatArray:
+        """Change of rays' x by a pixel in x and of y by one in y, (N, 2), at rays (N, 2) with z = 1."""
+        if not self.is_distorted:
+            return np.full(rays.shape, 1.0) / np.array([self.fx, self.fy])
+        J_xx, J_xy, J_yy = self._lens.jacobian(*rays.T)
+        determinant = J_xx * J_yy - J_xy * J_xy
+        return np.stack([J_yy / self.fx, J_xx / self.fy], axis=1) / determinant[:, None]
+
     def for_pnp(self, pixels: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Pixels (N, 2), intrinsic matrix (3, 3) and coefficients as OpenCV's perspective-n-point solvers take them.
 

@@ -32,7 +32,7 @@ class LocalizerConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    particles: int = Field(500, ge=10, le=100000)
+    particles: int = Field(300, ge=10, le=100000)
     scan_points: int = Field(200, ge=10, le=20000)
     motion: Literal["visual", "random-walk"] = "visual"
     ess_fraction: float = Field(0.5, gt=0.0, le=1.0)

@@ -17,7 +17,8 @@ _DEPTH_SD = 0.01  # relative, of measured depth
 _HUBER, _STEPS = 2.0, 5
 _NEAREST_M, _LEAST_INFORMATION = 1e-3, 1e-6  # for a point behind a camera; for a point on a single ray
 _AGREE_SD = 2.5  # standard deviations; half of a landmark's corners must lie within them
-_LANDMARKS_PER_FRAME = 100
+_PER_FRAME = (400, 300, 250, 200, 150, 100)  # landmarks that a frame should have; the first that gives few enough
+_MOST_LANDMARKS = 7500  # 330 kB
 
 
 @dataclass(frozen=True)
@@ -117,17 +118,24 @@ def _placed(seen: _Observations, poses: FloatArray) -> tuple[FloatArray, NDArray
 
 
 def _chosen(seen: _Observations, is_one_place: NDArray[np.bool_], frames: int) -> NDArray[np.int64]:
-    """Indices of the landmarks that most frames saw, at least two, until each frame has enough."""
+    """Indices of the landmarks that most frames saw, at least two, until each frame has enough.
+
+    More landmarks give more exact poses; the largest rooms get fewer a frame, so that the map stays small.
+    """
     counts = np.bincount(seen.landmark, minlength=len(is_one_place))
     order = np.argsort(seen.landmark, kind="stable")
     saw = np.split(seen.frame[order], np.cumsum(counts)[:-1])
     candidates = np.flatnonzero(is_one_place & (counts >= 2))
-    has = np.zeros(frames, dtype=np.int64)
-    chosen = []
-    for index in candidates[np.argsort(-counts[candidates], kind="stable")].tolist():
-        if np.any(has[saw[index]] < _LANDMARKS_PER_FRAME):
-            has[saw[index]] += 1
-            chosen.append(index)
+    by_count = candidates[np.argsort(-counts[candidates], kind="stable")].tolist()
+    for per_frame in _PER_FRAME:
+        has = np.zeros(frames, dtype=np.int64)
+        chosen = []
+        for index in by_count:
+            if np.any(has[saw[index]] < per_frame):
+                has[saw[index]] += 1
+                chosen.append(index)
+        if len(chosen) <= _MOST_LANDMARKS:
+            break
     return np.array(sorted(chosen), dtype=np.int64)
 
 

@@ -18,10 +18,12 @@ from monoloc.contrast import equaliser
 from monoloc.geometry import FloatArray
 from monoloc.image_size import gray_image
 
-FOCAL_PX = 260.0  # of the images in which keypoints are detected, so that their scales are comparable
+FOCAL_PX = 330.0  # of the images in which keypoints are detected, so that their scales are comparable
 MATCH_BITS = 64  # of 256, by which the descriptors of one corner may differ
 _LEAST_SIDE_PX = 96.0  # of an image in which keypoints are detected: ORB ignores a margin of 31 px
 _KEYPOINTS = 600
+# FAST's threshold, and that for images which show fewer keypoints than most by it: dim ones.
+_THRESHOLD, _LOW_THRESHOLD, _FEW_KEYPOINTS = 12, 5, 450
 _CORNER_SD_PX = 1.0  # standard deviation of a keypoint's position, at the pyramid's finest level
 
 
@@ -45,8 +47,7 @@ class Keypoints:
     def rays(self, camera: Camera) -> tuple[FloatArray, FloatArray]:
         """Normalised image coordinates (N, 2) and their standard deviations (N, 2), for the camera of the pixels."""
         rays = camera.rays(self.pixels)[:, :2]
-        shifts = (camera.rays(self.pixels + self.sd_px[:, None] * step)[:, :2] - rays for step in np.eye(2))
-        return rays, np.stack([np.abs(shift[:, axis]) for axis, shift in enumerate(shifts)], axis=1)
+        return rays, self.sd_px[:, None] * camera.ray_spread(rays)
 
 
 class KeypointDetector:
@@ -62,13 +63,18 @@ class KeypointDetector:
         self.camera = camera.resized(round(width * factor), round(height * factor))
         self._equalise = equaliser()
         library: Any = cv2  # whose stubs lack it
-        self._orb = library.ORB_create(nfeatures=_KEYPOINTS, scaleFactor=1.25, nlevels=6, fastThreshold=5)
+        self._orb, self._sensitive_orb = (
+            library.ORB_create(nfeatures=_KEYPOINTS, scaleFactor=1.25, nlevels=6, fastThreshold=threshold)
+            for threshold in (_THRESHOLD, _LOW_THRESHOLD)
+        )
         self._patch_px = float(self._orb.getPatchSize())
 
     def __call__(self, color: NDArray[np.uint8]) -> Keypoints:
         """Keypoints of an image (H, W, 3) uint8 RGB."""
-        gray = gray_image(color, (self.camera.width, self.camera.height))
-        found, descriptors = self._orb.detectAndCompute(self._equalise.apply(gray), None)
+        gray = self._equalise.apply(gray_image(color, (self.camera.width, self.camera.height)))
+        found, descriptors = self._orb.detectAndCompute(gray, None)
+        if len(found) < _FEW_KEYPOINTS:
+            found, descriptors = self._sensitive_orb.detectAndCompute(gray, None)
         if descriptors is None:
             return Keypoints(np.zeros((0, 2)), np.zeros((0, 32), np.uint8), np.zeros(0))
         pixels = np.array([keypoint.pt for keypoint in found], dtype=np.float64)

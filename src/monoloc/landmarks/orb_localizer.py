@@ -21,10 +21,10 @@ from monoloc.landmarks.pnp import (
     pose_from_matches,
 )
 
-_LEAST_RADIUS_PX, _MOST_RADIUS_PX = 6.0, 40.0  # of the search around a landmark's expected pixel
+_LEAST_RADIUS_PX, _MOST_RADIUS_PX = 8.0, 50.0  # of the search around a landmark's expected pixel
 _RATIO = 0.85  # of the best match's distance to that of the best match at another place (Lowe 2004)
 _CANDIDATES, _OTHER_PLACE_M = 8, 0.05  # best matches among which another place is sought, and its distance
-_INLIER_PX, _LEAST_INLIERS, _LEAST_CONFIRMED = 3.0, 8, 20
+_INLIER_PX, _LEAST_INLIERS, _LEAST_CONFIRMED = 4.0, 8, 20
 # Of a relocalisation: a single object that was moved, such as a window on a screen, may hold all of less spread.
 # At true poses the least was 0.076 and 0.093 (two real rooms, frames near those of the build).
 _LEAST_SPREAD = 0.075

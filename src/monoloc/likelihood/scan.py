@@ -12,6 +12,7 @@ from monoloc.depth.predictor import DepthPrediction
 from monoloc.odometry.motion import Motion
 
 _LEAST_WEIGHT, _MOST_WEIGHT = 0.25, 4.0  # so that no point dominates and none is wasted
+_ENOUGH_CORNERS = 80  # their errors are correlated: they count as twenty by default
 
 
 @dataclass(frozen=True)
@@ -67,9 +68,13 @@ def scan_from_depth(
 
 
 def scan_from_corners(motion: Motion, max_log_depth_sd: float, max_depth_m: float = 8.0) -> Scan:
-    """Tracked corners in front of the camera whose log-depth has a standard deviation below ``max_log_depth_sd``."""
+    """Tracked corners in front of the camera whose log-depth has a standard deviation below ``max_log_depth_sd``.
+
+    About eighty of them if there are more.
+    """
     z = motion.points[:, 2]
-    chosen = (motion.log_depth_sd < max_log_depth_sd) & (z > 0.0) & (z <= max_depth_m)
+    chosen = np.flatnonzero((motion.log_depth_sd < max_log_depth_sd) & (z > 0.0) & (z <= max_depth_m))
+    chosen = chosen[:: max(1, round(len(chosen) / _ENOUGH_CORNERS))]
     return uniform_scan(np.asarray(motion.points[chosen], dtype=np.float32))
 
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from monoloc.camera import Camera
-from monoloc.landmarks.features import MATCH_BITS, KeypointDetector, match_descriptors
+from monoloc.landmarks.features import FOCAL_PX, MATCH_BITS, KeypointDetector, match_descriptors
 
 
 @given(seed=st.integers(0, 2**32 - 1), landmarks=st.integers(0, 25), keypoints=st.integers(0, 25))
@@ -41,7 +41,7 @@ def test_keypoints_are_pixels_of_the_resized_image() -> None:
     """The corners of a bright square, at half the size, are found where they are."""
     image = np.zeros((480, 640, 3), np.uint8)
     cv2.rectangle(image, (240, 180), (399, 299), (200, 200, 200), -1)
-    detector = KeypointDetector(Camera(640, 480, 2.0 * 260.0, 2.0 * 260.0, 319.5, 239.5))
+    detector = KeypointDetector(Camera(640, 480, 2.0 * FOCAL_PX, 2.0 * FOCAL_PX, 319.5, 239.5))
     assert (detector.camera.width, detector.camera.height) == (320, 240)
     corners = np.array([[119.5, 89.5], [199.5, 89.5], [119.5, 149.5], [199.5, 149.5]])
     distances_px = np.linalg.norm(detector(image).pixels[:, None] - corners[None], axis=2)
