@@ -28,6 +28,7 @@ from monoloc.camera import Camera
 from monoloc.config import describe
 from monoloc.depth.model_files import read_model
 from monoloc.depth.models import is_shipped
+from monoloc.depth.network_check import check_network
 from monoloc.depth.spec import DepthModel, ModelSpec
 from monoloc.errors import BundleError
 from monoloc.files import read_regular
@@ -232,7 +233,8 @@ def read_bundle(path: str | Path) -> Bundle:
     """Read a bundle and check it byte for byte.
 
     Raises:
-        BundleError: not a bundle, cut short, edited, or of an unknown schema.
+        BundleError: not a bundle, cut short, edited, of an unknown schema, or with a network that is refused by
+            :func:`monoloc.depth.network_check.check_network`.
     """
     path = Path(path)
     manifest = _read_manifest(path)
@@ -246,6 +248,7 @@ def read_bundle(path: str | Path) -> Bundle:
             raise BundleError(path / name, f"is not what was written ({error})", _COPY) from error
         if hashlib.sha256(contents[name]).hexdigest() != manifest.sha256.get(name):
             raise BundleError(path / name, "is not what was written", _COPY)
+    check_network(contents[_DEPTH], path / _DEPTH, BundleError)
     try:
         arrays = decode_arrays(contents[_MAP])
         original, adapted = (GaussianMixture.from_arrays(arrays, name) for name in ("original_", "adapted_"))
