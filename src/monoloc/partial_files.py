@@ -13,14 +13,13 @@ import os
 import re
 import secrets
 import shutil
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-try:
+if sys.platform != "win32":  # where files of killed writers stay
     import fcntl
-except ImportError:  # Windows, where files of killed writers stay
-    fcntl = None  # type: ignore[assignment]
 
 _SUFFIX = ".partial"
 _AT_WORKING_FOLDER = -100  # AT_FDCWD of Linux
@@ -114,7 +113,7 @@ def _made(target: Path, *, is_folder: bool) -> tuple[Path, int]:
 
 
 def _has_locked(descriptor: int) -> bool:
-    if fcntl is None:
+    if sys.platform == "win32":
         return True
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -128,7 +127,7 @@ def _has_locked(descriptor: int) -> bool:
 
 def _remove_litter(target: Path) -> None:
     """Remove what killed writers of ``target`` have left."""
-    if fcntl is None:
+    if sys.platform == "win32":
         return
     name = re.compile(rf"\.{re.escape(target.name)}\.[0-9a-f]{{16}}\{_SUFFIX}")
     for path in target.parent.iterdir():
