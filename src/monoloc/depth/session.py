@@ -40,7 +40,8 @@ def load_session(content: bytes, label: str | Path, threads: int = 1) -> onnxrun
         "optimization.constant_folding_max_output_size_in_bytes", str(_MOST_FOLDED_BYTES)
     )
     try:
-        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+        # A fallback prints what went wrong on stdout, and tries the same again.
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"], enable_fallback=0)
     except Exception as error:  # onnxruntime's exceptions derive directly from Exception
         fix = "give one self-contained ONNX file, such as monoloc depth export writes"
         raise DataError(label, f"cannot be loaded ({first_line(error)})", fix) from error

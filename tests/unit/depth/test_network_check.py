@@ -197,6 +197,12 @@ def test_damaged_network_is_refused_or_read(data: st.DataObject) -> None:
         assert "\n" not in str(error)
 
 
+def test_network_that_onnxruntime_refuses_leaves_no_word_on_stdout(capfd: pytest.CaptureFixture[str]) -> None:
+    content = onnx_network(MIDAS).replace(b"pixels", b"pixel\xff")
+    refuses(lambda: load_session(content, "another.onnx"), DataError, r"another\.onnx: cannot be loaded")
+    assert capfd.readouterr() == ("", "")
+
+
 def test_described_network_s_weights_are_not_read_from_elsewhere(tmp_path: Path) -> None:
     model = network()
     external_weight(model)
