@@ -39,9 +39,14 @@ def load_session(content: bytes, label: str | Path, threads: int = 1) -> onnxrun
     options.add_session_config_entry(
         "optimization.constant_folding_max_output_size_in_bytes", str(_MOST_FOLDED_BYTES)
     )
+    providers = ["CPUExecutionProvider"]
     try:
         # A fallback prints what went wrong on stdout, and tries the same again.
-        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"], enable_fallback=0)
+        session = onnxruntime.InferenceSession(content, options, providers=providers, enable_fallback=0)
+        session.get_modelmeta().custom_metadata_map  # noqa: B018 - raises, as what follows, where it is no text
+        for entry in (*session.get_inputs(), *session.get_outputs()):
+            entry.name, entry.shape  # noqa: B018
+        return session
     except Exception as error:  # onnxruntime's exceptions derive directly from Exception
         fix = "give one self-contained ONNX file, such as monoloc depth export writes"
         raise DataError(label, f"cannot be loaded ({first_line(error)})", fix) from error

@@ -197,9 +197,15 @@ def test_damaged_network_is_refused_or_read(data: st.DataObject) -> None:
         assert "\n" not in str(error)
 
 
-def test_network_that_onnxruntime_refuses_leaves_no_word_on_stdout(capfd: pytest.CaptureFixture[str]) -> None:
-    content = onnx_network(MIDAS).replace(b"pixels", b"pixel\xff")
-    refuses(lambda: load_session(content, "another.onnx"), DataError, r"another\.onnx: cannot be loaded")
+@pytest.mark.parametrize("name", [b"pixels", b"rows", b"result", b"key", b"value", b"chw"])
+def test_name_that_is_no_text_is_refused_without_a_word_on_stdout(
+    capfd: pytest.CaptureFixture[str], name: bytes
+) -> None:
+    model = network()
+    model.metadata_props.add(key="key", value="value")
+    before, _, after = model.SerializeToString().partition(b"chw")  # onnxruntime names it, as it is missing then
+    content = before.replace(name, name[:-1] + b"\xff") + b"chw" + after.replace(name, name[:-1] + b"\xff")
+    refuses(lambda: load_session(content, "another"), DataError, "another: cannot be loaded .*utf-8")
     assert capfd.readouterr() == ("", "")
 
 
