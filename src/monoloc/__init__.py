@@ -4,6 +4,7 @@ The public names are :func:`load`, :func:`save`, :class:`Camera`, :class:`Start`
 :func:`build_bundle` and :func:`calibrate`. They are imported when they are first used.
 """
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,10 @@ if TYPE_CHECKING:
     from monoloc.start import Start
 
 __all__ = ["Camera", "Localizer", "Start", "__version__", "build_bundle", "calibrate", "load", "save"]
+
+# Since 1.29, onnxruntime sends its maker what it runs on and what it runs, and keeps an identifier in the home folder
+# and in TMPDIR. It looks when it is imported, so this comes before every import of ours.
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 _HOMES = {
     "Camera": ("monoloc.camera", "Camera"),

@@ -11,8 +11,6 @@ import hashlib
 import io
 import json
 import os
-import shutil
-import tempfile
 import zlib
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -28,6 +26,7 @@ from monoloc.camera import Camera
 from monoloc.config import describe
 from monoloc.depth.model_files import read_model
 from monoloc.depth.models import is_shipped
+from monoloc.depth.network_check import check_network
 from monoloc.depth.spec import DepthModel, ModelSpec
 from monoloc.errors import BundleError
 from monoloc.files import read_regular
@@ -38,6 +37,7 @@ from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.map.down_direction import down_of
 from monoloc.map.mixture import GaussianMixture
+from monoloc.partial_files import whole_folder
 from monoloc.supervision.integrity import IntegrityModel, SensorModel
 from monoloc.version import __version__
 
@@ -200,39 +200,21 @@ def write_bundle(path: str | Path, bundle: Bundle) -> int:
     )
     contents[_MANIFEST] = _seal(manifest)
     try:
-        _replace(path, contents)
+        with whole_folder(path) as folder:
+            for name, content in contents.items():
+                (folder / name).write_bytes(content)
     except OSError as error:
         fix = "make room for it, or name a place you can write to"
         raise BundleError(path, f"cannot be written ({error.strerror})", fix) from error
     return sum(len(content) for content in contents.values())
 
 
-def _replace(path: Path, contents: dict[str, bytes]) -> None:
-    """Put a folder of files at ``path``; what was there stays as it was if anything fails."""
-    staging = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-    fresh, old = staging / "new", staging / "old"
-    try:
-        staging.chmod(0o755)
-        fresh.mkdir()
-        for name, content in contents.items():
-            (fresh / name).write_bytes(content)
-        try:
-            if path.exists():
-                path.replace(old)
-            fresh.replace(path)
-        except BaseException:
-            if old.exists() and not path.exists():
-                old.replace(path)
-            raise
-    finally:
-        shutil.rmtree(staging)
-
-
 def read_bundle(path: str | Path) -> Bundle:
     """Read a bundle and check it byte for byte.
 
     Raises:
-        BundleError: not a bundle, cut short, edited, or of an unknown schema.
+        BundleError: not a bundle, cut short, edited, of an unknown schema, or with a network that is refused by
+            :func:`monoloc.depth.network_check.check_network`.
     """
     path = Path(path)
     manifest = _read_manifest(path)
@@ -246,6 +228,7 @@ def read_bundle(path: str | Path) -> Bundle:
             raise BundleError(path / name, f"is not what was written ({error})", _COPY) from error
         if hashlib.sha256(contents[name]).hexdigest() != manifest.sha256.get(name):
             raise BundleError(path / name, "is not what was written", _COPY)
+    check_network(contents[_DEPTH], path / _DEPTH, BundleError)
     try:
         arrays = decode_arrays(contents[_MAP])
         original, adapted = (GaussianMixture.from_arrays(arrays, name) for name in ("original_", "adapted_"))

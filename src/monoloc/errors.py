@@ -7,10 +7,21 @@ Any other exception is a bug in monoloc (exit code 1).
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 
 class MonolocError(Exception):
     """Base class of all errors caused by input; the message is one line that names the fix."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """As another process gets it: with its message and attributes, whatever its constructor takes."""
+        return _restored, (type(self), self.args, self.__dict__)
+
+
+def _restored(kind: type[MonolocError], arguments: tuple[Any, ...], attributes: dict[str, Any]) -> MonolocError:
+    error = kind.__new__(kind, *arguments)
+    error.__dict__.update(attributes)
+    return error
 
 
 class DataError(MonolocError):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import os
@@ -11,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from monoloc.errors import DataError
+from monoloc.partial_files import whole_file
 
 MOST_BYTES = 1 << 30
 """Size of a file that is read whole."""
@@ -38,11 +38,6 @@ def _without_waiting(name: str, flags: int) -> int:
     return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))  # Windows has no such flag, nor such pipes
 
 
-def partial_of(path: Path) -> Path:
-    """Temporary path that is written and then renamed to ``path``."""
-    return path.with_name(f".{path.name}.{os.getpid()}.partial")
-
-
 def target_of(path: Path) -> Path:
     """The file that a write to ``path`` replaces: ``path`` with all links resolved.
 
@@ -54,23 +49,23 @@ def target_of(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
-def write_whole(path: Path, content: bytes) -> None:
+def write_whole(path: Path, content: bytes, *, is_synced: bool = True) -> None:
     """Write ``content`` to ``path`` atomically, following links; on failure an existing file is unchanged.
+
+    Args:
+        path: of the file.
+        content: of the file.
+        is_synced: whether the file survives a loss of power too; False for one of many, where the wait is too long.
 
     Raises:
         DataError: the file cannot be written.
     """
-    target = target_of(path)
-    partial = partial_of(target)
     try:
-        partial.write_bytes(content)
-        partial.replace(target)
+        with whole_file(target_of(path), is_synced=is_synced) as partial:
+            partial.write_bytes(content)
     except OSError as error:
         fix = "name a file in a folder you can write to"
         raise DataError(path, f"cannot be written ({error.strerror})", fix) from error
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink()
 
 
 def json_text(content: Mapping[str, object]) -> str:

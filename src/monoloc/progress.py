@@ -11,6 +11,8 @@ from rich import progress as rich_progress
 from rich.console import Console
 from rich.text import Text
 
+from monoloc.printable import printable
+
 _LOG_INTERVAL_S = 30.0  # in a log; a longer silence looks like a hang
 
 
@@ -85,21 +87,21 @@ class ConsoleProgress:
             self._console.print(f"{name}: done in {time.perf_counter() - started:.1f} s")
             return
         with rich_progress.Progress(
-            rich_progress.TextColumn("{task.description:<16}"),
+            rich_progress.TextColumn("{task.description:<16}", markup=False),
             rich_progress.BarColumn(bar_width=30),
             rich_progress.MofNCompleteColumn(),
             _Rate(),
             rich_progress.TimeElapsedColumn(),
             rich_progress.TimeRemainingColumn(),
-            rich_progress.TextColumn("{task.fields[remark]}"),
+            rich_progress.TextColumn("{task.fields[remark]}", markup=False),
             console=self._console,
         ) as bars:
-            task = bars.add_task(name, total=total, remark="")
+            task = bars.add_task(printable(name), total=total, remark="")
 
             def show(done: int, remark: str = "", /) -> None:
                 bars.update(task, completed=done)
                 if remark:
-                    bars.update(task, remark=remark)
+                    bars.update(task, remark=printable(remark))
 
             yield show
             if total is not None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from monoloc.errors import DataError
-from monoloc.files import json_text, partial_of, target_of, write_whole
+from monoloc.files import json_text, target_of, write_whole
 
 
 def test_file_is_written_through_links(tmp_path: Path) -> None:
@@ -43,11 +43,6 @@ def test_unwritable_file_is_named(tmp_path: Path, name: str, problem: str) -> No
     with pytest.raises(DataError, match=rf"\.txt: cannot be written \({problem}\); name a file in a folder"):
         write_whole(tmp_path / name, b"new")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_partial_file_is_hidden_and_in_the_same_folder(tmp_path: Path) -> None:
-    partial = partial_of(tmp_path / "file.txt")
-    assert partial.parent == tmp_path and partial.name.startswith(".file.txt.")
 
 
 def test_device_is_refused() -> None:

@@ -17,7 +17,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from monoloc.config import describe
 from monoloc.errors import DataError, SettingError
-from monoloc.files import write_whole
+from monoloc.files import read_regular, write_whole
 from monoloc.geometry import FloatArray, make_pose, so3_exp, transform
 from monoloc_lab.synth.boxes import Boxes
 from monoloc_lab.synth.materials import Material
@@ -214,9 +214,11 @@ def read_room(path: Path) -> Room:
     Raises:
         DataError: the file cannot be read or is not a room.
     """
+    fix = "make one with: monoloc synth room"
     try:
-        return Room.from_json(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DataError(path, f"cannot be read ({error.strerror})", "make one with: monoloc synth room") from error
+        return Room.from_json(read_regular(path).decode())
     except ValidationError as error:
-        raise DataError(path, f"is not a room ({describe(error)})", "make one with: monoloc synth room") from error
+        raise DataError(path, f"is not a room ({describe(error)})", fix) from error
+    except (OSError, ValueError) as error:
+        problem = error.strerror if isinstance(error, OSError) else error
+        raise DataError(path, f"cannot be read ({problem})", fix) from error

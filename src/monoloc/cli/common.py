@@ -7,11 +7,12 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from monoloc.camera import Camera
 from monoloc.errors import SettingError
@@ -24,11 +25,22 @@ from monoloc.io.corrected import DEPTH_FIXES, Fixes, corrected
 from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.recording import Selection
 from monoloc.io.registry import FORMATS, open_recording, select_frames
+from monoloc.printable import printable
 from monoloc.structure_from_motion.scale_option import SCALE_FORMS
 from monoloc.viz.viewer import require_window
 
-# Rich must not interpret brackets and colons in paths.
-stderr = Console(stderr=True, highlight=False, markup=False, emoji=False)
+
+class PlainConsole(Console):
+    """Prints text as it is: brackets, colons and control characters in it, as in paths, are not interpreted."""
+
+    def __init__(self, *, stderr: bool = False) -> None:
+        super().__init__(stderr=stderr, highlight=False, markup=False, emoji=False)
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        return super().render_str(printable(text), **options)
+
+
+stderr = PlainConsole(stderr=True)
 
 EXTENT_SIGMAS = math.sqrt(3.0)  # extent of an evenly covered surface about its component's mean
 
@@ -282,7 +294,7 @@ def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
         table.add_column(column, justify="left" if index == 0 else "right")
     for row in rows:
         table.add_row(*row)
-    console = Console(highlight=False, markup=False, emoji=False)
+    console = PlainConsole()
     console.print(title, style="bold", soft_wrap=True)  # the table's own title would be wrapped to its width
     console.print(table)
 

@@ -5,23 +5,30 @@ This module imports very little, so that Ctrl-C works during the other imports.
 
 from __future__ import annotations
 
-import io
 import os
 import signal
 import sys
 from collections.abc import Callable
 from types import FrameType
 
+from monoloc.cli.streams import ReaderGoneError, secure_streams
 from monoloc.errors import MonolocError
+from monoloc.printable import printable
 
-_INTERRUPTED = 130  # 128 plus the number of SIGINT, as in shells; used for all termination signals
+# 128 plus the number of a signal, as in shells: SIGINT, which stands for all termination signals, and SIGPIPE.
+_INTERRUPTED = 130
+_READER_GONE = 141
 
 
 def run() -> None:
-    """Run the command line and exit: 0 done, 1 internal fault, 2 bad input (one line on stderr), 130 interrupted."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a degree sign must not fail on an ASCII terminal
+    """Run the command line and exit.
+
+    0 done; 1 internal fault; 2 bad input, or a result that cannot be written (one line on stderr); 130 interrupted;
+    141 nobody reads the result any more.
+    """
+    secure_streams()
+    # NumPy's sums, and so poses, depend on it. It looks when it is imported; PyTorch has threads of its own.
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
     _on_signals(_end_at_once)
     import monoloc.cli.app  # noqa: F401
 
@@ -34,10 +41,12 @@ def invoke(arguments: list[str]) -> int:
     from monoloc.cli.app import carry_out
 
     try:
-        return carry_out(arguments)
+        code = carry_out(arguments)
+        sys.stdout.flush()
+        return code
     except MonolocError as error:
         _print_message(str(error))
-        return 2
+        return _READER_GONE if isinstance(error, ReaderGoneError) else 2
     except OSError as error:
         if error.filename is None:
             raise
@@ -49,7 +58,7 @@ def invoke(arguments: list[str]) -> int:
 
 
 def _print_message(message: str) -> None:
-    print("monoloc: " + " ".join(message.split()), file=sys.stderr, flush=True)
+    print("monoloc: " + printable(" ".join(message.split())), file=sys.stderr, flush=True)
 
 
 def _print_interrupted() -> None:

@@ -8,14 +8,13 @@ import onnxruntime
 
 from monoloc.config import load_settings
 from monoloc.depth.models import is_quantised, is_shipped, shipped_file, shipped_models
-from monoloc.depth.predictor import check_input, load_session
+from monoloc.depth.network_check import MOST_NETWORK_BYTES
+from monoloc.depth.predictor import check_input
+from monoloc.depth.session import load_session
 from monoloc.depth.spec import FOCAL_KEY, DepthModel, ModelSpec, monoloc_spec
 from monoloc.errors import DataError
 from monoloc.extras import training_extra
 from monoloc.files import read_regular
-
-MOST_NETWORK_BYTES = 1 << 28
-"""Size of an ONNX file that is loaded."""
 
 _TOML, _SAFETENSORS = ".toml", ".safetensors"
 # A tensor of every float monoloc network and of no 8-bit one. The raw bytes are searched, because onnx is an extra.

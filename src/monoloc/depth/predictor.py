@@ -12,10 +12,12 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
+from monoloc.depth.session import first_line, load_session, run_within
 from monoloc.depth.spec import LEAST_INPUT_PX, DepthModel, ModelSpec, image_tensor
 from monoloc.errors import DataError, SettingError
 
 _ERROR_OUTPUT = "log_error_scale"
+_FIRST_RUN_S = 60.0  # the first run is the slowest, and a network that takes longer localises nothing
 _LEAST_IMAGE_PX = 32
 # Monoloc networks predict at a quarter of their input's size: 40 x 32 for most cameras, 120 x 88 for the widest.
 # Finer output is subsampled: a scan has a few hundred points, and depth at corners is smooth.
@@ -67,7 +69,8 @@ class DepthSource(Protocol):
 class DepthPredictor:
     """Runs a depth network on the frames of one camera.
 
-    The constructor runs the network once on noise, so that a mismatch is reported before the real work begins.
+    The constructor runs the network once on noise, for a minute at most, so that a mismatch is reported before the
+    real work begins.
 
     Attributes:
         name: name of the network.
@@ -124,20 +127,25 @@ class DepthPredictor:
             for output in self._infer(color)
         ]
 
-    def _infer(self, color: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
+    def _infer(
+        self, color: NDArray[np.uint8], options: onnxruntime.RunOptions | None = None
+    ) -> list[NDArray[np.float32]]:
         tensor = image_tensor(color, self.input_camera, self._spec)
-        outputs = self._session.run(self._outputs, {self._input: tensor})
+        try:
+            outputs = self._session.run(self._outputs, {self._input: tensor}, options)
+        except Exception as error:  # onnxruntime's exceptions derive directly from Exception
+            size = f"{self.input_camera.width}x{self.input_camera.height}"
+            problem = f"cannot be run on images of {size} ({first_line(error)})"
+            fix = "correct width and height, or stride; it may take 2 GB, and a minute for its first image"
+            raise DataError(self.name, problem, fix) from error
         return [np.squeeze(np.asarray(output, dtype=np.float32)) for output in outputs]
 
     def _probe(self) -> NDArray[np.float32]:
         """Run the network on noise and return its checked first output."""
         name, camera = self.name, self.input_camera
-        try:
-            noise = np.random.default_rng(0).integers(0, 256, (camera.height, camera.width, 3), dtype=np.uint8)
-            raw, *log_error = self._infer(noise)
-        except Exception as error:  # onnxruntime's exceptions derive directly from Exception
-            problem = f"cannot be run on images of {camera.width}x{camera.height} ({_reason(error)})"
-            raise DataError(name, problem, "correct width and height, or stride") from error
+        noise = np.random.default_rng(0).integers(0, 256, (camera.height, camera.width, 3), dtype=np.uint8)
+        with run_within(_FIRST_RUN_S) as options:
+            raw, *log_error = self._infer(noise, options)
         if raw.ndim != 2 or min(raw.shape) < 2:
             problem = f"gives {' x '.join(map(str, raw.shape)) or 'one number'}, which is no depth image"
             raise DataError(name, problem, "its first output must be (1, 1, h, w), (1, h, w, 1), (1, h, w) or (h, w)")
@@ -147,28 +155,6 @@ class DepthPredictor:
         if not np.isfinite(raw).any():
             raise DataError(name, "gives NaN for every pixel", "check the file, and mean and std, or export it again")
         return raw
-
-
-def load_session(content: bytes, label: str | Path, threads: int = 1) -> onnxruntime.InferenceSession:
-    """Load an ONNX network for the CPU.
-
-    Args:
-        content: the ONNX file.
-        label: name of the network in error messages.
-        threads: threads for one operator.
-
-    Raises:
-        DataError: the network cannot be loaded.
-    """
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.inter_op_num_threads = 1
-    options.log_severity_level = 4  # errors are raised and reported in one line
-    try:
-        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's exceptions derive directly from Exception
-        fix = "give one self-contained ONNX file, such as monoloc depth export writes"
-        raise DataError(label, f"cannot be loaded ({_reason(error)})", fix) from error
 
 
 def check_input(session: onnxruntime.InferenceSession, spec: ModelSpec, label: str | Path) -> None:
@@ -215,8 +201,3 @@ def _checked_size(model: DepthModel, camera: Camera) -> tuple[int, int]:
         fix = f"check the intrinsics, or use a wider lens: it needs {LEAST_INPUT_PX} pixels a side"
         raise SettingError("camera", problem, fix)
     return width, height
-
-
-def _reason(error: Exception) -> str:
-    """First line of onnxruntime's error message."""
-    return (str(error).splitlines() or ["no reason given"])[0]

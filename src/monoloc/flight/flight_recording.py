@@ -239,7 +239,8 @@ class FlightRecorder:
             self._write_line(event)
             return
         bgr = cv2.cvtColor(event.frame.color, cv2.COLOR_RGB2BGR)
-        write_whole(image_path(self.folder, self._count), cv2.imencode(".png", bgr, _FAST_PNG)[1].tobytes())
+        content = cv2.imencode(".png", bgr, _FAST_PNG)[1].tobytes()
+        write_whole(image_path(self.folder, self._count), content, is_synced=False)
         self._count += 1
         self._poses.take(event)
         down = event.down_camera

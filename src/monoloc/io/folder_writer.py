@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,6 +13,7 @@ from monoloc.errors import DataError
 from monoloc.io.dataset_description import FILE_NAME
 from monoloc.io.recording import Recording, scale_sd_of
 from monoloc.io.tum_trajectory import write_tum
+from monoloc.partial_files import whole_folder
 from monoloc.progress import NoProgress, Progress
 
 _DEPTH_SCALE = 1000.0
@@ -36,27 +35,20 @@ def write_folder(
     """
     assert recording.poses is not None
     require_empty(folder)
-    staging = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.absolute().parent))
     try:
-        (staging / "color").mkdir()
-        (staging / "depth").mkdir()
-        staging.chmod(0o755)
-        with progress.task("write", len(recording)) as step:
+        with whole_folder(folder) as partial, progress.task("write", len(recording)) as step:
+            (partial / "color").mkdir()
+            (partial / "depth").mkdir()
+            write_tum(partial / "poses.txt", recording.timestamps_s, recording.poses)
+            (partial / FILE_NAME).write_text(_description(recording), encoding="utf-8")
             for index, depth_m in enumerate(depths):
                 color = np.asarray(cv2.cvtColor(recording.color(index), cv2.COLOR_RGB2BGR), dtype=np.uint8)
-                (staging / "color" / f"{index:06d}.png").write_bytes(_png(color))
-                (staging / "depth" / f"{index:06d}.png").write_bytes(_png(_stored(depth_m)))
+                (partial / "color" / f"{index:06d}.png").write_bytes(_png(color))
+                (partial / "depth" / f"{index:06d}.png").write_bytes(_png(_stored(depth_m)))
                 step(index + 1)
-        write_tum(staging / "poses.txt", recording.timestamps_s, recording.poses)
-        (staging / FILE_NAME).write_text(_description(recording), encoding="utf-8")
-        if folder.exists():
-            folder.rmdir()
-        staging.replace(folder)
     except OSError as error:
         fix = "make room for it, or name a place you can write to"
         raise DataError(folder, f"cannot be written ({error.strerror})", fix) from error
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
 
 
 def require_empty(folder: Path) -> None:

@@ -26,13 +26,13 @@ def triangles_of(faces: Sequence[NDArray[np.floating]], vertices: int) -> NDArra
     lengths = np.array([len(face) for face in faces], dtype=np.int64)
     triangles = [np.empty((0, 3), dtype=np.int64)]
     for corners in np.unique(lengths[lengths >= 3]):
-        polygons = np.stack([face for face in faces if len(face) == corners]).astype(np.int64)
+        polygons = np.stack([face for face in faces if len(face) == corners])
+        if not np.all((polygons >= 0) & (polygons < vertices)):  # NaN neither
+            raise ValueError(f"a face refers to a vertex beyond the {vertices} that there are")
+        polygons = polygons.astype(np.int64)
         for second in range(1, int(corners) - 1):
             triangles.append(polygons[:, [0, second, second + 1]])
-    result = np.concatenate(triangles)
-    if len(result) and (result.min() < 0 or result.max() >= vertices):
-        raise ValueError(f"a face refers to a vertex beyond the {vertices} that there are")
-    return result
+    return np.concatenate(triangles)
 
 
 def sample_triangles(vertices: FloatArray, triangles: NDArray[np.int64]) -> FloatArray:

@@ -22,6 +22,8 @@ FULL_CAMERA = Camera(width=640, height=480, fx=518.86, fy=519.47, cx=325.58, cy=
 # Undistortion left a white border around the images; this window (left, top, width, height) excludes it.
 VALID_WINDOW = (16, 12, 608, 456)
 
+_DAMAGED = (OSError, KeyError, RuntimeError, ValueError, TypeError)  # of h5py, depending on what is damaged
+
 
 def recognises(path: Path) -> bool:
     """Whether a file is named ``*.mat``."""
@@ -52,7 +54,7 @@ class NyuRecording:
         self._path = path
         with _open_hdf5(path) as file:
             size = (full_camera.width, full_camera.height)
-            images, depths = (file[key].shape if key in file else None for key in ("images", "depths"))
+            images, depths = (_shape(file, key) for key in ("images", "depths"))
         if images is None or depths is None or len(images) != 4 or images[0] == 0:
             raise DataError(path, "has no images and depths", "give nyu_depth_v2_labeled.mat")
         if images[1:] != (3, *size) or depths != (images[0], *size):
@@ -87,9 +89,19 @@ class NyuRecording:
         try:
             with _open_hdf5(self._path) as file:
                 stored = file[key][index, ..., left : left + width, top : top + height]
-        except OSError as error:
+        except _DAMAGED as error:
             raise DataError(self._path, f"frame {index} cannot be read", "copy the file again") from error
         return np.asarray(stored).T if stored.ndim == 2 else np.asarray(stored).transpose(2, 1, 0)
+
+
+def _shape(file: Any, key: str) -> tuple[int, ...] | None:
+    """Shape of an array of numbers in an open file; None if there is none, or its numbers are in another file."""
+    try:
+        stored = file[key]
+        is_elsewhere = stored.external is not None or stored.is_virtual or stored.file != file
+        return None if is_elsewhere or stored.dtype.kind not in "uif" else tuple(stored.shape)
+    except (*_DAMAGED, AttributeError):  # a group has no shape
+        return None
 
 
 def _open_hdf5(path: Path) -> Any:

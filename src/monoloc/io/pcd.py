@@ -125,7 +125,8 @@ def _binary_points(file: BufferedReader, fields: _Fields, count: int) -> FloatAr
     data = file.read()
     _check_count(len(data) // dtype.itemsize, count)
     vertices = np.frombuffer(data, dtype=dtype, count=count)
-    return np.column_stack([vertices[str(index)].astype(np.float64) for index in positions])
+    with np.errstate(invalid="ignore"):  # a signalling NaN
+        return np.column_stack([vertices[str(index)].astype(np.float64) for index in positions])
 
 
 def _compressed_points(file: BufferedReader, fields: _Fields, count: int) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -83,13 +84,21 @@ def _header(text: str) -> tuple[str, list[_Element]]:
             if words[:1] == ["format"]:
                 encoding = words[1]
             elif words[:1] == ["element"]:
-                elements.append(_Element(words[1], int(words[2]), []))
+                elements.append(_Element(words[1], _count(words[2]), []))
             elif words[:1] == ["property"]:
                 length = _TYPES[words[2]] if words[1] == "list" else None
                 elements[-1].properties.append(_Property(words[-1], _TYPES[words[-2]], length))
         except (LookupError, ValueError):
             raise ValueError(f"the header's line {' '.join(words)!r} cannot be understood") from None
     return encoding, elements
+
+
+def _count(word: str) -> int:
+    """A number of rows; ValueError if no file has as many."""
+    count = int(word)
+    if not 0 <= count <= sys.maxsize:
+        raise ValueError
+    return count
 
 
 def _ascii(body: bytes) -> _Read:
@@ -118,9 +127,10 @@ def _binary(body: bytes, order: str) -> _Read:
         got = min(max(rows, 0), (len(body) - at) // row.itemsize)
         table = np.frombuffer(body, row, got, at)
         at += got * row.itemsize
-        if row.names is None:  # one column
-            return table.astype(np.float64)[:, None]
-        return structured_to_unstructured(table, dtype=np.float64)
+        with np.errstate(invalid="ignore"):  # a signalling NaN
+            if row.names is None:  # one column
+                return table.astype(np.float64)[:, None]
+            return structured_to_unstructured(table, dtype=np.float64)
 
     def read(element: _Element) -> dict[str, Column]:
         if element.has_lists:

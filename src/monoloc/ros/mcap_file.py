@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 from monoloc.errors import DataError
 from monoloc.extras import require_mcap
-from monoloc.files import partial_of, target_of
+from monoloc.files import target_of
 from monoloc.localizer import Step
+from monoloc.partial_files import PartialFile
 from monoloc.ros.message_contents import TopicMessage
 from monoloc.ros.message_definitions import definition_of
 from monoloc.ros.ros_frames import RosFrames
@@ -44,10 +45,10 @@ class McapFile:
         require_mcap()
         from mcap_ros2.writer import Writer
 
-        self._path, self._target = path, target_of(path)
-        self._written = self._target if as_it_comes else partial_of(self._target)
+        self._path, target = path, target_of(path)
         try:
-            self._file = self._written.open("wb")
+            self._partial = None if as_it_comes else PartialFile(target)
+            self._file = (target if self._partial is None else self._partial.path).open("wb")
         except OSError as error:
             raise self._cannot_be_written(error, "name a file in a folder you can write to") from error
         self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES)
@@ -85,8 +86,8 @@ class McapFile:
         try:
             self._writer.finish()  # type: ignore[no-untyped-call]
             self._file.close()
-            if self._written != self._target:
-                self._written.replace(self._target)
+            if self._partial is not None:
+                self._partial.finish()
         except OSError as error:
             raise self._cannot_be_written(error, "make room, or choose another disk") from error
 
@@ -94,8 +95,8 @@ class McapFile:
         """Close the file as it is, and remove it if it was to appear whole; after :meth:`finish`, do nothing."""
         with contextlib.suppress(OSError):  # only what a write that failed has left is not yet in the file
             self._file.close()
-        if self._written != self._target:
-            self._written.unlink(missing_ok=True)
+        if self._partial is not None:
+            self._partial.close()
 
     def _cannot_be_written(self, error: OSError, fix: str) -> DataError:
         return DataError(self._path, f"cannot be written ({error.strerror})", fix)

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle
 from monoloc.errors import DataError, SettingError
-from monoloc.files import partial_of, target_of
+from monoloc.files import target_of
 from monoloc.geometry import FloatArray
 from monoloc.io.recording import Recording
 from monoloc.localizer import Step
+from monoloc.partial_files import PartialFile
 from monoloc.particle_filter.particles import Particles
 
 if TYPE_CHECKING:
@@ -129,10 +130,10 @@ def _rerun_stream(
 
     if view:
         open_window()
-    target = None if record is None else target_of(record)
-    partial = None if target is None else partial_of(target)
+    with _writing(record):
+        partial = None if record is None else PartialFile(target_of(record))
     window = [rerun.GrpcSink(f"rerun+http://127.0.0.1:{WINDOW_PORT}/proxy")] if view else []
-    file_sink = [] if partial is None else [rerun.FileSink(partial)]
+    file_sink = [] if partial is None else [rerun.FileSink(partial.path)]
     stream = rerun.RecordingStream(application, recording_id=uuid4())
     stream.set_log_tick_enabled(False)
     stream.set_log_time_enabled(False)
@@ -141,20 +142,20 @@ def _rerun_stream(
             try:
                 stream.set_sinks(*window, *file_sink, default_blueprint=blueprint)
             except (RuntimeError, OSError) as error:
-                if view and (partial is None or partial.exists()):  # the file was started, so the window failed
+                if view:  # the file was started before
                     raise SettingError("--view", f"the window is lost ({error})", "try again") from error
                 raise
         stream.send_recording_name(name)
         yield stream
         stream.disconnect()
-        if target is not None and partial is not None:
+        if partial is not None:
             with _writing(record):
-                _check_whole(partial)
-                partial.replace(target)
+                _check_whole(partial.path)
+                partial.finish()
     finally:
         stream.disconnect()
         if partial is not None:
-            partial.unlink(missing_ok=True)
+            partial.close()
 
 
 @contextmanager

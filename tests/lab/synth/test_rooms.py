@@ -12,6 +12,7 @@ from monoloc_lab.synth.furniture import chair, table
 from monoloc_lab.synth.layout import generate_room
 from monoloc_lab.synth.materials import wood
 from monoloc_lab.synth.rooms import Object, Room, read_room, write_room
+from refusals import refuses_data
 
 OAK = wood((0.8, 0.6, 0.4), (0.6, 0.4, 0.3))
 
@@ -47,3 +48,9 @@ def test_written_room_is_read_unchanged(tmp_path: Path) -> None:
     (tmp_path / "other.json").write_text('{"size": [1, 2, 3], "objects": [{"name": 3}]}')
     with pytest.raises(DataError, match=r"other.json: is not a room"):
         read_room(tmp_path / "other.json")
+
+
+def test_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "room.json"
+    path.write_bytes(b"\xff\xfe{}")
+    refuses_data(lambda: read_room(path), path, "cannot be read .*utf-8", "monoloc synth room")

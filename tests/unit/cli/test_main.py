@@ -64,6 +64,23 @@ def test_ignored_hang_up_remains_ignored_and_ascii_terminals_get_a_substitute(tm
     assert (result.returncode, result.stdout) == (0, "2? True\n"), result.stderr
 
 
+def test_commands_sum_on_one_thread_whatever_the_environment_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another number of threads gives other poses."""
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
+    code = (
+        "import sys\n"
+        "from monoloc.cli import main\n"
+        "sys.argv[1:] = ['--version']\n"
+        "try:\n"
+        "    main.run()\n"
+        "except SystemExit:\n"
+        "    from threadpoolctl import threadpool_info\n"
+        "    print({pool['num_threads'] for pool in threadpool_info() if pool['internal_api'] == 'openblas'})\n"
+    )
+    result = python(code)
+    assert result.stdout.splitlines()[-1] == "{1}", result.stderr
+
+
 def test_file_without_permission_is_named(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     def closed(_: list[str]) -> int:
         raise PermissionError(errno.EACCES, "Permission denied", "room.monoloc")

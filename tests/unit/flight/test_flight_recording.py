@@ -118,10 +118,10 @@ def test_a_line_is_written_after_its_image_and_its_pose(tmp_path: Path, monkeypa
     """So a kill leaves no line without them."""
     write_whole, states = flight_recording.write_whole, []
 
-    def slowly(path: Path, content: bytes) -> None:
+    def slowly(path: Path, content: bytes, **options: bool) -> None:
         if path.suffix == ".png":
             states.append((len(lines(tmp_path)), (tmp_path / "poses.csv").read_bytes().count(b"\n") - 1))
-        write_whole(path, content)
+        write_whole(path, content, **options)
 
     monkeypatch.setattr(flight_recording, "write_whole", slowly)
     record(tmp_path)
@@ -186,10 +186,10 @@ def test_a_full_disk_ends_the_recording_once_and_leaves_whole_what_is_there(
 ) -> None:
     write_whole = flight_recording.write_whole
 
-    def write(path: Path, content: bytes) -> None:
+    def write(path: Path, content: bytes, **options: bool) -> None:
         if path == image_path(tmp_path, 2):
             raise DataError(path, "cannot be written (No space left on device)", "make room")
-        write_whole(path, content)
+        write_whole(path, content, **options)
 
     recorder = FlightRecorder(tmp_path, HEADER)
     monkeypatch.setattr(flight_recording, "write_whole", write)
@@ -221,9 +221,9 @@ def test_a_disk_that_stands_still_ends_the_recording_and_not_the_flight(
     monkeypatch.setattr(flight_recording, "_MOST_WAIT_S", 0.05)
     write_whole, goes_on = flight_recording.write_whole, threading.Event()
 
-    def write(path: Path, content: bytes) -> None:
+    def write(path: Path, content: bytes, **options: bool) -> None:
         goes_on.wait(30.0)
-        write_whole(path, content)
+        write_whole(path, content, **options)
 
     recorder = FlightRecorder(tmp_path, HEADER)
     monkeypatch.setattr(flight_recording, "write_whole", write)

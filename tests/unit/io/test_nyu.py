@@ -61,6 +61,38 @@ def test_file_without_images_is_refused(tmp_path: Path) -> None:
     refuses_to_open(path, path, "has no images and depths", "nyu_depth_v2_labeled.mat")
 
 
+def test_group_in_place_of_images_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "nyu.mat"
+    with h5py.File(path, "w") as file:
+        file.create_group("images")
+    refuses_to_open(path, path, "has no images and depths", "nyu_depth_v2_labeled.mat")
+
+
+@pytest.mark.parametrize("is_link", [True, False])
+def test_images_in_another_file_are_refused(tmp_path: Path, is_link: bool) -> None:
+    """HDF5 would read them from there."""
+    path, elsewhere = tmp_path / "nyu.mat", tmp_path / "elsewhere.mat"
+    write_nyu_mat(elsewhere)
+    write_nyu_mat(path)
+    with h5py.File(path, "a") as file:
+        del file["images"]
+        if is_link:
+            file["images"] = h5py.ExternalLink(elsewhere, "images")
+        else:
+            size = 2 * 3 * 640 * 480
+            file.create_dataset("images", (2, 3, 640, 480), np.uint8, external=[(elsewhere, 0, size)])
+    refuses_to_open(path, path, "has no images and depths", "nyu_depth_v2_labeled.mat")
+
+
+def test_images_that_go_missing_are_reported(tmp_path: Path) -> None:
+    path = tmp_path / "nyu.mat"
+    write_nyu_mat(path)
+    recording = open_recording(str(path))
+    with h5py.File(path, "a") as file:
+        del file["images"]
+    refuses_data(lambda: recording.color(0), path, "frame 0 cannot be read", "copy the file again")
+
+
 def test_images_of_another_size_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "nyu.mat"
     with h5py.File(path, "w") as file:
