@@ -15,6 +15,8 @@ import typer
 from monoloc.bundle import Bundle, read_bundle
 from monoloc.cli.common import (
     DepthScaleOption,
+    FixDepthOption,
+    FixPosesOption,
     FramesOption,
     IntrinsicsOption,
     JsonOption,
@@ -31,6 +33,7 @@ from monoloc.cli.common import (
     print_table,
     stderr,
 )
+from monoloc.cli.pose_warning import warn_of_poses
 from monoloc.cli.start_option import METAVAR, UNKNOWN, StartErrorCmOption, StartErrorDegOption, start_of
 from monoloc.config import override
 from monoloc.errors import MonolocError
@@ -84,6 +87,8 @@ def localize_command(
     record: RecordOption = None,
     intrinsics: IntrinsicsOption = None,
     depth_scale: DepthScaleOption = None,
+    fix_poses: FixPosesOption = None,
+    fix_depth: FixDepthOption = None,
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
@@ -96,6 +101,7 @@ def localize_command(
       monoloc localize room.monoloc flight.mp4 --intrinsics 640,480,525,525,319.5,239.5 --out trajectory.txt
       monoloc localize room.monoloc flight.mp4 --intrinsics 640,480,525,525,319.5,239.5 --start 0.5,0.2,1.1,0,0,0,1
       monoloc localize room.monoloc tum:fr1_room --start truth --motion random-walk
+      monoloc localize room.monoloc my-recording --fix-poses opengl     (poses with axes of OpenGL)
       monoloc localize kitchen.monoloc 7scenes:redkitchen --view --record trajectory.rrd
     """
     check_outputs({"--out": out, "--plot": plot, "--record": record}, (bundle, source))
@@ -104,7 +110,8 @@ def localize_command(
     check_picture(plot, "--plot")
     check_viewing(view, record)
     room = read_bundle(bundle)
-    recording = open_source(source, frames, intrinsics, depth_scale)
+    recording = open_source(source, frames, intrinsics, depth_scale, fix_poses=fix_poses, fix_depth=fix_depth)
+    warn_of_poses(recording)
     with naming({"particles": "--particles", "scan_points": "--scan-points"}):
         config = override(room.settings, motion=motion, particles=particles, scan_points=scan_points)
     rng = np.random.default_rng(seed)

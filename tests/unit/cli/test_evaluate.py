@@ -69,3 +69,6 @@ def test_trajectories_that_cannot_be_compared_are_refused(capfd: pytest.CaptureF
     description = here / "flight" / "dataset.toml"
     description.write_text(synthetic.SEQUENCE_TOML.replace('poses = "poses.txt"', "rate_hz = 10"))
     refused(capfd, here, command, "flight", "has no poses", "recording or TUM")
+    for option, value in (("--fix-poses", "opengl"), ("--fix-depth", "range")):
+        against = ("evaluate", "late.txt", "flight/poses.txt", option, value)
+        refused(capfd, here, against, f"{option}: ", "has no meaning for a trajectory", "leave it out")
