@@ -22,9 +22,9 @@ from monoloc.cli.flight_options import (
     SettingsOption,
     check_autopilot,
     flight_of,
+    open_frames,
     starting_of,
 )
-from monoloc.cli.fly import open_frames
 from monoloc.cli.start_option import UNKNOWN
 from monoloc.errors import SettingError
 from monoloc.files import json_text, write_whole
