@@ -147,18 +147,21 @@ def build(
     stderr.print(
         f"{out}: {size / 1e6:.1f} MB, map of {report.components} components in "
         f"{bundle.adapted.nbytes_stored / 1e3:.0f} kB, {report.landmarks} landmarks in "
-        f"{bundle.landmarks.bytes / 1e3:.0f} kB, from {report.frames} frames in {report.seconds:.0f} s"
+        f"{bundle.landmarks.bytes / 1e3:.0f} kB, from {report.frames} frames in {report.seconds:.0f} s",
+        soft_wrap=True,
     )
     if report.depth_absrel_before is not None and report.depth_absrel_after is not None:
         stderr.print(
             f"held-out frames: depth error {100 * report.depth_absrel_before:.1f} % -> "
-            f"{100 * report.depth_absrel_after:.1f} %, map moved {100 * report.shift_median_m:.1f} cm (median)"
+            f"{100 * report.depth_absrel_after:.1f} %, map moved {100 * report.shift_median_m:.1f} cm (median)",
+            soft_wrap=True,
         )
     if report.scale_sd is not None:
         stderr.print(f"the map's scale is known to ± {100.0 * report.scale_sd:.2g} % (standard deviation)")
     if report.depth_scale is not None:
         shift = "" if report.depth_shift is None else f" and shift {report.depth_shift:.4g}"
-        stderr.print(f"{network} is used as it is, with scale {report.depth_scale:.4g}{shift} fitted on these frames")
+        how = f"{network} is used as it is, with scale {report.depth_scale:.4g}{shift} fitted on these frames"
+        stderr.print(how, soft_wrap=True)
 
 
 def _with_poses(recording: Recording, scale: str | None, seed: int, cloud: Path | None) -> Recording:

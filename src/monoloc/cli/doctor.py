@@ -76,7 +76,7 @@ def doctor(
         problem = "cannot be searched: neither scans nor landmarks find the camera in it"
         raise SettingError("ROOM", problem, "write a start or a marker into flight.toml")
     cv2.setNumThreads(1)  # as in a flight
-    summary, preflight = FlightSummary(), Preflight()
+    summary, preflight = FlightSummary(), Preflight(bundle.provenance.brightness)
     with ExitStack() as opened:
         frame_source, camera, first_pose = open_frames(flight.source, frames, flight.camera, fast=False)
         opened.callback(frame_source.close)

@@ -64,9 +64,9 @@ def evaluate(
     nearest = nearest_times(times, true_times)
     matched = np.abs(times - true_times[nearest]) <= MAX_TIME_DIFFERENCE_S
     if not matched.any():
-        fix = "check that both use the same clock"
+        fix = "check that both use the same clock: fly stamps by its own, and by a recording's with --fast"
         if frames != "::":
-            fix += ", and that --frames chooses frames of this trajectory"
+            fix += "; and that --frames chooses frames of this trajectory"
         raise DataError(trajectory, f"has no pose within {MAX_TIME_DIFFERENCE_S} s of the truth's", fix)
     missed = np.abs(true_times - times[nearest_times(true_times, times)]) > MAX_TIME_DIFFERENCE_S
     estimated, true = poses[matched], true_poses[nearest[matched]]

@@ -143,7 +143,7 @@ def localize_command(
     else:
         show(metrics)
         for path in written:
-            stderr.print(f"written: {path}")
+            stderr.print(f"written: {path}", soft_wrap=True)
     if failures:
         raise MonolocError("; ".join(map(str, failures)))
 
@@ -208,12 +208,14 @@ def show(metrics: dict[str, object]) -> None:
     counts = ", ".join(f"{states.get(state, 0)} {state}" for state in get_args(State))
     stderr.print(
         f"{metrics['frames']} frames: {counts}; "
-        f"{metrics['step_ms_median']:.1f} ms a frame (95 %: {metrics['step_ms_p95']:.1f} ms)"
+        f"{metrics['step_ms_median']:.1f} ms a frame (95 %: {metrics['step_ms_p95']:.1f} ms)",
+        soft_wrap=True,
     )
     reasons = metrics["reasons"]
     assert isinstance(reasons, dict)
     if reasons:
-        stderr.print(f"not tracking because: {', '.join(f'{reason} ({count})' for reason, count in reasons.items())}")
+        why = ", ".join(f"{reason} ({count})" for reason, count in reasons.items())
+        stderr.print(f"not tracking because: {why}", soft_wrap=True)
 
 
 def _figure(metrics: dict[str, object], prefix: str, name: str, factor: float, unit: str) -> str:
