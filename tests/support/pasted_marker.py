@@ -90,7 +90,7 @@ class MarkedRecording:
         pose = self._poses[index]
         other = self._poses[min(max(index + (1 if moment > 0.0 else -1), 0), len(self) - 1)]
         if not np.isfinite(other).all():
-            return pose
+            return np.asarray(pose)
         return np.asarray(pose @ se3_exp(abs(moment) * se3_log(invert(pose) @ other)))
 
     def _seen(
@@ -128,7 +128,7 @@ def _sheet(number: int) -> NDArray[np.float32]:
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     side = _CELL_PX * 10  # 8 cells of the marker are so divided into whole pixels
     marker = cv2.aruco.generateImageMarker(dictionary, number, side).astype(np.float32) / 255.0
-    sheet = cv2.copyMakeBorder(marker, *[round(_MARGIN * side)] * 4, cv2.BORDER_CONSTANT, value=1.0)
+    sheet = np.pad(marker, round(_MARGIN * side), constant_values=1.0)
     return np.asarray(_BLACK + (1.0 - _BLACK) * sheet, dtype=np.float32)
 
 
@@ -168,7 +168,7 @@ def flat_place(recording: Recording, size_m: float, rng: np.random.Generator) ->
 
 def poses_in(recording: Recording, reference: int) -> FloatArray:
     """``T_reference_camera`` of each frame, (N, 4, 4), by corners shared with a frame that has depth; NaN without."""
-    camera, sift, matcher = recording.camera, cv2.SIFT_create(2000), cv2.BFMatcher()
+    camera, sift, matcher = recording.camera, cv2.SIFT.create(2000), cv2.BFMatcher()
     pixels, known = sift.detectAndCompute(_gray(recording, reference), None)
     at = np.array([point.pt for point in pixels])
     depth = recording.depth(reference)[tuple(np.round(at[:, ::-1]).astype(int).T)].astype(np.float64)
