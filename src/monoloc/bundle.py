@@ -15,11 +15,11 @@ import zlib
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from monoloc.array_files import decode_arrays
 from monoloc.camera import Camera
@@ -45,6 +45,7 @@ SCHEMA = 10
 _MANIFEST, _MAP, _LANDMARKS, _DEPTH = "manifest.json", "map.npz", "landmarks.npz", "depth.onnx"
 _CONTENTS = (_MAP, _LANDMARKS, _DEPTH)
 _COPY = "copy the bundle again or rebuild it"
+_GreyLevel = Annotated[float, Field(ge=0.0, le=255.0)]
 _REFERENCES = ("reference_poses", "forward_bias", "backward_bias")  # twists (V, 6), float32
 
 
@@ -58,6 +59,8 @@ class Provenance(BaseModel):
         seed: of the build.
         down_world: mean direction of the cameras' y axes over those frames: down, if the camera was held upright.
         scale_sd: relative standard deviation of the map's scale; None where a sensor measured it.
+        brightness: median grey level, of 255, of the build's images: mean and standard deviation over the images;
+            None in bundles that do not tell it.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -70,6 +73,7 @@ class Provenance(BaseModel):
     seed: int
     down_world: tuple[float, float, float] = (0.0, 1.0, 0.0)
     scale_sd: float | None = None
+    brightness: tuple[_GreyLevel, _GreyLevel] | None = None
 
 
 class Manifest(BaseModel):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 from altered_recordings import POSES
 from cli_helpers import QUICK, outputs, refused, write_workspace
 from monoloc.cli.main import invoke
+from monoloc.geometry import rotation_to_quaternion
 from plot_helpers import check_picture
 from synthetic_recordings import tum_lines
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
@@ -70,6 +72,31 @@ def test_other_convention_is_bad_is_not_built_and_can_be_fixed(
     assert checked(capfd, 0, "flight", *fix.split())[0]["level"] == "good"
     outputs(capfd, "build", "flight", "--out", "a.monoloc", "--no-landmarks", *fix.split(), *QUICK)
     assert (workspace / "a.monoloc" / "manifest.json").is_file()
+
+
+def test_localize_and_evaluate_warn_of_another_convention_and_fix_it(
+    workspace: Path, flight: RoomRecording, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The bundle's world is the right poses'. Frames are localised all the same: images need no poses."""
+    assert flight.poses is not None
+    start = ",".join(map(repr, flight.poses[0, :3, 3].tolist()))
+    turn = ",".join(map(repr, rotation_to_quaternion(flight.poses[0, :3, :3]).tolist()))
+    localize = ("localize", "room.monoloc", "flight", "--start", f"{start},{turn}")
+    outputs(capfd, *localize, "--out", "right.txt")
+    write_poses(workspace, flight, POSES["COLMAP"].poses(flight.poses))
+    fix = ("--fix-poses", "w-first,world-to-camera")
+    warning = (
+        r"warning: flight: errors against its poses mean nothing: .*; give --fix-poses w-first,world-to-camera\n"
+    )
+    errors = {}
+    for command in (localize, ("evaluate", "right.txt", "flight")):
+        out, err = outputs(capfd, *command, "--json")
+        assert re.search(warning, err), err
+        fixed, silent = outputs(capfd, *command, *fix, "--json")
+        assert "warning" not in silent
+        errors[command[0]] = json.loads(out)["ate_rmse_m"], json.loads(fixed)["ate_rmse_m"]
+    for wrong, right in errors.values():
+        assert right < 0.3 < 0.6 < wrong
 
 
 def test_times_in_milliseconds_are_not_built(

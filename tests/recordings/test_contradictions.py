@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from altered_recordings import POSES, Altered, judged, range_of, refusal, upside_down, with_focal
+from monoloc.cli.pose_warning import warn_of_poses
 from monoloc.io.corrected import Fixes, corrected
 from monoloc.io.recording import Recording, Selection
 from monoloc.io.registry import open_recording, select_frames
@@ -41,12 +42,16 @@ def room(request: pytest.FixtureRequest, data_root: Path) -> tuple[Recording, Ma
         *((DESK, frames) for frames in ("::", "::4", "::14", "350:")),
     ],
 )
-def test_right_recordings_are_not_doubted(data_root: Path, folder: str, frames: str) -> None:
+def test_right_recordings_are_not_doubted(
+    data_root: Path, capfd: pytest.CaptureFixture[str], folder: str, frames: str
+) -> None:
     recording = opened(data_root, folder, frames)
     check = check_poses(recording)
     assert check.verdict == "agree" and require_agreement("walk", check, poses_are_refined=False) == []
     depth = check_depth(recording)
     assert depth.problem is None, depth
+    warn_of_poses(recording)  # by fewer pairs of frames
+    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize("name", POSES)

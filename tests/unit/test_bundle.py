@@ -67,6 +67,7 @@ def make_bundle(seed: int = 0) -> Bundle:
             map_transform=True,
             lambda_kl=0.1,
             seed=7,
+            brightness=(114.0 / 7.0, 19.0),
         ),
         thresholds=LikelihoodThresholds(low=-1.5, lost=-2.25),
         reference_poses=ReferencePoses(se3_exp(rng.normal(size=(5, 6))), *(0.02 * rng.normal(size=(2, 5, 6)))),
@@ -418,6 +419,7 @@ def resealed(written: Path, change: Callable[[dict[str, Any]], object]) -> Path:
         ("integrity.scan", "right", [0.5, 0.2, 0.3]),
         ("integrity", "unseen_share", float("nan")),
         ("provenance", "lambda_kl", float("nan")),
+        ("provenance", "brightness", [114.0, 1e9]),
     ],
 )
 def test_sealed_nonsense_is_named(written, part, key, value):
@@ -430,6 +432,12 @@ def test_sealed_nonsense_is_named(written, part, key, value):
 
     file = resealed(written, change)
     refuses(lambda: read_bundle(written), file, part if part == "integrity.scan" else f"{part}.{key}")
+
+
+def test_bundle_that_does_not_tell_the_builds_brightness_is_read(written):
+    """As those of schema 9 that were built before it was measured."""
+    resealed(written, lambda body: body["provenance"].pop("brightness"))
+    assert read_bundle(written).provenance.brightness is None
 
 
 def replace_content(written: Path, name: str, content: bytes) -> None:

@@ -39,6 +39,7 @@ from monoloc.map.compare import compare_maps
 from monoloc.map.depth_rendering import supervision
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress, Progress
+from monoloc.recording_check.image_quality import measure_images
 from monoloc.supervision.integrity import IntegrityModel
 
 
@@ -234,6 +235,7 @@ def _calibrate(
             seed=seed,
             down_world=_mean_down(room.poses),
             scale_sd=scale_sd_of(room.recording),
+            brightness=measure_images(room.recording).grey_level,
         ),
         thresholds=thresholds,
         reference_poses=ReferencePoses.none(),

@@ -35,7 +35,6 @@ from monoloc.depth.model_files import trainable_file
 from monoloc.depth.models import DEFAULT, is_shipped
 from monoloc.errors import SettingError
 from monoloc.files import target_of
-from monoloc.io.corrected import Fixes
 from monoloc.io.recording import Recording
 from monoloc.progress import ConsoleProgress
 
@@ -47,8 +46,6 @@ _OPTIONS = {
     "adapt.tune": "--tune",
     "adapt.map_transform": "--map-transform",
     "adapt.lambda_kl": "--lambda",
-    "fix_poses": "--fix-poses",
-    "fix_depth": "--fix-depth",
 }
 
 
@@ -130,15 +127,15 @@ def build(
     adapt = {"tune": tune, "map_transform": map_transform, "lambda_kl": lambda_kl}
     given = {"components": components, "int8": int8, "landmarks": landmarks, "refine_poses": refine_poses}
     values = given | {f"adapt.{name}": value for name, value in adapt.items()}
-    values |= {"fix_poses": fix_poses, "fix_depth": fix_depth}
     # Errors name the option if it was given, or if there is no settings file.
     options = {name: _OPTIONS[name] for name, value in values.items() if value is not None or settings is None}
     with naming(options):
         config = override(config, **given, adapt=adapt)
         points = None if cloud is None else open_cloud(cloud)
-        fixes = Fixes(fix_poses, fix_depth)
-        recording: Recording = open_source(source, frames, intrinsics, depth_scale, fixes=fixes, guesses_camera=True)
-        recording = _with_poses(recording, scale, seed, cloud)
+        selected = open_source(
+            source, frames, intrinsics, depth_scale, fix_poses=fix_poses, fix_depth=fix_depth, guesses_camera=True
+        )
+        recording = _with_poses(selected, scale, seed, cloud)
         bundle, report = build_bundle(recording, config, seed, ConsoleProgress(stderr), points, network)
     size = write_bundle(target_of(out), bundle)  # follows links, like all file writes
     report = replace(report, warnings=remarks + report.warnings)
@@ -150,18 +147,21 @@ def build(
     stderr.print(
         f"{out}: {size / 1e6:.1f} MB, map of {report.components} components in "
         f"{bundle.adapted.nbytes_stored / 1e3:.0f} kB, {report.landmarks} landmarks in "
-        f"{bundle.landmarks.bytes / 1e3:.0f} kB, from {report.frames} frames in {report.seconds:.0f} s"
+        f"{bundle.landmarks.bytes / 1e3:.0f} kB, from {report.frames} frames in {report.seconds:.0f} s",
+        soft_wrap=True,
     )
     if report.depth_absrel_before is not None and report.depth_absrel_after is not None:
         stderr.print(
             f"held-out frames: depth error {100 * report.depth_absrel_before:.1f} % -> "
-            f"{100 * report.depth_absrel_after:.1f} %, map moved {100 * report.shift_median_m:.1f} cm (median)"
+            f"{100 * report.depth_absrel_after:.1f} %, map moved {100 * report.shift_median_m:.1f} cm (median)",
+            soft_wrap=True,
         )
     if report.scale_sd is not None:
         stderr.print(f"the map's scale is known to ± {100.0 * report.scale_sd:.2g} % (standard deviation)")
     if report.depth_scale is not None:
         shift = "" if report.depth_shift is None else f" and shift {report.depth_shift:.4g}"
-        stderr.print(f"{network} is used as it is, with scale {report.depth_scale:.4g}{shift} fitted on these frames")
+        how = f"{network} is used as it is, with scale {report.depth_scale:.4g}{shift} fitted on these frames"
+        stderr.print(how, soft_wrap=True)
 
 
 def _with_poses(recording: Recording, scale: str | None, seed: int, cloud: Path | None) -> Recording:

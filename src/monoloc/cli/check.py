@@ -19,7 +19,6 @@ from monoloc.cli.common import (
     JsonOption,
     check_outputs,
     check_picture,
-    naming,
     open_cloud,
     open_source,
     print_json,
@@ -27,7 +26,6 @@ from monoloc.cli.common import (
 )
 from monoloc.cli.findings import EXIT_CODES, print_findings
 from monoloc.errors import SettingError
-from monoloc.io.corrected import Fixes
 from monoloc.progress import ConsoleProgress
 from monoloc.recording_check.inspection import Inspection, inspect_recording
 from monoloc.viz.check_drawing import plot_check
@@ -67,8 +65,7 @@ def check(
     check_picture(plot, "--plot")
     bundle = None if bundle_path is None else read_bundle(bundle_path)
     points = None if cloud is None else open_cloud(cloud)
-    with naming({"fix_poses": "--fix-poses", "fix_depth": "--fix-depth"}):
-        recording = open_source(source, frames, intrinsics, depth_scale, fixes=Fixes(fix_poses, fix_depth))
+    recording = open_source(source, frames, intrinsics, depth_scale, fix_poses=fix_poses, fix_depth=fix_depth)
     inspection = inspect_recording(recording, points, bundle, ConsoleProgress(stderr))
     if plot is not None:
         plot_check(plot, inspection, title=source if bundle_path is None else f"{source} against {target}")

@@ -114,7 +114,8 @@ def open_source(
     intrinsics: str | None = None,
     depth_scale: float | None = None,
     frames_option: str = "--frames",
-    fixes: Fixes = Fixes(),
+    fix_poses: str | None = None,
+    fix_depth: str | None = None,
     guesses_camera: bool = False,
 ) -> Selection:
     """Open a recording, print its notes on stderr, and select frames.
@@ -125,16 +126,19 @@ def open_source(
         intrinsics: value of ``--intrinsics``.
         depth_scale: stored depth value of one metre.
         frames_option: name of the option that selected the frames, for error messages.
-        fixes: of poses and depth of another convention.
+        fix_poses, fix_depth: what poses and depth are, see :class:`monoloc.io.corrected.Fixes`.
         guesses_camera: whether a video needs no intrinsics.
 
     Raises:
         DataError, SettingError: from the reader, or an option is invalid.
     """
-    with naming({"frames": frames_option, "camera": "--intrinsics", "depth_scale": "--depth-scale"}):
+    options = {"camera": "--intrinsics", "depth_scale": "--depth-scale"}
+    options |= {"fix_poses": "--fix-poses", "fix_depth": "--fix-depth", "frames": frames_option}
+    with naming(options):
+        fixes = Fixes(fix_poses, fix_depth)
         camera, keeps_distortion = (None, False) if intrinsics is None else parse_intrinsics(intrinsics)
-        options = ReaderOptions(camera, keeps_distortion, depth_scale, guesses_camera)
-        recording = open_recording(source, options)
+        reading = ReaderOptions(camera, keeps_distortion, depth_scale, guesses_camera)
+        recording = open_recording(source, reading)
         for note in recording.notes:
             stderr.print(f"note: {recording.name}: {note}", soft_wrap=True)
         return select_frames(corrected(recording, fixes), frames)

@@ -22,9 +22,9 @@ from monoloc.cli.flight_options import (
     SettingsOption,
     check_autopilot,
     flight_of,
+    open_frames,
     starting_of,
 )
-from monoloc.cli.fly import open_frames
 from monoloc.cli.start_option import UNKNOWN
 from monoloc.errors import SettingError
 from monoloc.files import json_text, write_whole
@@ -76,7 +76,7 @@ def doctor(
         problem = "cannot be searched: neither scans nor landmarks find the camera in it"
         raise SettingError("ROOM", problem, "write a start or a marker into flight.toml")
     cv2.setNumThreads(1)  # as in a flight
-    summary, preflight = FlightSummary(), Preflight()
+    summary, preflight = FlightSummary(), Preflight(bundle.provenance.brightness)
     with ExitStack() as opened:
         frame_source, camera, first_pose = open_frames(flight.source, frames, flight.camera, fast=False)
         opened.callback(frame_source.close)

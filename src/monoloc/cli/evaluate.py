@@ -9,8 +9,18 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from monoloc.cli.common import FramesOption, JsonOption, open_source, print_json, print_table, refuse_frames
-from monoloc.errors import DataError
+from monoloc.cli.common import (
+    FixDepthOption,
+    FixPosesOption,
+    FramesOption,
+    JsonOption,
+    open_source,
+    print_json,
+    print_table,
+    refuse_frames,
+)
+from monoloc.cli.pose_warning import warn_of_poses
+from monoloc.errors import DataError, SettingError
 from monoloc.evaluation.trajectory import relative_pose_errors, summarise
 from monoloc.geometry import FloatArray
 from monoloc.io.pose_files import nearest_times, read_tum
@@ -34,6 +44,8 @@ def evaluate(
         ),
     ],
     frames: FramesOption = "::",
+    fix_poses: FixPosesOption = None,
+    fix_depth: FixDepthOption = None,
     json: JsonOption = False,
 ) -> None:
     """Compare a trajectory with reference poses, in the map's frame, without alignment.
@@ -44,16 +56,17 @@ def evaluate(
     Examples:
       monoloc evaluate trajectory.txt 7scenes:redkitchen
       monoloc evaluate trajectory.csv groundtruth.txt --json
+      monoloc evaluate trajectory.csv my-recording --fix-poses opengl
     """
     read = read_pose_table if trajectory.suffix.lower() == ".csv" else read_tum
     times, poses = read(trajectory)
-    true_times, true_poses = _read_truth(truth, frames)
+    true_times, true_poses = _read_truth(truth, frames, fix_poses, fix_depth)
     nearest = nearest_times(times, true_times)
     matched = np.abs(times - true_times[nearest]) <= MAX_TIME_DIFFERENCE_S
     if not matched.any():
-        fix = "check that both use the same clock"
+        fix = "check that both use the same clock: fly stamps by its own, and by a recording's with --fast"
         if frames != "::":
-            fix += ", and that --frames chooses frames of this trajectory"
+            fix += "; and that --frames chooses frames of this trajectory"
         raise DataError(trajectory, f"has no pose within {MAX_TIME_DIFFERENCE_S} s of the truth's", fix)
     missed = np.abs(true_times - times[nearest_times(true_times, times)]) > MAX_TIME_DIFFERENCE_S
     estimated, true = poses[matched], true_poses[nearest[matched]]
@@ -74,15 +87,21 @@ def evaluate(
         print_table(f"{trajectory.name} against {truth}", ["figure", "value"], rows)
 
 
-def _read_truth(truth: str, frames: str) -> tuple[FloatArray, FloatArray]:
+def _read_truth(
+    truth: str, frames: str, fix_poses: str | None, fix_depth: str | None
+) -> tuple[FloatArray, FloatArray]:
     path = Path(truth)
     if path.is_file() and path.suffix in {".txt", ".tum"}:
         refuse_frames(frames, "a trajectory")
+        for option, fix in (("--fix-poses", fix_poses), ("--fix-depth", fix_depth)):
+            if fix is not None:
+                raise SettingError(option, "has no meaning for a trajectory", "leave it out")
         return read_tum(path)
     if path.is_file() and not any(known.recognises(path) for known in FORMATS.values()):
         fix = "name it NAME.txt if it is a TUM trajectory, or give a recording"
         raise DataError(path, "is not recognised as a truth", fix)
-    recording = open_source(truth, frames)
+    recording = open_source(truth, frames, fix_poses=fix_poses, fix_depth=fix_depth)
     if recording.poses is None:
         raise DataError(recording.name, "has no poses", "give a recording or TUM trajectory that has them")
+    warn_of_poses(recording)
     return recording.timestamps_s, recording.poses

@@ -14,12 +14,15 @@ from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
-from monoloc.cli.common import naming
+from monoloc.cli.common import naming, open_source, parse_intrinsics, refuse_frames
 from monoloc.cli.start_option import UNKNOWN, start_of
 from monoloc.config import override
 from monoloc.errors import SettingError
 from monoloc.flight.flight_file import FlightFile, read_flight_file
 from monoloc.geometry import FloatArray
+from monoloc.live.frame_source import FrameSource
+from monoloc.live.opening import is_live, open_live
+from monoloc.live.replayed_recording import PacedRecording, UnpacedRecording
 from monoloc.mavlink.firmware import Firmware
 from monoloc.relocalization.marker import MarkerLocalizer
 from monoloc.start import Start
@@ -130,3 +133,25 @@ def starting_of(
     error_m, error_rad = flight.start_error_cm / 100.0, float(np.deg2rad(flight.start_error_deg))
     start = start_of(flight.start, bundle, first_pose, error_m, error_rad, rng)
     return Starting(start, find, "searching" if start is None else "known")
+
+
+def open_frames(
+    source: str, frames: str, intrinsics: str | None, fast: bool
+) -> tuple[FrameSource, Camera, FloatArray | None]:
+    """The source, its camera, and the first pose, (4, 4), of a recording that has poses.
+
+    Raises:
+        DataError, SettingError: from the reader or the camera, or an option is invalid.
+    """
+    if not is_live(source):
+        recording = open_source(source, frames, intrinsics)
+        paced = UnpacedRecording(recording) if fast else PacedRecording(recording)
+        return paced, recording.camera, None if recording.poses is None else recording.poses[0]
+    refuse_frames(frames, "a live camera")
+    if fast:
+        raise SettingError("--fast", "has no meaning for a live camera", "leave it out")
+    if intrinsics is None:
+        problem = "is missing: a live camera does not tell its own"
+        raise SettingError("--camera", problem, "name the file that monoloc calibrate wrote")
+    camera = parse_intrinsics(intrinsics)[0]
+    return open_live(source, camera), camera, None

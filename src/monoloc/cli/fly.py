@@ -6,14 +6,13 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import Annotated
 
 import cv2
 import numpy as np
 import typer
 
-from monoloc.bundle import Bundle, digest_of, read_bundle
-from monoloc.camera import Camera
+from monoloc.bundle import read_bundle
 from monoloc.cli.common import (
     FramesOption,
     IntrinsicsOption,
@@ -22,11 +21,6 @@ from monoloc.cli.common import (
     check_apart,
     check_folder,
     check_outputs,
-    check_viewing,
-    open_source,
-    parse_intrinsics,
-    print_json,
-    refuse_frames,
     stderr,
 )
 from monoloc.cli.flight_options import (
@@ -36,32 +30,21 @@ from monoloc.cli.flight_options import (
     SettingsOption,
     check_autopilot,
     flight_of,
+    open_frames,
     starting_of,
 )
+from monoloc.cli.flight_outputs import check_mcap, check_view, header_of, logs, report
 from monoloc.cli.start_option import METAVAR
 from monoloc.cli.stop_signals import stopped_by_signals
-from monoloc.errors import SettingError
-from monoloc.extras import require_mcap, require_viewing
 from monoloc.flight.autopilot import down_world, gravity_of, link_to, obstacle_frames, senders, turns_of
-from monoloc.flight.flight_file import FlightFile
 from monoloc.flight.flight_loop import Flight, FlightOutput, FlightSummary
-from monoloc.flight.flight_recording import FlightHeader, FlightRecorder, RecordedStart
-from monoloc.flight.flight_settings import FlightSettings
+from monoloc.flight.flight_recording import FlightRecorder
 from monoloc.flight.line_writer import LineWriter
-from monoloc.flight.mcap_log import McapLog, step_recorder
 from monoloc.flight.north_measurement import NorthMeasurement
-from monoloc.flight.pose_log import PoseLog
 from monoloc.flight.status_output import StatusOutput
 from monoloc.flight.watchdog_output import WatchdogOutput
-from monoloc.geometry import FloatArray
-from monoloc.live.frame_source import FrameSource
-from monoloc.live.opening import is_live, open_live
-from monoloc.live.replayed_recording import PacedRecording, UnpacedRecording
 from monoloc.localizer import Localizer
 from monoloc.mavlink.autopilot_link import AutopilotLink
-from monoloc.mavlink.firmware import Firmware
-from monoloc.start import Start
-from monoloc.supervision.state import State
 from monoloc.viz.flight_view import flight_view
 
 
@@ -171,10 +154,10 @@ def fly(
             link = None if address is None else opened.enter_context(closing(link_to(address, flight_settings)))
             if flight.record is not None:
                 sent_to = None if align else firmware
-                header = _header(room, camera, starting.start, seed, flight_settings, sent_to)
+                header = header_of(room, camera, starting.start, seed, flight_settings, sent_to)
                 outputs.append(FlightRecorder(flight.record, header))
             clock_offset_s = 0.0 if fast else time.time() - frame_source.now_s()
-            outputs += _logs(flight, bundle, camera, clock_offset_s)
+            outputs += logs(flight, bundle, camera, clock_offset_s, summary.unwritten)
             if view or view_port is not None:
                 shown = flight_view(
                     f"{room}: {flight.source}",
@@ -212,56 +195,9 @@ def fly(
         if north is not None:
             north_deg, sd_deg = north.north_deg()
             say(f"north_deg = {north_deg:.1f}     (write it into flight.toml; varied by {sd_deg:.1f}°)")
-        _report(summary, frame_source, link, say, json)
+        report(summary, frame_source, link, say, json)
     if summary.failures:
         raise summary.failures[0]
-
-
-def check_view(view: bool, port: int | None) -> None:
-    """Check that a viewer can be shown, before anything is opened."""
-    if view and port is not None:
-        raise SettingError("--view-port", "is given beside --view", "choose between a window and a browser")
-    check_viewing(view)
-    if port is not None:
-        require_viewing()
-
-
-def check_mcap(path: Path | None) -> None:
-    """Reject a path that is not named as MCAP, or that cannot be written for want of a library."""
-    if path is not None and path.suffix.lower() != ".mcap":
-        raise SettingError("--mcap", f"{path} is MCAP by another name", "name it NAME.mcap")
-    if path is not None:
-        require_mcap()
-
-
-def _logs(flight: FlightFile, bundle: Bundle, camera: Camera, clock_offset_s: float) -> Iterator[FlightOutput]:
-    """What a flight writes of its results, beside a recording of it."""
-    if flight.out is not None:
-        yield PoseLog(flight.out)
-    if flight.mcap is not None:
-        yield McapLog(step_recorder(flight.mcap, True, bundle, camera, flight.settings), clock_offset_s)
-
-
-def open_frames(
-    source: str, frames: str, intrinsics: str | None, fast: bool
-) -> tuple[FrameSource, Camera, FloatArray | None]:
-    """The source, its camera, and the first pose, (4, 4), of a recording that has poses.
-
-    Raises:
-        DataError, SettingError: from the reader or the camera, or an option is invalid.
-    """
-    if not is_live(source):
-        recording = open_source(source, frames, intrinsics)
-        paced = UnpacedRecording(recording) if fast else PacedRecording(recording)
-        return paced, recording.camera, None if recording.poses is None else recording.poses[0]
-    refuse_frames(frames, "a live camera")
-    if fast:
-        raise SettingError("--fast", "has no meaning for a live camera", "leave it out")
-    if intrinsics is None:
-        problem = "is missing: a live camera does not tell its own"
-        raise SettingError("--camera", problem, "name the file that monoloc calibrate wrote")
-    camera = parse_intrinsics(intrinsics)[0]
-    return open_live(source, camera), camera, None
 
 
 @contextmanager
@@ -272,39 +208,3 @@ def _lines() -> Iterator[Callable[[str], None]]:
         yield writer.write
     finally:
         writer.close()
-
-
-def _header(
-    room: Path, camera: Camera, start: Start | None, seed: int, settings: FlightSettings, firmware: Firmware | None
-) -> FlightHeader:
-    return FlightHeader(
-        bundle=str(room.resolve()),
-        digest=digest_of(room),
-        camera=camera,
-        start=RecordedStart.of(start),
-        seed=seed,
-        settings=settings,
-        firmware=firmware,
-    )
-
-
-def _report(
-    summary: FlightSummary, source: FrameSource, link: AutopilotLink | None, say: Callable[[str], None], json: bool
-) -> None:
-    figures = {**summary.figures(), "reconnections": source.reconnections}
-    if link is not None:
-        figures["autopilot"] = dict(link.counts)
-    if json:
-        print_json(figures)
-        return
-    states = ", ".join(f"{summary.states[state]} {state}" for state in get_args(State))
-    rate_hz, median_s, most_s = summary.rate_hz, summary.latency_s(50.0), summary.latency_s(95.0)
-    how = "" if rate_hz is None else f"; {rate_hz:.1f} Hz"
-    if median_s is not None and most_s:  # else nothing took time: --fast
-        how += f", {1e3 * median_s:.0f} ms after capture (95 %: {1e3 * most_s:.0f} ms)"
-    say(f"{summary.frames} frames: {states}{how}")
-    dropped = ", ".join(f"{count} {reason}" for reason, count in summary.dropped.items() if count)
-    say(f"dropped: {dropped or 'none'}; reconnections of the camera: {source.reconnections}")
-    if link is not None:
-        messages = ", ".join(f"{count} {what}" for what, count in sorted(link.counts.items()))
-        say(f"autopilot: {messages or 'no messages'}")

@@ -15,6 +15,8 @@ import typer
 from monoloc.bundle import Bundle, read_bundle
 from monoloc.cli.common import (
     DepthScaleOption,
+    FixDepthOption,
+    FixPosesOption,
     FramesOption,
     IntrinsicsOption,
     JsonOption,
@@ -38,6 +40,7 @@ from monoloc.cli.motion_options import (
     OdometryOption,
     measured_motions,
 )
+from monoloc.cli.pose_warning import warn_of_poses
 from monoloc.cli.start_option import METAVAR, UNKNOWN, StartErrorCmOption, StartErrorDegOption, start_of
 from monoloc.config import override
 from monoloc.errors import MonolocError
@@ -95,6 +98,8 @@ def localize_command(
     record: RecordOption = None,
     intrinsics: IntrinsicsOption = None,
     depth_scale: DepthScaleOption = None,
+    fix_poses: FixPosesOption = None,
+    fix_depth: FixDepthOption = None,
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
@@ -109,6 +114,7 @@ def localize_command(
       monoloc localize room.monoloc tum:fr1_room --start truth --motion random-walk
       monoloc localize room.monoloc folder:flight --gyroscope flight/imu.csv --mount flight.toml
       monoloc localize room.monoloc folder:flight --odometry wheels.txt --odometry-delay 0.08
+      monoloc localize room.monoloc my-recording --fix-poses opengl     (poses with axes of OpenGL)
       monoloc localize kitchen.monoloc 7scenes:redkitchen --view --record trajectory.rrd
     """
     check_outputs({"--out": out, "--plot": plot, "--record": record}, (bundle, source, gyroscope, odometry, mount))
@@ -117,7 +123,8 @@ def localize_command(
     check_picture(plot, "--plot")
     check_viewing(view, record)
     room = read_bundle(bundle)
-    recording = open_source(source, frames, intrinsics, depth_scale)
+    recording = open_source(source, frames, intrinsics, depth_scale, fix_poses=fix_poses, fix_depth=fix_depth)
+    warn_of_poses(recording)
     motions = measured_motions(recording.timestamps_s, gyroscope, odometry, odometry_delay, mount)
     with naming({"particles": "--particles", "scan_points": "--scan-points"}):
         config = override(room.settings, motion=motion, particles=particles, scan_points=scan_points)
@@ -151,7 +158,7 @@ def localize_command(
     else:
         show(metrics)
         for path in written:
-            stderr.print(f"written: {path}")
+            stderr.print(f"written: {path}", soft_wrap=True)
     if failures:
         raise MonolocError("; ".join(map(str, failures)))
 
@@ -216,12 +223,14 @@ def show(metrics: dict[str, object]) -> None:
     counts = ", ".join(f"{states.get(state, 0)} {state}" for state in get_args(State))
     stderr.print(
         f"{metrics['frames']} frames: {counts}; "
-        f"{metrics['step_ms_median']:.1f} ms a frame (95 %: {metrics['step_ms_p95']:.1f} ms)"
+        f"{metrics['step_ms_median']:.1f} ms a frame (95 %: {metrics['step_ms_p95']:.1f} ms)",
+        soft_wrap=True,
     )
     reasons = metrics["reasons"]
     assert isinstance(reasons, dict)
     if reasons:
-        stderr.print(f"not tracking because: {', '.join(f'{reason} ({count})' for reason, count in reasons.items())}")
+        why = ", ".join(f"{reason} ({count})" for reason, count in reasons.items())
+        stderr.print(f"not tracking because: {why}", soft_wrap=True)
 
 
 def _figure(metrics: dict[str, object], prefix: str, name: str, factor: float, unit: str) -> str:

@@ -78,6 +78,8 @@ class FlightSummary:
             when their turn came), ``future`` (captured after they came, by a clock that is wrong), ``unordered``
             (captured no later than the one before), ``without start`` (before the first marker).
         states: number of frames in each state.
+        unwritten: what outputs did not write since the disk was too slow, by kind: ``mcap images``, ``mcap frames``,
+            ``poses``.
         failures: of outputs, which took no more frames.
         latencies_s: from capture to result, of the last frames.
         intervals_s: between localised frames, of the last ones.
@@ -86,6 +88,7 @@ class FlightSummary:
     frames: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
     states: Counter[str] = field(default_factory=Counter)
+    unwritten: Counter[str] = field(default_factory=Counter)
     failures: list[MonolocError] = field(default_factory=list)
     latencies_s: list[float] = field(default_factory=list)
     intervals_s: list[float] = field(default_factory=list)
@@ -114,6 +117,7 @@ class FlightSummary:
         return {
             "frames": self.frames,
             "dropped": dict(self.dropped),
+            "unwritten": dict(self.unwritten),
             "states": dict(self.states),
             "rate_hz": self.rate_hz,
             "latency_s_median": self.latency_s(50.0),

@@ -13,8 +13,6 @@
 from __future__ import annotations
 
 import contextlib
-import queue
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -30,6 +28,7 @@ from monoloc.files import write_whole
 from monoloc.flight.flight_loop import FlightStep
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.pose_log import PoseLog
+from monoloc.flight.writer_thread import WriterThread
 from monoloc.geometry import FloatArray
 from monoloc.io.file_access import read_text
 from monoloc.io.image_files import read_color
@@ -179,11 +178,7 @@ class FlightRecorder:
         self._poses = PoseLog(folder / POSES)
         self._frames = (folder / _FRAMES).open("w", encoding="utf-8")
         self._count = 0
-        self._failure: Exception | None = None
-        self._is_known = False  # to the flight, that it failed
-        self._queue: queue.Queue[FlightStep | RecordedIdle | None] = queue.Queue(_QUEUED)
-        self._thread = threading.Thread(target=self._run, name="flight recorder", daemon=True)
-        self._thread.start()
+        self._thread: WriterThread[FlightStep | RecordedIdle] = WriterThread("flight recorder", self._write, _QUEUED)
 
     def take(self, result: FlightStep) -> None:
         """Raises DataError if an earlier frame could not be written."""
@@ -195,12 +190,12 @@ class FlightRecorder:
 
     def close(self) -> None:
         """Raises DataError if a frame could not be written and neither :meth:`take` nor :meth:`idle` said so."""
-        self._queue.put(None)
-        self._thread.join()
-        with contextlib.suppress(OSError):  # only what a write that failed has left is not yet in the file
-            self._frames.close()
-        self._poses.close()
-        self._raise_failure()
+        try:
+            self._thread.close()
+        finally:
+            with contextlib.suppress(OSError):  # only what a write that failed has left is not yet in the file
+                self._frames.close()
+            self._poses.close()
 
     def _make_folder(self) -> None:
         try:
@@ -212,27 +207,9 @@ class FlightRecorder:
             raise DataError(self.folder, f"cannot be made ({error.strerror})", fix) from error
 
     def _hand_over(self, event: FlightStep | RecordedIdle) -> None:
-        self._raise_failure()
-        try:
-            self._queue.put(event, timeout=_MOST_WAIT_S)
-        except queue.Full as error:
-            self._failure = DataError(
-                self.folder, "cannot be written as fast as the frames come", "use a faster disk"
-            )
-            self._raise_failure(error)
-
-    def _raise_failure(self, cause: Exception | None = None) -> None:
-        if self._failure is not None and not self._is_known:
-            self._is_known = True
-            raise self._failure from cause
-
-    def _run(self) -> None:
-        while (event := self._queue.get()) is not None:
-            if self._failure is None:  # else it only empties the queue, on which the flight may wait
-                try:
-                    self._write(event)
-                except Exception as error:
-                    self._failure = error
+        if not self._thread.put(event, _MOST_WAIT_S):
+            problem = "cannot be written as fast as the frames come"
+            self._thread.fail(DataError(self.folder, problem, "use a faster disk"))
 
     def _write(self, event: FlightStep | RecordedIdle) -> None:
         if isinstance(event, RecordedIdle):

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
 from monoloc.flight.flight_loop import FlightStep
 from monoloc.flight.flight_settings import FlightSettings
+from monoloc.flight.writer_thread import WriterThread
+from monoloc.localizer import Step
 from monoloc.ros.mcap_file import McapFile, StepRecorder
 from monoloc.ros.ros_frames import RosFrames
+
+_MOST_IMAGES = 32  # that wait for the disk, 30 MB at 640x480; with more waiting, frames come without image
+_MOST_FRAMES = 300  # that wait for it; more are dropped
 
 
 def ros_frames_of(bundle: Bundle, settings: FlightSettings) -> RosFrames:
@@ -46,20 +53,29 @@ def step_recorder(
 class McapLog:
     """A :class:`~monoloc.flight.flight_loop.FlightOutput` that writes the file.
 
+    A thread makes and writes the messages. Where the disk is slower than the camera, images are dropped first, then
+    frames; the flight does not wait. A kill takes what waits.
+
     Args:
         recorder: writes the results.
         clock_offset_s: of ROS's clock, which counts from 1970, against that of the times of capture.
+        dropped: counts what was not written, by kind.
     """
 
-    def __init__(self, recorder: StepRecorder, clock_offset_s: float) -> None:
-        self._recorder, self._clock_offset_s = recorder, clock_offset_s
-        self._failed = False
+    def __init__(self, recorder: StepRecorder, clock_offset_s: float, dropped: Counter[str]) -> None:
+        self._recorder, self._clock_offset_s, self._dropped = recorder, clock_offset_s, dropped
+        self._thread: WriterThread[tuple[float, NDArray[np.uint8] | None, Step]] = WriterThread(
+            "mcap", lambda frame: recorder.add(*frame), _MOST_FRAMES
+        )
 
     def take(self, result: FlightStep) -> None:
-        frame = result.frame
-        self._failed = True  # unless it succeeds
-        self._recorder.add(frame.captured_s + self._clock_offset_s, frame.color, result.step)
-        self._failed = False
+        """Raises DataError if an earlier frame could not be written."""
+        time_s = result.frame.captured_s + self._clock_offset_s
+        color = result.frame.color if self._thread.waiting < _MOST_IMAGES else None
+        if not self._thread.put((time_s, color, result.step)):
+            self._dropped["mcap frames"] += 1
+        elif color is None:
+            self._dropped["mcap images"] += 1
 
     def idle(self, now_s: float) -> None:
         """Nothing: there are messages of frames only."""
@@ -67,7 +83,8 @@ class McapLog:
     def close(self) -> None:
         """Raises DataError if the file cannot be written, and :meth:`take` did not say so."""
         try:
-            if not self._failed:
+            self._thread.close()
+            if not self._thread.has_failed:
                 self._recorder.file.finish()
         finally:
             self._recorder.file.close()

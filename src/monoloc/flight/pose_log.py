@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import csv
+from collections import Counter
 from pathlib import Path
 
 from monoloc.errors import DataError
 from monoloc.flight.flight_loop import FlightStep
+from monoloc.flight.writer_thread import WriterThread
 from monoloc.geometry import FloatArray, rotation_to_quaternion
 from monoloc.io.pose_table import COLUMNS, UPPER
 from monoloc.localizer import Step
+
+_MOST_ROWS = 10_000  # that wait for the disk, 6 MB; more are dropped
 
 
 class PoseLog:
@@ -38,11 +42,14 @@ class PoseLog:
 
     def take(self, result: FlightStep) -> None:
         """Add a frame: a lost one too, whose pose says nothing."""
-        self._write(row(result.frame.captured_s, f"{self._count:06d}", result.step))
-        self._count += 1
+        self._write(self._next_row(result))
 
     def idle(self, now_s: float) -> None:
         """Nothing: the table has a row a frame."""
+
+    def _next_row(self, result: FlightStep) -> tuple[str, ...]:
+        self._count += 1
+        return row(result.frame.captured_s, f"{self._count - 1:06d}", result.step)
 
     def _write(self, values: tuple[str, ...]) -> None:
         try:
@@ -55,6 +62,33 @@ class PoseLog:
     def close(self) -> None:
         with contextlib.suppress(OSError):  # only what a write that failed has left is not yet in the file
             self._file.close()
+
+
+class BackgroundPoseLog(PoseLog):
+    """A :class:`PoseLog` whose rows a thread writes, so that the flight does not wait for the disk.
+
+    Args:
+        path: is replaced.
+        dropped: counts rows that were not written since too many waited.
+
+    Raises:
+        DataError: it cannot be written, at once, later, or by :meth:`close`.
+    """
+
+    def __init__(self, path: Path, dropped: Counter[str]) -> None:
+        super().__init__(path)
+        self._dropped = dropped
+        self._thread = WriterThread("poses", self._write, _MOST_ROWS)
+
+    def take(self, result: FlightStep) -> None:
+        if not self._thread.put(self._next_row(result)):
+            self._dropped["poses"] += 1
+
+    def close(self) -> None:
+        try:
+            self._thread.close()
+        finally:
+            super().close()
 
 
 def row(time_s: float, frame: str, step: Step) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ import numpy as np
 from monoloc.flight.flight_loop import FlightStep, FlightSummary
 from monoloc.mavlink.firmware import Firmware
 from monoloc.recording_check.image_quality import ImageQuality, quality_of
-from monoloc.recording_check.inspection import Finding, Level, image_findings
+from monoloc.recording_check.inspection import Finding, Level, image_findings, light_findings
 from monoloc.supervision.state import VOUCHED_FOR, Reason
 
 _LEAST_RATE_HZ, _GOOD_RATE_HZ = 5.0, 15.0  # PX4 stops to fuse below 5 Hz; its guide asks for 30
@@ -42,9 +42,14 @@ class LinkReport:
 
 
 class Preflight:
-    """A :class:`~monoloc.flight.flight_loop.FlightOutput` that looks at every frame."""
+    """A :class:`~monoloc.flight.flight_loop.FlightOutput` that looks at every frame.
 
-    def __init__(self) -> None:
+    Args:
+        brightness: of the build, as its ``Provenance`` has it.
+    """
+
+    def __init__(self, brightness: tuple[float, float] | None = None) -> None:
+        self._brightness = brightness
         self._count = 0
         self._quality: list[tuple[float, float, float, float]] = []
         self._landmarks: list[int] = []
@@ -69,9 +74,11 @@ class Preflight:
         if summary.frames == 0:
             found = [Finding("camera", "bad", "no frame", "check the cable, and the source that was named")]
         else:
+            images = self._images()
             found = [
                 *_of_timing(summary),
-                *image_findings(self._images(), "expose for a shorter time, add light, clean the lens", "add light"),
+                *image_findings(images, "expose for a shorter time, add light, clean the lens", "add light"),
+                *light_findings(images, self._brightness),
                 *self._of_intrinsics(),
                 *self._of_room(summary),
             ]

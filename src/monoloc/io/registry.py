@@ -58,6 +58,7 @@ FORMATS: dict[str, Format] = {
 }
 
 _SOURCE = re.compile(r"([A-Za-z0-9_-]{2,}):(.+)")  # at least two letters, because C:\ is a drive
+_IMAGES = {".jpg", ".jpeg", ".png"}
 _FRAMES = re.compile(r"(\d*):(\d*)(?::(\d*))?")
 
 
@@ -81,11 +82,10 @@ def open_recording(source: str, options: ReaderOptions | None = None) -> StoredR
             return known.read(path, options)
     if path.suffix.lower() == ".zip":
         raise DataError(path, "is an archive", "unpack it, and give the folder")
-    raise DataError(
-        path,
-        "is not recognised as a recording",
-        f"write FORMAT:PATH with one of {', '.join(FORMATS)}",
-    )
+    fix = f"write FORMAT:PATH with one of {', '.join(FORMATS)}"
+    if path.is_dir() and any(file.suffix.lower() in _IMAGES for file in path.iterdir()):
+        fix = "describe its images in a dataset.toml, as docs/how-to/record-a-room.md shows"
+    raise DataError(path, "is not recognised as a recording", fix)
 
 
 def absolute_source(source: str) -> str:

@@ -23,7 +23,9 @@ from monoloc.odometry.visual import OdometryConfig, track_corners
 
 DepthOf = Callable[[int], NDArray[np.float32]]
 
-_PAIRS = 30
+PAIRS = 30
+"""Number of pairs of frames that are compared."""
+
 _TRACKING = OdometryConfig()  # the odometry's settings for corners
 _STEPS = (1, 2, 4, 8)  # frames apart; the first that moves far enough is used
 _ENOUGH_MOTION, _LEAST_MOTION = 0.05, 0.01  # median motion of the corners, share of the image's width
@@ -83,11 +85,15 @@ class Matches:
         return depth
 
 
-def match_corners(recording: Recording) -> Matches:
-    """Match corners over a few dozen pairs of neighbouring frames, spread over the recording.
+def match_corners(recording: Recording, pairs: int = PAIRS) -> Matches:
+    """Match corners over pairs of neighbouring frames, spread over the recording.
 
     The frames of a pair are 1, 2, 4 or 8 frames apart, so that their corners move by 5 % of the image's width if
     they can. Pairs with too little motion or too few corners are left out.
+
+    Args:
+        recording: to match.
+        pairs: most that are matched.
 
     Raises:
         DataError: a frame cannot be read.
@@ -95,7 +101,7 @@ def match_corners(recording: Recording) -> Matches:
     width, height = recording.camera.width, recording.camera.height
     factor = min(1.0, _TRACKING.width / width)
     images = TrackingImages(recording, recording.camera.resized(round(width * factor), round(height * factor)))
-    starts = evenly_spaced(len(recording) - 1, _PAIRS) if len(recording) > 1 else np.zeros(0, np.int64)
+    starts = evenly_spaced(len(recording) - 1, pairs) if len(recording) > 1 else np.zeros(0, np.int64)
     found = [pair for start in starts.tolist() if (pair := _match(images, start, len(recording))) is not None]
     if not found:
         nothing = np.zeros(0, np.int64)

@@ -15,7 +15,7 @@ from monoloc.io.recording import Recording, Selection, evenly_spaced
 from monoloc.io.seven_scenes import COLOR_CAMERA
 from monoloc.map.cloud import voxel_thin
 from monoloc.map.depth_rendering import map_depth
-from monoloc.recording_check.correspondences import Matches, match_corners
+from monoloc.recording_check.correspondences import PAIRS, Matches, match_corners
 from monoloc.recording_check.reprojection import Reprojector, relative_poses
 
 # Points of the cloud are up to 5 pixels apart in a rendered image, which is 160 pixels wide.
@@ -84,14 +84,18 @@ class Evidence:
         return relative
 
 
-def gather_evidence(recording: Recording, cloud: FloatArray | None) -> Evidence:
+def gather_evidence(recording: Recording, cloud: FloatArray | None, pairs: int = PAIRS) -> Evidence:
     """Match corners of a posed recording that has depth, unless the cloud (N, 3) of the room is given.
+
+    Args:
+        recording, pairs: as :func:`monoloc.recording_check.correspondences.match_corners`.
+        cloud: world frame, metres.
 
     Raises:
         DataError: a frame cannot be read.
     """
     thin = None if cloud is None or recording.has_depth else voxel_thin(cloud, _VOXEL_M)
-    return Evidence(recording, match_corners(recording), thin)
+    return Evidence(recording, match_corners(recording, pairs), thin)
 
 
 def other_readings(evidence: Evidence) -> list[Evidence]:

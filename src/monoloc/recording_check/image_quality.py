@@ -44,6 +44,11 @@ class ImageQuality:
         """Share of the images that are blurred."""
         return float(np.mean(self.blur > BLURRED))
 
+    @property
+    def grey_level(self) -> tuple[float, float]:
+        """Mean and standard deviation of the brightness over the images."""
+        return float(np.mean(self.brightness)), float(np.std(self.brightness))
+
 
 def measure_images(recording: Recording) -> ImageQuality:
     """Measure up to 60 images, spread over the recording.

@@ -14,6 +14,7 @@ from monoloc.geometry import FloatArray, so3_log
 from monoloc.io.images import ImageRecording
 from monoloc.io.pose_fixes import AXES
 from monoloc.io.recording import Recording, Selection
+from monoloc.recording_check.correspondences import PAIRS
 from monoloc.recording_check.evidence import Evidence, gather_evidence, other_readings
 from monoloc.recording_check.factors import Factor, fit_depth_scale, fit_focal
 from monoloc.recording_check.pose_hypotheses import as_stated, conventions, delays
@@ -96,19 +97,20 @@ class PoseCheck:
         return "check the poses' convention, their times, the depth's scale and the intrinsics"
 
 
-def check_poses(recording: Recording, cloud: FloatArray | None = None) -> PoseCheck:
+def check_poses(recording: Recording, cloud: FloatArray | None = None, pairs: int = PAIRS) -> PoseCheck:
     """Compare a recording's poses with its images and depth.
 
     Args:
         recording: with poses.
         cloud: (N, 3) of the room, world frame, metres, which gives depth where the recording has none.
+        pairs: most pairs of frames that are compared.
 
     Raises:
         DataError: a frame cannot be read.
     """
     if recording.poses is None or not (recording.has_depth or cloud is not None):
         return PoseCheck("unknown", 0, 0)
-    return judge(gather_evidence(recording, cloud))
+    return judge(gather_evidence(recording, cloud, pairs))
 
 
 def judge(evidence: Evidence) -> PoseCheck:

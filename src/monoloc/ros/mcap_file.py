@@ -117,11 +117,12 @@ class StepRecorder:
         self._steps = StepMessages(frames, with_obstacles)
         self._images = ImageMessages(camera, frames.names.camera)
 
-    def add(self, time_s: float, color: NDArray[np.uint8], step: Step) -> None:
-        """Write a frame: time of capture, image (H, W, 3) uint8 RGB, and result.
+    def add(self, time_s: float, color: NDArray[np.uint8] | None, step: Step) -> None:
+        """Write a frame: time of capture, image (H, W, 3) uint8 RGB or None, and result.
 
         Raises:
             DataError: as :meth:`McapFile.write`.
         """
         stamp_ns = round(time_s * 1e9)
-        self.file.write([*self._images.of(stamp_ns, color), *self._steps.of(stamp_ns, step)])
+        images = [] if color is None else self._images.of(stamp_ns, color)
+        self.file.write([*images, *self._steps.of(stamp_ns, step)])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.errors import DataError
-from monoloc.geometry import FloatArray
+from monoloc.geometry import FloatArray, invert, transform
 from monoloc.io.recording import Recording, evenly_spaced
 from monoloc.relocalization.marker import DEFAULT_DICTIONARY, Dictionary, MarkerDetector
 from monoloc.structure_from_motion.metric_scale import MetricScale, from_length
@@ -63,7 +63,12 @@ class MarkerScale:
         if np.ptp(sides[:, 0]) > _SQUARE * length:
             problem = f"shows marker {self.number} with sides that differ by {np.ptp(sides[:, 0]) / length:.0%}"
             raise DataError(recording.name, problem, "film it from nearer, flat and at rest")
-        length_sd = max(_CORNER_SD_PX * float(np.sqrt(np.mean(sides[:, 1] ** 2))), float(np.std(sides[:, 0]))) / 2.0
+        side_sd = float(np.sqrt(np.mean(sides[:, 1] ** 2)))  # of one side, by independent errors of a pixel
+        shift_px, corner_px = _residuals_px(model, poses, np.array([point for point, _ in placed]), corners)
+        # Errors of their own average over four sides. What shifts all corners of a frame moves them nearer or farther
+        # together.
+        own = max(max(_CORNER_SD_PX, corner_px) * side_sd, float(np.std(sides[:, 0]))) / 2.0
+        length_sd = float(np.hypot(own, np.sqrt(2.0) * shift_px * side_sd))
         how = f"marker {self.number} in {len(poses)} frames"
         return from_length(length, length_sd, self.size_m, _SIZE_SD * self.size_m, how, recording.name)
 
@@ -82,3 +87,21 @@ class MarkerScale:
         """The marker's corners in a frame, (4, 2) px; None where it is not seen, or more than once."""
         found = [corners for number, corners in detect(recording.color(index)) if number == self.number]
         return found[0] if len(found) == 1 else None
+
+
+def _residuals_px(
+    model: SparseModel, poses: FloatArray, points: FloatArray, corners: FloatArray
+) -> tuple[float, float]:
+    """Standard deviations of what shifts a frame's four corners together, and of each corner beyond that.
+
+    Args:
+        model: that has the camera.
+        poses: of the frames, (M, 4, 4).
+        points: where the corners are, (4, 3).
+        corners: where they are seen, (M, 4, 2).
+    """
+    residuals = model.camera.project(transform(invert(poses), points)) - corners
+    shifts = residuals.mean(axis=1, keepdims=True)
+    frames = len(poses)  # the points take 3 of the shifts' 2 M degrees of freedom, and 9 of the other 6 M
+    common = np.sum(shifts**2) / (2 * frames - 3)
+    return float(np.sqrt(common)), float(np.sqrt(np.sum((residuals - shifts) ** 2) / (6 * frames - 9)))

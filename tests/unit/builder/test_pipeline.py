@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -222,6 +223,8 @@ def test_bundle_and_report_hold_the_measurements_and_warn_of_poor_relocalization
     assert bundle.settings.log_scale_sd == 0.123 and bundle.thresholds == THRESHOLDS
     assert bundle.integrity == IntegrityModel(scan=SCAN_CLASSES, scan_search_precision=precision)
     assert bundle.sensor == SENSOR
+    levels = [np.median(cv2.cvtColor(recording.color(index), cv2.COLOR_RGB2GRAY)) for index in range(len(recording))]
+    assert bundle.provenance.brightness == pytest.approx((np.mean(levels), np.std(levels)), abs=1.0)
     assert bundle.supports_relocalization == (not warnings)
     assert report.warnings == [REMARK, *warnings]
     figures = (report.nll_start, report.nll_end, report.depth_absrel_before, report.depth_absrel_after)

@@ -60,8 +60,8 @@ def test_memory_is_linear_in_the_number_of_poses(capfd: pytest.CaptureFixture[st
 def test_trajectories_that_cannot_be_compared_are_refused(capfd: pytest.CaptureFixture[str], here: Path) -> None:
     write_tum(here / "late.txt", [1e6, 1e6 + 1], np.tile(np.eye(4), (2, 1, 1)))
     command = ("evaluate", "late.txt", "flight")
-    refused(capfd, here, command, "late.txt", r"has no pose within 0.02 s", "same clock$")
-    refused(capfd, here, (*command, "--frames", "2:"), "late.txt", "has no pose within", "clock, and that --frames")
+    refused(capfd, here, command, "late.txt", r"has no pose within 0.02 s", "same clock: fly .* --fast$")
+    refused(capfd, here, (*command, "--frames", "2:"), "late.txt", "has no pose within", "--fast; and that --frames")
     for name in ("truth", "truth.csv"):
         shutil.copy(here / "flight" / "poses.txt", here / name)
         problem, fix = "is not recognised", "NAME.txt if it is a TUM"
@@ -69,3 +69,6 @@ def test_trajectories_that_cannot_be_compared_are_refused(capfd: pytest.CaptureF
     description = here / "flight" / "dataset.toml"
     description.write_text(synthetic.SEQUENCE_TOML.replace('poses = "poses.txt"', "rate_hz = 10"))
     refused(capfd, here, command, "flight", "has no poses", "recording or TUM")
+    for option, value in (("--fix-poses", "opengl"), ("--fix-depth", "range")):
+        against = ("evaluate", "late.txt", "flight/poses.txt", option, value)
+        refused(capfd, here, against, f"{option}: ", "has no meaning for a trajectory", "leave it out")

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import resource
+import threading
+import time
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from numpy.typing import NDArray
 
 from mavlink_helpers import CAMERA, result_at, step_at
 from monoloc.bundle import Bundle
 from monoloc.errors import DataError
+from monoloc.flight import mcap_log
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.mcap_log import McapLog, ros_frames_of, step_recorder
+from monoloc.localizer import Step
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
 
 
@@ -36,7 +42,7 @@ def test_times_are_those_of_capture_since_1970_and_obstacles_need_a_tuned_networ
 ) -> None:
     bundle = replace(bundle, provenance=bundle.provenance.model_copy(update={"tune": tune}))
     path = tmp_path / "flight.mcap"
-    log = McapLog(step_recorder(path, True, bundle, CAMERA, FlightSettings(obstacles=obstacles)), 1.7e9)
+    log = McapLog(step_recorder(path, True, bundle, CAMERA, FlightSettings(obstacles=obstacles)), 1.7e9, Counter())
     for index in range(3):
         log.take(result_at(50.0 + index, step_at(np.eye(4))))
     log.close()
@@ -55,12 +61,44 @@ def test_the_settings_say_where_down_is_and_how_the_camera_sits(bundle: Bundle) 
 
 def test_a_disk_that_fills_up_is_said_once(bundle: Bundle, tmp_path: Path) -> None:
     path, before = tmp_path / "flight.mcap", resource.getrlimit(resource.RLIMIT_FSIZE)
-    log = McapLog(step_recorder(path, True, bundle, CAMERA, FlightSettings()), 0.0)
+    log = McapLog(step_recorder(path, True, bundle, CAMERA, FlightSettings()), 0.0, Counter())
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
     try:
         with pytest.raises(DataError, match=r"flight\.mcap: cannot be written \(File too large\); make room"):
             for index in range(2000):
                 log.take(result_at(float(index), step_at(np.eye(4))))
+            log.close()  # if the thread was slower
+        log.take(result_at(2000.0, step_at(np.eye(4))))
         log.close()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_disk_that_stands_still_costs_images_first_then_frames_and_never_time(
+    bundle: Bundle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mcap_log, "_MOST_IMAGES", 4)
+    monkeypatch.setattr(mcap_log, "_MOST_FRAMES", 10)
+    path, dropped = tmp_path / "flight.mcap", Counter[str]()
+    recorder = step_recorder(path, True, bundle, CAMERA, FlightSettings())
+    add, begun, goes_on = recorder.add, threading.Event(), threading.Event()
+
+    def slowly(time_s: float, color: NDArray[np.uint8] | None, step: Step) -> None:
+        begun.set()
+        assert goes_on.wait(30.0)
+        add(time_s, color, step)
+
+    monkeypatch.setattr(recorder, "add", slowly)
+    log = McapLog(recorder, 0.0, dropped)
+    log.take(result_at(0.0, step_at(np.eye(4))))
+    assert begun.wait(30.0)  # with the first frame, which no longer waits
+    began_s = time.monotonic()
+    for index in range(1, 20):
+        log.take(result_at(float(index), step_at(np.eye(4))))
+    assert time.monotonic() - began_s < 1.0
+    assert dropped == {"mcap images": 6, "mcap frames": 9}
+    goes_on.set()
+    log.close()  # which waits for all that was taken
+    found = topics_and_times(path)
+    assert [time_ns // 10**9 for topic, time_ns in found if topic == "/camera/image/compressed"] == [0, 1, 2, 3, 4]
+    assert [time_ns // 10**9 for topic, time_ns in found if topic == "/monoloc/state"] == list(range(11))

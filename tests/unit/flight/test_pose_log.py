@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import resource
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 
 from mavlink_helpers import result_at, step_at
 from monoloc.errors import DataError
-from monoloc.flight.pose_log import PoseLog
+from monoloc.flight.pose_log import BackgroundPoseLog, PoseLog
 from monoloc.geometry import quaternion_to_rotation, se3_exp
 from monoloc.io.pose_table import COLUMNS
 from monoloc.supervision.state import Reason
@@ -81,3 +82,24 @@ def test_a_disk_that_fills_up_is_said_once_and_the_rows_before_are_whole(tmp_pat
         *whole, _ = csv.reader(lines)  # the last row is cut
     assert path.stat().st_size == most_bytes
     assert len(whole) > 5 and {len(row) for row in whole} == {len(COLUMNS)}
+
+
+def test_a_thread_writes_the_same_rows_and_says_once_what_it_could_not(tmp_path: Path) -> None:
+    dropped = Counter[str]()
+    logs = PoseLog(tmp_path / "a.csv"), BackgroundPoseLog(tmp_path / "b.csv", dropped)
+    for log in logs:
+        for index in range(50):
+            log.take(result_at(index / 3.0, step_at(np.eye(4))))
+        log.close()
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes() and not dropped
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    log = BackgroundPoseLog(tmp_path / "c.csv", dropped)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4000, before[1]))
+    try:
+        with pytest.raises(DataError, match=r"c\.csv: cannot be written \(File too large\)"):
+            for index in range(1000):
+                log.take(result_at(index / 3.0, step_at(np.eye(4))))
+            log.close()
+        log.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)

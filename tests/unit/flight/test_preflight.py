@@ -29,10 +29,15 @@ def good_step(landmarks: int = 80) -> Step:
 
 
 def levels_of(
-    step: Step, color: FloatArray = SHARP, rate_hz: float = 30.0, age_s: float = 0.04, link: LinkReport | None = HEARD
+    step: Step,
+    color: FloatArray = SHARP,
+    rate_hz: float = 30.0,
+    age_s: float = 0.04,
+    link: LinkReport | None = HEARD,
+    brightness: tuple[float, float] | None = (128.0, 15.0),
 ) -> dict[str, Level]:
     """Levels by name after 60 equal frames."""
-    preflight, summary = Preflight(), FlightSummary()
+    preflight, summary = Preflight(brightness), FlightSummary()
     for index in range(60):
         result = result_at(index / rate_hz, step, age_s)
         frame = replace(result.frame, color=color)
@@ -52,6 +57,7 @@ def test_good_flight_with_every_parameter_right_is_good() -> None:
         "latency",
         "blur",
         "exposure",
+        "light",
         "intrinsics",
         "landmarks",
         "state",
@@ -71,6 +77,10 @@ def test_good_flight_with_every_parameter_right_is_good() -> None:
         ("exposure", "warning", {"color": np.zeros((60, 80, 3), np.uint8)}),
         ("exposure", "warning", {"color": np.full((60, 80, 3), 255, np.uint8)}),
         ("blur", "warning", {"color": np.zeros((60, 80, 3), np.uint8)}),
+        ("light", "warning", {"color": SHARP // 8}),
+        ("light", "good", {"color": SHARP // 2}),
+        ("light", "warning", {"brightness": (35.0, 15.0)}),
+        ("light", "good", {"brightness": (35.0, 50.0)}),  # a build that saw darker and brighter places
         ("landmarks", "warning", {"step": good_step(3)}),
         ("intrinsics", "warning", {"step": good_step(3)}),
         ("intrinsics", "bad", {"step": replace(good_step(), reasons=frozenset({Reason.CAMERA_MISMATCH}))}),
@@ -86,6 +96,10 @@ def test_good_flight_with_every_parameter_right_is_good() -> None:
 )
 def test_what_is_wrong_is_named(name: str, level: Level, given: dict[str, object]) -> None:
     assert levels_of(**{"step": good_step(), **given})[name] == level  # type: ignore[arg-type]
+
+
+def test_light_of_a_build_that_does_not_tell_it_is_not_compared() -> None:
+    assert "light" not in levels_of(good_step(), brightness=None)
 
 
 def test_set_of_bits_may_have_more() -> None:

@@ -58,6 +58,11 @@ def test_folder_of_no_known_format_is_refused(tmp_path: Path) -> None:
     refuses_to_open(tmp_path, tmp_path, "is not recognised", "FORMAT:PATH with one of .*7scenes")
 
 
+def test_folder_of_images_is_to_be_described(tmp_path: Path) -> None:
+    (tmp_path / "0001.JPG").touch()
+    refuses_to_open(tmp_path, tmp_path, "is not recognised", "dataset.toml, as docs/how-to/record-a-room.md shows")
+
+
 def test_archive_is_to_be_unpacked(tmp_path: Path) -> None:
     (tmp_path / "walk.zip").write_bytes(b"PK")
     refuses_to_open(tmp_path / "walk.zip", tmp_path / "walk.zip", "is an archive", "unpack it")

@@ -1,0 +1,103 @@
+"""What a flight writes, shows, and says at its end."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import get_args
+
+from monoloc.bundle import Bundle, digest_of
+from monoloc.camera import Camera
+from monoloc.cli.common import check_viewing, print_json
+from monoloc.errors import SettingError
+from monoloc.extras import require_mcap, require_viewing
+from monoloc.flight.flight_file import FlightFile
+from monoloc.flight.flight_loop import FlightOutput, FlightSummary
+from monoloc.flight.flight_recording import FlightHeader, RecordedStart
+from monoloc.flight.flight_settings import FlightSettings
+from monoloc.flight.mcap_log import McapLog, step_recorder
+from monoloc.flight.pose_log import BackgroundPoseLog
+from monoloc.live.frame_source import FrameSource
+from monoloc.mavlink.autopilot_link import AutopilotLink
+from monoloc.mavlink.firmware import Firmware
+from monoloc.start import Start
+from monoloc.supervision.state import State
+
+
+def check_view(view: bool, port: int | None) -> None:
+    """Check that a viewer can be shown, before anything is opened."""
+    if view and port is not None:
+        raise SettingError("--view-port", "is given beside --view", "choose between a window and a browser")
+    check_viewing(view)
+    if port is not None:
+        require_viewing()
+
+
+def check_mcap(path: Path | None) -> None:
+    """Reject a path that is not named as MCAP, or that cannot be written for want of a library."""
+    if path is not None and path.suffix.lower() != ".mcap":
+        raise SettingError("--mcap", f"{path} is MCAP by another name", "name it NAME.mcap")
+    if path is not None:
+        require_mcap()
+
+
+def logs(
+    flight: FlightFile, bundle: Bundle, camera: Camera, clock_offset_s: float, unwritten: Counter[str]
+) -> Iterator[FlightOutput]:
+    """What a flight writes of its results, beside a recording of it.
+
+    Args:
+        flight, bundle, camera: of the flight.
+        clock_offset_s: of the clock that counts from 1970, against that of the times of capture.
+        unwritten: counts what the disk was too slow for.
+
+    Raises:
+        DataError: a file cannot be written.
+        SettingError: the direction of gravity is along the room's x axis.
+    """
+    if flight.out is not None:
+        yield BackgroundPoseLog(flight.out, unwritten)
+    if flight.mcap is not None:
+        recorder = step_recorder(flight.mcap, True, bundle, camera, flight.settings)
+        yield McapLog(recorder, clock_offset_s, unwritten)
+
+
+def header_of(
+    room: Path, camera: Camera, start: Start | None, seed: int, settings: FlightSettings, firmware: Firmware | None
+) -> FlightHeader:
+    """What a recording of the flight begins with; arguments as in :class:`FlightHeader`."""
+    return FlightHeader(
+        bundle=str(room.resolve()),
+        digest=digest_of(room),
+        camera=camera,
+        start=RecordedStart.of(start),
+        seed=seed,
+        settings=settings,
+        firmware=firmware,
+    )
+
+
+def report(
+    summary: FlightSummary, source: FrameSource, link: AutopilotLink | None, say: Callable[[str], None], json: bool
+) -> None:
+    """Say what a flight came to, or print it as JSON."""
+    figures = {**summary.figures(), "reconnections": source.reconnections}
+    if link is not None:
+        figures["autopilot"] = dict(link.counts)
+    if json:
+        print_json(figures)
+        return
+    states = ", ".join(f"{summary.states[state]} {state}" for state in get_args(State))
+    rate_hz, median_s, most_s = summary.rate_hz, summary.latency_s(50.0), summary.latency_s(95.0)
+    how = "" if rate_hz is None else f"; {rate_hz:.1f} Hz"
+    if median_s is not None and most_s:  # else nothing took time: --fast
+        how += f", {1e3 * median_s:.0f} ms after capture (95 %: {1e3 * most_s:.0f} ms)"
+    say(f"{summary.frames} frames: {states}{how}")
+    dropped = ", ".join(f"{count} {reason}" for reason, count in summary.dropped.items() if count)
+    say(f"dropped: {dropped or 'none'}; reconnections of the camera: {source.reconnections}")
+    if unwritten := ", ".join(f"{count} {what}" for what, count in summary.unwritten.items() if count):
+        say(f"not written, since the disk was too slow: {unwritten}")
+    if link is not None:
+        messages = ", ".join(f"{count} {what}" for what, count in sorted(link.counts.items()))
+        say(f"autopilot: {messages or 'no messages'}")
