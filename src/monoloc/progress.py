@@ -56,7 +56,7 @@ class Plan:
     Expected times need only be right relative to each other: they are scaled by what the tasks so far took.
 
     Args:
-        expected_s: seconds of each task, by name, in their order; other tasks count as part of the one before.
+        expected_s: seconds of each task, by name, in their order; other tasks are not expected to take time.
     """
 
     def __init__(self, expected_s: Mapping[str, float]) -> None:
@@ -67,6 +67,7 @@ class Plan:
     def start(self, name: str) -> str:
         """Note that a task starts; returns its name with its place among all."""
         if name not in self._expected_s:
+            self._done_s, self._current_s = self._done_s + self._current_s, 0.0
             return name
         names = list(self._expected_s)
         place = names.index(name)
@@ -107,7 +108,7 @@ class ConsoleProgress:
     def _of_all(self, done: int, total: int | None) -> str:
         """Remaining time of the whole job, if it is known."""
         remaining_s = None if self._plan is None else self._plan.remaining_s(done / total if total else 0.0)
-        return "" if remaining_s is None else f"about {remaining_s:.0f} s to the end of all"
+        return "" if remaining_s is None else f"about {remaining_s:.0f} s to the end"
 
     @contextmanager
     def _log(self, name: str, total: int | None) -> Iterator[Step]:

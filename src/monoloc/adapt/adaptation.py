@@ -24,7 +24,6 @@ from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import Progress
 
 _EVALUATIONS = 10
-_HOLD_OUT_SHARE = 0.5  # of the final run's steps
 
 
 @dataclass(frozen=True)
@@ -82,11 +81,9 @@ def adapt(
         views = make_views(recording, depth_of, network.config.focal_px, synthesised, held_out, rng, step)
 
     hold_out = Adaptation(network, AdaptedMap(mixture, cloud), config)
-    hold_out_steps = max(1, round(_HOLD_OUT_SHARE * config.most_steps))
-    with progress.task("adapt: hold-out run", hold_out_steps) as step:
-        scores = hold_out.run(
-            views, hold_out_steps, _generator(seed), held_out, max(1, hold_out_steps // _EVALUATIONS), step
-        )
+    steps = config.hold_out_steps
+    with progress.task("adapt: hold-out run", steps) as step:
+        scores = hold_out.run(views, steps, _generator(seed), held_out, max(1, steps // _EVALUATIONS), step)
     best = hold_out.best_step(scores)
     scores.append(hold_out.score(views.of_frames(held_out, only_whole=True), best))
     hold_out_model, hold_out_map = export_model(network, network_file.stem), hold_out.map.adapted_mixture()

@@ -15,6 +15,10 @@ _SUITED: dict[Tune, tuple[int, float]] = {
     "decoder": (1400, 3e-3),
     "all": (1000, 1e-3),
 }
+_HOLD_OUT_SHARE = 0.5  # of the final run's steps
+
+QUICK = {"steps": 120, "synthesised_views": 200}
+"""Changes to :class:`AdaptConfig` for a quick build."""
 
 
 class AdaptConfig(BaseModel):
@@ -26,7 +30,7 @@ class AdaptConfig(BaseModel):
         map_transform: whether to tune the map transform.
         lambda_kl: weight of KL(M || M_A) relative to the likelihood. If the network learns from depth,
             ``likelihood_weight`` scales it too.
-        steps: optimiser steps; None selects the default for ``tune``. If the likelihood is the only objective and a
+        steps: optimiser steps of the final run, after half as many of the hold-out run; None selects the default for ``tune``. If the likelihood is the only objective and a
             hold-out run does not improve the held-out frames, no step is taken.
         batch_views, pixels_per_view: size of one step.
         synthesised_views: total number of views synthesised from nearby poses (for ``decoder`` and ``all``).
@@ -67,6 +71,11 @@ class AdaptConfig(BaseModel):
     def most_steps(self) -> int:
         """``steps``, or the default for ``tune``."""
         return _SUITED[self.tune][0] if self.steps is None else self.steps
+
+    @property
+    def hold_out_steps(self) -> int:
+        """Steps of the hold-out run; ``most_steps`` are those of the final run."""
+        return max(1, round(_HOLD_OUT_SHARE * self.most_steps))
 
     @property
     def rate(self) -> float:

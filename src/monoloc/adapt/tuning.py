@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -22,8 +21,10 @@ from monoloc.depth.training.losses import LossConfig, depth_loss, laplace_loss
 from monoloc.depth.training.memory import keep_freed_memory
 from monoloc.depth.training.network import DepthNetwork
 from monoloc.depth.training.precision import learns_in_bfloat16
+from monoloc.depth.training.schedule import one_cycle
 
 _DECODER_STEPS_A_MAP_STEP = 4
+_ENCODER_RATE = 1.0  # of the other layers' learning rate
 _NO_DIFFERENCE = 0.05  # share of the held-out gain that counts as no difference; longer tuning generalises better
 
 
@@ -117,19 +118,8 @@ class Adaptation:
         odds = training.odds(() if held_out is None else held_out)
         self.fit_bias(training[torch.nonzero(training.whole & (odds > 0.0)).ravel()])
         constants = self._constants_of(training, np.random.default_rng(generator.initial_seed()))
-        optimizer = torch.optim.Adam(
-            [
-                {
-                    "params": [p for p in self.network.parameters() if p.requires_grad],
-                    "lr": self.config.rate,
-                },
-                {"params": [p for p in self.map.parameters() if p.requires_grad], "lr": self.config.map_rate},
-            ],
-            fused=True,  # one call for all of about two hundred tensors
-        )
-        schedule = torch.optim.lr_scheduler.LambdaLR(
-            optimizer, lambda step: 0.5 * (1.0 + math.cos(math.pi * step / max(1, steps)))
-        )
+        optimizer = self._optimizer()
+        schedule = one_cycle(optimizer, steps)
         for step in range(steps):
             chosen = torch.multinomial(odds, self.config.batch_views, replacement=True, generator=generator)
             shown = chosen
@@ -158,6 +148,18 @@ class Adaptation:
         values = [self._criterion(score) for score in scores]
         enough = min(values) + _NO_DIFFERENCE * (values[0] - min(values))
         return max(score.step for score, value in zip(scores, values, strict=True) if value <= enough)
+
+    def _optimizer(self) -> torch.optim.Optimizer:
+        network, rate = self.network, self.config.rate
+        encoder = [p for p in network.encoder.parameters() if p.requires_grad]
+        others = [p for name, p in network.named_parameters() if p.requires_grad and not name.startswith("encoder.")]
+        groups = [
+            {"params": others, "lr": rate},
+            {"params": encoder, "lr": _ENCODER_RATE * rate},
+            {"params": [p for p in self.map.parameters() if p.requires_grad], "lr": self.config.map_rate},
+        ]
+        # Fused: one call for all of about two hundred tensors.
+        return torch.optim.Adam([group for group in groups if group["params"]], fused=True)
 
     def _constants_of(self, views: Views, light: np.random.Generator) -> _Constants:
         if self._constants is None or self._constants.views is not views:
