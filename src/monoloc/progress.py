@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from typing import Protocol
 
@@ -52,40 +52,94 @@ def _rate(steps_per_s: float) -> str:
     return f"{steps_per_s:.1f}/s" if steps_per_s >= 1.0 else f"{1.0 / steps_per_s:.1f} s each"
 
 
+class Plan:
+    """Remaining time of a job of several tasks, from what each was expected to take.
+
+    Expected times need only be right relative to each other: they are scaled by what the tasks so far took.
+
+    Args:
+        expected_s: seconds of each task, by name, in their order; other tasks are not expected to take time.
+    """
+
+    def __init__(self, expected_s: Mapping[str, float]) -> None:
+        self._expected_s = dict(expected_s)
+        self._started = time.perf_counter()
+        self._done_s, self._current_s = 0.0, 0.0
+
+    def start(self, name: str) -> str:
+        """Note that a task starts; returns its name with its place among all."""
+        if name not in self._expected_s:
+            self._done_s, self._current_s = self._done_s + self._current_s, 0.0
+            return name
+        names = list(self._expected_s)
+        place = names.index(name)
+        self._done_s = sum(list(self._expected_s.values())[:place])
+        self._current_s = self._expected_s[name]
+        return f"{place + 1}/{len(names)} {name}"
+
+    def remaining_s(self, share: float) -> float | None:
+        """Seconds until the end of all tasks, given the share of the current one that is done; None if unknown."""
+        done_s = self._done_s + share * self._current_s
+        if done_s <= 0.0:
+            return None
+        left_s = sum(self._expected_s.values()) - done_s
+        return max(0.0, left_s) * (time.perf_counter() - self._started) / done_s
+
+
 class ConsoleProgress:
     """Shows progress bars on a terminal.
 
     If stderr is not a terminal, it prints a line for each remark and each finished task, and one every 30 s.
+
+    Args:
+        plan: of the job that the tasks belong to; then the job's remaining time is shown as well.
     """
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, plan: Plan | None = None) -> None:
         self._console = console
+        self._plan = plan
 
     @contextmanager
     def task(self, name: str, total: int | None) -> Iterator[Step]:
-        if not self._console.is_terminal:
-            # Output goes to a log or another program: no bars, and no final line for a task that fails.
-            started = logged = time.perf_counter()
-            first: int | None = None
+        if self._plan is not None:
+            name = self._plan.start(name)
+        show = self._bar if self._console.is_terminal else self._log
+        with show(name, total) as step:
+            yield step
 
-            def log(done: int, remark: str = "", /) -> None:
-                nonlocal first, logged
-                first = done - 1 if first is None else first  # a resumed task does not start at 0
-                now = time.perf_counter()
-                if not remark and now - logged < _LOG_INTERVAL_S:
-                    return
-                logged = now
-                how = remark or _rate((done - first) / (now - started))
-                if total is None:
-                    self._console.print(f"{name}: {done}, {how}")
-                    return
-                share = "" if remark else f" ({100.0 * done / total:.0f} %)"
-                remaining_s = (now - started) * (total - done) / (done - first)
-                self._console.print(f"{name}: {done} of {total}{share}, {how}, {remaining_s:.0f} s remaining")
+    def _of_all(self, done: int, total: int | None) -> str:
+        """Remaining time of the whole job, if it is known."""
+        remaining_s = None if self._plan is None else self._plan.remaining_s(done / total if total else 0.0)
+        return "" if remaining_s is None else f"about {remaining_s:.0f} s to the end"
 
-            yield log
-            self._console.print(f"{name}: done in {time.perf_counter() - started:.1f} s")
-            return
+    @contextmanager
+    def _log(self, name: str, total: int | None) -> Iterator[Step]:
+        # Output goes to a log or another program: no bars, and no final line for a task that fails.
+        started = logged = time.perf_counter()
+        first: int | None = None
+
+        def log(done: int, remark: str = "", /) -> None:
+            nonlocal first, logged
+            first = done - 1 if first is None else first  # a resumed task does not start at 0
+            now = time.perf_counter()
+            if not remark and now - logged < _LOG_INTERVAL_S:
+                return
+            logged = now
+            how = remark or _rate((done - first) / (now - started))
+            of_all = self._of_all(done, total)
+            ending = f", {of_all}" if of_all else ""
+            if total is None:
+                self._console.print(f"{name}: {done}, {how}{ending}")
+                return
+            share = "" if remark else f" ({100.0 * done / total:.0f} %)"
+            remaining_s = (now - started) * (total - done) / (done - first)
+            self._console.print(f"{name}: {done} of {total}{share}, {how}, {remaining_s:.0f} s remaining{ending}")
+
+        yield log
+        self._console.print(f"{name}: done in {time.perf_counter() - started:.1f} s")
+
+    @contextmanager
+    def _bar(self, name: str, total: int | None) -> Iterator[Step]:
         with rich_progress.Progress(
             rich_progress.TextColumn("{task.description:<16}", markup=False),
             rich_progress.BarColumn(bar_width=30),
@@ -93,13 +147,14 @@ class ConsoleProgress:
             _Rate(),
             rich_progress.TimeElapsedColumn(),
             rich_progress.TimeRemainingColumn(),
+            rich_progress.TextColumn("{task.fields[of_all]}", markup=False),
             rich_progress.TextColumn("{task.fields[remark]}", markup=False),
             console=self._console,
         ) as bars:
-            task = bars.add_task(printable(name), total=total, remark="")
+            task = bars.add_task(printable(name), total=total, remark="", of_all=self._of_all(0, total))
 
             def show(done: int, remark: str = "", /) -> None:
-                bars.update(task, completed=done)
+                bars.update(task, completed=done, of_all=self._of_all(done, total))
                 if remark:
                     bars.update(task, remark=printable(remark))
 

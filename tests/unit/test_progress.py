@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from monoloc import progress as progress_module
-from monoloc.progress import ConsoleProgress, NoProgress
+from monoloc.progress import ConsoleProgress, NoProgress, Plan
 
 
 class Clock:
@@ -79,6 +79,24 @@ def test_log_is_never_silent_for_longer_than_half_a_minute(clock: Clock) -> None
         "quantise: 1, 40.0 s each",
         "quantise: 2, 40.0 s each",
         "quantise: done in 80.0 s",
+    ]
+
+
+def test_remaining_time_of_a_job_follows_what_its_tasks_take(clock: Clock) -> None:
+    """The first of three tasks takes twice as long as expected, and so do the others, it is assumed."""
+    log = io.StringIO()
+    progress = ConsoleProgress(Console(file=log, width=200), Plan({"map": 10.0, "tune": 30.0, "land": 20.0}))
+    for name in ("map", "unplanned"):
+        with progress.task(name, 2) as step:
+            clock.now_s += 10.0
+            step(1, "half")
+            clock.now_s += 10.0
+    with progress.task("tune", None) as step:
+        step(1, "some")
+    assert [line for line in log.getvalue().splitlines() if "done" not in line] == [
+        "1/3 map: 1 of 2, half, 10 s remaining, about 110 s to the end",
+        "unplanned: 1 of 2, half, 10 s remaining, about 150 s to the end",
+        "2/3 tune: 1, some, about 200 s to the end",
     ]
 
 

@@ -267,7 +267,7 @@ class _Frames:
         focal_px, count = config.network.focal_px, config.synthesised_views
         if count:
             views = make_views(recording, recording.depth, focal_px, count, held_out, np.random.default_rng(seed))
-            self._images, self._odds = list(views.colors), views.odds.double().numpy()
+            self._images, self._odds = list(views.colors), views.odds().double().numpy()
             self._frame, seen_from = views.frame.numpy(), views.poses.numpy()
         else:
             size = network_size(recording.camera, focal_px)

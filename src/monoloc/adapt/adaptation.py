@@ -24,7 +24,6 @@ from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import Progress
 
 _EVALUATIONS = 10
-_HOLD_OUT_SHARE = 0.5  # of the final run's steps
 
 
 @dataclass(frozen=True)
@@ -75,43 +74,37 @@ def adapt(
     assert recording.poses is not None
     regions = hold_out_regions(recording.poses, REGIONS, HELD_OUT_SHARE)
     held_out = np.sort(np.concatenate(regions))
-    training_frames = np.setdiff1d(np.arange(len(recording)), held_out)
     network = load_network(network_file)
     depth_of = supervision(recording, cloud)
     synthesised = config.synthesised_views if config.by_depth else 0
     with progress.task("views", len(recording) * (2 if synthesised else 1)) as step:
         views = make_views(recording, depth_of, network.config.focal_px, synthesised, held_out, rng, step)
-    held_out_views = views.of_frames(held_out, only_whole=True)
 
     hold_out = Adaptation(network, AdaptedMap(mixture, cloud), config)
-    hold_out_steps = max(1, round(_HOLD_OUT_SHARE * config.most_steps))
-    with progress.task("adapt: hold-out run", hold_out_steps) as step:
-        scores = hold_out.run(
-            views.of_frames(training_frames),
-            hold_out_steps,
-            _generator(seed),
-            held_out_views,
-            max(1, hold_out_steps // _EVALUATIONS),
-            step,
-        )
+    steps = config.hold_out_steps
+    with progress.task("adapt: hold-out run", steps) as step:
+        scores = hold_out.run(views, steps, _generator(seed), held_out, max(1, steps // _EVALUATIONS), step)
     best = hold_out.best_step(scores)
-    hold_out_model = export_model(network, network_file.stem)
+    scores.append(hold_out.score(views.of_frames(held_out, only_whole=True), best))
+    hold_out_model, hold_out_map = export_model(network, network_file.stem), hold_out.map.adapted_mixture()
 
-    # The final run takes its full schedule, because the learning rate is high until the end. Tuning with depth
-    # supervision gains even if the short hold-out run shows no gain; tuning on the likelihood alone may lose.
-    steps = config.most_steps if best or config.by_depth else 0
-    final = Adaptation(load_network(network_file), AdaptedMap(mixture, cloud), config)
+    # Tuning with depth supervision gains even if the hold-out run shows no gain, and the final run continues from it.
+    # Tuning on the likelihood alone may lose; it starts anew, because the map's inflation is part of its schedule.
+    final, steps = hold_out, config.most_steps
+    if not config.by_depth:
+        final = Adaptation(load_network(network_file), AdaptedMap(mixture, cloud), config)
+        steps = steps if best else 0
     if steps:
         with progress.task("adapt: final run", steps) as step:
-            final.run(views, steps, _generator(seed), progress=step)
+            final.run(views, steps, _generator(seed + 1), progress=step)
     return AdaptResult(
         original=final.map.original_mixture(),
         adapted=final.map.adapted_mixture(),
         depth_model=export_model(final.network, network_file.stem),
         hold_out_model=hold_out_model,
-        hold_out_map=hold_out.map.adapted_mixture(),
+        hold_out_map=hold_out_map,
         held_out=regions,
-        scores=[*scores, hold_out.score(held_out_views, best)],
+        scores=scores,
         steps=steps,
         kl=final.kl(),
     )

@@ -17,6 +17,7 @@ _HIDDEN = 128
 _SYMMETRIC = (0, 1, 2, 1, 3, 4, 2, 4, 5)  # index of each entry of a symmetric 3 x 3 matrix in UPPER
 _BLOCK = 4096
 _NEIGHBOURS = 8  # responsibilities stored per point; on fitted maps the others sum to less than 1e-3
+_CELL_M = 0.15  # edge of the cells whose points a tuning step displaces alike; the transform is smooth over a cell
 
 
 class MapTransform(nn.Module):
@@ -111,6 +112,10 @@ class AdaptedMap(nn.Module):
         radius = float(0.5 * (points.amax(dim=0) - points.amin(dim=0)).max())
         self.transform = MapTransform(centre, radius)
         self.register_buffer("cloud", points)
+        _, cell_of = torch.unique(torch.floor(points / _CELL_M), dim=0, return_inverse=True)
+        counts = torch.bincount(cell_of)[:, None]
+        self._cell_of = cell_of
+        self._cells = torch.zeros((len(counts), 3), dtype=torch.float64).index_add(0, cell_of, points) / counts
         self.register_buffer("log_weights", torch.from_numpy(mixture.weights).log())
         self._floor = floor_m**2 * torch.eye(3, dtype=torch.float64)
         # Recompute M with the same sums, so that the identity has zero KL; it differs from M by EM's last step and
@@ -122,6 +127,11 @@ class AdaptedMap(nn.Module):
     def forward(self) -> tuple[Tensor, Tensor]:
         """Return adapted means (K, 3) and covariances (K, 3, 3), world frame, metres."""
         return self._moments(self.transform(self.cloud))
+
+    def by_cells(self) -> tuple[Tensor, Tensor]:
+        """As :meth:`forward`, but all points of a cell are displaced like their mean; a quarter of the time."""
+        displacement = self.transform(self._cells) - self._cells
+        return self._moments(self.cloud + displacement.index_select(0, self._cell_of))
 
     def _moments(self, points: Tensor) -> tuple[Tensor, Tensor]:
         relative = points - self.transform.centre

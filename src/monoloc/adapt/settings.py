@@ -13,8 +13,12 @@ _SUITED: dict[Tune, tuple[int, float]] = {
     "none": (500, 3e-3),
     "last": (500, 3e-3),
     "decoder": (1400, 3e-3),
-    "all": (1000, 1e-3),
+    "all": (400, 2e-3),
 }
+_HOLD_OUT_SHARE = 0.5  # of the final run's steps
+
+QUICK = {"steps": 120, "synthesised_views": 200}
+"""Changes to :class:`AdaptConfig` for a quick build."""
 
 
 class AdaptConfig(BaseModel):
@@ -26,8 +30,9 @@ class AdaptConfig(BaseModel):
         map_transform: whether to tune the map transform.
         lambda_kl: weight of KL(M || M_A) relative to the likelihood. If the network learns from depth,
             ``likelihood_weight`` scales it too.
-        steps: optimiser steps; None selects the default for ``tune``. If the likelihood is the only objective and a
-            hold-out run does not improve the held-out frames, no step is taken.
+        steps: optimiser steps of the final run, after half as many of the hold-out run; None selects the default for
+            ``tune``. If the likelihood is the only objective and the hold-out run does not improve the held-out
+            frames, the final run takes none.
         batch_views, pixels_per_view: size of one step.
         synthesised_views: total number of views synthesised from nearby poses (for ``decoder`` and ``all``).
         relit_share: share of a step's views with simulated lighting, down to a sixteenth of the light and less (for
@@ -48,7 +53,7 @@ class AdaptConfig(BaseModel):
     steps: int | None = Field(None, ge=1, le=10_000_000)
     batch_views: int = Field(16, ge=1, le=10_000)
     pixels_per_view: int = Field(32, ge=1, le=1_000_000)
-    synthesised_views: int = Field(1200, ge=0, le=1_000_000)
+    synthesised_views: int = Field(600, ge=0, le=1_000_000)
     relit_share: float = Field(0.25, ge=0.0, le=1.0)
     network_rate: float | None = Field(None, gt=0.0, le=10.0)
     map_rate: float = Field(1e-3, gt=0.0, le=10.0)
@@ -67,6 +72,11 @@ class AdaptConfig(BaseModel):
     def most_steps(self) -> int:
         """``steps``, or the default for ``tune``."""
         return _SUITED[self.tune][0] if self.steps is None else self.steps
+
+    @property
+    def hold_out_steps(self) -> int:
+        """Steps of the hold-out run; ``most_steps`` are those of the final run."""
+        return max(1, round(_HOLD_OUT_SHARE * self.most_steps))
 
     @property
     def rate(self) -> float:

@@ -71,12 +71,13 @@ class Views:
         # One pixel of each 2 x 2 block, next to the centre of the output pixel.
         return self.depth_m[..., 1::2, 1::2]
 
-    @property
-    def odds(self) -> Tensor:
-        """(V,) probability of drawing each view in training; they sum to one."""
-        if self.whole.all():
-            return torch.full((len(self),), 1.0 / len(self))
-        return torch.where(self.whole, _WHOLE_SHARE / self.whole.sum(), (1.0 - _WHOLE_SHARE) / (~self.whole).sum())
+    def odds(self, left_out: Sequence[int] | NDArray[np.int64] = ()) -> Tensor:
+        """(V,) probability of drawing each view in training, 0 for those of some frames; they sum to one."""
+        drawn = ~torch.isin(self.frame, torch.as_tensor(np.asarray(left_out, dtype=np.int64)))
+        whole, synthesised = drawn & self.whole, drawn & ~self.whole
+        if not synthesised.any():
+            return whole / whole.sum()
+        return whole * (_WHOLE_SHARE / whole.sum()) + synthesised * ((1.0 - _WHOLE_SHARE) / synthesised.sum())
 
     def of_frames(self, frames: Sequence[int] | NDArray[np.int64], only_whole: bool = False) -> Views:
         """Select the views of certain frames; with ``only_whole``, without synthesised views."""

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import copy
-import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,21 +11,20 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from monoloc.adapt.frozen_layers import batches, frozen_outputs
 from monoloc.adapt.map_transform import AdaptedMap
 from monoloc.adapt.objective import matched_kl, ray_log_likelihood
 from monoloc.adapt.pose_step import pose_step_loss, pose_steps
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.training_views import Views
-from monoloc.depth.training.augment import AugmentConfig, random_exposure
-from monoloc.depth.training.examples import network_input
 from monoloc.depth.training.losses import LossConfig, depth_loss, laplace_loss
 from monoloc.depth.training.memory import keep_freed_memory
 from monoloc.depth.training.network import DepthNetwork
 from monoloc.depth.training.precision import learns_in_bfloat16
+from monoloc.depth.training.schedule import one_cycle
 
-_DECODER_STEPS_A_MAP_STEP = 4
-_VIEWS_AT_ONCE = 32
-_LIGHT = AugmentConfig(dim_share=0.6)
+_STEPS_A_SIDE_STEP = 4  # tuning by depth moves the map and the error head in every so many steps
+_ENCODER_RATE = 0.5  # of the other layers' learning rate
 _NO_DIFFERENCE = 0.05  # share of the held-out gain that counts as no difference; longer tuning generalises better
 
 
@@ -40,6 +38,21 @@ class Score:
     absrel: float
 
 
+@dataclass(frozen=True)
+class _Constants:
+    """What tuning does not change of V views.
+
+    Attributes:
+        views: the views.
+        outputs: of the network's frozen layers, see :func:`monoloc.adapt.frozen_layers.frozen_outputs`.
+        of_poses: (V, 6, h * w) from log-depth errors to camera steps; None where the loss does not use them.
+    """
+
+    views: Views
+    outputs: list[Tensor]
+    of_poses: Tensor | None
+
+
 class Adaptation:
     """Joint tuning of a network and a map; call :meth:`run`.
 
@@ -51,7 +64,7 @@ class Adaptation:
     """
 
     def __init__(self, network: DepthNetwork, adapted_map: AdaptedMap, config: AdaptConfig) -> None:
-        self.network = network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.network = network.eval()
         self.map = adapted_map
         self.config = config
         network.requires_grad_(False)
@@ -62,9 +75,9 @@ class Adaptation:
         if network.error_head is not None:
             network.error_head.requires_grad_(self.config.by_depth)
         adapted_map.requires_grad_(config.map_transform)
-        # Transforming the cloud costs as much as the decoder, and the map changes little while the decoder is tuned.
-        self._map_every = _DECODER_STEPS_A_MAP_STEP if self.config.by_depth else 1
+        self._side_every = _STEPS_A_SIDE_STEP if self.config.by_depth else 1
         self._bent = adapted_map.means, adapted_map.covariances
+        self._constants: _Constants | None = None
 
     @property
     def is_trivial(self) -> bool:
@@ -75,62 +88,52 @@ class Adaptation:
         training: Views,
         steps: int,
         generator: torch.Generator,
-        held_out: Views | None = None,
+        held_out: Sequence[int] | NDArray[np.int64] | None = None,
         evaluate_every: int = 100,
         progress: Callable[[int], None] | None = None,
     ) -> list[Score]:
-        """Tune for ``steps`` steps; with held-out views, restore the best state on them.
+        """Tune for ``steps`` steps; with held-out frames, restore the best state on them.
+
+        A further run continues from the state that the one before it left.
 
         Args:
-            training: views to tune on.
+            training: views to tune on; what does not change by tuning is kept for a further run on the same views.
             steps: optimiser steps; the learning rate decays to zero over them.
             generator: draws views and pixels.
-            held_out: views to evaluate every ``evaluate_every`` steps.
+            held_out: frames whose views are not tuned on, but evaluated every ``evaluate_every`` steps.
             evaluate_every: steps between two evaluations.
             progress: called with the number of steps done.
 
         Returns:
-            Scores on the held-out views, the first before any step; empty without held-out views.
+            Scores on the held-out frames, the first before any step; empty without held-out frames.
         """
         keep_freed_memory()
+        judged = None if held_out is None else training.of_frames(held_out, only_whole=True)
+        scores = [self.score(judged, 0)] if judged is not None else []
         if self.is_trivial:
-            return [self.score(held_out, 0)] if held_out is not None else []
-        scores = [self.score(held_out, 0)] if held_out is not None else []
-        best = self._state() if held_out is not None else None
-        self.fit_bias(training)
-        frozen = self._frozen(training, np.random.default_rng(generator.initial_seed()))
-        odds = training.odds
-        of_poses = None  # (V, 6, h * w): from log-depth errors to camera steps
-        if self.config.by_depth and self.config.pose_weight > 0.0:
-            of_poses = pose_steps(training.output_depth_m[:, 0].numpy(), training.rays)
-        optimizer = torch.optim.Adam(
-            [
-                {
-                    "params": [p for p in self.network.parameters() if p.requires_grad],
-                    "lr": self.config.rate,
-                },
-                {"params": [p for p in self.map.parameters() if p.requires_grad], "lr": self.config.map_rate},
-            ],
-            fused=True,  # one call for all of about two hundred tensors
-        )
-        schedule = torch.optim.lr_scheduler.LambdaLR(
-            optimizer, lambda step: 0.5 * (1.0 + math.cos(math.pi * step / max(1, steps)))
-        )
+            return scores
+        best = self._state() if judged is not None else None
+        self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # an export undoes it
+        odds = training.odds(() if held_out is None else held_out)
+        self.fit_bias(training[torch.nonzero(training.whole & (odds > 0.0)).ravel()])
+        constants = self._constants_of(training, np.random.default_rng(generator.initial_seed()))
+        optimizer = self._optimizer()
+        schedule = one_cycle(optimizer, steps)
         for step in range(steps):
             chosen = torch.multinomial(odds, self.config.batch_views, replacement=True, generator=generator)
             shown = chosen
             if self.config.tune == "all":
                 is_relit = torch.rand(len(chosen), generator=generator) < self.config.relit_share
                 shown = chosen + len(training) * is_relit
-            inputs = [part[shown] for part in frozen]
-            of_chosen = None if of_poses is None else of_poses[chosen]
+            inputs = [part[shown] for part in constants.outputs]
+            of_chosen = None if constants.of_poses is None else constants.of_poses[chosen]
             loss = self._loss(training[chosen], inputs, of_chosen, step, steps, generator)
             optimizer.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]
             optimizer.step()
             schedule.step()
-            if held_out is not None and ((step + 1) % evaluate_every == 0 or step + 1 == steps):
-                scores.append(self.score(held_out, step + 1))
+            if judged is not None and ((step + 1) % evaluate_every == 0 or step + 1 == steps):
+                scores.append(self.score(judged, step + 1))
                 if self.best_step(scores) == step + 1:
                     best = self._state()
             if progress is not None:
@@ -144,6 +147,27 @@ class Adaptation:
         values = [self._criterion(score) for score in scores]
         enough = min(values) + _NO_DIFFERENCE * (values[0] - min(values))
         return max(score.step for score, value in zip(scores, values, strict=True) if value <= enough)
+
+    def _optimizer(self) -> torch.optim.Optimizer:
+        network, rate = self.network, self.config.rate
+        encoder = [p for p in network.encoder.parameters() if p.requires_grad]
+        others = [p for name, p in network.named_parameters() if p.requires_grad and not name.startswith("encoder.")]
+        groups = [
+            {"params": others, "lr": rate},
+            {"params": encoder, "lr": _ENCODER_RATE * rate},
+            {"params": [p for p in self.map.parameters() if p.requires_grad], "lr": self.config.map_rate},
+        ]
+        # Fused: one call for all of about two hundred tensors.
+        return torch.optim.Adam([group for group in groups if group["params"]], fused=True)
+
+    def _constants_of(self, views: Views, light: np.random.Generator) -> _Constants:
+        if self._constants is None or self._constants.views is not views:
+            of_poses = None
+            if self.config.by_depth and self.config.pose_weight > 0.0:
+                of_poses = pose_steps(views.output_depth_m[:, 0].numpy(), views.rays)
+            outputs = frozen_outputs(self.network, views.colors, self.config, light)
+            self._constants = _Constants(views, outputs, of_poses)
+        return self._constants
 
     @torch.no_grad()
     def fit_bias(self, views: Views) -> None:
@@ -159,7 +183,7 @@ class Adaptation:
     @torch.no_grad()
     def predict(self, views: Views) -> Tensor:
         """Metric log-depth of views, (V, 1, h, w)."""
-        return torch.cat([self.network(images) for images in _batches(views.colors)]) + views.log_focal_ratio
+        return torch.cat([self.network(images) for images in batches(views.colors)]) + views.log_focal_ratio
 
     @torch.no_grad()
     def score(self, views: Views, step: int) -> Score:
@@ -197,9 +221,10 @@ class Adaptation:
         config, done = self.config, step / steps
         features = self._features(inputs)
         log_depth = self.network.head(features) + views.log_focal_ratio
-        moves_map = config.map_transform and step % self._map_every == 0
+        is_side_step = step % self._side_every == 0
+        moves_map = config.map_transform and is_side_step
         if moves_map:
-            self._bent = self.map()
+            self._bent = self.map.by_cells()
         means, covariances = self._bent
         inflation = (config.inflation_m * max(0.0, 1.0 - 2.0 * done)) ** 2 * torch.eye(3, dtype=torch.float64)
         pixels = torch.randint(log_depth[0].numel(), (config.pixels_per_view,), generator=generator)
@@ -212,7 +237,7 @@ class Adaptation:
             loss = config.depth_weight * of_depth - config.likelihood_weight * log_likelihood
             if of_poses is not None:
                 loss = loss + config.pose_weight * pose_step_loss(log_depth, views.output_depth_m, of_poses)
-            if self.network.error_head is not None:
+            if self.network.error_head is not None and is_side_step:
                 # The features change, so the error head must follow them.
                 loss = loss + laplace_loss(log_depth, self.network.error_head(features.detach()), views.depth_m)
         if moves_map:
@@ -239,28 +264,8 @@ class Adaptation:
             self.config.outlier_share,
         )
 
-    @torch.no_grad()
-    def _frozen(self, views: Views, light: np.random.Generator) -> list[Tensor]:
-        """Compute the outputs of the network's frozen layers for all views, once for all steps.
-
-        With ``tune="all"``, the result has length 2 V: all views, then all views again with simulated lighting.
-        """
-        encoder, colors = self.network.encoder, views.colors
-        if self.config.tune == "all":
-            colors = np.concatenate([colors, [random_exposure(color, _LIGHT, light) for color in colors]])
-        # Tuning by depth runs in bfloat16 where that is faster.
-        in_half = self.config.by_depth and learns_in_bfloat16("cpu")
-        parts = []
-        for images in _batches(colors):
-            if self.config.tune == "all":
-                part = [encoder.first_layers(images)]
-            else:
-                part = encoder(images) if self.config.by_depth else [self.network.decoder(encoder(images))]
-            parts.append([tap.bfloat16() for tap in part] if in_half else part)
-        return [torch.cat(part).contiguous(memory_format=torch.channels_last) for part in zip(*parts, strict=True)]
-
     def _features(self, inputs: list[Tensor]) -> Tensor:
-        """Features that the last layer reads, from the outputs of :meth:`_frozen`, with gradients."""
+        """Features that the last layer reads, from the outputs of the frozen layers, with gradients."""
         if not self.config.by_depth:
             return inputs[0]
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=learns_in_bfloat16("cpu")):
@@ -274,12 +279,6 @@ class Adaptation:
     def _restore(self, state: tuple[dict[str, Tensor], dict[str, Tensor]]) -> None:
         self.network.load_state_dict(state[0])
         self.map.load_state_dict(state[1])
-
-
-def _batches(colors: NDArray[np.uint8]) -> Iterator[Tensor]:
-    """Yield the network's input for images (V, H, W, 3), in batches."""
-    for first in range(0, len(colors), _VIEWS_AT_ONCE):
-        yield network_input(colors[first : first + _VIEWS_AT_ONCE])
 
 
 def _log_ratio(log_depth: Tensor, truth: Tensor) -> Tensor:

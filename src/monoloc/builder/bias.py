@@ -16,6 +16,7 @@ from monoloc.builder.trajectories import (
     hover,
     is_long,
     recording_segments,
+    selection,
     single_pass,
 )
 from monoloc.bundle import Bundle
@@ -34,6 +35,7 @@ from monoloc.progress import Progress
 from monoloc.start import Start
 
 _LEAST_DISTANCE_M = 0.01
+_MOST_PASSES, _MOST_HOVERS = 8, 8  # segments that the hold-out network follows, and parts of regions it hovers in
 _PRIOR_GROWTH = 0.1  # metres and radians a metre, of adapted networks in other rooms
 
 LocalizerFactory = Callable[[FloatArray], Localizer]
@@ -88,18 +90,21 @@ def measure_bias(
     poses = recording.poses
     assert poses is not None
     times_s = recording.timestamps_s
-    hovers = [hover(part) for region in regions for part in continuous_segments(region, times_s, poses)]
+    parts = [part for region in regions for part in continuous_segments(region, times_s, poses)]
+    hovers = [hover(part) for part in selection(parts, _MOST_HOVERS)]
     if not hovers:
         return measure_bias_at_reference(final, recording, is_tuned, progress)
     segments = recording_segments(times_s, poses)
-    at_reference, passes = _reference_trajectories(segments, is_tuned), [single_pass(part) for part in segments]
+    at_reference = _reference_trajectories(segments, is_tuned)
+    is_reference = np.ones(len(recording), dtype=np.bool_)
+    is_reference[np.concatenate(regions)] = False
+    with_reference = [segment for segment in segments if is_reference[segment].any()]
+    passes = [single_pass(part) for part in selection(with_reference, _MOST_PASSES)]
     with progress.task("covariances", _frame_count([*at_reference, *passes, *hovers])) as show:
         follow = _Follower(recording, poses, show)
         errors = follow(final, at_reference)
         hold_out_errors, away_errors = follow(hold_out, passes), follow(hold_out, hovers)
     remaining, reference_poses = _known_bias(errors, segments, poses, is_tuned)
-    is_reference = np.ones(len(recording), dtype=np.bool_)
-    is_reference[np.concatenate(regions)] = False
     tuned_on = is_reference[_scored(passes)]
     distances_m = [pose_distance_m(pose, poses[is_reference]).min() for pose in poses[_scored(hovers)]]
     hold_out_at_reference = twist_errors(np.concatenate(hold_out_errors)[tuned_on])

@@ -16,6 +16,7 @@ from monoloc.builder.bias import localizer_factory, measure_bias
 from monoloc.builder.build_config import BuildConfig, BuildReport
 from monoloc.builder.calibrate import calibrate_likelihood
 from monoloc.builder.checks import check_frames, check_recording
+from monoloc.builder.kept_depth import KeptDepth
 from monoloc.builder.landmark_mapping import build_landmarks
 from monoloc.builder.pose_refinement import PosePrior, refine_poses, rounds
 from monoloc.builder.relocalization_error import measure_relocalization_error
@@ -113,6 +114,7 @@ def build_bundle(
     """
     started = time.perf_counter()
     start_network = checked_network(recording, config, network)
+    recording = KeptDepth(recording)
     rng = np.random.default_rng(seed)
     room = _map(recording, cloud, config, start_network.model, seed, rng, progress)
     adapted = _quantised(_adapt(room, start_network, config, seed, progress), room, config, progress)

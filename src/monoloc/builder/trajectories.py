@@ -15,7 +15,7 @@ from monoloc.geometry import FloatArray, pose_distance_m
 _WARM_UP_FRAMES = 60  # after so many the start is forgotten, and the pose is what the depth there gives
 _LONG_FRAMES = 30  # on a shorter segment, the biases of place and direction cannot be separated
 _MOST_GAP_S = 1.5  # between frames; no camera is followed over a longer one
-_MOST_SEGMENTS = 20
+_MOST_SEGMENTS, _MOST_SHORT = 20, 8  # of all, and of short ones, each of which takes 60 to 120 steps
 
 
 @dataclass(frozen=True)
@@ -36,12 +36,14 @@ def recording_segments(times_s: FloatArray, poses: FloatArray) -> list[NDArray[n
     Long ones are selected first. Following all of many single frames would take minutes.
     """
     segments = continuous_segments(np.arange(len(poses)), times_s, poses)
-    long = _selection([segment for segment in segments if is_long(segment)], _MOST_SEGMENTS)
-    short = _selection([segment for segment in segments if not is_long(segment)], _MOST_SEGMENTS - len(long))
+    long = selection([segment for segment in segments if is_long(segment)], _MOST_SEGMENTS)
+    most_short = min(_MOST_SHORT, _MOST_SEGMENTS - len(long))
+    short = selection([segment for segment in segments if not is_long(segment)], most_short)
     return sorted([*long, *short], key=lambda segment: int(segment[0]))
 
 
-def _selection(segments: list[NDArray[np.int64]], most: int) -> list[NDArray[np.int64]]:
+def selection(segments: list[NDArray[np.int64]], most: int) -> list[NDArray[np.int64]]:
+    """At most so many of the segments, spread evenly over them."""
     return segments[:: max(1, math.ceil(len(segments) / most))] if most else []
 
 

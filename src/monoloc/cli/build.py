@@ -8,8 +8,9 @@ from typing import Annotated
 
 import typer
 
-from monoloc.adapt.settings import Tune
+from monoloc.adapt.settings import QUICK, Tune
 from monoloc.builder.build_config import BuildConfig
+from monoloc.builder.build_plan import expected_stages
 from monoloc.builder.pipeline import build_bundle
 from monoloc.bundle import check_target, write_bundle
 from monoloc.cli.common import (
@@ -36,7 +37,7 @@ from monoloc.depth.models import DEFAULT, is_shipped
 from monoloc.errors import SettingError
 from monoloc.files import target_of
 from monoloc.io.recording import Recording
-from monoloc.progress import ConsoleProgress
+from monoloc.progress import ConsoleProgress, Plan
 
 _OPTIONS = {
     "components": "--components",
@@ -83,6 +84,9 @@ def build(
         bool | None,
         typer.Option("--landmarks/--no-landmarks", help="Store a map of landmarks in the bundle. [yes]"),
     ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Tune for fewer steps on fewer views: a third of the time, less accurate.")
+    ] = False,
     int8: Annotated[
         bool | None, typer.Option("--int8/--no-int8", help="Quantise the network to 8 bits. [no]")
     ] = None,
@@ -103,6 +107,7 @@ def build(
     Examples:
       monoloc build 7scenes:redkitchen --frames 0:400:4 --out kitchen.monoloc
       monoloc build tum:rgbd_dataset_freiburg1_room --out room.monoloc -k 400
+      monoloc build my-recording --quick --out draft.monoloc     (a first look)
       monoloc build my-recording --cloud room.ply --out room.monoloc
       monoloc build my-recording --refine-poses --out room.monoloc     (poses with errors of 2 cm and 1 degree)
       monoloc build my-recording --fix-poses opengl --out room.monoloc     (poses with axes of OpenGL)
@@ -124,6 +129,8 @@ def build(
         config = override(config, adapt={name: only_run[name] for name in unset})
         if "tune" in unset and tune is None:
             remarks.append(_not_tuned(network))
+    if quick:
+        config = override(config, adapt=QUICK)
     adapt = {"tune": tune, "map_transform": map_transform, "lambda_kl": lambda_kl}
     given = {"components": components, "int8": int8, "landmarks": landmarks, "refine_poses": refine_poses}
     values = given | {f"adapt.{name}": value for name, value in adapt.items()}
@@ -136,7 +143,8 @@ def build(
             source, frames, intrinsics, depth_scale, fix_poses=fix_poses, fix_depth=fix_depth, guesses_camera=True
         )
         recording = _with_poses(selected, scale, seed, cloud)
-        bundle, report = build_bundle(recording, config, seed, ConsoleProgress(stderr), points, network)
+        progress = ConsoleProgress(stderr, Plan(expected_stages(len(recording), config)))
+        bundle, report = build_bundle(recording, config, seed, progress, points, network)
     size = write_bundle(target_of(out), bundle)  # follows links, like all file writes
     report = replace(report, warnings=remarks + report.warnings)
     for warning in report.warnings:

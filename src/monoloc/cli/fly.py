@@ -44,7 +44,6 @@ from monoloc.flight.north_measurement import NorthMeasurement
 from monoloc.flight.status_output import StatusOutput
 from monoloc.flight.watchdog_output import WatchdogOutput
 from monoloc.localizer import Localizer
-from monoloc.mavlink.autopilot_link import AutopilotLink
 from monoloc.viz.flight_view import flight_view
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import numpy as np
@@ -18,12 +19,14 @@ from monoloc.adapt.adaptation import adapt
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.training_views import Views
 from monoloc.adapt.tuning import Adaptation, Score
+from monoloc.builder.build_config import BuildConfig
+from monoloc.builder.build_plan import expected_stages
 from monoloc.depth.predictor import DepthPredictor
 from monoloc.depth.spec import DepthModel
 from monoloc.depth.training.checkpoint import save_network
 from monoloc.depth.training.network import DepthNetwork
 from monoloc.evaluation.hold_out import hold_out_regions
-from monoloc.progress import NoProgress
+from monoloc.progress import NoProgress, Step
 from synthetic_room import RoomRecording
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -83,8 +86,8 @@ def test_final_run_by_likelihood_needs_a_hold_out_run_that_improved(
 def test_hold_out_run_sees_no_held_out_frame_and_gives_the_model_to_measure_with(
     mapped_room: RoomMap, network_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The final run tunes another model on all frames; by depth it does so whatever the hold-out run improved."""
-    seen: list[tuple[Views, Views | None]] = []
+    """By depth, the final run goes on from the hold-out run on all frames, whatever that run improved."""
+    seen: list[tuple[Views, NDArray[np.int64] | None]] = []
 
     @torch.no_grad()
     def run(
@@ -92,14 +95,14 @@ def test_hold_out_run_sees_no_held_out_frame_and_gives_the_model_to_measure_with
         training: Views,
         steps: int,
         _: object,
-        held_out: Views | None = None,
+        held_out: NDArray[np.int64] | None = None,
         *__: object,
         **___: object,
     ) -> list[Score]:
         seen.append((training, held_out))
-        self.network.head.bias += 0.1 * len(seen)
-        self.map.transform.output.bias += 0.01 * len(seen)
-        return [] if held_out is None else [self.score(held_out, 0)]
+        self.network.head.bias += 0.1
+        self.map.transform.output.bias += 0.01
+        return [] if held_out is None else [self.score(training.of_frames(held_out, only_whole=True), 0)]
 
     monkeypatch.setattr(Adaptation, "run", run)
     recording = RedAndNear(ROOM, looking_around(12), SMALL_CAMERA)
@@ -107,19 +110,36 @@ def test_hold_out_run_sees_no_held_out_frame_and_gives_the_model_to_measure_with
     config = AdaptConfig(tune="decoder", steps=2, synthesised_views=24)
     result = adapt(recording, mapped_room[1], mapped_room[0], network_file, config, 0, NoProgress())
     held_out = np.sort(np.concatenate(result.held_out))
-    (hold_out, judged_on), (final, not_judged) = seen
-    assert judged_on is not None and not_judged is None
+    (views, judged_on), (final, not_judged) = seen
+    assert judged_on is not None and not_judged is None and views is final
     np.testing.assert_array_equal(held_out, np.sort(recording.marked))
-    np.testing.assert_array_equal(np.unique(hold_out.frame), np.setdiff1d(np.arange(12), held_out))
-    np.testing.assert_array_equal(judged_on.frame, held_out)
+    np.testing.assert_array_equal(judged_on, held_out)
     np.testing.assert_array_equal(np.unique(final.frame), np.arange(12))
-    assert bool(judged_on.whole.all()) and len(final) == 36 and len(hold_out) == 36 - 3 * len(held_out)
-    assert redness(judged_on).min() > 0.3 and redness(hold_out).max() == 0.0
+    drawn = views[torch.nonzero(views.odds(held_out)).ravel()]
+    assert len(final) == 36 and len(drawn) == 36 - 3 * len(held_out)
+    assert redness(views.of_frames(held_out, only_whole=True)).min() > 0.3 and redness(drawn).max() == 0.0
     untuned = head_bias(tiny_network())
     torch.testing.assert_close(head_bias(result.hold_out_model), untuned + 0.1)
     torch.testing.assert_close(head_bias(result.depth_model), untuned + 0.2)
     np.testing.assert_allclose(result.hold_out_map.means, result.original.means + 0.01, atol=1e-6)
     np.testing.assert_allclose(result.adapted.means, result.original.means + 0.02, atol=1e-6)
+
+
+@pytest.mark.usefixtures("as_networks")
+def test_expected_stages_are_those_of_an_adaptation(
+    mapped_room: RoomMap, recording: RoomRecording, network_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Adaptation, "run", lambda *_, **__: [Score(0, 0.0, 0.0, 0.0)])
+    config = AdaptConfig(synthesised_views=0)
+    stages: list[str] = []
+
+    class Names(NoProgress):
+        def task(self, name: str, total: int | None) -> AbstractContextManager[Step]:
+            stages.append(name)
+            return super().task(name, total)
+
+    adapt(recording, mapped_room[1], mapped_room[0], network_file, config, 0, Names())
+    assert stages == list(expected_stages(12, BuildConfig(adapt=config)))[3:6]
 
 
 def test_adapting_nothing_returns_the_input(

@@ -16,7 +16,7 @@ from monoloc.builder.trajectories import (
 )
 from monoloc.geometry import FloatArray
 
-LONG, WARM_UP, MOST_SEGMENTS = 30, 60, 20
+LONG, WARM_UP, MOST_SEGMENTS, MOST_SHORT = 30, 60, 20, 8
 
 
 def poses_at(z_m: FloatArray) -> FloatArray:
@@ -35,7 +35,9 @@ def test_long_segments_are_selected_before_short_ones(lengths: list[int]) -> Non
     assert all(np.array_equal(np.diff(segment), np.ones(len(segment) - 1)) for segment in segments)
     long, selected = sum(length >= LONG for length in lengths), sum(len(segment) >= LONG for segment in segments)
     assert selected == long or (long > MOST_SEGMENTS and selected > MOST_SEGMENTS // 2)
-    assert min(len(lengths), MOST_SEGMENTS // 2) <= len(segments) <= MOST_SEGMENTS
+    short = len(segments) - selected
+    assert len(segments) <= MOST_SEGMENTS and short <= MOST_SHORT
+    assert short >= min(len(lengths) - long, MOST_SHORT // 2, MOST_SEGMENTS - selected)
 
 
 @pytest.mark.parametrize(("pause_s", "jump_m", "count"), [(0.1, 0.4, 1), (1.6, 0.0, 2), (0.1, 0.6, 2)])
