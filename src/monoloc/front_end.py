@@ -30,7 +30,8 @@ class Observation:
         elapsed_s: since the previous frame, 0 at the first.
         is_first: whether there is no previous frame.
         repeated_s: for how long the image has been the same, bit for bit: 0 where it is new. A repeated image says
-            nothing of the camera's motion, so there is neither motion nor scan.
+            nothing of the camera's motion, so there is no scan, and no motion unless it is black and another sensor
+            measured one.
         is_empty: whether the image has no contrast.
         depth: of the frame, its scale and tilt corrected by odometry's corners.
         motion: since the previous frame, None where it is not known at all.
@@ -76,7 +77,7 @@ class FrontEnd:
         self._is_first = True
         self._previous: NDArray[np.uint8] | None = None
         self._repeated_s = 0.0
-        self._measured: list[Motion | None] = []  # by another sensor, since the previous image
+        self._measured: list[Motion | None] = []  # by another sensor, since the last image that did not wait
 
     def reset(self) -> None:
         """Take the next frame as the first."""
@@ -109,14 +110,15 @@ class FrontEnd:
         elapsed_s = 0.0 if self._is_first else elapsed_s
         if not 0.0 <= elapsed_s < np.inf:
             raise ValueError(f"elapsed_s must be finite and not negative, got {elapsed_s}")
-        is_repeated = self._is_repeated(color, elapsed_s)
+        is_repeated, is_empty = self._is_repeated(color, elapsed_s), not has_contrast(color)
         depth = self._depth(color) if measured_depth is None else measured_depth
         self._measured.append(None if self._is_first else measured_motion)
-        motion = None if is_repeated else self._motion(color, depth)
+        # Odometry's next motion is from the image that repeats, and so is the other sensor's.
+        waits = is_repeated and not is_empty
+        motion = None if waits else self._motion(color, depth, is_repeated)
         motion = None if self._is_first else motion  # since before a reset
         depth = self._corrected(depth, motion)
         scan = self._scan(depth)
-        is_empty = not has_contrast(color)
         observation = Observation(
             color=color,
             elapsed_s=elapsed_s,
@@ -140,10 +142,10 @@ class FrontEnd:
         self._previous = color.copy()
         return is_repeated
 
-    def _motion(self, color: NDArray[np.uint8], depth: DepthPrediction) -> Motion | None:
-        """The motion since the previous image that was new, by the odometry and the other sensor."""
+    def _motion(self, color: NDArray[np.uint8], depth: DepthPrediction, is_repeated: bool) -> Motion | None:
+        """The motion since the previous call, by the odometry and the other sensor."""
         measured, self._measured = chained(self._measured), []
-        if self._odometry is None:
+        if self._odometry is None or is_repeated:
             return measured
         rotation = None if measured is None else measured.T_previous_current[:3, :3]
         odometry = self._odometry.step(color, depth.depth_m, depth.camera, rotation)

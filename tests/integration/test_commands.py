@@ -18,6 +18,7 @@ from monoloc.bundle import read_bundle, write_bundle
 from monoloc.depth.models import shipped_file
 from monoloc.evaluation.trajectory import pose_errors, summarise
 from monoloc.io.pose_files import read_tum
+from monoloc.io.tum_trajectory import write_tum
 from monoloc.map.mixture import GaussianMixture
 from synthetic_room import FRAME_RATE_HZ, SMALL_CAMERA, Room, RoomRecording, make_path, write_recording
 
@@ -182,6 +183,18 @@ def test_localize_options_reach_the_filter(capfd: Capture, here: Path) -> None:
     assert metrics["particles"] == 50 and metrics["scan_points"] == 40 and metrics["motion"] == "random-walk"
     assert metrics["frames"] == 6
     assert "odometry_ate_rmse_m" not in metrics
+
+
+def test_localize_takes_the_motion_of_other_sensors(capfd: Capture, here: Path, recording: RoomRecording) -> None:
+    """A random walk: without the odometry's file there would be no motion at all."""
+    assert recording.poses is not None
+    write_tum(here / "wheels.txt", recording.timestamps_s + 0.02, recording.poses)
+    localize = ("localize", "room.monoloc", "flight", "--start", "truth", "--motion", "random-walk")
+    metrics = json_of(capfd, *localize, "--odometry", "wheels.txt", "--odometry-delay", "0.02")
+    assert metrics["odometry_ate_rmse_m"] < 0.001
+    problem, fix = "tells no motion between frames", "bring its time stamps to the clock of the frames"
+    write_tum(here / "wheels.txt", recording.timestamps_s + 100.0, recording.poses)
+    refused(capfd, here, [*localize, "--odometry", "wheels.txt"], "wheels.txt", problem, fix)
 
 
 def test_localize_a_video_from_a_given_start(capfd: Capture, here: Path, recording: RoomRecording) -> None:

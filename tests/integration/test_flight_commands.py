@@ -7,6 +7,7 @@ import csv
 import json
 import os
 import pty
+import re
 import shutil
 import signal
 import subprocess
@@ -32,6 +33,7 @@ from monoloc.io.pose_table import COLUMNS, read_pose_table
 from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.rosbag import read as read_rosbag
 from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.odometry.gyroscope import Gyroscope
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path, plausible_integrity
 
 FRAMES = 12
@@ -120,6 +122,25 @@ def test_a_flight_that_was_killed_is_replayed_up_to_there(capfd: Capture, here: 
         "first_different_frame": None,
         "same_messages": None,
     }
+
+
+def test_replay_uses_the_rotations_that_the_flight_was_given(
+    capfd: Capture, here: Path, recording: RoomRecording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the images are black only the rotation moves the pose; without it, the poses are others."""
+    for index in (6, 7, 8):
+        assert cv2.imwrite(str(here / "flight" / "color" / f"{index:06d}.png"), np.zeros((128, 160, 3), np.uint8))
+    rates = Gyroscope()
+    for time_s in np.arange(-0.1, 2.0, 0.01):
+        rates.add(time_s, [0.1, 0.7, -0.2])
+    monkeypatch.setattr("monoloc.cli.fly.turns_of", lambda link: rates.between)
+    fly = ("fly", "room.monoloc", "flight", "--fast", "--start", "truth", "--out", "turned.csv", "--record", "turned")
+    assert json_of(capfd, *fly)["frames"] == FRAMES
+    assert json_of(capfd, "replay", "turned", "--out", "again.csv")["different_frames"] == 0
+    assert (here / "again.csv").read_bytes() == (here / "turned.csv").read_bytes()
+    lines = (here / "turned" / "frames.jsonl").read_text()
+    (here / "turned" / "frames.jsonl").write_text(re.sub(r'"rotation":\{.*?\}', '"rotation":null', lines))
+    assert json_of(capfd, "replay", "turned")["different_frames"] > 0
 
 
 def test_a_flight_at_the_recordings_pace_says_how_it_went(capfd: Capture, here: Path) -> None:

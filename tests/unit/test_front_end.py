@@ -10,7 +10,7 @@ from monoloc.camera import Camera
 from monoloc.components import Components
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.front_end import FrontEnd
-from monoloc.geometry import FloatArray, se3_exp
+from monoloc.geometry import FloatArray, se3_exp, so3_exp
 from monoloc.likelihood.scan import scan_from_corners, scan_from_depth
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.odometry.motion import Motion
@@ -51,6 +51,7 @@ class _Odometry:
     def __init__(self, *motions: Motion | None) -> None:
         self._motions = list(motions)
         self.calls = 0
+        self.rotations: list[FloatArray | None] = []
 
     def step(
         self,
@@ -60,6 +61,7 @@ class _Odometry:
         R_previous_current: FloatArray | None = None,
     ) -> Motion | None:
         self.calls += 1
+        self.rotations.append(R_previous_current)
         return self._motions.pop(0) if self._motions else None
 
 
@@ -197,3 +199,56 @@ def test_time_that_runs_backwards_is_refused(elapsed_s: float) -> None:
     with pytest.raises(ValueError, match="elapsed_s must be finite and not negative"):
         front_end.observe(COLOR, elapsed_s, None, None)
     assert depth.calls == odometry.calls == 1
+
+
+# --- Motion by another sensor ---
+
+
+TURN = Motion.rotation(so3_exp([0.0, 0.2, 0.0]), 0.01)
+PRECISE = Motion.metric(se3_exp([0.1, 0.0, 0.0, 0.0, 0.02, 0.0]), 0.001, 0.001)
+VAGUE = Motion.metric(se3_exp([0.1, 0.0, 0.0, 0.0, 0.02, 0.0]), 0.5, 0.001)
+
+
+def test_odometry_is_told_the_rotation_since_the_previous_new_image() -> None:
+    """The image repeats once, so that the next motion is over two intervals."""
+    odometry = _Odometry(None, None, None)
+    front_end = make_front_end(odometry)
+    for color in (COLOR, COLOR.copy(), NEXT):
+        observation = front_end.observe(color, 0.1, None, None, TURN)
+    assert odometry.rotations[0] is None and len(odometry.rotations) == 2
+    np.testing.assert_allclose(odometry.rotations[1], so3_exp([0.0, 0.4, 0.0]))
+    assert observation.motion is not None and observation.motion.translation == "unknown"
+    # If one interval is not known, the whole is not.
+    for color, motion in ((NEXT.copy(), None), (COLOR, TURN)):
+        observation = front_end.observe(color, 0.1, None, None, motion)
+    assert observation.motion is None and odometry.rotations[-1] is None
+
+
+def test_rotation_alone_stands_in_for_odometry_but_does_not_track() -> None:
+    front_end = make_front_end(_Odometry(None, corners_of(PREDICTED, 0.0)))
+    assert front_end.observe(COLOR, 0.1, None, None, TURN).motion is None  # the first frame
+    with_odometry = front_end.observe(NEXT, 0.1, None, None, TURN)
+    assert with_odometry.motion is not None and with_odometry.motion.translation == "scaled"
+    without = front_end.observe(COLOR, 0.1, None, None, TURN)
+    assert without.motion is TURN and not without.odometry_tracked and len(without.corners) == 0
+    assert make_front_end(None).observe(COLOR, 0.1, None, None, TURN).odometry_tracked
+
+
+@pytest.mark.parametrize("measured", [PRECISE, VAGUE])
+def test_the_motion_with_less_noise_counts_and_the_corners_remain(measured: Motion) -> None:
+    visual = corners_of(PREDICTED, 0.0)
+    front_end = make_front_end(_Odometry(None, visual))
+    front_end.observe(COLOR, 0.1, None, None)
+    motion = front_end.observe(NEXT, 0.1, None, None, measured).motion
+    assert motion is not None and motion.points is visual.points
+    assert motion.translation == ("metric" if measured is PRECISE else "scaled")
+    alone = front_end.observe(COLOR, 0.1, None, None, measured)
+    assert alone.motion is measured and alone.odometry_tracked
+
+
+def test_motion_without_its_noise_is_refused_and_changes_nothing() -> None:
+    odometry = _Odometry(None)
+    front_end = make_front_end(odometry)
+    with pytest.raises(ValueError, match="measured_motion must state its noise"):
+        front_end.observe(COLOR, 0.1, None, None, Motion(np.eye(4)))
+    assert odometry.calls == 0 and front_end.observe(COLOR, 0.1, None, None).is_first

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from monoloc.geometry import is_rigid, make_pose, rotation_angle
+from monoloc.geometry import invert, is_rigid, make_pose, rotation_angle
 from monoloc.odometry.gyroscope import rotation_sd_rad
 from monoloc.odometry.motion import Motion
 from monoloc.odometry.pose_history import PoseHistory
 
 _MAX_GAP_S = 0.12  # between samples; slower than ten a second, a turn bends between them
 _SD_RAD = 0.003  # of the difference of two attitudes, at rest
-_MOST_RATE_RAD_S = 10.0  # no vehicle turns faster; an estimator whose heading is corrected jumps
+_MOST_RATE_RAD_S = 6.0  # no vehicle in a room turns faster; an estimator whose heading is corrected jumps
 
 
 class AttitudeHistory:
@@ -41,11 +41,17 @@ class AttitudeHistory:
         Raises:
             ValueError: the time is not after the last one, or it is no rotation; nothing has changed then.
         """
-        self._history.add(time_s, make_pose(R_reference_body, np.zeros(3)) @ self._T_body_camera)
+        attitude = make_pose(R_reference_body, np.zeros(3)) @ self._T_body_camera
+        newest = self._history.newest
+        if newest is not None and time_s > newest[0]:
+            turn_rad = rotation_angle((invert(newest[1]) @ attitude)[:3, :3])
+            if turn_rad > _MOST_RATE_RAD_S * (time_s - newest[0]):
+                self._history = PoseHistory(_MAX_GAP_S)
+        self._history.add(time_s, attitude)
 
     def between(self, start_s: float, end_s: float) -> Motion | None:
         """The camera's rotation from one time of capture to another; None across dropouts and jumps."""
         turn = self._history.between(start_s, end_s)
-        if turn is None or rotation_angle(turn[:3, :3]) > _MOST_RATE_RAD_S * abs(end_s - start_s):
+        if turn is None:
             return None
         return Motion.rotation(turn[:3, :3], rotation_sd_rad(turn[:3, :3], _SD_RAD))

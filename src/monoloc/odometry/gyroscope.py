@@ -65,10 +65,10 @@ class Gyroscope:
     def between(self, start_s: float, end_s: float) -> Motion | None:
         """The camera's rotation from one time of capture to another; None where samples miss for 50 ms."""
         turn = self._history.between(start_s, end_s)
-        if turn is None or start_s == end_s:
+        if turn is None or start_s == end_s:  # which has no noise
             return None
         rotation = turn[:3, :3]
-        return Motion.rotation(rotation, rotation_sd_rad(rotation, self._sd_rad_s * abs(end_s - start_s)))
+        return Motion.rotation(rotation, rotation_sd_rad(rotation, self._sd_rad_s * (end_s - start_s)))
 
 
 def rotation_sd_rad(rotation: FloatArray, least_rad: float) -> float:

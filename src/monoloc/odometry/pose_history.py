@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -59,21 +59,20 @@ class PoseHistory:
         return (self._times_s[-1], self._poses[-1]) if self._times_s else None
 
     def between(self, start_s: float, end_s: float) -> FloatArray | None:
-        """``T_start_end``, (4, 4), of the sensor at two times; None if a sample about or between them is missing."""
-        start, end = self._sample_after(start_s), self._sample_after(end_s)
-        if start is None or end is None:
-            return None
-        times_s = self._times_s[min(start, end) - 1 : max(start, end) + 1]
-        if max(np.diff(np.array(times_s))) > self._max_gap_s:
-            return None
-        return invert(self._at(start_s, start)) @ self._at(end_s, end)
+        """``T_start_end``, (4, 4), of the sensor at two times; None if a sample about or between them is missing.
 
-    def _sample_after(self, time_s: float) -> int | None:
-        """Index, at least 1, of the second of two samples that tell the pose at a time."""
+        Args:
+            start_s, end_s: the second not before the first.
+        """
         times_s = self._times_s
-        if len(times_s) < 2 or not times_s[0] <= time_s <= times_s[-1] + 0.5 * self._max_gap_s:
+        if len(times_s) < 2 or not times_s[0] <= start_s <= end_s <= times_s[-1] + 0.5 * self._max_gap_s:
             return None
-        return min(max(bisect_left(times_s, time_s), 1), len(times_s) - 1)
+        # The second of the two samples about a time; where it is that of a sample, no gap beyond it counts.
+        after_start = min(bisect_right(times_s, start_s), len(times_s) - 1)
+        after_end = min(max(bisect_left(times_s, end_s), 1), len(times_s) - 1)
+        if np.diff(times_s[after_start - 1 : after_end + 1]).max(initial=0.0) > self._max_gap_s:
+            return None
+        return invert(self._at(start_s, after_start)) @ self._at(end_s, after_end)
 
     def _at(self, time_s: float, after: int) -> FloatArray:
         start_s, end_s = self._times_s[after - 1], self._times_s[after]

@@ -11,7 +11,7 @@ from map_helpers import motion_of
 from monoloc.fusion.bias_filter import BiasAugmentedFilter, BiasAugmentedState
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.fusion.reference_poses import ReferencePoses
-from monoloc.geometry import FloatArray, invert, is_rigid, pose_distance_m, se3_exp, se3_log
+from monoloc.geometry import FloatArray, adjoint, invert, is_rigid, pose_distance_m, se3_exp, se3_log
 from monoloc.landmarks.pnp import LandmarkPose
 from monoloc.odometry.motion import Motion
 from monoloc.particle_filter.estimate import Estimate
@@ -254,6 +254,18 @@ def test_odometrys_translation_has_the_depths_scale() -> None:
     np.testing.assert_allclose(belief.pose[:3, 3], 1.25 * STRAIGHT_STEP[:3, 3], atol=1e-12)
 
 
+def test_metric_translation_has_no_scale_and_its_own_noise() -> None:
+    fusion = filter_at_origin()
+    frame(fusion, None, Estimate(np.eye(4), np.diag(NOISE_SD**2), np.log(1.25)), 0.0)
+    motion = Motion.metric(STRAIGHT_STEP, 0.02, 0.01)
+    before_pose, before = fusion.belief.pose, fusion.belief.covariance
+    belief = frame(fusion, motion, by_particles(np.eye(4)), accepted=False)
+    np.testing.assert_allclose(belief.pose, before_pose @ STRAIGHT_STEP, atol=1e-12)
+    turned = adjoint(invert(STRAIGHT_STEP))
+    noise = np.repeat([0.02, 0.01], 3) * ODOMETRY_INFLATION
+    np.testing.assert_allclose(belief.covariance, turned @ before @ turned.T + np.diag(noise**2), atol=1e-12)
+
+
 def test_growth_widens_covariance_away_from_reference_poses() -> None:
     """By the distance from the nearest reference pose to where the camera has come."""
     bias = BiasModel(sd_at_reference_m=0.02, sd_at_reference_rad=0.01, sd_growth_m=0.1, sd_growth_rad=0.05)
@@ -333,6 +345,26 @@ def test_belief_without_odometry_spreads_with_an_unknown_velocity() -> None:
         belief = fusion.predict(None, ELAPSED_S, by_particles(np.eye(4)))
     expected = np.hypot(START_SD, np.repeat([noise.speed_sd_m_s, noise.turn_sd_rad_s], 3))
     np.testing.assert_allclose(np.sqrt(np.diag(belief.covariance)), expected, rtol=1e-6)
+
+
+def test_rotation_alone_turns_the_belief_and_counts_as_no_odometry() -> None:
+    """The position spreads as without it; the rotation does not."""
+    turn = se3_exp([0.0, 0.0, 0.0, 0.0, 0.1, 0.0])
+    turning, blind = filter_at_origin(), filter_at_origin()
+    for index in range(15):
+        motion = Motion.rotation(turn[:3, :3], 0.002)
+        predicted = turning.predicted(motion, ELAPSED_S)
+        belief = turning.predict(motion, ELAPSED_S, by_particles(np.eye(4)))
+        unknown = blind.predict(None, ELAPSED_S, by_particles(np.eye(4)))
+        np.testing.assert_array_equal(belief.pose, predicted.pose)
+        assert turning.time_since_update_s == blind.time_since_update_s == pytest.approx((index + 1) * ELAPSED_S)
+    np.testing.assert_allclose(belief.pose, se3_exp([0.0, 0.0, 0.0, 0.0, 1.5, 0.0]), atol=1e-9)
+    assert np.trace(belief.covariance[:3, :3]) == pytest.approx(np.trace(unknown.covariance[:3, :3]))
+    sd_rad = np.sqrt(START_SD[3] ** 2 + 15 * (ODOMETRY_INFLATION * 0.002) ** 2)
+    np.testing.assert_allclose(np.sqrt(np.diag(belief.covariance)[3:]), sd_rad, rtol=1e-6)
+    # After a second without the translation, the belief starts from the particles, as without any motion.
+    turning.predict(Motion.rotation(turn[:3, :3], 0.002), ELAPSED_S, by_particles(along_x(5.0)))
+    np.testing.assert_allclose(turning.update_from_particles(by_particles(along_x(5.0))).pose, along_x(5.0))
 
 
 def test_frames_without_accepted_measurement_widen_the_belief() -> None:

@@ -40,6 +40,25 @@ def test_odometry_noise_grows_with_the_motion() -> None:
     assert np.allclose(spreads[1], [np.hypot(0.01, 0.2)] * 3 + [np.hypot(0.005, 0.05)] * 3, rtol=0.06)
 
 
+def test_metric_motion_has_no_depth_scale_and_its_own_noise() -> None:
+    delta, scale = make_pose(so3_exp([0.1, -0.3, 0.2]), [0.4, 0.1, -0.2]), np.full(4000, 0.3)
+    particles = particles_at(np.tile(POSE, (4000, 1, 1)), log_scale=scale, weights=[1 / 4000] * 4000)
+    after = predict(particles, Motion.metric(delta, 0.02, 0.004), 0.1, 0.0, 0.0, NO_NOISE, np.random.default_rng(0))
+    twists = se3_log(invert(POSE @ delta) @ after.poses)
+    assert np.allclose(twists.std(axis=0), [0.02] * 3 + [0.004] * 3, rtol=0.06)
+    assert np.all(np.abs(twists.mean(axis=0)) < 0.1 * twists.std(axis=0))
+
+
+def test_rotation_alone_turns_the_particles_and_leaves_their_velocity_unknown() -> None:
+    turn = so3_exp([0.0, 0.4, 0.0])
+    config = MotionConfig(speed_sd_m_s=0.5, turn_sd_rad_s=0.3)
+    sd = motion_sd(Motion.rotation(turn, 0.004), 0.1, 0.2, config)
+    assert np.allclose(sd[:3], motion_sd(None, 0.1, 0.2, config)[:3]) and np.allclose(sd[3:], 0.004)
+    particles = particles_at(np.tile(POSE, (50, 1, 1)))
+    after = predict(particles, Motion.rotation(turn, 1e-9), 0.0, 0.0, 0.0, config, np.random.default_rng(0))
+    assert np.allclose(after.poses, POSE @ make_pose(turn, np.zeros(3)), atol=1e-6)
+
+
 def test_random_walk_spreads_with_elapsed_time() -> None:
     config = MotionConfig(speed_sd_m_s=0.5, turn_sd_rad_s=0.3)
 
