@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from monoloc.bundle import write_bundle
+from monoloc.geometry import invert, se3_log
 from repository import REPOSITORY
 from synthetic_room import Room, RoomRecording, make_bundle, make_path, room_mixture
 
@@ -50,8 +51,8 @@ def execute(document: str, code: str, names: dict[str, Any]) -> dict[str, Any]:
 
 
 def execute_flight(document: str, recording: RoomRecording, **given: Any) -> dict[str, Any]:
-    """The names after a document's one block, with the recording's camera, start and video."""
-    (code,) = code_blocks(document)
+    """The names after a document's first block, with the recording's camera, start and video."""
+    code = code_blocks(document)[0]
     code, replaced = re.subn(r"camera = monoloc\.Camera\(640, 480, .*\)\n", "camera = given_camera\n", code)
     assert replaced == 1
     names = {"given_camera": recording.camera, "T_world_camera": recording.poses[0], **given}
@@ -64,6 +65,19 @@ def test_camera_is_followed(recording: RoomRecording, document: str) -> None:
     step = execute_flight(document, recording, frames=frames)["step"]
     assert step.state in ("tracking", "uncertain") and step.estimate.covariance.shape == (6, 6)
     assert np.linalg.norm(step.estimate.pose[:3, 3] - recording.poses[-1][:3, 3]) < 0.1
+
+
+def test_camera_is_followed_with_a_gyroscope(recording: RoomRecording) -> None:
+    """Black images in which the camera, as its gyroscope says, turns by 0.1 rad."""
+    document = "docs/how-to/fly.md"
+    names = execute_flight(document, recording)
+    after = execute(document, code_blocks(document)[1], {**names, "R_camera_imu": np.eye(3)})
+    for time_s in np.arange(100.0, 101.0, 0.01):
+        after["on_sample"](time_s, [0.0, 1.0, 0.0])
+    black = np.zeros_like(recording.color(0))
+    step = after["on_frame"](black, 100.3, 100.4)
+    turn = invert(names["step"].estimate.pose) @ step.estimate.pose
+    np.testing.assert_allclose(se3_log(turn), [0.0, 0.0, 0.0, 0.0, 0.1, 0.0], atol=1e-6)
 
 
 def test_rendered_room_is_edited() -> None:

@@ -34,6 +34,8 @@ _LEAST_VARIANCE = 1e-10  # of a measurement, m^2 and rad^2: all particles may be
 _GATE = 16.8  # chi-squared, 6 degrees of freedom, 99 %: a measured pose beyond it is down-weighted
 _CONTRADICTION, _DECISIVE = 4.0, 20  # times the gate, and landmarks: beyond these the belief starts anew
 _PARTICLES, _LANDMARKS = 0, 1  # the sources, each with its bias
+# Of odometry's translation, that particles do not tell: predicted depth is wrong by a factor for seconds.
+_LOG_SCALE_SD, _LOG_SCALE_TIME_S = 0.2, 5.0
 
 
 @dataclass(frozen=True)
@@ -43,20 +45,23 @@ class BiasAugmentedState:
     Attributes:
         pose: ``T_world_camera``, (4, 4).
         biases: (S, 6) twists in the camera's frame: source s measures ``pose @ exp(biases[s])`` plus noise.
-        covariance: (6 + 6 S, 6 + 6 S) of the pose's twist, as in :class:`Estimate`, and of the biases.
+        log_scale: natural logarithm of true over measured translation of the odometry.
+        covariance: (7 + 6 S, 7 + 6 S) of the pose's twist, as in :class:`Estimate`, of the biases, and of the
+            log-scale.
         prior_sds: (S, 6) standard deviations of biases that no measurement has corrected, after the motion so far.
     """
 
     pose: FloatArray
     biases: FloatArray
+    log_scale: float
     covariance: FloatArray
     prior_sds: FloatArray
 
     @classmethod
     def from_start(cls, start: Estimate, prior_sds: FloatArray) -> BiasAugmentedState:
         """Before the first measurement: pose and biases are independent."""
-        covariance = _block_diagonal(start.covariance, np.diag(prior_sds.ravel() ** 2))
-        return cls(start.pose, np.zeros_like(prior_sds), covariance, prior_sds)
+        covariance = _block_diagonal(start.covariance, _prior_covariance(prior_sds))
+        return cls(start.pose, np.zeros_like(prior_sds), 0.0, covariance, prior_sds)
 
     @classmethod
     def from_measurement(
@@ -64,13 +69,19 @@ class BiasAugmentedState:
     ) -> BiasAugmentedState:
         """From one source's pose (4, 4) and nothing else: the pose's error is minus its bias, plus noise (6, 6)."""
         bias = np.diag(prior_sds[source] ** 2)
-        covariance = _block_diagonal(noise + bias, np.diag(prior_sds.ravel() ** 2))
+        covariance = _block_diagonal(noise + bias, _prior_covariance(prior_sds))
         own = slice(6 + 6 * source, 12 + 6 * source)
         covariance[:6, own] = covariance[own, :6] = -bias
-        return cls(pose, np.zeros_like(prior_sds), covariance, prior_sds)
+        return cls(pose, np.zeros_like(prior_sds), 0.0, covariance, prior_sds)
 
     def predict(
-        self, T_previous_current: FloatArray, noise: FloatArray, correlation: float, prior_sds: FloatArray
+        self,
+        T_previous_current: FloatArray,
+        noise: FloatArray,
+        correlation: float,
+        prior_sds: FloatArray,
+        by_log_scale: FloatArray = np.zeros(6),
+        scale_correlation: float = 1.0,
     ) -> BiasAugmentedState:
         """After a motion: the pose moves along, and the biases decay.
 
@@ -82,14 +93,19 @@ class BiasAugmentedState:
             noise: its covariance, (6, 6), of a twist in the new camera's frame.
             correlation: of the biases before and after the motion.
             prior_sds: (S, 6) at the new pose.
+            by_log_scale: derivative of the motion by the log-scale, a twist (6,) in the new camera's frame.
+            scale_correlation: of the log-scale before and after the motion.
         """
         remaining = (correlation * self.prior_sds) ** 2
         variances = np.maximum(remaining + (1.0 - correlation**2) * prior_sds**2, prior_sds**2)
-        transition = _block_diagonal(adjoint(invert(T_previous_current)), correlation * np.eye(prior_sds.size))
-        process_noise = _block_diagonal(noise, np.diag((variances - remaining).ravel()))
+        decay = np.append(np.full(prior_sds.size, correlation), scale_correlation)
+        transition = _block_diagonal(adjoint(invert(T_previous_current)), np.diag(decay))
+        transition[:6, -1] = by_log_scale
+        scale_variance = (1.0 - scale_correlation**2) * _LOG_SCALE_SD**2
+        process_noise = _block_diagonal(noise, np.diag(np.append((variances - remaining).ravel(), scale_variance)))
         covariance = transition @ self.covariance @ transition.T + process_noise
-        pose = self.pose @ T_previous_current
-        return BiasAugmentedState(pose, correlation * self.biases, covariance, np.sqrt(variances))
+        pose, log_scale = self.pose @ T_previous_current, scale_correlation * self.log_scale
+        return BiasAugmentedState(pose, correlation * self.biases, log_scale, covariance, np.sqrt(variances))
 
     def update_from_particles(self, measured: Estimate) -> BiasAugmentedState:
         """After the particles' pose; their spread is its noise. One beyond the gate counts less, as for landmarks."""
@@ -122,8 +138,13 @@ class BiasAugmentedState:
         remaining = np.eye(len(self.covariance)) - gain @ H
         # Joseph's form stays symmetric and positive.
         covariance = remaining @ self.covariance @ remaining.T + gain @ noise @ gain.T
-        biases = self.biases + correction[6:].reshape(-1, 6)
-        return replace(self, pose=self.pose @ se3_exp(correction[:6]), biases=biases, covariance=covariance)
+        return replace(
+            self,
+            pose=self.pose @ se3_exp(correction[:6]),
+            biases=self.biases + correction[6:-1].reshape(-1, 6),
+            log_scale=self.log_scale + float(correction[-1]),
+            covariance=covariance,
+        )
 
     def _innovation(self, source: int, pose: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Measured minus expected twist, (6,), and its covariance, (6, 6)."""
@@ -132,7 +153,7 @@ class BiasAugmentedState:
         return innovation, H @ self.covariance @ H.T + noise
 
     def _observation_matrix(self, source: int) -> FloatArray:
-        """A source observes the pose's error plus its own bias: (6, 6 + 6 S)."""
+        """A source observes the pose's error plus its own bias: (6, 7 + 6 S)."""
         H = np.zeros((6, len(self.covariance)))
         H[:, :6] = H[:, 6 + 6 * source :][:, :6] = np.eye(6)
         return H
@@ -146,6 +167,11 @@ def _block_diagonal(first: FloatArray, second: FloatArray) -> FloatArray:
     both = np.zeros((size, size))
     both[: len(first), : len(first)], both[len(first) :, len(first) :] = first, second
     return both
+
+
+def _prior_covariance(prior_sds: FloatArray) -> FloatArray:
+    """Of biases (S, 6) and log-scale that no measurement has corrected: (6 S + 1, 6 S + 1)."""
+    return np.diag(np.append(prior_sds.ravel(), _LOG_SCALE_SD) ** 2)
 
 
 def _particle_noise(measured: Estimate) -> FloatArray:
@@ -309,7 +335,7 @@ class BiasAugmentedFilter:
         """A motion, (4, 4), with its translation in metres, also if it was measured in predicted depth."""
         delta = np.eye(4) if motion is None else motion.T_previous_current.copy()
         if motion is not None and motion.translation == "scaled":
-            delta[:3, 3] *= np.exp(self._measured.log_scale)
+            delta[:3, 3] *= np.exp(self._measured.log_scale + self._state.log_scale)
         return delta
 
     def _predicted(
@@ -319,8 +345,17 @@ class BiasAugmentedFilter:
         # Without odometry, the noise already is that of correlated frames.
         sd[:3] *= _ODOMETRY_INFLATION if tracks_translation(motion) else 1.0
         sd[3:] *= _ODOMETRY_INFLATION if motion is not None else 1.0
-        prior_sds = self._prior_sds(self._state.pose @ delta)
-        return self._state.predict(delta, np.diag(sd**2), self._particle_bias.correlation(step_m), prior_sds)
+        by_log_scale = np.zeros(6)
+        if motion is not None and motion.translation == "scaled":
+            by_log_scale[:3] = delta[:3, :3].T @ delta[:3, 3]
+        return self._state.predict(
+            delta,
+            np.diag(sd**2),
+            self._particle_bias.correlation(step_m),
+            self._prior_sds(self._state.pose @ delta),
+            by_log_scale,
+            math.exp(-elapsed_s / _LOG_SCALE_TIME_S),
+        )
 
     def _prior_sds(self, pose: FloatArray) -> FloatArray:
         """Standard deviations of the sources' biases at a pose, (S, 6)."""

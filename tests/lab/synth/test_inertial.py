@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from monoloc.geometry import so3_exp, so3_log
+from monoloc.cli.motion_options import measured_motions
+from monoloc.geometry import invert, so3_exp, so3_log
+from monoloc.io.tum_trajectory import write_tum
 from monoloc_lab.synth.flights import GRAVITY, Flight, FlightConfig, plan_flight
 from monoloc_lab.synth.inertial import ImuModel, OdometryModel, simulate_imu, simulate_odometry, write_imu
 from monoloc_lab.synth.layout import generate_room
@@ -57,6 +59,22 @@ def test_imu_file_has_the_samples(flight: Flight, tmp_path: Path) -> None:
     write_imu(tmp_path / "imu.csv", data)
     table_ = np.loadtxt(tmp_path / "imu.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(table_, np.column_stack([data.times_s, data.gyro, data.accel]), atol=1e-9)
+
+
+def test_localizer_reads_the_files_as_the_camera_moved(tmp_path: Path, flight: Flight) -> None:
+    """The camera looks down by 12 degrees, as its mount says."""
+    poses, rng = flight.camera_poses(), np.random.default_rng(0)
+    write_imu(tmp_path / "imu.csv", simulate_imu(flight, PERFECT, rng))
+    write_tum(tmp_path / "body.txt", flight.times_s, flight.body_poses(flight.times_s))
+    (tmp_path / "flight.toml").write_text(f"[mount]\npitch_deg = {-flight.config.look_down_deg}\n")
+    truth = invert(poses[:-1]) @ poses[1:]
+    turning = measured_motions(flight.times_s, tmp_path / "imu.csv", None, 0.0, tmp_path / "flight.toml")
+    moving = measured_motions(flight.times_s, None, tmp_path / "body.txt", 0.0, tmp_path / "flight.toml")
+    assert turning is not None and moving is not None
+    for turn, motion, true in zip(turning[1:], moving[1:], truth, strict=True):
+        assert turn is not None and motion is not None
+        np.testing.assert_allclose(turn.T_previous_current[:3, :3], true[:3, :3], atol=1e-5)
+        np.testing.assert_allclose(motion.T_previous_current, true, atol=1e-7)
 
 
 def test_odometry_drifts(flight: Flight) -> None:
