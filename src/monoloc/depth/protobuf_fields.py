@@ -57,6 +57,8 @@ def _value(message: memoryview, position: int, kind: int) -> tuple[int | memoryv
 
 def _number(message: memoryview, position: int) -> tuple[int, int]:
     """A number of variable length, and the position behind it."""
+    if position < len(message) and message[position] < 0x80:  # most have one digit
+        return message[position], position + 1
     number = 0
     for digit, byte in enumerate(message[position : position + _MOST_DIGITS]):
         number |= (byte & 0x7F) << 7 * digit
