@@ -198,7 +198,8 @@ class Camera:
             return np.full(rays.shape, 1.0) / np.array([self.fx, self.fy])
         J_xx, J_xy, J_yy = self._lens.jacobian(*rays.T)
         determinant = J_xx * J_yy - J_xy * J_xy
-        return np.stack([J_yy / self.fx, J_xx / self.fy], axis=1) / determinant[:, None]
+        spread: FloatArray = np.stack([J_yy / self.fx, J_xx / self.fy], axis=1) / determinant[:, None]
+        return spread
 
     def for_pnp(self, pixels: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Pixels (N, 2), intrinsic matrix (3, 3) and coefficients as OpenCV's perspective-n-point solvers take them.

@@ -27,7 +27,7 @@ def resize_image(image: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.
 
 
 def _can_be_halved(image: NDArray[np.uint8], size: tuple[int, int]) -> bool:
-    rows, columns = image.shape[:2]
+    rows, columns = int(image.shape[0]), int(image.shape[1])
     return rows % 2 == columns % 2 == 0 and columns >= 2 * size[0] and rows >= 2 * size[1]
 
 

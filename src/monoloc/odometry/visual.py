@@ -14,6 +14,7 @@ initialised with a network's prediction).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import cv2
@@ -31,7 +32,7 @@ from monoloc.odometry.window import Window, adjust
 
 _LEVELS, _NEAR_LEVELS = 3, 1  # of the image pyramid above the image, without and with expected pixels
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.03)  # iterations a level, and px of the last one
-_ENOUGH_TRACKED = 0.6  # share of the corners; if fewer are found, what was expected is wrong
+_ENOUGH_TRACKED = 0.6  # share of the corners; if fewer are found, what was expected may be wrong
 
 
 class OdometryConfig(BaseModel):
@@ -278,11 +279,12 @@ def follow_corners(
     expected: NDArray[np.float32],
     config: OdometryConfig,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """As :func:`track_corners`, beginning at expected pixels (N, 2); without their help where these are wrong."""
-    found, valid = _track(before, after, pixels, expected, _NEAR_LEVELS, config)
-    if valid.sum() >= _ENOUGH_TRACKED * len(pixels):
-        return found, valid
-    return track_corners(before, after, pixels, config)
+    """As :func:`track_corners`, beginning at expected pixels (N, 2) or where the corners were, as more are found."""
+    near = _track(before, after, pixels, expected, _NEAR_LEVELS, config)
+    if near[1].sum() >= _ENOUGH_TRACKED * len(pixels):
+        return near
+    tries = [_track(before, after, pixels, start, _LEVELS, config) for start in (expected, pixels)]
+    return max(tries, key=lambda tracked: int(tracked[1].sum()))
 
 
 def track_corners(
@@ -312,10 +314,14 @@ def _track(
     config: OdometryConfig,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Forward from ``start`` (N, 2) over the pyramid's levels, and back from there, at the finest level only."""
-    options = {"winSize": (config.search_px, config.search_px), "criteria": _CRITERIA}
-    options["flags"] = cv2.OPTFLOW_USE_INITIAL_FLOW
-    forward, found, _ = cv2.calcOpticalFlowPyrLK(before, after, pixels, start.copy(), maxLevel=levels, **options)
-    back, found_back, _ = cv2.calcOpticalFlowPyrLK(after, before, forward, pixels.copy(), maxLevel=0, **options)
+    search = partial(
+        cv2.calcOpticalFlowPyrLK,
+        winSize=(config.search_px, config.search_px),
+        criteria=_CRITERIA,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )
+    forward, found, _ = search(before, after, pixels, start.copy(), maxLevel=levels)
+    back, found_back, _ = search(after, before, forward, pixels.copy(), maxLevel=0)
     distance = np.linalg.norm(back - pixels, axis=1)
     valid = (found[:, 0] == 1) & (found_back[:, 0] == 1) & (distance < config.forward_backward_px)
     return np.asarray(forward, dtype=np.float32), valid
