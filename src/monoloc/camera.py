@@ -195,7 +195,7 @@ class Camera:
     def ray_spread(self, rays: FloatArray) -> FloatArray:
         """Change of rays' x by a pixel in x and of y by one in y, (N, 2), at rays (N, 2) with z = 1."""
         if not self.is_distorted:
-            return np.full(rays.shape, 1.0) / np.array([self.fx, self.fy])
+            return np.tile([1.0 / self.fx, 1.0 / self.fy], (len(rays), 1))
         J_xx, J_xy, J_yy = self._lens.jacobian(*rays.T)
         determinant = J_xx * J_yy - J_xy * J_xy
         spread: FloatArray = np.stack([J_yy / self.fx, J_xx / self.fy], axis=1) / determinant[:, None]
