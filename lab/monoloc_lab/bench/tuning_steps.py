@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from monoloc.adapt import tuning, warp
+from monoloc.adapt import frozen_layers, tuning, warp
 from monoloc.adapt.draw_points import draw_points
 from monoloc.adapt.map_transform import AdaptedMap, MapTransform
 from monoloc.adapt.settings import AdaptConfig
@@ -78,14 +78,15 @@ def _measure(recording: Recording, sizes: TuningSizes, progress: Progress) -> Tu
     network = load_network(shipped_file(DEFAULT))
     focal_px = network.config.focal_px
     views = make_views(recording, supervision(recording, cloud), focal_px, 0, _NONE_HELD_OUT, rng)
-    adaptation = Adaptation(network, AdaptedMap(mixture, cloud), AdaptConfig())
+    adapted_map = AdaptedMap(mixture, cloud)
     few = Selection(recording, np.linspace(0, len(recording) - 1, _FEW).astype(np.int64))
 
     def step_s(without: tuple[str, ...]) -> float:
         """Seconds per step; the work before the first step does not count."""
         done: list[float] = []
         with _without(without):
-            adaptation.run(
+            # A new one computes the frozen layers' outputs in the variant's precision.
+            Adaptation(network, adapted_map, AdaptConfig()).run(
                 views,
                 1 + sizes.steps,
                 torch.Generator().manual_seed(0),
@@ -144,8 +145,13 @@ def _plain_transform(self: MapTransform, points: Tensor) -> Tensor:
     return points + displacement
 
 
-def _other_precision(device_type: str) -> bool:
-    return not learns_in_bfloat16(device_type)
+@contextmanager
+def _in_the_other_precision() -> Iterator[None]:
+    def other(device_type: str) -> bool:
+        return not learns_in_bfloat16(device_type)
+
+    with patch.object(tuning, "learns_in_bfloat16", other), patch.object(frozen_layers, "learns_in_bfloat16", other):
+        yield
 
 
 # By name: replaces the optimisation by its plain form.
@@ -155,5 +161,6 @@ _OPTIMISATIONS: dict[str, Callable[[], Any]] = {
     "last layer as a sum": lambda: patch.object(networks._LastLayer, "_conv_forward", torch.nn.Conv2d._conv_forward),
     "dense strided convolutions": lambda: patch.object(mobilenet._SamePadConv, "_conv_forward", _plain_convolution),
     "map transform by columns": lambda: patch.object(MapTransform, "forward", _plain_transform),
-    "precision by processor": lambda: patch.object(tuning, "learns_in_bfloat16", _other_precision),
+    "precision by processor": _in_the_other_precision,
+    "map transform by cells": lambda: patch.object(AdaptedMap, "by_cells", AdaptedMap.forward),
 }

@@ -13,7 +13,7 @@ _SUITED: dict[Tune, tuple[int, float]] = {
     "none": (500, 3e-3),
     "last": (500, 3e-3),
     "decoder": (1400, 3e-3),
-    "all": (400, 2e-3),
+    "all": (600, 1.5e-3),
 }
 _HOLD_OUT_SHARE = 0.5  # of the final run's steps
 
