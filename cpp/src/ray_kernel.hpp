@@ -63,8 +63,8 @@ MONOLOC_INLINE void turn(const float* rotations, std::size_t stride, float x, fl
   }
 }
 
-// Bounds of a component's mass over all neighbours of a ray follow from the triangle inequality: its Mahalanobis distance
-// changes by at most norm * slack_m, and |u| by at most norm * turned.
+// Bounds of a component's mass over all neighbours of a ray follow from the triangle inequality. For a neighbour, y
+// changes by at most norm * moved and u by at most norm * turned, so its depth is at most (|y| + norm * moved) / |u|.
 std::size_t ray_shortlist(const ShortlistView& view, const float* ray, float least, float* scratch,
                           std::uint32_t* out) {
   const std::size_t stride = view.stride;
@@ -78,18 +78,23 @@ std::size_t ray_shortlist(const ShortlistView& view, const float* ray, float lea
     const FW u2 = row(3) * ray[0] + (row(4) * ray[1] + row(5) * ray[2]);
     const FW y0 = load<FW>(view.offsets + k), y1 = load<FW>(view.offsets + stride + k);
     const FW y2 = load<FW>(view.offsets + 2 * stride + k);
-    const FW norm = load<FW>(view.norm + k), slack = load<FW>(view.slack_m + k);
+    const FW norm = load<FW>(view.norm + k), reach = load<FW>(view.reach + k);
     const FW squared = u0 * u0 + (u1 * u1 + u2 * u2), root = inverse_root(squared), length = squared * root;
-    const FW depth = (u0 * y0 + (u1 * y1 + u2 * y2)) * root * root;
+    const FW along = u0 * y0 + (u1 * y1 + u2 * y2), depth = along * root * root;
     const FW e0 = y0 - depth * u0, e1 = y1 - depth * u1, e2 = y2 - depth * u2;
     const FW e_squared = e0 * e0 + (e1 * e1 + e2 * e2) + 1e-12f, e = e_squared * inverse_root(e_squared);
-    const FW nearer = larger(e - norm * slack, zero), farther = e + norm * slack;
-    const FW shortest = larger(length - norm * view.turned, load<FW>(view.least + k));
+    const FW by = norm * view.moved, around = norm * view.turned;
+    const FW shortest = larger(length - around, load<FW>(view.least + k)), longest = length + around;
+    const FW farthest = (reach + by) / shortest;
+    const FW nearer = larger(e - by - farthest * around, zero);
+    const FW farther = e + by + larger(depth, -depth) * around;
     const FW peak = load<FW>(view.log2_peak + k);
     const FW most = peak - nearer * nearer - log_fast<FW, IW>(shortest) * kLog2E;
-    const FW fewest = peak - farther * farther - log_fast<FW, IW>(length + norm * view.turned) * kLog2E;
-    store(scratch + k, depth > kNearest - slack ? most : splat<FW>(-2e9f));
-    largest = larger(largest, depth > kNearest + slack ? fewest : splat<FW>(-1e9f));
+    const FW fewest = peak - farther * farther - log_fast<FW, IW>(longest) * kLog2E;
+    const FW change = length * by + reach * around + by * around;  // of the product of u and y
+    store(scratch + k, along + change > kNearest * shortest * shortest ? most : splat<FW>(-2e9f));
+    const IW is_certain = along - change > kNearest * longest * longest;
+    largest = larger(largest, is_certain ? fewest : splat<FW>(-1e9f));
   }
   float bound = -1e9f;
   for (std::size_t lane = 0; lane < kWide; ++lane) bound = largest[lane] > bound ? largest[lane] : bound;

@@ -88,22 +88,19 @@ std::vector<float> offsets_of(const RayView& view, const std::vector<float>& par
 
 // Input of the shortlist: the components, as seen by the mean camera, and how far the cameras are from it.
 struct Shortlist {
-  std::vector<float> rows;  // 13 rows of `stride`: whiten (6), offsets (3), log2_peak, norm, least, slack_m
+  std::vector<float> rows;  // 13 rows of `stride`: whiten (6), offsets (3), log2_peak, norm, least, reach
   std::size_t stride;
-  float turned;
+  float moved, turned;
   double rotation[9];  // of the mean camera, row-major
 
   ShortlistView view() const {
     const float* at = rows.data();
     return {at,          at + 6 * stride,  at + 9 * stride,  at + 10 * stride,
-            at + 11 * stride, at + 12 * stride, stride, turned};
+            at + 11 * stride, at + 12 * stride, stride, moved, turned};
   }
 };
 
-constexpr double kRayLength = 1.5;     // upper bound of |(x, y, 1)|
-constexpr double kBeyond_m = 1.0;      // by which a component may extend beyond its mean, seen from the camera
-
-// Mean of `count` cameras, as rows of `stride` floats, and the largest distances from it.
+// Mean of cameras, as rows of `stride` floats, and the largest distances from it; of rotations, in Frobenius' norm.
 struct Cameras {
   double rotation[9] = {}, centre[3] = {};
   double moved = 0.0, turned = 0.0;
@@ -119,7 +116,7 @@ struct Cameras {
       for (std::size_t r = 0; r < 3; ++r) by += std::pow(value(10 + r, i) - centre[r], 2);
       for (std::size_t r = 0; r < 9; ++r) around += std::pow(value(r, i) - rotation[r], 2);
       moved = std::max(moved, std::sqrt(by));
-      turned = std::max(turned, kRayLength * std::sqrt(around));
+      turned = std::max(turned, std::sqrt(around));
     }
   }
 };
@@ -142,7 +139,7 @@ double inverse_norm_of(const float* w) {
 
 Shortlist shortlist_of(const RayView& view, const std::vector<float>& particles, std::size_t particle_stride) {
   const Cameras cameras(particles, particle_stride);
-  Shortlist list{{}, padded(view.components), static_cast<float>(cameras.turned), {}};
+  Shortlist list{{}, padded(view.components), static_cast<float>(cameras.moved), static_cast<float>(cameras.turned), {}};
   std::copy(cameras.rotation, cameras.rotation + 9, list.rotation);
   list.rows.assign(13 * list.stride, 0.0f);
   const auto put = [&](std::size_t row, std::size_t k, double value) {
@@ -157,19 +154,16 @@ Shortlist shortlist_of(const RayView& view, const std::vector<float>& particles,
   }
   for (std::size_t k = 0; k < view.components; ++k) {
     const float* w = view.whiten + 6 * k;
-    double offset[3], squared = 0.0;
-    for (int axis = 0; axis < 3; ++axis) {
-      offset[axis] = view.means[3 * k + axis] - cameras.centre[axis];
-      squared += offset[axis] * offset[axis];
-    }
+    double offset[3];
+    for (int axis = 0; axis < 3; ++axis) offset[axis] = view.means[3 * k + axis] - cameras.centre[axis];
+    const double y[3] = {w[0] * offset[0], w[1] * offset[0] + w[2] * offset[1],
+                         w[3] * offset[0] + w[4] * offset[1] + w[5] * offset[2]};
     for (std::size_t i = 0; i < 6; ++i) put(i, k, w[i]);
-    put(6, k, w[0] * offset[0]);
-    put(7, k, w[1] * offset[0] + w[2] * offset[1]);
-    put(8, k, w[3] * offset[0] + w[4] * offset[1] + w[5] * offset[2]);
+    for (std::size_t i = 0; i < 3; ++i) put(6 + i, k, y[i]);
     put(9, k, view.log2_peak[k]);
     put(10, k, norm_of(w));
     put(11, k, 1.0 / inverse_norm_of(w));
-    put(12, k, cameras.moved + (std::sqrt(squared) + kBeyond_m) * cameras.turned);
+    put(12, k, std::sqrt(y[0] * y[0] + y[1] * y[1] + y[2] * y[2]));
   }
   return list;
 }
@@ -197,7 +191,11 @@ Candidates candidates_of(const RayView& view, const std::vector<float>& particle
       ray[axis] = static_cast<float>(row[0] * scan[p] + row[1] * scan[points + p] + row[2]);
     }
     std::size_t count = view.components;
-    if (alike) count = kernels().ray_shortlist(shortlist.view(), ray, kLeastLog2, bounds.data(), listed.data());
+    if (alike) {
+      ShortlistView neighbours = shortlist.view();
+      neighbours.turned *= std::sqrt(scan[p] * scan[p] + scan[points + p] * scan[points + p] + 1.0f);
+      count = kernels().ray_shortlist(neighbours, ray, kLeastLog2, bounds.data(), listed.data());
+    }
     const std::size_t first = candidates.first[p];
     candidates.components.resize(first + count + 1);  // one more than the kernel can return
     candidates.first[p + 1] =

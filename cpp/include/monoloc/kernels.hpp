@@ -78,17 +78,16 @@ struct RayView {
 };
 
 // The same mixture in rows of `stride` floats, padded by components without mass, and what a neighbouring ray may
-// change: `norm` bounds |whiten x| / |x| from above and `least` from below; `slack_m` bounds how far apart the rays are
-// at the component.
+// change: `norm` bounds |whiten x| / |x| from above and `least` from below.
 struct ShortlistView {
   const float* whiten;   // 6 rows
   const float* offsets;  // 3 rows: whiten * (mean - o)
   const float* log2_peak;
   const float* norm;
   const float* least;
-  const float* slack_m;
+  const float* reach;  // |whiten * (mean - o)|
   std::size_t stride;
-  float turned;  // largest change of the ray's direction
+  float moved, turned;  // largest change of a ray's origin, metres, and of its direction
 };
 
 struct Kernels {
