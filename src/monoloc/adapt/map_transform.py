@@ -129,7 +129,7 @@ class AdaptedMap(nn.Module):
         return self._moments(self.transform(self.cloud))
 
     def by_cells(self) -> tuple[Tensor, Tensor]:
-        """As :meth:`forward`, but all points of a cell are displaced like their mean; a quarter of the time."""
+        """As :meth:`forward`, but all points of a cell are displaced like their mean; a sixth of the time."""
         displacement = self.transform(self._cells) - self._cells
         return self._moments(self.cloud + displacement.index_select(0, self._cell_of))
 

@@ -23,7 +23,7 @@ from monoloc.depth.training.network import DepthNetwork
 from monoloc.depth.training.precision import learns_in_bfloat16
 from monoloc.depth.training.schedule import one_cycle
 
-_STEPS_A_SIDE_STEP = 4  # tuning by depth moves the map and the error head in every so many steps
+_STEPS_A_MAP_STEP = 4  # of tuning by depth; the map changes little meanwhile
 _ENCODER_RATE = 0.5  # of the other layers' learning rate
 _NO_DIFFERENCE = 0.05  # share of the held-out gain that counts as no difference; longer tuning generalises better
 
@@ -75,7 +75,7 @@ class Adaptation:
         if network.error_head is not None:
             network.error_head.requires_grad_(self.config.by_depth)
         adapted_map.requires_grad_(config.map_transform)
-        self._side_every = _STEPS_A_SIDE_STEP if self.config.by_depth else 1
+        self._map_every = _STEPS_A_MAP_STEP if self.config.by_depth else 1
         self._bent = adapted_map.means, adapted_map.covariances
         self._constants: _Constants | None = None
 
@@ -221,8 +221,7 @@ class Adaptation:
         config, done = self.config, step / steps
         features = self._features(inputs)
         log_depth = self.network.head(features) + views.log_focal_ratio
-        is_side_step = step % self._side_every == 0
-        moves_map = config.map_transform and is_side_step
+        moves_map = config.map_transform and step % self._map_every == 0
         if moves_map:
             self._bent = self.map.by_cells()
         means, covariances = self._bent
@@ -237,7 +236,7 @@ class Adaptation:
             loss = config.depth_weight * of_depth - config.likelihood_weight * log_likelihood
             if of_poses is not None:
                 loss = loss + config.pose_weight * pose_step_loss(log_depth, views.output_depth_m, of_poses)
-            if self.network.error_head is not None and is_side_step:
+            if self.network.error_head is not None:
                 # The features change, so the error head must follow them.
                 loss = loss + laplace_loss(log_depth, self.network.error_head(features.detach()), views.depth_m)
         if moves_map:

@@ -85,7 +85,7 @@ def build(
         typer.Option("--landmarks/--no-landmarks", help="Store a map of landmarks in the bundle. [yes]"),
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Tune for fewer steps on fewer views: a third of the time, less accurate.")
+        bool, typer.Option("--quick", help="Tune for fewer steps: less than half the time, less accurate depth.")
     ] = False,
     int8: Annotated[
         bool | None, typer.Option("--int8/--no-int8", help="Quantise the network to 8 bits. [no]")
