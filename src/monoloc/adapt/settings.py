@@ -53,7 +53,7 @@ class AdaptConfig(BaseModel):
     steps: int | None = Field(None, ge=1, le=10_000_000)
     batch_views: int = Field(16, ge=1, le=10_000)
     pixels_per_view: int = Field(32, ge=1, le=1_000_000)
-    synthesised_views: int = Field(600, ge=0, le=1_000_000)
+    synthesised_views: int = Field(1200, ge=0, le=1_000_000)
     relit_share: float = Field(0.25, ge=0.0, le=1.0)
     network_rate: float | None = Field(None, gt=0.0, le=10.0)
     map_rate: float = Field(1e-3, gt=0.0, le=10.0)
