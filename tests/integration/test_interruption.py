@@ -29,7 +29,7 @@ def test_interrupted_build_leaves_nothing_half_written(tmp_path: Path) -> None:
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     assert process.stderr is not None
-    assert [process.stderr.readline().split()[0] for _ in range(2)] == ["check:", "cloud:"]
+    assert [process.stderr.readline().split()[1] for _ in range(2)] == ["check:", "cloud:"]
     time.sleep(0.3)
     assert process.poll() is None, "the build ended before it could be interrupted"
     process.send_signal(signal.SIGINT)

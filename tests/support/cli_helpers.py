@@ -78,7 +78,7 @@ def refused(
     capfd.readouterr()
     code = invoke(list(arguments))
     out, err = capfd.readouterr()
-    lines = [line for line in err.splitlines() if not re.fullmatch(r"[a-z: ]+: done in [\d.]+ s", line)]
+    lines = [line for line in err.splitlines() if not re.fullmatch(r"(\d/\d )?[a-z: ]+: done in [\d.]+ s", line)]
     assert code == 2, err
     assert out == ""
     assert len(lines) == 1, err
