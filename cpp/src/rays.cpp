@@ -89,9 +89,9 @@ std::vector<float> offsets_of(const RayView& view, const std::vector<float>& par
 // Input of the shortlist: the components, as seen by the mean camera, and how far the cameras are from it.
 struct Shortlist {
   std::vector<float> rows;  // 13 rows of `stride`: whiten (6), offsets (3), log2_peak, norm, least, reach
-  std::size_t stride;
-  float moved, turned;
-  double rotation[9];  // of the mean camera, row-major
+  std::size_t stride = 0;
+  float moved = 0.0f, turned = 0.0f;
+  double rotation[9] = {};  // of the mean camera, row-major
 
   ShortlistView view() const {
     const float* at = rows.data();
@@ -139,7 +139,10 @@ double inverse_norm_of(const float* w) {
 
 Shortlist shortlist_of(const RayView& view, const std::vector<float>& particles, std::size_t particle_stride) {
   const Cameras cameras(particles, particle_stride);
-  Shortlist list{{}, padded(view.components), static_cast<float>(cameras.moved), static_cast<float>(cameras.turned), {}};
+  Shortlist list;
+  list.stride = padded(view.components);
+  list.moved = static_cast<float>(cameras.moved);
+  list.turned = static_cast<float>(cameras.turned);
   std::copy(cameras.rotation, cameras.rotation + 9, list.rotation);
   list.rows.assign(13 * list.stride, 0.0f);
   const auto put = [&](std::size_t row, std::size_t k, double value) {
@@ -168,6 +171,19 @@ Shortlist shortlist_of(const RayView& view, const std::vector<float>& particles,
   return list;
 }
 
+// Components that may matter along the ray (x, y, 1) of any of the cameras; returns their number.
+std::size_t list_neighbours(const Shortlist& shortlist, float x, float y, std::vector<float>& bounds,
+                            std::vector<std::uint32_t>& listed) {
+  float ray[3];
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    const double* row = shortlist.rotation + 3 * axis;
+    ray[axis] = static_cast<float>(row[0] * x + row[1] * y + row[2]);
+  }
+  ShortlistView view = shortlist.view();
+  view.turned *= std::sqrt(x * x + y * y + 1.0f);
+  return kernels().ray_shortlist(view, ray, kLeastLog2, bounds.data(), listed.data());
+}
+
 // Components that matter along each ray; those of point p are from first[p] up to first[p + 1].
 struct Candidates {
   std::vector<std::uint32_t> components;
@@ -175,33 +191,23 @@ struct Candidates {
 };
 
 // Selection of components at the given particles; scan: x / z, then y / z. alike: whether the particles are so close
-// together that the bounds of a shortlist hold.
+// together that a shortlist is short.
 Candidates candidates_of(const RayView& view, const std::vector<float>& particles, const std::vector<float>& offsets,
                          std::size_t stride, const std::vector<float>& scan, std::size_t points, bool alike) {
-  const Shortlist shortlist = shortlist_of(view, particles, stride);
+  const Shortlist shortlist = alike ? shortlist_of(view, particles, stride) : Shortlist{};
   Candidates candidates;
   candidates.first.resize(points + 1);
   std::vector<float> bounds(shortlist.stride), scratch(view.components * stride);
-  std::vector<std::uint32_t> listed(shortlist.stride + 1);
+  std::vector<std::uint32_t> listed(padded(view.components) + 1);
   std::iota(listed.begin(), listed.end(), 0u);
   for (std::size_t p = 0; p < points; ++p) {
-    float ray[3];
-    for (std::size_t axis = 0; axis < 3; ++axis) {
-      const double* row = shortlist.rotation + 3 * axis;
-      ray[axis] = static_cast<float>(row[0] * scan[p] + row[1] * scan[points + p] + row[2]);
-    }
-    std::size_t count = view.components;
-    if (alike) {
-      ShortlistView neighbours = shortlist.view();
-      neighbours.turned *= std::sqrt(scan[p] * scan[p] + scan[points + p] * scan[points + p] + 1.0f);
-      count = kernels().ray_shortlist(neighbours, ray, kLeastLog2, bounds.data(), listed.data());
-    }
+    const float x = scan[p], y = scan[points + p];
+    const std::size_t count = alike ? list_neighbours(shortlist, x, y, bounds, listed) : view.components;
     const std::size_t first = candidates.first[p];
     candidates.components.resize(first + count + 1);  // one more than the kernel can return
     candidates.first[p + 1] =
-        first + kernels().ray_candidates(view, particles.data(), offsets.data(), stride, scan[p], scan[points + p],
-                                         kLeastLog2, listed.data(), count, scratch.data(),
-                                         candidates.components.data() + first);
+        first + kernels().ray_candidates(view, particles.data(), offsets.data(), stride, x, y, kLeastLog2,
+                                         listed.data(), count, scratch.data(), candidates.components.data() + first);
   }
   return candidates;
 }

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.image_size import resize_image
+from monoloc.image_size import gray_image, resize_image
 
 _SIZE = (32, 24)  # at this size, a sensor's noise is averaged out
 _LEAST_SD = 2.0  # of 255; a covered lens has 0.5 or less, a room by moonlight with automatic exposure over 20
@@ -17,7 +17,7 @@ def has_contrast(image: NDArray[np.uint8]) -> bool:
 
     A depth network answers any image, and optical flow tracks noise; neither says that its output means nothing.
     """
-    small = np.atleast_3d(resize_image(image, _SIZE)).mean(axis=2)
+    small = resize_image(image, _SIZE) if image.ndim == 2 else gray_image(image, _SIZE)
     return bool(small.std() >= _LEAST_SD)
 
 

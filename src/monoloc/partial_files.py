@@ -76,11 +76,15 @@ def whole_file(target: Path, *, is_synced: bool = True) -> Iterator[Path]:
 
 
 @contextmanager
-def whole_folder(target: Path) -> Iterator[Path]:
+def whole_folder(target: Path, *, is_synced: bool = True) -> Iterator[Path]:
     """Context of an empty folder that takes the place of ``target`` if the block ends without an error.
 
     On Linux there is a folder at ``target`` at every moment, if there was one. Elsewhere, and on file systems that
     cannot exchange two names, a kill in one moment leaves none: the old one is then beside it, with the suffix .old.
+
+    Args:
+        target: with its links resolved, as by :func:`monoloc.files.target_of`.
+        is_synced: whether it survives a loss of power too; False for one of many files, where the wait is too long.
 
     Raises:
         OSError: the folder cannot be written.
@@ -88,9 +92,10 @@ def whole_folder(target: Path) -> Iterator[Path]:
     partial, lock = _made(target, is_folder=True)
     try:
         yield partial
-        for file in partial.rglob("*"):
-            _sync(file)
-        _sync(partial)
+        if is_synced:
+            for file in partial.rglob("*"):
+                _sync(file)
+            _sync(partial)
         _put(partial, target)
         _sync_folder(target.parent)
         _remove_litter(target)
@@ -130,10 +135,11 @@ def _remove_litter(target: Path) -> None:
     if sys.platform == "win32":
         return
     name = re.compile(rf"\.{re.escape(target.name)}\.[0-9a-f]{{16}}\{_SUFFIX}")
-    for path in target.parent.iterdir():
-        if name.fullmatch(path.name):
-            with contextlib.suppress(OSError):
-                _remove_if_left(path)
+    with contextlib.suppress(OSError):  # a folder that may be written to but not listed
+        for path in target.parent.iterdir():
+            if name.fullmatch(path.name):
+                with contextlib.suppress(OSError):
+                    _remove_if_left(path)
 
 
 def _remove_if_left(path: Path) -> None:

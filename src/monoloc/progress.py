@@ -73,7 +73,8 @@ class Plan:
             return name
         names = list(self._expected_s)
         place = names.index(name)
-        self._done_s = sum(list(self._expected_s.values())[:place])
+        # A task that comes again takes nothing back.
+        self._done_s = max(self._done_s + self._current_s, sum(list(self._expected_s.values())[:place]))
         self._current_s = self._expected_s[name]
         return f"{place + 1}/{len(names)} {name}"
 

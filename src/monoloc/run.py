@@ -22,7 +22,7 @@ from monoloc.geometry import FloatArray, invert
 from monoloc.io.recording import Recording, Relight
 from monoloc.localizer import Localizer, Step
 from monoloc.localizer_config import LocalizerConfig
-from monoloc.odometry.motion import Motion
+from monoloc.odometry.motion import Motion, tracks_translation
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.progress import Progress
 from monoloc.sensor_depth import sensor_bundle, sensor_settings, sparse_depth
@@ -209,7 +209,7 @@ class _Log:
     def add(self, step: Step, unseen: bool, step_ms: float, sensor_m: NDArray[np.float32] | None) -> None:
         """Add a frame, with its sensor depth (H, W) where there is one."""
         self.dead_reckoning.append(self._dead_reckoned(step))
-        self._has_odometry |= step.motion is not None
+        self._has_odometry |= tracks_translation(step.motion)
         self._estimates.append(step.estimate)
         self._states.append(step.state)
         self._reasons.append(step.reasons)

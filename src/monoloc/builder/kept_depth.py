@@ -17,14 +17,18 @@ class KeptDepth(Selection):
     """
 
     def __init__(self, recording: Recording) -> None:
-        super().__init__(recording, np.arange(len(recording)))
+        # Of a selection, its source: checks look for what was left out, and for the kind of recording.
+        if isinstance(recording, Selection):
+            super().__init__(recording.source, recording.positions)
+        else:
+            super().__init__(recording, np.arange(len(recording)))
         self._kept: dict[int, NDArray[np.float32]] = {}
         self._free_bytes = _MOST_BYTES
 
     def depth(self, index: int) -> NDArray[np.float32]:
         if index in self._kept:
             return self._kept[index]
-        depth = super().depth(index)
+        depth = super().depth(index).view()
         if depth.nbytes <= self._free_bytes:
             depth.flags.writeable = False
             self._kept[index] = depth

@@ -26,6 +26,8 @@ from monoloc.particle_filter.motion_model import MotionConfig, motion_sd
 # Errors of odometry are correlated for a second or so, those of particles and landmarks for some frames. Treated as
 # independent from frame to frame, their standard deviations are inflated by these factors.
 _ODOMETRY_INFLATION, _PARTICLE_INFLATION, _LANDMARK_INFLATION = 4.0, 2.0, 2.0
+# Landmarks of one surface are misplaced together: however many are seen, they count as so many at most.
+_INDEPENDENT_LANDMARKS = 20
 # Without odometry for longer than this, the biases are forgotten: the motion model's noise is not independent from
 # frame to frame, and the filter would take a steady flight for a bias.
 _MOST_TIME_WITHOUT_ODOMETRY_S = 1.0
@@ -181,7 +183,12 @@ def _particle_noise(measured: Estimate) -> FloatArray:
 
 def _landmark_noise(measured: LandmarkPose) -> FloatArray:
     """Covariance (6, 6) of a landmark pose without its bias."""
-    return np.asarray(_LANDMARK_INFLATION**2 * measured.covariance + _LEAST_VARIANCE * np.eye(6))
+    return np.asarray(_landmark_factor(measured) * measured.covariance + _LEAST_VARIANCE * np.eye(6))
+
+
+def _landmark_factor(measured: LandmarkPose) -> float:
+    """Of the variance that the corners' localisation error gives a landmark pose."""
+    return _LANDMARK_INFLATION**2 * max(1.0, len(measured.points) / _INDEPENDENT_LANDMARKS)
 
 
 class BiasAugmentedFilter:
@@ -246,15 +253,23 @@ class BiasAugmentedFilter:
         return self.belief
 
     def update_from_particles(self, measured: Estimate) -> Estimate:
-        """The belief after the particles' pose, which starts anew after a second without odometry."""
-        if self._time_since_odometry_s > _MOST_TIME_WITHOUT_ODOMETRY_S:
-            prior_sds = np.maximum(self._state.prior_sds, self._prior_sds(measured.pose))
-            noise = _particle_noise(measured)
-            self._state = BiasAugmentedState.from_measurement(_PARTICLES, measured.pose, noise, prior_sds)
+        """The belief after the particles' pose.
+
+        After a second without odometry it starts anew there, if particles tell the position in this room.
+        """
+        anew = self._from_particles(measured)
+        is_blind = self._time_since_odometry_s > _MOST_TIME_WITHOUT_ODOMETRY_S
+        if is_blind and not anew.estimate(measured.log_scale).position_is_unknown:
+            self._state = anew
         else:
             self._state = self._state.update_from_particles(measured)
         self.time_since_update_s = 0.0
         return self.belief
+
+    def _from_particles(self, measured: Estimate) -> BiasAugmentedState:
+        prior_sds = np.maximum(self._state.prior_sds, self._prior_sds(measured.pose))
+        noise = _particle_noise(measured)
+        return BiasAugmentedState.from_measurement(_PARTICLES, measured.pose, noise, prior_sds)
 
     def update_from_landmarks(self, measured: LandmarkPose) -> Estimate:
         """The belief after the landmark pose of the same frame.
@@ -272,7 +287,7 @@ class BiasAugmentedFilter:
     def _with_bias_of_its_place(self, measured: LandmarkPose) -> LandmarkPose:
         """A landmark pose whose noise has what its bias is wider there than at the belief, where the state has it."""
         there, here = self._prior_sds(measured.pose)[_LANDMARKS], self._state.prior_sds[_LANDMARKS]
-        further = np.diag(np.maximum(there**2 - here**2, 0.0)) / _LANDMARK_INFLATION**2
+        further = np.diag(np.maximum(there**2 - here**2, 0.0)) / _landmark_factor(measured)
         return replace(measured, covariance=measured.covariance + further)
 
     def reinitialise_from_landmarks(self, measured: LandmarkPose) -> Estimate:

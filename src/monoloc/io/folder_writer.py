@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.errors import DataError
+from monoloc.files import target_of
 from monoloc.io.dataset_description import FILE_NAME
 from monoloc.io.recording import Recording, scale_sd_of
 from monoloc.io.tum_trajectory import write_tum
@@ -36,7 +37,8 @@ def write_folder(
     assert recording.poses is not None
     require_empty(folder)
     try:
-        with whole_folder(folder) as partial, progress.task("write", len(recording)) as step:
+        place = target_of(folder)
+        with whole_folder(place, is_synced=False) as partial, progress.task("write", len(recording)) as step:
             (partial / "color").mkdir()
             (partial / "depth").mkdir()
             write_tum(partial / "poses.txt", recording.timestamps_s, recording.poses)

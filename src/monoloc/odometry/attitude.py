@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from monoloc.geometry import invert, is_rigid, make_pose, rotation_angle
+from monoloc.geometry import is_rigid, make_pose
 from monoloc.odometry.gyroscope import rotation_sd_rad
 from monoloc.odometry.motion import Motion
 from monoloc.odometry.pose_history import PoseHistory
@@ -29,7 +29,7 @@ class AttitudeHistory:
         self._T_body_camera = make_pose(R_body_camera, np.zeros(3))
         if self._T_body_camera.shape != (4, 4) or not is_rigid(self._T_body_camera):
             raise ValueError("R_body_camera must be a rotation matrix, (3, 3)")
-        self._history = PoseHistory(_MAX_GAP_S)
+        self._history = PoseHistory(_MAX_GAP_S, most_turn_rad_s=_MOST_RATE_RAD_S)
 
     def add(self, time_s: float, R_reference_body: ArrayLike) -> None:
         """Take a sample, later than all before.
@@ -41,13 +41,7 @@ class AttitudeHistory:
         Raises:
             ValueError: the time is not after the last one, or it is no rotation; nothing has changed then.
         """
-        attitude = make_pose(R_reference_body, np.zeros(3)) @ self._T_body_camera
-        newest = self._history.newest
-        if newest is not None and time_s > newest[0]:
-            turn_rad = rotation_angle((invert(newest[1]) @ attitude)[:3, :3])
-            if turn_rad > _MOST_RATE_RAD_S * (time_s - newest[0]):
-                self._history = PoseHistory(_MAX_GAP_S)
-        self._history.add(time_s, attitude)
+        self._history.add(time_s, make_pose(R_reference_body, np.zeros(3)) @ self._T_body_camera)
 
     def between(self, start_s: float, end_s: float) -> Motion | None:
         """The camera's rotation from one time of capture to another; None across dropouts and jumps."""

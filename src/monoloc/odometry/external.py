@@ -11,15 +11,29 @@ from monoloc.geometry import is_rigid, rotation_angle
 from monoloc.odometry.motion import Motion
 from monoloc.odometry.pose_history import PoseHistory
 
+_MOST_SPEED_M_S, _MOST_RATE_RAD_S = 8.0, 6.0  # no vehicle in a room is faster; one that begins anew jumps
+
 
 @dataclass(frozen=True)
 class ExternalNoise:
-    """Standard deviations per axis of a motion between two frames: constant, and share of the distance or turn."""
+    """Standard deviations per axis of a motion between two frames: constant, and share of the distance or turn.
+
+    Raises:
+        ValueError: a constant is not positive and finite, or a share is negative or not finite.
+    """
 
     translation_sd_m: float = 0.002
     translation_sd_ratio: float = 0.05
     rotation_sd_rad: float = 0.0015
     rotation_sd_ratio: float = 0.03
+
+    def __post_init__(self) -> None:
+        constants, shares = (
+            (self.translation_sd_m, self.rotation_sd_rad),
+            (self.translation_sd_ratio, self.rotation_sd_ratio),
+        )
+        if not all(0.0 < value < np.inf for value in constants) or not all(0.0 <= value < np.inf for value in shares):
+            raise ValueError(f"constants must be positive, shares not negative, and all finite, got {self}")
 
 
 class ExternalOdometry:
@@ -50,7 +64,7 @@ class ExternalOdometry:
         if not np.isfinite(delay_s):
             raise ValueError(f"delay_s must be finite, got {delay_s}")
         self._delay_s, self._noise = delay_s, noise
-        self._history = PoseHistory(max_gap_s, memory_s)
+        self._history = PoseHistory(max_gap_s, memory_s, _MOST_SPEED_M_S, _MOST_RATE_RAD_S)
 
     def add(self, stamp_s: float, T_reference_body: ArrayLike) -> None:
         """Take a sample, stamped later than all before.

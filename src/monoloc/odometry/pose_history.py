@@ -7,7 +7,9 @@ from bisect import bisect_left, bisect_right
 import numpy as np
 from numpy.typing import ArrayLike
 
-from monoloc.geometry import FloatArray, invert, is_rigid, se3_exp, se3_log
+from monoloc.geometry import FloatArray, invert, is_rigid, rotation_angle, se3_exp, se3_log
+
+_LEAST_JUMP_M, _LEAST_JUMP_RAD = 0.1, 0.05  # stamps of two samples may be nearer than the samples
 
 
 class PoseHistory:
@@ -20,12 +22,21 @@ class PoseHistory:
         max_gap_s: between samples. A longer one is a dropout, across which nothing is known: the sensor may have
             begun anew in it.
         memory_s: for which samples are kept at least.
+        most_speed_m_s, most_turn_rad_s: beyond which a pose has jumped, as when the sensor begins anew or corrects
+            itself; nothing before a jump counts.
     """
 
-    def __init__(self, max_gap_s: float, memory_s: float = 60.0) -> None:
+    def __init__(
+        self,
+        max_gap_s: float,
+        memory_s: float = 60.0,
+        most_speed_m_s: float = np.inf,
+        most_turn_rad_s: float = np.inf,
+    ) -> None:
         if not max_gap_s > 0.0:
             raise ValueError(f"max_gap_s must be positive, got {max_gap_s}")
         self._max_gap_s, self._memory_s = max_gap_s, memory_s
+        self._most_speed_m_s, self._most_turn_rad_s = most_speed_m_s, most_turn_rad_s
         self._times_s: list[float] = []
         self._poses: list[FloatArray] = []
 
@@ -47,6 +58,9 @@ class PoseHistory:
         sample = np.asarray(pose, dtype=np.float64)
         if sample.shape != (4, 4) or not bool(is_rigid(sample)):
             raise ValueError(f"the pose at {time_s:.6f} s must be rigid, (4, 4)")
+        if self._times_s and self._has_jumped(time_s, sample):
+            self._times_s.clear()
+            self._poses.clear()
         self._times_s.append(float(time_s))
         self._poses.append(sample)
         if self._times_s[0] < time_s - 2.0 * self._memory_s:  # seldom, as it copies
@@ -57,6 +71,12 @@ class PoseHistory:
     def newest(self) -> tuple[float, FloatArray] | None:
         """Time and pose of the last sample."""
         return (self._times_s[-1], self._poses[-1]) if self._times_s else None
+
+    def _has_jumped(self, time_s: float, pose: FloatArray) -> bool:
+        elapsed_s, moved = time_s - self._times_s[-1], invert(self._poses[-1]) @ pose
+        distance_m, angle_rad = np.linalg.norm(moved[:3, 3]), rotation_angle(moved[:3, :3])
+        is_far = distance_m > _LEAST_JUMP_M + self._most_speed_m_s * elapsed_s
+        return bool(is_far or angle_rad > _LEAST_JUMP_RAD + self._most_turn_rad_s * elapsed_s)
 
     def between(self, start_s: float, end_s: float) -> FloatArray | None:
         """``T_start_end``, (4, 4), of the sensor at two times; None if a sample about or between them is missing.

@@ -292,12 +292,8 @@ def track_corners(
     after: NDArray[np.uint8],
     pixels: NDArray[np.float32],
     config: OdometryConfig,
-    expected: NDArray[np.float32] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Track corners (N, 2) of one grey image (H, W) into another, by pyramidal Lucas-Kanade.
-
-    Args:
-        expected: (N, 2) where the search begins; None where the corners were.
 
     Returns:
         Their pixels (N, 2), and which are found and, tracked back, lead to where they began, (N,).
@@ -313,7 +309,7 @@ def _track(
     levels: int,
     config: OdometryConfig,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Forward from ``start`` (N, 2) over the pyramid's levels, and back from there, at the finest level only."""
+    """Forward from ``start`` (N, 2), and back from there, over the pyramid's levels."""
     search = partial(
         cv2.calcOpticalFlowPyrLK,
         winSize=(config.search_px, config.search_px),
@@ -321,7 +317,8 @@ def _track(
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )
     forward, found, _ = search(before, after, pixels, start.copy(), maxLevel=levels)
-    back, found_back, _ = search(after, before, forward, pixels.copy(), maxLevel=0)
+    # The way back begins by the same shift: from the corners themselves, it would always lead to them.
+    back, found_back, _ = search(after, before, forward, forward + (pixels - start), maxLevel=levels)
     distance = np.linalg.norm(back - pixels, axis=1)
     valid = (found[:, 0] == 1) & (found_back[:, 0] == 1) & (distance < config.forward_backward_px)
     return np.asarray(forward, dtype=np.float32), valid

@@ -9,6 +9,7 @@ from monoloc.camera import Camera
 from monoloc.geometry import FloatArray, invert
 from monoloc.localizer import Step
 from monoloc.mavlink.obstacle_sectors import MOST_M
+from monoloc.odometry.motion import tracks_translation
 from monoloc.ros.message_contents import (
     TopicMessage,
     camera_info,
@@ -92,7 +93,7 @@ class StepMessages:
 
     def _predict(self, step: Step) -> None:
         """Move ``odom -> base_link`` on by the odometry of the frame; where there is none it stays."""
-        if step.motion is not None:
+        if step.motion is not None and tracks_translation(step.motion):
             T_base_camera = self._frames.T_base_camera
             motion = T_base_camera @ step.motion.T_previous_current @ invert(T_base_camera)
             self._T_odom_base = self._T_odom_base @ motion

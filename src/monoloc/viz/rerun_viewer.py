@@ -16,6 +16,7 @@ from monoloc.geometry import FloatArray, invert, rotation_to_quaternion, transfo
 from monoloc.io.recording import Recording
 from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.localizer import Step
+from monoloc.odometry.motion import tracks_translation
 from monoloc.particle_filter.particles import Particles
 from monoloc.supervision.state import Reason, State
 from monoloc.viz.pinhole_view import PinholeView
@@ -103,7 +104,7 @@ class RerunViewer:
         truth = None if self._recording.poses is None else self._recording.poses[index]
         self.show_step(color, step, particles, truth)
         # Odometry does not change without a motion, and a random walk never has one.
-        if step.motion is not None:
+        if tracks_translation(step.motion):
             self._show_trajectory("odometry", odometry, truth, _ODOMETRY)
         self._ends["odometry"] = odometry[:3, 3]
         self._plot("step_ms", step_ms)

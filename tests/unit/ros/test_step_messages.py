@@ -23,9 +23,7 @@ PERIOD_NS = 50_000_000
 
 
 def motion(twist: FloatArray) -> Motion:
-    nothing = np.zeros((0, 2))
-    values = dict.fromkeys(Motion.__dataclass_fields__, nothing)
-    return Motion(**{**values, "T_previous_current": se3_exp(twist)})
+    return Motion(se3_exp(twist))
 
 
 def as_object(content: dict[str, Any]) -> SimpleNamespace:
