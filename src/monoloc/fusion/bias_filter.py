@@ -255,14 +255,14 @@ class BiasAugmentedFilter:
     def update_from_particles(self, measured: Estimate) -> Estimate:
         """The belief after the particles' pose.
 
-        After a second without odometry it starts anew there, if particles tell the position in this room.
+        After a second without odometry it starts anew there, or widens on where particles tell no position.
         """
-        anew = self._from_particles(measured)
-        is_blind = self._time_since_odometry_s > _MOST_TIME_WITHOUT_ODOMETRY_S
-        if is_blind and not anew.estimate(measured.log_scale).position_is_unknown:
-            self._state = anew
-        else:
-            self._state = self._state.update_from_particles(measured)
+        updated = self._state.update_from_particles(measured)
+        if self._time_since_odometry_s > _MOST_TIME_WITHOUT_ODOMETRY_S:
+            updated = self._from_particles(measured)
+            if updated.estimate(measured.log_scale).position_is_unknown:
+                return self.belief
+        self._state = updated
         self.time_since_update_s = 0.0
         return self.belief
 
