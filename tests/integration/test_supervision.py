@@ -143,17 +143,7 @@ def test_frozen_image_is_uncertain_soon_and_then_lost(flights: Flights) -> None:
     assert set(states(thawed[SOON:])) == {"tracking"} and flights.errors_m(thawed, frames)[SOON:].max() < 0.03
 
 
-WIDE_FOCAL = pytest.mark.xfail(
-    strict=True,
-    reason="in flat views focal length and distance cannot be told apart: log-focal's stated deviation above 0.02 "
-    "goes with errors of 8 to 15 deviations at right poses, in RedKitchen and at the desk",
-)
-
-
-@pytest.mark.parametrize(
-    ("factor", "first"),
-    [(0.8, 0), (1.1, 40), pytest.param(1.2, 0, marks=WIDE_FOCAL), pytest.param(0.8, 40, marks=WIDE_FOCAL)],
-)
+@pytest.mark.parametrize(("factor", "first"), [(0.8, 0), (1.1, 40), (1.2, 0), (0.8, 40)])
 def test_another_lens_than_stated_is_said(flights: Flights, factor: float, first: int) -> None:
     """Within two seconds; depth and landmarks all fit a pose that is decimetres off."""
     lens = replace(CAMERA, fx=factor * CAMERA.fx, fy=factor * CAMERA.fy)
@@ -192,7 +182,7 @@ def test_moved_furniture_is_a_changed_map_whose_place_is_named(flights: Flights)
     """A cupboard that stands half a metre to the left and nearer; the pose stays as good as it was."""
     number, shift_m = 1, (-0.5, 0.0, -0.5)
     flight = RoomRecording(RearrangedRoom(box=number, shift_m=shift_m), flights.recording.poses)
-    assert flights.integrity.familiar_found > 0.6 and flights.integrity.strange_found < 0.3
+    assert flights.integrity.familiar_found > 0.5 and flights.integrity.strange_found < 0.3
     steps = follow(flights.localizer(), flight)
     assert set(states(steps)) == {"tracking", "map-changed"}
     assert flights.errors_m(steps, range(FRAMES)).max() < 0.03

@@ -181,7 +181,7 @@ def test_extrapolation_is_about_as_accurate_as_odometry(kitchen, adapted, here):
 def test_landmarks_give_centimetres_although_depth_errs_by_a_fifth(kitchen, unadapted):
     """2.1 cm where no other method is below 15."""
     path, report = unadapted
-    assert 400 < report["landmarks"] < 2500
+    assert 2500 < report["landmarks"] <= 7500
     run = monoloc("localize", path, kitchen, "--start", "truth", "--frames", "60:120")
     assert run["depth_absrel"] > 0.15 and run["landmark_used_frames"] >= 55
     assert run["unseen_ate_median_m"] < 0.04 and run["unseen_rot_median_deg"] < 1.5

@@ -19,6 +19,7 @@ from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.localizer_config import LocalizerConfig
 from monoloc_lab.experiments.gather import frames_of
 from monoloc_lab.experiments.task import RESULT, Result, Task
+from onnx_networks import onnx_network
 
 # A task that localises a recording -> its position RMSE on unseen frames, metres.
 Error = Callable[[Task], float]
@@ -71,7 +72,8 @@ def _bundle(task: Task, folder: Path, rmse: Error) -> dict[str, Any]:
     room = make_mixture(12, 0)
     camera = Camera(640, 480, 525.0, 525.0, 320.0, 240.0)
     provenance = Provenance(recording="room", frames={}, tune="all", map_transform=True, lambda_kl=0.1, seed=0)
-    model = DepthModel(b"no network", monoloc_spec(136.0), "none")
+    spec = monoloc_spec(136.0)
+    model = DepthModel(onnx_network(spec), spec, "none")
     write_bundle(
         folder / "room.monoloc",
         Bundle(
