@@ -70,7 +70,7 @@ def scan_from_depth(
 def scan_from_corners(motion: Motion, max_log_depth_sd: float, max_depth_m: float = 8.0) -> Scan:
     """Tracked corners in front of the camera whose log-depth has a standard deviation below ``max_log_depth_sd``.
 
-    About eighty of them if there are more.
+    Every n-th of them if there are many, so that 60 to 120 remain.
     """
     z = motion.points[:, 2]
     chosen = np.flatnonzero((motion.log_depth_sd < max_log_depth_sd) & (z > 0.0) & (z <= max_depth_m))
