@@ -2,6 +2,7 @@
 #include "monoloc/kernels.hpp"
 
 #include "gram_kernel.hpp"
+#include "hamming_kernel.hpp"
 #include "pooling_kernel.hpp"
 #include "ray_kernel.hpp"
 #include "simd.hpp"
@@ -309,6 +310,6 @@ extern const Kernels MONOLOC_JOIN(kernels_, MONOLOC_ISA);
 const Kernels MONOLOC_JOIN(kernels_, MONOLOC_ISA) = {
     MONOLOC_TEXT(MONOLOC_ISA), weigh, density, component_density, divide, largest_sum, log_density, expectation,
     ray_offsets, ray_shortlist, ray_candidates, weigh_rays, to_keys, from_keys, largest_of_five, linearise_window,
-    add_gram, multiply_add};
+    add_gram, differing_bits, multiply_add};
 
 }  // namespace monoloc

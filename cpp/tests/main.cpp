@@ -28,6 +28,7 @@ int main() {
     test_keys(**k);
     test_largest_of_five(**k);
     test_gram(**k);
+    test_differing_bits(**k);
   }
   if (failures == 0) std::printf("all passed\n");
   return failures == 0 ? 0 : 1;

@@ -1,4 +1,6 @@
 // Matches of descriptors: mutual, near, and the first of several.
+#include <random>
+#include <bitset>
 #include <cstdint>
 #include <limits>
 #include <vector>
@@ -65,4 +67,23 @@ void test_matching() {
   CHECK(matched({{0, 0, 0}, {1, 0, 0}}, unknown, {}, {}));
   CHECK(matched({}, {{0, 0, 0}}, {}, {}));
   CHECK(matched({{0, 0, 0}}, {}, {}, {}));
+}
+
+void test_differing_bits(const monoloc::Kernels& kernels) {
+  constexpr std::size_t words = monoloc::kDescriptorWords, count = 20;
+  std::mt19937_64 random(3);
+  std::vector<std::uint64_t> one(words), others(words * count);
+  for (auto& word : one) word = random();
+  for (auto& word : others) word = random();
+  for (std::size_t w = 0; w < words; ++w) others[w] = ~one[w];  // all bits differ
+  std::vector<std::uint32_t> chosen(count), bits(count);
+  for (std::size_t i = 0; i < count; ++i) chosen[i] = static_cast<std::uint32_t>(count - 1 - i);
+  kernels.differing_bits(one.data(), others.data(), chosen.data(), count, bits.data());
+  bool equal = true;
+  for (std::size_t i = 0; i < count; ++i) {
+    std::size_t expected = 0;
+    for (std::size_t w = 0; w < words; ++w) expected += std::bitset<64>(one[w] ^ others[words * chosen[i] + w]).count();
+    equal &= bits[i] == expected;
+  }
+  CHECK(equal && bits[count - 1] == 256);
 }

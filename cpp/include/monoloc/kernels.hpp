@@ -66,6 +66,7 @@ struct WindowSums {
   double* scratch;  // 12 * kPadding per keyframe
 };
 
+constexpr std::size_t kDescriptorWords = 4;  // of a binary descriptor of 256 bits
 constexpr std::size_t kRayBatch = 64;    // particles per batch
 constexpr float kNearest = 0.05f;        // metres; components nearer along the ray are ignored
 
@@ -169,6 +170,10 @@ struct Kernels {
   // of the other entries. rows: (count, columns), out: (columns, columns); each row begins `stride` doubles after the
   // last, and both are padded.
   void (*add_gram)(const double* rows, std::size_t count, std::size_t columns, std::size_t stride, double* out);
+
+  // Numbers of bits in which a descriptor of kDescriptorWords differs from `count` chosen ones of the others.
+  void (*differing_bits)(const std::uint64_t* descriptor, const std::uint64_t* others, const std::uint32_t* chosen,
+                         std::size_t count, std::uint32_t* out);
 
   // Multiplies and adds at peak speed, `rounds` times, as a reference for benchmarks. Returns the number of
   // operations. out: kPadding floats; writing them prevents the compiler from removing the work.
