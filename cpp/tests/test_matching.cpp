@@ -1,8 +1,8 @@
 // Matches of descriptors: mutual, near, and the first of several.
-#include <random>
 #include <bitset>
 #include <cstdint>
 #include <limits>
+#include <random>
 #include <vector>
 
 #include "check.hpp"

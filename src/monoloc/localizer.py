@@ -178,8 +178,9 @@ class Localizer:
         particle_estimate = self._update_particles(observation, relocalization)
         log_likelihood = self._mean_log_likelihood(observation.scan, particle_estimate)
         landmarks = self._measure_landmarks(observation, prior, relocalization)
-        belief = self._fuse(observation, particle_estimate, log_likelihood, relocalization, landmarks)
-        supervision = self._supervise(observation, belief, log_likelihood, landmarks, particle_estimate)
+        contradicted = self._contradicted_by(landmarks, particle_estimate)
+        belief = self._fuse(observation, particle_estimate, log_likelihood, relocalization, landmarks, contradicted)
+        supervision = self._supervise(observation, belief, log_likelihood, landmarks, particle_estimate, contradicted)
         self._state, reasons = classify_state(supervision, self._state)
         return Step(
             estimate=belief,
@@ -250,6 +251,7 @@ class Localizer:
         log_likelihood: float,
         relocalization: Relocalization,
         landmarks: LandmarkMeasurement | None,
+        contradicted: bool,
     ) -> Estimate:
         """The belief after motion, particles and landmarks.
 
@@ -258,9 +260,6 @@ class Localizer:
         """
         landmark_pose = None if landmarks is None else landmarks.pose
         fits = observation.scan_has_enough_points and log_likelihood >= self._thresholds.lost
-        contradicted = landmark_pose is not None and self._tracker.fusion.contradicts(
-            particle_estimate, landmark_pose
-        )
         scan_accepted = fits and relocalization.mode is Mode.TRACKING and not contradicted
         measured = self._tracker.fusion.without_known_bias(particle_estimate)
         if scan_accepted:
@@ -272,6 +271,11 @@ class Localizer:
         if relocalization.confirmed:
             return self._tracker.fusion.reinitialise(measured)
         return belief if landmark_pose is None else self._tracker.fusion.update_from_landmarks(landmark_pose)
+
+    def _contradicted_by(self, landmarks: LandmarkMeasurement | None, particle_estimate: Estimate) -> bool:
+        """Whether landmarks measured a pose that the particles' pose contradicts."""
+        landmark_pose = None if landmarks is None else landmarks.pose
+        return landmark_pose is not None and self._tracker.fusion.contradicts(particle_estimate, landmark_pose)
 
     def _measure_landmarks(
         self, observation: Observation, prior: Estimate, relocalization: Relocalization
@@ -289,6 +293,7 @@ class Localizer:
         log_likelihood: float,
         landmarks: LandmarkMeasurement | None,
         particle_estimate: Estimate,
+        contradicted: bool,
     ) -> Supervision:
         """Weigh the frame's evidence for and against the belief.
 
@@ -298,11 +303,11 @@ class Localizer:
         mode = self._relocalization.mode
         if mode is Mode.TRACKING:
             landmark_pose = None if landmarks is None else landmarks.pose
-            if self._tracker.fusion.contradicts(particle_estimate, landmark_pose):
+            if contradicted:
+                self._tracker.redraw()
+                log_likelihood = float("nan")
+            elif landmark_pose is None and self._tracker.fusion.contradicts(particle_estimate, None):
                 log_likelihood = -np.inf if observation.scan_has_enough_points else log_likelihood
-                if landmark_pose is not None:
-                    self._tracker.redraw()
-                    log_likelihood = float("nan")
             self._integrity.update(log_likelihood, landmarks)
             self._camera_check.update(landmark_pose, observation.elapsed_s)
         probability_far = self._integrity.probability_far(belief)
