@@ -11,184 +11,37 @@ reveal the bias of the particles.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.bias_state import (
+    DECISIVE_LANDMARKS,
+    GATE,
+    LANDMARKS,
+    PARTICLES,
+    BiasAugmentedState,
+    landmark_factor,
+    landmark_noise,
+    particle_noise,
+)
 from monoloc.fusion.reference_poses import MOST_STEP_M, ReferencePoses
-from monoloc.geometry import FloatArray, adjoint, invert, pose_distance_m, se3_exp, se3_log
+from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_exp, se3_log
 from monoloc.landmarks.pnp import LandmarkPose
 from monoloc.odometry.motion import Motion, tracks_translation
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.particle_filter.motion_model import MotionConfig, motion_sd
 
-# Errors of odometry are correlated for a second or so, those of particles and landmarks for some frames. Treated as
-# independent from frame to frame, their standard deviations are inflated by these factors.
-_ODOMETRY_INFLATION, _PARTICLE_INFLATION, _LANDMARK_INFLATION = 4.0, 2.0, 2.0
-# Landmarks of one surface are misplaced together: however many are seen, they count as so many at most.
-_INDEPENDENT_LANDMARKS = 20
+# Errors of odometry are correlated for a second or so. Treated as independent from frame to frame, their standard
+# deviations are inflated by this factor.
+_ODOMETRY_INFLATION = 4.0
 # Without odometry for longer than this, the biases are forgotten: the motion model's noise is not independent from
 # frame to frame, and the filter would take a steady flight for a bias.
 _MOST_TIME_WITHOUT_ODOMETRY_S = 1.0
 _RECENT_MOTION_S = 1.0  # time constant of the recent motion, which selects the known bias
-_LEAST_VARIANCE = 1e-10  # of a measurement, m^2 and rad^2: all particles may be one
-_GATE = 16.8  # chi-squared, 6 degrees of freedom, 99 %: a measured pose beyond it is down-weighted
-_CONTRADICTION, _DECISIVE = 4.0, 20  # times the gate, and landmarks: beyond these the belief starts anew
-_PARTICLES, _LANDMARKS = 0, 1  # the sources, each with its bias
-# Of odometry's translation, that particles do not tell: predicted depth is wrong by a factor for seconds.
-_LOG_SCALE_SD, _LOG_SCALE_TIME_S = 0.2, 5.0
-
-
-@dataclass(frozen=True)
-class BiasAugmentedState:
-    """Pose, and biases of S sources that measure it.
-
-    Attributes:
-        pose: ``T_world_camera``, (4, 4).
-        biases: (S, 6) twists in the camera's frame: source s measures ``pose @ exp(biases[s])`` plus noise.
-        log_scale: natural logarithm of true over measured translation of the odometry.
-        covariance: (7 + 6 S, 7 + 6 S) of the pose's twist, as in :class:`Estimate`, of the biases, and of the
-            log-scale.
-        prior_sds: (S, 6) standard deviations of biases that no measurement has corrected, after the motion so far.
-    """
-
-    pose: FloatArray
-    biases: FloatArray
-    log_scale: float
-    covariance: FloatArray
-    prior_sds: FloatArray
-
-    @classmethod
-    def from_start(cls, start: Estimate, prior_sds: FloatArray) -> BiasAugmentedState:
-        """Before the first measurement: pose and biases are independent."""
-        covariance = _block_diagonal(start.covariance, _prior_covariance(prior_sds))
-        return cls(start.pose, np.zeros_like(prior_sds), 0.0, covariance, prior_sds)
-
-    @classmethod
-    def from_measurement(
-        cls, source: int, pose: FloatArray, noise: FloatArray, prior_sds: FloatArray
-    ) -> BiasAugmentedState:
-        """From one source's pose (4, 4) and nothing else: the pose's error is minus its bias, plus noise (6, 6)."""
-        bias = np.diag(prior_sds[source] ** 2)
-        covariance = _block_diagonal(noise + bias, _prior_covariance(prior_sds))
-        own = slice(6 + 6 * source, 12 + 6 * source)
-        covariance[:6, own] = covariance[own, :6] = -bias
-        return cls(pose, np.zeros_like(prior_sds), 0.0, covariance, prior_sds)
-
-    def predict(
-        self,
-        T_previous_current: FloatArray,
-        noise: FloatArray,
-        correlation: float,
-        prior_sds: FloatArray,
-        by_log_scale: FloatArray = np.zeros(6),
-        scale_correlation: float = 1.0,
-    ) -> BiasAugmentedState:
-        """After a motion: the pose moves along, and the biases decay.
-
-        Where a source's bias is larger, its variance grows at once; where it is smaller, the old bias lasts until it
-        has decayed.
-
-        Args:
-            T_previous_current: the motion, (4, 4).
-            noise: its covariance, (6, 6), of a twist in the new camera's frame.
-            correlation: of the biases before and after the motion.
-            prior_sds: (S, 6) at the new pose.
-            by_log_scale: derivative of the motion by the log-scale, a twist (6,) in the new camera's frame.
-            scale_correlation: of the log-scale before and after the motion.
-        """
-        remaining = (correlation * self.prior_sds) ** 2
-        variances = np.maximum(remaining + (1.0 - correlation**2) * prior_sds**2, prior_sds**2)
-        decay = np.append(np.full(prior_sds.size, correlation), scale_correlation)
-        transition = _block_diagonal(adjoint(invert(T_previous_current)), np.diag(decay))
-        transition[:6, -1] = by_log_scale
-        scale_variance = (1.0 - scale_correlation**2) * _LOG_SCALE_SD**2
-        process_noise = _block_diagonal(noise, np.diag(np.append((variances - remaining).ravel(), scale_variance)))
-        covariance = transition @ self.covariance @ transition.T + process_noise
-        pose, log_scale = self.pose @ T_previous_current, scale_correlation * self.log_scale
-        return BiasAugmentedState(pose, correlation * self.biases, log_scale, covariance, np.sqrt(variances))
-
-    def update_from_particles(self, measured: Estimate) -> BiasAugmentedState:
-        """After the particles' pose; their spread is its noise. One beyond the gate counts less, as for landmarks."""
-        return self._gated_update(_PARTICLES, measured.pose, _particle_noise(measured))
-
-    def update_from_landmarks(self, measured: LandmarkPose) -> BiasAugmentedState:
-        """After a landmark pose; one of few landmarks beyond the gate gets its noise inflated until it lies on it."""
-        noise = _landmark_noise(measured)
-        if len(measured.points) >= _DECISIVE:
-            return self._update(_LANDMARKS, measured.pose, noise)
-        return self._gated_update(_LANDMARKS, measured.pose, noise)
-
-    def landmark_excess(self, measured: LandmarkPose) -> float:
-        """How far a landmark pose is from the expected one: above 1 it is beyond the gate."""
-        return self._excess(_LANDMARKS, measured.pose, _landmark_noise(measured))
-
-    def _excess(self, source: int, pose: FloatArray, noise: FloatArray) -> float:
-        innovation, covariance = self._innovation(source, pose, noise)
-        return float(innovation @ np.linalg.solve(covariance, innovation)) / _GATE
-
-    def _gated_update(self, source: int, pose: FloatArray, noise: FloatArray) -> BiasAugmentedState:
-        return self._update(source, pose, max(1.0, self._excess(source, pose, noise)) * noise)
-
-    def _update(self, source: int, pose: FloatArray, noise: FloatArray) -> BiasAugmentedState:
-        """The Kalman update with a source's ``T_world_camera`` (4, 4) and its noise (6, 6)."""
-        innovation, innovation_covariance = self._innovation(source, pose, noise)
-        H = self._observation_matrix(source)
-        gain = np.linalg.solve(innovation_covariance, H @ self.covariance).T
-        correction = gain @ innovation
-        remaining = np.eye(len(self.covariance)) - gain @ H
-        # Joseph's form stays symmetric and positive.
-        covariance = remaining @ self.covariance @ remaining.T + gain @ noise @ gain.T
-        return replace(
-            self,
-            pose=self.pose @ se3_exp(correction[:6]),
-            biases=self.biases + correction[6:-1].reshape(-1, 6),
-            log_scale=self.log_scale + float(correction[-1]),
-            covariance=covariance,
-        )
-
-    def _innovation(self, source: int, pose: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Measured minus expected twist, (6,), and its covariance, (6, 6)."""
-        H = self._observation_matrix(source)
-        innovation: FloatArray = se3_log(invert(self.pose) @ pose) - self.biases[source]
-        return innovation, H @ self.covariance @ H.T + noise
-
-    def _observation_matrix(self, source: int) -> FloatArray:
-        """A source observes the pose's error plus its own bias: (6, 7 + 6 S)."""
-        H = np.zeros((6, len(self.covariance)))
-        H[:, :6] = H[:, 6 + 6 * source :][:, :6] = np.eye(6)
-        return H
-
-    def estimate(self, log_scale: float) -> Estimate:
-        return Estimate(self.pose, self.covariance[:6, :6], log_scale)
-
-
-def _block_diagonal(first: FloatArray, second: FloatArray) -> FloatArray:
-    size = len(first) + len(second)
-    both = np.zeros((size, size))
-    both[: len(first), : len(first)], both[len(first) :, len(first) :] = first, second
-    return both
-
-
-def _prior_covariance(prior_sds: FloatArray) -> FloatArray:
-    """Of biases (S, 6) and log-scale that no measurement has corrected: (6 S + 1, 6 S + 1)."""
-    return np.diag(np.append(prior_sds.ravel(), _LOG_SCALE_SD) ** 2)
-
-
-def _particle_noise(measured: Estimate) -> FloatArray:
-    """Covariance (6, 6) of the particles' pose without its bias."""
-    return np.asarray(_PARTICLE_INFLATION**2 * measured.covariance + _LEAST_VARIANCE * np.eye(6))
-
-
-def _landmark_noise(measured: LandmarkPose) -> FloatArray:
-    """Covariance (6, 6) of a landmark pose without its bias."""
-    return np.asarray(_landmark_factor(measured) * measured.covariance + _LEAST_VARIANCE * np.eye(6))
-
-
-def _landmark_factor(measured: LandmarkPose) -> float:
-    """Of the variance that the corners' localisation error gives a landmark pose."""
-    return _LANDMARK_INFLATION**2 * max(1.0, len(measured.points) / _INDEPENDENT_LANDMARKS)
+_CONTRADICTION = 4.0  # times the gate: beyond it, decisive landmarks begin the belief anew
+_LOG_SCALE_TIME_S = 5.0  # for which predicted depth is wrong by one factor
 
 
 class BiasAugmentedFilter:
@@ -268,8 +121,8 @@ class BiasAugmentedFilter:
 
     def _from_particles(self, measured: Estimate) -> BiasAugmentedState:
         prior_sds = np.maximum(self._state.prior_sds, self._prior_sds(measured.pose))
-        noise = _particle_noise(measured)
-        return BiasAugmentedState.from_measurement(_PARTICLES, measured.pose, noise, prior_sds)
+        noise = particle_noise(measured)
+        return BiasAugmentedState.from_measurement(PARTICLES, measured.pose, noise, prior_sds)
 
     def update_from_landmarks(self, measured: LandmarkPose) -> Estimate:
         """The belief after the landmark pose of the same frame.
@@ -278,7 +131,7 @@ class BiasAugmentedFilter:
         agree on one pose are not wrong together. Far from the reference poses they can be, as the bias there says.
         """
         widened = self._with_bias_of_its_place(measured)
-        if self._state.landmark_excess(widened) > _CONTRADICTION and len(measured.points) >= _DECISIVE:
+        if self._state.landmark_excess(widened) > _CONTRADICTION and len(measured.points) >= DECISIVE_LANDMARKS:
             return self.reinitialise_from_landmarks(measured)
         self._state = self._state.update_from_landmarks(widened)
         self.time_since_update_s = self._time_since_odometry_s = 0.0
@@ -286,14 +139,14 @@ class BiasAugmentedFilter:
 
     def _with_bias_of_its_place(self, measured: LandmarkPose) -> LandmarkPose:
         """A landmark pose whose noise has what its bias is wider there than at the belief, where the state has it."""
-        there, here = self._prior_sds(measured.pose)[_LANDMARKS], self._state.prior_sds[_LANDMARKS]
-        further = np.diag(np.maximum(there**2 - here**2, 0.0)) / _landmark_factor(measured)
+        there, here = self._prior_sds(measured.pose)[LANDMARKS], self._state.prior_sds[LANDMARKS]
+        further = np.diag(np.maximum(there**2 - here**2, 0.0)) / landmark_factor(measured)
         return replace(measured, covariance=measured.covariance + further)
 
     def reinitialise_from_landmarks(self, measured: LandmarkPose) -> Estimate:
         """The belief after landmarks relocalised the camera: only their pose counts."""
-        noise, prior_sds = _landmark_noise(measured), self._prior_sds(measured.pose)
-        self._state = BiasAugmentedState.from_measurement(_LANDMARKS, measured.pose, noise, prior_sds)
+        noise, prior_sds = landmark_noise(measured), self._prior_sds(measured.pose)
+        self._state = BiasAugmentedState.from_measurement(LANDMARKS, measured.pose, noise, prior_sds)
         self.restarted = True
         self.time_since_update_s = self._time_since_odometry_s = 0.0
         return self.belief
@@ -307,19 +160,17 @@ class BiasAugmentedFilter:
         reference, covariance = self._state.pose, self._state.covariance[:6, :6]
         if landmark_pose is not None:
             reference = landmark_pose.pose
-            covariance = _landmark_noise(landmark_pose) + np.diag(self._prior_sds(reference)[_LANDMARKS] ** 2)
-        covariance = covariance + _particle_noise(measured) + np.diag(self._prior_sds(reference)[_PARTICLES] ** 2)
+            covariance = landmark_noise(landmark_pose) + np.diag(self._prior_sds(reference)[LANDMARKS] ** 2)
+        covariance = covariance + particle_noise(measured) + np.diag(self._prior_sds(reference)[PARTICLES] ** 2)
         offset = se3_log(invert(reference) @ measured.pose)
-        return float(offset @ np.linalg.solve(covariance, offset)) > _GATE
+        return float(offset @ np.linalg.solve(covariance, offset)) > GATE
 
     def reinitialise(self, measured: Estimate) -> Estimate:
         """The belief after scans relocalised the camera: only the particles' pose counts."""
         prior_sds = self._prior_sds(measured.pose)
-        prior_sds[_PARTICLES] = self._particle_bias.relocalization_sds(
-            self._reference_poses.distance_m(measured.pose)
-        )
-        noise = _particle_noise(measured)
-        self._state = BiasAugmentedState.from_measurement(_PARTICLES, measured.pose, noise, prior_sds)
+        prior_sds[PARTICLES] = self._particle_bias.relocalization_sds(self._reference_poses.distance_m(measured.pose))
+        noise = particle_noise(measured)
+        self._state = BiasAugmentedState.from_measurement(PARTICLES, measured.pose, noise, prior_sds)
         self.restarted = True
         self.time_since_update_s = 0.0
         return self.belief
@@ -343,7 +194,7 @@ class BiasAugmentedFilter:
         """Standard deviation of the particles' rotation, rad an axis, by their spread and bias."""
         variance = float(np.trace(measured.covariance[3:, 3:])) / 3.0
         here, remaining = self._prior_sds(measured.pose), self._state.prior_sds
-        bias = max(here[_PARTICLES, 3], remaining[_PARTICLES, 3])
+        bias = max(here[PARTICLES, 3], remaining[PARTICLES, 3])
         return float(np.sqrt(bias**2 + variance))
 
     def _scaled(self, motion: Motion | None) -> FloatArray:

@@ -138,6 +138,6 @@ def motions_between(times_s: FloatArray, sources: Sequence[MotionSource]) -> lis
     """
     motions: list[Motion | None] = [None] * min(1, len(times_s))
     for start_s, end_s in pairwise(times_s.tolist()):
-        told = (source.between(start_s, end_s) for source in sources)
-        motions.append(next((motion for motion in told if motion is not None), None))
+        measured = (source.between(start_s, end_s) for source in sources)
+        motions.append(next((motion for motion in measured if motion is not None), None))
     return motions

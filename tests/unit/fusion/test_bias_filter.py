@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from map_helpers import motion_of
-from monoloc.fusion.bias_filter import BiasAugmentedFilter, BiasAugmentedState
+from monoloc.fusion.bias_filter import BiasAugmentedFilter
 from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.bias_state import BiasAugmentedState
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray, adjoint, invert, is_rigid, pose_distance_m, se3_exp, se3_log
 from monoloc.landmarks.pnp import LandmarkPose

@@ -1,0 +1,179 @@
+"""The state of the belief: a pose, the biases of what measures it, and the scale of odometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from monoloc.geometry import FloatArray, adjoint, invert, se3_exp, se3_log
+from monoloc.landmarks.pnp import LandmarkPose
+from monoloc.particle_filter.estimate import Estimate
+
+PARTICLES, LANDMARKS = 0, 1
+"""The sources, each with its bias."""
+
+GATE = 16.8
+"""Chi-squared, 6 degrees of freedom, 99 %: a measured pose beyond it is down-weighted."""
+
+DECISIVE_LANDMARKS = 20
+"""So many landmarks that agree are not down-weighted."""
+
+# Errors of particles and landmarks are correlated for some frames. Treated as independent from frame to frame, their
+# standard deviations are inflated by these factors.
+_PARTICLE_INFLATION, _LANDMARK_INFLATION = 2.0, 2.0
+# Landmarks of one surface are misplaced together: however many are seen, they count as so many at most.
+_INDEPENDENT_LANDMARKS = 20
+_LEAST_VARIANCE = 1e-10  # of a measurement, m^2 and rad^2: all particles may be one
+_LOG_SCALE_SD = 0.2  # of odometry's translation, beside the scale that particles estimate
+
+
+@dataclass(frozen=True)
+class BiasAugmentedState:
+    """Pose, and biases of S sources that measure it.
+
+    Attributes:
+        pose: ``T_world_camera``, (4, 4).
+        biases: (S, 6) twists in the camera's frame: source s measures ``pose @ exp(biases[s])`` plus noise.
+        log_scale: natural logarithm of true over measured translation of the odometry.
+        covariance: (7 + 6 S, 7 + 6 S) of the pose's twist, as in :class:`Estimate`, of the biases, and of the
+            log-scale.
+        prior_sds: (S, 6) standard deviations of biases that no measurement has corrected, after the motion so far.
+    """
+
+    pose: FloatArray
+    biases: FloatArray
+    log_scale: float
+    covariance: FloatArray
+    prior_sds: FloatArray
+
+    @classmethod
+    def from_start(cls, start: Estimate, prior_sds: FloatArray) -> BiasAugmentedState:
+        """Before the first measurement: pose and biases are independent."""
+        covariance = _block_diagonal(start.covariance, _prior_covariance(prior_sds))
+        return cls(start.pose, np.zeros_like(prior_sds), 0.0, covariance, prior_sds)
+
+    @classmethod
+    def from_measurement(
+        cls, source: int, pose: FloatArray, noise: FloatArray, prior_sds: FloatArray
+    ) -> BiasAugmentedState:
+        """From one source's pose (4, 4) and nothing else: the pose's error is minus its bias, plus noise (6, 6)."""
+        bias = np.diag(prior_sds[source] ** 2)
+        covariance = _block_diagonal(noise + bias, _prior_covariance(prior_sds))
+        own = slice(6 + 6 * source, 12 + 6 * source)
+        covariance[:6, own] = covariance[own, :6] = -bias
+        return cls(pose, np.zeros_like(prior_sds), 0.0, covariance, prior_sds)
+
+    def predict(
+        self,
+        T_previous_current: FloatArray,
+        noise: FloatArray,
+        correlation: float,
+        prior_sds: FloatArray,
+        by_log_scale: FloatArray = np.zeros(6),
+        scale_correlation: float = 1.0,
+    ) -> BiasAugmentedState:
+        """After a motion: the pose moves along, and the biases decay.
+
+        Where a source's bias is larger, its variance grows at once; where it is smaller, the old bias lasts until it
+        has decayed.
+
+        Args:
+            T_previous_current: the motion, (4, 4).
+            noise: its covariance, (6, 6), of a twist in the new camera's frame.
+            correlation: of the biases before and after the motion.
+            prior_sds: (S, 6) at the new pose.
+            by_log_scale: derivative of the motion by the log-scale, a twist (6,) in the new camera's frame.
+            scale_correlation: of the log-scale before and after the motion.
+        """
+        remaining = (correlation * self.prior_sds) ** 2
+        variances = np.maximum(remaining + (1.0 - correlation**2) * prior_sds**2, prior_sds**2)
+        decay = np.append(np.full(prior_sds.size, correlation), scale_correlation)
+        transition = _block_diagonal(adjoint(invert(T_previous_current)), np.diag(decay))
+        transition[:6, -1] = by_log_scale
+        scale_variance = (1.0 - scale_correlation**2) * _LOG_SCALE_SD**2
+        process_noise = _block_diagonal(noise, np.diag(np.append((variances - remaining).ravel(), scale_variance)))
+        covariance = transition @ self.covariance @ transition.T + process_noise
+        pose, log_scale = self.pose @ T_previous_current, scale_correlation * self.log_scale
+        return BiasAugmentedState(pose, correlation * self.biases, log_scale, covariance, np.sqrt(variances))
+
+    def update_from_particles(self, measured: Estimate) -> BiasAugmentedState:
+        """After the particles' pose; their spread is its noise. One beyond the gate counts less, as for landmarks."""
+        return self._gated_update(PARTICLES, measured.pose, particle_noise(measured))
+
+    def update_from_landmarks(self, measured: LandmarkPose) -> BiasAugmentedState:
+        """After a landmark pose; one of few landmarks beyond the gate gets its noise inflated until it lies on it."""
+        noise = landmark_noise(measured)
+        if len(measured.points) >= DECISIVE_LANDMARKS:
+            return self._update(LANDMARKS, measured.pose, noise)
+        return self._gated_update(LANDMARKS, measured.pose, noise)
+
+    def landmark_excess(self, measured: LandmarkPose) -> float:
+        """How far a landmark pose is from the expected one: above 1 it is beyond the gate."""
+        return self._excess(LANDMARKS, measured.pose, landmark_noise(measured))
+
+    def _excess(self, source: int, pose: FloatArray, noise: FloatArray) -> float:
+        innovation, covariance = self._innovation(source, pose, noise)
+        return float(innovation @ np.linalg.solve(covariance, innovation)) / GATE
+
+    def _gated_update(self, source: int, pose: FloatArray, noise: FloatArray) -> BiasAugmentedState:
+        return self._update(source, pose, max(1.0, self._excess(source, pose, noise)) * noise)
+
+    def _update(self, source: int, pose: FloatArray, noise: FloatArray) -> BiasAugmentedState:
+        """The Kalman update with a source's ``T_world_camera`` (4, 4) and its noise (6, 6)."""
+        innovation, innovation_covariance = self._innovation(source, pose, noise)
+        H = self._observation_matrix(source)
+        gain = np.linalg.solve(innovation_covariance, H @ self.covariance).T
+        correction = gain @ innovation
+        remaining = np.eye(len(self.covariance)) - gain @ H
+        # Joseph's form stays symmetric and positive.
+        covariance = remaining @ self.covariance @ remaining.T + gain @ noise @ gain.T
+        return replace(
+            self,
+            pose=self.pose @ se3_exp(correction[:6]),
+            biases=self.biases + correction[6:-1].reshape(-1, 6),
+            log_scale=self.log_scale + float(correction[-1]),
+            covariance=covariance,
+        )
+
+    def _innovation(self, source: int, pose: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Measured minus expected twist, (6,), and its covariance, (6, 6)."""
+        H = self._observation_matrix(source)
+        innovation: FloatArray = se3_log(invert(self.pose) @ pose) - self.biases[source]
+        return innovation, H @ self.covariance @ H.T + noise
+
+    def _observation_matrix(self, source: int) -> FloatArray:
+        """A source observes the pose's error plus its own bias: (6, 7 + 6 S)."""
+        H = np.zeros((6, len(self.covariance)))
+        H[:, :6] = H[:, 6 + 6 * source :][:, :6] = np.eye(6)
+        return H
+
+    def estimate(self, log_scale: float) -> Estimate:
+        return Estimate(self.pose, self.covariance[:6, :6], log_scale)
+
+
+def _block_diagonal(first: FloatArray, second: FloatArray) -> FloatArray:
+    size = len(first) + len(second)
+    both = np.zeros((size, size))
+    both[: len(first), : len(first)], both[len(first) :, len(first) :] = first, second
+    return both
+
+
+def _prior_covariance(prior_sds: FloatArray) -> FloatArray:
+    """Of biases (S, 6) and log-scale that no measurement has corrected: (6 S + 1, 6 S + 1)."""
+    return np.diag(np.append(prior_sds.ravel(), _LOG_SCALE_SD) ** 2)
+
+
+def particle_noise(measured: Estimate) -> FloatArray:
+    """Covariance (6, 6) of the particles' pose without its bias."""
+    return np.asarray(_PARTICLE_INFLATION**2 * measured.covariance + _LEAST_VARIANCE * np.eye(6))
+
+
+def landmark_noise(measured: LandmarkPose) -> FloatArray:
+    """Covariance (6, 6) of a landmark pose without its bias."""
+    return np.asarray(landmark_factor(measured) * measured.covariance + _LEAST_VARIANCE * np.eye(6))
+
+
+def landmark_factor(measured: LandmarkPose) -> float:
+    """Of the variance that the corners' localisation error gives a landmark pose."""
+    return _LANDMARK_INFLATION**2 * max(1.0, len(measured.points) / _INDEPENDENT_LANDMARKS)
