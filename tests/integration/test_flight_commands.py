@@ -319,7 +319,15 @@ def test_images_of_another_size_than_the_intrinsics_end_the_flight(capfd: Captur
 
 def fly_in_process(folder: Path, *arguments: str) -> subprocess.Popen[bytes]:
     pipe = subprocess.PIPE
-    return subprocess.Popen([*RUN, *arguments], cwd=folder, stdin=pipe, stdout=pipe, stderr=pipe)
+
+    def heed_signals() -> None:
+        """Background jobs and nohup ignore signals, and a child inherits that."""
+        for number in (signal.SIGINT, signal.SIGHUP):
+            signal.signal(number, signal.SIG_DFL)
+
+    return subprocess.Popen(
+        [*RUN, *arguments], cwd=folder, stdin=pipe, stdout=pipe, stderr=pipe, preexec_fn=heed_signals
+    )
 
 
 def wait_for_rows(path: Path, count: int) -> None:

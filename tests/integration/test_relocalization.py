@@ -136,8 +136,8 @@ def test_camera_whose_depth_has_the_wrong_scale_is_found_by_landmarks(
     found = next(index for index, step in enumerate(steps) if step.state != "lost")
     assert found < 18
     assert errors_m(steps, recording, frames)[found:].max() < 0.02
-    # Not as uncertain as by scans alone: 20 cm.
-    assert np.sqrt(np.trace(steps[found].estimate.covariance[:3, :3])) < 0.05
+    # Not as uncertain as by scans alone: 20 cm an axis.
+    assert np.sqrt(np.trace(steps[found].estimate.covariance[:3, :3])) < 0.1
 
 
 def test_in_another_room_the_camera_is_never_tracking(
