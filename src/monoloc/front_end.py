@@ -35,7 +35,7 @@ class Observation:
         is_empty: whether the image has no contrast.
         depth: of the frame, its scale and tilt corrected by odometry's corners.
         motion: since the previous frame, None where it is not known at all.
-        odometry_tracked: whether images or another sensor told how the camera moved, not only how it turned; true at
+        odometry_tracked: whether images or another sensor measured how the camera moved, not only its turn; true at
             the first frame and for a random walk.
         scan: points of the depth; empty where the image has no contrast and no sensor measured depth.
         corners: odometry's corners whose depth parallax has refined.

@@ -286,9 +286,9 @@ def test_gyroscope_keeps_the_rotation_in_the_dark(flights: Flights) -> None:
         dark = [localizer.step(BLACK, FRAME_S, NO_DEPTH, measured_motion=motion) for _ in range(count)][-1]
         assert dark.state != "tracking" and {Reason.NO_ODOMETRY, Reason.IMAGE_EMPTY} <= dark.reasons
         beliefs.append(dark.estimate)
-    blind, told = pose_errors(np.stack([belief.pose for belief in beliefs]), np.stack([after, after])).rotation_rad
+    blind, aided = pose_errors(np.stack([belief.pose for belief in beliefs]), np.stack([after, after])).rotation_rad
     # Measured: 0.16 and 30.1 degrees; 0.8 cm in the light.
-    assert told < np.deg2rad(1.5) and blind > np.deg2rad(25.0)
+    assert aided < np.deg2rad(1.5) and blind > np.deg2rad(25.0)
     spreads = [np.sqrt(np.diag(belief.covariance)) for belief in beliefs]
     assert np.all(spreads[1][3:] < 0.3 * spreads[0][3:])
     assert spreads[1][:3].max() < 1.1 * spreads[0][:3].max()

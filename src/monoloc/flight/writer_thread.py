@@ -43,7 +43,7 @@ class WriterThread(Generic[T]):
         """Hand over an item, and return whether there was room for it within a time.
 
         Raises:
-            Exception: what an earlier item raised, if nobody was told.
+            Exception: what an earlier item raised, unless it was raised before.
         """
         self._raise_failure()
         try:

@@ -187,6 +187,6 @@ def test_motions_between_frames_are_of_the_first_source_that_tells_them() -> Non
     for index in range(100):
         rates.add(0.01 * index, RATE)
     motions = motions_between(np.array([0.0, 0.2, 0.4, 0.8, 1.6]), [poses, rates])
-    told = [None if motion is None else motion.translation for motion in motions]
-    assert told == [None, "metric", "metric", "unknown", None]
+    kinds = [None if motion is None else motion.translation for motion in motions]
+    assert kinds == [None, "metric", "metric", "unknown", None]
     assert motions_between(np.zeros(0), [poses]) == []

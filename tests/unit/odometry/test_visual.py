@@ -297,7 +297,7 @@ def test_wrong_rotation_loses_no_corner_of_a_still_camera(room: Room) -> None:
     """By 5 degrees, so that the search begins 24 pixels away."""
     recording = fast_turn(room, 0.0)
     odometry = VisualOdometry(CAMERA)
-    told = [None, so3_exp([0.0, np.deg2rad(5.0), 0.0])]
-    motions = [odometry.step(recording.color(i), recording.depth(i), CAMERA, told[i]) for i in range(2)]
+    rotations = [None, so3_exp([0.0, np.deg2rad(5.0), 0.0])]
+    motions = [odometry.step(recording.color(i), recording.depth(i), CAMERA, rotations[i]) for i in range(2)]
     assert motions[1] is not None
     check(pose_errors(motions[1].T_previous_current[None], true_motions(recording)[:1]))
