@@ -279,7 +279,7 @@ def follow_corners(
     expected: NDArray[np.float32],
     config: OdometryConfig,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """As :func:`track_corners`, from expected pixels (N, 2); if few are found so, also from where the corners were."""
+    """As :func:`track_corners`, from expected pixels (N, 2); if few are found, also from where corners were."""
     near = _track(before, after, pixels, expected, _NEAR_LEVELS, config)
     if near[1].sum() >= _ENOUGH_TRACKED * len(pixels):
         return near
