@@ -14,7 +14,7 @@ from monoloc.camera import Camera
 from monoloc.evaluation.consistency import FAR_M
 from monoloc.evaluation.hold_out import HELD_OUT_SHARE, REGIONS, hold_out_regions
 from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, twist_errors
-from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.bias_model import BiasModel, landmark_covariance
 from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_log
 from monoloc.landmarks.landmark_map import FAMILIAR_TIMES, Landmarks, LandmarkViews
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
@@ -22,12 +22,13 @@ from monoloc.landmarks.pnp import LEAST_LANDMARKS, PRIOR_COVARIANCE, LandmarkPos
 from monoloc.supervision.camera_check import WELL_OBSERVED_SD
 from monoloc.supervision.integrity import WRONG_DISTANCE_M, Classes, IntegrityModel
 
+_LEAST_DISTANCE_M = 0.05
 _LEAST_M, _LEAST_RAD = 0.001, 0.0005  # smallest errors, even of a static camera
 _CHI2_90_3 = 6.251388631170325  # 90 % quantile of the chi-squared distribution with 3 degrees of freedom
 _NORMAL_MAD = 1.4826  # standard deviation over median deviation
 _LEAST_FOCAL_FRAMES, _LEAST_FOCAL_SD = 10, 0.005  # frames that tell a deviation of log-focal, and the smallest
 _LEAST_VIEWS = 10  # frames that tell how well nearby frames predict what is found
-_PRIOR_GROWTH = 0.05  # m/m and rad/m, measured in other rooms
+_PRIOR_GROWTH = 0.02  # m/m and rad/m, measured in other rooms
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ def measure_landmarks(
 
     def localized(by: NDArray[np.int64], of: NDArray[np.int64]) -> _Localized:
         localizer = OrbLandmarkLocalizer(landmarks_of([corners[index] for index in by], detected, poses[by]), camera)
-        return _localized(localizer, corners, poses, of)
+        return _localized(localizer, corners, poses, by, of)
 
     frames = np.arange(len(corners))
     both = localized(frames[::2], frames[1::2]), localized(frames[1::2], frames[::2])
@@ -88,38 +89,42 @@ def measure_landmarks(
     away = localized(others, held_out)
     distances_m = np.array([pose_distance_m(poses[index], poses[others]).min() for index in away.frames])
     bias = fit_bias_model(at_reference, at_reference, away.errors, distances_m, _PRIOR_GROWTH)
-    errors = PoseErrors(
-        np.concatenate([at_reference.position_m, away.errors.position_m]),
-        np.concatenate([at_reference.rotation_rad, away.errors.rotation_rad]),
-    )
-    all_distances_m = np.concatenate([np.zeros(len(at_reference.position_m)), distances_m])
-    return widened(bias, errors, all_distances_m), _evidence([*both, away])
+    return widened(bias, at_reference, away.errors, distances_m), _evidence([*both, away])
 
 
-def widened(bias: BiasModel, errors: PoseErrors, distances_m: FloatArray) -> BiasModel:
-    """The bias model, wide enough for nine errors of ten.
+def widened(bias: BiasModel, at_reference: PoseErrors, away: PoseErrors, distances_m: FloatArray) -> BiasModel:
+    """The bias model, wide enough for nine errors of ten, at the reference poses and then away from them.
 
     A model fitted to medians is too narrow where errors have heavy tails: a flat view has two poses that look alike.
 
     Args:
         bias: fitted to medians.
-        errors: of N poses.
-        distances_m: (N,) from each to the nearest reference pose.
+        at_reference, away: errors at the reference poses, and of N poses away from them.
+        distances_m: (N,) from each of the latter to the nearest reference pose.
     """
-    sds = np.stack([bias.sds(distance_m) for distance_m in distances_m])
-
-    def factor(sizes: FloatArray, sd: FloatArray) -> float:
-        return max(1.0, float(np.percentile(sizes / sd, 90.0)) / math.sqrt(_CHI2_90_3))
-
-    by_m, by_rad = factor(errors.position_m, sds[:, 0]), factor(errors.rotation_rad, sds[:, 3])
+    sd_m = max(bias.sd_at_reference_m, _sd_by_quantile(at_reference.position_m))
+    sd_rad = max(bias.sd_at_reference_rad, _sd_by_quantile(at_reference.rotation_rad))
     return bias.model_copy(
         update={
-            "sd_at_reference_m": by_m * bias.sd_at_reference_m,
-            "sd_growth_m": by_m * bias.sd_growth_m,
-            "sd_at_reference_rad": by_rad * bias.sd_at_reference_rad,
-            "sd_growth_rad": by_rad * bias.sd_growth_rad,
+            "sd_at_reference_m": sd_m,
+            "sd_growth_m": max(bias.sd_growth_m, _growth_by_quantile(away.position_m, sd_m, distances_m)),
+            "sd_at_reference_rad": sd_rad,
+            "sd_growth_rad": max(bias.sd_growth_rad, _growth_by_quantile(away.rotation_rad, sd_rad, distances_m)),
         }
     )
+
+
+def _sd_by_quantile(errors: FloatArray) -> float:
+    """Standard deviation an axis for which nine of ten errors (N,) are likely."""
+    return float(np.percentile(errors, 90.0)) / math.sqrt(_CHI2_90_3)
+
+
+def _growth_by_quantile(errors: FloatArray, sd_at_reference: float, distances_m: FloatArray) -> float:
+    """The same of the growth with distance (N,); 0 without errors."""
+    if len(errors) == 0:
+        return 0.0
+    beyond = np.maximum(errors**2 / _CHI2_90_3 - sd_at_reference**2, 0.0)
+    return math.sqrt(float(np.percentile(beyond / np.maximum(distances_m, _LEAST_DISTANCE_M) ** 2, 90.0)))
 
 
 def measure_views(
@@ -160,8 +165,13 @@ def measure_views(
 
 
 def _localized(
-    localizer: OrbLandmarkLocalizer, corners: list[Corners], poses: FloatArray, of: NDArray[np.int64]
+    localizer: OrbLandmarkLocalizer,
+    corners: list[Corners],
+    poses: FloatArray,
+    by: NDArray[np.int64],
+    of: NDArray[np.int64],
 ) -> _Localized:
+    """Localise some frames by the landmarks of others."""
     seen: dict[int, LandmarkPose] = {}
     found, found_wrong = [], []
     for index in of.tolist():
@@ -178,7 +188,10 @@ def _localized(
             if measured.pose is None or pose_distance_m(poses[index], measured.pose.pose[None])[0] > FAR_M:
                 found_wrong.append(measured.found)
     twists = [se3_log(invert(poses[index]) @ landmark_pose.pose) for index, landmark_pose in seen.items()]
-    stated = [np.diag(landmark_pose.covariance) for landmark_pose in seen.values()]
+    stated = [
+        np.diag(landmark_covariance(landmark_pose, float(pose_distance_m(poses[index], poses[by]).min())))
+        for index, landmark_pose in seen.items()
+    ]
     return _Localized(
         frames=np.array(list(seen), dtype=np.int64),
         errors=_beyond_noise(twist_errors(np.reshape(twists, (-1, 6))), np.reshape(stated, (-1, 6))),

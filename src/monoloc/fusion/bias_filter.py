@@ -17,12 +17,10 @@ import numpy as np
 
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.fusion.bias_state import (
-    DECISIVE_LANDMARKS,
     GATE,
     LANDMARKS,
     PARTICLES,
     BiasAugmentedState,
-    landmark_factor,
     landmark_noise,
     particle_noise,
 )
@@ -40,6 +38,7 @@ _ODOMETRY_INFLATION = 4.0
 # frame to frame, and the filter would take a steady flight for a bias.
 _MOST_TIME_WITHOUT_ODOMETRY_S = 1.0
 _RECENT_MOTION_S = 1.0  # time constant of the recent motion, which selects the known bias
+_DECISIVE_LANDMARKS = 20  # so many that agree are not down-weighted
 _CONTRADICTION = 4.0  # times the gate: beyond it, decisive landmarks begin the belief anew
 _LOG_SCALE_TIME_S = 5.0  # for which predicted depth is wrong by one factor
 
@@ -130,22 +129,25 @@ class BiasAugmentedFilter:
         A belief that is contradicted far beyond its covariance starts anew at the landmarks: dozens of corners that
         agree on one pose are not wrong together. Far from the reference poses they can be, as the bias there says.
         """
-        widened = self._with_bias_of_its_place(measured)
-        if self._state.landmark_excess(widened) > _CONTRADICTION and len(measured.points) >= DECISIVE_LANDMARKS:
+        is_decisive = len(measured.points) >= _DECISIVE_LANDMARKS
+        noise = self._noise_for_belief(measured)
+        if is_decisive and self._state.landmark_excess(measured.pose, noise) > _CONTRADICTION:
             return self.reinitialise_from_landmarks(measured)
-        self._state = self._state.update_from_landmarks(widened)
+        self._state = self._state.update_from_landmarks(measured.pose, noise, is_decisive)
         self.time_since_update_s = self._time_since_odometry_s = 0.0
         return self.belief
 
-    def _with_bias_of_its_place(self, measured: LandmarkPose) -> LandmarkPose:
-        """A landmark pose whose noise has what its bias is wider there than at the belief, where the state has it."""
+    def _noise_for_belief(self, measured: LandmarkPose) -> FloatArray:
+        """Noise of a landmark pose, with what its bias is wider there than at the belief, where the state has it."""
         there, here = self._prior_sds(measured.pose)[LANDMARKS], self._state.prior_sds[LANDMARKS]
-        further = np.diag(np.maximum(there**2 - here**2, 0.0)) / landmark_factor(measured)
-        return replace(measured, covariance=measured.covariance + further)
+        return self._landmark_noise(measured) + np.diag(np.maximum(there**2 - here**2, 0.0))
+
+    def _landmark_noise(self, measured: LandmarkPose) -> FloatArray:
+        return landmark_noise(measured, self._reference_poses.distance_m(measured.pose))
 
     def reinitialise_from_landmarks(self, measured: LandmarkPose) -> Estimate:
         """The belief after landmarks relocalised the camera: only their pose counts."""
-        noise, prior_sds = landmark_noise(measured), self._prior_sds(measured.pose)
+        noise, prior_sds = self._landmark_noise(measured), self._prior_sds(measured.pose)
         self._state = BiasAugmentedState.from_measurement(LANDMARKS, measured.pose, noise, prior_sds)
         self.restarted = True
         self.time_since_update_s = self._time_since_odometry_s = 0.0
@@ -160,7 +162,7 @@ class BiasAugmentedFilter:
         reference, covariance = self._state.pose, self._state.covariance[:6, :6]
         if landmark_pose is not None:
             reference = landmark_pose.pose
-            covariance = landmark_noise(landmark_pose) + np.diag(self._prior_sds(reference)[LANDMARKS] ** 2)
+            covariance = self._landmark_noise(landmark_pose) + np.diag(self._prior_sds(reference)[LANDMARKS] ** 2)
         covariance = covariance + particle_noise(measured) + np.diag(self._prior_sds(reference)[PARTICLES] ** 2)
         offset = se3_log(invert(reference) @ measured.pose)
         return float(offset @ np.linalg.solve(covariance, offset)) > GATE

@@ -8,8 +8,12 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.geometry import FloatArray
+from monoloc.landmarks.pnp import LandmarkPose
 
 _CORRELATION_LENGTH_M = 2.0  # of the bias, in pose distance
+# Share of the landmarks that are misplaced together, in variance: at the reference poses, and its growth a square
+# metre of pose distance. By maximum likelihood over a real desk and a real kitchen: docs/decisions/fusion.md.
+_COMMON_ERROR, _COMMON_ERROR_GROWTH = 0.03, 1.0
 
 
 class BiasModel(BaseModel):
@@ -52,3 +56,17 @@ class BiasModel(BaseModel):
     def correlation(self, step_m: float) -> float:
         """Correlation of the biases of two poses at a pose distance."""
         return math.exp(-step_m / _CORRELATION_LENGTH_M)
+
+
+def landmark_covariance(measured: LandmarkPose, distance_m: float) -> FloatArray:
+    """Covariance (6, 6) of a landmark pose, of a twist in the camera's frame.
+
+    The corners' localisation error alone would average out over hundreds of landmarks. But landmarks of one surface
+    are misplaced together, and more so the farther the view is from those that placed them. In a flat view such an
+    error shifts and turns the pose along the same weakly determined directions, so the covariance keeps its shape.
+
+    Args:
+        distance_m: pose distance to the nearest reference pose.
+    """
+    common = len(measured.points) * (_COMMON_ERROR + _COMMON_ERROR_GROWTH * distance_m**2)
+    return np.asarray(max(1.0, common) * measured.covariance)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from monoloc.fusion.bias_model import landmark_covariance
 from monoloc.geometry import FloatArray, adjoint, invert, se3_exp, se3_log
 from monoloc.landmarks.pnp import LandmarkPose
 from monoloc.particle_filter.estimate import Estimate
@@ -16,14 +17,9 @@ PARTICLES, LANDMARKS = 0, 1
 GATE = 16.8
 """Chi-squared, 6 degrees of freedom, 99 %: a measured pose beyond it is down-weighted."""
 
-DECISIVE_LANDMARKS = 20
-"""So many landmarks that agree are not down-weighted."""
-
 # Errors of particles and landmarks are correlated for some frames. Treated as independent from frame to frame, their
 # standard deviations are inflated by these factors.
 _PARTICLE_INFLATION, _LANDMARK_INFLATION = 2.0, 2.0
-# Landmarks of one surface are misplaced together: however many are seen, they count as so many at most.
-_INDEPENDENT_LANDMARKS = 20
 _LEAST_VARIANCE = 1e-10  # of a measurement, m^2 and rad^2: all particles may be one
 _LOG_SCALE_SD = 0.2  # of odometry's translation, beside the scale that particles estimate
 
@@ -101,16 +97,17 @@ class BiasAugmentedState:
         """After the particles' pose; their spread is its noise. One beyond the gate counts less, as for landmarks."""
         return self._gated_update(PARTICLES, measured.pose, particle_noise(measured))
 
-    def update_from_landmarks(self, measured: LandmarkPose) -> BiasAugmentedState:
-        """After a landmark pose; one of few landmarks beyond the gate gets its noise inflated until it lies on it."""
-        noise = landmark_noise(measured)
-        if len(measured.points) >= DECISIVE_LANDMARKS:
-            return self._update(LANDMARKS, measured.pose, noise)
-        return self._gated_update(LANDMARKS, measured.pose, noise)
+    def update_from_landmarks(self, pose: FloatArray, noise: FloatArray, is_decisive: bool) -> BiasAugmentedState:
+        """After a landmark pose (4, 4) and its noise (6, 6), see :func:`landmark_noise`.
 
-    def landmark_excess(self, measured: LandmarkPose) -> float:
+        Beyond the gate, the noise of one that is not decisive is inflated until it lies on the gate.
+        """
+        update = self._update if is_decisive else self._gated_update
+        return update(LANDMARKS, pose, noise)
+
+    def landmark_excess(self, pose: FloatArray, noise: FloatArray) -> float:
         """How far a landmark pose is from the expected one: above 1 it is beyond the gate."""
-        return self._excess(LANDMARKS, measured.pose, landmark_noise(measured))
+        return self._excess(LANDMARKS, pose, noise)
 
     def _excess(self, source: int, pose: FloatArray, noise: FloatArray) -> float:
         innovation, covariance = self._innovation(source, pose, noise)
@@ -169,11 +166,7 @@ def particle_noise(measured: Estimate) -> FloatArray:
     return np.asarray(_PARTICLE_INFLATION**2 * measured.covariance + _LEAST_VARIANCE * np.eye(6))
 
 
-def landmark_noise(measured: LandmarkPose) -> FloatArray:
-    """Covariance (6, 6) of a landmark pose without its bias."""
-    return np.asarray(landmark_factor(measured) * measured.covariance + _LEAST_VARIANCE * np.eye(6))
-
-
-def landmark_factor(measured: LandmarkPose) -> float:
-    """Of the variance that the corners' localisation error gives a landmark pose."""
-    return _LANDMARK_INFLATION**2 * max(1.0, len(measured.points) / _INDEPENDENT_LANDMARKS)
+def landmark_noise(measured: LandmarkPose, distance_m: float) -> FloatArray:
+    """Covariance (6, 6) of a landmark pose without its bias, at a distance from the nearest reference pose."""
+    covariance = landmark_covariance(measured, distance_m)
+    return np.asarray(_LANDMARK_INFLATION**2 * covariance + _LEAST_VARIANCE * np.eye(6))

@@ -9,7 +9,7 @@ import pytest
 
 from map_helpers import motion_of
 from monoloc.fusion.bias_filter import BiasAugmentedFilter
-from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.bias_model import BiasModel, landmark_covariance
 from monoloc.fusion.bias_state import BiasAugmentedState
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray, adjoint, invert, is_rigid, pose_distance_m, se3_exp, se3_log
@@ -39,7 +39,8 @@ def by_particles(pose: FloatArray) -> Estimate:
 
 
 def by_landmarks(pose: FloatArray) -> LandmarkPose:
-    return LandmarkPose(pose, np.diag((NOISE_SD / NOISE_INFLATION) ** 2) * 20 / 50, np.zeros((50, 3)))
+    """Of so many landmarks that their noise is NOISE_SD at a reference pose."""
+    return LandmarkPose(pose, np.diag((NOISE_SD / NOISE_INFLATION) ** 2), np.zeros((33, 3)))
 
 
 def state_at_start(bias: BiasModel = PARTICLE_BIAS) -> BiasAugmentedState:
@@ -157,7 +158,7 @@ def test_state_from_particles_is_independent_of_the_landmarks_bias() -> None:
     np.testing.assert_array_equal(state.covariance[:12, 12:], 0.0)
     np.testing.assert_allclose(np.sqrt(np.diag(state.covariance)[6:-1]), prior_sds.ravel())
     offset_m = 0.04
-    updated = state.update_from_landmarks(by_landmarks(along_x(offset_m)))
+    updated = state.update_from_landmarks(along_x(offset_m), np.diag(NOISE_SD**2), is_decisive=True)
     of_particles, of_landmarks = NOISE_SD[0] ** 2 + prior_sds[:, 0] ** 2
     total = of_particles + of_landmarks
     assert updated.pose[0, 3] == pytest.approx(offset_m * of_particles / total, rel=1e-3)
@@ -475,7 +476,8 @@ def test_single_frames_without_odometry_preserve_the_learnt_bias() -> None:
 def test_landmarks_tell_the_scale_of_odometry() -> None:
     """Its depth is a quarter too small: the belief learns this, and then keeps the pose without landmarks."""
     step, seen = se3_exp([0.02, 0.0, 0.01, 0.0, 0.01, 0.0]), np.eye(4)
-    fusion, true = filter_at_origin(), np.eye(4)
+    path = np.stack([se3_exp(k * se3_log(step)) for k in range(80)])
+    fusion, true = filter_with(by_particles(np.eye(4)), path), np.eye(4)
     measured = step.copy()
     measured[:3, 3] *= 0.8
     for _ in range(60):
@@ -528,8 +530,10 @@ def test_belief_that_many_landmarks_contradict_begins_anew_at_their_pose() -> No
     belief = fusion.update_from_landmarks(by_landmarks(along_x(1.0)))
     np.testing.assert_array_equal(belief.pose, along_x(1.0))
     # Noise and landmarks' bias a metre away from the reference pose.
+    noise_sd = NOISE_INFLATION * np.sqrt(np.diag(landmark_covariance(by_landmarks(np.eye(4)), 1.0)))
+    assert np.all(noise_sd > 4.0 * NOISE_SD)
     np.testing.assert_allclose(
-        np.sqrt(np.diag(belief.covariance)), np.hypot(NOISE_SD, LANDMARK_BIAS.sds(1.0)), rtol=1e-4
+        np.sqrt(np.diag(belief.covariance)), np.hypot(noise_sd, LANDMARK_BIAS.sds(1.0)), rtol=1e-4
     )
 
 

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.bias_model import BiasModel, landmark_covariance
+from monoloc.landmarks.pnp import LandmarkPose
 
 sizes = st.floats(0.0, 1.0)
 
@@ -52,3 +53,17 @@ def test_relocalization_widens_and_never_narrows() -> None:
     )
     np.testing.assert_array_equal(model.relocalization_sds(0.0), [0.3] * 3 + [0.1] * 3)
     np.testing.assert_array_equal(model.relocalization_sds(4.0), model.sds(4.0))
+
+
+def test_many_landmarks_far_from_the_reference_poses_state_no_less_than_a_few_near_them() -> None:
+    """An error that landmarks have in common does not average out, and keeps the shape of the covariance."""
+    shape = np.diag([4.0, 1.0, 1.0, 0.1, 2.0, 0.1])
+
+    def stated(count: int, distance_m: float) -> np.ndarray:
+        measured = LandmarkPose(np.eye(4), shape / count, np.zeros((count, 3)))  # as the corners' error alone
+        return landmark_covariance(measured, distance_m)
+
+    np.testing.assert_allclose(stated(20, 0.0), shape / 20)
+    np.testing.assert_allclose(stated(500, 0.0), stated(100, 0.0))
+    assert stated(500, 0.0)[0, 0] > 10.0 * shape[0, 0] / 500
+    np.testing.assert_allclose(stated(100, 0.5) / stated(100, 0.0).max(), shape / shape.max() * (0.28 / 0.03))
