@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from monoloc.evaluation.consistency import CHI2_6_QUANTILE_99
 from monoloc.fusion.bias_model import landmark_covariance
 from monoloc.geometry import FloatArray, adjoint, invert, se3_exp, se3_log
 from monoloc.landmarks.pnp import LandmarkPose
@@ -14,8 +15,8 @@ from monoloc.particle_filter.estimate import Estimate
 PARTICLES, LANDMARKS = 0, 1
 """The sources, each with its bias."""
 
-GATE = 16.8
-"""Chi-squared, 6 degrees of freedom, 99 %: a measured pose beyond it is down-weighted."""
+GATE = CHI2_6_QUANTILE_99
+"""Chi-squared: a measured pose beyond it is down-weighted."""
 
 # Errors of particles and landmarks are correlated for some frames. Treated as independent from frame to frame, their
 # standard deviations are inflated by these factors.
