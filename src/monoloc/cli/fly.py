@@ -179,7 +179,7 @@ def fly(
                 outputs.append(north)
             elif firmware is not None:
                 # The autopilot first: what is written may wait for a disk.
-                outputs[:0] = senders(link, flight.record, bundle, firmware, flight_settings)
+                outputs[:0] = senders(link, flight.record, bundle, firmware, flight_settings, summary.unwritten)
             for output in outputs:
                 opened.enter_context(closing(output))
             Flight(

@@ -269,3 +269,32 @@ def test_first_run_that_takes_too_long_is_ended(monkeypatch: pytest.MonkeyPatch,
     began = time.perf_counter()
     refuses(lambda: predict(expanded(500, 9000, of)), DataError, "a minute for its first image")  # for some minutes
     assert time.perf_counter() - began < 20.0
+
+
+def test_later_run_that_takes_too_long_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Noise, as in the first run, is answered at once; a black image begins products of some minutes."""
+    chain = [helper.make_node("MatMul", [f"p{i}", "p0"], [f"p{i + 1}"]) for i in range(9000)]
+    made = helper.make_node("Expand", ["brightest", "shape"], ["p0"])
+    sum_of = helper.make_node("ReduceMax", ["p9000"], ["many"], keepdims=0)
+    none = helper.make_node("Identity", ["brightest"], ["none"])
+    long, short = (
+        helper.make_graph(nodes, name, [], [helper.make_tensor_value_info(name, TensorProto.FLOAT, [])])
+        for nodes, name in (([made, *chain, sum_of], "many"), ([none], "none"))
+    )
+    nodes = [
+        helper.make_node("ReduceMean", ["pixels"], ["grey"], axes=[1], keepdims=1),
+        helper.make_node("ReduceMax", ["grey"], ["brightest"], keepdims=0),
+        helper.make_node("Less", ["brightest", "dark"], ["is_dark"]),
+        helper.make_node("If", ["is_dark"], ["largest"], then_branch=long, else_branch=short),
+        helper.make_node("Add", ["grey", "largest"], ["result"]),
+    ]
+    outputs = [helper.make_tensor_value_info("result", TensorProto.FLOAT, None)]
+    model = ModelProto.FromString(graph(nodes, [IMAGE], outputs, {"dark": np.float32(-1.0)}))
+    model.graph.initializer.append(numpy_helper.from_array(np.array([500, 500]), "shape"))
+    monkeypatch.setattr(predictor, "_LATER_RUN_S", 0.5)
+    predictor_of_both = predict(model.SerializeToString())
+    assert np.isfinite(predictor_of_both.raw(np.full((128, 128, 3), 255, np.uint8))).all()
+    began = time.perf_counter()
+    black = np.zeros((128, 128, 3), np.uint8)
+    refuses(lambda: predictor_of_both.raw(black), DataError, "10 s for others")
+    assert time.perf_counter() - began < 20.0
