@@ -110,7 +110,7 @@ def run(kind: str, runs: int, keeps: bool) -> dict[str, object]:
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
         command = [sys.executable, __file__, "--in", str(work), "--runs", str(runs), kind]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
         counts = work / "counts.json"
         result = json.loads(counts.read_text()) if counts.exists() else {"tried": 0, "found": []}
         if done.returncode != 0 or not result["tried"]:
