@@ -146,6 +146,12 @@ def test_a_required_signature_refuses_all_else_in_one_line(capfd: Capture, here:
     read_bundle("room.monoloc")  # as ever, where no signature is asked for
 
 
+def test_the_key_is_not_overwritten_by_what_is_written(capfd: Capture, here: Path) -> None:
+    key = ("--require-signature", "team.pub", "--out", "team.pub")
+    for command in (("fly", "room.monoloc", "flight"), ("localize", "room.monoloc", "flight")):
+        refused(capfd, here, (*command, *key), "--out", "team.pub is read by this command", "another place")
+
+
 def test_what_is_no_key_is_refused(here: Path) -> None:
     Path("encrypted.key").write_bytes(ENCRYPTED)
     Path("rsa.pub").write_bytes(RSA)

@@ -132,7 +132,9 @@ def fly(
         mcap=mcap,
         record=record,
     )
-    check_outputs({"--out": flight.out, "--mcap": flight.mcap}, (room, flight.source, settings))
+    check_outputs(
+        {"--out": flight.out, "--mcap": flight.mcap}, (room, flight.source, settings, flight.require_signature)
+    )
     check_mcap(flight.mcap)
     if flight.record is not None:
         check_folder(flight.record, "--record")

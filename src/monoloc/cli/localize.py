@@ -119,7 +119,8 @@ def localize_command(
       monoloc localize room.monoloc my-recording --fix-poses opengl     (poses with axes of OpenGL)
       monoloc localize kitchen.monoloc 7scenes:redkitchen --view --record trajectory.rrd
     """
-    check_outputs({"--out": out, "--plot": plot, "--record": record}, (bundle, source, gyroscope, odometry, mount))
+    read = (bundle, source, require_signature, gyroscope, odometry, mount)
+    check_outputs({"--out": out, "--plot": plot, "--record": record}, read)
     if out is not None:
         check_trajectory(out, "--out")
     check_picture(plot, "--plot")
