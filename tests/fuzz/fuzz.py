@@ -27,7 +27,7 @@ ROOT = HERE.parents[1]
 sys.path.insert(0, str(HERE.parent / "support"))
 OUT = ROOT / "build" / "fuzz"
 SECONDS, MEGABYTES = 60, 2048  # of one file; on a busy machine, a tenth of it is its own
-KEPT, MOST_BYTES = 8, 2048  # files of a kind, and size of each
+KEPT, MOST_BYTES = 4, 2048  # files of a kind, and size of each
 CORPUS = HERE / "corpus"
 
 
