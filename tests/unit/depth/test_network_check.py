@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import time
 from collections.abc import Callable
@@ -20,7 +21,7 @@ from monoloc.depth.models import shipped_file, shipped_models
 from monoloc.depth.network_check import check_network
 from monoloc.depth.onnx_operators import OPERATORS
 from monoloc.depth.predictor import DepthPredictor
-from monoloc.depth.session import load_session
+from monoloc.depth.session import load_session, run_within
 from monoloc.depth.spec import DepthModel
 from monoloc.errors import DataError
 from onnx_networks import IMAGE, MIDAS, graph, onnx_network, toml_of
@@ -269,6 +270,16 @@ def test_first_run_that_takes_too_long_is_ended(monkeypatch: pytest.MonkeyPatch,
     began = time.perf_counter()
     refuses(lambda: predict(expanded(500, 9000, of)), DataError, "a minute for its first image")  # for some minutes
     assert time.perf_counter() - began < 20.0
+
+
+def test_runs_of_a_forked_process_are_watched_too() -> None:
+    with run_within(60.0):
+        child = os.fork()
+        if child == 0:
+            with run_within(0.0) as options:
+                time.sleep(1.5)
+                os._exit(int(not options.terminate))
+        assert os.waitpid(child, 0)[1] == 0
 
 
 def test_later_run_that_takes_too_long_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
