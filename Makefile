@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 NATIVE := CMakeLists.txt $(shell find cpp -type f)
 
-.PHONY: demo test test-all lint native-test sanitize docs clean
+.PHONY: demo test test-all lint native-test sanitize fuzz release-files docs clean
 
 demo: $(VENV)/installed
 	$(BIN)/monoloc demo
@@ -30,6 +30,12 @@ lint: $(VENV)/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+# Files of every kind, damaged on the way to new code in their readers; half an hour. RUNS is of each kind.
+RUNS ?= 5000
+fuzz: $(VENV)/installed
+	PIP_CONSTRAINT=constraints.txt $(BIN)/pip install --quiet --disable-pip-version-check atheris
+	OMP_NUM_THREADS=1 $(BIN)/python tests/fuzz/fuzz.py --runs $(RUNS)
+
 native-test: $(VENV)/installed
 	$(BIN)/cmake -S . -B build/cpp -DMONOLOC_BUILD_PYTHON=OFF -DMONOLOC_BUILD_TESTS=ON
 	$(BIN)/cmake --build build/cpp -j 2
@@ -41,6 +47,13 @@ sanitize: $(VENV)/installed
 		-DCMAKE_BUILD_TYPE=Debug -DCMAKE_CXX_FLAGS="-fsanitize=undefined,address -fno-sanitize-recover=all -O1"
 	$(BIN)/cmake --build build/sanitized -j 2
 	$(BIN)/ctest --test-dir build/sanitized --output-on-failure
+
+# What a drone installs, with the hashes of its files, and the same as a CycloneDX bill of materials.
+release-files: $(VENV)/installed
+	mkdir -p build/release
+	$(BIN)/python -m monoloc_lab.make.release_requirements mavlink mcap sign > build/release/requirements.txt
+	PIP_CONSTRAINT=constraints.txt $(BIN)/pip install --quiet --disable-pip-version-check cyclonedx-bom
+	$(BIN)/cyclonedx-py requirements build/release/requirements.txt --output-file build/release/sbom.cdx.json
 
 $(VENV)/installed: pyproject.toml lab/pyproject.toml constraints.txt $(NATIVE)
 	$(PYTHON) -m venv $(VENV)

@@ -10,6 +10,7 @@ import math
 import zipfile
 import zlib
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -74,7 +75,10 @@ def _array(data: bytes) -> NDArray[Any]:
     file = io.BytesIO(data)
     is_first_version = np.lib.format.read_magic(file) == (1, 0)
     header = np.lib.format.read_array_header_1_0 if is_first_version else np.lib.format.read_array_header_2_0
-    shape, _, dtype = header(file)
+    try:
+        shape, _, dtype = header(file)
+    except (SyntaxError, TokenError, RecursionError, MemoryError) as error:  # it is parsed as Python
+        raise ValueError("its header is damaged") from error
     if math.prod(shape) * dtype.itemsize > len(data) - file.tell():
         raise ValueError("it is cut short")
     file.seek(0)

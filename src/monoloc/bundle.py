@@ -3,6 +3,7 @@
 ``manifest.json`` (schema, SHA-256 of every file, specification of the network, settings, camera, provenance,
 likelihood thresholds), ``map.npz`` (original and adapted mixture, reference poses and the bias at each),
 ``landmarks.npz`` and ``depth.onnx``. It is written whole or not at all, and read only if every byte is as written.
+A signature (:mod:`monoloc.bundle_signature`) may lie beside them.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from monoloc.array_files import decode_arrays
+from monoloc.bundle_signature import SIGNATURE, check_signature
 from monoloc.camera import Camera
 from monoloc.config import describe
 from monoloc.depth.model_files import read_model
@@ -150,12 +152,24 @@ def digest_of(path: Path) -> str:
     Raises:
         BundleError: there is no bundle at the path.
     """
+    return hashlib.sha256(manifest_content(path)).hexdigest()
+
+
+def manifest_content(path: Path) -> bytes:
+    """A bundle's manifest, as it lies there.
+
+    Raises:
+        BundleError: there is no bundle at the path.
+    """
+    file = path / _MANIFEST
     try:
-        return hashlib.sha256((path / _MANIFEST).read_bytes()).hexdigest()
+        return read_regular(file)
     except OSError as error:
         raise BundleError(
             path, f"is not a bundle (no {_MANIFEST})", "give a folder made by: monoloc build"
         ) from error
+    except ValueError as error:
+        raise BundleError(file, "is cut short or edited", _COPY) from error
 
 
 def check_target(path: Path) -> None:
@@ -171,13 +185,14 @@ def check_target(path: Path) -> None:
     if path.exists() and not (path / _MANIFEST).is_file():
         raise BundleError(path, "exists and is not a bundle", "choose another name")
     # A folder is replaced whole: what monoloc did not put there must not go with it.
-    others = sorted({file.name for file in path.iterdir()} - {_MANIFEST, *_CONTENTS}) if path.exists() else []
+    known = {_MANIFEST, SIGNATURE, *_CONTENTS}
+    others = sorted({file.name for file in path.iterdir()} - known) if path.exists() else []
     if others:
         raise BundleError(path, f"holds more than a bundle ({others[0]})", "move that away or choose another name")
 
 
 def write_bundle(path: str | Path, bundle: Bundle) -> int:
-    """Write a bundle, replacing an older one; returns its size in bytes.
+    """Write a bundle, replacing an older one with its signature; returns its size in bytes.
 
     Raises:
         BundleError: as :func:`check_target`, or the disk does not take it.
@@ -213,15 +228,23 @@ def write_bundle(path: str | Path, bundle: Bundle) -> int:
     return sum(len(content) for content in contents.values())
 
 
-def read_bundle(path: str | Path) -> Bundle:
+def read_bundle(path: str | Path, public_key: str | Path | None = None) -> Bundle:
     """Read a bundle and check it byte for byte.
 
+    Args:
+        path: of the bundle.
+        public_key: file with the key of who must have signed it; None takes bundles of anybody.
+
     Raises:
-        BundleError: not a bundle, cut short, edited, of an unknown schema, or with a network that is refused by
-            :func:`monoloc.depth.network_check.check_network`.
+        BundleError: not a bundle, cut short, edited, of an unknown schema, with a network that is refused by
+            :func:`monoloc.depth.network_check.check_network`, or without the signature.
+        DataError, MissingExtraError: as :func:`monoloc.bundle_signature.check_signature`, with a key only.
     """
     path = Path(path)
-    manifest = _read_manifest(path)
+    content = manifest_content(path)
+    if public_key is not None:
+        check_signature(path, content, Path(public_key))
+    manifest = _manifest_of(content, path / _MANIFEST)
     contents = {}
     for name in _CONTENTS:
         try:
@@ -298,14 +321,9 @@ def _digest(body: dict[str, object]) -> str:
     return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
 
 
-def _read_manifest(path: Path) -> Manifest:
-    file = path / _MANIFEST
+def _manifest_of(content: bytes, file: Path) -> Manifest:
     try:
-        body = json.loads(read_regular(file))
-    except OSError as error:
-        raise BundleError(
-            path, f"is not a bundle (no {_MANIFEST})", "give a folder made by: monoloc build"
-        ) from error
+        body = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise BundleError(file, "is cut short or edited", _COPY) from error
     if not isinstance(body, dict) or body.get("schema_version") != SCHEMA:

@@ -72,6 +72,18 @@ def require_stream() -> None:
         raise MissingExtraError("streams over a network", "stream") from error
 
 
+def require_signing() -> None:
+    """Check that cryptography is installed, before a bundle is signed or its signature is checked.
+
+    Raises:
+        MissingExtraError: cryptography is not installed.
+    """
+    try:
+        import cryptography  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("a signature", "sign") from error
+
+
 def require_ros() -> None:
     """Check that rosbags is installed, before a bag is opened.
 

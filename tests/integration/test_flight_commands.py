@@ -155,6 +155,16 @@ def test_a_flight_at_the_recordings_pace_says_how_it_went(capfd: Capture, here: 
     assert figures["reconnections"] == 0
 
 
+def test_messages_are_recorded_beside_the_flight_and_replayed_to_the_last_bit(capfd: Capture, here: Path) -> None:
+    Path("flight.toml").write_text("down = [0, 1, 0]\nmost_age_s = 10.0\n")
+    fly = ("fly", "room.monoloc", "flight", "--settings", "flight.toml", "--start", "truth", "--record", "sent")
+    figures = json_of(capfd, *fly, "--mavlink", "udpout:127.0.0.1:9", "--firmware", "px4")
+    assert figures["frames"] > 0 and figures["unwritten"] == {}
+    assert (here / "sent" / "messages.tlog").stat().st_size > 100 * figures["frames"]
+    replayed = json_of(capfd, "replay", "sent")
+    assert replayed["different_frames"] == 0 and replayed["same_messages"]
+
+
 def test_a_fast_flight_claims_no_latency(capfd: Capture, here: Path) -> None:
     _, err = outputs(capfd, "fly", "room.monoloc", "flight", "--fast", "--start", "truth")
     assert f"{FRAMES} frames: " in err and "after capture" not in err

@@ -16,6 +16,8 @@ import pytest
 import ros_stand_in
 from cli_helpers import write_workspace
 from monoloc.bundle import Bundle, read_bundle
+from monoloc.bundle_signature import make_keys
+from monoloc.errors import BundleError
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.mcap_log import ros_frames_of
 from monoloc.geometry import FloatArray, invert, rotation_to_quaternion
@@ -244,6 +246,16 @@ def test_main_ends_with_one_line_without_a_bundle_and_whole_when_it_is_stopped(s
     stage.ros.spin = interrupt
     main()
     assert stage.ros.said[-2:] == ["destroyed", "shut down"]
+
+
+def test_a_signature_that_the_settings_require_is_asked_for(stage: Stage, tmp_path: Path) -> None:
+    make_keys(tmp_path / "team.key", tmp_path / "team.pub")
+    settings = tmp_path / "flight.toml"
+    settings.write_text(f'room = "{stage.path}"\nrequire_signature = "team.pub"\n')
+    with pytest.raises(BundleError, match="is not signed"):
+        stage.begin(settings=str(settings))
+    with pytest.raises(BundleError, match="is not signed"):
+        stage.begin(settings=str(settings), bundle=stage.path)
 
 
 def test_the_package_names_what_the_node_has() -> None:

@@ -65,6 +65,11 @@ def python(code: str, *arguments: str | Path, here: Path | None = None) -> subpr
     return subprocess.run(command, capture_output=True, text=True, cwd=here, timeout=600, check=False)
 
 
+def exit_by(*arguments: str) -> None:
+    """Run a command as the whole of a process."""
+    sys.exit(invoke(list(arguments)))
+
+
 def refused(
     capfd: pytest.CaptureFixture[str],
     folder: Path,

@@ -51,6 +51,8 @@ def test_arrays_are_read_as_written(tmp_path: Path) -> None:
         (npy([1.0]), "no whole archive"),
         (archive(a=b"text"), "magic string"),
         (archive(a=promising("(1000000000000,)")), "cut short"),
+        (archive(a=promising("(1,(")), "its header is damaged"),
+        (archive(a=promising("(" * 200 + ")" * 200)), "[Hh]eader"),
         (archive(a=npy(np.array([object()], dtype=object))), "allow_pickle"),
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import os
 import signal
@@ -10,6 +11,7 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -110,6 +112,46 @@ def test_folder_is_replaced_where_names_cannot_be_exchanged(tmp_path: Path, monk
     path.mkdir()
     (path / "older").touch()
     write_folder(path)
+    assert [file.name for file in tmp_path.rglob("*")] == ["room", "part"]
+
+
+@pytest.mark.parametrize("number", [None, errno.ENOSYS, errno.EINVAL, errno.EIO])
+def test_exchange_that_a_system_lacks_is_done_in_two_steps_and_other_errors_are_raised(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int | None
+) -> None:
+    def renameat2(*arguments: object) -> int:
+        ctypes.set_errno(number or 0)
+        return -1
+
+    library = SimpleNamespace() if number is None else SimpleNamespace(renameat2=renameat2)
+    monkeypatch.setattr(ctypes, "CDLL", lambda name, use_errno: library)
+    path = tmp_path / "room"
+    path.mkdir()
+    (path / "older").touch()
+    if number == errno.EIO:
+        with pytest.raises(OSError, match="Input/output error"):
+            write_folder(path)
+        assert [file.name for file in tmp_path.rglob("*")] == ["room", "older"]
+    else:
+        write_folder(path)
+        assert [file.name for file in tmp_path.rglob("*")] == ["room", "part"]
+
+
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOSYS, errno.EIO])
+def test_locks_that_a_file_system_lacks_are_done_without(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    """As on some network file systems; a lock that fails otherwise is an error."""
+
+    def fail(descriptor: int, kind: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(partial_files.fcntl, "flock", fail)
+    if number == errno.EIO:
+        with pytest.raises(OSError, match="Input/output error"):
+            write_folder(tmp_path / "room")
+        return
+    write_folder(tmp_path / "room")
     assert [file.name for file in tmp_path.rglob("*")] == ["room", "part"]
 
 

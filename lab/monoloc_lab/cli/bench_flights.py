@@ -1,4 +1,4 @@
-"""``monoloc bench recovery``, ``faults`` and ``fly``: what happens when a camera is kidnapped, fails or is gone."""
+"""``monoloc bench recovery``, ``faults``, ``fly``, ``soak``: a camera that is kidnapped, fails or is gone."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, get_args
 
+import cv2
 import typer
 
 from monoloc.bundle import read_bundle
@@ -32,6 +33,7 @@ from monoloc_lab.bench.judged_flight import REFUSED
 from monoloc_lab.bench.recovery import bench_recovery
 from monoloc_lab.rooms import TESTS
 from monoloc_lab.soak.live_flight import bench_live_flight
+from monoloc_lab.soak.many_steps import bench_soak
 
 _OTHER_ROOM = f"folder:{TESTS['L1']}"
 
@@ -157,6 +159,33 @@ def fly(
             bundle, source, frames, camera, seconds, rate_hz, firmware, Path(folder), stderr.print
         )
     content = asdict(figures)
+    if json:
+        print_json(content)
+    else:
+        print_table(f"{bundle}, {source}", ["", ""], [[name, text_of(value)] for name, value in content.items()])
+
+
+def soak(
+    bundle: BundleArgument,
+    source: SourceArgument,
+    frames: FramesOption = "::",
+    steps: Annotated[int, typer.Option("--steps", min=200, help="Number of steps.")] = 100_000,
+    seed: SeedOption = 0,
+    json: JsonOption = False,
+) -> None:
+    """Take very many steps with one localizer, and measure whether its memory or its time grow.
+
+    It needs Linux. Small images make it quick.
+
+    \b
+    Examples:
+      monoloc bench soak living.monoloc folder:living --steps 20000
+      monoloc bench soak kitchen.monoloc 7scenes:redkitchen --frames 0:300 --json
+    """
+    room, recording = read_bundle(bundle), open_source(source, frames)
+    cv2.setNumThreads(1)  # as in a flight
+    with ConsoleProgress(stderr).task("soak", steps) as show:
+        content = asdict(bench_soak(room, recording, steps, seed, show))
     if json:
         print_json(content)
     else:

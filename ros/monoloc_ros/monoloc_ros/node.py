@@ -44,8 +44,8 @@ class MonolocNode(Node):
 
     Parameters:
         bundle: of the room; empty takes that of the settings.
-        settings: a flight.toml, of which room, mount, down, obstacles and most_age_s are used; empty takes the mount
-            from /tf.
+        settings: a flight.toml, of which room, require_signature, mount, down, obstacles and most_age_s are used;
+            empty takes the mount from /tf.
         map_frame, odom_frame, base_frame: names.
         publish_odom: false where another node publishes odom -> base_link.
         rectified: whether the images are.
@@ -63,7 +63,7 @@ class MonolocNode(Node):
         bundle = self._parameter("bundle", "") or flight.room
         if not bundle:
             raise SettingError("bundle", "is missing", "name the bundle that monoloc build wrote")
-        self._bundle = load(bundle)
+        self._bundle = load(bundle, flight.require_signature)
         self._map, self._odom, self._base = (
             self._parameter(name, default)
             for name, default in (("map_frame", "map"), ("odom_frame", "odom"), ("base_frame", "base_link"))

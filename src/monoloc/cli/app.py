@@ -21,6 +21,7 @@ from monoloc.cli import (
     map_,
     reconstruct,
     replay,
+    signature,
 )
 from monoloc.errors import MonolocError
 from monoloc.version import __version__
@@ -48,6 +49,7 @@ app.command("replay")(replay.replay)
 app.add_typer(map_.app, name="map")
 app.add_typer(depth.app, name="depth")
 app.add_typer(calibrate_camera.app, name="calibrate")
+app.add_typer(signature.app, name="signature")
 
 
 def _add_installed_commands() -> None:

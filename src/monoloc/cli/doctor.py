@@ -69,9 +69,9 @@ def doctor(
       monoloc doctor room.monoloc camera:0 --camera cam.toml --mavlink serial:/dev/ttyAMA0:921600 --firmware px4
     """
     room, flight = flight_of(room, settings, source=source, camera=intrinsics, mavlink=mavlink, firmware=firmware)
-    check_outputs({"--report": report}, (room, flight.source, settings))
+    check_outputs({"--report": report}, (room, flight.source, settings, flight.require_signature))
     check_autopilot(flight, align=False, fast=False)
-    bundle, flight_settings = read_bundle(room), flight.settings
+    bundle, flight_settings = read_bundle(room, flight.require_signature), flight.settings
     if not (bundle.supports_relocalization or flight.marker or flight.start != UNKNOWN):
         problem = "cannot be searched: neither scans nor landmarks find the camera in it"
         raise SettingError("ROOM", problem, "write a start or a marker into flight.toml")

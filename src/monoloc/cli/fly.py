@@ -34,6 +34,7 @@ from monoloc.cli.flight_options import (
     starting_of,
 )
 from monoloc.cli.flight_outputs import check_mcap, check_view, header_of, logs, report
+from monoloc.cli.signature import RequireSignatureOption
 from monoloc.cli.start_option import METAVAR
 from monoloc.cli.stop_signals import stopped_by_signals
 from monoloc.flight.autopilot import down_world, gravity_of, link_to, obstacle_frames, senders, turns_of
@@ -60,6 +61,7 @@ def fly(
     ] = None,
     intrinsics: IntrinsicsOption = None,
     settings: SettingsOption = None,
+    require_signature: RequireSignatureOption = None,
     start: Annotated[
         str | None,
         typer.Option("--start", metavar=METAVAR, help="First camera pose; without it, the room is searched."),
@@ -120,6 +122,7 @@ def fly(
         settings,
         source=source,
         camera=intrinsics,
+        require_signature=require_signature,
         start=start,
         start_error_cm=start_error_cm,
         start_error_deg=start_error_deg,
@@ -129,14 +132,17 @@ def fly(
         mcap=mcap,
         record=record,
     )
-    check_outputs({"--out": flight.out, "--mcap": flight.mcap}, (room, flight.source, settings))
+    check_outputs(
+        {"--out": flight.out, "--mcap": flight.mcap}, (room, flight.source, settings, flight.require_signature)
+    )
     check_mcap(flight.mcap)
     if flight.record is not None:
         check_folder(flight.record, "--record")
         check_apart(flight.record, "--record", (room, flight.source))
     check_view(view, view_port)
     check_autopilot(flight, align, fast)
-    bundle, flight_settings, firmware = read_bundle(room), flight.settings, flight.firmware
+    bundle = read_bundle(room, flight.require_signature)
+    flight_settings, firmware = flight.settings, flight.firmware
     rng = np.random.default_rng(seed)
     cv2.setNumThreads(1)  # more do not speed up small images, and the drone needs its other cores
     summary, north = FlightSummary(), None
@@ -175,7 +181,7 @@ def fly(
                 outputs.append(north)
             elif firmware is not None:
                 # The autopilot first: what is written may wait for a disk.
-                outputs[:0] = senders(link, flight.record, bundle, firmware, flight_settings)
+                outputs[:0] = senders(link, flight.record, bundle, firmware, flight_settings, summary.unwritten)
             for output in outputs:
                 opened.enter_context(closing(output))
             Flight(

@@ -11,6 +11,7 @@ import numpy as np
 import typer
 
 from monoloc.bundle import read_bundle
+from monoloc.bundle_signature import SIGNATURE
 from monoloc.camera import Camera
 from monoloc.cli.common import (
     EXTENT_SIGMAS,
@@ -68,6 +69,7 @@ def _bundle(path: Path) -> dict[str, object]:
     return {
         "kind": "bundle",
         "monoloc_version": loads((path / "manifest.json").read_bytes())["monoloc_version"],
+        "is_signed": (path / SIGNATURE).is_file(),
         "bytes": sum(file.stat().st_size for file in path.iterdir()),
         "components": len(bundle.adapted),
         "map_bytes": bundle.adapted.nbytes_stored,

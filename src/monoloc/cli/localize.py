@@ -41,6 +41,7 @@ from monoloc.cli.motion_options import (
     measured_motions,
 )
 from monoloc.cli.pose_warning import warn_of_poses
+from monoloc.cli.signature import RequireSignatureOption
 from monoloc.cli.start_option import METAVAR, UNKNOWN, StartErrorCmOption, StartErrorDegOption, start_of
 from monoloc.config import override
 from monoloc.errors import MonolocError
@@ -57,6 +58,7 @@ def localize_command(
     bundle: Annotated[Path, typer.Argument(help="Bundle from monoloc build.", show_default=False)],
     source: SourceArgument,
     frames: FramesOption = "::",
+    require_signature: RequireSignatureOption = None,
     start: Annotated[
         str,
         typer.Option(
@@ -117,12 +119,13 @@ def localize_command(
       monoloc localize room.monoloc my-recording --fix-poses opengl     (poses with axes of OpenGL)
       monoloc localize kitchen.monoloc 7scenes:redkitchen --view --record trajectory.rrd
     """
-    check_outputs({"--out": out, "--plot": plot, "--record": record}, (bundle, source, gyroscope, odometry, mount))
+    read = (bundle, source, require_signature, gyroscope, odometry, mount)
+    check_outputs({"--out": out, "--plot": plot, "--record": record}, read)
     if out is not None:
         check_trajectory(out, "--out")
     check_picture(plot, "--plot")
     check_viewing(view, record)
-    room = read_bundle(bundle)
+    room = read_bundle(bundle, require_signature)
     recording = open_source(source, frames, intrinsics, depth_scale, fix_poses=fix_poses, fix_depth=fix_depth)
     warn_of_poses(recording)
     motions = measured_motions(recording.timestamps_s, gyroscope, odometry, odometry_delay, mount)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections import Counter
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Annotated
@@ -54,7 +55,7 @@ def replay(
         again = Path(made)
         outputs: list[FlightOutput] = [PoseLog(again / POSES)]
         if header.firmware is not None:
-            outputs += senders(None, again, bundle, header.firmware, header.settings)
+            outputs += senders(None, again, bundle, header.firmware, header.settings, Counter())
         for output in outputs:
             opened.enter_context(closing(output))
         with ConsoleProgress(stderr).task("replay", max(1, len(recorded) - 1)) as show:

@@ -18,6 +18,7 @@ from monoloc.errors import DataError, SettingError
 
 _ERROR_OUTPUT = "log_error_scale"
 _FIRST_RUN_S = 60.0  # the first run is the slowest, and a network that takes longer localises nothing
+_LATER_RUN_S = 10.0  # a network's work may follow from the image, as in branches
 _LEAST_IMAGE_PX = 32
 # Monoloc networks predict at a quarter of their input's size: 40 x 32 for most cameras, 120 x 88 for the widest.
 # Finer output is subsampled: a scan has a few hundred points, and depth at corners is smooth.
@@ -103,7 +104,8 @@ class DepthPredictor:
         """Predict the depth of an image (H, W, 3) uint8 RGB of the predictor's camera.
 
         Raises:
-            DataError: the network predicts relative depth that was never fitted.
+            DataError: the network predicts relative depth that was never fitted, or cannot be run on this image in
+                10 s and 2 GB.
         """
         if not self._spec.is_usable:
             fix = "fit it by monoloc build, or give its scale and shift"
@@ -124,19 +126,19 @@ class DepthPredictor:
         # Nearest neighbour: an average across a depth edge lies on neither surface.
         return [
             np.asarray(cv2.resize(output, self._output_size, interpolation=cv2.INTER_NEAREST_EXACT), np.float32)
-            for output in self._infer(color)
+            for output in self._infer(color, _LATER_RUN_S)
         ]
 
-    def _infer(
-        self, color: NDArray[np.uint8], options: onnxruntime.RunOptions | None = None
-    ) -> list[NDArray[np.float32]]:
+    def _infer(self, color: NDArray[np.uint8], most_s: float) -> list[NDArray[np.float32]]:
         tensor = image_tensor(color, self.input_camera, self._spec)
         try:
-            outputs = self._session.run(self._outputs, {self._input: tensor}, options)
+            with run_within(most_s) as options:
+                outputs = self._session.run(self._outputs, {self._input: tensor}, options)
         except Exception as error:  # onnxruntime's exceptions derive directly from Exception
             size = f"{self.input_camera.width}x{self.input_camera.height}"
             problem = f"cannot be run on images of {size} ({first_line(error)})"
-            fix = "correct width and height, or stride; it may take 2 GB, and a minute for its first image"
+            limits = "2 GB, a minute for its first image and 10 s for others"
+            fix = f"correct width and height, or stride; it may take {limits}"
             raise DataError(self.name, problem, fix) from error
         return [np.squeeze(np.asarray(output, dtype=np.float32)) for output in outputs]
 
@@ -144,8 +146,7 @@ class DepthPredictor:
         """Run the network on noise and return its checked first output."""
         name, camera = self.name, self.input_camera
         noise = np.random.default_rng(0).integers(0, 256, (camera.height, camera.width, 3), dtype=np.uint8)
-        with run_within(_FIRST_RUN_S) as options:
-            raw, *log_error = self._infer(noise, options)
+        raw, *log_error = self._infer(noise, _FIRST_RUN_S)
         if raw.ndim != 2 or min(raw.shape) < 2:
             problem = f"gives {' x '.join(map(str, raw.shape)) or 'one number'}, which is no depth image"
             raise DataError(name, problem, "its first output must be (1, 1, h, w), (1, h, w, 1), (1, h, w) or (h, w)")

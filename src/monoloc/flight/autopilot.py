@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from monoloc.errors import SettingError
 from monoloc.flight.flight_loop import FlightOutput
 from monoloc.flight.flight_recording import MESSAGES
 from monoloc.flight.flight_settings import FlightSettings
-from monoloc.flight.message_log import MessageLog
+from monoloc.flight.message_log import BackgroundMessageLog, MessageLog
 from monoloc.flight.pose_sender import MessageSink, PoseSender
 from monoloc.geometry import FloatArray
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
@@ -56,7 +57,12 @@ def _tells_obstacles(bundle: Bundle) -> bool:
 
 
 def senders(
-    sink: MessageSink | None, folder: Path | None, bundle: Bundle, firmware: Firmware, settings: FlightSettings
+    sink: MessageSink | None,
+    folder: Path | None,
+    bundle: Bundle,
+    firmware: Firmware,
+    settings: FlightSettings,
+    unwritten: Counter[str],
 ) -> list[FlightOutput]:
     """The outputs that send to an autopilot, in their order.
 
@@ -64,15 +70,18 @@ def senders(
         sink: takes the messages; None only writes them.
         folder: of a recording, where they are written; None writes none.
         bundle, firmware, settings: of the flight.
+        unwritten: counts messages that were sent but not written, since the disk was too slow.
 
     Raises:
+        DataError: the recording cannot be written.
         SettingError: as :func:`down_world`.
     """
     frames = frames_of(bundle, settings)
     if not _tells_obstacles(bundle):
         settings = settings.model_copy(update={"obstacles": False})
     if folder is not None:
-        log = MessageLog(folder / MESSAGES, sink)
+        path = folder / MESSAGES
+        log = MessageLog(path) if sink is None else BackgroundMessageLog(path, sink, unwritten)
         return [log, PoseSender(log, frames, firmware, settings)]
     return [] if sink is None else [PoseSender(sink, frames, firmware, settings)]
 

@@ -22,6 +22,7 @@ class FlightFile(FlightSettings):
 
     Attributes:
         room: bundle.
+        require_signature: public key of who must have signed it, or None.
         source: camera, stream or recording.
         camera: file of intrinsics, or numbers as ``--camera`` takes them.
         mavlink, firmware: address and firmware of the autopilot.
@@ -34,6 +35,7 @@ class FlightFile(FlightSettings):
     """
 
     room: Path | None = None
+    require_signature: Path | None = None
     source: str = "camera:0"
     camera: str | None = None
     mavlink: str | None = None
@@ -73,7 +75,7 @@ def read_flight_file(path: Path) -> FlightFile:
     """
     flight, folder = load_settings(path, FlightFile), path.parent
     changes: dict[str, object] = {"source": _source_beside(flight.source, folder)}
-    for name in ("room", "out", "mcap", "record"):
+    for name in ("room", "require_signature", "out", "mcap", "record"):
         given = getattr(flight, name)
         changes[name] = None if given is None else folder / given.expanduser()
     if flight.camera is not None and flight.camera.endswith(".toml"):

@@ -79,7 +79,7 @@ class FlightSummary:
             (captured no later than the one before), ``without start`` (before the first marker).
         states: number of frames in each state.
         unwritten: what outputs did not write since the disk was too slow, by kind: ``mcap images``, ``mcap frames``,
-            ``poses``.
+            ``poses``, ``messages``.
         failures: of outputs, which took no more frames.
         latencies_s: from capture to result, of the last frames.
         intervals_s: between localised frames, of the last ones.

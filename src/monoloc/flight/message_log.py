@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import struct
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 from monoloc.errors import DataError
 from monoloc.flight.flight_loop import FlightStep
 from monoloc.flight.pose_sender import MessageSink
+from monoloc.flight.writer_thread import WriterThread
 from monoloc.mavlink.messages import COMPONENT, dialect
+
+_MOST_MESSAGES = 10_000  # that wait for the disk, 3 MB, 100 s of flight; more are dropped
 
 
 class MessageLog:
-    """Writes messages and passes them on.
+    """Writes messages; a sink.
 
     It is an output, too, which must come before the one that sends, since it takes the time from the results. The
     messages have numbers of their own, and none of the heartbeats and answers of the link, so that a replay gives the
@@ -22,15 +26,15 @@ class MessageLog:
 
     Args:
         path: is replaced.
-        sink: takes the messages, also when they can no longer be written; None only writes them.
 
     Raises:
         DataError: the file cannot be written, at once or, by :meth:`take` and :meth:`idle`, later.
     """
 
-    def __init__(self, path: Path, sink: MessageSink | None = None) -> None:
-        self._path, self._sink = path, sink
+    def __init__(self, path: Path) -> None:
+        self._path = path
         self._failure: DataError | None = None
+        self._is_said = False  # to the flight, that it failed
         try:
             self._file = path.open("wb")
         except OSError as error:
@@ -39,31 +43,73 @@ class MessageLog:
         self._now_s = 0.0
 
     def send(self, message: Any) -> None:
-        if self._sink is not None:
-            self._sink.send(message)
+        data: bytes = message.pack(self._encoder)
+        self._encoder.seq = (self._encoder.seq + 1) % 256
         if self._failure is None:
             try:
-                self._write(message)
-            except OSError as error:
-                self._failure = self._cannot_be_written(error)
+                self._hand_over(struct.pack(">Q", round(self._now_s * 1e6)) + data)
+            except DataError as error:
+                self._failure = error
 
     def take(self, result: FlightStep) -> None:
         self.idle(result.done_s)
 
     def idle(self, now_s: float) -> None:
         self._now_s = now_s
-        if self._failure is not None:
-            raise self._failure
+        self._say_failure()
 
     def close(self) -> None:
+        """Raises DataError if the file could not be written, and :meth:`take` did not say so."""
         with contextlib.suppress(OSError):  # only what a write that failed has left is not yet in the file
             self._file.close()
+        self._say_failure()
 
-    def _write(self, message: Any) -> None:
-        data: bytes = message.pack(self._encoder)
-        self._encoder.seq = (self._encoder.seq + 1) % 256
-        self._file.write(struct.pack(">Q", round(self._now_s * 1e6)) + data)
-        self._file.flush()
+    def _hand_over(self, data: bytes) -> None:
+        self._write(data)
+
+    def _write(self, data: bytes) -> None:
+        try:
+            self._file.write(data)
+            self._file.flush()
+        except OSError as error:
+            raise self._cannot_be_written(error) from error
+
+    def _say_failure(self) -> None:
+        if self._failure is not None and not self._is_said:
+            self._is_said = True
+            raise self._failure
 
     def _cannot_be_written(self, error: OSError) -> DataError:
         return DataError(self._path, f"cannot be written ({error.strerror})", "make room, or choose another disk")
+
+
+class BackgroundMessageLog(MessageLog):
+    """A :class:`MessageLog` on the way to an autopilot, whose file a thread writes: no message waits for the disk.
+
+    Args:
+        path: is replaced.
+        sink: takes the messages, also when they can no longer be written.
+        dropped: counts messages that were sent but not written, since too many waited.
+
+    Raises:
+        DataError: as :class:`MessageLog`.
+    """
+
+    def __init__(self, path: Path, sink: MessageSink, dropped: Counter[str]) -> None:
+        super().__init__(path)
+        self._sink, self._dropped = sink, dropped
+        self._thread = WriterThread("messages", self._write, _MOST_MESSAGES)
+
+    def send(self, message: Any) -> None:
+        self._sink.send(message)
+        super().send(message)
+
+    def close(self) -> None:
+        try:
+            self._thread.close()
+        finally:
+            super().close()
+
+    def _hand_over(self, data: bytes) -> None:
+        if not self._thread.put(data):
+            self._dropped["messages"] += 1

@@ -25,13 +25,13 @@ def read_gyroscope(path: Path) -> tuple[FloatArray, FloatArray]:
             not increase.
     """
     lines = csv.DictReader(read_text(path).splitlines())
-    if not set(_COLUMNS) <= set(lines.fieldnames or ()):
-        fix = f"write {','.join(_COLUMNS)} in the first line: seconds, and rad/s about forward, left and up"
-        raise DataError(path, "has no columns of a gyroscope", fix)
     try:
+        if not set(_COLUMNS) <= set(lines.fieldnames or ()):
+            fix = f"write {','.join(_COLUMNS)} in the first line: seconds, and rad/s about forward, left and up"
+            raise DataError(path, "has no columns of a gyroscope", fix)
         rows = [[float(line[name]) for name in _COLUMNS] for line in lines]
-    except (TypeError, ValueError) as error:
-        raise DataError(path, f"line {lines.line_num} is no sample", "remove this line") from error
+    except (TypeError, ValueError, csv.Error) as error:
+        raise DataError(path, f"line {max(1, lines.line_num)} is no sample", "remove this line") from error
     if not rows:
         raise DataError(path, "has no samples", "give a file with at least one a frame")
     samples = np.array(rows)

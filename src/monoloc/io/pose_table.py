@@ -47,13 +47,13 @@ def read_pose_table(path: Path) -> tuple[FloatArray, FloatArray]:
         DataError: the file cannot be read, is no such table, or has a pose for no frame.
     """
     lines = csv.DictReader(read_text(path).splitlines())
-    if not {"time_s", "state", *_POSE} <= set(lines.fieldnames or ()):
-        fix = "give a table of monoloc localize --out or monoloc fly --out"
-        raise DataError(path, "is no table of poses", fix)
     try:
+        if not {"time_s", "state", *_POSE} <= set(lines.fieldnames or ()):
+            fix = "give a table of monoloc localize --out or monoloc fly --out"
+            raise DataError(path, "is no table of poses", fix)
         rows = [[float(line[name]) for name in ("time_s", *_POSE)] for line in lines if line["state"] != "lost"]
-    except (TypeError, ValueError) as error:
-        raise DataError(path, f"line {lines.line_num} has no pose", "remove this line") from error
+    except (TypeError, ValueError, csv.Error) as error:
+        raise DataError(path, f"line {max(1, lines.line_num)} has no pose", "remove this line") from error
     if not rows:
         raise DataError(path, "has no pose: every frame is lost", "give a trajectory with poses")
     numbers = np.array(rows)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import time
 from collections.abc import Callable
@@ -20,7 +21,7 @@ from monoloc.depth.models import shipped_file, shipped_models
 from monoloc.depth.network_check import check_network
 from monoloc.depth.onnx_operators import OPERATORS
 from monoloc.depth.predictor import DepthPredictor
-from monoloc.depth.session import load_session
+from monoloc.depth.session import load_session, run_within
 from monoloc.depth.spec import DepthModel
 from monoloc.errors import DataError
 from onnx_networks import IMAGE, MIDAS, graph, onnx_network, toml_of
@@ -268,4 +269,43 @@ def test_first_run_that_takes_too_long_is_ended(monkeypatch: pytest.MonkeyPatch,
     monkeypatch.setattr(predictor, "_FIRST_RUN_S", 0.5)
     began = time.perf_counter()
     refuses(lambda: predict(expanded(500, 9000, of)), DataError, "a minute for its first image")  # for some minutes
+    assert time.perf_counter() - began < 20.0
+
+
+def test_runs_of_a_forked_process_are_watched_too() -> None:
+    with run_within(60.0):
+        child = os.fork()
+        if child == 0:
+            with run_within(0.0) as options:
+                time.sleep(1.5)
+                os._exit(int(not options.terminate))
+        assert os.waitpid(child, 0)[1] == 0
+
+
+def test_later_run_that_takes_too_long_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Noise, as in the first run, is answered at once; a black image begins products of some minutes."""
+    chain = [helper.make_node("MatMul", [f"p{i}", "p0"], [f"p{i + 1}"]) for i in range(9000)]
+    made = helper.make_node("Expand", ["brightest", "shape"], ["p0"])
+    sum_of = helper.make_node("ReduceMax", ["p9000"], ["many"], keepdims=0)
+    none = helper.make_node("Identity", ["brightest"], ["none"])
+    long, short = (
+        helper.make_graph(nodes, name, [], [helper.make_tensor_value_info(name, TensorProto.FLOAT, [])])
+        for nodes, name in (([made, *chain, sum_of], "many"), ([none], "none"))
+    )
+    nodes = [
+        helper.make_node("ReduceMean", ["pixels"], ["grey"], axes=[1], keepdims=1),
+        helper.make_node("ReduceMax", ["grey"], ["brightest"], keepdims=0),
+        helper.make_node("Less", ["brightest", "dark"], ["is_dark"]),
+        helper.make_node("If", ["is_dark"], ["largest"], then_branch=long, else_branch=short),
+        helper.make_node("Add", ["grey", "largest"], ["result"]),
+    ]
+    outputs = [helper.make_tensor_value_info("result", TensorProto.FLOAT, None)]
+    model = ModelProto.FromString(graph(nodes, [IMAGE], outputs, {"dark": np.float32(-1.0)}))
+    model.graph.initializer.append(numpy_helper.from_array(np.array([500, 500]), "shape"))
+    monkeypatch.setattr(predictor, "_LATER_RUN_S", 0.5)
+    predictor_of_both = predict(model.SerializeToString())
+    assert np.isfinite(predictor_of_both.raw(np.full((128, 128, 3), 255, np.uint8))).all()
+    began = time.perf_counter()
+    black = np.zeros((128, 128, 3), np.uint8)
+    refuses(lambda: predictor_of_both.raw(black), DataError, "10 s for others")
     assert time.perf_counter() - began < 20.0

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import resource
+import threading
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +13,13 @@ from pymavlink import mavutil
 
 from mavlink_helpers import Wire, result_at, step_at
 from monoloc.errors import DataError
-from monoloc.flight.message_log import MessageLog
+from monoloc.flight.message_log import BackgroundMessageLog, MessageLog
 from monoloc.mavlink.messages import status_text
 
 
 def test_pymavlink_reads_the_messages_and_their_times(tmp_path: Path) -> None:
     wire = Wire()
-    log = MessageLog(tmp_path / "messages.tlog", wire)
+    log = BackgroundMessageLog(tmp_path / "messages.tlog", wire, Counter())
     for index in range(300):  # past the last sequence number
         log.take(result_at(1000.0 + index, step_at(np.eye(4)), age_s=0.25))
         log.send(status_text(f"text {index}", False))
@@ -33,20 +35,62 @@ def test_pymavlink_reads_the_messages_and_their_times(tmp_path: Path) -> None:
     assert len(wire.received) == 301 and read.recv_match(blocking=False) is None
 
 
-def test_a_full_disk_is_said_by_the_log_and_keeps_no_message_from_the_autopilot(tmp_path: Path) -> None:
+def test_a_full_disk_is_said_once_and_keeps_no_message_from_the_autopilot(tmp_path: Path) -> None:
     wire = Wire()
-    log = MessageLog(tmp_path / "messages.tlog", wire)
+    direct, background = tmp_path / "a.tlog", tmp_path / "b.tlog"
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (500, before[1]))
-    try:
-        for _ in range(50):
-            log.send(status_text("monoloc: tracking", False))
-        with pytest.raises(DataError, match=r"messages\.tlog: cannot be written \(File too large\); make room"):
-            log.take(result_at(1.0, step_at(np.eye(4))))
-        log.send(status_text("monoloc: lost", True))
-        log.close()
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert len(wire.received) == 51
+    for log in (MessageLog(direct), BackgroundMessageLog(background, wire, Counter())):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (500, before[1]))
+        try:
+            with pytest.raises(DataError, match=r"[ab]\.tlog: cannot be written \(File too large\); make room"):
+                for _ in range(50):
+                    log.send(status_text("monoloc: tracking", False))
+                    log.take(result_at(1.0, step_at(np.eye(4))))
+                log.close()
+            log.take(result_at(2.0, step_at(np.eye(4))))
+            for _ in range(50):
+                log.send(status_text("monoloc: lost", True))
+            log.close()
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert sum(message.text == "monoloc: lost" for message in wire.received) == 50
+    assert direct.stat().st_size == background.stat().st_size == 500
     with pytest.raises(DataError, match=r"cannot be written \(Is a directory\)"):
         MessageLog(tmp_path)
+
+
+def test_a_failure_after_the_last_frame_is_said_when_the_flight_closes(tmp_path: Path) -> None:
+    log = MessageLog(Path("/dev/full"))  # every write to it finds no space
+    log.send(status_text("monoloc: lost", True))
+    with pytest.raises(DataError, match="cannot be written"):
+        log.close()
+    log.close()
+
+
+def test_a_disk_that_stands_still_delays_no_message_and_what_is_left_out_is_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, goes_on = threading.Event(), threading.Event()
+    write = BackgroundMessageLog._write
+
+    def stalled(self: BackgroundMessageLog, data: bytes) -> None:
+        begun.set()
+        assert goes_on.wait(30.0)
+        write(self, data)
+
+    monkeypatch.setattr(BackgroundMessageLog, "_write", stalled)
+    monkeypatch.setattr("monoloc.flight.message_log._MOST_MESSAGES", 5)
+    wire, dropped = Wire(), Counter[str]()
+    path = tmp_path / "messages.tlog"
+    log = BackgroundMessageLog(path, wire, dropped)
+    log.send(status_text("text 0", False))
+    assert begun.wait(30.0)
+    for index in range(1, 20):
+        log.send(status_text(f"text {index}", False))
+    assert len(wire.received) == 20 and dropped == {"messages": 14} and path.stat().st_size == 0
+    goes_on.set()
+    log.close()
+    read = mavutil.mavlink_connection(str(path))
+    messages = [read.recv_match(blocking=False) for _ in range(7)]
+    assert [message.text for message in messages[:6]] == [f"text {index}" for index in range(6)]
+    assert messages[6] is None

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from monoloc.fusion.reference_poses import ReferencePoses, bias_correlation
+from monoloc.fusion.reference_poses import MOST_POSES, ReferencePoses, bias_correlation
 from monoloc.geometry import FloatArray, pose_distance_m, se3_exp
 
 twists = arrays(np.float64, (5, 6), elements=st.floats(-1.0, 1.0))
@@ -113,3 +113,11 @@ def test_common_bias_predicts_a_third_flight_best(of_place: float) -> None:
 
     best = min(map(remaining, np.linspace(0.0, 1.0, 21)))
     assert np.mean((third - common_bias(forward, backward)) ** 2) <= 1.005 * best
+
+
+def test_more_poses_than_a_frame_has_time_for_are_refused() -> None:
+    count = MOST_POSES + 1
+    poses, biases = np.tile(np.eye(4), (count, 1, 1)), np.zeros((count, 6))
+    with pytest.raises(ValueError, match=f"there are {count} poses, more than {MOST_POSES}"):
+        ReferencePoses(poses, biases, biases)
+    assert len(ReferencePoses(poses[1:], biases[1:], biases[1:]).poses) == MOST_POSES

@@ -40,6 +40,7 @@ def test_lost_frames_are_left_out(tmp_path: Path) -> None:
             "line 4 has no pose",
             "remove",
         ),
+        (lambda text: text.replace("time_s", "0" * 200_000, 1), "line 1 has no pose", "remove"),
         (lambda text: text.replace("1500000002.0", "1.0"), "entry 3 does not increase", "sort"),
     ],
 )

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 from scipy.stats import norm
 
 from monoloc.landmarks.pnp import LandmarkMeasurement
@@ -228,3 +229,19 @@ def test_position_is_far_off_where_the_belief_is_wrong_or_wide(sd_m: float) -> N
     beyond = 2.0 * norm.sf(0.3, scale=sd_m) if sd_m > 0.0 else 0.0
     far = monitor.probability_far(Estimate(np.eye(4), covariance, 0.0))
     assert far == pytest.approx(wrong + (1.0 - wrong) * beyond, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("edges", "right", "wrong", "problem"),
+    [
+        ((0.0,), (1.0,), (0.5, 0.5), "one probability more"),
+        ((0.0,), (1.0, 0.0), (0.5, 0.5), "must be positive"),
+        ((0.0,), (0.5, 0.5), (1.5, -0.5), "must be positive"),
+        ((1.0, 0.0), (0.2, 0.3, 0.5), (0.2, 0.3, 0.5), "edges ascending"),
+    ],
+)
+def test_probabilities_that_are_none_are_refused(
+    edges: tuple[float, ...], right: tuple[float, ...], wrong: tuple[float, ...], problem: str
+) -> None:
+    with pytest.raises(ValidationError, match=problem):
+        Classes(edges=edges, right=right, wrong=wrong)

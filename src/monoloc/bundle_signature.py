@@ -1,0 +1,120 @@
+"""Signatures tell who made a bundle: Ed25519 over its manifest, which holds the checksums of all other files.
+
+A signature is its plain 64 bytes and keys are PEM files, so that OpenSSL makes and checks the same. Needs the extra
+``sign``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from monoloc.errors import BundleError, DataError
+from monoloc.extras import require_signing
+from monoloc.files import read_regular, write_whole
+
+SIGNATURE = "manifest.sig"
+"""Name of the signature in a bundle."""
+
+_SIGNATURE_BYTES = 64
+_MOST_KEY_BYTES = 1 << 14
+_MAKE_ONE = "make a pair by: monoloc signature keys NAME"
+
+
+def make_keys(private: Path, public: Path) -> None:
+    """Make a pair of keys, as two new files; only their owner may read the private one.
+
+    Raises:
+        DataError: a file exists already, or cannot be written; neither is left then.
+        MissingExtraError: the extra ``sign`` is not installed.
+    """
+    require_signing()
+    from cryptography.hazmat.primitives import serialization as forms
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+    for path in (private, public):
+        if os.path.lexists(path):
+            raise DataError(path, "exists already", "choose another name: keys are not replaced")
+    key = Ed25519PrivateKey.generate()
+    secret = key.private_bytes(forms.Encoding.PEM, forms.PrivateFormat.PKCS8, forms.NoEncryption())
+    shown = key.public_key().public_bytes(forms.Encoding.PEM, forms.PublicFormat.SubjectPublicKeyInfo)
+    write_whole(public, shown)
+    try:
+        _write_secret(private, secret)
+    except OSError as error:
+        public.unlink()
+        fix = "name a file in a folder you can write to"
+        raise DataError(private, f"cannot be written ({error.strerror})", fix) from error
+
+
+def signature_of(manifest: bytes, private_key: Path) -> bytes:
+    """Sign a bundle's manifest; returns 64 bytes.
+
+    Raises:
+        DataError: the file holds no private key.
+        MissingExtraError: the extra ``sign`` is not installed.
+    """
+    require_signing()
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+    from cryptography.hazmat.primitives.serialization import load_pem_private_key
+
+    key = _key(private_key, lambda content: load_pem_private_key(content, password=None))
+    if not isinstance(key, Ed25519PrivateKey):
+        raise DataError(private_key, "holds no Ed25519 private key without a passphrase", _MAKE_ONE)
+    return key.sign(manifest)
+
+
+def check_signature(bundle: Path, manifest: bytes, public_key: Path) -> None:
+    """Refuse a bundle that the owner of a key has not signed as it is.
+
+    Args:
+        bundle: its folder.
+        manifest: of it, as it is used.
+        public_key: of the owner.
+
+    Raises:
+        BundleError: the bundle is not signed, was changed since, or was signed with another key.
+        DataError: the file holds no public key.
+        MissingExtraError: the extra ``sign`` is not installed.
+    """
+    require_signing()
+    from cryptography.exceptions import InvalidSignature
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+    from cryptography.hazmat.primitives.serialization import load_pem_public_key
+
+    key = _key(public_key, load_pem_public_key)
+    if not isinstance(key, Ed25519PublicKey):
+        raise DataError(public_key, "holds no Ed25519 public key", f"give NAME.pub, or {_MAKE_ONE}")
+    try:
+        signature = read_regular(bundle / SIGNATURE, _SIGNATURE_BYTES)
+        key.verify(signature, manifest)
+    except FileNotFoundError as error:
+        raise BundleError(bundle, "is not signed", "ask who made it for a signed copy") from error
+    except (InvalidSignature, OSError, ValueError) as error:
+        problem = f"was changed, or signed with another key than that of {public_key}"
+        raise BundleError(bundle, problem, "copy the bundle again from who signed it") from error
+
+
+def _key(path: Path, load: Callable[[bytes], object]) -> object:
+    """The key in a file, of whatever kind; None where there is none."""
+    try:
+        return load(read_regular(path, _MOST_KEY_BYTES))
+    except OSError as error:
+        raise DataError(path, f"cannot be read ({error.strerror})", "name the file of the key") from error
+    except Exception:  # the library has many, for damaged, encrypted and unknown keys
+        return None
+
+
+def _write_secret(path: Path, content: bytes) -> None:
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+    except BaseException:
+        with contextlib.suppress(OSError):
+            path.unlink()
+        raise

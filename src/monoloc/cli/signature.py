@@ -1,0 +1,82 @@
+"""``monoloc signature``: say who made a bundle, and check it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from monoloc.bundle import manifest_content, read_bundle
+from monoloc.bundle_signature import SIGNATURE, make_keys, signature_of
+from monoloc.cli.common import check_apart, stderr
+from monoloc.errors import BundleError
+from monoloc.partial_files import whole_file
+
+app = typer.Typer(
+    help="Sign bundles, and check who signed them.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+BundleArgument = Annotated[Path, typer.Argument(metavar="BUNDLE", help="Bundle from monoloc build.")]
+RequireSignatureOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--require-signature", metavar="KEY.pub", help="Refuse a bundle that the owner of this key has not signed."
+    ),
+]
+
+
+@app.command()
+def keys(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="NAME.key and NAME.pub are written.")],
+) -> None:
+    """Make a pair of keys: one to sign with, which is kept secret, and one to check with.
+
+    \b
+    Examples:
+      monoloc signature keys team        (writes team.key and team.pub)
+    """
+    private, public = Path(f"{name}.key"), Path(f"{name}.pub")
+    check_apart(private, "NAME", (private.parent,))
+    make_keys(private, public)
+    stderr.print(f"written: {private} (keep it secret) and {public}", soft_wrap=True)
+
+
+@app.command()
+def sign(
+    bundle: BundleArgument,
+    key: Annotated[Path, typer.Option("--key", metavar="NAME.key", help="Private key.")],
+) -> None:
+    """Sign a bundle, after a check of every byte. Any later change, or build of the same name, voids the signature.
+
+    \b
+    Examples:
+      monoloc signature sign kitchen.monoloc --key team.key
+    """
+    check_apart(key, "--key", (bundle,))
+    manifest = manifest_content(bundle)
+    read_bundle(bundle)
+    signature = signature_of(manifest, key)
+    try:
+        with whole_file(bundle.resolve() / SIGNATURE) as partial:
+            partial.write_bytes(signature)
+    except OSError as error:
+        fix = "sign a copy that you can write to"
+        raise BundleError(bundle, f"cannot be written to ({error.strerror})", fix) from error
+    stderr.print(f"written: {bundle / SIGNATURE}", soft_wrap=True)
+
+
+@app.command()
+def verify(
+    bundle: BundleArgument,
+    key: Annotated[Path, typer.Option("--key", metavar="NAME.pub", help="Public key of who should have signed.")],
+) -> None:
+    """Check that a bundle is, to the last byte, what the owner of a key signed.
+
+    \b
+    Examples:
+      monoloc signature verify kitchen.monoloc --key team.pub
+    """
+    read_bundle(bundle, key)
+    stderr.print(f"{bundle}: signed with the key of {key}", soft_wrap=True)
