@@ -45,7 +45,7 @@ def invoke(arguments: list[str]) -> int:
         sys.stdout.flush()
         return code
     except MonolocError as error:
-        _print_message(str(error))
+        _print_message(_with_page(error))
         return _READER_GONE if isinstance(error, ReaderGoneError) else 2
     except OSError as error:
         if error.filename is None:
@@ -55,6 +55,13 @@ def invoke(arguments: list[str]) -> int:
     except KeyboardInterrupt:
         _print_interrupted()
         return _INTERRUPTED
+
+
+def _with_page(error: MonolocError) -> str:
+    """The error's message, with the address of its page."""
+    from monoloc.documentation import page_address
+
+    return str(error) if error.page is None else f"{error} (see: {page_address(error.page)})"
 
 
 def _print_message(message: str) -> None:
