@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from monoloc import version
+from repository import REPOSITORY
 
 GIT = ("git", "-c", "user.name=x", "-c", "user.email=x@x", "-c", "commit.gpgsign=false")
 
@@ -20,6 +22,14 @@ def test_facts_name_what_runs() -> None:
     assert facts["monoloc"] == version.__version__
     assert facts["core"] in ("AVX-512", "AVX2", "NEON", "plain")
     assert re.match(r"\d+\.\d+", facts["ONNX Runtime"])
+
+
+def test_all_files_state_one_version_and_the_changelog_must_be_dated_for_a_release() -> None:
+    check = (sys.executable, str(REPOSITORY / ".github" / "check_release.py"))
+    found = subprocess.run([*check, f"v{version.__version__}"], capture_output=True, text=True, check=False).stderr
+    assert [line for line in found.splitlines() if not line.startswith("CHANGELOG.md has no heading")] == []
+    wrong = subprocess.run([*check, "v99.0.0"], capture_output=True, text=True, check=False)
+    assert wrong.returncode == 1 and wrong.stderr.count(", the tag v99.0.0") == 4
 
 
 @pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
