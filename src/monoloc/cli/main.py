@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable
 from types import FrameType
 
+from monoloc.cli.stop_signals import TERMINATION
 from monoloc.cli.streams import ReaderGoneError, secure_streams
 from monoloc.errors import MonolocError
 from monoloc.printable import printable
@@ -74,7 +75,7 @@ def _print_interrupted() -> None:
 
 def _on_signals(handler: Callable[[int, FrameType | None], None]) -> None:
     """Install the handler of Ctrl-C and of termination signals, except those that are ignored, as under nohup."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in TERMINATION:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, handler)
 
