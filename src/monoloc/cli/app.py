@@ -15,6 +15,7 @@ from monoloc.cli import (
     depth,
     doctor,
     evaluate,
+    fetch,
     fly,
     inspect,
     localize,
@@ -42,6 +43,7 @@ app = typer.Typer(
 )
 app.command("build")(build.build)
 app.command("check")(check.check)
+app.command("fetch")(fetch.fetch)
 app.command("reconstruct")(reconstruct.reconstruct_command)
 app.command("localize")(localize.localize_command)
 app.command("evaluate")(evaluate.evaluate)
