@@ -4,10 +4,14 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 NATIVE := CMakeLists.txt $(shell find cpp -type f)
 
-.PHONY: demo test test-all lint native-test sanitize fuzz release-files docs clean
+.PHONY: demo demo-bundle test test-all lint native-test sanitize fuzz release-files docs clean
 
 demo: $(VENV)/installed
 	$(BIN)/monoloc demo
+
+# The bundle that `monoloc demo` flies with. Needed when the bundle's schema changes.
+demo-bundle: $(VENV)/installed
+	OMP_NUM_THREADS=1 $(BIN)/python -m monoloc_lab.make.demo_bundle
 
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses logical --maxprocesses 4 --dist loadfile \
 	--cov --cov-report html:build/coverage
@@ -57,7 +61,7 @@ release-files: $(VENV)/installed
 
 $(VENV)/installed: pyproject.toml lab/pyproject.toml constraints.txt $(NATIVE)
 	$(PYTHON) -m venv $(VENV)
-	PIP_CONSTRAINT=constraints.txt $(BIN)/pip install --quiet --disable-pip-version-check --editable ".[dev]" --editable "lab[cluster,synth]"
+	PIP_CONSTRAINT=constraints.txt $(BIN)/pip install --quiet --disable-pip-version-check --editable ".[dev]" --editable "lab[cluster,synth,train]"
 	touch $@
 
 clean:

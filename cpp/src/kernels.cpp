@@ -1,6 +1,8 @@
 // The hot loops. Compiled once for each instruction set, with MONOLOC_ISA as its name.
 #include "monoloc/kernels.hpp"
 
+#include <cmath>
+
 #include "gram_kernel.hpp"
 #include "hamming_kernel.hpp"
 #include "pooling_kernel.hpp"
@@ -44,11 +46,11 @@ MONOLOC_INLINE void locate(const IndexView& index, FW x, FW y, FW z, Batch& batc
                     (gy < splat<FW>(4.0f * static_cast<float>(index.bricks[1]))) &
                     (gz < splat<FW>(4.0f * static_cast<float>(index.bricks[2])));
   // Zero replaces coordinates outside the grid, whose conversion could overflow.
-  const IW ix = __builtin_convertvector(inside ? gx : zero, IW);
-  const IW iy = __builtin_convertvector(inside ? gy : zero, IW);
-  const IW iz = __builtin_convertvector(inside ? gz : zero, IW);
+  const IW ix = convert<IW>(choose(inside, gx, zero));
+  const IW iy = convert<IW>(choose(inside, gy, zero));
+  const IW iz = convert<IW>(choose(inside, gz, zero));
   const IW brick = ((iz >> 2) * index.bricks[1] + (iy >> 2)) * index.bricks[0] + (ix >> 2);  // wraps as if unsigned
-  const IW key = inside ? brick : splat<IW>(static_cast<std::int32_t>(kOutsideKey));
+  const IW key = choose(inside, brick, splat<IW>(static_cast<std::int32_t>(kOutsideKey)));
   store(batch.key + at, key);
   store(batch.slot + at, (bits<UW>(key) * kHashFactor) >> index.hash_shift);
   store(batch.voxel + at, (iz & 3) << 4 | (iy & 3) << 2 | (ix & 3));
@@ -57,7 +59,7 @@ MONOLOC_INLINE void locate(const IndexView& index, FW x, FW y, FW z, Batch& batc
 // Candidate list of a voxel, or 0 (no blocks). The only branch is for collisions, which are rare.
 MONOLOC_INLINE std::uint32_t find_list(const IndexView& index, std::uint32_t key, std::uint32_t slot,
                                        std::uint32_t voxel) {
-  while (__builtin_expect(index.slots[slot].key != key, 0) && index.slots[slot].key != kEmptyKey) {
+  while (MONOLOC_UNLIKELY(index.slots[slot].key != key) && index.slots[slot].key != kEmptyKey) {
     slot = (slot + 1) & index.slot_mask;
   }
   return index.lists[index.slots[slot].lists + voxel];
@@ -75,7 +77,7 @@ MONOLOC_INLINE void evaluate(const IndexView& index, Batch& batch, std::size_t i
     y[i] = splat<F8>(batch.y[p]);
     z[i] = splat<F8>(batch.z[p]);
   }
-  const auto row = [&block](int r) __attribute__((always_inline)) {
+  const auto row = [&block](int r) MONOLOC_INLINE_LAMBDA {
     F8 parts[kTogether];
     for (std::size_t i = 0; i < kTogether; ++i) parts[i] = load<F8>(block[i] + r * kBlockLanes);
     return join(parts);
@@ -102,7 +104,7 @@ MONOLOC_INLINE std::size_t evaluate_batch(const IndexView& index, Batch& batch, 
     const std::uint32_t first = list[i] >> 8, blocks = list[i] & 0xFF;
     next[0] = {first, i};
     next[1] = {first + 1, i};
-    for (std::uint32_t b = 2; __builtin_expect(b < blocks, 0); ++b) next[b] = {first + b, i};
+    for (std::uint32_t b = 2; MONOLOC_UNLIKELY(b < blocks); ++b) next[b] = {first + b, i};
     next += blocks;
   }
   const auto items = static_cast<std::size_t>(next - batch.items);
@@ -125,7 +127,7 @@ void weigh(const IndexView& index, const float* particles, std::size_t stride, s
       const float px = scan[p], py = scan[points + p], pz = scan[2 * points + p];
       for (std::size_t i = 0; i < count; i += kWide) {
         const float* from = particles + first + i;
-        const auto row = [from, stride](int r) __attribute__((always_inline)) { return load<FW>(from + r * stride); };
+        const auto row = [from, stride](int r) MONOLOC_INLINE_LAMBDA { return load<FW>(from + r * stride); };
         const FW x = row(0) * px + (row(1) * py + (row(2) * pz + row(9)));
         const FW y = row(3) * px + (row(4) * py + (row(5) * pz + row(10)));
         const FW z = row(6) * px + (row(7) * py + (row(8) * pz + row(11)));
@@ -253,7 +255,7 @@ void log_density(const Component* components, std::size_t count, const double* p
       if (any_greater(term, negligible)) total += exp2_exact(term - largest);
     }
     for (std::size_t lane = 0; lane < kWide64; ++lane) {
-      out[i + lane] = 0.69314718055994530942 * largest[lane] + __builtin_log(total[lane]);
+      out[i + lane] = 0.69314718055994530942 * largest[lane] + std::log(total[lane]);
     }
   }
 }

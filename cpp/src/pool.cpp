@@ -1,6 +1,8 @@
 #include "pool.hpp"
 
+#ifndef _WIN32
 #include <unistd.h>
+#endif
 
 #include <algorithm>
 #include <atomic>
@@ -58,16 +60,23 @@ class Pool {
   std::atomic<std::size_t> next_{0};
 };
 
+// Windows has no fork.
+#ifdef _WIN32
+int process() { return 1; }
+#else
+pid_t process() { return getpid(); }
+#endif
+
 // The process's pool. It is never destroyed, because its threads wait until the process ends. A forked process does
 // not inherit the threads, so it creates its own pool.
 Pool& pool() {
   static std::mutex making;
   static Pool* made = nullptr;
-  static pid_t maker = 0;
+  static decltype(process()) maker = 0;
   const std::lock_guard<std::mutex> lock(making);
-  if (maker != getpid()) {
+  if (maker != process()) {
     made = new Pool;
-    maker = getpid();
+    maker = process();
   }
   return *made;
 }

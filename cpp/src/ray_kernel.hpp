@@ -37,7 +37,7 @@ MONOLOC_INLINE Cut cut(const float* whiten, float log2_peak, const float* offset
   const FW depth = (u0 * y0 + (u1 * y1 + u2 * y2)) * root * root;
   const FW e0 = y0 - depth * u0, e1 = y1 - depth * u1, e2 = y2 - depth * u2;
   // Components behind the camera are invisible.
-  const FW peak = depth > splat<FW>(kNearest) ? log2_peak - (e0 * e0 + (e1 * e1 + e2 * e2)) : splat<FW>(-1e9f);
+  const FW peak = choose(depth > splat<FW>(kNearest), log2_peak - (e0 * e0 + (e1 * e1 + e2 * e2)), splat<FW>(-1e9f));
   return {depth, root, peak};
 }
 
@@ -71,7 +71,7 @@ std::size_t ray_shortlist(const ShortlistView& view, const float* ray, float lea
   const FW zero = splat<FW>(0.0f);
   FW largest = splat<FW>(-1e9f);
   for (std::size_t k = 0; k < stride; k += kWide) {
-    const auto row = [&view, stride, k](int r) __attribute__((always_inline)) {
+    const auto row = [&view, stride, k](int r) MONOLOC_INLINE_LAMBDA {
       return load<FW>(view.whiten + r * stride + k);
     };
     const FW u0 = row(0) * ray[0], u1 = row(1) * ray[0] + row(2) * ray[1];
@@ -92,9 +92,9 @@ std::size_t ray_shortlist(const ShortlistView& view, const float* ray, float lea
     const FW most = peak - nearer * nearer - log_fast<FW, IW>(shortest) * kLog2E;
     const FW fewest = peak - farther * farther - log_fast<FW, IW>(longest) * kLog2E;
     const FW change = length * by + reach * around + by * around;  // of the product of u and y
-    store(scratch + k, along + change > kNearest * shortest * shortest ? most : splat<FW>(-2e9f));
+    store(scratch + k, choose(along + change > kNearest * shortest * shortest, most, splat<FW>(-2e9f)));
     const IW is_certain = along - change > kNearest * longest * longest;
-    largest = larger(largest, is_certain ? fewest : splat<FW>(-1e9f));
+    largest = larger(largest, choose(is_certain, fewest, splat<FW>(-1e9f)));
   }
   float bound = -1e9f;
   for (std::size_t lane = 0; lane < kWide; ++lane) bound = largest[lane] > bound ? largest[lane] : bound;
@@ -173,7 +173,7 @@ void weigh_rays(const RayView& view, const float* particles, const float* offset
         density += part * spread * exp2_fast<FW, UW>(off * off * -kHalfLog2E);
       }
       // Without a surface in front of the camera, only an outlier is possible.
-      const FW seen = largest > splat<FW>(-1e8f) ? density / mass : splat<FW>(0.0f);
+      const FW seen = choose(largest > splat<FW>(-1e8f), density / mass, splat<FW>(0.0f));
       const FW mixed = seen * depth * (inlier_share * 0.39894228040143268f) + outlier_density;
       store(logs + i, log_fast<FW, IW>(mixed) * point_weights[p]);
     }

@@ -1,44 +1,52 @@
-// SIMD vectors by the compiler's vector extension (GCC, Clang), with fast exp2 and log. Only for kernels.cpp:
-// everything has internal linkage, because it is compiled for several instruction sets.
+// SIMD vectors by the compiler's vector extension (GCC, Clang) or lane by lane (MSVC), with fast exp2 and log. Only for
+// kernels.cpp: everything has internal linkage, because it is compiled for several instruction sets.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 
 #if defined(__AVX2__)
 #include <immintrin.h>
 #endif
 
+#if defined(__GNUC__) || defined(__clang__)
 #define MONOLOC_INLINE static inline __attribute__((always_inline))
+#define MONOLOC_INLINE_LAMBDA __attribute__((always_inline))
+#define MONOLOC_UNLIKELY(condition) __builtin_expect(condition, 0)
+#else
+#define MONOLOC_INLINE static __forceinline
+#define MONOLOC_INLINE_LAMBDA
+#define MONOLOC_UNLIKELY(condition) (condition)
+#define MONOLOC_LANES  // tests define it for the other compilers too
+#endif
+
+#ifdef MONOLOC_LANES
+#include "lanes.hpp"
+#define MONOLOC_VECTOR(T, bytes, name) using name = Lanes<T, (bytes) / sizeof(T)>
+#else
+#define MONOLOC_VECTOR(T, bytes, name) typedef T name __attribute__((vector_size(bytes)))
+#endif
 
 namespace monoloc {
 namespace {
 
-typedef float F8 __attribute__((vector_size(32)));
-typedef std::uint32_t U8 __attribute__((vector_size(32)));
-
 #if defined(__AVX512F__)
-typedef float FW __attribute__((vector_size(64)));
-typedef std::int32_t IW __attribute__((vector_size(64)));
-typedef std::uint32_t UW __attribute__((vector_size(64)));
-typedef double DW __attribute__((vector_size(64)));
-typedef std::int64_t LW __attribute__((vector_size(64)));
-typedef std::uint64_t ULW __attribute__((vector_size(64)));
+#define MONOLOC_VECTOR_BYTES 64
 #elif defined(__AVX2__)
-typedef float FW __attribute__((vector_size(32)));
-typedef std::int32_t IW __attribute__((vector_size(32)));
-typedef std::uint32_t UW __attribute__((vector_size(32)));
-typedef double DW __attribute__((vector_size(32)));
-typedef std::int64_t LW __attribute__((vector_size(32)));
-typedef std::uint64_t ULW __attribute__((vector_size(32)));
+#define MONOLOC_VECTOR_BYTES 32
 #else
-typedef float FW __attribute__((vector_size(16)));
-typedef std::int32_t IW __attribute__((vector_size(16)));
-typedef std::uint32_t UW __attribute__((vector_size(16)));
-typedef double DW __attribute__((vector_size(16)));
-typedef std::int64_t LW __attribute__((vector_size(16)));
-typedef std::uint64_t ULW __attribute__((vector_size(16)));
+#define MONOLOC_VECTOR_BYTES 16
 #endif
+
+MONOLOC_VECTOR(float, 32, F8);
+MONOLOC_VECTOR(std::uint32_t, 32, U8);
+MONOLOC_VECTOR(float, MONOLOC_VECTOR_BYTES, FW);
+MONOLOC_VECTOR(std::int32_t, MONOLOC_VECTOR_BYTES, IW);
+MONOLOC_VECTOR(std::uint32_t, MONOLOC_VECTOR_BYTES, UW);
+MONOLOC_VECTOR(double, MONOLOC_VECTOR_BYTES, DW);
+MONOLOC_VECTOR(std::int64_t, MONOLOC_VECTOR_BYTES, LW);
+MONOLOC_VECTOR(std::uint64_t, MONOLOC_VECTOR_BYTES, ULW);
 
 constexpr std::size_t kWide = sizeof(FW) / sizeof(float);
 constexpr std::size_t kWide64 = sizeof(DW) / sizeof(double);
@@ -46,20 +54,20 @@ constexpr std::size_t kWide64 = sizeof(DW) / sizeof(double);
 template <class V, class T>
 MONOLOC_INLINE V load(const T* from) {
   V v;
-  __builtin_memcpy(&v, from, sizeof(V));
+  std::memcpy(&v, from, sizeof(V));
   return v;
 }
 
 template <class V, class T>
 MONOLOC_INLINE void store(T* to, V v) {
-  __builtin_memcpy(to, &v, sizeof(V));
+  std::memcpy(to, &v, sizeof(V));
 }
 
 template <class To, class From>
 MONOLOC_INLINE To bits(From from) {
   static_assert(sizeof(To) == sizeof(From), "same size");
   To to;
-  __builtin_memcpy(&to, &from, sizeof(To));
+  std::memcpy(&to, &from, sizeof(To));
   return to;
 }
 
@@ -68,9 +76,32 @@ MONOLOC_INLINE V splat(T value) {
   return value - V{};
 }
 
+// Of a where the mask is true, else of b.
+template <class M, class V>
+MONOLOC_INLINE V choose(M mask, V a, V b) {
+#ifdef MONOLOC_LANES
+  for (std::size_t i = 0; i < sizeof(V) / sizeof(a[0]); ++i) a[i] = mask[i] ? a[i] : b[i];
+  return a;
+#else
+  return mask ? a : b;
+#endif
+}
+
 template <class V>
 MONOLOC_INLINE V larger(V a, V b) {
-  return a > b ? a : b;
+  return choose(a > b, a, b);
+}
+
+// Each lane to another type of the same size, towards zero.
+template <class To, class From>
+MONOLOC_INLINE To convert(From from) {
+#ifdef MONOLOC_LANES
+  To to;
+  for (std::size_t i = 0; i < sizeof(To) / sizeof(to[0]); ++i) to[i] = static_cast<decltype(to[0] + 0)>(from[i]);
+  return to;
+#else
+  return __builtin_convertvector(from, To);
+#endif
 }
 
 // 2^t, relative error below 2.5e-7. t below -125 gives 2^-125 (2.4e-38); t must be below 127.
@@ -105,7 +136,7 @@ MONOLOC_INLINE F log_fast(F x) {
   p = p * f - 2.4999993993e-1f;
   p = p * f + 3.3333331174e-1f;
   const F f2 = f * f;
-  const F e = __builtin_convertvector(exponent, F);
+  const F e = convert<F>(exponent);
   return f2 * f * p + (e * -2.12194440e-4f - 0.5f * f2) + f + e * 0.693359375f;
 }
 
@@ -161,9 +192,9 @@ typedef F8 FB;
 typedef U8 UB;
 MONOLOC_INLINE FB join(const F8* part) { return part[0]; }
 MONOLOC_INLINE void sum_parts(FB v, float* sum) {
-  typedef float F4 __attribute__((vector_size(16)));
+  MONOLOC_VECTOR(float, 16, F4);
   F4 half[2];
-  __builtin_memcpy(half, &v, sizeof(v));
+  std::memcpy(half, &v, sizeof(v));
   const F4 s = half[0] + half[1];
   sum[0] = (s[0] + s[1]) + (s[2] + s[3]);
 }

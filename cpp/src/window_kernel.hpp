@@ -1,6 +1,7 @@
 // Linearised observations of a window; part of kernels.cpp, see there. A vector holds one value of kWide64 corners.
 #pragma once
 
+#include <cmath>
 #include <cstddef>
 
 #include "monoloc/kernels.hpp"
@@ -31,12 +32,12 @@ MONOLOC_INLINE void store3(double* to, std::size_t stride, const DW3& values) {
 }
 
 MONOLOC_INLINE DW square_root(DW x) {
-  for (std::size_t lane = 0; lane < kWide64; ++lane) x[lane] = __builtin_sqrt(x[lane]);
+  for (std::size_t lane = 0; lane < kWide64; ++lane) x[lane] = std::sqrt(x[lane]);
   return x;
 }
 
 MONOLOC_INLINE DW logarithm(DW x) {
-  for (std::size_t lane = 0; lane < kWide64; ++lane) x[lane] = __builtin_log(x[lane]);
+  for (std::size_t lane = 0; lane < kWide64; ++lane) x[lane] = std::log(x[lane]);
   return x;
 }
 

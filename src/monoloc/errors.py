@@ -11,7 +11,14 @@ from typing import Any
 
 
 class MonolocError(Exception):
-    """Base class of all errors caused by input; the message is one line that names the fix."""
+    """Base class of all errors caused by input; the message is one line that names the fix.
+
+    Attributes:
+        page: of the documentation, as ``how-to/install``, where it says more than the message; the command line adds
+            its address.
+    """
+
+    page: str | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         """As another process gets it: with its message and attributes, whatever its constructor takes."""
@@ -27,8 +34,10 @@ def _restored(kind: type[MonolocError], arguments: tuple[Any, ...], attributes: 
 class DataError(MonolocError):
     """A file or folder cannot be used. Message: ``path: problem; fix``."""
 
-    def __init__(self, path: str | Path, problem: str, fix: str) -> None:
+    def __init__(self, path: str | Path, problem: str, fix: str, page: str | None = None) -> None:
         self.path = Path(path)
+        if page is not None:
+            self.page = page
         super().__init__(f"{path}: {problem}; {fix}")
 
 
@@ -43,6 +52,8 @@ class SettingError(MonolocError):
 class BundleError(DataError):
     """A bundle is incomplete, was edited, or has an unknown schema."""
 
+    page = "reference/versions"
+
 
 class MissingExtraError(MonolocError):
     """A feature needs libraries that are not installed.
@@ -53,7 +64,7 @@ class MissingExtraError(MonolocError):
         package: package that defines the extra, ``monoloc`` or ``monoloc-lab``.
     """
 
+    page = "how-to/install"
+
     def __init__(self, what: str, extra: str, package: str = "monoloc") -> None:
-        folder = {"monoloc": ".", "monoloc-lab": "./lab"}[package]
-        fix = f'in a checkout of monoloc, run: pip install "{folder}[{extra}]"'
-        super().__init__(f'{what} needs the extra "{extra}" of {package}; {fix}')
+        super().__init__(f'{what} needs the extra "{extra}" of {package}; run: pip install "{package}[{extra}]"')

@@ -48,7 +48,7 @@ class PartialFile:
 
     def finish(self) -> None:
         """Put what was written into its place."""
-        if self._is_synced:
+        if self._is_synced and self._lock is not None:
             os.fsync(self._lock)
         self.path.replace(self._target)
         if self._is_synced:
@@ -61,7 +61,7 @@ class PartialFile:
             self._is_open = False
             with contextlib.suppress(OSError):
                 self.path.unlink()
-            os.close(self._lock)
+            _close(self._lock)
 
 
 @contextmanager
@@ -101,19 +101,28 @@ def whole_folder(target: Path, *, is_synced: bool = True) -> Iterator[Path]:
         _remove_litter(target)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-        os.close(lock)
+        _close(lock)
 
 
-def _made(target: Path, *, is_folder: bool) -> tuple[Path, int]:
-    """A new file or folder beside ``target``, and the descriptor that holds its lock."""
+def _made(target: Path, *, is_folder: bool) -> tuple[Path, int | None]:
+    """A new file or folder beside ``target``, and the descriptor that holds its lock; Windows needs none."""
     while True:
         partial = target.with_name(f".{target.name}.{secrets.token_hex(8)}{_SUFFIX}")
         if is_folder:
             partial.mkdir()
+        if sys.platform == "win32":  # folders cannot be opened there, and open files cannot be renamed
+            if not is_folder:
+                partial.touch()
+            return partial, None
         flags = os.O_RDONLY if is_folder else os.O_RDWR | os.O_CREAT | os.O_EXCL
         lock = os.open(partial, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
         if _has_locked(lock) and partial.exists():  # else another writer has just taken it for left behind
             return partial, lock
+        os.close(lock)
+
+
+def _close(lock: int | None) -> None:
+    if lock is not None:
         os.close(lock)
 
 
@@ -188,6 +197,8 @@ def _sync(path: Path) -> None:
     Raises:
         OSError: the disk has not taken it.
     """
+    if sys.platform == "win32":  # syncs only files that are open for writing
+        return
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

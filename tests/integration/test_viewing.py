@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from monoloc.bundle import Bundle, read_bundle, write_bundle
+from monoloc.bundle import Bundle, write_bundle
 from monoloc.cli.main import invoke
 from monoloc.evaluation.cloud_metrics import cloud_distances, matched_clouds
 from monoloc.viz import viewer
@@ -136,9 +136,8 @@ def test_demo_shows_every_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, m
 
     recording = str(made / "recording")
     flights = tuple(demo._Flight(name, None, recording, True) for name in ("one", "other"))
-    study = demo._Demo("a recording", recording, "::", "none", {}, flights)
-    monkeypatch.setattr(demo, "_embedded", lambda: study)
-    monkeypatch.setattr(demo, "_build", lambda *_: read_bundle(made / "room.monoloc"))
+    monkeypatch.setattr(demo, "_living", lambda build: demo._Demo("a recording", flights, None))
+    monkeypatch.setattr(demo, "BUNDLE", made / "room.monoloc")
     monkeypatch.setattr(demo, "check_viewing", lambda view: None)
     monkeypatch.setattr(demo, "run_viewer", watch)
     assert invoke(["demo", "--out", str(tmp_path / "out"), "--view", "--json"]) == 0

@@ -188,3 +188,27 @@ def test_file_that_the_disk_does_not_take_is_not_put_into_place(
     with pytest.raises(OSError, match="Input/output error"), whole_file(path) as partial:
         partial.write_bytes(b"new")
     assert path.read_bytes() == b"old" and list(tmp_path.iterdir()) == [path]
+
+
+def test_nothing_is_opened_where_open_files_cannot_be_renamed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on Windows, which also has no locks and opens no folders."""
+
+    class Os:
+        def __getattr__(self, name: str) -> object:
+            if name in ("open", "fsync"):
+                raise PermissionError(errno.EACCES, "Permission denied")
+            return getattr(os, name)
+
+    with monkeypatch.context() as windows:
+        windows.setattr(sys, "platform", "win32")
+        windows.setattr(partial_files, "os", Os())
+        for content in ("1", "2"):
+            with whole_file(tmp_path / "file") as partial:
+                partial.write_text(content)
+            with whole_folder(tmp_path / "folder") as folder:
+                (folder / content).write_text(content)
+    assert (tmp_path / "file").read_text() == "2"
+    assert [path.name for path in (tmp_path / "folder").iterdir()] == ["2"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder"]

@@ -1,4 +1,4 @@
-"""``monoloc demo``: build, adapt and localise in the rendered room of the package."""
+"""``monoloc demo``: localise in the rendered room of the package, with its shipped bundle or one that is built."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from monoloc.progress import ConsoleProgress
 from monoloc.run import Run, localize
 from monoloc.start import Start
 from monoloc.viz.viewer import run_viewer
-from monoloc_lab.rooms import BUILD, TESTS
+from monoloc_lab.rooms import BUILD, BUNDLE, TESTS
 
 _RECORDED = "7scenes/redkitchen"
 
@@ -54,19 +54,41 @@ class _Flight:
 
 
 @dataclass(frozen=True)
-class _Demo:
-    """The build and the runs.
+class RoomBuild:
+    """What a room's bundles are built from, adapted or not.
 
     Attributes:
-        network, adapt: of the build; the rendered room takes fewer steps than the default, to be faster.
+        adapt: settings of the adaptation; the rendered room takes fewer steps than the default, to be faster.
     """
 
-    title: str
     source: str
     frames: str
     network: str
     adapt: dict[str, object]
+
+    def write(self, path: Path, adapted: bool, seed: int) -> Bundle:
+        """Build the bundle, write it, and read it."""
+        tune: Tune = "all" if adapted else "none"
+        stderr.print(Text.assemble(("build", "bold"), f" {path.name} (--tune {tune})"))
+        adapt = {**self.adapt, "tune": tune, "map_transform": adapted}
+        config = override(BuildConfig(), adapt=adapt, landmarks=adapted)
+        recording = open_source(self.source, self.frames)
+        bundle, _ = build_bundle(recording, config, seed, ConsoleProgress(stderr), network=self.network)
+        write_bundle(path, bundle)
+        return read_bundle(path)  # its map is rounded, so this is the bundle that remains
+
+
+LIVING = RoomBuild(f"folder:{BUILD}", "::2", "one-third-0.35", {"steps": 200, "synthesised_views": 300})
+"""The rendered living room. ``make demo-bundle`` builds the shipped bundle with it."""
+
+
+@dataclass(frozen=True)
+class _Demo:
+    """The runs, and the build before them; None for the shipped bundle."""
+
+    title: str
     flights: tuple[_Flight, ...]
+    build: RoomBuild | None
 
 
 def demo(
@@ -74,6 +96,9 @@ def demo(
         Path | None,
         typer.Option("--data", help=f"A folder with {_RECORDED}, to use that real room instead.", show_default=False),
     ] = None,
+    build: Annotated[
+        bool, typer.Option("--build", help="Build the room anew, with and without adaptation (minutes, PyTorch).")
+    ] = False,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for bundles, trajectories and plots.")] = Path(
         "demo-output"
     ),
@@ -81,23 +106,26 @@ def demo(
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
-    """Build a map of a room, adapt a network to it, and localise another flight, in bright, medium and dim light.
+    """Localise a flight through a rendered room in three lights.
 
-    The room is rendered and part of the package. With --data it is a real kitchen, with the default settings.
+    Room, flight and the room's bundle are part of the package. With --build, the bundle is built from another flight,
+    and the flight is localised by an unadapted bundle, too. With --data, the room is a real kitchen, built with the
+    default settings.
 
     \b
     Examples:
       monoloc demo
       monoloc demo --view
+      monoloc demo --build
       monoloc demo --data ~/recordings --out kitchen --json
     """
     started = time.perf_counter()
-    study = _embedded() if data is None else _recorded(data)
+    study = _recorded(data) if data is not None else _living(build)
     check_folder(out, "--out")
     require_plotting()
     check_viewing(view)
     out.mkdir(exist_ok=True)
-    bundles = {adapted: _build(study, adapted, out, seed) for adapted in (False, True)}
+    bundles = _bundles(study.build, out, seed)
     runs = [(flight, _run(flight, bundles[flight.adapted], seed, out, view).metrics()) for flight in study.flights]
     seconds = time.perf_counter() - started
     if json:
@@ -106,21 +134,21 @@ def demo(
         return
     print_table(
         f"{study.title}; errors on unseen frames",
-        ["", "median", "RMSE", "rotation", "coverage", "depth error", "ms per frame"],
+        ["", "median", "RMSE", "rotation", "coverage", "depth", "ms/frame"],
         [[flight.name, *_row(figures)] for flight, figures in runs],
     )
-    stderr.print(f"{seconds:.0f} s; plots, trajectories and bundles: {out.resolve()}")
+    written = "plots and trajectories" if study.build is None else "plots, trajectories and bundles"
+    stderr.print(f"{seconds:.0f} s; {written}: {out.resolve()}", soft_wrap=True)
 
 
-def _embedded() -> _Demo:
+def _living(build: bool) -> _Demo:
     flights = tuple(
         _Flight(f"{light} {'adapted' if adapted else 'unadapted'}", light, f"folder:{source}", adapted)
         for light, source in TESTS.items()
-        for adapted in (False, True)
+        for adapted in ((False, True) if build else (True,))
     )
-    adapt: dict[str, object] = {"steps": 200, "synthesised_views": 300}
-    title = "rendered living room: built in L2 from one flight, localised on another"
-    return _Demo(title, f"folder:{BUILD}", "::2", "one-third-0.35", adapt, flights)
+    origin = "built in L2 from one flight" if build else "shipped bundle, built in L2 from one flight"
+    return _Demo(f"rendered living room: {origin}, localised on another", flights, LIVING if build else None)
 
 
 def _recorded(data: Path) -> _Demo:
@@ -133,19 +161,16 @@ def _recorded(data: Path) -> _Demo:
         _Flight("adapted", None, source, True, run),
         _Flight("sensor depth (bound)", None, source, False, run, sensor_depth=True),
     )
-    return _Demo(f"{_RECORDED}: built from frames {build}, localised on {run}", source, build, DEFAULT, {}, flights)
+    title = f"{_RECORDED}: built from frames {build}, localised on {run}"
+    return _Demo(title, flights, RoomBuild(source, build, DEFAULT, {}))
 
 
-def _build(study: _Demo, adapted: bool, out: Path, seed: int) -> Bundle:
-    path = out / ("adapted.monoloc" if adapted else "plain.monoloc")
-    tune: Tune = "all" if adapted else "none"
-    stderr.print(Text.assemble(("build", "bold"), f" {path.name} (--tune {tune})"))
-    adapt = {**study.adapt, "tune": tune, "map_transform": adapted}
-    config = override(BuildConfig(), adapt=adapt, landmarks=adapted)
-    recording = open_source(study.source, study.frames)
-    bundle, _ = build_bundle(recording, config, seed, ConsoleProgress(stderr), network=study.network)
-    write_bundle(path, bundle)
-    return read_bundle(path)  # its map is rounded, so this is the bundle that remains
+def _bundles(build: RoomBuild | None, out: Path, seed: int) -> dict[bool, Bundle]:
+    """Bundles by whether they are adapted."""
+    if build is None:
+        return {True: read_bundle(BUNDLE)}
+    names = {False: "plain.monoloc", True: "adapted.monoloc"}
+    return {adapted: build.write(out / name, adapted, seed) for adapted, name in names.items()}
 
 
 def _run(flight: _Flight, bundle: Bundle, seed: int, out: Path, view: bool) -> Run:

@@ -76,10 +76,11 @@ def reproduce(
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Reproduce the figures and the table of the paper, and compare its claims with the measurements.
+    """Reproduce the paper's figures and table.
 
-    Results in --out are reused, so a stopped run continues, and figures can be requested one by one. With --dask, all
-    machines need the same monoloc, the same data and the folder --out.
+    Its claims are compared with the measurements. Results in --out are reused, so a stopped run continues, and
+    figures can be requested one by one. With --dask, all machines need the same monoloc, the same data and
+    the folder --out.
 
     \b
     Examples:

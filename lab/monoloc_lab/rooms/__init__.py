@@ -1,6 +1,6 @@
-"""The rendered living room of the package: two flights as recordings in the ``folder`` format.
+"""The rendered living room of the package: two flights as recordings in the ``folder`` format, and a bundle.
 
-``python -m monoloc_lab.make.living_room`` renders it.
+``python -m monoloc_lab.make.living_room`` renders the flights, ``make demo-bundle`` builds the bundle.
 """
 
 from __future__ import annotations
@@ -14,3 +14,6 @@ BUILD = _LIVING / "build" / "L2"
 
 TESTS = {light: _LIVING / "test" / light for light in ("L1", "L2", "L3")}
 """The test flight through the same room, a few decimetres from the build flight: 150 frames in each light."""
+
+BUNDLE = _LIVING / "living.monoloc"
+"""The finished bundle: every second frame of the build flight, with the settings of ``monoloc demo --build``."""

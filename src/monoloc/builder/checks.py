@@ -203,7 +203,12 @@ def _check_poses(name: str, posed_scans: list[_PosedScan], mixture: GaussianMixt
     finding = f"depth fits the cloud only {gain:.2f} nats a point better at the poses than with cameras turned around"
     if gain < check.least_gain:
         problem = f"poses and cloud are not in one frame ({finding})"
-        raise DataError(name, problem, "give T_world_camera, camera axes as in OpenCV, and the cloud in that world")
+        raise DataError(
+            name,
+            problem,
+            "give T_world_camera, camera axes as in OpenCV, and the cloud in that world",
+            page="how-to/check-a-recording",
+        )
     return [f"{finding}; poses and cloud may not be in one frame"] if gain < check.good_gain else []
 
 
@@ -213,7 +218,8 @@ def _check_surfaces(name: str, posed_scans: list[_PosedScan], mixture: GaussianM
     (weakest, second, _), axes = np.linalg.eigh(np.mean(shares, axis=0))
     if second < _FLAT:
         problem = f"all frames see one flat surface ({1.0 - weakest - second:.0%} faces one way)"
-        raise DataError(name, problem, "record a trajectory that shows walls, floor and furniture")
+        fix = "record a trajectory that shows walls, floor and furniture"
+        raise DataError(name, problem, fix, page="how-to/record-a-room")
     if weakest < _TWO_DIRECTIONS:
         direction = ", ".join(f"{value:.2f}" for value in axes[:, 0])
         return [f"only {weakest:.0%} of what the frames see faces along ({direction}); poses will slide that way"]

@@ -15,6 +15,7 @@ from monoloc.cli import (
     depth,
     doctor,
     evaluate,
+    fetch,
     fly,
     inspect,
     localize,
@@ -24,21 +25,26 @@ from monoloc.cli import (
     signature,
 )
 from monoloc.errors import MonolocError
-from monoloc.version import __version__
+from monoloc.version import version_facts
 
 _INTERRUPTED = 130  # typer's result after Ctrl-C
 _LAB_COMMANDS = ("bench", "demo", "reproduce", "synth")
+
+
+class _LabMissingError(MonolocError):
+    page = "how-to/install"
+
 
 app = typer.Typer(
     name="monoloc",
     help="Localise a drone indoors with one camera.",
     no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
 app.command("build")(build.build)
 app.command("check")(check.check)
+app.command("fetch")(fetch.fetch)
 app.command("reconstruct")(reconstruct.reconstruct_command)
 app.command("localize")(localize.localize_command)
 app.command("evaluate")(evaluate.evaluate)
@@ -67,14 +73,21 @@ _add_installed_commands()
 
 def _show_version(is_requested: bool) -> None:
     if is_requested:
-        typer.echo(f"monoloc {__version__}")
+        for name, value in version_facts().items():
+            typer.echo(f"{name} {value}")
         raise typer.Exit
 
 
 @app.callback()
 def _before_all(
     version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+        bool,
+        typer.Option(
+            "--version",
+            callback=_show_version,
+            is_eager=True,
+            help="Show version, commit and processor path, and exit.",
+        ),
     ] = False,
 ) -> None:
     pass
@@ -95,8 +108,9 @@ def carry_out(arguments: list[str]) -> int:
         context = getattr(error, "ctx", None)
         problem = error.format_message()
         if arguments and arguments[0] in _LAB_COMMANDS and context is not None and context.parent is None:
-            fix = "in a checkout of monoloc, run: pip install ./lab"
-            raise MonolocError(f"monoloc {arguments[0]} comes with monoloc-lab; {fix}") from error
+            raise _LabMissingError(
+                f"monoloc {arguments[0]} comes with monoloc-lab; run: pip install monoloc-lab"
+            ) from error
         if "\n" in problem:  # a group without a command: the message is its help
             typer.echo(problem, err=True)
             return 2

@@ -48,9 +48,10 @@ def evaluate(
     fix_depth: FixDepthOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Compare a trajectory with reference poses, in the map's frame, without alignment.
+    """Compare a trajectory with reference poses, without alignment.
 
-    Poses without a reference within 0.02 s count as unmatched, and references without a pose as missed.
+    Both are in the map's frame. Poses without a reference within 0.02 s count as unmatched, and references
+    without a pose as missed.
 
     \b
     Examples:

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable
 from types import FrameType
 
+from monoloc.cli.stop_signals import TERMINATION
 from monoloc.cli.streams import ReaderGoneError, secure_streams
 from monoloc.errors import MonolocError
 from monoloc.printable import printable
@@ -45,7 +46,7 @@ def invoke(arguments: list[str]) -> int:
         sys.stdout.flush()
         return code
     except MonolocError as error:
-        _print_message(str(error))
+        _print_message(_with_page(error))
         return _READER_GONE if isinstance(error, ReaderGoneError) else 2
     except OSError as error:
         if error.filename is None:
@@ -55,6 +56,13 @@ def invoke(arguments: list[str]) -> int:
     except KeyboardInterrupt:
         _print_interrupted()
         return _INTERRUPTED
+
+
+def _with_page(error: MonolocError) -> str:
+    """The error's message, with the address of its page."""
+    from monoloc.documentation import page_address
+
+    return str(error) if error.page is None else f"{error} (see: {page_address(error.page)})"
 
 
 def _print_message(message: str) -> None:
@@ -67,7 +75,7 @@ def _print_interrupted() -> None:
 
 def _on_signals(handler: Callable[[int, FrameType | None], None]) -> None:
     """Install the handler of Ctrl-C and of termination signals, except those that are ignored, as under nohup."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in TERMINATION:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, handler)
 

@@ -54,10 +54,11 @@ def reconstruct_command(
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
-    """Find poses and depth of a video, or of other images without poses, by structure from motion.
+    """Find poses and depth of a video by structure from motion.
 
-    What it writes is a recording like any other: look at it, check it, build from it. Poses that the source may have
-    are not used. docs/how-to/map-from-a-video.md says how to film, and what tells the scale.
+    Other images without poses will do, too. What it writes is a recording like any other: look at it, check it, build
+    from it. Poses that the source may have are not used. docs/how-to/map-from-a-video.md says how to film, and what
+    tells the scale.
 
     \b
     Examples:

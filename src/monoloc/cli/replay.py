@@ -34,9 +34,10 @@ def replay(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="CSV of the poses to write.")] = None,
     json: JsonOption = False,
 ) -> None:
-    """Compute a recorded flight again, and compare it with what the flight computed and sent.
+    """Compute a recorded flight again, and compare both.
 
-    On the same machine, with the same version and bundle, poses and messages are the same to the last bit.
+    On the same machine, with the same version and bundle, poses and messages are what the flight computed and sent,
+    to the last bit.
 
     \b
     Examples:

@@ -8,6 +8,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+TERMINATION = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""Signals that ask for the end; Windows has no SIGHUP."""
+
 
 @contextmanager
 def stopped_by_signals() -> Iterator[Callable[[], bool]]:
@@ -16,7 +19,7 @@ def stopped_by_signals() -> Iterator[Callable[[], bool]]:
     A terminal that hangs up sends its signal twice, by the shell and by the kernel: that one never interrupts.
     """
     asked = threading.Event()
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    before = {number: signal.getsignal(number) for number in TERMINATION}
 
     def ask(number: int, frame: FrameType | None) -> None:
         asked.set()

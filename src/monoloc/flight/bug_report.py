@@ -10,7 +10,7 @@ from monoloc.camera import Camera
 from monoloc.flight.flight_file import FlightFile
 from monoloc.live.opening import is_live
 from monoloc.machine import library_versions, machine_facts
-from monoloc.version import __version__
+from monoloc.version import version_facts
 
 _LIBRARIES = ("numpy", "onnxruntime", "opencv-python-headless", "pymavlink", "av")
 
@@ -27,7 +27,7 @@ def bug_report(flight: FlightFile, bundle: Bundle, camera: Camera, found: Mappin
         found: by the doctor.
     """
     return {
-        "monoloc": __version__,
+        **version_facts(),
         "machine": machine_facts(),
         "libraries": library_versions(_LIBRARIES),
         "source": flight.source.partition("://")[0] if is_live(flight.source) else "recording",

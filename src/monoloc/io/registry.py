@@ -84,8 +84,8 @@ def open_recording(source: str, options: ReaderOptions | None = None) -> StoredR
         raise DataError(path, "is an archive", "unpack it, and give the folder")
     fix = f"write FORMAT:PATH with one of {', '.join(FORMATS)}"
     if path.is_dir() and any(file.suffix.lower() in _IMAGES for file in path.iterdir()):
-        fix = "describe its images in a dataset.toml, as docs/how-to/record-a-room.md shows"
-    raise DataError(path, "is not recognised as a recording", fix)
+        fix = "describe its images in a dataset.toml"
+    raise DataError(path, "is not recognised as a recording", fix, page="how-to/record-a-room")
 
 
 def absolute_source(source: str) -> str:

@@ -40,9 +40,8 @@ class CameraDevice:
             capture = cv2.VideoCapture(self._index)
         if not capture.isOpened():
             capture.release()
-            raise DataError(
-                self.name, "cannot be opened", "check that it is plugged in and that nothing else uses it"
-            )
+            fix = "check that it is plugged in and that nothing else uses it"
+            raise DataError(self.name, "cannot be opened", fix, page="how-to/fly")
         for key, value in (
             (cv2.CAP_PROP_FRAME_WIDTH, self._camera.width),
             (cv2.CAP_PROP_FRAME_HEIGHT, self._camera.height),

@@ -51,7 +51,8 @@ class ByteLink:
             self._port: Port | None = open_port(self._address)
         except OSError as error:
             problem = f"cannot be opened ({error.strerror or error})"
-            raise DataError(url, problem, "check the address, the cable and your rights") from error
+            fix = "check the address, the cable and your rights"
+            raise DataError(url, problem, fix, page="how-to/mavlink") from error
         self.counts: Counter[str] = Counter()
         self._on_bytes, self._on_tick = on_bytes, on_tick
         self._queue: deque[_Queued] = deque()

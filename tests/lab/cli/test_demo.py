@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cli_helpers import json_of, refused
+from cli_helpers import json_of, python, refused
 from monoloc.builder.build_config import BuildConfig
 from monoloc.bundle import Bundle
 from monoloc.io.recording import Recording
@@ -19,13 +20,43 @@ from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_
 LIGHTS = ["L1", "L2", "L3"]
 
 
-def test_demo_writes_bundles_trajectories_and_plots(
+def few_frames(monkeypatch: pytest.MonkeyPatch, build: bool) -> None:
+    whole = demo._living(build)
+    flights = tuple(replace(flight, frames="0:6") for flight in whole.flights if flight.light == "L3")
+    monkeypatch.setattr(demo, "_living", lambda _: replace(whole, flights=flights))
+
+
+def test_demo_flies_the_shipped_bundle_without_pytorch(tmp_path: Path) -> None:
+    """All three lights, but few frames; PyTorch, and what else only builds need, cannot be imported."""
+    code = """
+import sys
+from dataclasses import replace
+
+for name in ("torch", "onnx", "safetensors", "h5py"):
+    sys.modules[name] = None
+from monoloc.cli.main import invoke
+from monoloc_lab.cli import demo
+
+whole = demo._living(build=False)
+demo._living = lambda _: replace(whole, flights=tuple(replace(flight, frames="0:3") for flight in whole.flights))
+sys.exit(invoke(["demo", "--out", sys.argv[1], "--json"]))
+"""
+    result = python(code, tmp_path / "out")
+    assert result.returncode == 0, result.stderr
+    runs = json.loads(result.stdout)["runs"]
+    assert [(run["light"], run["adapted"], run["unseen_frames"]) for run in runs] == [
+        (name, True, 3) for name in LIGHTS
+    ]
+    assert max(run["ate_max_m"] for run in runs) < 0.3  # starts are 10 cm off
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {f"{light}-adapted{suffix}" for light in LIGHTS for suffix in (".png", ".txt")}
+
+
+def test_demo_builds_and_writes_bundles_trajectories_and_plots(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without the builds, which the slow test has."""
-    whole = demo._embedded()
-    flights = tuple(replace(flight, frames="0:6") for flight in whole.flights[-2:])
-    monkeypatch.setattr(demo, "_embedded", lambda: replace(whole, flights=flights))
+    few_frames(monkeypatch, build=True)
     bundle = make_bundle(room_mixture(Room(), 50), RoomRecording(Room(), make_path(2), SMALL_CAMERA))
     builds = []
 
@@ -34,7 +65,7 @@ def test_demo_writes_bundles_trajectories_and_plots(
         return bundle, None
 
     monkeypatch.setattr(demo, "build_bundle", build)
-    runs = json_of(capfd, "demo", "--out", str(tmp_path / "out"))["runs"]
+    runs = json_of(capfd, "demo", "--build", "--out", str(tmp_path / "out"))["runs"]
     assert [(run["name"], run["light"], run["adapted"]) for run in runs] == [
         ("L3 unadapted", "L3", False),
         ("L3 adapted", "L3", True),
@@ -55,7 +86,7 @@ def test_absent_recording_is_refused(tmp_path: Path, capfd: pytest.CaptureFixtur
 
 @pytest.mark.slow
 def test_adaptation_halves_the_error_in_the_living_room(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    result = json_of(capfd, "demo", "--out", str(tmp_path / "out"))
+    result = json_of(capfd, "demo", "--build", "--out", str(tmp_path / "out"))
     runs = result["runs"]
     assert [(run["light"], run["adapted"]) for run in runs] == [(name, a) for name in LIGHTS for a in (False, True)]
     assert result["seconds"] > 0.0

@@ -10,9 +10,9 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from cli_helpers import succeeds
-from monoloc import __version__
 from monoloc.cli.app import app
 from monoloc.cli.main import invoke
+from monoloc.version import version_facts
 
 
 def commands(group: TyperGroup, *path: str) -> Iterator[tuple[str, ...]]:
@@ -58,7 +58,22 @@ def test_help_lists_every_command(capfd: pytest.CaptureFixture[str]) -> None:
 
 
 def test_version(capfd: pytest.CaptureFixture[str]) -> None:
-    assert succeeds(capfd, "--version") == f"monoloc {__version__}\n"
+    assert succeeds(capfd, "--version").splitlines() == [f"{name} {fact}" for name, fact in version_facts().items()]
+
+
+def test_list_of_commands_fits_a_screen(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = succeeds(capfd, "--help").splitlines()
+    assert len(lines) < 40 and max(map(len, lines)) <= 80
+    assert not [line for line in lines[1:] if line.endswith("...")]  # each description is whole
+
+
+def test_shells_complete_commands(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {"_MONOLOC_COMPLETE": "complete_bash", "COMP_WORDS": "monoloc lo", "COMP_CWORD": "1"}.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(SystemExit) as ended:
+        invoke([])
+    assert ended.value.code == 0 and capfd.readouterr().out.split() == ["localize"]
 
 
 @pytest.mark.parametrize("group", [(), ("map",), ("depth",)], ids=str)

@@ -118,5 +118,5 @@ def test_missing_h5py_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     path = tmp_path / "nyu.mat"
     path.write_bytes(b"")
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(MissingExtraError, match=r'pip install "\.\[train\]"'):
+    with pytest.raises(MissingExtraError, match=r'pip install "monoloc\[train\]"'):
         open_recording(str(path))

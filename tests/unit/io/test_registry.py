@@ -60,7 +60,7 @@ def test_folder_of_no_known_format_is_refused(tmp_path: Path) -> None:
 
 def test_folder_of_images_is_to_be_described(tmp_path: Path) -> None:
     (tmp_path / "0001.JPG").touch()
-    refuses_to_open(tmp_path, tmp_path, "is not recognised", "dataset.toml, as docs/how-to/record-a-room.md shows")
+    refuses_to_open(tmp_path, tmp_path, "is not recognised", "describe its images in a dataset.toml")
 
 
 def test_archive_is_to_be_unpacked(tmp_path: Path) -> None:

@@ -58,4 +58,4 @@ def test_indefinite_covariance_is_refused() -> None:
 
 
 def test_instruction_set_is_named() -> None:
-    assert _core.instruction_set() in ("baseline", "avx2", "avx512")
+    assert _core.instruction_set() in ("plain", "neon", "avx2", "avx512")

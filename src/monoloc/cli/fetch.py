@@ -1,0 +1,106 @@
+"""``monoloc fetch``: download a public recording by its name."""
+
+from __future__ import annotations
+
+import json as json_format
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from monoloc.cli.common import JsonOption, check_folder, print_json, print_table, stderr
+from monoloc.errors import DataError, SettingError
+from monoloc.fetch.data_sets import DATA_SETS, DataSet
+from monoloc.fetch.download import download, sha256_of
+from monoloc.fetch.unpack import unpack
+from monoloc.files import json_text, read_regular, target_of, write_whole
+from monoloc.partial_files import whole_folder
+from monoloc.progress import ConsoleProgress
+
+_CHECKSUMS = "monoloc-checksums.json"  # of archives by address, as they were first downloaded
+
+
+def fetch(
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Recording; none lists them.")] = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder to put it into, under its name.")] = Path(),
+    accept_terms: Annotated[
+        bool, typer.Option("--accept-terms", help="The recording's terms, which are shown, are accepted.")
+    ] = False,
+    json: JsonOption = False,
+) -> None:
+    """Download a public recording by its name.
+
+    Its terms are those of its publisher: their page is shown first, and nothing is downloaded before they are
+    accepted. A download that broke off goes on when the command is run again.
+
+    \b
+    Examples:
+      monoloc fetch
+      monoloc fetch redkitchen --out recordings
+      monoloc fetch fr1-desk --accept-terms --json
+    """
+    if name is None:
+        _list(json)
+        return
+    if name not in DATA_SETS:
+        raise SettingError("NAME", f"{name!r} is not known", f"known names: {', '.join(DATA_SETS)}")
+    data_set = DATA_SETS[name]
+    check_folder(out, "--out")
+    source = _source(data_set, out / name)
+    if (out / name).exists():
+        stderr.print(f"{out / name} is there already", soft_wrap=True)
+    else:
+        _accept(data_set, accept_terms)
+        out.mkdir(exist_ok=True)
+        _fetch(data_set, name, out)
+    if json:
+        print_json({"name": name, "source": source, "terms": data_set.terms})
+    else:
+        stderr.print(f"next: monoloc check {source}", soft_wrap=True)
+
+
+def _list(json: bool) -> None:
+    if json:
+        print_json({name: {"title": each.title, "terms": each.terms} for name, each in DATA_SETS.items()})
+    else:
+        rows = [[name, each.title, each.terms] for name, each in DATA_SETS.items()]
+        print_table("Recordings", ["name", "what it is", "terms"], rows)
+
+
+def _accept(data_set: DataSet, is_accepted: bool) -> None:
+    stderr.print(f"{data_set.title}; terms: {data_set.terms}", soft_wrap=True)
+    if not is_accepted and not (stderr.is_terminal and typer.confirm("Do you accept these terms?", err=True)):
+        raise SettingError("--accept-terms", "was not given", f"read {data_set.terms}, then give it")
+
+
+def _fetch(data_set: DataSet, name: str, out: Path) -> None:
+    archive = out / Path(data_set.archive).name
+    download(data_set.archive, archive, ConsoleProgress(stderr))
+    _check(data_set, archive, out / _CHECKSUMS)
+    with whole_folder(target_of(out / name), is_synced=False) as folder:
+        unpack(archive, folder)
+    archive.unlink()
+
+
+def _check(data_set: DataSet, archive: Path, record: Path) -> None:
+    """Compare an archive with its checksum: the known one, else that of the first download, which is recorded."""
+    found = sha256_of(archive)
+    try:
+        recorded = json_format.loads(read_regular(record)) if record.exists() else {}
+    except ValueError as error:
+        raise DataError(
+            record, f"is no JSON ({error})", "remove it; the next download records its checksum"
+        ) from error
+    expected = data_set.sha256 or recorded.get(data_set.archive)
+    if expected is None:
+        write_whole(record, json_text({**recorded, data_set.archive: found}).encode() + b"\n")
+        stderr.print(f"no checksum is published; recorded in {record}: {found}", soft_wrap=True)
+    elif found != expected:
+        archive.unlink()
+        fix = f"fetch it again, or ask its publisher whether it was changed ({record} holds the first)"
+        raise DataError(data_set.archive, f"has SHA-256 {found}, not {expected}", fix)
+
+
+def _source(data_set: DataSet, folder: Path) -> str:
+    format_name, _, path = data_set.source.partition(":")
+    return f"{format_name}:{folder / path}"

@@ -1,0 +1,35 @@
+"""Addresses of pages, and the errors that name them."""
+
+from __future__ import annotations
+
+import re
+from email.message import Message
+
+import pytest
+
+from monoloc import documentation
+from monoloc.cli.main import invoke
+from monoloc.documentation import page_address
+from repository import REPOSITORY
+
+
+def test_pages_are_on_the_site_if_it_is_known_else_in_the_source(monkeypatch: pytest.MonkeyPatch) -> None:
+    facts = Message()
+    monkeypatch.setattr(documentation, "metadata", lambda _: facts)
+    assert page_address("how-to/install") == "docs/how-to/install.md"
+    facts["Project-URL"] = "Source, https://example.org/code"
+    facts["Project-URL"] = "Documentation, https://example.org/monoloc/"
+    assert page_address("how-to/install") == "https://example.org/monoloc/how-to/install/"
+
+
+def test_every_page_that_an_error_names_exists() -> None:
+    sources = (REPOSITORY / "src").rglob("*.py")
+    named = {page for file in sources for page in re.findall(r'\bpage\s*=\s*"([^"]+)"', file.read_text())}
+    assert len(named) >= 5
+    assert [page for page in sorted(named) if not (REPOSITORY / "docs" / f"{page}.md").is_file()] == []
+
+
+def test_command_line_adds_the_page_to_the_line(capfd: pytest.CaptureFixture[str]) -> None:
+    assert invoke(["inspect", str(REPOSITORY / "docs")]) == 2
+    err = capfd.readouterr().err
+    assert err.count("\n") == 1 and err.endswith(f"(see: {page_address('how-to/record-a-room')})\n")
