@@ -39,7 +39,7 @@ from monoloc_lab.experiments.task import Result, Task
 
 NAMES = ["fig1", "fig2", "fig3", "fig4ab", "fig4c", "fig4d", "fig5top", "fig5a", "fig5b", "table1", "variants"]
 NAMES += ["map-size", "lambda", "frames"]
-ON_REQUEST = ["ablation", "adapt-settings", "robustness"]
+ON_REQUEST = ["ablation", "adapt-settings", "robustness", "ladder"]
 ONLY_IN_FULL = {"map-size", "lambda", "frames"}
 ROOM = "living room"
 
