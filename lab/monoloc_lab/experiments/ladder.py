@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from monoloc.viz.picture import BLUE, GREEN, ORANGE, picture
 from monoloc_lab.experiments import tasks as factories
+from monoloc_lab.experiments.drawing import legend_below, logarithmic
 from monoloc_lab.experiments.figure import Drawn, Figure
 from monoloc_lab.experiments.gather import FROM_SAME_START, MEDIAN, RMSE, ROTATION, network_of
 from monoloc_lab.experiments.interval import CONFIDENCE, Interval, interval_of, verdict
@@ -130,7 +132,28 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
         "over builds; fewer than three builds have none, and decide nothing. The step is the RMSE over that of the "
         "row above."
     )
-    return Drawn(numbers={"rows": rows}, tables=tables, text=text)
+    return Drawn(numbers={"rows": rows}, pictures=[_draw(study, rows, folder)], tables=tables, text=text)
+
+
+def _draw(study: Study, rows: Sequence[Row], folder: Path) -> Path:
+    """RMSE of every rung, a point a build; rungs go down, splits are colours."""
+    path = folder / "ladder.png"
+    with picture(path, 8.0, 0.9 + 0.34 * len(RUNGS)) as figure:
+        axis = figure.subplots()
+        for split, colour in zip(stretches(study), (BLUE, ORANGE, GREEN), strict=False):
+            found = [(index, of_builds(rows, split, rung.name, "rmse_cm")) for index, rung in enumerate(RUNGS)]
+            line = [(float(np.median([*each.values()])), index) for index, each in found if each]
+            axis.plot(*np.transpose(line), color=colour, linewidth=1.0, alpha=0.5)
+            points = [(value, index) for index, each in found for value in each.values()]
+            axis.plot(*np.transpose(points), "o", color=colour, markeredgecolor="white", markersize=7, label=split)
+        axis.set_yticks(range(len(RUNGS)), [rung.name for rung in RUNGS])
+        axis.invert_yaxis()
+        axis.grid(axis="x", alpha=0.3)
+        axis.set(xscale="log", xlabel="position RMSE (cm), a point a build")
+        logarithmic(axis.xaxis)
+        axis.set_title(f"{study.title}: from the paper's method to the default")
+        legend_below(figure, [axis], 3)
+    return path
 
 
 _HEAD = ("method", "median cm", "RMSE cm", "rotation °", "AbsRel %", "coverage 95 %", "step", "", "builds")

@@ -70,17 +70,25 @@ _LIKELIHOOD = BuildConfig.model_validate({"adapt": _BY_MAP})
 
 _FLIGHTS: dict[str, tuple[Part, ...]] = {", depth alone": ("landmarks",), "": ()}
 
-PAIRS: tuple[tuple[Rung, Rung], ...] = tuple(
-    (Rung(f"{name}{suffix}", build, without), Rung(f"the default{suffix}", without=without))
-    for name, build in (
-        ("nothing tuned", _UNTUNED),
-        ("network tuned, map as it is", _NETWORK),
-        ("last layer tuned, losses of the default", _LAST),
-        ("all layers tuned, by likelihood alone", _LIKELIHOOD),
-    )
-    for suffix, without in _FLIGHTS.items()
+_PAPER_UNTUNED = Rung("nothing tuned, in the paper's filter", _built(tune="none", map_transform=False), PARTS)
+
+PAIRS: tuple[tuple[Rung, Rung], ...] = (
+    (_PAPER_UNTUNED, RUNGS[0]),
+    *(
+        (Rung(f"{name}{suffix}", build, without), Rung(f"the default{suffix}", without=without))
+        for name, build in (
+            ("nothing tuned", _UNTUNED),
+            ("network tuned, map as it is", _NETWORK),
+            ("last layer tuned, losses of the default", _LAST),
+            ("all layers tuned, by likelihood alone", _LIKELIHOOD),
+        )
+        for suffix, without in _FLIGHTS.items()
+    ),
 )
-"""A method and the default, which differ in one thing of the build, flown alike: by depth alone, and in full."""
+"""A method and another that differs in one thing of the build, flown alike.
+
+The paper's method beside no tuning; others beside the default, by depth alone and in full.
+"""
 
 
 LAMBDAS: tuple[Rung, ...] = tuple(
@@ -91,4 +99,4 @@ LAMBDAS: tuple[Rung, ...] = tuple(
 
 def all_rungs() -> Sequence[Rung]:
     """Every method once, in order."""
-    return [*RUNGS, *dict.fromkeys(rung for pair in PAIRS for rung in pair), *LAMBDAS]
+    return [*dict.fromkeys([*RUNGS, *(rung for pair in PAIRS for rung in pair), *LAMBDAS])]
