@@ -136,8 +136,11 @@ def reproduce(
     if content["claims"]:
         print_table(
             f"{study.title}: claims of the paper",
-            ["", "bound satisfied", "measured"],
-            [[claim["name"], "yes" if claim["holds"] else "no", claim["figure"]] for claim in content["claims"]],
+            ["", "bound satisfied", "over builds", "measured"],
+            [
+                [claim["name"], "yes" if claim["holds"] else "no", claim["verdict"], claim["figure"]]
+                for claim in content["claims"]
+            ],
         )
     stderr.print(f"{content['seconds']:.0f} s; report: {content['report']}")
 

@@ -13,7 +13,8 @@ LEAST_BUILDS = 3
 """Number of builds below which there is no interval, and nothing is decided."""
 _RESAMPLINGS = 5000
 
-Verdict = Literal["better", "worse", "undecided"]
+Step = Literal["better", "worse", "undecided"]
+Verdict = Literal["holds", "fails", "undecided"]
 
 
 @dataclass(frozen=True)
@@ -51,8 +52,28 @@ def interval_of(values: Sequence[float]) -> Interval:
     return Interval(median, builds, float(low), float(high))
 
 
-def verdict(ratio: Interval) -> Verdict:
+def of_builds(seeds: Sequence[float], builds: int) -> list[float]:
+    """Medians of the builds, of values of seeds; seed s has build s modulo their number."""
+    if len(seeds) < builds:
+        return []  # some run has no value, so which build each belongs to is unknown
+    return [float(np.median(seeds[build::builds])) for build in range(builds)]
+
+
+def step_of(ratio: Interval) -> Step:
     """Of an error divided by that of another method, build by build: decided where the interval excludes 1."""
-    if ratio.low is None or ratio.high is None:
+    found: dict[Verdict, Step] = {"holds": "better", "fails": "worse", "undecided": "undecided"}
+    return found[is_below(ratio, 1.0)]
+
+
+def is_below(interval: Interval, bound: float) -> Verdict:
+    """Whether a number lies below a bound, decided where its interval excludes the bound."""
+    if interval.low is None or interval.high is None:
         return "undecided"
-    return "better" if ratio.high < 1.0 else "worse" if ratio.low > 1.0 else "undecided"
+    return "holds" if interval.high < bound else "fails" if interval.low > bound else "undecided"
+
+
+def all_of(*verdicts: Verdict) -> Verdict:
+    """Of a claim with several conditions."""
+    if "fails" in verdicts:
+        return "fails"
+    return "undecided" if "undecided" in verdicts else "holds"

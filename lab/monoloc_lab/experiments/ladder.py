@@ -14,7 +14,7 @@ from monoloc_lab.experiments import tasks as factories
 from monoloc_lab.experiments.drawing import legend_below, logarithmic
 from monoloc_lab.experiments.figure import Drawn, Figure
 from monoloc_lab.experiments.gather import FROM_SAME_START, MEDIAN, RMSE, ROTATION, network_of
-from monoloc_lab.experiments.interval import CONFIDENCE, Interval, interval_of, verdict
+from monoloc_lab.experiments.interval import CONFIDENCE, Interval, interval_of, step_of
 from monoloc_lab.experiments.rungs import PAIRS, RUNGS, Rung, all_rungs
 from monoloc_lab.experiments.study import AS_RECORDED, EvalRecording, Study
 from monoloc_lab.experiments.task import Result, Results, Task
@@ -182,7 +182,7 @@ def _ladder(rows: Sequence[Row], split: str) -> list[tuple[str, ...]]:
     found: list[tuple[str, ...]] = []
     for index, rung in enumerate(RUNGS):
         step = ratio(rows, split, rung.name, RUNGS[index - 1].name) if index else None
-        decided = ("", "") if step is None else (step.text(digits=2), verdict(step))
+        decided = ("", "") if step is None else (step.text(digits=2), step_of(step))
         builds = len(of_builds(rows, split, rung.name, "rmse_cm"))
         found.append((rung.name, *_cells(rows, split, rung.name), *decided, str(builds)))
     return found
@@ -195,7 +195,7 @@ def _pairs(rows: Sequence[Row], split: str) -> list[tuple[str, ...]]:
         if compared is None:
             continue
         errors = [_cells(rows, split, rung.name)[1] for rung in (first, second)]
-        decided = compared.text(digits=2), verdict(compared), str(compared.builds)
+        decided = compared.text(digits=2), step_of(compared), str(compared.builds)
         found.append((first.name, errors[0], second.name, errors[1], *decided))
     return found
 
