@@ -128,12 +128,19 @@ class Bundle:
     @property
     def supports_relocalization(self) -> bool:
         """Whether a lost camera can be found: by landmarks, or by scans that tell the room's places apart."""
-        return self.supports_scan_search or (len(self.landmarks) > 0 and len(self.reference_poses) > 0)
+        by_landmarks = self.supports_landmark_search and len(self.reference_poses) > 0
+        return self.supports_scan_search or by_landmarks
 
     @property
     def supports_scan_search(self) -> bool:
         """Whether one scan tells where in the room a lost camera is."""
-        return self.integrity.supports_scan_search and len(self.reference_poses) > 0
+        tells = self.integrity.supports_scan_search and len(self.reference_poses) > 0
+        return tells and "relocalization" not in self.settings.without
+
+    @property
+    def supports_landmark_search(self) -> bool:
+        """Whether landmarks can tell where in the room a lost camera is."""
+        return len(self.landmarks) > 0 and not {"landmarks", "relocalization"} & {*self.settings.without}
 
     @cached_property
     def down(self) -> FloatArray | None:

@@ -24,6 +24,7 @@ from monoloc.odometry.motion import Motion
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.particle_filter.particles import Particles
 from monoloc.particle_filter.tempering import tempered_update
+from monoloc.parts import leave_out
 from monoloc.relocalization.search import GlobalRelocalizer
 from monoloc.relocalization.state_machine import Mode, Relocalization, RelocalizationStateMachine
 from monoloc.start import Start
@@ -98,7 +99,8 @@ class Localizer:
         components: ComponentsFactory = default_components,
         seed: int | np.random.Generator = 0,
     ) -> None:
-        self._bundle, self._config = bundle, config or bundle.settings
+        bundle, self._config = leave_out(bundle, config or bundle.settings)
+        self._bundle = bundle
         self._rng = np.random.default_rng(seed)
         made = components(bundle, camera, self._config)
         self._likelihood, self._landmarks = made.likelihood, made.landmarks
@@ -123,7 +125,7 @@ class Localizer:
         mode = Mode.SEARCHING if start is None else Mode.TRACKING
         self._tracker = Tracker(particles, config, bundle.reference_poses, self._rng)
         self._relocalization = RelocalizationStateMachine(
-            self._relocalizer, bundle.supports_scan_search, len(bundle.landmarks) > 0, bundle.thresholds, mode
+            self._relocalizer, bundle.supports_scan_search, bundle.supports_landmark_search, bundle.thresholds, mode
         )
         self._integrity = IntegrityMonitor(bundle.integrity, is_searched=start is None)
         self._camera_check = CameraCheck(bundle.integrity.focal_mean, bundle.integrity.focal_sd)
@@ -170,7 +172,7 @@ class Localizer:
                 direction or unknown for the room, or ``measured_motion`` does not state its noise; nothing has
                 changed then.
         """
-        down_camera = self._gravity.direction(down)
+        down_camera = self._gravity.direction(None if "gravity" in self._config.without else down)
         observation = self._front_end.observe(color, elapsed_s, measured_depth, down_camera, measured_motion)
         predicted = self._predict(observation)
         prior = self._tracker.fusion.predicted(observation.motion, observation.elapsed_s)
@@ -260,6 +262,7 @@ class Localizer:
         """
         landmark_pose = None if landmarks is None else landmarks.pose
         fits = observation.scan_has_enough_points and log_likelihood >= self._thresholds.lost
+        fits |= "bias" in self._config.without  # the belief is the particles' pose, whatever their scan says
         scan_accepted = fits and relocalization.mode is Mode.TRACKING and not contradicted
         measured = self._tracker.fusion.without_known_bias(particle_estimate)
         if scan_accepted:

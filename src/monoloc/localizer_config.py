@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -11,6 +11,13 @@ from monoloc.likelihood.protocol import LikelihoodConfig
 from monoloc.odometry.scale_tilt import ScaleTiltConfig
 from monoloc.odometry.visual import OdometryConfig
 from monoloc.particle_filter.motion_model import MotionConfig
+
+Part = Literal[
+    "landmarks", "odometry", "depth-scale", "scale-tilt", "bias", "known-bias", "gravity", "relocalization"
+]
+"""A part of the localizer that can be left out; :func:`monoloc.parts.leave_out` says what each is."""
+
+PARTS: tuple[Part, ...] = get_args(Part)
 
 
 class LocalizerConfig(BaseModel):
@@ -28,6 +35,7 @@ class LocalizerConfig(BaseModel):
         scale_tilt: correction of a depth image's scale and tilt by odometry's corners; None for no correction.
         particle_bias: slowly varying bias of the particles' pose; see :mod:`monoloc.fusion.bias_filter`.
         landmark_bias: the same of landmark poses.
+        without: parts that are left out, see :func:`monoloc.parts.leave_out`.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -43,3 +51,4 @@ class LocalizerConfig(BaseModel):
     scale_tilt: ScaleTiltConfig | None = ScaleTiltConfig()
     particle_bias: BiasModel = BiasModel()
     landmark_bias: BiasModel = BiasModel()
+    without: tuple[Part, ...] = ()

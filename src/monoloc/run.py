@@ -24,6 +24,7 @@ from monoloc.localizer import Localizer, Step
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.odometry.motion import Motion, tracks_translation
 from monoloc.particle_filter.estimate import Estimate
+from monoloc.parts import leave_out
 from monoloc.progress import Progress
 from monoloc.sensor_depth import sensor_bundle, sensor_settings, sparse_depth
 from monoloc.start import Start
@@ -85,6 +86,7 @@ class Run:
             "particles": self.config.particles,
             "scan_points": self.config.scan_points,
             "motion": self.config.motion,
+            "without": list(self.config.without),
             **self._depth_accuracy(0),
             "unseen_frames": int(self.unseen.sum()),
         }
@@ -170,6 +172,7 @@ def localize(
         if not recording.has_depth:
             raise DataError(recording.name, "has no depth", "leave out --depth sensor")
         bundle, config = sensor_bundle(bundle), sensor_settings(config)
+    bundle, config = leave_out(bundle, config)
     localizer = Localizer(bundle, recording.camera, start, config, components, rng)
     build_frames = set(bundle.provenance.frames.values())
     log = _Log(recording, None if start is None else start.pose)

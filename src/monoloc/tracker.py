@@ -34,7 +34,12 @@ class Tracker:
         noise = config.motion_noise
         self._filter = ParticleFilter(start, noise, config.log_scale_sd, config.ess_fraction, rng)
         self.fusion = BiasAugmentedFilter(
-            estimate(start), config.particle_bias, noise, reference_poses, config.landmark_bias
+            estimate(start),
+            config.particle_bias,
+            noise,
+            reference_poses,
+            config.landmark_bias,
+            is_memoryless="bias" in config.without,
         )
         self._is_first = True
 

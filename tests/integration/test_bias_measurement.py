@@ -69,11 +69,13 @@ def test_growth_is_measured_hovering_where_depth_is_wrong(mixture: GaussianMixtu
     recording, region = RoomRecording(Room(), make_path(18)), np.arange(10, 14)
     final, hold_out = _TiltedDepth(recording, set()), _TiltedDepth(recording, {*region.tolist()})
     make_final, make_hold_out = (partial(localizer_at, mixture, recording.poses, each) for each in (final, hold_out))
-    model, _ = measure_bias(make_final, make_hold_out, recording, [region], True, NoProgress())
+    model, *_ = measure_bias(make_final, make_hold_out, recording, [region], NoProgress())
     in_order = list(range(18))
     assert final.frames == [*in_order[:12][::-1], *in_order, *in_order[::-1]]
-    assert hold_out.frames[:18] == in_order
-    hovered = hold_out.frames[18:]
+    along_reference = len(final.frames)  # as the final one, then in order, then in the region
+    assert hold_out.frames[:along_reference] == final.frames
+    assert hold_out.frames[along_reference : along_reference + 18] == in_order
+    hovered = hold_out.frames[along_reference + 18 :]
     assert hovered[:10] == [10, 11, 12, 13, 12, 11, 10, 11, 12, 13] and len(hovered) >= 4 + 12
     assert model.sd_at_reference_m < 0.03
     # A quarter of the depth across a metre of it rotates a wall by some 14 degrees.
@@ -96,7 +98,8 @@ def test_segments_are_followed_one_by_one(mixture: GaussianMixture) -> None:
     # Two passes through one region: the localizer hovers in one, then in the other.
     region = np.array([4, 5, 16, 17])
     make_hold_out = partial(localizer_at, mixture, poses, hold_out)
-    model, _ = measure_bias(make_final, make_hold_out, recording, [region], True, NoProgress())
+    model, *_ = measure_bias(make_final, make_hold_out, recording, [region], NoProgress())
     np.testing.assert_array_equal(started_at, poses[[11, 23]])  # the warm-up goes backward first
     assert model.sd_at_reference_m < 0.03 and model.sd_at_reference_rad < 0.02
-    assert hold_out.frames[24:28] == [4, 5, 4, 5] and hold_out.frames[-2:] == [16, 17]
+    hovered = hold_out.frames[len(final.frames) + 24 :]
+    assert hovered[:4] == [4, 5, 4, 5] and hold_out.frames[-2:] == [16, 17]

@@ -107,6 +107,27 @@ def with_trajectory(here: Path) -> None:
         (nothing, (*BUILD, *UNTUNED, "-k", "1000000"), "--components", "is 1000000 for a cloud of", ""),
         (nothing, (*BUILD, "--lambda", "nan"), "--lambda", "a finite number", "--help"),
         (
+            with_settings(""),
+            (*BUILD, "--method", "paper", "--settings", "s.toml"),
+            "--method",
+            "is given beside s.toml",
+            "leave one",
+        ),
+        (
+            nothing,
+            ("localize", "room.monoloc", "flight", "--without", "bias,landmark"),
+            "--without",
+            "has 'landmark'",
+            "choose from landmarks, odometry",
+        ),
+        (
+            nothing,
+            ("localize", "room.monoloc", "flight", "--without", "relocalization"),
+            "--start",
+            "is unknown, and neither scans nor landmarks",
+            "write",
+        ),
+        (
             with_settings("components = 1000000\n"),
             (*BUILD, *UNTUNED, "--settings", "s.toml"),
             "components",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -63,25 +61,6 @@ def views_of(recording: RoomRecording, synthesised: int = 0, held_out: NDArray[n
 def start_adaptation(mapped_room: RoomMap, **changes: object) -> Adaptation:
     """Adaptation of an untrained network by :data:`QUICK`, with changes."""
     return Adaptation(tiny_network(), AdaptedMap(*mapped_room), QUICK.model_copy(update=changes))
-
-
-def plain_log_likelihood(
-    log_depth: Tensor,
-    rays_world: Tensor,
-    origins: Tensor,
-    log_weights: Tensor,
-    means: Tensor,
-    covariances: Tensor,
-    outlier_share: float,
-) -> Tensor:
-    """The paper's: ``log((1 - eps) M(o + d r) + eps / V)``, V = 30 m^3, with the arguments of the ray likelihood."""
-    points = origins + log_depth.exp()[:, None] * rays_world
-    lower = torch.linalg.cholesky(covariances)
-    whitened = torch.linalg.solve_triangular(lower, (points[:, None] - means)[..., None], upper=False)
-    log_peaks = log_weights - lower.diagonal(dim1=-2, dim2=-1).log().sum(-1) - 1.5 * math.log(2.0 * math.pi)
-    density = torch.logsumexp(log_peaks - 0.5 * whitened.square().sum((-2, -1)), dim=1)
-    outlier = torch.full_like(density, math.log(outlier_share / 30.0))
-    return torch.logaddexp(math.log1p(-outlier_share) + density, outlier)
 
 
 class RedAndNear(RoomRecording):

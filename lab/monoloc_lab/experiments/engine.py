@@ -25,6 +25,7 @@ from typing import Any
 
 from monoloc.errors import MissingExtraError, MonolocError, SettingError
 from monoloc.progress import Progress
+from monoloc_lab.experiments.provenance import source_commit
 from monoloc_lab.experiments.task import RESULT, TASK, Result, Results, Task, read_result
 from monoloc_lab.experiments.work import KINDS, Work
 
@@ -139,6 +140,7 @@ def do_task(task: Task, out: Path, kinds: Mapping[str, Work] = KINDS) -> _Failur
             "kind": task.kind,
             "settings": task.settings,
             "needs": [need.key for need in task.needs],
+            "commit": source_commit(),
         }
         done |= {"seconds": time.perf_counter() - started, "processor_seconds": time.process_time() - started_cpu}
         _write_json(folder / TASK, done)

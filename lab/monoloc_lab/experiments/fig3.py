@@ -12,7 +12,16 @@ from monoloc.viz.map_drawing import plot_map_change
 from monoloc_lab.experiments import tasks as factories
 from monoloc_lab.experiments.claims import map_moves_little
 from monoloc_lab.experiments.figure import Drawn, Figure
-from monoloc_lab.experiments.gather import Spread, in_split, network_of, picture_path, spread_of
+from monoloc_lab.experiments.gather import (
+    RMSE,
+    Spread,
+    in_split,
+    network_of,
+    picture_path,
+    spread_of,
+    usual_recording,
+)
+from monoloc_lab.experiments.methods import JOINT, UNADAPTED
 from monoloc_lab.experiments.study import Split, Study
 from monoloc_lab.experiments.task import Results, Task
 
@@ -32,7 +41,14 @@ def _clouds(study: Study, split: Split, variant: str) -> list[Task]:
 
 def tasks(study: Study) -> Sequence[Task]:
     each = [(split, variant) for split in study.splits for variant in _VARIANTS]
-    return [task for pair in each for task in (*_bundles(study, *pair), *_clouds(study, *pair))]
+    clouds = [task for pair in each for task in (*_bundles(study, *pair), *_clouds(study, *pair))]
+    return [*clouds, *(task for split in study.splits for runs in _runs(study, split) for task in runs)]
+
+
+def _runs(study: Study, split: Split) -> list[list[Task]]:
+    """Of the default and of the unadapted method, with the largest network."""
+    recording = usual_recording(split)
+    return [method.runs(study, split, study.sizes[0], recording) for method in (JOINT, UNADAPTED)]
 
 
 def draw(study: Study, results: Results, folder: Path) -> Drawn:
@@ -56,7 +72,9 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
             if variant == "joint":
                 title = f"Original and adapted map{in_split(study, split)}: {name}"
                 pictures.append(_draw(study, results[clouds[0]].folder, folder, split, title))
-                claims.append(map_moves_little(split.name, network_of(study.sizes[0]), median, before))
+                adapted, unadapted = (spread_of(results, runs, RMSE) for runs in _runs(study, split))
+                network, gain = network_of(study.sizes[0]), adapted / unadapted
+                claims.append(map_moves_little(split.name, network, median, before, gain, study.builds))
                 sentences.append(_sentence(split, median, p95))
     head = ("split", "tuned", "median C2C", "95th percentile", "unchanged correspondence", "builds")
     return Drawn(

@@ -128,6 +128,7 @@ def _measured(
         ssim=(ssim[0], ssim[1]),
         absrel=(absrel[0], absrel[1]),
         drift=drift,
+        builds=study.builds,
     )
 
 

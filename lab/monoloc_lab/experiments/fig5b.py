@@ -11,6 +11,7 @@ from monoloc_lab.experiments.claims import Dark, half_in_the_dark
 from monoloc_lab.experiments.drawing import Series, draw_bound, draw_ranges, legend_below
 from monoloc_lab.experiments.figure import Drawn, Figure
 from monoloc_lab.experiments.gather import (
+    BRIGHT,
     DARK,
     DEAD_RECKONING,
     MEDIAN,
@@ -189,6 +190,8 @@ def _measured(study: Study, results: Results, split: Split, errors: dict[str, di
         unadapted_drift=spread_of(results, UNADAPTED.runs(study, split, study.sizes[0], recording), DEAD_RECKONING),
         nearest_m=nearest_build_m(split, recording),
         absrel=(before, after),
+        bright=(errors[POSENET.name][BRIGHT], errors[UNADAPTED.name][BRIGHT]),
+        builds=study.builds,
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from monoloc_lab.experiments.interval import Verdict
 from monoloc_lab.experiments.study import Study
 from monoloc_lab.experiments.task import Results, Task
 
@@ -17,11 +18,12 @@ class Claim:
 
     Attributes:
         name: the claim in a few words.
-        holds: whether the measurement satisfies the bound in ``settings``. This is not a verdict on the paper's
-            method, from which monoloc differs in more than one component.
+        holds: whether the median satisfies the bound in ``settings``. This is not a verdict on the paper's method,
+            from which monoloc differs in more than one component.
         figure: the measurement, in a sentence with its unit.
         spread: smallest and largest of the number that the bound applies to, over seeds.
         settings: split, light, sizes, seeds, bound.
+        verdict: by the interval over builds: *holds*, *fails* or *undecided*; see ``docs/beyond-the-paper.md``.
         analysis: further measurements, if the bound is not satisfied, without a cause; None otherwise.
     """
 
@@ -31,6 +33,7 @@ class Claim:
     spread: tuple[float, float]
     settings: dict[str, Any]
     analysis: str | None = None
+    verdict: Verdict = "undecided"
 
 
 @dataclass(frozen=True)

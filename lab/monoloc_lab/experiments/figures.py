@@ -21,6 +21,7 @@ from monoloc_lab.experiments import (
     fig5top,
     frames,
     kl_weight,
+    ladder,
     map_size,
     robustness,
     table1,
@@ -48,6 +49,7 @@ FIGURES: tuple[Figure, ...] = (
     ablation.FIGURE,
     adapt_settings.FIGURE,
     robustness.FIGURE,
+    ladder.FIGURE,
 )
 
 

@@ -21,7 +21,7 @@ from monoloc_lab.experiments.study import AS_RECORDED, WIDTH, EvalRecording, Spl
 from monoloc_lab.experiments.task import Result, Results, Task
 from monoloc_lab.experiments.task_inputs import BUNDLE, TRAJECTORY_FILE
 
-DARK = "L3"
+BRIGHT, DARK = "L1", "L3"
 RMSE, MEDIAN, ROTATION = "unseen_ate_rmse_m", "unseen_ate_median_m", "unseen_rot_median_deg"
 DEAD_RECKONING = "unseen_odometry_ate_rmse_m"
 FROM_SAME_START = "unseen_odometry_from_start_ate_rmse_m"

@@ -13,11 +13,11 @@ _LIBRARIES = ("monoloc", "numpy", "torch", "onnxruntime", "opencv-python-headles
 
 def provenance() -> dict[str, str]:
     """Date, commit, processor, cores and versions, as text."""
-    found = {"date": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", "commit": _commit()}
+    found = {"date": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", "commit": source_commit()}
     return {**found, **machine_facts(), **library_versions(_LIBRARIES)}
 
 
-def _commit() -> str:
+def source_commit() -> str:
     """Commit of the source tree that runs, if it is one."""
     folder = Path(__file__).parent
     try:

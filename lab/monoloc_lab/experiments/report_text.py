@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -141,11 +142,12 @@ def _duration(seconds: float) -> str:
 
 
 def _summary(claims: Sequence[Claim]) -> str:
-    held = sum(claim.holds for claim in claims)
+    held, verdicts = sum(claim.holds for claim in claims), Counter(claim.verdict for claim in claims)
     return (
-        f"{held} of {len(claims)} measurements satisfy the bound of the claim. What this says about the method of "
-        "the paper is undecided: monoloc tunes the network and the map, where the paper tunes the last layer and the "
-        "map, and network, likelihood, filter, odometry and rooms differ as well."
+        f"{held} of {len(claims)} measurements satisfy the bound of the claim. By the intervals over builds, "
+        f"{verdicts['holds']} hold, {verdicts['fails']} fail and {verdicts['undecided']} are undecided. What this "
+        "says about the method of the paper is undecided: monoloc tunes the network and the map, where the paper "
+        "tunes the last layer and the map, and network, likelihood, filter, odometry and rooms differ as well."
     )
 
 
@@ -177,7 +179,7 @@ def without_repeats(rows: Sequence[Sequence[str]]) -> list[list[str]]:
 
 
 def bound_text(claim: Claim) -> str:
-    return "bound satisfied" if claim.holds else "bound not satisfied"
+    return f"{'bound satisfied' if claim.holds else 'bound not satisfied'}; over builds {claim.verdict}"
 
 
 def spread_sentence(claim: Claim) -> str:

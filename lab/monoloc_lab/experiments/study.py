@@ -87,7 +87,7 @@ def builtin(quick: bool) -> Study:
     return _study("rendered living room", (split,), quick)
 
 
-def recorded(source: str, name: str, frames: int, quick: bool) -> Study:
+def recorded(source: str, name: str, frames: int, quick: bool, build: str | None = None) -> Study:
     """A recording of one room with poses and depth, in two splits.
 
     *extrapolation* builds from every third frame of the first three quarters and evaluates on the last quarter.
@@ -96,13 +96,14 @@ def recorded(source: str, name: str, frames: int, quick: bool) -> Study:
 
     Args:
         frames: number of frames of the recording.
+        build: other build frames of *extrapolation*, START:STOP:STEP; the frames from STOP are evaluated.
     """
-    last = 3 * frames // 4
+    last = 3 * frames // 4 if build is None else int(build.split(":")[1])
     lights = {AS_RECORDED: None, "L1": "L1", "L2": "L2", "L3": "L3"}
     splits = tuple(
         Split(split, source, build, {name: EvalRecording(source, evaluated, light) for name, light in lights.items()})
         for split, build, evaluated in (
-            ("extrapolation", f"0:{last}:3", f"{last}:{frames}"),
+            ("extrapolation", build or f"0:{last}:3", f"{last}:{frames}"),
             ("interpolation", f"0:{frames}:4", f"0:{frames}"),
         )
     )

@@ -84,9 +84,10 @@ def _text(numbers: dict[str, Any]) -> str:
     networks, posenets = numbers["depth networks"], numbers["PoseNets"]
     apart = max(abs(posenets[size]["parameters"] / networks[size]["parameters"] - 1.0) for size in networks)
     return (
-        f"The parameters of PoseNet and depth network of a size differ by at most {100.0 * apart:.2f} %. A room adds "
-        f"its map of {numbers['map']['bytes'] / 1e3:.1f} kB to a depth network. A PoseNet serves one room. The "
-        "transform is applied during the build and is not part of the bundle."
+        f"The parameters of PoseNet and depth network of a size differ by at most {100.0 * apart:.2f} %. Both serve "
+        f"one room: a room costs its network, which is tuned to it, and its map of "
+        f"{numbers['map']['bytes'] / 1e3:.1f} kB, and by default landmarks besides. The transform is applied during "
+        "the build and is not part of the bundle."
     )
 
 

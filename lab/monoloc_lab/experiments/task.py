@@ -51,11 +51,13 @@ class Result:
         folder: contains :data:`TASK`, :data:`RESULT` and the files of the task's kind.
         figures: the content of :data:`RESULT`.
         seconds: duration on one core.
+        commit: of the source tree that computed it.
     """
 
     folder: Path
     figures: dict[str, Any]
     seconds: float = 0.0
+    commit: str = "unknown"
 
 
 def read_result(out: Path, task: Task) -> Result | None:
@@ -65,7 +67,7 @@ def read_result(out: Path, task: Task) -> Result | None:
         figures, done = (json.loads((folder / name).read_text(encoding="utf-8")) for name in (RESULT, TASK))
     except (OSError, ValueError):
         return None
-    return Result(folder, figures, done["seconds"])
+    return Result(folder, figures, done["seconds"], done.get("commit", "unknown"))
 
 
 Results = Mapping[Task, Result]

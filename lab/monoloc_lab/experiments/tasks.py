@@ -16,6 +16,7 @@ from monoloc.config import override
 from monoloc.evaluation.cloud_metrics import COMPARED_POINTS
 from monoloc.extras import training_extra
 from monoloc.io.identity import file_sha256
+from monoloc.localizer_config import Part
 from monoloc.start import START_ERROR_DEG, START_ERROR_M
 from monoloc.version import __version__
 from monoloc_lab.baselines.keypoints import KeypointConfig
@@ -71,6 +72,11 @@ def bundle(
     config = override(
         BuildConfig(), components=components, landmarks=landmarks, refine_poses=refine_poses, adapt=settings
     )
+    return built(split, network, config, seed, frames)
+
+
+def built(split: Split, network: str, config: BuildConfig, seed: int, frames: int | None = None) -> Task:
+    """A bundle as :func:`bundle`, with all settings of the build given."""
     return _task(
         "bundle",
         build=_build(split),
@@ -104,6 +110,7 @@ def run(
     motion: str = "visual",
     sensor: bool = False,
     gravity: bool = False,
+    without: tuple[Part, ...] | None = None,
 ) -> Task:
     """A recording localised with a bundle: ``trajectory.npz``, see :data:`TRAJECTORY_ARRAYS`.
 
@@ -113,6 +120,7 @@ def run(
         motion: motion model of the filter; with ``random-walk`` the file has no odometry.
         sensor: use the depth of the recording, not of the network.
         gravity: give the localizer a simulated roll and pitch.
+        without: parts of the localizer that are left out; None for those that the build left out.
     """
     return _task(
         "run",
@@ -123,6 +131,7 @@ def run(
         motion=motion,
         sensor=sensor,
         gravity=gravity,
+        without=without,
     )
 
 

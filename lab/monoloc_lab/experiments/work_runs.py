@@ -28,7 +28,8 @@ _ATTITUDE_BIAS_RAD, _ATTITUDE_NOISE_RAD = np.deg2rad(0.5), np.deg2rad(0.3)  # st
 def run(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str, Any]:
     bundle, recording = _read(needs[0]), evaluation_frames(settings)
     rng = np.random.default_rng(settings["seed"])
-    start, config = start_of(settings, recording, rng), override(bundle.settings, motion=settings["motion"])
+    start = start_of(settings, recording, rng)
+    config = override(bundle.settings, motion=settings["motion"], without=settings["without"])
     relight = relighting(settings["evaluation"]["light"], settings["seed"])
     down = _simulated_down(bundle, recording, settings["seed"]) if settings["gravity"] else None
     result = localize(

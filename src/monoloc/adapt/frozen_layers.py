@@ -31,10 +31,10 @@ def frozen_outputs(
 ) -> list[Tensor]:
     """Outputs of the network's frozen layers for images (V, H, W, 3) uint8 RGB, channels last in memory.
 
-    With ``tune="all"``, each has length 2 V: all images, then all images again in light drawn from ``light``.
+    If some views of a step are relit, each has length 2 V: all images, then all again in light drawn from ``light``.
     """
     encoder = network.encoder
-    if config.tune == "all":
+    if config.share_relit > 0.0:
         colors = np.concatenate([colors, [random_exposure(color, _LIGHT, light) for color in colors]])
     # Tuning by depth runs in bfloat16 where that is faster.
     in_half = config.by_depth and learns_in_bfloat16("cpu")
@@ -43,6 +43,6 @@ def frozen_outputs(
         if config.tune == "all":
             part = [encoder.first_layers(images)]
         else:
-            part = encoder(images) if config.by_depth else [network.decoder(encoder(images))]
+            part = encoder(images) if config.tunes_features else [network.decoder(encoder(images))]
         parts.append([output.bfloat16() for output in part] if in_half else part)
     return [torch.cat(part).contiguous(memory_format=torch.channels_last) for part in zip(*parts, strict=True)]

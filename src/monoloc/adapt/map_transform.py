@@ -87,6 +87,9 @@ class AdaptedMap(nn.Module):
         cloud: (N, 3) float64 points that M was fitted to, metres, world frame.
         floor_m: its square is added to every variance to keep covariances positive definite. The map fit clamps
             variances at it instead, but clamping is not differentiable.
+
+    Attributes:
+        volume_m3: of the original map, see :attr:`monoloc.map.mixture.GaussianMixture.volume_m3`.
     """
 
     cloud: Tensor
@@ -118,6 +121,7 @@ class AdaptedMap(nn.Module):
         self._cells = torch.zeros((len(counts), 3), dtype=torch.float64).index_add(0, cell_of, points) / counts
         self.register_buffer("log_weights", torch.from_numpy(mixture.weights).log())
         self._floor = floor_m**2 * torch.eye(3, dtype=torch.float64)
+        self.volume_m3 = mixture.volume_m3
         # Recompute M with the same sums, so that the identity has zero KL; it differs from M by EM's last step and
         # the floor.
         means, covariances = self._moments(points)

@@ -1,4 +1,4 @@
-"""The objective of adaptation: ray likelihood of predicted depth under the map, and KL of the adapted map."""
+"""The objective of adaptation: likelihood of predicted depth under the map, and KL of the adapted map."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ def ray_log_likelihood(
 
     Along the ray ``o + d r`` each component is a one-dimensional Gaussian in d, so the mixture has a closed-form
     normaliser; d times the conditional density is the density of log d. Because the density is normalised along each
-    ray, it gains nothing when depth and map shrink onto the cameras together. The plain density rewards that collapse
-    without bound.
+    ray, it gains nothing when depth and map shrink onto the cameras together. The density of
+    :func:`volume_log_likelihood` does, without bound; there only the divergence from the original map prevents it.
 
         p(log d | o, r) = (1 - eps) d M(o + d r) / int_0^inf M(o + t r) dt + eps / range
 
@@ -88,6 +88,28 @@ def ray_log_likelihood(
     inlier = math.log1p(-outlier_share) + log_joint + log_depth - log_normaliser
     outlier = torch.full_like(inlier, math.log(outlier_share / log_depth_range))
     return torch.logaddexp(inlier, outlier)
+
+
+def volume_log_likelihood(
+    points: Tensor, log_weights: Tensor, means: Tensor, covariances: Tensor, outlier_share: float, volume_m3: float
+) -> Tensor:
+    """Log-density of points in the room, (P,) nats: ``log((1 - eps) M(x) + eps / V)``.
+
+    The likelihood of Shukla et al. 2023, with the share of outliers of the localizer's
+    :class:`monoloc.likelihood.volume.VolumeLikelihood`.
+
+    Args:
+        points: (P, 3) world frame, metres.
+        log_weights, means, covariances: the mixture, (K,), (K, 3), (K, 3, 3).
+        outlier_share: eps, between 0 and 1.
+        volume_m3: V, in which outliers are uniformly distributed.
+    """
+    lower = torch.linalg.cholesky(covariances)
+    upper, of_means = _upper(torch.cholesky_inverse(lower)), torch.cholesky_solve(means[..., None], lower)[..., 0]
+    distance = _quadratic(points, points) @ upper - 2.0 * points @ of_means.T + (of_means * means).sum(-1)
+    log_peak = log_weights - _log_diagonal(lower) - 1.5 * math.log(2.0 * math.pi)
+    inlier = math.log1p(-outlier_share) + torch.logsumexp(log_peak - 0.5 * distance, dim=1)
+    return torch.logaddexp(inlier, torch.full_like(inlier, math.log(outlier_share / volume_m3)))
 
 
 def _upper(symmetric: Tensor) -> Tensor:

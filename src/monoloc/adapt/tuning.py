@@ -13,7 +13,7 @@ from torch import Tensor
 
 from monoloc.adapt.frozen_layers import batches, frozen_outputs
 from monoloc.adapt.map_transform import AdaptedMap
-from monoloc.adapt.objective import matched_kl, ray_log_likelihood
+from monoloc.adapt.objective import matched_kl, ray_log_likelihood, volume_log_likelihood
 from monoloc.adapt.pose_step import pose_step_loss, pose_steps
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.training_views import Views
@@ -30,7 +30,7 @@ _NO_DIFFERENCE = 0.05  # share of the held-out gain that counts as no difference
 
 @dataclass(frozen=True)
 class Score:
-    """Scores on real frames: mean negative ray log-likelihood (nats), depth loss and AbsRel."""
+    """Scores on real frames: mean negative log-likelihood (nats), depth loss and AbsRel."""
 
     step: int
     nll: float
@@ -69,13 +69,13 @@ class Adaptation:
         self.config = config
         network.requires_grad_(False)
         network.head.requires_grad_(config.tune != "none")
-        network.decoder.requires_grad_(self.config.by_depth)
+        network.decoder.requires_grad_(config.tunes_features)
         network.encoder.requires_grad_(config.tune == "all")
         network.encoder.first_layers.requires_grad_(False)
         if network.error_head is not None:
-            network.error_head.requires_grad_(self.config.by_depth)
+            network.error_head.requires_grad_(config.by_depth)
         adapted_map.requires_grad_(config.map_transform)
-        self._map_every = _STEPS_A_MAP_STEP if self.config.by_depth else 1
+        self._map_every = _STEPS_A_MAP_STEP if config.by_depth else 1
         self._bent = adapted_map.means, adapted_map.covariances
         self._constants: _Constants | None = None
 
@@ -115,15 +115,16 @@ class Adaptation:
         best = self._state() if judged is not None else None
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # an export undoes it
         odds = training.odds(() if held_out is None else held_out)
-        self.fit_bias(training[torch.nonzero(training.whole & (odds > 0.0)).ravel()])
+        if self.config.fits_scale:
+            self.fit_bias(training[torch.nonzero(training.whole & (odds > 0.0)).ravel()])
         constants = self._constants_of(training, np.random.default_rng(generator.initial_seed()))
         optimizer = self._optimizer()
         schedule = one_cycle(optimizer, steps)
         for step in range(steps):
             chosen = torch.multinomial(odds, self.config.batch_views, replacement=True, generator=generator)
             shown = chosen
-            if self.config.tune == "all":
-                is_relit = torch.rand(len(chosen), generator=generator) < self.config.relit_share
+            if self.config.share_relit > 0.0:
+                is_relit = torch.rand(len(chosen), generator=generator) < self.config.share_relit
                 shown = chosen + len(training) * is_relit
             inputs = [part[shown] for part in constants.outputs]
             of_chosen = None if constants.of_poses is None else constants.of_poses[chosen]
@@ -252,21 +253,19 @@ class Adaptation:
         if pixels is None:
             pixels = torch.arange(0, flat.shape[1], 7)
         flat, rays = flat[:, pixels], rays[:, pixels]
-        origins = views.origins[:, None].expand_as(rays)
-        return ray_log_likelihood(
-            flat.reshape(-1),
-            rays.reshape(-1, 3),
-            origins.reshape(-1, 3),
-            self.map.log_weights,
-            means,
-            covariances,
-            self.config.outlier_share,
-        )
+        origins = views.origins[:, None].expand_as(rays).reshape(-1, 3)
+        flat, rays = flat.reshape(-1), rays.reshape(-1, 3)
+        log_weights, share = self.map.log_weights, self.config.outlier_share
+        if self.config.likelihood == "ray":
+            return ray_log_likelihood(flat, rays, origins, log_weights, means, covariances, share)
+        points = origins + flat.exp()[:, None] * rays
+        smoothed = covariances + self.config.noise_sd_m**2 * torch.eye(3, dtype=torch.float64)
+        return volume_log_likelihood(points, log_weights, means, smoothed, share, self.map.volume_m3)
 
     def _features(self, inputs: list[Tensor]) -> Tensor:
         """Features that the last layer reads, from the outputs of the frozen layers, with gradients."""
-        if not self.config.by_depth:
-            return inputs[0]
+        if not self.config.tunes_features:
+            return inputs[0].float()
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=learns_in_bfloat16("cpu")):
             taps = self.network.encoder.after_first(inputs[0]) if self.config.tune == "all" else inputs
             features: Tensor = self.network.decoder(taps)

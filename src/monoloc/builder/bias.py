@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from monoloc.bundle import Bundle
 from monoloc.camera import Camera
 from monoloc.components import Components, ComponentsFactory, default_components
 from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, axis_sd, twist_errors
+from monoloc.fusion.bias_filter import decayed
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.fusion.reference_poses import ReferencePoses, bias_correlation
 from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_exp, se3_log
@@ -66,9 +68,8 @@ def measure_bias(
     hold_out: LocalizerFactory,
     recording: Recording,
     regions: list[NDArray[np.int64]],
-    is_tuned: bool,
     progress: Progress,
-) -> tuple[BiasModel, ReferencePoses]:
+) -> tuple[BiasModel, ReferencePoses, KnownBiasCheck | None]:
     """Bias at the reference poses, and its growth away from them.
 
     At the reference poses: :func:`measure_bias_at_reference`. Away from them: a localizer whose network was tuned on
@@ -76,16 +77,20 @@ def measure_bias(
     pose it had before. What exceeds that network's own error at the other frames is taken to grow with the distance
     to the nearest of them.
 
+    The bias at the reference poses is known to later flights only where knowing it helps on frames that nothing was
+    tuned on: the hold-out localizer's bias is measured at its own reference poses in the same way, and subtracted in
+    its other flights through the held-out regions (:class:`KnownBiasCheck`).
+
     Args:
         final: makes the localizer whose bias is measured.
         hold_out: makes one whose network was tuned on no frame of the regions.
         recording: posed frames, N of them.
         regions: held-out frames, one array a region, see :func:`monoloc.evaluation.hold_out.hold_out_regions`; with
-            none, nothing was adapted, and the bias does not grow.
-        is_tuned: whether the network was tuned on the frames.
+            none, nothing was adapted, the bias does not grow, and none is known.
 
     Returns:
-        Standard deviation of the unknown part of the bias, and the N reference poses with the known part.
+        Standard deviation of the unknown part of the bias, the N reference poses with the known part, and what
+        decided whether there is one; None where nothing could.
     """
     poses = recording.poses
     assert poses is not None
@@ -93,23 +98,33 @@ def measure_bias(
     parts = [part for region in regions for part in continuous_segments(region, times_s, poses)]
     hovers = [hover(part) for part in selection(parts, _MOST_HOVERS)]
     if not hovers:
-        return measure_bias_at_reference(final, recording, is_tuned, progress)
+        return *measure_bias_at_reference(final, recording, False, progress), None
     segments = recording_segments(times_s, poses)
-    at_reference = _reference_trajectories(segments, is_tuned)
+    at_reference = _reference_trajectories(segments, True)
     is_reference = np.ones(len(recording), dtype=np.bool_)
     is_reference[np.concatenate(regions)] = False
     with_reference = [segment for segment in segments if is_reference[segment].any()]
     passes = [single_pass(part) for part in selection(with_reference, _MOST_PASSES)]
-    with progress.task("covariances", _frame_count([*at_reference, *passes, *hovers])) as show:
+    with progress.task("covariances", _frame_count([*at_reference, *at_reference, *passes, *hovers])) as show:
         follow = _Follower(recording, poses, show)
-        errors = follow(final, at_reference)
+        errors, of_hold_out = follow(final, at_reference), follow(hold_out, at_reference)
         hold_out_errors, away_errors = follow(hold_out, passes), follow(hold_out, hovers)
-    remaining, reference_poses = _known_bias(errors, segments, poses, is_tuned)
     tuned_on = is_reference[_scored(passes)]
     distances_m = [pose_distance_m(pose, poses[is_reference]).min() for pose in poses[_scored(hovers)]]
     hold_out_at_reference = twist_errors(np.concatenate(hold_out_errors)[tuned_on])
-    model = fit_bias_model(_sizes(remaining), hold_out_at_reference, _sizes(away_errors), np.array(distances_m))
-    return model, reference_poses
+
+    def model_of(remaining: list[FloatArray]) -> BiasModel:
+        return fit_bias_model(_sizes(remaining), hold_out_at_reference, _sizes(away_errors), np.array(distances_m))
+
+    remaining, reference_poses = _known_bias(errors, segments, poses, True)
+    hold_out_remaining, known = _known_bias(of_hold_out, segments, poses, True)
+    flown = list(zip([*passes, *hovers], [*hold_out_errors, *away_errors], strict=True))
+    check = _check_known_bias(
+        known.selection(is_reference), model_of(hold_out_remaining), flown, ~is_reference, recording
+    )
+    if not check.helps:
+        remaining, reference_poses = errors, ReferencePoses.without_bias(poses)
+    return model_of(remaining), reference_poses, check
 
 
 def measure_bias_at_reference(
@@ -138,6 +153,67 @@ def measure_bias_at_reference(
     remaining, reference_poses = _known_bias(errors, segments, poses, is_tuned)
     sd_m, sd_rad = axis_sd(_sizes(remaining))
     return BiasModel(sd_at_reference_m=sd_m, sd_at_reference_rad=sd_rad), reference_poses
+
+
+@dataclass(frozen=True)
+class KnownBiasCheck:
+    """Errors of the hold-out localizer on held-out frames, before and after its known bias is subtracted.
+
+    The trajectories are other ones than that which measured the bias, and the frames are not among those that the
+    bias is known of. Root mean squares of position and rotation error, metres and radians.
+    """
+
+    before_m: float
+    before_rad: float
+    after_m: float
+    after_rad: float
+
+    @property
+    def helps(self) -> bool:
+        """Whether position or rotation is better and neither is worse."""
+        changes = self.after_m - self.before_m, self.after_rad - self.before_rad
+        return max(changes) <= 0.0 and min(changes) < 0.0
+
+
+def _check_known_bias(
+    known: ReferencePoses,
+    model: BiasModel,
+    flown: list[tuple[Trajectory, FloatArray]],
+    held_out: NDArray[np.bool_],
+    recording: Recording,
+) -> KnownBiasCheck:
+    """Subtract the known bias from errors as a flight would.
+
+    Args:
+        known: of the hold-out localizer, at the poses that it was tuned on.
+        model: of its bias there.
+        flown: its trajectories, and its errors at their scored frames, twists (M, 6).
+        held_out: (N,) which frames of the recording count.
+    """
+    poses = recording.poses
+    assert poses is not None
+    before, after = [], []
+    for trajectory, errors in flown:
+        counted = held_out[trajectory.scored]
+        recent = _recent_motions(trajectory, poses, recording.timestamps_s)[trajectory.warm_up :]
+        for error, frame, motion in zip(errors[counted], trajectory.scored[counted], recent[counted], strict=True):
+            estimated = poses[frame] @ se3_exp(error)
+            share = model.reference_variance_share(known.distance_m(estimated))
+            corrected = estimated @ se3_exp(-share * known.bias_at(estimated, motion))
+            before.append(error)
+            after.append(se3_log(invert(poses[frame]) @ corrected))
+    sizes = [twist_errors(np.stack(errors)) for errors in (before, after)]
+    rms = [float(np.sqrt(np.mean(size**2))) for each in sizes for size in (each.position_m, each.rotation_rad)]
+    return KnownBiasCheck(*rms)
+
+
+def _recent_motions(trajectory: Trajectory, poses: FloatArray, times_s: FloatArray) -> FloatArray:
+    """Recent motion at each frame of a trajectory, twists (M, 6); as the belief's filter has it."""
+    frames, motions = trajectory.frames, [np.zeros(6)]
+    for previous, frame in itertools.pairwise(frames.tolist()):
+        moved = se3_log(invert(poses[previous]) @ poses[frame])
+        motions.append(decayed(motions[-1], abs(float(times_s[frame] - times_s[previous]))) + moved)
+    return np.stack(motions)
 
 
 def _reference_trajectories(segments: list[NDArray[np.int64]], is_tuned: bool) -> list[Trajectory]:

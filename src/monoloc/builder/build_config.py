@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.adapt.settings import AdaptConfig
-from monoloc.localizer_config import LocalizerConfig
+from monoloc.builder.bias import KnownBiasCheck
+from monoloc.localizer_config import PARTS, LocalizerConfig
 
 
 class BuildConfig(BaseModel):
@@ -39,6 +40,38 @@ class BuildConfig(BaseModel):
     int8: bool = False
     localizer: LocalizerConfig = LocalizerConfig()
 
+    @property
+    def uncalibrated(self) -> LocalizerConfig:
+        """Settings of the localizer before calibration.
+
+        Where the map is tuned by the volume likelihood, the localizer weighs scans with the same one.
+        """
+        if self.adapt.likelihood == "ray":
+            return self.localizer
+        same = {"kind": "volume", "noise_sd_m": self.adapt.noise_sd_m, "outlier_share": self.adapt.outlier_share}
+        return self.localizer.model_copy(update={"likelihood": self.localizer.likelihood.model_copy(update=same)})
+
+
+Method = Literal["default", "paper"]
+
+METHODS: dict[Method, BuildConfig] = {
+    "default": BuildConfig(),
+    "paper": BuildConfig(
+        landmarks=False,
+        adapt=AdaptConfig(
+            tune="last",
+            learns_from="map",
+            fits_scale=False,
+            likelihood="volume",
+            synthesised_views=0,
+            relit_share=0.0,
+            pose_weight=0.0,
+        ),
+        localizer=LocalizerConfig(without=PARTS),
+    ),
+}
+"""Settings of monoloc's method, and of that of Shukla et al. 2023."""
+
 
 @dataclass(frozen=True)
 class BuildReport:
@@ -46,8 +79,9 @@ class BuildReport:
 
     ``nll`` and AbsRel are of held-out frames, in regions apart from the others. The change of the map is as in
     :class:`monoloc.map.compare.MapChange`. Scale and shift of the network's output are None where they were not
-    fitted, see :class:`monoloc.depth.spec.ModelSpec`. ``scale_sd`` is the relative standard deviation of the map's
-    scale, None where a sensor measured it.
+    fitted, see :class:`monoloc.depth.spec.ModelSpec`. ``known_bias_used`` says whether flights subtract the bias that
+    was measured at the reference poses. They do if that helped in ``known_bias_check``, which is None where no frame
+    was held out. ``scale_sd`` is the relative standard deviation of the map's scale, None where a sensor measured it.
     """
 
     frames: int
@@ -66,6 +100,8 @@ class BuildReport:
     depth_scale: float | None
     depth_shift: float | None
     steps: int
+    known_bias_used: bool
+    known_bias_check: KnownBiasCheck | None
     scale_sd: float | None
     pose_shift_median_m: float | None
     pose_turn_median_deg: float | None

@@ -114,13 +114,20 @@ class _Candidate:
 
 
 def calibrate_likelihood(
-    likelihood_for: LikelihoodFactory, samples: list[Sample], base: LocalizerConfig, rng: np.random.Generator
+    likelihood_for: LikelihoodFactory,
+    samples: list[Sample],
+    base: LocalizerConfig,
+    rng: np.random.Generator,
+    fits_width: bool = True,
 ) -> tuple[LocalizerConfig, LikelihoodThresholds]:
     """Error size of the likelihood and spread of the depth's scale, by maximum likelihood at true poses.
 
     The error size is that under which the samples' scans are most likely, each at its own best depth scale. The slow
     part of these scales is the prior of the filter's log-scale. The outlier share is not fitted: the most likely one
     is small, and a generous one tracks better, since the errors within an image are correlated.
+
+    Args:
+        fits_width: whether the error size is fitted; if not, that of ``base`` stays.
 
     Raises:
         DataError: no frame's depth gives a scan.
@@ -130,9 +137,10 @@ def calibrate_likelihood(
         problem = f"gives no usable depth on any of {len(samples)} frames"
         fix = "check output, metric and scale in its TOML: depth must come out in metres"
         raise DataError("network", problem, fix)
+    given = [(base.likelihood, likelihood_for(base.likelihood))]
+    likelihoods = _likelihoods(likelihood_for, base.likelihood, scans) if fits_width else given
     candidates = [
-        _Candidate(config, *_best_over_scales(likelihood, config, scans))
-        for config, likelihood in _likelihoods(likelihood_for, base.likelihood, scans)
+        _Candidate(config, *_best_over_scales(likelihood, config, scans)) for config, likelihood in likelihoods
     ]
     best = max(candidates, key=lambda candidate: float(candidate.values.mean()))
     frames = np.array([sample.index for _, sample in scans])

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.builder.bias import localizer_factory, measure_bias
+from monoloc.builder.bias import KnownBiasCheck, localizer_factory, measure_bias
 from monoloc.builder.build_config import BuildConfig, BuildReport
 from monoloc.builder.calibrate import calibrate_likelihood
 from monoloc.builder.checks import check_frames, check_recording
@@ -118,9 +118,9 @@ def build_bundle(
     rng = np.random.default_rng(seed)
     room = _map(recording, cloud, config, start_network.model, seed, rng, progress)
     adapted = _quantised(_adapt(room, start_network, config, seed, progress), room, config, progress)
-    bundle = _calibrate(room, adapted, config, seed, rng, progress)
+    bundle, known_bias = _calibrate(room, adapted, config, seed, rng, progress)
     bundle = _add_landmarks(bundle, room, config, progress)
-    return bundle, _report(bundle, room, adapted, config, time.perf_counter() - started)
+    return bundle, _report(bundle, room, adapted, known_bias, config, time.perf_counter() - started)
 
 
 def _map(
@@ -215,12 +215,16 @@ def _quantised(adapted: _Adapted, room: _Room, config: BuildConfig, progress: Pr
 
 def _calibrate(
     room: _Room, adapted: _Adapted, config: BuildConfig, seed: int, rng: np.random.Generator, progress: Progress
-) -> Bundle:
+) -> tuple[Bundle, KnownBiasCheck | None]:
     """The bundle without landmarks; its likelihood, thresholds and biases are measured on held-out frames."""
     predictor = DepthPredictor(adapted.hold_out_model, room.recording.camera)
     samples = depth_samples(room.recording, adapted.held_out, predictor, progress)
     settings, thresholds = calibrate_likelihood(
-        lambda likelihood: make_likelihood(adapted.hold_out_map, likelihood), samples, config.localizer, rng
+        lambda likelihood: make_likelihood(adapted.hold_out_map, likelihood),
+        samples,
+        config.uncalibrated,
+        rng,
+        fits_width=config.adapt.likelihood == "ray",  # a map has one width, in tuning and in flight
     )
     bundle = Bundle(
         original=adapted.original,
@@ -243,24 +247,41 @@ def _calibrate(
         reference_poses=ReferencePoses.none(),
     )
     hold_out = replace(bundle, depth_model=adapted.hold_out_model, adapted=adapted.hold_out_map)
-    bias, reference_poses = measure_bias(
-        localizer_factory(bundle, seed),
-        localizer_factory(hold_out, seed),
-        room.recording,
-        adapted.regions,
-        is_tuned=adapted.steps > 0 and config.adapt.tune != "none",
-        progress=progress,
-    )
+    bundle, known_bias = _with_bias(bundle, hold_out, room, adapted.regions, seed, progress)
+    settings = bundle.settings
     likelihood = make_likelihood(adapted.hold_out_map, settings.likelihood)
     error_m, error_rad, precision = measure_relocalization_error(
         likelihood, samples, room.poses, settings, rng, progress
     )
-    bias = bias.model_copy(update={"relocalization_sd_m": error_m, "relocalization_sd_rad": error_rad})
+    bias = settings.particle_bias.model_copy(
+        update={"relocalization_sd_m": error_m, "relocalization_sd_rad": error_rad}
+    )
     settings = settings.model_copy(update={"particle_bias": bias})
     scan = measure_scan_evidence(likelihood, samples, room.poses, settings, rng)
     integrity = IntegrityModel(scan=scan, scan_search_precision=precision)
-    bundle = replace(bundle, settings=settings, reference_poses=reference_poses, integrity=integrity)
-    return replace(bundle, sensor=measure_sensor(bundle, room.recording, rng, progress))
+    bundle = replace(bundle, settings=settings, integrity=integrity)
+    return replace(bundle, sensor=measure_sensor(bundle, room.recording, rng, progress)), known_bias
+
+
+def _with_bias(
+    bundle: Bundle,
+    hold_out: Bundle,
+    room: _Room,
+    regions: list[NDArray[np.int64]],
+    seed: int,
+    progress: Progress,
+) -> tuple[Bundle, KnownBiasCheck | None]:
+    """The bundle with its bias model, and with the known bias if that was measured to help."""
+    settings = bundle.settings
+    if "bias" in settings.without:
+        return replace(bundle, reference_poses=ReferencePoses.without_bias(room.poses)), None
+    of_final, of_hold_out = localizer_factory(bundle, seed), localizer_factory(hold_out, seed)
+    bias, reference_poses, check = measure_bias(of_final, of_hold_out, room.recording, regions, progress)
+    without = settings.without
+    if "known-bias" not in without and (check is None or not check.helps):
+        without = (*without, "known-bias")
+    settings = settings.model_copy(update={"particle_bias": bias, "without": without})
+    return replace(bundle, settings=settings, reference_poses=reference_poses), check
 
 
 def _add_landmarks(bundle: Bundle, room: _Room, config: BuildConfig, progress: Progress) -> Bundle:
@@ -272,7 +293,14 @@ def _add_landmarks(bundle: Bundle, room: _Room, config: BuildConfig, progress: P
     return replace(bundle, settings=settings, landmarks=landmarks, integrity=integrity)
 
 
-def _report(bundle: Bundle, room: _Room, adapted: _Adapted, config: BuildConfig, seconds: float) -> BuildReport:
+def _report(
+    bundle: Bundle,
+    room: _Room,
+    adapted: _Adapted,
+    known_bias: KnownBiasCheck | None,
+    config: BuildConfig,
+    seconds: float,
+) -> BuildReport:
     fitted, refinement = adapted.fitted, room.refinement
     return BuildReport(
         frames=len(room.recording),
@@ -288,6 +316,8 @@ def _report(bundle: Bundle, room: _Room, adapted: _Adapted, config: BuildConfig,
         depth_scale=fitted.scale if fitted else None,
         depth_shift=fitted.shift if fitted and fitted.has_shift else None,
         steps=adapted.steps,
+        known_bias_used="known-bias" not in bundle.settings.without,
+        known_bias_check=known_bias,
         pose_shift_median_m=None if refinement is None else float(np.median(refinement.position_m)),
         scale_sd=bundle.provenance.scale_sd,
         pose_turn_median_deg=None if refinement is None else float(np.rad2deg(np.median(refinement.rotation_rad))),

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from monoloc.adapt.settings import QUICK, Tune
-from monoloc.builder.build_config import BuildConfig
+from monoloc.builder.build_config import METHODS, BuildConfig, Method
 from monoloc.builder.build_plan import expected_stages
 from monoloc.builder.pipeline import build_bundle
 from monoloc.bundle import check_target, write_bundle
@@ -62,6 +62,9 @@ def build(
         str | None,
         typer.Option("--components", "-k", help="Gaussians in the map, or 'bic' for automatic choice. [200]"),
     ] = None,
+    method: Annotated[
+        Method | None, typer.Option("--method", help="Ours, or that of the source paper, as it flies too. [default]")
+    ] = None,
     tune: Annotated[Tune | None, typer.Option("--tune", help="Layers of the network to tune. [all]")] = None,
     map_transform: Annotated[
         bool | None, typer.Option("--map-transform/--no-map-transform", help="Transform the map. [yes]")
@@ -112,7 +115,7 @@ def build(
       monoloc build my-recording --refine-poses --out room.monoloc     (poses with errors of 2 cm and 1 degree)
       monoloc build my-recording --fix-poses opengl --out room.monoloc     (poses with axes of OpenGL)
       monoloc build walk.mp4 --scale marker:7:0.16 --out room.monoloc     (a plain video)
-      monoloc build my-recording --tune last --no-landmarks --out paper.monoloc     (the paper's variant)
+      monoloc build my-recording --method paper --out paper.monoloc     (as Shukla et al. 2023)
       monoloc build my-recording --tune none --no-map-transform --no-landmarks --out plain.monoloc
       monoloc build my-recording --network midas.toml --out midas.monoloc     (another network)
     """
@@ -120,7 +123,7 @@ def build(
     check_apart(out, "--out", (network,))
     if out.suffix != ".monoloc":
         raise SettingError("--out", f"{out} is not named as a bundle", "name it NAME.monoloc")
-    config = BuildConfig() if settings is None else load_settings(settings, BuildConfig)
+    config = _settings_of(method, settings)
     remarks = []
     if trainable_file(network) is None:
         # By default, a network that cannot be trained is used as it is.
@@ -170,6 +173,14 @@ def build(
         shift = "" if report.depth_shift is None else f" and shift {report.depth_shift:.4g}"
         how = f"{network} is used as it is, with scale {report.depth_scale:.4g}{shift} fitted on these frames"
         stderr.print(how, soft_wrap=True)
+
+
+def _settings_of(method: Method | None, settings: Path | None) -> BuildConfig:
+    if settings is None:
+        return METHODS[method or "default"]
+    if method is not None:
+        raise SettingError("--method", f"is given beside {settings}", "leave one of them out")
+    return load_settings(settings, BuildConfig)
 
 
 def _with_poses(recording: Recording, scale: str | None, seed: int, cloud: Path | None) -> Recording:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack, closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal, get_args
@@ -45,6 +46,8 @@ from monoloc.cli.signature import RequireSignatureOption
 from monoloc.cli.start_option import METAVAR, UNKNOWN, StartErrorCmOption, StartErrorDegOption, start_of
 from monoloc.config import override
 from monoloc.errors import MonolocError
+from monoloc.localizer_config import PARTS
+from monoloc.parts import parse_parts
 from monoloc.progress import ConsoleProgress
 from monoloc.run import Run, localize
 from monoloc.sensor_depth import sensor_bundle
@@ -77,6 +80,12 @@ def localize_command(
     odometry: OdometryOption = None,
     odometry_delay: OdometryDelayOption = 0.0,
     mount: MountOption = None,
+    without: Annotated[
+        str | None,
+        typer.Option(
+            "--without", metavar="PART,...", help=f"Parts of the localizer to leave out: {', '.join(PARTS)}."
+        ),
+    ] = None,
     depth: Annotated[
         Literal["predicted", "sensor"],
         typer.Option("--depth", help="Depth of the network or of the recording's sensor (upper bound)."),
@@ -114,6 +123,7 @@ def localize_command(
       monoloc localize room.monoloc flight.mp4 --intrinsics 640,480,525,525,319.5,239.5 --out trajectory.txt
       monoloc localize room.monoloc flight.mp4 --intrinsics 640,480,525,525,319.5,239.5 --start 0.5,0.2,1.1,0,0,0,1
       monoloc localize room.monoloc tum:fr1_room --start truth --motion random-walk
+      monoloc localize room.monoloc tum:fr1_room --start truth --without landmarks,bias     (depth and odometry)
       monoloc localize room.monoloc folder:flight --gyroscope flight/imu.csv --mount flight.toml
       monoloc localize room.monoloc folder:flight --odometry wheels.txt --odometry-delay 0.08
       monoloc localize room.monoloc my-recording --fix-poses opengl     (poses with axes of OpenGL)
@@ -125,12 +135,16 @@ def localize_command(
         check_trajectory(out, "--out")
     check_picture(plot, "--plot")
     check_viewing(view, record)
+    left_out = () if without is None else parse_parts(without)
     room = read_bundle(bundle, require_signature)
     recording = open_source(source, frames, intrinsics, depth_scale, fix_poses=fix_poses, fix_depth=fix_depth)
     warn_of_poses(recording)
     motions = measured_motions(recording.timestamps_s, gyroscope, odometry, odometry_delay, mount)
     with naming({"particles": "--particles", "scan_points": "--scan-points"}):
         config = override(room.settings, motion=motion, particles=particles, scan_points=scan_points)
+    # Names are checked, so the list needs no validation.
+    config = config.model_copy(update={"without": tuple(dict.fromkeys((*config.without, *left_out)))})
+    room = replace(room, settings=config)
     rng = np.random.default_rng(seed)
     used = sensor_bundle(room) if depth == "sensor" else room
     first_pose = None if recording.poses is None else recording.poses[0]

@@ -43,6 +43,11 @@ _CONTRADICTION = 4.0  # times the gate: beyond it, decisive landmarks begin the 
 _LOG_SCALE_TIME_S = 5.0  # for which predicted depth is wrong by one factor
 
 
+def decayed(recent_motion: FloatArray, elapsed_s: float) -> FloatArray:
+    """What is left of a recent motion, a twist (6,), after some seconds; it selects the known bias."""
+    return math.exp(-elapsed_s / _RECENT_MOTION_S) * recent_motion
+
+
 class BiasAugmentedFilter:
     """Holds the belief of one camera and is the only one to change it.
 
@@ -53,6 +58,8 @@ class BiasAugmentedFilter:
         particle_bias, landmark_bias: of the two sources.
         noise: of the motions.
         reference_poses: of the room, or none.
+        is_memoryless: whether each frame's belief is the particles' pose, then that of landmarks, whatever was
+            believed before.
 
     Attributes:
         restarted: whether the belief started anew at this frame, so that the pose may jump.
@@ -66,10 +73,12 @@ class BiasAugmentedFilter:
         noise: MotionConfig,
         reference_poses: ReferencePoses,
         landmark_bias: BiasModel = BiasModel(),
+        is_memoryless: bool = False,
     ) -> None:
         self._particle_bias, self._landmark_bias = particle_bias, landmark_bias
         self._noise = noise
         self._reference_poses = reference_poses
+        self._is_memoryless = is_memoryless
         self._state = BiasAugmentedState.from_start(start, self._prior_sds(start.pose))
         self._measured = start  # by the particles, last
         self._time_since_odometry_s = 0.0
@@ -97,8 +106,7 @@ class BiasAugmentedFilter:
         moved = delta if is_tracked else invert(self._measured.pose) @ measured.pose
         step_m = float(pose_distance_m(np.eye(4), moved[None])[0])
         is_jump = not is_tracked and (elapsed_s == 0.0 or step_m > MOST_STEP_M)  # of the particles, not the camera
-        decay = math.exp(-elapsed_s / _RECENT_MOTION_S)
-        self._recent_motion = decay * self._recent_motion + (np.zeros(6) if is_jump else se3_log(moved))
+        self._recent_motion = decayed(self._recent_motion, elapsed_s) + (np.zeros(6) if is_jump else se3_log(moved))
         self._state = self._predicted(delta, motion, elapsed_s, step_m)
         self._measured = measured
         self.time_since_update_s = 0.0 if is_tracked else self.time_since_update_s + elapsed_s
@@ -110,7 +118,9 @@ class BiasAugmentedFilter:
         After a second without odometry it starts anew there, or widens on where particles tell no position.
         """
         updated = self._state.update_from_particles(measured)
-        if self._time_since_odometry_s > _MOST_TIME_WITHOUT_ODOMETRY_S:
+        if self._is_memoryless:
+            updated = self._from_particles(measured)
+        elif self._time_since_odometry_s > _MOST_TIME_WITHOUT_ODOMETRY_S:
             updated = self._from_particles(measured)
             if updated.estimate(measured.log_scale).position_is_unknown:
                 return self.belief

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_log
 
@@ -54,6 +55,10 @@ class ReferencePoses:
     @classmethod
     def none(cls) -> ReferencePoses:
         return cls.without_bias(np.empty((0, 4, 4)))
+
+    def selection(self, chosen: NDArray[np.bool_]) -> ReferencePoses:
+        """Those of a mask (V,)."""
+        return ReferencePoses(self.poses[chosen], self.forward_bias[chosen], self.backward_bias[chosen])
 
     def __len__(self) -> int:
         return len(self.poses)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from monoloc_lab.experiments import claims
@@ -18,7 +20,7 @@ def smaller(joint: float, unadapted: float = 0.5, ssim: float = 0.5, spread: flo
 
     return Smaller(
         "extrapolation", "L2", ("full", "one-third"), (around(0.10), around(joint)),
-        (around(0.40), around(unadapted)), (0.6, ssim), (0.08, 0.09), around(0.12),
+        (around(0.40), around(unadapted)), (0.6, ssim), (0.08, 0.09), around(0.12), 3,
     )  # fmt: skip
 
 
@@ -53,11 +55,11 @@ def test_unadapted_error_and_ssim_must_be_worse_too() -> None:
     assert not like.holds and like.analysis == f"The SSIM does not fall with the size (0.600, 0.610). {UNDECIDED}"
 
 
-def dark(posenet: float, unadapted: float, nearest: float = 0.3, after: float = 0.1) -> Dark:
+def dark(posenet: float, unadapted: float, nearest: float = 0.3, after: float = 0.1, bright: float = 0.01) -> Dark:
     """Our error is 10 cm, that of dead reckoning 20 cm."""
     return Dark(
         "living room", "L3", "full", Spread((0.09, 0.10, 0.11)), Spread((posenet,) * 3), Spread((unadapted,) * 3),
-        Spread((0.2,)), nearest, (0.3, after),
+        Spread((0.2,)), nearest, (0.3, after), (Spread((bright,) * 3), Spread((bright,) * 3)), 3,
     )  # fmt: skip
 
 
@@ -96,12 +98,32 @@ def test_analysis_of_the_unadapted_filter_states_odometry_and_depth() -> None:
 
 
 def test_shift_of_the_map_on_both_sides_of_the_bound() -> None:
-    held = map_moves_little("extrapolation", "full-0.35", Spread((0.08, 0.099, 0.2)), Spread((0.2,)))
+    gain = Spread((0.5, 0.6, 0.7))
+    held = map_moves_little("extrapolation", "full-0.35", Spread((0.08, 0.099, 0.2)), Spread((0.2,)), gain, 3)
     assert held.holds and held.analysis is None and held.spread == (0.08, 0.2)
     assert "relative error of 20 %, at most the 25 % that count as roughly right" in held.figure
-    shifted = map_moves_little("extrapolation", "full-0.35", Spread((0.14,)), Spread((0.4,)))
+    shifted = map_moves_little("extrapolation", "full-0.35", Spread((0.14,)), Spread((0.4,)), gain, 3)
     assert not shifted.holds and shifted.analysis == f"At 3 m, 40 % are 120 cm. {UNDECIDED}"
     assert "40 %, more than the 25 % that count" in shifted.figure
+
+
+def test_verdict_is_by_the_interval_over_builds() -> None:
+    assert smaller_claim(smaller(0.10)).verdict == "holds" and smaller_claim(smaller(0.12)).verdict == "fails"
+    apart = replace(smaller(0.10), joint=(Spread((0.1,) * 3), Spread((0.09, 0.11, 0.13))))
+    assert smaller_claim(apart).verdict == "undecided"
+    assert smaller_claim(replace(smaller(0.10), builds=1)).verdict == "undecided"
+
+
+@pytest.mark.parametrize(("bright", "expected"), [(0.1, "holds"), (0.6, "fails")])
+def test_effect_is_of_light_only_if_errors_grew_with_darkness(bright: float, expected: str) -> None:
+    assert half_in_the_dark(dark(0.4, 0.4, bright=bright)).verdict == expected
+
+
+def test_small_change_of_the_map_without_a_gain_shows_nothing() -> None:
+    shift, before = Spread((0.02, 0.03, 0.04)), Spread((0.2,))
+    for gain, expected in ((0.8, "holds"), (1.2, "fails")):
+        claim = map_moves_little("extrapolation", "full-0.35", shift, before, Spread((gain,) * 3), 3)
+        assert claim.verdict == expected and claim.holds == (expected == "holds")
 
 
 def test_bounds_are_those_of_the_paper() -> None:

@@ -12,12 +12,15 @@ from scipy.stats import multivariate_normal
 from torch import Tensor, nn
 from torch.autograd import gradcheck
 
-from adapt_helpers import as_tensors, plain_log_likelihood
+from adapt_helpers import as_tensors
 from depth_helpers import ROOM, looking_around
 from map_helpers import make_mixture
 from monoloc.adapt.map_transform import AdaptedMap
-from monoloc.adapt.objective import matched_kl, ray_log_likelihood
-from monoloc.geometry import FloatArray, so3_exp
+from monoloc.adapt.objective import matched_kl, ray_log_likelihood, volume_log_likelihood
+from monoloc.geometry import FloatArray, se3_exp, so3_exp, transform
+from monoloc.likelihood.protocol import LikelihoodConfig
+from monoloc.likelihood.scan import uniform_scan
+from monoloc.likelihood.volume import VolumeLikelihood
 from monoloc.map.em import fit_mixture
 from monoloc.map.mixture import GaussianMixture
 from synthetic_room import RoomRecording
@@ -235,16 +238,40 @@ def test_plain_density_rewards_collapse_and_ray_likelihood_does_not() -> None:
     camera_rays = recording.camera.pixel_rays()[::16, ::16].reshape(-1, 3)
     rays = torch.from_numpy(np.concatenate([camera_rays @ pose[:3, :3].T for pose in poses]))
     depth = np.concatenate([recording.depth(index)[::16, ::16].ravel() for index in range(6)])
-    log_depth, origins = torch.from_numpy(depth).double().log(), torch.zeros_like(rays)
-    for objective, gains in ((plain_log_likelihood, True), (ray_log_likelihood, False)):
-        true, shrunk = (
-            float(objective(log_depth + np.log(size), rays, origins, *as_tensors(seen), 0.1).mean())
-            for size, seen in ((1.0, mixture), (factor, collapsed))
+    depth_m, origins = torch.from_numpy(depth).double(), torch.zeros_like(rays)
+    plain, by_ray = (
+        [
+            float(values.mean())
+            for size, seen in ((1.0, as_tensors(mixture)), (factor, as_tensors(collapsed)))
+            for values in [likelihood(size * depth_m, seen)]
+        ]
+        for likelihood in (
+            lambda d, seen: volume_log_likelihood(d[:, None] * rays, *seen, 0.1, 30.0),
+            lambda d, seen: ray_log_likelihood(d.log(), rays, origins, *seen, 0.1),
         )
-        if gains:
-            assert shrunk > true + 5.0
-        else:
-            assert shrunk == pytest.approx(true, abs=1e-9)
+    )
+    assert plain[1] > plain[0] + 5.0
+    assert by_ray[1] == pytest.approx(by_ray[0], abs=1e-9)
+
+
+def test_volume_likelihood_is_the_one_that_the_filter_weighs_with() -> None:
+    """Of points at a pose, under the smoothed map."""
+    rng = np.random.default_rng(0)
+    mixture, pose = make_mixture(8, extent_m=0.3), se3_exp(rng.normal(0.0, 0.3, 6))
+    config = LikelihoodConfig(kind="volume", noise_sd_m=0.05, outlier_share=0.1)
+    scan = uniform_scan(mixture.sample(40, rng).astype(np.float32))
+    weighed = VolumeLikelihood(mixture, config).mean_log_likelihood(pose[None], np.zeros(1), scan)
+    smoothed = mixture.smoothed(config.noise_sd_m)
+    points = torch.from_numpy(transform(pose, scan.points.astype(np.float64)))
+    values = volume_log_likelihood(points, *as_tensors(smoothed), config.outlier_share, smoothed.volume_m3)
+    assert float(values.mean()) == pytest.approx(float(weighed[0]), abs=0.02)  # the filter's voxels round
+
+
+def test_volume_likelihood_has_the_correct_gradient() -> None:
+    w, m, c = as_tensors(make_mixture(4))
+    points = torch.from_numpy(np.random.default_rng(2).normal(size=(5, 3)))
+    inputs = [t.clone().requires_grad_(True) for t in (points, m, torch.linalg.cholesky(c))]
+    assert gradcheck(lambda x, means, L: volume_log_likelihood(x, w, means, L @ L.mT, 0.2, 30.0), inputs)
 
 
 # --- Both together ---

@@ -73,8 +73,9 @@ def test_only_what_is_tuned_gets_a_gradient(
     assert (adaptation.kl() > 0.0) == map_transform
 
 
+@pytest.mark.parametrize("tune", ["last", "all"])
 def test_relit_views_are_learned_from_as_if_taken_in_that_light(
-    mapped_room: RoomMap, views: Views, monkeypatch: pytest.MonkeyPatch
+    mapped_room: RoomMap, views: Views, monkeypatch: pytest.MonkeyPatch, tune: str
 ) -> None:
     """All of them, here."""
     monkeypatch.setattr(frozen_layers, "random_exposure", lambda color, *_: color // 8)
@@ -82,11 +83,13 @@ def test_relit_views_are_learned_from_as_if_taken_in_that_light(
     dark = replace(views, colors=views.colors // 8)
 
     def tuned(learned_from: Views, share: float) -> Tensor:
-        adaptation = start_adaptation(mapped_room, tune="all", relit_share=share)
+        adaptation = start_adaptation(mapped_room, tune=tune, learns_from="depth", relit_share=share)
         adaptation.run(learned_from, 3, generator())
-        return adaptation.network.encoder.features[4].conv[0][0].weight
+        network = adaptation.network
+        return network.head.weight if tune == "last" else network.encoder.features[4].conv[0][0].weight
 
-    relit, taken_dark, as_taken = tuned(views, 1.0), tuned(dark, 0.0), tuned(views, 0.0)
+    # A share of nearly none draws the same random numbers.
+    relit, taken_dark, as_taken = tuned(views, 1.0), tuned(dark, 1e-9), tuned(views, 1e-9)
     torch.testing.assert_close(relit, taken_dark, rtol=0.0, atol=1e-4)
     assert float((relit - as_taken).detach().abs().max()) > 1e-2
 
@@ -110,6 +113,21 @@ def test_stated_error_follows_features_that_move_and_changes_nothing_else(
     assert states[0].keys() == states[1].keys()
     for name, tensor in states[0].items():
         torch.testing.assert_close(states[1][name], tensor, rtol=0.0, atol=0.0)
+
+
+@pytest.mark.parametrize(("tune", "learns_from"), [("last", "depth"), ("all", "map")])
+def test_what_is_learned_from_does_not_depend_on_what_is_tuned(
+    mapped_room: RoomMap, views: Views, tune: str, learns_from: str
+) -> None:
+    """By the map alone, true depth changes nothing after the scale is fitted."""
+    wrong = replace(views, depth_m=0.5 * views.depth_m)
+    heads = []
+    for learned_from in (views, wrong):
+        config = {"tune": tune, "learns_from": learns_from, "fits_scale": False, "relit_share": 0.0}
+        adaptation = start_adaptation(mapped_room, **config)
+        adaptation.run(learned_from, 3, generator())
+        heads.append(adaptation.network.head.weight)
+    assert torch.equal(*heads) == (learns_from == "map")
 
 
 def test_bias_is_fitted_first(mapped_room: RoomMap, views: Views) -> None:

@@ -106,20 +106,10 @@ def test_trajectories_are_long_enough_to_forget_their_start(places: int, frames_
 
 
 @pytest.mark.parametrize(
-    ("frames", "regions", "is_tuned"),
-    [
-        (200, [[90, 91]], True),
-        (200, [[90]], True),
-        (30, [[20, 21]], True),
-        (29, [[20, 21]], True),
-        (200, [], False),
-        (200, [[90, 91]], False),
-    ],
+    ("frames", "regions"), [(200, [[90, 91]]), (200, [[90]]), (30, [[20, 21]]), (29, [[20, 21]]), (200, [])]
 )
-def test_bias_of_the_place_is_known_and_has_no_deviation(
-    frames: int, regions: list[list[int]], is_tuned: bool
-) -> None:
-    """On a long segment, after tuning; on a short one, or of an untuned network, it is only known how large it is."""
+def test_bias_of_the_place_is_known_and_has_no_deviation(frames: int, regions: list[list[int]]) -> None:
+    """On a long segment; on a short one, or without held-out frames, it is only known how large it is."""
     poses = np.tile(np.eye(4), (frames, 1, 1))
     poses[:, 2, 3] = np.linspace(0.0, 4.0, frames)
     of_place_m = 0.1 * np.sin(np.linspace(0.0, 9.0, frames))
@@ -133,8 +123,9 @@ def test_bias_of_the_place_is_known_and_has_no_deviation(
 
     localizer = _FakeLocalizer(poses, error)
     held_out = [np.array(region) for region in regions]
-    model, reference_poses = measure_bias(make, make, _NumberedFrames(poses), held_out, is_tuned, NoProgress())
-    is_known = frames >= 30 and is_tuned
+    model, reference_poses, check = measure_bias(make, make, _NumberedFrames(poses), held_out, NoProgress())
+    is_known = frames >= 30 and len(regions) > 0
+    assert (check is not None and check.helps) == is_known
     np.testing.assert_array_equal(reference_poses.poses, poses)
     for bias, sideways_m in (
         (reference_poses.forward_bias, of_direction_m),
@@ -150,6 +141,28 @@ def test_bias_of_the_place_is_known_and_has_no_deviation(
     lengths = np.full(frames, of_direction_m) if is_known else np.hypot(of_direction_m, of_place_m)
     assert model.sd_at_reference_m == pytest.approx(np.median(lengths) / np.sqrt(CHI2_MEDIAN_3), rel=0.05)
     assert (model.sd_growth_m > 0.0) == bool(regions) and np.isfinite(model.sd_growth_m)
+
+
+def test_bias_is_not_known_where_knowing_it_does_harm_on_held_out_frames() -> None:
+    """There the hold-out localizer's bias is the opposite of that at the frames around."""
+    poses = np.tile(np.eye(4), (200, 1, 1))
+    poses[:, 2, 3] = np.linspace(0.0, 4.0, 200)
+    held_out = np.arange(90, 94)
+
+    def localizer(sign: float) -> Callable[[FloatArray], _FakeLocalizer]:
+        def error(index: int, previous: int, _: int) -> list[float]:
+            of_direction_m = np.copysign(0.02, index - previous - 0.5)
+            return [sign * 0.1 if index in held_out else 0.1, of_direction_m, 0.0, 0.0, 0.0, 0.0]
+
+        return lambda _: _FakeLocalizer(poses, error)
+
+    model, reference_poses, check = measure_bias(
+        localizer(1.0), localizer(-1.0), _NumberedFrames(poses), [held_out], NoProgress()
+    )
+    assert check is not None and not check.helps
+    assert check.before_m == pytest.approx(np.hypot(0.1, 0.02)) and check.after_m > check.before_m + 0.01
+    assert not reference_poses.forward_bias.any() and not reference_poses.backward_bias.any()
+    assert model.sd_at_reference_m == pytest.approx(np.hypot(0.1, 0.02) / np.sqrt(CHI2_MEDIAN_3))
 
 
 def test_measured_localizers_neither_relocalize_nor_use_known_bias(mixture: GaussianMixture) -> None:

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from map_helpers import make_mixture
 from monoloc.adapt.adaptation import AdaptResult
-from monoloc.adapt.settings import AdaptConfig
 from monoloc.adapt.tuning import Score
-from monoloc.builder.build_config import BuildConfig, BuildReport
+from monoloc.builder.bias import KnownBiasCheck
+from monoloc.builder.build_config import METHODS, BuildConfig, BuildReport
 from monoloc.builder.pipeline import build_bundle
 from monoloc.builder.samples import Sample
 from monoloc.bundle import Bundle, fingerprint
@@ -26,7 +26,7 @@ from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray
 from monoloc.likelihood.protocol import LikelihoodConfig
 from monoloc.likelihood.thresholds import LikelihoodThresholds
-from monoloc.localizer_config import LocalizerConfig
+from monoloc.localizer_config import PARTS, LocalizerConfig
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress
 from monoloc.supervision.integrity import Classes, IntegrityModel, SensorModel
@@ -50,6 +50,7 @@ BIAS_MODEL = BiasModel(sd_at_reference_m=0.03, sd_at_reference_rad=0.02, sd_grow
 BIASES = np.random.default_rng(0).normal(0.0, 0.02, (2, FRAMES, 6))
 SCAN_CLASSES = Classes(edges=(-1.5,), right=(0.1, 0.9), wrong=(0.8, 0.2))
 SENSOR = SensorModel(thresholds=LikelihoodThresholds(low=1.0, lost=0.5), search_precision=0.7)
+HELPS = KnownBiasCheck(before_m=0.2, before_rad=0.1, after_m=0.1, after_rad=0.1)
 REMARK = "a warning about the frames"
 
 Likelihood = tuple[GaussianMixture, LikelihoodConfig]  # stands for a likelihood: what it was made of
@@ -66,7 +67,7 @@ class Measurements:
     sensed: list[tuple[Bundle, RoomRecording]] = field(default_factory=list)
     localized: dict[str, Bundle] = field(default_factory=dict)
     regions: list[NDArray[np.int64]] = field(default_factory=list)
-    is_tuned: bool = False
+    check: KnownBiasCheck | None = HELPS
 
     def calibrate_likelihood(
         self,
@@ -74,7 +75,9 @@ class Measurements:
         samples: list[Sample],
         base: LocalizerConfig,
         _: np.random.Generator,
+        fits_width: bool,
     ) -> tuple[LocalizerConfig, LikelihoodThresholds]:
+        assert fits_width == (base.likelihood.kind == "ray")
         self.calibrated.append((likelihood_for(base.likelihood), samples))
         return base.model_copy(update={"log_scale_sd": 0.123}), THRESHOLDS
 
@@ -84,13 +87,12 @@ class Measurements:
         hold_out: Bundle,
         recording: RoomRecording,
         regions: list[NDArray[np.int64]],
-        is_tuned: bool,
         progress: Any,
-    ) -> tuple[BiasModel, ReferencePoses]:
+    ) -> tuple[BiasModel, ReferencePoses, KnownBiasCheck | None]:
         self.localized = {"final": final, "hold-out": hold_out}
-        self.regions, self.is_tuned = regions, is_tuned
+        self.regions = regions
         assert recording.poses is not None
-        return BIAS_MODEL, ReferencePoses(recording.poses, *BIASES)
+        return BIAS_MODEL, ReferencePoses(recording.poses, *BIASES), self.check
 
     def measure_relocalization_error(
         self, likelihood: Likelihood, samples: list[Sample], poses: FloatArray, config: LocalizerConfig, *_: Any
@@ -152,17 +154,32 @@ def build(recording: RoomRecording, **settings: Any) -> tuple[Bundle, BuildRepor
     return build_bundle(recording, config, 0, NoProgress(), Room().cloud(0.1), "tiny-0.35")
 
 
-@pytest.mark.parametrize(("tune", "steps"), [("all", 20), ("last", 0), ("none", 20)])
-def test_bias_at_reference_poses_is_known_only_of_a_tuned_network(
-    recording: RoomRecording,
-    measurements: Measurements,
-    monkeypatch: pytest.MonkeyPatch,
-    tune: Any,
-    steps: int,
+@pytest.mark.parametrize(
+    ("check", "is_used"),
+    [
+        (HELPS, True),
+        (replace(HELPS, after_rad=0.2), False),
+        (None, False),
+    ],
+)
+def test_known_bias_is_used_where_it_was_measured_to_help(
+    recording: RoomRecording, measurements: Measurements, check: KnownBiasCheck | None, is_used: bool
 ) -> None:
-    monkeypatch.setattr("monoloc.adapt.adaptation.adapt", lambda *_: replace(RESULT, steps=steps))
-    build(recording, adapt=AdaptConfig(tune=tune))
-    assert measurements.is_tuned == (tune != "none" and steps > 0)
+    measurements.check = check
+    bundle, report = build(recording)
+    assert (bundle.settings.without == ()) == is_used == report.known_bias_used
+    assert report.known_bias_check == check
+
+
+def test_papers_method_flies_as_it_was_tuned(recording: RoomRecording, measurements: Measurements) -> None:
+    """Its bias is not measured, and the filter's likelihood is that of tuning."""
+    paper = METHODS["paper"]
+    bundle, _ = build(recording, adapt=paper.adapt, localizer=paper.localizer)
+    likelihood, adapt = bundle.settings.likelihood, paper.adapt
+    assert (likelihood.kind, likelihood.noise_sd_m) == ("volume", adapt.noise_sd_m)
+    assert likelihood.outlier_share == adapt.outlier_share
+    assert measurements.localized == {} and not bundle.reference_poses.forward_bias.any()
+    assert {*bundle.settings.without} == {*PARTS}
 
 
 @pytest.mark.parametrize("int8", [False, True])

@@ -446,6 +446,18 @@ def test_after_a_second_without_odometry_the_belief_is_the_particles_with_their_
     assert np.all(variances >= 0.999 * sds[-1] ** 2) and np.all(variances <= 1.001 * np.max(sds, axis=0) ** 2)
 
 
+def test_memoryless_belief_is_the_particles_pose_whatever_was_believed() -> None:
+    start, none = Estimate(np.eye(4), np.diag(START_SD**2), 0.0), ReferencePoses.none()
+    fusion = BiasAugmentedFilter(start, BiasModel(), MotionConfig(), none, BiasModel(), is_memoryless=True)
+    for distance_m in (0.5, -0.3):
+        belief = frame(fusion, motion_of(STILL), by_particles(along_x(distance_m)))
+        np.testing.assert_allclose(belief.pose, along_x(distance_m), atol=1e-9)
+        np.testing.assert_allclose(belief.covariance, np.diag(NOISE_SD**2), rtol=1e-3)
+    # Landmarks of the same noise, of the same frame, count as much.
+    few = replace(by_landmarks(along_x(-0.29)), points=np.zeros((20, 3)), covariance=belief.covariance / 4.0)
+    assert fusion.update_from_landmarks(few).pose[0, 3] == pytest.approx(-0.295, abs=1e-3)
+
+
 def test_particles_that_tell_no_position_do_not_move_a_belief_without_odometry() -> None:
     """Their bias was measured as a metre: a network that does not fit the room."""
     fusion = filter_at_origin(bias=BiasModel(sd_at_reference_m=1.0, sd_at_reference_rad=1.0))

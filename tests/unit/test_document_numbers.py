@@ -1,0 +1,286 @@
+"""Numbers of README and of the results' tables are those of the kept data, to the digits that they show."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+
+from repository import REPOSITORY
+
+DATA = REPOSITORY / "docs" / "results"
+ROUNDING = 0.005  # of the kept data, in the data's units
+NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?")
+
+Rows = Sequence[dict[str, str]]
+
+
+def table_of(name: str) -> Rows:
+    with (DATA / name).open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+FLIGHTS = table_of("this-version.csv")
+KITCHEN = json.loads((DATA / "reproduce-redkitchen.json").read_text())["figures"]
+LIVING_ROOM = json.loads((DATA / "reproduce-living-room.json").read_text())["figures"]
+
+
+def chosen(rows: Rows, **labels: str) -> Rows:
+    found = [row for row in rows if all(row[name] == value for name, value in labels.items())]
+    assert found, labels
+    return found
+
+
+def values(rows: Rows, column: str) -> list[float]:
+    return [float(row[column]) for row in rows]
+
+
+def median(rows: Rows, column: str) -> list[float]:
+    return [float(np.median(values(rows, column)))]
+
+
+def spread(rows: Rows, column: str) -> list[float]:
+    """Median, smallest and largest."""
+    return [*median(rows, column), min(values(rows, column)), max(values(rows, column))]
+
+
+def total(rows: Rows, column: str) -> float:
+    return sum(values(rows, column))
+
+
+def tracking_percent(rows: Rows) -> float:
+    return 100.0 * float(np.average(values(rows, "tracking"), weights=values(rows, "frames")))
+
+
+def agree(text: str, expected: Iterable[float]) -> None:
+    """The numbers in a text are the expected ones, in order, to the digits that they show."""
+    shown = NUMBER.findall(text)
+    expected = list(expected)
+    assert len(shown) == len(expected), (text, expected)
+    for number, value in zip(shown, expected, strict=True):
+        digits = len(number.partition(".")[2])
+        assert abs(float(number) - value) <= 0.5 * 10.0**-digits + ROUNDING, (text, expected)
+
+
+def section(document: str, heading: str) -> str:
+    text = (REPOSITORY / document).read_text(encoding="utf-8")
+    return re.split(r"\n##? ", text.split(f"\n## {heading}\n")[1])[0]
+
+
+def cells_of(text: str) -> list[list[str]]:
+    """Rows of the first table, without its head."""
+    lines = [line for line in text.splitlines() if line.startswith("|")]
+    return [[cell.strip().replace("**", "") for cell in line.strip("|").split("|")] for line in lines[2:]]
+
+
+# --- Tables ---
+
+
+def test_table_of_this_version() -> None:
+    rows = cells_of(section("docs/results.md", "This version"))
+    assert len(rows) == len({(row["built_from"], row["flown"], row["landmarks"]) for row in FLIGHTS})
+    for where, landmarks, *shown in rows:
+        built_from, flown = where.split(", ")
+        found = chosen(FLIGHTS, built_from=built_from, flown=flown, landmarks=landmarks)
+        expected = [
+            spread(found, "median_cm"),
+            spread(found, "rmse_cm"),
+            median(found, "rotation_median_deg"),
+            [*median(found, "coverage_95"), *median(found, "coverage_99")],
+            [tracking_percent(found)],
+            [total(found, name) for name in ("silent_30cm", "silent_3_5_sigma", "frames")],
+        ]
+        for text, numbers in zip(shown, expected, strict=True):
+            agree(text, numbers)
+
+
+COLUMNS = (
+    {"built_from": "RedKitchen 0:400:4", "flown": "0:400"},
+    {"built_from": "RedKitchen 0:300:3", "flown": "300:400"},
+    {"built_from": "desk 0:350:7", "flown": "0:350"},
+    {"built_from": "desk 0:350:7", "flown": "350:500"},
+)
+
+
+def of_flights(landmarks: str, column: dict[str, str]) -> list[float]:
+    found = chosen(FLIGHTS, landmarks=landmarks, **column)
+    return [*spread(found, "rmse_cm"), *median(found, "median_cm")]
+
+
+def of_odometry(column: dict[str, str]) -> list[float]:
+    return spread(chosen(FLIGHTS, landmarks="yes", **column), "odometry_rmse_cm")
+
+
+def of_sift(column: dict[str, str]) -> list[float]:
+    if column["built_from"].startswith("desk"):
+        return []
+    split = "interpolation" if column["flown"] == "0:400" else "extrapolation"
+    return [100.0 * KITCHEN["fig5b"][split]["by light"]["SIFT keypoints"]["as recorded"]["median"]]
+
+
+def of_counts(column: dict[str, str]) -> list[float]:
+    found = chosen(FLIGHTS, landmarks="yes", **column)
+    return [len({row["build_seed"] for row in found}), len(found)]
+
+
+README_ROWS: tuple[tuple[str, Callable[[dict[str, str]], list[float]]], ...] = (
+    ("monoloc (default)", partial(of_flights, "yes")),
+    ("depth alone, no landmarks", partial(of_flights, "no")),
+    ("visual odometry from the same start", of_odometry),
+    ("SIFT keypoints and PnP, 9.8 MB", of_sift),
+    ("builds, flights (SIFT: one run)", of_counts),
+)
+
+
+def test_table_of_readme() -> None:
+    rows = cells_of(section("README.md", "Accuracy"))
+    assert [row[0] for row in rows] == [name for name, _ in README_ROWS]
+    for (_, numbers), (_, *shown) in zip(README_ROWS, rows, strict=True):
+        for text, column in zip(shown, COLUMNS, strict=True):
+            agree(text, numbers(column))
+
+
+# --- Sentences ---
+
+DESK_BEYOND = chosen(FLIGHTS, landmarks="yes", **COLUMNS[3])
+RENDERED = {
+    light: chosen(
+        table_of("localization.csv"),
+        room="living room",
+        light=light,
+        network="full",
+        variant="adapted",
+        landmarks="yes",
+    )
+    for light in ("L2", "L3")
+}
+
+
+def sift_rmse_cm(light: str) -> float:
+    return 100.0 * float(LIVING_ROOM["fig5b"]["living room"]["by light"]["SIFT keypoints"][light]["median"])
+
+
+SENTENCES: tuple[tuple[str, Sequence[float]], ...] = (
+    (r"\d+ % of the frames are \*tracking\*", [tracking_percent(DESK_BEYOND)]),
+    (
+        r"Of these \d+ frames, \d+ were wrongly \*tracking\* \(\d+ over 30 cm off, \d+ beyond 3.5 sigma\)",
+        [
+            total(DESK_BEYOND, "frames"),
+            total(DESK_BEYOND, "silent_30cm") + total(DESK_BEYOND, "silent_3_5_sigma"),
+            total(DESK_BEYOND, "silent_30cm"),
+            30,
+            total(DESK_BEYOND, "silent_3_5_sigma"),
+            3.5,
+        ],
+    ),
+    (
+        r"an earlier version had an RMSE of [\d.]+ cm in medium light and [\d.]+ cm in near darkness "
+        r"\(\d+ builds, \d+ flights\)",
+        [
+            *(value for light in RENDERED.values() for value in values(light, "rmse_cm")),
+            *values(RENDERED["L2"], "builds"),
+            *values(RENDERED["L2"], "flights"),
+        ],
+    ),
+    (r"SIFT had [\d.]+ and [\d.]+ cm \(1 run\)", [sift_rmse_cm("L2"), sift_rmse_cm("L3"), 1]),
+    (
+        r"the network [\d.]+ MB, landmarks [\d.]+ to [\d.]+ MB, the mixture \d+ kB",
+        [
+            KITCHEN["table1"]["depth networks"]["full"]["bytes"] / 1e6,
+            0.2,
+            0.3,
+            KITCHEN["table1"]["map"]["bytes"] / 1e3,
+        ],
+    ),
+)
+
+NOT_OF_THE_DATA: dict[str, str] = {
+    "200 Gaussians in 8 kB": "a definition: 40 bytes each",
+    "arXiv 2210.15559": "a name",
+    "ICASSP 2023": "a name",
+    "Python 3.11": "what is required",
+    "about 3 GB": "of the packages",
+    "ROS 2": "a name",
+    "7-Scenes": "a name",
+    "takes about 2.3 MB": "the sum of what follows",
+    "about 10 cm and 3°": "what a start must keep to",
+    "400 frames of 7-Scenes": "of the recording",
+    "500 frames of an office": "of the recording",
+    "0:400:4": "frames",
+    "0:350:7": "frames",
+    "0:300:3": "frames",
+    "300:400": "frames",
+    "350:500": "frames",
+    "0:300": "frames",
+    "0:350": "frames",
+    "10 cm and 3° off": "the starts of the flights",
+    "1.5 cm and 1.7°": "stated by those who recorded the desk",
+    "15 to 20 cm": "measured elsewhere, without kept data",
+}
+
+
+@pytest.mark.parametrize(("pattern", "expected"), SENTENCES)
+def test_sentence_of_readme(pattern: str, expected: Sequence[float]) -> None:
+    (text,) = re.findall(f"({pattern})", (REPOSITORY / "README.md").read_text(encoding="utf-8"))
+    agree(text, expected)
+
+
+def without(text: str, patterns: Iterable[Any]) -> str:
+    for pattern in patterns:
+        text = re.sub(pattern, "", text)
+    return text
+
+
+def test_every_other_number_of_readme_is_none_that_was_measured() -> None:
+    text = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    text = without(text, [r"(?s)```.*?```", r"\]\([^)]*\)", r"(?m)^\|.*$", r"`[^`]*`"])
+    text = without(text, (pattern for pattern, _ in SENTENCES))
+    for phrase in sorted(NOT_OF_THE_DATA, key=len, reverse=True):
+        text = text.replace(phrase, "")
+    assert NUMBER.findall(text) == []
+
+
+# --- The ladder ---
+
+LADDER: list[dict[str, Any]] = json.loads((DATA / "ladder.json").read_text())
+ROOMS = {"RedKitchen": "RedKitchen", "office desk": "office-desk"}
+
+
+@pytest.mark.parametrize("room", sorted({str(row["room"]) for row in LADDER}))
+def test_table_of_the_ladder(room: str) -> None:
+    text = (REPOSITORY / "docs" / "beyond-the-paper.md").read_text(encoding="utf-8")
+    (table,) = (
+        part for part in text.split("\n### ")[1:] if ROOMS.get(part.partition(",")[0].partition("\n")[0]) == room
+    )
+    of_room = [row for row in LADDER if row["room"] == room]
+    rows = cells_of(table)
+    assert {name for name, *_ in rows} == {row["rung"] for row in of_room}
+    for name, between, beyond, counts in rows:
+        of_rung = [row for row in of_room if row["rung"] == name]
+        for split, shown in (("between", between), ("beyond", beyond)):
+            flights = [row for row in of_rung if row["split"] == split]
+            columns = {"median_cm": 1.0, "rmse_cm": 1.0, "rotation_median_deg": 1.0, "depth_absrel": 100.0}
+            builds = sorted({row["build_seed"] for row in flights})
+            agree(
+                shown,
+                [
+                    factor
+                    * np.median([np.median([row[c] for row in flights if row["build_seed"] == b]) for b in builds])
+                    for c, factor in columns.items()
+                    if flights
+                ],
+            )
+        agree(counts, [len({row[name] for row in of_rung}) for name in ("build_seed", "flight")])
+
+
+def test_every_flight_of_the_ladder_says_what_built_and_flew_it() -> None:
+    for row in LADDER:
+        assert re.fullmatch("[0-9a-f]{12}", row["bundle_commit"]) and re.fullmatch(
+            "[0-9a-f]{12}", row["flight_commit"]
+        )
