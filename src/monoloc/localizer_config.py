@@ -28,6 +28,8 @@ class LocalizerConfig(BaseModel):
         scale_tilt: correction of a depth image's scale and tilt by odometry's corners; None for no correction.
         particle_bias: slowly varying bias of the particles' pose; see :mod:`monoloc.fusion.bias_filter`.
         landmark_bias: the same of landmark poses.
+        budget_ms: that a step may take; more is left out the slower the computer is, see
+            :mod:`monoloc.step_budget`. None leaves nothing out.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -43,3 +45,4 @@ class LocalizerConfig(BaseModel):
     scale_tilt: ScaleTiltConfig | None = ScaleTiltConfig()
     particle_bias: BiasModel = BiasModel()
     landmark_bias: BiasModel = BiasModel()
+    budget_ms: float | None = Field(None, ge=1.0, le=10_000.0)
