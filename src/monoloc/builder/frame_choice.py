@@ -59,7 +59,7 @@ def choose_frames(recording: Recording, most: int, progress: Progress) -> Record
     covered = set[Cell]().union(*(cells[index] for index in np.flatnonzero(within[candidates]).tolist()))
     free = np.flatnonzero(~np.isin(candidates, taken))
     chosen = free[most_covering([cells[index] for index in free.tolist()], most - len(taken), covered)]
-    chosen = np.append(chosen, np.setdiff1d(free, chosen)[: most - len(taken) - len(chosen)])
+    chosen = np.append(chosen, free[~np.isin(free, chosen)][: most - len(taken) - len(chosen)])
     frames = np.union1d(taken, candidates[chosen])
     if isinstance(recording, Selection):
         return Selection(recording.source, recording.positions[frames])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 from monoloc.evaluation.consistency import CHI2_6_QUANTILE_99
 from monoloc.geometry import FloatArray, invert, make_pose, pose_distance_m, se3_log, so3_exp, transform
-from monoloc.landmarks.features import MATCH_BITS, KeypointDetector, Keypoints, match_descriptors
+from monoloc.landmarks.features import MATCH_BITS, KeypointDetector, Keypoints, match_descriptors, nearest_descriptors
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.landmarks.pnp import (
     LEAST_LANDMARKS,
@@ -33,6 +33,9 @@ _LEAST_SPREAD = 0.075
 _APART_M, _RIVAL_SHARE = 0.5, 0.3
 _RIVAL_CANDIDATES, _MOST_RIVALS = 32, 8  # best matches of a keypoint among which other places are sought
 _ITERATIONS, _RIVAL_ITERATIONS = 1000, 100  # of RANSAC
+# A corner looks another one from three times as far as it was seen from, and builds see few beyond three metres.
+_FARTHEST_M = 10.0
+_KEPT_M = 2.0  # for which the camera may move before its surroundings are sought anew
 _NO_INDICES = np.zeros(0, dtype=np.int64)
 
 
@@ -46,6 +49,7 @@ class OrbLandmarkLocalizer:
     def __init__(self, landmarks: Landmarks, camera: Camera) -> None:
         self._landmarks = landmarks
         self._detect = KeypointDetector(camera)
+        self._nearby = _Nearby(landmarks.points)
 
     def measure(self, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
         """As :meth:`LandmarkLocalizer.measure`; a prior that is vague only tells which landmarks are in view.
@@ -66,7 +70,10 @@ class OrbLandmarkLocalizer:
 
     def relocalize(self, color: NDArray[np.uint8]) -> LandmarkPose | None:
         """As :meth:`LandmarkLocalizer.relocalize`; None too where two places look alike."""
-        seen = self._detect(color)
+        return self.relocalize_keypoints(self._detect(color))
+
+    def relocalize_keypoints(self, seen: Keypoints) -> LandmarkPose | None:
+        """As :meth:`relocalize`, from keypoints that are detected already."""
         found, where = self._confirmed(seen, np.arange(len(self._landmarks)))
         return None if found is None or self._fits_elsewhere(seen, where, found) else found
 
@@ -95,9 +102,10 @@ class OrbLandmarkLocalizer:
 
     def _visible(self, prior: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
         """Indices (M,) of the landmarks in view of a camera at the prior, and their points in its frame, (M, 3)."""
-        local = transform(invert(prior), self._landmarks.points)
+        nearby = self._nearby(prior[:3, 3])
+        local = transform(invert(prior), self._landmarks.points[nearby])
         visible = np.flatnonzero(self._detect.camera.in_sight(local))
-        return visible, local[visible]
+        return nearby[visible], local[visible]
 
     def _radius_px(self, local: FloatArray, covariance: FloatArray) -> float:
         """Three standard deviations of the expected pixel of points (M, 3) in the camera's frame."""
@@ -194,10 +202,8 @@ class OrbLandmarkLocalizer:
             count: of landmarks a keypoint, at most.
         """
         known = self._landmarks.descriptors[possible]
-        bits, nearest = cv2.batchDistance(
-            seen.descriptors, known, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=min(count, len(known))
-        )
-        return np.asarray(bits, dtype=np.int32), possible[np.asarray(nearest)]
+        bits, nearest = nearest_descriptors(seen.descriptors, known, min(count, len(known)))
+        return bits, possible[nearest]
 
     def _pose_by_consensus(
         self, pixels: FloatArray, landmarks: NDArray[np.int64], iterations: int
@@ -223,6 +229,28 @@ class OrbLandmarkLocalizer:
             return None
         T_camera_world = make_pose(so3_exp(rotation.ravel()), translation.ravel())
         return invert(T_camera_world) if np.all(np.isfinite(T_camera_world)) else None
+
+
+class _Nearby:
+    """Which of L points are within sight of a place, at a cost that does not grow with L while the place moves on."""
+
+    def __init__(self, points: NDArray[np.float32]) -> None:
+        self._points = points
+        self._place: FloatArray | None = None  # around which the candidates are
+        self._candidates = _NO_INDICES
+
+    def __call__(self, place: FloatArray) -> NDArray[np.int64]:
+        """Indices of the points within :data:`_FARTHEST_M` of a place (3,), in order."""
+        if self._place is None or np.linalg.norm(place - self._place) > _KEPT_M:
+            self._place = place.copy()
+            self._candidates = np.arange(len(self._points))
+            self._candidates = self._within(place, _FARTHEST_M + _KEPT_M)
+        return self._within(place, _FARTHEST_M)
+
+    def _within(self, place: FloatArray, radius_m: float) -> NDArray[np.int64]:
+        offsets = self._points[self._candidates] - place.astype(np.float32)
+        is_within = np.einsum("ni,ni->n", offsets, offsets) < radius_m**2
+        return np.asarray(self._candidates[is_within])
 
 
 def _is_within(pose: FloatArray, prior: FloatArray, covariance: FloatArray) -> bool:
