@@ -61,7 +61,7 @@ class OrbLandmarkLocalizer:
         visible, local = self._visible(prior)
         seen = self._detect(color)
         if self._radius_px(local, covariance) <= _MOST_RADIUS_PX:
-            return self.measure_keypoints(seen, prior, covariance)
+            return self._agreeing(seen, prior, covariance, (visible, local))[0]
         # Too vague to say where in the image a landmark is to be sought, but not where in the room.
         pose = self._confirmed(seen, visible)[0]
         if pose is None or not _is_within(pose.pose, prior, covariance):
@@ -79,13 +79,21 @@ class OrbLandmarkLocalizer:
 
     def measure_keypoints(self, seen: Keypoints, prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
         """As :meth:`LandmarkLocalizer.measure`, from keypoints that are detected already."""
-        return self._agreeing(seen, prior, covariance)[0]
+        return self._agreeing(seen, prior, covariance, self._visible(prior))[0]
 
     def _agreeing(
-        self, seen: Keypoints, prior: FloatArray, covariance: FloatArray
+        self,
+        seen: Keypoints,
+        prior: FloatArray,
+        covariance: FloatArray,
+        in_view: tuple[NDArray[np.int64], FloatArray],
     ) -> tuple[LandmarkMeasurement, NDArray[np.int64]]:
-        """As :meth:`measure_keypoints`, with the indices of the keypoints whose landmarks agree."""
-        visible, local = self._visible(prior)
+        """As :meth:`measure_keypoints`, with the indices of the keypoints whose landmarks agree.
+
+        Args:
+            in_view: of :meth:`_visible` at the prior.
+        """
+        visible, local = in_view
         camera, room = self._detect.camera, self._landmarks
         which, where = match_descriptors(
             camera.project(local),
@@ -135,7 +143,7 @@ class OrbLandmarkLocalizer:
         place = self._pose_without_prior(seen, possible)
         if place is None:
             return None, _NO_INDICES
-        measured, where = self._agreeing(seen, place, PRIOR_COVARIANCE)
+        measured, where = self._agreeing(seen, place, PRIOR_COVARIANCE, self._visible(place))
         is_confirmed = len(where) >= _LEAST_CONFIRMED and self._spread(seen.pixels[where]) >= _LEAST_SPREAD
         return measured.pose if is_confirmed else None, where
 
