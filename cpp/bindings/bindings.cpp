@@ -180,6 +180,19 @@ nb::tuple match_descriptors(const Pixels& expected, const Descriptors& known, co
                         to_numpy(std::move(matches.keypoints), {count}));
 }
 
+nb::tuple nearest_descriptors(const Descriptors& descriptors, const Descriptors& known, std::size_t kept) {
+  require(kept <= known.shape(0), "kept must be at most the number of known descriptors");
+  monoloc::Nearest nearest;
+  {
+    nb::gil_scoped_release release;
+    nearest = monoloc::nearest_descriptors({descriptors.data(), descriptors.shape(0)}, {known.data(), known.shape(0)},
+                                           kept);
+  }
+  const std::size_t count = descriptors.shape(0);
+  return nb::make_tuple(to_numpy(std::move(nearest.bits), {count, kept}),
+                        to_numpy(std::move(nearest.known), {count, kept}));
+}
+
 monoloc::SeenLandmarks seen_landmarks(const Vectors& points, const Pixels& rays, const Pixels& sd,
                                       const Scalars& kernel_sds, double nearest_m) {
   const std::size_t count = points.shape(0);
@@ -248,6 +261,7 @@ NB_MODULE(_core, m) {
         "behind"_a, "front"_a.noconvert(), "depth"_a.noconvert());
   m.def("match_descriptors", &match_descriptors, "expected"_a, "known"_a, "pixels"_a, "descriptors"_a, "radius_px"_a,
         "most_bits"_a);
+  m.def("nearest_descriptors", &nearest_descriptors, "descriptors"_a, "known"_a, "kept"_a);
   m.def("fit_pose", &fit_pose, "points"_a, "rays"_a, "sd"_a, "prior"_a, "information"_a, "kernel_sds"_a,
         "nearest_m"_a);
   m.def("fit_log_focal", &fit_log_focal, "points"_a, "rays"_a, "sd"_a, "pose"_a, "information"_a, "kernel_sds"_a,

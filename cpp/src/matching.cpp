@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <numeric>
 
 #include "monoloc/kernels.hpp"
 
@@ -11,10 +12,19 @@ namespace {
 
 static_assert(kDescriptorBytes == kDescriptorWords * sizeof(std::uint64_t), "whole words");
 
+constexpr std::size_t kBlock = 512;  // known descriptors at a time, which stay in the cache for all others
+constexpr std::int32_t kMoreThanAll = 8 * kDescriptorBytes + 1;
+
 void append_descriptor(const Corners& corners, std::size_t index, std::vector<std::uint64_t>& words) {
   words.resize(words.size() + kDescriptorWords);
   std::memcpy(words.data() + words.size() - kDescriptorWords, corners.descriptors + kDescriptorBytes * index,
               kDescriptorBytes);
+}
+
+std::vector<std::uint64_t> words_of(const Descriptors& descriptors) {
+  std::vector<std::uint64_t> words(kDescriptorWords * descriptors.count);
+  if (!words.empty()) std::memcpy(words.data(), descriptors.bytes, kDescriptorBytes * descriptors.count);
+  return words;
 }
 
 // Keypoints by increasing x.
@@ -85,6 +95,36 @@ Matches match_descriptors(const Corners& landmarks, const Corners& keypoints, do
     matches.keypoints.push_back(static_cast<std::int64_t>(sorted.index[place]));
   }
   return matches;
+}
+
+Nearest nearest_descriptors(const Descriptors& descriptors, const Descriptors& known, std::size_t kept) {
+  const std::vector<std::uint64_t> ours = words_of(descriptors), theirs = words_of(known);
+  Nearest nearest{std::vector<std::int32_t>(descriptors.count * kept, kMoreThanAll),
+                  std::vector<std::int64_t>(descriptors.count * kept)};
+  if (kept == 0) return nearest;
+  std::vector<std::uint32_t> bits(kBlock), block(kBlock);
+  std::iota(block.begin(), block.end(), 0u);
+  for (std::size_t first = 0; first < known.count; first += kBlock) {
+    const std::size_t count = std::min(kBlock, known.count - first);
+    for (std::size_t d = 0; d < descriptors.count; ++d) {
+      kernels().differing_bits(ours.data() + kDescriptorWords * d, theirs.data() + kDescriptorWords * first,
+                               block.data(), count, bits.data());
+      std::int32_t* best = nearest.bits.data() + kept * d;
+      std::int64_t* at = nearest.known.data() + kept * d;
+      for (std::size_t i = 0; i < count; ++i) {
+        const auto differing = static_cast<std::int32_t>(bits[i]);
+        if (differing >= best[kept - 1]) continue;
+        std::size_t place = kept - 1;
+        for (; place > 0 && best[place - 1] > differing; --place) {
+          best[place] = best[place - 1];
+          at[place] = at[place - 1];
+        }
+        best[place] = differing;
+        at[place] = static_cast<std::int64_t>(first + i);
+      }
+    }
+  }
+  return nearest;
 }
 
 }  // namespace monoloc

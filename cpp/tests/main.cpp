@@ -15,6 +15,7 @@ int main() {
   test_pooling();
   test_drawing();
   test_matching();
+  test_nearest_descriptors();
   test_landmark_pose();
   test_window();
   for (const monoloc::Kernels* const* k = monoloc::available_kernels(); *k != nullptr; ++k) {

@@ -1,4 +1,5 @@
 // Matches of descriptors: mutual, near, and the first of several.
+#include <algorithm>
 #include <bitset>
 #include <cstdint>
 #include <limits>
@@ -67,6 +68,19 @@ void test_matching() {
   CHECK(matched({{0, 0, 0}, {1, 0, 0}}, unknown, {}, {}));
   CHECK(matched({}, {{0, 0, 0}}, {}, {}));
   CHECK(matched({{0, 0, 0}}, {}, {}, {}));
+}
+
+void test_nearest_descriptors() {
+  // Descriptor i of 600 differs from none in i / 2 bits, so two are always as near, and one block is not enough.
+  std::vector<std::uint8_t> known(600 * monoloc::kDescriptorBytes, 0), one(monoloc::kDescriptorBytes, 0);
+  for (std::size_t i = 0; i < 600; ++i) {
+    const std::size_t ones = std::min<std::size_t>((599 - i) / 2, 256);
+    for (std::size_t bit = 0; bit < ones; ++bit) known[i * monoloc::kDescriptorBytes + bit / 8] |= 1u << bit % 8;
+  }
+  const monoloc::Nearest nearest = monoloc::nearest_descriptors({one.data(), 1}, {known.data(), 600}, 5);
+  CHECK((nearest.bits == std::vector<std::int32_t>{0, 0, 1, 1, 2}));
+  CHECK((nearest.known == std::vector<std::int64_t>{598, 599, 596, 597, 594}));
+  CHECK(monoloc::nearest_descriptors({one.data(), 1}, {known.data(), 600}, 0).bits.empty());
 }
 
 void test_differing_bits(const monoloc::Kernels& kernels) {

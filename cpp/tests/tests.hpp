@@ -22,5 +22,6 @@ void test_drawing();
 void test_matching();
 void test_landmark_pose();
 void test_gram(const monoloc::Kernels& kernels);
+void test_nearest_descriptors();
 void test_differing_bits(const monoloc::Kernels& kernels);
 void test_window();

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 _F64 = NDArray[np.float64]
 _F32 = NDArray[np.float32]
+_I32 = NDArray[np.int32]
 _I64 = NDArray[np.int64]
 _U8 = NDArray[np.uint8]
 _U16 = NDArray[np.uint16]
@@ -30,6 +31,7 @@ def draw_points(
 def match_descriptors(
     expected: _F64, known: _U8, pixels: _F64, descriptors: _U8, radius_px: float, most_bits: int
 ) -> tuple[_I64, _I64]: ...
+def nearest_descriptors(descriptors: _U8, known: _U8, kept: int) -> tuple[_I32, _I64]: ...
 def fit_pose(
     points: _F64, rays: _F64, sd: _F64, prior: _F64, information: _F64, kernel_sds: _F64, nearest_m: float
 ) -> tuple[_F64, _F64, _F64, _F64]: ...

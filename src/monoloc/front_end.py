@@ -17,6 +17,7 @@ from monoloc.localizer_config import LocalizerConfig
 from monoloc.odometry.motion import Motion, chained, tracks_translation
 from monoloc.odometry.scale_tilt import correct_scale_and_tilt
 from monoloc.particle_filter.motion_model import motion_sd
+from monoloc.step_budget import StepPlan
 
 _LEAST_POINTS = 10  # of a scan that constrains the pose
 
@@ -33,11 +34,11 @@ class Observation:
             nothing of the camera's motion, so there is no scan, and no motion unless it is black and another sensor
             measured one.
         is_empty: whether the image has no contrast.
-        depth: of the frame, its scale and tilt corrected by odometry's corners.
+        depth: of the frame, its scale and tilt corrected by odometry's corners; None where it was not its turn.
         motion: since the previous frame, None where it is not known at all.
         odometry_tracked: whether images or another sensor measured how the camera moved, not only its turn; true at
             the first frame and for a random walk.
-        scan: points of the depth; empty where the image has no contrast and no sensor measured depth.
+        scan: points of the depth; empty without depth, and where the image has no contrast and no sensor measured it.
         corners: odometry's corners whose depth parallax has refined.
         down_camera: direction of gravity in the camera's frame, (3,) unit vector, None if it is not known.
     """
@@ -47,7 +48,7 @@ class Observation:
     is_first: bool
     repeated_s: float
     is_empty: bool
-    depth: DepthPrediction
+    depth: DepthPrediction | None
     motion: Motion | None
     odometry_tracked: bool
     scan: Scan
@@ -77,6 +78,7 @@ class FrontEnd:
         self._is_first = True
         self._previous: NDArray[np.uint8] | None = None
         self._repeated_s = 0.0
+        self._depth_camera = camera  # of the last depth image
         self._measured: list[Motion | None] = []  # by another sensor, since the last image that did not wait
 
     def reset(self) -> None:
@@ -90,6 +92,7 @@ class FrontEnd:
         measured_depth: DepthPrediction | None,
         down_camera: FloatArray | None,
         measured_motion: Motion | None = None,
+        plan: StepPlan | None = None,
     ) -> Observation:
         """Observe one frame.
 
@@ -99,6 +102,7 @@ class FrontEnd:
             measured_depth: of a depth sensor; None predicts it.
             down_camera: direction of gravity, (3,) unit vector, or None.
             measured_motion: since the previous frame, by another sensor; ignored at the first.
+            plan: number of scan points, and whether depth is predicted; None as the settings say.
 
         Raises:
             ValueError: the image does not have the camera's size or type, time runs backwards, or the motion does
@@ -111,14 +115,16 @@ class FrontEnd:
         if not 0.0 <= elapsed_s < np.inf:
             raise ValueError(f"elapsed_s must be finite and not negative, got {elapsed_s}")
         is_repeated, is_empty = self._is_repeated(color, elapsed_s), not has_contrast(color)
-        depth = self._depth(color) if measured_depth is None else measured_depth
+        depth = self._depth(color) if measured_depth is None and (plan is None or plan.has_depth) else measured_depth
         self._measured.append(None if self._is_first else measured_motion)
         # Odometry's next motion is from the image that repeats, and so is the other sensor's.
         waits = is_repeated and not is_empty
         motion = None if waits else self._motion(color, depth, is_repeated)
         motion = None if self._is_first else motion  # since before a reset
-        depth = self._corrected(depth, motion)
-        scan = self._scan(depth)
+        scan = EMPTY_SCAN
+        if depth is not None:
+            depth = self._corrected(depth, motion)
+            scan = self._scan(depth, self._config.scan_points if plan is None else plan.scan_points)
         observation = Observation(
             color=color,
             elapsed_s=elapsed_s,
@@ -142,13 +148,19 @@ class FrontEnd:
         self._previous = color.copy()
         return is_repeated
 
-    def _motion(self, color: NDArray[np.uint8], depth: DepthPrediction, is_repeated: bool) -> Motion | None:
+    def _motion(self, color: NDArray[np.uint8], depth: DepthPrediction | None, is_repeated: bool) -> Motion | None:
         """The motion since the previous call, by the odometry and the other sensor."""
         measured, self._measured = chained(self._measured), []
         if self._odometry is None or is_repeated:
             return measured
         rotation = None if measured is None else measured.T_previous_current[:3, :3]
-        odometry = self._odometry.step(color, depth.depth_m, depth.camera, rotation)
+        if depth is None:
+            camera = self._depth_camera
+            depth_m = np.zeros((camera.height, camera.width), dtype=np.float32)
+        else:
+            depth_m, camera = depth.depth_m, depth.camera
+            self._depth_camera = camera
+        odometry = self._odometry.step(color, depth_m, camera, rotation)
         return self._best(odometry, measured)
 
     def _best(self, odometry: Motion | None, measured: Motion | None) -> Motion | None:
@@ -178,5 +190,5 @@ class FrontEnd:
     def _corners(self, motion: Motion) -> Scan:
         return scan_from_corners(motion, self._config.likelihood.max_corner_log_depth_sd)
 
-    def _scan(self, depth: DepthPrediction) -> Scan:
-        return scan_from_depth(depth, self._config.scan_points, self._rng, self._config.likelihood.error_power)
+    def _scan(self, depth: DepthPrediction, count: int) -> Scan:
+        return scan_from_depth(depth, count, self._rng, self._config.likelihood.error_power)

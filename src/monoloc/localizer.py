@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
 from monoloc.components import ComponentsFactory, default_components
-from monoloc.depth.predictor import DepthPrediction
+from monoloc.depth.predictor import DepthPrediction, DepthSource
 from monoloc.front_end import FrontEnd, Observation
 from monoloc.fusion.gravity import Gravity
 from monoloc.geometry import FloatArray
@@ -28,6 +29,7 @@ from monoloc.parts import leave_out
 from monoloc.relocalization.search import GlobalRelocalizer
 from monoloc.relocalization.state_machine import Mode, Relocalization, RelocalizationStateMachine
 from monoloc.start import Start
+from monoloc.step_budget import Level, Stage, StepBudget, StepPlan, plan_of
 from monoloc.supervision.camera_check import CameraCheck
 from monoloc.supervision.integrity import IntegrityMonitor
 from monoloc.supervision.map_change import ChangedRegion, MapChangeMonitor
@@ -52,10 +54,11 @@ class Step:
         landmark_pose: pose by landmarks; None where there are none, or too few are seen.
         mode: of the relocalisation.
         motion: since the previous frame, by images or by another sensor; None where there is none.
-        depth: of the frame, after the correction of scale and tilt.
+        depth: of the frame, after the correction of scale and tilt; None where the budget left it out.
         scan: its points that were compared with the map.
         changed_region: in view, in which the map no longer holds; None where there is none, or the pose is not known
             well enough to tell.
+        level: what the step left out to keep its budget.
     """
 
     estimate: Estimate
@@ -68,9 +71,10 @@ class Step:
     landmark_pose: LandmarkPose | None
     mode: Mode
     motion: Motion | None
-    depth: DepthPrediction
+    depth: DepthPrediction | None
     scan: Scan
     changed_region: ChangedRegion | None
+    level: Level = Level.FULL
 
 
 class Localizer:
@@ -110,6 +114,10 @@ class Localizer:
         self._relocalizer = GlobalRelocalizer(
             made.likelihood, self._config.likelihood, poses, self._config.log_scale_sd
         )
+        self._budget: StepBudget | None = None
+        if self._config.budget_ms is not None:
+            self._budget = StepBudget(self._config.budget_ms, self._config.particles, self._config.scan_points)
+            made = replace(made, depth=self._timed(made.depth))
         self._begin(start)
         self._front_end = FrontEnd(made, camera, self._config, self._rng)
 
@@ -131,6 +139,17 @@ class Localizer:
         self._camera_check = CameraCheck(bundle.integrity.focal_mean, bundle.integrity.focal_sd)
         self._map_change = MapChangeMonitor(bundle.landmarks, bundle.integrity)
         self._state: State = "tracking"
+        self._index, self._is_followed = 0, False
+
+    def _timed(self, depth: DepthSource) -> DepthSource:
+        def predict(color: NDArray[np.uint8]) -> DepthPrediction:
+            with self._stage("depth"):
+                return depth(color)
+
+        return predict
+
+    def _stage(self, name: Stage) -> AbstractContextManager[None]:
+        return nullcontext() if self._budget is None else self._budget.stage(name)
 
     def reset(self, start: Start | None) -> None:
         """Forget what is believed, and begin anew at the next frame, whose elapsed time is ignored.
@@ -155,6 +174,7 @@ class Localizer:
         measured_depth: DepthPrediction | None = None,
         down: FloatArray | None = None,
         measured_motion: Motion | None = None,
+        level: Level | None = None,
     ) -> Step:
         """Take in one frame.
 
@@ -166,6 +186,7 @@ class Localizer:
                 gives it; a standard deviation of one degree is assumed.
             measured_motion: since the previous frame, by another sensor: :meth:`Motion.rotation` of a gyroscope or
                 an attitude, or :meth:`Motion.metric` of another odometry; ignored at the first frame.
+            level: what to leave out, as a recorded flight did; None leaves it to the budget.
 
         Raises:
             ValueError: the image does not have the camera's size or type, time runs backwards, ``down`` is no
@@ -173,17 +194,21 @@ class Localizer:
                 changed then.
         """
         down_camera = self._gravity.direction(None if "gravity" in self._config.without else down)
-        observation = self._front_end.observe(color, elapsed_s, measured_depth, down_camera, measured_motion)
+        level, plan = self._plan(level)
+        observation = self._front_end.observe(color, elapsed_s, measured_depth, down_camera, measured_motion, plan)
         predicted = self._predict(observation)
         prior = self._tracker.fusion.predicted(observation.motion, observation.elapsed_s)
         relocalization = self._relocalize(observation, predicted, prior)
-        particle_estimate = self._update_particles(observation, relocalization)
-        log_likelihood = self._mean_log_likelihood(observation.scan, particle_estimate)
-        landmarks = self._measure_landmarks(observation, prior, relocalization)
+        particle_estimate, log_likelihood = self._update_particles(observation, relocalization, plan.particles)
+        landmarks = self._measure_landmarks(observation, prior, relocalization) if plan.has_landmarks else None
         contradicted = self._contradicted_by(landmarks, particle_estimate)
         belief = self._fuse(observation, particle_estimate, log_likelihood, relocalization, landmarks, contradicted)
         supervision = self._supervise(observation, belief, log_likelihood, landmarks, particle_estimate, contradicted)
         self._state, reasons = classify_state(supervision, self._state)
+        self._index += 1
+        self._is_followed = relocalization.mode is Mode.TRACKING and observation.odometry_tracked
+        if self._budget is not None:
+            self._budget.end(plan)
         return Step(
             estimate=belief,
             state=self._state,
@@ -198,7 +223,17 @@ class Localizer:
             depth=observation.depth,
             scan=observation.scan,
             changed_region=supervision.changed_region,
+            level=level,
         )
+
+    def _plan(self, level: Level | None) -> tuple[Level, StepPlan]:
+        """The level of this step, given or by the budget, and what the step does."""
+        if self._budget is not None:
+            self._budget.begin()
+        if level is None:
+            level = Level.FULL if self._budget is None else self._budget.level
+        config = self._config
+        return level, plan_of(level, self._index, config.particles, config.scan_points, self._is_followed)
 
     def _predict(self, observation: Observation) -> Particles:
         self._integrity.predict(observation.elapsed_s, observation.odometry_tracked, observation.image_is_new)
@@ -223,9 +258,17 @@ class Localizer:
             self._integrity.lose()
         return relocalization
 
-    def _update_particles(self, observation: Observation, relocalization: Relocalization) -> Estimate:
-        """The particles' pose after scan and corners; while the camera is searched for, these say nothing."""
-        return self._tracker.update(relocalization.particles, self._weighing(observation, relocalization.mode))
+    def _update_particles(
+        self, observation: Observation, relocalization: Relocalization, count: int
+    ) -> tuple[Estimate, float]:
+        """The particles' pose after scan and corners, and the scan's mean log-likelihood there.
+
+        While the camera is searched for, scan and corners say nothing of the pose.
+        """
+        weigh = self._weighing(observation, relocalization.mode)
+        with self._stage("weighing"):
+            particle_estimate = self._tracker.update(relocalization.particles, weigh, count)
+            return particle_estimate, self._mean_log_likelihood(observation.scan, particle_estimate)
 
     def _weighing(self, observation: Observation, mode: Mode) -> Callable[[Particles], Particles]:
         if mode is Mode.SEARCHING:
@@ -287,7 +330,8 @@ class Localizer:
         starts_anew = relocalization.confirmed or relocalization.landmark_pose is not None
         if relocalization.mode is not Mode.TRACKING or starts_anew or not observation.image_is_new:
             return None
-        return self._landmarks.measure(observation.color, prior.pose, prior.covariance)
+        with self._stage("landmarks"):
+            return self._landmarks.measure(observation.color, prior.pose, prior.covariance)
 
     def _supervise(
         self,

@@ -28,6 +28,7 @@ from monoloc.parts import leave_out
 from monoloc.progress import Progress
 from monoloc.sensor_depth import sensor_bundle, sensor_settings, sparse_depth
 from monoloc.start import Start
+from monoloc.step_budget import Level, level_counts
 from monoloc.supervision.state import VOUCHED_FOR, Reason, State
 from monoloc.viz.viewer import NoViewer, Viewer
 
@@ -46,6 +47,7 @@ class Run:
             estimate; None if no motion was measured.
         unseen: (N,) frames that the bundle was not built from.
         states, reasons: of the frames; a frame that is *tracking* has no reasons.
+        levels: what each step left out to keep its budget.
         mean_log_likelihoods, log_scales, step_ms: (N,).
         landmark_used: (N,) frames in which landmarks measured the pose.
         truth: (N, 4, 4) or None.
@@ -61,6 +63,7 @@ class Run:
     unseen: NDArray[np.bool_]
     states: list[State]
     reasons: list[frozenset[Reason]]
+    levels: list[Level]
     mean_log_likelihoods: FloatArray
     log_scales: FloatArray
     step_ms: FloatArray
@@ -83,6 +86,9 @@ class Run:
             "landmark_used_frames": int(self.landmark_used.sum()),
             "step_ms_median": float(np.median(self.step_ms)),
             "step_ms_p95": float(np.percentile(self.step_ms, 95.0)),
+            "step_ms_p99": float(np.percentile(self.step_ms, 99.0)),
+            "budget_ms": self.config.budget_ms,
+            "levels": level_counts(Counter(self.levels)),
             "particles": self.config.particles,
             "scan_points": self.config.scan_points,
             "motion": self.config.motion,
@@ -204,6 +210,7 @@ class _Log:
         self._estimates: list[Estimate] = []
         self._states: list[State] = []
         self._reasons: list[frozenset[Reason]] = []
+        self._levels: list[Level] = []
         self._figures: list[tuple[float, bool, bool, float]] = []
         self._depth = (DepthAccumulator(), DepthAccumulator()) if recording.has_depth else None
         self.dead_reckoning: list[FloatArray] = []
@@ -216,8 +223,9 @@ class _Log:
         self._estimates.append(step.estimate)
         self._states.append(step.state)
         self._reasons.append(step.reasons)
+        self._levels.append(step.level)
         self._figures.append((step.mean_log_likelihood, step.landmark_pose is not None, unseen, step_ms))
-        if self._depth is not None and sensor_m is not None:
+        if self._depth is not None and sensor_m is not None and step.depth is not None:
             for accumulator in self._depth if unseen else self._depth[:1]:
                 accumulator.add(*depth_pair(step.depth, sensor_m))
 
@@ -242,6 +250,7 @@ class _Log:
             unseen=np.array(unseen, dtype=np.bool_),
             states=self._states,
             reasons=self._reasons,
+            levels=self._levels,
             mean_log_likelihoods=np.array(mean_log_likelihoods),
             log_scales=np.array([estimate.log_scale for estimate in self._estimates]),
             step_ms=np.array(step_ms),

@@ -62,9 +62,11 @@ class Tracker:
         time_since_update_s = 0.0 if from_search else self.fusion.time_since_update_s
         return self._filter.predict(motion, elapsed_s, time_since_update_s)
 
-    def update(self, particles: Particles, weigh: Callable[[Particles], Particles]) -> Estimate:
+    def update(
+        self, particles: Particles, weigh: Callable[[Particles], Particles], count: int | None = None
+    ) -> Estimate:
         """The particles' pose after a measurement; as :meth:`ParticleFilter.update`."""
-        return self._filter.update(particles, weigh)
+        return self._filter.update(particles, weigh, count)
 
     def redraw(self) -> None:
         """Draw the particles anew from the belief."""

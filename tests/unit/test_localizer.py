@@ -22,6 +22,7 @@ from monoloc.odometry.scale_tilt import ScaleTiltConfig
 from monoloc.particle_filter.estimate import estimate
 from monoloc.particle_filter.particles import Particles, normalised, scatter
 from monoloc.start import Start
+from monoloc.step_budget import Level
 from synthetic_room import (
     BLACK,
     CAMERA,
@@ -223,3 +224,22 @@ def test_reset_without_a_start_is_refused_where_the_room_cannot_be_searched(
     with pytest.raises(ValueError, match="start must be given"):
         localizer.reset(None)
     np.testing.assert_array_equal(*(poses_of(follow(each, recording, range(3))) for each in (localizer, twin)))
+
+
+def test_frames_without_their_turn_have_no_depth_and_make_the_belief_no_surer(
+    mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
+) -> None:
+    localizer = localizer_at_truth(
+        mixture, recording, thresholds, depth=DepthPredictor(depth_from_blue(), recording.camera)
+    )
+    steps = [
+        localizer.step(recording.color(index), FRAME_S, level=Level.IN_TURN if index else Level.FULL)
+        for index in range(FRAMES)
+    ]
+    assert [step.depth is None for step in steps] == [index % 2 == 1 for index in range(FRAMES)]
+    assert all(len(step.scan) == (0 if index % 2 else 100) for index, step in enumerate(steps) if index)
+    assert [step.level for step in steps[:2]] == [Level.FULL, Level.IN_TURN] and len(localizer.particles) == 100
+    variances = [np.trace(step.estimate.covariance[:3, :3]) for step in steps]
+    assert all(variances[index] > variances[index - 1] for index in range(1, FRAMES, 2))
+    errors_m = np.linalg.norm(poses_of(steps)[:, :3, 3] - recording.poses[:FRAMES, :3, 3], axis=1)
+    assert errors_m[FRAMES // 2 :].max() < 0.1

@@ -19,6 +19,7 @@ from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress
 from monoloc.run import Run, localize
 from monoloc.start import Start
+from monoloc.step_budget import Level
 from monoloc.supervision.state import Reason
 from synthetic_room import SETTINGS, SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path
 
@@ -43,6 +44,7 @@ def exact_run(recording: RoomRecording) -> Run:
         unseen=np.arange(count) > 5,
         states=["tracking"] * count,
         reasons=[frozenset()] * count,
+        levels=[Level.FULL] * count,
         mean_log_likelihoods=np.zeros(count),
         log_scales=np.zeros(count),
         step_ms=np.ones(count),

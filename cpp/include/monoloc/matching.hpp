@@ -26,4 +26,19 @@ struct Matches {
 // near to a keypoint, the first.
 Matches match_descriptors(const Corners& landmarks, const Corners& keypoints, double radius_px, int most_bits);
 
+// Descriptors one after the other, kDescriptorBytes each.
+struct Descriptors {
+  const std::uint8_t* bytes;
+  std::size_t count;
+};
+
+// Of each of N descriptors the `kept` nearest known ones, nearest first, (N, kept); of those as near, the first.
+struct Nearest {
+  std::vector<std::int32_t> bits;  // by which they differ
+  std::vector<std::int64_t> known;
+};
+
+// `kept` is at most the number of known descriptors.
+Nearest nearest_descriptors(const Descriptors& descriptors, const Descriptors& known, std::size_t kept);
+
 }  // namespace monoloc

@@ -33,6 +33,7 @@ from monoloc.geometry import FloatArray
 from monoloc.io.recording import Selection
 from monoloc.progress import ConsoleProgress
 from monoloc_lab.bench.fitting import FitSizes, bench_fit
+from monoloc_lab.bench.floor import FloorSizes, bench_floor
 from monoloc_lab.bench.kernels import KernelSizes, bench_kernels
 from monoloc_lab.bench.networks import bench_networks
 from monoloc_lab.bench.scenes import synthetic_cloud
@@ -109,6 +110,21 @@ def map_(
     """
     cloud = _cloud(source, frames, np.random.default_rng(seed))
     _show(bench_fit(cloud, FitSizes(), seed, ConsoleProgress(stderr)), json)
+
+
+@app.command()
+def floor(
+    source: RoomArgument = None, frames: FramesOption = "::", seed: SeedOption = 0, json: JsonOption = False
+) -> None:
+    """Time a map of 100,000 components and 200,000 landmarks, beside that of one of its rooms.
+
+    \b
+    Examples:
+      monoloc bench floor
+      monoloc bench floor 7scenes:redkitchen --frames ::4 --json
+    """
+    rng = np.random.default_rng(seed)
+    _show(bench_floor(_cloud(source, frames, rng), FloorSizes(), rng, ConsoleProgress(stderr)), json)
 
 
 @app.command()

@@ -79,6 +79,7 @@ class Film:
         image.imshow(color)
         image.set_title("camera image", loc="left", fontsize=10)
         near_m, far_m = _DEPTH_M
+        assert step.depth is not None  # there is no budget
         depth.imshow(step.depth.depth_m, vmin=near_m, vmax=far_m, extent=image.get_images()[0].get_extent())
         depth.set_title("depth predicted by a small network", loc="left", fontsize=10)
         self._draw_plan(plan, index, step)

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.builder.bias import KnownBiasCheck
+from monoloc.fusion.reference_poses import MOST_POSES
 from monoloc.localizer_config import PARTS, LocalizerConfig
 
 
@@ -16,6 +17,7 @@ class BuildConfig(BaseModel):
     """Settings of a build.
 
     Attributes:
+        most_frames: of a longer recording, so many frames are chosen that show most of the room.
         components: of the map, or ``bic`` to choose their number.
         voxel_m: edge of the voxels that thin the cloud to one point each.
         max_depth_m: sensor depth beyond it is not used for the map.
@@ -29,6 +31,7 @@ class BuildConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
+    most_frames: int = Field(300, ge=10, le=MOST_POSES)
     components: Annotated[int, Field(ge=1, le=1_000_000)] | Literal["bic"] = 200
     voxel_m: float = Field(0.03, ge=0.001, le=10.0)
     max_depth_m: float = Field(4.5, gt=0.0, le=1000.0)
@@ -77,14 +80,16 @@ METHODS: dict[Method, BuildConfig] = {
 class BuildReport:
     """What a build measured; the JSON keys of ``monoloc build``.
 
-    ``nll`` and AbsRel are of held-out frames, in regions apart from the others. The change of the map is as in
-    :class:`monoloc.map.compare.MapChange`. Scale and shift of the network's output are None where they were not
-    fitted, see :class:`monoloc.depth.spec.ModelSpec`. ``known_bias_used`` says whether flights subtract the bias that
-    was measured at the reference poses. They do if that helped in ``known_bias_check``, which is None where no frame
-    was held out. ``scale_sd`` is the relative standard deviation of the map's scale, None where a sensor measured it.
+    ``frames`` were used of ``recorded_frames``. ``nll`` and AbsRel are of held-out frames, in regions apart from the
+    others. The change of the map is as in :class:`monoloc.map.compare.MapChange`. Scale and shift of the network's
+    output are None where they were not fitted, see :class:`monoloc.depth.spec.ModelSpec`. ``known_bias_used`` says
+    whether flights subtract the bias that was measured at the reference poses. They do if that helped in
+    ``known_bias_check``, which is None where no frame was held out. ``scale_sd`` is the relative standard deviation
+    of the map's scale, None where a sensor measured it.
     """
 
     frames: int
+    recorded_frames: int
     cloud_points: int
     components: int
     nll_start: float | None

@@ -15,7 +15,11 @@ def expected_stages(frames: int, config: BuildConfig) -> dict[str, float]:
     """Seconds of each stage of a build of so many frames, by the name of its task, in order."""
     adapt = config.adapt
     is_adapted = adapt.tune != "none" or adapt.map_transform
-    stages = {"check": 2.0, "cloud": _FRAME_S * frames, "map": 1.0}
+    stages: dict[str, float] = {}
+    if frames > config.most_frames:
+        frames = config.most_frames
+        stages["choose frames"] = 2.0 * _FRAME_S * frames
+    stages |= {"check": 2.0, "cloud": _FRAME_S * frames, "map": 1.0}
     if config.refine_poses:
         stages["refine poses"] = _REFINED_FRAME_S * frames
     if is_adapted:

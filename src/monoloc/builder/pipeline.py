@@ -16,6 +16,7 @@ from monoloc.builder.bias import KnownBiasCheck, localizer_factory, measure_bias
 from monoloc.builder.build_config import BuildConfig, BuildReport
 from monoloc.builder.calibrate import calibrate_likelihood
 from monoloc.builder.checks import check_frames, check_recording
+from monoloc.builder.frame_choice import choose_frames
 from monoloc.builder.kept_depth import KeptDepth
 from monoloc.builder.landmark_mapping import build_landmarks
 from monoloc.builder.pose_refinement import PosePrior, refine_poses, rounds
@@ -114,17 +115,21 @@ def build_bundle(
     """
     started = time.perf_counter()
     start_network = checked_network(recording, config, network)
-    recording = KeptDepth(recording)
+    chosen = KeptDepth(choose_frames(recording, config.most_frames, progress))
+    # Neighbouring frames tell whether poses are right, and chosen ones may have none.
+    whole = chosen if len(chosen) == len(recording) else recording
     rng = np.random.default_rng(seed)
-    room = _map(recording, cloud, config, start_network.model, seed, rng, progress)
+    room = _map(chosen, whole, cloud, config, start_network.model, seed, rng, progress)
     adapted = _quantised(_adapt(room, start_network, config, seed, progress), room, config, progress)
     bundle, known_bias = _calibrate(room, adapted, config, seed, rng, progress)
     bundle = _add_landmarks(bundle, room, config, progress)
-    return bundle, _report(bundle, room, adapted, known_bias, config, time.perf_counter() - started)
+    seconds = time.perf_counter() - started
+    return bundle, _report(bundle, room, adapted, known_bias, config, len(recording), seconds)
 
 
 def _map(
     recording: Recording,
+    whole: Recording,
     cloud: FloatArray | None,
     config: BuildConfig,
     model: DepthModel,
@@ -132,12 +137,16 @@ def _map(
     rng: np.random.Generator,
     progress: Progress,
 ) -> _Room:
-    """Cloud and mixture, of poses that are refined if that is asked for."""
+    """Cloud and mixture, of poses that are refined if that is asked for.
+
+    Args:
+        whole: recording that the frames were chosen from.
+    """
     frames = {name: fingerprint(recording.color(index)) for index, name in enumerate(recording.frame_names)}
     if len(frames) < len(recording):
         raise DataError(recording.name, "has frames of the same name", "give every frame a name of its own")
     cloud_is_given = cloud is not None
-    warnings = check_recording(recording, cloud, config, progress)
+    warnings = check_recording(whole, cloud, config, progress)
     cloud, mixture = fit_map(recording, cloud, config, rng, progress)
     warnings += check_frames(recording, cloud, mixture, cloud_is_given, model, np.random.default_rng(seed))
     refinement = None
@@ -299,11 +308,13 @@ def _report(
     adapted: _Adapted,
     known_bias: KnownBiasCheck | None,
     config: BuildConfig,
+    recorded_frames: int,
     seconds: float,
 ) -> BuildReport:
     fitted, refinement = adapted.fitted, room.refinement
     return BuildReport(
         frames=len(room.recording),
+        recorded_frames=recorded_frames,
         cloud_points=len(room.cloud),
         components=len(room.mixture),
         nll_start=adapted.nll[0],

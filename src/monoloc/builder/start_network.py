@@ -17,7 +17,6 @@ from monoloc.depth.predictor import DepthPredictor
 from monoloc.depth.spec import DepthModel
 from monoloc.errors import DataError, SettingError
 from monoloc.extras import training_extra
-from monoloc.fusion.reference_poses import MOST_POSES
 from monoloc.io.recording import Recording
 
 _MIN_FRAMES = 5
@@ -41,9 +40,6 @@ def checked_network(recording: Recording, config: BuildConfig, network: str | Pa
         raise DataError(recording.name, "has no poses", "build from a recording with camera poses")
     if len(recording) < _MIN_FRAMES:
         raise DataError(recording.name, f"gives {len(recording)} frames", f"build from at least {_MIN_FRAMES}")
-    if len(recording) > MOST_POSES:
-        fix = f"build from at most {MOST_POSES}, with --frames ::{len(recording) // MOST_POSES + 1}"
-        raise DataError(recording.name, f"gives {len(recording)} frames", fix)
     if config.refine_poses:
         check_refinable(recording)
     file = None

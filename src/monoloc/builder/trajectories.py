@@ -13,7 +13,7 @@ from monoloc.fusion.reference_poses import MOST_STEP_M
 from monoloc.geometry import FloatArray, pose_distance_m
 
 _WARM_UP_FRAMES = 60  # after so many the start is forgotten, and the pose is what the depth there gives
-_LONG_FRAMES = 30  # on a shorter segment, the biases of place and direction cannot be separated
+LONG_FRAMES = 30  # on a shorter segment, the biases of place and direction cannot be separated
 _MOST_GAP_S = 1.5  # between frames; no camera is followed over a longer one
 _MOST_SEGMENTS, _MOST_SHORT = 20, 8  # of all, and of short ones, each of which takes 60 to 120 steps
 
@@ -54,9 +54,14 @@ def continuous_segments(frames: NDArray[np.int64], times_s: FloatArray, poses: F
     return np.split(frames, 1 + np.flatnonzero(gaps))
 
 
+def can_be_followed(times_s: FloatArray, poses: FloatArray) -> bool:
+    """Whether a camera can be followed from one frame to the next, times (2,) and poses (2, 4, 4)."""
+    return len(continuous_segments(np.arange(2), times_s, poses)) == 1
+
+
 def is_long(segment: NDArray[np.int64]) -> bool:
     """Whether following it forward and backward tells the bias of the place from that of the direction."""
-    return len(segment) >= _LONG_FRAMES
+    return len(segment) >= LONG_FRAMES
 
 
 def forward_and_backward(segment: NDArray[np.int64]) -> Trajectory:

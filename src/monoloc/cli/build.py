@@ -9,10 +9,10 @@ from typing import Annotated
 import typer
 
 from monoloc.adapt.settings import QUICK, Tune
-from monoloc.builder.build_config import METHODS, BuildConfig, Method
+from monoloc.builder.build_config import METHODS, BuildConfig, BuildReport, Method
 from monoloc.builder.build_plan import expected_stages
 from monoloc.builder.pipeline import build_bundle
-from monoloc.bundle import check_target, write_bundle
+from monoloc.bundle import Bundle, check_target, write_bundle
 from monoloc.cli.common import (
     DepthScaleOption,
     FixDepthOption,
@@ -152,9 +152,16 @@ def build(
     report = replace(report, warnings=remarks + report.warnings)
     for warning in report.warnings:
         stderr.print(f"warning: {recording.name}: {warning}", soft_wrap=True)
+    if report.frames < report.recorded_frames:
+        remark = f"{report.frames} of {report.recorded_frames} frames are used, chosen to show most of the room"
+        stderr.print(f"note: {recording.name}: {remark}; most_frames in --settings uses more", soft_wrap=True)
     if json:
         print_json({"bundle": str(out), "bytes": size, **asdict(report)})
-        return
+    else:
+        _print_report(out, size, bundle, report, network)
+
+
+def _print_report(out: Path, size: int, bundle: Bundle, report: BuildReport, network: str) -> None:
     stderr.print(
         f"{out}: {size / 1e6:.1f} MB, map of {report.components} components in "
         f"{bundle.adapted.nbytes_stored / 1e3:.0f} kB, {report.landmarks} landmarks in "

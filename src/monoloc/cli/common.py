@@ -54,6 +54,15 @@ SourceArgument = Annotated[
 ]
 FramesOption = Annotated[str, typer.Option("--frames", help="Frames START:STOP:STEP, in order of time.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON object on stdout, everything else on stderr.")]
+BudgetOption = Annotated[
+    float | None,
+    typer.Option(
+        "--budget-ms",
+        metavar="MS",
+        help="Time that a step may take. A slow computer leaves out, in this order: particles, scan points, every "
+        "second depth image and every second search for landmarks.",
+    ),
+]
 SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Random seed; the same seed gives the same result.")]
 IntrinsicsOption = Annotated[
     str | None,

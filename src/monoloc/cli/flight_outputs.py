@@ -22,6 +22,7 @@ from monoloc.live.frame_source import FrameSource
 from monoloc.mavlink.autopilot_link import AutopilotLink
 from monoloc.mavlink.firmware import Firmware
 from monoloc.start import Start
+from monoloc.step_budget import Level, budget_line, level_counts
 from monoloc.supervision.state import State
 
 
@@ -96,6 +97,8 @@ def report(
     say(f"{summary.frames} frames: {states}{how}")
     dropped = ", ".join(f"{count} {reason}" for reason, count in summary.dropped.items() if count)
     say(f"dropped: {dropped or 'none'}; reconnections of the camera: {source.reconnections}")
+    if set(summary.levels) - {Level.FULL}:
+        say(budget_line(level_counts(summary.levels)))
     if unwritten := ", ".join(f"{count} {what}" for what, count in summary.unwritten.items() if count):
         say(f"not written, since the disk was too slow: {unwritten}")
     if link is not None:

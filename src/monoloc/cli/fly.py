@@ -14,6 +14,7 @@ import typer
 
 from monoloc.bundle import read_bundle
 from monoloc.cli.common import (
+    BudgetOption,
     FramesOption,
     IntrinsicsOption,
     JsonOption,
@@ -37,6 +38,7 @@ from monoloc.cli.flight_outputs import check_mcap, check_view, header_of, logs, 
 from monoloc.cli.signature import RequireSignatureOption
 from monoloc.cli.start_option import METAVAR
 from monoloc.cli.stop_signals import stopped_by_signals
+from monoloc.config import override
 from monoloc.flight.autopilot import down_world, gravity_of, link_to, obstacle_frames, senders, turns_of
 from monoloc.flight.flight_loop import Flight, FlightOutput, FlightSummary
 from monoloc.flight.flight_recording import FlightRecorder
@@ -77,6 +79,7 @@ def fly(
     align: Annotated[
         bool, typer.Option("--align", help="Only measure north_deg by the autopilot's yaw, and end.")
     ] = False,
+    budget_ms: BudgetOption = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="CSV to write: pose, covariance, state and reasons a frame.")
     ] = None,
@@ -128,6 +131,7 @@ def fly(
         start_error_deg=start_error_deg,
         mavlink=mavlink,
         firmware=firmware,
+        budget_ms=budget_ms,
         out=out,
         mcap=mcap,
         record=record,
@@ -152,7 +156,8 @@ def fly(
             frame_source, camera, first_pose = open_frames(flight.source, frames, flight.camera, fast)
             opened.callback(frame_source.close)
             starting = starting_of(flight, bundle, camera, first_pose, rng)
-            localizer = Localizer(bundle, camera, starting.start, seed=seed)
+            config = override(bundle.settings, budget_ms=flight.budget_ms)
+            localizer = Localizer(bundle, camera, starting.start, config, seed=seed)
             if firmware is not None:
                 down_world(bundle, flight_settings)  # or it is refused, before anything is written
             address = flight.mavlink

@@ -15,6 +15,7 @@ import typer
 
 from monoloc.bundle import Bundle, read_bundle
 from monoloc.cli.common import (
+    BudgetOption,
     DepthScaleOption,
     FixDepthOption,
     FixPosesOption,
@@ -51,6 +52,7 @@ from monoloc.parts import parse_parts
 from monoloc.progress import ConsoleProgress
 from monoloc.run import Run, localize
 from monoloc.sensor_depth import sensor_bundle
+from monoloc.step_budget import budget_line
 from monoloc.supervision.state import State
 from monoloc.trajectory_output import WritingViewer, check_trajectory, trajectory_output
 from monoloc.viz.plots import plot_localization
@@ -92,6 +94,7 @@ def localize_command(
     ] = "predicted",
     particles: Annotated[int | None, typer.Option("--particles", help="Number of particles. [the bundle's]")] = None,
     scan_points: Annotated[int | None, typer.Option("--scan-points", help="Points per scan. [the bundle's]")] = None,
+    budget_ms: BudgetOption = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -140,8 +143,9 @@ def localize_command(
     recording = open_source(source, frames, intrinsics, depth_scale, fix_poses=fix_poses, fix_depth=fix_depth)
     warn_of_poses(recording)
     motions = measured_motions(recording.timestamps_s, gyroscope, odometry, odometry_delay, mount)
-    with naming({"particles": "--particles", "scan_points": "--scan-points"}):
-        config = override(room.settings, motion=motion, particles=particles, scan_points=scan_points)
+    with naming({"particles": "--particles", "scan_points": "--scan-points", "budget_ms": "--budget-ms"}):
+        given = {"motion": motion, "particles": particles, "scan_points": scan_points, "budget_ms": budget_ms}
+        config = override(room.settings, **given)
     # Names are checked, so the list needs no validation.
     config = config.model_copy(update={"without": tuple(dict.fromkeys((*config.without, *left_out)))})
     room = replace(room, settings=config)
@@ -248,6 +252,10 @@ def show(metrics: dict[str, object]) -> None:
     if reasons:
         why = ", ".join(f"{reason} ({count})" for reason, count in reasons.items())
         stderr.print(f"not tracking because: {why}", soft_wrap=True)
+    levels = metrics["levels"]
+    assert isinstance(levels, dict)
+    if metrics["budget_ms"] is not None:
+        stderr.print(budget_line(levels), soft_wrap=True)
 
 
 def _figure(metrics: dict[str, object], prefix: str, name: str, factor: float, unit: str) -> str:

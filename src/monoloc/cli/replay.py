@@ -12,7 +12,7 @@ import cv2
 import typer
 
 from monoloc.bundle import digest_of, read_bundle
-from monoloc.cli.common import JsonOption, check_outputs, print_json, stderr
+from monoloc.cli.common import BudgetOption, JsonOption, check_outputs, naming, print_json, stderr
 from monoloc.errors import DataError
 from monoloc.files import write_whole
 from monoloc.flight.autopilot import senders
@@ -31,13 +31,15 @@ def replay(
     room: Annotated[
         Path | None, typer.Option("--room", help="The bundle, where it is no longer at the place of the flight.")
     ] = None,
+    budget_ms: BudgetOption = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="CSV of the poses to write.")] = None,
     json: JsonOption = False,
 ) -> None:
     """Compute a recorded flight again, and compare both.
 
     On the same machine, with the same version and bundle, poses and messages are what the flight computed and sent,
-    to the last bit.
+    to the last bit; what the flight left out to keep its budget is left out again. With --budget-ms, this budget
+    decides instead.
 
     \b
     Examples:
@@ -59,8 +61,11 @@ def replay(
             outputs += senders(None, again, bundle, header.firmware, header.settings, Counter())
         for output in outputs:
             opened.enter_context(closing(output))
-        with ConsoleProgress(stderr).task("replay", max(1, len(recorded) - 1)) as show:
-            frames = recompute(folder, header, bundle, outputs, show)
+        with (
+            naming({"budget_ms": "--budget-ms"}),
+            ConsoleProgress(stderr).task("replay", max(1, len(recorded) - 1)) as show,
+        ):
+            frames = recompute(folder, header, bundle, outputs, show, budget_ms)
         if len(recorded) <= frames:
             problem = f"has {max(0, len(recorded) - 1)} poses for {frames} frames"
             raise DataError(folder / POSES, problem, "give another flight")

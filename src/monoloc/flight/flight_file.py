@@ -28,6 +28,7 @@ class FlightFile(FlightSettings):
         mavlink, firmware: address and firmware of the autopilot.
         start: pose ``TX,TY,TZ,QX,QY,QZ,QW`` of the first frame, ``unknown`` or ``truth``.
         start_error_cm, start_error_deg: of the start.
+        budget_ms: that a step may take, see :mod:`monoloc.step_budget`; None takes the bundle's.
         out: table to write.
         mcap, record: file and folder to write; in both, ``%Y``, ``%m``, ``%d``, ``%H``, ``%M`` and ``%S`` stand for
             the time of the start.
@@ -43,6 +44,7 @@ class FlightFile(FlightSettings):
     start: str = "unknown"
     start_error_cm: float = Field(10.0, ge=0.0, le=1e5)
     start_error_deg: float = Field(3.0, ge=0.0, le=180.0)
+    budget_ms: float | None = Field(None, ge=1.0, le=10_000.0)
     out: Path | None = None
     mcap: Path | None = None
     record: Path | None = None

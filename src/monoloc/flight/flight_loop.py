@@ -18,6 +18,7 @@ from monoloc.live.frame_source import EndOfStreamError, FrameSource, LiveFrame
 from monoloc.localizer import Localizer, Step
 from monoloc.odometry.motion import Motion
 from monoloc.start import Start
+from monoloc.step_budget import Level, level_counts
 
 _WAIT_S = 0.1  # for a frame, before the outputs hear that there is none
 _MOST_AHEAD_S = 0.02  # of the clock, by which a camera's stamps may be off
@@ -78,6 +79,7 @@ class FlightSummary:
             when their turn came), ``future`` (captured after they came, by a clock that is wrong), ``unordered``
             (captured no later than the one before), ``without start`` (before the first marker).
         states: number of frames in each state.
+        levels: number of frames at each level of the budget.
         unwritten: what outputs did not write since the disk was too slow, by kind: ``mcap images``, ``mcap frames``,
             ``poses``, ``messages``.
         failures: of outputs, which took no more frames.
@@ -88,6 +90,7 @@ class FlightSummary:
     frames: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
     states: Counter[str] = field(default_factory=Counter)
+    levels: Counter[Level] = field(default_factory=Counter)
     unwritten: Counter[str] = field(default_factory=Counter)
     failures: list[MonolocError] = field(default_factory=list)
     latencies_s: list[float] = field(default_factory=list)
@@ -96,6 +99,7 @@ class FlightSummary:
     def add(self, result: FlightStep) -> None:
         self.frames += 1
         self.states[result.step.state] += 1
+        self.levels[result.step.level] += 1
         self.latencies_s.append(result.done_s - result.frame.captured_s)
         if self.frames > 1:
             self.intervals_s.append(result.elapsed_s)
@@ -119,6 +123,7 @@ class FlightSummary:
             "dropped": dict(self.dropped),
             "unwritten": dict(self.unwritten),
             "states": dict(self.states),
+            "levels": level_counts(self.levels),
             "rate_hz": self.rate_hz,
             "latency_s_median": self.latency_s(50.0),
             "latency_s_p95": self.latency_s(95.0),

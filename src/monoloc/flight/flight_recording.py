@@ -35,6 +35,7 @@ from monoloc.io.image_files import read_color
 from monoloc.mavlink.firmware import Firmware
 from monoloc.odometry.motion import Motion
 from monoloc.start import Start
+from monoloc.step_budget import Level
 from monoloc.version import __version__
 
 _HEADER, _FRAMES, _IMAGES, POSES, MESSAGES = "flight.json", "frames.jsonl", "images", "poses.csv", "messages.tlog"
@@ -125,6 +126,7 @@ class RecordedFrame(BaseModel):
         down_camera: direction of gravity that was used, or None.
         start: from which the localizer began anew at this frame, or None.
         rotation: since the previous frame by the autopilot's attitude that was used, or None.
+        level: what the step left out to keep its budget, which the clock decided.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -135,6 +137,7 @@ class RecordedFrame(BaseModel):
     down_camera: tuple[float, float, float] | None
     start: RecordedStart | None = None
     rotation: RecordedRotation | None = None
+    level: Level = Level.FULL
 
     @property
     def motion(self) -> Motion | None:
@@ -229,6 +232,7 @@ class FlightRecorder:
                 down_camera=None if down is None else (float(down[0]), float(down[1]), float(down[2])),
                 start=RecordedStart.of(event.start),
                 rotation=RecordedRotation.of(event.measured_motion),
+                level=event.step.level,
             )
         )
 

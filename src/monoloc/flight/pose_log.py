@@ -103,4 +103,4 @@ def row(time_s: float, frame: str, step: Step) -> tuple[str, ...]:
     numbers = [*pose[:3, 3], *rotation_to_quaternion(pose[:3, :3]), *step.estimate.covariance[UPPER]]
     reasons = ";".join(sorted(reason.value for reason in step.reasons))
     state = (repr(time_s), frame, step.state, reasons, repr(step.probability_far), str(int(step.restarted)))
-    return (*state, *(repr(float(number)) for number in numbers))
+    return (*state, str(int(step.level)), *(repr(float(number)) for number in numbers))

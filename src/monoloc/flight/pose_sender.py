@@ -108,12 +108,13 @@ class PoseSender:
     def _send_obstacles(self, result: FlightStep) -> None:
         captured_s = result.frame.captured_s
         is_due = captured_s - self._obstacles_s >= 0.99 / _OBSTACLES_HZ
-        if not (self._settings.obstacles and is_due):
+        depth = result.step.depth
+        if depth is None or not (self._settings.obstacles and is_due):
             return
         self._obstacles_s = captured_s
         estimate = result.step.estimate
         T_level_camera = self._frames.T_level_camera(estimate)
-        distances_cm = sector_distances_cm(result.step.depth, estimate.log_scale, T_level_camera)
+        distances_cm = sector_distances_cm(depth, estimate.log_scale, T_level_camera)
         self.counts["obstacles"] += 1
         self._sink.send(obstacle_distance(captured_s, distances_cm, LEAST_M, MOST_M))
 

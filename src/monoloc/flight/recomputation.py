@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from monoloc.bundle import Bundle
+from monoloc.config import override
 from monoloc.errors import DataError
 from monoloc.flight.flight_loop import FlightOutput, FlightStep
 from monoloc.flight.flight_recording import FlightHeader, RecordedIdle, read_events
@@ -19,6 +20,7 @@ def recompute(
     bundle: Bundle,
     outputs: Sequence[FlightOutput],
     show: Callable[[int], None],
+    budget_ms: float | None = None,
 ) -> int:
     """Localise the frames of a recorded flight, with its times, its gravity and its attitude.
 
@@ -27,15 +29,18 @@ def recompute(
         bundle: of the flight.
         outputs: take the results, as they did in the flight.
         show: is told the number of frames after each.
+        budget_ms: that each step keeps here; None leaves out what the flight left out.
 
     Returns:
         The number of frames.
 
     Raises:
         DataError: a file is missing or damaged, or there is no frame.
+        SettingError: the budget is out of range.
     """
     start = None if header.start is None else header.start.start
-    localizer = Localizer(bundle, header.camera, start, seed=header.seed)
+    settings = override(bundle.settings, budget_ms=budget_ms)
+    localizer = Localizer(bundle, header.camera, start, settings, seed=header.seed)
     count = 0
     for event in read_events(folder, header.camera):
         if isinstance(event, RecordedIdle):
@@ -46,7 +51,8 @@ def recompute(
         if frame.start is not None:
             localizer.reset(frame.start.start)
         motion = frame.motion
-        step = localizer.step(color, frame.elapsed_s, down=frame.down, measured_motion=motion)
+        level = frame.level if budget_ms is None else None
+        step = localizer.step(color, frame.elapsed_s, down=frame.down, measured_motion=motion, level=level)
         taken = LiveFrame(color, frame.captured_s, count)
         result = FlightStep(taken, frame.elapsed_s, frame.down, step, frame.done_s, measured_motion=motion)
         for output in outputs:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from monoloc.flight.flight_loop import FlightStep, FlightSummary
+from monoloc.step_budget import Level
 
 _PERIOD_S = 1.0
 _NO_IMAGE_S = 0.5  # without a frame, after which it is said
@@ -23,6 +24,7 @@ class StatusOutput:
         self._say, self._says_each_second, self._summary = say, says_each_second, summary
         self._began_s: float | None = None
         self._said: tuple[str, frozenset[object]] = ("", frozenset())
+        self._level = Level.FULL
         self._frame_s = self._printed_s = float("-inf")
         self._frames = self._failures = 0
         self._is_without_image = False
@@ -38,6 +40,9 @@ class StatusOutput:
             self._said = (step.state, step.reasons)
             why = ", ".join(sorted(reason.value for reason in step.reasons))
             self._print(now_s, f"{step.state}: {why}" if why else step.state)
+        if self._level is not step.level:
+            self._level = step.level
+            self._print(now_s, f"budget: {step.level.words}")
         for failure in self._summary.failures[self._failures :]:
             self._failures += 1
             self._print(now_s, f"no longer written: {failure}")

@@ -33,6 +33,7 @@ COLUMNS = (
     "reasons",
     "probability_far",
     "restarted",
+    "level",
     *_POSE,
     *(_covariance_column(row, column) for row in range(6) for column in range(row, 6)),
 )

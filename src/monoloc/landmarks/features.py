@@ -101,3 +101,22 @@ def match_descriptors(
         descriptors: (N, 32) of keypoints.
     """
     return _core.match_descriptors(expected, known, pixels, descriptors, radius_px, MATCH_BITS)
+
+
+def nearest_descriptors(
+    descriptors: NDArray[np.uint8], known: NDArray[np.uint8], count: int
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """The most similar known descriptors, most similar first; of several that are as near, the first.
+
+    All pairs are compared: half a second for 600 descriptors and a million known ones. NumPy twin:
+    :func:`monoloc.landmarks.landmark_numpy_twins.nearest_descriptors`.
+
+    Args:
+        descriptors: (N, 32).
+        known: (L, 32).
+        count: C, at most L.
+
+    Returns:
+        Differing bits and indices, (N, C) each.
+    """
+    return _core.nearest_descriptors(descriptors, known, count)

@@ -42,6 +42,15 @@ def match_descriptors(
     return which[both], where[both]
 
 
+def nearest_descriptors(
+    descriptors: NDArray[np.uint8], known: NDArray[np.uint8], kept: int
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """As :func:`monoloc.landmarks.features.nearest_descriptors`."""
+    bits = _ONES[descriptors[:, None] ^ known].sum(axis=2, dtype=np.int32)
+    nearest = np.argsort(bits, axis=1, kind="stable")[:, :kept]
+    return np.take_along_axis(bits, nearest, axis=1), nearest
+
+
 def fit_pose(
     points: FloatArray,
     rays: FloatArray,

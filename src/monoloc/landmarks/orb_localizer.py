@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 from monoloc.evaluation.consistency import CHI2_6_QUANTILE_99
 from monoloc.geometry import FloatArray, invert, make_pose, pose_distance_m, se3_log, so3_exp, transform
-from monoloc.landmarks.features import MATCH_BITS, KeypointDetector, Keypoints, match_descriptors
+from monoloc.landmarks.features import MATCH_BITS, KeypointDetector, Keypoints, match_descriptors, nearest_descriptors
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.landmarks.pnp import (
     LEAST_LANDMARKS,
@@ -33,6 +33,9 @@ _LEAST_SPREAD = 0.075
 _APART_M, _RIVAL_SHARE = 0.5, 0.3
 _RIVAL_CANDIDATES, _MOST_RIVALS = 32, 8  # best matches of a keypoint among which other places are sought
 _ITERATIONS, _RIVAL_ITERATIONS = 1000, 100  # of RANSAC
+# A corner looks another one from three times as far as it was seen from, and builds see few beyond three metres.
+_FARTHEST_M = 10.0
+_KEPT_M = 2.0  # for which the camera may move before its surroundings are sought anew
 _NO_INDICES = np.zeros(0, dtype=np.int64)
 
 
@@ -46,6 +49,7 @@ class OrbLandmarkLocalizer:
     def __init__(self, landmarks: Landmarks, camera: Camera) -> None:
         self._landmarks = landmarks
         self._detect = KeypointDetector(camera)
+        self._nearby = _Nearby(landmarks.points)
 
     def measure(self, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
         """As :meth:`LandmarkLocalizer.measure`; a prior that is vague only tells which landmarks are in view.
@@ -57,7 +61,7 @@ class OrbLandmarkLocalizer:
         visible, local = self._visible(prior)
         seen = self._detect(color)
         if self._radius_px(local, covariance) <= _MOST_RADIUS_PX:
-            return self.measure_keypoints(seen, prior, covariance)
+            return self._agreeing(seen, prior, covariance, (visible, local))[0]
         # Too vague to say where in the image a landmark is to be sought, but not where in the room.
         pose = self._confirmed(seen, visible)[0]
         if pose is None or not _is_within(pose.pose, prior, covariance):
@@ -66,19 +70,30 @@ class OrbLandmarkLocalizer:
 
     def relocalize(self, color: NDArray[np.uint8]) -> LandmarkPose | None:
         """As :meth:`LandmarkLocalizer.relocalize`; None too where two places look alike."""
-        seen = self._detect(color)
+        return self.relocalize_keypoints(self._detect(color))
+
+    def relocalize_keypoints(self, seen: Keypoints) -> LandmarkPose | None:
+        """As :meth:`relocalize`, from keypoints that are detected already."""
         found, where = self._confirmed(seen, np.arange(len(self._landmarks)))
         return None if found is None or self._fits_elsewhere(seen, where, found) else found
 
     def measure_keypoints(self, seen: Keypoints, prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
         """As :meth:`LandmarkLocalizer.measure`, from keypoints that are detected already."""
-        return self._agreeing(seen, prior, covariance)[0]
+        return self._agreeing(seen, prior, covariance, self._visible(prior))[0]
 
     def _agreeing(
-        self, seen: Keypoints, prior: FloatArray, covariance: FloatArray
+        self,
+        seen: Keypoints,
+        prior: FloatArray,
+        covariance: FloatArray,
+        in_view: tuple[NDArray[np.int64], FloatArray],
     ) -> tuple[LandmarkMeasurement, NDArray[np.int64]]:
-        """As :meth:`measure_keypoints`, with the indices of the keypoints whose landmarks agree."""
-        visible, local = self._visible(prior)
+        """As :meth:`measure_keypoints`, with the indices of the keypoints whose landmarks agree.
+
+        Args:
+            in_view: of :meth:`_visible` at the prior.
+        """
+        visible, local = in_view
         camera, room = self._detect.camera, self._landmarks
         which, where = match_descriptors(
             camera.project(local),
@@ -95,9 +110,10 @@ class OrbLandmarkLocalizer:
 
     def _visible(self, prior: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
         """Indices (M,) of the landmarks in view of a camera at the prior, and their points in its frame, (M, 3)."""
-        local = transform(invert(prior), self._landmarks.points)
+        nearby = self._nearby(prior[:3, 3])
+        local = transform(invert(prior), self._landmarks.points[nearby])
         visible = np.flatnonzero(self._detect.camera.in_sight(local))
-        return visible, local[visible]
+        return nearby[visible], local[visible]
 
     def _radius_px(self, local: FloatArray, covariance: FloatArray) -> float:
         """Three standard deviations of the expected pixel of points (M, 3) in the camera's frame."""
@@ -127,7 +143,7 @@ class OrbLandmarkLocalizer:
         place = self._pose_without_prior(seen, possible)
         if place is None:
             return None, _NO_INDICES
-        measured, where = self._agreeing(seen, place, PRIOR_COVARIANCE)
+        measured, where = self._agreeing(seen, place, PRIOR_COVARIANCE, self._visible(place))
         is_confirmed = len(where) >= _LEAST_CONFIRMED and self._spread(seen.pixels[where]) >= _LEAST_SPREAD
         return measured.pose if is_confirmed else None, where
 
@@ -194,10 +210,8 @@ class OrbLandmarkLocalizer:
             count: of landmarks a keypoint, at most.
         """
         known = self._landmarks.descriptors[possible]
-        bits, nearest = cv2.batchDistance(
-            seen.descriptors, known, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=min(count, len(known))
-        )
-        return np.asarray(bits, dtype=np.int32), possible[np.asarray(nearest)]
+        bits, nearest = nearest_descriptors(seen.descriptors, known, min(count, len(known)))
+        return bits, possible[nearest]
 
     def _pose_by_consensus(
         self, pixels: FloatArray, landmarks: NDArray[np.int64], iterations: int
@@ -223,6 +237,28 @@ class OrbLandmarkLocalizer:
             return None
         T_camera_world = make_pose(so3_exp(rotation.ravel()), translation.ravel())
         return invert(T_camera_world) if np.all(np.isfinite(T_camera_world)) else None
+
+
+class _Nearby:
+    """Which of L points are within sight of a place, at a cost that does not grow with L while the place moves on."""
+
+    def __init__(self, points: NDArray[np.float32]) -> None:
+        self._points = points
+        self._place: FloatArray | None = None  # around which the candidates are
+        self._candidates = _NO_INDICES
+
+    def __call__(self, place: FloatArray) -> NDArray[np.int64]:
+        """Indices of the points within :data:`_FARTHEST_M` of a place (3,), in order."""
+        if self._place is None or np.linalg.norm(place - self._place) > _KEPT_M:
+            self._place = place.copy()
+            self._candidates = np.arange(len(self._points))
+            self._candidates = self._within(place, _FARTHEST_M + _KEPT_M)
+        return self._within(place, _FARTHEST_M)
+
+    def _within(self, place: FloatArray, radius_m: float) -> NDArray[np.int64]:
+        offsets = self._points[self._candidates] - place.astype(np.float32)
+        is_within = np.einsum("ni,ni->n", offsets, offsets) < radius_m**2
+        return np.asarray(self._candidates[is_within])
 
 
 def _is_within(pose: FloatArray, prior: FloatArray, covariance: FloatArray) -> bool:

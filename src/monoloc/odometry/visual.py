@@ -153,7 +153,7 @@ class VisualOdometry:
         T_previous_current = invert(self._T_r_previous) @ T_r_current
         assert self._tracks is not None
         inliers = len(self._tracks.points)
-        if self._needs_keyframe():
+        if depth_m.any() and self._needs_keyframe():  # it waits for depth
             T_r_current = self._add_keyframe(gray, T_r_current, depth_m, depth_camera)
         self._gray, self._T_r_previous, self._last_motion = gray, T_r_current, T_previous_current
         points = transform(invert(T_r_current), self._tracks.points)

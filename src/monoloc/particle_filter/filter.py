@@ -61,13 +61,16 @@ class ParticleFilter:
         log_weights = np.full(count, -np.log(count))
         self.particles = Particles(around.pose @ se3_exp(twists), self.particles.log_scale, log_weights)
 
-    def update(self, particles: Particles, weigh: Callable[[Particles], Particles]) -> Estimate:
+    def update(
+        self, particles: Particles, weigh: Callable[[Particles], Particles], count: int | None = None
+    ) -> Estimate:
         """The particles' pose after a measurement; then resample.
 
         Args:
             particles: predicted, or drawn anew by a relocalisation.
             weigh: returns particles with the measurement's evidence.
+            count: of particles after it; None keeps their number.
         """
         weighed = weigh(particles)
-        self.particles = resample(weighed, self._ess_fraction, self._rng)
+        self.particles = resample(weighed, self._ess_fraction, self._rng, count)
         return estimate(weighed)

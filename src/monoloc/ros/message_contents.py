@@ -75,6 +75,7 @@ def state(stamp_ns: int, frame: str, step: Step) -> Content:
         "reasons": reasons,
         "probability_far": repr(step.probability_far),
         "restarted": str(int(step.restarted)),
+        "level": step.level.words,
     }
     status = {
         "level": _LEVELS[step.state],

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
+from monoloc.depth.predictor import DepthPrediction
 from monoloc.geometry import FloatArray, invert
 from monoloc.localizer import Step
 from monoloc.mavlink.obstacle_sectors import MOST_M
@@ -86,8 +87,8 @@ class StepMessages:
         if is_usable:
             content = pose_with_covariance(stamp_ns, names.map, T_map_base, covariance)
             messages.append(TopicMessage(POSE, "geometry_msgs/PoseWithCovarianceStamped", stamp_ns, content))
-        if is_usable and self._with_obstacles and self._obstacles.is_due(stamp_ns):
-            content = point_cloud(stamp_ns, names.camera, obstacle_points(step))
+        if is_usable and self._with_obstacles and step.depth is not None and self._obstacles.is_due(stamp_ns):
+            content = point_cloud(stamp_ns, names.camera, obstacle_points(step.depth, step.estimate.log_scale))
             messages.append(TopicMessage(OBSTACLES, "sensor_msgs/PointCloud2", stamp_ns, content))
         return messages
 
@@ -105,13 +106,13 @@ def _is_usable(step: Step) -> bool:
     return bool(is_finite and step.state != "lost" and not step.reasons & BLIND)
 
 
-def obstacle_points(step: Step) -> FloatArray:
-    """Points of the depth in the camera's frame, (N, 3) metres, as far as it is reliable.
+def obstacle_points(depth: DepthPrediction, log_scale: float) -> FloatArray:
+    """Points of a step's depth in the camera's frame, (N, 3) metres, as far as it is reliable.
 
     The depth is corrected by corners, and by the scale that the belief has found.
     """
-    depth_m = np.exp(step.estimate.log_scale) * step.depth.depth_m
-    return np.asarray(step.depth.camera.back_project(depth_m)[(depth_m > 0.0) & (depth_m <= MOST_M)])
+    depth_m = np.exp(log_scale) * depth.depth_m
+    return np.asarray(depth.camera.back_project(depth_m)[(depth_m > 0.0) & (depth_m <= MOST_M)])
 
 
 class ImageMessages:

@@ -9,10 +9,12 @@ import rerun.blueprint as rrb
 
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
+from monoloc.depth.predictor import DepthPrediction
 from monoloc.flight.flight_loop import FlightStep
 from monoloc.geometry import FloatArray, invert, transform
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
 from monoloc.mavlink.obstacle_sectors import MOST_M, SECTORS, sector_distances_cm
+from monoloc.particle_filter.estimate import Estimate
 from monoloc.particle_filter.particles import Particles
 from monoloc.viz.rerun_viewer import RerunViewer, state_views
 
@@ -50,14 +52,14 @@ class FlightDrawing:
         color = cv2.resize(result.frame.color, self._size, interpolation=cv2.INTER_AREA)
         self._viewer.show_step(np.asarray(color, dtype=np.uint8), result.step, particles, None)
         self._stream.log("latency_ms", rr.Scalars(1e3 * (result.done_s - captured_s)))
-        if self._frames is not None:
-            self._stream.log("world/obstacles", self._obstacles(result, self._frames))
+        if self._frames is not None and result.step.depth is not None:
+            obstacles = self._obstacles(result.step.depth, result.step.estimate, self._frames)
+            self._stream.log("world/obstacles", obstacles)
 
-    def _obstacles(self, result: FlightStep, frames: AutopilotFrames) -> rr.LineStrips3D:
+    def _obstacles(self, depth: DepthPrediction, estimate: Estimate, frames: AutopilotFrames) -> rr.LineStrips3D:
         """An arc for each sector that is not free, at its distance around the vehicle; red within a metre."""
-        estimate = result.step.estimate
         T_level_camera = frames.T_level_camera(estimate)
-        distances_m = sector_distances_cm(result.step.depth, estimate.log_scale, T_level_camera) / 100.0
+        distances_m = sector_distances_cm(depth, estimate.log_scale, T_level_camera) / 100.0
         T_world_level = estimate.pose @ invert(T_level_camera)
         known = np.flatnonzero(distances_m <= MOST_M)
         arcs = [transform(T_world_level, _arc(int(sector), float(distances_m[sector]))) for sector in known]

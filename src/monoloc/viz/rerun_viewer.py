@@ -18,6 +18,7 @@ from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.localizer import Step
 from monoloc.odometry.motion import tracks_translation
 from monoloc.particle_filter.particles import Particles
+from monoloc.step_budget import Level
 from monoloc.supervision.state import Reason, State
 from monoloc.viz.pinhole_view import PinholeView
 
@@ -123,8 +124,9 @@ class RerunViewer:
         shown = image.compress(jpeg_quality=_JPEG_QUALITY) if self._as_jpeg else image
         self._stream.log("world/camera/image", shown)
         # Not below the camera's entity, where the viewer would back-project the uncorrected depth into the room.
-        depth = rr.DepthImage(step.depth.depth_m, meter=1.0, colormap="viridis", depth_range=_DEPTH_SHOWN_M)
-        self._stream.log("depth", depth)
+        if step.depth is not None:
+            depth = rr.DepthImage(step.depth.depth_m, meter=1.0, colormap="viridis", depth_range=_DEPTH_SHOWN_M)
+            self._stream.log("depth", depth)
         self._stream.log("world/camera/image/landmarks", self._landmarks_in_image(step))
 
     def _landmarks_in_image(self, step: Step) -> rr.Points2D:
@@ -166,7 +168,10 @@ class RerunViewer:
         self._plot("probability_far", step.probability_far)
         self._stream.log("state", rr.StateChange(state=step.state))
         reasons = ", ".join(reason.value for reason in Reason if reason in step.reasons)
-        self._stream.log("reasons", rr.TextDocument(f"{step.state}: {reasons}" if reasons else step.state))
+        said = f"{step.state}: {reasons}" if reasons else step.state
+        if step.level is not Level.FULL:
+            said += f"\n\nto keep the budget: {step.level.words}"
+        self._stream.log("reasons", rr.TextDocument(said))
 
     def _plot(self, path: str, value: float) -> None:
         if np.isfinite(value):

@@ -30,6 +30,7 @@ from monoloc.geometry import se3_exp, so3_exp
 from monoloc.mavlink.firmware import Firmware
 from monoloc.odometry.motion import Motion
 from monoloc.start import Start
+from monoloc.step_budget import Level
 from refusals import refuses_data
 
 POSE = se3_exp(np.array([0.1, -0.7, 1.0 / 3.0, 0.3, 2.0, -0.4]))
@@ -48,7 +49,8 @@ def result(index: int) -> FlightStep:
     """A frame of noise, whose times are no round numbers, and every second one with gravity and a rotation."""
     rng = np.random.default_rng(index)
     color = rng.integers(0, 256, (CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
-    made = result_at(1234.5 + index / 3.0, step_at(POSE))
+    step = replace(step_at(POSE), level=Level.IN_TURN if index % 2 else Level.FULL)
+    made = result_at(1234.5 + index / 3.0, step)
     down = None if index % 2 else rng.standard_normal(3)
     motion = None if index % 2 else Motion.rotation(so3_exp(rng.standard_normal(3)), 1.0 / 300.0)
     frame = replace(made.frame, color=color)
@@ -84,7 +86,7 @@ def test_what_is_read_is_what_was_recorded_to_the_last_bit(tmp_path: Path) -> No
         color, frame = event
         np.testing.assert_array_equal(color, before.frame.color)
         assert (frame.captured_s, frame.elapsed_s) == (before.frame.captured_s, before.elapsed_s)
-        assert frame.done_s == before.done_s
+        assert frame.done_s == before.done_s and frame.level is before.step.level
         assert (frame.down is None) == (before.down_camera is None)
         if frame.down is not None:
             np.testing.assert_array_equal(frame.down, before.down_camera)

@@ -187,3 +187,11 @@ def test_old_firmware_gets_euler_angles() -> None:
     assert wire.of("ODOMETRY") == [] and message.usec == 1_000_000
     assert (message.x, message.z) == (pytest.approx(0.3), pytest.approx(-1.0))
     assert (message.roll, message.pitch, message.yaw) == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+
+
+def test_a_frame_without_depth_says_nothing_of_obstacles() -> None:
+    flight, wire = sender()
+    for index in range(4):
+        step = step_at(at(0.0))
+        flight.take(result_at(1.0 + index, step if index % 2 else replace(step, depth=None)))
+    assert len(wire.of("ODOMETRY")) == 4 and len(wire.of("OBSTACLE_DISTANCE")) == 2

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from mavlink_helpers import result_at, step_at
@@ -9,6 +11,7 @@ from monoloc.errors import DataError
 from monoloc.flight.flight_loop import FlightSummary
 from monoloc.flight.status_output import StatusOutput
 from monoloc.geometry import make_pose
+from monoloc.step_budget import Level
 from monoloc.supervision.state import Reason, State
 
 POSE = make_pose(np.eye(3), [1.0, -2.0, 0.456])
@@ -45,6 +48,14 @@ def test_every_change_of_state_is_said_with_its_reasons_and_its_time() -> None:
         "    1.25 s  lost: image empty, searching",
         "    2.50 s  tracking",
     ]
+
+
+def test_what_is_left_out_to_keep_the_budget_is_said_as_it_changes() -> None:
+    flight = Flight()
+    for index, level in enumerate([Level.FULL, Level.FEWER_PARTICLES, Level.FEWER_PARTICLES, Level.FULL]):
+        result = result_at(100.0 + index, replace(step_at(POSE), level=level), age_s=0.0)
+        flight.output.take(result)
+    assert flight.printed()[1:] == ["    1.00 s  budget: fewer particles", "    3.00 s  budget: full"]
 
 
 def test_on_a_terminal_it_says_once_a_second_how_it_goes() -> None:

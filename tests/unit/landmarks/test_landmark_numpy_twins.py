@@ -30,6 +30,22 @@ def test_matches_equal_twin(seed: int, landmarks: int, keypoints: int, width: in
     np.testing.assert_array_equal(native, twin)
 
 
+@given(st.integers(0, 2**32 - 1), st.integers(0, 5), st.integers(1, 1300), st.integers(1, 9))
+@settings(max_examples=60, deadline=None)
+def test_nearest_descriptors_equal_twin(seed: int, descriptors: int, known: int, kept: int) -> None:
+    """Also where many are as near, and across the blocks of the native kernel."""
+    rng = np.random.default_rng(seed)
+    appearances = rng.integers(0, 256, (3, 32)).astype(np.uint8)
+    ours, theirs = (
+        appearances[rng.integers(3, size=count)] ^ (rng.uniform(size=(count, 32)) < 0.05).astype(np.uint8)
+        for count in (descriptors, known)
+    )
+    native = _core.nearest_descriptors(ours, theirs, min(kept, known))
+    twin = landmark_numpy_twins.nearest_descriptors(ours, theirs, min(kept, known))
+    for each, expected in zip(native, twin, strict=True):
+        np.testing.assert_array_equal(each, expected)
+
+
 KERNEL_SDS = np.array([24.0, 12.0, 6.0, 3.0, 3.0])
 
 

@@ -117,6 +117,23 @@ def test_landmarks_in_view_are_expected_and_found_where_the_camera_is(localizer:
     assert localizer.measure(color, away, PRIOR).expected == 0
 
 
+def test_only_landmarks_within_ten_metres_are_expected_wherever_the_camera_was(
+    localizer: OrbLandmarkLocalizer,
+) -> None:
+    room, away = localizer._landmarks, np.array([0.0, 0.0, 30.0], np.float32)
+    floor = OrbLandmarkLocalizer(
+        Landmarks(np.concatenate([room.points, room.points + away]), np.tile(room.descriptors, (2, 1))), CAMERA
+    )
+    nothing = Keypoints(np.zeros((0, 2)), np.zeros((0, 32), np.uint8), np.zeros(0))
+    for offset_m in (0.0, 1.0, 1.5, 30.0, 24.0, 0.0):
+        pose = FLIGHT_POSES[30].copy()
+        pose[2, 3] += offset_m
+        local = transform(invert(pose), np.concatenate([room.points, room.points + away]).astype(np.float64))
+        seen = floor._detect.camera.in_sight(local) & (np.linalg.norm(local, axis=1) < 10.0)
+        measured = floor.measure_keypoints(nothing, pose, PRIOR)
+        assert measured.expected == np.count_nonzero(seen) and measured.found == 0
+
+
 def test_room_without_landmarks_expects_none() -> None:
     assert NoLandmarks().measure(BLACK, np.eye(4), PRIOR) == LandmarkMeasurement(0, 0, None)
     assert NoLandmarks().relocalize(BLACK) is None

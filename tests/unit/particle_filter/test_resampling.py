@@ -59,3 +59,15 @@ def test_resampling_waits_until_weights_are_uneven() -> None:
     chosen = np.round(10 * result.log_scale).astype(int)
     assert np.all(result.poses == poses[chosen])
     assert np.count_nonzero(chosen == 2) >= 3
+
+
+@pytest.mark.parametrize("count", [30, 90])
+def test_resampling_to_another_number_keeps_the_mean(count: int) -> None:
+    rng = np.random.default_rng(0)
+    log_scale = rng.normal(size=60)
+    weights = rng.dirichlet(np.ones(60))
+    given = particles_at(se3_exp(rng.normal(size=(60, 6))), log_scale=log_scale, weights=weights)
+    result = resample(given, 0.0, np.random.default_rng(1), count)
+    assert len(result) == count and np.allclose(result.weights, 1.0 / count)
+    drawn = np.bincount([int(np.argmin(abs(log_scale - value))) for value in result.log_scale], minlength=60)
+    assert np.all(np.abs(drawn - count * weights) <= 1.0)
