@@ -1,8 +1,9 @@
 """The bundle: a room as a folder ``NAME.monoloc`` that is copied to the drone.
 
 ``manifest.json`` (schema, SHA-256 of every file, specification of the network, settings, camera, provenance,
-likelihood thresholds), ``map.npz`` (original and adapted mixture, reference poses and the bias at each),
-``landmarks.npz`` and ``depth.onnx``. It is written whole or not at all, and read only if every byte is as written.
+likelihood thresholds, list of edits), ``map.npz`` (original and adapted mixture, the transform between them,
+reference poses and the bias at each), ``landmarks.npz``, ``depth.onnx``, and ``edits.npz`` (what undoes the edits)
+where there are any. It is written whole or not at all, and read only if every byte is as written.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from monoloc.depth.model_files import read_model
 from monoloc.depth.models import is_shipped
 from monoloc.depth.network_check import check_network
 from monoloc.depth.spec import DepthModel, ModelSpec
+from monoloc.edit_record import Edit, EditRecord
 from monoloc.errors import BundleError
 from monoloc.files import read_regular
 from monoloc.fusion.reference_poses import ReferencePoses
@@ -36,14 +38,19 @@ from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.map.down_direction import down_of
+from monoloc.map.learnt_transform import LearntTransform
 from monoloc.map.mixture import GaussianMixture
 from monoloc.partial_files import whole_folder
 from monoloc.supervision.integrity import IntegrityModel, SensorModel
 from monoloc.version import __version__
 
-SCHEMA = 10
+SCHEMA = 11
+READ_SCHEMAS = (9, 10, 11)
+"""Of bundles that can be read: what later ones keep beyond these is derived, or has a default."""
 _MANIFEST, _MAP, _LANDMARKS, _DEPTH = "manifest.json", "map.npz", "landmarks.npz", "depth.onnx"
+_EDITS = "edits.npz"
 _CONTENTS = (_MAP, _LANDMARKS, _DEPTH)
+_TRANSFORM = "transform_"
 _COPY = "copy the bundle again or rebuild it"
 _GreyLevel = Annotated[float, Field(ge=0.0, le=255.0)]
 _REFERENCES = ("reference_poses", "forward_bias", "backward_bias")  # twists (V, 6), float32
@@ -76,6 +83,20 @@ class Provenance(BaseModel):
     brightness: tuple[_GreyLevel, _GreyLevel] | None = None
 
 
+class CloudSize(BaseModel):
+    """Of the cloud that the map was fitted to: what is added to the map gets as many components a point.
+
+    Attributes:
+        points: in the cloud, one a voxel.
+        voxel_m: edge of a voxel.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    points: int = Field(ge=1)
+    voxel_m: float = Field(gt=0.0)
+
+
 class Manifest(BaseModel):
     """The bundle's table of contents; see :class:`Bundle` for the parts."""
 
@@ -92,6 +113,8 @@ class Manifest(BaseModel):
     thresholds: LikelihoodThresholds
     integrity: IntegrityModel
     sensor: SensorModel
+    cloud: CloudSize | None = None
+    edits: list[EditRecord] = []
 
 
 @dataclass(frozen=True)
@@ -109,6 +132,9 @@ class Bundle:
         landmarks: that they saw.
         integrity: what tells right from wrong beliefs in the room.
         sensor: the same of a depth sensor in place of the network.
+        transform: from the original to the adapted map; None where both are the same.
+        cloud: that the map stands for; None in bundles of earlier versions, which did not note it.
+        edits: of the map since it was built, the last one last.
     """
 
     original: GaussianMixture
@@ -122,6 +148,9 @@ class Bundle:
     landmarks: Landmarks = field(default_factory=Landmarks.none)
     integrity: IntegrityModel = field(default_factory=IntegrityModel)
     sensor: SensorModel = field(default_factory=SensorModel)
+    transform: LearntTransform | None = None
+    cloud: CloudSize | None = None
+    edits: tuple[Edit, ...] = ()
 
     @property
     def supports_relocalization(self) -> bool:
@@ -171,7 +200,7 @@ def check_target(path: Path) -> None:
     if path.exists() and not (path / _MANIFEST).is_file():
         raise BundleError(path, "exists and is not a bundle", "choose another name")
     # A folder is replaced whole: what monoloc did not put there must not go with it.
-    others = sorted({file.name for file in path.iterdir()} - {_MANIFEST, *_CONTENTS}) if path.exists() else []
+    others = sorted({file.name for file in path.iterdir()} - {_MANIFEST, _EDITS, *_CONTENTS}) if path.exists() else []
     if others:
         raise BundleError(path, f"holds more than a bundle ({others[0]})", "move that away or choose another name")
 
@@ -189,6 +218,9 @@ def write_bundle(path: str | Path, bundle: Bundle) -> int:
         _LANDMARKS: _packed(bundle.landmarks.to_arrays()),
         _DEPTH: bundle.depth_model.content,
     }
+    if bundle.edits:
+        undo = {str(number): np.frombuffer(edit.undo, np.uint8) for number, edit in enumerate(bundle.edits)}
+        contents[_EDITS] = _packed(undo)
     manifest = Manifest(
         schema_version=SCHEMA,
         monoloc_version=__version__,
@@ -201,6 +233,8 @@ def write_bundle(path: str | Path, bundle: Bundle) -> int:
         thresholds=bundle.thresholds,
         integrity=bundle.integrity,
         sensor=bundle.sensor,
+        cloud=bundle.cloud,
+        edits=[edit.record for edit in bundle.edits],
     )
     contents[_MANIFEST] = _seal(manifest)
     try:
@@ -222,22 +256,16 @@ def read_bundle(path: str | Path) -> Bundle:
     """
     path = Path(path)
     manifest = _read_manifest(path)
-    contents = {}
-    for name in _CONTENTS:
-        try:
-            contents[name] = read_regular(path / name)
-        except OSError as error:
-            raise BundleError(path / name, "is missing", "copy the bundle again, whole") from error
-        except ValueError as error:
-            raise BundleError(path / name, f"is not what was written ({error})", _COPY) from error
-        if hashlib.sha256(contents[name]).hexdigest() != manifest.sha256.get(name):
-            raise BundleError(path / name, "is not what was written", _COPY)
+    contents = {name: _read_content(path / name, manifest) for name in _CONTENTS}
     check_network(contents[_DEPTH], path / _DEPTH, BundleError)
     try:
         arrays = decode_arrays(contents[_MAP])
         original, adapted = (GaussianMixture.from_arrays(arrays, name) for name in ("original_", "adapted_"))
         poses, forward, backward = (arrays[name].reshape(-1, 6).astype(np.float64) for name in _REFERENCES)
         reference_poses = ReferencePoses(se3_exp(poses), forward, backward)
+        transform = LearntTransform.from_arrays(arrays, _TRANSFORM)
+        if transform is None and manifest.provenance.map_transform:  # bundles of earlier versions
+            transform = LearntTransform.between(original, adapted)
     except (KeyError, ValueError, TypeError) as error:
         raise BundleError(path / _MAP, f"is no map ({error})", "rebuild it with this version") from error
     try:
@@ -257,7 +285,33 @@ def read_bundle(path: str | Path) -> Bundle:
         landmarks=landmarks,
         integrity=manifest.integrity,
         sensor=manifest.sensor,
+        transform=transform,
+        cloud=manifest.cloud,
+        edits=_read_edits(path, manifest),
     )
+
+
+def _read_content(file: Path, manifest: Manifest) -> bytes:
+    try:
+        content = read_regular(file)
+    except OSError as error:
+        raise BundleError(file, "is missing", "copy the bundle again, whole") from error
+    except ValueError as error:
+        raise BundleError(file, f"is not what was written ({error})", _COPY) from error
+    if hashlib.sha256(content).hexdigest() != manifest.sha256.get(file.name):
+        raise BundleError(file, "is not what was written", _COPY)
+    return content
+
+
+def _read_edits(path: Path, manifest: Manifest) -> tuple[Edit, ...]:
+    if not manifest.edits:
+        return ()
+    content = _read_content(path / _EDITS, manifest)
+    try:
+        undo = decode_arrays(content)
+        return tuple(Edit(record, undo[str(number)].tobytes()) for number, record in enumerate(manifest.edits))
+    except (KeyError, ValueError, TypeError) as error:
+        raise BundleError(path / _EDITS, f"does not hold the edits ({error})", _COPY) from error
 
 
 def read_network(network: str | Path) -> DepthModel:
@@ -274,6 +328,8 @@ def read_network(network: str | Path) -> DepthModel:
 
 def _pack_maps(bundle: Bundle) -> bytes:
     arrays: dict[str, Any] = bundle.original.to_arrays("original_") | bundle.adapted.to_arrays("adapted_")
+    if bundle.transform is not None:
+        arrays |= bundle.transform.to_arrays(_TRANSFORM)
     known = bundle.reference_poses
     values = (se3_log(known.poses), known.forward_bias, known.backward_bias)
     for name, twists in zip(_REFERENCES, values, strict=True):
@@ -308,12 +364,28 @@ def _read_manifest(path: Path) -> Manifest:
         ) from error
     except (ValueError, RecursionError) as error:
         raise BundleError(file, "is cut short or edited", _COPY) from error
-    if not isinstance(body, dict) or body.get("schema_version") != SCHEMA:
-        found = body.get("schema_version") if isinstance(body, dict) else None
-        raise BundleError(file, f"has schema {found}, this monoloc reads {SCHEMA}", "rebuild it with this version")
+    if not isinstance(body, dict) or body.get("schema_version") not in READ_SCHEMAS:
+        raise _unknown_schema(file, body)
     if body.pop("manifest_sha256", None) != _digest(body):
         raise BundleError(file, "was edited", _COPY)
     try:
         return Manifest.model_validate(body)
     except ValidationError as error:
         raise BundleError(file, describe(error), "rebuild it with this version") from error
+
+
+def _unknown_schema(file: Path, body: object) -> BundleError:
+    """What schema it is of, and what to rebuild it from, as far as the manifest tells."""
+    entries = body if isinstance(body, dict) else {}
+    found = entries.get("schema_version")
+    problem = f"has schema {found}, this monoloc reads {READ_SCHEMAS[0]} to {SCHEMA}"
+    if isinstance(found, int) and found > SCHEMA:
+        return BundleError(file, problem, "read it with the monoloc that wrote it, or a newer one")
+    provenance = entries.get("provenance")
+    provenance = provenance if isinstance(provenance, dict) else {}
+    recording, frames = provenance.get("recording"), provenance.get("frames")
+    if not isinstance(recording, str) or not isinstance(frames, dict) or not frames:
+        return BundleError(file, problem, "rebuild it with this version")
+    names = list(frames)
+    what = f"the {len(names)} frames {names[0]} to {names[-1]} of {recording}"
+    return BundleError(file, problem, f"rebuild it with this version from {what}")

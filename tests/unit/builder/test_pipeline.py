@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from edit_helpers import bend
 from map_helpers import make_mixture
 from monoloc.adapt.adaptation import AdaptResult
 from monoloc.adapt.settings import AdaptConfig
@@ -44,6 +45,7 @@ RESULT = AdaptResult(
     scores=[Score(0, nll=2.0, depth_loss=0.3, absrel=0.2), Score(10, nll=1.0, depth_loss=0.2, absrel=0.1)],
     steps=20,
     kl=0.5,
+    transform=bend(),
 )
 THRESHOLDS = LikelihoodThresholds(low=-1.0, lost=-2.0)
 BIAS_MODEL = BiasModel(sd_at_reference_m=0.03, sd_at_reference_rad=0.02, sd_growth_m=0.2, sd_growth_rad=0.4)
