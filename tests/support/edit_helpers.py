@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+from copy import copy
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
+from monoloc.builder.landmark_mapping import build_landmarks
 from monoloc.bundle import Bundle, CloudSize, Provenance
 from monoloc.editing.box import Box
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray, make_pose
 from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
 from monoloc.likelihood.thresholds import LikelihoodThresholds
-from monoloc.map.cloud import voxel_thin
+from monoloc.map.cloud import cloud_from_recording, voxel_thin
 from monoloc.map.em import fit_mixture
 from monoloc.map.learnt_transform import HIDDEN, LearntTransform
 from monoloc.map.mixture import GaussianMixture
-from synthetic_room import CAMERA, SETTINGS, depth_from_blue
+from monoloc.progress import NoProgress
+from synthetic_room import CAMERA, SETTINGS, Room, RoomRecording, depth_from_blue, make_bundle, make_path
 
 DOWN = np.array([0.0, 1.0, 0.0])
 VOXEL_M = 0.03
@@ -89,3 +93,36 @@ def mapped_room() -> Bundle:
         transform=transform,
         cloud=CloudSize(points=len(cloud), voxel_m=VOXEL_M),
     )
+
+
+WALK_A, WALK_B = make_path(14, 0.0, 5.0), make_path(14, 3.4, 5.0)  # the second looks further to the left
+
+
+@cache
+def walk(poses_of: str, room_seed: int = 0) -> RoomRecording:
+    """A recording of one of two walks through the synthetic room; cached, so nobody may change it."""
+    poses = {"A": WALK_A, "B": WALK_B}[poses_of]
+    recording = RoomRecording(Room(room_seed), poses)
+    recording.name = f"walk-{poses_of}"
+    return recording
+
+
+def in_another_world(recording: RoomRecording, T_other_world: FloatArray) -> RoomRecording:
+    """The same images and depth, with poses in another world."""
+    moved = copy(recording)
+    assert recording.poses is not None
+    moved.poses = T_other_world @ recording.poses
+    return moved
+
+
+@cache
+def bundle_of_walk(poses_of: str) -> Bundle:
+    """As built from one of the walks, with its landmarks; nothing adapted."""
+    recording = walk(poses_of)
+    cloud = cloud_from_recording(recording, VOXEL_M)
+    mixture = fit_mixture(cloud, 60, np.random.default_rng(0)).mixture
+    bundle = make_bundle(mixture, recording, range(len(recording)))
+    landmarks, bias, _ = build_landmarks(recording, recording.depth, NoProgress())
+    settings = bundle.settings.model_copy(update={"landmark_bias": bias})
+    size = CloudSize(points=len(cloud), voxel_m=VOXEL_M)
+    return replace(bundle, landmarks=landmarks, settings=settings, cloud=size)

@@ -13,10 +13,17 @@ import typer
 
 from monoloc.bundle import Bundle, check_target, read_bundle, write_bundle
 from monoloc.cli.common import (
+    DepthScaleOption,
+    FixDepthOption,
+    FixPosesOption,
+    FramesOption,
+    IntrinsicsOption,
     JsonOption,
     SeedOption,
+    SourceArgument,
     check_apart,
     open_cloud,
+    open_source,
     print_json,
     print_table,
     stderr,
@@ -25,6 +32,7 @@ from monoloc.cli.common import (
 from monoloc.editing.box import Box, parse_box, parse_numbers
 from monoloc.editing.changed_region import read_changed_region
 from monoloc.editing.edits import add, move, remove
+from monoloc.editing.extension import extend, merge
 from monoloc.editing.paired_map import down_direction
 from monoloc.editing.undo import undone
 from monoloc.errors import BundleError, SettingError
@@ -190,6 +198,57 @@ def move_command(
         return move(bundle, where, T_new_old, parameters, rng)
 
     _target(context).edit(out, json, change, *inputs)
+
+
+@app.command("extend")
+def extend_command(
+    context: typer.Context,
+    source: SourceArgument,
+    frames: FramesOption = "::",
+    align: Annotated[
+        bool, typer.Option("--align", help="Find where the recording's world lies in the room. [it is the room's]")
+    ] = False,
+    intrinsics: IntrinsicsOption = None,
+    depth_scale: DepthScaleOption = None,
+    fix_poses: FixPosesOption = None,
+    fix_depth: FixDepthOption = None,
+    out: OutOption = None,
+    seed: SeedOption = 0,
+    json: JsonOption = False,
+) -> None:
+    """Extend the map by another recording with poses and depth: what the map does not know yet is added.
+
+    \b
+    Examples:
+      monoloc map edit kitchen.monoloc extend 7scenes:redkitchen --frames 200:300
+      monoloc map edit kitchen.monoloc extend folder:second-walk --align
+    """
+    recording = open_source(source, frames, intrinsics, depth_scale, fix_poses=fix_poses, fix_depth=fix_depth)
+    rng = np.random.default_rng(seed)
+    parameters = {"source": recording.name, "frames": frames, "align": align}
+    _target(context).edit(out, json, lambda bundle: extend(bundle, recording, align, parameters, rng), source)
+
+
+@app.command("merge")
+def merge_command(
+    context: typer.Context,
+    other: Annotated[Path, typer.Argument(help="Bundle of a part that overlaps.", show_default=False)],
+    out: OutOption = None,
+    seed: SeedOption = 0,
+    json: JsonOption = False,
+) -> None:
+    """Merge another bundle's map into this one: it is placed by its landmarks, then by its surfaces.
+
+    The network, the camera and the settings stay this bundle's.
+
+    \b
+    Examples:
+      monoloc map edit kitchen.monoloc merge hall.monoloc --out home.monoloc
+    """
+    part = read_bundle(other)
+    rng = np.random.default_rng(seed)
+    parameters = {"bundle": other.name}
+    _target(context).edit(out, json, lambda bundle: merge(bundle, part, str(other), parameters, rng), other)
 
 
 @app.command("undo")

@@ -41,6 +41,11 @@ class Change:
     gone: FloatArray
     new: FloatArray
 
+    @classmethod
+    def none(cls) -> Change:
+        """Nothing that stood in a view; the map has only grown."""
+        return cls(np.zeros((0, 3)), np.zeros((0, 3)))
+
 
 def remove(bundle: Bundle, box: Box, parameters: dict[str, Any], rng: np.random.Generator) -> Bundle:
     """Take away what lies in a box.
@@ -175,8 +180,8 @@ def _views_follow(bundle: Bundle, change: Change) -> Bundle:
 def _changed_shares(before: Bundle, change: Change, rng: np.random.Generator) -> FloatArray:
     """Share of the view of each reference pose, (V,), that is gone or stands behind something new."""
     poses = before.reference_poses.poses
-    if not len(poses):
-        return np.zeros(0)
+    if not len(poses) or not (len(change.gone) or len(change.new)):
+        return np.zeros(len(poses))
     room = before.original.sample(_SHOWN, rng)
     some = evenly_spaced(len(poses), _VIEWS)
     shares = [changed_share(before.camera, pose, room, change.gone, change.new) for pose in poses[some]]

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli_helpers import json_of, listing, refused, succeeds
-from edit_helpers import CUBE, cube_cloud, mapped_room
+from cli_helpers import json_of, listing, refused, succeeds, write_workspace
+from edit_helpers import CUBE, bundle_of_walk, cube_cloud, mapped_room
 from monoloc.bundle import read_bundle, write_bundle
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 
 LOWER, UPPER = (",".join(map(str, corner)) for corner in (CUBE.centre - CUBE.half, CUBE.centre + CUBE.half))
 BOX = f"{LOWER},{UPPER}"
@@ -68,6 +69,27 @@ def test_region_of_a_run_is_removed(here: Path, capfd: pytest.CaptureFixture[str
 
 def test_log_of_a_map_without_edits(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert succeeds(capfd, *EDIT, "log") == ""
+
+
+def test_extend_and_merge(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    write_workspace(here, RoomRecording(Room(), make_path(6), SMALL_CAMERA), components=60)
+    extended = json_of(capfd, *EDIT, "extend", "flight", "--frames", "::2")
+    assert extended["parameters"] == {"source": "flight", "frames": "::2", "align": False}
+    assert extended["changes"]["reference_poses"] == [3, 6]
+    write_bundle(here / "a.monoloc", bundle_of_walk("A"))
+    write_bundle(here / "b.monoloc", bundle_of_walk("B"))
+    merged = json_of(capfd, "map", "edit", "a.monoloc", "merge", "b.monoloc", "--out", "both.monoloc")
+    assert merged["kind"] == "merge" and merged["changes"]["overlap"] > 0.3
+    assert len(read_bundle(here / "both.monoloc").reference_poses) == 28
+    lines = {
+        ("extend", "flight", "--align"): ("flight", "is not found in the room", "looked"),
+        ("extend", "flight", "--fix-poses", "nonsense"): ("--fix-poses", "nonsense", ""),
+        ("merge", "b.monoloc"): ("b.monoloc", "does not overlap", "common part"),
+        ("merge", "room.monoloc", "--out", "room.monoloc"): ("--out", "is read by this command", "another place"),
+        ("merge", "none.monoloc"): ("none.monoloc", "is not a bundle", "monoloc build"),
+    }
+    for arguments, line in lines.items():
+        refused(capfd, here, (*EDIT, *arguments), *line)
 
 
 REFUSED = {
