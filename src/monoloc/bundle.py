@@ -10,26 +10,26 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 import os
 import zlib
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from monoloc.array_files import decode_arrays
+from monoloc.bundle_manifest import COPY_AGAIN, MANIFEST, SCHEMA, Manifest, read_manifest, seal
+from monoloc.bundle_manifest import CloudSize as CloudSize
+from monoloc.bundle_manifest import Provenance as Provenance
 from monoloc.camera import Camera
-from monoloc.config import describe
 from monoloc.depth.model_files import read_model
 from monoloc.depth.models import is_shipped
 from monoloc.depth.network_check import check_network
-from monoloc.depth.spec import DepthModel, ModelSpec
-from monoloc.edit_record import Edit, EditRecord
+from monoloc.depth.spec import DepthModel
+from monoloc.edit_record import Edit
 from monoloc.errors import BundleError
 from monoloc.files import read_regular
 from monoloc.fusion.reference_poses import ReferencePoses
@@ -44,77 +44,10 @@ from monoloc.partial_files import whole_folder
 from monoloc.supervision.integrity import IntegrityModel, SensorModel
 from monoloc.version import __version__
 
-SCHEMA = 11
-READ_SCHEMAS = (9, 10, 11)
-"""Of bundles that can be read: what later ones keep beyond these is derived, or has a default."""
-_MANIFEST, _MAP, _LANDMARKS, _DEPTH = "manifest.json", "map.npz", "landmarks.npz", "depth.onnx"
-_EDITS = "edits.npz"
+_MAP, _LANDMARKS, _DEPTH, _EDITS = "map.npz", "landmarks.npz", "depth.onnx", "edits.npz"
 _CONTENTS = (_MAP, _LANDMARKS, _DEPTH)
 _TRANSFORM = "transform_"
-_COPY = "copy the bundle again or rebuild it"
-_GreyLevel = Annotated[float, Field(ge=0.0, le=255.0)]
 _REFERENCES = ("reference_poses", "forward_bias", "backward_bias")  # twists (V, 6), float32
-
-
-class Provenance(BaseModel):
-    """Where a bundle comes from.
-
-    Attributes:
-        recording: name of the recording.
-        frames: name and :func:`fingerprint` of every frame that built the map or tuned the network.
-        tune, map_transform, lambda_kl: the adaptation's variant.
-        seed: of the build.
-        down_world: mean direction of the cameras' y axes over those frames: down, if the camera was held upright.
-        scale_sd: relative standard deviation of the map's scale; None where a sensor measured it.
-        brightness: median grey level, of 255, of the build's images: mean and standard deviation over the images;
-            None in bundles that do not tell it.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    recording: str
-    frames: dict[str, int]
-    tune: str
-    map_transform: bool
-    lambda_kl: float
-    seed: int
-    down_world: tuple[float, float, float] = (0.0, 1.0, 0.0)
-    scale_sd: float | None = None
-    brightness: tuple[_GreyLevel, _GreyLevel] | None = None
-
-
-class CloudSize(BaseModel):
-    """Of the cloud that the map was fitted to: what is added to the map gets as many components a point.
-
-    Attributes:
-        points: in the cloud, one a voxel.
-        voxel_m: edge of a voxel.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    points: int = Field(ge=1)
-    voxel_m: float = Field(gt=0.0)
-
-
-class Manifest(BaseModel):
-    """The bundle's table of contents; see :class:`Bundle` for the parts."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    schema_version: int
-    monoloc_version: str
-    sha256: dict[str, str]
-    network: str
-    network_spec: ModelSpec
-    settings: LocalizerConfig
-    camera: Camera
-    provenance: Provenance
-    thresholds: LikelihoodThresholds
-    integrity: IntegrityModel
-    sensor: SensorModel
-    cloud: CloudSize | None = None
-    edits: list[EditRecord] = []
 
 
 @dataclass(frozen=True)
@@ -180,11 +113,9 @@ def digest_of(path: Path) -> str:
         BundleError: there is no bundle at the path.
     """
     try:
-        return hashlib.sha256((path / _MANIFEST).read_bytes()).hexdigest()
+        return hashlib.sha256((path / MANIFEST).read_bytes()).hexdigest()
     except OSError as error:
-        raise BundleError(
-            path, f"is not a bundle (no {_MANIFEST})", "give a folder made by: monoloc build"
-        ) from error
+        raise BundleError(path, f"is not a bundle (no {MANIFEST})", "give a folder made by: monoloc build") from error
 
 
 def check_target(path: Path) -> None:
@@ -197,10 +128,10 @@ def check_target(path: Path) -> None:
         raise BundleError(path, "its folder does not exist", f"make {path.parent} first")
     if not os.access(path.parent, os.W_OK):
         raise BundleError(path, "its folder cannot be written to", "choose another folder")
-    if path.exists() and not (path / _MANIFEST).is_file():
+    if path.exists() and not (path / MANIFEST).is_file():
         raise BundleError(path, "exists and is not a bundle", "choose another name")
     # A folder is replaced whole: what monoloc did not put there must not go with it.
-    others = sorted({file.name for file in path.iterdir()} - {_MANIFEST, _EDITS, *_CONTENTS}) if path.exists() else []
+    others = sorted({file.name for file in path.iterdir()} - {MANIFEST, _EDITS, *_CONTENTS}) if path.exists() else []
     if others:
         raise BundleError(path, f"holds more than a bundle ({others[0]})", "move that away or choose another name")
 
@@ -236,7 +167,7 @@ def write_bundle(path: str | Path, bundle: Bundle) -> int:
         cloud=bundle.cloud,
         edits=[edit.record for edit in bundle.edits],
     )
-    contents[_MANIFEST] = _seal(manifest)
+    contents[MANIFEST] = seal(manifest)
     try:
         with whole_folder(path) as folder:
             for name, content in contents.items():
@@ -255,7 +186,7 @@ def read_bundle(path: str | Path) -> Bundle:
             :func:`monoloc.depth.network_check.check_network`.
     """
     path = Path(path)
-    manifest = _read_manifest(path)
+    manifest = read_manifest(path)
     contents = {name: _read_content(path / name, manifest) for name in _CONTENTS}
     check_network(contents[_DEPTH], path / _DEPTH, BundleError)
     try:
@@ -297,9 +228,9 @@ def _read_content(file: Path, manifest: Manifest) -> bytes:
     except OSError as error:
         raise BundleError(file, "is missing", "copy the bundle again, whole") from error
     except ValueError as error:
-        raise BundleError(file, f"is not what was written ({error})", _COPY) from error
+        raise BundleError(file, f"is not what was written ({error})", COPY_AGAIN) from error
     if hashlib.sha256(content).hexdigest() != manifest.sha256.get(file.name):
-        raise BundleError(file, "is not what was written", _COPY)
+        raise BundleError(file, "is not what was written", COPY_AGAIN)
     return content
 
 
@@ -311,7 +242,7 @@ def _read_edits(path: Path, manifest: Manifest) -> tuple[Edit, ...]:
         undo = decode_arrays(content)
         return tuple(Edit(record, undo[str(number)].tobytes()) for number, record in enumerate(manifest.edits))
     except (KeyError, ValueError, TypeError) as error:
-        raise BundleError(path / _EDITS, f"does not hold the edits ({error})", _COPY) from error
+        raise BundleError(path / _EDITS, f"does not hold the edits ({error})", COPY_AGAIN) from error
 
 
 def read_network(network: str | Path) -> DepthModel:
@@ -341,51 +272,3 @@ def _packed(arrays: dict[str, Any]) -> bytes:
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)
     return buffer.getvalue()
-
-
-def _seal(manifest: Manifest) -> bytes:
-    """The manifest as JSON with the digest of all the rest of it, so that an edit shows."""
-    body = manifest.model_dump(mode="json")
-    body["manifest_sha256"] = _digest(body)
-    return json.dumps(body, indent=1).encode()
-
-
-def _digest(body: dict[str, object]) -> str:
-    return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
-
-
-def _read_manifest(path: Path) -> Manifest:
-    file = path / _MANIFEST
-    try:
-        body = json.loads(read_regular(file))
-    except OSError as error:
-        raise BundleError(
-            path, f"is not a bundle (no {_MANIFEST})", "give a folder made by: monoloc build"
-        ) from error
-    except (ValueError, RecursionError) as error:
-        raise BundleError(file, "is cut short or edited", _COPY) from error
-    if not isinstance(body, dict) or body.get("schema_version") not in READ_SCHEMAS:
-        raise _unknown_schema(file, body)
-    if body.pop("manifest_sha256", None) != _digest(body):
-        raise BundleError(file, "was edited", _COPY)
-    try:
-        return Manifest.model_validate(body)
-    except ValidationError as error:
-        raise BundleError(file, describe(error), "rebuild it with this version") from error
-
-
-def _unknown_schema(file: Path, body: object) -> BundleError:
-    """What schema it is of, and what to rebuild it from, as far as the manifest tells."""
-    entries = body if isinstance(body, dict) else {}
-    found = entries.get("schema_version")
-    problem = f"has schema {found}, this monoloc reads {READ_SCHEMAS[0]} to {SCHEMA}"
-    if isinstance(found, int) and found > SCHEMA:
-        return BundleError(file, problem, "read it with the monoloc that wrote it, or a newer one")
-    provenance = entries.get("provenance")
-    provenance = provenance if isinstance(provenance, dict) else {}
-    recording, frames = provenance.get("recording"), provenance.get("frames")
-    if not isinstance(recording, str) or not isinstance(frames, dict) or not frames:
-        return BundleError(file, problem, "rebuild it with this version")
-    names = list(frames)
-    what = f"the {len(names)} frames {names[0]} to {names[-1]} of {recording}"
-    return BundleError(file, problem, f"rebuild it with this version from {what}")

@@ -19,9 +19,7 @@ from onnx import ModelProto
 
 from edit_helpers import bend
 from map_helpers import make_mixture
-from monoloc import bundle as bundle_module
 from monoloc.bundle import (
-    SCHEMA,
     Bundle,
     CloudSize,
     Provenance,
@@ -30,6 +28,7 @@ from monoloc.bundle import (
     read_bundle,
     write_bundle,
 )
+from monoloc.bundle_manifest import SCHEMA, digest
 from monoloc.camera import Camera
 from monoloc.depth.spec import DepthModel, ModelSpec
 from monoloc.edit_record import Edit, EditRecord
@@ -157,7 +156,7 @@ def test_camera_of_any_lens_is_read_as_written_and_one_without_a_model_is_browns
     body = json.loads(manifest.read_bytes())
     for name in ("manifest_sha256", "distortion_model", "is_window"):
         (body if name in body else body["camera"]).pop(name)
-    manifest.write_text(json.dumps(body | {"manifest_sha256": bundle_module._digest(body)}))
+    manifest.write_text(json.dumps(body | {"manifest_sha256": digest(body)}))
     assert read_bundle(written).camera == make_bundle().camera
 
 
@@ -414,7 +413,7 @@ def test_manifest_of_schema_9_is_converted(written):
     current = json.loads((written / "manifest.json").read_text())
     body |= {"sha256": current["sha256"], "network_spec": current["network_spec"]}
     body.pop("manifest_sha256")
-    body["manifest_sha256"] = bundle_module._digest(body)
+    body["manifest_sha256"] = digest(body)
     (written / "manifest.json").write_text(json.dumps(body))
     bundle = read_bundle(written)
     assert bundle.settings.particles == 321 and bundle.provenance.recording == "redkitchen"
@@ -464,7 +463,7 @@ def test_unknown_setting_with_valid_checksum_is_named(written):
     body = json.loads(file.read_text())
     body["settings"]["teleport"] = True
     del body["manifest_sha256"]
-    body["manifest_sha256"] = bundle_module._digest(body)
+    body["manifest_sha256"] = digest(body)
     file.write_text(json.dumps(body))
     refuses(lambda: read_bundle(written), file, "settings.teleport")
 
@@ -475,7 +474,7 @@ def resealed(written: Path, change: Callable[[dict[str, Any]], object]) -> Path:
     body = json.loads(file.read_text())
     change(body)
     del body["manifest_sha256"]
-    body["manifest_sha256"] = bundle_module._digest(body)
+    body["manifest_sha256"] = digest(body)
     file.write_text(json.dumps(body))
     return file
 
