@@ -53,6 +53,7 @@ def extend(
         raise DataError(recording.name, f"has no {what}", "extend by a recording with poses and depth")
     poses, measured = recording.poses, dict[str, Any]()
     recording = KeptDepth(recording)
+    recording.poses = poses  # of a selection, whose own may differ from its source's
     paired = PairedMap.of(bundle)
     cloud = cloud_from_recording(recording, paired.voxel_m, _MAX_DEPTH_M)
     if is_aligned:
@@ -91,7 +92,9 @@ def merge(bundle: Bundle, other: Bundle, name: str, parameters: dict[str, Any], 
     alignment = align_bundle(bundle, other, name, rng)
     T_world_other = alignment.T_world_other
     paired = PairedMap.of(bundle)
-    moved = Components.of(other.original, cloud_of(other).points).moved(T_world_other)
+    cloud = cloud_of(other)
+    points = cloud.points * (cloud.voxel_m / paired.voxel_m) ** 2  # of a surface, with this room's voxels
+    moved = Components.of(other.original, points).moved(T_world_other)
     parted = part(moved, _KnownRegion(bundle), rng)
     new = moved[parted.is_outside] + parted.outer
     is_same_network = bundle.depth_model.content == other.depth_model.content

@@ -15,7 +15,7 @@ from monoloc.editing.alignment import known
 from monoloc.editing.extension import extend, merge
 from monoloc.editing.undo import undone
 from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_exp, transform
-from monoloc.io.recording import Recording
+from monoloc.io.recording import Recording, Selection
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.map.cloud import cloud_from_recording
 from monoloc.map.mixture import GaussianMixture
@@ -85,7 +85,8 @@ def test_walk_that_the_map_knows_changes_no_component() -> None:
 
 
 def test_walk_in_another_world_is_found() -> None:
-    moved = in_another_world(walk("B"), OTHER)
+    moved = Selection(walk("B"), range(14))
+    moved.poses = OTHER @ walk("B").poses
     edited = extended(moved, align=True)
     found = np.array(changes(edited)["T_world_other"])
     assert pose_distance_m(invert(OTHER), found[None])[0] < 0.02
