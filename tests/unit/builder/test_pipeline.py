@@ -225,6 +225,8 @@ def test_bundle_and_report_hold_the_measurements_and_warn_of_poor_relocalization
     assert bundle.settings.log_scale_sd == 0.123 and bundle.thresholds == THRESHOLDS
     assert bundle.integrity == IntegrityModel(scan=SCAN_CLASSES, scan_search_precision=precision)
     assert bundle.sensor == SENSOR
+    assert bundle.transform is RESULT.transform and bundle.edits == ()
+    assert bundle.cloud is not None and bundle.cloud.points == report.cloud_points
     levels = [np.median(cv2.cvtColor(recording.color(index), cv2.COLOR_RGB2GRAY)) for index in range(len(recording))]
     assert bundle.provenance.brightness == pytest.approx((np.mean(levels), np.std(levels)), abs=1.0)
     assert bundle.supports_relocalization == (not warnings)
