@@ -1,35 +1,37 @@
 """The bundle: a room as a folder ``NAME.monoloc`` that is copied to the drone.
 
 ``manifest.json`` (schema, SHA-256 of every file, specification of the network, settings, camera, provenance,
-likelihood thresholds), ``map.npz`` (original and adapted mixture, reference poses and the bias at each),
-``landmarks.npz`` and ``depth.onnx``. It is written whole or not at all, and read only if every byte is as written.
-A signature (:mod:`monoloc.bundle_signature`) may lie beside them.
+likelihood thresholds, list of edits), ``map.npz`` (original and adapted mixture, the transform between them,
+reference poses and the bias at each), ``landmarks.npz``, ``depth.onnx``, and ``edits.npz`` (what undoes the edits)
+where there are any. It is written whole or not at all, and read only if every byte is as written. A signature
+(:mod:`monoloc.bundle_signature`) may lie beside them.
 """
 
 from __future__ import annotations
 
 import hashlib
 import io
-import json
 import os
 import zlib
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from monoloc.array_files import decode_arrays
+from monoloc.bundle_manifest import COPY_AGAIN, MANIFEST, SCHEMA, Manifest, manifest_content, parse_manifest, seal
+from monoloc.bundle_manifest import CloudSize as CloudSize
+from monoloc.bundle_manifest import Provenance as Provenance
 from monoloc.bundle_signature import SIGNATURE, check_signature
 from monoloc.camera import Camera
-from monoloc.config import describe
 from monoloc.depth.model_files import read_model
 from monoloc.depth.models import is_shipped
 from monoloc.depth.network_check import check_network
-from monoloc.depth.spec import DepthModel, ModelSpec
+from monoloc.depth.spec import DepthModel
+from monoloc.edit_record import Edit
 from monoloc.errors import BundleError
 from monoloc.files import read_regular
 from monoloc.fusion.reference_poses import ReferencePoses
@@ -38,62 +40,16 @@ from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.map.down_direction import down_of
+from monoloc.map.learnt_transform import LearntTransform
 from monoloc.map.mixture import GaussianMixture
 from monoloc.partial_files import whole_folder
 from monoloc.supervision.integrity import IntegrityModel, SensorModel
 from monoloc.version import __version__
 
-SCHEMA = 10
-_MANIFEST, _MAP, _LANDMARKS, _DEPTH = "manifest.json", "map.npz", "landmarks.npz", "depth.onnx"
+_MAP, _LANDMARKS, _DEPTH, _EDITS = "map.npz", "landmarks.npz", "depth.onnx", "edits.npz"
 _CONTENTS = (_MAP, _LANDMARKS, _DEPTH)
-_COPY = "copy the bundle again or rebuild it"
-_GreyLevel = Annotated[float, Field(ge=0.0, le=255.0)]
+_TRANSFORM = "transform_"
 _REFERENCES = ("reference_poses", "forward_bias", "backward_bias")  # twists (V, 6), float32
-
-
-class Provenance(BaseModel):
-    """Where a bundle comes from.
-
-    Attributes:
-        recording: name of the recording.
-        frames: name and :func:`fingerprint` of every frame that built the map or tuned the network.
-        tune, map_transform, lambda_kl: the adaptation's variant.
-        seed: of the build.
-        down_world: mean direction of the cameras' y axes over those frames: down, if the camera was held upright.
-        scale_sd: relative standard deviation of the map's scale; None where a sensor measured it.
-        brightness: median grey level, of 255, of the build's images: mean and standard deviation over the images;
-            None in bundles that do not tell it.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    recording: str
-    frames: dict[str, int]
-    tune: str
-    map_transform: bool
-    lambda_kl: float
-    seed: int
-    down_world: tuple[float, float, float] = (0.0, 1.0, 0.0)
-    scale_sd: float | None = None
-    brightness: tuple[_GreyLevel, _GreyLevel] | None = None
-
-
-class Manifest(BaseModel):
-    """The bundle's table of contents; see :class:`Bundle` for the parts."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    schema_version: int
-    monoloc_version: str
-    sha256: dict[str, str]
-    network: str
-    network_spec: ModelSpec
-    settings: LocalizerConfig
-    camera: Camera
-    provenance: Provenance
-    thresholds: LikelihoodThresholds
-    integrity: IntegrityModel
-    sensor: SensorModel
 
 
 @dataclass(frozen=True)
@@ -111,6 +67,9 @@ class Bundle:
         landmarks: that they saw.
         integrity: what tells right from wrong beliefs in the room.
         sensor: the same of a depth sensor in place of the network.
+        transform: from the original to the adapted map; None where both are the same.
+        cloud: that the map stands for; None in bundles of earlier versions, which did not note it.
+        edits: of the map since it was built, the last one last.
     """
 
     original: GaussianMixture
@@ -124,6 +83,9 @@ class Bundle:
     landmarks: Landmarks = field(default_factory=Landmarks.none)
     integrity: IntegrityModel = field(default_factory=IntegrityModel)
     sensor: SensorModel = field(default_factory=SensorModel)
+    transform: LearntTransform | None = None
+    cloud: CloudSize | None = None
+    edits: tuple[Edit, ...] = ()
 
     @property
     def supports_relocalization(self) -> bool:
@@ -162,23 +124,6 @@ def digest_of(path: Path) -> str:
     return hashlib.sha256(manifest_content(path)).hexdigest()
 
 
-def manifest_content(path: Path) -> bytes:
-    """A bundle's manifest, as it lies there.
-
-    Raises:
-        BundleError: there is no bundle at the path.
-    """
-    file = path / _MANIFEST
-    try:
-        return read_regular(file)
-    except OSError as error:
-        raise BundleError(
-            path, f"is not a bundle (no {_MANIFEST})", "give a folder made by: monoloc build"
-        ) from error
-    except ValueError as error:
-        raise BundleError(file, "is cut short or edited", _COPY) from error
-
-
 def check_target(path: Path) -> None:
     """Refuse a path where a bundle must not be written, before the work is done.
 
@@ -189,10 +134,10 @@ def check_target(path: Path) -> None:
         raise BundleError(path, "its folder does not exist", f"make {path.parent} first")
     if not os.access(path.parent, os.W_OK):
         raise BundleError(path, "its folder cannot be written to", "choose another folder")
-    if path.exists() and not (path / _MANIFEST).is_file():
+    if path.exists() and not (path / MANIFEST).is_file():
         raise BundleError(path, "exists and is not a bundle", "choose another name")
     # A folder is replaced whole: what monoloc did not put there must not go with it.
-    known = {_MANIFEST, SIGNATURE, *_CONTENTS}
+    known = {MANIFEST, SIGNATURE, _EDITS, *_CONTENTS}
     others = sorted({file.name for file in path.iterdir()} - known) if path.exists() else []
     if others:
         raise BundleError(path, f"holds more than a bundle ({others[0]})", "move that away or choose another name")
@@ -211,6 +156,9 @@ def write_bundle(path: str | Path, bundle: Bundle) -> int:
         _LANDMARKS: _packed(bundle.landmarks.to_arrays()),
         _DEPTH: bundle.depth_model.content,
     }
+    if bundle.edits:
+        undo = {str(number): np.frombuffer(edit.undo, np.uint8) for number, edit in enumerate(bundle.edits)}
+        contents[_EDITS] = _packed(undo)
     manifest = Manifest(
         schema_version=SCHEMA,
         monoloc_version=__version__,
@@ -223,8 +171,10 @@ def write_bundle(path: str | Path, bundle: Bundle) -> int:
         thresholds=bundle.thresholds,
         integrity=bundle.integrity,
         sensor=bundle.sensor,
+        cloud=bundle.cloud,
+        edits=[edit.record for edit in bundle.edits],
     )
-    contents[_MANIFEST] = _seal(manifest)
+    contents[MANIFEST] = seal(manifest)
     try:
         with whole_folder(path) as folder:
             for name, content in contents.items():
@@ -251,23 +201,17 @@ def read_bundle(path: str | Path, public_key: str | Path | None = None) -> Bundl
     content = manifest_content(path)
     if public_key is not None:
         check_signature(path, content, Path(public_key))
-    manifest = _manifest_of(content, path / _MANIFEST)
-    contents = {}
-    for name in _CONTENTS:
-        try:
-            contents[name] = read_regular(path / name)
-        except OSError as error:
-            raise BundleError(path / name, "is missing", "copy the bundle again, whole") from error
-        except ValueError as error:
-            raise BundleError(path / name, f"is not what was written ({error})", _COPY) from error
-        if hashlib.sha256(contents[name]).hexdigest() != manifest.sha256.get(name):
-            raise BundleError(path / name, "is not what was written", _COPY)
+    manifest = parse_manifest(content, path / MANIFEST)
+    contents = {name: _read_content(path / name, manifest) for name in _CONTENTS}
     check_network(contents[_DEPTH], path / _DEPTH, BundleError)
     try:
         arrays = decode_arrays(contents[_MAP])
         original, adapted = (GaussianMixture.from_arrays(arrays, name) for name in ("original_", "adapted_"))
         poses, forward, backward = (arrays[name].reshape(-1, 6).astype(np.float64) for name in _REFERENCES)
         reference_poses = ReferencePoses(se3_exp(poses), forward, backward)
+        transform = LearntTransform.from_arrays(arrays, _TRANSFORM)
+        if transform is None and manifest.provenance.map_transform:  # bundles of earlier versions
+            transform = LearntTransform.between(original, adapted)
     except (KeyError, ValueError, TypeError) as error:
         raise BundleError(path / _MAP, f"is no map ({error})", "rebuild it with this version") from error
     try:
@@ -287,7 +231,33 @@ def read_bundle(path: str | Path, public_key: str | Path | None = None) -> Bundl
         landmarks=landmarks,
         integrity=manifest.integrity,
         sensor=manifest.sensor,
+        transform=transform,
+        cloud=manifest.cloud,
+        edits=_read_edits(path, manifest),
     )
+
+
+def _read_content(file: Path, manifest: Manifest) -> bytes:
+    try:
+        content = read_regular(file)
+    except OSError as error:
+        raise BundleError(file, "is missing", "copy the bundle again, whole") from error
+    except ValueError as error:
+        raise BundleError(file, f"is not what was written ({error})", COPY_AGAIN) from error
+    if hashlib.sha256(content).hexdigest() != manifest.sha256.get(file.name):
+        raise BundleError(file, "is not what was written", COPY_AGAIN)
+    return content
+
+
+def _read_edits(path: Path, manifest: Manifest) -> tuple[Edit, ...]:
+    if not manifest.edits:
+        return ()
+    content = _read_content(path / _EDITS, manifest)
+    try:
+        undo = decode_arrays(content)
+        return tuple(Edit(record, undo[str(number)].tobytes()) for number, record in enumerate(manifest.edits))
+    except (KeyError, ValueError, TypeError) as error:
+        raise BundleError(path / _EDITS, f"does not hold the edits ({error})", COPY_AGAIN) from error
 
 
 def read_network(network: str | Path) -> DepthModel:
@@ -304,6 +274,8 @@ def read_network(network: str | Path) -> DepthModel:
 
 def _pack_maps(bundle: Bundle) -> bytes:
     arrays: dict[str, Any] = bundle.original.to_arrays("original_") | bundle.adapted.to_arrays("adapted_")
+    if bundle.transform is not None:
+        arrays |= bundle.transform.to_arrays(_TRANSFORM)
     known = bundle.reference_poses
     values = (se3_log(known.poses), known.forward_bias, known.backward_bias)
     for name, twists in zip(_REFERENCES, values, strict=True):
@@ -315,30 +287,3 @@ def _packed(arrays: dict[str, Any]) -> bytes:
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)
     return buffer.getvalue()
-
-
-def _seal(manifest: Manifest) -> bytes:
-    """The manifest as JSON with the digest of all the rest of it, so that an edit shows."""
-    body = manifest.model_dump(mode="json")
-    body["manifest_sha256"] = _digest(body)
-    return json.dumps(body, indent=1).encode()
-
-
-def _digest(body: dict[str, object]) -> str:
-    return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
-
-
-def _manifest_of(content: bytes, file: Path) -> Manifest:
-    try:
-        body = json.loads(content)
-    except (ValueError, RecursionError) as error:
-        raise BundleError(file, "is cut short or edited", _COPY) from error
-    if not isinstance(body, dict) or body.get("schema_version") != SCHEMA:
-        found = body.get("schema_version") if isinstance(body, dict) else None
-        raise BundleError(file, f"has schema {found}, this monoloc reads {SCHEMA}", "rebuild it with this version")
-    if body.pop("manifest_sha256", None) != _digest(body):
-        raise BundleError(file, "was edited", _COPY)
-    try:
-        return Manifest.model_validate(body)
-    except ValidationError as error:
-        raise BundleError(file, describe(error), "rebuild it with this version") from error

@@ -29,6 +29,7 @@ from monoloc.progress import Progress
 from monoloc.sensor_depth import sensor_bundle, sensor_settings, sparse_depth
 from monoloc.start import Start
 from monoloc.step_budget import Level, level_counts
+from monoloc.supervision.map_change import ChangedRegion, merged
 from monoloc.supervision.state import VOUCHED_FOR, Reason, State
 from monoloc.viz.viewer import NoViewer, Viewer
 
@@ -52,6 +53,7 @@ class Run:
         landmark_used: (N,) frames in which landmarks measured the pose.
         truth: (N, 4, 4) or None.
         depth: accuracy of the depth used, over all and over unseen frames; None without sensor depth.
+        changed_regions: that *map-changed* frames named, with their numbers of frames, the most first.
     """
 
     recording: Recording
@@ -69,6 +71,7 @@ class Run:
     step_ms: FloatArray
     landmark_used: NDArray[np.bool_]
     depth: tuple[DepthAccumulator, DepthAccumulator] | None
+    changed_regions: Sequence[tuple[ChangedRegion, int]] = ()
 
     @property
     def truth(self) -> FloatArray | None:
@@ -83,6 +86,10 @@ class Run:
             "lost_frames": self.states.count("lost"),
             "states": dict(Counter(self.states)),
             "reasons": self._reason_counts(),
+            "changed_regions": [
+                {"lower_m": region.lower.tolist(), "upper_m": region.upper.tolist(), "frames": frames}
+                for region, frames in self.changed_regions
+            ],
             "landmark_used_frames": int(self.landmark_used.sum()),
             "step_ms_median": float(np.median(self.step_ms)),
             "step_ms_p95": float(np.percentile(self.step_ms, 95.0)),
@@ -211,6 +218,7 @@ class _Log:
         self._states: list[State] = []
         self._reasons: list[frozenset[Reason]] = []
         self._levels: list[Level] = []
+        self._changed: list[ChangedRegion] = []
         self._figures: list[tuple[float, bool, bool, float]] = []
         self._depth = (DepthAccumulator(), DepthAccumulator()) if recording.has_depth else None
         self.dead_reckoning: list[FloatArray] = []
@@ -224,6 +232,8 @@ class _Log:
         self._states.append(step.state)
         self._reasons.append(step.reasons)
         self._levels.append(step.level)
+        if step.changed_region is not None:
+            self._changed.append(step.changed_region)
         self._figures.append((step.mean_log_likelihood, step.landmark_pose is not None, unseen, step_ms))
         if self._depth is not None and sensor_m is not None and step.depth is not None:
             for accumulator in self._depth if unseen else self._depth[:1]:
@@ -251,6 +261,7 @@ class _Log:
             states=self._states,
             reasons=self._reasons,
             levels=self._levels,
+            changed_regions=merged(self._changed),
             mean_log_likelihoods=np.array(mean_log_likelihoods),
             log_scales=np.array([estimate.log_scale for estimate in self._estimates]),
             step_ms=np.array(step_ms),

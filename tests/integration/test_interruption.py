@@ -9,7 +9,11 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 from cli_helpers import UNTUNED, listing, write_workspace
+from edit_helpers import mapped_room
+from monoloc.bundle import read_bundle, write_bundle
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path, write_recording
 
 
@@ -60,3 +64,32 @@ def test_terminated_reconstruction_leaves_nothing(tmp_path: Path) -> None:
     assert err.splitlines()[-1] == "monoloc: interrupted; nothing half-written is left"
     assert {path.name for path in tmp_path.iterdir()} == {"flight", "temporary"}
     assert list(temporary.iterdir()) == []
+
+
+@pytest.mark.parametrize("file", ["map.npz", "edits.npz", "manifest.json"])
+def test_killed_edit_leaves_the_old_bundle_and_the_next_one_works(tmp_path: Path, file: str) -> None:
+    write_bundle(tmp_path / "room.monoloc", mapped_room())
+    before = listing(tmp_path)
+    code = f"""
+import os, signal
+from pathlib import Path
+from monoloc.cli.main import run
+write_bytes = Path.write_bytes
+def killed(self, content):
+    write_bytes(self, content[: len(content) // 2])
+    if self.name == {file!r}:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return write_bytes(self, content)
+Path.write_bytes = killed
+run()
+"""
+    edit = ["map", "edit", "room.monoloc", "remove", "--box=-0.3,0.4,1.7,0.3,1,2.3"]
+    process = subprocess.run([sys.executable, "-c", code, *edit], cwd=tmp_path, capture_output=True, check=False)
+    assert process.returncode == -signal.SIGKILL
+    left = {name: content for name, content in listing(tmp_path).items() if not name.startswith(".room.monoloc")}
+    assert left == before
+    code = "from monoloc.cli.main import run; run()"
+    process = subprocess.run([sys.executable, "-c", code, *edit], cwd=tmp_path, capture_output=True, check=False)
+    assert process.returncode == 0
+    assert len(read_bundle(tmp_path / "room.monoloc").edits) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["room.monoloc"]

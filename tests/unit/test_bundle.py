@@ -17,11 +17,21 @@ import numpy as np
 import pytest
 from onnx import ModelProto
 
+from edit_helpers import bend
 from map_helpers import make_mixture
-from monoloc import bundle as bundle_module
-from monoloc.bundle import SCHEMA, Bundle, Provenance, check_target, fingerprint, read_bundle, write_bundle
+from monoloc.bundle import (
+    Bundle,
+    CloudSize,
+    Provenance,
+    check_target,
+    fingerprint,
+    read_bundle,
+    write_bundle,
+)
+from monoloc.bundle_manifest import SCHEMA, digest
 from monoloc.camera import Camera
 from monoloc.depth.spec import DepthModel, ModelSpec
+from monoloc.edit_record import Edit, EditRecord
 from monoloc.errors import BundleError
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.fusion.reference_poses import ReferencePoses
@@ -146,7 +156,7 @@ def test_camera_of_any_lens_is_read_as_written_and_one_without_a_model_is_browns
     body = json.loads(manifest.read_bytes())
     for name in ("manifest_sha256", "distortion_model", "is_window"):
         (body if name in body else body["camera"]).pop(name)
-    manifest.write_text(json.dumps(body | {"manifest_sha256": bundle_module._digest(body)}))
+    manifest.write_text(json.dumps(body | {"manifest_sha256": digest(body)}))
     assert read_bundle(written).camera == make_bundle().camera
 
 
@@ -375,7 +385,70 @@ def test_unknown_schema_is_refused(written, schema):
     body = json.loads(file.read_text())
     body["schema_version"] = schema
     file.write_text(json.dumps(body))
-    refuses(lambda: read_bundle(written), file, f"has schema {schema}, this monoloc reads {SCHEMA}")
+    refuses(lambda: read_bundle(written), file, f"has schema {schema}, this monoloc reads 9 to {SCHEMA}")
+
+
+def test_older_schema_says_what_to_rebuild_from_and_a_newer_one_what_reads_it(written):
+    file = written / "manifest.json"
+    body = json.loads(file.read_text())
+    for schema, fix in (
+        (
+            8,
+            "rebuild it with this version from the 2 frames seq-01/frame-000000 to seq-01/frame-000004 of redkitchen",
+        ),
+        (99, "read it with the monoloc that wrote it, or a newer one"),
+    ):
+        file.write_text(json.dumps(body | {"schema_version": schema}))
+        with pytest.raises(BundleError, match=f"; {fix}$"):
+            read_bundle(written)
+    file.write_text(json.dumps({"schema_version": 3, "provenance": "lost"}))
+    with pytest.raises(BundleError, match=r"; rebuild it with this version$"):
+        read_bundle(written)
+
+
+def test_manifest_of_schema_9_is_converted(written):
+    """It was written by the last version of that schema; the transform is fitted again between the two maps."""
+    body = json.loads(Path(__file__).with_name("manifest_of_schema_9.json").read_text())
+    assert body["schema_version"] == 9 and "cloud" not in body and "edits" not in body
+    current = json.loads((written / "manifest.json").read_text())
+    body |= {"sha256": current["sha256"], "network_spec": current["network_spec"]}
+    body.pop("manifest_sha256")
+    body["manifest_sha256"] = digest(body)
+    (written / "manifest.json").write_text(json.dumps(body))
+    bundle = read_bundle(written)
+    assert bundle.settings.particles == 321 and bundle.provenance.recording == "redkitchen"
+    assert bundle.cloud is None and bundle.edits == ()
+    assert bundle.transform is not None
+    write_bundle(written, bundle)
+    assert json.loads((written / "manifest.json").read_text())["schema_version"] == SCHEMA
+    assert np.allclose(read_bundle(written).transform.output_weight, bundle.transform.output_weight, rtol=1e-5)
+
+
+def test_edits_and_transform_are_read_as_written(written):
+    record = EditRecord(
+        time="2026-01-02T03:04:05+00:00", kind="remove", parameters={"yaw": 1.5}, changes={"a": [1, 2]}
+    )
+    edits = (Edit(record, b"one"), Edit(record.model_copy(update={"kind": "move"}), b"another"))
+    cloud = CloudSize(points=5000, voxel_m=0.03)
+    write_bundle(written, replace(make_bundle(), edits=edits, cloud=cloud, transform=bend()))
+    bundle = read_bundle(written)
+    assert bundle.edits == edits and bundle.cloud == cloud
+    points = np.random.default_rng(0).uniform(-1.0, 1.0, (20, 3))
+    np.testing.assert_allclose(bundle.transform(points), bend()(points), atol=1e-6)
+    content = (written / "edits.npz").read_bytes()
+    (written / "edits.npz").write_bytes(content[:-1])
+    refuses(lambda: read_bundle(written), written / "edits.npz", "is not what was written")
+    (written / "edits.npz").unlink()
+    refuses(lambda: read_bundle(written), written / "edits.npz", "is missing")
+    write_bundle(written, make_bundle())
+    assert not (written / "edits.npz").exists()
+
+
+def test_list_of_edits_without_what_undoes_them_is_refused(written):
+    record = EditRecord(time="2026-01-02T03:04:05+00:00", kind="add", parameters={}, changes={})
+    write_bundle(written, replace(make_bundle(), edits=(Edit(record, b"one"),)))
+    resealed(written, lambda body: body["edits"].append(body["edits"][0]))
+    refuses(lambda: read_bundle(written), written / "edits.npz", "does not hold the edits")
 
 
 @pytest.mark.parametrize("content", ["[]", "null"])
@@ -390,7 +463,7 @@ def test_unknown_setting_with_valid_checksum_is_named(written):
     body = json.loads(file.read_text())
     body["settings"]["teleport"] = True
     del body["manifest_sha256"]
-    body["manifest_sha256"] = bundle_module._digest(body)
+    body["manifest_sha256"] = digest(body)
     file.write_text(json.dumps(body))
     refuses(lambda: read_bundle(written), file, "settings.teleport")
 
@@ -401,7 +474,7 @@ def resealed(written: Path, change: Callable[[dict[str, Any]], object]) -> Path:
     body = json.loads(file.read_text())
     change(body)
     del body["manifest_sha256"]
-    body["manifest_sha256"] = bundle_module._digest(body)
+    body["manifest_sha256"] = digest(body)
     file.write_text(json.dumps(body))
     return file
 

@@ -15,7 +15,8 @@ from cryptography.hazmat.primitives import serialization as forms
 from cryptography.hazmat.primitives.asymmetric import ed25519, rsa
 
 from cli_helpers import json_of, outputs, refused, write_workspace
-from monoloc.bundle import manifest_content, read_bundle, write_bundle
+from monoloc.bundle import read_bundle, write_bundle
+from monoloc.bundle_manifest import manifest_content
 from monoloc.bundle_signature import SIGNATURE, make_keys, signature_of
 from monoloc.cli.main import invoke
 from monoloc.errors import MissingExtraError

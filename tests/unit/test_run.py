@@ -20,6 +20,7 @@ from monoloc.progress import NoProgress
 from monoloc.run import Run, localize
 from monoloc.start import Start
 from monoloc.step_budget import Level
+from monoloc.supervision.map_change import ChangedRegion
 from monoloc.supervision.state import Reason
 from synthetic_room import SETTINGS, SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path
 
@@ -51,6 +52,13 @@ def exact_run(recording: RoomRecording) -> Run:
         landmark_used=np.zeros(count, dtype=np.bool_),
         depth=None,
     )
+
+
+def test_changed_regions_are_among_the_figures(recording: RoomRecording) -> None:
+    region = ChangedRegion(np.array([0.0, 0.2, 0.4]), np.array([1.0, 1.2, 1.4]))
+    named = replace(exact_run(recording), changed_regions=[(region, 7)]).metrics()["changed_regions"]
+    assert named == [{"lower_m": [0.0, 0.2, 0.4], "upper_m": [1.0, 1.2, 1.4], "frames": 7}]
+    assert exact_run(recording).metrics()["changed_regions"] == []
 
 
 def test_silent_frames_are_tracking_and_far_off_or_outside_their_covariance(recording: RoomRecording) -> None:

@@ -20,6 +20,7 @@ from monoloc.evaluation.hold_out import HELD_OUT_SHARE, REGIONS, hold_out_region
 from monoloc.geometry import FloatArray
 from monoloc.io.recording import Recording
 from monoloc.map.depth_rendering import supervision
+from monoloc.map.learnt_transform import LearntTransform
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import Progress
 
@@ -40,6 +41,7 @@ class AdaptResult:
         steps: steps of the final run; 0 if the likelihood is the only objective and the hold-out run did not improve
             the held-out frames.
         kl: KL(M || M_A), nats.
+        transform: that adapted the map; None if it was not tuned.
     """
 
     original: GaussianMixture
@@ -51,6 +53,7 @@ class AdaptResult:
     scores: list[Score]
     steps: int
     kl: float
+    transform: LearntTransform | None
 
 
 def adapt(
@@ -107,6 +110,7 @@ def adapt(
         scores=scores,
         steps=steps,
         kl=final.kl(),
+        transform=final.map.transform.learnt() if config.map_transform else None,
     )
 
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from monoloc.adapt.objective import UPPER
+from monoloc.map.learnt_transform import HIDDEN, LearntTransform
 from monoloc.map.mixture import GaussianMixture
 
-_HIDDEN = 128
 _SYMMETRIC = (0, 1, 2, 1, 3, 4, 2, 4, 5)  # index of each entry of a symmetric 3 x 3 matrix in UPPER
 _BLOCK = 4096
 _NEIGHBOURS = 8  # responsibilities stored per point; on fitted maps the others sum to less than 1e-3
@@ -36,7 +36,7 @@ class MapTransform(nn.Module):
         super().__init__()
         self.register_buffer("centre", centre.double())
         self.register_buffer("radius", torch.tensor(radius, dtype=torch.float64))
-        self.hidden, self.output = nn.Linear(3, _HIDDEN), nn.Linear(_HIDDEN, 3)
+        self.hidden, self.output = nn.Linear(3, HIDDEN), nn.Linear(HIDDEN, 3)
         # PyTorch's default initialisation, but from a fixed seed, so that the result does not depend on global state.
         generator = torch.Generator().manual_seed(0)
         for parameter in self.hidden.parameters():
@@ -53,6 +53,13 @@ class MapTransform(nn.Module):
         hidden = torch.tanh(torch.addmm(self.hidden.bias[:, None], self.hidden.weight, columns))
         displacement = torch.addmm(self.output.bias[:, None], self.output.weight, hidden)
         return points + displacement.T.reshape(points.shape)
+
+    def learnt(self) -> LearntTransform:
+        """The transform as it is now, without PyTorch."""
+        layers = (self.hidden.weight, self.hidden.bias, self.output.weight, self.output.bias)
+        return LearntTransform(
+            self.centre.numpy(), float(self.radius), *(layer.detach().double().numpy() for layer in layers)
+        )
 
 
 def _sparse_rows(rows: Tensor, columns: Tensor, values: Tensor, shape: tuple[int, int]) -> Tensor:

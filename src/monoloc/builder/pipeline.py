@@ -25,7 +25,7 @@ from monoloc.builder.room_map import fit_map
 from monoloc.builder.samples import depth_samples
 from monoloc.builder.scan_evidence import measure_scan_evidence, measure_sensor
 from monoloc.builder.start_network import StartNetwork, checked_network, in_8_bits
-from monoloc.bundle import Bundle, Provenance, fingerprint
+from monoloc.bundle import Bundle, CloudSize, Provenance, fingerprint
 from monoloc.depth.models import DEFAULT
 from monoloc.depth.predictor import DepthPredictor
 from monoloc.depth.scale_fit import fit_to_depth
@@ -39,6 +39,7 @@ from monoloc.io.recording import Recording, scale_sd_of
 from monoloc.likelihood import make_likelihood
 from monoloc.map.compare import compare_maps
 from monoloc.map.depth_rendering import supervision
+from monoloc.map.learnt_transform import LearntTransform
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress, Progress
 from monoloc.recording_check.image_quality import measure_images
@@ -75,6 +76,7 @@ class _Adapted:
         held_out: those frames, in order; ``regions``: the same, a region each; none where nothing was tuned.
         fitted: the network's specification where its scale was fitted.
         nll, absrel: on held-out frames, before and after; None where nothing was tuned.
+        transform: that adapted the map; None if it was not tuned.
     """
 
     original: GaussianMixture
@@ -89,6 +91,7 @@ class _Adapted:
     absrel: tuple[float | None, float | None] = (None, None)
     kl: float = 0.0
     steps: int = 0
+    transform: LearntTransform | None = None
 
 
 def build_bundle(
@@ -199,6 +202,7 @@ def _adapt(room: _Room, network: StartNetwork, config: BuildConfig, seed: int, p
         absrel=(first.absrel, last.absrel),
         kl=result.kl,
         steps=result.steps,
+        transform=result.transform,
     )
 
 
@@ -254,6 +258,8 @@ def _calibrate(
         ),
         thresholds=thresholds,
         reference_poses=ReferencePoses.none(),
+        transform=adapted.transform,
+        cloud=CloudSize(points=len(room.cloud), voxel_m=config.voxel_m),
     )
     hold_out = replace(bundle, depth_model=adapted.hold_out_model, adapted=adapted.hold_out_map)
     bundle, known_bias = _with_bias(bundle, hold_out, room, adapted.regions, seed, progress)

@@ -95,7 +95,7 @@ def refine_poses(
     for round_ in range(rounds(remap)):
         if round_ and remap is not None:
             mixture = remap(refined)
-        target = _Target(mixture)
+        target = MixtureTarget(mixture)
         for index, scan in enumerate(scans):
             poses[index] = target.align(scan, poses[index], given[index], prior)
             if progress is not None:
@@ -109,7 +109,7 @@ def rounds(remap: object | None) -> int:
     return 1 if remap is None else _ROUNDS
 
 
-class _Target:
+class MixtureTarget:
     """A mixture with which points are aligned."""
 
     def __init__(self, mixture: GaussianMixture) -> None:

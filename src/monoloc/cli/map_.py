@@ -11,6 +11,7 @@ import typer
 from monoloc.builder.build_config import BuildConfig
 from monoloc.builder.room_map import fit_map
 from monoloc.bundle import read_bundle
+from monoloc.cli import map_edit
 from monoloc.cli.common import (
     EXTENT_SIGMAS,
     FramesOption,
@@ -43,6 +44,7 @@ app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
 )
+app.add_typer(map_edit.app, name="edit")
 
 
 @app.command()

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from monoloc.bundle import manifest_content, read_bundle
+from monoloc.bundle import read_bundle
+from monoloc.bundle_manifest import manifest_content
 from monoloc.bundle_signature import SIGNATURE, make_keys, signature_of
 from monoloc.cli.common import check_apart, stderr
 from monoloc.errors import BundleError

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -52,6 +53,22 @@ class ChangedRegion:
     @property
     def size(self) -> FloatArray:
         return np.asarray(self.upper - self.lower)
+
+
+def merged(regions: Iterable[ChangedRegion]) -> list[tuple[ChangedRegion, int]]:
+    """Regions of many frames, those that overlap as one, with the number of frames that named it; the most first."""
+    found: list[tuple[ChangedRegion, int]] = []
+    for region in regions:
+        frames = 1
+        apart = []
+        for other, count in found:
+            if np.all(region.lower < other.upper) and np.all(region.upper > other.lower):
+                lower, upper = np.minimum(region.lower, other.lower), np.maximum(region.upper, other.upper)
+                region, frames = ChangedRegion(lower, upper), frames + count
+            else:
+                apart.append((other, count))
+        found = [*apart, (region, frames)]
+    return sorted(found, key=lambda each: -each[1])
 
 
 class MapChangeMonitor:

@@ -30,6 +30,18 @@ def kl_of(adapted: AdaptedMap) -> float:
     return float(matched_kl(m.log_weights, m.means, m.covariances, m.log_weights, means, covariances))
 
 
+def test_learnt_transform_is_the_same_without_torch() -> None:
+    torch.manual_seed(0)
+    transform = MapTransform(torch.tensor([1.0, 2.0, 3.0]), radius=2.5)
+    torch.nn.init.normal_(transform.output.weight, 0.0, 0.03)
+    torch.nn.init.normal_(transform.output.bias, 0.0, 0.03)
+    points = np.random.default_rng(0).uniform([-1.5, -0.5, 0.5], [3.5, 4.5, 5.5], (100, 3))
+    with torch.no_grad():
+        expected = transform(torch.from_numpy(points)).numpy()
+    assert np.linalg.norm(expected - points, axis=1).min() > 0.01
+    np.testing.assert_allclose(transform.learnt()(points), expected, atol=1e-6)
+
+
 def test_map_transform_starts_as_the_identity_and_has_the_correct_gradient() -> None:
     torch.manual_seed(0)
     transform = MapTransform(torch.tensor([1.0, 2.0, 3.0]), radius=2.5)

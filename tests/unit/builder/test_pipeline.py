@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from edit_helpers import bend
 from map_helpers import make_mixture
 from monoloc.adapt.adaptation import AdaptResult
 from monoloc.adapt.tuning import Score
@@ -44,6 +45,7 @@ RESULT = AdaptResult(
     scores=[Score(0, nll=2.0, depth_loss=0.3, absrel=0.2), Score(10, nll=1.0, depth_loss=0.2, absrel=0.1)],
     steps=20,
     kl=0.5,
+    transform=bend(),
 )
 THRESHOLDS = LikelihoodThresholds(low=-1.0, lost=-2.0)
 BIAS_MODEL = BiasModel(sd_at_reference_m=0.03, sd_at_reference_rad=0.02, sd_growth_m=0.2, sd_growth_rad=0.4)
@@ -240,6 +242,8 @@ def test_bundle_and_report_hold_the_measurements_and_warn_of_poor_relocalization
     assert bundle.settings.log_scale_sd == 0.123 and bundle.thresholds == THRESHOLDS
     assert bundle.integrity == IntegrityModel(scan=SCAN_CLASSES, scan_search_precision=precision)
     assert bundle.sensor == SENSOR
+    assert bundle.transform is RESULT.transform and bundle.edits == ()
+    assert bundle.cloud is not None and bundle.cloud.points == report.cloud_points
     levels = [np.median(cv2.cvtColor(recording.color(index), cv2.COLOR_RGB2GRAY)) for index in range(len(recording))]
     assert bundle.provenance.brightness == pytest.approx((np.mean(levels), np.std(levels)), abs=1.0)
     assert bundle.supports_relocalization == (not warnings)

@@ -9,7 +9,7 @@ from scipy.optimize import approx_fprime
 
 from map_helpers import make_mixture
 from monoloc.builder.build_config import BuildConfig
-from monoloc.builder.pose_refinement import PosePrior, _Target, refine_poses
+from monoloc.builder.pose_refinement import MixtureTarget, PosePrior, refine_poses
 from monoloc.builder.room_map import fit_map
 from monoloc.errors import SettingError
 from monoloc.evaluation.trajectory import PoseErrors, pose_errors
@@ -113,7 +113,7 @@ def test_gradient_is_that_of_the_likelihood() -> None:
         moved = points @ (pose @ se3_exp(twist))[:3, :3].T + (pose @ se3_exp(twist))[:3, 3]
         return -float(np.log(0.9 * np.exp(mixture.log_density(moved)) + 0.1 / mixture.volume_m3).sum())
 
-    information, gradient = _Target(mixture)._normal_equations(points, pose)
+    information, gradient = MixtureTarget(mixture)._normal_equations(points, pose)
     np.testing.assert_allclose(gradient, approx_fprime(np.zeros(6), loss, 1e-6), rtol=1e-3, atol=1e-2)
     assert np.linalg.eigvalsh(information)[0] > 0.0
 

@@ -12,7 +12,7 @@ from monoloc.geometry import FloatArray, se3_exp
 from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
 from monoloc.landmarks.pnp import LandmarkMeasurement, LandmarkPose
 from monoloc.supervision.integrity import IntegrityModel
-from monoloc.supervision.map_change import ChangedRegion, MapChangeMonitor
+from monoloc.supervision.map_change import ChangedRegion, MapChangeMonitor, merged
 
 MODEL = IntegrityModel(familiar_found=0.7, strange_found=0.05)
 POSE = LandmarkPose(np.eye(4), np.eye(6), np.zeros((0, 3)))
@@ -122,3 +122,16 @@ def test_evidence_is_forgotten_slowly() -> None:
     assert flight(0.1, RIGHT)[0] is not None
     flight(600.0, visible=np.arange(2 * EACH), rate_hz=2.0)
     assert flight(0.1)[0] is None
+
+
+def test_regions_that_overlap_are_merged_and_the_one_of_most_frames_is_first() -> None:
+    def region(lower: float, upper: float) -> ChangedRegion:
+        return ChangedRegion(np.full(3, lower), np.full(3, upper))
+
+    found = merged([region(0.0, 1.0), region(5.0, 6.0), region(5.5, 7.0), region(6.5, 8.0), region(1.0, 2.0)])
+    assert [(each.lower[0], each.upper[0], frames) for each, frames in found] == [
+        (5.0, 8.0, 3),
+        (0.0, 1.0, 1),
+        (1.0, 2.0, 1),
+    ]
+    assert merged([]) == []

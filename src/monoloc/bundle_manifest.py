@@ -1,0 +1,155 @@
+"""The manifest of a bundle: what a bundle says of itself, sealed against edits, in this schema and earlier ones."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from monoloc.camera import Camera
+from monoloc.config import describe
+from monoloc.depth.spec import ModelSpec
+from monoloc.edit_record import EditRecord
+from monoloc.errors import BundleError
+from monoloc.files import read_regular
+from monoloc.likelihood.thresholds import LikelihoodThresholds
+from monoloc.localizer_config import LocalizerConfig
+from monoloc.supervision.integrity import IntegrityModel, SensorModel
+
+SCHEMA = 11
+"""Of the bundles that are written."""
+
+READ_SCHEMAS = (9, 10, 11)
+"""Of bundles that can be read: what later ones keep beyond these is derived, or has a default."""
+
+MANIFEST = "manifest.json"
+COPY_AGAIN = "copy the bundle again or rebuild it"
+_GreyLevel = Annotated[float, Field(ge=0.0, le=255.0)]
+
+
+class Provenance(BaseModel):
+    """Where a bundle comes from.
+
+    Attributes:
+        recording: name of the recording.
+        frames: name and :func:`fingerprint` of every frame that built the map or tuned the network.
+        tune, map_transform, lambda_kl: the adaptation's variant.
+        seed: of the build.
+        down_world: mean direction of the cameras' y axes over those frames: down, if the camera was held upright.
+        scale_sd: relative standard deviation of the map's scale; None where a sensor measured it.
+        brightness: median grey level, of 255, of the build's images: mean and standard deviation over the images;
+            None in bundles that do not tell it.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    recording: str
+    frames: dict[str, int]
+    tune: str
+    map_transform: bool
+    lambda_kl: float
+    seed: int
+    down_world: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    scale_sd: float | None = None
+    brightness: tuple[_GreyLevel, _GreyLevel] | None = None
+
+
+class CloudSize(BaseModel):
+    """Of the cloud that the map was fitted to: what is added to the map gets as many components a point.
+
+    Attributes:
+        points: in the cloud, one a voxel.
+        voxel_m: edge of a voxel.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    points: int = Field(ge=1)
+    voxel_m: float = Field(gt=0.0)
+
+
+class Manifest(BaseModel):
+    """The bundle's table of contents; see :class:`Bundle` for the parts."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    schema_version: int
+    monoloc_version: str
+    sha256: dict[str, str]
+    network: str
+    network_spec: ModelSpec
+    settings: LocalizerConfig
+    camera: Camera
+    provenance: Provenance
+    thresholds: LikelihoodThresholds
+    integrity: IntegrityModel
+    sensor: SensorModel
+    cloud: CloudSize | None = None
+    edits: list[EditRecord] = []
+
+
+def seal(manifest: Manifest) -> bytes:
+    """The manifest as JSON with the digest of all the rest of it, so that an edit shows."""
+    body = manifest.model_dump(mode="json")
+    body["manifest_sha256"] = digest(body)
+    return json.dumps(body, indent=1).encode()
+
+
+def digest(body: dict[str, object]) -> str:
+    """SHA-256 of a manifest's content, whatever its layout."""
+    return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
+
+
+def manifest_content(path: Path) -> bytes:
+    """A bundle's manifest, as it lies there.
+
+    Raises:
+        BundleError: there is no bundle at the path.
+    """
+    file = path / MANIFEST
+    try:
+        return read_regular(file)
+    except OSError as error:
+        raise BundleError(path, f"is not a bundle (no {MANIFEST})", "give a folder made by: monoloc build") from error
+    except ValueError as error:
+        raise BundleError(file, "is cut short or edited", COPY_AGAIN) from error
+
+
+def parse_manifest(content: bytes, file: Path) -> Manifest:
+    """The manifest that a file holds.
+
+    Raises:
+        BundleError: it was cut short or edited, or is of a schema that cannot be read.
+    """
+    try:
+        body = json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise BundleError(file, "is cut short or edited", COPY_AGAIN) from error
+    if not isinstance(body, dict) or body.get("schema_version") not in READ_SCHEMAS:
+        raise _unknown_schema(file, body)
+    if body.pop("manifest_sha256", None) != digest(body):
+        raise BundleError(file, "was edited", COPY_AGAIN)
+    try:
+        return Manifest.model_validate(body)
+    except ValidationError as error:
+        raise BundleError(file, describe(error), "rebuild it with this version") from error
+
+
+def _unknown_schema(file: Path, body: object) -> BundleError:
+    """What schema it is of, and what to rebuild it from, as far as the manifest tells."""
+    entries = body if isinstance(body, dict) else {}
+    found = entries.get("schema_version")
+    problem = f"has schema {found}, this monoloc reads {READ_SCHEMAS[0]} to {SCHEMA}"
+    if isinstance(found, int) and found > SCHEMA:
+        return BundleError(file, problem, "read it with the monoloc that wrote it, or a newer one")
+    provenance = entries.get("provenance")
+    provenance = provenance if isinstance(provenance, dict) else {}
+    recording, frames = provenance.get("recording"), provenance.get("frames")
+    if not isinstance(recording, str) or not isinstance(frames, dict) or not frames:
+        return BundleError(file, problem, "rebuild it with this version")
+    names = list(frames)
+    what = f"the {len(names)} frames {names[0]} to {names[-1]} of {recording}"
+    return BundleError(file, problem, f"rebuild it with this version from {what}")

@@ -1,0 +1,213 @@
+"""Where another recording or another map lies in a room: by landmarks first, then by surfaces.
+
+Both must agree. Landmarks may stand on an object that was moved, and surfaces fit in several places; rarely both are
+wrong alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.builder.pose_refinement import MixtureTarget, PosePrior
+from monoloc.bundle import Bundle
+from monoloc.editing.paired_map import cloud_of
+from monoloc.errors import DataError
+from monoloc.geometry import (
+    FloatArray,
+    invert,
+    make_pose,
+    nearest_rotation,
+    pose_distance_m,
+    se3_exp,
+    se3_log,
+    transform,
+)
+from monoloc.io.recording import Recording, evenly_spaced
+from monoloc.landmarks.features import MATCH_BITS
+from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
+
+_FRAMES, _CHECKED_FRAMES = 16, 6  # that are localised in the room, to align a recording and to check its world
+_LEAST_FRAMES = 3  # that must agree, and half of those that are localised
+_AGREE_M = 0.15  # pose distance within which poses agree, and landmarks and surfaces
+_POINTS, _ROUNDS = 1500, 4  # of the surfaces that are aligned, and how often
+_PRIOR = PosePrior(0.1, 0.05)  # of what landmarks give
+_LEAST_OVERLAP = 0.1  # share of the other's surfaces that the map must know
+_KNOWN_POINTS = 0.2  # a voxel: a surface point is known where the map expects so many
+_PAIR_M, _LEAST_PAIRS, _TRIALS = 0.06, 30, 500  # landmarks of two maps: distance of a pair, pairs, triples drawn
+_RATIO = 0.85  # of the best match's distance to that of the second best
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Where another world lies in a room.
+
+    Attributes:
+        T_world_other: (4, 4).
+        landmarks: frames, or pairs of landmarks, that agree.
+        apart_m: pose distance between what landmarks and what surfaces say, at the middle of the surfaces.
+        overlap: share of the other's surfaces that the map knows.
+    """
+
+    T_world_other: FloatArray
+    landmarks: int
+    apart_m: float
+    overlap: float
+
+
+def known(bundle: Bundle, points: FloatArray) -> NDArray[np.bool_]:
+    """Whether a bundle's map knows surface points (N, 3), world frame, (N,)."""
+    cloud = cloud_of(bundle)
+    expected = cloud.points * cloud.voxel_m**3 * np.exp(bundle.original.log_density(points))
+    return np.asarray(expected >= _KNOWN_POINTS)
+
+
+def align_recording(bundle: Bundle, recording: Recording, cloud: FloatArray, rng: np.random.Generator) -> Alignment:
+    """Where a posed recording's world lies in a room.
+
+    Args:
+        cloud: of the recording, (N, 3), its world frame, metres.
+
+    Raises:
+        DataError: landmarks do not tell, the surfaces do not overlap, or both do not agree.
+    """
+    found = _poses_by_landmarks(bundle, recording, _FRAMES)
+    agreed = _consensus(*found)
+    if agreed is None:
+        problem = f"is not found in the room: landmarks agree on no place ({len(found[0])} frames localised)"
+        raise DataError(recording.name, problem, "record it from where the room's recording looked, too")
+    return _by_surfaces(bundle, recording.name, cloud, *agreed, rng)
+
+
+def check_same_world(bundle: Bundle, recording: Recording) -> int:
+    """Refuse a recording whose poses are in another world, as far as landmarks tell.
+
+    Returns:
+        The number of frames that landmarks localise where the poses say; 0 if none is localised.
+
+    Raises:
+        DataError: landmarks agree on another world.
+    """
+    there, here = _poses_by_landmarks(bundle, recording, _CHECKED_FRAMES)
+    near = sum(float(pose_distance_m(a, b[None])[0]) < _AGREE_M for a, b in zip(there, here, strict=True))
+    agreed = _consensus(there, here)
+    if agreed is not None and 2 * near < agreed[1]:
+        shift_m = float(np.linalg.norm(transform(agreed[0], here[:1, :3, 3]) - here[0, :3, 3]))
+        problem = f"is in another world: landmarks see its cameras {shift_m:.2f} m from where its poses say"
+        raise DataError(recording.name, problem, "align it: --align")
+    return near
+
+
+def align_bundle(bundle: Bundle, other: Bundle, name: str, rng: np.random.Generator) -> Alignment:
+    """Where another bundle's world lies in a room.
+
+    Args:
+        name: of the other bundle, for messages.
+
+    Raises:
+        DataError: as :func:`align_recording`.
+    """
+    pairs = _pairs(bundle.landmarks, other.landmarks)
+    agreed = _rigid(*pairs, rng)
+    if agreed is None:
+        problem = f"does not overlap: no place where {_LEAST_PAIRS} of its landmarks are those of the room"
+        raise DataError(name, problem, "merge rooms whose recordings looked at a common part")
+    return _by_surfaces(bundle, name, other.original.sample(4 * _POINTS, rng), *agreed, rng)
+
+
+def _poses_by_landmarks(bundle: Bundle, recording: Recording, count: int) -> tuple[FloatArray, FloatArray]:
+    """``T_world_camera`` of some frames by the room's landmarks, and as the recording gives them, (F, 4, 4) each."""
+    assert recording.poses is not None
+    localizer = OrbLandmarkLocalizer(bundle.landmarks, recording.camera)
+    there, here = [], []
+    for index in evenly_spaced(len(recording), count).tolist():
+        found = localizer.relocalize(recording.color(index))
+        if found is not None:
+            there.append(found.pose)
+            here.append(recording.poses[index])
+    return np.reshape(there, (-1, 4, 4)), np.reshape(here, (-1, 4, 4))
+
+
+def _consensus(there: FloatArray, here: FloatArray) -> tuple[FloatArray, int] | None:
+    """``T_there_here`` on which most of the same cameras' poses (F, 4, 4) agree, and how many do."""
+    if len(there) < _LEAST_FRAMES:
+        return None
+    candidates = there @ invert(here)
+    agree = np.stack([_distances_m(there, each @ here) < _AGREE_M for each in candidates])
+    best = int(np.argmax(agree.sum(axis=1)))
+    count = int(agree[best].sum())
+    if count < _LEAST_FRAMES or 2 * count < len(there):
+        return None
+    offsets = se3_log(invert(candidates[best]) @ candidates[agree[best]])
+    return candidates[best] @ se3_exp(np.median(offsets, axis=0)), count
+
+
+def _distances_m(poses: FloatArray, others: FloatArray) -> FloatArray:
+    return np.array([pose_distance_m(a, b[None])[0] for a, b in zip(poses, others, strict=True)])
+
+
+def _by_surfaces(
+    bundle: Bundle, name: str, cloud: FloatArray, by_landmarks: FloatArray, count: int, rng: np.random.Generator
+) -> Alignment:
+    """Align the part of a cloud that the map knows, from what landmarks give."""
+    placed = transform(by_landmarks, cloud)
+    is_known = known(bundle, placed)
+    overlap = float(is_known.mean())
+    if overlap < _LEAST_OVERLAP:
+        problem = f"does not fit: where landmarks place it, the map knows {overlap:.0%} of its surfaces"
+        raise DataError(name, problem, "give one that overlaps the room")
+    # About the middle of the surfaces, so that a turn does not shift them.
+    middle = make_pose(np.eye(3), placed[is_known].mean(axis=0))
+    points = transform(invert(middle), rng.permutation(placed[is_known])[:_POINTS])
+    target, pose = MixtureTarget(bundle.original), middle
+    for _ in range(_ROUNDS):
+        pose = target.align(points, pose, middle, _PRIOR)
+    apart_m = float(pose_distance_m(middle, pose[None])[0])
+    if apart_m > _AGREE_M:
+        problem = f"landmarks and surfaces do not agree: they place it {apart_m:.2f} (metres plus radians) apart"
+        raise DataError(name, problem, "check its poses and depth: monoloc check")
+    return Alignment(pose @ invert(middle) @ by_landmarks, count, apart_m, overlap)
+
+
+def _pairs(landmarks: Landmarks, others: Landmarks) -> tuple[FloatArray, FloatArray]:
+    """Points (P, 3) of landmarks of two maps that look alike, one to one."""
+    if min(len(landmarks), len(others)) < 2:
+        return np.zeros((0, 3)), np.zeros((0, 3))
+    bits, nearest = cv2.batchDistance(
+        others.descriptors, landmarks.descriptors, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=2
+    )
+    chosen = np.flatnonzero((bits[:, 0] < MATCH_BITS) & (bits[:, 0] < _RATIO * bits[:, 1]))
+    there = landmarks.points[np.asarray(nearest)[chosen, 0]].astype(np.float64)
+    return there, others.points[chosen].astype(np.float64)
+
+
+def _rigid(there: FloatArray, here: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, int] | None:
+    """``T_there_here`` on which most pairs of points (P, 3) agree, by RANSAC (Fischler & Bolles 1981)."""
+    if len(there) < _LEAST_PAIRS:
+        return None
+    best = np.zeros(len(there), dtype=np.bool_)
+    for _ in range(_TRIALS):
+        triple = rng.choice(len(there), 3, replace=False)
+        agree = _agree(_fitted(there[triple], here[triple]), there, here)
+        best = agree if agree.sum() > best.sum() else best
+    for _ in range(3):
+        if best.sum() < _LEAST_PAIRS:
+            return None
+        pose = _fitted(there[best], here[best])
+        best = _agree(pose, there, here)
+    return pose, int(best.sum())
+
+
+def _agree(pose: FloatArray, there: FloatArray, here: FloatArray) -> NDArray[np.bool_]:
+    return np.asarray(np.linalg.norm(transform(pose, here) - there, axis=1) < _PAIR_M)
+
+
+def _fitted(there: FloatArray, here: FloatArray) -> FloatArray:
+    """Least-squares rigid motion between points (N, 3) (Umeyama 1991)."""
+    centre_there, centre_here = there.mean(axis=0), here.mean(axis=0)
+    rotation = nearest_rotation((there - centre_there).T @ (here - centre_here))
+    return make_pose(rotation, centre_there - rotation @ centre_here)

@@ -1,0 +1,57 @@
+"""The region that a localised recording has named as changed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from monoloc.config import describe
+from monoloc.errors import DataError
+from monoloc.files import read_regular
+from monoloc.geometry import FloatArray
+
+_MOST_BYTES = 1 << 26
+_FIX = "give the output of: monoloc localize BUNDLE SOURCE --json"
+_Corner = tuple[float, float, float]
+
+
+class _Region(BaseModel):
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    lower_m: _Corner
+    upper_m: _Corner
+    frames: int = Field(ge=1)
+
+
+class _RunFigures(BaseModel):
+    changed_regions: list[_Region]
+
+
+def read_changed_region(path: Path) -> tuple[FloatArray, FloatArray]:
+    """Corners (3,) each, world frame, metres, of the region that most frames of a run named.
+
+    Args:
+        path: JSON of ``monoloc localize``.
+
+    Raises:
+        DataError: the file is not that, or no frame named a region.
+    """
+    try:
+        body = json.loads(read_regular(path, _MOST_BYTES))
+        regions = _RunFigures.model_validate(body).changed_regions
+    except OSError as error:
+        raise DataError(path, f"cannot be read ({error.strerror})", _FIX) from error
+    except ValidationError as error:
+        raise DataError(path, describe(error), _FIX) from error
+    except (ValueError, RecursionError) as error:
+        raise DataError(path, "is no JSON", _FIX) from error
+    if not regions:
+        raise DataError(path, "names no changed region: no frame was map-changed", "give the box: --box")
+    named = max(regions, key=lambda region: region.frames)
+    lower, upper = np.array(named.lower_m), np.array(named.upper_m)
+    if np.any(upper <= lower):
+        raise DataError(path, "names a region without volume", _FIX)
+    return lower, upper

@@ -1,0 +1,195 @@
+"""Edits of a bundle's map: remove, add and move.
+
+An edit changes the map of the room as it is; the transform that the build has learnt adapts what is new. Landmarks in
+the region go with it. Which landmarks the build's views find is corrected where something new stands before them.
+The biases at the reference poses are those of the scans' errors: where a part of a view has changed, the same part of
+its bias is no longer known. Thresholds and covariances are of the network and of the room as a whole and stay.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.bundle import Bundle
+from monoloc.edit_record import EditKind, EditRecord
+from monoloc.editing.box import Box
+from monoloc.editing.paired_map import PairedMap
+from monoloc.editing.undo import with_edit
+from monoloc.editing.visibility import DepthBuffer, changed_share
+from monoloc.errors import SettingError
+from monoloc.fusion.reference_poses import ReferencePoses
+from monoloc.geometry import FloatArray, transform
+from monoloc.io.recording import evenly_spaced
+from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
+from monoloc.map.cloud import voxel_thin
+from monoloc.map.local_fit import Components, fitted, part
+
+_SHOWN = 4000  # points of the map that tell which part of a view has changed
+_VIEWS = 300  # reference poses that are looked from; others lie between them
+_LEAST_POINTS = 10  # of a cloud that is added
+
+
+@dataclass(frozen=True)
+class Change:
+    """What an edit changed of the map's surfaces, as points (N, 3), world frame: what is gone and what is new."""
+
+    gone: FloatArray
+    new: FloatArray
+
+    @classmethod
+    def none(cls) -> Change:
+        """Nothing that stood in a view; the map has only grown."""
+        return cls(np.zeros((0, 3)), np.zeros((0, 3)))
+
+
+def remove(bundle: Bundle, box: Box, parameters: dict[str, Any], rng: np.random.Generator) -> Bundle:
+    """Take away what lies in a box.
+
+    Raises:
+        SettingError: nothing does, or all of the map does.
+    """
+    paired = PairedMap.of(bundle)
+    parted = part(paired.original, box, rng)
+    if not len(parted.inner) and not parted.is_inside.any():
+        raise _empty(box, bundle)
+    rest = paired.select(parted.is_outside).with_new(parted.outer)
+    if not len(rest):
+        raise SettingError("box", "holds the whole map", "give a smaller one")
+    landmarks = bundle.landmarks
+    inside = box.contains(landmarks.points.astype(np.float64))
+    edited = replace(rest.on(bundle), landmarks=_select(landmarks, ~inside))
+    gone = _points_of(paired.original[parted.is_inside] + parted.inner, rng)
+    return finish(bundle, edited, "remove", parameters, Change(gone, np.zeros((0, 3))), rng)
+
+
+def add(bundle: Bundle, cloud: FloatArray, parameters: dict[str, Any], rng: np.random.Generator) -> Bundle:
+    """Add a cloud (N, 3), world frame, metres. It brings no landmarks.
+
+    Raises:
+        SettingError: too few points.
+    """
+    paired = PairedMap.of(bundle)
+    points = voxel_thin(cloud, paired.voxel_m)
+    if len(points) < _LEAST_POINTS:
+        problem = f"gives {len(points)} points {100.0 * paired.voxel_m:g} cm apart"
+        raise SettingError("cloud", problem, f"give one in metres with at least {_LEAST_POINTS}")
+    new = fitted(points, float(len(points)), len(points) * paired.components_a_point, rng)
+    edited = paired.with_new(new).on(bundle)
+    return finish(bundle, edited, "add", parameters, Change(np.zeros((0, 3)), points), rng)
+
+
+def move(
+    bundle: Bundle, box: Box, T_new_old: FloatArray, parameters: dict[str, Any], rng: np.random.Generator
+) -> Bundle:
+    """Move what lies in a box by a rigid motion (4, 4), world frame; its landmarks go with it.
+
+    Raises:
+        SettingError: nothing lies there.
+    """
+    paired = PairedMap.of(bundle)
+    parted = part(paired.original, box, rng)
+    content = paired.original[parted.is_inside] + parted.inner
+    if not len(content):
+        raise _empty(box, bundle)
+    rest = paired.select(parted.is_outside).with_new(parted.outer)
+    landmarks = bundle.landmarks
+    points = landmarks.points.astype(np.float64)
+    inside = box.contains(points)
+    points[inside] = transform(T_new_old, points[inside])
+    # From where the build saw them they are no longer seen.
+    views = landmarks.views if landmarks.views is None else _without_finds(landmarks.views, inside)
+    moved = replace(landmarks, points=points.astype(np.float32), views=views)
+    edited = replace(rest.with_new(content.moved(T_new_old)).on(bundle), landmarks=moved)
+    gone = _points_of(content, rng)
+    return finish(bundle, edited, "move", parameters, Change(gone, transform(T_new_old, gone)), rng)
+
+
+def finish(
+    before: Bundle,
+    edited: Bundle,
+    kind: EditKind,
+    parameters: dict[str, Any],
+    change: Change,
+    rng: np.random.Generator,
+    **measured: Any,
+) -> Bundle:
+    """Let views and biases follow a change of surfaces, and add the edit to the bundle's list.
+
+    Args:
+        measured: further entries of the record's changes.
+    """
+    edited = _views_follow(edited, change)
+    shares = _changed_shares(before, change, rng)
+    edited = replace(edited, reference_poses=_biases_follow(edited.reference_poses, shares))
+    changes = {
+        "components": [len(before.original), len(edited.original)],
+        "landmarks": [len(before.landmarks), len(edited.landmarks)],
+        "reference_poses": [len(before.reference_poses), len(edited.reference_poses)],
+        "largest_share_of_a_view": round(float(shares.max(initial=0.0)), 3),
+        **measured,
+    }
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    return with_edit(before, edited, EditRecord(time=now, kind=kind, parameters=parameters, changes=changes))
+
+
+def _empty(box: Box, bundle: Bundle) -> SettingError:
+    lower, upper = (", ".join(f"{value:.1f}" for value in bound) for bound in bundle.original.bounds_m(1.0))
+    centre = ", ".join(f"{value:.2f}" for value in box.centre)
+    return SettingError(
+        "box", f"holds nothing of the map (centre {centre})", f"the map lies between ({lower}) and ({upper})"
+    )
+
+
+def _points_of(components: Components, rng: np.random.Generator) -> FloatArray:
+    """Points (N, 3) of components, one for each that the cloud had, but not more than are needed."""
+    count = int(min(_SHOWN, np.ceil(components.mass.sum())))
+    return components.mixture().sample(count, rng) if len(components) else np.zeros((0, 3))
+
+
+def _select(landmarks: Landmarks, chosen: NDArray[np.bool_]) -> Landmarks:
+    views = landmarks.views
+    if views is not None:
+        views = LandmarkViews(views.poses, views.found[:, chosen])
+    return Landmarks(landmarks.points[chosen], landmarks.descriptors[chosen], views)
+
+
+def _without_finds(views: LandmarkViews, chosen: NDArray[np.bool_]) -> LandmarkViews:
+    found = views.found.copy()
+    found[:, chosen] = False
+    return LandmarkViews(views.poses, found)
+
+
+def _views_follow(bundle: Bundle, change: Change) -> Bundle:
+    """Landmarks that something new hides are not found from there any more."""
+    views = bundle.landmarks.views
+    if views is None or not len(change.new):
+        return bundle
+    points, found = bundle.landmarks.points.astype(np.float64), views.found.copy()
+    for row, pose in zip(found, views.poses, strict=True):
+        buffer = DepthBuffer(bundle.camera, pose, change.new)
+        seen = np.flatnonzero(row)
+        row[seen[buffer.hides(points[seen])]] = False
+    return replace(bundle, landmarks=replace(bundle.landmarks, views=LandmarkViews(views.poses, found)))
+
+
+def _changed_shares(before: Bundle, change: Change, rng: np.random.Generator) -> FloatArray:
+    """Share of the view of each reference pose, (V,), that is gone or stands behind something new."""
+    poses = before.reference_poses.poses
+    if not len(poses) or not (len(change.gone) or len(change.new)):
+        return np.zeros(len(poses))
+    room = before.original.sample(_SHOWN, rng)
+    some = evenly_spaced(len(poses), _VIEWS)
+    shares = [changed_share(before.camera, pose, room, change.gone, change.new) for pose in poses[some]]
+    return np.interp(np.arange(len(poses)), some, shares)
+
+
+def _biases_follow(known: ReferencePoses, shares: FloatArray) -> ReferencePoses:
+    """The bias of a view is the mean over its rays; of those that have changed, it is not known."""
+    left = np.ones((len(known), 1))
+    left[: len(shares), 0] = 1.0 - shares
+    return ReferencePoses(known.poses, left * known.forward_bias, left * known.backward_bias)

@@ -1,0 +1,203 @@
+"""A map that grows: extended by another recording, or merged with another bundle.
+
+What the map knows already is left as it is; what it does not know is fitted with as many components a point as the
+rest has, and adapted by the transform that the build has learnt. The network stays; what it has learnt of the room's
+first part is of use in the second, but no frame there has tuned it. So after the extension of a tuned bundle its bias
+is measured on the new frames, and the stated covariance is at least that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from monoloc.builder.bias import localizer_factory
+from monoloc.builder.kept_depth import KeptDepth
+from monoloc.bundle import Bundle, Provenance, fingerprint
+from monoloc.editing.alignment import Alignment, align_bundle, align_recording, check_same_world, known
+from monoloc.editing.edits import Change, finish
+from monoloc.editing.joined_landmarks import joined, with_recording
+from monoloc.editing.paired_map import PairedMap, cloud_of
+from monoloc.errors import DataError
+from monoloc.evaluation.trajectory import axis_sd, twist_errors
+from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.reference_poses import MOST_POSES, ReferencePoses
+from monoloc.geometry import FloatArray, invert, se3_log, transform
+from monoloc.io.recording import Recording, evenly_spaced
+from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
+from monoloc.likelihood.thresholds import LikelihoodThresholds
+from monoloc.map.cloud import cloud_from_recording, remove_outliers
+from monoloc.map.local_fit import Components, fitted, part
+
+_MAX_DEPTH_M = 4.5  # as in a build
+_LEAST_POINTS = 10  # that the map does not know, for components of their own
+_MOST_FOLLOWED = 60  # frames along which a tuned network's bias is measured
+
+
+def extend(
+    bundle: Bundle, recording: Recording, is_aligned: bool, parameters: dict[str, Any], rng: np.random.Generator
+) -> Bundle:
+    """Extend a room by a posed recording with depth.
+
+    Args:
+        is_aligned: whether to find where its world lies in the room; else its poses are in the room's world.
+
+    Raises:
+        DataError: no poses or depth; it is in another world; or it is not found in the room, see
+            :func:`monoloc.editing.alignment.align_recording`.
+    """
+    if recording.poses is None or not recording.has_depth:
+        what = "poses" if recording.poses is None else "depth"
+        raise DataError(recording.name, f"has no {what}", "extend by a recording with poses and depth")
+    poses, measured = recording.poses, dict[str, Any]()
+    recording = KeptDepth(recording)
+    recording.poses = poses  # of a selection, whose own may differ from its source's
+    paired = PairedMap.of(bundle)
+    cloud = cloud_from_recording(recording, paired.voxel_m, _MAX_DEPTH_M)
+    if is_aligned:
+        alignment = align_recording(bundle, recording, cloud, rng)
+        cloud, poses = transform(alignment.T_world_other, cloud), alignment.T_world_other @ poses
+        measured = _described(alignment)
+    else:
+        measured["frames_confirmed_by_landmarks"] = check_same_world(bundle, recording)
+    unknown = remove_outliers(cloud[~known(bundle, cloud)], paired.voxel_m)
+    if len(unknown) < _LEAST_POINTS:
+        unknown = unknown[:0]
+    new = fitted(unknown, float(len(unknown)), len(unknown) * paired.components_a_point, rng)
+    edited = paired.with_new(new).on(bundle)
+    edited = replace(
+        edited,
+        landmarks=with_recording(bundle.landmarks, recording, poses) if len(bundle.landmarks) else bundle.landmarks,
+        reference_poses=_joined_references(bundle.reference_poses, ReferencePoses.without_bias(poses)),
+        provenance=_with_frames(bundle.provenance, recording.name, _fingerprints(recording)),
+    )
+    if bundle.provenance.tune != "none":
+        edited = _with_bias_of(edited, recording, poses)
+        measured["bias_sd_m"] = round(edited.settings.particle_bias.sd_at_reference_m, 4)
+    measured |= {"unknown_points": len(unknown), "points": len(cloud)}
+    return finish(bundle, edited, "extend", parameters, Change.none(), rng, **measured)
+
+
+def merge(bundle: Bundle, other: Bundle, name: str, parameters: dict[str, Any], rng: np.random.Generator) -> Bundle:
+    """Merge another bundle's map into a room; network, camera and settings stay the room's.
+
+    Args:
+        name: of the other bundle, for messages.
+
+    Raises:
+        DataError: it is not found in the room, see :func:`monoloc.editing.alignment.align_bundle`.
+    """
+    alignment = align_bundle(bundle, other, name, rng)
+    T_world_other = alignment.T_world_other
+    paired = PairedMap.of(bundle)
+    cloud = cloud_of(other)
+    points = cloud.points * (cloud.voxel_m / paired.voxel_m) ** 2  # of a surface, with this room's voxels
+    moved = Components.of(other.original, points).moved(T_world_other)
+    parted = part(moved, _KnownRegion(bundle), rng)
+    new = moved[parted.is_outside] + parted.outer
+    is_same_network = bundle.depth_model.content == other.depth_model.content
+    known_bias = other.reference_poses
+    poses = T_world_other @ known_bias.poses
+    references = ReferencePoses.without_bias(poses)
+    if is_same_network:
+        references = ReferencePoses(poses, known_bias.forward_bias, known_bias.backward_bias)
+    bias = _wider(bundle.settings.particle_bias, other.settings.particle_bias)
+    landmark_bias = _wider(bundle.settings.landmark_bias, other.settings.landmark_bias)
+    edited = replace(
+        paired.with_new(new).on(bundle),
+        landmarks=joined(bundle.landmarks, _moved(other.landmarks, T_world_other)),
+        reference_poses=_joined_references(bundle.reference_poses, references),
+        provenance=_with_frames(bundle.provenance, other.provenance.recording, other.provenance.frames),
+        settings=bundle.settings.model_copy(update={"particle_bias": bias, "landmark_bias": landmark_bias}),
+        thresholds=LikelihoodThresholds(
+            low=min(bundle.thresholds.low, other.thresholds.low),
+            lost=min(bundle.thresholds.lost, other.thresholds.lost),
+        ),
+    )
+    measured = {**_described(alignment), "same_network": is_same_network, "new_components": len(new)}
+    return finish(bundle, edited, "merge", parameters, Change.none(), rng, **measured)
+
+
+class _KnownRegion:
+    """Where a bundle's map knows surfaces; a :class:`monoloc.map.local_fit.Region`."""
+
+    def __init__(self, bundle: Bundle) -> None:
+        lower, upper = bundle.original.bounds_m()
+        self.centre = 0.5 * (lower + upper)
+        self.reach_m = 0.5 * float(np.linalg.norm(upper - lower))
+        self._bundle = bundle
+
+    def contains(self, points: FloatArray) -> Any:
+        return known(self._bundle, points) if len(points) else np.zeros(0, dtype=np.bool_)
+
+
+def _described(alignment: Alignment) -> dict[str, Any]:
+    return {
+        "T_world_other": alignment.T_world_other.round(6).tolist(),
+        "agreeing_landmarks": alignment.landmarks,
+        "landmarks_to_surfaces": round(alignment.apart_m, 4),
+        "overlap": round(alignment.overlap, 3),
+    }
+
+
+def _fingerprints(recording: Recording) -> dict[str, int]:
+    return {name: fingerprint(recording.color(index)) for index, name in enumerate(recording.frame_names)}
+
+
+def _with_frames(provenance: Provenance, name: str, frames: dict[str, int]) -> Provenance:
+    """With the frames of another recording; those of the same name are told apart by its number."""
+    both = dict(provenance.frames)
+    for frame, checksum in frames.items():
+        key, number = frame, 2
+        while both.get(key, checksum) != checksum:
+            key, number = f"{frame} ({number})", number + 1
+        both[key] = checksum
+    names = provenance.recording.split(" + ")
+    return provenance.model_copy(
+        update={"frames": both, "recording": " + ".join(names if name in names else [*names, name])}
+    )
+
+
+def _joined_references(first: ReferencePoses, second: ReferencePoses) -> ReferencePoses:
+    """Both, of the second as many as there is room for, evenly."""
+    some = evenly_spaced(max(1, len(second)), MOST_POSES - len(first))[: len(second)]
+    pairs = zip(
+        (first.poses, first.forward_bias, first.backward_bias),
+        (second.poses, second.forward_bias, second.backward_bias),
+        strict=True,
+    )
+    return ReferencePoses(*(np.concatenate([one, two[some]]) for one, two in pairs))
+
+
+def _moved(landmarks: Landmarks, T_new_old: FloatArray) -> Landmarks:
+    views = landmarks.views
+    if views is not None:
+        views = LandmarkViews(T_new_old @ views.poses, views.found)
+    points = transform(T_new_old, landmarks.points.astype(np.float64)).astype(np.float32)
+    return Landmarks(points, landmarks.descriptors, views)
+
+
+def _wider(bias: BiasModel, other: BiasModel) -> BiasModel:
+    pairs = zip(bias.model_dump().items(), other.model_dump().values(), strict=True)
+    return BiasModel(**{name: max(value, others) for (name, value), others in pairs})
+
+
+def _with_bias_of(bundle: Bundle, recording: Recording, poses: FloatArray) -> Bundle:
+    """With a bias at the reference poses that is no less than along new frames.
+
+    They are followed there and back; on the way there, the start is forgotten.
+    """
+    frames = evenly_spaced(len(recording), min(len(recording), _MOST_FOLLOWED))
+    localizer = localizer_factory(replace(bundle, camera=recording.camera), 0)(poses[frames[0]])
+    errors = []
+    there_and_back = np.concatenate([frames, frames[::-1]])
+    elapsed_s = np.abs(np.diff(recording.timestamps_s[there_and_back], prepend=recording.timestamps_s[frames[0]]))
+    for index, since_s in zip(there_and_back.tolist(), elapsed_s.tolist(), strict=True):
+        step = localizer.step(recording.color(index), since_s)
+        errors.append(se3_log(invert(poses[index]) @ step.particle_estimate.pose))
+    sd_m, sd_rad = axis_sd(twist_errors(np.stack(errors[len(frames) :])))
+    bias = bundle.settings.particle_bias
+    bias = _wider(bias, BiasModel(sd_at_reference_m=sd_m, sd_at_reference_rad=sd_rad))
+    return replace(bundle, settings=bundle.settings.model_copy(update={"particle_bias": bias}))

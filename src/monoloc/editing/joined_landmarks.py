@@ -1,0 +1,92 @@
+"""Landmarks of two origins in one room: each once, with the views of both."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.builder.landmark_triangulation import Corners, landmarks_of
+from monoloc.camera import Camera
+from monoloc.depth.depth_image import sample_depth
+from monoloc.geometry import FloatArray
+from monoloc.io.recording import Recording, evenly_spaced
+from monoloc.landmarks.features import MATCH_BITS, KeypointDetector
+from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
+from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
+from monoloc.landmarks.pnp import PRIOR_COVARIANCE
+
+_SAME_M, _CANDIDATES = 0.05, 8  # distance within which landmarks that look alike are one; best matches looked at
+_DEPTH_JUMP = 0.15  # relative; next to a larger jump a corner's depth is ambiguous
+_MOST_FRAMES = 150
+
+
+def joined(landmarks: Landmarks, others: Landmarks) -> Landmarks:
+    """Landmarks of two maps of one world, those of the second that the first has too left out."""
+    new = ~_is_among(others, landmarks)
+    points = np.concatenate([landmarks.points, others.points[new]])
+    descriptors = np.concatenate([landmarks.descriptors, others.descriptors[new]])
+    first, second = landmarks.views, others.views
+    if first is None or second is None:
+        return Landmarks(points, descriptors, _padded(first, int(new.sum())))
+    found = np.zeros((len(first.poses) + len(second.poses), len(points)), dtype=np.bool_)
+    found[: len(first.poses), : len(landmarks)] = first.found
+    found[len(first.poses) :, len(landmarks) :] = second.found[:, new]
+    return Landmarks(points, descriptors, LandmarkViews(np.concatenate([first.poses, second.poses]), found))
+
+
+def with_recording(landmarks: Landmarks, recording: Recording, poses: FloatArray) -> Landmarks:
+    """With the landmarks that a recording with depth sees, and its frames as views of all of them.
+
+    Args:
+        poses: ``T_world_camera`` of its frames, (N, 4, 4), in the landmarks' world.
+    """
+    detect = KeypointDetector(recording.camera)
+    frames = evenly_spaced(len(recording), _MOST_FRAMES)
+    corners = []
+    for index in frames.tolist():
+        keypoints = detect(recording.color(index))
+        pixels = keypoints.pixels.astype(np.float32)
+        depth = sample_depth(pixels, detect.camera, recording.depth(index), recording.camera, _DEPTH_JUMP)
+        corners.append(Corners(keypoints, depth))
+    seen = landmarks_of(corners, detect.camera, poses[frames])
+    both = joined(landmarks, seen)
+    if landmarks.views is None:
+        return both
+    new_views = _views(both, corners, recording.camera, poses[frames])
+    first = both.views
+    assert first is not None
+    views = LandmarkViews(
+        np.concatenate([first.poses, new_views.poses]), np.concatenate([first.found, new_views.found])
+    )
+    return Landmarks(both.points, both.descriptors, views)
+
+
+def _views(landmarks: Landmarks, corners: list[Corners], camera: Camera, poses: FloatArray) -> LandmarkViews:
+    localizer = OrbLandmarkLocalizer(landmarks, camera)
+    found = np.zeros((len(poses), len(landmarks)), dtype=np.bool_)
+    for row, each, pose in zip(found, corners, poses, strict=True):
+        measured = localizer.measure_keypoints(each.keypoints, pose, PRIOR_COVARIANCE)
+        row[measured.visible[measured.is_found]] = True
+    return LandmarkViews(poses, found)
+
+
+def _padded(views: LandmarkViews | None, count: int) -> LandmarkViews | None:
+    if views is None:
+        return None
+    return LandmarkViews(views.poses, np.pad(views.found, ((0, 0), (0, count))))
+
+
+def _is_among(landmarks: Landmarks, others: Landmarks) -> NDArray[np.bool_]:
+    """Whether each of L landmarks is one of the others, (L,)."""
+    if not len(landmarks) or not len(others):
+        return np.zeros(len(landmarks), dtype=np.bool_)
+    bits, nearest = cv2.batchDistance(
+        landmarks.descriptors,
+        others.descriptors,
+        cv2.CV_32S,
+        normType=cv2.NORM_HAMMING,
+        K=min(_CANDIDATES, len(others)),
+    )
+    apart = np.linalg.norm(others.points[np.asarray(nearest)] - landmarks.points[:, None], axis=2)
+    return np.asarray(np.any((np.asarray(bits) < MATCH_BITS) & (apart < _SAME_M), axis=1))

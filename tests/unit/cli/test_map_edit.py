@@ -1,0 +1,138 @@
+"""``monoloc map edit``: its commands, in place and beside, and its refusals."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli_helpers import json_of, listing, refused, succeeds, write_workspace
+from edit_helpers import CUBE, bundle_of_walk, cube_cloud, mapped_room
+from monoloc.bundle import read_bundle, write_bundle
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
+
+LOWER, UPPER = (",".join(map(str, corner)) for corner in (CUBE.centre - CUBE.half, CUBE.centre + CUBE.half))
+BOX = f"{LOWER},{UPPER}"
+EDIT = ("map", "edit", "room.monoloc")
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with a bundle and a cloud."""
+    monkeypatch.chdir(tmp_path)
+    write_bundle(tmp_path / "room.monoloc", mapped_room())
+    np.savez(tmp_path / "cube.npz", points=cube_cloud() - CUBE.centre)
+    return tmp_path
+
+
+def test_remove_add_move_undo_and_log(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    removed = json_of(capfd, *EDIT, "remove", "--box", BOX, "--yaw", "10")
+    assert removed["kind"] == "remove" and removed["parameters"]["yaw_deg"] == 10.0
+    assert removed["undo_bytes"] > 0 and removed["bytes"] > 0 and removed["seconds"] > 0.0
+    centre = ",".join(map(str, CUBE.centre))
+    added = json_of(capfd, *EDIT, "add", "cube.npz", "--at", centre, "--turn", "90")
+    assert added["parameters"] == {"cloud": "cube.npz", "at": CUBE.centre.tolist(), "turn_deg": 90.0}
+    moved = json_of(capfd, *EDIT, "move", "--box", BOX, "--by", "0.9,0,0", "--turn", "45", "--out", "moved.monoloc")
+    assert moved["bundle"] == "moved.monoloc"
+    log = json_of(capfd, "map", "edit", "moved.monoloc", "log")
+    assert [edit["kind"] for edit in log["edits"]] == ["remove", "add", "move"]
+    assert [edit["kind"] for edit in json_of(capfd, *EDIT, "log")["edits"]] == ["remove", "add"]
+    lines = succeeds(capfd, *EDIT, "log").splitlines()
+    assert len(lines) == 2 and "remove: lower_m" in lines[0] and "components 150, " in lines[0]
+    assert json_of(capfd, *EDIT, "undo")["undone"]["kind"] == "add"
+    assert "undone" in succeeds(capfd, *EDIT, "undo")
+    np.testing.assert_allclose(
+        read_bundle(here / "room.monoloc").original.means, mapped_room().original.means, atol=1e-6
+    )
+
+
+def test_turned_object_is_at_its_place(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    json_of(capfd, *EDIT, "add", "cube.npz", "--at", "1.2,0.7,0", "--turn", "45")
+    room, edited = mapped_room(), read_bundle(here / "room.monoloc")
+    new = edited.original.means[len(room.original) :]
+    assert np.abs(new.mean(axis=0) - [1.2, 0.7, 0.0]).max() < 0.1
+
+
+def test_region_of_a_run_is_removed(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    region = {
+        "lower_m": (CUBE.centre - CUBE.half).tolist(),
+        "upper_m": (CUBE.centre + CUBE.half).tolist(),
+        "frames": 4,
+    }
+    (here / "run.json").write_text(json.dumps({"changed_regions": [region]}))
+    edited = json_of(capfd, *EDIT, "remove", "--changed", "run.json")
+    assert edited["parameters"]["changed"] == "run.json"
+    assert not CUBE.contains(read_bundle(here / "room.monoloc").landmarks.points.astype(np.float64)).any()
+
+
+def test_log_of_a_map_without_edits(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert succeeds(capfd, *EDIT, "log") == ""
+
+
+def test_extend_and_merge(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    write_workspace(here, RoomRecording(Room(), make_path(6), SMALL_CAMERA), components=60)
+    extended = json_of(capfd, *EDIT, "extend", "flight", "--frames", "::2")
+    assert extended["parameters"] == {"source": "flight", "frames": "::2", "align": False}
+    assert extended["changes"]["reference_poses"] == [3, 6]
+    write_bundle(here / "a.monoloc", bundle_of_walk("A"))
+    write_bundle(here / "b.monoloc", bundle_of_walk("B"))
+    merged = json_of(capfd, "map", "edit", "a.monoloc", "merge", "b.monoloc", "--out", "both.monoloc")
+    assert merged["kind"] == "merge" and merged["changes"]["overlap"] > 0.3
+    assert len(read_bundle(here / "both.monoloc").reference_poses) == 28
+    lines = {
+        ("extend", "flight", "--align"): ("flight", "is not found in the room", "looked"),
+        ("extend", "flight", "--fix-poses", "nonsense"): ("--fix-poses", "nonsense", ""),
+        ("merge", "b.monoloc"): ("b.monoloc", "does not overlap", "common part"),
+        ("merge", "room.monoloc", "--out", "room.monoloc"): ("--out", "is read by this command", "another place"),
+        ("merge", "none.monoloc"): ("none.monoloc", "is not a bundle", "monoloc build"),
+    }
+    for arguments, line in lines.items():
+        refused(capfd, here, (*EDIT, *arguments), *line)
+
+
+REFUSED = {
+    "no box": (("remove",), "--box", "is missing", "--changed RUN.json"),
+    "two regions": (("remove", "--box", BOX, "--changed", "run.json"), "--box", "both name a region", "give one"),
+    "five numbers": (("remove", "--box", "1,2,3,4,5"), "--box", "is '1,2,3,4,5'", "in metres"),
+    "no motion": (("move", "--box", BOX), "--by", "moves nothing", "--turn"),
+    "no shift": (("move", "--box", BOX, "--by", "1,2"), "--by", "is '1,2'", "DX,DY,DZ"),
+    "no place": (("add", "cube.npz", "--at", "here"), "--at", "is 'here'", "X,Y,Z"),
+    "no cloud": (("add", "no.ply"), "no.ply", "there is no such file", "check the path"),
+    "no run": (("remove", "--changed", "run.json"), "run.json", "cannot be read", "localize"),
+    "empty box": (("remove", "--box", "8,8,8,9,9,9"), "box", "holds nothing", "the map lies between"),
+    "other name": (("remove", "--box", BOX, "--out", "x"), "--out", "is not named as a bundle", "NAME.monoloc"),
+    "no folder": (("remove", "--box", BOX, "--out", "no/x.monoloc"), "no/x.monoloc", "does not exist", "make no"),
+    "nothing to undo": (("undo",), "undo", "no edit to take back", "log"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_bad_input_is_refused_in_one_line(here: Path, capfd: pytest.CaptureFixture[str], name: str) -> None:
+    arguments, names, problem, fix = REFUSED[name]
+    refused(capfd, here, (*EDIT, *arguments), names, problem, fix)
+
+
+def test_damaged_undo_is_refused(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    json_of(capfd, *EDIT, "remove", "--box", BOX)
+    bundle = read_bundle(here / "room.monoloc")
+    last = bundle.edits[-1]
+    object.__setattr__(last, "undo", last.undo[:50])
+    write_bundle(here / "room.monoloc", bundle)
+    refused(capfd, here, (*EDIT, "undo"), "room.monoloc", "no whole archive", "copy the bundle")
+
+
+def test_edit_that_cannot_be_written_leaves_the_bundle(
+    here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = listing(here)
+
+    def full(self: Path, content: bytes) -> int:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    refused(
+        capfd, here, (*EDIT, "remove", "--box", BOX), str(here / "room.monoloc"), "cannot be written", "make room"
+    )
+    assert listing(here) == before

@@ -1,0 +1,178 @@
+"""A map grows by another walk or another bundle, in the same world or in one that is found first."""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from edit_helpers import VOXEL_M, bundle_of_walk, in_another_world, walk
+from monoloc.bundle import Bundle
+from monoloc.editing.alignment import known
+from monoloc.editing.extension import extend, merge
+from monoloc.editing.undo import undone
+from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_exp, transform
+from monoloc.io.recording import Recording, Selection
+from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.map.cloud import cloud_from_recording
+from monoloc.map.mixture import GaussianMixture
+from refusals import refuses_data
+
+OTHER = se3_exp(np.array([2.0, -0.7, 1.1, 0.1, 2.3, -0.2]))  # T_other_world
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+def extended(recording: Recording, align: bool = False, bundle: Bundle | None = None) -> Bundle:
+    return extend(bundle or bundle_of_walk("A"), recording, align, {}, rng())
+
+
+def changes(bundle: Bundle) -> dict[str, Any]:
+    return bundle.edits[-1].record.changes
+
+
+def shifted(mixture: GaussianMixture, x: float) -> GaussianMixture:
+    return replace(mixture, means=mixture.means + np.array([x, 0.0, 0.0]))
+
+
+def test_walk_in_the_same_world_adds_what_the_map_does_not_know() -> None:
+    room, recording = bundle_of_walk("A"), walk("B")
+    edited = extended(recording)
+    cloud = cloud_from_recording(recording, VOXEL_M)
+    assert known(room, cloud).mean() < 0.9 and known(edited, cloud).mean() > 0.97
+    # As dense as the rest, and the rest as it was.
+    count = len(room.original)
+    added = len(edited.original) - count
+    assert added / (edited.cloud.points - room.cloud.points) == pytest.approx(count / room.cloud.points, rel=0.2)
+    np.testing.assert_array_equal(edited.original.means[:count], room.original.means)
+    assert changes(edited)["frames_confirmed_by_landmarks"] >= 3
+    assert len(edited.reference_poses) == 28 and len(edited.provenance.frames) == 28
+    assert edited.provenance.recording == "walk-A + walk-B"
+
+
+def test_landmarks_of_both_walks_are_kept_once_and_are_familiar_to_the_new_views() -> None:
+    room, edited = bundle_of_walk("A"), extended(walk("B"))
+    before, after = room.landmarks, edited.landmarks
+    np.testing.assert_array_equal(after.points[: len(before)], before.points)
+    assert len(after) > 1.2 * len(before)
+    np.testing.assert_array_equal(after.views.found[:14, : len(before)], before.views.found)
+    assert not after.views.found[:14, len(before) :].any()
+    found_old, found_new = (
+        after.views.found[14:, part].sum() for part in (slice(len(before)), slice(len(before), None))
+    )
+    assert found_old > 100 and found_new > 100
+
+
+def test_extension_is_taken_back() -> None:
+    room = bundle_of_walk("A")
+    back = undone(extended(walk("B")))
+    np.testing.assert_allclose(back.original.means, room.original.means, atol=1e-6)
+    np.testing.assert_array_equal(back.landmarks.points, room.landmarks.points)
+    np.testing.assert_array_equal(back.landmarks.views.found, room.landmarks.views.found)
+    assert back.provenance == room.provenance and len(back.reference_poses) == 14
+
+
+def test_walk_that_the_map_knows_changes_no_component() -> None:
+    edited = extended(walk("A"))
+    assert len(edited.original) <= len(bundle_of_walk("A").original) + 1
+    assert len(edited.provenance.frames) == 14
+
+
+def test_walk_in_another_world_is_found() -> None:
+    moved = Selection(walk("B"), range(14))
+    moved.poses = OTHER @ walk("B").poses
+    edited = extended(moved, align=True)
+    found = np.array(changes(edited)["T_world_other"])
+    assert pose_distance_m(invert(OTHER), found[None])[0] < 0.02
+    assert changes(edited)["landmarks_to_surfaces"] < 0.05
+    np.testing.assert_allclose(edited.reference_poses.poses[14:], walk("B").poses, atol=0.03)
+
+
+def test_walk_in_another_world_is_refused_as_one_in_the_same() -> None:
+    moved = in_another_world(walk("A"), OTHER)
+    refuses_data(lambda: extended(moved), "walk-A", "is in another world: landmarks see its cameras", "--align")
+
+
+def test_walk_through_another_room_is_refused() -> None:
+    other = walk("A", room_seed=7)
+    refuses_data(lambda: extended(other, align=True), "walk-A", "is not found in the room", "record it from where")
+
+
+@pytest.mark.parametrize(
+    ("shift_m", "problem", "fix"),
+    [(0.3, "landmarks and surfaces do not agree", "monoloc check"), (30.0, "does not fit: .* knows 0%", "overlaps")],
+)
+def test_landmarks_and_surfaces_must_agree(shift_m: float, problem: str, fix: str) -> None:
+    room = bundle_of_walk("A")
+    torn = replace(room, original=shifted(room.original, shift_m), adapted=shifted(room.adapted, shift_m))
+    refuses_data(lambda: extended(walk("A"), align=True, bundle=torn), "walk-A", problem, fix)
+
+
+@pytest.mark.parametrize("what", ["poses", "depth"])
+def test_walk_without_poses_or_depth_is_refused(what: str) -> None:
+    bare = copy(walk("B"))
+    if what == "poses":
+        bare.poses = None
+    else:
+        bare.has_depth = False
+    refuses_data(lambda: extended(bare), "walk-B", f"has no {what}", "poses and depth")
+
+
+def test_bias_of_a_tuned_network_is_measured_on_the_new_frames() -> None:
+    room = bundle_of_walk("A")
+    tuned = replace(room, provenance=room.provenance.model_copy(update={"tune": "all"}))
+    edited = extended(walk("B"), bundle=tuned)
+    assert changes(edited)["bias_sd_m"] == round(edited.settings.particle_bias.sd_at_reference_m, 4)
+    assert edited.settings.particle_bias.sd_at_reference_m >= room.settings.particle_bias.sd_at_reference_m
+    assert extended(walk("B")).settings == room.settings
+    assert undone(edited).settings == room.settings
+
+
+def moved_bundle(bundle: Bundle, T_new_old: FloatArray) -> Bundle:
+    """The same room in another world."""
+    means, rotation = transform(T_new_old, bundle.original.means), T_new_old[:3, :3]
+    covariances = rotation @ bundle.original.covariances @ rotation.T
+    mixture = GaussianMixture(bundle.original.weights, means, 0.5 * (covariances + covariances.swapaxes(-1, -2)))
+    landmarks, known_bias = bundle.landmarks, bundle.reference_poses
+    points = transform(T_new_old, landmarks.points.astype(np.float64)).astype(np.float32)
+    views = replace(landmarks.views, poses=T_new_old @ landmarks.views.poses)
+    return replace(
+        bundle,
+        original=mixture,
+        adapted=mixture,
+        landmarks=Landmarks(points, landmarks.descriptors, views),
+        reference_poses=replace(known_bias, poses=T_new_old @ known_bias.poses),
+    )
+
+
+def test_bundle_in_another_world_is_merged() -> None:
+    room, other = bundle_of_walk("A"), moved_bundle(bundle_of_walk("B"), OTHER)
+    edited = merge(room, other, "b.monoloc", {}, rng())
+    found = np.array(changes(edited)["T_world_other"])
+    assert pose_distance_m(invert(OTHER), found[None])[0] < 0.03
+    cloud = cloud_from_recording(walk("B"), VOXEL_M)
+    assert known(room, cloud).mean() < 0.9 and known(edited, cloud).mean() > 0.95
+    assert len(room.original) < len(edited.original) < len(room.original) + len(other.original)
+    assert len(room.landmarks) < len(edited.landmarks) < len(room.landmarks) + len(other.landmarks)
+    assert edited.landmarks.views.found.shape == (28, len(edited.landmarks))
+    assert edited.depth_model == room.depth_model and changes(edited)["same_network"]
+    np.testing.assert_allclose(edited.reference_poses.poses[14:], walk("B").poses, atol=0.04)
+    assert len(edited.provenance.frames) == 28  # the frames of both have the same names
+    back = undone(edited)
+    np.testing.assert_array_equal(back.landmarks.descriptors, room.landmarks.descriptors)
+    assert back.settings == room.settings and back.thresholds == room.thresholds
+
+
+@pytest.mark.parametrize("has_landmarks", [True, False])
+def test_bundle_of_another_room_is_not_merged(has_landmarks: bool) -> None:
+    room = bundle_of_walk("A")
+    descriptors = rng().integers(0, 256, (len(room.landmarks), 32)).astype(np.uint8)
+    strange = replace(room.landmarks, descriptors=descriptors) if has_landmarks else Landmarks.none()
+    other = replace(room, landmarks=strange)
+    refuses_data(lambda: merge(room, other, "b.monoloc", {}, rng()), "b.monoloc", "does not overlap", "common part")
