@@ -13,7 +13,6 @@ import typer
 from monoloc.bundle import read_bundle
 from monoloc.camera import Camera
 from monoloc.cli.common import (
-    EXTENT_SIGMAS,
     FramesOption,
     IntrinsicsOption,
     JsonOption,
@@ -28,6 +27,7 @@ from monoloc.evaluation.trajectory import twist_errors
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.io.recording import Selection
 from monoloc.map.compare import compare_maps
+from monoloc.map.surface import EXTENT_SIGMAS
 
 
 def inspect(

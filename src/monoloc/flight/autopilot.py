@@ -18,6 +18,7 @@ from monoloc.geometry import FloatArray
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
 from monoloc.mavlink.autopilot_link import AutopilotLink
 from monoloc.mavlink.firmware import Firmware
+from monoloc.obstacles import DepthError, LocalOccupancy, tells_obstacles
 from monoloc.odometry.motion import Motion
 
 
@@ -47,12 +48,7 @@ def frames_of(bundle: Bundle, settings: FlightSettings) -> AutopilotFrames:
 def obstacle_frames(bundle: Bundle, settings: FlightSettings) -> AutopilotFrames | None:
     """:func:`frames_of` to show obstacles by, or None where none are to be believed or gravity is not known."""
     has_gravity = bundle.down is not None or settings.down is not None
-    return frames_of(bundle, settings) if has_gravity and _tells_obstacles(bundle) else None
-
-
-def _tells_obstacles(bundle: Bundle) -> bool:
-    """Whether the network was tuned: others report half or more of the obstacles under a metre as farther away."""
-    return bundle.provenance.tune != "none"
+    return frames_of(bundle, settings) if has_gravity and tells_obstacles(bundle) else None
 
 
 def senders(
@@ -69,12 +65,12 @@ def senders(
         SettingError: as :func:`down_world`.
     """
     frames = frames_of(bundle, settings)
-    if not _tells_obstacles(bundle):
-        settings = settings.model_copy(update={"obstacles": False})
+    has_obstacles = settings.obstacles and tells_obstacles(bundle)
+    occupancy = LocalOccupancy(DepthError.of(bundle)) if has_obstacles else None
     if folder is not None:
         log = MessageLog(folder / MESSAGES, sink)
-        return [log, PoseSender(log, frames, firmware, settings)]
-    return [] if sink is None else [PoseSender(sink, frames, firmware, settings)]
+        return [log, PoseSender(log, frames, firmware, settings, occupancy)]
+    return [] if sink is None else [PoseSender(sink, frames, firmware, settings, occupancy)]
 
 
 def gravity_of(

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 from monoloc.geometry import FloatArray, invert
 from monoloc.localizer import Step
-from monoloc.mavlink.obstacle_sectors import MOST_M
+from monoloc.obstacles.sectors import MOST_M, depth_points
 from monoloc.odometry.motion import tracks_translation
 from monoloc.ros.message_contents import (
     TopicMessage,
@@ -110,8 +110,8 @@ def obstacle_points(step: Step) -> FloatArray:
 
     The depth is corrected by corners, and by the scale that the belief has found.
     """
-    depth_m = np.exp(step.estimate.log_scale) * step.depth.depth_m
-    return np.asarray(step.depth.camera.back_project(depth_m)[(depth_m > 0.0) & (depth_m <= MOST_M)])
+    points = depth_points(step.depth, step.estimate.log_scale)
+    return points[points[:, 2] <= MOST_M]
 
 
 class ImageMessages:
