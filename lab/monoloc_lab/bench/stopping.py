@@ -1,31 +1,48 @@
 """A simulated drone that stops before obstacles by its own depth: in a rendered room, in several lights.
 
-The drone flies straight ahead at constant speed. Every frame is localised and joined to the local occupancy. The drone
-brakes as soon as the free space that is left would be needed to stop. Truth is the way to the first contact, and for
-the distances of sectors the renderer's exact depth at the true pose.
+The drone flies straight ahead at constant speed. Every frame is localised and joined to the local occupancy. The
+drone brakes as soon as it would need the free space that is left to stop. Truth is the way to the first contact, and
+for the distances of sectors the renderer's exact depth at the true pose.
 """
 
 from __future__ import annotations
 
+import itertools
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from monoloc.bundle import Bundle
+from monoloc.bundle import Bundle, fingerprint
 from monoloc.depth.predictor import DepthPrediction
+from monoloc.errors import DataError
 from monoloc.flight.flight_settings import Mount
-from monoloc.geometry import FloatArray, invert, transform
+from monoloc.geometry import FloatArray, transform
 from monoloc.io.recording import Recording
 from monoloc.io.registry import open_recording
 from monoloc.localizer import Localizer, Step
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
-from monoloc.obstacles import DepthError, LocalOccupancy, MapKnowledge, depth_points, sector_distances_m
+from monoloc.obstacles import (
+    MOST_M,
+    DepthError,
+    Knowledge,
+    MapKnowledge,
+    ObstacleWatch,
+    Surroundings,
+    depth_points,
+    sector_distances_m,
+)
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.progress import Progress
 from monoloc.start import Start
-from monoloc_lab.synth.approaches import Approach
+from monoloc_lab.make.living_room import CAMERA, FLIGHTS, ROOM_SEED
+from monoloc_lab.rooms import BUILD
+from monoloc_lab.synth.approaches import Approach, plan_approach, render_approach
+from monoloc_lab.synth.layout import generate_room
+from monoloc_lab.synth.light import LIGHTS
+from monoloc_lab.synth.sequence import RenderConfig
 
 BRAKE_M_S2 = 1.5
 CLEARANCE_M = 0.15
@@ -34,7 +51,13 @@ CLEARANCE_M = 0.15
 BINS_M = (0.3, 0.75, 1.5, 2.5, 5.0)
 """Edges of the true distances over which errors are summarised."""
 
+SPEED_M_S, RADIUS_M = 0.8, 0.25
+"""Of the drone."""
+
+_RATE_HZ = 5.0  # of its camera, as in the room's build flight
+_SAMPLES = 8  # paths a pixel and light group
 _REACTION_S = 0.2  # from the capture of an image to the first effect of the brakes
+_TO_STOP_M = SPEED_M_S * _REACTION_S + SPEED_M_S**2 / (2.0 * BRAKE_M_S2)
 _MISSED = 1.3  # times the true distance, from which an obstacle is missed
 
 
@@ -45,49 +68,80 @@ class Stop:
     Attributes:
         is_new: whether the obstacle was not in the map.
         stopped: whether the drone stopped before it touched anything.
-        gap_m: way that was left from the stop to the contact; negative where it touched.
-        early_m: way that was left at the command to brake beyond what braking and clearance needed.
-        knew: whether what it stopped for was told as new by the joined map; None if it never braked.
-        lost_frames: before the command, or all.
+        by_distance: whether distances alone, whatever the state, would have stopped it too.
+        gap_m: way that was left from the stop to the contact; negative where it touched, 0 where it never braked.
+        why: it braked: ``map`` or ``live depth``, whichever had the nearest obstacle ahead, or the state.
     """
 
     is_new: bool
     stopped: bool
+    by_distance: bool
     gap_m: float
-    early_m: float
-    knew: bool | None
-    lost_frames: int
+    why: str
 
 
 @dataclass
 class Sectors:
-    """True and told distances of sectors in view that have both, in all frames; told are of the frame and joined."""
+    """Distances of the sectors whose true one is known and that the newest frame tells, over all frames.
+
+    Attributes:
+        true_m: by exact depth at the true pose.
+        frame_m: by the newest frame alone.
+        live_m: by the frames of the last second.
+        joined_m: by these and the map.
+    """
 
     true_m: list[FloatArray] = field(default_factory=list)
     frame_m: list[FloatArray] = field(default_factory=list)
+    live_m: list[FloatArray] = field(default_factory=list)
     joined_m: list[FloatArray] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
-class DistanceFigures:
-    """Errors of told distances where the truth is in one bin.
+class ErrorFigures:
+    """Errors of distances where the truth is in one bin.
 
     Attributes:
-        sectors: number of them.
-        median_error: median of told over true, less one.
-        p5_error, p95_error: percentiles of the same.
-        missed_rate: share that is told 30 % farther or more, or as free.
-        missed_rate_of_frame: the same of the newest frame alone, without the last second.
+        median, p5, p95: percentiles of told over true, less one; what is told as free counts as 5 m.
+        missed_rate: share that is told 30 % farther or more.
         within_2_sd: share whose error is within two stated standard deviations.
     """
 
-    sectors: int
-    median_error: float
-    p5_error: float
-    p95_error: float
+    median: float
+    p5: float
+    p95: float
     missed_rate: float
-    missed_rate_of_frame: float
     within_2_sd: float
+
+
+@dataclass(frozen=True)
+class DistanceFigures:
+    """Errors by what tells the distances, see :class:`Sectors`, over a number of sectors."""
+
+    sectors: int
+    frame: ErrorFigures
+    live: ErrorFigures
+    joined: ErrorFigures
+
+
+@dataclass(frozen=True)
+class StopFigures:
+    """Stops of several approaches.
+
+    Attributes:
+        stops, approaches: how many ended before a contact, of how many.
+        stops_by_distance: how many would have, if the drone did not brake for its state.
+        gap_least_m, gap_median_m, gap_most_m: way that was left; of approaches without a stop 0 or less.
+        why: how often the drone braked for each reason.
+    """
+
+    stops: int
+    approaches: int
+    stops_by_distance: int
+    gap_least_m: float
+    gap_median_m: float
+    gap_most_m: float
+    why: dict[str, int]
 
 
 @dataclass(frozen=True)
@@ -95,28 +149,14 @@ class LightFigures:
     """Stops and errors in one light.
 
     Attributes:
-        stops, approaches: how many ended before a contact, of how many.
-        new_stops, new_approaches: of those with an obstacle that is not in the map.
-        told_new: of the stops before new obstacles, how many were told as new.
-        told_new_falsely: of the stops before mapped obstacles.
-        gap_least_m, gap_median_m, gap_most_m: way that was left.
-        early_median_m: way left at the command beyond what it needed.
-        lost_frames: of all frames flown.
-        by_distance: by the true distance, in metres.
+        mapped, new: stops before what the map knows, and before what is new; None without such approaches.
+        mapped_errors, new_errors: errors by the true distance, in metres, on the same approaches.
     """
 
-    stops: int
-    approaches: int
-    new_stops: int
-    new_approaches: int
-    told_new: int
-    told_new_falsely: int
-    gap_least_m: float
-    gap_median_m: float
-    gap_most_m: float
-    early_median_m: float
-    lost_frames: int
-    by_distance: dict[str, DistanceFigures]
+    mapped: StopFigures | None
+    new: StopFigures | None
+    mapped_errors: dict[str, DistanceFigures]
+    new_errors: dict[str, DistanceFigures]
 
 
 @dataclass(frozen=True)
@@ -126,29 +166,66 @@ class StoppingFigures:
     Attributes:
         speed_m_s, radius_m: of the drone.
         stated_relative_sd: of a distance, by the bundle.
+        nearest_depth_m: below which the bundle states no error.
         lights: by name.
     """
 
     speed_m_s: float
     radius_m: float
     stated_relative_sd: float
+    nearest_depth_m: float
     lights: dict[str, LightFigures]
 
 
+def rendered_approaches(
+    mapped: int, new: int, seed: int, out: Path, progress: Progress
+) -> list[tuple[Approach, dict[str, Path]]]:
+    """Random approaches in the rendered living room, each with its recordings by light.
+
+    Args:
+        mapped: number of approaches to what the room's build flight saw.
+        new: number of approaches to a cabinet or a column that was put in the way.
+        seed: of all of them.
+        out: folder that keeps the renderings; those of an earlier call are reused.
+
+    Raises:
+        DataError, MissingExtraError: as :func:`monoloc_lab.synth.sequence.render_sequence`.
+    """
+    room, made = generate_room(ROOM_SEED), []
+    lights, config = list(LIGHTS.values()), RenderConfig(samples=_SAMPLES)
+    look_down_deg = FLIGHTS["build"].flight.look_down_deg
+    out.mkdir(exist_ok=True)
+    # Even and odd numbers, so that more of one kind do not change the others.
+    for number in [*range(0, 2 * mapped, 2), *range(1, 2 * new, 2)]:
+        rng = np.random.default_rng([seed, number])
+        approach = plan_approach(room, number % 2 == 1, RADIUS_M, SPEED_M_S, _RATE_HZ, look_down_deg, rng)
+        folder = out / f"{number:02d}"
+        paths = render_approach(approach, CAMERA, lights, config, seed + number, folder, progress)
+        made.append((approach, {light.name: path for light, path in zip(lights, paths, strict=True)}))
+    return made
+
+
+def check_room(bundle: Bundle, path: Path) -> None:
+    """Reject a bundle of another room than the rendered living room.
+
+    Raises:
+        DataError: no frame of the room's build flight built the bundle, or the direction of gravity is not known.
+    """
+    built = open_recording(f"folder:{BUILD}")
+    if not set(bundle.provenance.frames.values()) & {fingerprint(built.color(i)) for i in range(len(built))}:
+        raise DataError(path, "is not of the rendered living room", f"make it with: monoloc build {BUILD}")
+    if bundle.down is None:
+        raise DataError(path, "does not tell the direction of gravity", f"make it with: monoloc build {BUILD}")
+
+
 def bench_stops(
-    bundle: Bundle,
-    approaches: Sequence[tuple[Approach, Mapping[str, Path]]],
-    radius_m: float,
-    speed_m_s: float,
-    seed: int,
-    progress: Progress,
+    bundle: Bundle, approaches: Sequence[tuple[Approach, Mapping[str, Path]]], seed: int, progress: Progress
 ) -> StoppingFigures:
     """Fly all approaches in all lights.
 
     Args:
         bundle: of the room as it was mapped; its direction of gravity must be known.
-        approaches: each with its recordings by light.
-        radius_m, speed_m_s: of the drone.
+        approaches: as :func:`rendered_approaches` makes them, at least one.
         seed: of the localizers and their starts.
     """
     lights = list(approaches[0][1])
@@ -157,72 +234,57 @@ def bench_stops(
     figures, done = {}, 0
     with progress.task("approaches", len(lights) * len(approaches)) as show:
         for light in lights:
-            stops, sectors = [], Sectors()
+            stops: dict[bool, list[Stop]] = {False: [], True: []}
+            sectors = {False: Sectors(), True: Sectors()}
             for number, (approach, recordings) in enumerate(approaches):
-                flight = _Flight(bundle, knowledge, error, radius_m, speed_m_s, seed + number)
-                stops.append(flight.fly(approach, open_recording(f"folder:{recordings[light]}"), sectors))
+                is_new, recording = approach.is_new, open_recording(f"folder:{recordings[light]}")
+                flight = _Flight(bundle, knowledge, error, seed + number)
+                stops[is_new].append(flight.fly(approach, recording, sectors[is_new]))
                 done += 1
                 show(done)
-            figures[light] = summarised(stops, sectors, error)
-    return StoppingFigures(speed_m_s, radius_m, error.relative_sd, figures)
+            figures[light] = LightFigures(
+                mapped=stop_figures(stops[False]),
+                new=stop_figures(stops[True]),
+                mapped_errors=distance_figures(sectors[False], error),
+                new_errors=distance_figures(sectors[True], error),
+            )
+    return StoppingFigures(SPEED_M_S, RADIUS_M, error.relative_sd, error.nearest_m, figures)
 
 
 class _Flight:
-    def __init__(
-        self,
-        bundle: Bundle,
-        knowledge: MapKnowledge,
-        error: DepthError,
-        radius_m: float,
-        speed_m_s: float,
-        seed: int,
-    ) -> None:
+    def __init__(self, bundle: Bundle, knowledge: MapKnowledge, error: DepthError, seed: int) -> None:
         assert bundle.down is not None
         self._bundle, self._knowledge, self._error = bundle, knowledge, error
-        self._radius_m, self._speed_m_s, self._seed = radius_m, speed_m_s, seed
+        self._seed = seed
         self._frames = AutopilotFrames(Mount().T_body_camera, bundle.down, 0.0)
 
     def fly(self, approach: Approach, recording: Recording, sectors: Sectors) -> Stop:
         """One approach; the distances of all its frames are added to ``sectors``."""
-        rng = np.random.default_rng([self._seed, 0x570])
-        start = Start.disturbed(approach.poses[0], rng)
+        start = Start.disturbed(approach.poses[0], np.random.default_rng([self._seed, 0x570]))
         localizer = Localizer(self._bundle, recording.camera, start, seed=self._seed)
-        occupancy = LocalOccupancy(self._error)
-        braked: Stop | None = None
-        lost = 0
+        watch = ObstacleWatch(self._error, self._knowledge)
+        braked: dict[bool, Stop] = {}  # by whether the state counts
         for index, time_s in enumerate(approach.times_s.tolist()):
             elapsed_s = time_s - float(approach.times_s[max(0, index - 1)])
             step = localizer.step(recording.color(index), elapsed_s)
-            if step.restarted or step.state == "lost":
-                occupancy.clear()
-            T_level_camera = self._frames.T_level_camera(step.estimate)
-            around = occupancy.update(time_s, step.depth, step.estimate, T_level_camera)
-            self._compare(approach.poses[index], recording, index, step, around.distances_m, sectors)
-            lost += step.state == "lost" and braked is None
-            # A drone that does not know where it is has no depth scale to believe, and stops as well.
-            free_m = 0.0 if step.state == "lost" else around.free_ahead(self._radius_m).least_m
-            if braked is None and free_m < self.needed_m:
-                joined = self._knowledge.joined(around, step.estimate.pose @ invert(T_level_camera))
-                ahead = np.r_[0:4, -3:0]
-                nearest = ahead[np.nanargmin(np.append(joined.distances_m[ahead], np.inf)[:-1])]
-                braked = self._braked(approach, time_s, bool(joined.is_new[nearest]), lost)
-        return braked or Stop(approach.is_new, False, 0.0, 0.0, None, lost)
-
-    @property
-    def needed_m(self) -> float:
-        """Free space from the vehicle's centre that it needs to stop in, with its clearance."""
-        return self._radius_m + CLEARANCE_M + self._way_to_stop_m
-
-    @property
-    def _way_to_stop_m(self) -> float:
-        return self._speed_m_s * _REACTION_S + self._speed_m_s**2 / (2.0 * BRAKE_M_S2)
-
-    def _braked(self, approach: Approach, time_s: float, knew: bool, lost: int) -> Stop:
-        gap_m = approach.contact_m - self._speed_m_s * time_s - self._way_to_stop_m
-        return Stop(approach.is_new, gap_m > 0.0, gap_m, gap_m - CLEARANCE_M, knew, lost)
+            around = watch.update(time_s, step, self._frames.T_level_camera(step.estimate))
+            self._compare(approach.poses[index], recording, index, step, around, sectors)
+            for counts in (True, False):
+                why = _why_braked(step, around, counts)
+                if why is not None and counts not in braked:
+                    braked[counts] = _braked(approach, time_s, why)
+        by_distance = False in braked and braked[False].stopped
+        stop = braked.get(True, Stop(approach.is_new, False, False, 0.0, "never braked"))
+        return replace(stop, by_distance=by_distance)
 
     def _compare(
-        self, pose: FloatArray, recording: Recording, index: int, step: Step, joined_m: FloatArray, sectors: Sectors
+        self,
+        pose: FloatArray,
+        recording: Recording,
+        index: int,
+        step: Step,
+        around: Surroundings,
+        sectors: Sectors,
     ) -> None:
         """Add the sectors of a frame whose true distance is known, and that the frame or the last second tells."""
         exact = DepthPrediction(recording.depth(index), recording.camera)
@@ -233,44 +295,72 @@ class _Flight:
         both = np.isfinite(true_m) & ~np.isnan(frame_m)
         sectors.true_m.append(true_m[both])
         sectors.frame_m.append(frame_m[both])
-        sectors.joined_m.append(joined_m[both])
+        live_m = around.live_m if isinstance(around, Knowledge) else around.distances_m
+        sectors.live_m.append(live_m[both])
+        sectors.joined_m.append(around.distances_m[both])
 
 
-def summarised(stops: Sequence[Stop], sectors: Sectors, error: DepthError) -> LightFigures:
-    """Figures of one light; there is at least one stop and one sector."""
-    gaps = np.array([stop.gap_m for stop in stops])
-    new = [stop for stop in stops if stop.is_new]
-    true_m, frame_m, joined_m = (np.concatenate(each) for each in (sectors.true_m, sectors.frame_m, sectors.joined_m))
-    by_distance = {}
-    for low, high in zip(BINS_M[:-1], BINS_M[1:], strict=True):
-        is_in = (true_m >= low) & (true_m < high)
-        if is_in.any():
-            by_distance[f"{low:g}-{high:g}"] = _distances(true_m[is_in], frame_m[is_in], joined_m[is_in], error)
-    return LightFigures(
+def _why_braked(step: Step, around: Surroundings, state_counts: bool) -> str | None:
+    """Why the drone brakes after a frame; None where it goes on.
+
+    A drone that is not sure where it is believes neither the map nor the scale of its depth, and stops as well.
+
+    Args:
+        step: the localizer's result.
+        around: the vehicle.
+        state_counts: whether the state is a reason, or only distances are.
+    """
+    if around.free_ahead(RADIUS_M).least_m >= RADIUS_M + CLEARANCE_M + _TO_STOP_M or step.state == "lost":
+        return step.state if state_counts and step.state not in ("tracking", "map-changed") else None
+    assert isinstance(around, Knowledge)
+    is_live = replace(around, distances_m=around.live_m).free_ahead(RADIUS_M).distance_m
+    is_mapped = replace(around, distances_m=around.mapped_m).free_ahead(RADIUS_M).distance_m
+    return "live depth" if is_live < is_mapped else "map"
+
+
+def _braked(approach: Approach, time_s: float, why: str) -> Stop:
+    gap_m = approach.contact_m - SPEED_M_S * time_s - _TO_STOP_M
+    return Stop(approach.is_new, gap_m > 0.0, False, gap_m, why)
+
+
+def stop_figures(stops: Sequence[Stop]) -> StopFigures | None:
+    """Summary of stops; None of none."""
+    if not stops:
+        return None
+    gaps_m = np.array([stop.gap_m for stop in stops])
+    return StopFigures(
         stops=sum(stop.stopped for stop in stops),
         approaches=len(stops),
-        new_stops=sum(stop.stopped for stop in new),
-        new_approaches=len(new),
-        told_new=sum(bool(stop.knew) for stop in new),
-        told_new_falsely=sum(bool(stop.knew) for stop in stops if not stop.is_new),
-        gap_least_m=float(gaps.min()),
-        gap_median_m=float(np.median(gaps)),
-        gap_most_m=float(gaps.max()),
-        early_median_m=float(np.median([stop.early_m for stop in stops])),
-        lost_frames=sum(stop.lost_frames for stop in stops),
-        by_distance=by_distance,
+        stops_by_distance=sum(stop.by_distance for stop in stops),
+        gap_least_m=float(gaps_m.min()),
+        gap_median_m=float(np.median(gaps_m)),
+        gap_most_m=float(gaps_m.max()),
+        why=dict(Counter(stop.why for stop in stops)),
     )
 
 
-def _distances(true_m: FloatArray, frame_m: FloatArray, joined_m: FloatArray, error: DepthError) -> DistanceFigures:
-    ratio = np.minimum(joined_m, BINS_M[-1]) / true_m
-    low, median, high = np.percentile(ratio - 1.0, [5.0, 50.0, 95.0])
-    return DistanceFigures(
-        sectors=len(true_m),
-        median_error=float(median),
-        p5_error=float(low),
-        p95_error=float(high),
-        missed_rate=float(np.mean(joined_m > _MISSED * true_m)),
-        missed_rate_of_frame=float(np.mean(frame_m > _MISSED * true_m)),
-        within_2_sd=float(np.mean(np.abs(joined_m - true_m) <= 2.0 * error.sd_m(np.minimum(joined_m, BINS_M[-1])))),
+def distance_figures(sectors: Sectors, error: DepthError) -> dict[str, DistanceFigures]:
+    """Errors by bins of the true distance; bins without a sector are left out."""
+    if not sectors.true_m:
+        return {}
+    true_m = np.concatenate(sectors.true_m)
+    told = [np.concatenate(each) for each in (sectors.frame_m, sectors.live_m, sectors.joined_m)]
+    figures = {}
+    for low, high in itertools.pairwise(BINS_M):
+        is_in = (true_m >= low) & (true_m < high)
+        if is_in.any():
+            errors = (_errors(true_m[is_in], each[is_in], error) for each in told)
+            figures[f"{low:g}-{high:g}"] = DistanceFigures(int(is_in.sum()), *errors)
+    return figures
+
+
+def _errors(true_m: FloatArray, told_m: FloatArray, error: DepthError) -> ErrorFigures:
+    within_m = np.minimum(told_m, MOST_M)
+    low, median, high = np.percentile(within_m / true_m - 1.0, [5.0, 50.0, 95.0])
+    return ErrorFigures(
+        median=float(median),
+        p5=float(low),
+        p95=float(high),
+        missed_rate=float(np.mean(told_m > _MISSED * true_m)),
+        within_2_sd=float(np.mean(np.abs(within_m - true_m) <= 2.0 * error.sd_m(within_m))),
     )

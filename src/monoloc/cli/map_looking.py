@@ -28,6 +28,7 @@ from monoloc.map.mixture import GaussianMixture
 from monoloc.map.occupancy import FREE, OCCUPIED, surface_voxels
 from monoloc.map.surface import EXTENT_SIGMAS, surface_points
 from monoloc.map_export import export_ellipsoids, export_grid, export_points, export_voxels
+from monoloc.obstacles.depth_error import nearest_depth_m
 from monoloc.viz.map_view import MapView, plot_from_above, plot_from_pose
 
 _DRAWN_POINTS = 200_000
@@ -200,6 +201,7 @@ def _bundle(path: Path) -> dict[str, object]:
         "landmark_views": 0 if views is None else len(views.poses),
         "reference_poses": len(bundle.reference_poses),
         **_seen(bundle),
+        "nearest_depth_m": nearest_depth_m(bundle),
         "scale_sd": provenance.scale_sd,
         "recording": provenance.recording,
         "frames": len(provenance.frames),

@@ -18,7 +18,7 @@ from monoloc.geometry import FloatArray
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
 from monoloc.mavlink.autopilot_link import AutopilotLink
 from monoloc.mavlink.firmware import Firmware
-from monoloc.obstacles import DepthError, LocalOccupancy, tells_obstacles
+from monoloc.obstacles import ObstacleWatch, tells_obstacles
 from monoloc.odometry.motion import Motion
 
 
@@ -65,12 +65,11 @@ def senders(
         SettingError: as :func:`down_world`.
     """
     frames = frames_of(bundle, settings)
-    has_obstacles = settings.obstacles and tells_obstacles(bundle)
-    occupancy = LocalOccupancy(DepthError.of(bundle)) if has_obstacles else None
+    watch = ObstacleWatch.of(bundle) if settings.obstacles and tells_obstacles(bundle) else None
     if folder is not None:
         log = MessageLog(folder / MESSAGES, sink)
-        return [log, PoseSender(log, frames, firmware, settings, occupancy)]
-    return [] if sink is None else [PoseSender(sink, frames, firmware, settings, occupancy)]
+        return [log, PoseSender(log, frames, firmware, settings, watch)]
+    return [] if sink is None else [PoseSender(sink, frames, firmware, settings, watch)]
 
 
 def gravity_of(

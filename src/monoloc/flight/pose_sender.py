@@ -14,7 +14,7 @@ from monoloc.mavlink.autopilot_frames import AutopilotFrames, BodyPose
 from monoloc.mavlink.firmware import Firmware
 from monoloc.mavlink.messages import obstacle_distance, odometry, status_text, vision_position_estimate
 from monoloc.mavlink.obstacle_sectors import sector_distances_cm
-from monoloc.obstacles import LEAST_M, MOST_M, LocalOccupancy
+from monoloc.obstacles import LEAST_M, MOST_M, ObstacleWatch
 from monoloc.supervision.state import BLIND
 
 _OBSTACLES_HZ = 10.0
@@ -40,7 +40,7 @@ class PoseSender:
         frames: of vehicle and map.
         firmware: of the autopilot.
         settings: of the flight.
-        occupancy: follows obstacles; None sends none.
+        watch: tells obstacles; None sends none.
     """
 
     def __init__(
@@ -49,14 +49,14 @@ class PoseSender:
         frames: AutopilotFrames,
         firmware: Firmware,
         settings: FlightSettings,
-        occupancy: LocalOccupancy | None,
+        watch: ObstacleWatch | None,
     ) -> None:
         self._sink, self._frames, self._firmware, self._settings = sink, frames, firmware, settings
         self.counts: Counter[str] = Counter()
         self._reset_counter = 0
         self._jumped = False
         self._sent: tuple[float, FloatArray] | None = None  # time of capture and T_ned_body of the last pose
-        self._occupancy = occupancy
+        self._watch = watch
         self._obstacles_s = float("-inf")
         self._said: tuple[str, float] = ("", float("-inf"))
         self._frame_s: float | None = None
@@ -85,8 +85,8 @@ class PoseSender:
 
     def _jump(self) -> None:
         self._jumped = True
-        if self._occupancy is not None:
-            self._occupancy.clear()
+        if self._watch is not None:
+            self._watch.clear()
 
     def _is_usable(self, result: FlightStep, pose: BodyPose) -> bool:
         """Whether the result is of an image that shows something, a number, and in time."""
@@ -122,12 +122,10 @@ class PoseSender:
     def _send_obstacles(self, result: FlightStep) -> None:
         captured_s = result.frame.captured_s
         is_due = captured_s - self._obstacles_s >= 0.99 / _OBSTACLES_HZ
-        if self._occupancy is None or not is_due:
+        if self._watch is None or not is_due:
             return
         self._obstacles_s = captured_s
-        estimate = result.step.estimate
-        T_level_camera = self._frames.T_level_camera(estimate)
-        around = self._occupancy.update(captured_s, result.step.depth, estimate, T_level_camera)
+        around = self._watch.update(captured_s, result.step, self._frames.T_level_camera(result.step.estimate))
         distances_cm = sector_distances_cm(around.distances_m)
         self.counts["obstacles"] += 1
         self._sink.send(obstacle_distance(captured_s, distances_cm, LEAST_M, MOST_M))

@@ -12,7 +12,7 @@ from monoloc.camera import Camera
 from monoloc.flight.flight_loop import FlightStep
 from monoloc.geometry import FloatArray, invert, transform
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
-from monoloc.obstacles import MOST_M, SECTORS, DepthError, LocalOccupancy
+from monoloc.obstacles import MOST_M, SECTORS, ObstacleWatch
 from monoloc.particle_filter.particles import Particles
 from monoloc.viz.rerun_viewer import RerunViewer, state_views
 
@@ -35,7 +35,7 @@ class FlightDrawing:
         self, stream: rr.RecordingStream, room: Bundle, camera: Camera, frames: AutopilotFrames | None
     ) -> None:
         self._stream, self._frames = stream, frames
-        self._occupancy = LocalOccupancy(DepthError.of(room))
+        self._watch = ObstacleWatch.of(room)
         self._began_s: float | None = None
         # A browser decodes JPEG only of pages that it calls secure; a smaller image needs none.
         self._size = _SHOWN_PX, round(camera.height * _SHOWN_PX / camera.width)
@@ -58,10 +58,7 @@ class FlightDrawing:
         """An arc for each sector that is not free, at its distance around the vehicle; red within a metre."""
         estimate = result.step.estimate
         T_level_camera = frames.T_level_camera(estimate)
-        if result.step.restarted or result.step.state == "lost":
-            self._occupancy.clear()
-        around = self._occupancy.update(result.frame.captured_s, result.step.depth, estimate, T_level_camera)
-        distances_m = around.distances_m
+        distances_m = self._watch.update(result.frame.captured_s, result.step, T_level_camera).distances_m
         T_world_level = estimate.pose @ invert(T_level_camera)
         known = np.flatnonzero(distances_m <= MOST_M)  # NaN and infinity are not
         arcs = [transform(T_world_level, _arc(int(sector), float(distances_m[sector]))) for sector in known]

@@ -13,7 +13,7 @@ from monoloc.flight.pose_sender import PoseSender
 from monoloc.geometry import FloatArray, invert, make_pose, so3_exp
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
 from monoloc.mavlink.firmware import Firmware
-from monoloc.obstacles import DepthError, LocalOccupancy
+from monoloc.obstacles import DepthError, ObstacleWatch
 from monoloc.supervision.state import Reason
 from monoloc_lab.soak.ardupilot_decoder import ArduPilot
 from monoloc_lab.soak.px4_decoder import Px4
@@ -30,7 +30,7 @@ def at(x_m: float) -> FloatArray:
 
 def sender(firmware: Firmware = Firmware.PX4, **settings: object) -> tuple[PoseSender, Wire]:
     wire, flown = Wire(), FlightSettings.model_validate(settings)
-    return PoseSender(wire, FRAMES, firmware, flown, LocalOccupancy(ERROR) if flown.obstacles else None), wire
+    return PoseSender(wire, FRAMES, firmware, flown, ObstacleWatch(ERROR, None) if flown.obstacles else None), wire
 
 
 def resets(wire: Wire) -> list[int]:
@@ -177,7 +177,7 @@ def test_obstacles_are_as_far_from_the_vehicle_as_the_belief_says(
     pose = invert(frames.T_ned_world) @ T_ned_body @ T_body_camera
     step = step_at(pose, depth_m=2.0)
     step = replace(step, estimate=replace(step.estimate, log_scale=log_scale))
-    PoseSender(wire, frames, Firmware.ARDUPILOT, settings, LocalOccupancy(ERROR)).take(result_at(1.0, step))
+    PoseSender(wire, frames, Firmware.ARDUPILOT, settings, ObstacleWatch(ERROR, None)).take(result_at(1.0, step))
     (message,) = wire.of("OBSTACLE_DISTANCE")
     assert ArduPilot.obstacles(message)[0.0] == pytest.approx(expected_m, rel=0.03)
 

@@ -41,6 +41,7 @@ def test_what_is_nearer_is_new_what_is_farther_is_gone_and_the_rest_is_known(bun
     joined = map_m.joined(live({0: 1.5, 1: known_m[1] * 1.03, 2: np.inf, 3: known_m[3] * 0.97}), T_WORLD_LEVEL)
     assert np.flatnonzero(joined.is_new).tolist() == [0] and np.flatnonzero(joined.is_gone).tolist() == [2]
     assert joined.distances_m[:3].tolist() == [1.5, known_m[1], known_m[2]]
+    assert joined.free_ahead(0.1).distance_m == pytest.approx(1.5) and joined.live_m[0] == 1.5
     np.testing.assert_array_equal(joined.distances_m[4:], known_m[4:])  # where the camera does not look
 
 
