@@ -31,7 +31,7 @@ from monoloc.map_export import export_ellipsoids, export_grid, export_points, ex
 from monoloc.obstacles.depth_error import nearest_depth_m
 from monoloc.viz.map_view import MapView, plot_from_above, plot_from_pose
 
-_DRAWN_POINTS = 200_000
+_DRAWN_POINTS = 100_000
 _EXPORTED_POINTS = 100_000
 _SEEN_VOXEL_M = 0.1  # of the volume that the build's cameras saw
 _VOXEL_M = 0.05

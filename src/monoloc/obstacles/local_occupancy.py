@@ -76,11 +76,11 @@ class Surroundings:
             half_width_m: of the vehicle and what it keeps clear beside it.
             azimuth_rad: direction, clockwise from the heading as seen from above.
         """
-        turned = SECTOR_RAD * np.arange(SECTORS) - azimuth_rad
-        along_m, aside_m = self.distances_m * np.cos(turned), np.abs(self.distances_m * np.sin(turned))
-        # An obstacle is somewhere within its sector.
-        aside_m = aside_m - 0.5 * SECTOR_RAD * np.where(np.isfinite(self.distances_m), self.distances_m, 0.0)
-        blocks = np.isfinite(along_m) & (along_m > 0.0) & (aside_m < half_width_m)
+        sectors = np.flatnonzero(np.isfinite(self.distances_m))
+        told_m, turned = self.distances_m[sectors], SECTOR_RAD * sectors - azimuth_rad
+        along_m = told_m * np.cos(turned)
+        aside_m = told_m * (np.abs(np.sin(turned)) - 0.5 * SECTOR_RAD)  # it is somewhere within its sector
+        blocks = (along_m > 0.0) & (aside_m < half_width_m)
         distance_m = float(np.min(along_m[blocks], initial=MOST_M))
         if np.isnan(self.distances_m[sector_of(np.array(azimuth_rad))]):
             distance_m = 0.0  # nobody knows what is there

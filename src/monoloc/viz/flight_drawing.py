@@ -35,7 +35,7 @@ class FlightDrawing:
         self, stream: rr.RecordingStream, room: Bundle, camera: Camera, frames: AutopilotFrames | None
     ) -> None:
         self._stream, self._frames = stream, frames
-        self._watch = ObstacleWatch.of(room)
+        self._watch = None if frames is None else ObstacleWatch.of(room)
         self._began_s: float | None = None
         # A browser decodes JPEG only of pages that it calls secure; a smaller image needs none.
         self._size = _SHOWN_PX, round(camera.height * _SHOWN_PX / camera.width)
@@ -51,14 +51,14 @@ class FlightDrawing:
         color = cv2.resize(result.frame.color, self._size, interpolation=cv2.INTER_AREA)
         self._viewer.show_step(np.asarray(color, dtype=np.uint8), result.step, particles, None)
         self._stream.log("latency_ms", rr.Scalars(1e3 * (result.done_s - captured_s)))
-        if self._frames is not None:
-            self._stream.log("world/obstacles", self._obstacles(result, self._frames))
+        if self._frames is not None and self._watch is not None:
+            self._stream.log("world/obstacles", self._obstacles(result, self._frames, self._watch))
 
-    def _obstacles(self, result: FlightStep, frames: AutopilotFrames) -> rr.LineStrips3D:
+    def _obstacles(self, result: FlightStep, frames: AutopilotFrames, watch: ObstacleWatch) -> rr.LineStrips3D:
         """An arc for each sector that is not free, at its distance around the vehicle; red within a metre."""
         estimate = result.step.estimate
         T_level_camera = frames.T_level_camera(estimate)
-        distances_m = self._watch.update(result.frame.captured_s, result.step, T_level_camera).distances_m
+        distances_m = watch.update(result.frame.captured_s, result.step, T_level_camera).distances_m
         T_world_level = estimate.pose @ invert(T_level_camera)
         known = np.flatnonzero(distances_m <= MOST_M)  # NaN and infinity are not
         arcs = [transform(T_world_level, _arc(int(sector), float(distances_m[sector]))) for sector in known]
