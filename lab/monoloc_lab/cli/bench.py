@@ -38,7 +38,7 @@ from monoloc_lab.bench.kernels import KernelSizes, bench_kernels
 from monoloc_lab.bench.networks import bench_networks
 from monoloc_lab.bench.scenes import synthetic_cloud
 from monoloc_lab.bench.whole_step import bench_pipeline
-from monoloc_lab.cli.bench_flights import faults, fly, recovery, soak
+from monoloc_lab.cli.bench_flights import faults, fly, recovery, soak, stop
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -50,6 +50,7 @@ app.command()(recovery)
 app.command()(faults)
 app.command()(fly)
 app.command()(soak)
+app.command()(stop)
 
 _NETWORK = "one-third-0.35-int8"
 _CLOUD_POINTS = 60_000  # of the synthetic room

@@ -1,4 +1,4 @@
-"""``monoloc bench recovery``, ``faults``, ``fly``, ``soak``: a camera that is kidnapped, fails or is gone."""
+"""``monoloc bench recovery``, ``faults``, ``fly``, ``soak`` and ``stop``: flights in which something happens."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from monoloc.cli.common import (
     JsonOption,
     SeedOption,
     SourceArgument,
+    check_folder,
     open_source,
     print_json,
     print_table,
@@ -31,6 +32,7 @@ from monoloc_lab.bench.fault_flights import FaultFigures, bench_faults
 from monoloc_lab.bench.faults import FAULTS
 from monoloc_lab.bench.judged_flight import REFUSED
 from monoloc_lab.bench.recovery import bench_recovery
+from monoloc_lab.bench.stopping import bench_stops, check_room, rendered_approaches
 from monoloc_lab.rooms import TESTS
 from monoloc_lab.soak.live_flight import bench_live_flight
 from monoloc_lab.soak.many_steps import bench_soak
@@ -190,3 +192,47 @@ def soak(
         print_json(content)
     else:
         print_table(f"{bundle}, {source}", ["", ""], [[name, text_of(value)] for name, value in content.items()])
+
+
+def stop(
+    bundle: Annotated[
+        Path, typer.Argument(metavar="BUNDLE", help="A bundle of the rendered living room of monoloc demo.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder that keeps the renderings.")],
+    mapped: Annotated[int, typer.Option("--mapped", min=1, help="Approaches to what is in the map.")] = 20,
+    new: Annotated[int, typer.Option("--new", min=0, help="Approaches to an obstacle that is not.")] = 5,
+    seed: SeedOption = 0,
+    json: JsonOption = False,
+) -> None:
+    """Let a simulated drone stop before obstacles in the rendered living room, in three lights.
+
+    It needs the extra synth of monoloc-lab, and renders for ten minutes or more the first time.
+
+    \b
+    Examples:
+      monoloc bench stop living.monoloc --out approaches
+      monoloc bench stop living.monoloc --out approaches --mapped 4 --new 2 --json
+    """
+    check_folder(out, "--out")
+    room = read_bundle(bundle)
+    check_room(room, bundle)
+    progress = ConsoleProgress(stderr)
+    figures = bench_stops(room, rendered_approaches(mapped, new, seed, out, progress), seed, progress)
+    if json:
+        print_json(asdict(figures))
+        return
+    for light, each in figures.lights.items():
+        kinds = (("mapped", each.mapped, each.mapped_errors), ("new", each.new, each.new_errors))
+        for name, stops, errors in kinds:
+            if stops is None:
+                continue
+            rows = [
+                [f"{bin_m} m", str(of.sectors)]
+                + [f"{100 * e.median:+.0f} %, {100 * e.missed_rate:.0f} %" for e in (of.frame, of.live, of.joined)]
+                for bin_m, of in errors.items()
+            ]
+            title = (
+                f"{light}, {name}: {stops.stops} of {stops.approaches} stopped, {stops.stops_by_distance} by distance"
+            )
+            print_table(title, ["true distance", "sectors", "frame", "last second", "with the map"], rows)
+    stderr.print("median error, and share of sectors that are told 30 % farther or more")

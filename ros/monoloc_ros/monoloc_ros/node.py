@@ -24,6 +24,7 @@ from monoloc.errors import DataError, MonolocError, SettingError
 from monoloc.flight.flight_file import FlightFile, read_flight_file
 from monoloc.geometry import FloatArray
 from monoloc.io.rosbag_messages import camera_of, color_of
+from monoloc.obstacles import tells_obstacles
 from monoloc.ros.ros_frames import FrameNames, RosFrames, down_camera, pose_of
 from monoloc.ros.step_messages import OBSTACLES, POSE, STATE, TF, StepMessages
 from monoloc_ros.conversion import KINDS, filled
@@ -145,7 +146,7 @@ class MonolocNode(Node):
         try:
             if self._frames is None:
                 self._frames = self._frames_of(camera_frame)
-                with_obstacles = self._settings.obstacles and self._bundle.provenance.tune != "none"
+                with_obstacles = self._settings.obstacles and tells_obstacles(self._bundle)
                 self._messages = StepMessages(self._frames, with_obstacles, with_mount=self._has_mount)
             if self._localizer is None:
                 if self._start is None and not self._bundle.supports_relocalization:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -41,8 +40,6 @@ class PlainConsole(Console):
 
 
 stderr = PlainConsole(stderr=True)
-
-EXTENT_SIGMAS = math.sqrt(3.0)  # extent of an evenly covered surface about its component's mean
 
 SourceArgument = Annotated[
     str,

@@ -14,7 +14,6 @@ from monoloc.bundle import read_bundle
 from monoloc.bundle_signature import SIGNATURE
 from monoloc.camera import Camera
 from monoloc.cli.common import (
-    EXTENT_SIGMAS,
     FramesOption,
     IntrinsicsOption,
     JsonOption,
@@ -29,6 +28,7 @@ from monoloc.evaluation.trajectory import twist_errors
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.io.recording import Selection
 from monoloc.map.compare import compare_maps
+from monoloc.map.surface import EXTENT_SIGMAS
 
 
 def inspect(

@@ -1,4 +1,4 @@
-"""``monoloc map``: fit, describe and compare maps."""
+"""``monoloc map``: fit, describe, draw, export and compare maps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from monoloc.builder.room_map import fit_map
 from monoloc.bundle import read_bundle
 from monoloc.cli import map_edit
 from monoloc.cli.common import (
-    EXTENT_SIGMAS,
     FramesOption,
     JsonOption,
     RecordOption,
@@ -31,20 +30,23 @@ from monoloc.cli.common import (
     stderr,
     text_of,
 )
+from monoloc.cli.map_looking import export, info, render
 from monoloc.config import override
 from monoloc.evaluation.cloud_metrics import COMPARED_POINTS, compare_clouds
 from monoloc.io.cloud_files import CLOUD_SUFFIXES
-from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import ConsoleProgress
 from monoloc.viz.map_drawing import plot_map_change
 from monoloc.viz.viewer import show_map_change
 
 app = typer.Typer(
-    help="Fit, describe and compare maps.",
+    help="Fit, describe, draw, export and compare maps.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
 app.add_typer(map_edit.app, name="edit")
+app.command()(info)
+app.command()(render)
+app.command()(export)
 
 
 @app.command()
@@ -86,36 +88,6 @@ def fit(
         print_json(fitted)
     else:
         print_table(str(out), ["", ""], [[name, text_of(value)] for name, value in fitted.items()])
-
-
-@app.command()
-def info(
-    target: Annotated[Path, typer.Argument(help="Map (.npz) or bundle.", show_default=False)],
-    json: JsonOption = False,
-) -> None:
-    """Describe the size and resolution of a map.
-
-    \b
-    Examples:
-      monoloc map info kitchen.npz
-      monoloc map info kitchen.monoloc --json
-    """
-    mixture = read_bundle(target).adapted if target.is_dir() else GaussianMixture.load(target)
-    lower, upper = mixture.bounds_m(EXTENT_SIGMAS)
-    extents = np.sqrt(np.linalg.eigvalsh(mixture.covariances))
-    content: dict[str, object] = {
-        "components": len(mixture),
-        "bytes": mixture.nbytes_stored,
-        "lower_m": [float(value) for value in lower],
-        "upper_m": [float(value) for value in upper],
-        "thickness_median_m": float(np.median(extents[:, 0])),
-        "length_median_m": float(np.median(extents[:, 2])),
-        "largest_share": float(mixture.weights.max()),
-    }
-    if json:
-        print_json(content)
-    else:
-        print_table(str(target), ["", ""], [[name, text_of(value)] for name, value in content.items()])
 
 
 @app.command()

@@ -63,8 +63,8 @@ def start_of(
     return None
 
 
-def parse_pose(text: str) -> FloatArray:
-    """``T_world_camera``, (4, 4), from its text.
+def parse_pose(text: str, option: str = "--start") -> FloatArray:
+    """``T_world_camera``, (4, 4), from the text of an option.
 
     Raises:
         SettingError: the text is no pose.
@@ -74,12 +74,12 @@ def parse_pose(text: str) -> FloatArray:
         if values.shape != (7,) or not np.all(np.isfinite(values)):
             raise ValueError
     except ValueError as error:
-        fix = f"write {METAVAR} in metres, or {UNKNOWN}"
-        raise SettingError("--start", f"is {text!r}", fix) from error
+        fix = f"write {METAVAR} in metres" + (f", or {UNKNOWN}" if option == "--start" else "")
+        raise SettingError(option, f"is {text!r}", fix) from error
     far_m, length = float(np.abs(values[:3]).max()), math.hypot(*values[3:])
     if far_m > _MAX_COORDINATE_M:
-        raise SettingError("--start", f"is {text!r}, {far_m:.3g} m away", "write TX,TY,TZ,QX,QY,QZ,QW in metres")
+        raise SettingError(option, f"is {text!r}, {far_m:.3g} m away", "write TX,TY,TZ,QX,QY,QZ,QW in metres")
     if abs(length - 1.0) > UNIT_TOLERANCE:
         fix = "write TX,TY,TZ,QX,QY,QZ,QW, the last four of length 1"
-        raise SettingError("--start", f"is {text!r}, with a quaternion of length {length:.3g}", fix)
+        raise SettingError(option, f"is {text!r}, with a quaternion of length {length:.3g}", fix)
     return make_pose(quaternion_to_rotation(values[3:]), values[:3])

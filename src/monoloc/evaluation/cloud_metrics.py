@@ -18,6 +18,7 @@ from monoloc.geometry import FloatArray
 from monoloc.map.arguments import float64
 from monoloc.map.compare import compare_maps
 from monoloc.map.mixture import GaussianMixture
+from monoloc.map.surface import patch_offsets
 
 COMPARED_POINTS = 50_000  # spaced about 2 cm in a room, finer than the motion due to adaptation
 
@@ -103,8 +104,7 @@ def matched_clouds(
 ) -> tuple[FloatArray, FloatArray]:
     """Draw clouds from two maps with corresponding components; their points correspond index by index.
 
-    Points are drawn from the original map, uniformly from a box along each component's axes with the component's mean
-    and covariance. A component represents a patch of surface, and a Gaussian's tails would reach far beyond the room.
+    Points are drawn from the original map's patches, see :mod:`monoloc.map.surface`.
     The optimal transport map from a component's Gaussian to the adapted one moves each point:
     ``x -> mu_A + A (x - mu)`` with ``A = S^-1/2 (S^1/2 S_A S^1/2)^1/2 S^-1/2`` (Olkin and Pukelsheim 1982). So an
     unchanged map has distance zero, whereas two independent samples would not.
@@ -122,13 +122,10 @@ def matched_clouds(
     """
     if len(original) != len(adapted):
         raise ValueError(f"maps must have the same components, got {len(original)} and {len(adapted)}")
-    component = rng.choice(len(original), size=count, p=original.weights / original.weights.sum())
+    component, offsets = patch_offsets(original, count, rng)
     root = _symmetric_power(original.covariances, 0.5)
     inverse_root = _symmetric_power(original.covariances, -0.5)
     motion = inverse_root @ _symmetric_power(root @ adapted.covariances @ root, 0.5) @ inverse_root
-    variances, axes = np.linalg.eigh(original.covariances)
-    within = rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), (count, 3)) * np.sqrt(variances[component])
-    offsets = np.einsum("nij,nj->ni", axes[component], within)
     return (
         original.means[component] + offsets,
         adapted.means[component] + np.einsum("nij,nj->ni", motion[component], offsets),

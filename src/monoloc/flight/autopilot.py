@@ -19,6 +19,7 @@ from monoloc.geometry import FloatArray
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
 from monoloc.mavlink.autopilot_link import AutopilotLink
 from monoloc.mavlink.firmware import Firmware
+from monoloc.obstacles import ObstacleWatch, tells_obstacles
 from monoloc.odometry.motion import Motion
 
 
@@ -48,12 +49,7 @@ def frames_of(bundle: Bundle, settings: FlightSettings) -> AutopilotFrames:
 def obstacle_frames(bundle: Bundle, settings: FlightSettings) -> AutopilotFrames | None:
     """:func:`frames_of` to show obstacles by, or None where none are to be believed or gravity is not known."""
     has_gravity = bundle.down is not None or settings.down is not None
-    return frames_of(bundle, settings) if has_gravity and _tells_obstacles(bundle) else None
-
-
-def _tells_obstacles(bundle: Bundle) -> bool:
-    """Whether the network was tuned: others report half or more of the obstacles under a metre as farther away."""
-    return bundle.provenance.tune != "none"
+    return frames_of(bundle, settings) if has_gravity and tells_obstacles(bundle) else None
 
 
 def senders(
@@ -77,13 +73,12 @@ def senders(
         SettingError: as :func:`down_world`.
     """
     frames = frames_of(bundle, settings)
-    if not _tells_obstacles(bundle):
-        settings = settings.model_copy(update={"obstacles": False})
+    watch = ObstacleWatch.of(bundle) if settings.obstacles and tells_obstacles(bundle) else None
     if folder is not None:
         path = folder / MESSAGES
         log = MessageLog(path) if sink is None else BackgroundMessageLog(path, sink, unwritten)
-        return [log, PoseSender(log, frames, firmware, settings)]
-    return [] if sink is None else [PoseSender(sink, frames, firmware, settings)]
+        return [log, PoseSender(log, frames, firmware, settings, watch)]
+    return [] if sink is None else [PoseSender(sink, frames, firmware, settings, watch)]
 
 
 def gravity_of(

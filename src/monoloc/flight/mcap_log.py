@@ -14,6 +14,7 @@ from monoloc.flight.flight_loop import FlightStep
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.writer_thread import WriterThread
 from monoloc.localizer import Step
+from monoloc.obstacles import tells_obstacles
 from monoloc.ros.mcap_file import McapFile, StepRecorder
 from monoloc.ros.ros_frames import RosFrames
 
@@ -46,7 +47,7 @@ def step_recorder(
         SettingError: as :func:`ros_frames_of`.
     """
     frames = ros_frames_of(bundle, settings)
-    with_obstacles = settings.obstacles and bundle.provenance.tune != "none"
+    with_obstacles = settings.obstacles and tells_obstacles(bundle)
     return StepRecorder(McapFile(path, as_it_comes), frames, camera, with_obstacles)
 
 

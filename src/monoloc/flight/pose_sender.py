@@ -13,7 +13,8 @@ from monoloc.geometry import FloatArray, invert, rotation_angle
 from monoloc.mavlink.autopilot_frames import AutopilotFrames, BodyPose
 from monoloc.mavlink.firmware import Firmware
 from monoloc.mavlink.messages import obstacle_distance, odometry, status_text, vision_position_estimate
-from monoloc.mavlink.obstacle_sectors import LEAST_M, MOST_M, sector_distances_cm
+from monoloc.mavlink.obstacle_sectors import sector_distances_cm
+from monoloc.obstacles import LEAST_M, MOST_M, ObstacleWatch
 from monoloc.supervision.state import BLIND
 
 _OBSTACLES_HZ = 10.0
@@ -39,16 +40,23 @@ class PoseSender:
         frames: of vehicle and map.
         firmware: of the autopilot.
         settings: of the flight.
+        watch: tells obstacles; None sends none.
     """
 
     def __init__(
-        self, sink: MessageSink, frames: AutopilotFrames, firmware: Firmware, settings: FlightSettings
+        self,
+        sink: MessageSink,
+        frames: AutopilotFrames,
+        firmware: Firmware,
+        settings: FlightSettings,
+        watch: ObstacleWatch | None,
     ) -> None:
         self._sink, self._frames, self._firmware, self._settings = sink, frames, firmware, settings
         self.counts: Counter[str] = Counter()
         self._reset_counter = 0
         self._jumped = False
         self._sent: tuple[float, FloatArray] | None = None  # time of capture and T_ned_body of the last pose
+        self._watch = watch
         self._obstacles_s = float("-inf")
         self._said: tuple[str, float] = ("", float("-inf"))
         self._frame_s: float | None = None
@@ -57,9 +65,10 @@ class PoseSender:
         self._frame_s = result.done_s
         self._say_state(result)
         if result.step.state == "lost":
-            self._jumped = True  # whatever comes next is elsewhere
+            self._jump()  # whatever comes next is elsewhere
             return
-        self._jumped |= result.step.restarted
+        if result.step.restarted:
+            self._jump()
         pose = self._frames.body_pose(result.step.estimate)
         if not self._is_usable(result, pose):
             return
@@ -73,6 +82,11 @@ class PoseSender:
 
     def close(self) -> None:
         """Nothing is held."""
+
+    def _jump(self) -> None:
+        self._jumped = True
+        if self._watch is not None:
+            self._watch.clear()
 
     def _is_usable(self, result: FlightStep, pose: BodyPose) -> bool:
         """Whether the result is of an image that shows something, a number, and in time."""
@@ -108,13 +122,13 @@ class PoseSender:
     def _send_obstacles(self, result: FlightStep) -> None:
         captured_s = result.frame.captured_s
         is_due = captured_s - self._obstacles_s >= 0.99 / _OBSTACLES_HZ
-        depth = result.step.depth
-        if depth is None or not (self._settings.obstacles and is_due):
+        if self._watch is None or not is_due:
+            return
+        around = self._watch.update(captured_s, result.step, self._frames.T_level_camera(result.step.estimate))
+        if around is None:
             return
         self._obstacles_s = captured_s
-        estimate = result.step.estimate
-        T_level_camera = self._frames.T_level_camera(estimate)
-        distances_cm = sector_distances_cm(depth, estimate.log_scale, T_level_camera)
+        distances_cm = sector_distances_cm(around.distances_m)
         self.counts["obstacles"] += 1
         self._sink.send(obstacle_distance(captured_s, distances_cm, LEAST_M, MOST_M))
 

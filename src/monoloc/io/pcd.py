@@ -1,4 +1,4 @@
-"""Reader of the Point Cloud Library's .pcd files: ascii, binary and binary_compressed.
+"""Reader and writer of the Point Cloud Library's .pcd files: ascii, binary and binary_compressed; written in binary.
 
 Format: https://pointclouds.org/documentation/tutorials/pcd_file_format.html. Compressed data is one LZF stream of all
 values of the first field, then all of the second, and so on.
@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from monoloc.files import write_whole
 from monoloc.geometry import FloatArray
 
 _Fields = list[tuple[str, str]]  # name and little-endian NumPy type of each value of a point
@@ -152,3 +153,25 @@ def _compressed_points(file: BufferedReader, fields: _Fields, count: int) -> Flo
 def _check_count(got: int, count: int) -> None:
     if got < count:
         raise ValueError(f"it ends after {got} of {count} points")
+
+
+def write_pcd(path: Path, points: FloatArray) -> None:
+    """Write points (N, 3) m, binary, float32.
+
+    Raises:
+        DataError: the file cannot be written.
+    """
+    header = f"""\
+# .PCD v0.7 - Point Cloud Data file format
+VERSION 0.7
+FIELDS x y z
+SIZE 4 4 4
+TYPE F F F
+COUNT 1 1 1
+WIDTH {len(points)}
+HEIGHT 1
+VIEWPOINT 0 0 0 1 0 0 0
+POINTS {len(points)}
+DATA binary
+"""
+    write_whole(path, header.encode() + points.astype("<f4").tobytes())

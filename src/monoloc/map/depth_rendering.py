@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from monoloc.camera import Camera
 from monoloc.geometry import FloatArray, invert, transform
 from monoloc.io.recording import Recording
 
@@ -44,25 +45,26 @@ def map_depth(recording: Recording, cloud: FloatArray) -> Callable[[int], NDArra
         recording: posed frames.
         cloud: (N, 3), world frame, metres.
     """
-    size = (recording.camera.width, recording.camera.height)
-    camera = recording.camera.resized(_WIDTH, max(1, round(_WIDTH * size[1] / size[0])))
-    columns, rows = int(camera.width / _CELL_PX) + 1, int(camera.height / _CELL_PX) + 1
-    poses = recording.poses
+    poses, camera = recording.poses, recording.camera
     assert poses is not None
+    return lambda index: cloud_depth(cloud, camera, poses[index])
 
-    def depth_of(index: int) -> NDArray[np.float32]:
-        points = transform(invert(poses[index]), cloud)
-        points = points[camera.in_sight(points)]
-        pixels = np.round(camera.project(points)).astype(np.int64)
-        inside = (pixels >= 0).all(axis=1) & (pixels < [camera.width, camera.height]).all(axis=1)
-        u, v, z = pixels[inside, 0], pixels[inside, 1], points[inside, 2]
-        cell = (v / _CELL_PX).astype(np.int64) * columns + (u / _CELL_PX).astype(np.int64)
-        nearest = np.full(rows * columns, np.inf)
-        np.minimum.at(nearest, cell, z)
-        seen = z <= _SAME_SURFACE * nearest[cell]
-        pixel, count = v[seen] * camera.width + u[seen], camera.width * camera.height
-        rendered = np.bincount(pixel, z[seen], count) / np.maximum(1, np.bincount(pixel, minlength=count))
-        image = rendered.reshape(camera.height, camera.width).astype(np.float32)
-        return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_NEAREST_EXACT))
 
-    return depth_of
+def cloud_depth(cloud: FloatArray, camera: Camera, T_world_camera: FloatArray) -> NDArray[np.float32]:
+    """Depth (H, W) m of a cloud (N, 3) that a camera sees, as :func:`map_depth` renders it."""
+    size = (camera.width, camera.height)
+    camera = camera.resized(_WIDTH, max(1, round(_WIDTH * size[1] / size[0])))
+    columns, rows = int(camera.width / _CELL_PX) + 1, int(camera.height / _CELL_PX) + 1
+    points = transform(invert(T_world_camera), cloud)
+    points = points[camera.in_sight(points)]
+    pixels = np.round(camera.project(points)).astype(np.int64)
+    inside = (pixels >= 0).all(axis=1) & (pixels < [camera.width, camera.height]).all(axis=1)
+    u, v, z = pixels[inside, 0], pixels[inside, 1], points[inside, 2]
+    cell = (v / _CELL_PX).astype(np.int64) * columns + (u / _CELL_PX).astype(np.int64)
+    nearest = np.full(rows * columns, np.inf)
+    np.minimum.at(nearest, cell, z)
+    seen = z <= _SAME_SURFACE * nearest[cell]
+    pixel, count = v[seen] * camera.width + u[seen], camera.width * camera.height
+    rendered = np.bincount(pixel, z[seen], count) / np.maximum(1, np.bincount(pixel, minlength=count))
+    image = rendered.reshape(camera.height, camera.width).astype(np.float32)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_NEAREST_EXACT))

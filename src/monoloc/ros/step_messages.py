@@ -9,7 +9,7 @@ from monoloc.camera import Camera
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.geometry import FloatArray, invert
 from monoloc.localizer import Step
-from monoloc.mavlink.obstacle_sectors import MOST_M
+from monoloc.obstacles.sectors import MOST_M, depth_points
 from monoloc.odometry.motion import tracks_translation
 from monoloc.ros.message_contents import (
     TopicMessage,
@@ -111,8 +111,8 @@ def obstacle_points(depth: DepthPrediction, log_scale: float) -> FloatArray:
 
     The depth is corrected by corners, and by the scale that the belief has found.
     """
-    depth_m = np.exp(log_scale) * depth.depth_m
-    return np.asarray(depth.camera.back_project(depth_m)[(depth_m > 0.0) & (depth_m <= MOST_M)])
+    points = depth_points(depth, log_scale)
+    return points[points[:, 2] <= MOST_M]
 
 
 class ImageMessages:

@@ -9,12 +9,10 @@ import rerun.blueprint as rrb
 
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
-from monoloc.depth.predictor import DepthPrediction
 from monoloc.flight.flight_loop import FlightStep
 from monoloc.geometry import FloatArray, invert, transform
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
-from monoloc.mavlink.obstacle_sectors import MOST_M, SECTORS, sector_distances_cm
-from monoloc.particle_filter.estimate import Estimate
+from monoloc.obstacles import MOST_M, SECTORS, ObstacleWatch, Surroundings
 from monoloc.particle_filter.particles import Particles
 from monoloc.viz.rerun_viewer import RerunViewer, state_views
 
@@ -37,6 +35,7 @@ class FlightDrawing:
         self, stream: rr.RecordingStream, room: Bundle, camera: Camera, frames: AutopilotFrames | None
     ) -> None:
         self._stream, self._frames = stream, frames
+        self._watch = None if frames is None else ObstacleWatch.of(room)
         self._began_s: float | None = None
         # A browser decodes JPEG only of pages that it calls secure; a smaller image needs none.
         self._size = _SHOWN_PX, round(camera.height * _SHOWN_PX / camera.width)
@@ -52,16 +51,17 @@ class FlightDrawing:
         color = cv2.resize(result.frame.color, self._size, interpolation=cv2.INTER_AREA)
         self._viewer.show_step(np.asarray(color, dtype=np.uint8), result.step, particles, None)
         self._stream.log("latency_ms", rr.Scalars(1e3 * (result.done_s - captured_s)))
-        if self._frames is not None and result.step.depth is not None:
-            obstacles = self._obstacles(result.step.depth, result.step.estimate, self._frames)
-            self._stream.log("world/obstacles", obstacles)
+        if self._frames is not None and self._watch is not None:
+            T_level_camera = self._frames.T_level_camera(result.step.estimate)
+            around = self._watch.update(captured_s, result.step, T_level_camera)
+            if around is not None:
+                T_world_level = result.step.estimate.pose @ invert(T_level_camera)
+                self._stream.log("world/obstacles", self._obstacles(around, T_world_level))
 
-    def _obstacles(self, depth: DepthPrediction, estimate: Estimate, frames: AutopilotFrames) -> rr.LineStrips3D:
+    def _obstacles(self, around: Surroundings, T_world_level: FloatArray) -> rr.LineStrips3D:
         """An arc for each sector that is not free, at its distance around the vehicle; red within a metre."""
-        T_level_camera = frames.T_level_camera(estimate)
-        distances_m = sector_distances_cm(depth, estimate.log_scale, T_level_camera) / 100.0
-        T_world_level = estimate.pose @ invert(T_level_camera)
-        known = np.flatnonzero(distances_m <= MOST_M)
+        distances_m = around.distances_m
+        known = np.flatnonzero(distances_m <= MOST_M)  # NaN and infinity are not
         arcs = [transform(T_world_level, _arc(int(sector), float(distances_m[sector]))) for sector in known]
         colors = np.where(distances_m[known] < _NEAR_M, _NEAR, _FAR).astype(np.uint32)
         return rr.LineStrips3D(arcs, colors=colors, radii=rr.Radius.ui_points(3.0))

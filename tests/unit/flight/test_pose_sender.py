@@ -13,11 +13,13 @@ from monoloc.flight.pose_sender import PoseSender
 from monoloc.geometry import FloatArray, invert, make_pose, so3_exp
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
 from monoloc.mavlink.firmware import Firmware
+from monoloc.obstacles import DepthError, ObstacleWatch
 from monoloc.supervision.state import Reason
 from monoloc_lab.soak.ardupilot_decoder import ArduPilot
 from monoloc_lab.soak.px4_decoder import Px4
 
 FRAMES = AutopilotFrames(FlightSettings().mount.T_body_camera, [0.0, 0.0, -1.0], 0.0)
+ERROR = DepthError(0.05, 0.0, True)
 # A camera that looks along the map's x axis.
 R_WORLD_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
@@ -27,8 +29,8 @@ def at(x_m: float) -> FloatArray:
 
 
 def sender(firmware: Firmware = Firmware.PX4, **settings: object) -> tuple[PoseSender, Wire]:
-    wire = Wire()
-    return PoseSender(wire, FRAMES, firmware, FlightSettings.model_validate(settings)), wire
+    wire, flown = Wire(), FlightSettings.model_validate(settings)
+    return PoseSender(wire, FRAMES, firmware, flown, ObstacleWatch(ERROR, None) if flown.obstacles else None), wire
 
 
 def resets(wire: Wire) -> list[int]:
@@ -175,7 +177,7 @@ def test_obstacles_are_as_far_from_the_vehicle_as_the_belief_says(
     pose = invert(frames.T_ned_world) @ T_ned_body @ T_body_camera
     step = step_at(pose, depth_m=2.0)
     step = replace(step, estimate=replace(step.estimate, log_scale=log_scale))
-    PoseSender(wire, frames, Firmware.ARDUPILOT, settings).take(result_at(1.0, step))
+    PoseSender(wire, frames, Firmware.ARDUPILOT, settings, ObstacleWatch(ERROR, None)).take(result_at(1.0, step))
     (message,) = wire.of("OBSTACLE_DISTANCE")
     assert ArduPilot.obstacles(message)[0.0] == pytest.approx(expected_m, rel=0.03)
 
@@ -195,3 +197,15 @@ def test_a_frame_without_depth_says_nothing_of_obstacles() -> None:
         step = step_at(at(0.0))
         flight.take(result_at(1.0 + index, step if index % 2 else replace(step, depth=None)))
     assert len(wire.of("ODOMETRY")) == 4 and len(wire.of("OBSTACLE_DISTANCE")) == 2
+
+
+@pytest.mark.parametrize("jump", ["restarted", "lost"])
+def test_obstacles_are_remembered_but_not_over_a_jump(jump: str) -> None:
+    flight, wire = sender()
+    flight.take(result_at(1.0, step_at(at(0.0), depth_m=1.0)))
+    flight.take(result_at(1.1, step_at(at(0.0), depth_m=4.0)))
+    if jump == "lost":
+        flight.take(result_at(1.2, step_at(at(0.0), "lost", frozenset({Reason.SEARCHING}))))
+    flight.take(result_at(1.3, step_at(at(0.0), depth_m=4.0, restarted=jump == "restarted")))
+    told = [ArduPilot.obstacles(message)[0.0] for message in wire.of("OBSTACLE_DISTANCE")]
+    assert told == [pytest.approx(1.0, rel=0.03), pytest.approx(1.0, abs=0.06), pytest.approx(4.0, rel=0.03)]

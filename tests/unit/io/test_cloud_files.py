@@ -11,7 +11,7 @@ import pytest
 from capture_writers import Capture, pinhole_of, write_colmap
 from monoloc.errors import DataError
 from monoloc.io.cloud_files import read_cloud
-from monoloc.io.pcd import decompress_lzf
+from monoloc.io.pcd import decompress_lzf, write_pcd
 
 POINTS = np.array([[0.5, -1.25, 2.0], [3.0, 4.5, -0.125], [1e3, 0.0, 7.0]])
 
@@ -114,6 +114,11 @@ def test_pcd(tmp_path: Path) -> None:
     rows["xyz"] = POINTS
     path.write_bytes(pcd_header("binary") + rows.tobytes())
     np.testing.assert_array_equal(read_cloud(path), POINTS)
+
+
+def test_written_pcd_is_read_back(tmp_path: Path) -> None:
+    write_pcd(tmp_path / "a.pcd", POINTS)
+    np.testing.assert_array_equal(read_cloud(tmp_path / "a.pcd"), POINTS)
 
 
 def test_pcd_with_padding(tmp_path: Path) -> None:

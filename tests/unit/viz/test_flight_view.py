@@ -6,6 +6,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -95,6 +96,8 @@ def test_a_flight_is_drawn_with_obstacles_and_latency(tmp_path: Path) -> None:
     frames = AutopilotFrames(mount, [0.0, 0.0, -1.0], 0.0)
     pose = invert(frames.T_ned_world) @ make_pose(np.eye(3), [0.5, 0.0, -1.0]) @ mount
     bundle = make_bundle(room_mixture(Room(), 60), RoomRecording(Room(), make_path(2), SMALL_CAMERA))
+    far = replace(bundle.original, means=bundle.original.means + 50.0)  # the map knows nothing of the wall
+    bundle = replace(bundle, original=far)
     stream = rerun.RecordingStream("monoloc fly")
     stream.set_log_tick_enabled(False)
     stream.set_log_time_enabled(False)

@@ -1,0 +1,145 @@
+"""The map as voxels: where there is a surface, where the cameras that built it saw free space, what nobody saw."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.camera import Camera
+from monoloc.errors import SettingError
+from monoloc.geometry import FloatArray
+from monoloc.io.recording import evenly_spaced
+from monoloc.map.mixture import GaussianMixture
+from monoloc.map.surface import mass_per_area, patches
+
+UNKNOWN: Final = 0
+FREE: Final = 1
+OCCUPIED: Final = 2
+"""States of a voxel."""
+
+SEEN_M = 4.0
+"""Distance up to which a build's cameras are taken to see."""
+
+_COVERED = 0.25  # share of a covered surface's mass from which a voxel is occupied
+_MOST_VOXELS = 1 << 25
+_MOST_VIEWS, _VIEW_PX = 200, (32, 24)  # of the cameras that built the map
+_STEP = 0.5  # of a voxel, in which patches are covered and rays followed
+
+
+@dataclass(frozen=True)
+class VoxelGrid:
+    """Voxels of one size, aligned with the frame's origin.
+
+    Attributes:
+        first: index of the first voxel along each axis, (3,): its corner is at ``first * voxel_m``.
+        voxel_m: edge of a voxel.
+        states: (X, Y, Z) uint8, :data:`UNKNOWN`, :data:`FREE` or :data:`OCCUPIED`.
+    """
+
+    first: NDArray[np.int64]
+    voxel_m: float
+    states: NDArray[np.uint8]
+
+    @property
+    def lower(self) -> FloatArray:
+        """Lower corner of the grid, (3,) m."""
+        return np.asarray(self.first * self.voxel_m, dtype=np.float64)
+
+    def indices(self, state: int) -> NDArray[np.int64]:
+        """Indices of the voxels in a state, from the frame's origin, (N, 3)."""
+        return np.argwhere(self.states == state) + self.first
+
+    def centres(self, state: int) -> FloatArray:
+        """Centres of the voxels in a state, (N, 3) m."""
+        return np.asarray((self.indices(state) + 0.5) * self.voxel_m)
+
+    def volume_m3(self, state: int) -> float:
+        """Volume of the voxels in a state."""
+        return float(np.count_nonzero(self.states == state) * self.voxel_m**3)
+
+    def at(self, points: FloatArray) -> NDArray[np.uint8]:
+        """State at points (..., 3) m: (...,); unknown outside the grid."""
+        cells = np.floor(points / self.voxel_m).astype(np.int64) - self.first
+        inside = np.all((cells >= 0) & (cells < self.states.shape), axis=-1)
+        x, y, z = np.moveaxis(np.where(inside[..., None], cells, 0), -1, 0)
+        return np.where(inside, self.states[x, y, z], np.uint8(UNKNOWN))
+
+    def distances_m(self, origin: FloatArray, directions: FloatArray, most_m: float) -> FloatArray:
+        """Distance from a point (3,) to the first occupied voxel along unit vectors (N, 3): (N,) m, inf for none."""
+        ways_m = self._ways_m(most_m)
+        is_hit = self.at(origin + ways_m[:, None, None] * directions) == OCCUPIED
+        return np.where(is_hit.any(axis=0), ways_m[is_hit.argmax(axis=0)], np.inf)
+
+    def with_free_space(self, poses: FloatArray, camera: Camera, most_m: float = SEEN_M) -> VoxelGrid:
+        """The grid with the space free that cameras saw through: up to a voxel before the first occupied one.
+
+        What is before no surface stays unknown, since nothing says how far a ray went there.
+
+        Args:
+            poses: ``T_grid_camera``, (V, 4, 4); some of many are used.
+            camera: of all of them.
+            most_m: how far they saw.
+        """
+        if len(poses) == 0:
+            return self
+        states, ways_m = self.states.copy(), self._ways_m(most_m)
+        rays = camera.resized(*_VIEW_PX).pixel_rays().reshape(-1, 3)
+        rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+        for pose in poses[evenly_spaced(len(poses), _MOST_VIEWS)]:
+            directions = rays @ pose[:3, :3].T
+            reach_m = self.distances_m(pose[:3, 3], directions, most_m)
+            is_seen = np.isfinite(reach_m) & (ways_m[:, None] < reach_m - self.voxel_m)
+            points = (pose[:3, 3] + ways_m[:, None, None] * directions)[is_seen]
+            cells = np.floor(points / self.voxel_m).astype(np.int64) - self.first
+            x, y, z = cells[np.all((cells >= 0) & (cells < states.shape), axis=1)].T
+            states[x, y, z] = np.maximum(states[x, y, z], FREE)
+        return VoxelGrid(self.first, self.voxel_m, states)
+
+    def _ways_m(self, most_m: float) -> FloatArray:
+        step_m = _STEP * self.voxel_m
+        return np.arange(step_m, most_m, step_m)
+
+
+def surface_voxels(
+    mixture: GaussianMixture, voxel_m: float, also: FloatArray | None = None, option: str = "voxel_m"
+) -> VoxelGrid:
+    """Voxels that hold surface; the others are unknown.
+
+    The mass of every component is spread evenly over its patch. A voxel is occupied if it has a quarter or more of
+    what a surface through its middle has, so that components which stand for scattered points fill no space.
+
+    Args:
+        mixture: in the frame of the grid.
+        voxel_m: edge of a voxel.
+        also: points (N, 3) that the grid must reach, such as the cameras'; they occupy nothing.
+        option: what set the size, for errors.
+
+    Raises:
+        SettingError: the size is no positive number, or so small that the grid would not fit into memory.
+    """
+    if not 0.0 < voxel_m < np.inf:
+        raise SettingError(option, f"is {voxel_m}", "give a positive size in metres")
+    axes, half_m = patches(mixture)
+    reach_m = np.abs(axes) @ half_m[:, :, None]
+    corners = [mixture.means - reach_m[:, :, 0], mixture.means + reach_m[:, :, 0]]
+    corners += [] if also is None else [also]
+    every = np.concatenate(corners)
+    low, high = (np.floor(each / voxel_m) for each in (every.min(axis=0), every.max(axis=0)))
+    shape = high - low + 1.0
+    if np.prod(shape) > _MOST_VOXELS:
+        least_m = voxel_m * float(np.prod(shape) / _MOST_VOXELS) ** (1.0 / 3.0)
+        size = " x ".join(f"{edge:.1f}" for edge in shape * voxel_m)
+        raise SettingError(option, f"is {voxel_m:g} for a map of {size} m", f"give {least_m:.2g} or more")
+    first = low.astype(np.int64)
+    mass = np.zeros(shape.astype(np.int64))
+    for weight, mean, basis, half in zip(mixture.weights, mixture.means, axes, half_m, strict=True):
+        counts = np.maximum(1, np.ceil(2.0 * half / (_STEP * voxel_m))).astype(np.int64)
+        steps = ((2.0 * np.arange(count) + 1.0) / count - 1.0 for count in counts)
+        offsets = half * np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
+        x, y, z = (np.floor((mean + offsets @ basis.T) / voxel_m).astype(np.int64) - first).T
+        np.add.at(mass, (x, y, z), weight / len(offsets))
+    is_occupied = mass >= _COVERED * mass_per_area(mixture) * voxel_m**2
+    return VoxelGrid(first, voxel_m, np.where(is_occupied, OCCUPIED, UNKNOWN).astype(np.uint8))

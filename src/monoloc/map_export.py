@@ -1,0 +1,148 @@
+"""A bundle's map for other programs: points, ellipsoids, voxels, a grid at a height.
+
+What is written is the room as it was mapped, in metres, not the map that was bent to the depth network.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.bundle import Bundle
+from monoloc.errors import DataError, SettingError
+from monoloc.geometry import FloatArray
+from monoloc.io.octomap import write_octomap
+from monoloc.io.pcd import write_pcd
+from monoloc.io.ply_writer import write_ply
+from monoloc.io.ros_grid import GREY_FREE, GREY_OCCUPIED, GREY_UNKNOWN, write_ros_grid
+from monoloc.map.occupancy import FREE, OCCUPIED, VoxelGrid, surface_voxels
+from monoloc.map.surface import ellipsoid_mesh, patch_normals, patch_offsets, surface_points, transformed
+from monoloc.obstacles.sectors import HALF_HEIGHT_M
+from monoloc.ros.ros_frames import RosFrames
+
+_LEAST_FREE = 0.5  # share of a column's voxels that were seen free, from which its cell is free
+
+
+def export_points(path: Path, bundle: Bundle, count: int, rng: np.random.Generator) -> dict[str, object]:
+    """Write random points of the surface as ``.pcd``, or as ``.ply`` with normals towards the cameras and colours.
+
+    Raises:
+        DataError: the file cannot be written.
+    """
+    if path.suffix.lower() == ".pcd":
+        write_pcd(path, surface_points(bundle.original, count, rng))
+    else:
+        component, offsets = patch_offsets(bundle.original, count, rng)
+        points = bundle.original.means[component] + offsets
+        normals = _towards_cameras(bundle)[component]
+        write_ply(path, points, colors=_by_height(points, bundle), normals=normals)
+    return {"points": count, "frame": "world"}
+
+
+def export_ellipsoids(path: Path, bundle: Bundle) -> dict[str, object]:
+    """Write the components as ``.ply``, a mesh of ellipsoids that are as large as the patches they stand for.
+
+    Raises:
+        DataError: the file cannot be written.
+    """
+    vertices, triangles, component = ellipsoid_mesh(bundle.original)
+    colors = _by_height(bundle.original.means, bundle)[component]
+    write_ply(path, vertices, colors=colors, triangles=triangles)
+    return {"components": len(bundle.original), "triangles": len(triangles), "frame": "world"}
+
+
+def export_voxels(path: Path, bundle: Bundle, voxel_m: float) -> dict[str, object]:
+    """Write occupied and free voxels as OctoMap's ``.bt``, in ROS's frame ``map``, whose z axis is up.
+
+    Raises:
+        SettingError: as :func:`monoloc.map.occupancy.surface_voxels`.
+        DataError: the file cannot be written, or the map does not tell the direction of gravity.
+    """
+    grid = level_voxels(bundle, voxel_m, T_map_world(bundle))
+    write_octomap(path, grid.indices(OCCUPIED), grid.indices(FREE), voxel_m)
+    return {
+        "voxel_m": voxel_m,
+        "occupied_voxels": int(np.count_nonzero(grid.states == OCCUPIED)),
+        "free_voxels": int(np.count_nonzero(grid.states == FREE)),
+        "frame": "map",
+    }
+
+
+def export_grid(path: Path, bundle: Bundle, cell_m: float, height_m: float | None) -> dict[str, object]:
+    """Write ROS's occupancy grid at a height, in the frame ``map``: what a vehicle that flies level there can hit.
+
+    A cell is occupied if a voxel of its column is, within 0.25 m above and below; else free if half of them were seen
+    free; else unknown.
+
+    Args:
+        path: NAME.yaml; the picture is NAME.pgm beside it.
+        bundle: the room.
+        cell_m: edge of a cell.
+        height_m: z in the frame ``map``; None for the median of the cameras that built the map.
+
+    Raises:
+        SettingError: as :func:`monoloc.map.occupancy.surface_voxels`, or the map has nothing at that height.
+        DataError: as :func:`export_voxels`.
+    """
+    T = T_map_world(bundle)
+    if height_m is None:
+        if len(bundle.reference_poses) == 0:
+            raise SettingError("--height", "is needed: the bundle keeps no reference poses", "give metres")
+        height_m = float(np.median((T @ bundle.reference_poses.poses)[:, 2, 3]))
+    grid = level_voxels(bundle, cell_m, T)
+    levels = (grid.first[2] + np.arange(grid.states.shape[2]) + 0.5) * cell_m
+    is_in = np.abs(levels - height_m) <= max(HALF_HEIGHT_M, 0.5 * cell_m)
+    if not is_in.any():
+        fix = f"choose from {levels[0]:.2f} to {levels[-1]:.2f} metres along z of the frame map"
+        raise SettingError("--height", f"is {height_m:g}, where the map has nothing", fix)
+    columns = grid.states[:, :, is_in]
+    is_free = (columns == FREE).mean(axis=2) >= _LEAST_FREE
+    grey = np.where(is_free, GREY_FREE, GREY_UNKNOWN).astype(np.uint8)
+    grey[(columns == OCCUPIED).any(axis=2)] = GREY_OCCUPIED
+    write_ros_grid(path, grey, grid.lower[:2], cell_m)
+    shares = {name: float(np.mean(grey == level)) for name, level in _LEVELS.items()}
+    return {"cell_m": cell_m, "cells": list(grey.shape), "height_m": height_m, **shares, "frame": "map"}
+
+
+_LEVELS = {"occupied_share": GREY_OCCUPIED, "free_share": GREY_FREE, "unknown_share": GREY_UNKNOWN}
+
+
+def T_map_world(bundle: Bundle) -> FloatArray:
+    """From the bundle's world to ROS's frame ``map``, z up, as ``monoloc fly --mcap`` publishes it, (4, 4).
+
+    Raises:
+        DataError: the map does not tell the direction of gravity.
+    """
+    if bundle.down is None:
+        problem = "does not tell the direction of gravity: it shows too little of floor and walls"
+        raise DataError(bundle.provenance.recording, problem, "export a .ply or .pcd")
+    return RosFrames(np.eye(4), bundle.down).T_map_room
+
+
+def level_voxels(bundle: Bundle, voxel_m: float, T: FloatArray) -> VoxelGrid:
+    """Voxels of the map in another frame, given the rigid ``T`` (4, 4) from the world to it."""
+    poses = T @ bundle.reference_poses.poses
+    grid = surface_voxels(transformed(bundle.original, T), voxel_m, poses[:, :3, 3], "--voxel")
+    return grid.with_free_space(poses, bundle.camera)
+
+
+def _towards_cameras(bundle: Bundle) -> FloatArray:
+    """Normals of the components, (K, 3), on the side of the nearest camera that built the map."""
+    normals, eyes = patch_normals(bundle.original), bundle.reference_poses.poses[:, :3, 3]
+    if len(eyes) == 0:
+        return normals
+    to_eyes = eyes[None] - bundle.original.means[:, None]
+    nearest = np.linalg.norm(to_eyes, axis=2).argmin(axis=1)
+    side = np.einsum("ki,ki->k", to_eyes[np.arange(len(normals)), nearest], normals)
+    return np.asarray(normals * np.where(side < 0.0, -1.0, 1.0)[:, None])
+
+
+def _by_height(points: FloatArray, bundle: Bundle) -> NDArray[np.uint8]:
+    """Colours (N, 3) RGB by height, from the 1st to the 99th percentile."""
+    height = -points @ np.asarray(bundle.provenance.down_world)
+    low, high = np.percentile(height, [1.0, 99.0])
+    level = np.clip(255.0 * (height - low) / max(float(high - low), 1e-6), 0.0, 255.0).astype(np.uint8)
+    return np.asarray(cv2.applyColorMap(level[:, None], cv2.COLORMAP_VIRIDIS)[:, 0, ::-1], dtype=np.uint8)

@@ -1,0 +1,46 @@
+"""Obstacles of a flight: when the map is believed, and when nothing is remembered."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mavlink_helpers import step_at
+from monoloc.bundle import Bundle
+from monoloc.flight.flight_settings import Mount
+from monoloc.geometry import make_pose
+from monoloc.obstacles import DepthError, Knowledge, ObstacleWatch
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
+
+LEVEL = Mount().T_body_camera
+# In the room, y points down: a level vehicle that looks along z, with x to its right.
+T_WORLD_LEVEL = make_pose(np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]), [0.0, 0.0, 0.0])
+POSE = T_WORLD_LEVEL @ LEVEL
+
+
+@pytest.fixture(scope="module")
+def bundle() -> Bundle:
+    return make_bundle(room_mixture(Room(), 120), RoomRecording(Room(), make_path(2), SMALL_CAMERA))
+
+
+def test_map_tells_what_live_depth_misses_unless_the_camera_is_lost(bundle: Bundle) -> None:
+    watch = ObstacleWatch.of(bundle)
+    for state in ("tracking", "map-changed", "uncertain"):
+        around = watch.update(1.0, step_at(POSE, state, depth_m=4.5), LEVEL)
+        assert isinstance(around, Knowledge)
+        assert around.distances_m[0] == pytest.approx(3.0, abs=0.15) and np.isfinite(around.distances_m[36])
+        assert around.is_gone[0]
+    lost = watch.update(1.1, step_at(POSE, "lost", depth_m=4.5), LEVEL)
+    assert not isinstance(lost, Knowledge)
+    assert lost.distances_m[0] == pytest.approx(4.5, rel=0.02) and np.isnan(lost.distances_m[36])
+
+
+@pytest.mark.parametrize("jump", ["restarted", "lost", "cleared", "none"])
+def test_jump_is_forgotten(jump: str) -> None:
+    watch = ObstacleWatch(DepthError(0.05, 0.0, True), None)
+    watch.update(1.0, step_at(POSE, depth_m=1.0), LEVEL)
+    if jump == "cleared":
+        watch.clear()
+    step = step_at(POSE, "lost" if jump == "lost" else "tracking", restarted=jump == "restarted", depth_m=4.0)
+    expected_m = 1.0 if jump == "none" else 4.0
+    assert watch.update(1.1, step, LEVEL).distances_m[0] == pytest.approx(expected_m, abs=0.1)

@@ -1,0 +1,31 @@
+"""Pictures of maps that have little to show."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from monoloc.camera import Camera
+from monoloc.viz.map_view import MapView, plot_from_above, plot_from_pose
+from plot_helpers import check_picture
+
+CAMERA = Camera(64, 48, 50.0, 50.0, 31.5, 23.5)
+NOTHING = np.zeros((0, 3))
+
+
+@pytest.mark.parametrize("down", [[0.0, 1.0, 0.0], [0.1, 0.0, -1.0]])
+@pytest.mark.filterwarnings("error")
+def test_map_without_cameras_and_landmarks_is_drawn(tmp_path: Path, down: list[float]) -> None:
+    cloud = np.random.default_rng(0).uniform(0.0, [4.0, 3.0, 2.0], (1000, 3))
+    view = MapView("A room", cloud, NOTHING, np.zeros((0, 4, 4)))
+    plot_from_above(tmp_path / "a.png", (view, view), np.array(down))
+    check_picture(tmp_path / "a.png", 1800, 400)
+
+
+@pytest.mark.filterwarnings("error")
+def test_view_of_nothing_is_drawn(tmp_path: Path) -> None:
+    behind = MapView("A room", np.array([[0.0, 0.0, -1.0]]), np.array([[0.0, 0.0, 2.0]]), np.eye(4)[None])
+    plot_from_pose(tmp_path / "a.png", (behind, behind), CAMERA, np.eye(4))
+    check_picture(tmp_path / "a.png", 1800, 400)
