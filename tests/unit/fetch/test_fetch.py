@@ -114,6 +114,7 @@ def test_what_cannot_be_fetched_is_named(
         ("a.zip", SCENE[:200], "is no whole archive"),
         ("a.zip", zipped({"large": b"x" * 5000}), "holds 0.0 GB, and 0.0 GB are free"),
     ],
+    ids=["parent folder", "link", "cut tar", "cut zip", "large"],  # archives hold the time they were made
 )
 def test_hostile_and_broken_archives_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, content: bytes, problem: str
