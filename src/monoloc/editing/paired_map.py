@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle, CloudSize
 from monoloc.geometry import FloatArray
+from monoloc.map.em import clamp_covariances
 from monoloc.map.learnt_transform import LearntTransform
 from monoloc.map.local_fit import FLOOR_M, Components, estimated_points
 
@@ -58,12 +59,12 @@ class PairedMap:
     def with_new(self, new: Components) -> PairedMap:
         """With components of the original map added; the learnt transform adapts them.
 
-        Their adapted moments are those of the transformed component, with the floor that a build adds.
+        Their adapted moments are those of the transformed component.
         """
         adapted = new
         if self.transform is not None and len(new):
             means, covariances = self.transform.moments(new.means, new.covariances)
-            adapted = Components(new.mass, means, covariances + FLOOR_M**2 * np.eye(3))
+            adapted = Components(new.mass, means, clamp_covariances(covariances, FLOOR_M))
         return replace(self, original=self.original + new, adapted=self.adapted + adapted)
 
     def on(self, bundle: Bundle) -> Bundle:
