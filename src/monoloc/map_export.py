@@ -110,12 +110,18 @@ def export_grid(path: Path, bundle: Bundle, cell_m: float, height_m: float | Non
 _LEVELS = {"occupied_share": GREY_OCCUPIED, "free_share": GREY_FREE, "unknown_share": GREY_UNKNOWN}
 
 
-def T_map_world(bundle: Bundle) -> FloatArray:
+def T_map_world(bundle: Bundle, roughly: bool = False) -> FloatArray:
     """From the bundle's world to ROS's frame ``map``, z up, as ``monoloc fly --mcap`` publishes it, (4, 4).
+
+    Args:
+        bundle: the room.
+        roughly: whether to take the mean direction of the cameras' y axes where the map does not tell gravity.
 
     Raises:
         DataError: the map does not tell the direction of gravity.
     """
+    if bundle.down is None and roughly:
+        return RosFrames(np.eye(4), bundle.provenance.down_world).T_map_room
     if bundle.down is None:
         problem = "does not tell the direction of gravity: it shows too little of floor and walls"
         raise DataError(bundle.provenance.recording, problem, "export a .ply or .pcd")

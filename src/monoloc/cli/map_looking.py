@@ -27,7 +27,7 @@ from monoloc.io.ros_grid import picture_of
 from monoloc.map.mixture import GaussianMixture
 from monoloc.map.occupancy import FREE, OCCUPIED, surface_voxels
 from monoloc.map.surface import EXTENT_SIGMAS, surface_points
-from monoloc.map_export import export_ellipsoids, export_grid, export_points, export_voxels
+from monoloc.map_export import T_map_world, export_ellipsoids, export_grid, export_points, export_voxels
 from monoloc.obstacles.depth_error import nearest_depth_m
 from monoloc.viz.map_view import MapView, plot_from_above, plot_from_pose
 
@@ -96,7 +96,7 @@ def render(
     shown = [(bundle, room)] if beside is None or later is None else [(bundle, room), (beside, later)]
     views = tuple(_view(path, each, seed) for path, each in shown)
     if given is None:
-        plot_from_above(out, views, np.array(room.provenance.down_world))
+        plot_from_above(out, views, T_map_world(room, roughly=True))
     else:
         plot_from_pose(out, views, room.camera, given)
     content = {"picture": str(out), "from": "above" if given is None else "pose", "bundles": len(views)}

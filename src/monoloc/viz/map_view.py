@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,6 @@ from monoloc.evaluation.cloud_metrics import cloud_distances
 from monoloc.geometry import FloatArray, invert, transform
 from monoloc.map.depth_rendering import cloud_depth
 from monoloc.viz.picture import BLUE, GREY, INK, ORANGE, VERMILION, picture
-from monoloc.viz.run_drawing import page_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,6 +26,7 @@ CHANGED_M = 0.15
 _ABOVE_CAMERAS_M = 0.2  # surfaces higher than that above the highest camera, such as the ceiling, are left out
 _VIEW_PX = 480  # width of a view from a pose
 _CMAP = "viridis"
+_BELOW: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "borderaxespad": 4.5, "ncols": 2}
 _DOTS: dict[str, Any] = {"linewidths": 0.0, "rasterized": True}
 
 
@@ -47,44 +47,36 @@ class MapView:
     poses: FloatArray
 
 
-def plot_from_above(path: str | Path, views: tuple[MapView, ...], down: FloatArray) -> None:
+def plot_from_above(path: str | Path, views: tuple[MapView, ...], T_level_world: FloatArray) -> None:
     """Draw one map from above, or two of the same world side by side, and what differs.
 
     Args:
         path: PNG to write.
         views: one, or before and after.
-        down: (3,) approximate down direction in the world.
+        T_level_world: to the axes that are drawn, z up, (4, 4).
 
     Raises:
         MissingExtraError: matplotlib or SciPy is not installed.
         DataError: the file cannot be written.
     """
-    right, forward, up, flipped = page_axes(down)
-    plane, sign = [right, forward], -1.0 if flipped else 1.0
-    shown = [_below_ceiling(view, up, sign) for view in views]
-    every = np.concatenate(shown)
-    low, high = np.percentile(every, [0.5, 99.5], axis=0)
-    heights = sign * every[:, up]
-    limits = tuple(np.percentile(heights, [1.0, 99.0]).tolist())
-    size_in = 5.2 * float(np.clip((high - low)[forward] / (high - low)[right], 0.5, 1.6))
-    with picture(path, 6.6 if len(views) == 1 else 17.0, size_in + 1.0) as figure:
+    views = tuple(_levelled(view, T_level_world) for view in views)
+    shown = [_below_ceiling(view) for view in views]
+    low, high = _limits(views, shown)
+    lowest, highest = np.percentile(np.concatenate(shown)[:, 2], [1.0, 99.0])
+    size_in = 5.2 * float(np.clip((high - low)[1] / (high - low)[0], 0.5, 1.6))
+    with picture(path, 6.6 if len(views) == 1 else 17.0, size_in + 1.2) as figure:
         axes = _panels(figure, 1 if len(views) == 1 else 3)
         for axis, view, cloud in zip(axes, views, shown, strict=False):
-            order = np.argsort(sign * cloud[:, up])
-            height = (sign * cloud[:, up])[order]
-            x, y = cloud[order][:, plane].T
-            dots = axis.scatter(x, y, 1.2, height, cmap=_CMAP, vmin=limits[0], vmax=limits[1], **_DOTS)
-            _draw_cameras(axis, view, plane)
+            x, y, height = cloud[np.argsort(cloud[:, 2])].T
+            dots = axis.scatter(x, y, 1.2, height, cmap=_CMAP, vmin=lowest, vmax=highest, **_DOTS)
+            _draw_cameras(axis, view)
             axis.set_title(f"{view.name}, from above")
-            axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=2)
-        figure.colorbar(dots, ax=axes[: len(views)], shrink=0.7, pad=0.01, label=f"height along {'xyz'[up]} (m)")
+            axis.legend(**_BELOW)
+        figure.colorbar(dots, ax=axes[: len(views)], shrink=0.7, pad=0.01, label="height along z (m)")
         if len(views) == 2:
-            _draw_difference(axes[2], shown[0], shown[1], plane)
-        margin = 0.03 * (high - low).max() + 0.1
+            _draw_difference(axes[2], *shown)
         for axis in axes:
-            axis.set(xlim=(low[right] - margin, high[right] + margin))
-            axis.set(ylim=(low[forward] - margin, high[forward] + margin))
-            axis.set(xlabel=f"{'xyz'[right]} (m)", ylabel=f"{'xyz'[forward]} (m)", aspect="equal")
+            axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x (m)", ylabel="y (m)", aspect="equal")
 
 
 def plot_from_pose(path: str | Path, views: tuple[MapView, ...], camera: Camera, T_world_camera: FloatArray) -> None:
@@ -131,34 +123,45 @@ def _panels(figure: Figure, count: int) -> list[Axes]:
     return axes
 
 
-def _below_ceiling(view: MapView, up: int, sign: float) -> FloatArray:
+def _levelled(view: MapView, T: FloatArray) -> MapView:
+    return replace(view, cloud=transform(T, view.cloud), landmarks=transform(T, view.landmarks), poses=T @ view.poses)
+
+
+def _below_ceiling(view: MapView) -> FloatArray:
     """The view's points without what is far above all cameras."""
     if len(view.poses) == 0:
         return view.cloud
-    highest = float((sign * view.poses[:, up, 3]).max()) + _ABOVE_CAMERAS_M
-    below = view.cloud[sign * view.cloud[:, up] < highest]
+    below = view.cloud[view.cloud[:, 2] < view.poses[:, 2, 3].max() + _ABOVE_CAMERAS_M]
     return below if len(below) else view.cloud
 
 
-def _draw_cameras(axis: Axes, view: MapView, plane: list[int]) -> None:
-    axis.plot(
-        *view.landmarks[:, plane].T, ".", color=ORANGE, markersize=2.5, label=f"{len(view.landmarks)} landmarks"
-    )
+def _limits(views: tuple[MapView, ...], shown: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Lower and upper corner (2,) of what is drawn: all cameras, and all but the farthest points."""
+    corners = [np.percentile(cloud[:, :2], [0.5, 99.5], axis=0) for cloud in shown]
+    every = np.concatenate([*corners, *(view.poses[:, :2, 3] for view in views)])
+    low, high = every.min(axis=0), every.max(axis=0)
+    margin = 0.03 * (high - low).max() + 0.1
+    return low - margin, high + margin
+
+
+def _draw_cameras(axis: Axes, view: MapView) -> None:
+    label = f"{len(view.landmarks)} landmarks"
+    axis.plot(*view.landmarks[:, :2].T, ".", color=ORANGE, markersize=2.0, label=label)
     if len(view.poses):
         label = f"{len(view.poses)} cameras that built it"
-        axis.plot(*view.poses[:, plane, 3].T, color=INK, linewidth=2.6)
-        axis.plot(*view.poses[:, plane, 3].T, color="white", linewidth=1.3, label="_")
+        axis.plot(*view.poses[:, :2, 3].T, color=INK, linewidth=2.6)
+        axis.plot(*view.poses[:, :2, 3].T, color="white", linewidth=1.3, label="_")
         axis.plot([], [], color=INK, linewidth=1.6, label=label)
 
 
-def _draw_difference(axis: Axes, before: FloatArray, after: FloatArray, plane: list[int]) -> None:
+def _draw_difference(axis: Axes, before: FloatArray, after: FloatArray) -> None:
     went = before[cloud_distances(before, after) > CHANGED_M]
     came = after[cloud_distances(after, before) > CHANGED_M]
-    axis.plot(*after[:, plane].T, ".", color=GREY, markersize=0.8, alpha=0.3, rasterized=True)
-    axis.plot(*went[:, plane].T, ".", color=VERMILION, markersize=2.0, label=f"went: {len(went)} points")
-    axis.plot(*came[:, plane].T, ".", color=BLUE, markersize=2.0, label=f"came: {len(came)} points")
+    axis.plot(*after[:, :2].T, ".", color=GREY, markersize=0.8, alpha=0.3, rasterized=True)
+    axis.plot(*went[:, :2].T, ".", color=VERMILION, markersize=2.0, label=f"went: {len(went)} points")
+    axis.plot(*came[:, :2].T, ".", color=BLUE, markersize=2.0, label=f"came: {len(came)} points")
     axis.set_title(f"What differs by more than {100.0 * CHANGED_M:.0f} cm")
-    axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=2, markerscale=4.0)
+    axis.legend(**_BELOW, markerscale=4.0)
 
 
 def _show(axis: Axes, depth: NDArray[np.float32], farthest_m: float) -> AxesImage:
