@@ -185,6 +185,15 @@ def test_localize_options_reach_the_filter(capfd: Capture, here: Path) -> None:
     assert "odometry_ate_rmse_m" not in metrics
 
 
+def test_parts_are_left_out_of_a_flight(capfd: Capture, here: Path) -> None:
+    command = ("localize", "room.monoloc", "flight", "--start", "truth")
+    whole = json_of(capfd, *command)
+    metrics = json_of(capfd, *command, "--without", "odometry,bias")
+    assert metrics["without"] == [*whole["without"], "odometry", "bias"]
+    assert (whole["motion"], metrics["motion"]) == ("visual", "random-walk")
+    assert "odometry_ate_rmse_m" not in metrics and metrics["ate_rmse_m"] != whole["ate_rmse_m"]
+
+
 def test_localize_takes_the_motion_of_other_sensors(capfd: Capture, here: Path, recording: RoomRecording) -> None:
     """A random walk: without the odometry's file there would be no motion at all."""
     assert recording.poses is not None

@@ -279,6 +279,22 @@ def test_table_of_the_ladder(room: str) -> None:
         agree(counts, [len({row[name] for row in of_rung}) for name in ("build_seed", "flight")])
 
 
+def test_sentences_of_the_papers_method() -> None:
+    text = (REPOSITORY / "docs" / "beyond-the-paper.md").read_text(encoding="utf-8")
+    kept = json.loads((DATA / "paper-method.json").read_text())
+    between, beyond, many = ([flight["median_cm"], flight["rmse_cm"]] for flight in kept["flights"])
+    sentences = {
+        r"has a median of [\d.]+ cm and an RMSE of [\d.]+ cm between the build frames": between,
+        r"and [\d.]+ and [\d.]+ cm beyond them": beyond,
+        r"Ten times the particles, beyond, give \d+ and \d+ cm": many,
+        r"falls from [\d.]+ to [\d.]+ %": [100.0 * error for error in kept["held_out_absrel"]],
+        r"moved by [\d.]+ cm in the median": [kept["shift_median_cm"]],
+    }
+    for pattern, expected in sentences.items():
+        (found,) = re.findall(pattern, text)
+        agree(found, expected)
+
+
 def test_every_flight_of_the_ladder_says_what_built_and_flew_it() -> None:
     for row in LADDER:
         assert re.fullmatch("[0-9a-f]{12}", row["bundle_commit"]) and re.fullmatch(

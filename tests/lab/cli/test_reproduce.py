@@ -11,6 +11,7 @@ import synthetic_recordings as synthetic
 from cli_helpers import json_of, python, refused, succeeds
 from monoloc.cli.main import invoke
 from monoloc_lab.experiments.study import recorded
+from study_helpers import write_room
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path, write_recording
 
 
@@ -26,6 +27,7 @@ from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path, write_r
             "is for this machine",
             "leave one of them out",
         ),
+        (("--build-frames", "0:9:3"), "--build-frames", "has no meaning for builtin", "leave it out"),
         (("--builds", "6"), "--builds", "is 6, and runs have 5 seeds", "give at most that many"),
         (("--size", "half"), "--size", "is 'half'", "choose from full, two-thirds, one-third, tiny"),
         (("lambda", "frames", "--quick"), "--quick", "leaves out lambda, frames", "run without it"),
@@ -43,6 +45,21 @@ def test_bad_options_are_refused_before_any_work(
 ) -> None:
     monkeypatch.setattr("monoloc_lab.experiments.engine._ANSWER_S", 0.5)
     refused(capfd, tmp_path, ("reproduce", *arguments, "--out", str(tmp_path / "out")), names, problem, fix)
+
+
+@pytest.mark.parametrize(
+    ("frames", "problem", "fix"),
+    [
+        ("0:x:3", "is '0:x:3'", "START:STOP:STEP, three numbers"),
+        ("0:12:3", "is 0:12:3, and there are 12 frames", "leave some after STOP"),
+    ],
+)
+def test_build_frames_that_leave_nothing_are_refused(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], frames: str, problem: str, fix: str
+) -> None:
+    write_room(tmp_path / "room", 12)
+    options = ("--data", f"folder:{tmp_path / 'room'}", "--build-frames", frames, "--out", str(tmp_path / "out"))
+    refused(capfd, tmp_path, ("reproduce", "ladder", *options), "--build-frames", problem, fix)
 
 
 @pytest.mark.parametrize("lacking", ["poses", "depth"])
