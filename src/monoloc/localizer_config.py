@@ -28,6 +28,7 @@ class LocalizerConfig(BaseModel):
         scale_tilt: correction of a depth image's scale and tilt by odometry's corners; None for no correction.
         particle_bias: slowly varying bias of the particles' pose; see :mod:`monoloc.fusion.bias_filter`.
         landmark_bias: the same of landmark poses.
+        threads: of a step: with two, depth is predicted while the odometry follows corners. Results are the same.
         budget_ms: that a step may take; more is left out the slower the computer is, see
             :mod:`monoloc.step_budget`. None leaves nothing out.
     """
@@ -45,4 +46,5 @@ class LocalizerConfig(BaseModel):
     scale_tilt: ScaleTiltConfig | None = ScaleTiltConfig()
     particle_bias: BiasModel = BiasModel()
     landmark_bias: BiasModel = BiasModel()
+    threads: Literal[1, 2] = 1
     budget_ms: float | None = Field(None, ge=1.0, le=10_000.0)
