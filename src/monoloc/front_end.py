@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +18,13 @@ from monoloc.depth.predictor import DepthPrediction
 from monoloc.geometry import FloatArray
 from monoloc.likelihood.scan import EMPTY_SCAN, Scan, scan_from_corners, scan_from_depth
 from monoloc.localizer_config import LocalizerConfig
-from monoloc.odometry.motion import Motion, chained, tracks_translation
+from monoloc.odometry.motion import FollowingOdometry, Motion, chained, tracks_translation
 from monoloc.odometry.scale_tilt import correct_scale_and_tilt
 from monoloc.particle_filter.motion_model import motion_sd
-from monoloc.step_budget import StepPlan
+from monoloc.step_budget import Stage, StepPlan
+
+DepthOfFrame = Callable[[], DepthPrediction | None]
+"""The depth of a frame once it is known; None where it is not predicted."""
 
 _LEAST_POINTS = 10  # of a scan that constrains the pose
 
@@ -66,13 +73,24 @@ class Observation:
 
 
 class FrontEnd:
-    """Depth, odometry, scale and tilt, and scan of every frame; call :meth:`observe` with every frame in order."""
+    """Depth, odometry, scale and tilt, and scan of every frame; call :meth:`observe` with every frame in order.
+
+    Args:
+        components, camera, config, rng: of the localizer.
+        stage: times how long depth keeps the frame waiting.
+    """
 
     def __init__(
-        self, components: Components, camera: Camera, config: LocalizerConfig, rng: np.random.Generator
+        self,
+        components: Components,
+        camera: Camera,
+        config: LocalizerConfig,
+        rng: np.random.Generator,
+        stage: Callable[[Stage], AbstractContextManager[None]] = lambda name: nullcontext(),
     ) -> None:
         self._depth, self._odometry = components.depth, components.odometry
-        self._camera = camera
+        self._camera, self._stage = camera, stage
+        self._pool = ThreadPoolExecutor(1, "depth") if config.threads == 2 else None
         self._config = config
         self._rng = rng
         self._is_first = True
@@ -115,13 +133,14 @@ class FrontEnd:
         if not 0.0 <= elapsed_s < np.inf:
             raise ValueError(f"elapsed_s must be finite and not negative, got {elapsed_s}")
         is_repeated, is_empty = self._is_repeated(color, elapsed_s), not has_contrast(color)
-        depth = self._depth(color) if measured_depth is None and (plan is None or plan.has_depth) else measured_depth
+        is_predicted = measured_depth is None and (plan is None or plan.has_depth)
+        depth_of = self._predicted(color) if is_predicted else lambda: measured_depth
         self._measured.append(None if self._is_first else measured_motion)
         # Odometry's next motion is from the image that repeats, and so is the other sensor's.
         waits = is_repeated and not is_empty
-        motion = None if waits else self._motion(color, depth, is_repeated)
+        motion = None if waits else self._motion(color, depth_of, is_repeated)
         motion = None if self._is_first else motion  # since before a reset
-        scan = EMPTY_SCAN
+        depth, scan = depth_of(), EMPTY_SCAN
         if depth is not None:
             depth = self._corrected(depth, motion)
             scan = self._scan(depth, self._config.scan_points if plan is None else plan.scan_points)
@@ -148,12 +167,25 @@ class FrontEnd:
         self._previous = color.copy()
         return is_repeated
 
-    def _motion(self, color: NDArray[np.uint8], depth: DepthPrediction | None, is_repeated: bool) -> Motion | None:
+    def _predicted(self, color: NDArray[np.uint8]) -> DepthOfFrame:
+        future = None if self._pool is None else self._pool.submit(self._depth, color)
+
+        @cache
+        def wait() -> DepthPrediction:
+            with self._stage("depth"):
+                return self._depth(color) if future is None else future.result()
+
+        return wait
+
+    def _motion(self, color: NDArray[np.uint8], depth_of: DepthOfFrame, is_repeated: bool) -> Motion | None:
         """The motion since the previous call, by the odometry and the other sensor."""
         measured, self._measured = chained(self._measured), []
         if self._odometry is None or is_repeated:
             return measured
         rotation = None if measured is None else measured.T_previous_current[:3, :3]
+        if isinstance(self._odometry, FollowingOdometry):
+            self._odometry.follow(color, rotation)
+        depth = depth_of()
         if depth is None:
             camera = self._depth_camera
             depth_m = np.zeros((camera.height, camera.width), dtype=np.float32)

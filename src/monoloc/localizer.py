@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
 from monoloc.components import ComponentsFactory, default_components
-from monoloc.depth.predictor import DepthPrediction, DepthSource
+from monoloc.depth.predictor import DepthPrediction
 from monoloc.front_end import FrontEnd, Observation
 from monoloc.fusion.gravity import Gravity
 from monoloc.geometry import FloatArray
@@ -117,9 +117,8 @@ class Localizer:
         self._budget: StepBudget | None = None
         if self._config.budget_ms is not None:
             self._budget = StepBudget(self._config.budget_ms, self._config.particles, self._config.scan_points)
-            made = replace(made, depth=self._timed(made.depth))
         self._begin(start)
-        self._front_end = FrontEnd(made, camera, self._config, self._rng)
+        self._front_end = FrontEnd(made, camera, self._config, self._rng, self._stage)
 
     def _begin(self, start: Start | None) -> None:
         """Everything that is believed, before a first frame."""
@@ -140,13 +139,6 @@ class Localizer:
         self._map_change = MapChangeMonitor(bundle.landmarks, bundle.integrity)
         self._state: State = "tracking"
         self._index, self._is_followed = 0, False
-
-    def _timed(self, depth: DepthSource) -> DepthSource:
-        def predict(color: NDArray[np.uint8]) -> DepthPrediction:
-            with self._stage("depth"):
-                return depth(color)
-
-        return predict
 
     def _stage(self, name: Stage) -> AbstractContextManager[None]:
         return nullcontext() if self._budget is None else self._budget.stage(name)

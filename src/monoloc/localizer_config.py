@@ -36,6 +36,7 @@ class LocalizerConfig(BaseModel):
         particle_bias: slowly varying bias of the particles' pose; see :mod:`monoloc.fusion.bias_filter`.
         landmark_bias: the same of landmark poses.
         without: parts that are left out, see :func:`monoloc.parts.leave_out`.
+        threads: of a step: with two, depth is predicted while the odometry follows corners. Results are the same.
         budget_ms: that a step may take; more is left out the slower the computer is, see
             :mod:`monoloc.step_budget`. None leaves nothing out.
     """
@@ -54,4 +55,5 @@ class LocalizerConfig(BaseModel):
     particle_bias: BiasModel = BiasModel()
     landmark_bias: BiasModel = BiasModel()
     without: tuple[Part, ...] = ()
+    threads: Literal[1, 2] = 1
     budget_ms: float | None = Field(None, ge=1.0, le=10_000.0)

@@ -15,7 +15,7 @@ from monoloc.likelihood.protocol import LikelihoodConfig
 from monoloc.likelihood.ray import RayLikelihood
 from monoloc.likelihood.scan import Scan, scan_from_corners
 from monoloc.likelihood.thresholds import LikelihoodThresholds
-from monoloc.localizer import Localizer
+from monoloc.localizer import Localizer, Step
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.map.mixture import GaussianMixture
 from monoloc.odometry.scale_tilt import ScaleTiltConfig
@@ -243,3 +243,20 @@ def test_frames_without_their_turn_have_no_depth_and_make_the_belief_no_surer(
     assert all(variances[index] > variances[index - 1] for index in range(1, FRAMES, 2))
     errors_m = np.linalg.norm(poses_of(steps)[:, :3, 3] - recording.poses[:FRAMES, :3, 3], axis=1)
     assert errors_m[FRAMES // 2 :].max() < 0.1
+
+
+def test_two_threads_give_the_same_to_the_last_bit(
+    mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
+) -> None:
+    def steps(threads: int) -> list[Step]:
+        config = SETTINGS.model_copy(update={"threads": threads, "scale_tilt": ScaleTiltConfig()})
+        predictor = DepthPredictor(depth_from_blue(), recording.camera)
+        localizer = localizer_at_truth(mixture, recording, thresholds, config, depth=predictor)
+        levels = [Level.IN_TURN if index > FRAMES // 2 else Level.FULL for index in range(FRAMES)]
+        images = [BLACK if index == 3 else recording.color(index) for index in range(FRAMES)]
+        return [localizer.step(image, FRAME_S, level=level) for image, level in zip(images, levels, strict=True)]
+
+    for one, two in zip(steps(1), steps(2), strict=True):
+        np.testing.assert_array_equal(one.estimate.pose, two.estimate.pose)
+        np.testing.assert_array_equal(one.estimate.covariance, two.estimate.covariance)
+        np.testing.assert_array_equal(one.scan.points, two.scan.points)

@@ -51,6 +51,10 @@ SourceArgument = Annotated[
 ]
 FramesOption = Annotated[str, typer.Option("--frames", help="Frames START:STOP:STEP, in order of time.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON object on stdout, everything else on stderr.")]
+ThreadsOption = Annotated[
+    int | None,
+    typer.Option("--threads", metavar="1|2", help="With 2, depth is predicted beside odometry. [the bundle's: 1]"),
+]
 BudgetOption = Annotated[
     float | None,
     typer.Option(

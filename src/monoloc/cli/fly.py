@@ -19,6 +19,7 @@ from monoloc.cli.common import (
     IntrinsicsOption,
     JsonOption,
     SeedOption,
+    ThreadsOption,
     check_apart,
     check_folder,
     check_outputs,
@@ -80,6 +81,7 @@ def fly(
         bool, typer.Option("--align", help="Only measure north_deg by the autopilot's yaw, and end.")
     ] = False,
     budget_ms: BudgetOption = None,
+    threads: ThreadsOption = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="CSV to write: pose, covariance, state and reasons a frame.")
     ] = None,
@@ -132,6 +134,7 @@ def fly(
         mavlink=mavlink,
         firmware=firmware,
         budget_ms=budget_ms,
+        threads=threads,
         out=out,
         mcap=mcap,
         record=record,
@@ -156,7 +159,7 @@ def fly(
             frame_source, camera, first_pose = open_frames(flight.source, frames, flight.camera, fast)
             opened.callback(frame_source.close)
             starting = starting_of(flight, bundle, camera, first_pose, rng)
-            config = override(bundle.settings, budget_ms=flight.budget_ms)
+            config = override(bundle.settings, budget_ms=flight.budget_ms, threads=flight.threads)
             localizer = Localizer(bundle, camera, starting.start, config, seed=seed)
             if firmware is not None:
                 down_world(bundle, flight_settings)  # or it is refused, before anything is written

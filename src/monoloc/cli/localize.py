@@ -25,6 +25,7 @@ from monoloc.cli.common import (
     RecordOption,
     SeedOption,
     SourceArgument,
+    ThreadsOption,
     ViewOption,
     check_outputs,
     check_picture,
@@ -95,6 +96,7 @@ def localize_command(
     particles: Annotated[int | None, typer.Option("--particles", help="Number of particles. [the bundle's]")] = None,
     scan_points: Annotated[int | None, typer.Option("--scan-points", help="Points per scan. [the bundle's]")] = None,
     budget_ms: BudgetOption = None,
+    threads: ThreadsOption = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -143,8 +145,9 @@ def localize_command(
     recording = open_source(source, frames, intrinsics, depth_scale, fix_poses=fix_poses, fix_depth=fix_depth)
     warn_of_poses(recording)
     motions = measured_motions(recording.timestamps_s, gyroscope, odometry, odometry_delay, mount)
-    with naming({"particles": "--particles", "scan_points": "--scan-points", "budget_ms": "--budget-ms"}):
-        given = {"motion": motion, "particles": particles, "scan_points": scan_points, "budget_ms": budget_ms}
+    given: dict[str, object] = {"motion": motion, "particles": particles, "scan_points": scan_points}
+    given |= {"budget_ms": budget_ms, "threads": threads}
+    with naming({name: "--" + name.replace("_", "-") for name in given}):
         config = override(room.settings, **given)
     # Names are checked, so the list needs no validation.
     config = config.model_copy(update={"without": tuple(dict.fromkeys((*config.without, *left_out)))})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Literal
 
 from pydantic import Field, model_validator
 
@@ -29,6 +30,7 @@ class FlightFile(FlightSettings):
         start: pose ``TX,TY,TZ,QX,QY,QZ,QW`` of the first frame, ``unknown`` or ``truth``.
         start_error_cm, start_error_deg: of the start.
         budget_ms: that a step may take, see :mod:`monoloc.step_budget`; None takes the bundle's.
+        threads: of a step, 1 or 2; None takes the bundle's.
         out: table to write.
         mcap, record: file and folder to write; in both, ``%Y``, ``%m``, ``%d``, ``%H``, ``%M`` and ``%S`` stand for
             the time of the start.
@@ -45,6 +47,7 @@ class FlightFile(FlightSettings):
     start_error_cm: float = Field(10.0, ge=0.0, le=1e5)
     start_error_deg: float = Field(3.0, ge=0.0, le=180.0)
     budget_ms: float | None = Field(None, ge=1.0, le=10_000.0)
+    threads: Literal[1, 2] | None = None
     out: Path | None = None
     mcap: Path | None = None
     record: Path | None = None

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -119,6 +119,15 @@ class Odometry(Protocol):
         Returns:
             The motion, its translation in the unit of ``depth_m`` unless it says otherwise.
         """
+        ...
+
+
+@runtime_checkable
+class FollowingOdometry(Protocol):
+    """An :class:`Odometry` that can begin a frame while its depth is still being predicted."""
+
+    def follow(self, color: NDArray[np.uint8], R_previous_current: FloatArray | None = None) -> None:
+        """As much of :meth:`Odometry.step` as needs no depth; called before it, with the same arguments, or not."""
         ...
 
 

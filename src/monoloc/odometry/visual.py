@@ -109,6 +109,14 @@ class _Tracks:
         )
 
 
+@dataclass(frozen=True)
+class _Followed:
+    """An equalised grey image (h, w), None without contrast, and ``T_r_camera`` of it, (4, 4), None on failure."""
+
+    gray: NDArray[np.uint8] | None
+    T_r_current: FloatArray | None
+
+
 class VisualOdometry:
     """Frame-to-frame visual odometry; call :meth:`step` for each frame in order."""
 
@@ -121,6 +129,16 @@ class VisualOdometry:
         self._T_r_previous = np.eye(4)
         self._last_motion = np.eye(4)  # T_previous_current of the frame before, which is expected to go on
         self._tracks: _Tracks | None = None
+        self._followed: tuple[NDArray[np.uint8], _Followed] | None = None  # an image, as soon as it is followed
+
+    def follow(self, color: NDArray[np.uint8], R_previous_current: FloatArray | None = None) -> None:
+        """Track the corners into the next image, which needs no depth of it; :meth:`step` then goes on from there."""
+        gray = gray_image(color, (self._camera.width, self._camera.height))
+        if not has_contrast(gray):
+            self._followed = color, _Followed(None, None)
+            return
+        gray = np.asarray(self._equalise.apply(gray), dtype=np.uint8)
+        self._followed = color, _Followed(gray, self._follow(gray, R_previous_current))
 
     def step(
         self,
@@ -138,12 +156,14 @@ class VisualOdometry:
             R_previous_current: rotation since the previous frame by another sensor, (3, 3), which says where to look
                 for the corners; None expects the motion to go on.
         """
-        gray = gray_image(color, (self._camera.width, self._camera.height))
-        if not has_contrast(gray):
+        if self._followed is None or self._followed[0] is not color:
+            self.follow(color, R_previous_current)
+        assert self._followed is not None
+        gray, T_r_current = self._followed[1].gray, self._followed[1].T_r_current
+        self._followed = None
+        if gray is None:
             self._tracks = None
             return None
-        gray = np.asarray(self._equalise.apply(gray), dtype=np.uint8)
-        T_r_current = self._follow(gray, R_previous_current)
         if T_r_current is None:
             self._tracks, self._T_r_previous, self._last_motion = None, np.eye(4), np.eye(4)
             self._add_keyframe(gray, np.eye(4), depth_m, depth_camera)
