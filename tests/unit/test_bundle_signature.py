@@ -63,6 +63,12 @@ def test_a_signed_bundle_is_verified_and_read_as_before(capfd: Capture, here: Pa
         "signed with the key of team.pub"
         in outputs(capfd, "signature", "verify", "room.monoloc", "--key", "team.pub")[1]
     )
+    content = json_of(capfd, "signature", "verify", "room.monoloc", "--key", "team.pub")
+    assert content == {"bundle": "room.monoloc", "public_key": "team.pub"}
+    content = json_of(capfd, "signature", "sign", "room.monoloc", "--key", "team.key")
+    assert content == {"bundle": "room.monoloc", "signature": "room.monoloc/manifest.sig"}
+    content = json_of(capfd, "signature", "keys", "new")
+    assert content == {"private_key": "new.key", "public_key": "new.pub"}
     content = json_of(capfd, "inspect", "room.monoloc")
     assert content["is_signed"]
     assert content["bytes"] == sum(file.stat().st_size for file in Path("room.monoloc").iterdir())

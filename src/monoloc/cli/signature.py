@@ -10,7 +10,7 @@ import typer
 from monoloc.bundle import read_bundle
 from monoloc.bundle_manifest import manifest_content
 from monoloc.bundle_signature import SIGNATURE, make_keys, signature_of
-from monoloc.cli.common import check_apart, stderr
+from monoloc.cli.common import JsonOption, check_apart, print_json, stderr
 from monoloc.errors import BundleError
 from monoloc.partial_files import whole_file
 
@@ -31,8 +31,9 @@ RequireSignatureOption = Annotated[
 @app.command()
 def keys(
     name: Annotated[str, typer.Argument(metavar="NAME", help="NAME.key and NAME.pub are written.")],
+    json: JsonOption = False,
 ) -> None:
-    """Make a pair of keys: one to sign with, which is kept secret, and one to check with.
+    """Make a pair of keys: a secret one to sign with, and one to check with.
 
     \b
     Examples:
@@ -42,14 +43,19 @@ def keys(
     check_apart(private, "NAME", (private.parent,))
     make_keys(private, public)
     stderr.print(f"written: {private} (keep it secret) and {public}", soft_wrap=True)
+    if json:
+        print_json({"private_key": str(private), "public_key": str(public)})
 
 
 @app.command()
 def sign(
     bundle: BundleArgument,
     key: Annotated[Path, typer.Option("--key", metavar="NAME.key", help="Private key.")],
+    json: JsonOption = False,
 ) -> None:
-    """Sign a bundle, after a check of every byte. Any later change, or build of the same name, voids the signature.
+    """Sign a bundle, after a check of every byte.
+
+    Any later change, or build of the same name, voids the signature.
 
     \b
     Examples:
@@ -66,14 +72,17 @@ def sign(
         fix = "sign a copy that you can write to"
         raise BundleError(bundle, f"cannot be written to ({error.strerror})", fix) from error
     stderr.print(f"written: {bundle / SIGNATURE}", soft_wrap=True)
+    if json:
+        print_json({"bundle": str(bundle), "signature": str(bundle / SIGNATURE)})
 
 
 @app.command()
 def verify(
     bundle: BundleArgument,
     key: Annotated[Path, typer.Option("--key", metavar="NAME.pub", help="Public key of who should have signed.")],
+    json: JsonOption = False,
 ) -> None:
-    """Check that a bundle is, to the last byte, what the owner of a key signed.
+    """Check that a bundle is just what the owner of a key signed.
 
     \b
     Examples:
@@ -81,3 +90,5 @@ def verify(
     """
     read_bundle(bundle, key)
     stderr.print(f"{bundle}: signed with the key of {key}", soft_wrap=True)
+    if json:
+        print_json({"bundle": str(bundle), "public_key": str(key)})
