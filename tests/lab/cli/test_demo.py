@@ -15,6 +15,7 @@ from monoloc.builder.build_config import BuildConfig
 from monoloc.bundle import Bundle
 from monoloc.io.recording import Recording
 from monoloc_lab.cli import demo
+from monoloc_lab.make import demo_bundle
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
 
 LIGHTS = ["L1", "L2", "L3"]
@@ -64,7 +65,7 @@ def test_demo_builds_and_writes_bundles_trajectories_and_plots(
         builds.append((len(recording), config.adapt.tune, config.adapt.map_transform, config.landmarks, network))
         return bundle, None
 
-    monkeypatch.setattr(demo, "build_bundle", build)
+    monkeypatch.setattr(demo_bundle, "build_bundle", build)
     runs = json_of(capfd, "demo", "--build", "--out", str(tmp_path / "out"))["runs"]
     assert [(run["name"], run["light"], run["adapted"]) for run in runs] == [
         ("L3 unadapted", "L3", False),

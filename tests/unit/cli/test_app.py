@@ -14,11 +14,15 @@ from monoloc.cli.app import app
 from monoloc.cli.main import invoke
 from monoloc.version import version_facts
 
+BUNDLE = "kitchen.monoloc"
+
 
 def commands(group: TyperGroup, *path: str) -> Iterator[tuple[str, ...]]:
     for name, command in group.commands.items():
         if isinstance(command, TyperGroup):
-            yield from commands(command, *path, name)
+            # An argument of a group stands before the subcommand.
+            arguments = [BUNDLE for parameter in command.params if parameter.param_type_name == "argument"]
+            yield from commands(command, *path, name, *arguments)
         else:
             yield (*path, name)
 
@@ -44,7 +48,7 @@ def test_help_describes_the_command_and_shows_valid_examples_first(
     description = re.search(r"^  [A-Z][^.]+\.$", text, re.MULTILINE)
     assert description is not None
     examples, options = text.index("Examples:"), text.index("Options:")
-    assert text.index(f"Usage: {name}") < description.start() < examples < options
+    assert text.index(f"Usage: {name.replace(BUNDLE, '{bundle}')}") < description.start() < examples < options
     assert text[examples:].splitlines()[1].startswith(f"    {name}")
     assert "--json" in text
     for option in re.findall(r"(?<= )--?[a-z][a-z0-9-]*", text[examples:options]):
