@@ -12,7 +12,7 @@ import numpy as np
 from monoloc.camera import Camera
 from monoloc.geometry import FloatArray, invert, se3_exp, transform
 from monoloc.landmarks.features import Keypoints
-from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.landmarks.pnp import PRIOR_COVARIANCE
 from monoloc.likelihood.protocol import LikelihoodConfig
@@ -27,6 +27,7 @@ from monoloc_lab.bench.timing import one_thread
 _CAMERA = Camera(402, 301, 330.0, 330.0, 200.5, 150.0)  # as keypoints are detected
 _CHANGED_BITS, _PIXEL_SD = 0.1, 1.0  # of a landmark that is seen again
 _TRACKING_SD_M, _TRACKING_SD_RAD = 0.03, 0.015  # of the particles
+_FOUND_M = 3.0
 _SEEN, _STRAYS = 300, 300  # keypoints of landmarks, and others
 
 
@@ -103,13 +104,20 @@ def _weigher(mixture: GaussianMixture, given: Weighing) -> Callable[[], object]:
 def _landmarks(
     cloud: FloatArray, room: GaussianMixture, count: int, rooms: int, rng: np.random.Generator
 ) -> Landmarks:
-    """Landmarks all over so many copies of a room, the first of which is the room; each has its own descriptor."""
+    """Landmarks all over so many copies of a room, the first of which is the room; each has its own descriptor.
+
+    A view from the middle of each copy found those within _FOUND_M.
+    """
     side = int(np.ceil(np.sqrt(rooms)))
     lower, upper = room.bounds_m()
     number = np.repeat(np.arange(rooms), count)
     offsets = np.stack([number % side, np.zeros_like(number), number // side], axis=1) * (upper - lower)
-    points = cloud[rng.integers(len(cloud), size=len(number))] + offsets
-    return Landmarks(points.astype(np.float32), rng.integers(0, 256, (len(number), 32), dtype=np.uint8))
+    points = (cloud[rng.integers(len(cloud), size=len(number))] + offsets).astype(np.float32)
+    poses = np.tile(np.eye(4), (rooms, 1, 1))
+    poses[:, :3, 3] = 0.5 * (lower + upper) + offsets[::count]
+    found = np.linalg.norm(points - poses[:, None, :3, 3], axis=2) < _FOUND_M
+    descriptors = rng.integers(0, 256, (len(number), 32), dtype=np.uint8)
+    return Landmarks(points, descriptors, LandmarkViews(poses, found))
 
 
 def _seen(landmarks: Landmarks, pose: FloatArray, rng: np.random.Generator) -> Keypoints:

@@ -21,6 +21,7 @@ FAMILIAR_TIMES = 2
 # Views that tell which landmarks are found from a pose. Of landmarks that these found, the share that is found falls
 # from 0.86 within 0.1 m (pose distance) to 0.5 at 0.15 m and 0.3 at 0.3 m.
 _NEAREST_VIEWS, _NEAR_M = 3, 0.2
+_RANGED_LANDMARKS = 2000  # of which the largest distance is sought
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,15 @@ class LandmarkViews:
         nearest = np.argsort(distances_m)[:_NEAREST_VIEWS]
         nearest = nearest[distances_m[nearest] < _NEAR_M]
         return None if len(nearest) < 2 else self.found[nearest].sum(axis=0)
+
+    def farthest_m(self, points: NDArray[np.float32]) -> float:
+        """The largest distance at which a view found one of the landmarks (L, 3); 0 where none was found.
+
+        Of many landmarks, an even selection is looked at.
+        """
+        step = max(1, len(points) // _RANGED_LANDMARKS)
+        ranges_m = np.linalg.norm(points[::step] - self.poses[:, None, :3, 3], axis=2)
+        return float(ranges_m.max(initial=0.0, where=self.found[:, ::step]))
 
     def without(self, index: int) -> LandmarkViews:
         """All views but one."""

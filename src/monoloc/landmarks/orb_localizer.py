@@ -33,8 +33,7 @@ _LEAST_SPREAD = 0.075
 _APART_M, _RIVAL_SHARE = 0.5, 0.3
 _RIVAL_CANDIDATES, _MOST_RIVALS = 32, 8  # best matches of a keypoint among which other places are sought
 _ITERATIONS, _RIVAL_ITERATIONS = 1000, 100  # of RANSAC
-# A corner looks another one from three times as far as it was seen from, and builds see few beyond three metres.
-_FARTHEST_M = 10.0
+_SIGHT = 3.0  # times as far as the build found landmarks: from farther, a corner looks another one
 _KEPT_M = 2.0  # for which the camera may move before its surroundings are sought anew
 _NO_INDICES = np.zeros(0, dtype=np.int64)
 
@@ -49,7 +48,7 @@ class OrbLandmarkLocalizer:
     def __init__(self, landmarks: Landmarks, camera: Camera) -> None:
         self._landmarks = landmarks
         self._detect = KeypointDetector(camera)
-        self._nearby = _Nearby(landmarks.points)
+        self._nearby = _Nearby(landmarks)
 
     def measure(self, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
         """As :meth:`LandmarkLocalizer.measure`; a prior that is vague only tells which landmarks are in view.
@@ -240,20 +239,27 @@ class OrbLandmarkLocalizer:
 
 
 class _Nearby:
-    """Which of L points are within sight of a place, at a cost that does not grow with L while the place moves on."""
+    """Which of L landmarks are within sight of a place, at a cost that does not grow with L while the place moves on.
 
-    def __init__(self, points: NDArray[np.float32]) -> None:
-        self._points = points
+    All of them are, where it is not known from how far the build found them.
+    """
+
+    def __init__(self, landmarks: Landmarks) -> None:
+        self._points, self._sight_m = landmarks.points, math.inf
+        if landmarks.views is not None:
+            self._sight_m = _SIGHT * landmarks.views.farthest_m(landmarks.points) or math.inf
         self._place: FloatArray | None = None  # around which the candidates are
-        self._candidates = _NO_INDICES
+        self._candidates = np.arange(len(self._points))
 
     def __call__(self, place: FloatArray) -> NDArray[np.int64]:
-        """Indices of the points within :data:`_FARTHEST_M` of a place (3,), in order."""
+        """Indices of those within sight of a place (3,), in order."""
+        if not math.isfinite(self._sight_m):
+            return self._candidates
         if self._place is None or np.linalg.norm(place - self._place) > _KEPT_M:
             self._place = place.copy()
             self._candidates = np.arange(len(self._points))
-            self._candidates = self._within(place, _FARTHEST_M + _KEPT_M)
-        return self._within(place, _FARTHEST_M)
+            self._candidates = self._within(place, self._sight_m + _KEPT_M)
+        return self._within(place, self._sight_m)
 
     def _within(self, place: FloatArray, radius_m: float) -> NDArray[np.int64]:
         offsets = self._points[self._candidates] - place.astype(np.float32)

@@ -10,7 +10,7 @@ from monoloc.camera import Camera
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import invert, make_pose, se3_exp, transform
 from monoloc.landmarks.features import KeypointDetector, Keypoints
-from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.landmarks.pnp import PRIOR_COVARIANCE as PRIOR
 from monoloc.landmarks.pnp import LandmarkMeasurement, NoLandmarks
@@ -117,21 +117,27 @@ def test_landmarks_in_view_are_expected_and_found_where_the_camera_is(localizer:
     assert localizer.measure(color, away, PRIOR).expected == 0
 
 
-def test_only_landmarks_within_ten_metres_are_expected_wherever_the_camera_was(
+def test_landmarks_are_expected_from_three_times_as_far_as_the_build_found_them_wherever_the_camera_was(
     localizer: OrbLandmarkLocalizer,
 ) -> None:
     room, away = localizer._landmarks, np.array([0.0, 0.0, 30.0], np.float32)
-    floor = OrbLandmarkLocalizer(
-        Landmarks(np.concatenate([room.points, room.points + away]), np.tile(room.descriptors, (2, 1))), CAMERA
-    )
+    points = np.concatenate([room.points, room.points + away])
+    nearest = np.linalg.norm(points - BUILD_POSES[0, :3, 3], axis=1).argmin()
+    views = LandmarkViews(BUILD_POSES[:1], (np.arange(len(points)) == nearest)[None])
+    sight_m = 3.0 * views.farthest_m(points)
+    floor = OrbLandmarkLocalizer(Landmarks(points, np.tile(room.descriptors, (2, 1)), views), CAMERA)
     nothing = Keypoints(np.zeros((0, 2)), np.zeros((0, 32), np.uint8), np.zeros(0))
     for offset_m in (0.0, 1.0, 1.5, 30.0, 24.0, 0.0):
         pose = FLIGHT_POSES[30].copy()
         pose[2, 3] += offset_m
-        local = transform(invert(pose), np.concatenate([room.points, room.points + away]).astype(np.float64))
-        seen = floor._detect.camera.in_sight(local) & (np.linalg.norm(local, axis=1) < 10.0)
+        local = transform(invert(pose), points.astype(np.float64))
+        seen = floor._detect.camera.in_sight(local) & (np.linalg.norm(local, axis=1) < sight_m)
         measured = floor.measure_keypoints(nothing, pose, PRIOR)
         assert measured.expected == np.count_nonzero(seen) and measured.found == 0
+    everywhere = OrbLandmarkLocalizer(Landmarks(points, np.tile(room.descriptors, (2, 1))), CAMERA)
+    measured = everywhere.measure_keypoints(nothing, FLIGHT_POSES[30], PRIOR)
+    local = transform(invert(FLIGHT_POSES[30]), points.astype(np.float64))
+    assert measured.expected == np.count_nonzero(everywhere._detect.camera.in_sight(local))
 
 
 def test_room_without_landmarks_expects_none() -> None:
