@@ -19,7 +19,7 @@ from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_log
 from monoloc.landmarks.landmark_map import FAMILIAR_TIMES, Landmarks, LandmarkViews
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.landmarks.pnp import LEAST_LANDMARKS, PRIOR_COVARIANCE, LandmarkPose
-from monoloc.supervision.camera_check import WELL_OBSERVED_SD
+from monoloc.supervision.camera_check import tells_focal
 from monoloc.supervision.integrity import WRONG_DISTANCE_M, Classes, IntegrityModel
 
 _LEAST_DISTANCE_M = 0.05
@@ -197,7 +197,7 @@ def _localized(
         errors=_beyond_noise(twist_errors(np.reshape(twists, (-1, 6))), np.reshape(stated, (-1, 6))),
         found=found,
         found_wrong=found_wrong,
-        log_focal=np.array([pose.log_focal for pose in seen.values() if pose.log_focal_sd <= WELL_OBSERVED_SD]),
+        log_focal=np.array([pose.log_focal for pose in seen.values() if tells_focal(pose)]),
     )
 
 

@@ -58,15 +58,26 @@ class BiasModel(BaseModel):
         return math.exp(-step_m / _CORRELATION_LENGTH_M)
 
 
+def common_error(count: int, distance_m: float) -> float:
+    """By how much errors that landmarks have in common enlarge the variance of what many of them measure.
+
+    The corners' localisation error alone would average out over hundreds of landmarks. But landmarks of one surface
+    are misplaced together, and more so the farther the view is from those that placed them.
+
+    Args:
+        count: of the landmarks.
+        distance_m: pose distance to the nearest reference pose.
+    """
+    return max(1.0, count * (_COMMON_ERROR + _COMMON_ERROR_GROWTH * distance_m**2))
+
+
 def landmark_covariance(measured: LandmarkPose, distance_m: float) -> FloatArray:
     """Covariance (6, 6) of a landmark pose, of a twist in the camera's frame.
 
-    The corners' localisation error alone would average out over hundreds of landmarks. But landmarks of one surface
-    are misplaced together, and more so the farther the view is from those that placed them. In a flat view such an
-    error shifts and turns the pose along the same weakly determined directions, so the covariance keeps its shape.
+    In a flat view, an error that landmarks have in common shifts and turns the pose along the directions that the view
+    determines weakly. So the covariance by the corners' localisation error keeps its shape.
 
     Args:
         distance_m: pose distance to the nearest reference pose.
     """
-    common = len(measured.points) * (_COMMON_ERROR + _COMMON_ERROR_GROWTH * distance_m**2)
-    return np.asarray(max(1.0, common) * measured.covariance)
+    return np.asarray(common_error(len(measured.points), distance_m) * measured.covariance)

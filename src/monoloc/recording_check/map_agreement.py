@@ -11,7 +11,7 @@ from monoloc.geometry import FloatArray, invert, make_pose, nearest_rotation, ro
 from monoloc.io.recording import Recording, evenly_spaced
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.landmarks.pnp import LandmarkPose
-from monoloc.supervision.camera_check import WELL_OBSERVED_SD
+from monoloc.supervision.camera_check import tells_focal
 
 _FRAMES = 24
 _SAME_M, _SAME_RAD = 0.15, np.deg2rad(6.0)  # poses of two frames that say the same of the two worlds
@@ -85,7 +85,7 @@ def _common_transform(T_map_camera: FloatArray, T_world_camera: FloatArray) -> t
 
 def _focal(places: list[LandmarkPose], usual: float) -> tuple[float | None, float | None]:
     """Focal length by landmark poses relative to the usual log-focal, and the deviation of its logarithm."""
-    values = np.array([place.log_focal for place in places if place.log_focal_sd < WELL_OBSERVED_SD])
+    values = np.array([place.log_focal for place in places if tells_focal(place)])
     if len(values) < LEAST_FOUND:
         return None, None
     spread = 1.4826 * float(np.median(np.abs(values - np.median(values)))) / np.sqrt(len(values))

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import math
 
+from monoloc.fusion.bias_model import common_error
 from monoloc.landmarks.pnp import LandmarkPose
 
 WELL_OBSERVED_SD = 0.02
-"""Standard deviation of a landmark pose's log-focal above which it says nothing: the view is too flat."""
+"""Standard deviation of log-focal above which it says nothing: the view is too flat."""
 
 _MEMORY_S = 3.0  # time constant of the mean
 _LEAST_S = 0.5  # of measurements before anything is said
 _MOST_SD = 3.0  # of single frames, since they are correlated, by which the mean may differ from the build's
 _LEAST_LOG_FOCAL = 0.04  # smaller differences move a pose by little more than the covariance states
+
+
+def tells_focal(pose: LandmarkPose) -> bool:
+    """Whether a landmark pose determines the focal length; in a flat view it does not."""
+    return pose.log_focal_sd * math.sqrt(common_error(len(pose.points), 0.0)) <= WELL_OBSERVED_SD
 
 
 class CameraCheck:
@@ -35,7 +41,7 @@ class CameraCheck:
 
     def update(self, pose: LandmarkPose | None, elapsed_s: float) -> None:
         """Take in a frame's landmark pose."""
-        if pose is None or pose.log_focal_sd > WELL_OBSERVED_SD:
+        if pose is None or not tells_focal(pose):
             return
         decay, information = math.exp(-elapsed_s / _MEMORY_S), pose.log_focal_sd**-2
         self._measured_s += elapsed_s

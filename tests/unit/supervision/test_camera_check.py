@@ -11,8 +11,8 @@ from monoloc.supervision.camera_check import WELL_OBSERVED_SD, CameraCheck
 FRAME_S = 0.1
 
 
-def by_landmarks(log_focal: float, sd: float = 0.01) -> LandmarkPose:
-    return LandmarkPose(np.eye(4), 1e-6 * np.eye(6), np.zeros((50, 3)), log_focal, sd)
+def by_landmarks(log_focal: float, sd: float = 0.01, count: int = 30) -> LandmarkPose:
+    return LandmarkPose(np.eye(4), 1e-6 * np.eye(6), np.zeros((count, 3)), log_focal, sd)
 
 
 def after(check: CameraCheck, pose: LandmarkPose | None, frames: int) -> bool:
@@ -43,6 +43,13 @@ def test_flat_views_say_nothing() -> None:
     assert not after(check, by_landmarks(0.3, WELL_OBSERVED_SD * 1.01), 100)
     assert not after(check, by_landmarks(0.3, np.inf), 100)
     assert after(check, by_landmarks(0.3, WELL_OBSERVED_SD), 100)
+
+
+def test_many_landmarks_of_one_surface_do_not_make_a_flat_view_tell_more() -> None:
+    """Their common error does not average out: it takes a third of the deviation of 30."""
+    check = CameraCheck(0.0, 0.01)
+    assert not after(check, by_landmarks(0.3, WELL_OBSERVED_SD / 2.97, 300), 100)
+    assert after(check, by_landmarks(0.3, WELL_OBSERVED_SD / 3.03, 300), 100)
 
 
 def test_what_was_measured_is_forgotten_within_seconds() -> None:
