@@ -74,7 +74,7 @@ def common_error(count: int, distance_m: float) -> float:
 def landmark_covariance(measured: LandmarkPose, distance_m: float) -> FloatArray:
     """Covariance (6, 6) of a landmark pose, of a twist in the camera's frame.
 
-    In a flat view, an error that landmarks have in common shifts and turns the pose along the directions that the view
+    In a flat view, an error that landmarks have in common shifts and turns the pose along directions that the view
     determines weakly. So the covariance by the corners' localisation error keeps its shape.
 
     Args:
