@@ -6,7 +6,7 @@ from typing import Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.bias_model import BiasModel, LandmarkBiasModel
 from monoloc.likelihood.protocol import LikelihoodConfig
 from monoloc.odometry.scale_tilt import ScaleTiltConfig
 from monoloc.odometry.visual import OdometryConfig
@@ -34,7 +34,7 @@ class LocalizerConfig(BaseModel):
         odometry: settings of visual odometry.
         scale_tilt: correction of a depth image's scale and tilt by odometry's corners; None for no correction.
         particle_bias: slowly varying bias of the particles' pose; see :mod:`monoloc.fusion.bias_filter`.
-        landmark_bias: the same of landmark poses.
+        landmark_bias: the same of landmark poses, and their noise.
         without: parts that are left out, see :func:`monoloc.parts.leave_out`.
         threads: of a step: with two, depth is predicted while the odometry follows corners. Results are the same.
         budget_ms: that a step may take; more is left out the slower the computer is, see
@@ -53,7 +53,7 @@ class LocalizerConfig(BaseModel):
     odometry: OdometryConfig = OdometryConfig()
     scale_tilt: ScaleTiltConfig | None = ScaleTiltConfig()
     particle_bias: BiasModel = BiasModel()
-    landmark_bias: BiasModel = BiasModel()
+    landmark_bias: LandmarkBiasModel = LandmarkBiasModel()
     without: tuple[Part, ...] = ()
     threads: Literal[1, 2] = 1
     budget_ms: float | None = Field(None, ge=1.0, le=10_000.0)

@@ -9,12 +9,12 @@ import numpy as np
 
 from monoloc.bundle import Bundle
 from monoloc.errors import SettingError
-from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.bias_model import BiasModel, LandmarkBiasModel
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.localizer_config import PARTS, LocalizerConfig, Part
 
-_UNBIASED = {"particle_bias": BiasModel(), "landmark_bias": BiasModel()}
+_UNBIASED = {"particle_bias": BiasModel(), "landmark_bias": LandmarkBiasModel()}
 _SETTINGS: dict[Part, dict[str, Any]] = {
     "odometry": {"motion": "random-walk"},
     "depth-scale": {"log_scale_sd": 0.0},

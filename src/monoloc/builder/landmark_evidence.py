@@ -13,8 +13,8 @@ from monoloc.builder.landmark_triangulation import Corners, landmarks_of
 from monoloc.camera import Camera
 from monoloc.evaluation.consistency import FAR_M
 from monoloc.evaluation.hold_out import HELD_OUT_SHARE, REGIONS, hold_out_regions
-from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, twist_errors
-from monoloc.fusion.bias_model import BiasModel, landmark_covariance
+from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, axis_sd, twist_errors
+from monoloc.fusion.bias_model import BiasModel, LandmarkBiasModel, squared_distance
 from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_log
 from monoloc.landmarks.landmark_map import FAMILIAR_TIMES, Landmarks, LandmarkViews
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
@@ -28,6 +28,10 @@ _CHI2_90_3 = 6.251388631170325  # 90 % quantile of the chi-squared distribution 
 _NORMAL_MAD = 1.4826  # standard deviation over median deviation
 _LEAST_FOCAL_FRAMES, _LEAST_FOCAL_SD = 10, 0.005  # frames that tell a deviation of log-focal, and the smallest
 _LEAST_VIEWS = 10  # frames that tell how well nearby frames predict what is found
+# Of :class:`LandmarkBiasModel`: by maximum likelihood over a real desk and a real kitchen (docs/decisions/fusion.md),
+# and of the growth in other rooms the factors that are tried and their spread.
+_COMMON_ERROR, _COMMON_ERROR_GROWTH = 0.03, 1.0
+_GROWTH_FACTORS, _GROWTH_LOG_SD = 10.0 ** np.arange(-2.0, 1.1, 0.25), math.log(5.0)
 _PRIOR_GROWTH = 0.02  # m/m and rad/m, measured in other rooms
 
 
@@ -49,7 +53,9 @@ class _Localized:
 
     Attributes:
         frames: (M,) those that get a pose.
-        errors: of these poses, beyond estimated noise.
+        distances_m: (M,) to the nearest frame whose landmarks localised them.
+        twists: (M, 6) errors of these poses.
+        poses: their landmark poses.
         found: landmarks found in each frame at its true pose.
         found_wrong: the same at another frame's pose, where there is one far enough away, and the landmarks do not
             lead back to the true pose.
@@ -57,15 +63,25 @@ class _Localized:
     """
 
     frames: NDArray[np.int64]
-    errors: PoseErrors
+    distances_m: FloatArray
+    twists: FloatArray
+    poses: list[LandmarkPose]
     found: list[int]
     found_wrong: list[int]
     log_focal: FloatArray
 
+    def errors(self, model: LandmarkBiasModel) -> PoseErrors:
+        """Errors beyond the noise of the landmark poses."""
+        noise = [
+            np.diag(model.covariance(pose, float(distance_m)))
+            for pose, distance_m in zip(self.poses, self.distances_m, strict=True)
+        ]
+        return _beyond_noise(twist_errors(self.twists), np.reshape(noise, (-1, 6)))
+
 
 def measure_landmarks(
     corners: list[Corners], camera: Camera, detected: Camera, poses: FloatArray
-) -> tuple[BiasModel, LandmarkEvidence] | None:
+) -> tuple[LandmarkBiasModel, LandmarkEvidence] | None:
     """Bias and evidence of what frames see of other frames' landmarks; None if fewer than half get a pose.
 
     Args:
@@ -80,16 +96,47 @@ def measure_landmarks(
 
     frames = np.arange(len(corners))
     both = localized(frames[::2], frames[1::2]), localized(frames[1::2], frames[::2])
-    sizes = zip(*(astuple(each.errors) for each in both), strict=True)
-    at_reference = PoseErrors(*(np.concatenate(size) for size in sizes))
-    if 2 * len(at_reference.position_m) < len(frames):
+    if 2 * sum(len(each.frames) for each in both) < len(frames):
         return None
     held_out = np.sort(np.concatenate(hold_out_regions(poses, REGIONS, HELD_OUT_SHARE)))
-    others = np.setdiff1d(frames, held_out)
-    away = localized(others, held_out)
-    distances_m = np.array([pose_distance_m(poses[index], poses[others]).min() for index in away.frames])
-    bias = fit_bias_model(at_reference, at_reference, away.errors, distances_m, _PRIOR_GROWTH)
-    return widened(bias, at_reference, away.errors, distances_m), _evidence([*both, away])
+    away = localized(np.setdiff1d(frames, held_out), held_out)
+    growth = fit_common_error_growth(
+        np.concatenate([each.twists for each in (*both, away)]),
+        [pose for each in (*both, away) for pose in each.poses],
+        np.concatenate([each.distances_m for each in (*both, away)]),
+        axis_sd(twist_errors(np.concatenate([each.twists for each in both]))),
+    )
+    noise = LandmarkBiasModel(common_error=_COMMON_ERROR, common_error_growth=growth)
+    sizes = zip(*(astuple(each.errors(noise)) for each in both), strict=True)
+    at_reference, away_errors = PoseErrors(*(np.concatenate(size) for size in sizes)), away.errors(noise)
+    bias = fit_bias_model(at_reference, at_reference, away_errors, away.distances_m, _PRIOR_GROWTH)
+    bias = widened(bias, at_reference, away_errors, away.distances_m)
+    return noise.model_copy(update=bias.model_dump()), _evidence([*both, away])
+
+
+def fit_common_error_growth(
+    twists: FloatArray, poses: list[LandmarkPose], distances_m: FloatArray, floor: tuple[float, float]
+) -> float:
+    """Growth of the error that landmarks have in common, by its likelihood and a prior from two rooms.
+
+    Args:
+        twists: (N, 6) errors of landmark poses.
+        poses: the N landmark poses.
+        distances_m: (N,) to the nearest reference pose.
+        floor: standard deviations an axis of the errors at the reference poses, metres and radians.
+    """
+    single = np.reshape([len(pose.points) * pose.covariance for pose in poses], (-1, 6, 6))
+    squares = np.array([squared_distance(float(distance_m)) for distance_m in distances_m])[:, None, None]
+    constant = _COMMON_ERROR * single + np.diag(np.repeat(floor, 3) ** 2)
+    best, best_value = _COMMON_ERROR_GROWTH, -np.inf
+    for growth in _COMMON_ERROR_GROWTH * _GROWTH_FACTORS:
+        covariances = constant + growth * squares * single
+        squared = np.einsum("ni,ni->n", twists, np.linalg.solve(covariances, twists[..., None])[..., 0])
+        prior = -0.5 * (math.log(growth / _COMMON_ERROR_GROWTH) / _GROWTH_LOG_SD) ** 2
+        value = prior - 0.5 * float(np.sum(squared + np.linalg.slogdet(covariances)[1]))
+        if value > best_value:
+            best, best_value = float(growth), value
+    return best
 
 
 def widened(bias: BiasModel, at_reference: PoseErrors, away: PoseErrors, distances_m: FloatArray) -> BiasModel:
@@ -188,13 +235,11 @@ def _localized(
             if measured.pose is None or pose_distance_m(poses[index], measured.pose.pose[None])[0] > FAR_M:
                 found_wrong.append(measured.found)
     twists = [se3_log(invert(poses[index]) @ landmark_pose.pose) for index, landmark_pose in seen.items()]
-    stated = [
-        np.diag(landmark_covariance(landmark_pose, float(pose_distance_m(poses[index], poses[by]).min())))
-        for index, landmark_pose in seen.items()
-    ]
     return _Localized(
         frames=np.array(list(seen), dtype=np.int64),
-        errors=_beyond_noise(twist_errors(np.reshape(twists, (-1, 6))), np.reshape(stated, (-1, 6))),
+        distances_m=np.array([pose_distance_m(poses[index], poses[by]).min() for index in seen]),
+        twists=np.reshape(twists, (-1, 6)),
+        poses=list(seen.values()),
         found=found,
         found_wrong=found_wrong,
         log_focal=np.array([pose.log_focal for pose in seen.values() if tells_focal(pose)]),

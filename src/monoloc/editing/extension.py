@@ -9,7 +9,7 @@ is measured on the new frames, and the stated covariance is at least that.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -34,6 +34,8 @@ from monoloc.map.local_fit import Components, fitted, part
 _MAX_DEPTH_M = 4.5  # as in a build
 _LEAST_POINTS = 10  # that the map does not know, for components of their own
 _MOST_FOLLOWED = 60  # frames along which a tuned network's bias is measured
+
+_Model = TypeVar("_Model", bound=BiasModel)
 
 
 def extend(
@@ -179,9 +181,9 @@ def _moved(landmarks: Landmarks, T_new_old: FloatArray) -> Landmarks:
     return Landmarks(points, landmarks.descriptors, views)
 
 
-def _wider(bias: BiasModel, other: BiasModel) -> BiasModel:
+def _wider(bias: _Model, other: _Model) -> _Model:
     pairs = zip(bias.model_dump().items(), other.model_dump().values(), strict=True)
-    return BiasModel(**{name: max(value, others) for (name, value), others in pairs})
+    return bias.model_copy(update={name: max(value, others) for (name, value), others in pairs})
 
 
 def _with_bias_of(bundle: Bundle, recording: Recording, poses: FloatArray) -> Bundle:

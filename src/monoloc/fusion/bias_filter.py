@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.bias_model import BiasModel, LandmarkBiasModel
 from monoloc.fusion.bias_state import (
     GATE,
     LANDMARKS,
@@ -72,7 +72,7 @@ class BiasAugmentedFilter:
         particle_bias: BiasModel,
         noise: MotionConfig,
         reference_poses: ReferencePoses,
-        landmark_bias: BiasModel = BiasModel(),
+        landmark_bias: LandmarkBiasModel = LandmarkBiasModel(),
         is_memoryless: bool = False,
     ) -> None:
         self._particle_bias, self._landmark_bias = particle_bias, landmark_bias
@@ -153,7 +153,8 @@ class BiasAugmentedFilter:
         return self._landmark_noise(measured) + np.diag(np.maximum(there**2 - here**2, 0.0))
 
     def _landmark_noise(self, measured: LandmarkPose) -> FloatArray:
-        return landmark_noise(measured, self._reference_poses.distance_m(measured.pose))
+        distance_m = self._reference_poses.distance_m(measured.pose)
+        return landmark_noise(self._landmark_bias.covariance(measured, distance_m))
 
     def reinitialise_from_landmarks(self, measured: LandmarkPose) -> Estimate:
         """The belief after landmarks relocalised the camera: only their pose counts."""

@@ -11,9 +11,7 @@ from monoloc.geometry import FloatArray
 from monoloc.landmarks.pnp import LandmarkPose
 
 _CORRELATION_LENGTH_M = 2.0  # of the bias, in pose distance
-# Share of the landmarks that are misplaced together, in variance: at the reference poses, and its growth a square
-# metre of pose distance. By maximum likelihood over a real desk and a real kitchen: docs/decisions/fusion.md.
-_COMMON_ERROR, _COMMON_ERROR_GROWTH = 0.03, 1.0
+_MOST_DISTANCE_M = 0.5  # to which growth was measured; from farther, errors were not seen to grow on
 
 
 class BiasModel(BaseModel):
@@ -58,26 +56,32 @@ class BiasModel(BaseModel):
         return math.exp(-step_m / _CORRELATION_LENGTH_M)
 
 
-def common_error(count: int, distance_m: float) -> float:
-    """By how much errors that landmarks have in common enlarge the variance of what many of them measure.
+class LandmarkBiasModel(BiasModel):
+    """The bias of landmark poses, and the noise beside it.
 
     The corners' localisation error alone would average out over hundreds of landmarks. But landmarks of one surface
-    are misplaced together, and more so the farther the view is from those that placed them.
+    are misplaced together, and more so the farther the view is from those that placed them. In a flat view, such an
+    error shifts and turns the pose along directions that the view determines weakly. So the covariance keeps the
+    shape that the corners' localisation error gives it, and grows with the number of landmarks.
 
-    Args:
-        count: of the landmarks.
-        distance_m: pose distance to the nearest reference pose.
+    Attributes:
+        common_error: variance that landmarks have in common, relative to that of one corner, at the reference poses.
+        common_error_growth: its growth a square metre of pose distance, up to half a metre.
     """
-    return max(1.0, count * (_COMMON_ERROR + _COMMON_ERROR_GROWTH * distance_m**2))
+
+    common_error: float = Field(0.05, ge=0.0, le=1e4)
+    common_error_growth: float = Field(0.0, ge=0.0, le=1e4)
+
+    def covariance(self, measured: LandmarkPose, distance_m: float) -> FloatArray:
+        """Covariance (6, 6) of a landmark pose without its bias, of a twist in the camera's frame.
+
+        Args:
+            distance_m: pose distance to the nearest reference pose.
+        """
+        common = self.common_error + self.common_error_growth * squared_distance(distance_m)
+        return np.asarray(max(1.0, len(measured.points) * common) * measured.covariance)
 
 
-def landmark_covariance(measured: LandmarkPose, distance_m: float) -> FloatArray:
-    """Covariance (6, 6) of a landmark pose, of a twist in the camera's frame.
-
-    In a flat view, an error that landmarks have in common shifts and turns the pose along directions that the view
-    determines weakly. So the covariance by the corners' localisation error keeps its shape.
-
-    Args:
-        distance_m: pose distance to the nearest reference pose.
-    """
-    return np.asarray(common_error(len(measured.points), distance_m) * measured.covariance)
+def squared_distance(distance_m: float) -> float:
+    """Square of a pose distance, up to which the common error of landmarks grows."""
+    return min(distance_m, _MOST_DISTANCE_M) ** 2

@@ -7,9 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from monoloc.evaluation.consistency import CHI2_6_QUANTILE_99
-from monoloc.fusion.bias_model import landmark_covariance
 from monoloc.geometry import FloatArray, adjoint, invert, se3_exp, se3_log
-from monoloc.landmarks.pnp import LandmarkPose
 from monoloc.particle_filter.estimate import Estimate
 
 PARTICLES, LANDMARKS = 0, 1
@@ -167,7 +165,6 @@ def particle_noise(measured: Estimate) -> FloatArray:
     return np.asarray(_PARTICLE_INFLATION**2 * measured.covariance + _LEAST_VARIANCE * np.eye(6))
 
 
-def landmark_noise(measured: LandmarkPose, distance_m: float) -> FloatArray:
-    """Covariance (6, 6) of a landmark pose without its bias, at a distance from the nearest reference pose."""
-    covariance = landmark_covariance(measured, distance_m)
+def landmark_noise(covariance: FloatArray) -> FloatArray:
+    """Noise (6, 6) of a landmark pose with a covariance, without its bias."""
     return np.asarray(_LANDMARK_INFLATION**2 * covariance + _LEAST_VARIANCE * np.eye(6))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-from monoloc.fusion.bias_model import common_error
 from monoloc.landmarks.pnp import LandmarkPose
 
 WELL_OBSERVED_SD = 0.02
 """Standard deviation of log-focal above which it says nothing: the view is too flat."""
 
+_COMMON_ERROR = 0.03  # variance that landmarks have in common, relative to that of one corner
 _MEMORY_S = 3.0  # time constant of the mean
 _LEAST_S = 0.5  # of measurements before anything is said
 _MOST_SD = 3.0  # of single frames, since they are correlated, by which the mean may differ from the build's
@@ -18,7 +18,7 @@ _LEAST_LOG_FOCAL = 0.04  # smaller differences move a pose by little more than t
 
 def tells_focal(pose: LandmarkPose) -> bool:
     """Whether a landmark pose determines the focal length; in a flat view it does not."""
-    return pose.log_focal_sd * math.sqrt(common_error(len(pose.points), 0.0)) <= WELL_OBSERVED_SD
+    return pose.log_focal_sd * math.sqrt(max(1.0, _COMMON_ERROR * len(pose.points))) <= WELL_OBSERVED_SD
 
 
 class CameraCheck:
