@@ -14,12 +14,10 @@ from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.localizer_config import PARTS, LocalizerConfig, Part
 
-_UNBIASED = {"particle_bias": BiasModel(), "landmark_bias": LandmarkBiasModel()}
 _SETTINGS: dict[Part, dict[str, Any]] = {
     "odometry": {"motion": "random-walk"},
     "depth-scale": {"log_scale_sd": 0.0},
     "scale-tilt": {"scale_tilt": None},
-    "bias": _UNBIASED,
 }
 
 
@@ -45,6 +43,9 @@ def leave_out(bundle: Bundle, config: LocalizerConfig) -> tuple[Bundle, Localize
     if "bias" in without or "known-bias" in without:
         changes = {"particle_bias": _with_known_part(config.particle_bias, bundle.reference_poses)} | changes
         bundle = replace(bundle, reference_poses=ReferencePoses.without_bias(bundle.reference_poses.poses))
+    if "bias" in without:
+        noise = config.landmark_bias.model_dump(include={"common_error", "common_error_growth"})
+        changes |= {"particle_bias": BiasModel(), "landmark_bias": LandmarkBiasModel(**noise)}
     if "landmarks" in without:
         bundle = replace(bundle, landmarks=Landmarks.none())
     reduced = config.model_copy(update=changes)

@@ -14,7 +14,7 @@ from monoloc.depth.predictor import DepthPrediction, DepthPredictor
 from monoloc.depth.spec import DepthModel
 from monoloc.evaluation.consistency import consistency
 from monoloc.evaluation.trajectory import pose_errors
-from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.bias_model import BiasModel, LandmarkBiasModel
 from monoloc.geometry import FloatArray, is_rigid, make_pose, se3_exp
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.likelihood.thresholds import LikelihoodThresholds
@@ -179,7 +179,7 @@ def test_landmarks_correct_what_biased_depth_draws_away(flights: Flights, landma
     for known in (Landmarks.none(), landmarks):
         localizer = flights.localizer(
             particle_bias=BiasModel(sd_at_reference_m=0.1, sd_at_reference_rad=0.05),
-            landmark_bias=BiasModel(sd_at_reference_m=0.005, sd_at_reference_rad=0.003),
+            landmark_bias=LandmarkBiasModel(sd_at_reference_m=0.005, sd_at_reference_rad=0.003),
             landmarks=known,
         )
         steps = [localizer.step(flights.recording.color(index), FRAME_S, depth) for index, depth in enumerate(depths)]

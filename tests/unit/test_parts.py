@@ -9,7 +9,7 @@ import pytest
 
 from map_helpers import make_mixture
 from monoloc.errors import SettingError
-from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.bias_model import BiasModel, LandmarkBiasModel
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.localizer_config import PARTS, Part
 from monoloc.parts import leave_out, parse_parts
@@ -27,7 +27,7 @@ def test_all_parts_are_left_out(recording: RoomRecording) -> None:
     bundle = make_bundle(make_mixture(8), recording, range(4))
     _, config = leave_out(bundle, bundle.settings.model_copy(update={"without": PARTS}))
     assert (config.motion, config.log_scale_sd, config.scale_tilt) == ("random-walk", 0.0, None)
-    assert config.particle_bias == config.landmark_bias == BiasModel()
+    assert (config.particle_bias, config.landmark_bias) == (BiasModel(), LandmarkBiasModel())
 
 
 @pytest.mark.parametrize("part", ["known-bias", "bias"])

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from monoloc.fusion.bias_model import BiasModel, landmark_covariance
+from monoloc.fusion.bias_model import BiasModel, LandmarkBiasModel
 from monoloc.landmarks.pnp import LandmarkPose
 
 sizes = st.floats(0.0, 1.0)
@@ -55,15 +55,20 @@ def test_relocalization_widens_and_never_narrows() -> None:
     np.testing.assert_array_equal(model.relocalization_sds(4.0), model.sds(4.0))
 
 
-def test_many_landmarks_far_from_the_reference_poses_state_no_less_than_a_few_near_them() -> None:
-    """An error that landmarks have in common does not average out, and keeps the shape of the covariance."""
+def test_errors_that_landmarks_have_in_common_do_not_average_out_and_keep_the_shape_of_the_view() -> None:
     shape = np.diag([4.0, 1.0, 1.0, 0.1, 2.0, 0.1])
+    model = LandmarkBiasModel(common_error=0.03, common_error_growth=1.0)
 
     def stated(count: int, distance_m: float) -> np.ndarray:
         measured = LandmarkPose(np.eye(4), shape / count, np.zeros((count, 3)))  # as the corners' error alone
-        return landmark_covariance(measured, distance_m)
+        return model.covariance(measured, distance_m)
 
     np.testing.assert_allclose(stated(20, 0.0), shape / 20)
-    np.testing.assert_allclose(stated(500, 0.0), stated(100, 0.0))
-    assert stated(500, 0.0)[0, 0] > 10.0 * shape[0, 0] / 500
-    np.testing.assert_allclose(stated(100, 0.5) / stated(100, 0.0).max(), shape / shape.max() * (0.28 / 0.03))
+    np.testing.assert_allclose(stated(500, 0.0), 0.03 * shape)
+    np.testing.assert_allclose(stated(500, 0.3), (0.03 + 0.09) * shape)
+    np.testing.assert_allclose(stated(100, 4.0), stated(100, 0.5))  # farther, growth was not measured
+
+
+def test_landmarks_of_bundles_without_a_measured_noise_count_as_twenty() -> None:
+    measured = LandmarkPose(np.eye(4), np.eye(6), np.zeros((100, 3)))
+    np.testing.assert_allclose(LandmarkBiasModel().covariance(measured, 1.0), 5.0 * np.eye(6))
