@@ -40,4 +40,4 @@ def test_builds_see_the_altered_recording() -> None:
     np.testing.assert_array_equal(kept.poses, noisy.poses)
     assert kept.source is recording
     kept = KeptDepth(narrow)
-    assert kept.camera == narrow.camera and kept.color(1).shape == kept.depth(1).shape + (3,) == (76, 96, 3)
+    assert kept.camera == narrow.camera and kept.color(1).shape == (*kept.depth(1).shape, 3) == (76, 96, 3)
