@@ -9,8 +9,9 @@ import pytest
 
 from monoloc.bundle import Bundle
 from monoloc.geometry import make_pose
-from monoloc.map.mixture import GaussianMixture
+from monoloc.map import occupancy
 from monoloc.obstacles import MOST_M, DepthError, MapKnowledge, Surroundings
+from refusals import refuses_setting
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
 
 # In the room, y points down: a level vehicle that looks along z, with x to its right.
@@ -57,13 +58,10 @@ def test_new_obstacle_in_a_direction_that_the_map_knows_as_free(bundle: Bundle) 
     assert not knowledge.joined(live({0: MOST_M - 0.01}), T_WORLD_LEVEL).is_new[0]
 
 
-def test_map_of_a_whole_floor_has_coarser_voxels(bundle: Bundle) -> None:
-    room = bundle.original
-    shifts = [np.array([40.0 * x, 0.0, 40.0 * z]) for x in range(2) for z in range(2)]
-    floor = GaussianMixture(
-        np.tile(room.weights / len(shifts), len(shifts)),
-        np.concatenate([room.means + shift for shift in shifts]),
-        np.tile(room.covariances, (len(shifts), 1, 1)),
-    )
-    distances_m = MapKnowledge(replace(bundle, original=floor)).distances_m(T_WORLD_LEVEL)
-    assert distances_m[0] == pytest.approx(3.0, abs=0.2) and distances_m[36] == pytest.approx(2.0, abs=0.2)
+def test_map_that_is_too_large_for_its_voxels_has_coarser_ones(
+    bundle: Bundle, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fine = MapKnowledge(bundle).distances_m(T_WORLD_LEVEL)
+    monkeypatch.setattr(occupancy, "_MOST_VOXELS", 1 << 17)
+    refuses_setting(lambda: occupancy.surface_voxels(bundle.original, 0.05), "voxel_m", "for a map of", "or more")
+    np.testing.assert_allclose(MapKnowledge(bundle).distances_m(T_WORLD_LEVEL), fine, atol=0.2)
