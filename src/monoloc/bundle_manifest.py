@@ -1,4 +1,4 @@
-"""The manifest of a bundle: what a bundle says of itself, sealed against edits, in this schema and earlier ones."""
+"""The manifest of a bundle, sealed against edits, in this schema and earlier ones."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Provenance(BaseModel):
         down_world: mean direction of the cameras' y axes over those frames: down, if the camera was held upright.
         scale_sd: relative standard deviation of the map's scale; None where a sensor measured it.
         brightness: median grey level, of 255, of the build's images: mean and standard deviation over the images;
-            None in bundles that do not tell it.
+            None in bundles that do not keep it.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -139,7 +139,7 @@ def parse_manifest(content: bytes, file: Path) -> Manifest:
 
 
 def _unknown_schema(file: Path, body: object) -> BundleError:
-    """What schema it is of, and what to rebuild it from, as far as the manifest tells."""
+    """The error that names its schema, and what to rebuild it from if the manifest holds that."""
     entries = body if isinstance(body, dict) else {}
     found = entries.get("schema_version")
     problem = f"has schema {found}, this monoloc reads {READ_SCHEMAS[0]} to {SCHEMA}"

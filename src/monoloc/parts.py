@@ -38,7 +38,7 @@ def leave_out(bundle: Bundle, config: LocalizerConfig) -> tuple[Bundle, Localize
     """
     without = config.without
     if not without:
-        return bundle, config
+        return (bundle if bundle.settings == config else replace(bundle, settings=config)), config
     changes = {name: value for part in without for name, value in _SETTINGS.get(part, {}).items()}
     if "bias" in without or "known-bias" in without:
         changes = {"particle_bias": _with_known_part(config.particle_bias, bundle.reference_poses)} | changes

@@ -163,4 +163,4 @@ def level_counts(counts: Mapping[Level, int]) -> dict[str, int]:
 
 def budget_line(counts: Mapping[str, int]) -> str:
     """What :func:`level_counts` counted, in a line for a person."""
-    return "left out to keep the budget: " + ", ".join(f"{words} ({count})" for words, count in counts.items())
+    return "steps under the budget: " + ", ".join(f"{words} ({count})" for words, count in counts.items())

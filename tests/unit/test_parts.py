@@ -23,6 +23,14 @@ def test_nothing_changes_where_nothing_is_left_out(recording: RoomRecording) -> 
     assert leave_out(bundle, bundle.settings) == (bundle, bundle.settings)
 
 
+def test_settings_count_and_not_those_of_the_bundle(recording: RoomRecording) -> None:
+    bundle = make_bundle(make_mixture(8), recording, range(4))
+    settings = bundle.settings
+    reduced = replace(bundle, settings=settings.model_copy(update={"without": ("relocalization",)}))
+    assert leave_out(reduced, settings)[0].supports_relocalization == bundle.supports_relocalization
+    assert bundle.supports_relocalization and not reduced.supports_relocalization
+
+
 def test_all_parts_are_left_out(recording: RoomRecording) -> None:
     bundle = make_bundle(make_mixture(8), recording, range(4))
     _, config = leave_out(bundle, bundle.settings.model_copy(update={"without": PARTS}))

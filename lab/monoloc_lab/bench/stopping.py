@@ -82,7 +82,7 @@ class Stop:
 
 @dataclass
 class Sectors:
-    """Distances of the sectors whose true one is known and that the newest frame tells, over all frames.
+    """Distances of the sectors whose true one is known and that the newest frame measures, over all frames.
 
     Attributes:
         true_m: by exact depth at the true pose.
@@ -102,8 +102,8 @@ class ErrorFigures:
     """Errors of distances where the truth is in one bin.
 
     Attributes:
-        median, p5, p95: percentiles of told over true, less one; what is told as free counts as 5 m.
-        missed_rate: share that is told 30 % farther or more.
+        median, p5, p95: percentiles of measured over true, less one; what is measured as free counts as 5 m.
+        missed_rate: share that is measured 30 % farther or more.
         within_2_sd: share whose error is within two stated standard deviations.
     """
 
@@ -116,7 +116,7 @@ class ErrorFigures:
 
 @dataclass(frozen=True)
 class DistanceFigures:
-    """Errors by what tells the distances, see :class:`Sectors`, over a number of sectors."""
+    """Errors by what measures the distances, see :class:`Sectors`, over a number of sectors."""
 
     sectors: int
     frame: ErrorFigures
@@ -288,7 +288,7 @@ class _Flight:
         around: Surroundings,
         sectors: Sectors,
     ) -> None:
-        """Add the sectors of a frame whose true distance is known, and that the frame or the last second tells."""
+        """Add the sectors of a frame whose true distance is known, and that the frame or the last second measures."""
         exact = DepthPrediction(recording.depth(index), recording.camera)
         T_level_camera = self._frames.T_level_camera(Estimate(pose, np.zeros((6, 6)), 0.0))
         true_m = sector_distances_m(transform(T_level_camera, depth_points(exact, 0.0)))
@@ -346,23 +346,23 @@ def distance_figures(sectors: Sectors, error: DepthError) -> dict[str, DistanceF
     if not sectors.true_m:
         return {}
     true_m = np.concatenate(sectors.true_m)
-    told = [np.concatenate(each) for each in (sectors.frame_m, sectors.live_m, sectors.joined_m)]
+    measured = [np.concatenate(each) for each in (sectors.frame_m, sectors.live_m, sectors.joined_m)]
     figures = {}
     for low, high in itertools.pairwise(BINS_M):
         is_in = (true_m >= low) & (true_m < high)
         if is_in.any():
-            errors = (_errors(true_m[is_in], each[is_in], error) for each in told)
+            errors = (_errors(true_m[is_in], each[is_in], error) for each in measured)
             figures[f"{low:g}-{high:g}"] = DistanceFigures(int(is_in.sum()), *errors)
     return figures
 
 
-def _errors(true_m: FloatArray, told_m: FloatArray, error: DepthError) -> ErrorFigures:
-    within_m = np.minimum(told_m, MOST_M)
+def _errors(true_m: FloatArray, measured_m: FloatArray, error: DepthError) -> ErrorFigures:
+    within_m = np.minimum(measured_m, MOST_M)
     low, median, high = np.percentile(within_m / true_m - 1.0, [5.0, 50.0, 95.0])
     return ErrorFigures(
         median=float(median),
         p5=float(low),
         p95=float(high),
-        missed_rate=float(np.mean(told_m > _MISSED * true_m)),
+        missed_rate=float(np.mean(measured_m > _MISSED * true_m)),
         within_2_sd=float(np.mean(np.abs(within_m - true_m) <= 2.0 * error.sd_m(within_m))),
     )

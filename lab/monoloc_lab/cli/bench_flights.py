@@ -235,4 +235,4 @@ def stop(
                 f"{light}, {name}: {stops.stops} of {stops.approaches} stopped, {stops.stops_by_distance} by distance"
             )
             print_table(title, ["true distance", "sectors", "frame", "last second", "with the map"], rows)
-    stderr.print("median error, and share of sectors that are told 30 % farther or more")
+    stderr.print("median error, and share of sectors that are measured 30 % farther or more")

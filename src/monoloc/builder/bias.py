@@ -49,10 +49,11 @@ def localizer_factory(
 ) -> LocalizerFactory:
     """Makes localizers to measure a bundle's bias with, for the camera of its build recording.
 
-    They neither relocalise, so that errors grow as far as they do, nor use landmarks, which say nothing of the
-    particles' bias.
+    They neither relocalise, so that errors grow as far as they do, nor use landmarks, which do not measure the
+    particles' bias, nor keep a budget, so that the result does not depend on the computer's speed.
     """
-    room = replace(bundle, reference_poses=ReferencePoses.none(), landmarks=Landmarks.none())
+    settings = bundle.settings.model_copy(update={"budget_ms": None})
+    room = replace(bundle, settings=settings, reference_poses=ReferencePoses.none(), landmarks=Landmarks.none())
 
     def without_landmarks(bundle: Bundle, camera: Camera, config: LocalizerConfig) -> Components:
         return replace(components(bundle, camera, config), landmarks=NoLandmarks())

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from monoloc.builder.trajectories import LONG_FRAMES, can_be_followed
 from monoloc.geometry import FloatArray, invert, pose_distance_m, rotation_angle, transform
-from monoloc.io.recording import Recording, Selection
+from monoloc.io.recording import Recording, narrowed
 from monoloc.progress import Progress
 
 _CANDIDATES = 2  # times the frames that are wanted: so many depth images are read
@@ -61,9 +61,7 @@ def choose_frames(recording: Recording, most: int, progress: Progress) -> Record
     chosen = free[most_covering([cells[index] for index in free.tolist()], most - len(taken), covered)]
     chosen = np.append(chosen, free[~np.isin(free, chosen)][: most - len(taken) - len(chosen)])
     frames = np.union1d(taken, candidates[chosen])
-    if isinstance(recording, Selection):
-        return Selection(recording.source, recording.positions[frames])
-    return Selection(recording, frames)
+    return narrowed(recording, frames)
 
 
 def most_covering(sets: list[set[Cell]], count: int, covered: Iterable[Cell] = ()) -> list[int]:

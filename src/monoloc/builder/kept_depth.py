@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.io.recording import Recording, Selection
+from monoloc.io.recording import Recording, Selection, narrowed
 
 _MOST_BYTES = 1 << 28
 
@@ -18,10 +18,9 @@ class KeptDepth(Selection):
 
     def __init__(self, recording: Recording) -> None:
         # Of a selection, its source: checks look for what was left out, and for the kind of recording.
-        if isinstance(recording, Selection):
-            super().__init__(recording.source, recording.positions)
-        else:
-            super().__init__(recording, np.arange(len(recording)))
+        selection = narrowed(recording, np.arange(len(recording)))
+        super().__init__(selection.source, selection.positions)
+        self.poses = selection.poses
         self._kept: dict[int, NDArray[np.float32]] = {}
         self._free_bytes = _MOST_BYTES
 

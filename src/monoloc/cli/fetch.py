@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json as json_format
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from pydantic import TypeAdapter
 
 from monoloc.cli.common import JsonOption, check_folder, print_json, print_table, stderr
 from monoloc.errors import DataError, SettingError
@@ -18,6 +18,7 @@ from monoloc.partial_files import whole_folder
 from monoloc.progress import ConsoleProgress
 
 _CHECKSUMS = "monoloc-checksums.json"  # of archives by address, as they were first downloaded
+_Checksums = TypeAdapter(dict[str, str])
 
 
 def fetch(
@@ -86,11 +87,10 @@ def _check(data_set: DataSet, archive: Path, record: Path) -> None:
     """Compare an archive with its checksum: the known one, else that of the first download, which is recorded."""
     found = sha256_of(archive)
     try:
-        recorded = json_format.loads(read_regular(record)) if record.exists() else {}
+        recorded = _Checksums.validate_json(read_regular(record)) if record.exists() else {}
     except ValueError as error:
-        raise DataError(
-            record, f"is no JSON ({error})", "remove it; the next download records its checksum"
-        ) from error
+        fix = "remove it; the next download records its checksum"
+        raise DataError(record, "holds no checksums by address", fix) from error
     expected = data_set.sha256 or recorded.get(data_set.archive)
     if expected is None:
         write_whole(record, json_text({**recorded, data_set.archive: found}).encode() + b"\n")

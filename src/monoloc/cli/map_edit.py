@@ -12,6 +12,7 @@ import numpy as np
 import typer
 
 from monoloc.bundle import Bundle, check_target, read_bundle, write_bundle
+from monoloc.bundle_signature import SIGNATURE
 from monoloc.cli.common import (
     DepthScaleOption,
     FixDepthOption,
@@ -76,7 +77,10 @@ class _Target:
         began = time.perf_counter()
         edited = change(bundle)
         seconds = time.perf_counter() - began
+        was_signed = (target / SIGNATURE).is_file()
         size = write_bundle(target_of(target), edited)
+        if was_signed:
+            stderr.print(f"note: {target}: its signature is void and was removed; sign it again", soft_wrap=True)
         content: dict[str, object] = {"bundle": str(target), "bytes": size, "seconds": round(seconds, 3)}
         if len(edited.edits) > len(bundle.edits):
             last = edited.edits[-1]

@@ -25,7 +25,7 @@ from monoloc.extras import require_plotting
 from monoloc.geometry import FloatArray
 from monoloc.io.ros_grid import picture_of
 from monoloc.map.mixture import GaussianMixture
-from monoloc.map.occupancy import FREE, OCCUPIED, surface_voxels
+from monoloc.map.occupancy import FREE, OCCUPIED, fitting_voxel_m, surface_voxels
 from monoloc.map.surface import EXTENT_SIGMAS, surface_points
 from monoloc.map_export import T_map_world, export_ellipsoids, export_grid, export_points, export_voxels
 from monoloc.obstacles.depth_error import nearest_depth_m
@@ -212,9 +212,11 @@ def _bundle(path: Path) -> dict[str, object]:
 
 
 def _seen(bundle: Bundle) -> dict[str, object]:
-    """Volume of the surfaces, and of the space that the build's cameras saw through, by voxels of 10 cm."""
+    """Volume of the surfaces, and of the space that the build's cameras saw through, by voxels of 10 cm or more."""
     poses = bundle.reference_poses.poses
-    grid = surface_voxels(bundle.original, _SEEN_VOXEL_M, poses[:, :3, 3]).with_free_space(poses, bundle.camera)
+    eyes = poses[:, :3, 3]
+    grid = surface_voxels(bundle.original, fitting_voxel_m(bundle.original, _SEEN_VOXEL_M, eyes), eyes)
+    grid = grid.with_free_space(poses, bundle.camera)
     return {"surface_volume_m3": grid.volume_m3(OCCUPIED), "free_volume_m3": grid.volume_m3(FREE)}
 
 

@@ -49,7 +49,7 @@ class Alignment:
     Attributes:
         T_world_other: (4, 4).
         landmarks: frames, or pairs of landmarks, that agree.
-        apart_m: pose distance between what landmarks and what surfaces say, at the middle of the surfaces.
+        apart_m: pose distance between the placements by landmarks and by surfaces, at the middle of the surfaces.
         overlap: share of the other's surfaces that the map knows.
     """
 
@@ -73,7 +73,7 @@ def align_recording(bundle: Bundle, recording: Recording, cloud: FloatArray, rng
         cloud: of the recording, (N, 3), its world frame, metres.
 
     Raises:
-        DataError: landmarks do not tell, the surfaces do not overlap, or both do not agree.
+        DataError: landmarks do not place it, the surfaces do not overlap, or both do not agree.
     """
     found = _poses_by_landmarks(bundle, recording, _FRAMES)
     agreed = _consensus(*found)
@@ -84,10 +84,10 @@ def align_recording(bundle: Bundle, recording: Recording, cloud: FloatArray, rng
 
 
 def check_same_world(bundle: Bundle, recording: Recording) -> int:
-    """Refuse a recording whose poses are in another world, as far as landmarks tell.
+    """Refuse a recording whose poses are in another world, as far as landmarks show it.
 
     Returns:
-        The number of frames that landmarks localise where the poses say; 0 if none is localised.
+        The number of frames that landmarks localise near the given poses; 0 if none is localised.
 
     Raises:
         DataError: landmarks agree on another world.

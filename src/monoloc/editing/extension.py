@@ -55,7 +55,6 @@ def extend(
         raise DataError(recording.name, f"has no {what}", "extend by a recording with poses and depth")
     poses, measured = recording.poses, dict[str, Any]()
     recording = KeptDepth(recording)
-    recording.poses = poses  # of a selection, whose own may differ from its source's
     paired = PairedMap.of(bundle)
     cloud = cloud_from_recording(recording, paired.voxel_m, _MAX_DEPTH_M)
     if is_aligned:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import json
-import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, cast
@@ -54,7 +53,7 @@ def with_edit(before: Bundle, after: Bundle, record: EditRecord) -> Bundle:
     if views is not None:
         arrays["views"] = se3_log(views.poses).astype(np.float32)
     changed = {name: _body(before, name) for name in _PARTS if getattr(before, name) != getattr(after, name)}
-    arrays["manifest"] = np.frombuffer(zlib.compress(json.dumps(changed).encode()), np.uint8)
+    arrays["manifest"] = np.frombuffer(json.dumps(changed).encode(), np.uint8)
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **cast(dict[str, Any], arrays))
     return replace(after, edits=(*before.edits, Edit(record, buffer.getvalue())))
@@ -72,7 +71,7 @@ def undone(bundle: Bundle) -> Bundle:
     arrays = decode_arrays(bundle.edits[-1].undo)
     try:
         return _restored(bundle, arrays)
-    except (KeyError, IndexError, TypeError, zlib.error) as error:
+    except (KeyError, IndexError, TypeError, RecursionError) as error:
         raise ValueError(f"the last edit cannot be taken back ({error})") from error
 
 
@@ -84,7 +83,7 @@ def _restored(bundle: Bundle, arrays: _Arrays) -> Bundle:
     )
     references = _before("references", _references(bundle), arrays).view(np.float32).reshape(-1, 3, 6)
     poses, forward, backward = (references[:, column].astype(np.float64) for column in range(3))
-    changed = json.loads(zlib.decompress(arrays["manifest"].tobytes()))
+    changed = json.loads(arrays["manifest"].tobytes())
     return replace(
         bundle,
         original=original,

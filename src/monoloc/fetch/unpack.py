@@ -10,7 +10,8 @@ from pathlib import Path
 
 from monoloc.errors import DataError
 
-_BROKEN = (zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError, NotImplementedError)
+# RuntimeError: encrypted, compressed in an unknown way, or nested without end.
+_BROKEN = (zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError, RuntimeError)
 
 
 def unpack(archive: Path, folder: Path) -> None:

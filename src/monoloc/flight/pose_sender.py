@@ -40,7 +40,7 @@ class PoseSender:
         frames: of vehicle and map.
         firmware: of the autopilot.
         settings: of the flight.
-        watch: tells obstacles; None sends none.
+        watch: finds the obstacles; None sends none.
     """
 
     def __init__(

@@ -89,6 +89,18 @@ class Selection:
         return self.source.depth(int(self.positions[index]))
 
 
+def narrowed(recording: Recording, frames: NDArray[np.int64]) -> Selection:
+    """Some frames of a recording. Those of a selection are selected from its source, with the selection's poses.
+
+    A subclass of :class:`Selection` alters what it selects, so that it is a source itself.
+    """
+    if type(recording) is not Selection:
+        return Selection(recording, frames)
+    chosen = Selection(recording.source, recording.positions[frames])
+    chosen.poses = None if recording.poses is None else recording.poses[frames]
+    return chosen
+
+
 def scale_sd_of(recording: Recording) -> float | None:
     """Relative standard deviation of the scale of poses and depth; None where a sensor measured them in metres."""
     return getattr(recording, "scale_sd", None)

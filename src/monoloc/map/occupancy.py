@@ -24,7 +24,7 @@ SEEN_M = 4.0
 """Distance up to which a build's cameras are taken to see."""
 
 _COVERED = 0.25  # share of a covered surface's mass from which a voxel is occupied
-_MOST_VOXELS = 1 << 25
+_MOST_VOXELS, _COARSER = 1 << 25, 1.1
 _MOST_VIEWS, _VIEW_PX = 200, (32, 24)  # of the cameras that built the map
 _STEP = 0.5  # of a voxel, in which patches are covered and rays followed
 
@@ -103,6 +103,14 @@ class VoxelGrid:
         return np.arange(step_m, most_m, step_m)
 
 
+def fitting_voxel_m(mixture: GaussianMixture, voxel_m: float, also: FloatArray | None = None) -> float:
+    """The edge of a voxel, or in a map that is too large for it, one whose grid :func:`surface_voxels` takes."""
+    low, high = _extent(mixture, also)
+    while np.prod(np.floor(high / voxel_m) - np.floor(low / voxel_m) + 1.0) > _MOST_VOXELS:
+        voxel_m *= _COARSER
+    return voxel_m
+
+
 def surface_voxels(
     mixture: GaussianMixture, voxel_m: float, also: FloatArray | None = None, option: str = "voxel_m"
 ) -> VoxelGrid:
@@ -123,11 +131,7 @@ def surface_voxels(
     if not 0.0 < voxel_m < np.inf:
         raise SettingError(option, f"is {voxel_m}", "give a positive size in metres")
     axes, half_m = patches(mixture)
-    reach_m = np.abs(axes) @ half_m[:, :, None]
-    corners = [mixture.means - reach_m[:, :, 0], mixture.means + reach_m[:, :, 0]]
-    corners += [] if also is None else [also]
-    every = np.concatenate(corners)
-    low, high = (np.floor(each / voxel_m) for each in (every.min(axis=0), every.max(axis=0)))
+    low, high = (np.floor(each / voxel_m) for each in _extent(mixture, also))
     shape = high - low + 1.0
     if np.prod(shape) > _MOST_VOXELS:
         least_m = voxel_m * float(np.prod(shape) / _MOST_VOXELS) ** (1.0 / 3.0)
@@ -143,3 +147,12 @@ def surface_voxels(
         np.add.at(mass, (x, y, z), weight / len(offsets))
     is_occupied = mass >= _COVERED * mass_per_area(mixture) * voxel_m**2
     return VoxelGrid(first, voxel_m, np.where(is_occupied, OCCUPIED, UNKNOWN).astype(np.uint8))
+
+
+def _extent(mixture: GaussianMixture, also: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """Lower and upper corner (3,) of the patches, and of further points (N, 3)."""
+    axes, half_m = patches(mixture)
+    reach_m = (np.abs(axes) @ half_m[:, :, None])[:, :, 0]
+    corners = [mixture.means - reach_m, mixture.means + reach_m, *([] if also is None else [also])]
+    every = np.concatenate(corners)
+    return every.min(axis=0), every.max(axis=0)

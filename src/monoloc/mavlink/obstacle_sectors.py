@@ -22,5 +22,5 @@ def sector_distances_cm(distances_m: FloatArray) -> NDArray[np.uint16]:
     """
     free_cm = round(100.0 * MOST_M) + 1
     within = np.clip(np.where(np.isfinite(distances_m), distances_m, 0.0), LEAST_M, MOST_M)
-    told = np.where(np.isinf(distances_m), free_cm, np.rint(100.0 * within))
-    return np.where(np.isnan(distances_m), UNKNOWN_CM, told).astype(np.uint16)
+    known = np.where(np.isinf(distances_m), free_cm, np.rint(100.0 * within))
+    return np.where(np.isnan(distances_m), UNKNOWN_CM, known).astype(np.uint16)

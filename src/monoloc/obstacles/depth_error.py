@@ -31,7 +31,7 @@ class DepthError:
         is_measured: whether a build measured them in the room with the network that is used. If not, they are those
             of the settings, and say little.
         nearest_m: depth than which the build's cameras saw 1 % nearer. What is nearer was hardly ever seen when the
-            errors were measured and the network was tuned: it may be told as much farther than it is.
+            errors were measured and the network was tuned: it may be measured as much farther than it is.
     """
 
     relative_sd: float
@@ -56,7 +56,7 @@ class DepthError:
         return cls(float(np.linalg.norm(parts)), absolute_m, tells_obstacles(bundle), nearest_depth_m(bundle))
 
     def sd_m(self, distances_m: FloatArray) -> FloatArray:
-        """Standard deviation of distances (...) m; NaN where there is none, infinite beyond what is told."""
+        """Standard deviation of distances (...) m; NaN where there is none, infinite where a direction is free."""
         with np.errstate(invalid="ignore"):
             return np.asarray(np.hypot(self.relative_sd * distances_m, self.absolute_sd_m))
 

@@ -1,10 +1,10 @@
-"""Local occupancy: what the depth of the last second says of the space around the vehicle, at its height.
+"""Local occupancy: the space around the vehicle, at its height, by the depth of the last second.
 
-The space is a polar grid of sectors and rings around the vehicle. Each frame of the last second says of a cell that
-it is free, if the frame's nearest obstacle in that direction is farther, or occupied, if it is there; the log-odds of
-the frames add up (Moravec and Elfes 1985), by as much as in OctoMap (Hornung et al. 2013). So one frame that misses
-an obstacle does not open the way, and what has left the image is remembered. An obstacle in the newest frame counts
-at once, whatever earlier frames said.
+The space is a polar grid of sectors and rings around the vehicle. For each frame of the last second a cell is free if
+the frame's nearest obstacle in that direction is farther, and occupied if it is there. The log-odds of the frames add
+up (Moravec and Elfes 1985), by as much as in OctoMap (Hornung et al. 2013). So one frame that misses an obstacle does
+not open the way, and what has left the image is remembered. An obstacle in the newest frame counts at once, whatever
+earlier frames showed.
 """
 
 from __future__ import annotations
@@ -77,9 +77,9 @@ class Surroundings:
             azimuth_rad: direction, clockwise from the heading as seen from above.
         """
         sectors = np.flatnonzero(np.isfinite(self.distances_m))
-        told_m, turned = self.distances_m[sectors], SECTOR_RAD * sectors - azimuth_rad
-        along_m = told_m * np.cos(turned)
-        aside_m = told_m * (np.abs(np.sin(turned)) - 0.5 * SECTOR_RAD)  # it is somewhere within its sector
+        known_m, turned = self.distances_m[sectors], SECTOR_RAD * sectors - azimuth_rad
+        along_m = known_m * np.cos(turned)
+        aside_m = known_m * (np.abs(np.sin(turned)) - 0.5 * SECTOR_RAD)  # it is somewhere within its sector
         blocks = (along_m > 0.0) & (aside_m < half_width_m)
         distance_m = float(np.min(along_m[blocks], initial=MOST_M))
         if np.isnan(self.distances_m[sector_of(np.array(azimuth_rad))]):
@@ -141,7 +141,7 @@ class LocalOccupancy:
         return Surroundings(np.where(is_nearer, remembered, now.distances_m), log_odds, self._error)
 
     def _log_odds(self, frame: _Frame, now: _Frame) -> FloatArray:
-        """What a frame says of the cells around the newest one, (72, 50)."""
+        """Log-odds that a frame adds to the cells around the newest one, (72, 50)."""
         there = transform(invert(frame.T_world_level) @ now.T_world_level, self._cells.reshape(-1, 3))
         ranges_m = np.hypot(there[:, 0], there[:, 1]).reshape(self._ranges_m.shape)
         nearest_m = frame.distances_m[sector_of(np.arctan2(there[:, 1], there[:, 0]))].reshape(ranges_m.shape)

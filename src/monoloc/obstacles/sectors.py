@@ -18,7 +18,7 @@ from monoloc.geometry import FloatArray
 SECTORS: Final = 72
 LEAST_M: Final = 0.3
 MOST_M: Final = 5.0
-"""Distances that are told; beyond, predicted depth is not reliable, and a sector counts as free."""
+"""Distances that are reported; beyond, predicted depth is not reliable, and a sector counts as free."""
 
 HALF_HEIGHT_M: Final = 0.25
 """Above and below the vehicle's origin: what a vehicle that flies level can hit."""

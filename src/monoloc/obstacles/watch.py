@@ -35,8 +35,8 @@ class ObstacleWatch:
 
         None where the step has no depth, which it may leave out to keep its budget.
 
-        While the state is *lost* nothing is remembered and the map says nothing, since nobody knows where in it the
-        vehicle is.
+        While the state is *lost*, nothing is remembered and the map is not used, since the vehicle's place in it is
+        not known.
 
         Args:
             captured_s: time of the image.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from monoloc.builder.kept_depth import KeptDepth
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.io.recording import Selection
 from monoloc_lab.experiments.altered import NarrowLens, with_pose_noise
@@ -30,3 +31,13 @@ def test_pose_noise_is_repeatable_and_has_its_size() -> None:
     errors = pose_errors(noisy.poses, recording.poses)
     np.testing.assert_allclose(np.sqrt(np.mean(errors.position_m**2) / 3.0), 0.02, rtol=0.1)
     np.testing.assert_allclose(np.sqrt(np.mean(errors.rotation_rad**2) / 3.0), np.deg2rad(1.0), rtol=0.1)
+
+
+def test_builds_see_the_altered_recording() -> None:
+    recording = Selection(RoomRecording(Room(), make_path(3), SMALL_CAMERA), [0, 1])
+    noisy, narrow = with_pose_noise(recording), NarrowLens(recording)
+    kept = KeptDepth(noisy)
+    np.testing.assert_array_equal(kept.poses, noisy.poses)
+    assert kept.source is recording
+    kept = KeptDepth(narrow)
+    assert kept.camera == narrow.camera and kept.color(1).shape == (*kept.depth(1).shape, 3) == (76, 96, 3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,6 +18,7 @@ from monoloc.geometry import FloatArray, se3_exp
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress
 from monoloc.relocalization.state_machine import Mode
+from monoloc.step_budget import Level
 from synthetic_room import FRAME_S, Room, RoomRecording, make_bundle, make_path
 
 # --- The model ---
@@ -172,3 +174,12 @@ def test_measured_localizers_neither_relocalize_nor_use_known_bias(mixture: Gaus
     localizer = localizer_factory(bundle, seed=0)(recording.poses[0] @ se3_exp([9.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
     steps = [localizer.step(recording.color(index), 20.0 * FRAME_S) for index in range(2)]
     assert all(step.mode is Mode.TRACKING and step.landmark_pose is None for step in steps)
+
+
+def test_measured_localizers_keep_no_budget(mixture: GaussianMixture) -> None:
+    recording = RoomRecording(Room(), make_path(1))
+    bundle = make_bundle(mixture, recording, range(1))
+    bundle = replace(bundle, settings=bundle.settings.model_copy(update={"budget_ms": 1e-6}))
+    localizer = localizer_factory(bundle, seed=0)(recording.poses[0])
+    levels = [localizer.step(recording.color(0), FRAME_S).level for _ in range(7)]
+    assert levels == 7 * [Level.FULL]

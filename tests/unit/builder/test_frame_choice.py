@@ -79,6 +79,15 @@ def test_a_selection_keeps_its_source() -> None:
     assert np.all(chosen.positions % 2 == 0)
 
 
+def test_a_selection_keeps_poses_of_its_own() -> None:
+    moved = Selection(Walk(400), np.arange(0, 400, 2))
+    assert moved.poses is not None
+    moved.poses = moved.poses + 0.01
+    chosen = choose_frames(moved, 50, NoProgress())
+    assert isinstance(chosen, Selection)
+    np.testing.assert_array_equal(chosen.poses, moved.poses[chosen.positions // 2])
+
+
 def test_the_cover_is_greedy() -> None:
     sets = [{(1,), (2,)}, {(1,), (2,), (3,)}, {(4,)}, {(5,), (6,)}, {(4,), (5,)}]
     assert most_covering(sets, 3) == [1, 3, 2]

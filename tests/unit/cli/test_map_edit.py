@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli_helpers import json_of, listing, refused, succeeds, write_workspace
+from cli_helpers import json_of, listing, outputs, refused, succeeds, write_workspace
 from edit_helpers import CUBE, bundle_of_walk, cube_cloud, mapped_room
 from monoloc.bundle import read_bundle, write_bundle
+from monoloc.bundle_signature import SIGNATURE
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 
 LOWER, UPPER = (",".join(map(str, corner)) for corner in (CUBE.centre - CUBE.half, CUBE.centre + CUBE.half))
@@ -46,6 +47,17 @@ def test_remove_add_move_undo_and_log(here: Path, capfd: pytest.CaptureFixture[s
     np.testing.assert_allclose(
         read_bundle(here / "room.monoloc").original.means, mapped_room().original.means, atol=1e-6
     )
+
+
+def test_edit_of_a_signed_bundle_removes_the_signature_and_says_so(
+    here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    signature = here / "room.monoloc" / SIGNATURE
+    signature.write_bytes(bytes(64))
+    _, err = outputs(capfd, *EDIT, "remove", "--box", BOX)
+    assert "room.monoloc: its signature is void and was removed; sign it again" in err and not signature.exists()
+    _, err = outputs(capfd, *EDIT, "undo")
+    assert "signature" not in err
 
 
 def test_turned_object_is_at_its_place(here: Path, capfd: pytest.CaptureFixture[str]) -> None:

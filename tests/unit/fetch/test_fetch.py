@@ -33,6 +33,14 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[ArchiveServer]:
         yield server
 
 
+def encrypted(archive: bytes) -> bytes:
+    """A zip archive of one file that claims to be encrypted."""
+    marked, central = bytearray(archive), archive.index(b"PK\x01\x02")
+    marked[6] |= 1
+    marked[central + 8] |= 1
+    return bytes(marked)
+
+
 def fetched(out: Path) -> tuple[str, ...]:
     return ("fetch", "scene", "--out", str(out), "--accept-terms")
 
@@ -79,6 +87,16 @@ def test_archive_that_changed_is_refused(
     assert not (tmp_path / "scene").exists()
 
 
+@pytest.mark.parametrize("content", ["[]", "no JSON", '{"https://example.org": 1}'])
+def test_damaged_record_of_checksums_is_refused(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], server: ArchiveServer, content: str
+) -> None:
+    (tmp_path / "monoloc-checksums.json").write_text(content)
+    assert invoke([*fetched(tmp_path)]) == 2
+    assert "monoloc-checksums.json: holds no checksums by address; remove it" in capfd.readouterr().err
+    assert not (tmp_path / "scene").exists()
+
+
 def test_nothing_is_downloaded_before_the_terms_are_accepted(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], server: ArchiveServer
 ) -> None:
@@ -112,9 +130,17 @@ def test_what_cannot_be_fetched_is_named(
         ("a.tgz", tarred({}, {"link": "/etc/passwd"}), "absolute"),
         ("a.tgz", tarred({"file": b"x" * 5000})[:60], "is no whole archive"),
         ("a.zip", SCENE[:200], "is no whole archive"),
+        ("a.zip", encrypted(zipped({"file": b"x"})), "is no whole archive"),
         ("a.zip", zipped({"large": b"x" * 5000}), "holds 0.0 GB, and 0.0 GB are free"),
     ],
-    ids=["parent folder", "link", "cut tar", "cut zip", "large"],  # archives hold the time they were made
+    ids=[
+        "parent folder",
+        "link",
+        "cut tar",
+        "cut zip",
+        "encrypted zip",
+        "large",
+    ],  # archives hold the time they were made
 )
 def test_hostile_and_broken_archives_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, content: bytes, problem: str

@@ -9,7 +9,9 @@ import pytest
 
 from monoloc.bundle import Bundle
 from monoloc.geometry import make_pose
+from monoloc.map import occupancy
 from monoloc.obstacles import MOST_M, DepthError, MapKnowledge, Surroundings
+from refusals import refuses_setting
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
 
 # In the room, y points down: a level vehicle that looks along z, with x to its right.
@@ -54,3 +56,12 @@ def test_new_obstacle_in_a_direction_that_the_map_knows_as_free(bundle: Bundle) 
     joined = knowledge.joined(live({0: 2.0}), T_WORLD_LEVEL)
     assert joined.is_new[0] and joined.distances_m[0] == 2.0
     assert not knowledge.joined(live({0: MOST_M - 0.01}), T_WORLD_LEVEL).is_new[0]
+
+
+def test_map_that_is_too_large_for_its_voxels_has_coarser_ones(
+    bundle: Bundle, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fine = MapKnowledge(bundle).distances_m(T_WORLD_LEVEL)
+    monkeypatch.setattr(occupancy, "_MOST_VOXELS", 1 << 17)
+    refuses_setting(lambda: occupancy.surface_voxels(bundle.original, 0.05), "voxel_m", "for a map of", "or more")
+    np.testing.assert_allclose(MapKnowledge(bundle).distances_m(T_WORLD_LEVEL), fine, atol=0.2)
