@@ -303,19 +303,14 @@ class Localizer:
         if scan_accepted:
             rotation_sd = self._tracker.fusion.rotation_sd(particle_estimate)
             measured = self._gravity.align(measured, observation.scan, observation.down_camera, rotation_sd)
-        fusion = self._tracker.fusion
-        belief = fusion.predict(observation.motion, observation.elapsed_s, measured)
-        # Landmarks first: their bias is smaller, and particles that they contradict count less.
-        if landmark_pose is not None:
-            belief = fusion.update_from_landmarks(landmark_pose)
-        if scan_accepted:
-            belief = fusion.update_from_particles(measured)
+        belief = self._tracker.fuse(observation.motion, observation.elapsed_s, measured, scan_accepted)
         if relocalization.landmark_pose is not None:
-            belief = fusion.reinitialise_from_landmarks(relocalization.landmark_pose)
+            belief = self._tracker.fusion.reinitialise_from_landmarks(relocalization.landmark_pose)
             self._tracker.redraw()  # as wide as the belief: narrower, they would count the same landmarks twice
-        elif relocalization.confirmed:
-            belief = fusion.reinitialise(measured)
-        return belief
+            return belief
+        if relocalization.confirmed:
+            return self._tracker.fusion.reinitialise(measured)
+        return belief if landmark_pose is None else self._tracker.fusion.update_from_landmarks(landmark_pose)
 
     def _contradicted_by(self, landmarks: LandmarkMeasurement | None, particle_estimate: Estimate) -> bool:
         """Whether landmarks measured a pose that the particles' pose contradicts."""
