@@ -305,9 +305,7 @@ class Localizer:
             measured = self._gravity.align(measured, observation.scan, observation.down_camera, rotation_sd)
         belief = self._tracker.fuse(observation.motion, observation.elapsed_s, measured, scan_accepted)
         if relocalization.landmark_pose is not None:
-            belief = self._tracker.fusion.reinitialise_from_landmarks(relocalization.landmark_pose)
-            self._tracker.redraw()  # as wide as the belief: narrower, they would count the same landmarks twice
-            return belief
+            return self._tracker.fusion.reinitialise_from_landmarks(relocalization.landmark_pose)
         if relocalization.confirmed:
             return self._tracker.fusion.reinitialise(measured)
         return belief if landmark_pose is None else self._tracker.fusion.update_from_landmarks(landmark_pose)

@@ -31,7 +31,7 @@ _LEAST_VIEWS = 10  # frames that tell how well nearby frames predict what is fou
 # Of :class:`LandmarkBiasModel`: by maximum likelihood over a real desk and a real kitchen (docs/decisions/fusion.md),
 # and of the growth in other rooms the factors that are tried and their spread.
 _COMMON_ERROR, _COMMON_ERROR_GROWTH = 0.03, 1.0
-_GROWTH_FACTORS, _GROWTH_LOG_SD = 10.0 ** np.arange(-2.0, 1.1, 0.25), math.log(5.0)
+_GROWTH_FACTORS, _GROWTH_LOG_SD = 10.0 ** np.arange(-1.0, 1.1, 0.25), math.log(5.0)
 _PRIOR_GROWTH = 0.02  # m/m and rad/m, measured in other rooms
 
 

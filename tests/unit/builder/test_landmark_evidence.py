@@ -37,7 +37,7 @@ def test_tails_at_the_reference_poses_do_not_widen_the_growth() -> None:
     assert model.sd_at_reference_m == pytest.approx(0.02, rel=0.1)
 
 
-@pytest.mark.parametrize("growth", [0.05, 1.0, 5.0])
+@pytest.mark.parametrize("growth", [0.15, 1.0, 5.0])
 def test_growth_of_the_common_error_is_found(growth: float) -> None:
     rng = np.random.default_rng(2)
     model = LandmarkBiasModel(common_error=0.03, common_error_growth=growth)
