@@ -448,7 +448,7 @@ def test_after_a_second_without_odometry_the_belief_is_the_particles_with_their_
 
 def test_memoryless_belief_is_the_particles_pose_whatever_was_believed() -> None:
     start, none = Estimate(np.eye(4), np.diag(START_SD**2), 0.0), ReferencePoses.none()
-    fusion = BiasAugmentedFilter(start, BiasModel(), MotionConfig(), none, BiasModel(), is_memoryless=True)
+    fusion = BiasAugmentedFilter(start, BiasModel(), MotionConfig(), none, LandmarkBiasModel(), is_memoryless=True)
     for distance_m in (0.5, -0.3):
         belief = frame(fusion, motion_of(STILL), by_particles(along_x(distance_m)))
         np.testing.assert_allclose(belief.pose, along_x(distance_m), atol=1e-9)
