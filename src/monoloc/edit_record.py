@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict
 
-EditKind = Literal["remove", "add", "move", "extend", "merge", "update"]
+EditKind = Literal["remove", "add", "move", "extend", "merge"]
 
 
 class EditRecord(BaseModel):

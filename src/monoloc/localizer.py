@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -200,7 +200,8 @@ class Localizer:
         self._index += 1
         self._is_followed = relocalization.mode is Mode.TRACKING and observation.odometry_tracked
         if self._budget is not None:
-            self._budget.end(plan)
+            # Their number changes after the weighing, so a step weighs as many as the one before left.
+            self._budget.end(replace(plan, particles=len(relocalization.particles)))
         return Step(
             estimate=belief,
             state=self._state,

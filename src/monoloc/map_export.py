@@ -90,14 +90,14 @@ def export_grid(path: Path, bundle: Bundle, cell_m: float, height_m: float | Non
     T = T_map_world(bundle)
     if height_m is None:
         if len(bundle.reference_poses) == 0:
-            raise SettingError("--height", "is needed: the bundle keeps no reference poses", "give metres")
+            raise SettingError("height_m", "is needed: the bundle keeps no reference poses", "give metres")
         height_m = float(np.median((T @ bundle.reference_poses.poses)[:, 2, 3]))
     grid = level_voxels(bundle, cell_m, T)
     levels = (grid.first[2] + np.arange(grid.states.shape[2]) + 0.5) * cell_m
     is_in = np.abs(levels - height_m) <= max(HALF_HEIGHT_M, 0.5 * cell_m)
     if not is_in.any():
         fix = f"choose from {levels[0]:.2f} to {levels[-1]:.2f} metres along z of the frame map"
-        raise SettingError("--height", f"is {height_m:g}, where the map has nothing", fix)
+        raise SettingError("height_m", f"is {height_m:g}, where the map has nothing", fix)
     columns = grid.states[:, :, is_in]
     is_free = (columns == FREE).mean(axis=2) >= _LEAST_FREE
     grey = np.where(is_free, GREY_FREE, GREY_UNKNOWN).astype(np.uint8)
@@ -131,7 +131,7 @@ def T_map_world(bundle: Bundle, roughly: bool = False) -> FloatArray:
 def level_voxels(bundle: Bundle, voxel_m: float, T: FloatArray) -> VoxelGrid:
     """Voxels of the map in another frame, given the rigid ``T`` (4, 4) from the world to it."""
     poses = T @ bundle.reference_poses.poses
-    grid = surface_voxels(transformed(bundle.original, T), voxel_m, poses[:, :3, 3], "--voxel")
+    grid = surface_voxels(transformed(bundle.original, T), voxel_m, poses[:, :3, 3])
     return grid.with_free_space(poses, bundle.camera)
 
 

@@ -113,7 +113,11 @@ class StepBudget:
         self._stage_ms[name] = self._stage_ms.get(name, 0.0) + 1e3 * (self._clock() - began_s)
 
     def end(self, plan: StepPlan) -> None:
-        """Take in the times of a step that followed a plan, and choose the level of the next."""
+        """Take in the times of a step that followed a plan, and choose the level of the next.
+
+        Args:
+            plan: with the number of particles that were weighed.
+        """
         taken = self._stage_ms
         self._rest_ms.append(1e3 * (self._clock() - self._began_s) - sum(taken.values()))
         if plan.has_depth:

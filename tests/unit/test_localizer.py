@@ -22,7 +22,7 @@ from monoloc.odometry.scale_tilt import ScaleTiltConfig
 from monoloc.particle_filter.estimate import estimate
 from monoloc.particle_filter.particles import Particles, normalised, scatter
 from monoloc.start import Start
-from monoloc.step_budget import Level
+from monoloc.step_budget import Level, StepBudget
 from synthetic_room import (
     BLACK,
     CAMERA,
@@ -243,6 +243,21 @@ def test_frames_without_their_turn_have_no_depth_and_make_the_belief_no_surer(
     assert all(variances[index] > variances[index - 1] for index in range(1, FRAMES, 2))
     errors_m = np.linalg.norm(poses_of(steps)[:, :3, 3] - recording.poses[:FRAMES, :3, 3], axis=1)
     assert errors_m[FRAMES // 2 :].max() < 0.1
+
+
+def test_cost_of_weighing_counts_the_particles_that_were_weighed(
+    mixture: GaussianMixture,
+    recording: RoomRecording,
+    thresholds: LikelihoodThresholds,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    weighed: list[int] = []
+    monkeypatch.setattr(StepBudget, "end", lambda self, plan: weighed.append(plan.particles))
+    config = SETTINGS.model_copy(update={"budget_ms": 1000.0})
+    localizer = localizer_at_truth(mixture, recording, thresholds, config)
+    for index, level in enumerate((Level.FULL, Level.FEWER_PARTICLES, Level.FEWER_PARTICLES, Level.FULL)):
+        localizer.step(recording.color(index), FRAME_S, sparse_depth(recording, index), level=level)
+    assert SETTINGS.particles > 100 and weighed == [SETTINGS.particles, SETTINGS.particles, 100, 100]
 
 
 def test_two_threads_give_the_same_to_the_last_bit(

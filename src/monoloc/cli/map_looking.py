@@ -15,6 +15,7 @@ from monoloc.cli.common import (
     SeedOption,
     check_outputs,
     check_picture,
+    naming,
     print_json,
     print_table,
     text_of,
@@ -158,7 +159,8 @@ def export(
         ".yaml": lambda room: export_grid(out, room, edge_m, height),
     }
     room = read_bundle(bundle)
-    written = export_ellipsoids(out, room) if ellipsoids else writers[ending](room)
+    with naming({"voxel_m": "--voxel", "height_m": "--height"}):
+        written = export_ellipsoids(out, room) if ellipsoids else writers[ending](room)
     content = {"written": str(out), **written}
     if json:
         print_json(content)

@@ -111,9 +111,7 @@ def fitting_voxel_m(mixture: GaussianMixture, voxel_m: float, also: FloatArray |
     return voxel_m
 
 
-def surface_voxels(
-    mixture: GaussianMixture, voxel_m: float, also: FloatArray | None = None, option: str = "voxel_m"
-) -> VoxelGrid:
+def surface_voxels(mixture: GaussianMixture, voxel_m: float, also: FloatArray | None = None) -> VoxelGrid:
     """Voxels that hold surface; the others are unknown.
 
     The mass of every component is spread evenly over its patch. A voxel is occupied if it has a quarter or more of
@@ -123,20 +121,19 @@ def surface_voxels(
         mixture: in the frame of the grid.
         voxel_m: edge of a voxel.
         also: points (N, 3) that the grid must reach, such as the cameras'; they occupy nothing.
-        option: what set the size, for errors.
 
     Raises:
         SettingError: the size is no positive number, or so small that the grid would not fit into memory.
     """
     if not 0.0 < voxel_m < np.inf:
-        raise SettingError(option, f"is {voxel_m}", "give a positive size in metres")
+        raise SettingError("voxel_m", f"is {voxel_m}", "give a positive size in metres")
     axes, half_m = patches(mixture)
     low, high = (np.floor(each / voxel_m) for each in _extent(mixture, also))
     shape = high - low + 1.0
     if np.prod(shape) > _MOST_VOXELS:
         least_m = voxel_m * float(np.prod(shape) / _MOST_VOXELS) ** (1.0 / 3.0)
         size = " x ".join(f"{edge:.1f}" for edge in shape * voxel_m)
-        raise SettingError(option, f"is {voxel_m:g} for a map of {size} m", f"give {least_m:.2g} or more")
+        raise SettingError("voxel_m", f"is {voxel_m:g} for a map of {size} m", f"give {least_m:.2g} or more")
     first = low.astype(np.int64)
     mass = np.zeros(shape.astype(np.int64))
     for weight, mean, basis, half in zip(mixture.weights, mixture.means, axes, half_m, strict=True):
