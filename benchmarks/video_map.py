@@ -2,9 +2,9 @@
 
     python benchmarks/video_map.py SOURCE BUILD FLIGHT [--seeds N] [--flights N] >> figures.jsonl
 
-For each seed, three bundles are built from the frames BUILD: from depth and poses, and from the colour images with the
-scale by ten depth frames and by the network. Each flies over FLIGHT from starts 10 cm and 3 degrees beside the truth.
-Prints one JSON object a bundle. Nothing is tuned. The true poses are brought into a reconstructed map by the
+For each seed, three bundles are built from the frames BUILD: from depth and poses, and from the colour images with
+the scale by ten depth frames and by the network. Each flies over FLIGHT from starts 10 cm and 3 degrees beside the
+truth. Prints one JSON object a bundle. Nothing is tuned. The true poses are brought into a reconstructed map by the
 similarity that fits those of its keyframes, and errors are given in the true metres.
 """
 
