@@ -113,6 +113,9 @@ def manifest_content(path: Path) -> bytes:
     try:
         return read_regular(file)
     except OSError as error:
+        if not path.exists():
+            fix = "check the path, or make it by: monoloc build"
+            raise BundleError(path, "is not a bundle (there is no such folder)", fix) from error
         raise BundleError(path, f"is not a bundle (no {MANIFEST})", "give a folder made by: monoloc build") from error
     except ValueError as error:
         raise BundleError(file, "is cut short or edited", COPY_AGAIN) from error

@@ -20,6 +20,7 @@ SIGNATURE = "manifest.sig"
 
 _SIGNATURE_BYTES = 64
 _MOST_KEY_BYTES = 1 << 14
+_PAGE = "how-to/sign-a-bundle"
 _MAKE_ONE = "make a pair by: monoloc signature keys NAME"
 
 
@@ -91,10 +92,10 @@ def check_signature(bundle: Path, manifest: bytes, public_key: Path) -> None:
         signature = read_regular(bundle / SIGNATURE, _SIGNATURE_BYTES)
         key.verify(signature, manifest)
     except FileNotFoundError as error:
-        raise BundleError(bundle, "is not signed", "ask who made it for a signed copy") from error
+        raise BundleError(bundle, "is not signed", "ask who made it for a signed copy", _PAGE) from error
     except (InvalidSignature, OSError, ValueError) as error:
         problem = f"was changed, or signed with another key than that of {public_key}"
-        raise BundleError(bundle, problem, "copy the bundle again from who signed it") from error
+        raise BundleError(bundle, problem, "copy the bundle again from who signed it", _PAGE) from error
 
 
 def _key(path: Path, load: Callable[[bytes], object]) -> object:

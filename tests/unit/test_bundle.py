@@ -325,7 +325,12 @@ def test_missing_manifest_is_named(written):
     refuses(lambda: read_bundle(written), written, "is not a bundle")
 
 
-@pytest.mark.parametrize("make", [lambda path: None, lambda path: path.mkdir(), lambda path: path.write_text("")])
+def test_path_that_is_not_there_is_to_be_checked(tmp_path):
+    path = tmp_path / "room.monoloc"
+    refuses(lambda: read_bundle(path), path, "there is no such folder")
+
+
+@pytest.mark.parametrize("make", [lambda path: path.mkdir(), lambda path: path.write_text("")])
 def test_path_without_a_bundle_is_named(tmp_path, make):
     path = tmp_path / "room.monoloc"
     make(path)

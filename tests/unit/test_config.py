@@ -19,13 +19,13 @@ from refusals import refuses, refuses_data
     [
         ("compnents = 5\n", "compnents: is unknown, the nearest is components"),
         ("[adapt]\nstep = 5\n", "adapt.step: is unknown, the nearest is steps"),
-        ("voxel_m = -1\n", "voxel_m: Input should be greater than or equal to 0.001"),
-        ('components = "many"\n', "components: Input should be a valid integer.*or Input should be 'bic'"),
-        ('[adapt]\ntune = "most"\n', "adapt.tune: Input should be 'none', 'last', 'decoder' or 'all'"),
+        ("voxel_m = -1\n", "voxel_m: must be greater than or equal to 0.001"),
+        ('components = "many"\n', "components: must be a valid whole number, or must be 'bic'"),
+        ('[adapt]\ntune = "most"\n', "adapt.tune: must be 'none', 'last', 'decoder' or 'all'"),
         ("[localizer.likelihood]\noutlier_share = 1.0\n", "localizer.likelihood.outlier_share: .*less than 1"),
         ("components 5\n", "is not valid TOML"),
         ("components = " + 5000 * "9", "is not valid TOML"),
-        ("voxel_m = inf\n", "voxel_m: Input should be a finite number"),
+        ("voxel_m = inf\n", "voxel_m: must be a finite number"),
         ("components = 1000000000\n", "components: .*less than or equal to 1000000"),
     ],
 )
@@ -44,7 +44,7 @@ def test_missing_settings_file_is_named(tmp_path: Path) -> None:
     ("settings", "field", "value", "problem"),
     [
         (BuildConfig(), "components", "0", "greater than or equal to 1, or .*'bic'"),
-        (BuildConfig(), "components", "forty", "valid integer.*or .*'bic'"),
+        (BuildConfig(), "components", "forty", "valid whole number.*or .*'bic'"),
         (BuildConfig(), "adapt.lambda_kl", -1.0, "greater than or equal to 0"),
         (BuildConfig(), "adapt.lambda_kl", float("nan"), "a finite number"),
         (LocalizerConfig(), "particles", 3, "greater than or equal to 10"),

@@ -211,11 +211,11 @@ def check_room(bundle: Bundle, path: Path) -> None:
     Raises:
         DataError: no frame of the room's build flight built the bundle, or the direction of gravity is not known.
     """
-    built = open_recording(f"folder:{BUILD}")
+    built, fix = open_recording(f"folder:{BUILD}"), f"make it by: monoloc build {BUILD} --out living.monoloc"
     if not set(bundle.provenance.frames.values()) & {fingerprint(built.color(i)) for i in range(len(built))}:
-        raise DataError(path, "is not of the rendered living room", f"make it with: monoloc build {BUILD}")
+        raise DataError(path, "is not of the rendered living room", fix)
     if bundle.down is None:
-        raise DataError(path, "does not tell the direction of gravity", f"make it with: monoloc build {BUILD}")
+        raise DataError(path, "does not tell the direction of gravity", fix)
 
 
 def bench_stops(

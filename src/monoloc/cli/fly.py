@@ -67,7 +67,11 @@ def fly(
     require_signature: RequireSignatureOption = None,
     start: Annotated[
         str | None,
-        typer.Option("--start", metavar=METAVAR, help="First camera pose; without it, the room is searched."),
+        typer.Option(
+            "--start",
+            metavar=METAVAR,
+            help="First camera pose, or 'truth' for the recording's; without it, the room is searched.",
+        ),
     ] = None,
     start_error_cm: Annotated[
         float | None, typer.Option("--start-error-cm", help="Position error of the start; 10 without it.")

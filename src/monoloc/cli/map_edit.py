@@ -6,10 +6,11 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
+from typer.core import TyperGroup
 
 from monoloc.bundle import Bundle, check_target, read_bundle, write_bundle
 from monoloc.bundle_signature import SIGNATURE
@@ -40,8 +41,22 @@ from monoloc.errors import BundleError, SettingError
 from monoloc.files import target_of
 from monoloc.geometry import FloatArray, make_pose, so3_exp, transform
 
+
+class _BundleFirst(TyperGroup):
+    """Says so if what to do comes before the bundle."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        first = str(ctx.params["bundle"])
+        if args and first in self.commands and args[0] not in self.commands:
+            raise SettingError("BUNDLE", f"comes before {first}", f"write: monoloc map edit {args[0]} {first}")
+        return super().resolve_command(ctx, args)
+
+
 app = typer.Typer(
-    help="Change the map of a bundle: BUNDLE, then what to do.", no_args_is_help=True, rich_markup_mode=None
+    cls=_BundleFirst,
+    help="Change the map of a bundle: BUNDLE, then what to do.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
 )
 
 _BOX = "X,Y,Z,X,Y,Z"

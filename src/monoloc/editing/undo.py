@@ -67,7 +67,7 @@ def undone(bundle: Bundle) -> Bundle:
         ValueError: what undoes it is damaged.
     """
     if not bundle.edits:
-        raise SettingError("undo", "there is no edit to take back", "see: monoloc map edit log BUNDLE")
+        raise SettingError("undo", "there is no edit to take back", "see: monoloc map edit BUNDLE log")
     arrays = decode_arrays(bundle.edits[-1].undo)
     try:
         return _restored(bundle, arrays)

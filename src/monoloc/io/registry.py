@@ -58,6 +58,7 @@ FORMATS: dict[str, Format] = {
 }
 
 _SOURCE = re.compile(r"([A-Za-z0-9_-]{2,}):(.+)")  # at least two letters, because C:\ is a drive
+_BUNDLE_FILE = "manifest.json"  # in the folder of every bundle
 _IMAGES = {".jpg", ".jpeg", ".png"}
 _FRAMES = re.compile(r"(\d*):(\d*)(?::(\d*))?")
 
@@ -82,6 +83,8 @@ def open_recording(source: str, options: ReaderOptions | None = None) -> StoredR
             return known.read(path, options)
     if path.suffix.lower() == ".zip":
         raise DataError(path, "is an archive", "unpack it, and give the folder")
+    if (path / _BUNDLE_FILE).is_file():
+        raise DataError(path, "is a bundle, not a recording", "give the images or the video of a flight")
     fix = f"write FORMAT:PATH with one of {', '.join(FORMATS)}"
     if path.is_dir() and any(file.suffix.lower() in _IMAGES for file in path.iterdir()):
         fix = "describe its images in a dataset.toml"

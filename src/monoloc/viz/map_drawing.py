@@ -170,10 +170,14 @@ def _draw_histogram(axis: Axes, distances_cm: FloatArray, limit_cm: float) -> No
     shares = 100.0 * counts / len(distances_cm)
     axis.bar(middles, shares, width=np.diff(edges), color=colours)
     axis.set_ylim(0.0, 1.16 * shares.max())  # space for the labels of the lines
-    for value, name in zip(np.percentile(distances_cm, [50.0, 95.0]), ("median", "95 %"), strict=True):
+    middle, most = np.percentile(distances_cm, [50.0, 95.0])
+    are_apart = most - middle > 0.1 * limit_cm  # else one label would cover the other
+    both = f"median {middle:.1f} cm\n95 % {most:.1f} cm"
+    lines = [(middle, f"median\n{middle:.1f} cm"), (most, f"95 %\n{most:.1f} cm")] if are_apart else [(most, both)]
+    for value, label in lines:
         axis.axvline(value, color=INK, linewidth=1.0, linestyle=(0, (4, 2)))
         axis.annotate(
-            f"{name}\n{value:.1f} cm",
+            label,
             (value, 0.99),
             (4, 0),
             xycoords=axis.get_xaxis_transform(),

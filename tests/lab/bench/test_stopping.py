@@ -66,4 +66,4 @@ def test_bundle_of_another_room_is_refused(
     monkeypatch.chdir(tmp_path)
     write_bundle(tmp_path / "room.monoloc", bundle)
     command = ("bench", "stop", "room.monoloc", "--out", "approaches")
-    refused(capfd, tmp_path, command, "room.monoloc", "is not of the rendered living room", "monoloc build")
+    refused(capfd, tmp_path, command, "room.monoloc", "is not of the rendered living room", "--out living.monoloc")

@@ -120,6 +120,11 @@ REFUSED = {
 }
 
 
+def test_bundle_comes_before_what_to_do(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    arguments = ("map", "edit", "log", "room.monoloc")
+    refused(capfd, here, arguments, "BUNDLE", "comes before log", "monoloc map edit room.monoloc log")
+
+
 @pytest.mark.parametrize("name", REFUSED)
 def test_bad_input_is_refused_in_one_line(here: Path, capfd: pytest.CaptureFixture[str], name: str) -> None:
     arguments, names, problem, fix = REFUSED[name]

@@ -82,7 +82,7 @@ def test_bytes_grow_with_what_is_changed(room: Bundle) -> None:
 
 
 def test_nothing_to_take_back_is_refused(room: Bundle) -> None:
-    refuses_setting(lambda: undone(room), "undo", "no edit to take back", "map edit log")
+    refuses_setting(lambda: undone(room), "undo", "no edit to take back", "map edit BUNDLE log")
 
 
 def test_damaged_undo_is_refused(room: Bundle) -> None:

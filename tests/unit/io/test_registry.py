@@ -63,6 +63,11 @@ def test_folder_of_images_is_to_be_described(tmp_path: Path) -> None:
     refuses_to_open(tmp_path, tmp_path, "is not recognised", "describe its images in a dataset.toml")
 
 
+def test_bundle_in_place_of_a_recording_is_named_as_one(tmp_path: Path) -> None:
+    (tmp_path / "manifest.json").touch()
+    refuses_to_open(tmp_path, tmp_path, "is a bundle, not a recording", "give the images or the video")
+
+
 def test_archive_is_to_be_unpacked(tmp_path: Path) -> None:
     (tmp_path / "walk.zip").write_bytes(b"PK")
     refuses_to_open(tmp_path / "walk.zip", tmp_path / "walk.zip", "is an archive", "unpack it")
