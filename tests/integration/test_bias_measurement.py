@@ -60,7 +60,7 @@ def localizer_at(
 @pytest.fixture
 def _short_trajectories(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trajectories, "_WARM_UP_FRAMES", 12)
-    monkeypatch.setattr(trajectories, "_LONG_FRAMES", 12)
+    monkeypatch.setattr(trajectories, "LONG_FRAMES", 12)
 
 
 @pytest.mark.usefixtures("_short_trajectories")

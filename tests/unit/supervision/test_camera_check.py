@@ -46,10 +46,10 @@ def test_flat_views_say_nothing() -> None:
 
 
 def test_many_landmarks_of_one_surface_do_not_make_a_flat_view_tell_more() -> None:
-    """Their common error does not average out: it takes a third of the deviation of 30."""
+    """Their common error does not average out: it takes half the deviation of 30."""
     check = CameraCheck(0.0, 0.01)
-    assert not after(check, by_landmarks(0.3, WELL_OBSERVED_SD / 2.97, 300), 100)
-    assert after(check, by_landmarks(0.3, WELL_OBSERVED_SD / 3.03, 300), 100)
+    assert not after(check, by_landmarks(0.3, WELL_OBSERVED_SD / 1.98, 300), 100)
+    assert after(check, by_landmarks(0.3, WELL_OBSERVED_SD / 2.02, 300), 100)
 
 
 def test_what_was_measured_is_forgotten_within_seconds() -> None:
