@@ -26,6 +26,7 @@ def test_slope_is_that_of_most_points() -> None:
     assert median_slope(x, y) == pytest.approx(2.0)
 
 
+@pytest.mark.slow  # lost cameras, which are searched for
 def test_memory_that_grows_is_seen(
     capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
