@@ -84,7 +84,7 @@ def bench_soak(
         recording: at most 300 frames of it are flown.
         steps: how many.
         seed: of the localizer and the jumps.
-        show: is told how many steps are done, a hundred times.
+        show: takes the number of steps that are done, a hundred times.
 
     Raises:
         SettingError: the recording has fewer than ten frames, or this system does not tell a process's memory.

@@ -14,7 +14,7 @@ from monoloc.camera import Camera
 from monoloc.evaluation.consistency import FAR_M
 from monoloc.evaluation.hold_out import HELD_OUT_SHARE, REGIONS, hold_out_regions
 from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, axis_sd, twist_errors
-from monoloc.fusion.bias_model import BiasModel, LandmarkBiasModel, squared_distance
+from monoloc.fusion.bias_model import COMMON_ERROR, BiasModel, LandmarkBiasModel, squared_distance
 from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_log
 from monoloc.landmarks.landmark_map import FAMILIAR_TIMES, Landmarks, LandmarkViews
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
@@ -28,9 +28,8 @@ _CHI2_90_3 = 6.251388631170325  # 90 % quantile of the chi-squared distribution 
 _NORMAL_MAD = 1.4826  # standard deviation over median deviation
 _LEAST_FOCAL_FRAMES, _LEAST_FOCAL_SD = 10, 0.005  # frames that tell a deviation of log-focal, and the smallest
 _LEAST_VIEWS = 10  # frames that tell how well nearby frames predict what is found
-# Of :class:`LandmarkBiasModel`: by maximum likelihood over a real desk and a real kitchen (docs/decisions/fusion.md),
-# and of the growth in other rooms the factors that are tried and their spread.
-_COMMON_ERROR, _COMMON_ERROR_GROWTH = 0.03, 1.0
+# Growth of the common error: the most likely one over two real rooms, the factors that are tried and their spread.
+_COMMON_ERROR_GROWTH = 1.0
 _GROWTH_FACTORS, _GROWTH_LOG_SD = 10.0 ** np.arange(-1.0, 1.1, 0.25), math.log(5.0)
 _PRIOR_GROWTH = 0.02  # m/m and rad/m, measured in other rooms
 
@@ -106,7 +105,7 @@ def measure_landmarks(
         np.concatenate([each.distances_m for each in (*both, away)]),
         axis_sd(twist_errors(np.concatenate([each.twists for each in both]))),
     )
-    noise = LandmarkBiasModel(common_error=_COMMON_ERROR, common_error_growth=growth)
+    noise = LandmarkBiasModel(common_error=COMMON_ERROR, common_error_growth=growth)
     sizes = zip(*(astuple(each.errors(noise)) for each in both), strict=True)
     at_reference, away_errors = PoseErrors(*(np.concatenate(size) for size in sizes)), away.errors(noise)
     bias = fit_bias_model(at_reference, at_reference, away_errors, away.distances_m, _PRIOR_GROWTH)
@@ -127,7 +126,7 @@ def fit_common_error_growth(
     """
     single = np.reshape([len(pose.points) * pose.covariance for pose in poses], (-1, 6, 6))
     squares = np.array([squared_distance(float(distance_m)) for distance_m in distances_m])[:, None, None]
-    constant = _COMMON_ERROR * single + np.diag(np.repeat(floor, 3) ** 2)
+    constant = COMMON_ERROR * single + np.diag(np.repeat(floor, 3) ** 2)
     best, best_value = _COMMON_ERROR_GROWTH, -np.inf
     for growth in _COMMON_ERROR_GROWTH * _GROWTH_FACTORS:
         covariances = constant + growth * squares * single

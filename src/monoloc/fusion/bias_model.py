@@ -11,6 +11,10 @@ from monoloc.geometry import FloatArray
 from monoloc.landmarks.pnp import LandmarkPose
 
 _CORRELATION_LENGTH_M = 2.0  # of the bias, in pose distance
+COMMON_ERROR = 0.03
+"""Variance that landmarks have in common, relative to that of one corner, at the reference poses of a new build. By
+maximum likelihood over a real desk and a real kitchen: docs/decisions/fusion.md."""
+
 _MOST_DISTANCE_M = 0.5  # to which growth was measured; from farther, errors were not seen to grow on
 
 
@@ -65,7 +69,8 @@ class LandmarkBiasModel(BiasModel):
     shape that the corners' localisation error gives it, and grows with the number of landmarks.
 
     Attributes:
-        common_error: variance that landmarks have in common, relative to that of one corner, at the reference poses.
+        common_error: variance that landmarks have in common, see :data:`COMMON_ERROR`. In bundles that do not
+            state it, however many landmarks count as twenty.
         common_error_growth: its growth a square metre of pose distance, up to half a metre.
     """
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 
+from monoloc.fusion.bias_model import COMMON_ERROR
 from monoloc.landmarks.pnp import LandmarkPose
 
 WELL_OBSERVED_SD = 0.02
 """Standard deviation of log-focal above which it says nothing: the view is too flat."""
 
-# Variance that landmarks have in common, relative to that of one corner, and the factor by which it enlarges that of
-# log-focal at most: seen with up to 150 landmarks.
-_COMMON_ERROR, _MOST_COMMON = 0.03, 4.0
+_MOST_COMMON = 4.0  # factor of log-focal's variance by what landmarks have in common: seen with up to 150 of them
 _MEMORY_S = 3.0  # time constant of the mean
 _LEAST_S = 0.5  # of measurements before anything is said
 _MOST_SD = 3.0  # of single frames, since they are correlated, by which the mean may differ from the build's
@@ -20,7 +19,7 @@ _LEAST_LOG_FOCAL = 0.04  # smaller differences move a pose by little more than t
 
 def tells_focal(pose: LandmarkPose) -> bool:
     """Whether a landmark pose determines the focal length; in a flat view it does not."""
-    common = min(max(1.0, _COMMON_ERROR * len(pose.points)), _MOST_COMMON)
+    common = min(max(1.0, COMMON_ERROR * len(pose.points)), _MOST_COMMON)
     return pose.log_focal_sd * math.sqrt(common) <= WELL_OBSERVED_SD
 
 

@@ -207,5 +207,5 @@ def test_obstacles_are_remembered_but_not_over_a_jump(jump: str) -> None:
     if jump == "lost":
         flight.take(result_at(1.2, step_at(at(0.0), "lost", frozenset({Reason.SEARCHING}))))
     flight.take(result_at(1.3, step_at(at(0.0), depth_m=4.0, restarted=jump == "restarted")))
-    told = [ArduPilot.obstacles(message)[0.0] for message in wire.of("OBSTACLE_DISTANCE")]
-    assert told == [pytest.approx(1.0, rel=0.03), pytest.approx(1.0, abs=0.06), pytest.approx(4.0, rel=0.03)]
+    sent = [ArduPilot.obstacles(message)[0.0] for message in wire.of("OBSTACLE_DISTANCE")]
+    assert sent == [pytest.approx(1.0, rel=0.03), pytest.approx(1.0, abs=0.06), pytest.approx(4.0, rel=0.03)]

@@ -16,17 +16,22 @@ from monoloc_lab.soak.px4_decoder import Px4
 def test_free_is_beyond_the_range_and_unknown_is_said() -> None:
     distances_m = np.full(SECTORS, np.nan)
     distances_m[:4] = [np.inf, 2.344, 0.1, MOST_M]
-    told = sector_distances_cm(distances_m)
-    assert told[:4].tolist() == [round(100.0 * MOST_M) + 1, 234, round(100.0 * LEAST_M), round(100.0 * MOST_M)]
-    assert np.all(told[4:] == UNKNOWN_CM) and told.dtype == np.uint16
+    distances_cm = sector_distances_cm(distances_m)
+    assert distances_cm[:4].tolist() == [
+        round(100.0 * MOST_M) + 1,
+        234,
+        round(100.0 * LEAST_M),
+        round(100.0 * MOST_M),
+    ]
+    assert np.all(distances_cm[4:] == UNKNOWN_CM) and distances_cm.dtype == np.uint16
 
 
 def test_both_firmwares_read_the_same_bearings() -> None:
     distances_m = np.full(SECTORS, np.nan)
     distances_m[[0, 71]] = 2.0
     distances_m[3] = np.inf
-    told = sector_distances_cm(distances_m)
-    message = over_the_wire(obstacle_distance(1.0, told, LEAST_M, MOST_M))
+    distances_cm = sector_distances_cm(distances_m)
+    message = over_the_wire(obstacle_distance(1.0, distances_cm, LEAST_M, MOST_M))
     px4, ardupilot = Px4.nearest_obstacle(message), ArduPilot.obstacles(message)
     assert px4[0] == ardupilot[0.0] == pytest.approx(2.0, rel=0.02)
     assert px4[71] == ardupilot[355.0] and px4[3] == np.inf and 15.0 not in ardupilot

@@ -81,9 +81,9 @@ def test_nothing_is_remembered_over_a_jump_or_a_clock_that_runs_backwards(is_cle
 
 
 def around(distances: dict[int, float]) -> Surroundings:
-    told: FloatArray = np.full(72, np.inf)
-    told[list(distances)] = list(distances.values())
-    return Surroundings(told, np.zeros((72, 50)), ERROR)
+    around_m: FloatArray = np.full(72, np.inf)
+    around_m[list(distances)] = list(distances.values())
+    return Surroundings(around_m, np.zeros((72, 50)), ERROR)
 
 
 def test_free_space_ends_at_what_the_vehicle_would_touch() -> None:

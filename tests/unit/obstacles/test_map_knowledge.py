@@ -25,9 +25,9 @@ def bundle() -> Bundle:
 
 
 def live(distances: dict[int, float]) -> Surroundings:
-    told = np.full(72, np.nan)
-    told[list(distances)] = list(distances.values())
-    return Surroundings(told, np.zeros((72, 50)), ERROR)
+    around_m = np.full(72, np.nan)
+    around_m[list(distances)] = list(distances.values())
+    return Surroundings(around_m, np.zeros((72, 50)), ERROR)
 
 
 def test_map_tells_all_directions(bundle: Bundle) -> None:
