@@ -27,6 +27,7 @@ from monoloc.contrast import equaliser, has_contrast
 from monoloc.depth.depth_image import sample_depth
 from monoloc.geometry import FloatArray, invert, make_pose, so3_exp, transform
 from monoloc.image_size import gray_image
+from monoloc.odometry.image_rotation import ImageRotation
 from monoloc.odometry.motion import Motion
 from monoloc.odometry.window import Window, adjust
 
@@ -111,10 +112,16 @@ class _Tracks:
 
 @dataclass(frozen=True)
 class _Followed:
-    """An equalised grey image (h, w), None without contrast, and ``T_r_camera`` of it, (4, 4), None on failure."""
+    """An equalised grey image (h, w), None without contrast, and what following the corners into it told.
+
+    Attributes:
+        T_r_current: its pose, (4, 4); None on failure.
+        turn: then, the rotation by which the whole image fits the previous one; None where it does not.
+    """
 
     gray: NDArray[np.uint8] | None
-    T_r_current: FloatArray | None
+    T_r_current: FloatArray | None = None
+    turn: Motion | None = None
 
 
 class VisualOdometry:
@@ -125,6 +132,7 @@ class VisualOdometry:
         width = min(self.config.width, camera.width)
         self._camera = camera.resized(width, round(camera.height * width / camera.width))
         self._equalise = equaliser()
+        self._image_rotation = ImageRotation(self._camera)
         self._gray: NDArray[np.uint8] | None = None
         self._T_r_previous = np.eye(4)
         self._last_motion = np.eye(4)  # T_previous_current of the frame before, which is expected to go on
@@ -135,10 +143,15 @@ class VisualOdometry:
         """Track the corners into the next image, which needs no depth of it; :meth:`step` then goes on from there."""
         gray = gray_image(color, (self._camera.width, self._camera.height))
         if not has_contrast(gray):
-            self._followed = color, _Followed(None, None)
+            self._followed = color, _Followed(None)
             return
         gray = np.asarray(self._equalise.apply(gray), dtype=np.uint8)
-        self._followed = color, _Followed(gray, self._follow(gray, R_previous_current))
+        T_r_current, turn = self._follow(gray, R_previous_current), None
+        if T_r_current is None and R_previous_current is None and self._gray is not None:
+            turn = self._image_rotation.between(self._gray, gray)
+            if turn is not None:
+                T_r_current = self._follow(gray, turn.T_previous_current[:3, :3])
+        self._followed = color, _Followed(gray, T_r_current, turn)
 
     def step(
         self,
@@ -147,7 +160,10 @@ class VisualOdometry:
         depth_camera: Camera,
         R_previous_current: FloatArray | None = None,
     ) -> Motion | None:
-        """Motion since the previous frame; None for the first frame, after a tracking failure, and in the dark.
+        """Motion since the previous frame; None for the first frame and in the dark.
+
+        Where too few corners can be followed, only the rotation is known, and only if the images can be aligned as a
+        whole and no other sensor measured it; else the motion is None too.
 
         Args:
             color: (H, W, 3) uint8 RGB.
@@ -159,16 +175,16 @@ class VisualOdometry:
         if self._followed is None or self._followed[0] is not color:
             self.follow(color, R_previous_current)
         assert self._followed is not None
-        gray, T_r_current = self._followed[1].gray, self._followed[1].T_r_current
+        gray, T_r_current, turn = self._followed[1].gray, self._followed[1].T_r_current, self._followed[1].turn
         self._followed = None
         if gray is None:
-            self._tracks = None
+            self._tracks, self._gray = None, None
             return None
         if T_r_current is None:
             self._tracks, self._T_r_previous, self._last_motion = None, np.eye(4), np.eye(4)
             self._add_keyframe(gray, np.eye(4), depth_m, depth_camera)
             self._gray = gray
-            return None
+            return turn
         # In frame r before the adjustment, which invalidates the previous pose.
         T_previous_current = invert(self._T_r_previous) @ T_r_current
         assert self._tracks is not None
