@@ -84,7 +84,11 @@ class LandmarkBiasModel(BiasModel):
             distance_m: pose distance to the nearest reference pose.
         """
         common = self.common_error + self.common_error_growth * squared_distance(distance_m)
-        return np.asarray(max(1.0, len(measured.points) * common) * measured.covariance)
+        factor = max(1.0, len(measured.points) * common)
+        # Errors in common count as so many fewer landmarks, for the other poses of a flat view too.
+        shares = np.exp(-measured.rival_nats / factor)
+        spread = np.einsum("k,ki,kj->ij", shares, measured.rivals, measured.rivals) / (1.0 + shares.sum())
+        return np.asarray(factor * measured.covariance + spread)
 
 
 def squared_distance(distance_m: float) -> float:

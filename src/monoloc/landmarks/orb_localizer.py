@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from monoloc.camera import Camera
 from monoloc.evaluation.consistency import CHI2_6_QUANTILE_99
-from monoloc.geometry import FloatArray, invert, make_pose, pose_distance_m, se3_exp, se3_log, so3_exp, transform
+from monoloc.geometry import FloatArray, invert, make_pose, pose_distance_m, se3_log, so3_exp, transform
 from monoloc.landmarks.features import MATCH_BITS, KeypointDetector, Keypoints, match_descriptors, nearest_descriptors
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.landmarks.pnp import (
@@ -18,6 +18,7 @@ from monoloc.landmarks.pnp import (
     PRIOR_COVARIANCE,
     LandmarkMeasurement,
     LandmarkPose,
+    flat_view_starts,
     pose_from_matches,
 )
 
@@ -31,7 +32,6 @@ _LEAST_SPREAD = 0.075
 # Of two poses without a prior: pose distance from which they are two, and the share of the better one's landmarks
 # with which the other counts as well.
 _APART_M, _RIVAL_SHARE = 0.5, 0.3
-_TURNS_RAD = (-0.3, -0.15, 0.15, 0.3)  # from which the other poses of a flat view are sought
 _RIVAL_CANDIDATES, _MOST_RIVALS = 32, 8  # best matches of a keypoint among which other places are sought
 _ITERATIONS, _RIVAL_ITERATIONS = 1000, 100  # of RANSAC
 _SIGHT = 3.0  # times as far as the build found landmarks: from farther, a corner looks another one
@@ -150,17 +150,12 @@ class OrbLandmarkLocalizer:
     def _best_of_flat_view(self, seen: Keypoints, place: FloatArray) -> tuple[LandmarkMeasurement, NDArray[np.int64]]:
         """Of the poses that a flat view leads to from a place (4, 4), the one that most landmarks agree with.
 
-        A plane that is seen from afar looks nearly the same from poses turned about it (Schweighofer and Pinz,
-        *Robust Pose Estimation from a Planar Target*, 2006). They lie along the direction that it determines least.
         The indices are those of :meth:`_agreeing`.
         """
         best = self._agreeing(seen, place, PRIOR_COVARIANCE, self._visible(place))
         if best[0].pose is None:
             return best
-        weakest = np.linalg.eigh(best[0].pose.covariance)[1][:, -1]
-        turn = float(np.linalg.norm(weakest[3:]))
-        starts = [best[0].pose.pose @ se3_exp(angle / turn * weakest) for angle in _TURNS_RAD] if turn > 0.0 else []
-        for start in starts:
+        for start in flat_view_starts(best[0].pose.pose, best[0].pose.covariance):
             other = self._agreeing(seen, start, PRIOR_COVARIANCE, self._visible(start))
             if other[0].pose is not None and len(other[1]) > len(best[1]):
                 best = other

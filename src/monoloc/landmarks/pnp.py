@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import monoloc._core as _core
 from monoloc.camera import Camera
-from monoloc.geometry import FloatArray, se3_exp
+from monoloc.geometry import FloatArray, invert, se3_exp, se3_log
 from monoloc.landmarks.features import Keypoints
 
 PRIOR_COVARIANCE = np.diag([0.05, 0.05, 0.05, 0.03, 0.03, 0.03]) ** 2
@@ -30,6 +30,8 @@ _FOCAL_KERNEL_SDS = np.array([12.0, 6.0, 3.0, 3.0, 3.0])
 # Of the inverse covariance of what a wrong focal length does to a pose, (6,), and of its logarithm.
 _FOCAL_INFORMATION = np.diag(np.repeat([0.5, 0.1, 0.2], [3, 3, 1]) ** -2)
 _AGREE_WEIGHT = 0.25  # of a landmark that agrees
+_TURNS_RAD = (-0.3, -0.15, 0.15, 0.3)  # from which the other poses of a flat view are sought
+_PRIOR_INFORMATION = np.linalg.inv(PRIOR_COVARIANCE)
 _NO_INDICES, _NO_FLAGS = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
 
 
@@ -44,6 +46,9 @@ class LandmarkPose:
         log_focal: logarithm of true over stated focal length under which the landmarks fit best; 0 where they tell
             nothing of it.
         log_focal_sd: its standard deviation, by the corners' localisation error alone.
+        rivals: (K, 6) twists from it to other poses that the landmarks allow, in the camera's frame: a flat view has
+            several, and the covariance at one of them says nothing of the others.
+        rival_nats: (K,) by how much less likely these are, by the corners' localisation error alone; not negative.
     """
 
     pose: FloatArray
@@ -51,6 +56,8 @@ class LandmarkPose:
     points: FloatArray
     log_focal: float = 0.0
     log_focal_sd: float = math.inf
+    rivals: FloatArray = field(default_factory=lambda: np.zeros((0, 6)))
+    rival_nats: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -125,5 +132,36 @@ def pose_from_matches(
     if int(agree.sum()) < LEAST_LANDMARKS or np.linalg.eigvalsh(normal)[0] < 1.0 / _UNOBSERVABLE_SD**2:
         return agree, None
     spread = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    found = pose @ se3_exp(-spread @ gradient)
     focal = _core.fit_log_focal(points, rays, sd, pose, _FOCAL_INFORMATION, _FOCAL_KERNEL_SDS, _NEAREST_M)
-    return agree, LandmarkPose(pose @ se3_exp(-spread @ gradient), spread, points[agree], *focal)
+    rivals, nats = _rivals(points, rays, sd, found, spread)
+    less_likely = np.maximum(nats - _nats(weights), 0.0)
+    return agree, LandmarkPose(found, spread, points[agree], *focal, rivals, less_likely)
+
+
+def flat_view_starts(pose: FloatArray, covariance: FloatArray) -> list[FloatArray]:
+    """From where the other poses (4, 4) of a flat view are found, if one of them is known.
+
+    A plane that is seen from afar looks nearly the same from poses turned about it (Schweighofer and Pinz, *Robust
+    Pose Estimation from a Planar Target*, 2006). They lie along the direction that it determines least.
+    """
+    weakest = np.linalg.eigh(covariance)[1][:, -1]
+    turn = float(np.linalg.norm(weakest[3:]))
+    return [pose @ se3_exp(angle / turn * weakest) for angle in _TURNS_RAD] if turn > 0.0 else []
+
+
+def _rivals(
+    points: FloatArray, rays: FloatArray, sd: FloatArray, found: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Other poses that the same matches lead to, as twists (K, 6) from the one found, and their costs (K,), nats."""
+    twists, nats = [], []
+    for start in flat_view_starts(found, covariance):
+        pose, *_, weights = _core.fit_pose(points, rays, sd, start, _PRIOR_INFORMATION, _KERNEL_SDS, _NEAREST_M)
+        twists.append(se3_log(invert(found) @ pose))
+        nats.append(_nats(weights))
+    return np.reshape(twists, (-1, 6)), np.array(nats)
+
+
+def _nats(weights: FloatArray) -> float:
+    """Negative log-likelihood of landmarks from their Geman-McClure weights (M,), nats."""
+    return 0.5 * float(_KERNEL_SDS[-1]) ** 2 * float(np.sum(1.0 - np.sqrt(weights)))

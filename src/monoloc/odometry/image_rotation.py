@@ -1,7 +1,7 @@
 """The camera's rotation between two images, where no corners can be followed.
 
-In a fast turn the images are blurred, and corners are lost. At a tenth of the size the blur is a pixel or two, and the
-whole image can still be aligned with the previous one (Klein and Murray, *Improving the agility of keyframe-based
+In a fast turn the images are blurred, and corners are lost. At a quarter of the size the blur is a few pixels, and
+the whole image can still be aligned with the previous one (Klein and Murray, *Improving the agility of keyframe-based
 SLAM*, 2008): a shift and a turn of the image, by its correlation (Evangelidis and Psarakis 2008).
 """
 
@@ -48,8 +48,8 @@ class ImageRotation:
     @cached_property
     def _grid(self) -> FloatArray:
         """Pixels (N, 2) all over the image."""
-        half = _GRID_PX // 2
-        u, v = np.meshgrid(np.arange(half, self._camera.width, _GRID_PX), np.arange(half, self._camera.height, _GRID_PX))
+        width, height = self._camera.width, self._camera.height
+        u, v = np.meshgrid(*(np.arange(_GRID_PX // 2, side, _GRID_PX) for side in (width, height)))
         return np.column_stack([u.ravel(), v.ravel()]).astype(np.float64)
 
     def between(self, before: NDArray[np.uint8], after: NDArray[np.uint8]) -> Motion | None:

@@ -24,7 +24,7 @@ class Motion:
 
     Attributes:
         T_previous_current: (4, 4).
-        inliers: number of tracks that agree with the motion.
+        inliers: number of tracks that agree with the motion; 0 where it is not known.
         points: (N, 3) corners in the current camera's frame, with depth refined by parallax, in the unit of the depth
             source. Without corners, scale and tilt of the depth are not corrected.
         log_depth_sd: (N,) standard deviation of the logarithm of the corners' depth.

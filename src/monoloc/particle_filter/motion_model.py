@@ -9,6 +9,10 @@ from monoloc.geometry import FloatArray, rotation_angle, se3_exp
 from monoloc.odometry.motion import Motion
 from monoloc.particle_filter.particles import Particles
 
+# The fewer corners agree with a motion, the less exact it is: a power law. Median error of the rotation in 700 steps of
+# two real recordings: 0.2 degrees by more than 200 of at most 300 corners, 0.5 by 100 to 150, 0.9 by 70 to 100.
+_ENOUGH_INLIERS, _INLIER_POWER = 200, 1.5
+
 
 class MotionConfig(BaseModel):
     """Noise of the motion models and of the depth's scale.
@@ -17,7 +21,7 @@ class MotionConfig(BaseModel):
         speed_sd_m_s, turn_sd_rad_s: for frames without odometry: standard deviation of the velocity per axis. The
             velocity is redrawn after every frame that constrains the pose and constant while none does.
         translation_sd_m, translation_sd_ratio: odometry's translation noise, per axis: constant and share of
-            the distance moved.
+            the distance moved, if many corners agree with it; with few, both are larger.
         rotation_sd_rad, rotation_sd_ratio: its rotation noise, likewise.
         log_scale_correlation: correlation of the depth's log-scale over one second.
     """
@@ -50,6 +54,8 @@ def motion_sd(
     translation_ratio, rotation_ratio = config.translation_sd_ratio, config.rotation_sd_ratio
     translation_sd = float(np.hypot(config.translation_sd_m, translation_ratio * np.linalg.norm(delta[:3, 3])))
     rotation_sd = float(np.hypot(config.rotation_sd_rad, rotation_ratio * rotation_angle(delta[:3, :3])))
+    factor = max(1.0, (_ENOUGH_INLIERS / motion.inliers) ** _INLIER_POWER) if motion.inliers > 0 else 1.0
+    translation_sd, rotation_sd = factor * translation_sd, factor * rotation_sd
     if motion.translation == "unknown":
         translation_sd = config.speed_sd_m_s * equivalent_s
     elif motion.translation_sd_m is not None:
