@@ -31,7 +31,7 @@ def make_particles(count: int, rng: np.random.Generator) -> tuple[FloatArray, Fl
 
 def motion_of(delta: FloatArray) -> Motion:
     """A motion ``T_previous_current`` of which no corner is known."""
-    return Motion(delta, 50, np.zeros((0, 3)), np.zeros(0))
+    return Motion(delta)
 
 
 def nats_with_outliers(log_density: FloatArray, share: float, volume_m3: float) -> FloatArray:

@@ -14,7 +14,7 @@ from monoloc.camera import Camera
 from monoloc.evaluation.consistency import FAR_M
 from monoloc.evaluation.hold_out import HELD_OUT_SHARE, REGIONS, hold_out_regions
 from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, axis_sd, twist_errors
-from monoloc.fusion.bias_model import COMMON_ERROR, BiasModel, LandmarkBiasModel, squared_distance
+from monoloc.fusion.bias_model import COMMON_ERROR, BiasModel, LandmarkBiasModel
 from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_log
 from monoloc.landmarks.landmark_map import FAMILIAR_TIMES, Landmarks, LandmarkViews
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
@@ -124,12 +124,12 @@ def fit_common_error_growth(
         distances_m: (N,) to the nearest reference pose.
         floor: standard deviations an axis of the errors at the reference poses, metres and radians.
     """
-    single = np.reshape([len(pose.points) * pose.covariance for pose in poses], (-1, 6, 6))
-    squares = np.array([squared_distance(float(distance_m)) for distance_m in distances_m])[:, None, None]
-    constant = COMMON_ERROR * single + np.diag(np.repeat(floor, 3) ** 2)
+    constant = np.diag(np.repeat(floor, 3) ** 2)
     best, best_value = _COMMON_ERROR_GROWTH, -np.inf
     for growth in _COMMON_ERROR_GROWTH * _GROWTH_FACTORS:
-        covariances = constant + growth * squares * single
+        model = LandmarkBiasModel(common_error=COMMON_ERROR, common_error_growth=growth)
+        noise = [model.covariance(pose, float(distance)) for pose, distance in zip(poses, distances_m, strict=True)]
+        covariances = constant + np.reshape(noise, (-1, 6, 6))
         squared = np.einsum("ni,ni->n", twists, np.linalg.solve(covariances, twists[..., None])[..., 0])
         prior = -0.5 * (math.log(growth / _COMMON_ERROR_GROWTH) / _GROWTH_LOG_SD) ** 2
         value = prior - 0.5 * float(np.sum(squared + np.linalg.slogdet(covariances)[1]))

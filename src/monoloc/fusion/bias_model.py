@@ -83,14 +83,9 @@ class LandmarkBiasModel(BiasModel):
         Args:
             distance_m: pose distance to the nearest reference pose.
         """
-        common = self.common_error + self.common_error_growth * squared_distance(distance_m)
+        common = self.common_error + self.common_error_growth * min(distance_m, _MOST_DISTANCE_M) ** 2
         factor = max(1.0, len(measured.points) * common)
         # Errors in common count as so many fewer landmarks, for the other poses of a flat view too.
         shares = np.exp(-measured.rival_nats / factor)
         spread = np.einsum("k,ki,kj->ij", shares, measured.rivals, measured.rivals) / (1.0 + shares.sum())
         return np.asarray(factor * measured.covariance + spread)
-
-
-def squared_distance(distance_m: float) -> float:
-    """Square of a pose distance, up to which the common error of landmarks grows."""
-    return min(distance_m, _MOST_DISTANCE_M) ** 2

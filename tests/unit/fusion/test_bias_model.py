@@ -69,6 +69,16 @@ def test_errors_that_landmarks_have_in_common_do_not_average_out_and_keep_the_sh
     np.testing.assert_allclose(stated(100, 4.0), stated(100, 0.5))  # farther, growth was not measured
 
 
+def test_other_poses_that_landmarks_allow_widen_the_covariance_by_their_likelihood() -> None:
+    rivals = np.array([[0.1, 0.0, 0.0, 0.0, 0.2, 0.0], [0.0, 0.3, 0.0, 0.0, 0.0, 0.0]])
+    measured = LandmarkPose(
+        np.eye(4), 1e-6 * np.eye(6), np.zeros((100, 3)), rivals=rivals, rival_nats=np.array([0.0, 1e3])
+    )
+    stated = LandmarkBiasModel(common_error=0.01).covariance(measured, 0.0)
+    # One other pose is as likely: half of its squared distance, as of a mixture about the first. The second is not.
+    np.testing.assert_allclose(stated, 1e-6 * np.eye(6) + 0.5 * np.outer(rivals[0], rivals[0]), atol=1e-12)
+
+
 def test_landmarks_of_bundles_without_a_measured_noise_count_as_twenty() -> None:
     measured = LandmarkPose(np.eye(4), np.eye(6), np.zeros((100, 3)))
     np.testing.assert_allclose(LandmarkBiasModel().covariance(measured, 1.0), 5.0 * np.eye(6))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,6 +40,15 @@ def test_odometry_noise_grows_with_the_motion() -> None:
         spreads.append(se3_log(invert(POSE @ delta) @ after.poses).std(axis=0))
     assert np.allclose(spreads[0], [0.01] * 3 + [0.005] * 3, rtol=0.06)
     assert np.allclose(spreads[1], [np.hypot(0.01, 0.2)] * 3 + [np.hypot(0.005, 0.05)] * 3, rtol=0.06)
+
+
+def test_odometry_by_few_corners_states_more_noise_and_another_sensor_does_not() -> None:
+    delta, config = make_pose(so3_exp([0.0, 0.1, 0.0]), [0.1, 0.0, 0.0]), MotionConfig()
+    many, few = (motion_sd(Motion(delta, inliers=inliers), 0.1, 0.0, config) for inliers in (200, 50))
+    np.testing.assert_allclose(few, 8.0 * many)
+    np.testing.assert_array_equal(motion_sd(Motion(delta, inliers=300), 0.1, 0.0, config), many)
+    metric = replace(Motion.metric(delta, 0.02, 0.004), inliers=50)  # as where corners are tracked beside it
+    np.testing.assert_allclose(motion_sd(metric, 0.1, 0.0, config), [0.02] * 3 + [0.004] * 3)
 
 
 def test_metric_motion_has_no_depth_scale_and_its_own_noise() -> None:
