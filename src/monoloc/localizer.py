@@ -293,11 +293,12 @@ class Localizer:
     ) -> Estimate:
         """The belief after motion, particles and landmarks.
 
-        Particles of a lost camera gather somewhere all the same: they count only if the scan fits where they are, and
-        landmarks do not contradict them.
+        Particles of a lost camera gather somewhere all the same: they count only if the scan fits where they are as
+        scans fit at right poses, and landmarks do not contradict them.
         """
         landmark_pose = None if landmarks is None else landmarks.pose
         fits = observation.scan_has_enough_points and log_likelihood >= self._thresholds.lost
+        fits &= self._integrity.scan_speaks_for_the_pose(log_likelihood)
         fits |= "bias" in self._config.without  # the belief is the particles' pose, whatever their scan says
         scan_accepted = fits and relocalization.mode is Mode.TRACKING and not contradicted
         measured = self._tracker.fusion.without_known_bias(particle_estimate)

@@ -176,6 +176,11 @@ class IntegrityMonitor:
         by_width = math.erfc(FAR_M / (math.sqrt(2.0) * sd_m)) if sd_m > 0.0 else 0.0
         return self.probability_wrong + (1.0 - self.probability_wrong) * by_width
 
+    def scan_speaks_for_the_pose(self, mean_log_likelihood: float) -> bool:
+        """Whether a scan's fit is no less probable at right poses than at wrong ones."""
+        right, wrong = self._model.scan.likelihoods(mean_log_likelihood)
+        return right >= wrong
+
     def predict(self, elapsed_s: float, odometry_tracked: bool, image_is_new: bool) -> None:
         """The probabilities after a motion.
 

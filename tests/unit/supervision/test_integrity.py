@@ -170,6 +170,12 @@ def test_room_without_evidence_leaves_the_probability_to_the_motion() -> None:
     assert monitor.probability_wrong == pytest.approx(before)
 
 
+def test_scan_speaks_for_the_pose_where_its_fit_is_as_probable_there_as_at_wrong_poses() -> None:
+    monitor = make_monitor()
+    assert [monitor.scan_speaks_for_the_pose(value) for value in (-1.0, 0.5, 2.0)] == [False, True, True]
+    assert make_monitor(IntegrityModel()).scan_speaks_for_the_pose(-1e9)  # where nothing was measured
+
+
 def test_evidence_counts_by_time_and_not_by_frames() -> None:
     """A camera of twice the rate gives no more independent observations."""
     fast, slow = make_monitor(), make_monitor()
