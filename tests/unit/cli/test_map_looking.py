@@ -13,6 +13,7 @@ import yaml
 
 from cli_helpers import json_of, refused, succeeds
 from monoloc.bundle import read_bundle, write_bundle
+from monoloc.cli import map_looking
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import rotation_to_quaternion
 from monoloc.io.cloud_files import read_cloud
@@ -43,6 +44,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def here(workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     shutil.copytree(workspace, tmp_path, dirs_exist_ok=True)
+    monkeypatch.setattr(map_looking, "_DRAWN_POINTS", 10_000)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
