@@ -69,7 +69,7 @@ def test_map_is_drawn(capfd: pytest.CaptureFixture[str], here: Path, extra: tupl
         "bundles": 2 if "--beside" in extra else 1,
     }
     image = cv2.imread("a.png")
-    assert image is not None and len(np.unique(image.reshape(-1, 3), axis=0)) > 100
+    assert image is not None and len(np.unique(image.reshape(-1, 3)[::7] @ (1, 256, 65536))) > 100
 
 
 def test_pose_and_its_reference_give_the_same_picture(capfd: pytest.CaptureFixture[str], here: Path) -> None:
