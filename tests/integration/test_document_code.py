@@ -86,6 +86,7 @@ def test_rendered_room_is_edited() -> None:
     assert names["moved"] != names["room"] and set(names["room"].names) - set(names["emptier"].names) == {"plant"}
 
 
+@pytest.mark.slow  # two calibrations; tests/unit/builder/test_calibrate.py has one
 def test_likelihood_of_ones_own_tracks_far_better_than_odometry(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
