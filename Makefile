@@ -30,7 +30,7 @@ test-all: checks
 	@echo "coverage of lines and branches: $$($(BIN)/coverage report --format total) %; see build/coverage"
 
 checks: $(VENV)/installed
-	$(MAKE) --jobs 2 --output-sync lint docs native-test
+	$(MAKE) --no-print-directory --jobs 2 --output-sync lint docs native-test
 
 docs: $(VENV)/installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --site-dir build/site
