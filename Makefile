@@ -4,7 +4,10 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 NATIVE := CMakeLists.txt $(shell find cpp -type f)
 
-.PHONY: demo demo-bundle test test-all lint native-test sanitize fuzz release-files docs clean
+# Some containers set it. Tests start many processes, each of which would compile every module anew.
+unexport PYTHONDONTWRITEBYTECODE
+
+.PHONY: demo demo-bundle test test-all checks lint native-test sanitize fuzz release-files docs clean
 
 demo: $(VENV)/installed
 	$(BIN)/monoloc demo
@@ -13,18 +16,21 @@ demo: $(VENV)/installed
 demo-bundle: $(VENV)/installed
 	OMP_NUM_THREADS=1 $(BIN)/python -m monoloc_lab.make.demo_bundle
 
+# Files in the order of their folders: those of tests/integration, the longest, come first, and no process waits long
+# for another at the end.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses logical --maxprocesses 4 --dist loadfile \
-	--cov --cov-report html:build/coverage
-COVERAGE := @echo "coverage of lines and branches: $$($(BIN)/coverage report --format total) %; see build/coverage"
+	--no-loadscope-reorder
 
-test: lint docs native-test
+test: checks
 	$(PYTEST) -m "not slow"
-	$(COVERAGE)
 
-# The slow tests too.
-test-all: lint docs native-test
-	$(PYTEST)
-	$(COVERAGE)
+# The slow tests too, and the coverage, which takes half as long again.
+test-all: checks
+	$(PYTEST) --cov --cov-report html:build/coverage
+	@echo "coverage of lines and branches: $$($(BIN)/coverage report --format total) %; see build/coverage"
+
+checks: $(VENV)/installed
+	$(MAKE) --no-print-directory --jobs 2 --output-sync lint docs native-test
 
 docs: $(VENV)/installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --site-dir build/site

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +27,18 @@ def flight() -> RoomRecording:
     return RoomRecording(Room(), make_path(FRAMES), SMALL_CAMERA)
 
 
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory, flight: RoomRecording) -> Path:
+    folder = tmp_path_factory.mktemp("workspace")
+    write_workspace(folder, flight)
+    return folder
+
+
 @pytest.fixture
-def workspace(tmp_path: Path, flight: RoomRecording, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    write_workspace(tmp_path, flight)
+def workspace(original: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    shutil.copytree(original, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
-    yield tmp_path
+    return tmp_path
 
 
 def write_poses(workspace: Path, flight: RoomRecording, poses: np.ndarray, times: np.ndarray | None = None) -> None:

@@ -14,7 +14,7 @@ import pytest
 from monoloc.bundle import write_bundle
 from monoloc.geometry import invert, se3_log
 from repository import REPOSITORY
-from synthetic_room import Room, RoomRecording, make_bundle, make_path, room_mixture
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
 
 FRAMES = 12
 
@@ -86,12 +86,13 @@ def test_rendered_room_is_edited() -> None:
     assert names["moved"] != names["room"] and set(names["room"].names) - set(names["emptier"].names) == {"plant"}
 
 
+@pytest.mark.slow  # two calibrations; tests/unit/builder/test_calibrate.py has one
 def test_likelihood_of_ones_own_tracks_far_better_than_odometry(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """After the one call of ``calibrate`` that the page shows."""
     document = "docs/how-to/change-a-part.md"
-    second = RoomRecording(Room(), make_path(FRAMES, rate_hz=5.0))
+    second = RoomRecording(Room(), make_path(FRAMES, rate_hz=5.0), SMALL_CAMERA)
     monkeypatch.setattr("monoloc.io.registry.open_recording", {"folder:second-recording": second}.__getitem__)
     (code,) = code_blocks(document)
     execute(document, code, {})

@@ -367,7 +367,14 @@ def stay_at_frame(recording: Path, index: int) -> None:
     poses.write_text("\n".join([comment, *lines[:index], *later[index:]]) + "\n")
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "number",
+    [
+        signal.SIGTERM,
+        signal.SIGKILL,
+        *(pytest.param(number, marks=pytest.mark.slow) for number in (signal.SIGINT, signal.SIGHUP)),
+    ],
+)
 def test_a_signal_ends_a_flight_with_whole_files_and_a_summary(capfd: Capture, here: Path, number: int) -> None:
     """A recording of an hour would not have ended. A kill takes the summary and the last frames, but no file."""
     stay_at_frame(here / "flight", 4)

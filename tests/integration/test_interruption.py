@@ -11,9 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from cli_helpers import UNTUNED, listing, write_workspace
+from cli_helpers import UNTUNED, listing, python, write_workspace
 from edit_helpers import mapped_room
 from monoloc.bundle import read_bundle, write_bundle
+from monoloc.cli.main import invoke
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path, write_recording
 
 
@@ -67,7 +68,9 @@ def test_terminated_reconstruction_leaves_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("file", ["map.npz", "edits.npz", "manifest.json"])
-def test_killed_edit_leaves_the_old_bundle_and_the_next_one_works(tmp_path: Path, file: str) -> None:
+def test_killed_edit_leaves_the_old_bundle_and_the_next_one_works(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str
+) -> None:
     write_bundle(tmp_path / "room.monoloc", mapped_room())
     before = listing(tmp_path)
     code = f"""
@@ -84,12 +87,11 @@ Path.write_bytes = killed
 run()
 """
     edit = ["map", "edit", "room.monoloc", "remove", "--box=-0.3,0.4,1.7,0.3,1,2.3"]
-    process = subprocess.run([sys.executable, "-c", code, *edit], cwd=tmp_path, capture_output=True, check=False)
+    process = python(code, *edit, here=tmp_path)
     assert process.returncode == -signal.SIGKILL
     left = {name: content for name, content in listing(tmp_path).items() if not name.startswith(".room.monoloc")}
     assert left == before
-    code = "from monoloc.cli.main import run; run()"
-    process = subprocess.run([sys.executable, "-c", code, *edit], cwd=tmp_path, capture_output=True, check=False)
-    assert process.returncode == 0
+    monkeypatch.chdir(tmp_path)
+    assert invoke(edit) == 0
     assert len(read_bundle(tmp_path / "room.monoloc").edits) == 1
     assert [path.name for path in tmp_path.iterdir()] == ["room.monoloc"]

@@ -40,7 +40,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def processes() -> BaseContext:
     """Processes that have imported everything when they begin."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["cli_helpers", "monoloc.cli.app"])
+    context.set_forkserver_preload(["cli_helpers", *(f"monoloc.cli.{name}" for name in ("build", "localize", "fly"))])
     return context
 
 

@@ -65,6 +65,17 @@ def python(code: str, *arguments: str | Path, here: Path | None = None) -> subpr
     return subprocess.run(command, capture_output=True, text=True, cwd=here, timeout=600, check=False)
 
 
+def run_as_command(action: str) -> str:
+    """Code that runs an action, an expression, as the launcher runs a command; no command is imported."""
+    return (
+        "import sys, types\n"
+        "app = sys.modules['monoloc.cli.app'] = types.ModuleType('app')\n"
+        f"app.command_line, app.carry_out = list, lambda _: {action}\n"
+        "from monoloc.cli.main import run\n"
+        "run()"
+    )
+
+
 def exit_by(*arguments: str) -> None:
     """Run a command as the whole of a process."""
     sys.exit(invoke(list(arguments)))

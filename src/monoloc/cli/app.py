@@ -1,29 +1,16 @@
-"""All commands of ``monoloc``; importing this module imports all their dependencies."""
+"""All commands of ``monoloc``. Those that a command line does not name are not imported, nor what they depend on."""
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
 from typing import Annotated
 
 import typer
+from typer.core import TyperGroup
 from typer.exceptions import Abort, TyperException
+from typer.main import get_command
 
-from monoloc.cli import (
-    build,
-    calibrate_camera,
-    check,
-    depth,
-    doctor,
-    evaluate,
-    fetch,
-    fly,
-    inspect,
-    localize,
-    map_,
-    reconstruct,
-    replay,
-    signature,
-)
 from monoloc.errors import MonolocError
 from monoloc.version import version_facts
 
@@ -35,40 +22,57 @@ class _LabMissingError(MonolocError):
     page = "how-to/install"
 
 
-app = typer.Typer(
-    name="monoloc",
-    help="Localise a drone indoors with one camera.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
-app.command("build")(build.build)
-app.command("check")(check.check)
-app.command("fetch")(fetch.fetch)
-app.command("reconstruct")(reconstruct.reconstruct_command)
-app.command("localize")(localize.localize_command)
-app.command("evaluate")(evaluate.evaluate)
-app.command("inspect")(inspect.inspect)
-app.command("fly")(fly.fly)
-app.command("doctor")(doctor.doctor)
-app.command("replay")(replay.replay)
-app.add_typer(map_.app, name="map")
-app.add_typer(depth.app, name="depth")
-app.add_typer(calibrate_camera.app, name="calibrate")
-app.add_typer(signature.app, name="signature")
+_ENTRY_GROUP = "monoloc.commands"  # entry points with which other packages add commands
+_OWN_COMMANDS = {
+    "build": "build:build",
+    "check": "check:check",
+    "fetch": "fetch:fetch",
+    "reconstruct": "reconstruct:reconstruct_command",
+    "localize": "localize:localize_command",
+    "evaluate": "evaluate:evaluate",
+    "inspect": "inspect:inspect",
+    "fly": "fly:fly",
+    "doctor": "doctor:doctor",
+    "replay": "replay:replay",
+    "map": "map_:app",
+    "depth": "depth:app",
+    "calibrate": "calibrate_camera:app",
+    "signature": "signature:app",
+}
 
 
-def _add_installed_commands() -> None:
-    """Add the commands of other packages, from entry points in the group ``monoloc.commands``."""
-    for entry in sorted(entry_points(group="monoloc.commands"), key=lambda entry: entry.name):
-        command = entry.load()
+def command_line(arguments: list[str]) -> TyperGroup:
+    """Import what a command line needs: the command that it names, or else, as for help, all of them."""
+    return _with_command(arguments[0] if arguments and arguments[0] in _entries() else None)
+
+
+@cache
+def _entries() -> dict[str, EntryPoint]:
+    """Every command, in the order of the help."""
+    own = [EntryPoint(name, f"monoloc.cli.{place}", _ENTRY_GROUP) for name, place in _OWN_COMMANDS.items()]
+    added = sorted(entry_points(group=_ENTRY_GROUP), key=lambda entry: entry.name)
+    return {entry.name: entry for entry in (*own, *added)}
+
+
+@cache
+def _with_command(name: str | None) -> TyperGroup:
+    """The command line with one command, or with all."""
+    app = typer.Typer(
+        name="monoloc",
+        help="Localise a drone indoors with one camera.",
+        callback=_before_all,
+        no_args_is_help=True,
+        rich_markup_mode=None,
+    )
+    for each in _entries().values() if name is None else [_entries()[name]]:
+        command = each.load()
         if isinstance(command, typer.Typer):
-            app.add_typer(command, name=entry.name)
+            app.add_typer(command, name=each.name)
         else:
-            app.command(entry.name)(command)
-
-
-_add_installed_commands()
+            app.command(each.name)(command)
+    group = get_command(app)
+    assert isinstance(group, TyperGroup)
+    return group
 
 
 def _show_version(is_requested: bool) -> None:
@@ -78,7 +82,6 @@ def _show_version(is_requested: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _before_all(
     version: Annotated[
         bool,
@@ -101,7 +104,7 @@ def carry_out(arguments: list[str]) -> int:
         KeyboardInterrupt: the command was interrupted.
     """
     try:
-        result = app(arguments, prog_name="monoloc", standalone_mode=False)
+        result = command_line(arguments)(arguments, prog_name="monoloc", standalone_mode=False)
     except Abort as error:
         raise KeyboardInterrupt from error
     except TyperException as error:

@@ -31,8 +31,9 @@ def run() -> None:
     # NumPy's sums, and so poses, depend on it. It looks when it is imported; PyTorch has threads of its own.
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     _on_signals(_end_at_once)
-    import monoloc.cli.app  # noqa: F401
+    from monoloc.cli.app import command_line
 
+    command_line(sys.argv[1:])
     _on_signals(_interrupt)
     sys.exit(invoke(sys.argv[1:]))
 

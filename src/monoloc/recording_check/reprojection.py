@@ -47,6 +47,7 @@ class Reprojector:
     def __init__(self, matches: Matches) -> None:
         self.matches = matches
         self._first, self._second = matches.rays()
+        self._of_pairs = [matches.of_pair(index) for index in range(len(matches))]
 
     def __call__(self, T_second_first: FloatArray, depth_m: FloatArray, focal: float = 1.0) -> Reprojection:
         """Errors of relative poses.
@@ -60,9 +61,7 @@ class Reprojector:
         offset = self._predicted(T_second_first[matches.pair], depth_m, focal) - self._second[:, :2]
         distance = np.linalg.norm(offset, axis=1) * matches.camera.focal_px
         distance[depth_m <= 0.0] = np.nan
-        return Reprojection(
-            np.array([_median(distance[matches.of_pair(i)]) for i in range(len(matches))]) / matches.motion_px
-        )
+        return Reprojection(np.array([_median(distance[of]) for of in self._of_pairs]) / matches.motion_px)
 
     def predicted_px(self, T_second_first: FloatArray, depth_m: FloatArray) -> FloatArray:
         """Where the corners are predicted in the second frame, (P, 2) pixels of the matches' camera."""
@@ -83,7 +82,7 @@ class Reprojector:
         return np.stack(motions) if motions else np.zeros((0, 4, 4))
 
     def _free(self, index: int, depth_m: FloatArray) -> FloatArray:
-        of = self.matches.of_pair(index)
+        of = self._of_pairs[index]
         known = np.flatnonzero(depth_m[of] > 0.0)
         nothing = np.full((4, 4), np.nan)
         if len(known) < LEAST_WITH_DEPTH:
@@ -110,5 +109,6 @@ def relative_poses(poses: FloatArray, frames: NDArray[np.int64]) -> FloatArray:
 
 
 def _median(values: FloatArray) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) >= LEAST_WITH_DEPTH else float("nan")
+    known = np.sort(values[np.isfinite(values)])  # many times faster than np.median of so few
+    count = len(known)
+    return float(0.5 * (known[(count - 1) // 2] + known[count // 2])) if count >= LEAST_WITH_DEPTH else float("nan")

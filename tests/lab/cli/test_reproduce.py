@@ -102,7 +102,8 @@ def test_failed_task_is_named(tmp_path: Path, capfd: pytest.CaptureFixture[str])
 
 def test_command_is_offered_without_the_libraries_of_its_work() -> None:
     heavy = ("torch", "joblib", "distributed", "dask", "matplotlib", "scipy", "reportlab")
-    script = f"import sys, monoloc.cli.app; sys.exit(', '.join(m for m in {heavy!r} if m in sys.modules) or 0)"
+    script = "import sys; from monoloc.cli.app import command_line; command_line([]); "
+    script += f"sys.exit(', '.join(m for m in {heavy!r} if m in sys.modules) or 0)"
     assert python(script).returncode == 0
 
 

@@ -115,7 +115,7 @@ def test_every_figure_is_drawn_with_its_numbers(name: str, full: Study, done: Do
     for path in drawn.pictures:
         image = cv2.imread(str(path))
         assert image is not None and min(image.shape[:2]) > 300
-        assert len(np.unique(image.reshape(-1, 3), axis=0)) > 20
+        assert len(np.unique(image.reshape(-1, 3)[::7] @ (1, 256, 65536))) > 20
     for head, rows in drawn.tables.values():
         assert rows and all(len(row) == len(head) for row in rows)
     assert drawn.pictures or drawn.tables

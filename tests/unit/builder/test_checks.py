@@ -183,9 +183,12 @@ def test_cloud_in_millimetres_is_refused() -> None:
 
 @pytest.mark.parametrize(("scale", "is_warned_of"), [(1.0, False), (0.75, False), (0.5, True), (1.8, True)])
 @pytest.mark.parametrize("has_depth", [True, False])
-def test_scale_that_is_not_the_networks_is_warned_of(scale: float, is_warned_of: bool, has_depth: bool) -> None:
+def test_scale_that_is_not_the_networks_is_warned_of(
+    room_map: tuple[FloatArray, GaussianMixture], scale: float, is_warned_of: bool, has_depth: bool
+) -> None:
     """A cloud from structure from motion, or a whole recording, in a scale of its own."""
-    cloud = scale * Room().cloud(0.04)
+    cloud, original = scale * room_map[0], room_map[1]
+    mixture = GaussianMixture(original.weights, scale * original.means, scale**2 * original.covariances)
     recording = RoomRecording(Room(), flying(), SMALL_CAMERA, has_depth)
     assert recording.poses is not None
     scaled = Altered(
@@ -194,7 +197,6 @@ def test_scale_that_is_not_the_networks_is_warned_of(scale: float, is_warned_of:
         depth=lambda depth: scale * depth,
         has_depth=has_depth,
     )
-    mixture = fit_mixture(cloud, 60, np.random.default_rng(0)).mixture
     warnings = [each for each in check(scaled, cloud, mixture, given=not has_depth) if "network's" in each]
     assert len(warnings) == is_warned_of
     if warnings:

@@ -53,7 +53,7 @@ def errors(recording: Recording, truth: FloatArray) -> PoseErrors:
 
 @pytest.fixture(scope="module")
 def mixture() -> GaussianMixture:
-    return fit_mixture(Room().cloud(0.04), 200, np.random.default_rng(0)).mixture
+    return fit_mixture(Room().cloud(0.06), 200, np.random.default_rng(0)).mixture
 
 
 def test_poses_are_refined_against_a_given_map(

@@ -19,7 +19,7 @@ from cli_helpers import json_of, outputs, succeeds
 from monoloc.calibration.board import Board
 from monoloc.calibration.board_source import BoardViews, read_views
 from monoloc.calibration.board_views import BoardDetector, BoardView, diverse_views
-from monoloc.calibration.intrinsics_solver import calibrate_camera
+from monoloc.calibration.intrinsics_solver import Calibration, calibrate_camera
 from monoloc.calibration.sufficiency import assess, require_views
 from monoloc.camera import Camera
 from monoloc.cli.main import invoke
@@ -51,10 +51,14 @@ def views_of(name: str, count: int = 16, tilt_deg: float = 35.0) -> list[BoardVi
     return [view for view in views if view is not None]
 
 
+@cache
+def calibration_of(name: str) -> Calibration:
+    return calibrate_camera(views_of(name), BOARD, SIZE, CAMERAS[name].distortion_model)
+
+
 @pytest.mark.parametrize("name", CAMERAS)
 def test_known_camera_is_recovered_within_its_stated_error(name: str) -> None:
-    camera = CAMERAS[name]
-    calibration = calibrate_camera(views_of(name), BOARD, SIZE, camera.distortion_model)
+    camera, calibration = CAMERAS[name], calibration_of(name)
     found = calibration.camera
     for index, key in enumerate(("fx", "fy", "cx", "cy")):
         assert abs(getattr(found, key) - getattr(camera, key)) < 3.0 * calibration.sd[index], key
@@ -79,7 +83,7 @@ def test_coefficients_that_the_views_do_not_determine_are_left_out(name: str) ->
 
 
 def test_fit_is_that_of_opencv() -> None:
-    calibration = calibrate_camera(views_of("brown"), BOARD, SIZE, "brown")
+    calibration = calibration_of("brown")
     points = [BOARD.corners[view.ids].astype(np.float32) for view in calibration.views]
     pixels = [view.pixels.astype(np.float32)[:, None] for view in calibration.views]
     library: Any = cv2
@@ -101,8 +105,8 @@ def test_a_model_that_does_not_fit_is_said() -> None:
 
 
 def test_square_size_changes_distances_and_not_the_camera() -> None:
-    views = views_of("brown")
-    one, half = (calibrate_camera(views, Board(side), SIZE, "brown") for side in (30.0, 15.0))
+    assert BOARD.square_mm == 30.0
+    one, half = calibration_of("brown"), calibrate_camera(views_of("brown"), Board(15.0), SIZE, "brown")
     np.testing.assert_allclose(half.camera.matrix, one.camera.matrix, atol=1e-3)
     np.testing.assert_allclose(half.distances_m, 0.5 * one.distances_m, rtol=1e-4)
 

@@ -7,10 +7,9 @@ from collections.abc import Iterator
 
 import pytest
 from typer.core import TyperGroup
-from typer.main import get_command
 
 from cli_helpers import succeeds
-from monoloc.cli.app import app
+from monoloc.cli.app import command_line
 from monoloc.cli.main import invoke
 from monoloc.version import version_facts
 
@@ -27,9 +26,7 @@ def commands(group: TyperGroup, *path: str) -> Iterator[tuple[str, ...]]:
             yield (*path, name)
 
 
-ROOT = get_command(app)
-assert isinstance(ROOT, TyperGroup)
-COMMANDS = list(commands(ROOT))
+COMMANDS = list(commands(command_line([])))
 
 
 def test_commands_are_those_expected() -> None:

@@ -7,12 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from cli_helpers import listing, python
+from cli_helpers import listing, python, run_as_command
 from monoloc.cli import app
 from monoloc.cli.main import invoke
 
 INTERRUPTED = (130, "monoloc: interrupted; nothing half-written is left\n")
-RUN = "from monoloc.cli import app, main\napp.carry_out = lambda _: {action}\nmain.run()"
 
 
 def test_interrupted_write_leaves_no_partial_file(tmp_path: Path) -> None:
@@ -24,8 +23,7 @@ def test_interrupted_write_leaves_no_partial_file(tmp_path: Path) -> None:
         "def stopped(path, content):\n"
         "    write(path, content[:10])\n"
         "    os.kill(os.getpid(), signal.SIGTERM)\n"
-        "pathlib.Path.write_bytes = stopped\n"
-        + RUN.format(action="write_tum('trajectory.txt', [0.0], np.eye(4)[None])")
+        "pathlib.Path.write_bytes = stopped\n" + run_as_command("write_tum('trajectory.txt', [0.0], np.eye(4)[None])")
     )
     before = listing(tmp_path)
     result = python(code, here=tmp_path)
@@ -58,7 +56,7 @@ def test_ignored_hang_up_remains_ignored_and_ascii_terminals_get_a_substitute(tm
         "import io, signal, sys\n"
         "sys.stdout = io.TextIOWrapper(sys.stdout.buffer, encoding='ascii')\n"
         "signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
-        + RUN.format(action="print('2\\u00b0', signal.getsignal(signal.SIGHUP) is signal.SIG_IGN) or 0")
+        + run_as_command("print('2\\u00b0', signal.getsignal(signal.SIGHUP) is signal.SIG_IGN) or 0")
     )
     result = python(code, here=tmp_path)
     assert (result.returncode, result.stdout) == (0, "2? True\n"), result.stderr

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-RUN = "from monoloc.cli import app, main; app.carry_out = lambda _: {action}; main.run()"
+from cli_helpers import run_as_command
+
 RESULT = "print('result') or 0"
 REMARK = "print('remark', file=__import__('sys').stderr) or 0"
 
@@ -19,7 +20,7 @@ def shell(action: str, redirections: str) -> subprocess.CompletedProcess[str]:
     """Run an action as a command, with a shell's redirections."""
     command = f'"$0" -c "$1" {redirections}'
     return subprocess.run(
-        ["bash", "-o", "pipefail", "-c", command, sys.executable, RUN.format(action=action)],
+        ["bash", "-o", "pipefail", "-c", command, sys.executable, run_as_command(action)],
         capture_output=True,
         text=True,
         timeout=60,
@@ -28,7 +29,7 @@ def shell(action: str, redirections: str) -> subprocess.CompletedProcess[str]:
 
 
 @needs_full_device
-@pytest.mark.parametrize("action", [RESULT, "app.app(['--help'], standalone_mode=False) or 0"])
+@pytest.mark.parametrize("action", [RESULT, "__import__('typer').echo('help') or 0"])
 def test_full_disk_is_reported_in_one_line(action: str) -> None:
     ended = shell(action, ">/dev/full")
     problem = "cannot be written (No space left on device); make room, or write it elsewhere"

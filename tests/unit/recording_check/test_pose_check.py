@@ -101,8 +101,8 @@ def test_noisy_poses_give_a_warning_and_unrelated_poses_are_refused(room: tuple[
     assert require_agreement("walk", check, poses_are_refined=True) == []  # refinement starts from any
 
 
-def test_poses_with_a_cloud_in_place_of_depth() -> None:
-    recording = RoomRecording(Room(), turning_path(60), SMALL_CAMERA)
+def test_poses_with_a_cloud_in_place_of_depth(room: tuple[Recording, Matches]) -> None:
+    recording, _ = room
     cloud = Room().cloud(0.04)
     assert check_poses(Altered(recording, has_depth=False), cloud).verdict == "agree"
     assert recording.poses is not None
@@ -119,13 +119,13 @@ def test_delay_counts_frames_of_the_whole_recording() -> None:
     assert refusal(check).endswith("; give --fix-poses late:2")
 
 
-def test_scale_and_axes_together_are_named() -> None:
+def test_scale_and_axes_together_are_named(room: tuple[Recording, Matches]) -> None:
     """As from structure from motion with OpenGL's axes."""
-    recording = RoomRecording(Room(), turning_path(60), SMALL_CAMERA)
+    recording, matches = room
     assert recording.poses is not None
     poses = POSES["OpenGL"].poses(recording.poses)
     poses[:, :3, 3] *= 3.7
-    line = refusal(check_poses(Altered(recording, poses=poses)))
+    line = refusal(judged(Altered(recording, poses=poses), matches))
     assert re.search(r"; give --fix-poses opengl,scaled:0\.27\d? if the depth is right", line), line
 
 
@@ -136,14 +136,14 @@ def test_too_little_motion_is_not_judged() -> None:
     assert require_agreement("walk", check, poses_are_refined=False) == []
 
 
-def test_range_leaves_the_pose_check_silent() -> None:
+def test_range_leaves_the_pose_check_silent(room: tuple[Recording, Matches]) -> None:
     """Its effect on corners is as small as that of noisy poses: planes tell it (test_depth_check.py)."""
-    recording = RoomRecording(Room(), turning_path(60), SMALL_CAMERA)
-    assert check_poses(Altered(recording, depth=range_of(recording))).verdict == "agree"
+    recording, matches = room
+    assert judged(Altered(recording, depth=range_of(recording)), matches).verdict == "agree"
 
 
-def test_fixed_recording_agrees() -> None:
-    recording = RoomRecording(Room(), turning_path(60), SMALL_CAMERA)
+def test_fixed_recording_agrees(room: tuple[Recording, Matches]) -> None:
+    recording, _ = room
     assert recording.poses is not None
     wrong = Altered(recording, poses=late(POSES["COLMAP"].poses(recording.poses), 4))
     fixed = corrected(wrong, Fixes(poses="w-first,world-to-camera,late:4"))
