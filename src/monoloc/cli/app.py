@@ -20,6 +20,7 @@ from monoloc.cli import (
     inspect,
     localize,
     map_,
+    place,
     reconstruct,
     replay,
     signature,
@@ -53,6 +54,7 @@ app.command("fly")(fly.fly)
 app.command("doctor")(doctor.doctor)
 app.command("replay")(replay.replay)
 app.add_typer(map_.app, name="map")
+app.add_typer(place.app, name="place")
 app.add_typer(depth.app, name="depth")
 app.add_typer(calibrate_camera.app, name="calibrate")
 app.add_typer(signature.app, name="signature")
