@@ -22,7 +22,7 @@ LEFT, RIGHT, OTHER = "left", "right", "other"
 T_LEFT_RIGHT = se3_exp(np.array([1.5, -0.4, 0.7, 0.1, 0.9, -0.2]))
 """From the world of the right bundle to that of the left one, which is the room's."""
 
-_VIEWS = 14  # of each bundle
+_VIEWS = 11  # of each bundle
 
 
 def turning(first_deg: float, last_deg: float, count: int) -> FloatArray:

@@ -21,7 +21,7 @@ from monoloc.progress import NoProgress, Progress
 from monoloc_lab.synth.box_view import BoxView
 from monoloc_lab.synth.row_of_rooms import RowOfRooms
 
-CAMERA = Camera(320, 240, 262.0, 262.0, 159.5, 119.5)
+CAMERA = Camera(256, 192, 209.6, 209.6, 127.5, 95.5)
 RATE_HZ = 5.0
 SPEED_M_S = 1.2
 STEP_M = SPEED_M_S / RATE_HZ
@@ -32,10 +32,11 @@ _BUILD = override(
     components=100,
     voxel_m=0.05,
     adapt={"tune": "none", "map_transform": False},
-    localizer={"particles": 60, "scan_points": 60, "without": ("bias", "known-bias")},
+    localizer={"particles": 20, "scan_points": 40, "without": ("bias", "known-bias")},
 )
+_FLOWN = {"particles": 100, "scan_points": 100, "without": ("known-bias",)}  # settings of flights
 _SEEN_ROOMS = 1  # on either side, that are drawn
-_DOOR_STEP_M, _DOOR_M, _DOOR_ASIDE_M = 0.25, 1.3, 0.1  # of the walk that measures a door
+_DOOR_STEP_M, _DOOR_M, _DOOR_ASIDE_M = 0.25, 2.2, 0.1  # of the walk that measures a door
 
 
 class Views:
@@ -99,9 +100,12 @@ def build_rooms(row: RowOfRooms, drawing: Drawing, folder: Path, seed: int, prog
 
 
 def _built(recording: Recording, seed: int) -> Bundle:
-    """A bundle of a room; the biases of the particles are the defaults, whose measuring takes half of a build."""
+    """A bundle of a room; the biases of the particles are the defaults, whose measuring takes half of a build.
+
+    The build measures its scans with few particles and points, which takes most of the rest.
+    """
     bundle, _ = build_bundle(recording, _BUILD, seed, NoProgress(), network=_NETWORK)
-    settings = bundle.settings.model_copy(update={"without": ("known-bias",)})
+    settings = bundle.settings.model_copy(update=_FLOWN)
     return replace(bundle, settings=settings)
 
 

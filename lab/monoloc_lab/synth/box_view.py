@@ -21,7 +21,7 @@ from monoloc_lab.synth.rooms import Part, Room
 from monoloc_lab.synth.textures import ATLAS_CELLS, texture
 
 _NEAREST_M = 0.05
-_FINER = 1.5  # times as many pixels a side as the picture has, so that edges are smoother
+_FINER = 1.25  # times as many pixels a side as the picture has, so that edges are smoother
 _SIZE, _LEVELS = 512, 9  # of a texture, and of its pyramid (Williams 1983): 512 to 2 pixels
 _OFFSETS = np.cumsum([0, *((_SIZE >> level) ** 2 for level in range(_LEVELS - 1))])
 _PYRAMID = int(_OFFSETS[-1] + (_SIZE >> (_LEVELS - 1)) ** 2)  # pixels of all levels

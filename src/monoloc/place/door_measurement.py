@@ -24,7 +24,7 @@ from monoloc.progress import Progress
 _LEAST_SD_M, _LEAST_SD_RAD = 0.01, 0.005  # of a door: the landmarks' errors in its frames are not independent
 _CHAINED_FRAMES = 3  # before the door and after it, that odometry joins
 _LEAST_FRAMES = 3  # that must agree, see :func:`monoloc.editing.alignment.consensus`
-_REACH_M, _MOST_RADIUS_M = 1.0, 3.0  # of a door, beyond the places where the views change
+_REACH_M, _MOST_RADIUS_M = 1.0, 3.0  # of a door, beyond the places where both rooms explain the view
 _SAME_WORLD_SDS = (0.02, 0.01)  # metres, radians: of two recordings by one system of poses
 _RECORD = "record a slow walk through the door that looks ahead, from well inside one room to well inside the other"
 
@@ -153,21 +153,25 @@ def _sds(T_a_b: FloatArray, there: FloatArray, here: FloatArray) -> tuple[float,
 def _centre(passage: Passage, T_a_b: FloatArray, name: str, names: tuple[str, str]) -> tuple[FloatArray, float]:
     """Where in a one room begins to explain the views better than the other: the middle, (3,), and the radius.
 
+    The radius reaches all places where both rooms explain the view, because the belief may go over at any of them.
+
     Raises:
         DataError: that never happens, so that the recording does not go from one room to the other.
     """
-    positions, is_b = [], []
+    positions, is_b, is_both = [], [], []
     for in_a, in_b in zip(passage.a, passage.b, strict=True):
         in_a_count, in_b_count = (0 if pose is None else len(pose.points) for pose in (in_a, in_b))
         pose = in_a.pose if in_a is not None else T_a_b @ in_b.pose if in_b is not None else None
         if pose is not None:
             positions.append(pose[:3, 3])
             is_b.append(in_b_count > in_a_count)
+            is_both.append(min(in_a_count, in_b_count) > 0)
     changes = np.flatnonzero(np.diff(np.array(is_b, dtype=np.int64)))
     if not len(changes):
         raise DataError(name, f"does not go from room {names[0]} to room {names[1]}", _RECORD)
     places = np.stack(positions)
     around = 0.5 * (places[changes] + places[changes + 1])
     centre_m = around.mean(axis=0)
-    reach_m = float(np.linalg.norm(around - centre_m, axis=1).max())
+    reached = np.concatenate([around, places[np.array(is_both)]])
+    reach_m = float(np.linalg.norm(reached - centre_m, axis=1).max())
     return centre_m, min(_MOST_RADIUS_M, reach_m + _REACH_M)

@@ -57,10 +57,6 @@ class Place:
     def doors_of(self, room: str) -> list[Door]:
         return [door for door in self.manifest.doors if door.joins(room)]
 
-    def bundle_path(self, room: str) -> Path:
-        """Where a room's bundle lies."""
-        return self.path / next(each.bundle for each in self.manifest.rooms if each.name == room)
-
     def read_room(self, room: str) -> Bundle:
         """A room's bundle.
 
@@ -68,8 +64,7 @@ class Place:
             BundleError: it is missing, damaged, or no longer the one that the place was made of.
         """
         entry = next(each for each in self.manifest.rooms if each.name == room)
-        _check_bundle(self.path, entry)
-        return read_bundle(self.path / entry.bundle)
+        return read_bundle(_checked_bundle(self.path, entry))
 
     def T_other_room(self, other: str, room: str) -> FloatArray | None:
         """``T_other_room``, (4, 4), from the world of a room to that of another; None where no doors lead there."""
@@ -172,19 +167,22 @@ def read_place(path: str | Path) -> Place:
     path = Path(path)
     manifest = parse_place(place_content(path), path / MANIFEST)
     for room in manifest.rooms:
-        _check_bundle(path, room)
+        _checked_bundle(path, room)
     return Place(path, manifest, _read_index(path / _INDEX, manifest))
 
 
-def _check_bundle(path: Path, room: RoomEntry) -> None:
+def _checked_bundle(path: Path, room: RoomEntry) -> Path:
+    """Where a room's bundle lies, which is there and unchanged; the place itself need not be written yet."""
+    bundle = Path(os.path.normpath(target_of(path) / room.bundle))
     try:
-        digest = digest_of(path / room.bundle)
+        digest = digest_of(bundle)
     except BundleError as error:
         fix = f"put it back, or {_AGAIN}"
-        raise BundleError(path / room.bundle, f"the bundle of room {room.name} is missing", fix) from error
+        raise BundleError(bundle, f"the bundle of room {room.name} is missing", fix) from error
     if digest != room.sha256:
         fix = f"put the old one back, or {_AGAIN}"
-        raise BundleError(path / room.bundle, f"is not the bundle that room {room.name} was made of", fix)
+        raise BundleError(bundle, f"is not the bundle that room {room.name} was made of", fix)
+    return bundle
 
 
 def _packed(descriptors: Sequence[NDArray[np.uint8]]) -> bytes:

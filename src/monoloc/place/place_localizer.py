@@ -26,6 +26,9 @@ from monoloc.supervision.state import State
 
 _SEARCH_PERIOD_S = 0.2  # between searches of the place
 _LOST_S = 2.0  # for which a room searches for its camera, before the place is asked
+# For which none of the room's landmarks are seen, before the place is asked whether the camera is in another room:
+# outside its room, a localizer follows scans of what its map does not know.
+_UNSEEN_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,8 @@ class PlaceLocalizer:
     """Localises one camera in a place; call :meth:`step` with every frame in order.
 
     Near a door, landmarks of the room beyond are measured too, and the belief goes on there once they explain the
-    view better. At most three rooms are in memory.
+    view better. Where no landmarks of the room are seen for a second, the place is asked, and the camera found in
+    another room is believed there. At most three rooms are in memory.
 
     Args:
         place: as :func:`monoloc.place.place_files.read_place` returns it.
@@ -101,7 +105,7 @@ class PlaceLocalizer:
         self._search = RoomSearch(place, self._rooms)
         self._room, self._localizer = room, None if room is None else self._localizer_in(room, start)
         self._hand_over = HandOver()
-        self._lost_s, self._since_search_s = 0.0, _SEARCH_PERIOD_S
+        self._lost_s, self._unseen_s, self._since_search_s = 0.0, 0.0, _SEARCH_PERIOD_S
 
     @property
     def loaded(self) -> list[str]:
@@ -140,7 +144,10 @@ class PlaceLocalizer:
             return self._searched(frame)
         self._lost_s = 0.0
         door = self._door_taken(color, self._room, step.estimate)
-        return PlaceStep(self._room, step) if door is None else self._handed_over(frame, door, step.estimate)
+        if door is not None:
+            return self._handed_over(frame, door, step.estimate)
+        other = self._other_room(frame, self._room, step)
+        return PlaceStep(self._room, step) if other is None else self._entered(other, None, frame)
 
     def _searched(self, frame: _Frame) -> PlaceStep:
         """Search all rooms; the room's own search then finds the pose, at the same frame."""
@@ -151,13 +158,22 @@ class PlaceLocalizer:
         room = self._search.find(self._detect(frame.color), known=self._room)
         return _NOWHERE if room is None else self._entered(room, None, frame)
 
+    def _other_room(self, frame: _Frame, room: str, step: Step) -> str | None:
+        """The other room that the camera is in, asked once a second while it sees no landmarks of this one."""
+        self._unseen_s = 0.0 if step.landmark_pose is not None else self._unseen_s + frame.elapsed_s
+        if self._unseen_s < _UNSEEN_S:
+            return None
+        self._unseen_s = 0.0
+        found = self._search.find(self._detect(frame.color), known=room)
+        return None if found == room else found
+
     def _handed_over(self, frame: _Frame, door: Door, belief: Estimate) -> PlaceStep:
         assert self._room is not None
         return self._entered(door.beyond(self._room), start_from(carried(belief, door, self._room)), frame)
 
     def _entered(self, room: str, start: Start | None, frame: _Frame) -> PlaceStep:
         self._room, self._localizer = room, self._localizer_in(room, start)
-        self._hand_over, self._lost_s = HandOver(), 0.0
+        self._hand_over, self._lost_s, self._unseen_s = HandOver(), 0.0, 0.0
         return PlaceStep(room, self._stepped(self._localizer, room, frame), entered=True)
 
     def _localizer_in(self, room: str, start: Start | None) -> Localizer:

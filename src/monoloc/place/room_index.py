@@ -11,12 +11,14 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from monoloc.io.recording import evenly_spaced
 from monoloc.landmarks.features import MATCH_BITS, nearest_descriptors
 from monoloc.landmarks.landmark_map import Landmarks
 
 ROOM_DESCRIPTORS = 1000
 """Of a room in the index, at most: 32 kB."""
 
+_VOTERS = 200  # of an image's descriptors
 _AS_GOOD_BITS = 4  # by which a room's nearest descriptor may differ from the best one and vote as well
 
 
@@ -27,8 +29,7 @@ def selected_descriptors(landmarks: Landmarks, most: int = ROOM_DESCRIPTORS) -> 
     """
     count = len(landmarks)
     if count <= most or landmarks.views is None or not len(landmarks.views.found):
-        chosen = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
-        return landmarks.descriptors[chosen]
+        return landmarks.descriptors[evenly_spaced(count, min(count, most))]
     found = landmarks.views.found
     by_times = np.argsort(-found.sum(axis=0), kind="stable")
     queues = [iter(by_times[view[by_times]].tolist()) for view in found]
@@ -58,12 +59,13 @@ class RoomIndex:
         self._rooms = list(rooms)
 
     def votes(self, descriptors: NDArray[np.uint8]) -> NDArray[np.int64]:
-        """How many of N descriptors (N, 32) each room knows as well as any other room does, (R,).
+        """How many of at most 200 of N descriptors (N, 32) each room knows as well as any other room does, (R,).
 
         A descriptor votes for all rooms that know it alike, so that rooms that look the same rank the same.
         """
-        if not len(descriptors):
+        voters = descriptors[evenly_spaced(len(descriptors), _VOTERS)] if len(descriptors) else descriptors
+        if not len(voters):
             return np.zeros(len(self._rooms), dtype=np.int64)
-        bits = np.stack([nearest_descriptors(descriptors, room, 1)[0][:, 0] for room in self._rooms])
+        bits = np.stack([nearest_descriptors(voters, room, 1)[0][:, 0] for room in self._rooms])
         best = bits.min(axis=0)
         return np.asarray(((bits <= best + _AS_GOOD_BITS) & (bits < MATCH_BITS)).sum(axis=1, dtype=np.int64))
