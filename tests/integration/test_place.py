@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,10 @@ import pytest
 
 from cli_helpers import json_of, refused
 from monoloc.bundle import read_bundle
+from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray, pose_distance_m
 from monoloc.io.pose_table import read_pose_table
+from monoloc.place import door_measurement
 from monoloc.place.door_measurement import MeasuredDoor, measure_door, same_world_door
 from monoloc.place.place_files import Place, make_place, read_place, write_place
 from monoloc.place.place_localizer import PlaceLocalizer, PlaceStep
@@ -20,7 +23,7 @@ from monoloc.place.place_manifest import Door
 from monoloc.progress import NoProgress
 from monoloc.start import Start
 from place_rooms import LEFT, OTHER, RIGHT, T_LEFT_RIGHT, true_door, turning, write_rooms
-from refusals import refuses_data
+from refusals import refuses_data, refuses_setting
 from synthetic_room import BLACK, CAMERA, FRAME_S, Room, RoomRecording, write_recording
 
 Capture = pytest.CaptureFixture[str]
@@ -122,8 +125,6 @@ def test_a_door_is_measured_by_odometry_where_no_frame_shows_both(
 ) -> None:
     """Of each frame, only the room that explains it better counts."""
     recording = RoomRecording(Room(), turning(-25.0, 25.0, 14))
-    from monoloc.place import door_measurement
-
     observed = door_measurement.observe_passage
 
     def apart(*given: object) -> object:
@@ -138,15 +139,36 @@ def test_a_door_is_measured_by_odometry_where_no_frame_shows_both(
     assert pose_distance_m(T_LEFT_RIGHT, found.door.T_a_b[None])[0] < 0.1
     assert found.door.position_sd_m > 0.01
 
+    def broken(*given: object) -> object:
+        passage = apart(*given)
+        passage.motions[7] = None  # type: ignore[attr-defined]
+        return passage
+
+    monkeypatch.setattr(door_measurement, "observe_passage", broken)
+    refuses_data(lambda: measured(place, recording), Path("room"), "odometry does not join them", "through the door")
+
 
 def test_a_walk_that_stays_in_one_room_is_no_door(place: Place) -> None:
     inside, problem = RoomRecording(Room(), turning(-50.0, -40.0, 4)), "shows room right in [012] frames"
     refuses_data(lambda: measured(place, inside), Path("room"), problem, "through the door")
 
 
-def test_walks_that_contradict_each_other_are_no_door(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
-    from monoloc.place import door_measurement
+def test_walks_that_do_not_change_the_room_are_no_door(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that two frames show in both rooms, first of all, and one that the first room always explains better."""
+    observed = door_measurement.observe_passage
+    recording = RoomRecording(Room(), turning(-10.0, 10.0, 6))
+    passage = observed(place.read_room(LEFT), place.read_room(RIGHT), recording, NoProgress())
+    seen = next(pose for pose in passage.a if pose is not None)
+    fewer = replace(seen, points=seen.points[:15])
+    in_both = replace(passage, a=[seen] * 2 + [seen, None, seen, None], b=[fewer] * 2 + [None, fewer, None, fewer])
+    monkeypatch.setattr(door_measurement, "observe_passage", lambda *_: in_both)
+    refuses_data(lambda: measured(place, recording), Path("room"), "begins in both", "through the door")
+    stays = replace(passage, a=[seen] * 6, b=[fewer] * 3 + [None] * 3)
+    monkeypatch.setattr(door_measurement, "observe_passage", lambda *_: stays)
+    refuses_data(lambda: measured(place, recording), Path("room"), "does not go from room left", "through the door")
 
+
+def test_walks_that_contradict_each_other_are_no_door(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     observed = door_measurement.observe_passage
 
     def moved(*given: object) -> object:
@@ -165,6 +187,9 @@ def test_rooms_of_one_world_are_joined_where_they_were_recorded(folder: Path, pl
     left = read_bundle(folder / "left.monoloc")
     found = same_world_door((LEFT, OTHER), (left, read_bundle(folder / "other.monoloc")))
     np.testing.assert_allclose(found.door.T_a_b, np.eye(4), atol=1e-12)
+    poses = left.reference_poses.poses + np.pad([[9.0], [0.0], [0.0], [0.0]], ((0, 0), (3, 0)))
+    away = replace(left, reference_poses=ReferencePoses.without_bias(poses))
+    refuses_setting(lambda: same_world_door((LEFT, OTHER), (left, away)), "--same-world", "m apart", "record a walk")
     assert np.linalg.norm(found.door.centre_in(LEFT) - (0.0, 0.0, -0.8)) < 0.4
 
 

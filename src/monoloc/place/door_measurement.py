@@ -14,7 +14,7 @@ import numpy as np
 
 from monoloc.bundle import Bundle
 from monoloc.editing.alignment import consensus
-from monoloc.errors import DataError
+from monoloc.errors import DataError, SettingError
 from monoloc.geometry import FloatArray, invert, se3_log
 from monoloc.io.recording import Recording
 from monoloc.place.door_passage import Passage, observe_passage
@@ -22,6 +22,7 @@ from monoloc.place.place_manifest import Door
 from monoloc.progress import Progress
 
 _LEAST_SD_M, _LEAST_SD_RAD = 0.01, 0.005  # of a door: the landmarks' errors in its frames are not independent
+_MOST_SD_M = 0.5  # of a door by odometry: landmarks are not sought farther from where they are expected
 _CHAINED_FRAMES = 3  # before the door and after it, that odometry joins
 _LEAST_FRAMES = 3  # that must agree, see :func:`monoloc.editing.alignment.consensus`
 _REACH_M, _MOST_RADIUS_M = 1.0, 3.0  # of a door, beyond the places where both rooms explain the view
@@ -84,7 +85,7 @@ def same_world_door(names: tuple[str, str], rooms: tuple[Bundle, Bundle]) -> Mea
     """A door between rooms whose bundles have one world: between their nearest build poses.
 
     Raises:
-        DataError: the rooms' build poses are too far apart for a door.
+        SettingError: the rooms' build poses are too far apart for a door.
     """
     a, b = (room.reference_poses.poses[:, :3, 3] for room in rooms)
     apart_m = np.linalg.norm(a[:, None] - b[None], axis=2)
@@ -92,9 +93,8 @@ def same_world_door(names: tuple[str, str], rooms: tuple[Bundle, Bundle]) -> Mea
     radius_m = 0.5 * float(apart_m[first, second]) + _REACH_M
     if radius_m > _MOST_RADIUS_M:
         problem = f"rooms {names[0]} and {names[1]} were recorded {apart_m.min():.1f} m apart"
-        raise DataError(
-            "--same-world", problem, "record a walk through the door: monoloc place door PLACE A B SOURCE"
-        )
+        fix = "record a walk through the door: monoloc place door PLACE A B SOURCE"
+        raise SettingError("--same-world", problem, fix)
     centre_m = 0.5 * (a[first] + b[second])
     door = Door.between(*names, np.eye(4), _SAME_WORLD_SDS, centre_m, radius_m)
     return MeasuredDoor(door, "same world", (0, 0, 0), 0)
@@ -117,7 +117,7 @@ def _chained(passage: Passage, name: str) -> tuple[FloatArray, FloatArray, tuple
     """Poses of the frames after the door, by odometry in a and by landmarks in b, and odometry's deviations.
 
     Raises:
-        DataError: odometry breaks off at the door.
+        DataError: no frame before the door shows one room alone, or odometry breaks off at it or drifts too far.
     """
     in_a = [index for index, pose in enumerate(passage.a) if pose is not None]
     in_b = [index for index, pose in enumerate(passage.b) if pose is not None]
@@ -125,11 +125,15 @@ def _chained(passage: Passage, name: str) -> tuple[FloatArray, FloatArray, tuple
     before, after = (in_a, in_b) if from_a else (in_b, in_a)
     before = [index for index in before if index < after[0]][-_CHAINED_FRAMES:]
     after = after[:_CHAINED_FRAMES]
+    if not before:
+        problem = f"shows both rooms in fewer than {_LEAST_FRAMES} frames, and begins in both"
+        raise DataError(name, problem, _RECORD)
     there, here, sds = [], [], []
     for first, last in itertools.product(before, after):
         moved = passage.moved(first, last)
-        if moved is None:
-            raise DataError(name, "no frame shows both rooms, and odometry breaks off between them", _RECORD)
+        if moved is None or moved[1][0] > _MOST_SD_M:
+            problem = f"shows both rooms in fewer than {_LEAST_FRAMES} frames, and odometry does not join them"
+            raise DataError(name, problem, _RECORD)
         T_first_last, sd = moved
         pairs = [(first, last)] if from_a else [(last, first)]
         poses_a, poses_b = _poses(passage, pairs)

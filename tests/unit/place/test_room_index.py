@@ -57,7 +57,7 @@ def test_the_room_whose_landmarks_are_seen_gets_the_votes() -> None:
     rooms = [rng.integers(0, 256, (200, 32), dtype=np.uint8) for _ in range(6)]
     strays = rng.integers(0, 256, (200, 32), dtype=np.uint8)
     votes = RoomIndex(rooms).votes(np.concatenate([changed(rooms[3][:80], 0.1, rng), strays]))
-    assert votes.argmax() == 3 and votes[3] >= 80 and np.delete(votes, 3).max() < 10
+    assert votes.argmax() == 3 and votes[3] >= 50 and np.delete(votes, 3).max() < 10
 
 
 def test_rooms_that_look_alike_get_the_same_votes() -> None:
