@@ -11,14 +11,14 @@ from monoloc_lab.synth.row_of_rooms import EYE_M, RowOfRooms, row_of_rooms
 
 @pytest.fixture(scope="module")
 def row() -> RowOfRooms:
-    return row_of_rooms(3, 1)
+    return row_of_rooms(2, 1)
 
 
 def test_a_walk_touches_nothing(row: RowOfRooms) -> None:
-    walk = row.walk(0, 2, 0.1)
+    walk = row.walk(0, 1, 0.1)
     np.testing.assert_allclose(walk[:, 2, 3], EYE_M)
     assert np.linalg.norm(np.diff(walk[:, :3, 3], axis=0), axis=1).max() < 0.11
-    for room, T_building_room in row.placed(0, 2):
+    for room, T_building_room in row.placed(0, 1):
         local = transform(invert(T_building_room), walk[:, :3, 3])
         within = local[np.all((local > 0.0) & (local < np.array(room.size)), axis=1)]
         # A door's frame is within arm's reach; nothing else is, at the height of the eyes.
@@ -29,7 +29,7 @@ def test_a_walk_touches_nothing(row: RowOfRooms) -> None:
 def test_rooms_do_not_overlap_and_passages_meet(row: RowOfRooms) -> None:
     ends = [start + room.size[0] for start, room in zip(row.starts_m, row.rooms, strict=True)]
     assert all(end < start for end, start in zip(ends[:-1], row.starts_m[1:], strict=True))
-    for number in range(2):
+    for number in range(1):
         at = row.passage(number)
         assert ends[number] < at[0] < row.starts_m[number + 1]
         for room, T_building_room in row.placed(number, number + 1):
@@ -43,4 +43,4 @@ def test_each_room_has_a_world_of_its_own_that_views_are_given_in(row: RowOfRoom
     views = row.mapping_views(1)
     given = row.in_world(1, views)
     np.testing.assert_allclose(row.T_building_worlds[1] @ given, views, atol=1e-9)
-    assert np.linalg.norm(row.T_building_worlds[1] - row.T_building_worlds[2]) > 1.0
+    assert np.linalg.norm(row.T_building_worlds[1] - row.T_building_worlds[0]) > 1.0
