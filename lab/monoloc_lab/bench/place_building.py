@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from monoloc.builder.pipeline import build_bundle
 from monoloc.bundle import Bundle, write_bundle
 from monoloc.camera import Camera
 from monoloc.config import override
+from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, rotation_angle
 from monoloc.io.recording import Recording
 from monoloc.place.door_measurement import MeasuredDoor, measure_door
@@ -125,13 +127,17 @@ class DoorError:
 def join_rooms(
     row: RowOfRooms, drawing: Drawing, bundles: list[Path], path: Path, progress: Progress
 ) -> tuple[Place, list[DoorError]]:
-    """A place of the bundles, written to a path, with each door measured by a walk through it."""
+    """A place of the bundles, written to a path, with each door measured by a walk through it.
+
+    A walk that is refused leaves its door out.
+    """
     place, errors = make_place(path, bundles), []
     with progress.task("doors", len(bundles) - 1) as show:
         for number in range(len(bundles) - 1):
-            measured = _measured(row, drawing, place, number)
-            errors.append(_error(row, number, measured))
-            place = place.with_door(measured.door)
+            with suppress(DataError):
+                measured = _measured(row, drawing, place, number)
+                errors.append(_error(row, number, measured))
+                place = place.with_door(measured.door)
             show(number + 1)
     write_place(place)
     return place, errors

@@ -66,12 +66,14 @@ class PlaceFigures:
     Attributes:
         rooms: in the place.
         index_bytes: of a room in the index, on average.
-        doors_by_landmarks: measured doors whose frames see both rooms, of ``doors``.
+        doors_measured, doors_by_landmarks: doors whose walk was not refused, of ``passages``, and those of them with
+            frames that see both rooms.
         door_error_m_median, door_error_m_max, door_error_deg_median: of a camera in the door.
         starts, found: unknown starts, one a room, and those *tracking* in the right room less than 20 cm and 10
             degrees off within 3 s.
         wrong_starts: starts in which a frame that is vouched for is in another room, or more than 30 cm off.
-        passages, handed_over: doors on the flight, and those 1.5 m behind which the belief is in the next room.
+        passages, handed_over: doors on the flight, measured or not, and those 1.5 m behind which the belief is in the
+            next room.
         switches: entries into rooms on that flight; one a passage, and one at the start, is right.
         flight_frames, flight_states: of it.
         flight_wrong_frames: of it that are vouched for and more than 30 cm off, in the building's frame.
@@ -82,11 +84,11 @@ class PlaceFigures:
 
     rooms: int
     index_bytes: float
-    doors: int
+    doors_measured: int
     doors_by_landmarks: int
-    door_error_m_median: float
-    door_error_m_max: float
-    door_error_deg_median: float
+    door_error_m_median: float | None
+    door_error_m_max: float | None
+    door_error_deg_median: float | None
     starts: int
     found: int
     wrong_starts: int
@@ -186,15 +188,15 @@ def _figures(
     off_m = _errors(row, poses, flight)[0]
     vouched = _vouched(flight)
     sizes = [_size_figures(size, each, first) for size, each in flights.items()]
-    errors_m = [door.position_m for door in doors]
+    errors_m, turns_rad = [door.position_m for door in doors], [door.rotation_rad for door in doors]
     return PlaceFigures(
         rooms=rooms,
         index_bytes=float(np.mean([each.nbytes for each in place.descriptors])),
-        doors=len(doors),
+        doors_measured=len(doors),
         doors_by_landmarks=sum(door.door.by == "landmarks" for door in doors),
-        door_error_m_median=float(np.median(errors_m)),
-        door_error_m_max=float(np.max(errors_m)),
-        door_error_deg_median=float(np.rad2deg(np.median([door.rotation_rad for door in doors]))),
+        door_error_m_median=float(np.median(errors_m)) if errors_m else None,
+        door_error_m_max=max(errors_m, default=None),
+        door_error_deg_median=float(np.rad2deg(np.median(turns_rad))) if turns_rad else None,
         starts=len(starts),
         found=sum(_is_found(row, *start) for start in starts),
         wrong_starts=sum(_is_wrong(row, *start) for start in starts),
