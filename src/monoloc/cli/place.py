@@ -45,7 +45,9 @@ def new(
     ],
     json: JsonOption = False,
 ) -> None:
-    """Make a place of bundles. A room is named as its bundle, which stays where it is.
+    """Make a place of bundles.
+
+    A room is named as its bundle, which stays where it is.
 
     \b
     Examples:
