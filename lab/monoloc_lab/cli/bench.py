@@ -39,6 +39,7 @@ from monoloc_lab.bench.networks import bench_networks
 from monoloc_lab.bench.scenes import synthetic_cloud
 from monoloc_lab.bench.whole_step import bench_pipeline
 from monoloc_lab.cli.bench_flights import faults, fly, recovery, soak, stop
+from monoloc_lab.cli.bench_place import place
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -51,6 +52,7 @@ app.command()(faults)
 app.command()(fly)
 app.command()(soak)
 app.command()(stop)
+app.command()(place)
 
 _NETWORK = "one-third-0.35-int8"
 _CLOUD_POINTS = 60_000  # of the synthetic room

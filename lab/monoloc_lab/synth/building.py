@@ -104,6 +104,8 @@ def empty_room(size: Vector, walls: tuple[Wall, ...], seed: int, rng: np.random.
             wall.yaw_rad,
         )
         for opening in wall.openings:
+            if opening.is_passage:
+                continue
             if not is_window(opening):
                 put("door", fittings.door(opening, leaf), wall.at(0, 0), wall.yaw_rad)
                 continue

@@ -22,12 +22,14 @@ class Opening:
         middle: its centre along the wall, from the centre of the wall to the right, metres.
         width: metres.
         bottom, top: above the floor, metres.
+        is_passage: whether nothing closes it.
     """
 
     middle: float
     width: float
     bottom: float
     top: float
+    is_passage: bool = False
 
 
 def wall(width: float, height: float, openings: tuple[Opening, ...], surface: Material, skirting: Material) -> Parts:

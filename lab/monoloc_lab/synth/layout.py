@@ -23,7 +23,11 @@ def generate_room(seed: int) -> Room:
     """A furnished room of 3.8 to 5.4 by 3.6 to 4.8 m; the same seed gives the same room."""
     rng = np.random.default_rng([seed, 0x700A])
     size = (float(rng.uniform(3.8, 5.4)), float(rng.uniform(3.6, 4.8)), float(rng.uniform(2.45, 2.7)))
-    walls = make_walls(size, rng)
+    return furnished_room(size, make_walls(size, rng), seed, rng)
+
+
+def furnished_room(size: Vector, walls: tuple[Wall, ...], seed: int, rng: np.random.Generator) -> Room:
+    """A furnished room of some size, with given walls."""
     builder = _Builder(empty_room(size, walls, seed, rng), walls, rng)
     STYLES[int(rng.integers(len(STYLES)))](builder)
     builder.pictures()

@@ -35,6 +35,7 @@ _OWN_COMMANDS = {
     "doctor": "doctor:doctor",
     "replay": "replay:replay",
     "map": "map_:app",
+    "place": "place:app",
     "depth": "depth:app",
     "calibrate": "calibrate_camera:app",
     "signature": "signature:app",

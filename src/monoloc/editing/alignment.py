@@ -76,7 +76,7 @@ def align_recording(bundle: Bundle, recording: Recording, cloud: FloatArray, rng
         DataError: landmarks do not place it, the surfaces do not overlap, or both do not agree.
     """
     found = _poses_by_landmarks(bundle, recording, _FRAMES)
-    agreed = _consensus(*found)
+    agreed = consensus(*found)
     if agreed is None:
         problem = f"is not found in the room: landmarks agree on no place ({len(found[0])} frames localised)"
         raise DataError(recording.name, problem, "record it from where the room's recording looked, too")
@@ -94,7 +94,7 @@ def check_same_world(bundle: Bundle, recording: Recording) -> int:
     """
     there, here = _poses_by_landmarks(bundle, recording, _CHECKED_FRAMES)
     near = sum(float(pose_distance_m(a, b[None])[0]) < _AGREE_M for a, b in zip(there, here, strict=True))
-    agreed = _consensus(there, here)
+    agreed = consensus(there, here)
     if agreed is not None and 2 * near < agreed[1]:
         shift_m = float(np.linalg.norm(transform(agreed[0], here[:1, :3, 3]) - here[0, :3, 3]))
         problem = f"is in another world: landmarks see its cameras {shift_m:.2f} m from where its poses say"
@@ -132,7 +132,7 @@ def _poses_by_landmarks(bundle: Bundle, recording: Recording, count: int) -> tup
     return np.reshape(there, (-1, 4, 4)), np.reshape(here, (-1, 4, 4))
 
 
-def _consensus(there: FloatArray, here: FloatArray) -> tuple[FloatArray, int] | None:
+def consensus(there: FloatArray, here: FloatArray) -> tuple[FloatArray, int] | None:
     """``T_there_here`` on which most of the same cameras' poses (F, 4, 4) agree, and how many do."""
     if len(there) < _LEAST_FRAMES:
         return None

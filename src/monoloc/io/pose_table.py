@@ -41,6 +41,10 @@ COLUMNS = (
 rotation vector (rad), see :class:`monoloc.particle_filter.estimate.Estimate`. Semicolons separate reasons."""
 
 
+ROOM = "room"
+"""Column of a table whose poses are in the worlds of several rooms, see :mod:`monoloc.place.place_table`."""
+
+
 def read_pose_table(path: Path) -> tuple[FloatArray, FloatArray]:
     """The poses of a table, without those of lost frames: increasing times (N,) in seconds, poses (N, 4, 4), N >= 1.
 
@@ -52,6 +56,9 @@ def read_pose_table(path: Path) -> tuple[FloatArray, FloatArray]:
         if not {"time_s", "state", *_POSE} <= set(lines.fieldnames or ()):
             fix = "give a table of monoloc localize --out or monoloc fly --out"
             raise DataError(path, "is no table of poses", fix)
+        if ROOM in (lines.fieldnames or ()):
+            fix = f"keep the rows of one room, and remove the column {ROOM}"
+            raise DataError(path, "has poses in the worlds of several rooms", fix)
         rows = [[float(line[name]) for name in ("time_s", *_POSE)] for line in lines if line["state"] != "lost"]
     except (TypeError, ValueError, csv.Error) as error:
         raise DataError(path, f"line {max(1, lines.line_num)} has no pose", "remove this line") from error

@@ -1,0 +1,204 @@
+"""``monoloc place``: several rooms with doors between them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import numpy as np
+import typer
+
+from monoloc.cli.common import (
+    DepthScaleOption,
+    FixPosesOption,
+    FramesOption,
+    IntrinsicsOption,
+    JsonOption,
+    SeedOption,
+    SourceArgument,
+    check_outputs,
+    open_source,
+    print_json,
+    print_table,
+    refuse_frames,
+    stderr,
+    text_of,
+)
+from monoloc.errors import SettingError
+from monoloc.place.door_measurement import MeasuredDoor, measure_door, same_world_door
+from monoloc.place.place_files import Place, check_place_target, make_place, read_place, write_place
+from monoloc.place.place_run import PlaceRun, localize_in_place
+from monoloc.place.place_table import PlaceTable
+from monoloc.progress import ConsoleProgress
+
+app = typer.Typer(help="Join rooms by doors, and localise across them.", no_args_is_help=True, rich_markup_mode=None)
+PlaceArgument = Annotated[Path, typer.Argument(metavar="PLACE", help="Place, NAME.place.", show_default=False)]
+RoomArgument = Annotated[str, typer.Argument(metavar="ROOM", help="Room, named as its bundle.", show_default=False)]
+
+
+@app.command()
+def new(
+    place: PlaceArgument,
+    bundles: Annotated[
+        list[Path], typer.Argument(metavar="BUNDLE...", help="Bundles from monoloc build.", show_default=False)
+    ],
+    json: JsonOption = False,
+) -> None:
+    """Make a place of bundles.
+
+    A room is named as its bundle, which stays where it is.
+
+    \b
+    Examples:
+      monoloc place new house.place kitchen.monoloc hall.monoloc study.monoloc
+    """
+    check_place_target(place)
+    made = make_place(place, bundles)
+    size = write_place(made)
+    stderr.print(f"written: {place} ({len(made.names)} rooms, no doors yet)", soft_wrap=True)
+    if json:
+        print_json({"place": str(place), "rooms": made.names, "bytes": size})
+
+
+@app.command()
+def door(
+    place: PlaceArgument,
+    a: RoomArgument,
+    b: RoomArgument,
+    source: Annotated[
+        str | None, typer.Argument(metavar="[SOURCE]", help="Recording of a walk through the door.")
+    ] = None,
+    frames: FramesOption = "::",
+    same_world: Annotated[
+        bool, typer.Option("--same-world", help="Both bundles have one world: no recording is needed.")
+    ] = False,
+    intrinsics: IntrinsicsOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Measure a door between two rooms by a walk through it.
+
+    The walk shows where both rooms' landmarks see the camera. It replaces a door at the same place.
+
+    \b
+    Examples:
+      monoloc place door house.place kitchen hall door.mp4 --intrinsics camera.toml
+      monoloc place door house.place hall study --same-world
+    """
+    if (source is None) != same_world:
+        raise SettingError("SOURCE", "or --same-world must be given, and not both", "name a walk through the door")
+    joined = read_place(place)
+    names = _known(joined, a), _known(joined, b)
+    if a == b:
+        raise SettingError("ROOM", f"{a} is named twice", "name two rooms")
+    recording = None if source is None else open_source(source, frames, intrinsics)
+    if recording is None:
+        refuse_frames(frames, "--same-world")
+    rooms = joined.read_room(a), joined.read_room(b)
+    if recording is None:
+        measured = same_world_door(names, rooms)
+    else:
+        cv2.setNumThreads(1)
+        measured = measure_door(names, rooms, recording, ConsoleProgress(stderr))
+    write_place(joined.with_door(measured.door))
+    content = {"place": str(place), **_described(measured)}
+    if json:
+        print_json(content)
+    else:
+        print_table(str(place), ["", ""], [[name, text_of(value)] for name, value in content.items()])
+
+
+@app.command()
+def info(place: PlaceArgument, json: JsonOption = False) -> None:
+    """Describe a place, and check that its bundles are there and unchanged.
+
+    \b
+    Examples:
+      monoloc place info house.place
+    """
+    read = read_place(place)
+    rooms = [
+        {
+            "name": room.name,
+            "bundle": room.bundle,
+            "index_bytes": descriptors.nbytes,
+            "doors_to": [each.beyond(room.name) for each in read.doors_of(room.name)],
+        }
+        for room, descriptors in zip(read.manifest.rooms, read.descriptors, strict=True)
+    ]
+    if json:
+        doors = [each.model_dump(mode="json") for each in read.manifest.doors]
+        print_json(
+            {"place": str(place), "schema_version": read.manifest.schema_version, "rooms": rooms, "doors": doors}
+        )
+        return
+    rows = [[text_of(value) for value in room.values()] for room in rooms]
+    print_table(str(place), ["room", "bundle", "bytes of index", "doors to"], rows)
+
+
+@app.command("localize")
+def localize_in(
+    place: PlaceArgument,
+    source: SourceArgument,
+    frames: FramesOption = "::",
+    truth_room: Annotated[
+        str | None,
+        typer.Option("--truth-room", metavar="ROOM", help="Room in whose world the recording's poses are."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="FILE.csv", help="Table to write: poses, states and rooms.")
+    ] = None,
+    intrinsics: IntrinsicsOption = None,
+    depth_scale: DepthScaleOption = None,
+    fix_poses: FixPosesOption = None,
+    seed: SeedOption = 0,
+    json: JsonOption = False,
+) -> None:
+    """Find a camera in a place, and follow it from room to room.
+
+    \b
+    Examples:
+      monoloc place localize house.place flight.mp4 --intrinsics camera.toml --out flight.csv
+      monoloc place localize house.place tum:walk --truth-room kitchen --json
+    """
+    check_outputs({"--out": out}, (place, source))
+    if out is not None and out.suffix.lower() != ".csv":
+        raise SettingError("--out", f"{out} is not named as a table", "name it NAME.csv")
+    read = read_place(place)
+    recording = open_source(source, frames, intrinsics, depth_scale, fix_poses=fix_poses)
+    if truth_room is not None:
+        _known(read, truth_room, "--truth-room")
+        if recording.poses is None:
+            raise SettingError("--truth-room", "is given, but the recording has no poses", "leave it out")
+    cv2.setNumThreads(1)  # as in monoloc localize
+    table = None if out is None else PlaceTable(out)
+    run = localize_in_place(read, recording, seed, ConsoleProgress(stderr), table)
+    if table is not None:
+        table.write()
+        stderr.print(f"written: {out}", soft_wrap=True)
+    content: dict[str, object] = {"place": str(place), "source": source, "seed": seed, **run.metrics()}
+    if truth_room is not None and recording.poses is not None:
+        content |= run.errors(read, np.asarray(recording.poses), truth_room)
+    if json:
+        print_json(content)
+    else:
+        _show(content, run)
+
+
+def _known(place: Place, room: str, field: str = "ROOM") -> str:
+    if room not in place.names:
+        raise SettingError(field, f"{room} is no room of {place.path}", f"name one of {', '.join(place.names)}")
+    return room
+
+
+def _described(measured: MeasuredDoor) -> dict[str, object]:
+    in_a, in_b, in_both = measured.frames
+    counts = {"frames_in_a": in_a, "frames_in_b": in_b, "frames_in_both": in_both, "agreeing": measured.agreeing}
+    return {"by": measured.by, **counts, **measured.door.model_dump(mode="json")}
+
+
+def _show(content: dict[str, object], run: PlaceRun) -> None:
+    rows = [[f"{each.time_s:.1f} s", each.before or "(search)", each.after] for each in run.switches]
+    print_table("Entries", ["", "from", "to"], rows)
+    shown = {name: value for name, value in content.items() if name != "switches"}
+    print_table("Frames", ["", ""], [[name, text_of(value)] for name, value in shown.items()])

@@ -1,0 +1,1 @@
+"""A place: several rooms, each a bundle, with doors between them."""

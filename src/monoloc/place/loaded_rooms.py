@@ -1,0 +1,62 @@
+"""The rooms of a place that are held in memory: a few, whatever the number of rooms."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass, replace
+
+from monoloc.bundle import Bundle
+from monoloc.camera import Camera
+from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
+from monoloc.place.place_files import Place
+
+MOST_LOADED = 3
+"""Rooms in memory at most: the current one and two neighbours, or three that are searched."""
+
+_NEVER = 0.01  # precision of a search by scans in a place
+
+
+@dataclass(frozen=True)
+class LoadedRoom:
+    """A room in memory.
+
+    Attributes:
+        bundle: of the room; its scans search for no camera, see :class:`LoadedRooms`.
+        landmarks: measures poses by its landmarks.
+    """
+
+    bundle: Bundle
+    landmarks: OrbLandmarkLocalizer
+
+
+class LoadedRooms:
+    """Reads rooms when they are asked for, and drops those that were not asked for the longest.
+
+    How often a room's scans find a camera was measured inside the room. In another room they find one too. So only
+    landmarks search for a camera in a place.
+    """
+
+    def __init__(self, place: Place, camera: Camera) -> None:
+        self._place, self._camera = place, camera
+        self._rooms: OrderedDict[str, LoadedRoom] = OrderedDict()
+
+    @property
+    def names(self) -> list[str]:
+        """Of the rooms in memory, the one that was asked for last at the end."""
+        return list(self._rooms)
+
+    def __getitem__(self, name: str) -> LoadedRoom:
+        """A room, which is read if it is not in memory.
+
+        Raises:
+            BundleError: its bundle is missing, damaged or changed.
+        """
+        if name not in self._rooms:
+            while len(self._rooms) >= MOST_LOADED:  # first, so that no more are ever in memory
+                self._rooms.popitem(last=False)
+            bundle = self._place.read_room(name)
+            integrity = bundle.integrity.model_copy(update={"scan_search_precision": _NEVER})
+            landmarks = OrbLandmarkLocalizer(bundle.landmarks, self._camera)
+            self._rooms[name] = LoadedRoom(replace(bundle, integrity=integrity), landmarks)
+        self._rooms.move_to_end(name)
+        return self._rooms[name]

@@ -1,0 +1,210 @@
+"""Localises one camera in a place: in the room where it is, and across its doors into others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.camera import Camera
+from monoloc.components import ComponentsFactory, default_components
+from monoloc.depth.predictor import DepthPrediction
+from monoloc.geometry import FloatArray
+from monoloc.landmarks.features import KeypointDetector, Keypoints
+from monoloc.localizer import Localizer, Step
+from monoloc.odometry.motion import Motion
+from monoloc.particle_filter.estimate import Estimate
+from monoloc.place.hand_over import HandOver, carried, near_doors, start_from
+from monoloc.place.loaded_rooms import MOST_LOADED, LoadedRooms
+from monoloc.place.place_files import Place
+from monoloc.place.place_manifest import Door
+from monoloc.place.room_search import RoomSearch
+from monoloc.start import Start
+from monoloc.step_budget import Level
+from monoloc.supervision.state import State
+
+_SEARCH_PERIOD_S = 0.2  # between searches of the place
+_LOST_S = 2.0  # for which a room searches for its camera, before the place is asked
+# For which none of the room's landmarks are seen, before the place is asked whether the camera is in another room:
+# outside its room, a localizer follows scans of what its map does not know.
+_UNSEEN_S = 1.0
+
+
+@dataclass(frozen=True)
+class PlaceStep:
+    """The result of one frame in a place.
+
+    Attributes:
+        room: in whose world the step is; None while the place is searched for the camera.
+        step: of that room's localizer; None where there is no room.
+        entered: whether this is the first frame in the room: the pose is in another world than before.
+    """
+
+    room: str | None
+    step: Step | None
+    entered: bool = False
+
+    @property
+    def state(self) -> State:
+        return "lost" if self.step is None else self.step.state
+
+
+_NOWHERE = PlaceStep(None, None)
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """What :meth:`PlaceLocalizer.step` is given."""
+
+    color: NDArray[np.uint8]
+    elapsed_s: float
+    measured_depth: DepthPrediction | None
+    down: FloatArray | None
+    measured_motion: Motion | None
+    level: Level | None
+
+
+class PlaceLocalizer:
+    """Localises one camera in a place; call :meth:`step` with every frame in order.
+
+    Near a door, landmarks of the room beyond are measured too, and the belief goes on there once they explain the
+    view better. Where no landmarks of the room are seen for a second, the place is asked, and the camera found in
+    another room is believed there. At most three rooms are in memory.
+
+    Args:
+        place: as :func:`monoloc.place.place_files.read_place` returns it.
+        camera: the camera of the frames.
+        room: that the flight starts in; None searches the place for the camera.
+        start: its first pose in that room; None searches the room.
+        components: makes the components of each room's localizer.
+        seed: of all random numbers: the same seed gives the same poses.
+
+    Raises:
+        BundleError: the room's bundle is missing, damaged or changed.
+        ValueError: the place has no such room, or a start is given without a room.
+    """
+
+    def __init__(
+        self,
+        place: Place,
+        camera: Camera,
+        room: str | None = None,
+        start: Start | None = None,
+        components: ComponentsFactory = default_components,
+        seed: int | np.random.Generator = 0,
+    ) -> None:
+        if room is None and start is not None:
+            raise ValueError("start needs a room")
+        if room is not None and room not in place.names:
+            raise ValueError(f"room must be one of {', '.join(place.names)}, got {room}")
+        self._place, self._camera, self._components = place, camera, components
+        self._rng = np.random.default_rng(seed)
+        self._detect = KeypointDetector(camera)
+        self._rooms = LoadedRooms(place, camera)
+        self._search = RoomSearch(place, self._rooms)
+        self._room, self._localizer = room, None if room is None else self._localizer_in(room, start)
+        self._hand_over = HandOver()
+        self._lost_s, self._unseen_s, self._since_search_s = 0.0, 0.0, _SEARCH_PERIOD_S
+
+    @property
+    def loaded(self) -> list[str]:
+        """Names of the rooms in memory."""
+        return self._rooms.names
+
+    def step(
+        self,
+        color: NDArray[np.uint8],
+        elapsed_s: float,
+        measured_depth: DepthPrediction | None = None,
+        down: FloatArray | None = None,
+        measured_motion: Motion | None = None,
+        level: Level | None = None,
+    ) -> PlaceStep:
+        """Take in one frame; arguments as :meth:`monoloc.localizer.Localizer.step`.
+
+        A room whose direction of gravity is not known ignores ``down``.
+
+        Raises:
+            BundleError: a bundle is missing, damaged or changed.
+            ValueError: as :meth:`monoloc.localizer.Localizer.step`.
+        """
+        shape = (self._camera.height, self._camera.width, 3)
+        if color.shape != shape or color.dtype != np.uint8:
+            raise ValueError(f"color must have the camera's shape {shape} as uint8, got {color.shape} {color.dtype}")
+        frame = _Frame(color, elapsed_s, measured_depth, down, measured_motion, level)
+        if self._localizer is None or self._room is None:
+            return self._searched(frame)
+        step = self._stepped(self._localizer, self._room, frame)
+        if step.state == "lost":
+            self._lost_s += elapsed_s
+            if self._lost_s < _LOST_S:
+                return PlaceStep(self._room, step)
+            self._localizer, self._since_search_s = None, _SEARCH_PERIOD_S
+            return self._searched(frame)
+        self._lost_s = 0.0
+        door = self._door_taken(color, self._room, step.estimate)
+        if door is not None:
+            return self._handed_over(frame, door, step.estimate)
+        other = self._other_room(frame, self._room, step)
+        return PlaceStep(self._room, step) if other is None else self._entered(other, None, frame)
+
+    def _searched(self, frame: _Frame) -> PlaceStep:
+        """Search all rooms; the room's own search then finds the pose, at the same frame."""
+        self._since_search_s += frame.elapsed_s
+        if self._since_search_s < _SEARCH_PERIOD_S:
+            return _NOWHERE
+        self._since_search_s = 0.0
+        room = self._search.find(self._detect(frame.color), known=self._room)
+        return _NOWHERE if room is None else self._entered(room, None, frame)
+
+    def _other_room(self, frame: _Frame, room: str, step: Step) -> str | None:
+        """The other room that the camera is in, asked once a second while it sees no landmarks of this one."""
+        self._unseen_s = 0.0 if step.landmark_pose is not None else self._unseen_s + frame.elapsed_s
+        if self._unseen_s < _UNSEEN_S:
+            return None
+        self._unseen_s = 0.0
+        found = self._search.find(self._detect(frame.color), known=room)
+        return None if found == room else found
+
+    def _handed_over(self, frame: _Frame, door: Door, belief: Estimate) -> PlaceStep:
+        assert self._room is not None
+        return self._entered(door.beyond(self._room), start_from(carried(belief, door, self._room)), frame)
+
+    def _entered(self, room: str, start: Start | None, frame: _Frame) -> PlaceStep:
+        self._room, self._localizer = room, self._localizer_in(room, start)
+        self._hand_over, self._lost_s, self._unseen_s = HandOver(), 0.0, 0.0
+        return PlaceStep(room, self._stepped(self._localizer, room, frame), entered=True)
+
+    def _localizer_in(self, room: str, start: Start | None) -> Localizer:
+        bundle = self._rooms[room].bundle
+        return Localizer(bundle, self._camera, start, components=self._components, seed=self._rng)
+
+    def _stepped(self, localizer: Localizer, room: str, frame: _Frame) -> Step:
+        down = None if self._rooms[room].bundle.down is None else frame.down
+        return localizer.step(
+            frame.color, frame.elapsed_s, frame.measured_depth, down, frame.measured_motion, frame.level
+        )
+
+    def _door_taken(self, color: NDArray[np.uint8], room: str, belief: Estimate) -> Door | None:
+        """The door through which the camera has gone; None where it stays."""
+        doors = near_doors(self._place.doors_of(room), room, belief, MOST_LOADED - 1)
+        if not doors:
+            self._hand_over.update(0, {})
+            return None
+        seen = self._detect(color)
+        here = self._found(room, seen, belief)
+        beyond: dict[str, int] = {}
+        door_to: dict[str, Door] = {}
+        for door in doors:
+            name = door.beyond(room)
+            found = self._found(name, seen, carried(belief, door, room))
+            if found >= beyond.get(name, 0):
+                beyond[name], door_to[name] = found, door
+        taken = self._hand_over.update(here, beyond)
+        return None if taken is None else door_to[taken]
+
+    def _found(self, room: str, seen: Keypoints, belief: Estimate) -> int:
+        """Landmarks of a room that agree on one pose near a belief in its world."""
+        measured = self._rooms[room].landmarks.measure_keypoints(seen, belief.pose, belief.covariance)
+        return 0 if measured.pose is None else measured.found

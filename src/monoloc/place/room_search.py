@@ -1,0 +1,65 @@
+"""Which room of a place a camera is in, of which nothing is known: by the index, then by landmarks.
+
+The index ranks all rooms at a small cost. In the best few, the strict search among all landmarks decides. Two rooms
+that agree nearly alike decide nothing: a wrong room is worse than a lost camera.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from monoloc.landmarks.features import Keypoints
+from monoloc.place.loaded_rooms import MOST_LOADED, LoadedRooms
+from monoloc.place.place_files import Place
+
+_LEAST_VOTES = 10  # of a room in which the camera is searched for
+_RIVAL_SHARE = 0.5  # of the best room's landmarks with which another room counts as well
+
+
+class RoomSearch:
+    """Searches all rooms of a place for a camera.
+
+    Args:
+        place: with its index.
+        rooms: reads the rooms that are searched.
+    """
+
+    def __init__(self, place: Place, rooms: LoadedRooms) -> None:
+        self._names, self._index, self._rooms = place.names, place.index(), rooms
+
+    def ranked(self, seen: Keypoints, known: str | None = None) -> list[str]:
+        """The rooms that are worth a search, best first.
+
+        Args:
+            seen: keypoints of an image.
+            known: room that the camera was in before, which is always among them.
+        """
+        votes = self._index.votes(seen.descriptors)
+        order = np.argsort(-votes, kind="stable")[:MOST_LOADED]
+        names = [self._names[index] for index in order.tolist() if votes[index] >= _LEAST_VOTES]
+        return names if known is None or known in names else [*names[: MOST_LOADED - 1], known]
+
+    def find(self, seen: Keypoints, known: str | None = None) -> str | None:
+        """The room that an image's keypoints show; None where none or several agree. Arguments as :meth:`ranked`.
+
+        Raises:
+            BundleError: a bundle is missing, damaged or changed.
+        """
+        return _decided([(self._agreeing(name, seen), name) for name in self.ranked(seen, known)])
+
+    def _agreeing(self, name: str, seen: Keypoints) -> int:
+        """Number of a room's landmarks that agree on one pose without a prior."""
+        found = self._rooms[name].landmarks.relocalize_keypoints(seen)
+        return 0 if found is None else len(found.points)
+
+
+def _decided(found: Sequence[tuple[int, str]]) -> str | None:
+    """The room with the most landmarks, if no other room has nearly as many."""
+    ordered = sorted(found, key=lambda each: -each[0])
+    if not ordered or ordered[0][0] == 0:
+        return None
+    if len(ordered) > 1 and ordered[1][0] >= _RIVAL_SHARE * ordered[0][0]:
+        return None
+    return ordered[0][1]
