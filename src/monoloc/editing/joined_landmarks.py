@@ -16,14 +16,17 @@ from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.landmarks.pnp import PRIOR_COVARIANCE
 
-_SAME_M, _CANDIDATES = 0.05, 8  # distance within which landmarks that look alike are one; best matches looked at
+SAME_M = 0.05
+"""Distance within which landmarks that look alike are one."""
+
+_CANDIDATES = 8  # best matches looked at
 _DEPTH_JUMP = 0.15  # relative; next to a larger jump a corner's depth is ambiguous
 _MOST_FRAMES = 150
 
 
 def joined(landmarks: Landmarks, others: Landmarks) -> Landmarks:
     """Landmarks of two maps of one world, those of the second that the first has too left out."""
-    new = ~_is_among(others, landmarks)
+    new = ~is_among(others, landmarks)
     points = np.concatenate([landmarks.points, others.points[new]])
     descriptors = np.concatenate([landmarks.descriptors, others.descriptors[new]])
     first, second = landmarks.views, others.views
@@ -77,7 +80,7 @@ def _padded(views: LandmarkViews | None, count: int) -> LandmarkViews | None:
     return LandmarkViews(views.poses, np.pad(views.found, ((0, 0), (0, count))))
 
 
-def _is_among(landmarks: Landmarks, others: Landmarks) -> NDArray[np.bool_]:
+def is_among(landmarks: Landmarks, others: Landmarks) -> NDArray[np.bool_]:
     """Whether each of L landmarks is one of the others, (L,)."""
     if not len(landmarks) or not len(others):
         return np.zeros(len(landmarks), dtype=np.bool_)
@@ -89,4 +92,4 @@ def _is_among(landmarks: Landmarks, others: Landmarks) -> NDArray[np.bool_]:
         K=min(_CANDIDATES, len(others)),
     )
     apart = np.linalg.norm(others.points[np.asarray(nearest)] - landmarks.points[:, None], axis=2)
-    return np.asarray(np.any((np.asarray(bits) < MATCH_BITS) & (apart < _SAME_M), axis=1))
+    return np.asarray(np.any((np.asarray(bits) < MATCH_BITS) & (apart < SAME_M), axis=1))
