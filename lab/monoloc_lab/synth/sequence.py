@@ -54,19 +54,19 @@ class RenderConfig:
 
     Attributes:
         samples: paths per pixel and light group.
-        is_even: whether to render in even light, see :class:`monoloc_lab.synth.render.Renderer`.
         depth: "exact", or "sensor" for a simulated structured-light sensor.
         depth_scale: stored value of one metre.
         jpeg_quality: of the colour images, 1 to 100.
+        is_even: whether to render in even light, see :class:`monoloc_lab.synth.render.Renderer`.
     """
 
     samples: int = 48
-    is_even: bool = False
     depth: Literal["exact", "sensor"] = "exact"
     depth_scale: float = 1000.0
     jpeg_quality: int = 92
     sensor: SensorConfig = field(default_factory=SensorConfig)
     depth_sensor: DepthSensorConfig = field(default_factory=DepthSensorConfig)
+    is_even: bool = False
 
 
 def render_sequence(
