@@ -15,8 +15,8 @@ from monoloc.geometry import FloatArray
 from monoloc.map.cloud import cloud_from_recording
 from monoloc.map.em import fit_mixture
 from monoloc.progress import NoProgress
-from monoloc.updating.evidence import Evidence
 from monoloc.updating.observed_flight import ObservedFlight, observe
+from monoloc.updating.room_evidence import Evidence
 from monoloc.updating.update_rules import UpdateRules
 from synthetic_room import Room, RoomRecording, make_bundle, make_path
 

@@ -22,9 +22,9 @@ from monoloc.run import localize
 from monoloc.start import Start
 from monoloc.supervision.state import VOUCHED_FOR
 from monoloc.updating.apply_update import applied
-from monoloc.updating.evidence import Evidence
 from monoloc.updating.observed_flight import observe
 from monoloc.updating.proposals import proposals
+from monoloc.updating.room_evidence import Evidence
 from monoloc.updating.update_rules import UpdateRules
 from monoloc_lab.rooms import TESTS
 from monoloc_lab.synth.changing_room import changed, flown, plan_round, render_round

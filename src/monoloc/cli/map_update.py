@@ -35,9 +35,9 @@ from monoloc.map_export import T_map_world
 from monoloc.progress import ConsoleProgress
 from monoloc.start import START_ERROR_DEG, START_ERROR_M
 from monoloc.updating.apply_update import applied
-from monoloc.updating.evidence import Evidence, evidence_path, read_evidence, write_evidence
 from monoloc.updating.observed_flight import ObservedFlight, observe
 from monoloc.updating.proposals import Proposal, proposals
+from monoloc.updating.room_evidence import Evidence, evidence_path, read_evidence, write_evidence
 from monoloc.updating.update_rules import UpdateRules
 from monoloc.viz.update_drawing import UpdateView, plot_update
 

@@ -13,9 +13,9 @@ from monoloc.bundle import Bundle
 from monoloc.editing.edits import Change, finish, select_landmarks, with_surfaces, without_surfaces
 from monoloc.editing.extension import with_frames
 from monoloc.geometry import FloatArray
-from monoloc.updating.evidence import Evidence, landmark_keys, realigned
 from monoloc.updating.landmark_ageing import with_more
 from monoloc.updating.proposals import Proposal, ProposalKind
+from monoloc.updating.room_evidence import Evidence, landmark_keys, realigned
 from monoloc.updating.surface_ageing import Cells, cells_of, is_among_cells
 from monoloc.updating.update_rules import UpdateRules
 
@@ -57,7 +57,8 @@ def _with(
     frames = {f"flight {checksum:08x}": checksum for checksum in evidence.frames}
     provenance = with_frames(edited.provenance, edited.provenance.recording, frames)
     edited = replace(edited, provenance=provenance)
-    parameters: dict[str, Any] = {"flights": list(evidence.flights), **proposal.described()}
+    newest = list(evidence.flights[-proposal.flights :])
+    parameters: dict[str, Any] = {**proposal.described(), "newest_flights": newest}
     return finish(bundle, edited, "update", parameters, change, rng)
 
 

@@ -13,7 +13,7 @@ from monoloc.bundle import Bundle
 from monoloc.geometry import FloatArray
 from monoloc.map.occupancy import OCCUPIED, surface_voxels
 from monoloc.supervision.map_change import touching
-from monoloc.updating.evidence import Evidence, landmark_keys
+from monoloc.updating.room_evidence import Evidence, landmark_keys
 from monoloc.updating.surface_ageing import Cells, cells_of, is_among_cells
 from monoloc.updating.tally import Tally
 from monoloc.updating.update_rules import UpdateRules

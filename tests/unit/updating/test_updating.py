@@ -12,15 +12,15 @@ from monoloc.bundle import Bundle
 from monoloc.editing.undo import undone
 from monoloc.errors import DataError
 from monoloc.updating.apply_update import applied
-from monoloc.updating.evidence import (
+from monoloc.updating.observed_flight import views_of
+from monoloc.updating.proposals import Proposal, proposals
+from monoloc.updating.room_evidence import (
     Evidence,
     evidence_path,
     landmark_keys,
     read_evidence,
     write_evidence,
 )
-from monoloc.updating.observed_flight import views_of
-from monoloc.updating.proposals import Proposal, proposals
 from refusals import refuses_data
 from synthetic_room import Room, RoomRecording, make_path
 from update_helpers import LEFT, RULES, evidence_of, flight, mapped, observed
