@@ -70,7 +70,7 @@ def update(
     ] = None,
     auto: Annotated[bool, typer.Option("--auto", help="Apply all proposals.")] = False,
     plot: Annotated[
-        Path | None, typer.Option("--plot", help="PNG to write: the map before and after, and what changes.")
+        Path | None, typer.Option("--plot", help="PNG to write: what is proposed, and the map before and after.")
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Bundle to write. [the same]")] = None,
     intrinsics: IntrinsicsOption = None,
@@ -100,7 +100,7 @@ def update(
     recordings = [open_source(source, frames, intrinsics, fix_depth=fix_depth) for source in given]
     if depth == "sensor":
         _check_depth(recordings)
-    evidence = read_evidence(evidence_path(bundle), room, rules)
+    before = evidence = read_evidence(evidence_path(bundle), room, rules)
     cv2.setNumThreads(1)  # as in a flight
     flights = []
     for recording in recordings:
@@ -116,13 +116,12 @@ def update(
     chosen = proposed if auto else _chosen(proposed, numbers)
     updated, left = applied(room, evidence, chosen, rules, rng)
     if plot is not None:
-        plot_update(
-            plot, *_views(bundle.name, room, updated, seed), _drawn(proposed), T_map_world(room, roughly=True)
-        )
+        shown = updated if chosen else applied(room, evidence, proposed, rules, np.random.default_rng(seed))[0]
+        _draw(plot, bundle.name, room, shown, proposed, "after" if chosen else "if all were applied", seed)
     was_signed = (target / SIGNATURE).is_file()
     if chosen or out is not None:
         write_bundle(target_of(target), updated)
-    if flights or chosen or out is not None:
+    if left is not before or out is not None:
         write_evidence(evidence_path(target_of(target)), left, updated)
     if chosen and was_signed:
         stderr.print(f"note: {target}: its signature is void and was removed; sign it again", soft_wrap=True)
@@ -160,20 +159,20 @@ def _chosen(proposed: list[Proposal], numbers: list[int] | None) -> list[Proposa
     return [proposed[number - 1] for number in dict.fromkeys(numbers or [])]
 
 
-def _views(name: str, before: Bundle, after: Bundle, seed: int) -> tuple[UpdateView, UpdateView]:
+def _draw(
+    path: Path, name: str, before: Bundle, after: Bundle, proposed: list[Proposal], which: str, seed: int
+) -> None:
     first, second = (
         UpdateView(
-            title,
+            f"{name}, {title}",
             surface_points(room.original, _DRAWN_POINTS, np.random.default_rng(seed)),
             room.landmarks.points.astype(np.float64),
         )
-        for title, room in ((f"{name}, before", before), (f"{name}, after", after))
+        for title, room in (("before", before), (which, after))
     )
-    return first, second
-
-
-def _drawn(proposed: list[Proposal]) -> list[tuple[str, np.ndarray]]:
-    return [(each.kind, each.points) for each in proposed]
+    plot_update(
+        path, first, second, [(each.kind, each.points) for each in proposed], T_map_world(before, roughly=True)
+    )
 
 
 def _print(

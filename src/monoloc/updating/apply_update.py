@@ -27,11 +27,13 @@ def applied(
     rules: UpdateRules,
     rng: np.random.Generator,
 ) -> tuple[Bundle, Evidence]:
-    """The bundle with some proposals applied, and the evidence that is left.
+    """The bundle with some proposals applied, and the evidence that is left; both as they are if none is chosen.
 
     Raises:
         SettingError: surfaces that are to be removed are the whole map.
     """
+    if not chosen:
+        return bundle, evidence
     before = bundle
     for proposal in chosen:
         bundle = _with(bundle, evidence, proposal, rules, rng)
