@@ -18,7 +18,7 @@ from monoloc.progress import NoProgress
 from monoloc.updating.observed_flight import ObservedFlight, observe
 from monoloc.updating.room_evidence import Evidence
 from monoloc.updating.update_rules import UpdateRules
-from synthetic_room import Room, RoomRecording, make_bundle, make_path
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path
 
 RULES = UpdateRules()
 _RATE_HZ = 8.0
@@ -43,7 +43,7 @@ LEFT = Box.between(*(Room()._boxes[_MOVED] + np.array([[-0.03], [0.03]])), np.ar
 @cache
 def mapped() -> Bundle:
     """As built from a walk in the room before the change; nothing adapted."""
-    recording = RoomRecording(Room(), make_path(24, 0.0, _RATE_HZ))
+    recording = RoomRecording(Room(), make_path(24, 0.0, _RATE_HZ), SMALL_CAMERA)
     cloud = cloud_from_recording(recording, VOXEL_M)
     mixture = fit_mixture(cloud, 80, np.random.default_rng(0)).mixture
     bundle = make_bundle(mixture, recording, range(len(recording)))
@@ -61,7 +61,7 @@ def mapped() -> Bundle:
 @cache
 def flight(number: int, room: Room = ChangedRoom()) -> RoomRecording:
     """A flight along the walk, none of whose frames built the map."""
-    recording = RoomRecording(room, make_path(20, 0.03 + 0.02 * number, _RATE_HZ))
+    recording = RoomRecording(room, make_path(20, 0.03 + 0.02 * number, _RATE_HZ), SMALL_CAMERA)
     recording.name = f"flight-{number}"
     return recording
 

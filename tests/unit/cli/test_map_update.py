@@ -49,6 +49,7 @@ def test_proposals_are_listed_drawn_and_applied_by_number(here: Path, capfd: pyt
     assert len(json_of(capfd, *UPDATE)["proposals"]) == len(listed["proposals"]) - 1
 
 
+@pytest.mark.slow
 def test_a_flight_adds_evidence_beside_the_bundle_that_is_written(
     here: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -22,7 +22,7 @@ from monoloc.updating.room_evidence import (
     write_evidence,
 )
 from refusals import refuses_data
-from synthetic_room import Room, RoomRecording, make_path
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 from update_helpers import LEFT, RULES, evidence_of, flight, mapped, observed
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -43,7 +43,7 @@ def test_two_flights_find_what_is_gone_and_what_is_new() -> None:
     points = mapped().landmarks.points.astype(np.float64)
     retired = np.concatenate([each.members for each in proposed(evidence, "retire landmarks")])
     on_box = LEFT.contains(points)
-    assert np.isin(landmark_keys(mapped().landmarks)[on_box], retired).mean() > 0.7
+    assert np.isin(landmark_keys(mapped().landmarks)[on_box], retired).mean() > 0.5
     # Others are behind the box now, or were seen past it.
     assert len(retired) < 2 * on_box.sum()
     (gone,) = proposed(evidence, "remove surfaces")
@@ -53,6 +53,7 @@ def test_two_flights_find_what_is_gone_and_what_is_new() -> None:
     assert len(proposed(evidence, "add landmarks")) >= 1
 
 
+@pytest.mark.slow
 def test_one_flight_proposes_nothing_and_an_unchanged_room_loses_nothing() -> None:
     assert proposals(evidence_of(1), mapped(), RULES) == []
     unchanged = evidence_of(1, 2, room=Room())
@@ -77,6 +78,7 @@ def test_an_update_is_edits_that_can_be_undone() -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_updated_map_finds_again_what_the_old_one_missed() -> None:
     bundle, _ = updated()
     before, after = (observed(flight(3), each) for each in (mapped(), bundle))
@@ -92,7 +94,7 @@ def test_a_flight_counts_once() -> None:
 
 
 def test_a_flight_in_another_room_teaches_nothing() -> None:
-    elsewhere = observed(RoomRecording(Room(7, 1.4), make_path(16, 0.05, 8.0)))
+    elsewhere = observed(RoomRecording(Room(7, 1.4), make_path(16, 0.05, 8.0), SMALL_CAMERA))
     assert elsewhere.refusal is not None
     evidence = Evidence.none(mapped(), RULES)
     assert evidence.after_flight(mapped(), elsewhere, True, RULES, np.random.default_rng(0)) is evidence
