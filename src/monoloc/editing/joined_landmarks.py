@@ -16,10 +16,7 @@ from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.landmarks.pnp import PRIOR_COVARIANCE
 
-SAME_M = 0.05
-"""Distance within which landmarks that look alike are one."""
-
-_CANDIDATES = 8  # best matches looked at
+_SAME_M, _CANDIDATES = 0.05, 8  # distance within which landmarks that look alike are one; best matches looked at
 _DEPTH_JUMP = 0.15  # relative; next to a larger jump a corner's depth is ambiguous
 _MOST_FRAMES = 150
 
@@ -92,4 +89,4 @@ def is_among(landmarks: Landmarks, others: Landmarks) -> NDArray[np.bool_]:
         K=min(_CANDIDATES, len(others)),
     )
     apart = np.linalg.norm(others.points[np.asarray(nearest)] - landmarks.points[:, None], axis=2)
-    return np.asarray(np.any((np.asarray(bits) < MATCH_BITS) & (apart < SAME_M), axis=1))
+    return np.asarray(np.any((np.asarray(bits) < MATCH_BITS) & (apart < _SAME_M), axis=1))

@@ -87,6 +87,7 @@ def test_the_updated_map_finds_again_what_the_old_one_missed() -> None:
     assert after.states.get("map-changed", 0) < before.states["map-changed"]
 
 
+@pytest.mark.slow
 def test_a_flight_counts_once() -> None:
     again = observed(flight(1), known=frozenset(evidence_of(1).frames))
     assert again.refusal is not None and "counted before" in again.refusal
