@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict
 
-EditKind = Literal["remove", "add", "move", "extend", "merge"]
+EditKind = Literal["remove", "add", "move", "extend", "merge", "update"]
 
 
 class EditRecord(BaseModel):

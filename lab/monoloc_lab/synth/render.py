@@ -36,6 +36,8 @@ _LEAST_LLVM = 17
 _MATT = 0.85  # rougher surfaces are rendered without a highlight
 _GROUP_PAINT = {"daylight": (1.0, 0.0, 0.0), "lamps": (0.0, 1.0, 0.0), None: (0.0, 0.0, 0.0)}
 _BOUNCES = 6  # further bounces contribute a few percent in rooms with bright walls
+# Of even light: illuminance, and its share by the surface's direction, so that walls differ from each other.
+_EVEN_LUX, _EVEN_SHADING = 300.0, np.array([0.15, 0.1, 0.25])
 _AXES = np.diag([-1.0, -1.0, 1.0, 1.0])  # Mitsuba cameras have x to the left and y up
 
 
@@ -108,18 +110,19 @@ class Renderer:
 
     Args:
         samples: paths per pixel and light group.
+        is_even: whether to render in even light, without shadows and highlights: twenty times faster.
 
     Raises:
         MissingExtraError: Mitsuba is not installed.
     """
 
-    def __init__(self, room: Room, samples: int) -> None:
+    def __init__(self, room: Room, samples: int, is_even: bool = False) -> None:
         variant = require_mitsuba()
         import mitsuba as mi
 
         mi.set_variant(variant)
         self._mi: Any = mi
-        self._samples = samples
+        self._samples, self._is_even = samples, is_even
         meshes = room_meshes(room)
         surfaces = {material: mi.load_dict(_surface(material, self._bitmap)) for material in meshes}
         self._scenes = {group: self._scene(meshes, surfaces, group) for group in LIGHT_GROUPS}
@@ -128,6 +131,7 @@ class Renderer:
         self._painted = self._scene(meshes, painted, None)
         path = {"type": "path", "max_depth": _BOUNCES, "rr_depth": 3}
         self._path = mi.load_dict({"type": "aov", "aovs": "of:albedo", "light": path})
+        self._albedo = mi.load_dict({"type": "aov", "aovs": "of:albedo,facing:sh_normal"})
         self._geometry = mi.load_dict({"type": "aov", "aovs": "at:position,facing:sh_normal,group:albedo"})
 
     def picture(self, camera: Camera, T_world_camera: FloatArray, seed: int) -> Picture:
@@ -136,27 +140,50 @@ class Renderer:
         Raises:
             SettingError: a camera with distortion or with pixels that are not square.
         """
-        mi = self._mi
         sensor = self._sensor(camera, T_world_camera, "independent")
-        traced = {
-            group: np.array(mi.render(scene, sensor=sensor, integrator=self._path, seed=seed, spp=self._samples))
-            for group, scene in self._scenes.items()
-        }
+        if self._is_even:
+            return self._evenly_lit(camera, T_world_camera, sensor, seed)
+        traced = {group: self._render(scene, sensor, self._path, seed) for group, scene in self._scenes.items()}
+        depth, points, normals, paint = self._surfaces(camera, T_world_camera)
+        guide = Guide(traced["lamps"][..., -3:], normals, points, paint.max(axis=-1) > 0.5)
+        return Picture(
+            light={group: denoised(image[..., :3], guide) for group, image in traced.items()},
+            depth_m=depth,
+            normals=normals.astype(np.float32),
+            albedo=guide.albedo.astype(np.float32),
+            shines=guide.shines,
+            glass=paint[..., 0] > 0.5,
+        )
+
+    def _evenly_lit(self, camera: Camera, T_world_camera: FloatArray, sensor: Any, seed: int) -> Picture:
+        seen = self._render(self._scenes["daylight"], sensor, self._albedo, seed).astype(np.float32)
+        albedo, facing = seen[..., :3], seen[..., 3:6]
+        depth, _, normals, paint = self._surfaces(camera, T_world_camera)
+        light = albedo * (_EVEN_LUX / np.pi * (1.0 + facing @ _EVEN_SHADING))[..., None]
+        return Picture(
+            light={"daylight": light.astype(np.float32), "lamps": np.zeros_like(light, dtype=np.float32)},
+            depth_m=depth,
+            normals=normals.astype(np.float32),
+            albedo=albedo,
+            shines=paint.max(axis=-1) > 0.5,
+            glass=paint[..., 0] > 0.5,
+        )
+
+    def _render(self, scene: Any, sensor: Any, integrator: Any, seed: int) -> NDArray[Any]:
+        image = self._mi.render(scene, sensor=sensor, integrator=integrator, seed=seed, spp=self._samples)
+        return np.array(image)
+
+    def _surfaces(
+        self, camera: Camera, T_world_camera: FloatArray
+    ) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """Depth, points, normals and colour of the light group at the centres of the pixels."""
         centres = self._sensor(camera, T_world_camera, "stratified")
         seen = np.array(self._mi.render(self._painted, sensor=centres, integrator=self._geometry, spp=1))
         points, normals, paint = np.split(seen, 3, axis=-1)
         T_camera_world = invert(T_world_camera)
         depth = points @ T_camera_world[2, :3] + T_camera_world[2, 3]
         hit = np.linalg.norm(normals, axis=-1) > 0.5
-        guide = Guide(traced["lamps"][..., -3:], normals, points, paint.max(axis=-1) > 0.5)
-        return Picture(
-            light={group: denoised(image[..., :3], guide) for group, image in traced.items()},
-            depth_m=np.where(hit, depth, 0.0).astype(np.float32),
-            normals=normals.astype(np.float32),
-            albedo=guide.albedo.astype(np.float32),
-            shines=guide.shines,
-            glass=paint[..., 0] > 0.5,
-        )
+        return np.where(hit, depth, 0.0).astype(np.float32), points, normals, paint
 
     def _sensor(self, camera: Camera, T_world_camera: FloatArray, sampler: str) -> Any:
         if camera.is_distorted or abs(camera.fx / camera.fy - 1.0) > 1e-6:

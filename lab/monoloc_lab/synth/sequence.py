@@ -57,6 +57,7 @@ class RenderConfig:
         depth: "exact", or "sensor" for a simulated structured-light sensor.
         depth_scale: stored value of one metre.
         jpeg_quality: of the colour images, 1 to 100.
+        is_even: whether to render in even light, see :class:`monoloc_lab.synth.render.Renderer`.
     """
 
     samples: int = 48
@@ -65,6 +66,7 @@ class RenderConfig:
     jpeg_quality: int = 92
     sensor: SensorConfig = field(default_factory=SensorConfig)
     depth_sensor: DepthSensorConfig = field(default_factory=DepthSensorConfig)
+    is_even: bool = False
 
 
 def render_sequence(
@@ -99,6 +101,7 @@ def render_sequence(
         "camera": asdict(camera),
         "samples": config.samples,
         "seed": seed,
+        **({"light": "even"} if config.is_even else {}),
     }
     claim(out, settings)
     write_room(out / ROOM, room)
@@ -107,7 +110,7 @@ def render_sequence(
     lux_file = out / "linear" / "lux.json"
     missing = [index for index, frame in enumerate(frames) if not frame.is_file()]
     if missing or not lux_file.is_file():
-        renderer = Renderer(room, config.samples)
+        renderer = Renderer(room, config.samples, config.is_even)
         if not lux_file.is_file():
             write_whole(lux_file, json.dumps(illuminance(renderer, room)).encode())
         with progress.task("render", len(frames)) as step:

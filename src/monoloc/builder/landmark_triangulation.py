@@ -13,7 +13,9 @@ from monoloc.landmarks.features import Keypoints, match_descriptors
 from monoloc.landmarks.landmark_map import Landmarks
 
 _RADIUS_PX = 6.0  # matching radius around the projection of a landmark lifted in another frame
-_DEPTH_SD = 0.01  # relative, of measured depth
+DEPTH_SD = 0.01
+"""Relative standard deviation of a sensor's depth."""
+
 _HUBER, _STEPS = 2.0, 5
 _NEAREST_M, _LEAST_INFORMATION = 1e-3, 1e-6  # for a point behind a camera; for a point on a single ray
 _AGREE_SD = 2.5  # standard deviations; half of a landmark's corners must lie within them
@@ -29,16 +31,17 @@ class Corners:
     depth_m: FloatArray
 
 
-def landmarks_of(corners: list[Corners], camera: Camera, poses: FloatArray) -> Landmarks:
+def landmarks_of(corners: list[Corners], camera: Camera, poses: FloatArray, depth_sd: float = DEPTH_SD) -> Landmarks:
     """Map the landmarks of frames of one camera: corners that at least two frames saw.
 
     Args:
         corners: corners of each frame.
         camera: intrinsics of the images in which corners were detected.
         poses: (N, 4, 4) ``T_world_camera`` of the frames.
+        depth_sd: relative standard deviation of the corners' depth.
     """
     seen = _gathered(corners, camera, poses)
-    points, is_one_place = _placed(seen, poses)
+    points, is_one_place = _placed(seen, poses, depth_sd)
     chosen = _chosen(seen, is_one_place, len(corners))
     return Landmarks(points[chosen].astype(np.float32), _descriptors(seen, chosen))
 
@@ -89,7 +92,7 @@ def _gathered(corners: list[Corners], camera: Camera, poses: FloatArray) -> _Obs
     return _Observations(points, *(np.concatenate(column) for column in zip(*rows, strict=True)))
 
 
-def _placed(seen: _Observations, poses: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+def _placed(seen: _Observations, poses: FloatArray, depth_sd: float) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Robust maximum-likelihood positions of landmarks, (L, 3), and whether half of their corners agree, (L,).
 
     Gauss-Newton on the rays of a landmark's corners and the logarithm of their depth, with Huber weights.
@@ -98,7 +101,7 @@ def _placed(seen: _Observations, poses: FloatArray) -> tuple[FloatArray, NDArray
     R_camera_world = T_camera_world[:, :3, :3]
     has_depth = seen.depth_m > 0.0
     log_depth = np.log(np.where(has_depth, seen.depth_m, 1.0))
-    scale = np.column_stack([1.0 / seen.sd, has_depth / _DEPTH_SD])
+    scale = np.column_stack([1.0 / seen.sd, has_depth / depth_sd])
     points = seen.points.copy()
     for _ in range(_STEPS):
         local = np.einsum("oij,oj->oi", R_camera_world, points[seen.landmark]) + T_camera_world[:, :3, 3]

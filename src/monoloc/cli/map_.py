@@ -31,6 +31,7 @@ from monoloc.cli.common import (
     text_of,
 )
 from monoloc.cli.map_looking import export, info, render
+from monoloc.cli.map_update import update
 from monoloc.config import override
 from monoloc.evaluation.cloud_metrics import COMPARED_POINTS, compare_clouds
 from monoloc.io.cloud_files import CLOUD_SUFFIXES
@@ -47,6 +48,7 @@ app.add_typer(map_edit.app, name="edit")
 app.command()(info)
 app.command()(render)
 app.command()(export)
+app.command()(update)
 
 
 @app.command()

@@ -27,7 +27,7 @@ from monoloc.geometry import FloatArray, transform
 from monoloc.io.recording import evenly_spaced
 from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
 from monoloc.map.cloud import voxel_thin
-from monoloc.map.local_fit import Components, fitted, part
+from monoloc.map.local_fit import Components, Region, fitted, part
 
 _SHOWN = 4000  # points of the map that tell which part of a view has changed
 _VIEWS = 300  # reference poses that are looked from; others lie between them
@@ -53,22 +53,41 @@ def remove(bundle: Bundle, box: Box, parameters: dict[str, Any], rng: np.random.
     Raises:
         SettingError: nothing does, or all of the map does.
     """
+    edited, change = without_surfaces(bundle, box, rng)
+    inside = box.contains(bundle.landmarks.points.astype(np.float64))
+    edited = replace(edited, landmarks=select_landmarks(bundle.landmarks, ~inside))
+    return finish(bundle, edited, "remove", parameters, change, rng)
+
+
+def without_surfaces(bundle: Bundle, region: Region, rng: np.random.Generator) -> tuple[Bundle, Change]:
+    """The bundle without the surfaces in a region; its landmarks stay.
+
+    Raises:
+        SettingError: nothing lies there, or all of the map does.
+    """
     paired = PairedMap.of(bundle)
-    parted = part(paired.original, box, rng)
+    parted = part(paired.original, region, rng)
     if not len(parted.inner) and not parted.is_inside.any():
-        raise _empty(box, bundle)
+        raise _empty(region, bundle)
     rest = paired.select(parted.is_outside).with_new(parted.outer)
     if not len(rest):
         raise SettingError("box", "holds the whole map", "give a smaller one")
-    landmarks = bundle.landmarks
-    inside = box.contains(landmarks.points.astype(np.float64))
-    edited = replace(rest.on(bundle), landmarks=_select(landmarks, ~inside))
     gone = _points_of(paired.original[parted.is_inside] + parted.inner, rng)
-    return finish(bundle, edited, "remove", parameters, Change(gone, np.zeros((0, 3))), rng)
+    return rest.on(bundle), Change(gone, np.zeros((0, 3)))
 
 
 def add(bundle: Bundle, cloud: FloatArray, parameters: dict[str, Any], rng: np.random.Generator) -> Bundle:
     """Add a cloud (N, 3), world frame, metres. It brings no landmarks.
+
+    Raises:
+        SettingError: too few points.
+    """
+    edited, change = with_surfaces(bundle, cloud, rng)
+    return finish(bundle, edited, "add", parameters, change, rng)
+
+
+def with_surfaces(bundle: Bundle, cloud: FloatArray, rng: np.random.Generator) -> tuple[Bundle, Change]:
+    """The bundle with the surfaces of a cloud (N, 3), world frame, metres.
 
     Raises:
         SettingError: too few points.
@@ -79,8 +98,7 @@ def add(bundle: Bundle, cloud: FloatArray, parameters: dict[str, Any], rng: np.r
         problem = f"gives {len(points)} points {100.0 * paired.voxel_m:g} cm apart"
         raise SettingError("cloud", problem, f"give one in metres with at least {_LEAST_POINTS}")
     new = fitted(points, float(len(points)), len(points) * paired.components_a_point, rng)
-    edited = paired.with_new(new).on(bundle)
-    return finish(bundle, edited, "add", parameters, Change(np.zeros((0, 3)), points), rng)
+    return paired.with_new(new).on(bundle), Change(np.zeros((0, 3)), points)
 
 
 def move(
@@ -137,7 +155,7 @@ def finish(
     return with_edit(before, edited, EditRecord(time=now, kind=kind, parameters=parameters, changes=changes))
 
 
-def _empty(box: Box, bundle: Bundle) -> SettingError:
+def _empty(box: Region, bundle: Bundle) -> SettingError:
     lower, upper = (", ".join(f"{value:.1f}" for value in bound) for bound in bundle.original.bounds_m(1.0))
     centre = ", ".join(f"{value:.2f}" for value in box.centre)
     return SettingError(
@@ -151,7 +169,8 @@ def _points_of(components: Components, rng: np.random.Generator) -> FloatArray:
     return components.mixture().sample(count, rng) if len(components) else np.zeros((0, 3))
 
 
-def _select(landmarks: Landmarks, chosen: NDArray[np.bool_]) -> Landmarks:
+def select_landmarks(landmarks: Landmarks, chosen: NDArray[np.bool_]) -> Landmarks:
+    """Some of L landmarks, (L,) bool, with what the views found of them."""
     views = landmarks.views
     if views is not None:
         views = LandmarkViews(views.poses, views.found[:, chosen])

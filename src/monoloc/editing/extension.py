@@ -72,7 +72,7 @@ def extend(
         edited,
         landmarks=with_recording(bundle.landmarks, recording, poses) if len(bundle.landmarks) else bundle.landmarks,
         reference_poses=_joined_references(bundle.reference_poses, ReferencePoses.without_bias(poses)),
-        provenance=_with_frames(bundle.provenance, recording.name, _fingerprints(recording)),
+        provenance=with_frames(bundle.provenance, recording.name, _fingerprints(recording)),
     )
     if bundle.provenance.tune != "none":
         edited = _with_bias_of(edited, recording, poses)
@@ -110,7 +110,7 @@ def merge(bundle: Bundle, other: Bundle, name: str, parameters: dict[str, Any], 
         paired.with_new(new).on(bundle),
         landmarks=joined(bundle.landmarks, _moved(other.landmarks, T_world_other)),
         reference_poses=_joined_references(bundle.reference_poses, references),
-        provenance=_with_frames(bundle.provenance, other.provenance.recording, other.provenance.frames),
+        provenance=with_frames(bundle.provenance, other.provenance.recording, other.provenance.frames),
         settings=bundle.settings.model_copy(update={"particle_bias": bias, "landmark_bias": landmark_bias}),
         thresholds=LikelihoodThresholds(
             low=min(bundle.thresholds.low, other.thresholds.low),
@@ -147,8 +147,8 @@ def _fingerprints(recording: Recording) -> dict[str, int]:
     return {name: fingerprint(recording.color(index)) for index, name in enumerate(recording.frame_names)}
 
 
-def _with_frames(provenance: Provenance, name: str, frames: dict[str, int]) -> Provenance:
-    """With the frames of another recording; those of the same name are told apart by its number."""
+def with_frames(provenance: Provenance, name: str, frames: dict[str, int]) -> Provenance:
+    """With the frames of another recording, name and checksum; equal names are told apart by a number."""
     both = dict(provenance.frames)
     for frame, checksum in frames.items():
         key, number = frame, 2

@@ -23,7 +23,7 @@ _MOST_FRAMES = 150
 
 def joined(landmarks: Landmarks, others: Landmarks) -> Landmarks:
     """Landmarks of two maps of one world, those of the second that the first has too left out."""
-    new = ~_is_among(others, landmarks)
+    new = ~is_among(others, landmarks)
     points = np.concatenate([landmarks.points, others.points[new]])
     descriptors = np.concatenate([landmarks.descriptors, others.descriptors[new]])
     first, second = landmarks.views, others.views
@@ -77,7 +77,7 @@ def _padded(views: LandmarkViews | None, count: int) -> LandmarkViews | None:
     return LandmarkViews(views.poses, np.pad(views.found, ((0, 0), (0, count))))
 
 
-def _is_among(landmarks: Landmarks, others: Landmarks) -> NDArray[np.bool_]:
+def is_among(landmarks: Landmarks, others: Landmarks) -> NDArray[np.bool_]:
     """Whether each of L landmarks is one of the others, (L,)."""
     if not len(landmarks) or not len(others):
         return np.zeros(len(landmarks), dtype=np.bool_)

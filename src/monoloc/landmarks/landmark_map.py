@@ -55,10 +55,14 @@ class LandmarkViews:
         Returns:
             None where fewer than two views are near.
         """
+        nearest = self.nearest(pose)
+        return None if len(nearest) < 2 else self.found[nearest].sum(axis=0)
+
+    def nearest(self, pose: FloatArray) -> NDArray[np.int64]:
+        """Indices of the nearest views, at most three, that are near a pose (4, 4)."""
         distances_m = pose_distance_m(pose, self.poses)
         nearest = np.argsort(distances_m)[:_NEAREST_VIEWS]
-        nearest = nearest[distances_m[nearest] < _NEAR_M]
-        return None if len(nearest) < 2 else self.found[nearest].sum(axis=0)
+        return np.asarray(nearest[distances_m[nearest] < _NEAR_M])
 
     def farthest_m(self, points: NDArray[np.float32]) -> float:
         """The largest distance at which a view found one of the landmarks (L, 3); 0 where none was found.

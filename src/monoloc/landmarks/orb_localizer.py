@@ -79,7 +79,13 @@ class OrbLandmarkLocalizer:
 
     def measure_keypoints(self, seen: Keypoints, prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
         """As :meth:`LandmarkLocalizer.measure`, from keypoints that are detected already."""
-        return self._agreeing(seen, prior, covariance, self._visible(prior))[0]
+        return self.matched_keypoints(seen, prior, covariance)[0]
+
+    def matched_keypoints(
+        self, seen: Keypoints, prior: FloatArray, covariance: FloatArray
+    ) -> tuple[LandmarkMeasurement, NDArray[np.int64]]:
+        """As :meth:`measure_keypoints`, with the indices of the keypoints whose landmarks agree."""
+        return self._agreeing(seen, prior, covariance, self._visible(prior))
 
     def _agreeing(
         self,
@@ -88,7 +94,7 @@ class OrbLandmarkLocalizer:
         covariance: FloatArray,
         in_view: tuple[NDArray[np.int64], FloatArray],
     ) -> tuple[LandmarkMeasurement, NDArray[np.int64]]:
-        """As :meth:`measure_keypoints`, with the indices of the keypoints whose landmarks agree.
+        """As :meth:`matched_keypoints`.
 
         Args:
             in_view: of :meth:`_visible` at the prior.

@@ -90,7 +90,7 @@ class MapChangeMonitor:
         cells = np.floor(landmarks.points.astype(np.float64) / _CELL_M).astype(np.int64)
         self._cells, cell_of = np.unique(cells, axis=0, return_inverse=True)
         self._cell_of: NDArray[np.int64] = cell_of.reshape(-1)
-        self._touching = _touching(self._cells)
+        self._touching = touching(self._cells)
         self._nats = np.zeros(len(landmarks))
         self._above_s = np.zeros(len(self._cells))
         self._is_changed = np.zeros(len(self._cells), dtype=np.bool_)
@@ -165,7 +165,7 @@ class MapChangeMonitor:
         return ChangedRegion(lower * _CELL_M, upper * _CELL_M)
 
 
-def _touching(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+def touching(cells: NDArray[np.int64]) -> NDArray[np.int64]:
     """Pairs of cells (C, 3) that touch each other, (2, P): of each cell all others, and itself."""
     numbers = {tuple(cell): number for number, cell in enumerate(cells.tolist())}
     steps = list(itertools.product((-1, 0, 1), repeat=3))

@@ -50,6 +50,15 @@ def test_depth_is_that_of_the_boxes_at_pixel_centres(room: Room, renderer: Rende
     assert np.mean(room.clearance_m(before) > -1e-4) > 0.99
 
 
+def test_even_light_shows_the_same_surfaces_without_lamps(room: Room, renderer: Renderer) -> None:
+    traced, even = renderer.picture(CAMERA, POSE, 0), Renderer(room, 8, is_even=True).picture(CAMERA, POSE, 0)
+    np.testing.assert_array_equal(even.depth_m, traced.depth_m)
+    assert not even.light["lamps"].any()
+    # Luminance is that of the albedo in one light, but for the direction of the surface.
+    lux = np.pi * even.light["daylight"] / np.maximum(even.albedo, 1e-3)
+    assert np.percentile(lux, 5.0) > 150.0 and np.percentile(lux, 95.0) < 450.0
+
+
 def marked_room(marks: FloatArray) -> Room:
     """Dark walls with small bright panels at known places on the north wall, lit by a lamp."""
     size = (3.0, 3.0, 2.4)

@@ -1,0 +1,227 @@
+"""Days in a room whose furniture is moved: a map that learns from each day's flight, and one that does not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from monoloc.adapt.settings import AdaptConfig
+from monoloc.builder.build_config import BuildConfig
+from monoloc.builder.pipeline import build_bundle
+from monoloc.bundle import Bundle
+from monoloc.evaluation.consistency import consistency
+from monoloc.geometry import FloatArray
+from monoloc.io.reader_options import ReaderOptions
+from monoloc.io.recording import Recording
+from monoloc.io.registry import open_recording
+from monoloc.progress import NoProgress, Progress
+from monoloc.run import localize
+from monoloc.start import Start
+from monoloc.supervision.state import VOUCHED_FOR
+from monoloc.updating.apply_update import applied
+from monoloc.updating.observed_flight import observe
+from monoloc.updating.proposals import proposals
+from monoloc.updating.room_evidence import Evidence
+from monoloc.updating.update_rules import UpdateRules
+from monoloc_lab.rooms import TESTS
+from monoloc_lab.synth.changing_room import changed, flown, plan_round, render_round
+from monoloc_lab.synth.layout import generate_room
+
+_BUILD = BuildConfig(adapt=AdaptConfig(tune="none", map_transform=False))
+_SAMPLES = 16  # a pixel
+
+
+@dataclass(frozen=True)
+class Days:
+    """Recordings of the days, in one world.
+
+    Attributes:
+        moved: names of what was moved before each day's flight.
+        build: of the round before anything was moved.
+        flights: one a day.
+        test: another flight on the last day.
+        fresh: of the round on the last day, as the build.
+        other_room: of a flight elsewhere.
+    """
+
+    moved: list[list[str]]
+    build: Recording
+    flights: list[Recording]
+    test: Recording
+    fresh: Recording
+    other_room: Recording
+
+
+@dataclass(frozen=True)
+class ErrorFigures:
+    """Errors of some flights.
+
+    Attributes:
+        median_m, rmse_m: of the positions of all frames.
+        vouched_for: frames that were *tracking* or *map-changed*.
+        silent: those of them that were more than 30 cm off.
+    """
+
+    median_m: float
+    rmse_m: float
+    frames: int
+    vouched_for: int
+    silent: int
+
+
+@dataclass(frozen=True)
+class DayFigures:
+    """One day: what was moved, how the day's flight went on both maps before it taught, and what it taught.
+
+    Attributes:
+        refusal: why the flight taught nothing; None if it did.
+        applied: number of landmarks or voxels that each kind of proposal changed.
+        undo_bytes: that the day's edits take.
+    """
+
+    moved: list[str]
+    never_updated: ErrorFigures
+    updated: ErrorFigures
+    refusal: str | None
+    teaching_frames: int
+    applied: dict[str, int]
+    undo_bytes: int
+
+
+@dataclass(frozen=True)
+class AgeingFigures:
+    """JSON keys of ``monoloc bench ageing``.
+
+    Attributes:
+        days: in order.
+        never_updated, updated, fresh: on the last day's test flight, of the three maps.
+        poisoned: refusal of the other room's flight, and whether it changed the evidence.
+        landmarks: of the built, the updated and the fresh map.
+    """
+
+    days: list[DayFigures]
+    never_updated: ErrorFigures
+    updated: ErrorFigures
+    fresh: ErrorFigures
+    poisoned: str | None
+    poison_changed: bool
+    landmarks: tuple[int, int, int]
+
+
+def rendered_days(days: int, moves: int, seed: int, out: Path, progress: Progress) -> Days:
+    """Render the days; what an earlier call rendered is reused.
+
+    Args:
+        moves: objects that are moved before each day.
+
+    Raises:
+        MissingExtraError: Mitsuba is not installed.
+        SettingError: the room has no space for the round, or for the moves.
+    """
+    out.mkdir(exist_ok=True)
+    room = generate_room(seed)
+    planned = plan_round(room, seed)
+    paths, moved = [render_round(room, planned, _SAMPLES, 0, out / "day-00", progress)], []
+    for day in range(1, days + 1):
+        room, names = changed(room, planned, moves, np.random.default_rng((seed, 1, day)))
+        moved.append(names)
+        today = flown(planned, np.random.default_rng((seed, 2, day)))
+        paths.append(render_round(room, today, _SAMPLES, day, out / f"day-{day:02d}", progress))
+    again = flown(planned, np.random.default_rng((seed, 2, days + 1)))
+    test = render_round(room, again, _SAMPLES, days + 1, out / "test", progress)
+    fresh = render_round(room, planned, _SAMPLES, days + 2, out / "fresh", progress)
+    build, *flights = map(_opened, paths)
+    return Days(moved, build, flights, _opened(test), _opened(fresh), _opened(TESTS["L1"]))
+
+
+def bench_ageing(days: Days, is_sensor_depth: bool, starts: int, seed: int, progress: Progress) -> AgeingFigures:
+    """Fly day after day.
+
+    Args:
+        is_sensor_depth: whether a depth sensor shows surfaces to the updates; else the network.
+        starts: flights on each map, each from another start.
+        seed: of builds, starts and localizers.
+    """
+    rules, rng = UpdateRules(), np.random.default_rng((seed, 0xA6E))
+    built, fresh = (build_bundle(each, _BUILD, seed)[0] for each in (days.build, days.fresh))
+    bundle, evidence = built, Evidence.none(built, rules)
+    figures = []
+    poisoned, poison_changed = None, False
+    with progress.task("days", len(days.flights)) as show:
+        for day, (moved, recording) in enumerate(zip(days.moved, days.flights, strict=True), start=1):
+            never_updated, updated = (_errors(each, recording, starts, seed) for each in (built, bundle))
+            if day == (len(days.flights) + 1) // 2:
+                flight = observe(bundle, days.other_room, None, False, frozenset(), rules, rng, NoProgress())
+                poisoned = flight.refusal
+                poison_changed = evidence.after_flight(bundle, flight, False, rules, rng) is not evidence
+            known = frozenset(evidence.frames)
+            flight = observe(bundle, recording, None, is_sensor_depth, known, rules, rng, NoProgress())
+            evidence = evidence.after_flight(bundle, flight, is_sensor_depth, rules, rng)
+            proposed = proposals(evidence, bundle, rules)
+            count = len(bundle.edits)
+            bundle, evidence = applied(bundle, evidence, proposed, rules, rng)
+            kinds = sorted({each.kind for each in proposed})
+            figures.append(
+                DayFigures(
+                    moved=moved,
+                    never_updated=never_updated,
+                    updated=updated,
+                    refusal=flight.refusal,
+                    teaching_frames=len(flight.frames),
+                    applied={kind: sum(len(p.members) for p in proposed if p.kind == kind) for kind in kinds},
+                    undo_bytes=sum(len(edit.undo) for edit in bundle.edits[count:]),
+                )
+            )
+            show(day)
+    never_updated, updated, afresh = (_errors(each, days.test, starts, seed) for each in (built, bundle, fresh))
+    return AgeingFigures(
+        days=figures,
+        never_updated=never_updated,
+        updated=updated,
+        fresh=afresh,
+        poisoned=poisoned,
+        poison_changed=poison_changed,
+        landmarks=(len(built.landmarks), len(bundle.landmarks), len(fresh.landmarks)),
+    )
+
+
+def as_json(figures: AgeingFigures) -> dict[str, object]:
+    """The figures, and the ratio of the updated map's errors to the fresh one's."""
+    ratio = {
+        "median_ratio": figures.updated.median_m / figures.fresh.median_m,
+        "rmse_ratio": figures.updated.rmse_m / figures.fresh.rmse_m,
+    }
+    return {**asdict(figures), **ratio}
+
+
+def _opened(path: Path) -> Recording:
+    return open_recording(f"folder:{path}", ReaderOptions())
+
+
+def _errors(bundle: Bundle, recording: Recording, starts: int, seed: int) -> ErrorFigures:
+    """Of flights from disturbed starts, pooled."""
+    poses = recording.poses
+    assert poses is not None
+    position_m, states, far = [], list[str](), list[bool]()
+    for number in range(starts):
+        rng = np.random.default_rng((seed, number))
+        run = localize(bundle, recording, Start.disturbed(poses[0], rng), bundle.settings, rng, NoProgress())
+        errors = consistency(run.poses, poses, run.covariances)
+        position_m.append(errors.position_m)
+        states += run.states
+        far += errors.is_far.tolist()
+    return _figures(np.concatenate(position_m), states, far)
+
+
+def _figures(position_m: FloatArray, states: Sequence[str], far: Sequence[bool]) -> ErrorFigures:
+    vouched_for = [state in VOUCHED_FOR for state in states]
+    return ErrorFigures(
+        median_m=float(np.median(position_m)),
+        rmse_m=float(np.sqrt(np.mean(position_m**2))),
+        frames=len(states),
+        vouched_for=sum(vouched_for),
+        silent=sum(said and is_far for said, is_far in zip(vouched_for, far, strict=True)),
+    )

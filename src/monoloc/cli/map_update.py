@@ -1,0 +1,225 @@
+"""``monoloc map update``: learn from flights where the room is no longer as the map says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import cv2
+import numpy as np
+import typer
+
+from monoloc.bundle import Bundle, check_target, read_bundle, write_bundle
+from monoloc.bundle_signature import SIGNATURE
+from monoloc.cli.common import (
+    FixDepthOption,
+    FramesOption,
+    IntrinsicsOption,
+    JsonOption,
+    SeedOption,
+    check_apart,
+    check_outputs,
+    check_picture,
+    open_source,
+    print_json,
+    print_table,
+    stderr,
+)
+from monoloc.cli.start_option import METAVAR, UNKNOWN, start_of
+from monoloc.errors import SettingError
+from monoloc.files import target_of
+from monoloc.io.recording import Recording
+from monoloc.map.surface import surface_points
+from monoloc.map_export import T_map_world
+from monoloc.progress import ConsoleProgress
+from monoloc.start import START_ERROR_DEG, START_ERROR_M
+from monoloc.updating.apply_update import applied
+from monoloc.updating.observed_flight import ObservedFlight, observe
+from monoloc.updating.proposals import Proposal, proposals
+from monoloc.updating.room_evidence import Evidence, evidence_path, read_evidence, write_evidence
+from monoloc.updating.update_rules import UpdateRules
+from monoloc.viz.update_drawing import UpdateView, plot_update
+
+_DRAWN_POINTS = 60_000
+
+
+def update(
+    bundle: Annotated[Path, typer.Argument(metavar="BUNDLE", help="Bundle of the room.", show_default=False)],
+    sources: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="SOURCE...",
+            help="Recordings of flights; without any, what earlier ones showed.",
+            show_default=False,
+        ),
+    ] = None,
+    frames: FramesOption = "::",
+    start: Annotated[
+        str,
+        typer.Option(
+            "--start", metavar=METAVAR, help="First pose of the flights, or 'truth'. [the room is searched]"
+        ),
+    ] = UNKNOWN,
+    depth: Annotated[
+        Literal["predicted", "sensor"] | None,
+        typer.Option("--depth", help="What shows surfaces: the network or a sensor. [sensor where there is one]"),
+    ] = None,
+    apply: Annotated[
+        str | None, typer.Option("--apply", metavar="N,...", help="Apply these proposals, by their numbers.")
+    ] = None,
+    auto: Annotated[bool, typer.Option("--auto", help="Apply all proposals.")] = False,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", help="PNG to write: what is proposed, and the map before and after.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Bundle to write. [the same]")] = None,
+    intrinsics: IntrinsicsOption = None,
+    fix_depth: FixDepthOption = None,
+    seed: SeedOption = 0,
+    json: JsonOption = False,
+) -> None:
+    """Propose edits of a map from what flights saw elsewhere than it says, and apply them.
+
+    Evidence is kept in NAME.evidence.npz beside the bundle, and adds up over calls.
+
+    \b
+    Examples:
+      monoloc map update kitchen.monoloc folder:monday --plot change.png
+      monoloc map update kitchen.monoloc folder:tuesday folder:wednesday
+      monoloc map update kitchen.monoloc --apply 1,3
+      monoloc map update kitchen.monoloc folder:thursday --auto
+    """
+    given = sources or []
+    target = out or bundle
+    if auto and apply is not None:
+        raise SettingError("--apply", "is given together with --auto", "give one of them")
+    _check_outputs(bundle, out, plot, given)
+    numbers = None if apply is None else _numbers(apply)
+    rules, rng = UpdateRules(), np.random.default_rng(seed)
+    room = read_bundle(bundle)
+    recordings = [open_source(source, frames, intrinsics, fix_depth=fix_depth) for source in given]
+    if depth == "sensor":
+        _check_depth(recordings)
+    before = evidence = read_evidence(evidence_path(bundle), room, rules)
+    cv2.setNumThreads(1)  # as in a flight
+    flights = []
+    for recording in recordings:
+        is_sensor_depth = recording.has_depth if depth is None else depth == "sensor"
+        first = None if recording.poses is None else recording.poses[0]
+        begin = start_of(start, room, first, START_ERROR_M, float(np.deg2rad(START_ERROR_DEG)), rng)
+        known = frozenset(evidence.frames)
+        progress = ConsoleProgress(stderr)
+        flight = observe(room, recording, begin, is_sensor_depth, known, rules, rng, progress)
+        evidence = evidence.after_flight(room, flight, is_sensor_depth, rules, rng)
+        flights.append(flight)
+    proposed = proposals(evidence, room, rules)
+    chosen = proposed if auto else _chosen(proposed, numbers)
+    updated, left = applied(room, evidence, chosen, rules, rng)
+    if plot is not None:
+        shown = updated if chosen else applied(room, evidence, proposed, rules, np.random.default_rng(seed))[0]
+        _draw(plot, bundle.name, room, shown, proposed, "after" if chosen else "if all were applied", seed)
+    was_signed = (target / SIGNATURE).is_file()
+    if chosen or out is not None:
+        write_bundle(target_of(target), updated)
+    if left is not before or out is not None:
+        write_evidence(evidence_path(target_of(target)), left, updated)
+    if chosen and was_signed:
+        stderr.print(f"note: {target}: its signature is void and was removed; sign it again", soft_wrap=True)
+    _print(target, flights, evidence, proposed, chosen, plot, json)
+
+
+def _check_outputs(bundle: Path, out: Path | None, plot: Path | None, sources: list[str]) -> None:
+    if out is not None:
+        if out.suffix != ".monoloc":
+            raise SettingError("--out", f"{out} is not named as a bundle", "name it NAME.monoloc")
+        check_apart(out, "--out", sources)
+        check_target(out)
+    check_outputs({"--plot": plot}, (bundle, *sources))
+    check_picture(plot, "--plot")
+
+
+def _check_depth(recordings: Sequence[Recording]) -> None:
+    for recording in recordings:
+        if not recording.has_depth:
+            raise SettingError("--depth", f"is sensor, but {recording.name} has no depth", "leave it out")
+
+
+def _numbers(text: str) -> list[int]:
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError as error:
+        raise SettingError("--apply", f"is {text!r}", "write numbers of proposals with commas") from error
+
+
+def _chosen(proposed: list[Proposal], numbers: list[int] | None) -> list[Proposal]:
+    for number in numbers or []:
+        if not 1 <= number <= len(proposed):
+            fix = f"choose from 1 to {len(proposed)}" if proposed else "fly again: nothing is proposed yet"
+            raise SettingError("--apply", f"names proposal {number} of {len(proposed)}", fix)
+    return [proposed[number - 1] for number in dict.fromkeys(numbers or [])]
+
+
+def _draw(
+    path: Path, name: str, before: Bundle, after: Bundle, proposed: list[Proposal], which: str, seed: int
+) -> None:
+    first, second = (
+        UpdateView(
+            f"{name}, {title}",
+            surface_points(room.original, _DRAWN_POINTS, np.random.default_rng(seed)),
+            room.landmarks.points.astype(np.float64),
+        )
+        for title, room in (("before", before), (which, after))
+    )
+    plot_update(
+        path, first, second, [(each.kind, each.points) for each in proposed], T_map_world(before, roughly=True)
+    )
+
+
+def _print(
+    target: Path,
+    flights: list[ObservedFlight],
+    evidence: Evidence,
+    proposed: list[Proposal],
+    chosen: list[Proposal],
+    plot: Path | None,
+    json: bool,
+) -> None:
+    used = {id(each) for each in chosen}
+    if json:
+        print_json(
+            {
+                "bundle": str(target),
+                "flights": [
+                    {
+                        "name": each.name,
+                        "teaching_frames": len(each.frames),
+                        "states": each.states,
+                        "refusal": each.refusal,
+                    }
+                    for each in flights
+                ],
+                "counted_flights": len(evidence.flights),
+                "proposals": [{**each.described(), "applied": id(each) in used} for each in proposed],
+                "picture": None if plot is None else str(plot),
+            }
+        )
+        return
+    for flight in flights:
+        said = (
+            f"{len(flight.frames)} frames teach" if flight.refusal is None else f"teaches nothing: {flight.refusal}"
+        )
+        stderr.print(f"{flight.name}: {said}", soft_wrap=True)
+    rows = [
+        [
+            f"{number}{' applied' if id(each) in used else ''}",
+            each.kind,
+            str(len(each.members)),
+            *(" ".join(f"{value:.2f}" for value in corner) for corner in (each.lower, each.upper)),
+            f"{each.agreeing:.0f} of {each.views:.0f}",
+            str(each.flights),
+            f"{each.odds:.0f}",
+        ]
+        for number, each in enumerate(proposed, start=1)
+    ]
+    title = f"{target}: {len(proposed)} proposals from {len(evidence.flights)} flights"
+    print_table(title, ["", "what", "number", "from (m)", "to (m)", "views", "flights", "odds"], rows)

@@ -1,0 +1,252 @@
+"""A flight as a map may learn from it: the frames whose pose is beyond doubt, and what they saw."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.bundle import Bundle, fingerprint
+from monoloc.camera import Camera
+from monoloc.depth.predictor import DepthPrediction
+from monoloc.errors import DataError
+from monoloc.geometry import FloatArray, pose_distance_m
+from monoloc.io.recording import Recording
+from monoloc.landmarks.features import KeypointDetector, Keypoints
+from monoloc.landmarks.landmark_map import FAMILIAR_TIMES, Landmarks, LandmarkViews
+from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
+from monoloc.landmarks.pnp import PRIOR_COVARIANCE
+from monoloc.localizer import Step
+from monoloc.obstacles.depth_error import DepthError
+from monoloc.particle_filter.particles import Particles
+from monoloc.progress import Progress
+from monoloc.run import localize
+from monoloc.sensor_depth import sparse_depth
+from monoloc.start import Start
+from monoloc.supervision.map_change import ChangedRegion
+from monoloc.supervision.state import VOUCHED_FOR, Reason, State
+from monoloc.updating.update_rules import UpdateRules
+
+# Of a depth sensor: share of the distance, and what pose and map add.
+_SENSOR_SD, _POSE_SD_M = 0.02, 0.03
+_MOST_MISMATCHES = 0.1  # share of frames whose landmarks fit another focal length
+
+
+@dataclass(frozen=True)
+class TeachingFrame:
+    """A frame that a map may learn from.
+
+    Attributes:
+        pose: ``T_world_camera``, (4, 4), as estimated.
+        pose_sd_m, pose_sd_rad: stated standard deviations of position and rotation, per axis, the largest.
+        keypoints: of its image.
+        is_landmark: (N,) keypoints that are landmarks of the map.
+        visible, is_found: (E,) landmarks in view, and whether they were found.
+        familiar: (L,) landmarks that the build found from here, and are expected.
+        depth: metres at the belief's scale; None where there is none.
+        checksum: of its image.
+    """
+
+    pose: FloatArray
+    pose_sd_m: float
+    pose_sd_rad: float
+    keypoints: Keypoints
+    is_landmark: NDArray[np.bool_]
+    visible: NDArray[np.int64]
+    is_found: NDArray[np.bool_]
+    familiar: NDArray[np.bool_]
+    depth: DepthPrediction | None
+    checksum: int
+
+
+@dataclass(frozen=True)
+class ObservedFlight:
+    """What a flight saw.
+
+    Attributes:
+        name: of the recording.
+        frames: that teach.
+        detected: camera of the keypoints.
+        states: number of frames in each state.
+        depth_sd: relative standard deviation of depth.
+        refusal: why nothing may be learned from it; None where it may.
+    """
+
+    name: str
+    frames: list[TeachingFrame]
+    detected: Camera
+    states: dict[State, int]
+    depth_sd: float
+    refusal: str | None
+
+    def error_m(self, depth_m: FloatArray) -> FloatArray:
+        """Standard deviation of depths (...) as surface in the map."""
+        return np.asarray(np.hypot(self.depth_sd * depth_m, _POSE_SD_M))
+
+
+def observe(
+    bundle: Bundle,
+    recording: Recording,
+    start: Start | None,
+    is_sensor_depth: bool,
+    known: frozenset[int],
+    rules: UpdateRules,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> ObservedFlight:
+    """Localise a flight, and keep what its frames saw whose pose is beyond doubt.
+
+    Args:
+        start: as for :class:`monoloc.localizer.Localizer`.
+        is_sensor_depth: whether surfaces are seen by the recording's depth; else by the network's.
+        known: checksums of frames that have been counted.
+
+    Raises:
+        DataError: as :func:`views_of` and :func:`monoloc.run.localize`.
+    """
+    views_of(bundle)
+    watcher = _Watcher(bundle, recording, is_sensor_depth, known, rules)
+    localize(bundle, recording, start, bundle.settings, rng, progress, viewer=watcher)
+    depth_sd = _SENSOR_SD if is_sensor_depth else DepthError.of(bundle).relative_sd
+    states: dict[State, int] = dict(watcher.states)
+    return ObservedFlight(
+        recording.name, watcher.frames, watcher.detect.camera, states, depth_sd, _refusal(watcher, rules)
+    )
+
+
+def views_of(bundle: Bundle) -> LandmarkViews:
+    """The views of a bundle's landmarks, which say what a camera should see.
+
+    Raises:
+        DataError: it has none, or its build could not tell how often landmarks are found again.
+    """
+    views, model = bundle.landmarks.views, bundle.integrity
+    if views is None or model.familiar_found <= model.strange_found:
+        problem = "cannot be updated: its bundle does not know which landmarks are found from where"
+        raise DataError(bundle.provenance.recording, problem, "build it from more frames, with landmarks")
+    return views
+
+
+def _refusal(watcher: _Watcher, rules: UpdateRules) -> str | None:
+    count = sum(watcher.states.values())
+    share = sum(watcher.states[state] for state in VOUCHED_FOR) / count
+    if watcher.mismatches > _MOST_MISMATCHES * count:
+        return f"landmarks fit another focal length in {watcher.mismatches} of {count} frames"
+    if share < rules.least_tracking_share:
+        return f"{share:.0%} of its frames are tracking, fewer than {rules.least_tracking_share:.0%}"
+    if watcher.known > 0.5 * count:
+        return f"{watcher.known} of its {count} frames built the map or were counted before"
+    if len(watcher.frames) < rules.least_views:
+        return f"{len(watcher.frames)} of its frames teach, fewer than {rules.least_views}"
+    return None
+
+
+class _Watcher:
+    """Keeps what teaches of a run; a :class:`monoloc.viz.viewer.Viewer`."""
+
+    def __init__(
+        self, bundle: Bundle, recording: Recording, is_sensor_depth: bool, known: frozenset[int], rules: UpdateRules
+    ) -> None:
+        self._recording, self._is_sensor_depth, self._rules = recording, is_sensor_depth, rules
+        self._known = known | set(bundle.provenance.frames.values())
+        self._landmarks, self._familiar_found = bundle.landmarks, bundle.integrity.familiar_found
+        self._localizer = OrbLandmarkLocalizer(bundle.landmarks, recording.camera)
+        self.detect = KeypointDetector(recording.camera)
+        self.frames: list[TeachingFrame] = []
+        self.states: Counter[State] = Counter()
+        self.mismatches = self.known = 0
+
+    def begin(self, room: Bundle, recording: Recording) -> None:
+        pass
+
+    def show(
+        self,
+        index: int,
+        color: NDArray[np.uint8],
+        step: Step,
+        particles: Particles,
+        odometry: FloatArray,
+        step_ms: float,
+    ) -> None:
+        """Take in a frame, and keep it if it teaches."""
+        self.states[step.state] += 1
+        self.mismatches += Reason.CAMERA_MISMATCH in step.reasons
+        checksum = fingerprint(color)
+        if checksum in self._known:
+            self.known += 1
+            return
+        pose = step.estimate.pose
+        is_certain = step.state in VOUCHED_FOR and step.landmark_pose is not None
+        if not is_certain or not self._is_apart(pose):
+            return
+        views = self._landmarks.views
+        times = None if views is None else views.times_found(pose)
+        if times is None:
+            return
+        keypoints = self.detect(color)
+        measured, where = self._localizer.matched_keypoints(keypoints, pose, PRIOR_COVARIANCE)
+        familiar = times >= FAMILIAR_TIMES
+        if not self._is_witnessed(step.changed_region, familiar, measured.visible, measured.is_found):
+            return
+        is_landmark = np.zeros(len(keypoints.pixels), dtype=np.bool_)
+        is_landmark[where] = True
+        sds = np.sqrt(np.diag(step.estimate.covariance))
+        self.frames.append(
+            TeachingFrame(
+                pose=pose,
+                pose_sd_m=float(sds[:3].max()),
+                pose_sd_rad=float(sds[3:].max()),
+                keypoints=keypoints,
+                is_landmark=is_landmark,
+                visible=measured.visible,
+                is_found=measured.is_found,
+                familiar=familiar,
+                depth=self._depth(index, step),
+                checksum=checksum,
+            )
+        )
+
+    def _is_apart(self, pose: FloatArray) -> bool:
+        if not self.frames:
+            return True
+        last = self.frames[-1].pose
+        return float(pose_distance_m(last, pose[None])[0]) >= self._rules.apart_m
+
+    def _is_witnessed(
+        self,
+        region: ChangedRegion | None,
+        familiar: NDArray[np.bool_],
+        visible: NDArray[np.int64],
+        is_found: NDArray[np.bool_],
+    ) -> bool:
+        """Whether what is outside of the changed region confirms the pose: what has moved must not place the camera.
+
+        Args:
+            familiar: (L,).
+            visible, is_found: (E,).
+        """
+        is_witness = np.ones(len(visible), dtype=np.bool_)
+        if region is not None:
+            is_witness = ~_within(region, self._landmarks, visible)
+        expected = is_witness & familiar[visible]
+        found = np.count_nonzero(is_found & is_witness)
+        least_share = self._rules.least_familiar_share * self._familiar_found
+        return bool(
+            found >= self._rules.least_witnesses
+            and np.count_nonzero(is_found & expected) >= least_share * np.count_nonzero(expected)
+        )
+
+    def _depth(self, index: int, step: Step) -> DepthPrediction | None:
+        if self._is_sensor_depth:
+            return sparse_depth(self._recording.depth(index), self._recording.camera)
+        if step.depth is None:
+            return None
+        scale = np.float32(np.exp(step.estimate.log_scale))
+        return DepthPrediction(scale * step.depth.depth_m, step.depth.camera)
+
+
+def _within(region: ChangedRegion, landmarks: Landmarks, chosen: NDArray[np.int64]) -> NDArray[np.bool_]:
+    points = landmarks.points[chosen]
+    return np.asarray(np.all((points >= region.lower) & (points <= region.upper), axis=1))

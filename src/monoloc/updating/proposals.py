@@ -1,0 +1,158 @@
+"""What the evidence of several flights proposes to change in a map, region by region."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monoloc.bundle import Bundle
+from monoloc.geometry import FloatArray
+from monoloc.map.occupancy import OCCUPIED, surface_voxels
+from monoloc.supervision.map_change import touching
+from monoloc.updating.room_evidence import Evidence, landmark_keys
+from monoloc.updating.surface_ageing import Cells, cells_of, is_among_cells
+from monoloc.updating.tally import Tally
+from monoloc.updating.update_rules import UpdateRules
+
+ProposalKind = Literal["retire landmarks", "add landmarks", "remove surfaces", "add surfaces"]
+
+_REGION_M = 0.4  # cells whose touching ones make a region of landmarks
+_LEAST_POINTS = 10  # of a new surface
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A change of the map that can be applied.
+
+    Attributes:
+        kind: of the change.
+        members: what changes: keys of landmarks, indices of candidates, or voxels, (N, 3).
+        points: where, (N, 3), world frame, metres; of new surfaces the cloud.
+        flights: in a row that agree, of the member with the fewest.
+        views, agreeing: that looked there, and of them those that speak for the change; medians over members.
+        odds: posterior odds of the change, median over members.
+    """
+
+    kind: ProposalKind
+    members: NDArray[Any]
+    points: FloatArray
+    flights: int
+    views: float
+    agreeing: float
+    odds: float
+
+    @property
+    def lower(self) -> FloatArray:
+        """Lower corner of its box, (3,), world frame, metres."""
+        return np.asarray(self.points.min(axis=0), dtype=np.float64)
+
+    @property
+    def upper(self) -> FloatArray:
+        return np.asarray(self.points.max(axis=0), dtype=np.float64)
+
+    def described(self) -> dict[str, Any]:
+        """Its figures, as JSON."""
+        return {
+            "kind": self.kind,
+            "count": len(self.members),
+            "lower_m": self.lower.round(3).tolist(),
+            "upper_m": self.upper.round(3).tolist(),
+            "flights": self.flights,
+            "views": self.views,
+            "agreeing": self.agreeing,
+            "odds": round(self.odds, 1),
+        }
+
+
+def proposals(evidence: Evidence, bundle: Bundle, rules: UpdateRules) -> list[Proposal]:
+    """What the evidence proposes, those of most members first within each kind."""
+    return [
+        *_retired(evidence, bundle, rules),
+        *_new_landmarks(evidence, bundle, rules),
+        *_gone_surfaces(evidence, bundle, rules),
+        *_new_surfaces(evidence, rules),
+    ]
+
+
+def _retired(evidence: Evidence, bundle: Bundle, rules: UpdateRules) -> Iterator[Proposal]:
+    chosen = np.flatnonzero(evidence.landmarks.is_proven(rules))
+    points, keys = bundle.landmarks.points[chosen].astype(np.float64), landmark_keys(bundle.landmarks)[chosen]
+    for part in _landmark_regions(points, rules):
+        yield _proposal("retire landmarks", keys[part], points[part], evidence.landmarks[chosen[part]])
+
+
+def _new_landmarks(evidence: Evidence, bundle: Bundle, rules: UpdateRules) -> Iterator[Proposal]:
+    """The likeliest, as many as there is room for once the others are retired."""
+    candidates = evidence.candidates
+    chosen = np.flatnonzero(candidates.tally.is_proven(rules))
+    retired = int(evidence.landmarks.is_proven(rules).sum())
+    room = max(0, rules.most_landmarks - len(bundle.landmarks) + retired)
+    chosen = np.sort(chosen[np.argsort(-candidates.tally.log_odds[chosen], kind="stable")][:room])
+    points = candidates.corners.points[chosen].astype(np.float64)
+    for part in _landmark_regions(points, rules):
+        yield _proposal("add landmarks", chosen[part], points[part], candidates.tally[chosen[part]])
+
+
+def _gone_surfaces(evidence: Evidence, bundle: Bundle, rules: UpdateRules) -> Iterator[Proposal]:
+    surfaces = evidence.surfaces
+    chosen = np.flatnonzero(surfaces.gone_tally.is_proven(rules))
+    if not len(chosen):
+        return
+    centres: FloatArray = np.asarray((surfaces.gone[chosen] + 0.5) * rules.voxel_m, dtype=np.float64)
+    is_there = surface_voxels(bundle.original, rules.voxel_m).at(centres) == OCCUPIED
+    chosen, centres = chosen[is_there], centres[is_there]
+    for part in _regions(surfaces.gone[chosen]):
+        if len(part) >= rules.least_voxels:
+            members = surfaces.gone[chosen[part]]
+            yield _proposal("remove surfaces", members, centres[part], surfaces.gone_tally[chosen[part]])
+
+
+def _new_surfaces(evidence: Evidence, rules: UpdateRules) -> Iterator[Proposal]:
+    surfaces = evidence.surfaces
+    chosen = np.flatnonzero(surfaces.new_tally.is_proven(rules))
+    points = surfaces.points.astype(np.float64)
+    cells = cells_of(points, rules)
+    for part in _regions(surfaces.new[chosen]):
+        members = surfaces.new[chosen[part]]
+        cloud = points[is_among_cells(cells, members)]
+        if len(part) >= rules.least_voxels and len(cloud) >= _LEAST_POINTS:
+            yield _proposal("add surfaces", members, cloud, surfaces.new_tally[chosen[part]])
+
+
+def _proposal(kind: ProposalKind, members: NDArray[Any], points: FloatArray, tally: Tally) -> Proposal:
+    return Proposal(
+        kind,
+        members,
+        points,
+        int(tally.flights.min()),
+        float(np.median(tally.expected)),
+        float(np.median(tally.agreeing)),
+        float(np.median(tally.odds)),
+    )
+
+
+def _landmark_regions(points: FloatArray, rules: UpdateRules) -> list[NDArray[np.int64]]:
+    """Indices of points (N, 3) by region, the largest first; those of small regions are the last."""
+    parts = _regions(np.floor(points / _REGION_M).astype(np.int64))
+    large = [part for part in parts if len(part) >= rules.least_landmarks]
+    small = [part for part in parts if len(part) < rules.least_landmarks]
+    return [*large, np.concatenate(small)] if small else large
+
+
+def _regions(cells: Cells) -> list[NDArray[np.int64]]:
+    """Indices of N things in cells (N, 3) by region, that is of cells that touch each other; the largest first."""
+    if not len(cells):
+        return []
+    unique, cell_of = np.unique(cells, axis=0, return_inverse=True)
+    cell, other = touching(unique)
+    label, size = np.arange(len(unique)), -1
+    while (total := int(label.sum())) != size:
+        size = total
+        np.minimum.at(label, cell, label[other])
+    region = label[cell_of.reshape(-1)]
+    parts = [np.flatnonzero(region == each) for each in np.unique(region)]
+    return sorted(parts, key=len, reverse=True)

@@ -1,0 +1,84 @@
+"""``monoloc map update``: its proposals, what it applies, where it keeps evidence, and its refusals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli_helpers import json_of, listing, outputs, refused, remove_depth
+from monoloc.bundle import read_bundle, write_bundle
+from monoloc.bundle_signature import SIGNATURE
+from monoloc.updating.room_evidence import Evidence, write_evidence
+from monoloc.updating.tally import Tally
+from synthetic_room import write_recording
+from update_helpers import LEFT, RULES, flight, mapped
+
+UPDATE = ("map", "update", "room.monoloc")
+ON_BOX = LEFT.contains(mapped().landmarks.points.astype(np.float64))
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with a bundle, beside which two flights have left what they missed."""
+    monkeypatch.chdir(tmp_path)
+    write_bundle(tmp_path / "room.monoloc", mapped())
+    views = np.where(ON_BOX, 10, 0)
+    tally = Tally.new(len(ON_BOX), RULES)
+    for _ in range(2):
+        tally = tally.after_flight(views, views, np.where(ON_BOX, np.inf, 0.0), RULES)
+    evidence = replace(Evidence.none(mapped(), RULES), landmarks=tally, flights=("monday", "tuesday"))
+    write_evidence(tmp_path / "room.evidence.npz", evidence, mapped())
+    return tmp_path
+
+
+def test_proposals_are_listed_drawn_and_applied_by_number(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    before = listing(here)
+    listed = json_of(capfd, *UPDATE)
+    assert listing(here) == before and listed["counted_flights"] == 2
+    assert {each["kind"] for each in listed["proposals"]} == {"retire landmarks"}
+    assert sum(each["count"] for each in listed["proposals"]) == ON_BOX.sum()
+    (here / "room.monoloc" / SIGNATURE).write_bytes(bytes(64))
+    _, err = outputs(capfd, *UPDATE, "--apply", "1", "--plot", "change.png")
+    assert "sign it again" in err and (here / "change.png").stat().st_size > 10_000
+    edited = read_bundle(here / "room.monoloc")
+    assert len(mapped().landmarks) - len(edited.landmarks) == listed["proposals"][0]["count"]
+    assert edited.edits[-1].record.parameters["newest_flights"] == ["monday", "tuesday"]
+    assert len(json_of(capfd, *UPDATE)["proposals"]) == len(listed["proposals"]) - 1
+
+
+@pytest.mark.slow
+def test_a_flight_adds_evidence_beside_the_bundle_that_is_written(
+    here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    write_recording(here / "flight", flight(1))
+    given = ("folder:flight", "--auto", "--out", "new.monoloc", "--seed", "3")
+    result = json_of(capfd, *UPDATE, *given)
+    assert result["flights"][0]["refusal"] is None and result["flights"][0]["teaching_frames"] >= 5
+    assert result["counted_flights"] == 3 and all(each["applied"] for each in result["proposals"])
+    assert (here / "new.evidence.npz").is_file() and len(read_bundle(here / "new.monoloc").edits) >= 1
+    assert read_bundle(here / "room.monoloc").edits == ()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "names", "problem", "fix"),
+    [
+        (("--apply", "one"), "--apply", "is 'one'", "write numbers"),
+        (("--apply", "40"), "--apply", "names proposal 40 of", "choose from 1 to"),
+        (("--apply", "1", "--auto"), "--apply", "is given together with --auto", "give one"),
+        (("--out", "elsewhere"), "--out", "elsewhere is not named as a bundle", "name it"),
+    ],
+)
+def test_refusals(
+    here: Path, capfd: pytest.CaptureFixture[str], arguments: tuple[str, ...], names: str, problem: str, fix: str
+) -> None:
+    refused(capfd, here, (*UPDATE, *arguments), names, problem, fix)
+
+
+def test_a_sensor_is_asked_for_only_where_there_is_one(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    write_recording(here / "flight", flight(1))
+    remove_depth(here / "flight")
+    arguments = (*UPDATE, "folder:flight", "--depth", "sensor")
+    refused(capfd, here, arguments, "--depth", "has no depth", "leave it out")

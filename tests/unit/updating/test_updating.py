@@ -1,0 +1,137 @@
+"""Flights through a room in which a box was moved mend its map; flights elsewhere change nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from monoloc.bundle import Bundle
+from monoloc.editing.undo import undone
+from monoloc.errors import DataError
+from monoloc.updating.apply_update import applied
+from monoloc.updating.observed_flight import views_of
+from monoloc.updating.proposals import Proposal, proposals
+from monoloc.updating.room_evidence import (
+    Evidence,
+    evidence_path,
+    landmark_keys,
+    read_evidence,
+    write_evidence,
+)
+from refusals import refuses_data
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
+from update_helpers import LEFT, RULES, evidence_of, flight, mapped, observed
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+def proposed(evidence: Evidence, kind: str) -> list[Proposal]:
+    return [each for each in proposals(evidence, mapped(), RULES) if each.kind == kind]
+
+
+def updated() -> tuple[Bundle, Evidence]:
+    evidence = evidence_of(1, 2)
+    every = proposals(evidence, mapped(), RULES)
+    return applied(mapped(), evidence, every, RULES, np.random.default_rng(0))
+
+
+def test_two_flights_find_what_is_gone_and_what_is_new() -> None:
+    evidence = evidence_of(1, 2)
+    points = mapped().landmarks.points.astype(np.float64)
+    retired = np.concatenate([each.members for each in proposed(evidence, "retire landmarks")])
+    on_box = LEFT.contains(points)
+    assert np.isin(landmark_keys(mapped().landmarks)[on_box], retired).mean() > 0.5
+    # Others are behind the box now, or were seen past it.
+    assert len(retired) < 2 * on_box.sum()
+    (gone,) = proposed(evidence, "remove surfaces")
+    assert LEFT.contains(gone.points).all() and len(gone.members) >= 20
+    (new,) = proposed(evidence, "add surfaces")
+    assert not LEFT.contains(new.points).any() and np.all(np.abs(new.points[:, 2] - 2.2) < 0.1)  # its front, there
+    assert len(proposed(evidence, "add landmarks")) >= 1
+
+
+@pytest.mark.slow
+def test_one_flight_proposes_nothing_and_an_unchanged_room_loses_nothing() -> None:
+    assert proposals(evidence_of(1), mapped(), RULES) == []
+    unchanged = evidence_of(1, 2, room=Room())
+    kinds = {each.kind for each in proposals(unchanged, mapped(), RULES)}
+    assert kinds <= {"add landmarks"}
+
+
+def test_an_update_is_edits_that_can_be_undone() -> None:
+    bundle, left = updated()
+    assert [edit.record.kind for edit in bundle.edits] == ["update"] * len(bundle.edits)
+    assert proposals(left, bundle, RULES) == []
+    views = bundle.landmarks.views
+    assert views is not None
+    added = ~np.isin(landmark_keys(bundle.landmarks), landmark_keys(mapped().landmarks))
+    assert views.found[:, added].sum(axis=0).min() >= 2  # so that they may be retired some day
+    assert set(left.frames) <= set(bundle.provenance.frames.values())
+    while bundle.edits:
+        bundle = undone(bundle)
+    np.testing.assert_array_equal(bundle.landmarks.points, mapped().landmarks.points)
+    np.testing.assert_array_equal(
+        bundle.original.means.astype(np.float32), mapped().original.means.astype(np.float32)
+    )
+
+
+@pytest.mark.slow
+def test_the_updated_map_finds_again_what_the_old_one_missed() -> None:
+    bundle, _ = updated()
+    before, after = (observed(flight(3), each) for each in (mapped(), bundle))
+    shares = [np.mean(np.concatenate([f.is_found for f in each.frames])) for each in (before, after)]
+    assert shares[1] > 1.2 * shares[0]
+    assert after.states.get("map-changed", 0) < before.states["map-changed"]
+
+
+@pytest.mark.slow
+def test_a_flight_counts_once() -> None:
+    again = observed(flight(1), known=frozenset(evidence_of(1).frames))
+    assert again.refusal is not None and "counted before" in again.refusal
+    assert evidence_of(1).after_flight(mapped(), again, True, RULES, np.random.default_rng(0)) is evidence_of(1)
+
+
+def test_a_flight_in_another_room_teaches_nothing() -> None:
+    elsewhere = observed(RoomRecording(Room(7, 1.4), make_path(16, 0.05, 8.0), SMALL_CAMERA))
+    assert elsewhere.refusal is not None
+    evidence = Evidence.none(mapped(), RULES)
+    assert evidence.after_flight(mapped(), elsewhere, True, RULES, np.random.default_rng(0)) is evidence
+
+
+def test_evidence_comes_back_and_follows_the_landmarks(tmp_path: Path) -> None:
+    path = evidence_path(tmp_path / "room.monoloc")
+    assert path.name == "room.evidence.npz"
+    evidence = evidence_of(1)
+    assert write_evidence(path, evidence, mapped()) < 200_000
+    same = read_evidence(path, mapped(), RULES)
+    np.testing.assert_array_equal(same.landmarks.log_odds, evidence.landmarks.log_odds)
+    np.testing.assert_array_equal(same.surfaces.new, evidence.surfaces.new)
+    assert (same.flights, same.frames, len(same.candidates)) == (
+        evidence.flights,
+        evidence.frames,
+        len(evidence.candidates),
+    )
+    bundle, _ = updated()  # after an edit that took landmarks away and added others
+    followed = read_evidence(path, bundle, RULES)
+    kept = np.isin(landmark_keys(bundle.landmarks), landmark_keys(mapped().landmarks))
+    assert len(followed.landmarks) == len(bundle.landmarks)
+    assert np.all(followed.landmarks.flights[~kept] == 0)
+
+
+def test_damaged_and_foreign_evidence_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "room.evidence.npz"
+    write_evidence(path, Evidence.none(mapped(), RULES), mapped())
+    provenance = mapped().provenance.model_copy(update={"seed": 5})
+    other = replace(mapped(), provenance=provenance)
+    refuses_data(lambda: read_evidence(path, other, RULES), path, "evidence of another room", "its own bundle")
+    path.write_bytes(path.read_bytes()[:-40])
+    refuses_data(lambda: read_evidence(path, mapped(), RULES), path, "holds no evidence", "remove it")
+
+
+def test_a_bundle_without_views_cannot_be_updated() -> None:
+    blind = replace(mapped(), integrity=mapped().integrity.model_copy(update={"familiar_found": 0.0}))
+    with pytest.raises(DataError, match=r"cannot be updated.*; build it from more frames"):
+        views_of(blind)
