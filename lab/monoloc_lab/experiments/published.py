@@ -25,7 +25,7 @@ from monoloc_lab.experiments.study import EvalRecording, Split
 from monoloc_lab.experiments.task import Results, Task
 from monoloc_lab.experiments.task_inputs import TRAJECTORY_FILE
 
-_SEVEN_SCENES_LINE = re.compile(r"(?:sequence|seq-?)(\d+)", re.IGNORECASE)
+_SEVEN_SCENES_LINE = re.compile(r"(?:sequence|seq-?)(\d{1,4})", re.IGNORECASE)
 _FIGURES = ("position_median_cm", "rotation_median_deg", "within_5cm_5deg")
 
 

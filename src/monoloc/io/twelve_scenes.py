@@ -28,8 +28,9 @@ FRAME_RATE_HZ = 30.0  # no file states times
 _SEQUENCE_GAP_S = 1.0  # between sequences, as in 7-Scenes
 
 _COLOR_NAME = re.compile(r"frame-(\d+)\.color\.jpg")
-_SEQUENCE = re.compile(r"(\w+)\s+\[frames=\d+\]\s*\[start=(\d+)\s*;\s*end=(\d+)\]")
+_SEQUENCE = re.compile(r"(\w+)\s+\[frames=\d+\]\s*\[start=(\d{1,9})\s*;\s*end=(\d{1,9})\]")
 _UNKNOWN_POSE = re.compile(r"inf|nan|ind", re.IGNORECASE)  # 1.#INF and 1.#IND are older compilers' spellings
+_MOST_DEPTH_PIXELS = 1 << 22  # the sensor has 640x480
 _AGAIN = "unpack the scene's archive again"
 
 
@@ -164,4 +165,7 @@ def _read_info(path: Path) -> _Calibration:
     depth_scale = float(numbers("m_depthShift", 1)[0])
     if (problem := depth_scale_problem(depth_scale)) is not None:
         raise DataError(path, f"m_depthShift {problem}", "give the stored value of one metre, such as 1000")
-    return _Calibration(camera("Color"), camera("Depth"), depth_scale)
+    color, depth = camera("Color"), camera("Depth")
+    if depth.width * depth.height > _MOST_DEPTH_PIXELS:
+        raise DataError(path, f"says that depth is {depth.width}x{depth.height}", "give the size of its depth images")
+    return _Calibration(color, depth, depth_scale)
