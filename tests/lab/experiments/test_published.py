@@ -17,7 +17,7 @@ from monoloc_lab.experiments.published import over_scenes, read_scene, scene_row
 from monoloc_lab.experiments.task import Result, Task
 from refusals import refuses_data
 from study_helpers import NETWORK, execute, trajectory_of
-from synthetic_room import SMALL_CAMERA, Room, make_path
+from twelve_scenes_room import KITCHEN, write_kitchen
 
 _QUICKEST = override(BuildConfig(), components=40, adapt={"tune": "none", "map_transform": False})
 
@@ -110,30 +110,21 @@ def test_scene_of_one_sequence_is_refused(tmp_path: Path) -> None:
     refuses_data(lambda: read_scene("12scenes", tmp_path, "apt1/kitchen"), split, "one sequence", "training")
 
 
-def test_row_is_of_all_test_frames_flown_without_a_start(tmp_path: Path) -> None:
-    folder = tmp_path / "apt1" / "kitchen"
-    lengths = [12, 30, 18]
-    synthetic.write_twelve_scenes_texts(folder, SMALL_CAMERA, SMALL_CAMERA, lengths)
-    # Three walks through the room, each from another time on.
-    walks = [make_path(count, start, rate_hz=6.0) for count, start in zip(lengths, (1.1, 0.0, 5.0), strict=True)]
-    for number, pose in enumerate(np.concatenate(walks)):
-        synthetic.write_twelve_scenes_frame(folder, number, *Room().view(pose, SMALL_CAMERA), pose)
-    scene = read_scene("12scenes", tmp_path, "apt1/kitchen")
+@pytest.mark.slow
+def test_scene_is_built_of_its_training_sequences_and_flown_without_a_start(tmp_path: Path) -> None:
+    walks = write_kitchen(tmp_path / KITCHEN, [12, 30, 18])
+    scene = read_scene("12scenes", tmp_path, KITCHEN)
     runs = scene_runs(scene, NETWORK, _QUICKEST)
     (tmp_path / "out").mkdir()
     done: dict[str, Result] = {}
-    flown = {name: execute(run, tmp_path / "out", done) for name, run in runs.items()}
+    for run in runs.values():
+        execute(run, tmp_path / "out", done)
     results: dict[Task, Result] = {task: done[task.key] for run in runs.values() for task in (run, *run.needs)}
     row = scene_row(scene, runs, results)
-    assert (row["scene"], row["training_frames"], row["build_frames"], row["test_frames"]) == (
-        *("apt1/kitchen", 48, 48, 12),
-    )
-    arrays = trajectory_of(flown["sequence0"])
+    assert (row["training_frames"], row["build_frames"], row["test_frames"]) == (48, 48, 12)
+    arrays = trajectory_of(results[runs["sequence0"]])
     np.testing.assert_allclose(arrays["truth"], walks[0], atol=1e-9)
-    errors_cm = 100.0 * np.linalg.norm(arrays["poses"][:, :3, 3] - walks[0][:, :3, 3], axis=1)
-    assert row["position_median_cm"] == pytest.approx(np.median(errors_cm))
-    assert row["sequences"]["sequence0"]["within_5cm_5deg"] == row["within_5cm_5deg"]
-    assert arrays["unseen"].all() and flown["sequence0"].figures["landmark_used_frames"] > 0
+    assert arrays["unseen"].all()
     assert row["position_median_cm"] < 20.0  # landmarks find the camera: the room is 5 m long
 
 
