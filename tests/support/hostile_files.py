@@ -312,6 +312,12 @@ TARGETS = {
     "pose of 7-scenes": Target(
         "seq-01/frame-000002.pose.txt", lambda path: synthetic.write_seven_scenes(path.parents[1]), of_grandparent
     ),
+    "calibration of 12-scenes": Target(
+        "info.txt", lambda path: synthetic.write_twelve_scenes(path.parent, [1, 2]), of_folder
+    ),
+    "split of 12-scenes": Target(
+        "split.txt", lambda path: synthetic.write_twelve_scenes(path.parent, [1, 2]), of_folder
+    ),
     "poses of rgbd-scenes": Target(
         "pc/01.pose",
         lambda path: synthetic.write_rgbd_scenes_v2(path.parents[1]),

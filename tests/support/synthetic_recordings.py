@@ -7,7 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from monoloc import geometry
 from monoloc.camera import Camera
@@ -89,6 +89,54 @@ def write_seven_scenes(scene: Path, sequences: int = 1, frames: int = 3, suffix:
         stored[1] = 65535
         write_depth(stem.with_name(stem.name + ".depth.png"), stored)
         np.savetxt(stem.with_name(stem.name + ".pose.txt"), pose)
+    return poses
+
+
+TWELVE_SCENES_INFO = """\
+m_versionNumber = 4
+m_sensorName = StructureSensor
+m_colorWidth = {color.width}
+m_colorHeight = {color.height}
+m_depthWidth = {depth.width}
+m_depthHeight = {depth.height}
+m_depthShift = 1000
+m_calibrationColorIntrinsic = {color.fx} 0 {color.cx} 0 0 {color.fy} {color.cy} 0 0 0 1 0 0 0 0 1
+m_calibrationColorExtrinsic = 1 0 0 -0 0 1 0 -0 0 0 1 -0 0 0 0 1
+m_calibrationDepthIntrinsic = {depth.fx} 0 {depth.cx} 0 0 {depth.fy} {depth.cy} 0 0 0 1 0 0 0 0 1
+m_calibrationDepthExtrinsic = 1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1
+m_frames.size = 3
+"""
+
+
+def write_twelve_scenes_texts(scene: Path, color: Camera, depth: Camera, sequences: list[int]) -> None:
+    """``info.txt`` and ``split.txt`` of a scene with so many frames in each sequence."""
+    (scene / "data").mkdir(parents=True, exist_ok=True)
+    (scene / "info.txt").write_text(TWELVE_SCENES_INFO.format(color=color, depth=depth))
+    stops = np.cumsum(sequences)
+    lines = [
+        f"sequence{index} [frames={count}]  [start={stop - count} ; end={stop - 1}]\n"
+        for index, (count, stop) in enumerate(zip(sequences, stops, strict=True))
+    ]
+    (scene / "split.txt").write_text("".join(lines))
+
+
+def write_twelve_scenes_frame(
+    scene: Path, number: int, rgb: NDArray[np.uint8], depth_m: ArrayLike, pose: FloatArray
+) -> None:
+    """Colour, depth in metres and ``T_world_camera`` of a frame."""
+    stem = scene / "data" / f"frame-{number:06d}"
+    write_color(stem.with_name(f"{stem.name}.color.jpg"), rgb)
+    write_depth(stem.with_name(f"{stem.name}.depth.png"), np.round(1000.0 * np.asarray(depth_m)).astype(np.uint16))
+    np.savetxt(stem.with_name(f"{stem.name}.pose.txt"), pose)
+
+
+def write_twelve_scenes(scene: Path, sequences: list[int]) -> FloatArray:
+    """A scene of 12-Scenes whose colour has twice the pixels of depth a side; returns the poses of all frames."""
+    color, depth = Camera(64, 48, 50.0, 50.0, 31.2, 23.2), Camera(32, 24, 25.0, 25.0, 15.5, 11.5)
+    write_twelve_scenes_texts(scene, color, depth, sequences)
+    poses = make_poses(sum(sequences))
+    for number, pose in enumerate(poses):
+        write_twelve_scenes_frame(scene, number, make_color(64, 48, number), np.full((24, 32), 2.0), pose)
     return poses
 
 

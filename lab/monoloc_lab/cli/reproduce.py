@@ -86,6 +86,20 @@ def reproduce(
             help="Initial MobileNetV2 weights (.npz) of PoseNets; by default the encoder of the depth network.",
         ),
     ] = None,
+    benchmark: Annotated[
+        str | None,
+        typer.Option(
+            "--benchmark",
+            metavar="7scenes|12scenes",
+            help="In place of figures, a row a scene on the published split; --data is the folder of the data set.",
+        ),
+    ] = None,
+    scene: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--scene", metavar="NAME", help="Of the benchmark; may be repeated. All by default.", show_default=False
+        ),
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Reproduce the paper's figures and table.
@@ -94,6 +108,8 @@ def reproduce(
     figures can be requested one by one. With --dask, all machines need the same monoloc, the same data and
     the folder --out.
 
+    With --benchmark, scenes are built from their training sequences, and test sequences are flown without a start.
+
     \b
     Examples:
       monoloc reproduce --quick
@@ -101,6 +117,8 @@ def reproduce(
       monoloc reproduce --data 7scenes:redkitchen --builds 1 --size full --size one-third --out kitchen --json
       monoloc reproduce ladder --data folder:desk --build-frames 0:350:7 --size full --out desk
       monoloc reproduce --dask tcp://head:8786 --out /shared/reproduction
+      monoloc reproduce --benchmark 7scenes --data 7scenes --out rows
+      monoloc reproduce --benchmark 12scenes --data 12scenes --scene apt1/kitchen --out rows
     """
     with training_extra():
         import torch  # noqa: F401
@@ -109,10 +127,19 @@ def reproduce(
     from monoloc_lab.experiments.report import write_report
 
     started = time.perf_counter()
-    chosen = chosen_figures(figures or [])
-    check_folder(out, "--out")
     if workers is not None and dask is not None:
         raise SettingError("--workers", "is for this machine, and --dask for others", "leave one of them out")
+    processes = workers or len(os.sched_getaffinity(0))
+    if benchmark is not None:
+        from monoloc_lab.cli.reproduce_benchmark import reproduce_benchmark
+
+        _refuse({"FIGURE": figures, "--build-frames": build_frames, "--builds": builds, "--encoder": encoder}, "with")
+        folder = None if data == _BUILTIN else Path(data)
+        reproduce_benchmark(benchmark, folder, scene or (), out, quick, size or (), processes, dask, json)
+        return
+    _refuse({"--scene": scene}, "without")
+    chosen = chosen_figures(figures or [])
+    check_folder(out, "--out")
     require_plotting()
     study = _study(data, build_frames, quick, builds, size, encoder)
     if dask is not None:
@@ -127,7 +154,7 @@ def reproduce(
     _check_length(tasks)
     out = out.resolve()
     out.mkdir(exist_ok=True)
-    results = carry_out(tasks, out, ConsoleProgress(stderr), workers or len(os.sched_getaffinity(0)), dask)
+    results = carry_out(tasks, out, ConsoleProgress(stderr), processes, dask)
     drawn = [(figure, draw_figure(figure, study, results, out)) for figure, _ in drawable]
     worked_s = sum(result.seconds for result in results.values())
     content = write_report(out, study, drawn, left_out, time.perf_counter() - started, worked_s)
@@ -144,6 +171,13 @@ def reproduce(
             ],
         )
     stderr.print(f"{content['seconds']:.0f} s; report: {content['report']}")
+
+
+def _refuse(options: dict[str, object], how: str) -> None:
+    """Refuse options that are given and have no meaning with, or without, ``--benchmark``."""
+    for option, value in options.items():
+        if value is not None:
+            raise SettingError(option, f"has no meaning {how} --benchmark", "leave it out")
 
 
 def _study(

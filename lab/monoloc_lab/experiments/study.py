@@ -43,7 +43,8 @@ class Split:
     Attributes:
         name: in tables, as ``extrapolation``.
         source, frames: of the build, as on the command line.
-        recordings: by the light's name: ``L1`` to ``L3``, and :data:`AS_RECORDED` for a real recording.
+        recordings: by the light's name: ``L1`` to ``L3``, and :data:`AS_RECORDED` for a real recording. Those of a
+            published split by the sequence.
         alteration: of the build frames, as in :class:`EvalRecording`.
     """
 

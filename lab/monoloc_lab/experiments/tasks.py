@@ -111,6 +111,7 @@ def run(
     sensor: bool = False,
     gravity: bool = False,
     without: tuple[Part, ...] | None = None,
+    start_is_known: bool = True,
 ) -> Task:
     """A recording localised with a bundle: ``trajectory.npz``, see :data:`TRAJECTORY_ARRAYS`.
 
@@ -121,13 +122,14 @@ def run(
         sensor: use the depth of the recording, not of the network.
         gravity: give the localizer a simulated roll and pitch.
         without: parts of the localizer that are left out; None for those that the build left out.
+        start_is_known: whether it starts beside the first reference pose; else the room is searched.
     """
     return _task(
         "run",
         needs=(bundle,),
         evaluation=_evaluation(recording),
         seed=seed,
-        start=_START,
+        start=_START if start_is_known else None,
         motion=motion,
         sensor=sensor,
         gravity=gravity,

@@ -28,7 +28,10 @@ _ATTITUDE_BIAS_RAD, _ATTITUDE_NOISE_RAD = np.deg2rad(0.5), np.deg2rad(0.3)  # st
 def run(settings: Settings, needs: Sequence[Result], folder: Path) -> dict[str, Any]:
     bundle, recording = _read(needs[0]), evaluation_frames(settings)
     rng = np.random.default_rng(settings["seed"])
-    start = start_of(settings, recording, rng)
+    if settings["start"] is None and not bundle.supports_relocalization:
+        problem = "is flown without a start, and neither scans nor landmarks can find the camera in this room"
+        raise DataError(recording.name, problem, "build it from more frames, or with landmarks")
+    start = None if settings["start"] is None else start_of(settings, recording, rng)
     config = override(bundle.settings, motion=settings["motion"], without=settings["without"])
     relight = relighting(settings["evaluation"]["light"], settings["seed"])
     down = _simulated_down(bundle, recording, settings["seed"]) if settings["gravity"] else None

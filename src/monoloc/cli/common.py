@@ -49,7 +49,9 @@ SourceArgument = Annotated[
         show_default=False,
     ),
 ]
-FramesOption = Annotated[str, typer.Option("--frames", help="Frames START:STOP:STEP, in order of time.")]
+FramesOption = Annotated[
+    str, typer.Option("--frames", help="Frames START:STOP:STEP, in order of time; several with commas.")
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON object on stdout, everything else on stderr.")]
 ThreadsOption = Annotated[
     int | None,

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from monoloc.errors import DataError, SettingError
 from monoloc.io import (
@@ -21,6 +24,7 @@ from monoloc.io import (
     seven_scenes,
     stray_scanner,
     tum_recording,
+    twelve_scenes,
     video,
 )
 from monoloc.io.reader_options import ReaderOptions
@@ -50,6 +54,7 @@ FORMATS: dict[str, Format] = {
     "rtabmap": Format(rtabmap.read, rtabmap.recognises),
     "tum": Format(tum_recording.read, tum_recording.recognises),
     "7scenes": Format(seven_scenes.read, seven_scenes.recognises),
+    "12scenes": Format(twelve_scenes.read, twelve_scenes.recognises),
     "rgbd-scenes-v2": Format(rgbd_scenes_v2.read, rgbd_scenes_v2.recognises),
     "colmap": Format(colmap.read, colmap.recognises),
     "rosbag": Format(rosbag.read, rosbag.recognises),
@@ -106,14 +111,24 @@ def _split_source(source: str) -> tuple[str | None, Path]:
 
 
 def select_frames(recording: Recording, frames: str) -> Selection:
-    """Select the frames START:STOP:STEP of a recording. Each part is optional; STOP is exclusive.
+    """Select the frames START:STOP:STEP of a recording, or several such ranges, separated by commas.
 
-    A STOP beyond the end is the end.
+    Each part is optional; STOP is exclusive. A STOP beyond the end is the end.
 
     Raises:
-        SettingError: ``frames`` is malformed or selects no frame.
+        SettingError: ``frames`` is malformed, selects no frame, or does not go forward in time.
     """
-    match = _FRAMES.fullmatch(frames.strip())
+    ranges = [_range_of(text, frames, len(recording)) for text in frames.split(",")]
+    for before, after in itertools.pairwise(ranges):
+        if after[0] <= before[-1]:
+            fix = "give ranges in order of time, none of which overlap"
+            raise SettingError("frames", f"{frames!r} goes back in time", fix)
+    return Selection(recording, np.concatenate([np.array(each, dtype=np.int64) for each in ranges]))
+
+
+def _range_of(text: str, frames: str, count: int) -> range:
+    """The frames of one START:STOP:STEP, at least one, of a recording of ``count``."""
+    match = _FRAMES.fullmatch(text.strip())
     if match is None:
         raise SettingError(
             "frames", f"{frames!r} is not START:STOP:STEP", "write whole numbers, such as 0:400:4 or 100:"
@@ -121,8 +136,8 @@ def select_frames(recording: Recording, frames: str) -> Selection:
     start, stop, step = (int(part) if part else None for part in match.groups())
     if step == 0:
         raise SettingError("frames", f"{frames!r} has step 0", "give a step of 1 or more")
-    positions = range(len(recording))[start:stop:step]
+    positions = range(count)[start:stop:step]
     if not positions:
-        fix = f"choose START below STOP and below {len(recording)}"
-        raise SettingError("frames", f"{frames!r} selects none of the {len(recording)} frames", fix)
-    return Selection(recording, positions)
+        fix = f"choose START below STOP and below {count}"
+        raise SettingError("frames", f"{frames!r} selects none of the {count} frames", fix)
+    return positions

@@ -17,7 +17,7 @@ from synthetic_recordings import check_recording
 
 def test_known_formats() -> None:
     assert list(FORMATS) == [
-        *("folder", "nerfstudio", "stray-scanner", "record3d", "polycam", "rtabmap", "tum", "7scenes"),
+        *("folder", "nerfstudio", "stray-scanner", "record3d", "polycam", "rtabmap", "tum", "7scenes", "12scenes"),
         *("rgbd-scenes-v2", "colmap", "rosbag", "nyu", "video"),
     ]
 
@@ -29,7 +29,15 @@ def test_existing_path_with_a_colon_is_a_path(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("frames", "expected"),
-    [("0:3:2", [0, 2]), ("1:", [1, 2]), (":2", [0, 1]), ("::2", [0, 2]), (":", [0, 1, 2]), ("0:400", [0, 1, 2])],
+    [
+        ("0:3:2", [0, 2]),
+        ("1:", [1, 2]),
+        (":2", [0, 1]),
+        ("::2", [0, 2]),
+        (":", [0, 1, 2]),
+        ("0:400", [0, 1, 2]),
+        ("0:1,2:", [0, 2]),
+    ],
 )
 def test_frames_are_selected_as_a_slice(tmp_path: Path, frames: str, expected: list[int]) -> None:
     synthetic.write_folder(tmp_path)
@@ -85,7 +93,11 @@ def test_unknown_format_is_refused() -> None:
             for frames in ("", "5", "a:b", "1:2:3:4", "-5:", "1.5:2", "0:10:-1")
         ),
         ("::0", "step 0", "1 or more"),
-        *((frames, "none of the 3 frames", "START below STOP and below 3") for frames in ("3:", "2:1", "1:1")),
+        *(
+            (frames, "none of the 3 frames", "START below STOP and below 3")
+            for frames in ("3:", "2:1", "1:1", "0:2,3:")
+        ),
+        *((frames, "goes back in time", "in order of time") for frames in ("2:,0:1", "0:2,1:3")),
     ],
 )
 def test_impossible_frames_are_refused(tmp_path: Path, frames: str, problem: str, fix: str) -> None:
