@@ -117,6 +117,8 @@ class Localizer:
         self._budget: StepBudget | None = None
         if self._config.budget_ms is not None:
             self._budget = StepBudget(self._config.budget_ms, self._config.particles, self._config.scan_points)
+        # No method of this object, which a circle would keep alive: a place drops localizers with their memory.
+        self._stage = _untimed if self._budget is None else self._budget.stage
         self._begin(start)
         self._front_end = FrontEnd(made, camera, self._config, self._rng, self._stage)
 
@@ -139,9 +141,6 @@ class Localizer:
         self._map_change = MapChangeMonitor(bundle.landmarks, bundle.integrity)
         self._state: State = "tracking"
         self._index, self._is_followed = 0, False
-
-    def _stage(self, name: Stage) -> AbstractContextManager[None]:
-        return nullcontext() if self._budget is None else self._budget.stage(name)
 
     def reset(self, start: Start | None) -> None:
         """Forget what is believed, and begin anew at the next frame, whose elapsed time is ignored.
@@ -362,3 +361,8 @@ class Localizer:
             camera_mismatch=self._camera_check.mismatch,
             changed_region=self._map_change.update(belief.pose, probability_far, landmarks, observation.elapsed_s),
         )
+
+
+def _untimed(name: Stage) -> AbstractContextManager[None]:
+    """Of a localizer without a budget."""
+    return nullcontext()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from typing import Any
 
 import numpy as np
@@ -275,3 +277,18 @@ def test_two_threads_give_the_same_to_the_last_bit(
         np.testing.assert_array_equal(one.estimate.pose, two.estimate.pose)
         np.testing.assert_array_equal(one.estimate.covariance, two.estimate.covariance)
         np.testing.assert_array_equal(one.scan.points, two.scan.points)
+
+
+def test_a_localizer_that_nobody_holds_is_gone_at_once(
+    mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
+) -> None:
+    """Not at the next collection of circles: a flight through many rooms makes and drops many."""
+    localizer = localizer_at_truth(mixture, recording, thresholds, SETTINGS)
+    localizer.step(recording.color(0), FRAME_S, sparse_depth(recording, 0))
+    watched = weakref.ref(localizer)
+    gc.disable()
+    try:
+        del localizer
+        assert watched() is None
+    finally:
+        gc.enable()

@@ -172,6 +172,7 @@ class PlaceLocalizer:
         return self._entered(door.beyond(self._room), start_from(carried(belief, door, self._room)), frame)
 
     def _entered(self, room: str, start: Start | None, frame: _Frame) -> PlaceStep:
+        self._localizer = None  # so that no two are in memory
         self._room, self._localizer = room, self._localizer_in(room, start)
         self._hand_over, self._lost_s, self._unseen_s = HandOver(), 0.0, 0.0
         return PlaceStep(room, self._stepped(self._localizer, room, frame), entered=True)
