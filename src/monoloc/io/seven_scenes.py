@@ -78,7 +78,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
         times_s += [start_s + number / FRAME_RATE_HZ for number in frames]
     stems = [p.name.split(".")[0] for p in color_paths]
     # Names include the sequence, so that they are the same if one sequence is opened.
-    names = [f"{p.resolve().parent.name}/{stem}" for p, stem in zip(color_paths, stems, strict=True)]
+    names = [f"{p.absolute().parent.name}/{stem}" for p, stem in zip(color_paths, stems, strict=True)]
 
     pose_paths = [p.with_name(f"{stem}.pose.txt") for p, stem in zip(color_paths, stems, strict=True)]
     poses = None

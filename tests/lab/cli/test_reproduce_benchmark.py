@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -27,13 +28,17 @@ def put_built(folder: Path, out: Path) -> Path:
     place = out / "results" / run.needs[0].key
     place.mkdir(parents=True)
     recording = RoomRecording(Room(), make_path(12, rate_hz=2.0), SMALL_CAMERA)
-    write_bundle(place / "room.monoloc", make_bundle(room_mixture(Room()), recording, range(12)))
+    write_bundle(place / "room.monoloc", make_bundle(room_mixture(Room(), 60), recording, range(12)))
     (place / RESULT).write_text(json.dumps({"frames": 9, "recorded_frames": 9, "seconds": 1.0}))
     (place / TASK).write_text(json.dumps({"seconds": 1.0}))
     return out / "results" / run.key
 
 
-def test_row_is_of_all_test_frames_and_is_written_once(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_row_is_of_all_test_frames_and_is_written_once(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A process of its own would import everything again, which takes longer than the flight.
+    monkeypatch.setattr("monoloc_lab.experiments.engine._cores", ThreadPoolExecutor)
     walks = write_kitchen(tmp_path / KITCHEN, [8, 2, 2])
     (tmp_path / KITCHEN / "data" / "frame-000003.pose.txt").write_text("\n".join(["-INF -INF -INF -INF"] * 4))
     flown = put_built(tmp_path, tmp_path / "out")

@@ -83,6 +83,18 @@ def test_random_walk_has_no_odometry_and_sensor_depth_is_exact(
     assert run.figures["depth_absrel"] < 0.01
 
 
+def test_room_that_cannot_be_searched_is_refused_without_a_start(
+    split: Split, bundle: Task, folder: Path, room: Bundle
+) -> None:
+    blind = replace(room, settings=room.settings.model_copy(update={"without": ("relocalization",)}))
+    (folder / "blind").mkdir()
+    write_bundle(folder / "blind" / "room.monoloc", blind)
+    task = tasks.run(bundle, split.recordings["as recorded"], 0, start_is_known=False)
+    needed = {bundle.key: Result(folder / "blind", {})}
+    with pytest.raises(DataError, match="is flown without a start, and neither scans"):
+        execute(task, folder, needed)
+
+
 def test_simulated_gravity_has_a_constant_and_a_new_error(recording: RoomRecording, room: Bundle) -> None:
     assert recording.poses is not None and room.down is not None
     measured = work_runs._simulated_down(room, recording, 0)
