@@ -224,7 +224,7 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "10 cm and 3° off": "the starts of the flights",
     "1.5 cm and 1.7°": "stated by those who recorded the desk",
     "15 to 20 cm": "measured elsewhere, without kept data",
-    "8 to 43 cm": "of the version before: docs/results.md at that commit",
+    "8 to 43 cm": "of an earlier version: docs/results.md at that commit",
 }
 
 

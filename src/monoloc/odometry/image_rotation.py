@@ -67,16 +67,17 @@ class ImageRotation:
     def _aligned(self, before: NDArray[np.uint8], after: NDArray[np.uint8]) -> FloatArray | None:
         """The (2, 3) map of pixels before to pixels after, a turn and a shift; None where the images do not fit."""
         shift, _ = cv2.phaseCorrelate(before.astype(np.float32), after.astype(np.float32), self._window)
-        for start in (shift, (0.0, 0.0)):
-            warp = np.array([[1.0, 0.0, start[0]], [0.0, 1.0, start[1]]], dtype=np.float32)
+        everywhere = np.full(before.shape, 255, dtype=np.uint8)
+        for u, v in (shift, (0.0, 0.0)):
+            start = np.array([[1.0, 0.0, u], [0.0, 1.0, v]], dtype=np.float32)
             try:
                 correlation, warp = cv2.findTransformECC(
-                    before, after, warp, cv2.MOTION_EUCLIDEAN, _CRITERIA, None, _BLUR_PX
+                    before, after, start, cv2.MOTION_EUCLIDEAN, _CRITERIA, everywhere, _BLUR_PX
                 )
             except cv2.error:  # it did not converge
                 continue
             if correlation >= _LEAST_CORRELATION:
-                return warp.astype(np.float64)
+                return np.asarray(warp, dtype=np.float64)
         return None
 
 
