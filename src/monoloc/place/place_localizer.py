@@ -105,6 +105,7 @@ class PlaceLocalizer:
         self._search = RoomSearch(place, self._rooms)
         self._room, self._localizer = room, None if room is None else self._localizer_in(room, start)
         self._hand_over = HandOver()
+        self._candidate: str | None = None  # that the last search found
         self._lost_s, self._unseen_s, self._since_search_s = 0.0, 0.0, _SEARCH_PERIOD_S
 
     @property
@@ -140,7 +141,7 @@ class PlaceLocalizer:
             self._lost_s += elapsed_s
             if self._lost_s < _LOST_S:
                 return PlaceStep(self._room, step)
-            self._localizer, self._since_search_s = None, _SEARCH_PERIOD_S
+            self._localizer, self._candidate, self._since_search_s = None, None, _SEARCH_PERIOD_S
             return self._searched(frame)
         self._lost_s = 0.0
         door = self._door_taken(color, self._room, step.estimate)
@@ -155,16 +156,28 @@ class PlaceLocalizer:
         if self._since_search_s < _SEARCH_PERIOD_S:
             return _NOWHERE
         self._since_search_s = 0.0
-        room = self._search.find(self._detect(frame.color), known=self._room)
+        room = self._agreed(frame)
         return _NOWHERE if room is None else self._entered(room, None, frame)
 
+    def _agreed(self, frame: _Frame) -> str | None:
+        """The room that the search finds, if the search before it found the same one.
+
+        What several rooms have alike, such as a picture, may show a wrong one in a single view.
+        """
+        before, self._candidate = self._candidate, self._search.find(self._detect(frame.color), known=self._room)
+        return self._candidate if self._candidate == before else None
+
     def _other_room(self, frame: _Frame, room: str, step: Step) -> str | None:
-        """The other room that the camera is in, asked once a second while it sees no landmarks of this one."""
+        """The other room that the camera is in, asked once a second while it sees no landmarks of this one.
+
+        What is found is asked for again at the next search.
+        """
         self._unseen_s = 0.0 if step.landmark_pose is not None else self._unseen_s + frame.elapsed_s
         if self._unseen_s < _UNSEEN_S:
             return None
-        self._unseen_s = 0.0
-        found = self._search.find(self._detect(frame.color), known=room)
+        found = self._agreed(frame)
+        is_elsewhere = self._candidate not in (None, room)
+        self._unseen_s = _UNSEEN_S - _SEARCH_PERIOD_S if is_elsewhere else 0.0
         return None if found == room else found
 
     def _handed_over(self, frame: _Frame, door: Door, belief: Estimate) -> PlaceStep:
@@ -174,7 +187,8 @@ class PlaceLocalizer:
     def _entered(self, room: str, start: Start | None, frame: _Frame) -> PlaceStep:
         self._localizer = None  # so that no two are in memory
         self._room, self._localizer = room, self._localizer_in(room, start)
-        self._hand_over, self._lost_s, self._unseen_s = HandOver(), 0.0, 0.0
+        self._hand_over, self._candidate = HandOver(), None
+        self._lost_s, self._unseen_s = 0.0, 0.0
         return PlaceStep(room, self._stepped(self._localizer, room, frame), entered=True)
 
     def _localizer_in(self, room: str, start: Start | None) -> Localizer:
