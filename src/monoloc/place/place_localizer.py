@@ -25,6 +25,7 @@ from monoloc.step_budget import Level
 from monoloc.supervision.state import State
 
 _SEARCH_PERIOD_S = 0.2  # between searches of the place
+_AGREE_S = 2.0  # within which two searches must find the same room
 _LOST_S = 2.0  # for which a room searches for its camera, before the place is asked
 # For which none of the room's landmarks are seen, before the place is asked whether the camera is in another room:
 # outside its room, a localizer follows scans of what its map does not know.
@@ -105,7 +106,8 @@ class PlaceLocalizer:
         self._search = RoomSearch(place, self._rooms)
         self._room, self._localizer = room, None if room is None else self._localizer_in(room, start)
         self._hand_over = HandOver()
-        self._candidate: str | None = None  # that the last search found
+        self._candidate: str | None = None  # that a search found last
+        self._since_candidate_s = 0.0
         self._lost_s, self._unseen_s, self._since_search_s = 0.0, 0.0, _SEARCH_PERIOD_S
 
     @property
@@ -133,6 +135,7 @@ class PlaceLocalizer:
         shape = (self._camera.height, self._camera.width, 3)
         if color.shape != shape or color.dtype != np.uint8:
             raise ValueError(f"color must have the camera's shape {shape} as uint8, got {color.shape} {color.dtype}")
+        self._since_candidate_s += elapsed_s
         frame = _Frame(color, elapsed_s, measured_depth, down, measured_motion, level)
         if self._localizer is None or self._room is None:
             return self._searched(frame)
@@ -160,12 +163,16 @@ class PlaceLocalizer:
         return _NOWHERE if room is None else self._entered(room, None, frame)
 
     def _agreed(self, frame: _Frame) -> str | None:
-        """The room that the search finds, if the search before it found the same one.
+        """The room that the search finds, if the last one that found a room found the same one a short time ago.
 
         What several rooms have alike, such as a picture, may show a wrong one in a single view.
         """
-        before, self._candidate = self._candidate, self._search.find(self._detect(frame.color), known=self._room)
-        return self._candidate if self._candidate == before else None
+        found = self._search.find(self._detect(frame.color), known=self._room)
+        if found is None:
+            return None
+        is_agreed = found == self._candidate and self._since_candidate_s < _AGREE_S
+        self._candidate, self._since_candidate_s = found, 0.0
+        return found if is_agreed else None
 
     def _other_room(self, frame: _Frame, room: str, step: Step) -> str | None:
         """The other room that the camera is in, asked once a second while it sees no landmarks of this one.
@@ -176,8 +183,8 @@ class PlaceLocalizer:
         if self._unseen_s < _UNSEEN_S:
             return None
         found = self._agreed(frame)
-        is_elsewhere = self._candidate not in (None, room)
-        self._unseen_s = _UNSEEN_S - _SEARCH_PERIOD_S if is_elsewhere else 0.0
+        is_pending = self._candidate not in (None, room) and self._since_candidate_s < _AGREE_S
+        self._unseen_s = _UNSEEN_S - _SEARCH_PERIOD_S if is_pending else 0.0
         return None if found == room else found
 
     def _handed_over(self, frame: _Frame, door: Door, belief: Estimate) -> PlaceStep:
