@@ -64,11 +64,12 @@ def test_a_camera_is_found_and_handed_over_once(place: Place, walk: RoomRecordin
     localizer = PlaceLocalizer(place, CAMERA)
     steps = follow(localizer, walk, range(FRAMES))
     assert [step.room for step in steps if step.entered] == [LEFT, RIGHT]
-    assert steps[0].room == LEFT and steps[-1].room == RIGHT
-    assert all(step.state == "tracking" for step in steps)
-    assert max(distance_m(step, pose) for step, pose in zip(steps, walk.poses, strict=True)) < 0.1
-    again = follow(PlaceLocalizer(place, CAMERA), walk, range(3))
-    for one, other in zip(steps, again, strict=False):
+    # Two searches, 0.2 s apart, must find the same room.
+    assert {(step.room, step.state) for step in steps[:3]} == {(None, "lost")}
+    assert all(step.state == "tracking" for step in steps[3:]) and steps[-1].room == RIGHT
+    assert max(distance_m(step, pose) for step, pose in zip(steps[3:], walk.poses[3:], strict=True)) < 0.1
+    again = follow(PlaceLocalizer(place, CAMERA), walk, range(6))
+    for one, other in zip(steps[3:], again[3:], strict=False):
         assert one.step is not None and other.step is not None
         np.testing.assert_array_equal(one.step.estimate.pose, other.step.estimate.pose)
 
@@ -86,7 +87,7 @@ def test_a_camera_carried_into_another_room_is_found_there(
 ) -> None:
     """Whether the room notices that it lost the camera, or only sees none of its landmarks."""
     localizer = PlaceLocalizer(place, CAMERA)
-    assert follow(localizer, walk, range(3))[-1].room == LEFT
+    assert follow(localizer, walk, range(5))[-1].room == LEFT
     elsewhere = RoomRecording(Room(seed=5), turning(-20.0, 5.0, 8))
     dark = [localizer.step(BLACK + np.uint8(number % 2), 0.4) for number in range(dark_frames)]
     assert all(step.state == "lost" for step in dark[-1:])
@@ -103,7 +104,7 @@ def test_rooms_that_look_alike_are_not_told_apart(folder: Path, place: Place, wa
     shutil.copytree(folder / "left.monoloc", folder / "twin.monoloc", dirs_exist_ok=True)
     twins = make_place(folder / "twins.place", [folder / "left.monoloc", folder / "twin.monoloc"])
     write_place(twins)
-    steps = follow(PlaceLocalizer(read_place(twins.path), CAMERA), walk, range(4))
+    steps = follow(PlaceLocalizer(read_place(twins.path), CAMERA), walk, range(8))
     assert {(step.room, step.state) for step in steps} == {(None, "lost")}
 
 
@@ -211,7 +212,7 @@ def test_commands(
     assert all(room["index_bytes"] <= 32_000 for room in info["rooms"])
     run = json_of(capfd, "place", "localize", "house.place", "walk", "--truth-room", LEFT, "--out", "walk.csv")
     assert [switch["after"] for switch in run["switches"]] == [LEFT, RIGHT]
-    assert run["compared_frames"] == 20 and run["ate_max_m"] < 0.15
+    assert run["compared_frames"] == 17 and run["ate_max_m"] < 0.15
     assert Path("walk.csv").read_text().splitlines()[-1].endswith(f",{RIGHT}")
     refuses_data(
         lambda: read_pose_table(Path("walk.csv")), Path("walk.csv"), "several rooms", "remove the column room"

@@ -45,7 +45,8 @@ class SizeFigures:
 
     Attributes:
         rooms: in the place.
-        step_ms_median, step_ms_p95: over the flight from the first room into the second, the same at each size.
+        step_ms_median, step_ms_p95: from when the camera is found to the middle of the second room, the same frames
+            at each size.
         search_ms: of the first frame, which searches the place.
         rooms_loaded: in memory at most, over the flight through all of its rooms.
         peak_memory_mb: of a process that flies through all of them.
@@ -214,7 +215,8 @@ def _figures(
 
 
 def _size_figures(size: int, flight: PlaceFlight, first: int) -> SizeFigures:
-    step_ms = flight.step_ms[1:first]
+    found = next((index for index, room in enumerate(flight.rooms) if room is not None), 0)
+    step_ms = flight.step_ms[found + 1 : first]
     return SizeFigures(
         rooms=size,
         step_ms_median=float(np.median(step_ms)),

@@ -25,6 +25,7 @@ from monoloc.step_budget import Level
 from monoloc.supervision.state import State
 
 _SEARCH_PERIOD_S = 0.2  # between searches of the place
+_AGREE_S = 2.0  # within which two searches must find the same room
 _LOST_S = 2.0  # for which a room searches for its camera, before the place is asked
 # For which none of the room's landmarks are seen, before the place is asked whether the camera is in another room:
 # outside its room, a localizer follows scans of what its map does not know.
@@ -105,6 +106,8 @@ class PlaceLocalizer:
         self._search = RoomSearch(place, self._rooms)
         self._room, self._localizer = room, None if room is None else self._localizer_in(room, start)
         self._hand_over = HandOver()
+        self._candidate: str | None = None  # that a search found last
+        self._since_candidate_s = 0.0
         self._lost_s, self._unseen_s, self._since_search_s = 0.0, 0.0, _SEARCH_PERIOD_S
 
     @property
@@ -132,6 +135,7 @@ class PlaceLocalizer:
         shape = (self._camera.height, self._camera.width, 3)
         if color.shape != shape or color.dtype != np.uint8:
             raise ValueError(f"color must have the camera's shape {shape} as uint8, got {color.shape} {color.dtype}")
+        self._since_candidate_s += elapsed_s
         frame = _Frame(color, elapsed_s, measured_depth, down, measured_motion, level)
         if self._localizer is None or self._room is None:
             return self._searched(frame)
@@ -140,7 +144,7 @@ class PlaceLocalizer:
             self._lost_s += elapsed_s
             if self._lost_s < _LOST_S:
                 return PlaceStep(self._room, step)
-            self._localizer, self._since_search_s = None, _SEARCH_PERIOD_S
+            self._localizer, self._candidate, self._since_search_s = None, None, _SEARCH_PERIOD_S
             return self._searched(frame)
         self._lost_s = 0.0
         door = self._door_taken(color, self._room, step.estimate)
@@ -155,16 +159,32 @@ class PlaceLocalizer:
         if self._since_search_s < _SEARCH_PERIOD_S:
             return _NOWHERE
         self._since_search_s = 0.0
-        room = self._search.find(self._detect(frame.color), known=self._room)
+        room = self._agreed(frame)
         return _NOWHERE if room is None else self._entered(room, None, frame)
 
+    def _agreed(self, frame: _Frame) -> str | None:
+        """The room that the search finds, if the last one that found a room found the same one a short time ago.
+
+        What several rooms have alike, such as a picture, may show a wrong one in a single view.
+        """
+        found = self._search.find(self._detect(frame.color), known=self._room)
+        if found is None:
+            return None
+        is_agreed = found == self._candidate and self._since_candidate_s < _AGREE_S
+        self._candidate, self._since_candidate_s = found, 0.0
+        return found if is_agreed else None
+
     def _other_room(self, frame: _Frame, room: str, step: Step) -> str | None:
-        """The other room that the camera is in, asked once a second while it sees no landmarks of this one."""
+        """The other room that the camera is in, asked once a second while it sees no landmarks of this one.
+
+        What is found is asked for again at the next search.
+        """
         self._unseen_s = 0.0 if step.landmark_pose is not None else self._unseen_s + frame.elapsed_s
         if self._unseen_s < _UNSEEN_S:
             return None
-        self._unseen_s = 0.0
-        found = self._search.find(self._detect(frame.color), known=room)
+        found = self._agreed(frame)
+        is_pending = self._candidate not in (None, room) and self._since_candidate_s < _AGREE_S
+        self._unseen_s = _UNSEEN_S - _SEARCH_PERIOD_S if is_pending else 0.0
         return None if found == room else found
 
     def _handed_over(self, frame: _Frame, door: Door, belief: Estimate) -> PlaceStep:
@@ -174,7 +194,8 @@ class PlaceLocalizer:
     def _entered(self, room: str, start: Start | None, frame: _Frame) -> PlaceStep:
         self._localizer = None  # so that no two are in memory
         self._room, self._localizer = room, self._localizer_in(room, start)
-        self._hand_over, self._lost_s, self._unseen_s = HandOver(), 0.0, 0.0
+        self._hand_over, self._candidate = HandOver(), None
+        self._lost_s, self._unseen_s = 0.0, 0.0
         return PlaceStep(room, self._stepped(self._localizer, room, frame), entered=True)
 
     def _localizer_in(self, room: str, start: Start | None) -> Localizer:
