@@ -8,8 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.fusion.bias_model import BiasModel, LandmarkBiasModel
 from monoloc.likelihood.protocol import LikelihoodConfig
+from monoloc.odometry.odometry_config import OdometryConfig
 from monoloc.odometry.scale_tilt import ScaleTiltConfig
-from monoloc.odometry.visual import OdometryConfig
 from monoloc.particle_filter.motion_model import MotionConfig
 
 Part = Literal[

@@ -6,9 +6,9 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-import onnxruntime
 
 from monoloc.depth.models import ShippedModel, shipped_file, shipped_models
+from monoloc.depth.session import load_session
 from monoloc.progress import Progress
 
 _WARM_UP = 0.1  # share of the runs that are not counted
@@ -47,11 +47,7 @@ def bench_networks(runs: int, progress: Progress) -> NetworkFigures:
 
 
 def _latency(name: str, model: ShippedModel, runs: int) -> Latency:
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    session = onnxruntime.InferenceSession(
-        shipped_file(name).read_bytes(), options, providers=["CPUExecutionProvider"]
-    )
+    session = load_session(shipped_file(name).read_bytes(), name)
     shape = (1, 3, model.input_height, model.input_width)
     image = np.random.default_rng(0).uniform(-1.0, 1.0, shape).astype(np.float32)
     times_ms = []

@@ -2,7 +2,7 @@
 
 A picture takes a quarter of a second, which path tracing exceeds by far. Light is a fixed shade of each face: there
 are no shadows, no reflections and no exposure. Cylinders and ellipsoids are boxes. So it serves where rooms are
-told apart, not where depth or light are studied.
+distinguished, not where depth or light are studied.
 """
 
 from __future__ import annotations

@@ -18,9 +18,6 @@ from monoloc.errors import DataError
 _TICK_S = 0.5
 _MOST_BYTES = 2 << 30  # weights and intermediate results of all networks of this process
 
-EXACT_BYTES = ("session.x64quantprecision", "1")
-"""Setting of a session: without it, sums of 8-bit products overflow on x86 processors that lack VNNI."""
-
 
 def load_session(content: bytes, label: str | Path, threads: int = 1) -> onnxruntime.InferenceSession:
     """Load an ONNX network for the CPU.
@@ -41,7 +38,8 @@ def load_session(content: bytes, label: str | Path, threads: int = 1) -> onnxrun
     options.log_severity_level = 4  # errors are raised and reported in one line
     options.add_session_config_entry("session.load_model_format", "ONNX")  # the only one that was checked
     options.add_session_config_entry("session.use_env_allocators", "1")
-    options.add_session_config_entry(*EXACT_BYTES)
+    # Without it, sums of 8-bit products overflow on x86 processors that lack VNNI.
+    options.add_session_config_entry("session.x64quantprecision", "1")
     # What loading computes is not bounded, what a run computes is; no shipped network is slower for it.
     options.add_session_config_entry("optimization.disable_specified_optimizers", "ConstantFolding")
     providers = ["CPUExecutionProvider"]

@@ -6,75 +6,29 @@ camera's pose is the perspective-n-point solution for the tracks. Bundle adjustm
 averaged over some seconds. If that scale is wrong by a factor, so is the translation; the filter estimates this
 factor.
 
-Sources: Shi & Tomasi 1994 (corners); Bouguet 2000 (pyramidal Lucas-Kanade); Kalal et al. 2010 (forward-backward
-check); Fischler & Bolles 1981 (RANSAC); Forster et al. 2014 and Loo et al. 2019 (depth filters of corners,
-initialised with a network's prediction).
+Sources: Shi & Tomasi 1994 (corners); Fischler & Bolles 1981 (RANSAC); Forster et al. 2014 and Loo et al. 2019 (depth
+filters of corners, initialised with a network's prediction).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.camera import Camera
 from monoloc.contrast import equaliser, has_contrast
 from monoloc.depth.depth_image import sample_depth
 from monoloc.geometry import FloatArray, invert, make_pose, so3_exp, transform
 from monoloc.image_size import gray_image
+from monoloc.odometry.corner_tracking import follow_corners
 from monoloc.odometry.image_rotation import ImageRotation
 from monoloc.odometry.motion import Motion
+from monoloc.odometry.odometry_config import OdometryConfig
 from monoloc.odometry.window import Window, adjust
-
-_LEVELS, _NEAR_LEVELS = 3, 1  # of the image pyramid above the image, without and with expected pixels
-_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.03)  # iterations a level, and px of the last one
-_ENOUGH_TRACKED = 0.6  # share of the corners; if fewer are found, what was expected may be wrong
-
-
-class OdometryConfig(BaseModel):
-    """Settings of the visual odometry. Pixels refer to the tracking image, which is ``width`` wide.
-
-    Attributes:
-        width: width of the tracking image.
-        corners: maximum number of tracked corners.
-        min_distance_px: minimum distance between corners.
-        search_px: window size of Lucas-Kanade.
-        forward_backward_px: maximum distance between a corner and its position after tracking forward and backward.
-        reprojection_px: RANSAC's inlier threshold.
-        min_inliers, min_inlier_share: minimum number of inliers, and minimum share of inliers among the tracked
-            corners; otherwise odometry fails.
-        depth_jump: corners within a pixel of a larger relative depth step are not back-projected, because they are at
-            an occlusion edge.
-        keyframes: number of keyframes in the adjusted window.
-        keyframe_motion_px: median motion of corners since the last keyframe that triggers a new keyframe.
-        keyframe_share: a new keyframe is also taken when a smaller share of the last keyframe's corners is tracked.
-        corner_sd_px: standard deviation of a corner's position.
-        log_depth_sd: standard deviation of the logarithm of the depth source, from corner to corner.
-        scale_memory: weight of the window's scale in a new keyframe; the rest is the weight of the depth source.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    width: int = Field(320, ge=80, le=4096)
-    corners: int = Field(300, ge=20, le=10000)
-    min_distance_px: float = Field(7.0, gt=0.0, le=1000.0)
-    search_px: int = Field(15, ge=5, le=200)
-    forward_backward_px: float = Field(0.7, gt=0.0, le=100.0)
-    reprojection_px: float = Field(1.5, gt=0.0, le=100.0)
-    min_inliers: int = Field(15, ge=6, le=10000)
-    min_inlier_share: float = Field(0.4, ge=0.0, le=1.0)
-    depth_jump: float = Field(0.15, gt=0.0, le=10.0)
-    keyframes: int = Field(12, ge=2, le=200)
-    keyframe_motion_px: float = Field(10.0, gt=0.0, le=1000.0)
-    keyframe_share: float = Field(0.75, gt=0.0, le=1.0)
-    corner_sd_px: float = Field(0.7, ge=1e-3, le=100.0)
-    log_depth_sd: float = Field(0.3, ge=1e-3, le=10.0)
-    scale_memory: float = Field(0.95, ge=0.0, le=1.0)
 
 
 @dataclass(frozen=True)
@@ -112,7 +66,7 @@ class _Tracks:
 
 @dataclass(frozen=True)
 class _Followed:
-    """An equalised grey image (h, w), None without contrast, and what following the corners into it told.
+    """An equalised grey image (h, w), None without contrast, and the result of following the corners into it.
 
     Attributes:
         T_r_current: its pose, (4, 4); None on failure.
@@ -306,58 +260,6 @@ class VisualOdometry:
         if corners is None or len(corners) == 0:
             return np.zeros((0, 2), dtype=np.float32)
         return np.asarray(corners, dtype=np.float32).reshape(-1, 2)
-
-
-def follow_corners(
-    before: NDArray[np.uint8],
-    after: NDArray[np.uint8],
-    pixels: NDArray[np.float32],
-    expected: NDArray[np.float32],
-    config: OdometryConfig,
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """As :func:`track_corners`, from expected pixels (N, 2); if few are found, also from where corners were."""
-    near = _track(before, after, pixels, expected, _NEAR_LEVELS, config)
-    if near[1].sum() >= _ENOUGH_TRACKED * len(pixels):
-        return near
-    tries = [_track(before, after, pixels, start, _LEVELS, config) for start in (expected, pixels)]
-    return max(tries, key=lambda tracked: int(tracked[1].sum()))
-
-
-def track_corners(
-    before: NDArray[np.uint8],
-    after: NDArray[np.uint8],
-    pixels: NDArray[np.float32],
-    config: OdometryConfig,
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Track corners (N, 2) of one grey image (H, W) into another, by pyramidal Lucas-Kanade.
-
-    Returns:
-        Their pixels (N, 2), and which are found and, tracked back, lead to where they began, (N,).
-    """
-    return _track(before, after, pixels, pixels, _LEVELS, config)
-
-
-def _track(
-    before: NDArray[np.uint8],
-    after: NDArray[np.uint8],
-    pixels: NDArray[np.float32],
-    start: NDArray[np.float32],
-    levels: int,
-    config: OdometryConfig,
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Forward from ``start`` (N, 2), and back from there, over the pyramid's levels."""
-    search = partial(
-        cv2.calcOpticalFlowPyrLK,
-        winSize=(config.search_px, config.search_px),
-        criteria=_CRITERIA,
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-    )
-    forward, found, _ = search(before, after, pixels, start.copy(), maxLevel=levels)
-    # The way back begins by the same shift: from the corners themselves, it would always lead to them.
-    back, found_back, _ = search(after, before, forward, forward + (pixels - start), maxLevel=levels)
-    distance = np.linalg.norm(back - pixels, axis=1)
-    valid = (found[:, 0] == 1) & (found_back[:, 0] == 1) & (distance < config.forward_backward_px)
-    return np.asarray(forward, dtype=np.float32), valid
 
 
 def _log_depth_sd(T_r_camera: FloatArray, points: FloatArray, information: FloatArray, prior_sd: float) -> FloatArray:

@@ -19,7 +19,8 @@ from monoloc.depth.depth_image import sample_depth
 from monoloc.geometry import FloatArray
 from monoloc.image_size import gray_image
 from monoloc.io.recording import Recording, evenly_spaced
-from monoloc.odometry.visual import OdometryConfig, track_corners
+from monoloc.odometry.corner_tracking import track_corners
+from monoloc.odometry.odometry_config import OdometryConfig
 
 DepthOf = Callable[[int], NDArray[np.float32]]
 

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.io.recording import Recording, evenly_spaced
-from monoloc.odometry.visual import OdometryConfig, track_corners
+from monoloc.odometry.corner_tracking import track_corners
+from monoloc.odometry.odometry_config import OdometryConfig
 from monoloc.progress import NoProgress, Progress
 from monoloc.recording_check.correspondences import TrackingImages
 from monoloc.recording_check.image_quality import blur_of

@@ -11,12 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import onnx
-import onnxruntime
 from numpy.typing import NDArray
 from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
 from onnxruntime.quantization.shape_inference import quant_pre_process
 
-from monoloc.depth.session import EXACT_BYTES
+from monoloc.depth.session import load_session
 from monoloc.depth.training.last_layer import read_last_layer, replace_last_layer
 from monoloc.errors import DataError, SettingError
 
@@ -122,7 +121,5 @@ def _shorten_names(model: onnx.ModelProto) -> None:
 
 
 def _log_depth(content: bytes, images: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
-    options = onnxruntime.SessionOptions()
-    options.add_session_config_entry(*EXACT_BYTES)
-    session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    session = load_session(content, "network")
     return np.concatenate([session.run(["log_depth"], {"image": image})[0] for image in images])

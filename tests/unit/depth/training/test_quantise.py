@@ -6,14 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 import onnx
-import onnxruntime
 import pytest
 from numpy.typing import NDArray
 
 from depth_helpers import TINY, lively_export, random_image, run_onnx, smooth_images
 from monoloc.camera import Camera
 from monoloc.depth.predictor import DepthPredictor
-from monoloc.depth.session import EXACT_BYTES
+from monoloc.depth.session import load_session
 from monoloc.depth.spec import DepthModel, monoloc_spec
 from monoloc.depth.training.network import DepthNetwork
 from monoloc.depth.training.quantise import QuantisationReport, quantise
@@ -33,9 +32,7 @@ def quantised(lively: tuple[DepthNetwork, bytes]) -> tuple[bytes, QuantisationRe
 
 
 def outputs(content: bytes, images: Sequence[NDArray[np.float32]], name: str = "log_depth") -> NDArray[np.float32]:
-    options = onnxruntime.SessionOptions()
-    options.add_session_config_entry(*EXACT_BYTES)
-    session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    session = load_session(content, "network")
     return np.concatenate([np.asarray(session.run([name], {"image": image})[0]) for image in images])
 
 
