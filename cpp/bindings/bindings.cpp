@@ -15,6 +15,7 @@
 #include "monoloc/mixture.hpp"
 #include "monoloc/pooling.hpp"
 #include "monoloc/rays.hpp"
+#include "monoloc/rigid_motion.hpp"
 #include "monoloc/window.hpp"
 
 namespace nb = nanobind;
@@ -37,6 +38,7 @@ using WritableDepth = nb::ndarray<float, nb::shape<-1, -1>, nb::c_contig, nb::de
 template <long size>
 using Square = Array<double, nb::shape<size, size>>;
 using Pose = Square<4>;
+using Twists = Array<double, nb::shape<-1, 6>>;
 using Pixels = Array<double, nb::shape<-1, 2>>;
 using Descriptors = Array<std::uint8_t, nb::shape<-1, monoloc::kDescriptorBytes>>;
 using Result = nb::ndarray<nb::numpy, double>;
@@ -244,12 +246,33 @@ nb::tuple adjust_window(const Poses& poses, const Vectors& points, const Array<d
                         to_numpy(std::move(information), {corners, 3, 3}));
 }
 
+Result se3_exp(const Twists& twists) {
+  std::vector<double> poses(16 * twists.shape(0));
+  monoloc::se3_exp(twists.data(), twists.shape(0), poses.data());
+  return to_numpy(std::move(poses), {twists.shape(0), 4, 4});
+}
+
+Result se3_log(const Poses& poses) {
+  std::vector<double> twists(6 * poses.shape(0));
+  monoloc::se3_log(poses.data(), poses.shape(0), twists.data());
+  return to_numpy(std::move(twists), {poses.shape(0), 6});
+}
+
+Result pose_distances(const Pose& pose, const Poses& others, double turn_worth) {
+  std::vector<double> distances(others.shape(0));
+  monoloc::pose_distances(pose.data(), others.data(), others.shape(0), turn_worth, distances.data());
+  return to_numpy(std::move(distances), {others.shape(0)});
+}
+
 }  // namespace
 
 NB_MODULE(_core, m) {
   m.doc() =
       "Native kernels of monoloc: mixture density, E-step of EM, weighing of particles, max-pooling, drawing of "
-      "points, matching of descriptors, poses of landmarks, bundle adjustment.";
+      "points, matching of descriptors, poses of landmarks, bundle adjustment, rigid motions.";
+  m.def("se3_exp", &se3_exp, "twists"_a);
+  m.def("se3_log", &se3_log, "poses"_a);
+  m.def("pose_distances", &pose_distances, "pose"_a, "others"_a, "turn_worth"_a);
   m.def("log_density", &log_density, "points"_a, "weights"_a, "means"_a, "covariances"_a);
   m.def("expectation", &expectation, "points"_a, "weights"_a, "means"_a, "covariances"_a);
   m.attr("MOST_POOLED_PIXELS") = monoloc::kMostPooledPixels;

@@ -5,7 +5,7 @@
 #include <cmath>
 
 #include "linear_solve.hpp"
-#include "rigid_motion.hpp"
+#include "monoloc/rigid_motion.hpp"
 
 namespace monoloc {
 namespace {

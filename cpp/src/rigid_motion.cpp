@@ -1,4 +1,4 @@
-#include "rigid_motion.hpp"
+#include "monoloc/rigid_motion.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -118,6 +118,33 @@ Vec6 se3_log(const Motion& motion) {
   Vec3 rho = motion.translation;
   solve(left_jacobian.data(), rho.data(), 3);
   return {rho[0], rho[1], rho[2], phi[0], phi[1], phi[2]};
+}
+
+void se3_exp(const double* twists, std::size_t count, double* poses) {
+  for (std::size_t i = 0; i < count; ++i) {
+    const double* t = twists + 6 * i;
+    write_pose(se3_exp(Vec6{t[0], t[1], t[2], t[3], t[4], t[5]}), poses + 16 * i);
+  }
+}
+
+void se3_log(const double* poses, std::size_t count, double* twists) {
+  for (std::size_t i = 0; i < count; ++i) {
+    const Vec6 twist = se3_log(motion_of(poses + 16 * i));
+    std::copy(twist.begin(), twist.end(), twists + 6 * i);
+  }
+}
+
+void pose_distances(const double* pose, const double* others, std::size_t count, double turn_worth, double* out) {
+  const Motion here = motion_of(pose), back = inverse(here);
+  for (std::size_t i = 0; i < count; ++i) {
+    const Motion there = motion_of(others + 16 * i);
+    const std::array<double, 9> turn = compose(back, there).rotation;
+    const double sine = 0.5 * norm({turn[7] - turn[5], turn[2] - turn[6], turn[3] - turn[1]});
+    const double cosine = 0.5 * (turn[0] + turn[4] + turn[8] - 1.0);
+    const Vec3& a = here.translation;
+    const Vec3& b = there.translation;
+    out[i] = norm({b[0] - a[0], b[1] - a[1], b[2] - a[2]}) + turn_worth * std::atan2(sine, cosine);
+  }
 }
 
 }  // namespace monoloc

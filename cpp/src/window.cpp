@@ -7,7 +7,7 @@
 #include "linear_solve.hpp"
 #include "monoloc/kernels.hpp"
 #include "padded.hpp"
-#include "rigid_motion.hpp"
+#include "monoloc/rigid_motion.hpp"
 
 namespace monoloc {
 namespace {

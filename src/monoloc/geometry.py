@@ -10,9 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+import monoloc._core as _core
+
 FloatArray = NDArray[np.float64]
 
-_SMALL_ANGLE = 1e-4  # below this, series replace the quotients of sine and cosine
 TURN_WORTH_M = 1.0  # metres that change the view as much as one radian of rotation
 
 
@@ -26,84 +27,30 @@ def hat(vector: ArrayLike) -> FloatArray:
     return matrix
 
 
-def _angle_quotients(angle: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Compute sin(t)/t, (1 - cos(t))/t^2 and (t - sin(t))/t^3, stable at t = 0."""
-    small = angle < _SMALL_ANGLE
-    t = np.where(small, 1.0, angle)
-    squared = angle**2
-    a = np.where(small, 1.0 - squared / 6.0, np.sin(t) / t)
-    b = np.where(small, 0.5 - squared / 24.0, 2.0 * np.sin(t / 2.0) ** 2 / t**2)
-    c = np.where(small, 1.0 / 6.0 - squared / 120.0, (t - np.sin(t)) / t**3)
-    return a, b, c
+def se3_exp(twist: ArrayLike) -> FloatArray:
+    """Pose of a twist (rho, phi): (..., 6) -> (..., 4, 4).
+
+    NumPy twins of this function, its inverse and the pose distance: :mod:`monoloc.geometry_numpy_twins`.
+    """
+    xi = np.asarray(twist, dtype=np.float64)
+    return _core.se3_exp(xi.reshape(-1, 6)).reshape(*xi.shape[:-1], 4, 4)
+
+
+def se3_log(pose: ArrayLike) -> FloatArray:
+    """Twist (rho, phi) of a pose, norm of phi in [0, pi]: (..., 4, 4) -> (..., 6)."""
+    T = np.asarray(pose, dtype=np.float64)
+    return _core.se3_log(T.reshape(-1, 4, 4)).reshape(*T.shape[:-2], 6)
 
 
 def so3_exp(rotation_vector: ArrayLike) -> FloatArray:
-    """Rotation matrix of a rotation vector (Rodrigues): (..., 3) rad -> (..., 3, 3)."""
+    """Rotation matrix of a rotation vector: (..., 3) rad -> (..., 3, 3)."""
     phi = np.asarray(rotation_vector, dtype=np.float64)
-    a, b, _ = _angle_quotients(np.linalg.norm(phi, axis=-1))
-    phi_hat = hat(phi)
-    return np.eye(3) + a[..., None, None] * phi_hat + b[..., None, None] * (phi_hat @ phi_hat)
+    return se3_exp(np.concatenate([np.zeros_like(phi), phi], axis=-1))[..., :3, :3]
 
 
 def so3_log(rotation: ArrayLike) -> FloatArray:
     """Rotation vector of a rotation matrix, norm in [0, pi]: (..., 3, 3) -> (..., 3) rad."""
-    R = np.asarray(rotation, dtype=np.float64)
-    axial, sine, cosine = _axis_and_angle(R)
-    if np.any(cosine < -0.5):  # towards pi the axial vector vanishes
-        return _so3_log_by_quaternion(R)
-    small = sine < _SMALL_ANGLE
-    scale = np.where(small, 1.0 + sine**2 / 6.0, np.arctan2(sine, cosine) / np.where(small, 1.0, sine))
-    return np.asarray(scale[..., None] * axial)
-
-
-def _axis_and_angle(R: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Axis times sine of the angle, (..., 3), that sine and the cosine, (...)."""
-    difference = R - np.swapaxes(R, -1, -2)
-    axial = 0.5 * np.stack([difference[..., 2, 1], difference[..., 0, 2], difference[..., 1, 0]], axis=-1)
-    cosine = 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1.0)
-    return axial, np.sqrt(np.einsum("...i,...i->...", axial, axial)), cosine
-
-
-def _so3_log_by_quaternion(R: FloatArray) -> FloatArray:
-    """As :func:`so3_log`, well conditioned at every angle, including pi."""
-    quaternion = rotation_to_quaternion(R)
-    vector, w = quaternion[..., :3], quaternion[..., 3]
-    norm = np.linalg.norm(vector, axis=-1)
-    small = norm < _SMALL_ANGLE
-    # If the norm (a sine) is small, w (a cosine) is near 1; otherwise w may be 0, at pi.
-    scale = np.where(small, 2.0 / np.where(small, w, 1.0), 2.0 * np.arctan2(norm, w) / np.where(small, 1.0, norm))
-    return np.asarray(scale[..., None] * vector)
-
-
-def se3_exp(twist: ArrayLike) -> FloatArray:
-    """Pose of a twist (rho, phi): (..., 6) -> (..., 4, 4)."""
-    xi = np.asarray(twist, dtype=np.float64)
-    rho, phi = xi[..., :3], xi[..., 3:]
-    a, b, c = _angle_quotients(np.linalg.norm(phi, axis=-1))
-    phi_hat = hat(phi)
-    phi_hat_squared = phi_hat @ phi_hat
-    pose = np.zeros((*xi.shape[:-1], 4, 4))
-    pose[..., :3, :3] = np.eye(3) + a[..., None, None] * phi_hat + b[..., None, None] * phi_hat_squared
-    left_jacobian = np.eye(3) + b[..., None, None] * phi_hat + c[..., None, None] * phi_hat_squared
-    pose[..., :3, 3] = (left_jacobian @ rho[..., None])[..., 0]
-    pose[..., 3, 3] = 1.0
-    return pose
-
-
-def se3_log(pose: ArrayLike) -> FloatArray:
-    """Twist (rho, phi) of a pose: (..., 4, 4) -> (..., 6)."""
-    T = np.asarray(pose, dtype=np.float64)
-    phi = so3_log(T[..., :3, :3])
-    a, b, _ = _angle_quotients(np.sqrt(np.einsum("...i,...i->...", phi, phi)))
-    phi_hat = hat(phi)
-    # The inverse of the left Jacobian, I - phi^ / 2 + d phi^ phi^, with d = (1 - a / (2 b)) / t^2.
-    squared = np.einsum("...i,...i->...", phi, phi)
-    small = squared < _SMALL_ANGLE
-    d = np.where(small, 1.0 / 12.0 + squared / 720.0, (1.0 - 0.5 * a / b) / np.where(small, 1.0, squared))
-    t = T[..., :3, 3:]
-    turned = phi_hat @ t
-    rho = t - 0.5 * turned + d[..., None, None] * (phi_hat @ turned)
-    return np.concatenate([rho[..., 0], phi], axis=-1)
+    return se3_log(make_pose(rotation, 0.0))[..., 3:]
 
 
 def make_pose(rotation: ArrayLike, translation_m: ArrayLike) -> FloatArray:
@@ -131,7 +78,10 @@ def transform(pose: ArrayLike, points: ArrayLike) -> FloatArray:
 
 def rotation_angle(rotation: ArrayLike) -> FloatArray:
     """Angle of a rotation, in [0, pi]: (..., 3, 3) -> (...) rad."""
-    _, sine, cosine = _axis_and_angle(np.asarray(rotation, dtype=np.float64))
+    R = np.asarray(rotation, dtype=np.float64)
+    difference = R - np.swapaxes(R, -1, -2)
+    sine = 0.5 * np.sqrt(difference[..., 2, 1] ** 2 + difference[..., 0, 2] ** 2 + difference[..., 1, 0] ** 2)
+    cosine = 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1.0)
     return np.asarray(np.arctan2(sine, cosine))
 
 
@@ -156,9 +106,7 @@ def ray_jacobian(points: FloatArray) -> FloatArray:
 
 def pose_distance_m(pose: FloatArray, others: FloatArray) -> FloatArray:
     """Distance in metres plus one metre per radian of rotation, from a pose (4, 4) to others (N, 4, 4): (N,)."""
-    shift = others[:, :3, 3] - pose[:3, 3]
-    turn = rotation_angle(pose[:3, :3].T @ others[:, :3, :3])
-    return np.asarray(np.sqrt(np.einsum("ni,ni->n", shift, shift)) + TURN_WORTH_M * turn)
+    return _core.pose_distances(pose, others, TURN_WORTH_M)
 
 
 def is_rigid(pose: ArrayLike, tolerance: float = 1e-3) -> NDArray[np.bool_]:

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from monoloc import geometry
+from monoloc import geometry, geometry_numpy_twins
 
 finite = st.floats(-10.0, 10.0, allow_nan=False, width=64)
 vectors = arrays(np.float64, 3, elements=finite)
@@ -72,6 +72,17 @@ def test_se3_exp_inverts_log(pose):
 def test_se3_log_inverts_exp(angle, axis, rho):
     twist = np.concatenate([rho, angle * axis])
     np.testing.assert_allclose(geometry.se3_log(geometry.se3_exp(twist)), twist, atol=1e-8)
+
+
+@given(poses, st.lists(poses, max_size=4))
+def test_native_kernels_equal_their_numpy_twins(pose, others):
+    batch = np.reshape([pose, *others], (-1, 4, 4))
+    twists = geometry_numpy_twins.se3_log(batch)
+    np.testing.assert_allclose(geometry.se3_exp(twists), geometry_numpy_twins.se3_exp(twists), atol=1e-12)
+    is_half_turn = np.linalg.norm(twists[:, 3:], axis=1) > np.pi - 1e-6  # where both signs of the axis are right
+    np.testing.assert_allclose(geometry.se3_log(batch)[~is_half_turn], twists[~is_half_turn], atol=1e-9)
+    expected = geometry_numpy_twins.pose_distance_m(pose, batch)
+    np.testing.assert_allclose(geometry.pose_distance_m(pose, batch), expected, atol=1e-12)
 
 
 @given(poses, poses, vectors)

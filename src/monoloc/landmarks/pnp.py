@@ -30,7 +30,7 @@ _FOCAL_KERNEL_SDS = np.array([12.0, 6.0, 3.0, 3.0, 3.0])
 # Of the inverse covariance of what a wrong focal length does to a pose, (6,), and of its logarithm.
 _FOCAL_INFORMATION = np.diag(np.repeat([0.5, 0.1, 0.2], [3, 3, 1]) ** -2)
 _AGREE_WEIGHT = 0.25  # of a landmark that agrees
-_TURNS_RAD = (-0.3, -0.15, 0.15, 0.3)  # from which the other poses of a flat view are sought
+_TURNS_RAD = np.array([-0.3, -0.15, 0.15, 0.3])  # from which the other poses of a flat view are sought
 _PRIOR_INFORMATION = np.linalg.inv(PRIOR_COVARIANCE)
 _NO_INDICES, _NO_FLAGS = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
 
@@ -139,27 +139,27 @@ def pose_from_matches(
     return agree, LandmarkPose(found, spread, points[agree], *focal, rivals, less_likely)
 
 
-def flat_view_starts(pose: FloatArray, covariance: FloatArray) -> list[FloatArray]:
-    """From where the other poses (4, 4) of a flat view are found, if one of them is known.
+def flat_view_starts(pose: FloatArray, covariance: FloatArray) -> FloatArray:
+    """From where the other poses of a flat view are found, if one of them is known: (S, 4, 4).
 
     A plane that is seen from afar looks nearly the same from poses turned about it (Schweighofer and Pinz, *Robust
     Pose Estimation from a Planar Target*, 2006). They lie along the direction that it determines least.
     """
     weakest = np.linalg.eigh(covariance)[1][:, -1]
     turn = float(np.linalg.norm(weakest[3:]))
-    return [pose @ se3_exp(angle / turn * weakest) for angle in _TURNS_RAD] if turn > 0.0 else []
+    return pose @ se3_exp(_TURNS_RAD[:, None] / turn * weakest) if turn > 0.0 else np.zeros((0, 4, 4))
 
 
 def _rivals(
     points: FloatArray, rays: FloatArray, sd: FloatArray, found: FloatArray, covariance: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Other poses that the same matches lead to, as twists (K, 6) from the one found, and their costs (K,), nats."""
-    twists, nats = [], []
-    for start in flat_view_starts(found, covariance):
-        pose, *_, weights = _core.fit_pose(points, rays, sd, start, _PRIOR_INFORMATION, _KERNEL_SDS, _NEAREST_M)
-        twists.append(se3_log(invert(found) @ pose))
-        nats.append(_nats(weights))
-    return np.reshape(twists, (-1, 6)), np.array(nats)
+    starts = flat_view_starts(found, covariance)
+    poses, nats = np.empty_like(starts), np.empty(len(starts))
+    for index, start in enumerate(starts):
+        poses[index], *_, weights = _core.fit_pose(points, rays, sd, start, _PRIOR_INFORMATION, _KERNEL_SDS, _NEAREST_M)
+        nats[index] = _nats(weights)
+    return se3_log(invert(found) @ poses), nats
 
 
 def _nats(weights: FloatArray) -> float:

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <array>
+#include <cstddef>
 
 namespace monoloc {
 
@@ -22,6 +23,13 @@ Motion inverse(const Motion& motion);
 
 Motion se3_exp(const Vec6& twist);
 Vec6 se3_log(const Motion& motion);
+
+// Of `count` at once: twists (count, 6) and poses (count, 4, 4), row-major.
+void se3_exp(const double* twists, std::size_t count, double* poses);
+void se3_log(const double* poses, std::size_t count, double* twists);
+
+// From a pose (4, 4) to others (count, 4, 4): the shift's length plus `turn_worth` times the angle of the turn.
+void pose_distances(const double* pose, const double* others, std::size_t count, double turn_worth, double* out);
 
 inline Vec3 cross(const Vec3& a, const Vec3& b) {
   return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
