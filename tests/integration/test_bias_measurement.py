@@ -63,6 +63,7 @@ def _short_trajectories(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trajectories, "LONG_FRAMES", 12)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_short_trajectories")
 def test_growth_is_measured_hovering_where_depth_is_wrong(mixture: GaussianMixture) -> None:
     """A pass through the four frames would show only a part of the error that their depth leads to."""
@@ -82,6 +83,7 @@ def test_growth_is_measured_hovering_where_depth_is_wrong(mixture: GaussianMixtu
     assert model.sd_growth_rad > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_short_trajectories")
 def test_segments_are_followed_one_by_one(mixture: GaussianMixture) -> None:
     """Over a pause no camera can be followed."""

@@ -103,6 +103,7 @@ def test_build_then_localize(capfd: Capture, here: Path, recording: RoomRecordin
     assert read_tum(here / "trajectory.txt")[1].shape == (FRAMES, 4, 4)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 def test_build_refines_poses_stores_no_landmarks_and_tolerates_frames_without_depth(
     capfd: Capture, here: Path
@@ -291,6 +292,7 @@ def test_map_fit_and_info(capfd: Capture, here: Path) -> None:
     assert json_of(capfd, "map", "fit", "room.txt", "--out", "cloud.npz", "-k", "20") == of_cloud
 
 
+@pytest.mark.slow
 def test_map_compare(capfd: Capture, here: Path) -> None:
     """A map that did not change, and one that is 5 cm from its original."""
     same = json_of(capfd, "map", "compare", "room.monoloc")

@@ -100,6 +100,7 @@ def test_list_names_the_shipped_networks(capfd: Capture) -> None:
 BUILD = ("build", "flight", "--out", "x.monoloc", "--frames", "::2", "--no-landmarks", "--network")
 
 
+@pytest.mark.slow
 def test_build_and_localize_with_another_network(capfd: Capture, here: Path) -> None:
     report = json_of(capfd, *BUILD, "another.toml", "-k", "120")
     assert report["depth_scale"] == pytest.approx(SCALE, rel=0.03)
@@ -118,6 +119,7 @@ def test_build_and_localize_with_another_network(capfd: Capture, here: Path) -> 
     assert inspected["network_spec"]["scale"] == report["depth_scale"]
 
 
+@pytest.mark.slow
 def test_scale_is_fitted_to_a_cloud_where_there_is_no_sensor_depth(capfd: Capture, here: Path) -> None:
     remove_depth(here / "flight")
     np.savez(here / "room.npz", points=Room().cloud(0.05))

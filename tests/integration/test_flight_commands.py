@@ -135,6 +135,7 @@ def test_what_a_budget_left_out_is_replayed_to_the_last_bit(capfd: Capture, here
     assert json_of(capfd, "replay", "kept", "--budget-ms", "10000")["first_different_frame"] == 5
 
 
+@pytest.mark.slow
 def test_replay_uses_the_rotations_that_the_flight_was_given(
     capfd: Capture, here: Path, recording: RoomRecording, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -52,6 +52,7 @@ def absrel_of(model: DepthModel, recording: RoomRecording) -> float:
     return float(np.mean(errors))
 
 
+@pytest.mark.slow
 def test_adaptation_learns_from_the_cloud_where_the_sensor_has_no_depth(
     mapped_room: RoomMap, recording: RoomRecording, tmp_path: Path
 ) -> None:
@@ -143,6 +144,7 @@ def test_default_penalty_preserves_the_correspondence(
     assert change_of_map(mapped_room, views, tune=tune, steps=steps, map_rate=0.01).correspondence_share >= 0.95
 
 
+@pytest.mark.slow
 def test_correspondence_is_lost_without_the_penalty(mapped_room: RoomMap, views: Views) -> None:
     loose = change_of_map(mapped_room, views, tune="last", steps=100, map_rate=0.01, lambda_kl=0.0)
     assert loose.correspondence_share < 0.8

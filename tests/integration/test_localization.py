@@ -113,6 +113,7 @@ def test_covariance_covers_the_error(flights: Flights, visual_flight: list[Step]
     assert np.sqrt(np.trace(covariances[-1, :3, :3])) < 0.05
 
 
+@pytest.mark.slow
 def test_random_walk_follows_less_accurately_than_odometry(flights: Flights, visual_flight: list[Step]) -> None:
     steps = follow(flights.localizer(motion="random-walk"), flights.recording)
     assert all(step.motion is None for step in steps)
@@ -252,6 +253,7 @@ def test_camera_that_odometry_does_not_follow_is_uncertain(flights: Flights) -> 
     assert step.state == "uncertain"
 
 
+@pytest.mark.slow
 def test_darkness_widens_the_belief_and_light_narrows_it(flights: Flights) -> None:
     localizer = flights.localizer()
     before = follow(localizer, flights.recording, range(SETTLED))[-1]
@@ -274,6 +276,7 @@ def test_darkness_widens_the_belief_and_light_narrows_it(flights: Flights) -> No
     assert after[-1].state == "tracking"
 
 
+@pytest.mark.slow
 def test_gyroscope_keeps_the_rotation_in_the_dark(flights: Flights) -> None:
     """While the light is off for 0.4 s, the camera turns by 30 degrees and moves 6 cm; nobody measures the latter."""
     before = flights.recording.poses[SETTLED - 1]

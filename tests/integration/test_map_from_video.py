@@ -37,6 +37,7 @@ def test_video_is_reconstructed_checked_and_built_from(capfd: pytest.CaptureFixt
     assert json_of(capfd, "inspect", "room.monoloc")["scale_sd"] == found["scale_sd"]
 
 
+@pytest.mark.slow
 def test_build_takes_a_video(capfd: pytest.CaptureFixture[str]) -> None:
     camera = "160,128,136,136,79.5,63.5"
     built = json_of(capfd, "build", "walk.avi", "--camera", camera, "--out", "room.monoloc", *QUICK)

@@ -74,6 +74,7 @@ def test_a_camera_is_found_and_handed_over_once(place: Place, walk: RoomRecordin
         np.testing.assert_array_equal(one.step.estimate.pose, other.step.estimate.pose)
 
 
+@pytest.mark.slow
 def test_a_camera_that_turns_back_is_handed_back(place: Place, walk: RoomRecording) -> None:
     localizer = PlaceLocalizer(place, CAMERA, RIGHT, Start(np.linalg.inv(T_LEFT_RIGHT) @ walk.poses[-1]))
     steps = follow(localizer, walk, range(FRAMES - 1, -1, -1))

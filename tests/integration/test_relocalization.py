@@ -84,6 +84,7 @@ def test_camera_carried_elsewhere_in_the_dark_is_found(
     assert errors_m(steps, recording, frames)[-1] < 0.05
 
 
+@pytest.mark.slow
 def test_gap_counts_as_darkness(
     mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
 ) -> None:
@@ -100,6 +101,7 @@ def test_gap_counts_as_darkness(
     assert np.all(errors_m(steps, recording, backward)[is_tracking] < 0.05)
 
 
+@pytest.mark.slow
 def test_camera_whose_scans_do_not_fit_for_a_second_is_searched_for(
     mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
 ) -> None:
@@ -116,6 +118,7 @@ def test_camera_whose_scans_do_not_fit_for_a_second_is_searched_for(
     assert is_tracking[-1] and np.all(errors_m(steps, recording, frames)[5:][is_tracking] < 0.05)
 
 
+@pytest.mark.slow
 def test_camera_whose_depth_has_the_wrong_scale_is_found_by_landmarks(
     mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
 ) -> None:
@@ -154,6 +157,7 @@ def test_in_another_room_the_camera_is_never_tracking(
     assert all(np.all(np.isfinite(step.estimate.pose)) for step in started)
 
 
+@pytest.mark.slow
 def test_room_whose_places_are_hard_to_tell_apart_is_not_searched(
     mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
 ) -> None:

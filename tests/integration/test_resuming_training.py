@@ -160,6 +160,7 @@ def test_unreadable_state_is_named_in_one_line(
     assert str(caught.value) == (f"--out: {path} cannot be read; remove {path} to start anew, or name another folder")
 
 
+@pytest.mark.slow
 def test_run_is_not_continued_on_other_frames(tmp_path: Path, training: Recording, validation: Recording) -> None:
     """Whether more or as many: neither the learning-rate schedule nor the metrics would be those of one run."""
     interrupt(tmp_path, training, validation)

@@ -57,6 +57,7 @@ def test_localize_records_the_written_trajectory(here: Path, capfd: pytest.Captu
     np.testing.assert_allclose(translations, np.loadtxt("recorded.txt")[:, 1:4], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_map_compare_records_clouds_and_distances(
     here: Path, bundle: Bundle, capfd: pytest.CaptureFixture[str]
 ) -> None:

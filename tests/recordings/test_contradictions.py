@@ -29,7 +29,13 @@ def opened(data_root: Path, folder: str, frames: str) -> Selection:
     return select_frames(open_recording(str(data_root / folder)), frames)
 
 
-@pytest.fixture(scope="module", params=[(KITCHEN, "200:400:2"), (DESK, "0:350:2")], ids=["kitchen", "desk"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param((KITCHEN, "200:400:2"), id="kitchen", marks=pytest.mark.slow),
+        pytest.param((DESK, "0:350:2"), id="desk"),
+    ],
+)
 def room(request: pytest.FixtureRequest, data_root: Path) -> tuple[Recording, Matches]:
     recording = opened(data_root, *request.param)
     return recording, match_corners(recording)
@@ -38,8 +44,16 @@ def room(request: pytest.FixtureRequest, data_root: Path) -> tuple[Recording, Ma
 @pytest.mark.parametrize(
     ("folder", "frames"),
     [
-        *((KITCHEN, frames) for frames in ("::", "::3", "::4", "::12", "0:400:16", "200:", "0:100", "300:")),
-        *((DESK, frames) for frames in ("::", "::4", "::14", "350:")),
+        (KITCHEN, "::4"),
+        (DESK, "350:"),
+        *(
+            pytest.param(folder, frames, marks=pytest.mark.slow)
+            for folder, all_frames in (
+                (KITCHEN, ("::", "::3", "::12", "0:400:16", "200:", "0:100", "300:")),
+                (DESK, ("::", "::4", "::14")),
+            )
+            for frames in all_frames
+        ),
     ],
 )
 def test_right_recordings_are_not_doubted(
@@ -62,7 +76,7 @@ def test_poses_of_another_convention_are_named(room: tuple[Recording, Matches], 
     assert re.fullmatch(f".* off as [^;]*{POSES[name].words}.*; give {POSES[name].option}", refusal(check))
 
 
-@pytest.mark.parametrize(("said", "right"), [(1000.0, 5000.0), (5000.0, 1000.0)])
+@pytest.mark.parametrize(("said", "right"), [(1000.0, 5000.0), pytest.param(5000.0, 1000.0, marks=pytest.mark.slow)])
 def test_depth_scale_is_named_with_its_value(data_root: Path, said: float, right: float) -> None:
     """The depth of the kitchen, stored as ``right`` to the metre and read as ``said``."""
     whole = open_recording(str(data_root / KITCHEN))

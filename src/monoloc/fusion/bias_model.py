@@ -80,7 +80,7 @@ class LandmarkBiasModel(BiasModel):
     common_error_growth: float = Field(0.0, ge=0.0, le=1e4)
 
     def correlation(self, step_m: float) -> float:
-        """As :meth:`BiasModel.correlation`: which landmarks are seen, and from where, changes sooner than the scene."""
+        """As :meth:`BiasModel.correlation`; it is lost sooner, since other landmarks come into view."""
         return math.exp(-step_m / _LANDMARK_CORRELATION_LENGTH_M)
 
     def covariance(self, measured: LandmarkPose, distance_m: float) -> FloatArray:

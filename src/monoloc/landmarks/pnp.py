@@ -157,7 +157,8 @@ def _rivals(
     starts = flat_view_starts(found, covariance)
     poses, nats = np.empty_like(starts), np.empty(len(starts))
     for index, start in enumerate(starts):
-        poses[index], *_, weights = _core.fit_pose(points, rays, sd, start, _PRIOR_INFORMATION, _KERNEL_SDS, _NEAREST_M)
+        fit = _core.fit_pose(points, rays, sd, start, _PRIOR_INFORMATION, _KERNEL_SDS, _NEAREST_M)
+        poses[index], _, _, weights = fit
         nats[index] = _nats(weights)
     return se3_log(invert(found) @ poses), nats
 

@@ -83,6 +83,7 @@ def test_recording_without_poses_or_depth_is_refused(
     refused(capfd, tmp_path, arguments, "", f"has no {lacking}", "give --data builtin, or one with poses and depth")
 
 
+@pytest.mark.slow
 def test_recording_too_short_for_posenets_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     write_recording(tmp_path / "short", RoomRecording(Room(), make_path(48), SMALL_CAMERA))
     arguments = ("reproduce", "fig4d", "--quick", "--data", f"folder:{tmp_path / 'short'}")
@@ -115,6 +116,7 @@ def test_command_is_offered_without_the_libraries_of_its_work() -> None:
     assert python(script).returncode == 0
 
 
+@pytest.mark.slow
 def test_figure_without_tasks_is_reported(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     write_recording(tmp_path / "room", RoomRecording(Room(), make_path(16), SMALL_CAMERA))
     out = tmp_path / "out"

@@ -152,6 +152,7 @@ def test_progress_counts_existing_results(tmp_path: Path, log: Path) -> None:
     assert progress.lines[1][0] == 2 and "add-" in progress.lines[1][1]
 
 
+@pytest.mark.slow
 def test_two_worker_processes_of_one_thread_run_at_the_same_time(tmp_path: Path, log: Path) -> None:
     tasks, threads = pair(log), Task.of("threads", {})
     results = do([*tasks, threads], tmp_path, workers=2)

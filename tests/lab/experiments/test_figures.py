@@ -100,6 +100,7 @@ def test_figures_are_chosen_by_name() -> None:
         chosen_figures(["fig4d", "fig9"])
 
 
+@pytest.mark.slow
 def test_quick_study_leaves_out_expensive_figures(quick: Study, full: Study) -> None:
     assert {figure.name for figure in FIGURES if figure.tasks(quick) is None} == ONLY_IN_FULL
     assert all(figure.tasks(full) is not None for figure in FIGURES)
@@ -158,6 +159,7 @@ def test_errors_by_size_are_those_of_the_runs(quick: Study, done: Done, tmp_path
     assert claim.holds and claim.spread == pytest.approx((0.128 / 0.12, 1.1))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_plots")
 def test_errors_by_light_are_those_of_the_runs(quick: Study, done: Done, tmp_path: Path) -> None:
     drawn = drawn_from(fig5b.FIGURE, quick, done, tmp_path)
@@ -173,6 +175,7 @@ def test_errors_by_light_are_those_of_the_runs(quick: Study, done: Done, tmp_pat
     assert claim.holds and "full has an error of 30.0 cm" in claim.figure
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_plots")
 def test_failed_claim_of_a_figure_has_an_analysis(quick: Study, tmp_path: Path) -> None:
     tasks = fig5b.FIGURE.tasks(quick)
@@ -213,6 +216,7 @@ def test_sweeps_have_a_point_per_setting(full: Study, done: Done, tmp_path: Path
     assert str(swept["default"]) in swept["joint"]
 
 
+@pytest.mark.slow
 def test_ablation_changes_one_component_per_row(quick: Study, done: Done, tmp_path: Path) -> None:
     drawn = drawn_from(ablation.FIGURE, quick, done, tmp_path)
     cases = {case["components"]: case for case in drawn.numbers["cases"] if case["light"] == "L3"}

@@ -12,6 +12,7 @@ from monoloc_lab.experiments import source_version
 KINDS = ("work_rooms", "work_runs", "work_posenets")
 
 
+@pytest.mark.slow
 def test_hash_covers_imported_modules_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     roots = {}
     for name, root in source_version._ROOTS.items():

@@ -36,6 +36,7 @@ def test_flight_stays_within_its_limits(flight: Flight) -> None:
     assert flight.tilt_rad(TIMES_S).max() <= np.deg2rad(CONFIG.tilt_deg) * slack
 
 
+@pytest.mark.slow
 def test_flight_uses_its_limits(room: Room) -> None:
     slow = plan_flight(room, CONFIG.model_copy(update={"speed": 0.3}), 0)
     fast = plan_flight(room, CONFIG.model_copy(update={"speed": 1.2, "yaw_rate_deg": 120.0}), 0)

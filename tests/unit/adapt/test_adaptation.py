@@ -142,6 +142,7 @@ def test_expected_stages_are_those_of_an_adaptation(
     assert stages == list(expected_stages(12, BuildConfig(adapt=config)))[3:6]
 
 
+@pytest.mark.slow
 def test_adapting_nothing_returns_the_input(
     mapped_room: RoomMap, recording: RoomRecording, network_file: Path
 ) -> None:

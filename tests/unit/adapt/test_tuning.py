@@ -194,6 +194,7 @@ def test_tuning_uses_the_precision_that_suits_the_processor(
     assert adaptation.score(views, 12).depth_loss < before.depth_loss
 
 
+@pytest.mark.slow
 def test_pose_weight_reduces_errors_that_would_move_the_camera(mapped_room: RoomMap, views: Views) -> None:
     truth = views.output_depth_m
     steps = pose_steps(truth[:, 0].numpy(), views.rays)

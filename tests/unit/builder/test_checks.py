@@ -210,6 +210,7 @@ def test_scale_that_is_not_the_networks_is_warned_of(
 # --- Recording ---
 
 
+@pytest.mark.slow
 def test_recording_is_checked_before_its_map() -> None:
     """Poses have the first word, and a right recording is silent."""
     recording = RoomRecording(Room(), make_path(24), SMALL_CAMERA)

@@ -74,6 +74,7 @@ def test_focal_length_of_a_build_is_that_of_its_camera(
     assert abs(built[2].focal_mean) < 0.02 and 0.005 <= built[2].focal_sd < 0.02
 
 
+@pytest.mark.slow
 def test_errors_of_build_poses_widen_the_bias(
     built: tuple[Landmarks, BiasModel, LandmarkEvidence], recording: RoomRecording
 ) -> None:

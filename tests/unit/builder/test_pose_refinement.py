@@ -68,6 +68,7 @@ def test_poses_are_refined_against_a_given_map(
     assert refined.frame_names == noisy.frame_names and noisy.poses is not refined.poses
 
 
+@pytest.mark.slow
 def test_poses_are_refined_against_their_own_map(noisy: RoomRecording, truth: FloatArray) -> None:
     def remap(recording: Recording) -> GaussianMixture:
         config = BuildConfig(components=100)
@@ -80,6 +81,7 @@ def test_poses_are_refined_against_their_own_map(noisy: RoomRecording, truth: Fl
     assert np.median(after.rotation_rad) < 0.6 * np.median(before.rotation_rad)
 
 
+@pytest.mark.slow
 def test_right_poses_hardly_change_and_those_without_depth_not_at_all(
     truth: FloatArray, mixture: GaussianMixture
 ) -> None:

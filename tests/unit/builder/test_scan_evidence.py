@@ -86,6 +86,7 @@ def test_recording_in_one_place_says_nothing(recording: RoomRecording, mixture: 
     assert measure_scan_evidence(likelihood, samples, poses, SETTINGS, np.random.default_rng(0)) == Classes()
 
 
+@pytest.mark.slow
 def test_exact_depth_tells_right_poses_from_wrong_ones(recording: RoomRecording, mixture: GaussianMixture) -> None:
     likelihood = RayLikelihood(mixture, SETTINGS.likelihood)
     samples = samples_of(recording)[::3]

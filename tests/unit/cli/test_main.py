@@ -62,6 +62,7 @@ def test_ignored_hang_up_remains_ignored_and_ascii_terminals_get_a_substitute(tm
     assert (result.returncode, result.stdout) == (0, "2? True\n"), result.stderr
 
 
+@pytest.mark.slow
 def test_commands_sum_on_one_thread_whatever_the_environment_says(monkeypatch: pytest.MonkeyPatch) -> None:
     """Another number of threads gives other poses."""
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")

@@ -84,6 +84,7 @@ def test_walk_that_the_map_knows_changes_no_component() -> None:
     assert len(edited.provenance.frames) == 14
 
 
+@pytest.mark.slow
 def test_walk_in_another_world_is_found() -> None:
     moved = Selection(walk("B"), range(14))
     moved.poses = OTHER @ walk("B").poses
@@ -124,6 +125,7 @@ def test_walk_without_poses_or_depth_is_refused(what: str) -> None:
     refuses_data(lambda: extended(bare), "walk-B", f"has no {what}", "poses and depth")
 
 
+@pytest.mark.slow
 def test_bias_of_a_tuned_network_is_measured_on_the_new_frames() -> None:
     room = bundle_of_walk("A")
     tuned = replace(room, provenance=room.provenance.model_copy(update={"tune": "all"}))

@@ -42,6 +42,7 @@ def test_range_is_named_and_fixed(right: RoomRecording) -> None:
     assert check_depth(fixed).problem is None
 
 
+@pytest.mark.slow
 def test_depth_of_another_camera_is_not_registered() -> None:
     """In the rendered living room, whose surfaces have edges where depth has them."""
     living = select_frames(open_recording(str(BUILD)), "::3")

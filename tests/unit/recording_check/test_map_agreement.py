@@ -49,6 +49,7 @@ def test_another_world_is_one_transform_away(bundle: Bundle, recording: RoomReco
     assert findings["world"].value in {f"one rigid transform away: {cm} cm, 40 degrees" for cm in range(196, 205)}
 
 
+@pytest.mark.slow
 def test_poses_that_fit_by_no_transform_are_bad(bundle: Bundle, recording: RoomRecording) -> None:
     assert recording.poses is not None
     mixed = Altered(recording, poses=recording.poses[np.random.default_rng(0).permutation(FRAMES)])
@@ -56,6 +57,7 @@ def test_poses_that_fit_by_no_transform_are_bad(bundle: Bundle, recording: RoomR
     assert world.level == "bad" and "by any rigid transform" in world.remark
 
 
+@pytest.mark.slow
 def test_another_room_and_another_lens_are_told(bundle: Bundle, recording: RoomRecording) -> None:
     other = RoomRecording(Room(seed=9), make_path(8, rate_hz=2.0), CAMERA)
     findings = {finding.name: finding for finding in inspect_recording(other, bundle=bundle).findings}

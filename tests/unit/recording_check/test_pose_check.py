@@ -86,6 +86,7 @@ def test_images_upside_down_are_named(room: tuple[Recording, Matches]) -> None:
     assert line.endswith("; give --fix-poses turned-180")
 
 
+@pytest.mark.slow
 def test_noisy_poses_give_a_warning_and_unrelated_poses_are_refused(room: tuple[Recording, Matches]) -> None:
     recording, matches = room
     assert recording.poses is not None
@@ -101,6 +102,7 @@ def test_noisy_poses_give_a_warning_and_unrelated_poses_are_refused(room: tuple[
     assert require_agreement("walk", check, poses_are_refined=True) == []  # refinement starts from any
 
 
+@pytest.mark.slow
 def test_poses_with_a_cloud_in_place_of_depth(room: tuple[Recording, Matches]) -> None:
     recording, _ = room
     cloud = Room().cloud(0.04)

@@ -80,12 +80,14 @@ def test_recording_is_of_the_placed_frames(walk: RoomRecording, found: Reconstru
     assert recording.notes[1].startswith("the scale is by depth of ")
 
 
+@pytest.mark.slow
 def test_same_seed_gives_the_same(walk: RoomRecording) -> None:
     first, second = (map_keyframes(walk, np.arange(8), False, 3, NoProgress()) for _ in range(2))
     np.testing.assert_array_equal(first.poses, second.poses)
     np.testing.assert_array_equal(first.points, second.points)
 
 
+@pytest.mark.slow
 def test_unknown_focal_length_is_found_within_its_error(walk: RoomRecording, monkeypatch: pytest.MonkeyPatch) -> None:
     guess = Camera(160, 128, 150.0, 150.0, 79.5, 63.5)
     monkeypatch.setattr(walk, "camera", guess)
@@ -95,6 +97,7 @@ def test_unknown_focal_length_is_found_within_its_error(walk: RoomRecording, mon
     assert model.camera_sd.keys() == {"f", "k1", "k2"}
 
 
+@pytest.mark.slow
 def test_camera_that_turns_on_the_spot_is_refused() -> None:
     turns = make_pose(so3_exp([[0.0, 0.08 * i, 0.0] for i in range(9)]), np.zeros((9, 3)))
     recording = RoomRecording(Room(), turns, SMALL_CAMERA)

@@ -97,6 +97,7 @@ def test_marker_gives_the_scale_within_its_stated_error(
     assert abs(np.log(found.metres / UNIT_M)) < 2.0 * found.sd < 0.1
 
 
+@pytest.mark.slow
 def test_marker_that_is_not_there_or_not_square_is_refused(
     walk: RoomRecording, model: SparseModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -28,6 +28,7 @@ def exported() -> bytes:
     return export_onnx(tiny_network(config=UNCERTAIN))[0]
 
 
+@pytest.mark.slow
 def test_safetensors_round_trip(tmp_path: Path) -> None:
     network = tiny_network()
     save_network(network, tmp_path / "network.safetensors")

@@ -72,6 +72,7 @@ def test_quantised_file_has_the_original_s_metadata_inputs_and_outputs(
     assert prediction.depth_m.shape == (16, 24) and (prediction.depth_m > 0.0).all()
 
 
+@pytest.mark.slow
 def test_quantising_repeats_and_prints_nothing(
     lively: tuple[DepthNetwork, bytes],
     quantised: tuple[bytes, QuantisationReport],

@@ -67,6 +67,7 @@ def test_training_learns_repeats_and_writes_its_results(
     assert evaluated == pytest.approx((history[-1].absrel, history[-1].delta1), abs=1e-4)
 
 
+@pytest.mark.slow
 def test_training_repeats_with_its_seed_only(tmp_path: Path, training: Recording, validation: Recording) -> None:
     config = SHORT.model_copy(update={"epochs": 1})
     one, same, other = (
@@ -114,6 +115,7 @@ def test_start_of_another_architecture_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_training_ends_without_a_bias_on_whole_frames(tmp_path: Path) -> None:
     """However far off the start is, and although the zoomed views of training alone would give another bias."""
     network, room = DepthNetwork(TINY), small_recording(6)
