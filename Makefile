@@ -22,9 +22,9 @@ PYTEST := OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses logical --maxprocesses 
 	--no-loadscope-reorder
 
 test: checks
-	$(PYTEST) -m "not slow"
+	$(PYTEST) -m "not slow" --hypothesis-profile quick
 
-# The slow tests too, and the coverage, which takes half as long again.
+# The slow tests too, three times the examples of each property, and the coverage, which takes half as long again.
 test-all: checks
 	$(PYTEST) --cov --cov-report html:build/coverage
 	@echo "coverage of lines and branches: $$($(BIN)/coverage report --format total) %; see build/coverage"

@@ -16,6 +16,7 @@ from synthetic_room import Room, RoomRecording, make_path, measured_thresholds, 
 
 # No deadline: a busy machine must not fail a property.
 settings.register_profile("monoloc", deadline=None)
+settings.register_profile("quick", deadline=None, max_examples=30)
 settings.load_profile("monoloc")
 
 

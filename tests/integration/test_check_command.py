@@ -81,6 +81,7 @@ def test_other_convention_is_bad_is_not_built_and_can_be_fixed(
     assert (workspace / "a.monoloc" / "manifest.json").is_file()
 
 
+@pytest.mark.slow
 def test_localize_and_evaluate_warn_of_another_convention_and_fix_it(
     workspace: Path, flight: RoomRecording, capfd: pytest.CaptureFixture[str]
 ) -> None:

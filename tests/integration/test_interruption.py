@@ -67,7 +67,9 @@ def test_terminated_reconstruction_leaves_nothing(tmp_path: Path) -> None:
     assert list(temporary.iterdir()) == []
 
 
-@pytest.mark.parametrize("file", ["map.npz", "edits.npz", "manifest.json"])
+@pytest.mark.parametrize(
+    "file", ["manifest.json", *(pytest.param(name, marks=pytest.mark.slow) for name in ("map.npz", "edits.npz"))]
+)
 def test_killed_edit_leaves_the_old_bundle_and_the_next_one_works(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str
 ) -> None:

@@ -89,8 +89,12 @@ BY_LIKELIHOOD = {"depth_weight": 0.0, "pose_weight": 0.0, "likelihood_weight": 1
 # Without penalty, and without the depth loss, which would prevent a collapse by itself.
 VARIANTS = [
     pytest.param({"tune": "last"}, id="last"),
-    pytest.param({"tune": "decoder", "steps": 120, **BY_LIKELIHOOD}, id="decoder by likelihood"),
-    pytest.param({"tune": "all", "steps": 120, **BY_LIKELIHOOD}, id="all by likelihood", marks=pytest.mark.slow),
+    *(
+        pytest.param(
+            {"tune": tune, "steps": 120, **BY_LIKELIHOOD}, id=f"{tune} by likelihood", marks=pytest.mark.slow
+        )
+        for tune in ("decoder", "all")
+    ),
     pytest.param({"tune": "none", "steps": 100}, id="map alone"),
 ]
 

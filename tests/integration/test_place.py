@@ -122,6 +122,7 @@ def test_a_door_is_measured_by_frames_that_show_both_rooms(place: Place) -> None
     assert found.door.position_sd_m < 0.05
 
 
+@pytest.mark.slow
 def test_a_door_is_measured_by_odometry_where_no_frame_shows_both(
     place: Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:

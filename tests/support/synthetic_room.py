@@ -208,7 +208,7 @@ def room_mixture(room: Room, components: int = 250) -> GaussianMixture:
 # correction of scale and tilt by corners, which are less exact. Enough particles that some start near the truth,
 # since exact depth distinguishes millimetres.
 SETTINGS = LocalizerConfig(
-    particles=1000,
+    particles=600,
     scan_points=300,
     log_scale_sd=0.03,
     scale_tilt=None,

@@ -29,7 +29,7 @@ def bundle() -> Bundle:
     return make_bundle(room_mixture(Room(), 250), RECORDING, range(len(RECORDING)))
 
 
-@pytest.mark.parametrize("is_new", [False, True])
+@pytest.mark.parametrize("is_new", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_drone_stops_before_the_wall(bundle: Bundle, tmp_path: Path, is_new: bool) -> None:
     write_recording(tmp_path / "L2", RECORDING)
     if is_new:  # the map of obstacles lacks the wall, that of the localizer has it
