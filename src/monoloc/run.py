@@ -20,7 +20,7 @@ from monoloc.evaluation.depth_metrics import DepthAccumulator
 from monoloc.evaluation.trajectory import summarise
 from monoloc.geometry import FloatArray, invert
 from monoloc.io.recording import Recording, Relight
-from monoloc.localizer import Localizer, Step
+from monoloc.localizer import Localizer
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.odometry.motion import Motion, tracks_translation
 from monoloc.particle_filter.estimate import Estimate
@@ -28,6 +28,7 @@ from monoloc.parts import leave_out
 from monoloc.progress import Progress
 from monoloc.sensor_depth import sensor_bundle, sensor_settings, sparse_depth
 from monoloc.start import Start
+from monoloc.step import Step
 from monoloc.step_budget import Level, level_counts
 from monoloc.supervision.map_change import ChangedRegion, merged
 from monoloc.supervision.state import VOUCHED_FOR, Reason, State

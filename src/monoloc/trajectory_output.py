@@ -22,8 +22,8 @@ from monoloc.geometry import FloatArray
 from monoloc.io.pose_table import COLUMNS
 from monoloc.io.recording import Recording
 from monoloc.io.tum_trajectory import write_tum
-from monoloc.localizer import Step
 from monoloc.particle_filter.particles import Particles
+from monoloc.step import Step
 from monoloc.viz.viewer import Viewer
 
 

@@ -18,13 +18,14 @@ from monoloc.fusion.bias_model import BiasModel, LandmarkBiasModel
 from monoloc.geometry import FloatArray, is_rigid, make_pose, se3_exp
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.likelihood.thresholds import LikelihoodThresholds
-from monoloc.localizer import Localizer, Step
+from monoloc.localizer import Localizer
 from monoloc.map.mixture import GaussianMixture
 from monoloc.odometry.motion import Motion
 from monoloc.odometry.scale_tilt import ScaleTiltConfig
 from monoloc.particle_filter.particles import scatter
 from monoloc.progress import NoProgress
 from monoloc.start import Start
+from monoloc.step import Step
 from monoloc.supervision.state import Reason
 from synthetic_room import (
     BLACK,

@@ -10,12 +10,12 @@ from monoloc.depth.predictor import DepthPrediction
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray, se3_exp
 from monoloc.likelihood.thresholds import LikelihoodThresholds
-from monoloc.localizer import Step
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.map.mixture import GaussianMixture
 from monoloc.particle_filter.particles import Particles, scatter
 from monoloc.progress import NoProgress
 from monoloc.relocalization.state_machine import Mode
+from monoloc.step import Step
 from synthetic_room import (
     BLACK,
     FRAME_RATE_HZ,

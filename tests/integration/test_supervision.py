@@ -15,11 +15,12 @@ from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.likelihood.thresholds import LikelihoodThresholds
-from monoloc.localizer import Localizer, Step
+from monoloc.localizer import Localizer
 from monoloc.map.mixture import GaussianMixture
 from monoloc.particle_filter.particles import scatter
 from monoloc.progress import NoProgress
 from monoloc.relocalization.state_machine import Mode
+from monoloc.step import Step
 from monoloc.supervision.state import Reason
 from synthetic_room import (
     BLACK,

@@ -12,10 +12,10 @@ from monoloc.flight.flight_loop import FlightStep
 from monoloc.geometry import FloatArray
 from monoloc.likelihood.scan import EMPTY_SCAN
 from monoloc.live.frame_source import LiveFrame
-from monoloc.localizer import Step
 from monoloc.mavlink.messages import COMPONENT, dialect
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.relocalization.state_machine import Mode
+from monoloc.step import Step
 from monoloc.supervision.state import Reason, State
 
 CAMERA = Camera(40, 30, 30.0, 30.0, 19.5, 14.5)

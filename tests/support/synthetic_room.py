@@ -30,13 +30,14 @@ from monoloc.likelihood import make_likelihood
 from monoloc.likelihood.protocol import LikelihoodConfig, ScanLikelihood
 from monoloc.likelihood.scan import scan_from_depth
 from monoloc.likelihood.thresholds import LikelihoodThresholds
-from monoloc.localizer import Localizer, Step
+from monoloc.localizer import Localizer
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.map.em import fit_mixture
 from monoloc.map.mixture import GaussianMixture
 from monoloc.particle_filter.estimate import estimate
 from monoloc.particle_filter.particles import Particles
 from monoloc.start import Start
+from monoloc.step import Step
 from monoloc.supervision.integrity import LANDMARK_EDGES, Classes, IntegrityModel
 
 FloatArray = NDArray[np.float64]

@@ -17,13 +17,14 @@ from monoloc.likelihood.protocol import LikelihoodConfig
 from monoloc.likelihood.ray import RayLikelihood
 from monoloc.likelihood.scan import Scan, scan_from_corners
 from monoloc.likelihood.thresholds import LikelihoodThresholds
-from monoloc.localizer import Localizer, Step
+from monoloc.localizer import Localizer
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.map.mixture import GaussianMixture
 from monoloc.odometry.scale_tilt import ScaleTiltConfig
 from monoloc.particle_filter.estimate import estimate
 from monoloc.particle_filter.particles import Particles, normalised, scatter
 from monoloc.start import Start
+from monoloc.step import Step
 from monoloc.step_budget import Level, StepBudget
 from synthetic_room import (
     BLACK,

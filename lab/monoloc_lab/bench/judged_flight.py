@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from monoloc.evaluation.consistency import FAR_M, Consistency, consistency
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray
-from monoloc.localizer import Step
+from monoloc.step import Step
 from monoloc.supervision.state import VOUCHED_FOR
 
 REFUSED = "refused"

@@ -17,11 +17,12 @@ from monoloc.bundle import Bundle
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, transform
 from monoloc.io.recording import Recording
-from monoloc.localizer import Localizer, Step
+from monoloc.localizer import Localizer
 from monoloc.map.depth_rendering import map_depth
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import Progress
 from monoloc.start import Start
+from monoloc.step import Step
 from monoloc.supervision.map_change import ChangedRegion
 from monoloc_lab.bench.judged_flight import FlightFrame, Image, fly
 from monoloc_lab.bench.unseen_frames import Frames, UnseenFrames

@@ -22,7 +22,7 @@ from monoloc.flight.flight_settings import Mount
 from monoloc.geometry import FloatArray, transform
 from monoloc.io.recording import Recording
 from monoloc.io.registry import open_recording
-from monoloc.localizer import Localizer, Step
+from monoloc.localizer import Localizer
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
 from monoloc.obstacles import (
     MOST_M,
@@ -37,6 +37,7 @@ from monoloc.obstacles import (
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.progress import Progress
 from monoloc.start import Start
+from monoloc.step import Step
 from monoloc_lab.make.living_room import CAMERA, FLIGHTS, ROOM_SEED
 from monoloc_lab.rooms import BUILD
 from monoloc_lab.synth.approaches import Approach, plan_approach, render_approach

@@ -25,11 +25,11 @@ from monoloc.cli.common import open_source, stderr
 from monoloc.files import write_whole
 from monoloc.geometry import FloatArray, transform
 from monoloc.io.recording import Recording
-from monoloc.localizer import Step
 from monoloc.particle_filter.particles import Particles
 from monoloc.progress import ConsoleProgress
 from monoloc.run import Run, localize
 from monoloc.start import Start
+from monoloc.step import Step
 from monoloc.viz.picture import BLUE, GREEN, INK, ORANGE
 from monoloc.viz.run_drawing import draw_mixture, norm_bound_95, page_axes
 from monoloc.viz.viewer import NoViewer, Viewer

@@ -15,9 +15,10 @@ from monoloc.camera import Camera
 from monoloc.errors import DataError, MonolocError
 from monoloc.geometry import FloatArray
 from monoloc.live.frame_source import EndOfStreamError, FrameSource, LiveFrame
-from monoloc.localizer import Localizer, Step
+from monoloc.localizer import Localizer
 from monoloc.odometry.motion import Motion
 from monoloc.start import Start
+from monoloc.step import Step
 from monoloc.step_budget import Level, level_counts
 
 _WAIT_S = 0.1  # for a frame, before the outputs hear that there is none

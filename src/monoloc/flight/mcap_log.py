@@ -13,10 +13,10 @@ from monoloc.camera import Camera
 from monoloc.flight.flight_loop import FlightStep
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.writer_thread import WriterThread
-from monoloc.localizer import Step
 from monoloc.obstacles import tells_obstacles
 from monoloc.ros.mcap_file import McapFile, StepRecorder
 from monoloc.ros.ros_frames import RosFrames
+from monoloc.step import Step
 
 _MOST_IMAGES = 32  # that wait for the disk, 30 MB at 640x480; with more waiting, frames come without image
 _MOST_FRAMES = 300  # that wait for it; more are dropped

@@ -12,7 +12,7 @@ from monoloc.flight.flight_loop import FlightStep
 from monoloc.flight.writer_thread import WriterThread
 from monoloc.geometry import FloatArray, rotation_to_quaternion
 from monoloc.io.pose_table import COLUMNS, UPPER
-from monoloc.localizer import Step
+from monoloc.step import Step
 
 _MOST_ROWS = 10_000  # that wait for the disk, 6 MB; more are dropped
 

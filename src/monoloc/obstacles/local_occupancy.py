@@ -121,7 +121,7 @@ class LocalOccupancy:
 
         Args:
             captured_s: time of its image; an earlier one than before forgets all.
-            depth: of the frame, as :attr:`monoloc.localizer.Step.depth`.
+            depth: of the frame, as :attr:`monoloc.step.Step.depth`.
             estimate: the belief.
             T_level_camera: pose of the camera in the vehicle's level frame, (4, 4), as
                 :meth:`monoloc.mavlink.autopilot_frames.AutopilotFrames.T_level_camera` gives it.

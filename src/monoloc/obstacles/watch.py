@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from monoloc.bundle import Bundle
 from monoloc.geometry import FloatArray, invert
-from monoloc.localizer import Step
 from monoloc.obstacles.depth_error import DepthError
 from monoloc.obstacles.local_occupancy import LocalOccupancy, Surroundings
 from monoloc.obstacles.map_knowledge import MapKnowledge
+from monoloc.step import Step
 
 
 class ObstacleWatch:

@@ -12,7 +12,7 @@ from monoloc.components import ComponentsFactory, default_components
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.geometry import FloatArray
 from monoloc.landmarks.features import KeypointDetector, Keypoints
-from monoloc.localizer import Localizer, Step
+from monoloc.localizer import Localizer
 from monoloc.odometry.motion import Motion
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.place.hand_over import HandOver, carried, near_doors, start_from
@@ -21,6 +21,7 @@ from monoloc.place.place_files import Place
 from monoloc.place.place_manifest import Door
 from monoloc.place.room_search import RoomSearch
 from monoloc.start import Start
+from monoloc.step import Step
 from monoloc.step_budget import Level
 from monoloc.supervision.state import State
 

@@ -14,12 +14,12 @@ from monoloc.camera import Camera
 from monoloc.errors import DataError
 from monoloc.extras import require_mcap
 from monoloc.files import target_of
-from monoloc.localizer import Step
 from monoloc.partial_files import PartialFile
 from monoloc.ros.message_contents import TopicMessage
 from monoloc.ros.message_definitions import definition_of
 from monoloc.ros.ros_frames import RosFrames
 from monoloc.ros.step_messages import ImageMessages, StepMessages
+from monoloc.step import Step
 
 if TYPE_CHECKING:
     from mcap.records import Schema

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 from monoloc.geometry import FloatArray, rotation_to_quaternion
 from monoloc.io.rosbag_messages import DISTORTION_MODELS
-from monoloc.localizer import Step
+from monoloc.step import Step
 
 Content = dict[str, Any]
 

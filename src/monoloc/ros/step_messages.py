@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.geometry import FloatArray, invert
-from monoloc.localizer import Step
 from monoloc.obstacles.sectors import MOST_M, depth_points
 from monoloc.odometry.motion import tracks_translation
 from monoloc.ros.message_contents import (
@@ -21,6 +20,7 @@ from monoloc.ros.message_contents import (
     transforms,
 )
 from monoloc.ros.ros_frames import RosFrames
+from monoloc.step import Step
 from monoloc.supervision.state import BLIND
 
 POSE, TF, STATE, OBSTACLES = "/monoloc/pose", "/tf", "/monoloc/state", "/monoloc/obstacles"

@@ -18,13 +18,13 @@ from monoloc.landmarks.features import KeypointDetector, Keypoints
 from monoloc.landmarks.landmark_map import FAMILIAR_TIMES, Landmarks, LandmarkViews
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.landmarks.pnp import PRIOR_COVARIANCE
-from monoloc.localizer import Step
 from monoloc.obstacles.depth_error import DepthError
 from monoloc.particle_filter.particles import Particles
 from monoloc.progress import Progress
 from monoloc.run import localize
 from monoloc.sensor_depth import sparse_depth
 from monoloc.start import Start
+from monoloc.step import Step
 from monoloc.supervision.map_change import ChangedRegion
 from monoloc.supervision.state import VOUCHED_FOR, Reason, State
 from monoloc.updating.update_rules import UpdateRules

@@ -15,9 +15,9 @@ from monoloc.camera import Camera
 from monoloc.geometry import FloatArray, invert, rotation_to_quaternion, transform
 from monoloc.io.recording import Recording
 from monoloc.likelihood.thresholds import LikelihoodThresholds
-from monoloc.localizer import Step
 from monoloc.odometry.motion import tracks_translation
 from monoloc.particle_filter.particles import Particles
+from monoloc.step import Step
 from monoloc.step_budget import Level
 from monoloc.supervision.state import Reason, State
 from monoloc.viz.pinhole_view import PinholeView

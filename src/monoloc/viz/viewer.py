@@ -20,9 +20,9 @@ from monoloc.errors import DataError, SettingError
 from monoloc.files import target_of
 from monoloc.geometry import FloatArray
 from monoloc.io.recording import Recording
-from monoloc.localizer import Step
 from monoloc.partial_files import PartialFile
 from monoloc.particle_filter.particles import Particles
+from monoloc.step import Step
 
 if TYPE_CHECKING:
     from rerun import RecordingStream

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from cli_helpers import json_of, outputs, write_workspace
-from monoloc.localizer import Localizer, Step
+from monoloc.localizer import Localizer
+from monoloc.step import Step
 from monoloc_lab.soak import many_steps
 from monoloc_lab.soak.many_steps import median_slope
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path

@@ -20,7 +20,7 @@ from monoloc.errors import DataError
 from monoloc.flight import mcap_log
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.mcap_log import McapLog, ros_frames_of, step_recorder
-from monoloc.localizer import Step
+from monoloc.step import Step
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
 
 

@@ -13,9 +13,9 @@ from monoloc.flight.flight_loop import FlightStep, FlightSummary
 from monoloc.flight.preflight import LinkReport, Preflight
 from monoloc.geometry import FloatArray
 from monoloc.landmarks.pnp import LandmarkPose
-from monoloc.localizer import Step
 from monoloc.mavlink.firmware import Firmware
 from monoloc.recording_check.inspection import Level, worst
+from monoloc.step import Step
 from monoloc.supervision.state import Reason
 
 SHARP = np.random.default_rng(0).integers(0, 256, (60, 80, 3)).astype(np.uint8)
