@@ -84,7 +84,7 @@ def bench_soak(
         recording: at most 300 frames of it are flown.
         steps: how many.
         seed: of the localizer and the jumps.
-        show: takes the number of steps that are done, a hundred times.
+        show: takes the number of steps that are done, at the start and a hundred times.
 
     Raises:
         SettingError: the recording has fewer than ten frames, or this system does not tell a process's memory.
@@ -99,6 +99,7 @@ def bench_soak(
     route = _Route(len(colors), np.random.default_rng(seed))
     states: Counter[str] = Counter()
     windows: list[_Window] = []
+    show(0)
     ends = np.linspace(0, steps, _WINDOWS + 1).round().astype(int)
     for begin, end in pairwise(ends):
         times_ms = []
