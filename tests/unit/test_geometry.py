@@ -85,6 +85,18 @@ def test_native_kernels_equal_their_numpy_twins(pose, others):
     np.testing.assert_allclose(geometry.pose_distance_m(pose, batch), expected, atol=1e-12)
 
 
+@pytest.mark.parametrize("shape", [(6,), (0, 6), (2, 3, 6)])
+def test_native_kernels_take_any_batch_order_and_precision(shape):
+    twists = np.random.default_rng(0).normal(size=shape)
+    batch = geometry.se3_exp(twists)
+    assert batch.shape == (*shape[:-1], 4, 4)
+    np.testing.assert_allclose(geometry.se3_log(np.asfortranarray(batch)), twists, atol=1e-9)
+    flat = batch.reshape(-1, 4, 4)
+    expected = geometry_numpy_twins.pose_distance_m(np.eye(4), flat)
+    every_second = np.repeat(flat, 2, axis=0)[::2].astype(np.float32)
+    np.testing.assert_allclose(geometry.pose_distance_m(np.eye(4), every_second), expected, atol=1e-5)
+
+
 @given(poses, poses, vectors)
 def test_invert_compose_transform(T_a_b, T_b_c, point_c):
     np.testing.assert_allclose(geometry.invert(T_a_b) @ T_a_b, np.eye(4), atol=1e-12)

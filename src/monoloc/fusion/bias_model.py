@@ -10,9 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from monoloc.geometry import FloatArray
 from monoloc.landmarks.pnp import LandmarkPose
 
-# Of the bias, in pose distance. That of landmarks was measured in a real kitchen and at a real desk:
-# docs/decisions/fusion.md.
-_CORRELATION_LENGTH_M, _LANDMARK_CORRELATION_LENGTH_M = 2.0, 0.35
+_CORRELATION_LENGTH_M = 2.0  # of the bias, in pose distance
 COMMON_ERROR = 0.03
 """Variance that landmarks have in common, relative to that of one corner, at the reference poses of a new build. By
 maximum likelihood over a real desk and a real kitchen: docs/decisions/fusion.md."""
@@ -78,10 +76,6 @@ class LandmarkBiasModel(BiasModel):
 
     common_error: float = Field(0.05, ge=0.0, le=1e4)
     common_error_growth: float = Field(0.0, ge=0.0, le=1e4)
-
-    def correlation(self, step_m: float) -> float:
-        """As :meth:`BiasModel.correlation`; it is lost sooner, since other landmarks come into view."""
-        return math.exp(-step_m / _LANDMARK_CORRELATION_LENGTH_M)
 
     def covariance(self, measured: LandmarkPose, distance_m: float) -> FloatArray:
         """Covariance (6, 6) of a landmark pose without its bias, of a twist in the camera's frame.

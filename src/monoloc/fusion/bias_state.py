@@ -16,9 +16,9 @@ PARTICLES, LANDMARKS = 0, 1
 GATE = CHI2_6_QUANTILE_99
 """Chi-squared: a measured pose beyond it is down-weighted."""
 
-# Errors of particles are correlated for some frames. Treated as independent from frame to frame, their standard
-# deviation is inflated by this factor.
-_PARTICLE_INFLATION = 2.0
+# Errors of particles and landmarks are correlated for some frames. Treated as independent from frame to frame, their
+# standard deviations are inflated by these factors.
+_PARTICLE_INFLATION, _LANDMARK_INFLATION = 2.0, 2.0
 _LEAST_VARIANCE = 1e-10  # of a measurement, m^2 and rad^2: all particles may be one
 _LOG_SCALE_SD = 0.2  # of odometry's translation, beside the scale that particles estimate
 
@@ -63,7 +63,7 @@ class BiasAugmentedState:
         self,
         T_previous_current: FloatArray,
         noise: FloatArray,
-        correlations: FloatArray,
+        correlation: float,
         prior_sds: FloatArray,
         by_log_scale: FloatArray = np.zeros(6),
         scale_correlation: float = 1.0,
@@ -76,22 +76,21 @@ class BiasAugmentedState:
         Args:
             T_previous_current: the motion, (4, 4).
             noise: its covariance, (6, 6), of a twist in the new camera's frame.
-            correlations: (S,) of each source's biases before and after the motion.
+            correlation: of the biases before and after the motion.
             prior_sds: (S, 6) at the new pose.
             by_log_scale: derivative of the motion by the log-scale, a twist (6,) in the new camera's frame.
             scale_correlation: of the log-scale before and after the motion.
         """
-        left = correlations[:, None]
-        remaining = (left * self.prior_sds) ** 2
-        variances = np.maximum(remaining + (1.0 - left**2) * prior_sds**2, prior_sds**2)
-        decay = np.append(np.repeat(correlations, 6), scale_correlation)
+        remaining = (correlation * self.prior_sds) ** 2
+        variances = np.maximum(remaining + (1.0 - correlation**2) * prior_sds**2, prior_sds**2)
+        decay = np.append(np.full(prior_sds.size, correlation), scale_correlation)
         transition = _block_diagonal(adjoint(invert(T_previous_current)), np.diag(decay))
         transition[:6, -1] = by_log_scale
         scale_variance = (1.0 - scale_correlation**2) * _LOG_SCALE_SD**2
         process_noise = _block_diagonal(noise, np.diag(np.append((variances - remaining).ravel(), scale_variance)))
         covariance = transition @ self.covariance @ transition.T + process_noise
         pose, log_scale = self.pose @ T_previous_current, scale_correlation * self.log_scale
-        return BiasAugmentedState(pose, left * self.biases, log_scale, covariance, np.sqrt(variances))
+        return BiasAugmentedState(pose, correlation * self.biases, log_scale, covariance, np.sqrt(variances))
 
     def update_from_particles(self, measured: Estimate) -> BiasAugmentedState:
         """After the particles' pose; their spread is its noise. One beyond the gate counts less, as for landmarks."""
@@ -168,4 +167,4 @@ def particle_noise(measured: Estimate) -> FloatArray:
 
 def landmark_noise(covariance: FloatArray) -> FloatArray:
     """Noise (6, 6) of a landmark pose with a covariance, without its bias."""
-    return np.asarray(covariance + _LEAST_VARIANCE * np.eye(6))
+    return np.asarray(_LANDMARK_INFLATION**2 * covariance + _LEAST_VARIANCE * np.eye(6))

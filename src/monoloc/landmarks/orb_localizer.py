@@ -26,8 +26,8 @@ _LEAST_RADIUS_PX, _MOST_RADIUS_PX = 8.0, 50.0  # of the search around a landmark
 _RATIO = 0.85  # of the best match's distance to that of the best match at another place (Lowe 2004)
 _CANDIDATES, _OTHER_PLACE_M = 8, 0.05  # best matches among which another place is sought, and its distance
 _INLIER_PX, _LEAST_INLIERS, _LEAST_CONFIRMED = 4.0, 8, 20
-# Of the corners that give a pose: a single object that was moved, such as a window on a screen, may hold all of less
-# spread. At true poses the least was 0.076 and 0.093 (two real rooms, frames near those of the build).
+# Of a relocalisation: a single object that was moved, such as a window on a screen, may hold all of less spread.
+# At true poses the least was 0.076 and 0.093 (two real rooms, frames near those of the build).
 _LEAST_SPREAD = 0.075
 # Of two poses without a prior: pose distance from which they are two, and the share of the better one's landmarks
 # with which the other counts as well.
@@ -54,14 +54,13 @@ class OrbLandmarkLocalizer:
     def measure(self, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
         """As :meth:`LandmarkLocalizer.measure`; a prior that is vague only tells which landmarks are in view.
 
-        The prior counts as vaguer than it is stated, as far as a corner can be searched for: a belief that has
-        drifted would else select the matches that agree with it.
+        The prior counts as vaguer than it is stated: a belief that has drifted would else select the matches that
+        agree with it.
         """
+        covariance = covariance + PRIOR_COVARIANCE
         visible, local = self._visible(prior)
         seen = self._detect(color)
-        radius_px = self._radius_px(local, covariance)
-        covariance = covariance + PRIOR_COVARIANCE
-        if radius_px <= _MOST_RADIUS_PX:
+        if self._radius_px(local, covariance) <= _MOST_RADIUS_PX:
             return self._agreeing(seen, prior, covariance, (visible, local))[0]
         # Too vague to say where in the image a landmark is to be sought, but not where in the room.
         pose = self._confirmed(seen, visible)[0]
@@ -107,12 +106,10 @@ class OrbLandmarkLocalizer:
             room.descriptors[visible],
             seen.pixels,
             seen.descriptors,
-            min(self._radius_px(local, covariance), _MOST_RADIUS_PX),
+            self._radius_px(local, covariance),
         )
         points = room.points[visible[which]].astype(np.float64)
         agree, pose = pose_from_matches(points, seen.select(where), camera, prior, covariance)
-        if pose is not None and self._spread(seen.pixels[where[agree]]) < _LEAST_SPREAD:
-            pose = None
         is_found = np.zeros(len(visible), dtype=np.bool_)
         is_found[which[agree]] = True
         return LandmarkMeasurement(len(visible), int(agree.sum()), pose, visible, is_found), where[agree]
@@ -153,7 +150,8 @@ class OrbLandmarkLocalizer:
         if place is None:
             return None, _NO_INDICES
         measured, where = self._best_of_flat_view(seen, place)
-        return measured.pose if len(where) >= _LEAST_CONFIRMED else None, where
+        is_confirmed = len(where) >= _LEAST_CONFIRMED and self._spread(seen.pixels[where]) >= _LEAST_SPREAD
+        return measured.pose if is_confirmed else None, where
 
     def _best_of_flat_view(self, seen: Keypoints, place: FloatArray) -> tuple[LandmarkMeasurement, NDArray[np.int64]]:
         """Of the poses that a flat view leads to from a place (4, 4), the one that most landmarks agree with.

@@ -161,10 +161,10 @@ class _Alignment:
         if len(seen) < _LEAST_FRAMES:
             return
         self._camera = recording.camera
-        spectra = [_spectrum(np.pad(image, _SEARCH_PX, mode="edge"), image.shape) for _, image in seen]
+        spectra = [spectrum(np.pad(image, _SEARCH_PX, mode="edge"), image.shape) for _, image in seen]
         best, at_rest = [], 0.0
         for zoom in _ZOOMS:
-            strength = self._strengths(seen, spectra, zoom)
+            strength = mean_correlation(spectra, [self._edge_weights(xy, image.shape, zoom) for xy, image in seen])
             best.append(float(strength.max()))
             if abs(zoom - 1.0) < 1e-6:
                 at_rest = float(strength[_SEARCH_PX - 1 : _SEARCH_PX + 2, _SEARCH_PX - 1 : _SEARCH_PX + 2].max())
@@ -172,27 +172,6 @@ class _Alignment:
         zoom = float(_ZOOMS[int(np.argmax(best))])
         if abs(zoom - 1.0) >= _LEAST_ZOOM - 1e-6 and max(best) > _GAIN * at_rest:
             self.zoom = zoom
-
-    def _strengths(
-        self,
-        seen: list[tuple[NDArray[np.int64], NDArray[np.float32]]],
-        spectra: list[NDArray[np.float32]],
-        zoom: float,
-    ) -> NDArray[np.float32]:
-        """Mean gradient at edges, zoomed about the principal point, for each shift: (2 S + 1, 2 S + 1).
-
-        The correlation theorem: one inverse transform gives the mean over all frames.
-
-        Args:
-            seen: edges (E, 2) and image (h, w) of each frame.
-            spectra: of the images, widened by the search.
-        """
-        total = np.zeros_like(spectra[0])
-        for (xy, image), spectrum in zip(seen, spectra, strict=True):
-            weights = _spectrum(self._edge_weights(xy, image.shape, zoom), image.shape)
-            total += cv2.mulSpectrums(spectrum, weights, 0, conjB=True)
-        shifts, side = cv2.idft(total, flags=cv2.DFT_SCALE | cv2.DFT_REAL_OUTPUT), 2 * _SEARCH_PX + 1
-        return np.asarray(shifts[:side, :side] / len(seen), dtype=np.float32)
 
     def _edge_weights(self, xy: NDArray[np.int64], shape: tuple[int, ...], zoom: float) -> NDArray[np.float32]:
         """An image (h, w) of edges (E, 2), zoomed about the principal point, that sums to 1."""
@@ -205,9 +184,25 @@ class _Alignment:
         return np.asarray(counts / max(1, int(inside.sum())), dtype=np.float32)
 
 
-def _spectrum(values: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.float32]:
+def spectrum(values: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.float32]:
     """Fourier transform of an array, filled up with zeros beyond an image's shape (h, w) widened by the search."""
     rows, columns = (cv2.getOptimalDFTSize(side + 2 * _SEARCH_PX) for side in shape)
     filled = np.zeros((rows, columns), dtype=np.float32)
     filled[: values.shape[0], : values.shape[1]] = values
     return np.asarray(cv2.dft(filled), dtype=np.float32)
+
+
+def mean_correlation(spectra: list[NDArray[np.float32]], weights: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """Mean over images of the sum of pixels times weights, for each shift of the search: (2 S + 1, 2 S + 1).
+
+    By the correlation theorem, one inverse transform serves all images.
+
+    Args:
+        spectra: of the images, widened by the search on every side.
+        weights: (h, w) of each image.
+    """
+    total = np.zeros_like(spectra[0])
+    for image, weight in zip(spectra, weights, strict=True):
+        total += cv2.mulSpectrums(image, spectrum(weight, weight.shape), 0, conjB=True)
+    shifts, side = cv2.idft(total, flags=cv2.DFT_SCALE | cv2.DFT_REAL_OUTPUT), 2 * _SEARCH_PX + 1
+    return np.asarray(shifts[:side, :side] / len(spectra), dtype=np.float32)

@@ -26,7 +26,7 @@ STRAIGHT_STEP = se3_exp([0.04, -0.01, 0.03, 0.002, 0.004, -0.002])
 STILL = np.eye(4)
 ODOMETRY_SD = np.repeat([0.004, 0.003], 3)
 NOISE_SD = np.repeat([0.01, 0.006], 3)  # of the measured poses, without their biases
-PARTICLE_INFLATION, ODOMETRY_INFLATION = 2.0, 4.0  # of the filter, for errors that are correlated from frame to frame
+NOISE_INFLATION, ODOMETRY_INFLATION = 2.0, 4.0  # of the filter, for errors that are correlated from frame to frame
 ELAPSED_S = 1.0 / 15.0
 
 
@@ -35,12 +35,12 @@ def along_x(distance_m: float) -> FloatArray:
 
 
 def by_particles(pose: FloatArray) -> Estimate:
-    return Estimate(pose, np.diag(NOISE_SD**2) / PARTICLE_INFLATION**2, 0.0)
+    return Estimate(pose, np.diag(NOISE_SD**2) / NOISE_INFLATION**2, 0.0)
 
 
 def by_landmarks(pose: FloatArray) -> LandmarkPose:
     """Of so many landmarks that their noise is NOISE_SD."""
-    return LandmarkPose(pose, np.diag(NOISE_SD**2), np.zeros((20, 3)))
+    return LandmarkPose(pose, np.diag((NOISE_SD / NOISE_INFLATION) ** 2), np.zeros((20, 3)))
 
 
 def state_at_start(bias: BiasModel = PARTICLE_BIAS) -> BiasAugmentedState:
@@ -99,8 +99,7 @@ def test_last_state_along_a_line_equals_the_batch_solution() -> None:
     row(0.0, 0.05, b0=1.0)
     for k in range(frames):
         if k > 0:
-            correlations = np.array([correlation])
-            state = state.predict(along_x(step_m), np.diag(ODOMETRY_SD**2), correlations, bias.sds(0.0)[None])
+            state = state.predict(along_x(step_m), np.diag(ODOMETRY_SD**2), correlation, bias.sds(0.0)[None])
             row(step_m, ODOMETRY_SD[0], **{f"x{k}": 1.0, f"x{k - 1}": -1.0})
             row(0.0, 0.05 * np.sqrt(1.0 - correlation**2), **{f"b{k}": 1.0, f"b{k - 1}": -correlation})
         state = state.update_from_particles(by_particles(along_x(measured_m[k])))
@@ -138,7 +137,7 @@ def test_prediction_carries_the_covariance_to_the_new_cameras_frame(seed: int) -
     rng = np.random.default_rng(seed)
     error, motion, no_bias = 1e-4 * rng.normal(size=6), se3_exp(rng.normal(size=6)), np.zeros((1, 6))
     start = BiasAugmentedState.from_start(Estimate(se3_exp(rng.normal(size=6)), np.outer(error, error), 0.0), no_bias)
-    state = start.predict(motion, np.zeros((6, 6)), np.ones(1), no_bias)
+    state = start.predict(motion, np.zeros((6, 6)), 1.0, no_bias)
     carried = se3_log(invert(state.pose) @ start.pose @ se3_exp(error) @ motion)
     np.testing.assert_allclose(state.covariance[:6, :6], np.outer(carried, carried), atol=1e-14)
 
@@ -147,8 +146,7 @@ def test_second_measurement_with_the_same_bias_reveals_nothing_of_it() -> None:
     """A first measurement with unknown bias, then perfect odometry: only the noise is averaged."""
     prior_sds = BiasModel(sd_at_reference_m=0.05, sd_at_reference_rad=0.03).sds(0.0)[None]
     state = BiasAugmentedState.from_measurement(0, np.eye(4), np.diag(NOISE_SD**2), prior_sds)
-    state = state.predict(STILL, np.zeros((6, 6)), np.ones(1), prior_sds)
-    state = state.update_from_particles(by_particles(np.eye(4)))
+    state = state.predict(STILL, np.zeros((6, 6)), 1.0, prior_sds).update_from_particles(by_particles(np.eye(4)))
     sds = np.sqrt(np.diag(state.covariance))
     np.testing.assert_allclose(sds[6:-1], prior_sds[0], rtol=1e-6)
     np.testing.assert_allclose(sds[:6], np.hypot(NOISE_SD / np.sqrt(2.0), prior_sds[0]), rtol=1e-4)
@@ -456,7 +454,7 @@ def test_memoryless_belief_is_the_particles_pose_whatever_was_believed() -> None
         np.testing.assert_allclose(belief.pose, along_x(distance_m), atol=1e-9)
         np.testing.assert_allclose(belief.covariance, np.diag(NOISE_SD**2), rtol=1e-3)
     # Landmarks of the same noise, of the same frame, count as much.
-    few = replace(by_landmarks(along_x(-0.29)), points=np.zeros((20, 3)), covariance=belief.covariance)
+    few = replace(by_landmarks(along_x(-0.29)), points=np.zeros((20, 3)), covariance=belief.covariance / 4.0)
     assert fusion.update_from_landmarks(few).pose[0, 3] == pytest.approx(-0.295, abs=1e-3)
 
 

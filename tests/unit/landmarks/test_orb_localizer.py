@@ -54,7 +54,7 @@ def test_two_places_that_look_alike_give_no_pose(localizer: OrbLandmarkLocalizer
         assert OrbLandmarkLocalizer(both, CAMERA).relocalize(color) is None
 
 
-def test_landmarks_in_a_narrow_band_give_no_pose(localizer: OrbLandmarkLocalizer) -> None:
+def test_landmarks_in_a_narrow_band_do_not_relocalize(localizer: OrbLandmarkLocalizer) -> None:
     """The same number of landmarks all over the image does."""
     pose = FLIGHT_POSES[30]
     color, _ = Room().view(pose)
@@ -69,7 +69,7 @@ def test_landmarks_in_a_narrow_band_give_no_pose(localizer: OrbLandmarkLocalizer
         for chosen in (band, anywhere)
     )
     found = narrow.measure(color, pose, PRIOR)
-    assert found.found >= 20 and found.pose is None and wide.measure(color, pose, PRIOR).pose is not None
+    assert found.found >= 20 and found.pose is not None
     assert narrow.relocalize(color) is None and wide.relocalize(color) is not None
 
 

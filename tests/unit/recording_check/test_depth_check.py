@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -14,7 +15,7 @@ from monoloc.io.corrected import Fixes, corrected
 from monoloc.io.registration import DepthRegistration
 from monoloc.io.registry import open_recording, select_frames
 from monoloc.io.seven_scenes import T_COLOR_DEPTH
-from monoloc.recording_check.depth_check import check_depth, require_registered_z
+from monoloc.recording_check.depth_check import check_depth, mean_correlation, require_registered_z, spectrum
 from monoloc_lab.rooms import BUILD
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 
@@ -22,6 +23,16 @@ from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 @pytest.fixture(scope="module")
 def right() -> RoomRecording:
     return RoomRecording(Room(), make_path(24, rate_hz=3.0), SMALL_CAMERA)
+
+
+def test_correlation_with_edges_is_the_mean_of_template_matches() -> None:
+    rng, search_px = np.random.default_rng(0), 16
+    images, weights = (rng.uniform(0.0, 4.0, (3, 48, 64)).astype(np.float32) for _ in range(2))
+    wide = [np.pad(image, search_px, mode="edge") for image in images]
+    found = mean_correlation([spectrum(image, (48, 64)) for image in wide], list(weights))
+    expected = np.mean([cv2.matchTemplate(*pair, cv2.TM_CCORR) for pair in zip(wide, weights, strict=True)], axis=0)
+    assert found.shape == expected.shape == (33, 33)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 
 def test_right_depth_is_not_doubted(right: RoomRecording) -> None:
