@@ -67,7 +67,7 @@ release-files: $(VENV)/installed
 
 $(VENV)/installed: pyproject.toml lab/pyproject.toml constraints.txt $(NATIVE)
 	$(PYTHON) -m venv $(VENV)
-	PIP_CONSTRAINT=constraints.txt $(BIN)/pip install --quiet --disable-pip-version-check --editable ".[dev]" --editable "lab[cluster,synth,train]"
+	PIP_CONSTRAINT=constraints.txt $(BIN)/pip install --quiet --disable-pip-version-check --no-compile --editable ".[dev]" --editable "lab[cluster,synth,train]"
 	touch $@
 
 clean:
