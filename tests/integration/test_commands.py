@@ -154,7 +154,7 @@ def test_localize_gives_all_metrics_and_repeats(capfd: Capture, here: Path, reco
     assert metrics["frames"] == FRAMES and metrics["unseen_frames"] == FRAMES // 2
     options = {"bundle": "room.monoloc", "source": "flight", "seed": 3, "depth": "network"}
     assert {name: metrics[name] for name in options} == options
-    assert metrics["motion"] == "visual" and metrics["particles"] == 1000 and metrics["scan_points"] == 300
+    assert metrics["motion"] == "visual" and metrics["particles"] == 600 and metrics["scan_points"] == 300
     assert sum(metrics["states"].values()) == FRAMES
     assert metrics["depth_absrel"] < 0.02 and metrics["depth_delta1"] > 0.98
     times, poses = read_tum(here / "trajectory.txt")

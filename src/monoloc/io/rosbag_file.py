@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import struct
 import threading
+import weakref
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -111,6 +112,7 @@ class BagFile:
             self._types.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", _TF))
         reader = Ros1Reader(self.path) if self._is_ros1 else Ros2Reader(self.path)
         reader.open()
+        weakref.finalize(self, reader.close)  # also where what follows refuses the bag
         return reader
 
     def _check_index(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sqlite3
 import struct
 import sys
@@ -20,6 +21,7 @@ from monoloc.camera import Camera
 from monoloc.errors import MissingExtraError
 from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.registry import open_recording
+from monoloc.io.rosbag_file import BagFile
 from refusals import refuses, refuses_data, refuses_setting, refuses_to_open
 from synthetic_recordings import check_recording
 
@@ -58,6 +60,22 @@ def test_bag_opens(tmp_path: Path, capture: Capture, version: int, storage: str,
         f"poses are those of {ODOM}, of {BODY}, brought to {OPTICAL} by /tf_static"
     ]
     np.testing.assert_array_equal(recording.color(7), capture.colors[7])  # at random
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="open files are told by Linux")
+@pytest.mark.parametrize("version", [1, 2])
+def test_bag_that_is_no_longer_used_is_closed(tmp_path: Path, capture: Capture, version: int) -> None:
+    path = bag_of(capture, version).write(tmp_path / "walk", "sqlite3" if version == 2 else "", "")
+
+    def is_open() -> bool:
+        links = [link.readlink() for link in Path("/proc/self/fd").iterdir() if link.is_symlink()]
+        return any(path in (link, *link.parents) for link in links)
+
+    bag = BagFile(path)
+    assert is_open()
+    del bag
+    gc.collect()
+    assert not is_open()
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".db3"])
