@@ -62,7 +62,7 @@ def test_bag_opens(tmp_path: Path, capture: Capture, version: int, storage: str,
     np.testing.assert_array_equal(recording.color(7), capture.colors[7])  # at random
 
 
-@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="open files are told by Linux")
+@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="needs /proc/self/fd, of Linux")
 @pytest.mark.parametrize("version", [1, 2])
 def test_bag_that_is_no_longer_used_is_closed(tmp_path: Path, capture: Capture, version: int) -> None:
     path = bag_of(capture, version).write(tmp_path / "walk", "sqlite3" if version == 2 else "", "")
