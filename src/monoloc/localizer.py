@@ -34,7 +34,7 @@ from monoloc.step_budget import Level, Stage, StepBudget, StepPlan, plan_of
 from monoloc.supervision.camera_check import CameraCheck
 from monoloc.supervision.integrity import IntegrityMonitor
 from monoloc.supervision.map_change import MapChangeMonitor
-from monoloc.supervision.state import State, Supervision, classify_state
+from monoloc.supervision.state import VOUCHED_FOR, State, Supervision, classify_state
 from monoloc.tracker import Tracker
 
 
@@ -163,7 +163,7 @@ class Localizer:
             # Their number changes after the weighing, so a step weighs as many as the one before left.
             self._budget.end(replace(plan, particles=len(relocalization.particles)))
         return Step(
-            estimate=belief,
+            estimate=belief if self._state in VOUCHED_FOR else self._integrity.with_doubt(belief),
             state=self._state,
             reasons=reasons,
             probability_far=supervision.probability_far,

@@ -20,7 +20,8 @@ class Step:
     """The result of one frame.
 
     Attributes:
-        estimate: the belief: pose, covariance, depth scale.
+        estimate: the belief: pose, covariance, depth scale. While the state is ``uncertain`` or ``lost``, the
+            covariance also covers a wrong belief, by its probability.
         state: whether to believe it: ``tracking``, ``uncertain``, ``lost``, or ``map-changed``, where the pose is as
             good as while ``tracking``, but the map no longer holds in a region in view.
         reasons: why the state is not ``tracking``; empty where it is.

@@ -11,6 +11,7 @@ import pytest
 from monoloc.builder.landmark_mapping import build_landmarks
 from monoloc.camera import Camera
 from monoloc.depth.predictor import DepthPrediction, DepthPredictor
+from monoloc.evaluation.consistency import CHI2_6_QUANTILE_95, consistency
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray
 from monoloc.landmarks.landmark_map import Landmarks
@@ -95,7 +96,7 @@ def test_kidnapped_camera_is_not_tracking_until_landmarks_find_it(flights: Fligh
 
 
 def test_kidnapped_camera_is_not_tracking_where_there_are_no_landmarks(flights: Flights) -> None:
-    """Nor do scans find it in this room."""
+    """Nor do scans find it in this room. After a second its covariance allows for the error."""
     integrity = plausible_integrity(flights.thresholds, 0.1)
     localizer = flights.localizer(landmarks=Landmarks.none(), integrity=integrity)
     assert follow(localizer, flights.recording, range(11))[-1].state == "tracking"
@@ -103,6 +104,9 @@ def test_kidnapped_camera_is_not_tracking_where_there_are_no_landmarks(flights: 
     steps = follow(localizer, flights.recording, frames)
     is_far = flights.errors_m(steps, frames) > 0.3
     assert is_far[:SOON].all() and "tracking" not in np.array(states(steps))[is_far]
+    covariances = np.stack([step.estimate.covariance for step in steps])
+    stated = consistency(poses_of(steps), flights.recording.poses[frames], covariances)
+    assert stated.pose_nees[SOMETIME:].max() <= CHI2_6_QUANTILE_95
 
 
 def test_camera_without_a_start_is_found_by_landmarks_alone(flights: Flights) -> None:

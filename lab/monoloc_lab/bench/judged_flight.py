@@ -35,12 +35,14 @@ class FlightFrame:
         truth: ``T_world_camera``, (4, 4); None where the camera is not in the bundle's room.
         stated_elapsed_s: time since the previous frame as the localizer is given it; None for the true time since
             the last frame that it took in.
+        distance_m: pose distance of the truth to the nearest of the build's frames.
     """
 
     image: Callable[[], Image]
     time_s: float
     truth: FloatArray | None
     stated_elapsed_s: float | None = None
+    distance_m: float = 0.0
 
 
 class TakesSteps(Protocol):
@@ -61,6 +63,7 @@ class JudgedFlight:
         errors: of the positions and poses; NaN where the frame was refused or the camera is not in the room.
         rotation_deg: (N,) degrees, NaN likewise.
         in_room: (N,) frames of the bundle's room.
+        distance_m: (N,) pose distances of the truth to the nearest of the build's frames.
     """
 
     times_s: FloatArray
@@ -68,6 +71,7 @@ class JudgedFlight:
     errors: Consistency
     rotation_deg: FloatArray
     in_room: Mask
+    distance_m: FloatArray
 
     def __len__(self) -> int:
         return len(self.times_s)
@@ -77,7 +81,12 @@ class JudgedFlight:
         mask = np.zeros(len(self), dtype=np.bool_)
         mask[frames] = True
         return JudgedFlight(
-            self.times_s[mask], self.states[mask], self.errors.of(mask), self.rotation_deg[mask], self.in_room[mask]
+            self.times_s[mask],
+            self.states[mask],
+            self.errors.of(mask),
+            self.rotation_deg[mask],
+            self.in_room[mask],
+            self.distance_m[mask],
         )
 
     @property
@@ -138,6 +147,7 @@ def fly(localizer: TakesSteps, frames: Sequence[FlightFrame]) -> JudgedFlight:
         ),
         rotation_deg=np.where(is_known, np.rad2deg(pose_errors(poses, truth).rotation_rad), np.nan),
         in_room=in_room,
+        distance_m=np.array([frame.distance_m for frame in frames]),
     )
 
 
@@ -154,6 +164,7 @@ def pooled(flights: Sequence[JudgedFlight]) -> JudgedFlight:
         ),
         rotation_deg=np.concatenate([flight.rotation_deg for flight in flights]),
         in_room=np.concatenate([flight.in_room for flight in flights]),
+        distance_m=np.concatenate([flight.distance_m for flight in flights]),
     )
 
 

@@ -5,18 +5,20 @@ All on frames that did not build its bundle.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from monoloc.bundle import Bundle
 from monoloc.errors import DataError
-from monoloc.geometry import pose_distance_m
+from monoloc.evaluation.consistency import Consistency
+from monoloc.geometry import FloatArray, pose_distance_m
 from monoloc.io.recording import Recording
 from monoloc.localizer import Localizer
 from monoloc.progress import Progress
 from monoloc.start import Start
-from monoloc_lab.bench.judged_flight import JudgedFlight, fly, longest_run_s, pooled, seconds_until, share
+from monoloc_lab.bench.judged_flight import JudgedFlight, Mask, fly, longest_run_s, pooled, seconds_until, share
 from monoloc_lab.bench.map_edits import EditedFlight, fly_edits
 from monoloc_lab.bench.unseen_frames import Frames, UnseenFrames
 
@@ -29,10 +31,28 @@ AFTER_S = 5.0
 APART_M = 0.7
 """Least pose distance of a kidnap, see :func:`monoloc.geometry.pose_distance_m`."""
 
+NEAR_M = 0.3
+"""Pose distance to the nearest of the build's frames up to which a camera is *near* them, and else *away*."""
+
 _FOUND_S = 3.0  # in which a camera is to be found
 _REPORTED_S = 0.5  # in which a kidnap is to be noticed
 _SETTLED_S = 1.0  # after which the error of a start is forgotten
 _WRONG_PLACE_S = 1.0  # of *tracking* at a wrong pose, after which a drone flies by it
+
+
+@dataclass(frozen=True)
+class RegionFigures:
+    """Figures of the kidnaps and starts whose first frame is in a region, and of the frames in it.
+
+    Rates are shares, 0..1; None of nothing. Their meaning is that of :class:`RecoveryFigures`.
+    """
+
+    starts: int
+    global_start_rate: float | None
+    kidnaps: int
+    kidnap_recovery_rate: float | None
+    false_alarm_rate: float | None
+    coverage_95: float | None
 
 
 @dataclass(frozen=True)
@@ -53,6 +73,7 @@ class RecoveryFigures:
         map_edits: number of flights over edited maps, and of the same flights over the true map.
         map_changed_rate: flights over edited maps in which a *map-changed* frame names a region of the edit.
         map_changed_false_rate: flights over the true map in which a frame is *map-changed*.
+        near, away: within :data:`NEAR_M` of the build's frames, and farther away.
     """
 
     starts: int
@@ -71,6 +92,8 @@ class RecoveryFigures:
     map_edits: int
     map_changed_rate: float | None
     map_changed_false_rate: float | None
+    near: RegionFigures
+    away: RegionFigures
 
 
 @dataclass(frozen=True)
@@ -174,17 +197,16 @@ def recovery_figures(
     afters = [flight.part(slice(BEFORE_FRAMES, None)) for flight in kidnapped]
     begun = [flight for flight in started if flight is not None]
     recoveries_s = [seconds_until(after, after.is_found) for after in afters]
-    found_s = [None if flight is None else seconds_until(flight, flight.is_found) for flight in started]
     recovered_s = [s for s in recoveries_s if s is not None]
     runs = [*afters, *begun]
     frames = pooled(runs) if runs else None
-    not_lost = frames.not_lost if frames is not None and len(frames.not_lost.pose_nees) else None
+    not_lost = _not_lost(frames)
     return RecoveryFigures(
         starts=len(started),
         supports_starts=len(begun) == len(started),
-        global_start_rate=_rate([_within(s, _FOUND_S) for s in found_s]),
+        global_start_rate=_rate([flight is not None and _is_soon_found(flight) for flight in started]),
         kidnaps=len(afters),
-        kidnap_recovery_rate=_rate([_within(s, _FOUND_S) for s in recoveries_s]),
+        kidnap_recovery_rate=_rate([_is_soon_found(after) for after in afters]),
         lost_reported_rate=_rate([_is_reported(after) for after in afters]),
         false_tracking_rate=None if frames is None else share(frames.is_far[frames.is_tracking]),
         wrong_place_rate=_rate([longest_run_s(run, run.is_far) > _WRONG_PLACE_S for run in runs]),
@@ -196,11 +218,43 @@ def recovery_figures(
         map_edits=len(edited),
         map_changed_rate=_rate([flight.names_edit for flight in edited]),
         map_changed_false_rate=_rate([flight.is_false for flight in edited]),
+        near=_region_figures(befores, afters, begun, lambda distance_m: distance_m <= NEAR_M),
+        away=_region_figures(befores, afters, begun, lambda distance_m: distance_m > NEAR_M),
+    )
+
+
+def _region_figures(
+    befores: list[JudgedFlight],
+    afters: list[JudgedFlight],
+    begun: list[JudgedFlight],
+    is_inside: Callable[[FloatArray], Mask],
+) -> RegionFigures:
+    """Of the region in which the distance to the build's frames satisfies ``is_inside``."""
+    kidnaps_there = [after for after in afters if is_inside(after.distance_m)[0]]
+    starts_there = [start for start in begun if is_inside(start.distance_m)[0]]
+    runs = [*afters, *begun]
+    not_lost = _not_lost(pooled([run.part(is_inside(run.distance_m)) for run in runs]) if runs else None)
+    return RegionFigures(
+        starts=len(starts_there),
+        global_start_rate=_rate([_is_soon_found(start) for start in starts_there]),
+        kidnaps=len(kidnaps_there),
+        kidnap_recovery_rate=_rate([_is_soon_found(kidnap) for kidnap in kidnaps_there]),
+        false_alarm_rate=_false_alarm_rate(befores, is_inside),
+        coverage_95=None if not_lost is None else not_lost.coverage_95,
     )
 
 
 def _rate(outcomes: list[bool]) -> float | None:
     return share(np.array(outcomes, dtype=np.bool_))
+
+
+def _not_lost(frames: JudgedFlight | None) -> Consistency | None:
+    """Errors of the frames that are not *lost*; None without any."""
+    return None if frames is None or not len(frames.not_lost.pose_nees) else frames.not_lost
+
+
+def _is_soon_found(flight: JudgedFlight) -> bool:
+    return _within(seconds_until(flight, flight.is_found), _FOUND_S)
 
 
 def _within(seconds: float | None, bound_s: float) -> bool:
@@ -211,6 +265,11 @@ def _is_reported(after: JudgedFlight) -> bool:
     return _within(seconds_until(after, ~after.is_tracking | after.is_found), _REPORTED_S)
 
 
-def _false_alarm_rate(befores: list[JudgedFlight]) -> float | None:
-    settled = [before.part(before.times_s - before.times_s[0] > _SETTLED_S) for before in befores]
+def _false_alarm_rate(
+    befores: list[JudgedFlight], is_inside: Callable[[FloatArray], Mask] = lambda distance_m: distance_m >= 0.0
+) -> float | None:
+    settled = [
+        before.part((before.times_s - before.times_s[0] > _SETTLED_S) & is_inside(before.distance_m))
+        for before in befores
+    ]
     return share(~pooled(settled).is_tracking) if settled else None

@@ -31,6 +31,7 @@ class UnseenFrames:
         poses: (N, 4, 4) ``T_world_camera`` of all frames of the recording.
         segments: frames that a camera can be followed through, (M,) each; frames of the build in between are skipped.
         interval_s: median time from one of them to the next.
+        distance_m: (N,) pose distance from every frame to the nearest of the build's.
 
     Raises:
         DataError: the recording has no poses, or no two unseen frames in a row, or an image cannot be read.
@@ -40,6 +41,7 @@ class UnseenFrames:
         if recording.poses is None:
             raise DataError(recording.name, "has no poses", "give a recording with camera poses")
         self.name, self.camera, self.poses = recording.name, recording.camera, recording.poses
+        self.distance_m = np.array([bundle.reference_poses.distance_m(pose) for pose in recording.poses])
         self._times_s = recording.timestamps_s
         image_bytes = 3 * recording.camera.width * recording.camera.height
         self._image = lru_cache(max(1, _KEPT_BYTES // image_bytes))(recording.color)
@@ -79,6 +81,11 @@ class UnseenFrames:
         """Frames of one segment, of which the first is at ``start_s``."""
         times_s = start_s + (self._times_s[frames] - self._times_s[frames[0]])
         return [
-            FlightFrame(partial(self._image, int(frame)), float(time_s), self.poses[frame])
+            FlightFrame(
+                partial(self._image, int(frame)),
+                float(time_s),
+                self.poses[frame],
+                distance_m=float(self.distance_m[frame]),
+            )
             for frame, time_s in zip(frames, times_s, strict=True)
         ]

@@ -31,7 +31,7 @@ from monoloc.supervision.state import State
 from monoloc_lab.bench.fault_flights import FaultFigures, bench_faults
 from monoloc_lab.bench.faults import FAULTS
 from monoloc_lab.bench.judged_flight import REFUSED
-from monoloc_lab.bench.recovery import bench_recovery
+from monoloc_lab.bench.recovery import NEAR_M, bench_recovery
 from monoloc_lab.bench.stopping import bench_stops, check_room, rendered_approaches
 from monoloc_lab.rooms import TESTS
 from monoloc_lab.soak.live_flight import bench_live_flight
@@ -67,7 +67,10 @@ def recovery(
     if json:
         print_json(content)
     else:
+        regions = {name: content.pop(name) for name in ("near", "away")}
         print_table("monoloc bench recovery", ["", ""], [[name, _text(value)] for name, value in content.items()])
+        rows = [[name, *map(_text, figures.values())] for name, figures in regions.items()]
+        print_table(f"within and beyond {NEAR_M} m of the build's frames", ["", *regions["near"]], rows)
 
 
 def faults(

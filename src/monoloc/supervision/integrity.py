@@ -8,6 +8,7 @@ The build measures how often each number of landmarks, and each fit of the scan,
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -175,6 +176,15 @@ class IntegrityMonitor:
         sd_m = belief.position_sd_m
         by_width = math.erfc(FAR_M / (math.sqrt(2.0) * sd_m)) if sd_m > 0.0 else 0.0
         return self.probability_wrong + (1.0 - self.probability_wrong) * by_width
+
+    def with_doubt(self, belief: Estimate) -> Estimate:
+        """The belief with a covariance that also covers a wrong one: off by :data:`WRONG_DISTANCE_M` in position, and
+        by as many radians in rotation, in any direction.
+
+        For frames that are not vouched for. It is never narrower than the belief's own.
+        """
+        wrong = np.eye(6) * (WRONG_DISTANCE_M**2 / 3.0)
+        return replace(belief, covariance=belief.covariance + self.probability_wrong * wrong)
 
     def scan_speaks_for_the_pose(self, mean_log_likelihood: float) -> bool:
         """Whether a scan's fit is no less probable at right poses than at wrong ones."""

@@ -104,6 +104,7 @@ def part(states: str, errors_m: list[float]) -> JudgedFlight:
         errors=Consistency(np.array(errors_m), np.zeros(count), np.zeros(count)),
         rotation_deg=np.zeros(count),
         in_room=np.ones(count, dtype=np.bool_),
+        distance_m=np.zeros(count),
     )
 
 

@@ -29,6 +29,7 @@ def flight(states: str, errors_m: list[float]) -> JudgedFlight:
         errors=Consistency(position_m, nees, nees),
         rotation_deg=np.zeros(len(states)),
         in_room=np.ones(len(states), dtype=np.bool_),
+        distance_m=np.zeros(len(states)),
     )
 
 
@@ -113,3 +114,16 @@ def test_starts_that_are_not_supported_count_as_not_found() -> None:
     assert figures.global_start_rate == 0.5 and not figures.supports_starts
     nothing = recovery_figures([], [None], [])
     assert nothing.global_start_rate == 0.0 and nothing.coverage_95 is None and nothing.false_alarm_rate is None
+
+
+def test_figures_are_given_for_near_and_away_too() -> None:
+    """A flight belongs where it begins, a frame where it is."""
+    before = "t" * (BEFORE_FRAMES - 5) + "u" * 5
+    flown = kidnap("u" * 10 + "t" * 40, [1.0] * 10 + [0.0] * 40, before)
+    distance_m = np.array([0.1] * (BEFORE_FRAMES - 5) + [0.4] * 25 + [0.1] * 30)
+    figures = recovery_figures([replace(flown, distance_m=distance_m)], [], [])
+    near, away = figures.near, figures.away
+    assert (near.kidnaps, near.kidnap_recovery_rate) == (0, None)
+    assert (away.kidnaps, away.kidnap_recovery_rate) == (1, 1.0)
+    assert (near.false_alarm_rate, away.false_alarm_rate) == (0.0, 1.0)
+    assert near.coverage_95 == 1.0 and away.coverage_95 == 0.5

@@ -237,6 +237,20 @@ def test_position_is_far_off_where_the_belief_is_wrong_or_wide(sd_m: float) -> N
     assert far == pytest.approx(wrong + (1.0 - wrong) * beyond, abs=1e-12)
 
 
+def test_doubt_widens_the_covariance_by_its_probability() -> None:
+    belief = Estimate(np.eye(4), np.diag([1e-4, 4e-4, 9e-4, 1e-4, 1e-4, 1e-4]), 0.1)
+    monitor = make_monitor(is_searched=True)
+    monitor.found_by_landmarks()
+    for _ in range(2):
+        doubtful = monitor.with_doubt(belief)
+        added = doubtful.covariance - belief.covariance
+        # The second moment of an error of 0.7 m, and of one of 0.7 radians, in any direction.
+        assert np.trace(added[:3, :3]) == pytest.approx(monitor.probability_wrong * 0.7**2)
+        np.testing.assert_allclose(added, added[0, 0] * np.eye(6), atol=1e-15)
+        assert doubtful.pose is belief.pose and doubtful.log_scale == belief.log_scale
+        monitor.lose()
+
+
 @pytest.mark.parametrize(
     ("edges", "right", "wrong", "problem"),
     [
