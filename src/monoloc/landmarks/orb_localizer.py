@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -18,8 +19,9 @@ from monoloc.landmarks.pnp import (
     PRIOR_COVARIANCE,
     LandmarkMeasurement,
     LandmarkPose,
+    PoseFit,
+    fit_matches,
     flat_view_starts,
-    pose_from_matches,
 )
 
 _LEAST_RADIUS_PX, _MOST_RADIUS_PX = 8.0, 50.0  # of the search around a landmark's expected pixel
@@ -37,6 +39,29 @@ _ITERATIONS, _RIVAL_ITERATIONS = 1000, 100  # of RANSAC
 _SIGHT = 3.0  # times as far as the build found landmarks: from farther, a corner looks another one
 _KEPT_M = 2.0  # for which the camera may move before its surroundings are sought anew
 _NO_INDICES = np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class _Agreement:
+    """Landmarks in view of a prior, and those of them whose matches agree with one pose.
+
+    Attributes:
+        visible: (E,) indices of the landmarks in view.
+        found: (A,) indices in ``visible`` of those that agree.
+        keypoints: (A,) indices of their keypoints.
+        fit: the pose; None where too few agree, or where they leave a direction undetermined.
+    """
+
+    visible: NDArray[np.int64]
+    found: NDArray[np.int64]
+    keypoints: NDArray[np.int64]
+    fit: PoseFit | None
+
+    def measurement(self) -> LandmarkMeasurement:
+        is_found = np.zeros(len(self.visible), dtype=np.bool_)
+        is_found[self.found] = True
+        pose = None if self.fit is None else self.fit.measurement()
+        return LandmarkMeasurement(len(self.visible), len(self.found), pose, self.visible, is_found)
 
 
 class OrbLandmarkLocalizer:
@@ -61,7 +86,7 @@ class OrbLandmarkLocalizer:
         visible, local = self._visible(prior)
         seen = self._detect(color)
         if self._radius_px(local, covariance) <= _MOST_RADIUS_PX:
-            return self._agreeing(seen, prior, covariance, (visible, local))[0]
+            return self._agreeing(seen, prior, covariance, (visible, local)).measurement()
         # Too vague to say where in the image a landmark is to be sought, but not where in the room.
         pose = self._confirmed(seen, visible)[0]
         if pose is None or not _is_within(pose.pose, prior, covariance):
@@ -85,7 +110,8 @@ class OrbLandmarkLocalizer:
         self, seen: Keypoints, prior: FloatArray, covariance: FloatArray
     ) -> tuple[LandmarkMeasurement, NDArray[np.int64]]:
         """As :meth:`measure_keypoints`, with the indices of the keypoints whose landmarks agree."""
-        return self._agreeing(seen, prior, covariance, self._visible(prior))
+        agreement = self._agreeing(seen, prior, covariance, self._visible(prior))
+        return agreement.measurement(), agreement.keypoints
 
     def _agreeing(
         self,
@@ -93,8 +119,8 @@ class OrbLandmarkLocalizer:
         prior: FloatArray,
         covariance: FloatArray,
         in_view: tuple[NDArray[np.int64], FloatArray],
-    ) -> tuple[LandmarkMeasurement, NDArray[np.int64]]:
-        """As :meth:`matched_keypoints`.
+    ) -> _Agreement:
+        """The matches near a prior that agree with one pose.
 
         Args:
             in_view: of :meth:`_visible` at the prior.
@@ -106,13 +132,11 @@ class OrbLandmarkLocalizer:
             room.descriptors[visible],
             seen.pixels,
             seen.descriptors,
-            self._radius_px(local, covariance),
+            min(self._radius_px(local, covariance), _MOST_RADIUS_PX),
         )
         points = room.points[visible[which]].astype(np.float64)
-        agree, pose = pose_from_matches(points, seen.select(where), camera, prior, covariance)
-        is_found = np.zeros(len(visible), dtype=np.bool_)
-        is_found[which[agree]] = True
-        return LandmarkMeasurement(len(visible), int(agree.sum()), pose, visible, is_found), where[agree]
+        agree, fit = fit_matches(points, seen.select(where), camera, prior, covariance)
+        return _Agreement(visible, which[agree], where[agree], fit)
 
     def _visible(self, prior: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
         """Indices (M,) of the landmarks in view of a camera at the prior, and their points in its frame, (M, 3)."""
@@ -149,21 +173,19 @@ class OrbLandmarkLocalizer:
         place = self._pose_without_prior(seen, possible)
         if place is None:
             return None, _NO_INDICES
-        measured, where = self._best_of_flat_view(seen, place)
+        best = self._best_of_flat_view(seen, place)
+        where = best.keypoints
         is_confirmed = len(where) >= _LEAST_CONFIRMED and self._spread(seen.pixels[where]) >= _LEAST_SPREAD
-        return measured.pose if is_confirmed else None, where
+        return best.measurement().pose if is_confirmed else None, where
 
-    def _best_of_flat_view(self, seen: Keypoints, place: FloatArray) -> tuple[LandmarkMeasurement, NDArray[np.int64]]:
-        """Of the poses that a flat view leads to from a place (4, 4), the one that most landmarks agree with.
-
-        The indices are those of :meth:`_agreeing`.
-        """
+    def _best_of_flat_view(self, seen: Keypoints, place: FloatArray) -> _Agreement:
+        """Of the poses that a flat view leads to from a place (4, 4), the one that most landmarks agree with."""
         best = self._agreeing(seen, place, PRIOR_COVARIANCE, self._visible(place))
-        if best[0].pose is None:
+        if best.fit is None:
             return best
-        for start in flat_view_starts(best[0].pose.pose, best[0].pose.covariance):
+        for start in flat_view_starts(best.fit.pose, best.fit.covariance):
             other = self._agreeing(seen, start, PRIOR_COVARIANCE, self._visible(start))
-            if other[0].pose is not None and len(other[1]) > len(best[1]):
+            if other.fit is not None and len(other.keypoints) > len(best.keypoints):
                 best = other
         return best
 

@@ -112,9 +112,49 @@ class NoLandmarks:
         return None
 
 
-def pose_from_matches(
+@dataclass(frozen=True)
+class PoseFit:
+    """A pose that M matches lead to.
+
+    Attributes:
+        pose: ``T_world_camera``, (4, 4), without the prior that led to it.
+        covariance: (6, 6) of its twist, from the corners' localisation error alone.
+        points: (M, 3) of the landmarks, world frame, metres.
+        rays, sd: of the keypoints, as :meth:`monoloc.landmarks.features.Keypoints.rays` gives them.
+        weights: (M,) by which the matches count, 0 to 1.
+    """
+
+    pose: FloatArray
+    covariance: FloatArray
+    points: FloatArray
+    rays: FloatArray
+    sd: FloatArray
+    weights: FloatArray
+
+    def measurement(self) -> LandmarkPose:
+        """The pose with what the same matches say of the focal length and of rivals."""
+        focal = _core.fit_log_focal(
+            self.points, self.rays, self.sd, self.pose, _FOCAL_INFORMATION, _FOCAL_KERNEL_SDS, _NEAREST_M
+        )
+        rivals, nats = self._rivals()
+        less_likely = np.maximum(nats - _nats(self.weights), 0.0)
+        points = self.points[self.weights > _AGREE_WEIGHT]
+        return LandmarkPose(self.pose, self.covariance, points, *focal, rivals, less_likely)
+
+    def _rivals(self) -> tuple[FloatArray, FloatArray]:
+        """Other poses that the matches lead to, as twists (K, 6) from the one found, and their costs (K,), nats."""
+        starts = flat_view_starts(self.pose, self.covariance)
+        poses, nats = np.empty_like(starts), np.empty(len(starts))
+        for index, start in enumerate(starts):
+            fit = _core.fit_pose(self.points, self.rays, self.sd, start, _PRIOR_INFORMATION, _KERNEL_SDS, _NEAREST_M)
+            poses[index], _, _, weights = fit
+            nats[index] = _nats(weights)
+        return se3_log(invert(self.pose) @ poses), nats
+
+
+def fit_matches(
     points: FloatArray, seen: Keypoints, camera: Camera, prior: FloatArray, covariance: FloatArray
-) -> tuple[NDArray[np.bool_], LandmarkPose | None]:
+) -> tuple[NDArray[np.bool_], PoseFit | None]:
     """Pose of a camera that sees points (M, 3), world frame, as M keypoints, of which some are wrong matches.
 
     Gauss-Newton with Geman-McClure weights that start wide (Yang et al., *Graduated Non-Convexity for Robust Spatial
@@ -132,11 +172,7 @@ def pose_from_matches(
     if int(agree.sum()) < LEAST_LANDMARKS or np.linalg.eigvalsh(normal)[0] < 1.0 / _UNOBSERVABLE_SD**2:
         return agree, None
     spread = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-    found = pose @ se3_exp(-spread @ gradient)
-    focal = _core.fit_log_focal(points, rays, sd, pose, _FOCAL_INFORMATION, _FOCAL_KERNEL_SDS, _NEAREST_M)
-    rivals, nats = _rivals(points, rays, sd, found, spread)
-    less_likely = np.maximum(nats - _nats(weights), 0.0)
-    return agree, LandmarkPose(found, spread, points[agree], *focal, rivals, less_likely)
+    return agree, PoseFit(pose @ se3_exp(-spread @ gradient), spread, points, rays, sd, weights)
 
 
 def flat_view_starts(pose: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -148,19 +184,6 @@ def flat_view_starts(pose: FloatArray, covariance: FloatArray) -> FloatArray:
     weakest = np.linalg.eigh(covariance)[1][:, -1]
     turn = float(np.linalg.norm(weakest[3:]))
     return pose @ se3_exp(_TURNS_RAD[:, None] / turn * weakest) if turn > 0.0 else np.zeros((0, 4, 4))
-
-
-def _rivals(
-    points: FloatArray, rays: FloatArray, sd: FloatArray, found: FloatArray, covariance: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Other poses that the same matches lead to, as twists (K, 6) from the one found, and their costs (K,), nats."""
-    starts = flat_view_starts(found, covariance)
-    poses, nats = np.empty_like(starts), np.empty(len(starts))
-    for index, start in enumerate(starts):
-        fit = _core.fit_pose(points, rays, sd, start, _PRIOR_INFORMATION, _KERNEL_SDS, _NEAREST_M)
-        poses[index], _, _, weights = fit
-        nats[index] = _nats(weights)
-    return se3_log(invert(found) @ poses), nats
 
 
 def _nats(weights: FloatArray) -> float:

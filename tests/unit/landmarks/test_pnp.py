@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from monoloc.camera import Camera
 from monoloc.evaluation.consistency import CHI2_6_QUANTILE_95
@@ -14,7 +15,7 @@ from monoloc.fusion.bias_model import LandmarkBiasModel
 from monoloc.geometry import FloatArray, invert, make_pose, se3_exp, se3_log, so3_exp, transform
 from monoloc.landmarks.features import Keypoints
 from monoloc.landmarks.pnp import PRIOR_COVARIANCE as PRIOR
-from monoloc.landmarks.pnp import pose_from_matches
+from monoloc.landmarks.pnp import LandmarkPose, fit_matches
 from monoloc.supervision.camera_check import WELL_OBSERVED_SD
 from synthetic_room import CAMERA
 
@@ -31,6 +32,13 @@ def seen_from(
     pixels = rng.uniform((0.0, 0.0), (camera.width, camera.height), (count, 2))
     points = transform(pose, camera.rays(pixels) * rng.uniform(1.0, 4.0, (count, 1)))
     return points, pixels
+
+
+def pose_from_matches(
+    points: FloatArray, seen: Keypoints, camera: Camera, prior: FloatArray, covariance: FloatArray
+) -> tuple[NDArray[np.bool_], LandmarkPose | None]:
+    agree, fit = fit_matches(points, seen, camera, prior, covariance)
+    return agree, None if fit is None else fit.measurement()
 
 
 def keypoints_at(pixels: FloatArray, sd_px: FloatArray | float = 1.0) -> Keypoints:
