@@ -55,7 +55,7 @@ class FlightSettings(BaseModel):
     Attributes:
         mount: of the camera.
         north_deg: heading of the map's x axis, clockwise from north as seen from above; ``monoloc fly --align``
-            measures it.
+            measures it. The map of a place is that of its first room.
         down: direction of gravity in the map; None takes that of the map's floor and walls.
         most_age_s: since its capture, beyond which a frame is not localised and a pose is not sent.
         rate_hz: most messages a second of each kind.
