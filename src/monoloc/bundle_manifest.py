@@ -26,6 +26,8 @@ READ_SCHEMAS = (9, 10, 11)
 """Of bundles that can be read: what later ones keep beyond these is derived, or has a default."""
 
 MANIFEST = "manifest.json"
+PLACE_MANIFEST = "place.json"
+"""Of a place, a folder that names bundles, see :mod:`monoloc.place`."""
 COPY_AGAIN = "copy the bundle again or rebuild it"
 _GreyLevel = Annotated[float, Field(ge=0.0, le=255.0)]
 
@@ -116,6 +118,9 @@ def manifest_content(path: Path) -> bytes:
         if not path.exists():
             fix = "check the path, or make it by: monoloc build"
             raise BundleError(path, "is not a bundle (there is no such folder)", fix) from error
+        if (path / PLACE_MANIFEST).is_file():
+            fix = "name the bundle of one of its rooms: monoloc place info lists them"
+            raise BundleError(path, "is a place, and this takes one room", fix, "how-to/many-rooms") from error
         raise BundleError(path, f"is not a bundle (no {MANIFEST})", "give a folder made by: monoloc build") from error
     except ValueError as error:
         raise BundleError(file, "is cut short or edited", COPY_AGAIN) from error

@@ -22,6 +22,7 @@ from monoloc.geometry import FloatArray
 from monoloc.io.pose_table import COLUMNS
 from monoloc.io.recording import Recording
 from monoloc.io.tum_trajectory import write_tum
+from monoloc.obstacles import tells_obstacles
 from monoloc.particle_filter.particles import Particles
 from monoloc.step import Step
 from monoloc.viz.viewer import Viewer
@@ -101,7 +102,7 @@ class McapOutput:
     """
 
     def __init__(self, path: Path, bundle: Bundle, camera: Camera) -> None:
-        self._recorder = step_recorder(path, False, bundle, camera, FlightSettings())
+        self._recorder = step_recorder(path, False, bundle, camera, FlightSettings(), tells_obstacles(bundle))
         self._failure: DataError | None = None
 
     def add(self, time_s: float, name: str, color: NDArray[np.uint8], step: Step) -> None:

@@ -33,14 +33,14 @@ def turning(first_deg: float, last_deg: float, count: int) -> FloatArray:
     return make_pose(turns, positions)
 
 
-def write_rooms(folder: Path) -> list[Path]:
-    """The three bundles, ``left``, ``right`` and ``other``."""
+def write_rooms(folder: Path, count: int = 3) -> list[Path]:
+    """The first of the three bundles, ``left``, ``right`` and ``other``."""
     rooms = (
         (LEFT, Room(), turning(-50.0, 12.0, _VIEWS), np.eye(4)),
         (RIGHT, Room(), turning(-12.0, 50.0, _VIEWS), T_LEFT_RIGHT),
         (OTHER, Room(seed=5), turning(-30.0, 30.0, _VIEWS), np.eye(4)),
     )
-    return [_written(folder / f"{name}.monoloc", room, poses, T) for name, room, poses, T in rooms]
+    return [_written(folder / f"{name}.monoloc", room, poses, T) for name, room, poses, T in rooms[:count]]
 
 
 def _written(path: Path, room: Room, poses: FloatArray, T_room_world: FloatArray) -> Path:

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from monoloc.bundle_manifest import MANIFEST, PLACE_MANIFEST
 from monoloc.camera import Camera
 from monoloc.errors import SettingError
 from monoloc.extras import require_plotting, require_viewing
@@ -229,7 +230,7 @@ def check_outputs(outputs: Mapping[str, Path | None], inputs: Sequence[str | Pat
 
 
 def check_apart(path: Path, option: str, inputs: Sequence[str | Path | None]) -> None:
-    """Reject an output that is an input, or that is inside an input bundle.
+    """Reject an output that is an input, or that is inside an input bundle or place.
 
     Args:
         path: the output.
@@ -245,8 +246,15 @@ def check_apart(path: Path, option: str, inputs: Sequence[str | Path | None]) ->
         source = Path(os.path.realpath(os.path.expanduser(text)))  # noqa: PTH111 - pathlib raises for odd paths
         if text and source == target:
             raise SettingError(option, f"{path} is read by this command", "name another place")
-        if text and source in target.parents and (source / "manifest.json").is_file():
-            raise SettingError(option, f"{path} lies in the bundle {text}", "name another place")
+        if text and source in target.parents:
+            _check_outside(path, option, text, source)
+
+
+def _check_outside(path: Path, option: str, text: str, source: Path) -> None:
+    """Reject an output in a bundle or a place, each a folder of its own."""
+    for kind, manifest in (("bundle", MANIFEST), ("place", PLACE_MANIFEST)):
+        if (source / manifest).is_file():
+            raise SettingError(option, f"{path} lies in the {kind} {text}", "name another place")
 
 
 def check_picture(path: Path | None, option: str) -> None:

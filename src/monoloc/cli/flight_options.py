@@ -24,6 +24,7 @@ from monoloc.live.frame_source import FrameSource
 from monoloc.live.opening import is_live, open_live
 from monoloc.live.replayed_recording import PacedRecording, UnpacedRecording
 from monoloc.mavlink.firmware import Firmware
+from monoloc.place.flown_map import FlownMap, is_place, open_map
 from monoloc.relocalization.marker import MarkerLocalizer
 from monoloc.start import Start
 
@@ -35,9 +36,17 @@ RoomOrFlightArgument = Annotated[
         show_default=False,
     ),
 ]
+MapOrFlightArgument = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="ROOM|PLACE|FLIGHT.toml",
+        help="Bundle of a room, a place of several, or a file that names either and all else of a flight.",
+        show_default=False,
+    ),
+]
 SettingsOption = Annotated[
     Path | None,
-    typer.Option("--settings", metavar="FLIGHT.toml", help="The file, where the first argument is a bundle."),
+    typer.Option("--settings", metavar="FLIGHT.toml", help="The file, where the first argument is none."),
 ]
 MavlinkOption = Annotated[
     str | None,
@@ -53,16 +62,16 @@ FirmwareOption = Annotated[
 
 
 def flight_of(room: Path | None, settings: Path | None, **options: object) -> tuple[Path, FlightFile]:
-    """The bundle and the flight that a user asks for.
+    """The bundle or place and the flight that a user asks for.
 
     Args:
-        room: first argument, a bundle or a file.
+        room: first argument, a bundle, a place or a file.
         settings: value of ``--settings``.
         options: fields of the file by name; None takes the file's value.
 
     Raises:
         DataError: the file cannot be used.
-        SettingError: there is no bundle, two files are named, or an option is invalid.
+        SettingError: neither bundle nor place is named, two files are named, or an option is invalid.
     """
     if room is not None and room.suffix.lower() == ".toml" and room.is_file():
         if settings is not None:
@@ -97,6 +106,31 @@ def check_autopilot(flight: FlightFile, align: bool, fast: bool) -> None:
         raise SettingError("--fast", "takes the recording's clock, not the autopilot's", "leave it out")
 
 
+def map_of(path: Path, flight: FlightFile) -> FlownMap:
+    """The room or the place of a flight.
+
+    Args:
+        path: of the bundle or the place.
+        flight: what was asked for.
+
+    Raises:
+        DataError, MissingExtraError: as :func:`monoloc.place.flown_map.open_map`.
+        SettingError: a place is given a start or a marker, whose poses would be in the world of one room.
+    """
+    if is_place(path):
+        _check_start(flight)
+    return open_map(path, flight.require_signature)
+
+
+def _check_start(flight: FlightFile) -> None:
+    if flight.start != UNKNOWN:
+        problem = f"is {flight.start!r}, but a place is searched for the camera"
+        raise SettingError("--start", problem, "leave it out, or name the bundle of one room")
+    if flight.marker:
+        problem = "is given, but a place is searched for the camera"
+        raise SettingError("marker", problem, "leave markers out, or name the bundle of one room")
+
+
 @dataclass(frozen=True)
 class Starting:
     """How a flight begins; arguments of :class:`~monoloc.localizer.Localizer` and
@@ -114,18 +148,21 @@ class Starting:
 
 
 def starting_of(
-    flight: FlightFile, bundle: Bundle, camera: Camera, first_pose: FloatArray | None, rng: np.random.Generator
+    flight: FlightFile, bundle: Bundle | None, camera: Camera, first_pose: FloatArray | None, rng: np.random.Generator
 ) -> Starting:
     """How the flight begins that a user asks for.
 
     Args:
         flight: what was asked for.
         camera: of the images.
-        bundle, first_pose, rng: as :func:`monoloc.cli.start_option.start_of`.
+        bundle: the room, which may be searched; None in a place, which is.
+        first_pose, rng: as :func:`monoloc.cli.start_option.start_of`.
 
     Raises:
         SettingError: as :func:`monoloc.cli.start_option.start_of`.
     """
+    if bundle is None:
+        return Starting(None, lambda color: None, "searching")
     markers = flight.markers
     find = (lambda color: None) if markers is None else MarkerLocalizer(markers, camera).start
     if flight.start == UNKNOWN and markers is not None and not bundle.supports_relocalization:

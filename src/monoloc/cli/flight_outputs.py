@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import get_args
 
-from monoloc.bundle import Bundle, digest_of
 from monoloc.camera import Camera
 from monoloc.cli.common import check_viewing, print_json
 from monoloc.errors import SettingError
@@ -21,6 +20,8 @@ from monoloc.flight.pose_log import BackgroundPoseLog
 from monoloc.live.frame_source import FrameSource
 from monoloc.mavlink.autopilot_link import AutopilotLink
 from monoloc.mavlink.firmware import Firmware
+from monoloc.obstacles import tells_obstacles
+from monoloc.place.flown_map import FlownMap, digest_of_map
 from monoloc.start import Start
 from monoloc.step_budget import Level, budget_line, level_counts
 from monoloc.supervision.state import State
@@ -44,12 +45,12 @@ def check_mcap(path: Path | None) -> None:
 
 
 def logs(
-    flight: FlightFile, bundle: Bundle, camera: Camera, clock_offset_s: float, unwritten: Counter[str]
+    flight: FlightFile, flown: FlownMap, camera: Camera, clock_offset_s: float, unwritten: Counter[str]
 ) -> Iterator[FlightOutput]:
     """What a flight writes of its results, beside a recording of it.
 
     Args:
-        flight, bundle, camera: of the flight.
+        flight, flown, camera: of the flight.
         clock_offset_s: of the clock that counts from 1970, against that of the times of capture.
         unwritten: counts what the disk was too slow for.
 
@@ -58,19 +59,20 @@ def logs(
         SettingError: the direction of gravity is along the room's x axis.
     """
     if flight.out is not None:
-        yield BackgroundPoseLog(flight.out, unwritten)
+        yield BackgroundPoseLog(flight.out, unwritten, flown.is_place)
     if flight.mcap is not None:
-        recorder = step_recorder(flight.mcap, True, bundle, camera, flight.settings)
+        with_obstacles = flown.room is None or tells_obstacles(flown.room)
+        recorder = step_recorder(flight.mcap, True, flown, camera, flight.settings, with_obstacles)
         yield McapLog(recorder, clock_offset_s, unwritten)
 
 
 def header_of(
-    room: Path, camera: Camera, start: Start | None, seed: int, settings: FlightSettings, firmware: Firmware | None
+    path: Path, camera: Camera, start: Start | None, seed: int, settings: FlightSettings, firmware: Firmware | None
 ) -> FlightHeader:
     """What a recording of the flight begins with; arguments as in :class:`FlightHeader`."""
     return FlightHeader(
-        bundle=str(room.resolve()),
-        digest=digest_of(room),
+        bundle=str(path.resolve()),
+        digest=digest_of_map(path),
         camera=camera,
         start=RecordedStart.of(start),
         seed=seed,
@@ -95,6 +97,9 @@ def report(
     if median_s is not None and most_s:  # else nothing took time: --fast
         how += f", {1e3 * median_s:.0f} ms after capture (95 %: {1e3 * most_s:.0f} ms)"
     say(f"{summary.frames} frames: {states}{how}")
+    if summary.rooms is not None:
+        rooms = ", ".join(f"{count} in {room}" for room, count in summary.rooms.items())
+        say(f"rooms: {rooms or 'none found'}; entered {len(summary.switches)} times")
     dropped = ", ".join(f"{count} {reason}" for reason, count in summary.dropped.items() if count)
     say(f"dropped: {dropped or 'none'}; reconnections of the camera: {source.reconnections}")
     if set(summary.levels) - {Level.FULL}:

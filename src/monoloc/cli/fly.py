@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 import typer
 
-from monoloc.bundle import read_bundle
 from monoloc.cli.common import (
     BudgetOption,
     FramesOption,
@@ -27,11 +26,12 @@ from monoloc.cli.common import (
 )
 from monoloc.cli.flight_options import (
     FirmwareOption,
+    MapOrFlightArgument,
     MavlinkOption,
-    RoomOrFlightArgument,
     SettingsOption,
     check_autopilot,
     flight_of,
+    map_of,
     open_frames,
     starting_of,
 )
@@ -39,7 +39,6 @@ from monoloc.cli.flight_outputs import check_mcap, check_view, header_of, logs, 
 from monoloc.cli.signature import RequireSignatureOption
 from monoloc.cli.start_option import METAVAR
 from monoloc.cli.stop_signals import stopped_by_signals
-from monoloc.config import override
 from monoloc.flight.autopilot import down_world, gravity_of, link_to, obstacle_frames, senders, turns_of
 from monoloc.flight.flight_loop import Flight, FlightOutput, FlightSummary
 from monoloc.flight.flight_recording import FlightRecorder
@@ -47,12 +46,11 @@ from monoloc.flight.line_writer import LineWriter
 from monoloc.flight.north_measurement import NorthMeasurement
 from monoloc.flight.status_output import StatusOutput
 from monoloc.flight.watchdog_output import WatchdogOutput
-from monoloc.localizer import Localizer
 from monoloc.viz.flight_view import flight_view
 
 
 def fly(
-    room: RoomOrFlightArgument = None,
+    room: MapOrFlightArgument = None,
     source: Annotated[
         str | None,
         typer.Argument(
@@ -70,7 +68,7 @@ def fly(
         typer.Option(
             "--start",
             metavar=METAVAR,
-            help="First camera pose, or 'truth' for the recording's; without it, the room is searched.",
+            help="First camera pose in a room, or 'truth' for the recording's; without it, the map is searched.",
         ),
     ] = None,
     start_error_cm: Annotated[
@@ -115,13 +113,15 @@ def fly(
     """Localise a live camera, and send its pose to an autopilot.
 
     Ctrl-C, SIGTERM and a terminal that hangs up end a flight; what it wrote is whole. A file can hold all options
-    but the last ones; what is given here wins.
+    but the last ones; what is given here wins. In a place of several rooms, the camera is found in one of them and
+    followed through doors.
 
     \b
     Examples:
       monoloc fly room.monoloc camera:0 --intrinsics 640,480,525,525,319.5,239.5
       monoloc fly room.monoloc camera:0 --camera cam.toml --mavlink serial:/dev/ttyAMA0:921600 --firmware px4
       monoloc fly room.monoloc camera:0 --camera cam.toml --mavlink udpin:0.0.0.0:14550 --firmware ardupilot --align
+      monoloc fly house.place camera:0 --camera cam.toml --out poses.csv
       monoloc fly flight.toml
       monoloc fly flight.toml rtsp://192.168.1.20/stream --record flight-%Y%m%d-%H%M%S
       monoloc fly room.monoloc 7scenes:redkitchen --frames 0:400 --out poses.csv --mcap flight.mcap
@@ -152,7 +152,7 @@ def fly(
         check_apart(flight.record, "--record", (room, flight.source))
     check_view(view, view_port)
     check_autopilot(flight, align, fast)
-    bundle = read_bundle(room, flight.require_signature)
+    flown = map_of(room, flight)
     flight_settings, firmware = flight.settings, flight.firmware
     rng = np.random.default_rng(seed)
     cv2.setNumThreads(1)  # more do not speed up small images, and the drone needs its other cores
@@ -162,52 +162,53 @@ def fly(
         with ExitStack() as opened:
             frame_source, camera, first_pose = open_frames(flight.source, frames, flight.camera, fast)
             opened.callback(frame_source.close)
-            starting = starting_of(flight, bundle, camera, first_pose, rng)
-            config = override(bundle.settings, budget_ms=flight.budget_ms, threads=flight.threads)
-            localizer = Localizer(bundle, camera, starting.start, config, seed=seed)
+            starting = starting_of(flight, flown.room, camera, first_pose, rng)
+            made = flown.localizer(camera, starting.start, seed, flight.budget_ms, flight.threads)
             if firmware is not None:
-                down_world(bundle, flight_settings)  # or it is refused, before anything is written
+                down_world(flown, flight_settings)  # or it is refused, before anything is written
             address = flight.mavlink
             link = None if address is None else opened.enter_context(closing(link_to(address, flight_settings)))
             if flight.record is not None:
                 sent_to = None if align else firmware
                 header = header_of(room, camera, starting.start, seed, flight_settings, sent_to)
-                outputs.append(FlightRecorder(flight.record, header))
+                outputs.append(FlightRecorder(flight.record, header, flown.is_place))
             clock_offset_s = 0.0 if fast else time.time() - frame_source.now_s()
-            outputs += logs(flight, bundle, camera, clock_offset_s, summary.unwritten)
+            outputs += logs(flight, flown, camera, clock_offset_s, summary.unwritten)
             if view or view_port is not None:
                 shown = flight_view(
                     f"{room}: {flight.source}",
                     view_port,
-                    bundle,
+                    flown.room,
                     camera,
-                    obstacle_frames(bundle, flight_settings),
-                    lambda: localizer.particles,
+                    obstacle_frames(flown, flight_settings),
+                    made.particles,
                 )
                 output, remark = opened.enter_context(shown)
                 outputs.append(output)
                 say(remark)
             if link is not None and align:
                 T_body_camera = flight_settings.mount.T_body_camera
-                north = NorthMeasurement(T_body_camera, down_world(bundle, flight_settings), link.attitude_at)
+                north = NorthMeasurement(T_body_camera, down_world(flown, flight_settings), link.attitude_at)
                 outputs.append(north)
             elif firmware is not None:
                 # The autopilot first: what is written may wait for a disk.
-                outputs[:0] = senders(link, flight.record, bundle, firmware, flight_settings, summary.unwritten)
+                recorded, unwritten = flight.record, summary.unwritten
+                outputs[:0] = senders(link, recorded, flown, flown.room, firmware, flight_settings, unwritten)
             for output in outputs:
                 opened.enter_context(closing(output))
             Flight(
-                localizer,
+                made.localizer,
                 camera,
                 frame_source,
                 outputs,
                 flight_settings.most_age_s,
-                gravity_of(bundle, link, flight_settings),
+                gravity_of(flown, link, flight_settings),
                 lambda: stop() or (north is not None and north.is_done),
                 summary,
                 starting.find,
                 starting.begins,
                 turns_of(link),
+                made.in_place,
             ).run()
         if north is not None:
             north_deg, sd_deg = north.north_deg()

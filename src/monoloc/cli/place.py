@@ -25,6 +25,7 @@ from monoloc.cli.common import (
     stderr,
     text_of,
 )
+from monoloc.cli.signature import RequireSignatureOption
 from monoloc.errors import SettingError
 from monoloc.place.door_measurement import MeasuredDoor, measure_door, same_world_door
 from monoloc.place.place_files import Place, check_place_target, make_place, read_place, write_place
@@ -43,6 +44,7 @@ def new(
     bundles: Annotated[
         list[Path], typer.Argument(metavar="BUNDLE...", help="Bundles from monoloc build.", show_default=False)
     ],
+    require_signature: RequireSignatureOption = None,
     json: JsonOption = False,
 ) -> None:
     """Make a place of bundles.
@@ -54,7 +56,7 @@ def new(
       monoloc place new house.place kitchen.monoloc hall.monoloc study.monoloc
     """
     check_place_target(place)
-    made = make_place(place, bundles)
+    made = make_place(place, bundles, require_signature)
     size = write_place(made)
     stderr.print(f"written: {place} ({len(made.names)} rooms, no doors yet)", soft_wrap=True)
     if json:
@@ -74,6 +76,7 @@ def door(
         bool, typer.Option("--same-world", help="Both bundles have one world: no recording is needed.")
     ] = False,
     intrinsics: IntrinsicsOption = None,
+    require_signature: RequireSignatureOption = None,
     json: JsonOption = False,
 ) -> None:
     """Measure a door between two rooms by a walk through it.
@@ -87,7 +90,7 @@ def door(
     """
     if (source is None) != same_world:
         raise SettingError("SOURCE", "or --same-world must be given, and not both", "name a walk through the door")
-    joined = read_place(place)
+    joined = read_place(place, require_signature)
     names = _known(joined, a), _known(joined, b)
     if a == b:
         raise SettingError("ROOM", f"{a} is named twice", "name two rooms")
@@ -109,14 +112,14 @@ def door(
 
 
 @app.command()
-def info(place: PlaceArgument, json: JsonOption = False) -> None:
+def info(place: PlaceArgument, require_signature: RequireSignatureOption = None, json: JsonOption = False) -> None:
     """Describe a place, and check that its bundles are there and unchanged.
 
     \b
     Examples:
       monoloc place info house.place
     """
-    read = read_place(place)
+    read = read_place(place, require_signature)
     rooms = [
         {
             "name": room.name,
@@ -151,6 +154,7 @@ def localize_in(
     intrinsics: IntrinsicsOption = None,
     depth_scale: DepthScaleOption = None,
     fix_poses: FixPosesOption = None,
+    require_signature: RequireSignatureOption = None,
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
@@ -161,10 +165,10 @@ def localize_in(
       monoloc place localize house.place flight.mp4 --intrinsics camera.toml --out flight.csv
       monoloc place localize house.place tum:walk --truth-room kitchen --json
     """
-    check_outputs({"--out": out}, (place, source))
+    check_outputs({"--out": out}, (place, source, require_signature))
     if out is not None and out.suffix.lower() != ".csv":
         raise SettingError("--out", f"{out} is not named as a table", "name it NAME.csv")
-    read = read_place(place)
+    read = read_place(place, require_signature)
     recording = open_source(source, frames, intrinsics, depth_scale, fix_poses=fix_poses)
     if truth_room is not None:
         _known(read, truth_room, "--truth-room")

@@ -11,7 +11,6 @@ from typing import Annotated
 import cv2
 import typer
 
-from monoloc.bundle import digest_of, read_bundle
 from monoloc.cli.common import BudgetOption, JsonOption, check_outputs, naming, print_json, stderr
 from monoloc.errors import DataError
 from monoloc.files import write_whole
@@ -20,6 +19,7 @@ from monoloc.flight.flight_loop import FlightOutput
 from monoloc.flight.flight_recording import MESSAGES, POSES, FlightHeader, read_header
 from monoloc.flight.pose_log import PoseLog
 from monoloc.flight.recomputation import recompute
+from monoloc.place.flown_map import digest_of_map, is_place, open_map
 from monoloc.progress import ConsoleProgress
 from monoloc.version import __version__
 
@@ -29,7 +29,8 @@ def replay(
         Path, typer.Argument(metavar="DIR", help="Folder that monoloc fly recorded.", show_default=False)
     ],
     room: Annotated[
-        Path | None, typer.Option("--room", help="The bundle, where it is no longer at the place of the flight.")
+        Path | None,
+        typer.Option("--room", help="The bundle or place, where it has moved since the flight."),
     ] = None,
     budget_ms: BudgetOption = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="CSV of the poses to write.")] = None,
@@ -37,7 +38,7 @@ def replay(
 ) -> None:
     """Compute a recorded flight again, and compare both.
 
-    On the same machine, with the same version and bundle, poses and messages are what the flight computed and sent,
+    On the same machine, with the same version and map, poses and messages are what the flight computed and sent,
     to the last bit; what the flight left out to keep its budget is left out again. With --budget-ms, this budget
     decides instead.
 
@@ -48,24 +49,27 @@ def replay(
     """
     check_outputs({"--out": out}, (folder, room, *folder.glob("*")))
     header = read_header(folder)
-    bundle_path = Path(header.bundle) if room is None else room
-    if digest_of(bundle_path) != header.digest:
-        raise DataError(bundle_path, "is not the bundle of this flight", "give that one with --room")
-    bundle = read_bundle(bundle_path)
+    path = Path(header.bundle) if room is None else room
+    if digest_of_map(path) != header.digest:
+        kind = "place" if is_place(path) else "bundle"
+        raise DataError(path, f"is not the {kind} of this flight", "give that one with --room")
+    flown = open_map(path)
     recorded = _lines(folder / POSES)
     cv2.setNumThreads(1)  # as in the flight
     with tempfile.TemporaryDirectory() as made, ExitStack() as opened:
         again = Path(made)
-        outputs: list[FlightOutput] = [PoseLog(again / POSES)]
+        outputs: list[FlightOutput] = [PoseLog(again / POSES, flown.is_place)]
         if header.firmware is not None:
-            outputs += senders(None, again, bundle, header.firmware, header.settings, Counter())
+            outputs += senders(None, again, flown, flown.room, header.firmware, header.settings, Counter())
         for output in outputs:
             opened.enter_context(closing(output))
         with (
             naming({"budget_ms": "--budget-ms"}),
             ConsoleProgress(stderr).task("replay", max(1, len(recorded) - 1)) as show,
         ):
-            frames = recompute(folder, header, bundle, outputs, show, budget_ms)
+            start = None if header.start is None else header.start.start
+            fresh = flown.localizer(header.camera, start, header.seed, budget_ms)
+            frames = recompute(folder, header, fresh.localizer, outputs, show, budget_ms is None, fresh.in_place)
         if len(recorded) <= frames:
             problem = f"has {max(0, len(recorded) - 1)} poses for {frames} frames"
             raise DataError(folder / POSES, problem, "give another flight")

@@ -23,7 +23,7 @@ BundleArgument = Annotated[Path, typer.Argument(metavar="BUNDLE", help="Bundle f
 RequireSignatureOption = Annotated[
     Path | None,
     typer.Option(
-        "--require-signature", metavar="KEY.pub", help="Refuse a bundle that the owner of this key has not signed."
+        "--require-signature", metavar="KEY.pub", help="Refuse bundles that the owner of this key has not signed."
     ),
 ]
 

@@ -12,7 +12,7 @@ from monoloc.bundle import Bundle
 from monoloc.errors import SettingError
 from monoloc.flight.flight_loop import FlightOutput
 from monoloc.flight.flight_recording import MESSAGES
-from monoloc.flight.flight_settings import FlightSettings
+from monoloc.flight.flight_settings import FlightSettings, LevelMap
 from monoloc.flight.message_log import BackgroundMessageLog, MessageLog
 from monoloc.flight.pose_sender import MessageSink, PoseSender
 from monoloc.geometry import FloatArray
@@ -23,39 +23,40 @@ from monoloc.obstacles import ObstacleWatch, tells_obstacles
 from monoloc.odometry.motion import Motion
 
 
-def down_world(bundle: Bundle, settings: FlightSettings) -> FloatArray:
+def down_world(map_: LevelMap, settings: FlightSettings) -> FloatArray:
     """Direction of gravity in the map, (3,).
 
     Raises:
         SettingError: neither the map nor the settings tell it.
     """
-    down = bundle.down if settings.down is None else np.array(settings.down)
+    down = map_.down if settings.down is None else np.array(settings.down)
     if down is None:
         fix = "write down = [x, y, z] in the --settings file: the direction of gravity in the map"
         raise SettingError("down", "is not told by this map, which shows too little of floor and walls", fix)
     return down
 
 
-def frames_of(bundle: Bundle, settings: FlightSettings) -> AutopilotFrames:
+def frames_of(map_: LevelMap, settings: FlightSettings) -> AutopilotFrames:
     """How the camera sits on the vehicle and how the map lies in the world.
 
     Raises:
         SettingError: as :func:`down_world`.
     """
     north_rad = float(np.deg2rad(settings.north_deg))
-    return AutopilotFrames(settings.mount.T_body_camera, down_world(bundle, settings), north_rad)
+    return AutopilotFrames(settings.mount.T_body_camera, down_world(map_, settings), north_rad)
 
 
-def obstacle_frames(bundle: Bundle, settings: FlightSettings) -> AutopilotFrames | None:
-    """:func:`frames_of` to show obstacles by, or None where none are to be believed or gravity is not known."""
-    has_gravity = bundle.down is not None or settings.down is not None
-    return frames_of(bundle, settings) if has_gravity and tells_obstacles(bundle) else None
+def obstacle_frames(map_: LevelMap, settings: FlightSettings) -> AutopilotFrames | None:
+    """:func:`frames_of` to show obstacles by, or None where gravity is not known."""
+    has_gravity = map_.down is not None or settings.down is not None
+    return frames_of(map_, settings) if has_gravity else None
 
 
 def senders(
     sink: MessageSink | None,
     folder: Path | None,
-    bundle: Bundle,
+    map_: LevelMap,
+    room: Bundle | None,
     firmware: Firmware,
     settings: FlightSettings,
     unwritten: Counter[str],
@@ -65,15 +66,17 @@ def senders(
     Args:
         sink: takes the messages; None only writes them.
         folder: of a recording, where they are written; None writes none.
-        bundle, firmware, settings: of the flight.
+        map_, firmware, settings: of the flight.
+        room: whose obstacles are sent; None in a place, where each room that is entered brings its own.
         unwritten: counts messages that were sent but not written, since the disk was too slow.
 
     Raises:
         DataError: the recording cannot be written.
         SettingError: as :func:`down_world`.
     """
-    frames = frames_of(bundle, settings)
-    watch = ObstacleWatch.of(bundle) if settings.obstacles and tells_obstacles(bundle) else None
+    frames = frames_of(map_, settings)
+    is_told = settings.obstacles and room is not None and tells_obstacles(room)
+    watch = ObstacleWatch.of(room) if room is not None and is_told else None
     if folder is not None:
         path = folder / MESSAGES
         log = MessageLog(path) if sink is None else BackgroundMessageLog(path, sink, unwritten)
@@ -82,15 +85,15 @@ def senders(
 
 
 def gravity_of(
-    bundle: Bundle, link: AutopilotLink | None, settings: FlightSettings
+    map_: LevelMap, link: AutopilotLink | None, settings: FlightSettings
 ) -> Callable[[float], FloatArray | None]:
     """Direction of gravity in the camera's frame at a time of capture, (3,), from the autopilot's attitude.
 
     None where there is no attitude, or where the map does not tell its own direction of gravity.
     """
-    if link is None or bundle.down is None:
+    if link is None or map_.down is None:
         return lambda captured_s: None
-    frames, attitude_at = frames_of(bundle, settings), link.attitude_at
+    frames, attitude_at = frames_of(map_, settings), link.attitude_at
 
     def down_camera(captured_s: float) -> FloatArray | None:
         attitude = attitude_at(captured_s)

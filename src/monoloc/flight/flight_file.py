@@ -22,8 +22,8 @@ class FlightFile(FlightSettings):
     """A flight. Each field but those of :class:`FlightSettings` and the markers is also an option of ``monoloc fly``.
 
     Attributes:
-        room: bundle.
-        require_signature: public key of who must have signed it, or None.
+        room: bundle, or place.
+        require_signature: public key of who must have signed it, or every bundle of the place; or None.
         source: camera, stream or recording.
         camera: file of intrinsics, or numbers as ``--camera`` takes them.
         mavlink, firmware: address and firmware of the autopilot.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from operator import methodcaller
 from typing import Literal, Protocol
 
@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from monoloc.camera import Camera
 from monoloc.errors import DataError, MonolocError
+from monoloc.flight.in_place import InPlace, Switch
 from monoloc.geometry import FloatArray
 from monoloc.live.frame_source import EndOfStreamError, FrameSource, LiveFrame
-from monoloc.localizer import Localizer
 from monoloc.odometry.motion import Motion
+from monoloc.particle_filter.estimate import Estimate
 from monoloc.start import Start
 from monoloc.step import Step
 from monoloc.step_budget import Level, level_counts
@@ -39,6 +40,7 @@ class FlightStep:
         start: from which the localizer began anew at this frame, such as a marker tells it.
         measured_motion: since the previous localised frame that was used, by another sensor than the camera, or
             None.
+        in_place: which room of a place the step is of; None in a flight in a single room.
     """
 
     frame: LiveFrame
@@ -48,6 +50,37 @@ class FlightStep:
     done_s: float
     start: Start | None = None
     measured_motion: Motion | None = None
+    in_place: InPlace | None = None
+
+    @property
+    def room(self) -> str | None:
+        """In whose world the step's poses are; None in a flight in a single room, or while a place is searched."""
+        return None if self.in_place is None else self.in_place.room
+
+    @property
+    def estimate(self) -> Estimate:
+        """The belief in the one map of the flight: the room's world, or that of the first room of a place."""
+        return self.step.estimate if self.in_place is None else self.in_place.estimate
+
+
+class FlightLocalizer(Protocol):
+    """What a flight is localised by; a :class:`~monoloc.localizer.Localizer` is one."""
+
+    def step(
+        self,
+        color: NDArray[np.uint8],
+        elapsed_s: float,
+        *,
+        down: FloatArray | None = None,
+        measured_motion: Motion | None = None,
+        level: Level | None = None,
+    ) -> Step:
+        """Take in one frame; see :meth:`monoloc.localizer.Localizer.step`."""
+        ...
+
+    def reset(self, start: Start | None) -> None:
+        """Begin anew; see :meth:`monoloc.localizer.Localizer.reset`."""
+        ...
 
 
 class FlightOutput(Protocol):
@@ -86,6 +119,8 @@ class FlightSummary:
         failures: of outputs, which took no more frames.
         latencies_s: from capture to result, of the last frames.
         intervals_s: between localised frames, of the last ones.
+        rooms: number of frames that are not *lost* in each room of a place; None in a single room.
+        switches: entries into rooms of a place, the last ones.
     """
 
     frames: int = 0
@@ -96,8 +131,13 @@ class FlightSummary:
     failures: list[MonolocError] = field(default_factory=list)
     latencies_s: list[float] = field(default_factory=list)
     intervals_s: list[float] = field(default_factory=list)
+    rooms: Counter[str] | None = None
+    switches: list[Switch] = field(default_factory=list)
+    _began_s: float | None = None
+    _room: str | None = None
 
     def add(self, result: FlightStep) -> None:
+        self._add_room(result)
         self.frames += 1
         self.states[result.step.state] += 1
         self.levels[result.step.level] += 1
@@ -106,6 +146,19 @@ class FlightSummary:
             self.intervals_s.append(result.elapsed_s)
         for values in (self.latencies_s, self.intervals_s):
             del values[:-_KEPT]
+
+    def _add_room(self, result: FlightStep) -> None:
+        if result.in_place is None:
+            return
+        captured_s, room = result.frame.captured_s, result.room
+        self._began_s = captured_s if self._began_s is None else self._began_s
+        self.rooms = Counter() if self.rooms is None else self.rooms
+        if room is not None and result.in_place.entered is not None:
+            self.switches.append(Switch(self.frames, captured_s - self._began_s, self._room, room))
+            del self.switches[:-_KEPT]
+        if room is not None and result.step.state != "lost":
+            self.rooms[room] += 1
+        self._room = room
 
     @property
     def rate_hz(self) -> float | None:
@@ -128,14 +181,20 @@ class FlightSummary:
             "rate_hz": self.rate_hz,
             "latency_s_median": self.latency_s(50.0),
             "latency_s_p95": self.latency_s(95.0),
+            **self._of_rooms(),
         }
+
+    def _of_rooms(self) -> dict[str, object]:
+        if self.rooms is None:
+            return {}
+        return {"rooms": dict(self.rooms), "switches": [asdict(switch) for switch in self.switches]}
 
 
 class Flight:
     """Localises a camera until it ends or is stopped; call :meth:`run` once.
 
     Args:
-        localizer: of the room.
+        localizer: of the room or the place.
         camera: of the source's images.
         source: of frames.
         outputs: take every result, in this order.
@@ -148,11 +207,12 @@ class Flight:
             (``searching``), or can do nothing before ``finds_start`` tells it (``waiting``).
         motion_between: the camera's motion between two times of capture by another sensor; None where it is not
             known.
+        in_place: where in a place the last step was; None in a single room.
     """
 
     def __init__(
         self,
-        localizer: Localizer,
+        localizer: FlightLocalizer,
         camera: Camera,
         source: FrameSource,
         outputs: Sequence[FlightOutput],
@@ -163,6 +223,7 @@ class Flight:
         finds_start: Callable[[NDArray[np.uint8]], Start | None] = lambda color: None,
         begins: Literal["known", "searching", "waiting"] = "known",
         motion_between: Callable[[float, float], Motion | None] = lambda start_s, end_s: None,
+        in_place: Callable[[], InPlace | None] = lambda: None,
     ) -> None:
         self._localizer, self._camera, self._source, self._outputs = localizer, camera, source, outputs
         self._most_age_s, self._down_at, self._stop = most_age_s, down_at, stop
@@ -171,7 +232,7 @@ class Flight:
         self._sequence = -1
         self._summary = summary
         self._failed: list[FlightOutput] = []
-        self._motion_between = motion_between
+        self._motion_between, self._in_place = motion_between, in_place
         self._finds_start, self._is_waiting = finds_start, begins == "waiting"
         self._is_lost = begins != "known"
 
@@ -224,7 +285,8 @@ class Flight:
         motion = None if self._previous is None else self._motion_between(before_s, frame.captured_s)
         step = self._localizer.step(frame.color, elapsed_s, down=down_camera, measured_motion=motion)
         self._previous, self._is_lost = frame, step.state == "lost"
-        result = FlightStep(frame, elapsed_s, down_camera, step, self._source.now_s(), self._start, motion)
+        done_s, in_place = self._source.now_s(), self._in_place()
+        result = FlightStep(frame, elapsed_s, down_camera, step, done_s, self._start, motion, in_place)
         self._summary.add(result)
         self._hand_on(methodcaller("take", result))
 

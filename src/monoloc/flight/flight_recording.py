@@ -2,7 +2,7 @@
 
 ::
 
-    flight.json      bundle, camera, start, seed and settings
+    flight.json      bundle or place, camera, start, seed and settings
     frames.jsonl     one line a localised frame: times, gravity, rotation; and one whenever no frame came or one was
                      dropped
     images/          the frames, PNG
@@ -72,8 +72,8 @@ class FlightHeader(BaseModel):
 
     Attributes:
         monoloc_version: that computed it.
-        bundle: path.
-        digest: of the bundle, see :func:`monoloc.bundle.digest_of`.
+        bundle: path of the bundle, or of the place.
+        digest: of either, see :func:`monoloc.place.flown_map.digest_of_map`.
         camera: of the images.
         start: of the localizer; None without one.
         seed: of the localizer.
@@ -169,16 +169,17 @@ class FlightRecorder:
     Args:
         folder: new or empty.
         header: is written at once.
+        has_rooms: as :class:`~monoloc.flight.pose_log.PoseLog`.
 
     Raises:
         DataError: the folder is not empty, or cannot be written to, at once or later.
     """
 
-    def __init__(self, folder: Path, header: FlightHeader) -> None:
+    def __init__(self, folder: Path, header: FlightHeader, has_rooms: bool = False) -> None:
         self.folder = folder
         self._make_folder()
         write_whole(folder / _HEADER, header.model_dump_json(indent=2).encode())
-        self._poses = PoseLog(folder / POSES)
+        self._poses = PoseLog(folder / POSES, has_rooms)
         self._frames = (folder / _FRAMES).open("w", encoding="utf-8")
         self._count = 0
         self._thread: WriterThread[FlightStep | RecordedIdle] = WriterThread("flight recorder", self._write, _QUEUED)

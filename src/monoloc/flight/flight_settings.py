@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
@@ -12,6 +12,15 @@ from monoloc.geometry import FloatArray, make_pose, so3_exp
 _LEAST_LENGTH = 1e-6  # of a direction
 _R_BODY_FORWARD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Axes of a camera that looks forward and stands upright, in the body's axes: forward, right, down."""
+
+
+class LevelMap(Protocol):
+    """A map that may tell its direction of gravity; a :class:`~monoloc.bundle.Bundle` is one."""
+
+    @property
+    def down(self) -> FloatArray | None:
+        """(3,) unit vector, or None where the map does not tell."""
+        ...
 
 
 class Mount(BaseModel):
@@ -46,7 +55,7 @@ class FlightSettings(BaseModel):
     Attributes:
         mount: of the camera.
         north_deg: heading of the map's x axis, clockwise from north as seen from above; ``monoloc fly --align``
-            measures it.
+            measures it. The map of a place is that of its first room.
         down: direction of gravity in the map; None takes that of the map's floor and walls.
         most_age_s: since its capture, beyond which a frame is not localised and a pose is not sent.
         rate_hz: most messages a second of each kind.

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.bundle import Bundle
 from monoloc.camera import Camera
 from monoloc.flight.flight_loop import FlightStep
-from monoloc.flight.flight_settings import FlightSettings
+from monoloc.flight.flight_settings import FlightSettings, LevelMap
 from monoloc.flight.writer_thread import WriterThread
-from monoloc.obstacles import tells_obstacles
 from monoloc.ros.mcap_file import McapFile, StepRecorder
 from monoloc.ros.ros_frames import RosFrames
 from monoloc.step import Step
@@ -22,33 +21,33 @@ _MOST_IMAGES = 32  # that wait for the disk, 30 MB at 640x480; with more waiting
 _MOST_FRAMES = 300  # that wait for it; more are dropped
 
 
-def ros_frames_of(bundle: Bundle, settings: FlightSettings) -> RosFrames:
-    """How the camera sits on the vehicle and how the room lies in ROS's map.
+def ros_frames_of(map_: LevelMap, settings: FlightSettings) -> RosFrames:
+    """How the camera sits on the vehicle and how the room, or the first room of a place, lies in ROS's map.
 
     Raises:
         SettingError: the direction of gravity is along the room's x axis.
     """
-    down = bundle.down if settings.down is None else np.array(settings.down)
+    down = map_.down if settings.down is None else np.array(settings.down)
     return RosFrames(settings.mount.T_body_camera, down)
 
 
 def step_recorder(
-    path: Path, as_it_comes: bool, bundle: Bundle, camera: Camera, settings: FlightSettings
+    path: Path, as_it_comes: bool, map_: LevelMap, camera: Camera, settings: FlightSettings, tells_obstacles: bool
 ) -> StepRecorder:
     """A writer of results to a new file.
 
     Args:
         path, as_it_comes: as :class:`~monoloc.ros.mcap_file.McapFile`.
-        bundle, camera, settings: of the flight.
+        map_, camera, settings: of the flight.
+        tells_obstacles: whether depth may be taken for obstacles; in a place, each frame says it.
 
     Raises:
         DataError: the file cannot be written, at once or later.
         MissingExtraError: the extra ``mcap`` is not installed.
         SettingError: as :func:`ros_frames_of`.
     """
-    frames = ros_frames_of(bundle, settings)
-    with_obstacles = settings.obstacles and tells_obstacles(bundle)
-    return StepRecorder(McapFile(path, as_it_comes), frames, camera, with_obstacles)
+    frames = ros_frames_of(map_, settings)
+    return StepRecorder(McapFile(path, as_it_comes), frames, camera, settings.obstacles and tells_obstacles)
 
 
 class McapLog:
@@ -65,7 +64,7 @@ class McapLog:
 
     def __init__(self, recorder: StepRecorder, clock_offset_s: float, dropped: Counter[str]) -> None:
         self._recorder, self._clock_offset_s, self._dropped = recorder, clock_offset_s, dropped
-        self._thread: WriterThread[tuple[float, NDArray[np.uint8] | None, Step]] = WriterThread(
+        self._thread: WriterThread[tuple[float, NDArray[np.uint8] | None, Step, str | None]] = WriterThread(
             "mcap", lambda frame: recorder.add(*frame), _MOST_FRAMES
         )
 
@@ -73,7 +72,7 @@ class McapLog:
         """Raises DataError if an earlier frame could not be written."""
         time_s = result.frame.captured_s + self._clock_offset_s
         color = result.frame.color if self._thread.waiting < _MOST_IMAGES else None
-        if not self._thread.put((time_s, color, result.step)):
+        if not self._thread.put((time_s, color, _step_in_map(result), result.room)):
             self._dropped["mcap frames"] += 1
         elif color is None:
             self._dropped["mcap images"] += 1
@@ -89,3 +88,11 @@ class McapLog:
                 self._recorder.file.finish()
         finally:
             self._recorder.file.close()
+
+
+def _step_in_map(result: FlightStep) -> Step:
+    """The step with its pose in the one map of the flight, and without depth where that tells no obstacles."""
+    if result.in_place is None:
+        return result.step
+    depth = result.step.depth if result.in_place.tells_obstacles else None
+    return replace(result.step, estimate=result.estimate, depth=depth)

@@ -40,7 +40,7 @@ class NorthMeasurement:
         attitude = self._attitude_at(result.frame.captured_s)
         if result.step.state not in VOUCHED_FOR or attitude is None:
             return
-        pose = result.step.estimate.pose
+        pose = result.estimate.pose
         self._norths_rad.append(north_from_heading(pose, self._T_body_camera, self._down_world, attitude.yaw_rad))
 
     def idle(self, now_s: float) -> None:

@@ -11,8 +11,9 @@ from monoloc.errors import DataError
 from monoloc.flight.flight_loop import FlightStep
 from monoloc.flight.writer_thread import WriterThread
 from monoloc.geometry import FloatArray, rotation_to_quaternion
-from monoloc.io.pose_table import COLUMNS, UPPER
+from monoloc.io.pose_table import COLUMNS, ROOM, UPPER
 from monoloc.step import Step
+from monoloc.supervision.state import Reason
 
 _MOST_ROWS = 10_000  # that wait for the disk, 6 MB; more are dropped
 
@@ -24,13 +25,14 @@ class PoseLog:
 
     Args:
         path: is replaced.
+        has_rooms: whether the flight is in a place, so that a last column says in which room's world a pose is.
 
     Raises:
         DataError: it cannot be written, at once or later.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, path: Path, has_rooms: bool = False) -> None:
+        self._path, self._has_rooms = path, has_rooms
         try:
             self._file = path.open("w", encoding="utf-8", newline="")
         except OSError as error:
@@ -38,7 +40,7 @@ class PoseLog:
             raise DataError(path, f"cannot be written ({error.strerror})", fix) from error
         self._rows = csv.writer(self._file, lineterminator="\n")
         self._count = 0
-        self._write(COLUMNS)
+        self._write((*COLUMNS, ROOM) if has_rooms else COLUMNS)
 
     def take(self, result: FlightStep) -> None:
         """Add a frame: a lost one too, whose pose says nothing."""
@@ -49,7 +51,10 @@ class PoseLog:
 
     def _next_row(self, result: FlightStep) -> tuple[str, ...]:
         self._count += 1
-        return row(result.frame.captured_s, f"{self._count - 1:06d}", result.step)
+        time_s, name = result.frame.captured_s, f"{self._count - 1:06d}"
+        if self._has_rooms:
+            return row_in_place(time_s, name, result.step, result.room)
+        return row(time_s, name, result.step)
 
     def _write(self, values: tuple[str, ...]) -> None:
         try:
@@ -68,15 +73,15 @@ class BackgroundPoseLog(PoseLog):
     """A :class:`PoseLog` whose rows a thread writes, so that the flight does not wait for the disk.
 
     Args:
-        path: is replaced.
+        path, has_rooms: as :class:`PoseLog`.
         dropped: counts rows that were not written since too many waited.
 
     Raises:
         DataError: it cannot be written, at once, later, or by :meth:`close`.
     """
 
-    def __init__(self, path: Path, dropped: Counter[str]) -> None:
-        super().__init__(path)
+    def __init__(self, path: Path, dropped: Counter[str], has_rooms: bool = False) -> None:
+        super().__init__(path, has_rooms)
         self._dropped = dropped
         self._thread = WriterThread("poses", self._write, _MOST_ROWS)
 
@@ -104,3 +109,14 @@ def row(time_s: float, frame: str, step: Step) -> tuple[str, ...]:
     reasons = ";".join(sorted(reason.value for reason in step.reasons))
     state = (repr(time_s), frame, step.state, reasons, repr(step.probability_far), str(int(step.restarted)))
     return (*state, str(int(step.level)), *(repr(float(number)) for number in numbers))
+
+
+def row_in_place(time_s: float, frame: str, step: Step | None, room: str | None) -> tuple[str, ...]:
+    """The texts of a row whose last column is the room; arguments as :func:`row`.
+
+    Without a room the place is searched: the frame is *lost*, and only time, name, state and reason are known.
+    """
+    if step is None or room is None:
+        known = (repr(time_s), frame, "lost", Reason.SEARCHING.value)
+        return (*known, *[""] * (len(COLUMNS) - len(known)), "")
+    return (*row(time_s, frame, step), room)

@@ -40,7 +40,7 @@ class PoseSender:
         frames: of vehicle and map.
         firmware: of the autopilot.
         settings: of the flight.
-        watch: finds the obstacles; None sends none.
+        watch: finds the obstacles; None sends none. In a place, each room that is entered brings its own.
     """
 
     def __init__(
@@ -64,12 +64,16 @@ class PoseSender:
     def take(self, result: FlightStep) -> None:
         self._frame_s = result.done_s
         self._say_state(result)
+        if result.in_place is not None and result.in_place.entered is not None:
+            is_told = self._settings.obstacles and result.in_place.tells_obstacles
+            self._watch = ObstacleWatch.entered(result.in_place.entered) if is_told else None
+            self._jump()  # by the error of the door
         if result.step.state == "lost":
             self._jump()  # whatever comes next is elsewhere
             return
         if result.step.restarted:
             self._jump()
-        pose = self._frames.body_pose(result.step.estimate)
+        pose = self._frames.body_pose(result.estimate)
         if not self._is_usable(result, pose):
             return
         if self._sent is None or result.frame.captured_s - self._sent[0] >= 0.99 / self._settings.rate_hz:
@@ -124,7 +128,7 @@ class PoseSender:
         is_due = captured_s - self._obstacles_s >= 0.99 / _OBSTACLES_HZ
         if self._watch is None or not is_due:
             return
-        around = self._watch.update(captured_s, result.step, self._frames.T_level_camera(result.step.estimate))
+        around = self._watch.update(captured_s, result.step, self._frames.T_level_camera(result.estimate))
         if around is None:
             return
         self._obstacles_s = captured_s
@@ -135,7 +139,9 @@ class PoseSender:
     def _say_state(self, result: FlightStep) -> None:
         step = result.step
         why = ", ".join(sorted(reason.value for reason in step.reasons))
-        self._say(f"monoloc: {step.state}" + (f": {why}" if why else ""), step.state != "tracking", result.done_s)
+        where = "" if result.room is None else f" in {result.room}"
+        text = f"monoloc: {step.state}{where}" + (f": {why}" if why else "")
+        self._say(text, step.state != "tracking", result.done_s)
 
     def _say(self, text: str, is_alarming: bool, now_s: float) -> None:
         """Say a state once, and no sooner than a second after the last."""

@@ -5,42 +5,39 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from monoloc.bundle import Bundle
-from monoloc.config import override
 from monoloc.errors import DataError
-from monoloc.flight.flight_loop import FlightOutput, FlightStep
+from monoloc.flight.flight_loop import FlightLocalizer, FlightOutput, FlightStep
 from monoloc.flight.flight_recording import FlightHeader, RecordedIdle, read_events
+from monoloc.flight.in_place import InPlace
 from monoloc.live.frame_source import LiveFrame
-from monoloc.localizer import Localizer
 
 
 def recompute(
     folder: Path,
     header: FlightHeader,
-    bundle: Bundle,
+    localizer: FlightLocalizer,
     outputs: Sequence[FlightOutput],
     show: Callable[[int], None],
-    budget_ms: float | None = None,
+    keeps_levels: bool = True,
+    in_place: Callable[[], InPlace | None] = lambda: None,
 ) -> int:
     """Localise the frames of a recorded flight, with its times, its gravity and its attitude.
 
     Args:
         folder, header: of the flight.
-        bundle: of the flight.
+        localizer: as the flight's before its first frame.
         outputs: take the results, as they did in the flight.
         show: is told the number of frames after each.
-        budget_ms: that each step keeps here; None leaves out what the flight left out.
+        keeps_levels: whether to leave out what the flight left out, whatever the localizer's budget.
+        in_place: as :class:`~monoloc.flight.flight_loop.Flight`.
 
     Returns:
         The number of frames.
 
     Raises:
         DataError: a file is missing or damaged, or there is no frame.
-        SettingError: the budget is out of range.
+        SettingError: the budget of a place's localizer is out of range.
     """
-    start = None if header.start is None else header.start.start
-    settings = override(bundle.settings, budget_ms=budget_ms)
-    localizer = Localizer(bundle, header.camera, start, settings, seed=header.seed)
     count = 0
     for event in read_events(folder, header.camera):
         if isinstance(event, RecordedIdle):
@@ -51,10 +48,18 @@ def recompute(
         if frame.start is not None:
             localizer.reset(frame.start.start)
         motion = frame.motion
-        level = frame.level if budget_ms is None else None
+        level = frame.level if keeps_levels else None
         step = localizer.step(color, frame.elapsed_s, down=frame.down, measured_motion=motion, level=level)
         taken = LiveFrame(color, frame.captured_s, count)
-        result = FlightStep(taken, frame.elapsed_s, frame.down, step, frame.done_s, measured_motion=motion)
+        result = FlightStep(
+            taken,
+            frame.elapsed_s,
+            frame.down,
+            step,
+            frame.done_s,
+            measured_motion=motion,
+            in_place=in_place(),
+        )
         for output in outputs:
             output.take(result)
         count += 1

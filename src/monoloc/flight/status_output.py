@@ -23,7 +23,7 @@ class StatusOutput:
     def __init__(self, say: Callable[[str], None], says_each_second: bool, summary: FlightSummary) -> None:
         self._say, self._says_each_second, self._summary = say, says_each_second, summary
         self._began_s: float | None = None
-        self._said: tuple[str, frozenset[object]] = ("", frozenset())
+        self._said: tuple[str, frozenset[object], str | None] = ("", frozenset(), None)
         self._level = Level.FULL
         self._frame_s = self._printed_s = float("-inf")
         self._frames = self._failures = 0
@@ -36,10 +36,10 @@ class StatusOutput:
         if self._is_without_image:
             self._print(now_s, "images again")
             self._is_without_image = False
-        if self._said != (step.state, step.reasons):
-            self._said = (step.state, step.reasons)
+        if self._said != (step.state, step.reasons, result.room):
+            self._said = (step.state, step.reasons, result.room)
             why = ", ".join(sorted(reason.value for reason in step.reasons))
-            self._print(now_s, f"{step.state}: {why}" if why else step.state)
+            self._print(now_s, _state_of(result) + (f": {why}" if why else ""))
         if self._level is not step.level:
             self._level = step.level
             self._print(now_s, f"budget: {step.level.words}")
@@ -71,7 +71,7 @@ class StatusOutput:
         x, y, z = result.step.estimate.pose[:3, 3]
         self._print(
             now_s,
-            f"{result.step.state}, x {x:.2f} y {y:.2f} z {z:.2f} m, {rate_hz:.0f} Hz, "
+            f"{_state_of(result)}, x {x:.2f} y {y:.2f} z {z:.2f} m, {rate_hz:.0f} Hz, "
             f"{1e3 * (now_s - result.frame.captured_s):.0f} ms after capture, "
             f"{self._summary.dropped.total()} frames dropped",
         )
@@ -79,3 +79,8 @@ class StatusOutput:
     def _print(self, now_s: float, text: str) -> None:
         assert self._began_s is not None
         self._say(f"{now_s - self._began_s:8.2f} s  {text}")
+
+
+def _state_of(result: FlightStep) -> str:
+    """The state, and in a place the room in whose world the pose is."""
+    return result.step.state if result.room is None else f"{result.step.state} in {result.room}"

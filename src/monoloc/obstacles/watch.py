@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future, ThreadPoolExecutor
+
 from monoloc.bundle import Bundle
 from monoloc.geometry import FloatArray, invert
 from monoloc.obstacles.depth_error import DepthError
 from monoloc.obstacles.local_occupancy import LocalOccupancy, Surroundings
 from monoloc.obstacles.map_knowledge import MapKnowledge
 from monoloc.step import Step
+
+_MAP_AFTER_S = 2.0  # in a room that was entered in flight; a map takes a third of a second to become obstacles
 
 
 class ObstacleWatch:
@@ -20,11 +24,25 @@ class ObstacleWatch:
 
     def __init__(self, error: DepthError, knowledge: MapKnowledge | None) -> None:
         self._occupancy, self._knowledge = LocalOccupancy(error), knowledge
+        self._becoming: Future[MapKnowledge] | None = None
+        self._first_s: float | None = None
 
     @classmethod
     def of(cls, bundle: Bundle) -> ObstacleWatch:
         """For flights in a room."""
         return cls(DepthError.of(bundle), MapKnowledge(bundle))
+
+    @classmethod
+    def entered(cls, bundle: Bundle) -> ObstacleWatch:
+        """For a room that was entered in flight, without a wait: a thread prepares the map.
+
+        Live depth stands alone for the first two seconds of images, however long the thread takes, so that the same
+        images give the same obstacles.
+        """
+        watch, worker = cls(DepthError.of(bundle), None), ThreadPoolExecutor(1, "obstacles")
+        watch._becoming = worker.submit(MapKnowledge, bundle)
+        worker.shutdown(wait=False)
+        return watch
 
     def clear(self) -> None:
         """Forget all frames: the pose has jumped, or is lost."""
@@ -44,6 +62,9 @@ class ObstacleWatch:
             T_level_camera: pose of the camera in the vehicle's level frame, (4, 4), as
                 :meth:`monoloc.mavlink.autopilot_frames.AutopilotFrames.T_level_camera` gives it.
         """
+        self._first_s = captured_s if self._first_s is None else self._first_s
+        if self._becoming is not None and captured_s - self._first_s >= _MAP_AFTER_S:
+            self._knowledge, self._becoming = self._becoming.result(), None
         if step.restarted or step.state == "lost":
             self.clear()
         if step.depth is None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
+from monoloc.config import override
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.place.place_files import Place
 
@@ -34,10 +35,18 @@ class LoadedRooms:
 
     How often a room's scans find a camera was measured inside the room. In another room they find one too. So only
     landmarks search for a camera in a place.
+
+    Args:
+        place: that the rooms are of.
+        camera: that is localised in them.
+        budget_ms, threads: of a step, in place of each bundle's; None takes the bundle's.
     """
 
-    def __init__(self, place: Place, camera: Camera) -> None:
+    def __init__(
+        self, place: Place, camera: Camera, budget_ms: float | None = None, threads: int | None = None
+    ) -> None:
         self._place, self._camera = place, camera
+        self._budget_ms, self._threads = budget_ms, threads
         self._rooms: OrderedDict[str, LoadedRoom] = OrderedDict()
 
     @property
@@ -50,13 +59,15 @@ class LoadedRooms:
 
         Raises:
             BundleError: its bundle is missing, damaged or changed.
+            SettingError: ``budget_ms`` or ``threads`` is out of range.
         """
         if name not in self._rooms:
             while len(self._rooms) >= MOST_LOADED:  # first, so that no more are ever in memory
                 self._rooms.popitem(last=False)
             bundle = self._place.read_room(name)
             integrity = bundle.integrity.model_copy(update={"scan_search_precision": _NEVER})
+            settings = override(bundle.settings, budget_ms=self._budget_ms, threads=self._threads)
             landmarks = OrbLandmarkLocalizer(bundle.landmarks, self._camera)
-            self._rooms[name] = LoadedRoom(replace(bundle, integrity=integrity), landmarks)
+            self._rooms[name] = LoadedRoom(replace(bundle, integrity=integrity, settings=settings), landmarks)
         self._rooms.move_to_end(name)
         return self._rooms[name]

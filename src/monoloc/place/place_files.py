@@ -9,7 +9,7 @@ import hashlib
 import io
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 
 from monoloc.array_files import decode_arrays
 from monoloc.bundle import Bundle, digest_of, read_bundle
+from monoloc.bundle_manifest import PLACE_MANIFEST, manifest_content
+from monoloc.bundle_signature import check_signature
 from monoloc.errors import BundleError, DataError, SettingError
 from monoloc.files import read_regular, target_of
-from monoloc.geometry import FloatArray, invert
+from monoloc.geometry import FloatArray
 from monoloc.partial_files import whole_folder
-from monoloc.place.place_manifest import MANIFEST, Door, PlaceManifest, RoomEntry, parse_place, place_content
+from monoloc.place.place_manifest import Door, PlaceManifest, RoomEntry, parse_place, place_content
 from monoloc.place.room_index import RoomIndex, selected_descriptors
 from monoloc.version import __version__
 
@@ -40,11 +42,13 @@ class Place:
         path: of the folder.
         manifest: rooms and doors.
         descriptors: (K, 32) uint8 that stand for each room, in the manifest's order.
+        public_key: of who must have signed the bundles; None takes bundles of anybody.
     """
 
     path: Path
     manifest: PlaceManifest
     descriptors: tuple[NDArray[np.uint8], ...]
+    public_key: Path | None = None
 
     @property
     def names(self) -> list[str]:
@@ -61,23 +65,37 @@ class Place:
         """A room's bundle.
 
         Raises:
-            BundleError: it is missing, damaged, or no longer the one that the place was made of.
+            BundleError: it is missing, damaged, not signed as it must be, or no longer the one that the place was
+                made of.
         """
         entry = next(each for each in self.manifest.rooms if each.name == room)
-        return read_bundle(_checked_bundle(self.path, entry))
+        return read_bundle(_checked_bundle(self.path, entry, None), self.public_key)
 
     def T_other_room(self, other: str, room: str) -> FloatArray | None:
         """``T_other_room``, (4, 4), from the world of a room to that of another; None where no doors lead there."""
-        T_room_here = {room: np.eye(4)}  # of the rooms that are reached
+        way = self.way(room, other)
+        if way is None:
+            return None
+        T_here_room = np.eye(4)
+        for here, door in way:
+            T_here_room = door.T_beyond_here(here) @ T_here_room
+        return T_here_room
+
+    def way(self, room: str, other: str) -> list[tuple[str, Door]] | None:
+        """The fewest doors from a room to another, each after the room that it is entered from; None without any.
+
+        From a room to itself there are no doors, and the list is empty.
+        """
+        ways: dict[str, list[tuple[str, Door]]] = {room: []}  # to the rooms that are reached
         queue = [room]
         while queue:
             here = queue.pop(0)
             for door in self.doors_of(here):
                 beyond = door.beyond(here)
-                if beyond not in T_room_here:
-                    T_room_here[beyond] = T_room_here[here] @ invert(door.T_beyond_here(here))
+                if beyond not in ways:
+                    ways[beyond] = [*ways[here], (here, door)]
                     queue.append(beyond)
-        return invert(T_room_here[other]) if other in T_room_here else None
+        return ways.get(other)
 
     def with_door(self, door: Door) -> Place:
         """The place with a door, in place of those between the same rooms that it reaches."""
@@ -88,15 +106,21 @@ class Place:
             return float(np.linalg.norm(other.centre_in(door.a) - door.centre_in(door.a))) < door.radius_m
 
         doors = (*(each for each in self.manifest.doors if not is_same(each)), door)
-        return Place(self.path, self.manifest.model_copy(update={"doors": doors}), self.descriptors)
+        return replace(self, manifest=self.manifest.model_copy(update={"doors": doors}))
 
 
-def make_place(path: Path, bundles: Sequence[Path]) -> Place:
+def make_place(path: Path, bundles: Sequence[Path], public_key: Path | None = None) -> Place:
     """A place without doors, of bundles, named as these are; it is not written.
 
+    Args:
+        path: of the place.
+        bundles: of its rooms.
+        public_key: of who must have signed them; None takes bundles of anybody.
+
     Raises:
-        BundleError: one is no bundle.
-        DataError: one has no landmarks, which tell rooms apart.
+        BundleError: one is no bundle, or not signed with the key.
+        DataError: one has no landmarks, which tell rooms apart, or the key is none.
+        MissingExtraError: as :func:`monoloc.bundle_signature.check_signature`, with a key only.
         SettingError: two have the same name.
     """
     rooms: dict[str, RoomEntry] = {}
@@ -105,7 +129,7 @@ def make_place(path: Path, bundles: Sequence[Path]) -> Place:
         name = bundle.resolve().name.removesuffix(_BUNDLE_SUFFIX)
         if name in rooms:
             raise SettingError("ROOM", f"two bundles are named {name}", "rename one: a room is named as its bundle")
-        room = read_bundle(bundle)
+        room = read_bundle(bundle, public_key)
         if not room.supports_landmark_search:
             fix = "build it with landmarks, from a recording in which several frames see the same corners"
             raise DataError(bundle, "has no landmarks, which tell rooms apart", fix)
@@ -116,7 +140,7 @@ def make_place(path: Path, bundles: Sequence[Path]) -> Place:
     manifest = PlaceManifest(
         monoloc_version=__version__, rooms=tuple(rooms.values()), index_sha256=hashlib.sha256(content).hexdigest()
     )
-    return Place(path, manifest, tuple(descriptors))
+    return Place(path, manifest, tuple(descriptors), public_key)
 
 
 def check_place_target(path: Path) -> None:
@@ -131,7 +155,7 @@ def check_place_target(path: Path) -> None:
         raise DataError(path, "its folder does not exist", f"make {path.parent} first")
     if path.exists() and not path.is_dir():
         raise DataError(path, "is a file", "choose another name")
-    others = sorted({file.name for file in path.iterdir()} - {MANIFEST, _INDEX}) if path.exists() else []
+    others = sorted({file.name for file in path.iterdir()} - {PLACE_MANIFEST, _INDEX}) if path.exists() else []
     if others:
         raise DataError(path, f"holds more than a place ({others[0]})", "move that away or choose another name")
 
@@ -144,7 +168,7 @@ def write_place(place: Place) -> int:
     """
     check_place_target(place.path)
     contents: Mapping[str, bytes] = {
-        MANIFEST: place.manifest.model_dump_json(indent=1).encode(),
+        PLACE_MANIFEST: place.manifest.model_dump_json(indent=1).encode(),
         _INDEX: _packed(place.descriptors),
     }
     try:
@@ -157,31 +181,41 @@ def write_place(place: Place) -> int:
     return sum(len(content) for content in contents.values())
 
 
-def read_place(path: str | Path) -> Place:
-    """Read a place, and check that its bundles are there and unchanged.
+def read_place(path: str | Path, public_key: Path | None = None) -> Place:
+    """Read a place, and check that its bundles are there, unchanged and signed.
+
+    Args:
+        path: of the place.
+        public_key: of who must have signed every bundle; None takes bundles of anybody.
 
     Raises:
-        BundleError: a bundle is missing or changed.
-        DataError: not a place, damaged, or of an unknown schema.
+        BundleError: a bundle is missing, changed, or not signed with the key.
+        DataError: not a place, damaged, or of an unknown schema, or the key is none.
+        MissingExtraError: as :func:`monoloc.bundle_signature.check_signature`, with a key only.
     """
     path = Path(path)
-    manifest = parse_place(place_content(path), path / MANIFEST)
+    manifest = parse_place(place_content(path), path / PLACE_MANIFEST)
     for room in manifest.rooms:
-        _checked_bundle(path, room)
-    return Place(path, manifest, _read_index(path / _INDEX, manifest))
+        _checked_bundle(path, room, public_key)
+    return Place(path, manifest, _read_index(path / _INDEX, manifest), public_key)
 
 
-def _checked_bundle(path: Path, room: RoomEntry) -> Path:
-    """Where a room's bundle lies, which is there and unchanged; the place itself need not be written yet."""
+def _checked_bundle(path: Path, room: RoomEntry, public_key: Path | None) -> Path:
+    """Where a room's bundle lies, which is there, unchanged, and signed if there is a key.
+
+    The place itself need not be written yet.
+    """
     bundle = Path(os.path.normpath(target_of(path) / room.bundle))
     try:
-        digest = digest_of(bundle)
+        content = manifest_content(bundle)
     except BundleError as error:
         fix = f"put it back, or {_AGAIN}"
         raise BundleError(bundle, f"the bundle of room {room.name} is missing", fix) from error
-    if digest != room.sha256:
+    if hashlib.sha256(content).hexdigest() != room.sha256:
         fix = f"put the old one back, or {_AGAIN}"
         raise BundleError(bundle, f"is not the bundle that room {room.name} was made of", fix)
+    if public_key is not None:
+        check_signature(bundle, content, public_key)
     return bundle
 
 

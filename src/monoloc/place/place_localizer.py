@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from monoloc.bundle import Bundle
 from monoloc.camera import Camera
 from monoloc.components import ComponentsFactory, default_components
 from monoloc.depth.predictor import DepthPrediction
@@ -15,6 +16,7 @@ from monoloc.landmarks.features import KeypointDetector, Keypoints
 from monoloc.localizer import Localizer
 from monoloc.odometry.motion import Motion
 from monoloc.particle_filter.estimate import Estimate
+from monoloc.particle_filter.particles import Particles
 from monoloc.place.hand_over import HandOver, carried, near_doors, start_from
 from monoloc.place.loaded_rooms import MOST_LOADED, LoadedRooms
 from monoloc.place.place_files import Place
@@ -41,18 +43,17 @@ class PlaceStep:
         room: in whose world the step is; None while the place is searched for the camera.
         step: of that room's localizer; None where there is no room.
         entered: whether this is the first frame in the room: the pose is in another world than before.
+        level: what the frame left out to keep its budget.
     """
 
     room: str | None
     step: Step | None
     entered: bool = False
+    level: Level = Level.FULL
 
     @property
     def state(self) -> State:
         return "lost" if self.step is None else self.step.state
-
-
-_NOWHERE = PlaceStep(None, None)
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,11 @@ class _Frame:
     down: FloatArray | None
     measured_motion: Motion | None
     level: Level | None
+
+    @property
+    def nowhere(self) -> PlaceStep:
+        """The result where the camera is in no room."""
+        return PlaceStep(None, None, level=self.level or Level.FULL)
 
 
 class PlaceLocalizer:
@@ -81,9 +87,12 @@ class PlaceLocalizer:
         start: its first pose in that room; None searches the room.
         components: makes the components of each room's localizer.
         seed: of all random numbers: the same seed gives the same poses.
+        budget_ms, threads: of each room's step, in place of the bundles'; None takes theirs. Searches of the place,
+            and landmarks of the rooms beyond near doors, come on top of the budget.
 
     Raises:
         BundleError: the room's bundle is missing, damaged or changed.
+        SettingError: ``budget_ms`` or ``threads`` is out of range; with no room to start in, :meth:`step` raises it.
         ValueError: the place has no such room, or a start is given without a room.
     """
 
@@ -95,6 +104,8 @@ class PlaceLocalizer:
         start: Start | None = None,
         components: ComponentsFactory = default_components,
         seed: int | np.random.Generator = 0,
+        budget_ms: float | None = None,
+        threads: int | None = None,
     ) -> None:
         if room is None and start is not None:
             raise ValueError("start needs a room")
@@ -103,7 +114,7 @@ class PlaceLocalizer:
         self._place, self._camera, self._components = place, camera, components
         self._rng = np.random.default_rng(seed)
         self._detect = KeypointDetector(camera)
-        self._rooms = LoadedRooms(place, camera)
+        self._rooms = LoadedRooms(place, camera, budget_ms, threads)
         self._search = RoomSearch(place, self._rooms)
         self._room, self._localizer = room, None if room is None else self._localizer_in(room, start)
         self._hand_over = HandOver()
@@ -116,6 +127,16 @@ class PlaceLocalizer:
         """Names of the rooms in memory."""
         return self._rooms.names
 
+    @property
+    def bundle(self) -> Bundle | None:
+        """Of the room that the camera is in; None while the place is searched for it."""
+        return None if self._localizer is None or self._room is None else self._rooms[self._room].bundle
+
+    @property
+    def particles(self) -> Particles | None:
+        """Of the room that the camera is in, in its world; None while the place is searched for it."""
+        return None if self._localizer is None else self._localizer.particles
+
     def step(
         self,
         color: NDArray[np.uint8],
@@ -127,7 +148,8 @@ class PlaceLocalizer:
     ) -> PlaceStep:
         """Take in one frame; arguments as :meth:`monoloc.localizer.Localizer.step`.
 
-        A room whose direction of gravity is not known ignores ``down``.
+        A room whose direction of gravity is not known ignores ``down``. A frame at which the camera enters a room may
+        be localised twice, in both rooms at the same level.
 
         Raises:
             BundleError: a bundle is missing, damaged or changed.
@@ -141,10 +163,11 @@ class PlaceLocalizer:
         if self._localizer is None or self._room is None:
             return self._searched(frame)
         step = self._stepped(self._localizer, self._room, frame)
+        frame = replace(frame, level=step.level)
         if step.state == "lost":
             self._lost_s += elapsed_s
             if self._lost_s < _LOST_S:
-                return PlaceStep(self._room, step)
+                return PlaceStep(self._room, step, level=step.level)
             self._localizer, self._candidate, self._since_search_s = None, None, _SEARCH_PERIOD_S
             return self._searched(frame)
         self._lost_s = 0.0
@@ -152,16 +175,18 @@ class PlaceLocalizer:
         if door is not None:
             return self._handed_over(frame, door, step.estimate)
         other = self._other_room(frame, self._room, step)
-        return PlaceStep(self._room, step) if other is None else self._entered(other, None, frame)
+        if other is None:
+            return PlaceStep(self._room, step, level=step.level)
+        return self._entered(other, None, frame)
 
     def _searched(self, frame: _Frame) -> PlaceStep:
         """Search all rooms; the room's own search then finds the pose, at the same frame."""
         self._since_search_s += frame.elapsed_s
         if self._since_search_s < _SEARCH_PERIOD_S:
-            return _NOWHERE
+            return frame.nowhere
         self._since_search_s = 0.0
         room = self._agreed(frame)
-        return _NOWHERE if room is None else self._entered(room, None, frame)
+        return frame.nowhere if room is None else self._entered(room, None, frame)
 
     def _agreed(self, frame: _Frame) -> str | None:
         """The room that the search finds, if the last one that found a room found the same one a short time ago.
@@ -197,7 +222,8 @@ class PlaceLocalizer:
         self._room, self._localizer = room, self._localizer_in(room, start)
         self._hand_over, self._candidate = HandOver(), None
         self._lost_s, self._unseen_s = 0.0, 0.0
-        return PlaceStep(room, self._stepped(self._localizer, room, frame), entered=True)
+        step = self._stepped(self._localizer, room, frame)
+        return PlaceStep(room, step, entered=True, level=step.level)
 
     def _localizer_in(self, room: str, start: Start | None) -> Localizer:
         bundle = self._rooms[room].bundle

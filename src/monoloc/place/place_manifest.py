@@ -11,6 +11,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from monoloc.bundle_manifest import PLACE_MANIFEST
 from monoloc.config import describe
 from monoloc.errors import DataError
 from monoloc.files import read_regular
@@ -18,7 +19,6 @@ from monoloc.geometry import FloatArray, invert, make_pose, quaternion_to_rotati
 from monoloc.io.pose_files import UNIT_TOLERANCE
 
 SCHEMA = 1
-MANIFEST = "place.json"
 
 _MOST_BYTES = 1 << 22  # of a manifest: 10,000 rooms
 _MAKE = "make it by: monoloc place new"
@@ -169,11 +169,13 @@ def place_content(path: Path) -> bytes:
     Raises:
         DataError: there is no place at the path.
     """
-    file = path / MANIFEST
+    file = path / PLACE_MANIFEST
     try:
         return read_regular(file, _MOST_BYTES)
     except OSError as error:
-        problem = f"is not a place (no {MANIFEST})" if path.is_dir() else "is not a place (there is no such folder)"
+        problem = (
+            f"is not a place (no {PLACE_MANIFEST})" if path.is_dir() else "is not a place (there is no such folder)"
+        )
         raise DataError(path, problem, _MAKE) from error
     except ValueError as error:
         raise DataError(file, f"cannot be read ({error})", _MAKE) from error

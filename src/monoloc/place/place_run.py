@@ -11,6 +11,7 @@ import numpy as np
 
 from monoloc.errors import DataError
 from monoloc.evaluation.trajectory import summarise
+from monoloc.flight.in_place import Switch
 from monoloc.geometry import FloatArray
 from monoloc.io.recording import Recording
 from monoloc.place.place_files import Place
@@ -25,21 +26,6 @@ class PlaceOutput(Protocol):
     def add(self, time_s: float, name: str, step: PlaceStep) -> None:
         """Take a frame: its time, its name in the recording, and the result."""
         ...
-
-
-@dataclass(frozen=True)
-class Switch:
-    """A frame at which the belief entered a room.
-
-    Attributes:
-        frame, time_s: of the recording; seconds since its first frame.
-        before, after: rooms; ``before`` is None where the camera was searched for.
-    """
-
-    frame: int
-    time_s: float
-    before: str | None
-    after: str
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import io
 from pathlib import Path
 
 from monoloc.files import write_whole
-from monoloc.flight.pose_log import row
+from monoloc.flight.pose_log import row_in_place
 from monoloc.io.pose_table import COLUMNS, ROOM
 from monoloc.place.place_localizer import PlaceStep
 
@@ -15,7 +15,7 @@ from monoloc.place.place_localizer import PlaceStep
 class PlaceTable:
     """A :mod:`monoloc.io.pose_table` with a column that says in which room's world a pose is.
 
-    A frame in no room is *lost*, and the rest of its row is empty.
+    Of a frame in no room only time, name, state and reason are known, and the rest of its row is empty.
     """
 
     def __init__(self, path: Path) -> None:
@@ -26,11 +26,7 @@ class PlaceTable:
 
     def add(self, time_s: float, name: str, step: PlaceStep) -> None:
         """Take a frame, as :class:`monoloc.place.place_run.PlaceOutput`."""
-        if step.step is None or step.room is None:
-            known = (repr(time_s), name, step.state)
-            self._rows.writerow((*known, *[""] * (len(COLUMNS) - len(known)), ""))
-        else:
-            self._rows.writerow((*row(time_s, name, step.step), step.room))
+        self._rows.writerow(row_in_place(time_s, name, step.step, step.room))
 
     def write(self) -> None:
         """Write the file, whole or not at all.

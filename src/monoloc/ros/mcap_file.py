@@ -117,12 +117,12 @@ class StepRecorder:
         self._steps = StepMessages(frames, with_obstacles)
         self._images = ImageMessages(camera, frames.names.camera)
 
-    def add(self, time_s: float, color: NDArray[np.uint8] | None, step: Step) -> None:
-        """Write a frame: time of capture, image (H, W, 3) uint8 RGB or None, and result.
+    def add(self, time_s: float, color: NDArray[np.uint8] | None, step: Step, room: str | None = None) -> None:
+        """Write a frame: time of capture, image (H, W, 3) uint8 RGB or None, result, and the room of a place.
 
         Raises:
             DataError: as :meth:`McapFile.write`.
         """
         stamp_ns = round(time_s * 1e9)
         images = [] if color is None else self._images.of(stamp_ns, color)
-        self.file.write([*images, *self._steps.of(stamp_ns, step)])
+        self.file.write([*images, *self._steps.of(stamp_ns, step, room=room)])

@@ -67,8 +67,11 @@ def _place_and_turn(pose: FloatArray) -> tuple[dict[str, float], dict[str, float
     return dict(zip("xyz", pose[:3, 3].tolist(), strict=True)), dict(zip("xyzw", quaternion.tolist(), strict=True))
 
 
-def state(stamp_ns: int, frame: str, step: Step) -> Content:
-    """diagnostic_msgs/DiagnosticArray of the state, its reasons, and the probability that the position is far off."""
+def state(stamp_ns: int, frame: str, step: Step, room: str | None = None) -> Content:
+    """diagnostic_msgs/DiagnosticArray of the state, its reasons, and the probability that the position is far off.
+
+    In a place it also says the room.
+    """
     reasons = ", ".join(sorted(reason.value for reason in step.reasons))
     values = {
         "state": step.state,
@@ -77,6 +80,8 @@ def state(stamp_ns: int, frame: str, step: Step) -> Content:
         "restarted": str(int(step.restarted)),
         "level": step.level.words,
     }
+    if room is not None:
+        values["room"] = room
     status = {
         "level": _LEVELS[step.state],
         "name": "monoloc: localisation",

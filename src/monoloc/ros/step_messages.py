@@ -59,7 +59,9 @@ class StepMessages:
         self._T_odom_base: FloatArray = np.eye(4)
         self._obstacles = _Rate(OBSTACLES_HZ)
 
-    def of(self, stamp_ns: int, step: Step, T_odom_base: FloatArray | None = None) -> list[TopicMessage]:
+    def of(
+        self, stamp_ns: int, step: Step, T_odom_base: FloatArray | None = None, room: str | None = None
+    ) -> list[TopicMessage]:
         """The messages of a frame.
 
         Args:
@@ -67,6 +69,7 @@ class StepMessages:
             step: the localizer's result.
             T_odom_base: (4, 4), where another node publishes ``odom -> base_link``; None takes monoloc's odometry,
                 and publishes it.
+            room: of a place, which the camera is in; None says nothing of rooms.
         """
         names = self._frames.names
         is_usable = _is_usable(step)
@@ -82,7 +85,7 @@ class StepMessages:
             tree.append((names.map, names.odom, T_map_base @ invert(T_odom_base)))
         messages = [
             TopicMessage(TF, "tf2_msgs/TFMessage", stamp_ns, transforms(stamp_ns, tree)),
-            TopicMessage(STATE, "diagnostic_msgs/DiagnosticArray", stamp_ns, state(stamp_ns, names.base, step)),
+            TopicMessage(STATE, "diagnostic_msgs/DiagnosticArray", stamp_ns, state(stamp_ns, names.base, step, room)),
         ]
         if is_usable:
             content = pose_with_covariance(stamp_ns, names.map, T_map_base, covariance)

@@ -12,7 +12,7 @@ from monoloc.camera import Camera
 from monoloc.flight.flight_loop import FlightStep
 from monoloc.geometry import FloatArray, invert, transform
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
-from monoloc.obstacles import MOST_M, SECTORS, ObstacleWatch, Surroundings
+from monoloc.obstacles import MOST_M, SECTORS, ObstacleWatch, Surroundings, tells_obstacles
 from monoloc.particle_filter.particles import Particles
 from monoloc.viz.rerun_viewer import RerunViewer, state_views
 
@@ -26,33 +26,45 @@ class FlightDrawing:
 
     Args:
         stream: to the viewer.
-        room: of the flight.
+        room: of the flight; None in a place, where nothing is shown before a room is entered. Each is drawn in its
+            own world.
         camera: of its images.
         frames: of the vehicle, for obstacles; None shows none.
     """
 
     def __init__(
-        self, stream: rr.RecordingStream, room: Bundle, camera: Camera, frames: AutopilotFrames | None
+        self, stream: rr.RecordingStream, room: Bundle | None, camera: Camera, frames: AutopilotFrames | None
     ) -> None:
-        self._stream, self._frames = stream, frames
-        self._watch = None if frames is None else ObstacleWatch.of(room)
+        self._stream, self._camera, self._frames = stream, camera, frames
+        self._watch: ObstacleWatch | None = None
+        self._has_room = False
         self._began_s: float | None = None
         # A browser decodes JPEG only of pages that it calls secure; a smaller image needs none.
         self._size = _SHOWN_PX, round(camera.height * _SHOWN_PX / camera.width)
         self._viewer = RerunViewer(stream, as_jpeg=False)
-        self._viewer.begin_room(room, camera.resized(*self._size))
+        if room is not None:
+            self._begin_room(room)
         stream.log("latency_ms", rr.SeriesLines(colors=_LATENCY, names="latency"), static=True)
+
+    def _begin_room(self, room: Bundle) -> None:
+        self._has_room = True
+        self._watch = ObstacleWatch.of(room) if self._frames is not None and tells_obstacles(room) else None
+        self._viewer.begin_room(room, self._camera.resized(*self._size))
 
     def show(self, result: FlightStep, particles: Particles) -> None:
         """Log a frame, with the particles after its step."""
+        if result.in_place is not None and result.in_place.entered is not None:
+            self._begin_room(result.in_place.entered)
+        if not self._has_room:
+            return
         captured_s = result.frame.captured_s
         self._began_s = captured_s if self._began_s is None else self._began_s
         self._stream.set_time("seconds", duration=captured_s - self._began_s)
         color = cv2.resize(result.frame.color, self._size, interpolation=cv2.INTER_AREA)
-        self._viewer.show_step(np.asarray(color, dtype=np.uint8), result.step, particles, None)
+        self._viewer.show_step(np.asarray(color, dtype=np.uint8), result.step, particles, None, result.room)
         self._stream.log("latency_ms", rr.Scalars(1e3 * (result.done_s - captured_s)))
         if self._frames is not None and self._watch is not None:
-            T_level_camera = self._frames.T_level_camera(result.step.estimate)
+            T_level_camera = self._frames.T_level_camera(result.estimate)
             around = self._watch.update(captured_s, result.step, T_level_camera)
             if around is not None:
                 T_world_level = result.step.estimate.pose @ invert(T_level_camera)

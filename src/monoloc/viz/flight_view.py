@@ -8,6 +8,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 from uuid import uuid4
@@ -51,6 +52,7 @@ class FlightView:
     def __init__(self, drawing: Drawing, particles: Callable[[], Particles], is_watched: Callable[[], bool]) -> None:
         self._drawing, self._particles, self._is_watched = drawing, particles, is_watched
         self._queue: queue.Queue[tuple[FlightStep, Particles] | None] = queue.Queue(1)
+        self._entered: Bundle | None = None  # of a place, since the last frame that was shown
         self._has_watcher = False
         self._shown_s = float("-inf")
         self._closing = threading.Event()
@@ -59,11 +61,14 @@ class FlightView:
             thread.start()
 
     def take(self, result: FlightStep) -> None:
+        if result.in_place is not None:
+            self._entered = result.in_place.entered or self._entered
+            result = replace(result, in_place=replace(result.in_place, entered=self._entered))
         if not self._has_watcher or result.done_s - self._shown_s < _PERIOD_S:
             return
         try:
             self._queue.put_nowait((result, self._particles()))
-            self._shown_s = result.done_s
+            self._shown_s, self._entered = result.done_s, None
         except queue.Full:
             pass
 
@@ -92,7 +97,7 @@ class FlightView:
 def flight_view(
     name: str,
     port: int | None,
-    room: Bundle,
+    room: Bundle | None,
     camera: Camera,
     frames: AutopilotFrames | None,
     particles: Callable[[], Particles],
@@ -102,7 +107,7 @@ def flight_view(
     Args:
         name: of the recording in the viewer.
         port: of the web page, the next one is that of the data; None opens a window.
-        room, camera: of the flight.
+        room, camera: of the flight; no room in a place.
         frames: of the vehicle, for obstacles; None shows none.
         particles: see :class:`FlightView`.
 

@@ -75,7 +75,8 @@ class RerunViewer:
             self._static("world/truth", truth)
 
     def begin_room(self, room: Bundle, camera: Camera) -> None:
-        """Log what does not change."""
+        """Log what does not change, in place of another room's; trajectories begin anew."""
+        self._ends.clear()
         self._thresholds = room.thresholds
         self._static("world", _view_coordinates(room.provenance.down_world))
         map_ = room.adapted
@@ -110,14 +111,21 @@ class RerunViewer:
         self._ends["odometry"] = odometry[:3, 3]
         self._plot("step_ms", step_ms)
 
-    def show_step(self, color: NDArray[np.uint8], step: Step, particles: Particles, truth: FloatArray | None) -> None:
-        """Log a frame at the stream's time: images, belief, likelihood and state."""
+    def show_step(
+        self,
+        color: NDArray[np.uint8],
+        step: Step,
+        particles: Particles,
+        truth: FloatArray | None,
+        room: str | None = None,
+    ) -> None:
+        """Log a frame at the stream's time: images, belief, likelihood, state, and the room of a place."""
         self._show_images(color, step)
         self._show_belief(step, particles)
         self._show_trajectory("estimate", step.estimate.pose, truth, _ESTIMATE)
         self._plot("error_cm/stated_sd", 100.0 * np.sqrt(np.trace(step.estimate.covariance[:3, :3])))
         self._show_likelihood(step.mean_log_likelihood)
-        self._show_state(step)
+        self._show_state(step, room)
 
     def _show_images(self, color: NDArray[np.uint8], step: Step) -> None:
         image = rr.Image(self._view(color))
@@ -164,11 +172,12 @@ class RerunViewer:
         self._plot("likelihood/low", self._thresholds.low)
         self._plot("likelihood/lost", self._thresholds.lost)
 
-    def _show_state(self, step: Step) -> None:
+    def _show_state(self, step: Step, room: str | None) -> None:
         self._plot("probability_far", step.probability_far)
         self._stream.log("state", rr.StateChange(state=step.state))
         reasons = ", ".join(reason.value for reason in Reason if reason in step.reasons)
-        said = f"{step.state}: {reasons}" if reasons else step.state
+        said = step.state if room is None else f"{step.state} in {room}"
+        said += f": {reasons}" if reasons else ""
         if step.level is not Level.FULL:
             said += f"\n\nto keep the budget: {step.level.words}"
         self._stream.log("reasons", rr.TextDocument(said))

@@ -20,6 +20,8 @@ from monoloc.errors import DataError
 from monoloc.flight import mcap_log
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.mcap_log import McapLog, ros_frames_of, step_recorder
+from monoloc.obstacles import tells_obstacles
+from monoloc.ros.mcap_file import StepRecorder
 from monoloc.step import Step
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
 
@@ -27,6 +29,11 @@ from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_
 @pytest.fixture(scope="module")
 def bundle() -> Bundle:
     return make_bundle(room_mixture(Room(), 60), RoomRecording(Room(), make_path(6), SMALL_CAMERA))
+
+
+def recorder_of(path: Path, bundle: Bundle, obstacles: bool = True) -> StepRecorder:
+    settings = FlightSettings(obstacles=obstacles)
+    return step_recorder(path, True, bundle, CAMERA, settings, tells_obstacles(bundle))
 
 
 def topics_and_times(path: Path) -> list[tuple[str, int]]:
@@ -42,7 +49,7 @@ def test_times_are_those_of_capture_since_1970_and_obstacles_need_a_tuned_networ
 ) -> None:
     bundle = replace(bundle, provenance=bundle.provenance.model_copy(update={"tune": tune}))
     path = tmp_path / "flight.mcap"
-    log = McapLog(step_recorder(path, True, bundle, CAMERA, FlightSettings(obstacles=obstacles)), 1.7e9, Counter())
+    log = McapLog(recorder_of(path, bundle, obstacles), 1.7e9, Counter())
     for index in range(3):
         log.take(result_at(50.0 + index, step_at(np.eye(4))))
     log.close()
@@ -61,7 +68,7 @@ def test_the_settings_say_where_down_is_and_how_the_camera_sits(bundle: Bundle) 
 
 def test_a_disk_that_fills_up_is_said_once(bundle: Bundle, tmp_path: Path) -> None:
     path, before = tmp_path / "flight.mcap", resource.getrlimit(resource.RLIMIT_FSIZE)
-    log = McapLog(step_recorder(path, True, bundle, CAMERA, FlightSettings()), 0.0, Counter())
+    log = McapLog(recorder_of(path, bundle), 0.0, Counter())
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
     try:
         with pytest.raises(DataError, match=r"flight\.mcap: cannot be written \(File too large\); make room"):
@@ -80,13 +87,13 @@ def test_a_disk_that_stands_still_costs_images_first_then_frames_and_never_time(
     monkeypatch.setattr(mcap_log, "_MOST_IMAGES", 4)
     monkeypatch.setattr(mcap_log, "_MOST_FRAMES", 10)
     path, dropped = tmp_path / "flight.mcap", Counter[str]()
-    recorder = step_recorder(path, True, bundle, CAMERA, FlightSettings())
+    recorder = recorder_of(path, bundle)
     add, begun, goes_on = recorder.add, threading.Event(), threading.Event()
 
-    def slowly(time_s: float, color: NDArray[np.uint8] | None, step: Step) -> None:
+    def slowly(time_s: float, color: NDArray[np.uint8] | None, step: Step, room: str | None) -> None:
         begun.set()
         assert goes_on.wait(30.0)
-        add(time_s, color, step)
+        add(time_s, color, step, room)
 
     monkeypatch.setattr(recorder, "add", slowly)
     log = McapLog(recorder, 0.0, dropped)

@@ -35,6 +35,12 @@ def test_map_tells_what_live_depth_misses_unless_the_camera_is_lost(bundle: Bund
     assert lost.distances_m[0] == pytest.approx(4.5, rel=0.02) and np.isnan(lost.distances_m[36])
 
 
+def test_a_room_that_was_entered_in_flight_brings_its_map_two_seconds_later(bundle: Bundle) -> None:
+    watch, step = ObstacleWatch.entered(bundle), step_at(POSE, depth_m=4.5)
+    kinds = [isinstance(watch.update(time_s, step, LEVEL), Knowledge) for time_s in (1.0, 2.9, 3.0, 3.1)]
+    assert kinds == [False, False, True, True]
+
+
 @pytest.mark.parametrize("jump", ["restarted", "lost", "cleared", "none"])
 def test_jump_is_forgotten(jump: str) -> None:
     watch = ObstacleWatch(DepthError(0.05, 0.0, True), None)

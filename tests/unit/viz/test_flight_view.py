@@ -14,9 +14,11 @@ import pytest
 import rerun
 
 from mavlink_helpers import CAMERA, result_at, step_at
+from monoloc.bundle import Bundle
 from monoloc.errors import SettingError
 from monoloc.flight.flight_loop import FlightStep
 from monoloc.flight.flight_settings import Mount
+from monoloc.flight.in_place import InPlace
 from monoloc.geometry import invert, make_pose
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
 from monoloc.particle_filter.particles import Particles
@@ -37,17 +39,28 @@ def until(holds: Callable[[], bool]) -> None:
         time.sleep(0.01)
 
 
+def in_place(result: FlightStep, entered: Bundle | None) -> FlightStep:
+    return replace(result, in_place=InPlace("kitchen", entered, result.step.estimate, False))
+
+
+@pytest.fixture(scope="module")
+def bundle() -> Bundle:
+    return make_bundle(room_mixture(Room(), 60), RoomRecording(Room(), make_path(2), SMALL_CAMERA))
+
+
 class Held:
     """A drawing that hangs until it is released."""
 
     def __init__(self) -> None:
         self.drawn: list[float] = []
+        self.entered: list[Bundle | None] = []
         self.begun, self.release = threading.Event(), threading.Event()
 
     def show(self, result: FlightStep, particles: Particles) -> None:
         self.begun.set()
         self.release.wait(SOON_S)
         self.drawn.append(result.frame.captured_s)
+        self.entered.append(None if result.in_place is None else result.in_place.entered)
 
 
 def test_while_nobody_looks_nothing_is_drawn_nor_even_asked_for() -> None:
@@ -80,6 +93,17 @@ def test_a_viewer_that_hangs_holds_up_nobody() -> None:
     assert 1 <= len(drawing.drawn) <= 3
 
 
+def test_a_room_that_was_entered_while_nobody_looked_is_drawn_with_the_next_frame(bundle: Bundle) -> None:
+    drawing, is_watched = Held(), threading.Event()
+    drawing.release.set()
+    view = FlightView(drawing, lambda: PARTICLES, is_watched.is_set)
+    view.take(in_place(RESULT, bundle))
+    is_watched.set()
+    until(lambda: view.take(in_place(RESULT, None)) or len(drawing.entered) > 0)
+    view.close()
+    assert drawing.entered[0] is bundle
+
+
 def test_a_connection_is_seen_when_it_is_there() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
@@ -90,20 +114,22 @@ def test_a_connection_is_seen_when_it_is_there() -> None:
             _check_free(port)
 
 
-def test_a_flight_is_drawn_with_obstacles_and_latency(tmp_path: Path) -> None:
+def test_a_flight_is_drawn_with_obstacles_and_latency(bundle: Bundle, tmp_path: Path) -> None:
     """A wall two metres ahead of a camera that looks along the map's x axis, 30 cm ahead of the vehicle's origin."""
     mount = Mount(forward_m=0.3).T_body_camera
     frames = AutopilotFrames(mount, [0.0, 0.0, -1.0], 0.0)
     pose = invert(frames.T_ned_world) @ make_pose(np.eye(3), [0.5, 0.0, -1.0]) @ mount
-    bundle = make_bundle(room_mixture(Room(), 60), RoomRecording(Room(), make_path(2), SMALL_CAMERA))
     far = replace(bundle.original, means=bundle.original.means + 50.0)  # the map knows nothing of the wall
-    bundle = replace(bundle, original=far)
+    tuned = bundle.provenance.model_copy(update={"tune": "last"})
+    bundle = replace(bundle, original=far, provenance=tuned)
     stream = rerun.RecordingStream("monoloc fly")
     stream.set_log_tick_enabled(False)
     stream.set_log_time_enabled(False)
     stream.save(tmp_path / "flight.rrd", default_blueprint=flight_blueprint())
-    drawing = FlightDrawing(stream, bundle, CAMERA, frames)
-    for index in range(3):
+    drawing = FlightDrawing(stream, None, CAMERA, frames)
+    drawing.show(RESULT, PARTICLES)  # not drawn: no room of the place is known
+    drawing.show(in_place(result_at(5.0, step_at(pose), age_s=0.04), bundle), PARTICLES)
+    for index in range(1, 3):
         drawing.show(result_at(5.0 + 0.1 * index, step_at(pose), age_s=0.04), PARTICLES)
     stream.disconnect()
     recorded = Recorded(tmp_path / "flight.rrd")

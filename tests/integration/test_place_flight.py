@@ -1,0 +1,173 @@
+"""``monoloc fly`` and ``monoloc replay`` in a place of two rooms, and what they refuse there."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from collections.abc import Iterator
+from contextlib import closing, redirect_stdout
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from pymavlink import mavutil
+
+from cli_helpers import json_of, refused
+from monoloc.bundle_manifest import manifest_content
+from monoloc.bundle_signature import SIGNATURE, make_keys, signature_of
+from monoloc.cli.main import invoke
+from monoloc.flight.flight_settings import Mount
+from monoloc.geometry import FloatArray, invert, make_pose, pose_distance_m, quaternion_to_rotation
+from monoloc.io.pose_table import COLUMNS, ROOM
+from monoloc.live.replayed_recording import UnpacedRecording
+from monoloc.mavlink.autopilot_frames import AutopilotFrames
+from monoloc.place.place_files import make_place, write_place
+from place_rooms import LEFT, RIGHT, T_LEFT_RIGHT, true_door, turning, write_rooms
+from synthetic_room import Room, RoomRecording, write_recording
+
+Capture = pytest.CaptureFixture[str]
+FRAMES = 26
+POSES = turning(-46.0, 46.0, FRAMES)  # through the door
+# There is no time between texts, since the flight is short, and the networks count as tuned.
+PATCHED = {"monoloc.flight.pose_sender._TEXT_S": 0.0, "monoloc.place.place_flight.tells_obstacles": lambda room: True}
+NAMES = ("tx_m", "ty_m", "tz_m", "qx", "qy", "qz", "qw")
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two rooms as ``house.place``, without their door as ``apart.place``; a flight through the door, ``log``."""
+    folder = tmp_path_factory.mktemp("workspace")
+    bundles = write_rooms(folder, 2)
+    write_place(make_place(folder / "house.place", bundles).with_door(true_door()))
+    write_place(make_place(folder / "apart.place", bundles))
+    write_recording(folder / "walk", RoomRecording(Room(), POSES))
+    (folder / "flight.toml").write_text('room = "house.place"\nsource = "folder:walk"\ndown = [0, 1, 0]\n')
+    sent = ("--mavlink", "udpout:127.0.0.1:9", "--firmware", "px4", "--budget-ms", "10000")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setattr("monoloc.cli.flight_options.PacedRecording", UnpacedRecording)  # an autopilot forbids --fast
+        for name, value in PATCHED.items():
+            patch.setattr(name, value)
+        with (folder / "said.txt").open("w") as said, redirect_stdout(said):
+            written = ("--out", "poses.csv", "--mcap", "a.mcap", "--record", "log", "--json")
+            assert invoke(["fly", "flight.toml", *written, *sent]) == 0
+    return folder
+
+
+@pytest.fixture
+def here(workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the workspace, as working folder."""
+    shutil.copytree(workspace, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as lines:
+        rows = list(csv.DictReader(lines))
+    assert all(tuple(row) == (*COLUMNS, ROOM) and None not in row.values() for row in rows)
+    return rows
+
+
+def in_left(row: dict[str, str]) -> FloatArray:
+    """The pose of a row in the world of the first room, (4, 4)."""
+    numbers = np.array([float(row[name]) for name in NAMES])
+    T_room_camera = make_pose(quaternion_to_rotation(numbers[3:]), numbers[:3])
+    return {LEFT: np.eye(4), RIGHT: T_LEFT_RIGHT}[row[ROOM]] @ T_room_camera
+
+
+def messages_of(path: Path, kind: str) -> Iterator[Any]:
+    with closing(mavutil.mavlink_connection(str(path))) as read:
+        while (message := read.recv_match(type=kind)) is not None:
+            yield message
+
+
+def test_a_flight_goes_through_a_door(here: Path) -> None:
+    """Each pose is in the world of its room, which table, JSON and ROS messages name."""
+    figures = json.loads((here / "said.txt").read_text())
+    assert [(each["before"], each["after"]) for each in figures["switches"]] == [(None, LEFT), (LEFT, RIGHT)]
+    rows = rows_of(here / "poses.csv")
+    assert figures["frames"] == len(rows) == FRAMES
+    assert figures["rooms"] == {name: sum(row[ROOM] == name for row in rows) for name in (LEFT, RIGHT)}
+    unknown = {(row["state"], row["reasons"], row["tx_m"], row[ROOM]) for row in rows[:3]}
+    assert unknown == {("lost", "searching", "", "")}
+    for row, pose in zip(rows[3:], POSES[3:], strict=True):
+        assert pose_distance_m(pose, in_left(row)[None])[0] < 0.1
+    with (here / "a.mcap").open("rb") as file:
+        read = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages("/monoloc/state")
+        values = [{each.key: each.value for each in state.status[0].values} for *_, state in read]
+    assert [each.get("room", "") for each in values] == [row[ROOM] for row in rows]
+
+
+def test_an_autopilot_has_one_frame_in_all_rooms(here: Path) -> None:
+    """It is the first room's; the pilot hears the room, and a hand-over counts as a jump."""
+    T_body_camera = Mount().T_body_camera
+    frames = AutopilotFrames(T_body_camera, [0.0, 1.0, 0.0], 0.0)
+    known = {round(1e6 * float(row["time_s"])): row for row in rows_of(here / "poses.csv") if row[ROOM]}
+    counts: dict[str, set[int]] = {LEFT: set(), RIGHT: set()}
+    for message in messages_of(here / "log" / "messages.tlog", "ODOMETRY"):
+        row = known[message.time_usec]
+        T_ned_body = frames.T_ned_world @ in_left(row) @ invert(T_body_camera)
+        np.testing.assert_allclose([message.x, message.y, message.z], T_ned_body[:3, 3], atol=1e-4)
+        counts[row[ROOM]].add(message.reset_counter)
+    assert all(counts.values()) and not counts[LEFT] & counts[RIGHT]
+    assert len(list(messages_of(here / "log" / "messages.tlog", "OBSTACLE_DISTANCE"))) > 10
+    texts = [message.text for message in messages_of(here / "log" / "messages.tlog", "STATUSTEXT")]
+    assert texts == ["monoloc: lost: searching", *(f"monoloc: tracking in {name}" for name in (LEFT, RIGHT))]
+
+
+def test_a_flight_in_a_place_is_replayed_to_the_last_bit(
+    capfd: Capture, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in PATCHED.items():
+        monkeypatch.setattr(name, value)
+    shutil.move("house.place", "moved.place")
+    replayed = json_of(capfd, "replay", "log", "--room", "moved.place", "--out", "again.csv")
+    assert (replayed["frames"], replayed["different_frames"], replayed["same_messages"]) == (FRAMES, 0, True)
+    assert (here / "again.csv").read_bytes() == (here / "poses.csv").read_bytes()
+
+
+FLY = ("fly", "house.place", "walk")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "names", "problem", "fix"),
+    [
+        (("fly", "absent.place", "walk"), "absent.place", "is not a place", "monoloc place new"),
+        ((*FLY, "--start", "0,0,0,0,0,0,1"), "--start", "a place is searched for the camera", "leave it out"),
+        ((*FLY, "--settings", "marked.toml"), "marker", "a place is searched for the camera", "leave markers out"),
+        (("fly", "apart.place", "walk"), "apart.place", f"no doors lead from room {RIGHT} to {LEFT}", "place door"),
+        ((*FLY, "--out", "house.place/poses.csv"), "--out", "lies in the place house.place", "another place"),
+        (("doctor", "house.place", "walk"), "house.place", "is a place", "name the bundle of one of its rooms"),
+        (("replay", "log", "--room", "apart.place"), "apart.place", "is not the place of this flight", "--room"),
+    ],
+)
+def test_what_makes_no_sense_in_a_place_is_refused(
+    capfd: Capture, here: Path, arguments: tuple[str, ...], names: str, problem: str, fix: str
+) -> None:
+    marker = "[[marker]]\nid = 7\nsize_m = 0.25\nposition_m = [0, 0, 1]\nquaternion = [0, 0, 0, 1]\n"
+    Path("marked.toml").write_text(marker)
+    refused(capfd, here, arguments, names, problem, fix)
+
+
+def test_every_bundle_of_a_place_must_be_signed(capfd: Capture, here: Path) -> None:
+    make_keys(here / "team.key", here / "team.pub")
+    left, right = Path.cwd() / f"{LEFT}.monoloc", Path.cwd() / f"{RIGHT}.monoloc"
+    (left / SIGNATURE).write_bytes(signature_of(manifest_content(left), here / "team.key"))
+    key = ("--require-signature", "team.pub")
+    commands = [
+        (*FLY, "--fast", "--frames", "0:1"),
+        ("place", "localize", "house.place", "walk", "--frames", "0:1"),
+        ("place", "new", "new.place", str(left), str(right)),
+        ("place", "door", "house.place", LEFT, RIGHT, "--same-world"),
+        ("place", "info", "house.place"),
+    ]
+    for command in commands:
+        refused(capfd, here, (*command, *key), str(right), "is not signed", "signed copy")
+    (right / SIGNATURE).write_bytes(signature_of(manifest_content(right), here / "team.key"))
+    for command in commands[:3]:
+        json_of(capfd, *command, *key)
