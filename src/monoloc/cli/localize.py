@@ -47,6 +47,7 @@ from monoloc.cli.pose_warning import warn_of_poses
 from monoloc.cli.signature import RequireSignatureOption
 from monoloc.cli.start_option import METAVAR, UNKNOWN, StartErrorCmOption, StartErrorDegOption, start_of
 from monoloc.config import override
+from monoloc.editing.edit_history import drawn_edits
 from monoloc.errors import MonolocError
 from monoloc.localizer_config import PARTS
 from monoloc.parts import parse_parts
@@ -216,6 +217,7 @@ def draw(path: Path, run: Run, room: Bundle, title: str) -> None:
         unseen=run.unseen,
         states=run.states,
         mixture=(room.adapted.means, room.adapted.covariances),
+        edits=drawn_edits(room, np.random.default_rng(0)),
         title=title,
     )
 

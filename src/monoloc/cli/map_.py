@@ -33,6 +33,7 @@ from monoloc.cli.common import (
 from monoloc.cli.map_looking import export, info, render
 from monoloc.cli.map_update import update
 from monoloc.config import override
+from monoloc.editing.edit_history import drawn_edits
 from monoloc.evaluation.cloud_metrics import COMPARED_POINTS, compare_clouds
 from monoloc.io.cloud_files import CLOUD_SUFFIXES
 from monoloc.progress import ConsoleProgress
@@ -116,13 +117,15 @@ def compare(
     check_picture(out, "--out")
     check_viewing(view, record)
     room = read_bundle(bundle)
-    clouds = compare_clouds(room.original, room.adapted, COMPARED_POINTS, np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    clouds = compare_clouds(room.original, room.adapted, COMPARED_POINTS, rng)
+    edits = drawn_edits(room, rng)
     shown = clouds.original, clouds.adapted, clouds.distances_m, np.array(room.provenance.down_world)
     name = f"{bundle.name}: {room.provenance.recording}"
-    plot_map_change(out, *shown, name)
+    plot_map_change(out, *shown, name, edits)
     content = {"picture": str(out), **clouds.figures}
     if json:
         print_json(content)
     else:
         print_table(str(bundle), ["", ""], [[figure, text_of(value)] for figure, value in content.items()])
-    show_map_change(name, view, record, *shown)  # last, so that a failure affects no other output
+    show_map_change(name, view, record, *shown, edits)  # last, so that a failure affects no other output

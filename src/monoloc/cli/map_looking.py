@@ -21,6 +21,7 @@ from monoloc.cli.common import (
     text_of,
 )
 from monoloc.cli.start_option import METAVAR, parse_pose
+from monoloc.editing.edit_history import drawn_edits
 from monoloc.errors import SettingError
 from monoloc.extras import require_plotting
 from monoloc.geometry import FloatArray
@@ -224,11 +225,13 @@ def _seen(bundle: Bundle) -> dict[str, object]:
 
 def _view(path: Path, bundle: Bundle, seed: int) -> MapView:
     require_plotting()
+    rng = np.random.default_rng(seed)
     return MapView(
         name=path.name,
-        cloud=surface_points(bundle.original, _DRAWN_POINTS, np.random.default_rng(seed)),
+        cloud=surface_points(bundle.original, _DRAWN_POINTS, rng),
         landmarks=bundle.landmarks.points.astype(np.float64),
         poses=bundle.reference_poses.poses,
+        edits=drawn_edits(bundle, rng),
     )
 
 

@@ -211,10 +211,10 @@ def _print(
         stderr.print(f"{flight.name}: {said}", soft_wrap=True)
     rows = [
         [
-            f"{number}{' applied' if id(each) in used else ''}",
+            f"{number}\napplied" if id(each) in used else str(number),
             each.kind,
             str(len(each.members)),
-            *(" ".join(f"{value:.2f}" for value in corner) for corner in (each.lower, each.upper)),
+            *("\n".join(f"{value:.2f}" for value in corner) for corner in (each.lower, each.upper)),
             f"{each.agreeing:.0f} of {each.views:.0f}",
             str(each.flights),
             f"{each.odds:.0f}",

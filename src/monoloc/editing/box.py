@@ -12,6 +12,9 @@ from monoloc.geometry import FloatArray, so3_exp
 
 _FORM = "X0,Y0,Z0,X1,Y1,Z1"
 
+EDGES = tuple((a, b) for a in range(8) for b in range(a + 1, 8) if (a ^ b).bit_count() == 1)
+"""Pairs of corners of a box; corner n is at the upper end of axis i if bit i of n is set."""
+
 
 @dataclass(frozen=True)
 class Box:
@@ -48,7 +51,7 @@ class Box:
 
     @property
     def corners(self) -> FloatArray:
-        """Its corners, (8, 3), world frame."""
+        """Its corners, (8, 3), world frame, in the order of :data:`EDGES`."""
         signs = np.array([[(corner >> axis) & 1 for axis in range(3)] for corner in range(8)]) * 2.0 - 1.0
         return np.asarray(self.centre + (signs * self.half) @ self.R_world_box.T)
 

@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from monoloc.editing.box import EDGES
+from monoloc.editing.edit_history import DrawnEdit
 from monoloc.geometry import FloatArray, so3_exp
+from monoloc.viz.edit_drawing import draw_edits
 from monoloc.viz.picture import BLUE, GREY, INK, ORANGE, picture
 from monoloc.viz.run_drawing import page_axes
 
@@ -19,7 +22,6 @@ if TYPE_CHECKING:
 _ELEVATION_DEG, _AZIMUTHS_DEG = 28.0, (-60.0, 30.0, 120.0, 210.0)
 _POINTS_DRAWN = 25_000  # of each cloud; more would occlude each other
 _DOTS: dict[str, Any] = {"s": 2.2, "linewidths": 0.0, "rasterized": True}
-_EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if (a ^ b).bit_count() == 1]
 _CMAP = "viridis"
 
 
@@ -30,6 +32,7 @@ def plot_map_change(
     distances_m: FloatArray,
     down: FloatArray,
     title: str = "",
+    edits: tuple[DrawnEdit, ...] = (),
 ) -> None:
     """Plot both clouds, their bounding boxes, the original cloud coloured by distance, and a histogram of distances.
 
@@ -42,6 +45,7 @@ def plot_map_change(
         distances_m: (N,) distance of each point of the original to the adapted cloud.
         down: (3,) approximate down direction in the world.
         title: title of the figure.
+        edits: of the map, drawn with the boxes.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -63,6 +67,7 @@ def plot_map_change(
         _scatter(boxes, eye, _thinned(original), color=GREY, alpha=0.25)
         for cloud, colour in ((original, BLUE), (adapted, ORANGE)):
             _draw_box(boxes, eye, cloud, colour)
+        draw_edits(boxes, edits, lambda points: eye.project(points)[:, :2])
         boxes.set_title("Bounding boxes (width × depth × height)")
         values = 100.0 * _thinned(distances_m)
         dots = _scatter(coloured, eye, _thinned(original), c=values, cmap=_CMAP, vmin=0.0, vmax=limit_cm)
@@ -124,7 +129,7 @@ def _draw_box(axis: Axes, eye: _Eye, cloud: FloatArray, colour: str) -> None:
     hidden = int(np.argmin(page[:, 2]))
     size_m = np.ptp(cloud, axis=0)[list(eye.axes)]
     axis.plot([], [], color=colour, label=" × ".join(f"{size:.2f}" for size in size_m) + " m")
-    for edge in _EDGES:
+    for edge in EDGES:
         behind = {"linestyle": (0, (3, 3)), "linewidth": 0.8} if hidden in edge else {"linewidth": 1.5}
         axis.plot(*page[list(edge), :2].T, color=colour, **behind)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
+from monoloc.editing.edit_history import DrawnEdit
 from monoloc.evaluation.cloud_metrics import cloud_distances
 from monoloc.geometry import FloatArray, invert, transform
 from monoloc.map.depth_rendering import cloud_depth
+from monoloc.viz.edit_drawing import draw_edits
 from monoloc.viz.picture import BLUE, GREY, INK, ORANGE, VERMILION, picture
 
 if TYPE_CHECKING:
@@ -39,12 +42,14 @@ class MapView:
         cloud: points of its surface, (N, 3), world frame, metres.
         landmarks: (L, 3), world frame, metres.
         poses: ``T_world_camera`` of the cameras that built it, (V, 4, 4), possibly none.
+        edits: of the map, world frame.
     """
 
     name: str
     cloud: FloatArray
     landmarks: FloatArray
     poses: FloatArray
+    edits: tuple[DrawnEdit, ...] = ()
 
 
 def plot_from_above(path: str | Path, views: tuple[MapView, ...], T_level_world: FloatArray) -> None:
@@ -60,6 +65,10 @@ def plot_from_above(path: str | Path, views: tuple[MapView, ...], T_level_world:
         DataError: the file cannot be written.
     """
     views = tuple(_levelled(view, T_level_world) for view in views)
+
+    def project(points: FloatArray) -> FloatArray:
+        return transform(T_level_world, points)[:, :2]
+
     shown = [_below_ceiling(view) for view in views]
     low, high = _limits(views, shown)
     lowest, highest = np.percentile(np.concatenate(shown)[:, 2], [1.0, 99.0])
@@ -70,11 +79,13 @@ def plot_from_above(path: str | Path, views: tuple[MapView, ...], T_level_world:
             x, y, height = cloud[np.argsort(cloud[:, 2])].T
             dots = axis.scatter(x, y, 1.2, height, cmap=_CMAP, vmin=lowest, vmax=highest, **_DOTS)
             _draw_cameras(axis, view)
+            draw_edits(axis, view.edits, project)
             axis.set_title(f"{view.name}, from above")
             axis.legend(**_BELOW)
         figure.colorbar(dots, ax=axes[: len(views)], shrink=0.7, pad=0.01, label="height along z (m)")
         if len(views) == 2:
             _draw_difference(axes[2], *shown)
+            draw_edits(axes[2], _later_edits(*views), project, with_content=False)
         for axis in axes:
             axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x (m)", ylabel="y (m)", aspect="equal")
 
@@ -103,6 +114,7 @@ def plot_from_pose(path: str | Path, views: tuple[MapView, ...], camera: Camera,
             dots = _show(axis, image, farthest_m)
             pixels = _in_view(view.landmarks, image, camera, T_world_camera)
             axis.plot(*pixels.T, ".", markersize=2.5, color=ORANGE)
+            draw_edits(axis, view.edits, partial(_pixels, camera, T_world_camera), with_content=False)
             axis.set_title(f"{view.name}: depth, and {len(pixels)} landmarks in view")
         figure.colorbar(dots, ax=axes[: len(views)], shrink=0.8, pad=0.01, extend="max", label="depth (m)")
         if len(views) == 2:
@@ -112,6 +124,7 @@ def plot_from_pose(path: str | Path, views: tuple[MapView, ...], camera: Camera,
             far = np.where(np.abs(change) > CHANGED_M, change, np.nan)
             moved = axes[2].imshow(far, cmap="RdBu", vmin=-1.0, vmax=1.0)
             axes[2].set_title("after minus before: red is nearer, blue farther")
+            draw_edits(axes[2], _later_edits(*views), partial(_pixels, camera, T_world_camera), with_content=False)
             figure.colorbar(moved, ax=axes[2], shrink=0.8, pad=0.01, extend="both", label="change of depth (m)")
         for axis in axes:
             axis.grid(False)
@@ -121,6 +134,23 @@ def plot_from_pose(path: str | Path, views: tuple[MapView, ...], camera: Camera,
 def _panels(figure: Figure, count: int) -> list[Axes]:
     axes: list[Axes] = figure.subplots(1, count, squeeze=False)[0].tolist()
     return axes
+
+
+def _later_edits(before: MapView, after: MapView) -> tuple[DrawnEdit, ...]:
+    """What was edited between two maps; nothing if one is not an edited copy of the other."""
+    count = len(before.edits)
+    is_copy = [edit.record for edit in before.edits] == [edit.record for edit in after.edits[:count]]
+    return after.edits[count:] if is_copy else ()
+
+
+def _pixels(camera: Camera, T_world_camera: FloatArray, points: FloatArray) -> FloatArray:
+    """Pixels (N, 2) of points (N, 3), world frame; NaN out of the image."""
+    local = transform(invert(T_world_camera), points)
+    pixels = np.full((len(points), 2), np.nan)
+    is_seen = camera.in_sight(local)
+    pixels[is_seen] = camera.project(local[is_seen])
+    is_in = np.all((pixels >= -0.5) & (pixels < [camera.width - 0.5, camera.height - 0.5]), axis=1)
+    return np.where(is_in[:, None], pixels, np.nan)
 
 
 def _levelled(view: MapView, T: FloatArray) -> MapView:

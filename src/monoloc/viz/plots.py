@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from monoloc.editing.edit_history import DrawnEdit
 from monoloc.evaluation.depth_metrics import depth_metrics, truth_where_predicted
 from monoloc.geometry import FloatArray
 from monoloc.viz.picture import BLUE, ORANGE, picture
@@ -28,6 +29,7 @@ def plot_localization(
     unseen: NDArray[np.bool_] | None = None,
     states: Sequence[str] | None = None,
     mixture: tuple[FloatArray, FloatArray] | None = None,
+    edits: Sequence[DrawnEdit] = (),
     title: str = "",
 ) -> None:
     """Plot the trajectory over the map, from above and from the side, and its errors over time.
@@ -46,6 +48,7 @@ def plot_localization(
         unseen: (N,) True for frames that were not used to build the map.
         states: state of each frame, N of :data:`monoloc.supervision.state.State`.
         mixture: means (K, 3) and covariances (K, 3, 3) of the map, world frame, metres.
+        edits: of the map.
         title: title of the figure.
 
     Raises:
@@ -53,7 +56,7 @@ def plot_localization(
         DataError: the file cannot be written.
         ValueError: an array does not match the estimate, or a pose is not finite.
     """
-    run = Run(estimated, timestamps_s, truth, covariances, odometry, unseen, states, mixture)
+    run = Run(estimated, timestamps_s, truth, covariances, odometry, unseen, states, mixture, edits)
     with picture(path, 13.0, 7.8) as figure:
         if title:
             figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold")

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
+from monoloc.editing.edit_history import DrawnEdit, drawn_edits
 from monoloc.geometry import FloatArray, invert, rotation_to_quaternion, transform
 from monoloc.io.recording import Recording
 from monoloc.likelihood.thresholds import LikelihoodThresholds
@@ -21,6 +22,7 @@ from monoloc.step import Step
 from monoloc.step_budget import Level
 from monoloc.supervision.state import Reason, State
 from monoloc.viz.pinhole_view import PinholeView
+from monoloc.viz.rerun_edits import log_edits
 
 # Colours of Okabe and Ito (2008) that are visible on Rerun's dark background, RGBA.
 _TRUTH, _ESTIMATE, _ODOMETRY, _SCAN = 0xE6E6E6FF, 0x56B4E9FF, 0xE69F00FF, 0x00C78FFF
@@ -83,6 +85,7 @@ class RerunViewer:
         self._static("world/map", _ellipsoids(map_.means, map_.covariances, _SURFACE_SIGMAS, _MAP, "solid"))
         landmarks = rr.Points3D(room.landmarks.points, colors=_LANDMARKS, radii=rr.Radius.ui_points(1.0))
         self._static("world/landmarks", landmarks)
+        log_edits(self._stream, drawn_edits(room, np.random.default_rng(0)), room.provenance.down_world)
         self._view = PinholeView(camera)
         self._static("world/camera/image", _pinhole(self._view.camera))
         for path, color in _PLOTS.items():
@@ -232,9 +235,14 @@ def run_blueprint() -> rrb.Blueprint:
 
 
 def draw_map_change(
-    stream: rr.RecordingStream, original: FloatArray, adapted: FloatArray, distances_m: FloatArray, down: ArrayLike
+    stream: rr.RecordingStream,
+    original: FloatArray,
+    adapted: FloatArray,
+    distances_m: FloatArray,
+    down: ArrayLike,
+    edits: tuple[DrawnEdit, ...],
 ) -> None:
-    """Log both clouds with boxes, the original cloud coloured by distance, and a histogram of distances.
+    """Log both clouds with boxes and edits, the original cloud coloured by distance, and a histogram of distances.
 
     This is the interactive form of :func:`monoloc.viz.map_drawing.plot_map_change` (Shukla et al. 2023, figure 3).
 
@@ -243,7 +251,9 @@ def draw_map_change(
         original, adapted: clouds (N, 3) and (M, 3), world frame, metres.
         distances_m: (N,) distance of each point of the original to the adapted cloud.
         down: (3,) approximate down direction in the world.
+        edits: of the map.
     """
+    log_edits(stream, edits, down)
     stream.log("world", _view_coordinates(down), static=True)
     for name, cloud, color in (("original", original, _ORIGINAL), ("adapted", adapted, _ADAPTED)):
         stream.log(f"world/{name}", rr.Points3D(cloud, colors=color, radii=rr.Radius.ui_points(1.0)), static=True)
@@ -269,7 +279,7 @@ def draw_map_change(
 
 def map_blueprint() -> rrb.Blueprint:
     """Layout with clouds and boxes on the left, and distances in the room and as a histogram on the right."""
-    clouds = ["world/original", "world/adapted", "world/boxes/**"]
+    clouds = ["world/original", "world/adapted", "world/boxes/**", "world/edits/**"]
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Spatial3DView(origin="world", contents=clouds, name="original (blue) and adapted (orange)"),

@@ -7,13 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from monoloc.editing.edit_history import DrawnEdit
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray
+from monoloc.viz.edit_drawing import draw_edits
 from monoloc.viz.picture import BLUE, GREEN, INK, ORANGE, PURPLE, VERMILION, YELLOW
 
 if TYPE_CHECKING:
@@ -44,6 +47,7 @@ class Run:
     unseen: NDArray[np.bool_] | None
     states: Sequence[str] | None
     mixture: tuple[FloatArray, FloatArray] | None
+    edits: Sequence[DrawnEdit] = ()
 
     def in_state(self, state: str) -> NDArray[np.bool_]:
         """Whether each frame is in the state, (N,); False if the states are unknown."""
@@ -70,6 +74,7 @@ def draw_views(figure: SubFigure, run: Run) -> dict[str, Artist]:
         if axis is side and up_is_negative:
             axis.invert_yaxis()
         _draw_map(axis, plane, run)
+        draw_edits(axis, run.edits, partial(np.take, indices=plane, axis=1), with_content=False)
         shown |= _draw_trajectories(axis, plane, run)
     top.set_title("From above (arrows: viewing direction)")
     side.set_title("From the side")

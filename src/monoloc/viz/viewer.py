@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle
+from monoloc.editing.edit_history import DrawnEdit
 from monoloc.errors import DataError, SettingError
 from monoloc.files import target_of
 from monoloc.geometry import FloatArray
@@ -99,14 +100,18 @@ def show_map_change(
     adapted: FloatArray,
     distances_m: FloatArray,
     down: FloatArray,
+    edits: tuple[DrawnEdit, ...],
 ) -> None:
-    """Show two clouds in an optional window and file; see :func:`monoloc.viz.rerun_viewer.draw_map_change`."""
+    """Show two clouds and the map's edits in an optional window and file.
+
+    See :func:`monoloc.viz.rerun_viewer.draw_map_change`.
+    """
     if not view and record is None:
         return
     from monoloc.viz.rerun_viewer import draw_map_change, map_blueprint
 
     with _rerun_stream("monoloc map compare", name, map_blueprint(), view, record) as stream:
-        draw_map_change(stream, original, adapted, distances_m, down)
+        draw_map_change(stream, original, adapted, distances_m, down, edits)
 
 
 @contextmanager
