@@ -16,6 +16,7 @@ from monoloc.components import ComponentsFactory, default_components
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.front_end import FrontEnd, Observation
 from monoloc.fusion.gravity import Gravity
+from monoloc.fusion.reference_poses import NEAR_M
 from monoloc.geometry import FloatArray
 from monoloc.landmarks.pnp import LandmarkMeasurement
 from monoloc.likelihood.protocol import weigh_corners, weigh_depth_image
@@ -319,6 +320,7 @@ class Localizer:
             repeated_s=observation.repeated_s,
             image_is_empty=observation.is_empty,
             odometry_tracked=observation.odometry_tracked,
+            is_near_build=self._bundle.reference_poses.distance_m(belief.pose) <= NEAR_M,
             camera_mismatch=self._camera_check.mismatch,
             changed_region=self._map_change.update(belief.pose, probability_far, landmarks, observation.elapsed_s),
         )

@@ -13,6 +13,7 @@ import numpy as np
 from monoloc.bundle import Bundle
 from monoloc.errors import DataError
 from monoloc.evaluation.consistency import Consistency
+from monoloc.fusion.reference_poses import NEAR_M
 from monoloc.geometry import FloatArray, pose_distance_m
 from monoloc.io.recording import Recording
 from monoloc.localizer import Localizer
@@ -30,9 +31,6 @@ AFTER_S = 5.0
 
 APART_M = 0.7
 """Least pose distance of a kidnap, see :func:`monoloc.geometry.pose_distance_m`."""
-
-NEAR_M = 0.3
-"""Pose distance to the nearest of the build's frames up to which a camera is *near* them, and else *away*."""
 
 _FOUND_S = 3.0  # in which a camera is to be found
 _REPORTED_S = 0.5  # in which a kidnap is to be noticed
@@ -73,7 +71,7 @@ class RecoveryFigures:
         map_edits: number of flights over edited maps, and of the same flights over the true map.
         map_changed_rate: flights over edited maps in which a *map-changed* frame names a region of the edit.
         map_changed_false_rate: flights over the true map in which a frame is *map-changed*.
-        near, away: within :data:`NEAR_M` of the build's frames, and farther away.
+        near, away: within :data:`~monoloc.fusion.reference_poses.NEAR_M` of the build's frames, and farther away.
     """
 
     starts: int

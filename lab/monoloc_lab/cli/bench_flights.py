@@ -25,13 +25,14 @@ from monoloc.cli.common import (
 )
 from monoloc.errors import SettingError
 from monoloc.extras import require_mavlink, require_stream
+from monoloc.fusion.reference_poses import NEAR_M
 from monoloc.mavlink.firmware import Firmware
 from monoloc.progress import ConsoleProgress
 from monoloc.supervision.state import State
 from monoloc_lab.bench.fault_flights import FaultFigures, bench_faults
 from monoloc_lab.bench.faults import FAULTS
 from monoloc_lab.bench.judged_flight import REFUSED
-from monoloc_lab.bench.recovery import NEAR_M, bench_recovery
+from monoloc_lab.bench.recovery import bench_recovery
 from monoloc_lab.bench.stopping import bench_stops, check_room, rendered_approaches
 from monoloc_lab.rooms import TESTS
 from monoloc_lab.soak.live_flight import bench_live_flight

@@ -12,6 +12,9 @@ from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_log
 
 MOST_STEP_M = 0.5  # pose distance from one frame to the next beyond which no camera can be followed
 MOST_POSES = 20_000  # 22 minutes at 15 Hz
+NEAR_M = 0.3
+"""Pose distance to the nearest reference pose up to which a camera is *near* the build's frames, and else *away*."""
+
 _KERNEL_M = 0.1  # pose distance beyond the nearest at which a reference pose's weight has fallen to 1 / e
 _STILL_M = 0.02  # recent motion, in pose distance, below which the camera moves in no direction
 _ROUNDING_M = 1e-4  # steps shorter than this, in pose distance, have no direction

@@ -33,6 +33,8 @@ class Reason(Enum):
     """The covariance allows for more than 30 cm."""
     NO_ODOMETRY = "no odometry"
     """Odometry did not follow the camera."""
+    FAR_FROM_BUILD = "far from the build"
+    """The camera is believed to be away from the frames that the map was built from."""
     IMAGE_REPEATED = "image repeated"
     """The camera gives the same image again and again."""
     IMAGE_EMPTY = "image empty"
@@ -58,6 +60,7 @@ class Supervision:
         repeated_s: for how long the image has not changed.
         image_is_empty: whether the image has no contrast.
         odometry_tracked: whether odometry, if there is any, followed the camera.
+        is_near_build: whether the believed pose is near the frames that the map was built from.
         camera_mismatch: whether landmarks fit another focal length.
         changed_region: in view, in which the map no longer holds; None where there is none.
     """
@@ -68,6 +71,7 @@ class Supervision:
     repeated_s: float
     image_is_empty: bool
     odometry_tracked: bool
+    is_near_build: bool
     camera_mismatch: bool
     changed_region: ChangedRegion | None
 
@@ -105,6 +109,7 @@ def _reasons(supervision: Supervision) -> frozenset[Reason]:
         Reason.BELIEF_DOUBTFUL: is_far and wrong >= wide,
         Reason.POSITION_WIDE: is_far and wide > wrong,
         Reason.NO_ODOMETRY: not supervision.odometry_tracked,
+        Reason.FAR_FROM_BUILD: supervision.mode is Mode.TRACKING and not supervision.is_near_build,
         Reason.IMAGE_REPEATED: supervision.repeated_s > _MOST_REPEATED_S,
         Reason.IMAGE_EMPTY: supervision.image_is_empty,
         Reason.CAMERA_MISMATCH: supervision.camera_mismatch,

@@ -21,6 +21,7 @@ def supervision_of(**given: Any) -> Supervision:
         "repeated_s": 0.0,
         "image_is_empty": False,
         "odometry_tracked": True,
+        "is_near_build": True,
         "camera_mismatch": False,
         "changed_region": None,
     }
@@ -84,7 +85,9 @@ def test_changed_map_is_said_where_the_pose_is_vouched_for() -> None:
     assert classify_state(supervision_of(changed_region=REGION, camera_mismatch=True), "tracking")[0] == "uncertain"
 
 
-@pytest.mark.parametrize("harmless", [{"repeated_s": 0.2}, {"image_is_empty": True}, {"odometry_tracked": False}])
+@pytest.mark.parametrize(
+    "harmless", [{"repeated_s": 0.2}, {"image_is_empty": True}, {"odometry_tracked": False}, {"is_near_build": False}]
+)
 def test_what_the_probability_allows_for_is_tracking_without_reasons(harmless: dict[str, Any]) -> None:
     assert classify_state(supervision_of(**harmless), "tracking") == ("tracking", frozenset())
 
@@ -102,6 +105,7 @@ REASONS: dict[Reason, dict[str, Any]] = {
 CAUSES: dict[Reason, dict[str, Any]] = {
     Reason.NO_ODOMETRY: {"odometry_tracked": False},
     Reason.IMAGE_EMPTY: {"image_is_empty": True},
+    Reason.FAR_FROM_BUILD: {"is_near_build": False},
 }
 
 
