@@ -132,7 +132,7 @@ class OrbLandmarkLocalizer:
             room.descriptors[visible],
             seen.pixels,
             seen.descriptors,
-            min(self._radius_px(local, covariance), _MOST_RADIUS_PX),
+            self._radius_px(local, covariance),
         )
         points = room.points[visible[which]].astype(np.float64)
         agree, fit = fit_matches(points, seen.select(where), camera, prior, covariance)
