@@ -66,7 +66,7 @@ def test_right_recording_is_good(workspace: Path, capfd: pytest.CaptureFixture[s
     check_picture(workspace / "drawn" / "pictures.png", 1200, 800)
 
 
-def test_other_convention_is_bad_is_not_built_and_can_be_fixed(
+def test_other_convention_is_bad_is_not_built_and_is_good_once_fixed(
     workspace: Path, flight: RoomRecording, capfd: pytest.CaptureFixture[str]
 ) -> None:
     assert flight.poses is not None
@@ -77,6 +77,15 @@ def test_other_convention_is_bad_is_not_built_and_can_be_fixed(
     problem = r"poses and images disagree: corners land \d+% .* quaternions with w first and world-to-camera"
     refused(capfd, workspace, ("build", "flight", "--out", "a.monoloc", *QUICK), "flight: ", problem, f"give {fix}$")
     assert checked(capfd, 0, "flight", *fix.split())[0]["level"] == "good"
+
+
+@pytest.mark.slow  # that poses are fixed, the check above has, and that right ones are built from, test_commands.py
+def test_other_convention_is_built_from_once_it_is_fixed(
+    workspace: Path, flight: RoomRecording, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert flight.poses is not None
+    write_poses(workspace, flight, POSES["COLMAP"].poses(flight.poses))
+    fix = "--fix-poses w-first,world-to-camera"
     outputs(capfd, "build", "flight", "--out", "a.monoloc", "--no-landmarks", *fix.split(), *QUICK)
     assert (workspace / "a.monoloc" / "manifest.json").is_file()
 

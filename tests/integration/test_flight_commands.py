@@ -339,14 +339,14 @@ def test_images_of_another_size_than_the_intrinsics_end_the_flight(capfd: Captur
 # --- In a process of its own ---
 
 
+def heed_signals() -> None:
+    """Background jobs and nohup ignore signals, and a child inherits that."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+
+
 def fly_in_process(folder: Path, *arguments: str) -> subprocess.Popen[bytes]:
     pipe = subprocess.PIPE
-
-    def heed_signals() -> None:
-        """Background jobs and nohup ignore signals, and a child inherits that."""
-        for number in (signal.SIGINT, signal.SIGHUP):
-            signal.signal(number, signal.SIG_DFL)
-
     return subprocess.Popen(
         [*RUN, *arguments], cwd=folder, stdin=pipe, stdout=pipe, stderr=pipe, preexec_fn=heed_signals
     )
@@ -401,7 +401,8 @@ def test_a_terminal_that_hangs_up_ends_a_flight_as_a_signal_does(capfd: Capture,
     stay_at_frame(here / "flight", 4)
     terminal, side = pty.openpty()
     fly = ("fly", "room.monoloc", "flight", "--start", "truth", "--out", "live.csv", "--record", "live")
-    process = subprocess.Popen([*RUN, *fly], cwd=here, stdin=side, stdout=side, stderr=side, start_new_session=True)
+    streams = {"stdin": side, "stdout": side, "stderr": side}
+    process = subprocess.Popen([*RUN, *fly], cwd=here, **streams, start_new_session=True, preexec_fn=heed_signals)
     os.close(side)
     wait_for_rows(here / "live.csv", 2)
     process.send_signal(signal.SIGHUP)

@@ -95,7 +95,7 @@ VARIANTS = [
         )
         for tune in ("decoder", "all")
     ),
-    pytest.param({"tune": "none", "steps": 100}, id="map alone"),
+    pytest.param({"tune": "none", "steps": 100}, id="map alone", marks=pytest.mark.slow),
 ]
 
 
@@ -141,7 +141,7 @@ def change_of_map(mapped_room: RoomMap, views: Views, **settings: object) -> Map
     return compare_maps(adaptation.map.original_mixture(), adaptation.map.adapted_mixture())
 
 
-@pytest.mark.parametrize(("tune", "steps"), [("last", 100), ("all", 16)])
+@pytest.mark.parametrize(("tune", "steps"), [("last", 100), pytest.param("all", 16, marks=pytest.mark.slow)])
 def test_default_penalty_preserves_the_correspondence(
     mapped_room: RoomMap, views: Views, tune: str, steps: int
 ) -> None:

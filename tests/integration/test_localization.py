@@ -127,7 +127,7 @@ def test_random_walk_follows_less_accurately_than_odometry(flights: Flights, vis
     assert np.linalg.norm(positions - positions[0], axis=1).max() > 0.5
 
 
-@pytest.mark.parametrize("scale", [0.9, 1.1])
+@pytest.mark.parametrize("scale", [0.9, pytest.param(1.1, marks=pytest.mark.slow)])
 def test_wrong_scale_of_depth_is_estimated(flights: Flights, scale: float) -> None:
     localizer = flights.localizer(log_scale_sd=0.1)
     for index in range(30):

@@ -82,7 +82,7 @@ def test_a_camera_that_turns_back_is_handed_back(place: Place, walk: RoomRecordi
     assert all(distance_m(step, pose) < 0.1 for step, pose in zip(steps, walk.poses[::-1], strict=True))
 
 
-@pytest.mark.parametrize("dark_frames", [10, 0])
+@pytest.mark.parametrize("dark_frames", [0, pytest.param(10, marks=pytest.mark.slow)])
 def test_a_camera_carried_into_another_room_is_found_there(
     place: Place, walk: RoomRecording, dark_frames: int
 ) -> None:

@@ -52,7 +52,7 @@ def with_relocalization_sds(sd_m: float, sd_rad: float) -> LocalizerConfig:
     return SETTINGS.model_copy(update={"particle_bias": bias})
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_camera_of_unknown_start_is_found(
     mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds, seed: int
 ) -> None:
@@ -179,7 +179,7 @@ def test_room_whose_places_are_hard_to_tell_apart_is_not_searched(
     np.testing.assert_array_equal(*poses)
 
 
-@pytest.mark.parametrize("motion", ["visual", "random-walk"])
+@pytest.mark.parametrize("motion", ["visual", pytest.param("random-walk", marks=pytest.mark.slow)])
 def test_relocalized_pose_is_as_uncertain_as_was_measured(
     mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds, motion: str
 ) -> None:

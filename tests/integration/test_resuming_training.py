@@ -176,7 +176,7 @@ def test_run_is_not_continued_on_other_frames(tmp_path: Path, training: Recordin
             train_network(recordings, judged_on, UNCERTAIN, tmp_path)
 
 
-@pytest.mark.parametrize("role", ["start", "encoder_weights"])
+@pytest.mark.parametrize("role", ["start", pytest.param("encoder_weights", marks=pytest.mark.slow)])
 def test_run_is_not_continued_from_another_start(
     tmp_path: Path, training: Recording, validation: Recording, role: str
 ) -> None:

@@ -141,7 +141,7 @@ def test_commands_of_the_drone(here: Path, recording: RoomRecording) -> None:
 
 
 def test_build_without_adaptation(here: Path) -> None:
-    options = ("--tune", "none", "--no-map-transform", "-k", "30", "--json")
+    options = ("--frames", "::2", "--no-landmarks", "--tune", "none", "--no-map-transform", "-k", "30", "--json")
     built, localized = monoloc(
         here,
         ("build", "recording", "--out", "plain.monoloc", *options),

@@ -45,12 +45,11 @@ def room(request: pytest.FixtureRequest, data_root: Path) -> tuple[Recording, Ma
     ("folder", "frames"),
     [
         (KITCHEN, "::4"),
-        (DESK, "350:"),
         *(
             pytest.param(folder, frames, marks=pytest.mark.slow)
             for folder, all_frames in (
                 (KITCHEN, ("::", "::3", "::12", "0:400:16", "200:", "0:100", "300:")),
-                (DESK, ("::", "::4", "::14")),
+                (DESK, ("350:", "::", "::4", "::14")),
             )
             for frames in all_frames
         ),
@@ -68,7 +67,14 @@ def test_right_recordings_are_not_doubted(
     assert capfd.readouterr().err == ""
 
 
-@pytest.mark.parametrize("name", POSES)
+# Of each kind of change one by day: the axes, the matrix, the scale and the time.
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[] if name in ("OpenGL", "COLMAP", "centimetres", "late") else [pytest.mark.slow])
+        for name in POSES
+    ],
+)
 def test_poses_of_another_convention_are_named(room: tuple[Recording, Matches], name: str) -> None:
     recording, matches = room
     assert recording.poses is not None
@@ -76,7 +82,8 @@ def test_poses_of_another_convention_are_named(room: tuple[Recording, Matches], 
     assert re.fullmatch(f".* off as [^;]*{POSES[name].words}.*; give {POSES[name].option}", refusal(check))
 
 
-@pytest.mark.parametrize(("said", "right"), [(1000.0, 5000.0), pytest.param(5000.0, 1000.0, marks=pytest.mark.slow)])
+@pytest.mark.slow  # tests/unit/recording_check/test_pose_check.py has it in a synthetic room
+@pytest.mark.parametrize(("said", "right"), [(1000.0, 5000.0), (5000.0, 1000.0)])
 def test_depth_scale_is_named_with_its_value(data_root: Path, said: float, right: float) -> None:
     """The depth of the kitchen, stored as ``right`` to the metre and read as ``said``."""
     whole = open_recording(str(data_root / KITCHEN))
@@ -98,6 +105,7 @@ def test_another_focal_length_is_named(room: tuple[Recording, Matches], factor: 
     assert found and float(found[2]) == pytest.approx(recording.camera.fx, rel=0.06), line
 
 
+@pytest.mark.slow  # tests/unit/recording_check/test_pose_check.py has them in a synthetic room
 def test_images_upside_down_are_named(room: tuple[Recording, Matches]) -> None:
     line = refusal(check_poses(Altered(room[0], color=upside_down)))
     assert line.endswith("; give --fix-depth turned-180 --fix-poses turned-180")

@@ -40,9 +40,7 @@ def damage(draw: st.DrawFn, whole: bytes) -> bytes:
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of NumPy, about numbers that are then refused
 @pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
-@settings(
-    max_examples=60, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damaged_file_is_read_or_refused(tmp_path: Path, target: Target, data: st.DataObject) -> None:
     path = tmp_path / target.file

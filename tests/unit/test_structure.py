@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import ast
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -22,7 +23,8 @@ def modules_of(package: str) -> dict[str, Path]:
     return {name.removesuffix(".__init__"): path for name, path in files.items()}
 
 
-def imports_of(path: Path) -> Iterator[str]:
+@cache
+def imports_of(path: Path) -> list[str]:
     """Names that a file imports at module level or within functions, but for those that only a type checker sees."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     typing_only = {
@@ -31,19 +33,20 @@ def imports_of(path: Path) -> Iterator[str]:
         if isinstance(block, ast.If) and isinstance(block.test, ast.Name) and block.test.id == "TYPE_CHECKING"
         for node in ast.walk(block)
     }
+    names = []
     for node in ast.walk(tree):
         if id(node) in typing_only:
             continue
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+            names += [f"{node.module}.{alias.name}" for alias in node.names]
+    return names
 
 
 def imported_modules(path: Path, known: dict[str, Path]) -> set[str]:
     """Modules of the package that a file imports; a name in a module counts for the module."""
-    names = list(imports_of(path))
-    return {name if name in known else name.rpartition(".")[0] for name in names} & known.keys()
+    return {name if name in known else name.rpartition(".")[0] for name in imports_of(path)} & known.keys()
 
 
 def whole(module: str) -> str:

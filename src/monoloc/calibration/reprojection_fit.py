@@ -121,21 +121,19 @@ def linearise(fit: BoardFit, views: Sequence[BoardView], board: Board) -> list[L
 def _moved(fit: BoardFit, parts: Sequence[Linearisation], free: NDArray[np.bool_], damping: float) -> BoardFit:
     """One damped Gauss-Newton step."""
     count = int(free.sum())
-    H, gradient, eliminated = np.zeros((count, count)), np.zeros(count), []
-    for part in parts:
-        J, J_pose = part.by_intrinsics[:, free], part.by_pose
-        of_pose = J_pose.T @ J_pose
-        of_pose += damping * np.diag(np.diag(of_pose)) + 1e-12 * np.eye(6)
-        cross = J.T @ J_pose
-        solved = np.linalg.solve(of_pose, np.column_stack([cross.T, J_pose.T @ part.residual]))
-        H += J.T @ J - cross @ solved[:, :-1]
-        gradient += J.T @ part.residual - cross @ solved[:, -1]
-        eliminated.append(solved)
+    # Per view: the normal equations of intrinsics, pose and residual, (V, count + 7, count + 7).
+    stacked = (np.column_stack([part.by_intrinsics[:, free], part.by_pose, part.residual]) for part in parts)
+    normal = np.stack([columns.T @ columns for columns in stacked])
+    intrinsic, of_pose, right = slice(0, count), slice(count, count + 6), [*range(count), -1]
+    damped = normal[:, of_pose, of_pose] * (1.0 + damping * np.eye(6)) + 1e-12 * np.eye(6)
+    eliminated = np.linalg.solve(damped, normal[:, of_pose, right])
+    reduced = (normal[:, intrinsic, right] - normal[:, intrinsic, of_pose] @ eliminated).sum(axis=0)
+    H, gradient = reduced[:, :-1], reduced[:, -1]
     # Coefficients that the views do not determine move little.
     step = np.linalg.lstsq(H + damping * np.diag(np.diag(H)), gradient, rcond=None)[0]
     intrinsics = fit.intrinsics.copy()
     intrinsics[free] += step
-    poses = fit.poses + np.stack([solved[:, -1] - solved[:, :-1] @ step for solved in eliminated])
+    poses = fit.poses + eliminated[:, :, -1] - eliminated[:, :, :-1] @ step
     return BoardFit(fit.model, intrinsics, poses)
 
 

@@ -73,7 +73,7 @@ def test_only_what_is_tuned_gets_a_gradient(
     assert (adaptation.kl() > 0.0) == map_transform
 
 
-@pytest.mark.parametrize("tune", ["last", "all"])
+@pytest.mark.parametrize("tune", ["last", pytest.param("all", marks=pytest.mark.slow)])
 def test_relit_views_are_learned_from_as_if_taken_in_that_light(
     mapped_room: RoomMap, views: Views, monkeypatch: pytest.MonkeyPatch, tune: str
 ) -> None:
@@ -94,7 +94,7 @@ def test_relit_views_are_learned_from_as_if_taken_in_that_light(
     assert float((relit - as_taken).detach().abs().max()) > 1e-2
 
 
-@pytest.mark.parametrize("tune", ["last", "decoder", "all"])
+@pytest.mark.parametrize("tune", ["last", "all", pytest.param("decoder", marks=pytest.mark.slow)])
 def test_stated_error_follows_features_that_move_and_changes_nothing_else(
     mapped_room: RoomMap, views: Views, tune: str
 ) -> None:
@@ -153,7 +153,9 @@ def test_bias_is_unchanged_without_depth(mapped_room: RoomMap, views: Views) -> 
         torch.testing.assert_close(adaptation.network.head.bias.detach(), before)
 
 
-@pytest.mark.parametrize(("tune", "steps"), [("last", 80), ("decoder", 30), ("all", 24)])
+@pytest.mark.parametrize(
+    ("tune", "steps"), [("last", 80), ("decoder", 30), pytest.param("all", 24, marks=pytest.mark.slow)]
+)
 def test_tuning_improves_the_fit(mapped_room: RoomMap, views: Views, tune: str, steps: int) -> None:
     # A network this small learns little about depth while it learns about poses or the map.
     only_depth = {"pose_weight": 0.0, "likelihood_weight": 0.0}  # without effect on the last layer alone
@@ -168,7 +170,7 @@ def test_tuning_improves_the_fit(mapped_room: RoomMap, views: Views, tune: str, 
         assert after.depth_loss < before.depth_loss
 
 
-@pytest.mark.parametrize("tune", ["last", "decoder", "all"])
+@pytest.mark.parametrize("tune", ["last", "all", pytest.param("decoder", marks=pytest.mark.slow)])
 def test_tuning_repeats(mapped_room: RoomMap, views: Views, tune: str) -> None:
     states = []
     for _ in range(2):
@@ -206,7 +208,7 @@ def test_pose_weight_reduces_errors_that_would_move_the_camera(mapped_room: Room
     assert lengths[1] < 0.95 * lengths[0]
 
 
-@pytest.mark.parametrize("tune", ["last", "all"])
+@pytest.mark.parametrize("tune", [pytest.param("last", marks=pytest.mark.slow), "all"])
 def test_state_that_is_best_on_held_out_frames_is_restored(
     mapped_room: RoomMap, views: Views, tune: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from cli_helpers import json_of, listing, outputs, refused, remove_depth
 from monoloc.bundle import read_bundle, write_bundle
@@ -17,7 +18,11 @@ from synthetic_room import write_recording
 from update_helpers import LEFT, RULES, flight, mapped
 
 UPDATE = ("map", "update", "room.monoloc")
-ON_BOX = LEFT.contains(mapped().landmarks.points.astype(np.float64))
+
+
+def is_on_box() -> NDArray[np.bool_]:
+    """Of the map's landmarks."""
+    return LEFT.contains(mapped().landmarks.points.astype(np.float64))
 
 
 @pytest.fixture
@@ -25,10 +30,11 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A working folder with a bundle, beside which two flights have left what they missed."""
     monkeypatch.chdir(tmp_path)
     write_bundle(tmp_path / "room.monoloc", mapped())
-    views = np.where(ON_BOX, 10, 0)
-    tally = Tally.new(len(ON_BOX), RULES)
+    on_box = is_on_box()
+    views = np.where(on_box, 10, 0)
+    tally = Tally.new(len(on_box), RULES)
     for _ in range(2):
-        tally = tally.after_flight(views, views, np.where(ON_BOX, np.inf, 0.0), RULES)
+        tally = tally.after_flight(views, views, np.where(on_box, np.inf, 0.0), RULES)
     evidence = replace(Evidence.none(mapped(), RULES), landmarks=tally, flights=("monday", "tuesday"))
     write_evidence(tmp_path / "room.evidence.npz", evidence, mapped())
     return tmp_path
@@ -39,7 +45,7 @@ def test_proposals_are_listed_drawn_and_applied_by_number(here: Path, capfd: pyt
     listed = json_of(capfd, *UPDATE)
     assert listing(here) == before and listed["counted_flights"] == 2
     assert {each["kind"] for each in listed["proposals"]} == {"retire landmarks"}
-    assert sum(each["count"] for each in listed["proposals"]) == ON_BOX.sum()
+    assert sum(each["count"] for each in listed["proposals"]) == is_on_box().sum()
     (here / "room.monoloc" / SIGNATURE).write_bytes(bytes(64))
     _, err = outputs(capfd, *UPDATE, "--apply", "1", "--plot", "change.png")
     assert "sign it again" in err and (here / "change.png").stat().st_size > 10_000

@@ -153,6 +153,15 @@ def test_fixed_recording_agrees(room: tuple[Recording, Matches]) -> None:
     assert check_poses(fixed).verdict == "agree"
 
 
-@pytest.mark.parametrize("folder", [BUILD, *TESTS.values()], ids=["build", *TESTS])
+@pytest.mark.parametrize(
+    "folder",
+    [
+        pytest.param(BUILD, id="build"),
+        *(
+            pytest.param(folder, id=light, marks=[pytest.mark.slow] if light != "L3" else [])
+            for light, folder in TESTS.items()
+        ),
+    ],
+)
 def test_living_room_is_not_doubted(folder: Path) -> None:
     assert check_poses(open_recording(str(folder))).verdict == "agree"
