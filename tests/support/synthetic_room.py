@@ -7,7 +7,7 @@ as well as 8 bits allow, and the localizer can be tested without a trained netwo
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -95,11 +95,6 @@ class Room:
 
     def view(self, pose: FloatArray, camera: Camera = CAMERA) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """Colour (H, W, 3) RGB and exact depth (H, W) seen from ``T_world_camera``."""
-        color, depth = _view(self, np.asarray(pose, dtype=np.float64).tobytes(), camera)
-        return color.copy(), depth.copy()
-
-    def render(self, pose: FloatArray, camera: Camera) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        """A view, computed anew."""
         directions = (camera.pixel_rays() @ pose[:3, :3].T).reshape(-1, 3)
         origin = pose[:3, 3]
         depth, face = self._cast(origin, directions)
@@ -163,12 +158,6 @@ class Room:
             depth[hit] = entry[hit]
             face[hit] = 6 * number + axis + 3 * is_positive[axis, hit]
         return depth, face
-
-
-# Most tests look from the same poses: views of a path of a hundred frames and more are kept, at 0.6 MB each.
-@lru_cache(maxsize=200)
-def _view(room: Room, pose: bytes, camera: Camera) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    return room.render(np.frombuffer(pose).reshape(4, 4), camera)
 
 
 def make_path(count: int, start_s: float = 0.0, rate_hz: float = FRAME_RATE_HZ) -> FloatArray:
