@@ -35,11 +35,10 @@ checks: $(VENV)/installed
 docs: $(VENV)/installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --site-dir build/site
 
-# Checking types takes longest of all; with one process, twice as long.
 lint: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	MYPY_NUM_WORKERS=2 $(BIN)/mypy
+	$(BIN)/mypy
 
 # Files of every kind, damaged on the way to new code in their readers; half an hour. RUNS is of each kind.
 RUNS ?= 5000
