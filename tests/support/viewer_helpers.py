@@ -56,10 +56,13 @@ class Recorded:
         return values
 
     def static(self, entity: str, component: str) -> Any:
+        """Value of a component that does not change: the last one that was logged."""
         chunks = self.reader.stream().filter(content=entity, is_static=True).to_chunks()
-        batches = [chunk.to_record_batch() for chunk in chunks]
-        (values,) = (batch[component].to_pylist()[0] for batch in batches if component in batch.schema.names)
-        return values
+        values: dict[bytes, Any] = {}
+        for batch in (chunk.to_record_batch() for chunk in chunks):
+            if component in batch.schema.names:
+                values |= zip(batch["rerun.controls.RowId"].to_pylist(), batch[component].to_pylist(), strict=True)
+        return values[max(values)]
 
 
 def show_run(bundle: Bundle, recording: RoomRecording, viewer: Viewer) -> Run:

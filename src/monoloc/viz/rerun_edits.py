@@ -14,21 +14,38 @@ from monoloc.geometry import FloatArray, rotation_to_quaternion
 _WENT, _CAME, _NAME = 0xD55E00FF, 0x2E8BFFFF, 0xFFFFFFFF
 
 
-def log_edits(stream: rr.RecordingStream, edits: tuple[DrawnEdit, ...], down: ArrayLike) -> None:
+Logged = list[tuple[list[object], type[rr.Boxes3D | rr.Arrows3D | rr.Points3D]]]
+"""Paths of entities, and what each is."""
+
+
+def log_edits(stream: rr.RecordingStream, edits: tuple[DrawnEdit, ...], down: ArrayLike) -> Logged:
     """Log each edit below ``world/edits`` by its number and kind: red where something went, blue where it came.
 
     Args:
         stream: to the viewer.
         edits: of the map.
         down: (3,) approximate down direction in the world; a name stands on top of its box.
+
+    Returns:
+        What was logged, for :func:`clear_edits`.
     """
+    logged: Logged = []
     for edit in edits:
         for name, entity in _entities(edit, np.asarray(down, dtype=np.float64)).items():
-            stream.log(["world", "edits", edit.name, name], entity, static=True)
+            path: list[object] = ["world", "edits", edit.name, name]
+            stream.log(path, entity, static=True)
+            logged.append((path, type(entity)))
+    return logged
 
 
-def _entities(edit: DrawnEdit, down: FloatArray) -> dict[str, rr.AsComponents]:
-    entities: dict[str, rr.AsComponents] = {}
+def clear_edits(stream: rr.RecordingStream, logged: Logged) -> None:
+    """Take the edits of another map away."""
+    for path, kind in logged:
+        stream.log(path, kind.cleared(), static=True)
+
+
+def _entities(edit: DrawnEdit, down: FloatArray) -> dict[str, rr.Boxes3D | rr.Arrows3D | rr.Points3D]:
+    entities: dict[str, rr.Boxes3D | rr.Arrows3D | rr.Points3D] = {}
     if edit.place is not None:
         entities["place"] = _box(edit.place, _WENT if edit.is_taking or edit.moved_to else _CAME)
         entities["name"] = _name(edit.name, edit.moved_to or edit.place, down)

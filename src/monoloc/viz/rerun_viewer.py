@@ -22,7 +22,7 @@ from monoloc.step import Step
 from monoloc.step_budget import Level
 from monoloc.supervision.state import Reason, State
 from monoloc.viz.pinhole_view import PinholeView
-from monoloc.viz.rerun_edits import log_edits
+from monoloc.viz.rerun_edits import Logged, clear_edits, log_edits
 
 # Colours of Okabe and Ito (2008) that are visible on Rerun's dark background, RGBA.
 _TRUTH, _ESTIMATE, _ODOMETRY, _SCAN = 0xE6E6E6FF, 0x56B4E9FF, 0xE69F00FF, 0x00C78FFF
@@ -68,6 +68,7 @@ class RerunViewer:
         self._thresholds: LikelihoodThresholds | None = None
         self._view: PinholeView
         self._ends: dict[str, FloatArray] = {}  # last position of each trajectory, (3,)
+        self._edits: Logged = []
 
     def begin(self, room: Bundle, recording: Recording) -> None:
         self._recording = recording
@@ -85,7 +86,9 @@ class RerunViewer:
         self._static("world/map", _ellipsoids(map_.means, map_.covariances, _SURFACE_SIGMAS, _MAP, "solid"))
         landmarks = rr.Points3D(room.landmarks.points, colors=_LANDMARKS, radii=rr.Radius.ui_points(1.0))
         self._static("world/landmarks", landmarks)
-        log_edits(self._stream, drawn_edits(room, np.random.default_rng(0)), room.provenance.down_world)
+        clear_edits(self._stream, self._edits)
+        edits = drawn_edits(room, np.random.default_rng(0))
+        self._edits = log_edits(self._stream, edits, room.provenance.down_world)
         self._view = PinholeView(camera)
         self._static("world/camera/image", _pinhole(self._view.camera))
         for path, color in _PLOTS.items():

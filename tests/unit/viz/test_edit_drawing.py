@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rerun as rr
 from matplotlib.figure import Figure
 
 from edit_helpers import CUBE, mapped_room
@@ -15,6 +16,7 @@ from monoloc.editing.edits import move, remove
 from monoloc.geometry import FloatArray, make_pose
 from monoloc.viz.edit_drawing import draw_edits
 from monoloc.viz.map_view import MapView, plot_from_above, plot_from_pose
+from monoloc.viz.rerun_edits import clear_edits, log_edits
 from monoloc.viz.viewer import show_map_change
 from plot_helpers import check_picture
 from viewer_helpers import Recorded
@@ -73,3 +75,18 @@ def test_viewer_lists_edits_by_number_and_kind(tmp_path: Path, edits: tuple[Draw
         assert recorded.static(entity, "Points3D:labels") == ["1 move"]
         top = recorded.static(entity, "Points3D:positions")
         np.testing.assert_allclose(top, [CUBE.centre + SHIFT - [0.0, CUBE.half[1], 0.0]], atol=1e-6)
+
+
+def test_edits_of_a_room_that_is_left_are_taken_away(tmp_path: Path, edits: tuple[DrawnEdit, ...]) -> None:
+    stream = rr.RecordingStream("a place")
+    stream.save(tmp_path / "place.rrd")
+    clear_edits(stream, log_edits(stream, edits, [0.0, 1.0, 0.0]))
+    kept = log_edits(stream, edits[1:], [0.0, 1.0, 0.0])
+    stream.disconnect()
+    recorded = Recorded(tmp_path / "place.rrd")
+    for entity in recorded.entities:
+        number = int(entity.split("/")[3].partition("\\")[0])
+        component = {"place": "Boxes3D:centers", "name": "Points3D:labels"}.get(entity.rpartition("/")[2])
+        if component is not None:
+            assert bool(len(recorded.static(entity, component))) == (number == 2)
+    assert kept
