@@ -52,7 +52,13 @@ class Absent:
 sys.meta_path.insert(0, Absent())
 """
 # Of the modules, those that need an extra: all others must do without.
-NEED_EXTRAS = ("monoloc.adapt.", "monoloc.depth.training.", "monoloc.viz.flight_drawing", "monoloc.viz.rerun_viewer")
+NEED_EXTRAS = (
+    "monoloc.adapt.",
+    "monoloc.depth.training.",
+    "monoloc.viz.flight_drawing",
+    "monoloc.viz.rerun_edits",
+    "monoloc.viz.rerun_viewer",
+)
 DO_WITHOUT_NEVERTHELESS = ("monoloc.adapt.settings",)
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import resource
 import threading
 from collections import Counter
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +19,11 @@ from monoloc.flight.message_log import BackgroundMessageLog, MessageLog
 from monoloc.mavlink.messages import status_text
 
 
+def messages_of(path: Path) -> list[Any]:
+    with closing(mavutil.mavlink_connection(str(path))) as read:
+        return list(iter(lambda: read.recv_match(blocking=False), None))
+
+
 def test_pymavlink_reads_the_messages_and_their_times(tmp_path: Path) -> None:
     wire = Wire()
     log = BackgroundMessageLog(tmp_path / "messages.tlog", wire, Counter())
@@ -26,13 +33,12 @@ def test_pymavlink_reads_the_messages_and_their_times(tmp_path: Path) -> None:
     log.idle(2000.5)
     log.send(status_text("no image", True))
     log.close()
-    read = mavutil.mavlink_connection(str(tmp_path / "messages.tlog"))
-    messages = [read.recv_match(blocking=False) for _ in range(301)]
+    messages = messages_of(tmp_path / "messages.tlog")
     assert [message.text for message in messages] == [*(f"text {index}" for index in range(300)), "no image"]
     times_s = [message._timestamp for message in messages]
     assert times_s == pytest.approx([*(1000.25 + index for index in range(300)), 2000.5], abs=1e-6)
     assert [message.get_seq() for message in messages[254:258]] == [254, 255, 0, 1]
-    assert len(wire.received) == 301 and read.recv_match(blocking=False) is None
+    assert len(wire.received) == len(messages) == 301
 
 
 def test_a_full_disk_is_said_once_and_keeps_no_message_from_the_autopilot(tmp_path: Path) -> None:
@@ -90,7 +96,4 @@ def test_a_disk_that_stands_still_delays_no_message_and_what_is_left_out_is_coun
     assert len(wire.received) == 20 and dropped == {"messages": 14} and path.stat().st_size == 0
     goes_on.set()
     log.close()
-    read = mavutil.mavlink_connection(str(path))
-    messages = [read.recv_match(blocking=False) for _ in range(7)]
-    assert [message.text for message in messages[:6]] == [f"text {index}" for index in range(6)]
-    assert messages[6] is None
+    assert [message.text for message in messages_of(path)] == [f"text {index}" for index in range(6)]
