@@ -132,6 +132,13 @@ def test_particles_that_are_all_one_give_a_finite_belief() -> None:
     assert np.isfinite(state.covariance).all() and np.linalg.eigvalsh(state.covariance)[0] > -1e-15
 
 
+def test_scale_of_odometry_keeps_its_prior_variance_without_measurements() -> None:
+    before = after = state_at_start()
+    for _ in range(3):
+        after = after.predict(np.eye(4), np.zeros((6, 6)), 1.0, after.prior_sds, scale_correlation=0.9)
+    assert after.covariance[-1, -1] == pytest.approx(before.covariance[-1, -1], rel=1e-12)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_prediction_carries_the_covariance_to_the_new_cameras_frame(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -31,6 +31,10 @@ def test_correlations_over_two_steps_multiply(first: float, second: float) -> No
     assert model.correlation(first + second) == pytest.approx(model.correlation(first) * model.correlation(second))
 
 
+def test_correlation_falls_to_one_over_e_in_two_metres() -> None:
+    assert BiasModel().correlation(2.0) == pytest.approx(np.exp(-1.0))
+
+
 @given(at=st.floats(0.01, 0.2), growth=sizes, distance=st.floats(0.0, 3.0))
 def test_share_of_the_variance_at_reference_poses(at: float, growth: float, distance: float) -> None:
     model = BiasModel(sd_at_reference_m=at, sd_at_reference_rad=0.01, sd_growth_m=growth)
@@ -77,6 +81,16 @@ def test_other_poses_that_landmarks_allow_widen_the_covariance_by_their_likeliho
     stated = LandmarkBiasModel(common_error=0.01).covariance(measured, 0.0)
     # One other pose is as likely: half of its squared distance, as of a mixture about the first. The second is not.
     np.testing.assert_allclose(stated, 1e-6 * np.eye(6) + 0.5 * np.outer(rivals[0], rivals[0]), atol=1e-12)
+
+
+def test_errors_in_common_make_other_poses_more_likely() -> None:
+    """A hundred landmarks that err alike count as 25: 4 nats of theirs are one."""
+    rivals = np.array([[0.1, 0.0, 0.0, 0.0, 0.0, 0.0]])
+    measured = LandmarkPose(
+        np.eye(4), np.zeros((6, 6)), np.zeros((100, 3)), rivals=rivals, rival_nats=np.array([4.0])
+    )
+    stated = LandmarkBiasModel(common_error=0.04).covariance(measured, 0.0)
+    assert stated[0, 0] == pytest.approx(0.01 * np.exp(-1.0) / (1.0 + np.exp(-1.0)))
 
 
 def test_landmarks_of_bundles_without_a_measured_noise_count_as_twenty() -> None:
