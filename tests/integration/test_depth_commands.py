@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -43,13 +42,6 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_workspace(folder, RoomRecording(Room(), make_path(12), SMALL_CAMERA), components=60)
     write_network(folder, MIDAS, onnx_network(MIDAS, SCALE, SHIFT))
     return folder
-
-
-@pytest.fixture
-def here(workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    shutil.copytree(workspace, tmp_path, dirs_exist_ok=True)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 # --- Evaluate and list ---

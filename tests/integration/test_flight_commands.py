@@ -61,14 +61,6 @@ def workspace(tmp_path_factory: pytest.TempPathFactory, recording: RoomRecording
     return folder
 
 
-@pytest.fixture
-def here(workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A copy of the workspace, as working folder."""
-    shutil.copytree(workspace, tmp_path, dirs_exist_ok=True)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
 def rows_of(path: Path) -> list[dict[str, str]]:
     with path.open(newline="") as lines:
         rows = list(csv.DictReader(lines))

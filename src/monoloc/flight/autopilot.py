@@ -75,8 +75,9 @@ def senders(
         SettingError: as :func:`down_world`.
     """
     frames = frames_of(map_, settings)
-    is_told = settings.obstacles and room is not None and tells_obstacles(room)
-    watch = ObstacleWatch.of(room) if room is not None and is_told else None
+    watch = None
+    if room is not None and settings.obstacles and tells_obstacles(room):
+        watch = ObstacleWatch.of(room)
     if folder is not None:
         path = folder / MESSAGES
         log = MessageLog(path) if sink is None else BackgroundMessageLog(path, sink, unwritten)

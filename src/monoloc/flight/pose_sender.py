@@ -65,8 +65,8 @@ class PoseSender:
         self._frame_s = result.done_s
         self._say_state(result)
         if result.in_place is not None and result.in_place.entered is not None:
-            is_told = self._settings.obstacles and result.in_place.tells_obstacles
-            self._watch = ObstacleWatch.entered(result.in_place.entered) if is_told else None
+            sends_obstacles = self._settings.obstacles and result.in_place.tells_obstacles
+            self._watch = ObstacleWatch.entered(result.in_place.entered) if sends_obstacles else None
             self._jump()  # by the error of the door
         if result.step.state == "lost":
             self._jump()  # whatever comes next is elsewhere
