@@ -27,7 +27,8 @@ def reproduce(
     figures: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[FIGURE]...", help="Such as fig4d. [all but ablation, adapt-settings, robustness, ladder]"
+            metavar="[FIGURE]...",
+            help="Such as fig4d. [all but ablation, adapt-settings, robustness, ladder, claims-by-method]",
         ),
     ] = None,
     data: Annotated[

@@ -82,7 +82,8 @@ def carry_out(
                 show(len(results), f"{len(results)} done before")
             if waiting:
                 with _cluster(scheduler) if scheduler else _cores(min(workers, len(waiting))) as executor:
-                    failures = _execute(waiting, results, out, executor, kinds, show)
+                    at_once = len(waiting) if scheduler else workers
+                    failures = _execute(waiting, results, out, executor, at_once, kinds, show)
                 if failures:
                     raise _exception_of(failures)
     return results
@@ -178,14 +179,22 @@ def _execute(
     results: dict[Task, Result],
     out: Path,
     executor: Executor,
+    at_once: int,
     kinds: Mapping[str, Work],
     show: Any,
 ) -> dict[Task, _Failure]:
-    """Submit every task once its needs are done; fills ``results`` and returns the failures."""
+    """Execute every task once its needs are done; fills ``results`` and returns the failures.
+
+    Args:
+        waiting: in an order in which a task comes soon after its needs. The first that can start does, so that a run
+            that is stopped leaves few bundles that were not flown.
+        at_once: number of tasks that are submitted at a time.
+    """
     failures: dict[Task, _Failure] = {}
     running: dict[Future[_Failure | None], Task] = {}
     while waiting or running:
-        for task in [task for task in waiting if all(need in results for need in task.needs)]:
+        ready = [task for task in waiting if all(need in results for need in task.needs)]
+        for task in ready[: at_once - len(running)]:
             waiting.remove(task)
             running[executor.submit(do_task, task, out, kinds)] = task
         if not running:

@@ -10,6 +10,7 @@ from monoloc.files import json_text, write_whole
 from monoloc_lab.experiments import (
     ablation,
     adapt_settings,
+    claims_by_method,
     fig1,
     fig2,
     fig3,
@@ -50,6 +51,7 @@ FIGURES: tuple[Figure, ...] = (
     adapt_settings.FIGURE,
     robustness.FIGURE,
     ladder.FIGURE,
+    claims_by_method.FIGURE,
 )
 
 

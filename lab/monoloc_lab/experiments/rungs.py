@@ -91,6 +91,27 @@ The paper's method beside no tuning; others beside the default, by depth alone a
 """
 
 
+@dataclass(frozen=True)
+class Claimed:
+    """A method that the paper's claims are decided for, and nothing tuned in the same filter."""
+
+    name: str
+    tuned: Rung
+    untuned: Rung
+
+
+_ALONE: tuple[Part, ...] = ("landmarks",)
+
+CLAIMED: tuple[Claimed, ...] = (
+    Claimed("the paper's method", RUNGS[0], _PAPER_UNTUNED),
+    Claimed(
+        "the default, depth alone",
+        Rung("the default, depth alone", without=_ALONE),
+        Rung("nothing tuned, depth alone", _UNTUNED, _ALONE),
+    ),
+    Claimed("the default", RUNGS[-1], Rung("nothing tuned", _UNTUNED)),
+)
+
 LAMBDAS: tuple[Rung, ...] = tuple(
     Rung(f"the paper's method, lambda {value:g}", _built(lambda_kl=value), PARTS) for value in (1.0, 10.0)
 )
