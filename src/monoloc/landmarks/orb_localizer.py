@@ -38,7 +38,6 @@ _RIVAL_CANDIDATES, _MOST_RIVALS = 32, 8  # best matches of a keypoint among whic
 _ITERATIONS, _RIVAL_ITERATIONS = 1000, 100  # of RANSAC
 _SIGHT = 3.0  # times as far as the build found landmarks: from farther, a corner looks another one
 _KEPT_M = 2.0  # for which the camera may move before its surroundings are sought anew
-_NO_INDICES = np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -88,10 +87,10 @@ class OrbLandmarkLocalizer:
         if self._radius_px(local, covariance) <= _MOST_RADIUS_PX:
             return self._agreeing(seen, prior, covariance, (visible, local)).measurement()
         # Too vague to say where in the image a landmark is to be sought, but not where in the room.
-        pose = self._confirmed(seen, visible)[0]
-        if pose is None or not _is_within(pose.pose, prior, covariance):
+        found = self._confirmed(seen, visible)
+        if found is None or found.fit is None or not _is_within(found.fit.pose, prior, covariance):
             return LandmarkMeasurement(len(visible))
-        return LandmarkMeasurement(len(visible), len(pose.points), pose)
+        return found.measurement()
 
     def relocalize(self, color: NDArray[np.uint8]) -> LandmarkPose | None:
         """As :meth:`LandmarkLocalizer.relocalize`; None too where two places look alike."""
@@ -99,8 +98,11 @@ class OrbLandmarkLocalizer:
 
     def relocalize_keypoints(self, seen: Keypoints) -> LandmarkPose | None:
         """As :meth:`relocalize`, from keypoints that are detected already."""
-        found, where = self._confirmed(seen, np.arange(len(self._landmarks)))
-        return None if found is None or self._fits_elsewhere(seen, where, found) else found
+        agreement = self._confirmed(seen, np.arange(len(self._landmarks)))
+        if agreement is None:
+            return None
+        found = agreement.measurement().pose
+        return None if found is None or self._fits_elsewhere(seen, agreement.keypoints, found) else found
 
     def measure_keypoints(self, seen: Keypoints, prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
         """As :meth:`LandmarkLocalizer.measure`, from keypoints that are detected already."""
@@ -162,21 +164,19 @@ class OrbLandmarkLocalizer:
         matched = np.flatnonzero((bits[:, 0] < MATCH_BITS) & (bits[:, 0] < _RATIO * others))
         return self._pose_by_consensus(seen.pixels[matched], nearest[matched, 0], _ITERATIONS)
 
-    def _confirmed(
-        self, seen: Keypoints, possible: NDArray[np.int64]
-    ) -> tuple[LandmarkPose | None, NDArray[np.int64]]:
-        """Pose from descriptors alone, and the indices of the keypoints whose landmarks agree.
+    def _confirmed(self, seen: Keypoints, possible: NDArray[np.int64]) -> _Agreement | None:
+        """What agrees with a pose from descriptors alone; None where too little does.
 
         Args:
             possible: indices of the landmarks that may be in view.
         """
         place = self._pose_without_prior(seen, possible)
         if place is None:
-            return None, _NO_INDICES
+            return None
         best = self._best_of_flat_view(seen, place)
         where = best.keypoints
         is_confirmed = len(where) >= _LEAST_CONFIRMED and self._spread(seen.pixels[where]) >= _LEAST_SPREAD
-        return best.measurement().pose if is_confirmed else None, where
+        return best if is_confirmed else None
 
     def _best_of_flat_view(self, seen: Keypoints, place: FloatArray) -> _Agreement:
         """Of the poses that a flat view leads to from a place (4, 4), the one that most landmarks agree with."""

@@ -86,6 +86,9 @@ def test_vague_prior_tells_equal_places_apart_and_contradicts_a_pose_far_from_it
     found = OrbLandmarkLocalizer(both, CAMERA).measure(color, near_it, covariance)
     assert found.pose is not None and found.found == len(found.pose.points) >= 20
     assert pose_errors(found.pose.pose[None], pose[None]).position_m[0] < 0.03
+    # Which landmarks are missing tells where the map has changed, also from near a surface, where priors are vague.
+    assert len(found.visible) == found.expected > found.found
+    np.testing.assert_array_equal(both.points[found.visible[found.is_found]], found.pose.points)
     contradicted = OrbLandmarkLocalizer(both, CAMERA).measure(color, far, covariance)
     assert contradicted.expected > 60 and contradicted.found == 0 and contradicted.pose is None
 
