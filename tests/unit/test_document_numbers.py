@@ -249,37 +249,7 @@ def test_every_other_number_of_readme_is_none_that_was_measured() -> None:
     assert NUMBER.findall(text) == []
 
 
-# --- The ladder ---
-
-LADDER: list[dict[str, Any]] = json.loads((DATA / "ladder.json").read_text())
-ROOMS = {"RedKitchen": "RedKitchen", "office desk": "office-desk"}
-
-
-@pytest.mark.parametrize("room", sorted({str(row["room"]) for row in LADDER}))
-def test_table_of_the_ladder(room: str) -> None:
-    text = (REPOSITORY / "docs" / "beyond-the-paper.md").read_text(encoding="utf-8")
-    (table,) = (
-        part for part in text.split("\n### ")[1:] if ROOMS.get(part.partition(",")[0].partition("\n")[0]) == room
-    )
-    of_room = [row for row in LADDER if row["room"] == room]
-    rows = cells_of(table)
-    assert {name for name, *_ in rows} == {row["rung"] for row in of_room}
-    for name, between, beyond, counts in rows:
-        of_rung = [row for row in of_room if row["rung"] == name]
-        for split, shown in (("between", between), ("beyond", beyond)):
-            flights = [row for row in of_rung if row["split"] == split]
-            columns = {"median_cm": 1.0, "rmse_cm": 1.0, "rotation_median_deg": 1.0, "depth_absrel": 100.0}
-            builds = sorted({row["build_seed"] for row in flights})
-            agree(
-                shown,
-                [
-                    factor
-                    * np.median([np.median([row[c] for row in flights if row["build_seed"] == b]) for b in builds])
-                    for c, factor in columns.items()
-                    if flights
-                ],
-            )
-        agree(counts, [len({row[name] for row in of_rung}) for name in ("build_seed", "flight")])
+# --- The paper's method ---
 
 
 def test_sentences_of_the_papers_method() -> None:
@@ -296,10 +266,3 @@ def test_sentences_of_the_papers_method() -> None:
     for pattern, expected in sentences.items():
         (found,) = re.findall(pattern, text)
         agree(found, expected)
-
-
-def test_every_flight_of_the_ladder_says_what_built_and_flew_it() -> None:
-    for row in LADDER:
-        assert re.fullmatch("[0-9a-f]{12}", row["bundle_commit"]) and re.fullmatch(
-            "[0-9a-f]{12}", row["flight_commit"]
-        )

@@ -124,8 +124,8 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
     rows = rows_of(study, results)
     tables: dict[str, tuple[Sequence[str], Sequence[Sequence[str]]]] = {}
     for split in stretches(study):
-        tables[f"The ladder, {split}"] = (_HEAD, _ladder(rows, split))
-        tables[f"Pairs that differ in one thing, {split}"] = (_PAIR_HEAD, _pairs(rows, split))
+        tables[f"The ladder, {split}"] = (LADDER_HEAD, ladder_table(rows, split))
+        tables[f"Pairs that differ in one thing, {split}"] = (PAIRS_HEAD, pairs_table(rows, split))
     text = (
         f"{study.builds} builds, {FLIGHTS} flights each, starts 10 cm and 3° off; frames of the build are left "
         f"out. Medians over builds of the median over flights, with the {100 * CONFIDENCE:.0f} % bootstrap interval "
@@ -156,8 +156,8 @@ def _draw(study: Study, rows: Sequence[Row], folder: Path) -> Path:
     return path
 
 
-_HEAD = ("method", "median cm", "RMSE cm", "rotation °", "AbsRel %", "coverage 95 %", "step", "", "builds")
-_PAIR_HEAD = ("first", "RMSE cm", "second", "RMSE cm", "second / first", "", "builds")
+LADDER_HEAD = ("method", "median cm", "RMSE cm", "rotation °", "AbsRel %", "coverage 95 %", "step", "", "builds")
+PAIRS_HEAD = ("first", "RMSE cm", "second", "RMSE cm", "second / first", "", "builds")
 
 
 # Columns of the table: the factor to its unit, and digits.
@@ -178,7 +178,7 @@ def _cells(rows: Sequence[Row], split: str, rung: str) -> list[str]:
     return cells
 
 
-def _ladder(rows: Sequence[Row], split: str) -> list[tuple[str, ...]]:
+def ladder_table(rows: Sequence[Row], split: str) -> list[tuple[str, ...]]:
     found: list[tuple[str, ...]] = []
     for index, rung in enumerate(RUNGS):
         step = ratio(rows, split, rung.name, RUNGS[index - 1].name) if index else None
@@ -188,7 +188,7 @@ def _ladder(rows: Sequence[Row], split: str) -> list[tuple[str, ...]]:
     return found
 
 
-def _pairs(rows: Sequence[Row], split: str) -> list[tuple[str, ...]]:
+def pairs_table(rows: Sequence[Row], split: str) -> list[tuple[str, ...]]:
     found: list[tuple[str, ...]] = []
     for first, second in PAIRS:
         compared = ratio(rows, split, second.name, first.name)
