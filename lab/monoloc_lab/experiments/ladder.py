@@ -120,6 +120,9 @@ def ratio(rows: Sequence[Row], split: str, rung: str, other: str, column: str = 
     return interval_of(shared) if shared else None
 
 
+_APART = 0.26  # of the splits' points, in rows of the picture
+
+
 def draw(study: Study, results: Results, folder: Path) -> Drawn:
     rows = rows_of(study, results)
     tables: dict[str, tuple[Sequence[str], Sequence[Sequence[str]]]] = {}
@@ -140,8 +143,11 @@ def _draw(study: Study, rows: Sequence[Row], folder: Path) -> Path:
     path = folder / "ladder.png"
     with picture(path, 8.0, 0.9 + 0.34 * len(RUNGS)) as figure:
         axis = figure.subplots()
-        for split, colour in zip(stretches(study), (BLUE, ORANGE, GREEN), strict=False):
-            found = [(index, of_builds(rows, split, rung.name, "rmse_cm")) for index, rung in enumerate(RUNGS)]
+        for number, (split, colour) in enumerate(zip(stretches(study), (BLUE, ORANGE, GREEN), strict=False)):
+            shift = _APART * (number - 0.5)  # so that no point hides another
+            found = [
+                (index + shift, of_builds(rows, split, rung.name, "rmse_cm")) for index, rung in enumerate(RUNGS)
+            ]
             line = [(float(np.median([*each.values()])), index) for index, each in found if each]
             axis.plot(*np.transpose(line), color=colour, linewidth=1.0, alpha=0.5)
             points = [(value, index) for index, each in found for value in each.values()]
