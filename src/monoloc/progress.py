@@ -108,10 +108,10 @@ class ConsoleProgress:
         with show(name, total) as step:
             yield step
 
-    def _of_all(self, done: int, total: int | None) -> str:
-        """Remaining time of the whole job, if it is known."""
+    def _of_all(self, done: int, total: int | None, task_s: float = 0.0) -> str:
+        """Remaining time of the whole job, if it is known; not less than that of the task, ``task_s``."""
         remaining_s = None if self._plan is None else self._plan.remaining_s(done / total if total else 0.0)
-        return "" if remaining_s is None else f"about {remaining_s:.0f} s to the end"
+        return "" if remaining_s is None else f"about {max(remaining_s, task_s):.0f} s to the end"
 
     @contextmanager
     def _log(self, name: str, total: int | None) -> Iterator[Step]:
@@ -127,13 +127,13 @@ class ConsoleProgress:
                 return
             logged = now
             how = remark or _rate((done - first) / (now - started))
-            of_all = self._of_all(done, total)
+            remaining_s = 0.0 if total is None else (now - started) * (total - done) / (done - first)
+            of_all = self._of_all(done, total, remaining_s)
             ending = f", {of_all}" if of_all else ""
             if total is None:
                 self._console.print(f"{name}: {done}, {how}{ending}")
                 return
             share = "" if remark else f" ({100.0 * done / total:.0f} %)"
-            remaining_s = (now - started) * (total - done) / (done - first)
             self._console.print(f"{name}: {done} of {total}{share}, {how}, {remaining_s:.0f} s remaining{ending}")
 
         yield log

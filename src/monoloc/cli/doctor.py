@@ -75,8 +75,9 @@ def doctor(
     if not (bundle.supports_relocalization or flight.marker or flight.start != UNKNOWN):
         problem = "cannot be searched: neither scans nor landmarks find the camera in it"
         raise SettingError("ROOM", problem, "write a start or a marker into flight.toml")
+    tells_gravity = bundle.down is not None or flight_settings.down is not None
     cv2.setNumThreads(1)  # as in a flight
-    summary, preflight = FlightSummary(), Preflight(bundle.provenance.brightness)
+    summary, preflight = FlightSummary(), Preflight(bundle.provenance, tells_gravity)
     with ExitStack() as opened:
         frame_source, camera, first_pose = open_frames(flight.source, frames, flight.camera, fast=False)
         opened.callback(frame_source.close)

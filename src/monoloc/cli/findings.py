@@ -15,11 +15,11 @@ EXIT_CODES: dict[Level, int] = {"good": 0, "warning": 1, "bad": 2}
 
 
 def print_findings(title: str, findings: Sequence[Finding], level: Level) -> None:
-    """Print what was found, worst level first in the title, each line in its colour."""
+    """Print what was found, the worst level in the title, each line with its level and in its colour."""
     table = Table(header_style="")
-    for column in ("", "found", "remark"):
+    for column in ("", "level", "found", "remark"):
         table.add_column(column, overflow="fold")
     for finding in findings:
-        table.add_row(finding.name, finding.value, finding.remark, style=_COLOURS[finding.level])
+        table.add_row(finding.name, finding.level, finding.value, finding.remark, style=_COLOURS[finding.level])
     stderr.print(f"{title}: {level}", style=f"bold {_COLOURS[level]}", soft_wrap=True)
     stderr.print(table)

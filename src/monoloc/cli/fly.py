@@ -42,10 +42,13 @@ from monoloc.cli.stop_signals import stopped_by_signals
 from monoloc.flight.autopilot import down_world, gravity_of, link_to, obstacle_frames, senders, turns_of
 from monoloc.flight.flight_loop import Flight, FlightOutput, FlightSummary
 from monoloc.flight.flight_recording import FlightRecorder
+from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.line_writer import LineWriter
 from monoloc.flight.north_measurement import NorthMeasurement
+from monoloc.flight.preflight import GOOD_SCALE_SD
 from monoloc.flight.status_output import StatusOutput
 from monoloc.flight.watchdog_output import WatchdogOutput
+from monoloc.place.flown_map import FlownMap
 from monoloc.viz.flight_view import flight_view
 
 
@@ -165,7 +168,7 @@ def fly(
             starting = starting_of(flight, flown.room, camera, first_pose, rng)
             made = flown.localizer(camera, starting.start, seed, flight.budget_ms, flight.threads)
             if firmware is not None:
-                down_world(flown, flight_settings)  # or it is refused, before anything is written
+                _check_map(flown, flight_settings, say)  # before anything is written
             address = flight.mavlink
             link = None if address is None else opened.enter_context(closing(link_to(address, flight_settings)))
             if flight.record is not None:
@@ -216,6 +219,15 @@ def fly(
         report(summary, frame_source, link, say, json)
     if summary.failures:
         raise summary.failures[0]
+
+
+def _check_map(flown: FlownMap, settings: FlightSettings, say: Callable[[str], None]) -> None:
+    """Whether the poses of a map are for an autopilot; raises as :func:`down_world`, warns of its scale."""
+    down_world(flown, settings)
+    scale_sd = flown.scale_sd()
+    if scale_sd > GOOD_SCALE_SD:
+        problem = f"the map's scale is known to {scale_sd:.0%}, and so are the distances that the autopilot is told"
+        say(f"warning: {flown.path}: {problem}; build with --scale")
 
 
 @contextmanager

@@ -44,6 +44,7 @@ from monoloc.cli.motion_options import (
     measured_motions,
 )
 from monoloc.cli.pose_warning import warn_of_poses
+from monoloc.cli.run_doubts import doubts_of
 from monoloc.cli.signature import RequireSignatureOption
 from monoloc.cli.start_option import METAVAR, UNKNOWN, StartErrorCmOption, StartErrorDegOption, start_of
 from monoloc.config import override
@@ -184,6 +185,8 @@ def localize_command(
         show(metrics)
         for path in written:
             stderr.print(f"written: {path}", soft_wrap=True)
+    for doubt in doubts_of(run, room):
+        stderr.print(f"warning: {recording.name}: {doubt}", soft_wrap=True)
     if failures:
         raise MonolocError("; ".join(map(str, failures)))
 

@@ -31,8 +31,9 @@ def down_world(map_: LevelMap, settings: FlightSettings) -> FloatArray:
     """
     down = map_.down if settings.down is None else np.array(settings.down)
     if down is None:
-        fix = "write down = [x, y, z] in the --settings file: the direction of gravity in the map"
-        raise SettingError("down", "is not told by this map, which shows too little of floor and walls", fix)
+        fix = "write down = [x, y, z], its direction in the map, into flight.toml, and name that file by --settings"
+        problem = "is missing, and floor and walls of this map do not tell gravity"
+        raise SettingError("down", problem, fix)
     return down
 
 

@@ -8,11 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from monoloc.bundle_manifest import Provenance
 from monoloc.flight.flight_loop import FlightStep, FlightSummary
 from monoloc.mavlink.firmware import Firmware
 from monoloc.recording_check.image_quality import ImageQuality, quality_of
 from monoloc.recording_check.inspection import Finding, Level, image_findings, light_findings
 from monoloc.supervision.state import VOUCHED_FOR, Reason
+
+GOOD_SCALE_SD = 0.05
+"""Relative standard deviation of a map's scale up to which its poses are for an autopilot: 5 cm in a metre."""
 
 _LEAST_RATE_HZ, _GOOD_RATE_HZ = 5.0, 15.0  # PX4 stops to fuse below 5 Hz; its guide asks for 30
 _GOOD_LATENCY_S, _MOST_LATENCY_S = 0.1, 0.2  # from capture to result
@@ -45,11 +49,12 @@ class Preflight:
     """A :class:`~monoloc.flight.flight_loop.FlightOutput` that looks at every frame.
 
     Args:
-        brightness: of the build, as its ``Provenance`` has it.
+        provenance: of the bundle that is flown in.
+        tells_gravity: whether the map or the flight's settings tell the direction of gravity.
     """
 
-    def __init__(self, brightness: tuple[float, float] | None = None) -> None:
-        self._brightness = brightness
+    def __init__(self, provenance: Provenance, tells_gravity: bool) -> None:
+        self._provenance, self._tells_gravity = provenance, tells_gravity
         self._count = 0
         self._quality: list[tuple[float, float, float, float]] = []
         self._landmarks: list[int] = []
@@ -78,14 +83,31 @@ class Preflight:
             found = [
                 *_of_timing(summary),
                 *image_findings(images, "expose for a shorter time, add light, clean the lens", "add light"),
-                *light_findings(images, self._brightness),
+                *light_findings(images, self._provenance.brightness),
                 *self._of_intrinsics(),
                 *self._of_room(summary),
             ]
+        found += self._of_map(link is not None)
         return found if link is None else [*found, *_of_link(link)]
 
     def _images(self) -> ImageQuality:
         return ImageQuality(np.arange(len(self._quality)), *np.array(self._quality).T)
+
+    def _of_map(self, is_for_autopilot: bool) -> Iterator[Finding]:
+        """What an autopilot needs of the map."""
+        level: Level = "bad" if is_for_autopilot else "warning"
+        if self._tells_gravity:
+            yield Finding("gravity", "good", "known")
+        else:
+            upright = ", ".join(f"{value:.3f}" for value in self._provenance.down_world)
+            remark = (
+                f"write down = [x, y, z] into flight.toml; [{upright}] if the camera of the build was held upright"
+            )
+            yield Finding("gravity", level, "not told by floor and walls", remark)
+        scale_sd = self._provenance.scale_sd
+        if scale_sd is not None and scale_sd > GOOD_SCALE_SD:
+            remark = "give the build a marker or a distance (--scale) before an autopilot uses its poses"
+            yield Finding("scale", level, f"known to {scale_sd:.0%}", remark)
 
     def _of_intrinsics(self) -> Iterator[Finding]:
         if self._reasons[Reason.CAMERA_MISMATCH]:
@@ -115,7 +137,9 @@ def _of_timing(summary: FlightSummary) -> Iterator[Finding]:
     rate_hz, median_s, p95_s = summary.rate_hz, summary.latency_s(50.0), summary.latency_s(95.0)
     if rate_hz is not None:
         level: Level = "good" if rate_hz >= _GOOD_RATE_HZ else "warning" if rate_hz >= _LEAST_RATE_HZ else "bad"
-        remark = "" if level == "good" else "take a smaller network, or fewer particles and scan points"
+        is_slow_camera = summary.dropped.total() == 0
+        fix = "the source gives no more; PX4 asks for 30" if is_slow_camera else "set budget_ms, or threads = 2"
+        remark = "" if level == "good" else fix
         yield Finding("rate", level, f"{rate_hz:.1f} Hz, {summary.dropped.total()} frames dropped", remark)
     if median_s is not None and p95_s is not None:
         level = "good" if p95_s <= _GOOD_LATENCY_S else "warning" if p95_s <= _MOST_LATENCY_S else "bad"

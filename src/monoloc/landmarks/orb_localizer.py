@@ -34,6 +34,9 @@ _LEAST_SPREAD = 0.075
 # Of two poses without a prior: pose distance from which they are two, and the share of the better one's landmarks
 # with which the other counts as well.
 _APART_M, _RIVAL_SHARE = 0.5, 0.3
+# Of a twist, m and rad, up to which two poses of a view are the same. In views that determine the pose, others that
+# the same matches lead to were at 0.02 at most; those with which more landmarks agreed, beyond (a desk, two bundles).
+_SAME_POSE = 0.02
 _RIVAL_CANDIDATES, _MOST_RIVALS = 32, 8  # best matches of a keypoint among which other places are sought
 _ITERATIONS, _RIVAL_ITERATIONS = 1000, 100  # of RANSAC
 _SIGHT = 3.0  # times as far as the build found landmarks: from farther, a corner looks another one
@@ -179,11 +182,15 @@ class OrbLandmarkLocalizer:
         return best if is_confirmed else None
 
     def _best_of_flat_view(self, seen: Keypoints, place: FloatArray) -> _Agreement:
-        """Of the poses that a flat view leads to from a place (4, 4), the one that most landmarks agree with."""
+        """Of the poses that a flat view leads to from a place (4, 4), the one that most landmarks agree with.
+
+        Landmarks are matched anew only around poses that the matches at the place allow.
+        """
         best = self._agreeing(seen, place, PRIOR_COVARIANCE, self._visible(place))
         if best.fit is None:
             return best
-        for start in flat_view_starts(best.fit.pose, best.fit.covariance):
+        starts, (rivals, _) = flat_view_starts(best.fit.pose, best.fit.covariance), best.fit.rivals
+        for start in starts[np.linalg.norm(rivals, axis=1) > _SAME_POSE]:
             other = self._agreeing(seen, start, PRIOR_COVARIANCE, self._visible(start))
             if other.fit is not None and len(other.keypoints) > len(best.keypoints):
                 best = other

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -136,12 +137,13 @@ class PoseFit:
         focal = _core.fit_log_focal(
             self.points, self.rays, self.sd, self.pose, _FOCAL_INFORMATION, _FOCAL_KERNEL_SDS, _NEAREST_M
         )
-        rivals, nats = self._rivals()
+        rivals, nats = self.rivals
         less_likely = np.maximum(nats - _nats(self.weights), 0.0)
         points = self.points[self.weights > _AGREE_WEIGHT]
         return LandmarkPose(self.pose, self.covariance, points, *focal, rivals, less_likely)
 
-    def _rivals(self) -> tuple[FloatArray, FloatArray]:
+    @cached_property
+    def rivals(self) -> tuple[FloatArray, FloatArray]:
         """Other poses that the matches lead to, as twists (K, 6) from the one found, and their costs (K,), nats."""
         starts = flat_view_starts(self.pose, self.covariance)
         poses, nats = np.empty_like(starts), np.empty(len(starts))

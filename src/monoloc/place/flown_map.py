@@ -60,6 +60,15 @@ class FlownMap:
     def is_place(self) -> bool:
         return self.place is not None
 
+    def scale_sd(self) -> float:
+        """Relative standard deviation of the least certain map's scale; 0 where a sensor measured it.
+
+        Raises:
+            BundleError: as :func:`open_map`.
+        """
+        rooms = [self.room] if self.place is None else map(self.place.read_room, self.place.names)
+        return max(room.provenance.scale_sd or 0.0 for room in rooms if room is not None)
+
     def localizer(
         self,
         camera: Camera,

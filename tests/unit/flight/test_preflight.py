@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mavlink_helpers import result_at, step_at
+from monoloc.bundle_manifest import Provenance
 from monoloc.flight.flight_loop import FlightStep, FlightSummary
 from monoloc.flight.preflight import LinkReport, Preflight
 from monoloc.geometry import FloatArray
@@ -23,6 +24,15 @@ PARAMETERS = {rule.name: rule.value for rule in Firmware.PX4.parameters}
 HEARD = LinkReport(Firmware.PX4, True, True, 0.004, PARAMETERS)
 
 
+BUILD = Provenance(
+    recording="room", frames={}, tune="all", map_transform=True, lambda_kl=0.1, seed=0, brightness=(128.0, 15.0)
+)
+
+
+def built(**update: object) -> Provenance:
+    return BUILD.model_copy(update=update)
+
+
 def good_step(landmarks: int = 80) -> Step:
     place = LandmarkPose(np.eye(4), np.eye(6), np.zeros((landmarks, 3)))
     return replace(step_at(np.eye(4)), landmark_pose=place)
@@ -34,10 +44,11 @@ def levels_of(
     rate_hz: float = 30.0,
     age_s: float = 0.04,
     link: LinkReport | None = HEARD,
-    brightness: tuple[float, float] | None = (128.0, 15.0),
+    build: Provenance = BUILD,
+    tells_gravity: bool = True,
 ) -> dict[str, Level]:
     """Levels by name after 60 equal frames."""
-    preflight, summary = Preflight(brightness), FlightSummary()
+    preflight, summary = Preflight(build, tells_gravity), FlightSummary()
     for index in range(60):
         result = result_at(index / rate_hz, step, age_s)
         frame = replace(result.frame, color=color)
@@ -79,8 +90,16 @@ def test_good_flight_with_every_parameter_right_is_good() -> None:
         ("blur", "warning", {"color": np.zeros((60, 80, 3), np.uint8)}),
         ("light", "warning", {"color": SHARP // 8}),
         ("light", "good", {"color": SHARP // 2}),
-        ("light", "warning", {"brightness": (35.0, 15.0)}),
-        ("light", "good", {"brightness": (35.0, 50.0)}),  # a build that saw darker and brighter places
+        ("light", "warning", {"build": built(brightness=(35.0, 15.0))}),
+        (
+            "light",
+            "good",
+            {"build": built(brightness=(35.0, 50.0))},
+        ),  # a build that saw darker and brighter places
+        ("gravity", "bad", {"tells_gravity": False}),
+        ("gravity", "warning", {"tells_gravity": False, "link": None}),
+        ("scale", "bad", {"build": built(scale_sd=0.3)}),
+        ("scale", "warning", {"build": built(scale_sd=0.3), "link": None}),
         ("landmarks", "warning", {"step": good_step(3)}),
         ("intrinsics", "warning", {"step": good_step(3)}),
         ("intrinsics", "bad", {"step": replace(good_step(), reasons=frozenset({Reason.CAMERA_MISMATCH}))}),
@@ -99,7 +118,25 @@ def test_what_is_wrong_is_named(name: str, level: Level, given: dict[str, object
 
 
 def test_light_of_a_build_that_does_not_tell_it_is_not_compared() -> None:
-    assert "light" not in levels_of(good_step(), brightness=None)
+    assert "light" not in levels_of(good_step(), build=built(brightness=None))
+
+
+def test_scale_that_a_sensor_or_a_marker_measured_needs_no_word() -> None:
+    for scale_sd in (None, 0.02):
+        assert "scale" not in levels_of(good_step(), build=built(scale_sd=scale_sd))
+
+
+def test_slow_source_and_slow_computer_are_told_apart() -> None:
+    for dropped, fix in ((0, "the source gives no more"), (9, "set budget_ms")):
+        preflight, summary = Preflight(BUILD, True), FlightSummary()
+        for index in range(60):
+            result = result_at(index / 8.0, good_step(), 0.04)
+            result = FlightStep(replace(result.frame, color=SHARP), 1.0 / 8.0, None, good_step(), result.done_s)
+            summary.add(result)
+            preflight.take(result)
+        summary.dropped["late"] += dropped
+        (rate,) = (finding for finding in preflight.findings(summary, None) if finding.name == "rate")
+        assert rate.level == "warning" and rate.remark.startswith(fix)
 
 
 def test_set_of_bits_may_have_more() -> None:
@@ -110,5 +147,5 @@ def test_set_of_bits_may_have_more() -> None:
 
 
 def test_no_frame_is_bad() -> None:
-    findings = Preflight().findings(FlightSummary(states=Counter()), None)
-    assert worst(findings) == "bad" and [finding.name for finding in findings] == ["camera"]
+    findings = Preflight(BUILD, True).findings(FlightSummary(states=Counter()), None)
+    assert worst(findings) == "bad" and [finding.name for finding in findings] == ["camera", "gravity"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,8 @@ from monoloc.builder.landmark_mapping import build_landmarks
 from monoloc.camera import Camera
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import invert, make_pose, se3_exp, transform
-from monoloc.landmarks.features import KeypointDetector, Keypoints
+from monoloc.landmarks import orb_localizer
+from monoloc.landmarks.features import KeypointDetector, Keypoints, match_descriptors
 from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.landmarks.pnp import PRIOR_COVARIANCE as PRIOR
@@ -36,6 +39,22 @@ def test_camera_is_relocalized_by_one_image(localizer: OrbLandmarkLocalizer) -> 
             assert found is not None and len(found.points) >= 20
             errors = pose_errors(found.pose[None], pose[None])
             assert errors.position_m[0] < 0.03 and errors.rotation_rad[0] < 0.015
+
+
+def test_view_that_determines_the_pose_is_not_matched_around_others(
+    localizer: OrbLandmarkLocalizer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    matched: list[int] = []
+
+    def counted(*given: Any) -> Any:
+        matched[-1] += 1
+        return match_descriptors(*given)
+
+    monkeypatch.setattr(orb_localizer, "match_descriptors", counted)
+    for pose in FLIGHT_POSES[5::20]:
+        matched.append(0)
+        assert localizer.relocalize(Room().view(pose)[0]) is not None
+    assert max(matched) <= 2  # of 5 that a flat view may take
 
 
 def test_two_places_that_look_alike_give_no_pose(localizer: OrbLandmarkLocalizer) -> None:

@@ -1,0 +1,26 @@
+"""What speaks against a run as a whole: another room, another camera, errors beyond the covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from monoloc.bundle import Bundle
+from monoloc.run import Run
+from monoloc.supervision.state import Reason
+
+_MISMATCH_SHARE = 0.1  # of the frames
+_LEAST_COVERAGE = 0.5  # of the errors, by the covariance that states 95 %
+
+
+def doubts_of(run: Run, room: Bundle) -> Iterator[str]:
+    """Sentences for who localised a recording; none where nothing speaks against it."""
+    frames = len(run.poses)
+    if len(room.landmarks) and "landmarks" not in run.config.without and not run.landmark_used.any():
+        yield "no frame shows landmarks of this room; monoloc check BUNDLE SOURCE tells whether it is another room"
+    mismatches = sum(Reason.CAMERA_MISMATCH in reasons for reasons in run.reasons)
+    if mismatches >= _MISMATCH_SHARE * frames:
+        problem = f"in {mismatches} of {frames} frames, landmarks fit another focal length than the camera's"
+        yield f"{problem}; check --camera, and that images are neither cropped nor resized"
+    coverage = run.metrics().get("coverage_95")
+    if isinstance(coverage, float) and coverage < _LEAST_COVERAGE:
+        yield f"{coverage:.0%} of the errors lie within the covariance that states 95 %; do not use these poses"

@@ -1,0 +1,55 @@
+"""What is said of a run that speaks for another room, another camera, or a covariance that is too small."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from monoloc.bundle import Bundle
+from monoloc.cli.run_doubts import doubts_of
+from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.progress import NoProgress
+from monoloc.run import Run, localize
+from monoloc.start import Start
+from monoloc.supervision.state import Reason
+from synthetic_room import Room, RoomRecording, make_bundle, make_path, room_mixture
+
+FRAMES = 4
+SOME = Landmarks(np.ones((3, 3), np.float32), np.zeros((3, 32), np.uint8))
+
+
+@pytest.fixture(scope="module")
+def room() -> Bundle:
+    return make_bundle(room_mixture(Room()), RoomRecording(Room(), make_path(FRAMES)))
+
+
+@pytest.fixture(scope="module")
+def run(room: Bundle) -> Run:
+    recording = RoomRecording(Room(), make_path(FRAMES))
+    assert recording.poses is not None
+    start = Start(recording.poses[0], 0.01, 0.01)
+    return localize(room, recording, start, room.settings, np.random.default_rng(0), NoProgress())
+
+
+def test_good_run_is_not_doubted(room: Bundle, run: Run) -> None:
+    assert list(doubts_of(run, room)) == []
+
+
+def test_landmarks_that_no_frame_shows_speak_for_another_room(room: Bundle, run: Run) -> None:
+    (doubt,) = doubts_of(run, replace(room, landmarks=SOME))
+    assert doubt.startswith("no frame shows landmarks of this room; monoloc check")
+    left_out = replace(run, config=run.config.model_copy(update={"without": ("landmarks",)}))
+    assert list(doubts_of(left_out, replace(room, landmarks=SOME))) == []
+
+
+def test_another_focal_length_speaks_for_another_camera(room: Bundle, run: Run) -> None:
+    mismatch = [frozenset({Reason.CAMERA_MISMATCH}), *run.reasons[1:]]
+    (doubt,) = doubts_of(replace(run, reasons=mismatch), room)
+    assert doubt.startswith("in 1 of 4 frames, landmarks fit another focal length than the camera's; check --camera")
+
+
+def test_errors_beyond_the_covariance_are_said(room: Bundle, run: Run) -> None:
+    (doubt,) = doubts_of(replace(run, covariances=1e-12 * run.covariances), room)
+    assert doubt == "0% of the errors lie within the covariance that states 95 %; do not use these poses"
