@@ -239,10 +239,14 @@ def _draw_error(
     drift: FloatArray | None,
     bound: FloatArray | None,
 ) -> dict[str, Artist]:
+    from matplotlib.patches import Patch
+
     shown: dict[str, Artist] = {}
     time_s = run.timestamps_s - run.timestamps_s[0]
     if bound is not None:
-        shown["stated 95 % bound"] = axis.fill_between(time_s, bound, color=BLUE, alpha=0.15, linewidth=0.0)
+        axis.fill_between(time_s, bound, color=BLUE, alpha=0.15, linewidth=0.0)
+        # Not the band itself: before matplotlib 3.10.5, a figure's legend refuses an artist of a subfigure.
+        shown["stated 95 % bound"] = Patch(color=BLUE, alpha=0.15, linewidth=0.0)
     if drift is not None:
         axis.plot(time_s, drift, color=ORANGE, linestyle=_DASHED, linewidth=1.2)
     if error is not None:
