@@ -189,7 +189,7 @@ def with_trajectory(here: Path) -> None:
         (
             nothing,
             ("inspect", "room.monoloc", "--intrinsics", "1,1,1,1,1,1"),
-            "--intrinsics",
+            "--camera",
             "no meaning for a bundle",
             "",
         ),
@@ -262,5 +262,5 @@ def test_bad_input_is_refused_and_leaves_no_trace(
 
 def test_video_without_poses_is_refused(capfd: pytest.CaptureFixture[str], here: Path) -> None:
     synthetic.write_video(here / "flight.avi")
-    problem, fix = "says nothing of its camera", "--intrinsics 64,48,FX,FY,CX,CY"
+    problem, fix = "says nothing of its camera", "--camera 64,48,FX,FY,CX,CY"
     refused(capfd, here, (*LOCALIZE[:2], "flight.avi"), "flight.avi", problem, fix)

@@ -101,7 +101,7 @@ def test_another_focal_length_is_named(room: tuple[Recording, Matches], factor: 
     camera = with_focal(recording.camera, factor)
     matches = replace(matches, camera=with_focal(matches.camera, factor))
     line = refusal(judged(Altered(recording, camera=camera), matches))
-    found = re.search(r" as a focal length of (\d+) px .*; give --intrinsics 640,480,([\d.]+),", line)
+    found = re.search(r" as a focal length of (\d+) px .*; give --camera 640,480,([\d.]+),", line)
     assert found and float(found[2]) == pytest.approx(recording.camera.fx, rel=0.06), line
 
 
@@ -142,7 +142,7 @@ def test_own_camera_in_the_layout_of_7_scenes_is_named_and_fixed(data_root: Path
     assert cv2.imread(f"{stem}.color.jpg") is not None
     recording = open_recording(f"7scenes:{tmp_path}")
     line = refusal(check_poses(recording))
-    found = re.search(r"a camera of your own.*; give --fix-depth registered --intrinsics 640,480,([\d.]+),", line)
+    found = re.search(r"a camera of your own.*; give --fix-depth registered --camera 640,480,([\d.]+),", line)
     assert found and float(found[1]) == pytest.approx(desk.camera.fx, rel=0.06), line
     fixed = corrected(recording, Fixes(depth="registered"))
     assert fixed.poses is not None

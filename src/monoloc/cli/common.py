@@ -136,7 +136,7 @@ def open_source(
     Args:
         source: SOURCE, see :func:`monoloc.io.registry.open_recording`.
         frames: START:STOP:STEP.
-        intrinsics: value of ``--intrinsics``.
+        intrinsics: value of ``--camera``.
         depth_scale: stored depth value of one metre.
         frames_option: name of the option that selected the frames, for error messages.
         fix_poses, fix_depth: what poses and depth are, see :class:`monoloc.io.corrected.Fixes`.
@@ -145,7 +145,7 @@ def open_source(
     Raises:
         DataError, SettingError: from the reader, or an option is invalid.
     """
-    options = {"camera": "--intrinsics", "depth_scale": "--depth-scale"}
+    options = {"camera": "--camera", "depth_scale": "--depth-scale"}
     options |= {"fix_poses": "--fix-poses", "fix_depth": "--fix-depth", "frames": frames_option}
     with naming(options):
         fixes = Fixes(fix_poses, fix_depth)
@@ -171,7 +171,7 @@ def open_cloud(path: Path) -> FloatArray:
 
 
 def parse_intrinsics(text: str) -> tuple[Camera, bool]:
-    """The camera of ``--intrinsics`` or ``--camera``, and whether its distortion was left out.
+    """The camera of ``--camera``, and whether its distortion was left out.
 
     Raises:
         DataError: the file is that of no camera.
@@ -188,10 +188,10 @@ def parse_intrinsics(text: str) -> tuple[Camera, bool]:
         fix = (
             "name a .toml of monoloc calibrate, or write W,H,FX,FY,CX,CY in pixels, and K1,K2,P1,P2,K3 for distortion"
         )
-        raise SettingError("--intrinsics", f"is {text!r}", fix) from error
+        raise SettingError("--camera", f"is {text!r}", fix) from error
     except SettingError as error:
         part = error.field.removeprefix("camera.")
-        raise SettingError("--intrinsics", f"{part} {error.problem}", error.fix) from error
+        raise SettingError("--camera", f"{part} {error.problem}", error.fix) from error
 
 
 def refuse_frames(frames: str, what: str) -> None:

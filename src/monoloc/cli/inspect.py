@@ -48,12 +48,12 @@ def inspect(
     Examples:
       monoloc inspect kitchen.monoloc
       monoloc inspect 7scenes:redkitchen --json
-      monoloc inspect flight.mp4 --intrinsics 640,480,525,525,319.5,239.5
+      monoloc inspect flight.mp4 --camera 640,480,525,525,319.5,239.5
     """
     if (Path(target) / "manifest.json").is_file():
         refuse_frames(frames, "a bundle")
         if intrinsics is not None:
-            raise SettingError("--intrinsics", "has no meaning for a bundle", "leave it out")
+            raise SettingError("--camera", "has no meaning for a bundle", "leave it out")
         content = _bundle(Path(target))
     else:
         content = _recording(open_source(target, frames, intrinsics))

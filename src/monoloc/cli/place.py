@@ -85,7 +85,7 @@ def door(
 
     \b
     Examples:
-      monoloc place door house.place kitchen hall door.mp4 --intrinsics camera.toml
+      monoloc place door house.place kitchen hall door.mp4 --camera camera.toml
       monoloc place door house.place hall study --same-world
     """
     if (source is None) != same_world:
@@ -162,7 +162,7 @@ def localize_in(
 
     \b
     Examples:
-      monoloc place localize house.place flight.mp4 --intrinsics camera.toml --out flight.csv
+      monoloc place localize house.place flight.mp4 --camera camera.toml --out flight.csv
       monoloc place localize house.place tum:walk --truth-room kitchen --json
     """
     check_outputs({"--out": out}, (place, source, require_signature))

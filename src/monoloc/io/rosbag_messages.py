@@ -152,7 +152,7 @@ def _check_size(message: Any, path: Path, camera: Camera) -> None:
         raise DataError(
             path,
             f"is {size[0]}x{size[1]}, but the intrinsics are for {camera.width}x{camera.height}",
-            "record the CameraInfo of these images, or give --intrinsics",
+            "record the CameraInfo of these images, or give --camera",
         )
 
 
@@ -186,7 +186,7 @@ def camera_of(info: Any, is_rectified: bool, path: Path) -> Camera:
     matrix = P.reshape(3, 4)[:, :3] if is_rectified else K.reshape(3, 3)
     if not matrix[0, 0] > 0.0:
         problem = f"has no focal length in {'P' if is_rectified else 'K'}"
-        raise DataError(path, problem, "calibrate the camera, and give --intrinsics")
+        raise DataError(path, problem, "calibrate the camera, and give --camera")
     model, coefficients = ("brown", ()) if is_rectified else _distortion(info, path)
     (fx, _, cx), (_, fy, cy), _ = matrix.tolist()
     with stated_by(path):

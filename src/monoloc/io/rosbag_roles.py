@@ -64,7 +64,7 @@ def choose_camera(bag: BagFile, contents: Contents, color: ImageTopic, options: 
     info = contents.info_of(color)
     if info is None or (options.camera is not None and not options.keeps_distortion):
         if options.camera is None:
-            fix = "record its camera_info topic, or give --intrinsics"
+            fix = "record its camera_info topic, or give --camera"
             raise DataError(bag.path, f"holds no CameraInfo of {color.name}", fix)
         return options.camera, "intrinsics are those given"
     own = camera_of(info.message, color.is_rectified, bag.path / info.name.lstrip("/"))

@@ -32,7 +32,7 @@ _CAMERAS = {
 _DEFAULT_CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
 _DEFAULT_CAMERA_NOTE = (
     "the intrinsics are assumed (f = 525 pixels, ROS's default), because the folder's name has no freiburg1, 2 or 3; "
-    "give --intrinsics for another camera"
+    "give --camera for another camera"
 )
 
 

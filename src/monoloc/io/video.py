@@ -60,7 +60,8 @@ class VideoRecording:
             camera = Camera(width, height, focal_px, focal_px, (width - 1) / 2.0, (height - 1) / 2.0)
         if camera is None:
             problem = "is a video, without poses, without depth, and says nothing of its camera"
-            fix = f"give --camera FILE.toml of monoloc calibrate, or --intrinsics {width},{height},FX,FY,CX,CY"
+            known = f"give --camera FILE.toml of monoloc calibrate, or --camera {width},{height},FX,FY,CX,CY"
+            fix = f"{known}; to find it: monoloc reconstruct {path} --out {path.stem} --camera-out cam.toml"
             raise DataError(path, problem, fix)
         if (camera.width, camera.height) != (width, height):
             turned = f", turned by the {self._frames.rotation_deg} degrees of its rotation tag"

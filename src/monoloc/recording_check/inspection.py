@@ -242,7 +242,7 @@ def _of_camera(agreement: MapAgreement, camera: Camera, built: Camera) -> Findin
     if agreement.focal is not None and agreement.focal_log_sd is not None:
         certain = max(_FOCAL_ERROR, _FOCAL_SDS * agreement.focal_log_sd)
         if abs(np.log(agreement.focal)) > certain:
-            remark = f"landmarks fit {agreement.focal:.2f} times the stated focal length; correct --intrinsics"
+            remark = f"landmarks fit {agreement.focal:.2f} times the stated focal length; correct --camera"
             return Finding("camera", "bad", value, remark)
     if (camera.width, camera.height) != (built.width, built.height):
         return Finding("camera", "good", value, build)

@@ -238,11 +238,11 @@ def _focal_words(evidence: Evidence, focal: Factor) -> tuple[str, str]:
     camera = evidence.recording.camera
     sd = f" (to {_percent(focal.log_sd)})" if np.isfinite(focal.log_sd) else ""
     what = f"a focal length of {focal.value * camera.focal_px:.0f} px{sd} instead of {camera.focal_px:.0f}"
-    return what, f"--intrinsics {intrinsics_text(evidence.matches.camera, camera, focal.value)}"
+    return what, f"--camera {intrinsics_text(evidence.matches.camera, camera, focal.value)}"
 
 
 def intrinsics_text(matched: Camera, stated: Camera, factor: float) -> str:
-    """Value of ``--intrinsics`` for the stated camera with its focal lengths multiplied by a factor."""
+    """Value of ``--camera`` for the stated camera with its focal lengths multiplied by a factor."""
     values = [stated.width, stated.height, stated.fx * factor, stated.fy * factor, stated.cx, stated.cy]
     text = ",".join(f"{value:.5g}" for value in values)
     return text if matched.distortion == stated.distortion else text + ",0,0,0,0,0"

@@ -34,7 +34,7 @@ from refusals import refuses_setting
 )
 def test_intrinsics_that_are_not_six_or_eleven_numbers_are_refused(text: str) -> None:
     refuses_setting(
-        lambda: open_source("no", "::", text), "--intrinsics", f"is '{text}'", "W,H,FX,FY,CX,CY.*K1,K2,P1,P2,K3"
+        lambda: open_source("no", "::", text), "--camera", f"is '{text}'", "W,H,FX,FY,CX,CY.*K1,K2,P1,P2,K3"
     )
 
 
@@ -54,7 +54,7 @@ def test_intrinsics_of_no_possible_camera_are_refused(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     synthetic.write_video(tmp_path / "flight.avi")
-    refuses_setting(lambda: open_source("flight.avi", "::", text), "--intrinsics", problem, "")
+    refuses_setting(lambda: open_source("flight.avi", "::", text), "--camera", problem, "")
 
 
 def test_settings_of_a_recording_are_named_by_their_options(tmp_path: Path) -> None:

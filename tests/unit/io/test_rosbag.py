@@ -471,7 +471,7 @@ def test_missing_extra_is_named(tmp_path: Path, capture: Capture, monkeypatch: p
 @pytest.mark.parametrize(
     ("name", "problem", "fix"),
     [
-        ("ros1-images.bag", "holds no CameraInfo of /image", "--intrinsics"),
+        ("ros1-images.bag", "holds no CameraInfo of /image", "--camera"),
         ("realsense-d4xx.bag", "recording of the RealSense SDK", "ros2 bag record"),
         ("lz4.bag", r"holds no colour images; its topics are .*turtle1/pose", "record sensor_msgs/Image"),
         ("tf.bag", "holds no colour images; its topics are /tf", "record"),

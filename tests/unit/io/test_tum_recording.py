@@ -45,7 +45,7 @@ def test_frames_without_depth_or_pose_are_dropped(tmp_path: Path) -> None:
     assert recording.notes == [
         "2 of 5 frames are left out: 1 without depth within 20 ms, 1 without a pose",
         "the intrinsics are assumed (f = 525 pixels, ROS's default), because the folder's name has no freiburg1, 2 "
-        "or 3; give --intrinsics for another camera",
+        "or 3; give --camera for another camera",
     ]
 
 

@@ -66,7 +66,8 @@ def test_missing_intrinsics_are_named(tmp_path: Path) -> None:
     path = tmp_path / "flight.avi"
     synthetic.write_video(path)
     problem = "without poses, without depth, and says nothing of its camera"
-    refuses_to_open(path, path, problem, "--camera FILE.toml of monoloc calibrate, or --intrinsics 64,48,FX,FY,CX,CY")
+    known = "--camera FILE.toml of monoloc calibrate, or --camera 64,48,FX,FY,CX,CY"
+    refuses_to_open(path, path, problem, f"{known}; .* monoloc reconstruct .*flight.avi --out flight --camera-out ")
 
 
 def test_file_that_is_no_video_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

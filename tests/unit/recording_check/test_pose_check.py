@@ -71,7 +71,7 @@ def test_another_focal_length_is_named(room: tuple[Recording, Matches], factor: 
     camera = with_focal(recording.camera, factor)
     matches = replace(matches, camera=with_focal(matches.camera, factor))
     line = refusal(judged(Altered(recording, camera=camera), matches))
-    found = re.fullmatch(r".* as a focal length of (\d+) px .*; give --intrinsics \d+,\d+,([\d.]+),.*", line)
+    found = re.fullmatch(r".* as a focal length of (\d+) px .*; give --camera \d+,\d+,([\d.]+),.*", line)
     assert found, line
     assert float(found[1]) == pytest.approx(right, rel=0.06)
     assert float(found[2]) == pytest.approx(recording.camera.fx, rel=0.06)
