@@ -52,8 +52,13 @@ def _unknown_key(error: ValidationError, model: type[BaseModel]) -> str | None:
     if first["type"] != "extra_forbidden":
         return None
     *within, key = first["loc"]
-    nearest = get_close_matches(str(key), _keys(model, within), n=1, cutoff=0.0)
+    nearest = nearest_keys(str(key), _keys(model, within), 1)
     return f"{'.'.join(map(str, first['loc']))}: is unknown" + "".join(f", the nearest is {name}" for name in nearest)
+
+
+def nearest_keys(key: str, known: Sequence[str], count: int) -> list[str]:
+    """Those known keys that are spelt most like an unknown one, the nearest first."""
+    return get_close_matches(key, known, n=count, cutoff=0.0)
 
 
 def _keys(model: type[BaseModel], within: Sequence[int | str]) -> list[str]:

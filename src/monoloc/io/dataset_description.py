@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from monoloc.camera import Camera
-from monoloc.config import read_toml
+from monoloc.config import nearest_keys, read_toml
 from monoloc.distortion import COEFFICIENTS, DistortionModel
 from monoloc.errors import DataError, SettingError
 from monoloc.geometry import FloatArray, is_rigid
@@ -63,7 +63,7 @@ _NEEDS = {
     "distortion_model": "distortion",
 }
 
-
+_NEAREST = 3  # keys that an unknown one is compared with: "focal_x" has more letters of "scale_sd" than of "fx"
 _MOST_FRAMES = 1_000_000
 _INDEX_FORMAT = re.compile(r"0?\d{0,2}d?")  # a width of a hundred digits and more is no file name
 
@@ -81,7 +81,9 @@ class DatasetDescription:
         self._keys = read_toml(path)
         for key in self._keys:
             if key not in _EXAMPLES:
-                raise DataError(path, f"{key} is not a known key", f"known are: {', '.join(_EXAMPLES)}")
+                nearest = ", ".join(nearest_keys(key, list(_EXAMPLES), _NEAREST))
+                fix = "correct its name, or leave it out"
+                raise DataError(path, f"{key} is unknown, the nearest are {nearest}", fix, "how-to/record-a-room")
             needed = _NEEDS.get(key)
             if needed is not None and needed not in self._keys:
                 raise self.error(needed, f"is missing, without which {key} has no meaning")

@@ -86,14 +86,22 @@ def open_recording(source: str, options: ReaderOptions | None = None) -> StoredR
     for known in FORMATS.values():
         if known.recognises(path):
             return known.read(path, options)
+    raise _unrecognised(path)
+
+
+def _unrecognised(path: Path) -> DataError:
+    """What a path of no known format is instead, as far as it can be told."""
     if path.suffix.lower() == ".zip":
-        raise DataError(path, "is an archive", "unpack it, and give the folder")
+        return DataError(path, "is an archive", "unpack it, and give the folder")
     if (path / _BUNDLE_FILE).is_file():
-        raise DataError(path, "is a bundle, not a recording", "give the images or the video of a flight")
+        return DataError(path, "is a bundle, not a recording", "give the images or the video of a flight")
+    suffixes = [file.suffix.lower() for file in path.iterdir()] if path.is_dir() else [""]
+    if not suffixes:
+        return DataError(path, "is an empty folder", "give the folder that holds the recording")
     fix = f"write FORMAT:PATH with one of {', '.join(FORMATS)}"
-    if path.is_dir() and any(file.suffix.lower() in _IMAGES for file in path.iterdir()):
+    if _IMAGES.intersection(suffixes):
         fix = "describe its images in a dataset.toml"
-    raise DataError(path, "is not recognised as a recording", fix, page="how-to/record-a-room")
+    return DataError(path, "is not recognised as a recording", fix, page="how-to/record-a-room")
 
 
 def absolute_source(source: str) -> str:

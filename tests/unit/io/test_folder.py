@@ -94,9 +94,11 @@ def test_description_that_is_not_toml_is_refused(folder: Path, text: str, proble
     refuses_to_open(folder, folder / "dataset.toml", problem, "mend")
 
 
-def test_unknown_key_is_refused(folder: Path) -> None:
-    (folder / "dataset.toml").write_text(synthetic.SEQUENCE_TOML + "depthscale = 5000\n")
-    refuses_to_open(folder, folder / "dataset.toml", "depthscale is not a known", "known are: .*depth_scale")
+@pytest.mark.parametrize(("key", "nearest"), [("depthscale", "depth_scale, "), ("focal_x", "[a-z_, ]*fx")])
+def test_unknown_key_is_refused_with_those_it_may_mean(folder: Path, key: str, nearest: str) -> None:
+    (folder / "dataset.toml").write_text(synthetic.SEQUENCE_TOML + f"{key} = 5000\n")
+    problem = f"{key} is unknown, the nearest are {nearest}"
+    refuses_to_open(folder, folder / "dataset.toml", problem, "correct its name")
 
 
 @pytest.mark.parametrize("key", ["kind", "color", "width", "height", "fx", "fy", "cx", "cy", "depth_scale", "poses"])
