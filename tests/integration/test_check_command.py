@@ -74,7 +74,7 @@ def test_other_convention_is_bad_is_not_built_and_is_good_once_fixed(
     fix = "--fix-poses w-first,world-to-camera"
     result, err = checked(capfd, 2, "flight")
     assert result["poses"]["explanation"]["option"] == fix and "w first" in err
-    problem = r"poses and images disagree: corners land \d+% .* quaternions with w first and world-to-camera"
+    problem = r"disagree: by poses and depth, corners land \d+% .* quaternions with w first and world-to-camera"
     refused(capfd, workspace, ("build", "flight", "--out", "a.monoloc", *QUICK), "flight: ", problem, f"give {fix}$")
     assert checked(capfd, 0, "flight", *fix.split())[0]["level"] == "good"
 

@@ -132,5 +132,6 @@ def refusal(check: PoseCheck) -> str:
     with pytest.raises(DataError) as raised:
         require_agreement("walk", check, poses_are_refined=False)
     line = str(raised.value)
-    assert "\n" not in line and line.startswith("walk: poses and images disagree: corners land "), line
+    assert "\n" not in line, line
+    assert line.startswith("walk: poses and images disagree: by poses and depth, corners land "), line
     return line

@@ -33,6 +33,7 @@ _LEAST_COVERAGE = 0.3  # of the pixels with depth
 _FOCAL_ERROR, _FOCAL_SDS = 0.04, 3.0  # relative error that moves a pose, and how certain it must be
 _LEAST_FOUND_SHARE = 0.3  # of the frames, in which landmarks of the map are found
 _SAME_WORLD_M, _SAME_WORLD_RAD = 0.1, np.deg2rad(3.0)
+_BY_IMAGES = "monoloc build finds them from the images (extra sfm): give it --scale; localising needs none"
 _AGREEING_SHARE = 0.7  # of the frames with landmarks, that are one transform away
 
 
@@ -201,7 +202,7 @@ def _of_depth(depth: DepthCheck, is_explained: bool) -> Iterator[Finding]:
 
 def _without_poses(recording: Recording) -> Iterator[Finding]:
     if recording.poses is None:
-        yield Finding("poses", "warning", "none", "a build needs poses; localising does not")
+        yield Finding("poses", "warning", "none", _BY_IMAGES)
     else:
         yield Finding("poses", "warning", "not compared", "give --cloud, since there is no depth to compare with")
 

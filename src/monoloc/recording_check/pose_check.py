@@ -84,9 +84,10 @@ class PoseCheck:
         """The finding, for a message."""
         if self.share is None:
             return f"poses are not compared with the images: {self.pairs} pairs of frames show corners that move"
-        found = f"corners land {_percent(self.share)} of their motion off by poses and depth"
+        away = f"{_percent(self.share)} of their motion away from where they are seen"
+        found = f"by poses and depth, corners land {away}"
         if self.explanation is not None:
-            return f"{found}, and {_percent(self.explanation.share)} off as {self.explanation.what}"
+            return f"{found}, and {_percent(self.explanation.share)} as {self.explanation.what}"
         related = "" if self.correlation is None else f", and motions correlate by {self.correlation:.2f}"
         return f"{found} ({_percent(self.free_share)} by their own motion{related})"
 
@@ -275,7 +276,8 @@ def _common(value: float) -> float:
 
 
 def _digits(value: float) -> str:
-    return f"{value:.3g}"
+    """A value with three significant digits, without an exponent."""
+    return f"{float(f'{value:.3g}'):g}"
 
 
 def _percent(share: float | None) -> str:
