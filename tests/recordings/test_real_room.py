@@ -246,7 +246,7 @@ def test_inspect_the_recording(kitchen):
     assert content["frames"] == 400 and content["image"] == [640, 480]
     assert content["intrinsics"] == [525.5, 525.5, 320.0, 240.0]
     assert content["has_poses"] and content["has_depth"]
-    assert 0.5 < content["depth_share"] < 1.0 and 1.0 < content["depth_median_m"] < 3.0
+    assert 0.5 < content["first_frame_depth_share"] < 1.0 and 1.0 < content["first_frame_depth_median_m"] < 3.0
     assert 2.0 < content["path_m"] < 20.0 and content["seconds"] == pytest.approx(798 / 30, abs=0.1)
 
 

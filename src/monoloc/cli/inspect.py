@@ -30,6 +30,12 @@ from monoloc.io.recording import Selection
 from monoloc.map.compare import compare_maps
 from monoloc.map.surface import EXTENT_SIGMAS
 
+# Entries of a bundle that are listed first: what it is of, and what a flight depends on.
+_FIRST = (
+    *("kind", "recording", "frames", "size_m", "landmarks", "components", "supports_relocalization", "down"),
+    *("down_world", "tune", "scale_sd", "known_bias_m", "known_bias_deg"),
+)
+
 
 def inspect(
     target: Annotated[
@@ -66,7 +72,7 @@ def inspect(
 def _bundle(path: Path) -> dict[str, object]:
     bundle = read_bundle(path)
     lower, upper = bundle.adapted.bounds_m(EXTENT_SIGMAS)
-    return {
+    content: dict[str, object] = {
         "kind": "bundle",
         "monoloc_version": loads((path / "manifest.json").read_bytes())["monoloc_version"],
         "is_signed": (path / SIGNATURE).is_file(),
@@ -82,6 +88,7 @@ def _bundle(path: Path) -> dict[str, object]:
         "depth_bytes": len(bundle.depth_model.content),
         **bundle.provenance.model_dump(exclude={"frames"}),
         "frames": len(bundle.provenance.frames),
+        "down": None if bundle.down is None else [float(value) for value in bundle.down],
         **_known_bias(bundle.reference_poses),
         **_camera(bundle.camera),
         "supports_relocalization": bundle.supports_relocalization,
@@ -91,6 +98,7 @@ def _bundle(path: Path) -> dict[str, object]:
         "sensor": bundle.sensor.model_dump(),
         "settings": bundle.settings.model_dump(mode="json"),
     }
+    return {name: content[name] for name in _FIRST} | content
 
 
 def _known_bias(reference_poses: ReferencePoses) -> dict[str, object]:
@@ -121,8 +129,9 @@ def _recording(recording: Selection) -> dict[str, object]:
         content["path_m"] = float(steps.sum())
     if recording.has_depth:
         depth = recording.depth(0)
-        content["depth_share"] = float((depth > 0.0).mean())
-        content["depth_median_m"] = float(np.median(depth[depth > 0.0])) if depth.any() else np.nan
+        content["first_frame_depth_share"] = float((depth > 0.0).mean())
+        median_m = float(np.median(depth[depth > 0.0])) if depth.any() else np.nan
+        content["first_frame_depth_median_m"] = median_m
     return content
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import synthetic_recordings as synthetic
 from cli_helpers import json_of, refused, succeeds
-from monoloc.bundle import write_bundle
+from monoloc.bundle import read_bundle, write_bundle
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.supervision.integrity import Classes, IntegrityModel
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
@@ -28,18 +28,19 @@ def test_recording_is_described(capfd: pytest.CaptureFixture[str], here: Path) -
     content = json_of(capfd, "inspect", "flight", "--frames", "0:2")
     assert content["kind"] == "recording" and content["frames"] == 2
     assert content["image"] == [32, 24] and content["intrinsics"] == [30.0, 31.0, 15.5, 11.5]
-    assert content["has_poses"] and content["has_depth"] and content["depth_share"] == pytest.approx(23 / 24)
+    assert content["has_poses"] and content["has_depth"]
+    assert content["first_frame_depth_share"] == pytest.approx(23 / 24)
     assert content["seconds"] == pytest.approx(0.1)
     step = np.diff(synthetic.make_poses(2)[:, :3, 3], axis=0)
     assert content["path_m"] == pytest.approx(np.linalg.norm(step), abs=1e-6)
-    assert content["depth_median_m"] == pytest.approx(1.5)
+    assert content["first_frame_depth_median_m"] == pytest.approx(1.5)
 
 
 @pytest.mark.filterwarnings("error")
 def test_frame_without_depth_has_no_median_depth(capfd: pytest.CaptureFixture[str], here: Path) -> None:
     synthetic.write_depth(here / "flight/depth/000010.png", np.zeros((24, 32), dtype=np.uint16))
     content = json_of(capfd, "inspect", "flight")
-    assert content["depth_share"] == 0.0 and content["depth_median_m"] is None
+    assert content["first_frame_depth_share"] == 0.0 and content["first_frame_depth_median_m"] is None
 
 
 def test_video_is_described_with_its_distortion(capfd: pytest.CaptureFixture[str], here: Path) -> None:
@@ -68,7 +69,9 @@ def test_bundle_says_what_tells_right_from_wrong_beliefs(capfd: pytest.CaptureFi
     assert content["integrity"]["scan_search_precision"] == 0.8
     assert content["integrity"]["scan"] == {"edges": [-1.5], "right": [0.1, 0.9], "wrong": [0.75, 0.25]}
     assert content["sensor"]["thresholds"] is None
+    np.testing.assert_allclose(content["down"], read_bundle(here / "room.monoloc").down)
     table = succeeds(capfd, "inspect", "room.monoloc")
+    assert table.index("down ") < table.index("down_world") < table.index("monoloc_version")
     for part in (
         "supports_relocalization",
         "scan_search_precision: 0.800",
