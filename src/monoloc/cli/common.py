@@ -290,8 +290,10 @@ def check_viewing(view: bool, record: Path | None = None) -> None:
 
     Raises:
         MissingExtraError: Rerun is not installed.
-        SettingError: no window can be opened.
+        SettingError: no window can be opened, or the recording is not named as one.
     """
+    if record is not None and record.suffix.lower() != ".rrd":
+        raise SettingError("--record", f"{record} is a recording of Rerun by another name", "name it NAME.rrd")
     if view or record is not None:
         require_viewing()
     if view:

@@ -15,6 +15,7 @@ from monoloc.cli.common import (
     check_folder,
     check_outputs,
     check_picture,
+    check_viewing,
     naming,
     open_cloud,
     open_source,
@@ -188,6 +189,11 @@ def test_picture_must_be_named_as_one_and_needs_matplotlib(monkeypatch: pytest.M
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtraError, match=r'plots needs the extra "report".*; .*pip install'):
         check_picture(Path("a.png"), "--plot")
+
+
+def test_recording_for_the_viewer_must_be_named_as_one() -> None:
+    problem = "flight9 is a recording of Rerun by another name"
+    refuses_setting(lambda: check_viewing(view=False, record=Path("flight9")), "--record", problem, "NAME.rrd")
 
 
 # --- Tables ---
