@@ -31,6 +31,7 @@ from monoloc.cli.common import (
     stderr,
     text_of,
 )
+from monoloc.edit_record import EditRecord
 from monoloc.editing.box import Box, parse_box, parse_numbers
 from monoloc.editing.changed_region import read_changed_region
 from monoloc.editing.edits import add, move, remove
@@ -59,6 +60,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
+_COUNTS = ("components", "landmarks", "reference_poses")  # of an edit's changes: numbers before and after it
 _BOX = "X,Y,Z,X,Y,Z"
 BoxOption = Annotated[
     str | None, typer.Option("--box", metavar=_BOX, help="Two opposite corners, world frame, metres.")
@@ -100,12 +102,13 @@ class _Target:
         if len(edited.edits) > len(bundle.edits):
             last = edited.edits[-1]
             content |= {**last.record.model_dump(mode="json"), "undo_bytes": len(last.undo)}
+            _warn_of_unconfirmed(last.record)
         else:
             content |= {"kind": "undo", "undone": bundle.edits[-1].record.model_dump(mode="json")}
         if json:
             print_json(content)
         else:
-            print_table(str(target), ["", ""], [[name, text_of(value)] for name, value in content.items()])
+            print_table(str(target), ["", ""], [[name, text_of(value)] for name, value in _readable(content).items()])
 
 
 @app.callback()
@@ -305,7 +308,7 @@ def log_command(context: typer.Context, json: JsonOption = False) -> None:
         print_json({"bundle": str(path), "edits": edits})
         return
     for number, each in enumerate(edits):
-        values = {**each["parameters"], **each["changes"]}
+        values = {**each["parameters"], **_readable(each["changes"])}
         described = "; ".join(f"{name} {text_of(value)}" for name, value in values.items())
         typer.echo(f"{number + 1}  {each['time']}  {each['kind']}: {described}")
     if not edits:
@@ -316,6 +319,27 @@ def _target(context: typer.Context) -> _Target:
     target = context.obj
     assert isinstance(target, _Target)
     return target
+
+
+def _readable(values: dict[str, Any]) -> dict[str, Any]:
+    """The same for a text, with numbers before and after an edit, in dicts of it too, as ``before -> after``."""
+    shown = dict(values)
+    for name, value in values.items():
+        if name in _COUNTS:
+            shown[name] = " -> ".join(map(str, value))
+        elif isinstance(value, dict):
+            shown[name] = _readable(value)
+    return shown
+
+
+def _warn_of_unconfirmed(record: EditRecord) -> None:
+    """Say so if landmarks confirm few poses of an extension that was taken to be in the map's world."""
+    near, looked_at = (record.changes.get(name, 0) for name in ("frames_confirmed_by_landmarks", "frames_looked_at"))
+    had_landmarks = record.changes["landmarks"][0] > 0
+    if had_landmarks and 2 * near < looked_at:
+        found = f"landmarks of the map confirm the poses of {near} of {looked_at} frames that were looked at"
+        fix = "unless it shows another part of the room, undo, and extend with --align"
+        stderr.print(f"warning: {record.parameters['source']}: {found}; {fix}", soft_wrap=True)
 
 
 def _corners(box: str | None, changed: Path | None) -> tuple[FloatArray, FloatArray]:

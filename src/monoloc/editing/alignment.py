@@ -83,11 +83,11 @@ def align_recording(bundle: Bundle, recording: Recording, cloud: FloatArray, rng
     return _by_surfaces(bundle, recording.name, cloud, *agreed, rng)
 
 
-def check_same_world(bundle: Bundle, recording: Recording) -> int:
+def check_same_world(bundle: Bundle, recording: Recording) -> tuple[int, int]:
     """Refuse a recording whose poses are in another world, as far as landmarks show it.
 
     Returns:
-        The number of frames that landmarks localise near the given poses; 0 if none is localised.
+        The number of frames that landmarks localise near the given poses, and of those that were looked at.
 
     Raises:
         DataError: landmarks agree on another world.
@@ -99,7 +99,7 @@ def check_same_world(bundle: Bundle, recording: Recording) -> int:
         shift_m = float(np.linalg.norm(transform(agreed[0], here[:1, :3, 3]) - here[0, :3, 3]))
         problem = f"is in another world: landmarks see its cameras {shift_m:.2f} m from where its poses say"
         raise DataError(recording.name, problem, "align it: --align")
-    return near
+    return near, min(len(recording), _CHECKED_FRAMES)
 
 
 def align_bundle(bundle: Bundle, other: Bundle, name: str, rng: np.random.Generator) -> Alignment:

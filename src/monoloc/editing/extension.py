@@ -62,7 +62,8 @@ def extend(
         cloud, poses = transform(alignment.T_world_other, cloud), alignment.T_world_other @ poses
         measured = _described(alignment)
     else:
-        measured["frames_confirmed_by_landmarks"] = check_same_world(bundle, recording)
+        near, looked_at = check_same_world(bundle, recording)
+        measured = {"frames_confirmed_by_landmarks": near, "frames_looked_at": looked_at}
     unknown = remove_outliers(cloud[~known(bundle, cloud)], paired.voxel_m)
     if len(unknown) < _LEAST_POINTS:
         unknown = unknown[:0]

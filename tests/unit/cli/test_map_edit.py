@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli_helpers import json_of, listing, outputs, refused, succeeds, write_workspace
+from cli_helpers import json_of, listing, outputs, refused, succeeds, write_recording, write_workspace
 from edit_helpers import CUBE, bundle_of_walk, cube_cloud, mapped_room
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.bundle_signature import SIGNATURE
@@ -41,7 +41,7 @@ def test_remove_add_move_undo_and_log(here: Path, capfd: pytest.CaptureFixture[s
     assert [edit["kind"] for edit in log["edits"]] == ["remove", "add", "move"]
     assert [edit["kind"] for edit in json_of(capfd, *EDIT, "log")["edits"]] == ["remove", "add"]
     lines = succeeds(capfd, *EDIT, "log").splitlines()
-    assert len(lines) == 2 and "remove: lower_m" in lines[0] and "components 150, " in lines[0]
+    assert len(lines) == 2 and "remove: lower_m" in lines[0] and "components 150 -> " in lines[0]
     assert json_of(capfd, *EDIT, "undo")["undone"]["kind"] == "add"
     assert "undone" in succeeds(capfd, *EDIT, "undo")
     np.testing.assert_allclose(
@@ -102,6 +102,15 @@ def test_extend_and_merge(here: Path, capfd: pytest.CaptureFixture[str]) -> None
     }
     for arguments, line in lines.items():
         refused(capfd, here, (*EDIT, *arguments), *line)
+
+
+def test_extension_whose_poses_no_landmark_confirms_is_warned_of(
+    here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    write_recording(here / "flight", RoomRecording(Room(), make_path(6), SMALL_CAMERA))
+    out, err = outputs(capfd, *EDIT, "extend", "flight", "--frames", "::2")
+    assert "warning: flight: landmarks of the map confirm the poses of 0 of 3 frames" in err and "--align" in err
+    assert "reference_poses: 12 -> 15" in out
 
 
 REFUSED = {

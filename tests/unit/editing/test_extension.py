@@ -51,7 +51,7 @@ def test_walk_in_the_same_world_adds_what_the_map_does_not_know() -> None:
     added = len(edited.original) - count
     assert added / (edited.cloud.points - room.cloud.points) == pytest.approx(count / room.cloud.points, rel=0.2)
     np.testing.assert_array_equal(edited.original.means[:count], room.original.means)
-    assert changes(edited)["frames_confirmed_by_landmarks"] >= 3
+    assert changes(edited)["frames_confirmed_by_landmarks"] >= 3 and changes(edited)["frames_looked_at"] == 6
     assert len(edited.reference_poses) == 28 and len(edited.provenance.frames) == 28
     assert edited.provenance.recording == "walk-A + walk-B"
 
