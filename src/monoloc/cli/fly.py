@@ -121,7 +121,7 @@ def fly(
 
     \b
     Examples:
-      monoloc fly room.monoloc camera:0 --intrinsics 640,480,525,525,319.5,239.5
+      monoloc fly room.monoloc camera:0 --camera 640,480,525,525,319.5,239.5
       monoloc fly room.monoloc camera:0 --camera cam.toml --mavlink serial:/dev/ttyAMA0:921600 --firmware px4
       monoloc fly room.monoloc camera:0 --camera cam.toml --mavlink udpin:0.0.0.0:14550 --firmware ardupilot --align
       monoloc fly house.place camera:0 --camera cam.toml --out poses.csv

@@ -127,8 +127,8 @@ def localize_command(
     Examples:
       monoloc localize kitchen.monoloc 7scenes:redkitchen --out trajectory.txt --plot trajectory.png
       monoloc localize kitchen.monoloc 7scenes:redkitchen --frames 0:400 --out trajectory.csv --json
-      monoloc localize room.monoloc flight.mp4 --intrinsics 640,480,525,525,319.5,239.5 --out trajectory.txt
-      monoloc localize room.monoloc flight.mp4 --intrinsics 640,480,525,525,319.5,239.5 --start 0.5,0.2,1.1,0,0,0,1
+      monoloc localize room.monoloc flight.mp4 --camera 640,480,525,525,319.5,239.5 --out trajectory.txt
+      monoloc localize room.monoloc flight.mp4 --camera 640,480,525,525,319.5,239.5 --start 0.5,0.2,1.1,0,0,0,1
       monoloc localize room.monoloc tum:fr1_room --start truth --motion random-walk
       monoloc localize room.monoloc tum:fr1_room --start truth --without landmarks,bias     (depth and odometry)
       monoloc localize room.monoloc folder:flight --gyroscope flight/imu.csv --mount flight.toml
