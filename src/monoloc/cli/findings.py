@@ -1,10 +1,8 @@
-"""Findings as a table, and as an exit code."""
+"""Findings as lines, and as an exit code."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-
-from rich.table import Table
 
 from monoloc.cli.common import stderr
 from monoloc.recording_check.inspection import Finding, Level
@@ -15,11 +13,10 @@ EXIT_CODES: dict[Level, int] = {"good": 0, "warning": 1, "bad": 2}
 
 
 def print_findings(title: str, findings: Sequence[Finding], level: Level) -> None:
-    """Print what was found, the worst level in the title, each line with its level and in its colour."""
-    table = Table(header_style="")
-    for column in ("", "level", "found", "remark"):
-        table.add_column(column, overflow="fold")
-    for finding in findings:
-        table.add_row(finding.name, finding.level, finding.value, finding.remark, style=_COLOURS[finding.level])
+    """Print what was found, the worst level in the title: of each its level, and on a line of its own what to do."""
     stderr.print(f"{title}: {level}", style=f"bold {_COLOURS[level]}", soft_wrap=True)
-    stderr.print(table)
+    width = max(len(finding.name) for finding in findings)
+    for finding in findings:
+        start = f"  {finding.level:<7}  {finding.name:<{width}}  "
+        lines = [start + finding.value, *([" " * len(start) + finding.remark] if finding.remark else [])]
+        stderr.print("\n".join(lines), style=_COLOURS[finding.level], soft_wrap=True, markup=False)
