@@ -23,6 +23,7 @@ from monoloc.recording_check.pose_hypotheses import as_stated, conventions, dela
 # the desk (0:350) 0.08; later parts of both have up to 0.14. There, wrong conventions gave 0.48 and more, poses one
 # frame late 0.17 and 0.22, a focal length or depth 20 % off 0.12 to 0.22, and independent noise of 2 cm and 1 degree
 # over the whole recordings 0.45 and 0.90.
+_MANY_TIMES = 10.0  # share from which it is told as a factor
 _RIGHT = 0.12  # with at most this, no other reading is tried
 _FITS = 0.15  # a hypothesis must come to this,
 _IMPROVEMENT = 0.6  # and to this share of the stated poses' error
@@ -84,7 +85,8 @@ class PoseCheck:
         """The finding, for a message."""
         if self.share is None:
             return f"poses are not compared with the images: {self.pairs} pairs of frames show corners that move"
-        away = f"{_percent(self.share)} of their motion away from where they are seen"
+        of = "" if self.share >= _MANY_TIMES else " of"  # "66 times their motion"
+        away = f"{_percent(self.share)}{of} their motion away from where they are seen"
         found = f"by poses and depth, corners land {away}"
         if self.explanation is not None:
             return f"{found}, and {_percent(self.explanation.share)} as {self.explanation.what}"
@@ -283,4 +285,4 @@ def _digits(value: float) -> str:
 def _percent(share: float | None) -> str:
     if share is None:
         return "unknown"
-    return f"{share:.0%}" if share < 10.0 else f"{share:.0f} times"
+    return f"{share:.0%}" if share < _MANY_TIMES else f"{share:.0f} times"
