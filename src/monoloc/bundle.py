@@ -10,7 +10,6 @@ where there are any. It is written whole or not at all, and read only if every b
 from __future__ import annotations
 
 import hashlib
-import io
 import os
 import zlib
 from dataclasses import dataclass, field
@@ -21,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.array_files import decode_arrays
+from monoloc.array_files import decode_arrays, encode_arrays
 from monoloc.bundle_manifest import COPY_AGAIN, MANIFEST, SCHEMA, Manifest, manifest_content, parse_manifest, seal
 from monoloc.bundle_manifest import CloudSize as CloudSize
 from monoloc.bundle_manifest import Provenance as Provenance
@@ -153,12 +152,12 @@ def write_bundle(path: str | Path, bundle: Bundle) -> int:
     check_target(path)
     contents = {
         _MAP: _pack_maps(bundle),
-        _LANDMARKS: _packed(bundle.landmarks.to_arrays()),
+        _LANDMARKS: encode_arrays(bundle.landmarks.to_arrays()),
         _DEPTH: bundle.depth_model.content,
     }
     if bundle.edits:
         undo = {str(number): np.frombuffer(edit.undo, np.uint8) for number, edit in enumerate(bundle.edits)}
-        contents[_EDITS] = _packed(undo)
+        contents[_EDITS] = encode_arrays(undo)
     manifest = Manifest(
         schema_version=SCHEMA,
         monoloc_version=__version__,
@@ -280,10 +279,4 @@ def _pack_maps(bundle: Bundle) -> bytes:
     values = (se3_log(known.poses), known.forward_bias, known.backward_bias)
     for name, twists in zip(_REFERENCES, values, strict=True):
         arrays[name] = twists.astype(np.float32)
-    return _packed(arrays)
-
-
-def _packed(arrays: dict[str, Any]) -> bytes:
-    buffer = io.BytesIO()
-    np.savez(buffer, **arrays)
-    return buffer.getvalue()
+    return encode_arrays(arrays)

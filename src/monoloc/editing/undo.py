@@ -7,16 +7,15 @@ the bytes grow with what it changed.
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.array_files import decode_arrays
+from monoloc.array_files import decode_arrays, encode_arrays
 from monoloc.bundle import Bundle, CloudSize, Provenance
 from monoloc.edit_record import Edit, EditRecord
 from monoloc.errors import SettingError
@@ -54,9 +53,7 @@ def with_edit(before: Bundle, after: Bundle, record: EditRecord) -> Bundle:
         arrays["views"] = se3_log(views.poses).astype(np.float32)
     changed = {name: _body(before, name) for name in _PARTS if getattr(before, name) != getattr(after, name)}
     arrays["manifest"] = np.frombuffer(json.dumps(changed).encode(), np.uint8)
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **cast(dict[str, Any], arrays))
-    return replace(after, edits=(*before.edits, Edit(record, buffer.getvalue())))
+    return replace(after, edits=(*before.edits, Edit(record, encode_arrays(arrays))))
 
 
 def undone(bundle: Bundle) -> Bundle:

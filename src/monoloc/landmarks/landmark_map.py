@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from monoloc.array_files import encode_arrays
 from monoloc.geometry import FloatArray, pose_distance_m, se3_exp, se3_log
 
 FAMILIAR_TIMES = 2
@@ -117,7 +118,8 @@ class Landmarks:
 
     @property
     def bytes(self) -> int:
-        return sum(array.nbytes for array in self.to_arrays().values())
+        """As stored."""
+        return len(encode_arrays(self.to_arrays()))
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays to store: ``points``, ``descriptors``, and of views their twists (V, 6), float32, and bits."""

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import monoloc._core as _core
-from monoloc.array_files import read_arrays
+from monoloc.array_files import encode_arrays, read_arrays
 from monoloc.errors import DataError
 from monoloc.files import write_whole
 from monoloc.geometry import FloatArray
@@ -178,10 +176,7 @@ class GaussianMixture:
         Raises:
             DataError: the file cannot be written.
         """
-        arrays: dict[str, Any] = {**self.to_arrays()}
-        content = io.BytesIO()
-        np.savez(content, **arrays)
-        write_whole(Path(path), content.getvalue())
+        write_whole(Path(path), encode_arrays(self.to_arrays()))
 
     @classmethod
     def load(cls, path: Path) -> GaussianMixture:

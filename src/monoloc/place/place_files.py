@@ -6,7 +6,6 @@ The folder is written whole or not at all, and read only if every bundle is the 
 from __future__ import annotations
 
 import hashlib
-import io
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.array_files import decode_arrays
+from monoloc.array_files import decode_arrays, encode_arrays
 from monoloc.bundle import Bundle, digest_of, read_bundle
 from monoloc.bundle_manifest import PLACE_MANIFEST, manifest_content
 from monoloc.bundle_signature import check_signature
@@ -220,9 +219,7 @@ def _checked_bundle(path: Path, room: RoomEntry, public_key: Path | None) -> Pat
 
 
 def _packed(descriptors: Sequence[NDArray[np.uint8]]) -> bytes:
-    buffer = io.BytesIO()
-    np.savez(buffer, **{str(number): each for number, each in enumerate(descriptors)})  # type: ignore[arg-type]
-    return buffer.getvalue()
+    return encode_arrays({str(number): each for number, each in enumerate(descriptors)})
 
 
 def _read_index(file: Path, manifest: PlaceManifest) -> tuple[NDArray[np.uint8], ...]:

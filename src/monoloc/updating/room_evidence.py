@@ -6,18 +6,17 @@ evidence outlives edits: of landmarks that have gone or moved it is dropped, of 
 
 from __future__ import annotations
 
-import io
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.array_files import read_arrays
+from monoloc.array_files import encode_arrays, read_arrays
 from monoloc.bundle import Bundle
 from monoloc.errors import DataError
 from monoloc.files import write_whole
@@ -106,10 +105,9 @@ def write_evidence(path: Path, evidence: Evidence, bundle: Bundle) -> int:
         "flights": np.array([name[:_MOST_NAME] for name in evidence.flights], dtype=f"<U{_MOST_NAME}"),
         "frames": np.array(evidence.frames, dtype=np.uint32),
     }
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **cast(dict[str, Any], arrays))
-    write_whole(path, buffer.getvalue())
-    return len(buffer.getvalue())
+    content = encode_arrays(arrays)
+    write_whole(path, content)
+    return len(content)
 
 
 def read_evidence(path: Path, bundle: Bundle, rules: UpdateRules) -> Evidence:
