@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from monoloc_lab.experiments.interval import interval_of
-from monoloc_lab.experiments.ladder import ladder_table, of_builds, pairs_table
-from monoloc_lab.experiments.rungs import all_rungs
+from monoloc_lab.experiments.ladder import ladder_table, of_builds, pairs_table, ratio
+from monoloc_lab.experiments.rungs import RUNGS, all_rungs
 from repository import REPOSITORY
 
 DOCS = REPOSITORY / "docs"
@@ -66,6 +66,73 @@ def test_errors_with_other_weights_of_the_divergence() -> None:
             for split in SPLITS
         ]
         assert "{:.0f}, {:.0f}, {:.0f} and {:.0f} cm".format(*errors) in PAGE
+
+
+def each_row(method: str, column: str = "rmse_cm") -> list[float]:
+    """Medians over builds: RedKitchen between and beyond, the desk between and beyond."""
+    return [
+        interval_of(list(of_builds(of_room(title), split, method, column).values())).median
+        for title in ROOMS
+        for split in SPLITS
+    ]
+
+
+def ratios(method: str, other: str) -> list[float]:
+    found = [ratio(of_room(title), split, method, other) for title in ROOMS for split in SPLITS]
+    return [each.median for each in found if each is not None]
+
+
+TUNED, UNTUNED = each_row("the default"), each_row("nothing tuned")
+BY_DEPTH = ratios("the default, depth alone", "nothing tuned, depth alone")
+DESK_BEYOND = of_builds(of_room("Office desk"), "beyond", "the default", "rmse_cm")
+DESK_FLIGHTS = [row for row in of_room("Office desk") if (row["split"], row["rung"]) == ("beyond", RUNGS[-1].name)]
+SENTENCES: tuple[tuple[str, list[float]], ...] = (
+    (
+        r"Its RMSE is (\d+) cm between and (\d+) cm beyond the build frames in RedKitchen, and (\d+) and (\d+) cm at",
+        each_row("the paper's method"),
+    ),
+    (
+        r"the RMSE falls to ([\d.]+) of what it was, in both rooms",
+        [max(ratios("+ decoder", "+ pose-step loss")[::2])],
+    ),
+    (
+        r"depth alone stays at (\d+) and (\d+) cm in RedKitchen and (\d+) and (\d+) cm at the desk",
+        each_row("last layer tuned, losses of the default, depth alone"),
+    ),
+    (r"the default has ([\d.]+) to ([\d.]+) of the RMSE of a bundle that nothing", [min(BY_DEPTH), max(BY_DEPTH)]),
+    (
+        r"it is ([\d.]+) to ([\d.]+) cm and ([\d.]+) to ([\d.]+) cm between the build frames, "
+        r"and ([\d.]+) to ([\d.]+) cm in",
+        [UNTUNED[0], TUNED[0], UNTUNED[2], TUNED[2], UNTUNED[1], TUNED[1]],
+    ),
+    (r"builds is worse, (\d+) after (\d+) cm", [TUNED[3], UNTUNED[3]]),
+    (
+        r"coverage rises from ([\d.]+) to ([\d.]+) to (\d.\d+)",
+        [
+            min(each_row("+ scale and tilt", "coverage_95")),
+            max(each_row("+ scale and tilt", "coverage_95")),
+            min(each_row("+ bias filter", "coverage_95")),
+        ],
+    ),
+    (
+        r"Two of three builds end it (\d+) to (\d+) cm off, the third (\d+) cm. Of (\d+) frames (\d+) were silently",
+        [
+            *sorted(DESK_BEYOND.values())[1:],
+            min(DESK_BEYOND.values()),
+            sum(row["frames"] for row in DESK_FLIGHTS),
+            sum(row["silent_30cm"] for row in DESK_FLIGHTS),
+        ],
+    ),
+)
+
+
+@pytest.mark.parametrize(("pattern", "expected"), SENTENCES)
+def test_sentence(pattern: str, expected: list[float]) -> None:
+    (found,) = re.findall(pattern, PAGE)
+    shown = found if isinstance(found, tuple) else (found,)
+    assert [*shown] == [
+        f"{value:.{len(text.partition('.')[2])}f}" for text, value in zip(shown, expected, strict=True)
+    ]
 
 
 def test_every_method_was_built_and_flown_three_times_by_a_known_commit() -> None:
