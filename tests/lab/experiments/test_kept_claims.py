@@ -6,6 +6,7 @@ import json
 import re
 from typing import Any
 
+import numpy as np
 import pytest
 
 from monoloc_lab.experiments.claims_by_method import Decided, decide, of_builds
@@ -61,6 +62,39 @@ def test_tables_are_those_of_the_kept_flights() -> None:
         for table in re.findall(r"(?:^\|.*\n)+", section, re.MULTILINE)
     )
     assert verdicts == verdict_rows() and shown == error_rows()
+
+
+def rmse(room: str, **wanted: Any) -> dict[int, float]:
+    return of_builds(of_room(room), **{"light": AS_RECORDED, "size": "full", **wanted})
+
+
+def median_ratio(errors: dict[int, float], others: dict[int, float]) -> float:
+    return float(np.median([errors[build] / others[build] for build in errors]))
+
+
+def test_sentences() -> None:
+    text = (DOCS / "beyond-the-paper.md").read_text(encoding="utf-8")
+    paper, alone, _ = (method.name for method in CLAIMED)
+    small, large = (
+        float(np.median([*rmse("RedKitchen", method=paper, tuned=True, size=size).values()])) for size in SIZES[::-1]
+    )
+    assert f"The tuned smaller one is better in RedKitchen ({small:.0f} after {large:.0f} cm)" in text
+    smaller, larger = (rmse("desk", method=alone, tuned=True, size=size) for size in SIZES[::-1])
+    assert f"has {median_ratio(smaller, larger):.1f} times the error at the desk" in text
+    brighter = [
+        median_ratio(*(rmse(room, method=method.name, tuned=False, light=light) for light in ("L1", "L3")))
+        for room in ROOMS
+        for method in CLAIMED
+    ]
+    dark = [each for room in ROOMS for each in decide(of_room(room), SPLIT, SIZES) if "dark" in each.claim]
+    assert sum(each.measured[1].endswith("holds") for each in dark) == 1
+    assert f"worse in simulated darkness in one of six cases, by {100.0 * (1.0 - min(brighter)):.0f} %" in text
+    moved = [
+        float(np.median([*rmse(room, column="map_moved_cm", method=m.name, tuned=True).values()]))
+        for room in ROOMS
+        for m in CLAIMED
+    ]
+    assert f"maps move by {min(moved):.1f} to {max(moved):.1f} cm" in text
 
 
 def test_three_builds_of_every_method_network_and_light_by_a_known_commit() -> None:
