@@ -104,6 +104,32 @@ def test_table_of_this_version() -> None:
             agree(text, numbers)
 
 
+def spread(found: Iterable[float | None], digits: int = 2) -> list[float]:
+    """Median, smallest and largest of what is known; one number where they are equal to the digits shown."""
+    known = [value for value in found if value is not None]
+    numbers = [float(np.median(known)), min(known), max(known)] if known else []
+    return numbers[:1] if len({f"{number:.{digits}f}" for number in numbers}) == 1 else numbers
+
+
+def test_table_of_recovery() -> None:
+    rows = iter(
+        cells_of(section("docs/results.md", "This version").split("bench recovery")[1].replace("\n  |", "\n|"))
+    )
+    for room in ("redkitchen", "desk"):
+        builds = json.loads((DATA / f"recovery-{room}.json").read_text())
+        assert [build["build"] for build in builds] == [2, 3, 4]
+        for part in ("near", "away", None):
+            _, starts, kidnaps, alarms, false, edits, coverage = next(rows)
+            found = [build if part is None else build[part] for build in builds]
+            agree(starts, [*spread(each["global_start_rate"] for each in found), found[0]["starts"]])
+            agree(kidnaps, [*spread(each["kidnap_recovery_rate"] for each in found), found[0]["kidnaps"]])
+            agree(alarms, spread((100.0 * each["false_alarm_rate"] for each in found), 1))
+            agree(coverage, spread(each["coverage_95"] for each in found))
+            if part is None:
+                agree(false, spread((100.0 * each["false_tracking_rate"] for each in found), 1))
+                agree(edits, spread(each["map_changed_rate"] for each in found))
+
+
 COLUMNS = (
     {"built_from": "RedKitchen 0:300:3", "flown": "0:300"},
     {"built_from": "RedKitchen 0:300:3", "flown": "300:400"},
