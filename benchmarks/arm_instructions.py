@@ -38,7 +38,7 @@ BUILDS = {"plain": ("-march=armv8-a+nosimd", "ON"), "neon": ("", "OFF")}  # opti
 WARM_UP = 5  # first steps, which are left out
 LIGHT = "L2"
 
-# Functions that a flight calls, and the sizes of their arguments that are told: index of the argument, and of what.
+# Functions that a flight calls, and the sizes that the tables show: index of the argument, and what it holds.
 SIZES: dict[str, tuple[tuple[int, str], ...]] = {
     "RayMixture.weigh": ((3, "particles"), (5, "points"), (0, "components")),
     "match_descriptors": ((1, "landmarks"), (3, "keypoints")),

@@ -18,7 +18,16 @@ from monoloc_lab.experiments.claims import DARK_BOUND, MOVED_BOUND_M, SMALLER_BO
 from monoloc_lab.experiments.drawing import legend_below, logarithmic
 from monoloc_lab.experiments.figure import Drawn, Figure
 from monoloc_lab.experiments.gather import BRIGHT, DARK, MEDIAN, RMSE, network_of, usual_light
-from monoloc_lab.experiments.interval import CONFIDENCE, Interval, Verdict, all_of, interval_of, is_below
+from monoloc_lab.experiments.interval import (
+    CONFIDENCE,
+    Interval,
+    Verdict,
+    all_of,
+    interval_of,
+    is_below,
+    medians_of_builds,
+    ratios_of_builds,
+)
 from monoloc_lab.experiments.ladder import FLIGHTS
 from monoloc_lab.experiments.rungs import CLAIMED, Claimed
 from monoloc_lab.experiments.study import Split, Study
@@ -97,15 +106,6 @@ def rows_of(study: Study, results: Results) -> list[Row]:
     return rows
 
 
-def of_builds(rows: Sequence[Row], column: str = "rmse_cm", **wanted: Any) -> dict[int, float]:
-    """Median of a column over the flights of each build, of the rows with the wanted values."""
-    values: dict[int, list[float]] = {}
-    for row in rows:
-        if row[column] is not None and all(row[name] == value for name, value in wanted.items()):
-            values.setdefault(row["build_seed"], []).append(row[column])
-    return {build: float(np.median(each)) for build, each in values.items()}
-
-
 @dataclass(frozen=True)
 class Decided:
     """A claim about a method: what its conditions apply to, in words with intervals, and the verdict."""
@@ -132,47 +132,41 @@ def decide(rows: Sequence[Row], split: Split, sizes: Sequence[str]) -> list[Deci
 
 
 def _smaller(rows: Sequence[Row], method: Claimed, sizes: tuple[str, str], light: str) -> Decided:
-    large, small = (
-        {tuned: of_builds(rows, method=method.name, tuned=tuned, size=size, light=light) for tuned in (True, False)}
-        for size in sizes
-    )
+    large, small = ({tuned: _errors(rows, method, tuned, size, light) for tuned in (True, False)} for size in sizes)
     return _decided(
         "a third of the parameters is as accurate",
         method,
-        ("tuned, smaller over larger", _ratio(small[True], large[True]), SMALLER_BOUND),
-        ("untuned, larger over smaller", _ratio(large[False], small[False]), 1.0),
+        ("tuned, smaller over larger", ratios_of_builds(small[True], large[True]), SMALLER_BOUND),
+        ("untuned, larger over smaller", ratios_of_builds(large[False], small[False]), 1.0),
     )
 
 
 def _dark(rows: Sequence[Row], method: Claimed, size: str) -> Decided:
     adapted, dark, bright = (
-        of_builds(rows, method=method.name, tuned=tuned, size=size, light=light)
-        for tuned, light in ((True, DARK), (False, DARK), (False, BRIGHT))
+        _errors(rows, method, tuned, size, light) for tuned, light in ((True, DARK), (False, DARK), (False, BRIGHT))
     )
     return _decided(
         "more robust in the dark than nothing tuned",
         method,
-        (f"in {DARK}, tuned over untuned", _ratio(adapted, dark), DARK_BOUND),
-        (f"untuned, {BRIGHT} over {DARK}", _ratio(bright, dark), 1.0),
+        (f"in {DARK}, tuned over untuned", ratios_of_builds(adapted, dark), DARK_BOUND),
+        (f"untuned, {BRIGHT} over {DARK}", ratios_of_builds(bright, dark), 1.0),
     )
 
 
 def _small_change(rows: Sequence[Row], method: Claimed, size: str, light: str) -> Decided:
-    tuned, untuned = (
-        of_builds(rows, method=method.name, tuned=tuned, size=size, light=light) for tuned in (True, False)
-    )
-    moved = of_builds(rows, "map_moved_cm", method=method.name, tuned=True, size=size, light=light)
+    tuned, untuned = (_errors(rows, method, tuned, size, light) for tuned in (True, False))
+    moved = medians_of_builds(rows, "map_moved_cm", method=method.name, tuned=True, size=size, light=light)
     return _decided(
         "a small change of the map is enough",
         method,
         ("map moved, cm", list(moved.values()), 100.0 * MOVED_BOUND_M),
-        ("tuned over untuned", _ratio(tuned, untuned), 1.0),
+        ("tuned over untuned", ratios_of_builds(tuned, untuned), 1.0),
     )
 
 
-def _ratio(errors: dict[int, float], others: dict[int, float]) -> list[float]:
-    """Error over the other, of the builds that both have."""
-    return [errors[build] / others[build] for build in errors if build in others]
+def _errors(rows: Sequence[Row], method: Claimed, tuned: bool, size: str, light: str) -> dict[int, float]:
+    """Position RMSE of each build, cm."""
+    return medians_of_builds(rows, "rmse_cm", method=method.name, tuned=tuned, size=size, light=light)
 
 
 def _decided(claim: str, method: Claimed, *conditions: tuple[str, Sequence[float], float]) -> Decided:
@@ -214,7 +208,7 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
 
 
 def _error(rows: Sequence[Row], method: Claimed, tuned: bool, size: str, light: str) -> str:
-    values = list(of_builds(rows, method=method.name, tuned=tuned, size=size, light=light).values())
+    values = list(_errors(rows, method, tuned, size, light).values())
     return interval_of(values).text() if values else "–"
 
 
@@ -228,7 +222,7 @@ def _draw(study: Study, rows: Sequence[Row], folder: Path) -> Path:
                 points = [
                     (index + shift, value)
                     for index, light in enumerate(lights)
-                    for value in of_builds(rows, method=method.name, tuned=tuned, size=size, light=light).values()
+                    for value in _errors(rows, method, tuned, size, light).values()
                 ]
                 label = "tuned" if tuned else "nothing tuned"
                 axis.plot(*np.transpose(points or [(0.0, np.nan)]), "o", color=colour, markersize=6, label=label)

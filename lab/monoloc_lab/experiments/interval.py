@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -57,6 +57,20 @@ def of_builds(seeds: Sequence[float], builds: int) -> list[float]:
     if len(seeds) < builds:
         return []  # some run has no value, so which build each belongs to is unknown
     return [float(np.median(seeds[build::builds])) for build in range(builds)]
+
+
+def medians_of_builds(rows: Sequence[Mapping[str, Any]], column: str, **wanted: Any) -> dict[int, float]:
+    """Median of a column over the flights of each build, by ``build_seed``, of the rows with the wanted values."""
+    values: dict[int, list[float]] = {}
+    for row in rows:
+        if row[column] is not None and all(row[name] == value for name, value in wanted.items()):
+            values.setdefault(row["build_seed"], []).append(row[column])
+    return {build: float(np.median(each)) for build, each in values.items()}
+
+
+def ratios_of_builds(errors: Mapping[int, float], others: Mapping[int, float]) -> list[float]:
+    """An error over another, of the builds that both have."""
+    return [errors[build] / others[build] for build in errors if build in others]
 
 
 def step_of(ratio: Interval) -> Step:

@@ -14,7 +14,14 @@ from monoloc_lab.experiments import tasks as factories
 from monoloc_lab.experiments.drawing import legend_below, logarithmic
 from monoloc_lab.experiments.figure import Drawn, Figure
 from monoloc_lab.experiments.gather import FROM_SAME_START, MEDIAN, RMSE, ROTATION, network_of
-from monoloc_lab.experiments.interval import CONFIDENCE, Interval, interval_of, step_of
+from monoloc_lab.experiments.interval import (
+    CONFIDENCE,
+    Interval,
+    interval_of,
+    medians_of_builds,
+    ratios_of_builds,
+    step_of,
+)
 from monoloc_lab.experiments.rungs import PAIRS, RUNGS, Rung, all_rungs
 from monoloc_lab.experiments.study import AS_RECORDED, EvalRecording, Study
 from monoloc_lab.experiments.task import Result, Results, Task
@@ -104,19 +111,9 @@ def _row(study: Study, flight: _Flight, run: Result, bundle: Result) -> Row:
     }
 
 
-def of_builds(rows: Sequence[Row], split: str, rung: str, column: str) -> dict[int, float]:
-    """Median of a column over the flights of each build."""
-    values: dict[int, list[float]] = {}
-    for row in rows:
-        if (row["split"], row["rung"]) == (split, rung) and row[column] is not None:
-            values.setdefault(row["build_seed"], []).append(row[column])
-    return {build: float(np.median(each)) for build, each in values.items()}
-
-
 def ratio(rows: Sequence[Row], split: str, rung: str, other: str, column: str = "rmse_cm") -> Interval | None:
     """Error of a method over that of another, build by build; None without a build that both have."""
-    mine, theirs = (of_builds(rows, split, name, column) for name in (rung, other))
-    shared = [mine[build] / theirs[build] for build in mine if build in theirs]
+    shared = ratios_of_builds(*(medians_of_builds(rows, column, split=split, rung=name) for name in (rung, other)))
     return interval_of(shared) if shared else None
 
 
@@ -146,7 +143,8 @@ def _draw(study: Study, rows: Sequence[Row], folder: Path) -> Path:
         for number, (split, colour) in enumerate(zip(stretches(study), (BLUE, ORANGE, GREEN), strict=False)):
             shift = _APART * (number - 0.5)  # so that no point hides another
             found = [
-                (index + shift, of_builds(rows, split, rung.name, "rmse_cm")) for index, rung in enumerate(RUNGS)
+                (index + shift, medians_of_builds(rows, "rmse_cm", split=split, rung=rung.name))
+                for index, rung in enumerate(RUNGS)
             ]
             line = [(float(np.median([*each.values()])), index) for index, each in found if each]
             axis.plot(*np.transpose(line), color=colour, linewidth=1.0, alpha=0.5)
@@ -179,7 +177,7 @@ _SHOWN = {
 def _cells(rows: Sequence[Row], split: str, rung: str) -> list[str]:
     cells = []
     for column, (factor, digits) in _SHOWN.items():
-        values = list(of_builds(rows, split, rung, column).values())
+        values = list(medians_of_builds(rows, column, split=split, rung=rung).values())
         cells.append(interval_of(values).text(factor, digits) if values else "–")
     return cells
 
@@ -189,7 +187,7 @@ def ladder_table(rows: Sequence[Row], split: str) -> list[tuple[str, ...]]:
     for index, rung in enumerate(RUNGS):
         step = ratio(rows, split, rung.name, RUNGS[index - 1].name) if index else None
         decided = ("", "") if step is None else (step.text(digits=2), step_of(step))
-        builds = len(of_builds(rows, split, rung.name, "rmse_cm"))
+        builds = len(medians_of_builds(rows, "rmse_cm", split=split, rung=rung.name))
         found.append((rung.name, *_cells(rows, split, rung.name), *decided, str(builds)))
     return found
 

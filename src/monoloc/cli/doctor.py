@@ -28,7 +28,7 @@ from monoloc.cli.flight_options import (
 from monoloc.cli.start_option import UNKNOWN
 from monoloc.errors import SettingError
 from monoloc.files import json_text, write_whole
-from monoloc.flight.autopilot import gravity_of
+from monoloc.flight.autopilot import gravity_of, tells_gravity
 from monoloc.flight.bug_report import bug_report
 from monoloc.flight.flight_loop import Flight, FlightSummary
 from monoloc.flight.preflight import LinkReport, Preflight
@@ -75,9 +75,8 @@ def doctor(
     if not (bundle.supports_relocalization or flight.marker or flight.start != UNKNOWN):
         problem = "cannot be searched: neither scans nor landmarks find the camera in it"
         raise SettingError("ROOM", problem, "write a start or a marker into flight.toml")
-    tells_gravity = bundle.down is not None or flight_settings.down is not None
     cv2.setNumThreads(1)  # as in a flight
-    summary, preflight = FlightSummary(), Preflight(bundle.provenance, tells_gravity)
+    summary, preflight = FlightSummary(), Preflight(bundle.provenance, tells_gravity(bundle, flight_settings))
     with ExitStack() as opened:
         frame_source, camera, first_pose = open_frames(flight.source, frames, flight.camera, fast=False)
         opened.callback(frame_source.close)

@@ -226,7 +226,7 @@ def _check_map(flown: FlownMap, settings: FlightSettings, say: Callable[[str], N
     down_world(flown, settings)
     scale_sd = flown.scale_sd()
     if scale_sd > GOOD_SCALE_SD:
-        problem = f"the map's scale is known to {scale_sd:.0%}, and so are the distances that the autopilot is told"
+        problem = f"the map's scale is known to {scale_sd:.0%}, and so are the distances in its messages"
         say(f"warning: {flown.path}: {problem}; build with --scale")
 
 

@@ -185,7 +185,7 @@ def localize_command(
         show(metrics)
         for path in written:
             stderr.print(f"written: {path}", soft_wrap=True)
-    for doubt in doubts_of(run, room):
+    for doubt in doubts_of(run, metrics, room):
         stderr.print(f"warning: {recording.name}: {doubt}", soft_wrap=True)
     if failures:
         raise MonolocError("; ".join(map(str, failures)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from monoloc.bundle import Bundle
 from monoloc.run import Run
@@ -12,8 +12,12 @@ _MISMATCH_SHARE = 0.1  # of the frames
 _LEAST_COVERAGE = 0.5  # of the errors, by the covariance that states 95 %
 
 
-def doubts_of(run: Run, room: Bundle) -> Iterator[str]:
-    """Sentences for who localised a recording; none where nothing speaks against it."""
+def doubts_of(run: Run, metrics: Mapping[str, object], room: Bundle) -> Iterator[str]:
+    """Sentences for who localised a recording; none where nothing speaks against it.
+
+    Args:
+        metrics: of the run.
+    """
     frames = len(run.poses)
     if len(room.landmarks) and "landmarks" not in run.config.without and not run.landmark_used.any():
         yield "no frame shows landmarks of this room; monoloc check BUNDLE SOURCE tells whether it is another room"
@@ -21,6 +25,6 @@ def doubts_of(run: Run, room: Bundle) -> Iterator[str]:
     if mismatches >= _MISMATCH_SHARE * frames:
         problem = f"in {mismatches} of {frames} frames, landmarks fit another focal length than the camera's"
         yield f"{problem}; check --camera, and that images are neither cropped nor resized"
-    coverage = run.metrics().get("coverage_95")
+    coverage = metrics.get("coverage_95")
     if isinstance(coverage, float) and coverage < _LEAST_COVERAGE:
         yield f"{coverage:.0%} of the errors lie within the covariance that states 95 %; do not use these poses"

@@ -37,6 +37,11 @@ def down_world(map_: LevelMap, settings: FlightSettings) -> FloatArray:
     return down
 
 
+def tells_gravity(map_: LevelMap, settings: FlightSettings) -> bool:
+    """Whether the map or the settings give the direction of gravity, so that :func:`down_world` does not raise."""
+    return map_.down is not None or settings.down is not None
+
+
 def frames_of(map_: LevelMap, settings: FlightSettings) -> AutopilotFrames:
     """How the camera sits on the vehicle and how the map lies in the world.
 
@@ -49,8 +54,7 @@ def frames_of(map_: LevelMap, settings: FlightSettings) -> AutopilotFrames:
 
 def obstacle_frames(map_: LevelMap, settings: FlightSettings) -> AutopilotFrames | None:
     """:func:`frames_of` to show obstacles by, or None where gravity is not known."""
-    has_gravity = map_.down is not None or settings.down is not None
-    return frames_of(map_, settings) if has_gravity else None
+    return frames_of(map_, settings) if tells_gravity(map_, settings) else None
 
 
 def senders(

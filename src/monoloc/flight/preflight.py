@@ -104,7 +104,7 @@ class Preflight:
             remark = (
                 f"write down = [x, y, z] into flight.toml; [{upright}] if the camera of the build was held upright"
             )
-            yield Finding("gravity", level, "not told by floor and walls", remark)
+            yield Finding("gravity", level, "floor and walls do not show it", remark)
         scale_sd = self._provenance.scale_sd
         if scale_sd is not None and scale_sd > GOOD_SCALE_SD:
             remark = "give the build a marker or a distance (--scale) before an autopilot uses its poses"

@@ -90,7 +90,7 @@ def open_recording(source: str, options: ReaderOptions | None = None) -> StoredR
 
 
 def _unrecognised(path: Path) -> DataError:
-    """What a path of no known format is instead, as far as it can be told."""
+    """What a path of no known format is instead, as far as it shows."""
     if path.suffix.lower() == ".zip":
         return DataError(path, "is an archive", "unpack it, and give the folder")
     if (path / _BUNDLE_FILE).is_file():

@@ -23,7 +23,7 @@ from monoloc.recording_check.pose_hypotheses import as_stated, conventions, dela
 # the desk (0:350) 0.08; later parts of both have up to 0.14. There, wrong conventions gave 0.48 and more, poses one
 # frame late 0.17 and 0.22, a focal length or depth 20 % off 0.12 to 0.22, and independent noise of 2 cm and 1 degree
 # over the whole recordings 0.45 and 0.90.
-_MANY_TIMES = 10.0  # share from which it is told as a factor
+_MANY_TIMES = 10.0  # share from which it is written as a factor
 _RIGHT = 0.12  # with at most this, no other reading is tried
 _FITS = 0.15  # a hypothesis must come to this,
 _IMPROVEMENT = 0.6  # and to this share of the stated poses' error

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from monoloc_lab.experiments.claims_by_method import Decided, decide, of_builds
-from monoloc_lab.experiments.interval import interval_of
+from monoloc_lab.experiments.claims_by_method import Decided, decide
+from monoloc_lab.experiments.interval import interval_of, medians_of_builds
 from monoloc_lab.experiments.rungs import CLAIMED
 from monoloc_lab.experiments.study import AS_RECORDED, EvalRecording, Split
 from repository import REPOSITORY
@@ -49,7 +49,9 @@ def error_rows() -> list[list[str]]:
 
 def errors(rows: list[dict[str, Any]], method: str, size: str, light: str) -> str:
     return ", ".join(
-        interval_of(list(of_builds(rows, method=method, tuned=tuned, size=size, light=light).values())).text()
+        interval_of(
+            list(medians_of_builds(rows, "rmse_cm", method=method, tuned=tuned, size=size, light=light).values())
+        ).text()
         for tuned in (False, True)
     )
 
@@ -64,8 +66,8 @@ def test_tables_are_those_of_the_kept_flights() -> None:
     assert verdicts == verdict_rows() and shown == error_rows()
 
 
-def rmse(room: str, **wanted: Any) -> dict[int, float]:
-    return of_builds(of_room(room), **{"light": AS_RECORDED, "size": "full", **wanted})
+def rmse(room: str, column: str = "rmse_cm", **wanted: Any) -> dict[int, float]:
+    return medians_of_builds(of_room(room), column, **{"light": AS_RECORDED, "size": "full", **wanted})
 
 
 def median_ratio(errors: dict[int, float], others: dict[int, float]) -> float:

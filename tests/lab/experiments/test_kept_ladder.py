@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from monoloc_lab.experiments.interval import interval_of
-from monoloc_lab.experiments.ladder import ladder_table, of_builds, pairs_table, ratio
+from monoloc_lab.experiments.interval import interval_of, medians_of_builds
+from monoloc_lab.experiments.ladder import ladder_table, pairs_table, ratio
 from monoloc_lab.experiments.rungs import RUNGS, all_rungs
 from repository import REPOSITORY
 
@@ -61,7 +61,7 @@ def test_errors_with_other_weights_of_the_divergence() -> None:
     for value in (1, 10):
         rung = f"the paper's method, lambda {value}"
         errors = [
-            interval_of(list(of_builds(of_room(title), split, rung, "rmse_cm").values())).median
+            interval_of(list(medians_of_builds(of_room(title), "rmse_cm", split=split, rung=rung).values())).median
             for title in ROOMS
             for split in SPLITS
         ]
@@ -71,7 +71,7 @@ def test_errors_with_other_weights_of_the_divergence() -> None:
 def each_row(method: str, column: str = "rmse_cm") -> list[float]:
     """Medians over builds: RedKitchen between and beyond, the desk between and beyond."""
     return [
-        interval_of(list(of_builds(of_room(title), split, method, column).values())).median
+        interval_of(list(medians_of_builds(of_room(title), column, split=split, rung=method).values())).median
         for title in ROOMS
         for split in SPLITS
     ]
@@ -84,7 +84,7 @@ def ratios(method: str, other: str) -> list[float]:
 
 TUNED, UNTUNED = each_row("the default"), each_row("nothing tuned")
 BY_DEPTH = ratios("the default, depth alone", "nothing tuned, depth alone")
-DESK_BEYOND = of_builds(of_room("Office desk"), "beyond", "the default", "rmse_cm")
+DESK_BEYOND = medians_of_builds(of_room("Office desk"), "rmse_cm", split="beyond", rung="the default")
 DESK_FLIGHTS = [row for row in of_room("Office desk") if (row["split"], row["rung"]) == ("beyond", RUNGS[-1].name)]
 SENTENCES: tuple[tuple[str, list[float]], ...] = (
     (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -33,23 +34,27 @@ def run(room: Bundle) -> Run:
     return localize(room, recording, start, room.settings, np.random.default_rng(0), NoProgress())
 
 
+def doubts(run: Run, room: Bundle) -> Iterator[str]:
+    return doubts_of(run, run.metrics(), room)
+
+
 def test_good_run_is_not_doubted(room: Bundle, run: Run) -> None:
-    assert list(doubts_of(run, room)) == []
+    assert list(doubts(run, room)) == []
 
 
 def test_landmarks_that_no_frame_shows_speak_for_another_room(room: Bundle, run: Run) -> None:
-    (doubt,) = doubts_of(run, replace(room, landmarks=SOME))
+    (doubt,) = doubts(run, replace(room, landmarks=SOME))
     assert doubt.startswith("no frame shows landmarks of this room; monoloc check")
     left_out = replace(run, config=run.config.model_copy(update={"without": ("landmarks",)}))
-    assert list(doubts_of(left_out, replace(room, landmarks=SOME))) == []
+    assert list(doubts(left_out, replace(room, landmarks=SOME))) == []
 
 
 def test_another_focal_length_speaks_for_another_camera(room: Bundle, run: Run) -> None:
     mismatch = [frozenset({Reason.CAMERA_MISMATCH}), *run.reasons[1:]]
-    (doubt,) = doubts_of(replace(run, reasons=mismatch), room)
+    (doubt,) = doubts(replace(run, reasons=mismatch), room)
     assert doubt.startswith("in 1 of 4 frames, landmarks fit another focal length than the camera's; check --camera")
 
 
 def test_errors_beyond_the_covariance_are_said(room: Bundle, run: Run) -> None:
-    (doubt,) = doubts_of(replace(run, covariances=1e-12 * run.covariances), room)
+    (doubt,) = doubts(replace(run, covariances=1e-12 * run.covariances), room)
     assert doubt == "0% of the errors lie within the covariance that states 95 %; do not use these poses"
