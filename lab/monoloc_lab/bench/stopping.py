@@ -38,7 +38,7 @@ from monoloc.particle_filter.estimate import Estimate
 from monoloc.progress import Progress
 from monoloc.start import Start
 from monoloc.step import Step
-from monoloc_lab.make.living_room import CAMERA, FLIGHTS, ROOM_SEED
+from monoloc_lab.make.rendered_room import CAMERA, FLIGHTS, ROOM_SEED
 from monoloc_lab.rooms import BUILD
 from monoloc_lab.synth.approaches import Approach, plan_approach, render_approach
 from monoloc_lab.synth.layout import generate_room

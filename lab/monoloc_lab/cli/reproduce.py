@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from monoloc_lab.experiments.study import Study
     from monoloc_lab.experiments.task import Task
 
-_BUILTIN = "builtin"
+_BUILTIN, _RENDERED = "builtin", "rendered:"
 
 
 def reproduce(
@@ -34,7 +34,9 @@ def reproduce(
     data: Annotated[
         str,
         typer.Option(
-            "--data", help=f"{_BUILTIN}, the rendered room of the package, or a SOURCE with poses and depth."
+            "--data",
+            help=f"{_BUILTIN}, the rendered room of the package; {_RENDERED}FOLDER, another one, as "
+            "python -m monoloc_lab.make.rendered_room writes it; or a SOURCE with poses and depth.",
         ),
     ] = _BUILTIN,
     build_frames: Annotated[
@@ -201,10 +203,10 @@ def _study(
 
     if encoder is not None and not encoder.is_file():
         raise SettingError("--encoder", f"{encoder} does not exist", "give MobileNetV2 weights as .npz")
-    if data == _BUILTIN:
+    if data == _BUILTIN or data.startswith(_RENDERED):
         if build_frames is not None:
-            raise SettingError("--build-frames", f"has no meaning for {_BUILTIN}", "leave it out")
-        study = builtin(quick)
+            raise SettingError("--build-frames", "has no meaning for a rendered room", "leave it out")
+        study = builtin(quick) if data == _BUILTIN else _rendered(data, quick)
     else:
         source = absolute_source(data)
         recording = open_recording(source)
@@ -226,6 +228,25 @@ def _study(
             raise SettingError("--size", f"is {unknown!r}", f"choose from {', '.join(SIZES)}")
         study = replace(study, sizes=tuple(size for size in SIZES if size in sizes))
     return study if encoder is None else replace(study, encoder_weights=str(encoder.resolve()))
+
+
+def _rendered(data: str, quick: bool) -> Study:
+    """The study of another rendered room.
+
+    Raises:
+        DataError: the folder is none, or a recording in it cannot be read.
+    """
+    from monoloc_lab.experiments.study import rendered
+
+    folder = Path(data.removeprefix(_RENDERED)).resolve()
+    if not (folder / "build").is_dir():
+        fix = "give the --out of python -m monoloc_lab.make.rendered_room"
+        raise DataError(str(folder), "has no folder build", fix)
+    study = rendered(folder, f"room {folder.name}", quick)
+    for split in study.splits:
+        for source in (split.source, *(each.source for each in split.recordings.values())):
+            open_recording(source)
+    return study
 
 
 def _check_build_frames(text: str, frames: int) -> None:

@@ -258,7 +258,7 @@ def _compared(ratio: float, ours: float) -> str:
 
 
 def _named(split: str) -> str:
-    return split if split == "living room" else f"{split} split"
+    return f"{split} split" if split in ("extrapolation", "interpolation") else split
 
 
 def _cm(spread: Spread) -> str:

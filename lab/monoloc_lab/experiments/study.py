@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from monoloc.depth.models import shipped_models
-from monoloc_lab.rooms import BUILD, TESTS
+from monoloc_lab.rooms import LIVING
 
 WIDTH = 0.35
 SIZES = tuple(model.name.rpartition("-")[0] for model in shipped_models() if model.width == WIDTH)
@@ -82,10 +83,17 @@ class Study:
 
 
 def builtin(quick: bool) -> Study:
-    """The rendered room of the package: built from one flight, evaluated on another in three lights."""
-    recordings = {light: EvalRecording(f"folder:{path}", "::", None) for light, path in TESTS.items()}
-    split = Split("living room", f"folder:{BUILD}", "::2" if quick else "::", recordings)
-    return _study("rendered living room", (split,), quick)
+    """The rendered room of the package."""
+    return rendered(LIVING, "living room", quick)
+
+
+def rendered(folder: Path, name: str, quick: bool) -> Study:
+    """A room of :mod:`monoloc_lab.make.rendered_room`: built from one flight, evaluated on another in three lights."""
+    recordings = {
+        light: EvalRecording(f"folder:{folder / 'test' / light}", "::", None) for light in ("L1", "L2", "L3")
+    }
+    split = Split(name, f"folder:{folder / 'build' / 'L2'}", "::2" if quick else "::", recordings)
+    return _study(f"rendered {name}", (split,), quick)
 
 
 def recorded(source: str, name: str, frames: int, quick: bool, build: str | None = None) -> Study:

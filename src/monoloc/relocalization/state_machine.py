@@ -1,8 +1,9 @@
-"""What happens to a camera that is lost: it is searched for, by landmarks and by scans.
+"""What happens to a camera that is lost: it is searched for, by landmarks or by scans.
 
 Landmarks that agree on a pose without a prior are decisive: the belief starts anew there, in the same frame. A scan
-is not: it can fit where the camera is not. So a pose that a scan found is first only followed, for a second; it is
-believed if the search then finds no better place.
+is not: it can fit where the camera is not. So scans search only where landmarks cannot: in a room without any, and
+with a depth sensor in the dark. A pose that a scan found is first only followed, for a second; it is believed if the
+search then finds no better place.
 """
 
 from __future__ import annotations
@@ -98,8 +99,9 @@ class RelocalizationStateMachine:
     Args:
         relocalizer: draws particles around places, and searches by scans.
         searches_by_scan: whether one scan tells the places of the room apart.
-        searches_by_landmarks: whether the room has landmarks. Where neither searches, a lost camera stays with its
-            belief, which scans may correct: no search could bring it back.
+        searches_by_landmarks: whether the room has landmarks; scans then search only in images that say nothing.
+            Where neither searches, a lost camera stays with its belief, which scans may correct: no search could
+            bring it back.
         thresholds: of the scan's likelihood.
         mode: at the start; ``SEARCHING`` where nothing is known of the pose.
     """
@@ -154,8 +156,9 @@ class RelocalizationStateMachine:
             place = Estimate(seen.pose, seen.covariance, estimate(particles).log_scale)
             particles = self._relocalizer.sample_around(place, len(particles), rng)
             return Relocalization(self.mode, particles, landmark_pose=seen)
+        landmarks_could_be_seen = self._searches_by_landmarks and by_landmarks is not None
         scan_is_due = len(scan) > 0 and self._searches_by_scan and self._since_scan_search_s >= _SCAN_PERIOD_S
-        if seen is None and scan_is_due:
+        if scan_is_due and not landmarks_could_be_seen:
             self._since_scan_search_s = 0.0
             return self._search_by_scan(particles, scan, rng)
         return Relocalization(self.mode, particles)

@@ -71,9 +71,6 @@ class _Landmarks:
         return LandmarkPose(estimate_at(self.x_m).pose, 1e-6 * np.eye(6), np.zeros((80, 3)))
 
 
-NO_LANDMARKS = _Landmarks()
-
-
 def machine_with(
     *answers: tuple[float, float],
     mode: Mode = Mode.SEARCHING,
@@ -100,9 +97,9 @@ def update(
     elapsed_s: float = PERIOD_S,
     probability_wrong: float = BELIEVED,
     sd_m: float = KNOWN_SD_M,
-    landmarks: _Landmarks | None = NO_LANDMARKS,
+    landmarks: _Landmarks | None = None,
 ) -> After:
-    """After a frame whose particles and belief were at ``x_m``."""
+    """After a frame whose particles and belief were at ``x_m``; its image says nothing, so that scans search."""
     rng = np.random.default_rng(0)
     particles = copies_of(estimate_at(x_m))
     result = machine.update(particles, estimate_at(x_m, sd_m), scan, elapsed_s, probability_wrong, landmarks, rng)
@@ -117,7 +114,9 @@ def update(
 
 @dataclass(frozen=True)
 class Frame:
-    """What a frame brings: the scan's place and fit by a search, landmarks, and what is known of the belief."""
+    """What a frame brings: the scan's place and fit by a search, landmarks or None for an image that says nothing, and
+    what is known of the belief.
+    """
 
     place_m: float = HERE_M
     value: float = FITS
@@ -161,7 +160,7 @@ def after_frame(mode: Mode, frame: Frame, transitions: _RecordedTransitions) -> 
         scan=SCAN if frame.has_scan else EMPTY_SCAN,
         probability_wrong=frame.probability_wrong,
         sd_m=frame.sd_m,
-        landmarks=_Landmarks(frame.landmarks_m),
+        landmarks=None if frame.landmarks_m is None else _Landmarks(frame.landmarks_m),
     )
 
 
@@ -332,9 +331,17 @@ def test_landmarks_are_asked_five_times_a_second_and_only_if_a_search_is_due() -
     assert landmarks.calls == 0
 
 
-def test_scan_is_searched_where_landmarks_find_nothing() -> None:
-    machine = machine_with((3.0, FITS))
-    assert update(machine, 0.0, landmarks=_Landmarks(None)) == After(Mode.VERIFYING, 3.0)
+@pytest.mark.parametrize("mode", [Mode.SEARCHING, Mode.TRACKING])
+def test_scan_is_not_searched_where_landmarks_could_be_seen(mode: Mode) -> None:
+    """The relocaliser has no answer to give: it must not be asked."""
+    machine = machine_with(mode=mode)
+    assert update(machine, 0.0, landmarks=_Landmarks(None), probability_wrong=WRONG) == After(mode, 0.0)
+
+
+def test_scan_is_searched_in_a_room_without_landmarks_and_in_an_image_that_says_nothing() -> None:
+    without = machine_with((3.0, FITS), searches_by_landmarks=False)
+    assert update(without, 0.0, landmarks=_Landmarks(None)) == After(Mode.VERIFYING, 3.0)
+    assert update(machine_with((3.0, FITS)), 0.0, landmarks=None) == After(Mode.VERIFYING, 3.0)
 
 
 def test_only_landmarks_search_a_room_whose_places_scans_cannot_tell_apart() -> None:
