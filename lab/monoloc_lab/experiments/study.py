@@ -88,7 +88,7 @@ def builtin(quick: bool) -> Study:
 
 
 def rendered(folder: Path, name: str, quick: bool) -> Study:
-    """A room of :mod:`monoloc_lab.make.rendered_room`: built from one flight, evaluated on another in three lights."""
+    """A room of :mod:`monoloc_lab.make.rendered_room`: built from one flight, evaluated on another in each light."""
     recordings = {
         light: EvalRecording(f"folder:{folder / 'test' / light}", "::", None) for light in ("L1", "L2", "L3")
     }

@@ -114,7 +114,7 @@ def update(
 
 @dataclass(frozen=True)
 class Frame:
-    """What a frame brings: the scan's place and fit by a search, landmarks or None for an image that says nothing, and
+    """What a frame brings: the place and fit of a search by its scan, landmarks (None: the image says nothing), and
     what is known of the belief.
     """
 
