@@ -134,7 +134,8 @@ FLY = ("fly", "house.place", "walk")
         ((*FLY, "--settings", "marked.toml"), "marker", "a place is searched for the camera", "leave markers out"),
         (("fly", "apart.place", "walk"), "apart.place", f"no doors lead from room {RIGHT} to {LEFT}", "place door"),
         ((*FLY, "--out", "house.place/poses.csv"), "--out", "lies in the place house.place", "another place"),
-        (("doctor", "house.place", "walk"), "house.place", "is a place", "name the bundle of one of its rooms"),
+        (("doctor", "apart.place", "walk"), "apart.place", "no doors lead from room", "place door"),
+        (("doctor", "house.place", "walk", "--settings", "marked.toml"), "marker", "a place is searched", "leave"),
         (("replay", "log", "--room", "apart.place"), "apart.place", "is not the place of this flight", "--room"),
     ],
 )
@@ -144,6 +145,20 @@ def test_what_makes_no_sense_in_a_place_is_refused(
     marker = "[[marker]]\nid = 7\nsize_m = 0.25\nposition_m = [0, 0, 1]\nquaternion = [0, 0, 0, 1]\n"
     Path("marked.toml").write_text(marker)
     refused(capfd, here, arguments, names, problem, fix)
+
+
+def test_the_doctor_looks_through_a_place(capfd: Capture, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And names no room in a report, which is for others to read."""
+    monkeypatch.setattr("monoloc.cli.flight_options.PacedRecording", UnpacedRecording)
+    assert invoke(["doctor", "flight.toml", "--seconds", "60", "--report", "report.json", "--json"]) == 1
+    content = json.loads(capfd.readouterr().out)
+    findings = {finding["name"]: finding for finding in content["findings"]}
+    assert content["frames"] == FRAMES and set(content["rooms"]) == {LEFT, RIGHT}
+    assert "2 of the place" in findings["rooms"]["value"]
+    assert findings["landmarks"]["level"] == findings["gravity"]["level"] == "good"
+    report = (here / "report.json").read_text()
+    assert len(json.loads(report)["maps"]) == 2 and "rooms" not in json.loads(report)
+    assert f'"{LEFT}"' not in report and f'"{RIGHT}"' not in report
 
 
 def test_every_bundle_of_a_place_must_be_signed(capfd: Capture, here: Path) -> None:

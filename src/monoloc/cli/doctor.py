@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 import typer
 
-from monoloc.bundle import read_bundle
 from monoloc.cli.common import FramesOption, IntrinsicsOption, JsonOption, check_outputs, print_json, stderr
 from monoloc.cli.findings import EXIT_CODES, print_findings
 from monoloc.cli.flight_options import (
@@ -22,6 +21,7 @@ from monoloc.cli.flight_options import (
     SettingsOption,
     check_autopilot,
     flight_of,
+    map_of,
     open_frames,
     starting_of,
 )
@@ -32,7 +32,6 @@ from monoloc.flight.autopilot import gravity_of, tells_gravity
 from monoloc.flight.bug_report import bug_report
 from monoloc.flight.flight_loop import Flight, FlightSummary
 from monoloc.flight.preflight import LinkReport, Preflight
-from monoloc.localizer import Localizer
 from monoloc.mavlink.autopilot_link import AutopilotLink
 from monoloc.mavlink.firmware import Firmware
 from monoloc.recording_check.inspection import worst
@@ -58,42 +57,47 @@ def doctor(
     ] = None,
     json: JsonOption = False,
 ) -> int:
-    """Check camera, room and autopilot, without sending a pose.
+    """Check camera, room or place, and autopilot, without sending a pose.
 
     The exit code is 0 if all is well, 1 with warnings, and 2 if something must be mended before a flight.
 
     \b
     Examples:
       monoloc doctor room.monoloc camera:0 --camera cam.toml
+      monoloc doctor house.place camera:0 --camera cam.toml
       monoloc doctor flight.toml --report report.json
       monoloc doctor room.monoloc camera:0 --camera cam.toml --mavlink serial:/dev/ttyAMA0:921600 --firmware px4
     """
     room, flight = flight_of(room, settings, source=source, camera=intrinsics, mavlink=mavlink, firmware=firmware)
     check_outputs({"--report": report}, (room, flight.source, settings, flight.require_signature))
     check_autopilot(flight, align=False, fast=False)
-    bundle, flight_settings = read_bundle(room, flight.require_signature), flight.settings
-    if not (bundle.supports_relocalization or flight.marker or flight.start != UNKNOWN):
+    flown, flight_settings = map_of(room, flight), flight.settings
+    is_searched = flown.room is None or flown.room.supports_relocalization
+    if not (is_searched or flight.marker or flight.start != UNKNOWN):
         problem = "cannot be searched: neither scans nor landmarks find the camera in it"
         raise SettingError("ROOM", problem, "write a start or a marker into flight.toml")
     cv2.setNumThreads(1)  # as in a flight
-    summary, preflight = FlightSummary(), Preflight(bundle.provenance, tells_gravity(bundle, flight_settings))
+    summary = FlightSummary()
+    preflight = Preflight(flown.provenance, tells_gravity(flown, flight_settings), flown.scale_sd())
     with ExitStack() as opened:
         frame_source, camera, first_pose = open_frames(flight.source, frames, flight.camera, fast=False)
         opened.callback(frame_source.close)
-        starting = starting_of(flight, bundle, camera, first_pose, np.random.default_rng(0))
+        starting = starting_of(flight, flown.room, camera, first_pose, np.random.default_rng(0))
+        made = flown.localizer(camera, starting.start, 0, flight.budget_ms, flight.threads)
         link = None if flight.mavlink is None else opened.enter_context(closing(AutopilotLink(flight.mavlink)))
         end_s = time.monotonic() + seconds
         Flight(
-            Localizer(bundle, camera, starting.start),
+            made.localizer,
             camera,
             frame_source,
             [preflight],
             flight_settings.most_age_s,
-            gravity_of(bundle, link, flight_settings),
+            gravity_of(flown, link, flight_settings),
             lambda: time.monotonic() > end_s,
             summary,
             starting.find,
             starting.begins,
+            in_place=made.in_place,
         ).run()
         heard = None if link is None or flight.firmware is None else _ask(link, flight.firmware)
     findings = preflight.findings(summary, heard)
@@ -101,7 +105,7 @@ def doctor(
     print_findings(f"{flight.source} in {room}", findings, level)
     content = {"level": level, "findings": [asdict(finding) for finding in findings], **summary.figures()}
     if report is not None:
-        write_whole(report, json_text(bug_report(flight, bundle, camera, content)).encode() + b"\n")
+        write_whole(report, json_text(bug_report(flight, flown.rooms(), camera, content)).encode() + b"\n")
         stderr.print(f"written: {report}", soft_wrap=True)
     if json:
         print_json(content)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 
 from monoloc.bundle import Bundle
@@ -12,17 +12,20 @@ from monoloc.live.opening import is_live
 from monoloc.machine import library_versions, machine_facts
 from monoloc.version import version_facts
 
+_NAMES_ROOMS = ("rooms", "switches")
 _LIBRARIES = ("numpy", "onnxruntime", "opencv-python-headless", "pymavlink", "av")
 
 
-def bug_report(flight: FlightFile, bundle: Bundle, camera: Camera, found: Mapping[str, object]) -> dict[str, object]:
+def bug_report(
+    flight: FlightFile, rooms: Iterable[Bundle], camera: Camera, found: Mapping[str, object]
+) -> dict[str, object]:
     """The report, ready for JSON.
 
-    Addresses, paths and the recording's name are left out: of a source and a link, only the kind is given.
+    Addresses, paths and names of recordings and rooms are left out: of a source and a link, only the kind is given.
 
     Args:
         flight: as it was asked for.
-        bundle: the room.
+        rooms: the room, or those of the place.
         camera: of the images.
         found: by the doctor.
     """
@@ -36,14 +39,18 @@ def bug_report(flight: FlightFile, bundle: Bundle, camera: Camera, found: Mappin
         "markers": len(flight.marker),
         "flight_settings": flight.settings.model_dump(mode="json"),
         "camera": asdict(camera),
-        "room": {
-            "network": bundle.depth_model.name,
-            "tune": bundle.provenance.tune,
-            "frames": len(bundle.provenance.frames),
-            "components": len(bundle.adapted.means),
-            "landmarks": len(bundle.landmarks),
-            "supports_relocalization": bundle.supports_relocalization,
-            "settings": bundle.settings.model_dump(mode="json"),
-        },
-        **found,
+        "maps": [_facts_of(room) for room in rooms],
+        **{name: value for name, value in found.items() if name not in _NAMES_ROOMS},
+    }
+
+
+def _facts_of(bundle: Bundle) -> dict[str, object]:
+    return {
+        "network": bundle.depth_model.name,
+        "tune": bundle.provenance.tune,
+        "frames": len(bundle.provenance.frames),
+        "components": len(bundle.adapted.means),
+        "landmarks": len(bundle.landmarks),
+        "supports_relocalization": bundle.supports_relocalization,
+        "settings": bundle.settings.model_dump(mode="json"),
     }

@@ -50,12 +50,14 @@ class Preflight:
     """A :class:`~monoloc.flight.flight_loop.FlightOutput` that looks at every frame.
 
     Args:
-        provenance: of the bundle that is flown in.
+        provenance: of the bundle that is flown in, or of the first room of a place.
         tells_gravity: whether the map or the flight's settings tell the direction of gravity.
+        scale_sd: relative standard deviation of the map's scale; 0 where a sensor measured it.
     """
 
-    def __init__(self, provenance: Provenance, tells_gravity: bool) -> None:
-        self._provenance, self._tells_gravity = provenance, tells_gravity
+    def __init__(self, provenance: Provenance, tells_gravity: bool, scale_sd: float) -> None:
+        self._provenance, self._tells_gravity, self._scale_sd = provenance, tells_gravity, scale_sd
+        self._brightness = provenance.brightness
         self._count = 0
         self._quality: list[tuple[float, float, float, float]] = []
         self._landmarks: list[int] = []
@@ -65,9 +67,11 @@ class Preflight:
         if self._count % _EVERY == 0:
             self._quality.append(quality_of(result.frame.color))
         self._count += 1
-        place = result.step.landmark_pose
-        self._landmarks.append(0 if place is None else len(place.points))
+        pose = result.step.landmark_pose
+        self._landmarks.append(0 if pose is None else len(pose.points))
         self._reasons.update(result.step.reasons)
+        if result.in_place is not None and result.in_place.entered is not None:
+            self._brightness = result.in_place.entered.provenance.brightness
 
     def idle(self, now_s: float) -> None:
         """Nothing: the summary tells the rate."""
@@ -84,7 +88,7 @@ class Preflight:
             found = [
                 *_of_timing(summary),
                 *image_findings(images, "expose for a shorter time, add light, clean the lens", "add light"),
-                *light_findings(images, self._provenance.brightness),
+                *light_findings(images, self._brightness),
                 *self._of_intrinsics(),
                 *self._of_room(summary),
             ]
@@ -105,10 +109,9 @@ class Preflight:
                 f"write down = [x, y, z] into flight.toml; [{upright}] if the camera of the build was held upright"
             )
             yield Finding("gravity", level, "floor and walls do not show it", remark)
-        scale_sd = self._provenance.scale_sd
-        if scale_sd is not None and scale_sd > GOOD_SCALE_SD:
+        if self._scale_sd > GOOD_SCALE_SD:
             remark = "give the build a marker or a distance (--scale) before an autopilot uses its poses"
-            yield Finding("scale", level, f"known to {scale_sd:.0%}", remark)
+            yield Finding("scale", level, f"known to {self._scale_sd:.0%}", remark)
 
     def _of_intrinsics(self) -> Iterator[Finding]:
         if self._reasons[Reason.CAMERA_MISMATCH]:
@@ -123,6 +126,8 @@ class Preflight:
         seen = int(np.median(self._landmarks))
         remark = "" if seen >= _GOOD_LANDMARKS else "look at a part of the room that the build recorded"
         yield Finding("landmarks", "warning" if remark else "good", f"{seen} a frame (median)", remark)
+        if summary.rooms:
+            yield Finding("rooms", "good", f"the camera was in {len(summary.rooms)} of the place")
         share = sum(summary.states[state] for state in VOUCHED_FOR) / summary.frames
         level: Level = "good" if share >= _GOOD_TRACKING else "warning" if share >= _LEAST_TRACKING else "bad"
         why = ", ".join(f"{reason.value} ({count})" for reason, count in self._reasons.most_common(3))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from monoloc.bundle import Bundle, digest_of, read_bundle
-from monoloc.bundle_manifest import MANIFEST, PLACE_MANIFEST
+from monoloc.bundle_manifest import MANIFEST, PLACE_MANIFEST, Provenance
 from monoloc.camera import Camera
 from monoloc.config import override
 from monoloc.errors import DataError
@@ -47,12 +47,14 @@ class FlownMap:
         path: of the bundle or the place.
         down: direction of gravity, (3,) unit vector in the world of the room, or of the first room of the place; None
             where that room does not tell it.
+        provenance: of that room.
         room: the bundle; None of a place.
         place: None of a room.
     """
 
     path: Path
     down: FloatArray | None
+    provenance: Provenance
     room: Bundle | None = None
     place: Place | None = None
 
@@ -60,14 +62,24 @@ class FlownMap:
     def is_place(self) -> bool:
         return self.place is not None
 
+    def rooms(self) -> Iterator[Bundle]:
+        """The room, or every room of the place, which is read when it is asked for.
+
+        Raises:
+            BundleError: as :func:`open_map`.
+        """
+        if self.place is not None:
+            yield from map(self.place.read_room, self.place.names)
+        elif self.room is not None:
+            yield self.room
+
     def scale_sd(self) -> float:
         """Relative standard deviation of the least certain map's scale; 0 where a sensor measured it.
 
         Raises:
             BundleError: as :func:`open_map`.
         """
-        rooms = [self.room] if self.place is None else map(self.place.read_room, self.place.names)
-        return max(room.provenance.scale_sd or 0.0 for room in rooms if room is not None)
+        return max(room.provenance.scale_sd or 0.0 for room in self.rooms())
 
     def localizer(
         self,
@@ -119,7 +131,7 @@ def open_map(path: Path, public_key: Path | None = None) -> FlownMap:
     """
     if not is_place(path):
         room = read_bundle(path, public_key)
-        return FlownMap(path, room.down, room=room)
+        return FlownMap(path, room.down, room.provenance, room=room)
     place = read_place(path, public_key)
     first = place.names[0]
     apart = [name for name in place.names if place.way(name, first) is None]
@@ -127,7 +139,8 @@ def open_map(path: Path, public_key: Path | None = None) -> FlownMap:
         problem = f"no doors lead from room {apart[0]} to {first}, in whose world a flight sends its poses"
         fix = "measure the door: monoloc place door PLACE A B SOURCE"
         raise DataError(path, problem, fix, "how-to/many-rooms")
-    return FlownMap(path, place.read_room(first).down, place=place)
+    room = place.read_room(first)
+    return FlownMap(path, room.down, room.provenance, place=place)
 
 
 def digest_of_map(path: Path) -> str:

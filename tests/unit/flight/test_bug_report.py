@@ -24,7 +24,7 @@ def test_a_report_names_versions_and_settings_but_no_place() -> None:
         out=Path("/home/jane/out.csv"),
         most_age_s=0.3,
     )
-    text = json_text(bug_report(flight, bundle, SMALL_CAMERA, {"level": "good"}))
+    text = json_text(bug_report(flight, [bundle], SMALL_CAMERA, {"level": "good", "rooms": {"janes room": 3}}))
     report = json.loads(text)
     assert report["monoloc"] == __version__ and report["level"] == "good"
     assert {"processor", "system", "Python"} <= report["machine"].keys()
@@ -32,5 +32,6 @@ def test_a_report_names_versions_and_settings_but_no_place() -> None:
     assert (report["source"], report["link"]) == ("rtsp", "udpout")
     assert report["flight_settings"]["most_age_s"] == 0.3
     assert report["camera"]["width"] == SMALL_CAMERA.width
+    assert [room["components"] for room in report["maps"]] == [60]
     for private in ("jane", "secret", "10.1.2.3", "cam.toml", "janes kitchen"):
         assert private not in text

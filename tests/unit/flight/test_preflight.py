@@ -48,7 +48,7 @@ def levels_of(
     tells_gravity: bool = True,
 ) -> dict[str, Level]:
     """Levels by name after 60 equal frames."""
-    preflight, summary = Preflight(build, tells_gravity), FlightSummary()
+    preflight, summary = Preflight(build, tells_gravity, build.scale_sd or 0.0), FlightSummary()
     for index in range(60):
         result = result_at(index / rate_hz, step, age_s)
         frame = replace(result.frame, color=color)
@@ -128,7 +128,7 @@ def test_scale_that_a_sensor_or_a_marker_measured_needs_no_word() -> None:
 
 def test_slow_source_and_slow_computer_are_told_apart() -> None:
     for dropped, fix in ((0, "the source gives no more"), (9, "set budget_ms")):
-        preflight, summary = Preflight(BUILD, True), FlightSummary()
+        preflight, summary = Preflight(BUILD, True, 0.0), FlightSummary()
         for index in range(60):
             result = result_at(index / 8.0, good_step(), 0.04)
             result = FlightStep(replace(result.frame, color=SHARP), 1.0 / 8.0, None, good_step(), result.done_s)
@@ -147,5 +147,5 @@ def test_set_of_bits_may_have_more() -> None:
 
 
 def test_no_frame_is_bad() -> None:
-    findings = Preflight(BUILD, True).findings(FlightSummary(states=Counter()), None)
+    findings = Preflight(BUILD, True, 0.0).findings(FlightSummary(states=Counter()), None)
     assert worst(findings) == "bad" and [finding.name for finding in findings] == ["camera", "gravity"]
