@@ -15,6 +15,7 @@ from repository import REPOSITORY
 
 DOCS = REPOSITORY / "docs"
 ROWS: list[dict[str, Any]] = json.loads((DOCS / "results" / "ladder.json").read_text())
+RENDERED: list[dict[str, Any]] = json.loads((DOCS / "results" / "ladder-rendered.json").read_text())
 PAGE = (DOCS / "beyond-the-paper.md").read_text(encoding="utf-8")
 ROOMS = {"RedKitchen": "RedKitchen", "Office desk": "office desk"}
 SPLITS = ("between", "beyond")
@@ -133,6 +134,43 @@ def test_sentence(pattern: str, expected: list[float]) -> None:
     assert [*shown] == [
         f"{value:.{len(text.partition('.')[2])}f}" for text, value in zip(shown, expected, strict=True)
     ]
+
+
+LIGHTS = ("L1", "L2", "L3")
+
+
+def in_light(method: str, light: str, column: str) -> float:
+    """Of the build of the rendered room."""
+    rows = [row for row in RENDERED if row["split"] == f"living room, {light}"]
+    (value,) = medians_of_builds(rows, column, split=f"living room, {light}", rung=method).values()
+    return value
+
+
+def test_table_of_the_rendered_room() -> None:
+    (shown,) = tables_of("Rendered living room")
+    assert [row[0] for row in shown] == [rung.name for rung in all_rungs()]
+    for name, *errors, depth, coverage in shown:
+        assert errors == [f"{in_light(name, light, 'rmse_cm'):.1f}" for light in LIGHTS]
+        assert depth == f"{100.0 * in_light(name, 'L2', 'depth_absrel'):.1f}"
+        assert coverage == ", ".join(f"{in_light(name, light, 'coverage_95'):.2f}" for light in LIGHTS)
+
+
+@pytest.mark.parametrize(
+    ("words", "method"),
+    [
+        ("its RMSE is {:.0f}, {:.0f} and {:.0f} cm in L1, L2 and L3", "the paper's method"),
+        ("changes {:.0f}, {:.0f} and {:.0f} cm to", "+ pose-step loss"),
+        ("to {:.0f}, {:.0f} and {:.0f} cm; all layers", "+ decoder"),
+        ("all layers leave {:.0f}, {:.0f} and {:.0f} cm", "+ all layers"),
+        ("odometry, to {:.0f}, {:.0f} and {:.0f} cm", "+ odometry"),
+        ("{:.1f}, {:.1f} and {:.1f} cm with nothing tuned", "nothing tuned"),
+        ("{:.1f}, {:.1f} and {:.1f} cm with the default", "the default"),
+        ("With the map as it is, they are {:.1f}, {:.1f} and {:.1f} cm", "network tuned, map as it is"),
+        ("with the last layer alone, {:.1f}, {:.1f} and {:.1f} cm", "last layer tuned, losses of the default"),
+    ],
+)
+def test_sentence_on_the_rendered_room(words: str, method: str) -> None:
+    assert words.format(*(in_light(method, light, "rmse_cm") for light in LIGHTS)) in PAGE
 
 
 def test_every_method_was_built_and_flown_three_times_by_a_known_commit() -> None:
