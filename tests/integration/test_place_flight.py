@@ -26,7 +26,10 @@ from monoloc.io.pose_table import COLUMNS, ROOM
 from monoloc.live.replayed_recording import UnpacedRecording
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
 from monoloc.place.place_files import make_place, write_place
+from monoloc.ros.ros_frames import pose_of
+from monoloc.ros.step_messages import POSE, STATE
 from place_rooms import LEFT, RIGHT, T_LEFT_RIGHT, true_door, turning, write_rooms
+from ros_stage import Stage
 from synthetic_room import Room, RoomRecording, write_recording
 
 Capture = pytest.CaptureFixture[str]
@@ -145,6 +148,26 @@ def test_what_makes_no_sense_in_a_place_is_refused(
     marker = "[[marker]]\nid = 7\nsize_m = 0.25\nposition_m = [0, 0, 1]\nquaternion = [0, 0, 0, 1]\n"
     Path("marked.toml").write_text(marker)
     refused(capfd, here, arguments, names, problem, fix)
+
+
+def test_the_ros_node_goes_through_a_door_in_one_frame(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its poses are in the world of the first room, which is ``room``; the state names the room."""
+    stage = Stage(monkeypatch, RoomRecording(Room(), POSES), here / "flight.toml")
+    stage.begin()
+    stage.give_camera()
+    for index in range(FRAMES):
+        stage.give_image(index)
+    stage.give_start(np.eye(4))
+    assert stage.ros.said == ["/initialpose is not used: a place is searched for the camera"]
+    rooms = [
+        {each.key: each.value for each in message.status[0].values}.get("room", "") for message in stage.ros.of(STATE)
+    ]
+    assert list(dict.fromkeys(rooms)) == ["", LEFT, RIGHT]
+    poses = [pose_of(message) for message in stage.ros.of(POSE)]
+    assert len(poses) >= FRAMES - 4
+    tree = stage.tree(-1)
+    T_room_camera = invert(tree["map", "room"]) @ poses[-1] @ tree["base_link", "cam_optical"]
+    assert pose_distance_m(POSES[-1], T_room_camera[None])[0] < 0.1
 
 
 def test_the_doctor_looks_through_a_place(capfd: Capture, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:

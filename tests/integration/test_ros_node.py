@@ -2,34 +2,30 @@
 
 from __future__ import annotations
 
-import importlib
 import sys
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 from xml.etree import ElementTree
 
-import cv2
 import numpy as np
 import pytest
 
-import ros_stand_in
 from cli_helpers import write_workspace
 from monoloc.bundle import Bundle, read_bundle
 from monoloc.bundle_signature import make_keys
 from monoloc.errors import BundleError
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.mcap_log import ros_frames_of
-from monoloc.geometry import FloatArray, invert, rotation_to_quaternion
-from monoloc.ros.message_contents import camera_info, pose_with_covariance, transforms
+from monoloc.geometry import invert, rotation_to_quaternion
+from monoloc.localizer import Localizer
+from monoloc.ros.message_contents import camera_info
 from monoloc.ros.ros_frames import pose_of
-from monoloc.ros.step_messages import OBSTACLES, POSE, STATE, TF
+from monoloc.ros.step_messages import OBSTACLES, POSE, STATE
 from repository import REPOSITORY
+from ros_stage import BEGIN_NS, PERIOD_NS, Stage
 from synthetic_room import FRAME_S, SMALL_CAMERA, Room, RoomRecording, make_path
 
 FRAMES = 12
-BEGIN_NS, PERIOD_NS = 1_700_000_000_123_456_789, round(FRAME_S * 1e9)
-COVARIANCE = np.diag([0.003, 0.003, 0.003, 0.001, 0.001, 0.001])
 
 
 @pytest.fixture(scope="module")
@@ -45,76 +41,31 @@ def workspace(tmp_path_factory: pytest.TempPathFactory, recording: RoomRecording
     return folder
 
 
-class Stage:
-    """A node in its room, and what it receives.
-
-    Attributes:
-        ros: the stand-in.
-        bundle: of the room.
-    """
-
-    def __init__(
-        self, ros: ros_stand_in.Runtime, module: ModuleType, workspace: Path, recording: RoomRecording
-    ) -> None:
-        self.ros, self._module, self._recording = ros, module, recording
-        self.bundle: Bundle = read_bundle(workspace / "room.monoloc")
-        self.path = str(workspace / "room.monoloc")
-        self.ros.parameters |= {"settings": str(workspace / "flight.toml")}
-
-    def begin(self, **parameters: Any) -> None:
-        self.ros.parameters |= parameters
-        self._module.MonolocNode()
-
-    def message(self, kind: str, content: dict[str, Any]) -> Any:
-        package, name = kind.split("/")
-        filled = sys.modules["monoloc_ros.conversion"].filled
-        return filled(getattr(sys.modules[f"{package}.msg"], name)(), content)
-
-    def give_camera(self) -> None:
-        content = camera_info(BEGIN_NS, "cam_optical", SMALL_CAMERA)
-        self.ros.give("camera_info", self.message("sensor_msgs/CameraInfo", content))
-
-    def give_image(self, index: int, age_s: float = 0.02, compressed: bool = False) -> None:
-        stamp_ns = BEGIN_NS + index * PERIOD_NS
-        self.ros.now_ns = stamp_ns + round(age_s * 1e9)
-        color = self._recording.color(index)
-        header = camera_info(stamp_ns, "cam_optical", SMALL_CAMERA)["header"]
-        if compressed:
-            data = cv2.imencode(".png", color[..., ::-1])[1].tobytes()
-            content = {"header": header, "format": "png", "data": data}
-            self.ros.give("image/compressed", self.message("sensor_msgs/CompressedImage", content))
-            return
-        height, width = color.shape[:2]
-        content = {"header": header, "height": height, "width": width, "encoding": "rgb8", "step": 3 * width}
-        self.ros.give("image", self.message("sensor_msgs/Image", {**content, "data": color.tobytes()}))
-
-    def give_start(self, T_map_base: FloatArray, covariance: FloatArray = COVARIANCE, frame: str = "map") -> None:
-        content = pose_with_covariance(BEGIN_NS, frame, T_map_base, covariance)
-        self.ros.give("/initialpose", self.message("geometry_msgs/PoseWithCovarianceStamped", content))
-
-    def set_transform(self, parent: str, child: str, pose: FloatArray) -> None:
-        (content,) = transforms(BEGIN_NS, [(parent, child, pose)])["transforms"]
-        self.ros.transforms[parent, child] = self.message("geometry_msgs/TransformStamped", content)
-
-    def tree(self, index: int) -> dict[tuple[str, str], FloatArray]:
-        message = self.ros.of(TF)[index]
-        return {(each.header.frame_id, each.child_frame_id): pose_of(each) for each in message.transforms}
+@pytest.fixture
+def stage(monkeypatch: pytest.MonkeyPatch, workspace: Path, recording: RoomRecording) -> Stage:
+    return Stage(monkeypatch, recording, workspace / "flight.toml")
 
 
 @pytest.fixture
-def stage(monkeypatch: pytest.MonkeyPatch, workspace: Path, recording: RoomRecording) -> Stage:
-    ros = ros_stand_in.install(monkeypatch)
-    return Stage(ros, importlib.import_module("monoloc_ros.node"), workspace, recording)
+def room(workspace: Path) -> str:
+    return str(workspace / "room.monoloc")
+
+
+@pytest.fixture
+def bundle(room: str) -> Bundle:
+    return read_bundle(Path(room))
 
 
 @pytest.mark.parametrize("compressed", [False, True])
-def test_images_in_poses_and_the_whole_tree_out(stage: Stage, recording: RoomRecording, compressed: bool) -> None:
+def test_images_in_poses_and_the_whole_tree_out(
+    stage: Stage, recording: RoomRecording, bundle: Bundle, compressed: bool
+) -> None:
     stage.begin()
     stage.give_image(0)
     assert stage.ros.said == ["no camera_info yet"]
     stage.give_camera()
     stage.give_image(0)  # by which the frames are known; the room is searched
-    frames = ros_frames_of(stage.bundle, FlightSettings.model_validate({"mount": {"forward_m": 0.1}}))
+    frames = ros_frames_of(bundle, FlightSettings.model_validate({"mount": {"forward_m": 0.1}}))
     T_map_base = frames.T_map_room @ recording.poses @ invert(frames.T_base_camera)
     stage.give_start(T_map_base[1])
     stage.ros.published.clear()
@@ -138,9 +89,9 @@ def test_images_in_poses_and_the_whole_tree_out(stage: Stage, recording: RoomRec
 
 
 def test_without_settings_the_mount_is_that_of_the_tree_and_odometry_may_be_anothers(
-    stage: Stage, recording: RoomRecording
+    stage: Stage, recording: RoomRecording, room: str, bundle: Bundle
 ) -> None:
-    stage.begin(settings="", bundle=stage.path, publish_odom=False, map_frame="world", base_frame="drone")
+    stage.begin(settings="", bundle=room, publish_odom=False, map_frame="world", base_frame="drone")
     stage.give_camera()
     stage.give_image(0)
     assert stage.ros.said == ["cam_optical is not connected to drone"] and not stage.ros.published
@@ -148,7 +99,7 @@ def test_without_settings_the_mount_is_that_of_the_tree_and_odometry_may_be_anot
     stage.set_transform("drone", "cam_optical", T_base_camera)
     stage.give_image(0)
     assert stage.ros.said[1].startswith("no odometry") and not stage.ros.published
-    T_map_room = ros_frames_of(stage.bundle, FlightSettings()).T_map_room
+    T_map_room = ros_frames_of(bundle, FlightSettings()).T_map_room
     T_odom_base = np.array([[0.0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 7], [0, 0, 0, 1]])
     stage.set_transform("odom", "drone", T_odom_base)
     T_map_base = T_map_room @ recording.poses @ invert(T_base_camera)
@@ -187,14 +138,13 @@ def test_what_cannot_be_used_is_said_and_changes_nothing(stage: Stage, recording
 def test_gravity_of_the_imu_reaches_the_localizer(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
     """A camera that looks forward on a level vehicle: down is its y axis. An IMU without orientation says nothing."""
     given: list[Any] = []
-    module = sys.modules["monoloc_ros.node"]
-    step = module.Localizer.step
+    step = Localizer.step
 
     def spy(self: Any, color: Any, elapsed_s: float, down: Any = None) -> Any:
         given.append((elapsed_s, down))
         return step(self, color, elapsed_s)
 
-    monkeypatch.setattr(module.Localizer, "step", spy)
+    monkeypatch.setattr(Localizer, "step", spy)
     monkeypatch.setattr(Bundle, "down", np.array([0.0, 1.0, 0.0]))
     stage.begin()
     stage.give_camera()
@@ -214,20 +164,20 @@ def test_gravity_of_the_imu_reaches_the_localizer(stage: Stage, monkeypatch: pyt
 
 
 def test_a_room_that_cannot_be_searched_waits_for_a_start(
-    stage: Stage, recording: RoomRecording, monkeypatch: pytest.MonkeyPatch
+    stage: Stage, recording: RoomRecording, bundle: Bundle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Bundle, "supports_relocalization", False)
     stage.begin()
     stage.give_camera()
     stage.give_image(0)
     assert stage.ros.said == ["this room cannot be searched for the camera; publish /initialpose"]
-    frames = ros_frames_of(stage.bundle, FlightSettings.model_validate({"mount": {"forward_m": 0.1}}))
+    frames = ros_frames_of(bundle, FlightSettings.model_validate({"mount": {"forward_m": 0.1}}))
     stage.give_start(frames.T_map_room @ recording.poses[1] @ invert(frames.T_base_camera))
     stage.give_image(1)
     assert len(stage.ros.of(POSE)) == 1
 
 
-def test_main_ends_with_one_line_without_a_bundle_and_whole_when_it_is_stopped(stage: Stage) -> None:
+def test_main_ends_with_one_line_without_a_bundle_and_whole_when_it_is_stopped(stage: Stage, room: str) -> None:
     main = sys.modules["monoloc_ros.node"].main
     stage.ros.parameters["settings"] = ""
     with pytest.raises(SystemExit) as exit_:
@@ -238,7 +188,7 @@ def test_main_ends_with_one_line_without_a_bundle_and_whole_when_it_is_stopped(s
     with pytest.raises(SystemExit):
         main()
     assert "monoloc build" in stage.ros.said[2]
-    stage.ros.parameters["bundle"] = stage.path
+    stage.ros.parameters["bundle"] = room
 
     def interrupt(node: Any) -> None:
         raise KeyboardInterrupt
@@ -248,14 +198,14 @@ def test_main_ends_with_one_line_without_a_bundle_and_whole_when_it_is_stopped(s
     assert stage.ros.said[-2:] == ["destroyed", "shut down"]
 
 
-def test_a_signature_that_the_settings_require_is_asked_for(stage: Stage, tmp_path: Path) -> None:
+def test_a_signature_that_the_settings_require_is_asked_for(stage: Stage, room: str, tmp_path: Path) -> None:
     make_keys(tmp_path / "team.key", tmp_path / "team.pub")
     settings = tmp_path / "flight.toml"
-    settings.write_text(f'room = "{stage.path}"\nrequire_signature = "team.pub"\n')
+    settings.write_text(f'room = "{room}"\nrequire_signature = "team.pub"\n')
     with pytest.raises(BundleError, match="is not signed"):
         stage.begin(settings=str(settings))
     with pytest.raises(BundleError, match="is not signed"):
-        stage.begin(settings=str(settings), bundle=stage.path)
+        stage.begin(settings=str(settings), bundle=room)
 
 
 def test_the_package_names_what_the_node_has() -> None:

@@ -19,12 +19,13 @@ from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 from tf2_ros import Buffer, TransformException, TransformListener
 
-from monoloc import Camera, Localizer, Start, load
+from monoloc import Camera, Start
 from monoloc.errors import DataError, MonolocError, SettingError
 from monoloc.flight.flight_file import FlightFile, read_flight_file
 from monoloc.geometry import FloatArray
 from monoloc.io.rosbag_messages import camera_of, color_of
 from monoloc.obstacles import tells_obstacles
+from monoloc.place.flown_map import MapLocalizer, open_map
 from monoloc.ros.ros_frames import FrameNames, RosFrames, down_camera, pose_of
 from monoloc.ros.step_messages import OBSTACLES, POSE, STATE, TF, StepMessages
 from monoloc_ros.conversion import KINDS, filled
@@ -44,9 +45,9 @@ class MonolocNode(Node):
     """Localises the newest image of a camera.
 
     Parameters:
-        bundle: of the room; empty takes that of the settings.
-        settings: a flight.toml, of which room, require_signature, mount, down, obstacles and most_age_s are used;
-            empty takes the mount from /tf.
+        bundle: of the room, or a place of several; empty takes that of the settings.
+        settings: a flight.toml, of which room, require_signature, mount, down, obstacles, most_age_s, budget_ms and
+            threads are used; empty takes the mount from /tf.
         map_frame, odom_frame, base_frame: names.
         publish_odom: false where another node publishes odom -> base_link.
         rectified: whether the images are.
@@ -60,11 +61,11 @@ class MonolocNode(Node):
         settings = self._parameter("settings", "")
         self._has_mount = bool(settings)
         flight = read_flight_file(Path(settings)) if settings else FlightFile()
-        self._settings = flight.settings
+        self._flight, self._settings = flight, flight.settings
         bundle = self._parameter("bundle", "") or flight.room
         if not bundle:
             raise SettingError("bundle", "is missing", "name the bundle that monoloc build wrote")
-        self._bundle = load(bundle, flight.require_signature)
+        self._flown = open_map(Path(bundle), flight.require_signature)
         self._map, self._odom, self._base = (
             self._parameter(name, default)
             for name, default in (("map_frame", "map"), ("odom_frame", "odom"), ("base_frame", "base_link"))
@@ -73,7 +74,7 @@ class MonolocNode(Node):
         self._is_rectified: bool = self._parameter("rectified", False)
         self._camera: Camera | None = None
         self._start: Start | None = None
-        self._localizer: Localizer | None = None
+        self._made: MapLocalizer | None = None
         self._frames: RosFrames | None = None
         self._messages: StepMessages | None = None
         self._imu: Imu | None = None
@@ -105,6 +106,9 @@ class MonolocNode(Node):
 
     def _take_start(self, message: PoseWithCovarianceStamped) -> None:
         """Begin anew at the next image; a pose that cannot be used changes nothing."""
+        if self._flown.is_place:
+            self._warn("/initialpose is not used: a place is searched for the camera")
+            return
         if message.header.frame_id != self._map:
             self._warn(f"/initialpose is in frame {message.header.frame_id!r}; give it in {self._map!r}")
             return
@@ -117,8 +121,8 @@ class MonolocNode(Node):
         except ValueError as error:
             self._warn(f"/initialpose cannot be used: {error}")
             return
-        if self._localizer is not None:
-            self._localizer.reset(self._start)
+        if self._made is not None:
+            self._made.localizer.reset(self._start)
 
     def _take_image(self, message: Image | CompressedImage) -> None:
         stamp_ns = _nanoseconds(message.header.stamp)
@@ -146,13 +150,15 @@ class MonolocNode(Node):
         try:
             if self._frames is None:
                 self._frames = self._frames_of(camera_frame)
-                with_obstacles = self._settings.obstacles and tells_obstacles(self._bundle)
+                room = self._flown.room  # in a place, each frame says whether its depth tells obstacles
+                with_obstacles = self._settings.obstacles and (room is None or tells_obstacles(room))
                 self._messages = StepMessages(self._frames, with_obstacles, with_mount=self._has_mount)
-            if self._localizer is None:
-                if self._start is None and not self._bundle.supports_relocalization:
+            if self._made is None:
+                if self._start is None and not self._flown.is_searched:
                     self._warn("this room cannot be searched for the camera; publish /initialpose")
                     return False
-                self._localizer = Localizer(self._bundle, camera, self._start)
+                limits = self._flight.budget_ms, self._flight.threads
+                self._made = self._flown.localizer(camera, self._start, 0, *limits)
         except (TransformException, MonolocError) as error:
             self._warn(str(error))
             return False
@@ -160,7 +166,7 @@ class MonolocNode(Node):
 
     def _frames_of(self, camera_frame: str) -> RosFrames:
         names = FrameNames(map=self._map, odom=self._odom, base=self._base, camera=camera_frame)
-        down = self._bundle.down if self._settings.down is None else np.array(self._settings.down)
+        down = self._flown.down if self._settings.down is None else np.array(self._settings.down)
         if self._has_mount:
             return RosFrames(self._settings.mount.T_body_camera, down, names)
         return RosFrames.of_base(self._transform(self._base, camera_frame, Time()), down, names)
@@ -168,10 +174,12 @@ class MonolocNode(Node):
     # --- Localise ---
 
     def _localize(self, color: Any, message: Image | CompressedImage, stamp_ns: int) -> None:
-        assert self._localizer is not None and self._messages is not None
+        assert self._made is not None and self._messages is not None
         elapsed_s = 0.0 if self._previous_ns is None else (stamp_ns - self._previous_ns) / 1e9
-        step = self._localizer.step(color, elapsed_s, down=self._down(stamp_ns, message.header.frame_id))
+        step = self._made.localizer.step(color, elapsed_s, down=self._down(stamp_ns, message.header.frame_id))
         self._previous_ns = stamp_ns
+        in_place = self._made.in_place()
+        step, room = (step, None) if in_place is None else (in_place.in_first_room(step), in_place.room)
         try:
             odom_base = None
             if not self._publish_odom:
@@ -179,13 +187,13 @@ class MonolocNode(Node):
         except TransformException as error:
             self._warn(f"no odometry, so that nothing is published: {error}")
             return
-        for each in self._messages.of(stamp_ns, step, odom_base):
+        for each in self._messages.of(stamp_ns, step, odom_base, room):
             self._topics[each.topic].publish(filled(KINDS[each.kind](), each.content))
 
     def _down(self, stamp_ns: int, camera_frame: str) -> FloatArray | None:
         """Direction of gravity in the camera's frame by the IMU; None where either end does not know it."""
         imu = self._imu
-        if imu is None or self._bundle.down is None or imu.orientation_covariance[0] < 0.0:
+        if imu is None or self._flown.down is None or imu.orientation_covariance[0] < 0.0:
             return None
         if abs(_nanoseconds(imu.header.stamp) - stamp_ns) > _MOST_IMU_AGE_NS:
             return None

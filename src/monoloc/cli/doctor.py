@@ -72,8 +72,7 @@ def doctor(
     check_outputs({"--report": report}, (room, flight.source, settings, flight.require_signature))
     check_autopilot(flight, align=False, fast=False)
     flown, flight_settings = map_of(room, flight), flight.settings
-    is_searched = flown.room is None or flown.room.supports_relocalization
-    if not (is_searched or flight.marker or flight.start != UNKNOWN):
+    if not (flown.is_searched or flight.marker or flight.start != UNKNOWN):
         problem = "cannot be searched: neither scans nor landmarks find the camera in it"
         raise SettingError("ROOM", problem, "write a start or a marker into flight.toml")
     cv2.setNumThreads(1)  # as in a flight

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from monoloc.bundle import Bundle
 from monoloc.particle_filter.estimate import Estimate
+from monoloc.step import Step
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,12 @@ class InPlace:
     entered: Bundle | None
     estimate: Estimate
     tells_obstacles: bool
+
+    def in_first_room(self, step: Step) -> Step:
+        """The frame's step with its pose in the world of the place's first room, and without depth where that tells
+        no obstacles.
+        """
+        return replace(step, estimate=self.estimate, depth=step.depth if self.tells_obstacles else None)
 
 
 @dataclass(frozen=True)

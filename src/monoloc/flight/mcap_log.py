@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -72,7 +71,8 @@ class McapLog:
         """Raises DataError if an earlier frame could not be written."""
         time_s = result.frame.captured_s + self._clock_offset_s
         color = result.frame.color if self._thread.waiting < _MOST_IMAGES else None
-        if not self._thread.put((time_s, color, _step_in_map(result), result.room)):
+        step = result.step if result.in_place is None else result.in_place.in_first_room(result.step)
+        if not self._thread.put((time_s, color, step, result.room)):
             self._dropped["mcap frames"] += 1
         elif color is None:
             self._dropped["mcap images"] += 1
@@ -88,11 +88,3 @@ class McapLog:
                 self._recorder.file.finish()
         finally:
             self._recorder.file.close()
-
-
-def _step_in_map(result: FlightStep) -> Step:
-    """The step with its pose in the one map of the flight, and without depth where that tells no obstacles."""
-    if result.in_place is None:
-        return result.step
-    depth = result.step.depth if result.in_place.tells_obstacles else None
-    return replace(result.step, estimate=result.estimate, depth=depth)

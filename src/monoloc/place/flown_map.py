@@ -62,6 +62,11 @@ class FlownMap:
     def is_place(self) -> bool:
         return self.place is not None
 
+    @property
+    def is_searched(self) -> bool:
+        """Whether a flight may begin without a start."""
+        return self.room is None or self.room.supports_relocalization
+
     def rooms(self) -> Iterator[Bundle]:
         """The room, or every room of the place, which is read when it is asked for.
 
