@@ -1,4 +1,4 @@
-"""Signatures tell who made a bundle: Ed25519 over its manifest, which holds the checksums of all other files.
+"""Signatures tell who made a bundle or a place: Ed25519 over its manifest, which holds the checksums of all else.
 
 A signature is its plain 64 bytes and keys are PEM files, so that OpenSSL makes and checks the same. Needs the extra
 ``sign``.
@@ -16,7 +16,7 @@ from monoloc.extras import require_signing
 from monoloc.files import read_regular, write_whole
 
 SIGNATURE = "manifest.sig"
-"""Name of the signature in a bundle."""
+"""Name of the signature in a bundle or a place."""
 
 _SIGNATURE_BYTES = 64
 _MOST_KEY_BYTES = 1 << 14
@@ -51,7 +51,7 @@ def make_keys(private: Path, public: Path) -> None:
 
 
 def signature_of(manifest: bytes, private_key: Path) -> bytes:
-    """Sign a bundle's manifest; returns 64 bytes.
+    """Sign a manifest; returns 64 bytes.
 
     Raises:
         DataError: the file holds no private key.
@@ -68,15 +68,15 @@ def signature_of(manifest: bytes, private_key: Path) -> bytes:
 
 
 def check_signature(bundle: Path, manifest: bytes, public_key: Path) -> None:
-    """Refuse a bundle that the owner of a key has not signed as it is.
+    """Refuse a bundle, or a place, that the owner of a key has not signed as it is.
 
     Args:
-        bundle: its folder.
+        bundle: its folder, or that of a place.
         manifest: of it, as it is used.
         public_key: of the owner.
 
     Raises:
-        BundleError: the bundle is not signed, was changed since, or was signed with another key.
+        BundleError: it is not signed, was changed since, or was signed with another key.
         DataError: the file holds no public key.
         MissingExtraError: the extra ``sign`` is not installed.
     """
@@ -95,7 +95,7 @@ def check_signature(bundle: Path, manifest: bytes, public_key: Path) -> None:
         raise BundleError(bundle, "is not signed", "ask who made it for a signed copy", _PAGE) from error
     except (InvalidSignature, OSError, ValueError) as error:
         problem = f"was changed, or signed with another key than that of {public_key}"
-        raise BundleError(bundle, problem, "copy the bundle again from who signed it", _PAGE) from error
+        raise BundleError(bundle, problem, "copy it again from who signed it", _PAGE) from error
 
 
 def _key(path: Path, load: Callable[[bytes], object]) -> object:

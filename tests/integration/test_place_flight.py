@@ -17,7 +17,7 @@ from mcap_ros2.decoder import DecoderFactory
 from pymavlink import mavutil
 
 from cli_helpers import json_of, refused
-from monoloc.bundle_manifest import manifest_content
+from monoloc.bundle_manifest import PLACE_MANIFEST, manifest_content
 from monoloc.bundle_signature import SIGNATURE, make_keys, signature_of
 from monoloc.cli.main import invoke
 from monoloc.flight.flight_settings import Mount
@@ -184,20 +184,28 @@ def test_the_doctor_looks_through_a_place(capfd: Capture, here: Path, monkeypatc
     assert f'"{LEFT}"' not in report and f'"{RIGHT}"' not in report
 
 
-def test_every_bundle_of_a_place_must_be_signed(capfd: Capture, here: Path) -> None:
+def test_a_place_and_every_bundle_of_it_must_be_signed(capfd: Capture, here: Path) -> None:
+    """But a place that is made or gets a door, which its signature would cover, needs only signed bundles."""
     make_keys(here / "team.key", here / "team.pub")
     left, right = Path.cwd() / f"{LEFT}.monoloc", Path.cwd() / f"{RIGHT}.monoloc"
     (left / SIGNATURE).write_bytes(signature_of(manifest_content(left), here / "team.key"))
     key = ("--require-signature", "team.pub")
-    commands = [
+    read = [
         (*FLY, "--fast", "--frames", "0:1"),
         ("place", "localize", "house.place", "walk", "--frames", "0:1"),
-        ("place", "new", "new.place", str(left), str(right)),
-        ("place", "door", "house.place", LEFT, RIGHT, "--same-world"),
         ("place", "info", "house.place"),
     ]
-    for command in commands:
+    new = ("place", "new", "new.place", str(left), str(right))
+    for command in (*read, new, ("place", "door", "house.place", LEFT, RIGHT, "--same-world")):
         refused(capfd, here, (*command, *key), str(right), "is not signed", "signed copy")
     (right / SIGNATURE).write_bytes(signature_of(manifest_content(right), here / "team.key"))
-    for command in commands[:3]:
+    json_of(capfd, *new, *key)
+    for command in read:
+        refused(capfd, here, (*command, *key), "house.place", "is not signed", "signed copy")
+    json_of(capfd, "signature", "sign", "house.place", "--key", "team.key")
+    json_of(capfd, "signature", "verify", "house.place", "--key", "team.pub")
+    for command in read:
         json_of(capfd, *command, *key)
+    manifest = here / "house.place" / PLACE_MANIFEST
+    manifest.write_text(manifest.read_text().replace('"radius_m": 1.0', '"radius_m": 2.0'))
+    refused(capfd, here, (*read[2], *key), "house.place", "was changed", "copy it again")

@@ -126,7 +126,7 @@ def test_a_required_signature_refuses_all_else_in_one_line(capfd: Capture, here:
     signature = here / "room.monoloc" / SIGNATURE
     content = signature.read_bytes()
     changed_room()
-    problem, fix = "room.monoloc: was changed, or signed with another key than that of .*team.pub", "copy the bundle"
+    problem, fix = "room.monoloc: was changed, or signed with another key than that of .*team.pub", "copy it again"
     match case:
         case "unsigned":
             problem, fix = "room.monoloc: is not signed", "ask who made it"

@@ -90,7 +90,7 @@ def door(
     """
     if (source is None) != same_world:
         raise SettingError("SOURCE", "or --same-world must be given, and not both", "name a walk through the door")
-    joined = read_place(place, require_signature)
+    joined = read_place(place, require_signature, is_edited=True)
     names = _known(joined, a), _known(joined, b)
     if a == b:
         raise SettingError("ROOM", f"{a} is named twice", "name two rooms")

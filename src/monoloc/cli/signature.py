@@ -1,4 +1,4 @@
-"""``monoloc signature``: say who made a bundle, and check it."""
+"""``monoloc signature``: say who made a bundle or a place, and check it."""
 
 from __future__ import annotations
 
@@ -13,13 +13,18 @@ from monoloc.bundle_signature import SIGNATURE, make_keys, signature_of
 from monoloc.cli.common import JsonOption, check_apart, print_json, stderr
 from monoloc.errors import BundleError
 from monoloc.partial_files import whole_file
+from monoloc.place.flown_map import is_place
+from monoloc.place.place_files import read_place
+from monoloc.place.place_manifest import place_content
 
 app = typer.Typer(
-    help="Sign bundles, and check who signed them.",
+    help="Sign bundles and places, and check who signed them.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
-BundleArgument = Annotated[Path, typer.Argument(metavar="BUNDLE", help="Bundle from monoloc build.")]
+BundleArgument = Annotated[
+    Path, typer.Argument(metavar="BUNDLE", help="Bundle from monoloc build, or place from monoloc place.")
+]
 RequireSignatureOption = Annotated[
     Path | None,
     typer.Option(
@@ -53,17 +58,19 @@ def sign(
     key: Annotated[Path, typer.Option("--key", metavar="NAME.key", help="Private key.")],
     json: JsonOption = False,
 ) -> None:
-    """Sign a bundle, after a check of every byte.
+    """Sign a bundle, after a check of every byte, or a place.
 
-    Any later change, or build of the same name, voids the signature.
+    Any later change, or build of the same name, voids the signature. The bundles of a place are signed by
+    themselves; its doors, and which bundles it is made of, with the place.
 
     \b
     Examples:
       monoloc signature sign kitchen.monoloc --key team.key
+      monoloc signature sign house.place --key team.key
     """
     check_apart(key, "--key", (bundle,))
-    manifest = manifest_content(bundle)
-    read_bundle(bundle)
+    manifest = place_content(bundle) if is_place(bundle) else manifest_content(bundle)
+    _read(bundle)
     signature = signature_of(manifest, key)
     try:
         with whole_file(bundle.resolve() / SIGNATURE) as partial:
@@ -82,13 +89,21 @@ def verify(
     key: Annotated[Path, typer.Option("--key", metavar="NAME.pub", help="Public key of who should have signed.")],
     json: JsonOption = False,
 ) -> None:
-    """Check that a bundle is just what the owner of a key signed.
+    """Check that a bundle, or a place with all its bundles, is just what the owner of a key signed.
 
     \b
     Examples:
       monoloc signature verify kitchen.monoloc --key team.pub
     """
-    read_bundle(bundle, key)
+    _read(bundle, key)
     stderr.print(f"{bundle}: signed with the key of {key}", soft_wrap=True)
     if json:
         print_json({"bundle": str(bundle), "public_key": str(key)})
+
+
+def _read(path: Path, public_key: Path | None = None) -> None:
+    """Read a bundle or a place whole; raises as these readers do."""
+    if is_place(path):
+        read_place(path, public_key)
+    else:
+        read_bundle(path, public_key)

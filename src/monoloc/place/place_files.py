@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from monoloc.array_files import decode_arrays, encode_arrays
 from monoloc.bundle import Bundle, digest_of, read_bundle
 from monoloc.bundle_manifest import PLACE_MANIFEST, manifest_content
-from monoloc.bundle_signature import check_signature
+from monoloc.bundle_signature import SIGNATURE, check_signature
 from monoloc.errors import BundleError, DataError, SettingError
 from monoloc.files import read_regular, target_of
 from monoloc.geometry import FloatArray
@@ -154,13 +154,14 @@ def check_place_target(path: Path) -> None:
         raise DataError(path, "its folder does not exist", f"make {path.parent} first")
     if path.exists() and not path.is_dir():
         raise DataError(path, "is a file", "choose another name")
-    others = sorted({file.name for file in path.iterdir()} - {PLACE_MANIFEST, _INDEX}) if path.exists() else []
+    own = {PLACE_MANIFEST, _INDEX, SIGNATURE}
+    others = sorted({file.name for file in path.iterdir()} - own) if path.exists() else []
     if others:
         raise DataError(path, f"holds more than a place ({others[0]})", "move that away or choose another name")
 
 
 def write_place(place: Place) -> int:
-    """Write a place, replacing an older one; returns its size in bytes, without the bundles.
+    """Write a place, replacing an older one and its signature; returns its size in bytes, without the bundles.
 
     Raises:
         DataError: as :func:`check_place_target`, or the disk does not take it.
@@ -180,22 +181,26 @@ def write_place(place: Place) -> int:
     return sum(len(content) for content in contents.values())
 
 
-def read_place(path: str | Path, public_key: Path | None = None) -> Place:
-    """Read a place, and check that its bundles are there, unchanged and signed.
+def read_place(path: str | Path, public_key: Path | None = None, *, is_edited: bool = False) -> Place:
+    """Read a place, and check that its bundles are there, unchanged and signed, and that the place is signed.
 
     Args:
         path: of the place.
-        public_key: of who must have signed every bundle; None takes bundles of anybody.
+        public_key: of who must have signed every bundle and the place; None takes those of anybody.
+        is_edited: whether the place is read to be changed, so that only its bundles must be signed.
 
     Raises:
-        BundleError: a bundle is missing, changed, or not signed with the key.
+        BundleError: a bundle is missing or changed, or a bundle or the place is not signed with the key.
         DataError: not a place, damaged, or of an unknown schema, or the key is none.
         MissingExtraError: as :func:`monoloc.bundle_signature.check_signature`, with a key only.
     """
     path = Path(path)
-    manifest = parse_place(place_content(path), path / PLACE_MANIFEST)
+    content = place_content(path)
+    manifest = parse_place(content, path / PLACE_MANIFEST)
     for room in manifest.rooms:
         _checked_bundle(path, room, public_key)
+    if public_key is not None and not is_edited:
+        check_signature(path, content, public_key)
     return Place(path, manifest, _read_index(path / _INDEX, manifest), public_key)
 
 
