@@ -18,7 +18,7 @@ from monoloc.place.place_files import read_place
 from monoloc.place.place_manifest import place_content
 
 app = typer.Typer(
-    help="Sign bundles and places, and check who signed them.",
+    help="Sign bundles and places, and check them.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
