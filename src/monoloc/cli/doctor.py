@@ -57,7 +57,7 @@ def doctor(
     ] = None,
     json: JsonOption = False,
 ) -> int:
-    """Check camera, room or place, and autopilot, without sending a pose.
+    """Check camera, map and autopilot, without sending a pose.
 
     The exit code is 0 if all is well, 1 with warnings, and 2 if something must be mended before a flight.
 
