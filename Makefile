@@ -29,8 +29,10 @@ test-all: checks
 	$(PYTEST) --cov --cov-report html:build/coverage
 	@echo "coverage of lines and branches: $$($(BIN)/coverage report --format total) %; see build/coverage"
 
-checks: $(VENV)/installed
-	$(MAKE) --no-print-directory --jobs 2 --output-sync lint docs native-test
+# The core's own tests are compiled while pip installs, which takes one processor.
+checks:
+	$(MAKE) --no-print-directory --jobs 2 --output-sync $(VENV)/installed native-test
+	$(MAKE) --no-print-directory --jobs 2 --output-sync lint docs
 
 docs: $(VENV)/installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --site-dir build/site
@@ -46,7 +48,7 @@ fuzz: $(VENV)/installed
 	PIP_CONSTRAINT=constraints.txt $(BIN)/pip install --quiet --disable-pip-version-check atheris
 	OMP_NUM_THREADS=1 $(BIN)/python tests/fuzz/fuzz.py --runs $(RUNS)
 
-native-test: $(VENV)/installed
+native-test: $(BIN)/cmake
 	$(BIN)/cmake -S . -B build/cpp -DMONOLOC_BUILD_PYTHON=OFF -DMONOLOC_BUILD_TESTS=ON
 	$(BIN)/cmake --build build/cpp -j 2
 	$(BIN)/ctest --test-dir build/cpp --output-on-failure
@@ -65,8 +67,12 @@ release-files: $(VENV)/installed
 	PIP_CONSTRAINT=constraints.txt $(BIN)/pip install --quiet --disable-pip-version-check cyclonedx-bom
 	$(BIN)/cyclonedx-py requirements build/release/requirements.txt --output-file build/release/sbom.cdx.json
 
-$(VENV)/installed: pyproject.toml lab/pyproject.toml constraints.txt $(NATIVE)
+# pip of constraints.txt: that of Python 3.11 takes three times as long to choose versions.
+$(BIN)/cmake:
 	$(PYTHON) -m venv $(VENV)
+	PIP_CONSTRAINT=constraints.txt $(BIN)/pip install --quiet --disable-pip-version-check --no-compile pip cmake
+
+$(VENV)/installed: pyproject.toml lab/pyproject.toml constraints.txt $(NATIVE) | $(BIN)/cmake
 	PIP_CONSTRAINT=constraints.txt $(BIN)/pip install --quiet --disable-pip-version-check --no-compile --editable ".[dev]" --editable "lab[cluster,synth,train]"
 	touch $@
 
