@@ -130,6 +130,24 @@ def test_table_of_recovery() -> None:
                 agree(edits, spread(each["map_changed_rate"] for each in found))
 
 
+def test_table_of_recovery_of_other_bundles() -> None:
+    bundles = json.loads((DATA / "recovery-others.json").read_text())
+    text = section("docs/results.md", "This version").split("nothing tuned in each room")[1].replace("\n  |", "\n|")
+    for bundle, (name, starts, kidnaps, *rates, coverage) in zip(
+        bundles, cells_of(text.split("\n\n- ")[0]), strict=True
+    ):
+        parts = bundle["near"], bundle["away"]
+        assert name == bundle["bundle"] and bundle["wrong_place_rate"] == 0.0
+        for shown, rate, count in (
+            (starts, "global_start_rate", "starts"),
+            (kidnaps, "kidnap_recovery_rate", "kidnaps"),
+        ):
+            agree(shown, [each for part in parts for each in (part[rate], part[count]) if each is not None])
+        for shown, rate in zip(rates, ("false_alarm_rate", "false_tracking_rate"), strict=True):
+            agree(shown, [100.0 * bundle[rate]])
+        agree(coverage, [bundle["coverage_95"], bundle["coverage_99"]])
+
+
 COLUMNS = (
     {"built_from": "RedKitchen 0:300:3", "flown": "0:300"},
     {"built_from": "RedKitchen 0:300:3", "flown": "300:400"},
