@@ -240,8 +240,7 @@ def _rendered(data: str, quick: bool) -> Study:
 
     folder = Path(data.removeprefix(_RENDERED)).resolve()
     if not (folder / "build").is_dir():
-        fix = "give the --out of python -m monoloc_lab.make.rendered_room"
-        raise DataError(str(folder), "has no folder build", fix)
+        raise DataError(folder, "has no folder build", "give the --out of python -m monoloc_lab.make.rendered_room")
     study = rendered(folder, f"room {folder.name}", quick)
     for split in study.splits:
         for source in (split.source, *(each.source for each in split.recordings.values())):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from monoloc.depth.models import shipped_models
-from monoloc_lab.rooms import LIVING
+from monoloc_lab.rooms import LIVING, build_of, tests_of
 
 WIDTH = 0.35
 SIZES = tuple(model.name.rpartition("-")[0] for model in shipped_models() if model.width == WIDTH)
@@ -89,10 +89,8 @@ def builtin(quick: bool) -> Study:
 
 def rendered(folder: Path, name: str, quick: bool) -> Study:
     """A room of :mod:`monoloc_lab.make.rendered_room`: built from one flight, evaluated on another in each light."""
-    recordings = {
-        light: EvalRecording(f"folder:{folder / 'test' / light}", "::", None) for light in ("L1", "L2", "L3")
-    }
-    split = Split(name, f"folder:{folder / 'build' / 'L2'}", "::2" if quick else "::", recordings)
+    recordings = {light: EvalRecording(f"folder:{path}", "::", None) for light, path in tests_of(folder).items()}
+    split = Split(name, f"folder:{build_of(folder)}", "::2" if quick else "::", recordings)
     return _study(f"rendered {name}", (split,), quick)
 
 
