@@ -170,6 +170,21 @@ def test_the_ros_node_goes_through_a_door_in_one_frame(here: Path, monkeypatch: 
     assert pose_distance_m(POSES[-1], T_room_camera[None])[0] < 0.1
 
 
+def test_the_ros_node_outlives_a_room_that_cannot_be_read(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It says so at each image, and goes on when the room is back."""
+    stage = Stage(monkeypatch, RoomRecording(Room(), POSES), here / "flight.toml")
+    stage.begin()
+    stage.give_camera()
+    shutil.move(f"{RIGHT}.monoloc", "away.monoloc")
+    for index in range(4):
+        stage.give_image(index)
+    assert len(set(stage.ros.said)) == 1 and f"{RIGHT}.monoloc" in stage.ros.said[0] and not stage.ros.of(POSE)
+    shutil.move("away.monoloc", f"{RIGHT}.monoloc")
+    for index in range(4, 10):
+        stage.give_image(index)
+    assert stage.ros.of(POSE)
+
+
 def test_the_doctor_looks_through_a_place(capfd: Capture, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """And names no room in a report, which is for others to read."""
     monkeypatch.setattr("monoloc.cli.flight_options.PacedRecording", UnpacedRecording)

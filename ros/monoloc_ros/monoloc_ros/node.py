@@ -20,7 +20,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 from tf2_ros import Buffer, TransformException, TransformListener
 
 from monoloc import Camera, Start
-from monoloc.errors import DataError, MonolocError, SettingError
+from monoloc.errors import MonolocError, SettingError
 from monoloc.flight.flight_file import FlightFile, read_flight_file
 from monoloc.geometry import FloatArray
 from monoloc.io.rosbag_messages import camera_of, color_of
@@ -130,11 +130,9 @@ class MonolocNode(Node):
             self._warn("no camera_info yet")
         elif self._is_in_time(stamp_ns) and self._is_ready(message.header.frame_id, self._camera):
             try:
-                color = color_of(message, Path("image"), self._camera)
-            except DataError as error:
+                self._localize(color_of(message, Path("image"), self._camera), message, stamp_ns)
+            except MonolocError as error:  # of the image, or of a room of a place that is read now
                 self._warn(str(error))
-                return
-            self._localize(color, message, stamp_ns)
 
     def _is_in_time(self, stamp_ns: int) -> bool:
         age_s = (self.get_clock().now().nanoseconds - stamp_ns) / 1e9

@@ -27,6 +27,7 @@ from monoloc.cli.common import (
     stderr,
 )
 from monoloc.cli.start_option import METAVAR, UNKNOWN, start_of
+from monoloc.editing.edit_history import drawn_edits
 from monoloc.errors import SettingError
 from monoloc.files import target_of
 from monoloc.io.recording import Recording
@@ -167,6 +168,7 @@ def _draw(
             f"{name}, {title}",
             surface_points(room.original, _DRAWN_POINTS, np.random.default_rng(seed)),
             room.landmarks.points.astype(np.float64),
+            drawn_edits(room, np.random.default_rng(seed)),
         )
         for title, room in (("before", before), (which, after))
     )

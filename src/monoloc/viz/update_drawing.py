@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from monoloc.editing.edit_history import DrawnEdit
 from monoloc.geometry import FloatArray, transform
+from monoloc.viz.edit_drawing import draw_edits
 from monoloc.viz.picture import BLUE, GREEN, GREY, ORANGE, VERMILION, picture
 
 _COLOURS = {
@@ -29,11 +31,13 @@ class UpdateView:
         title: of the panel.
         cloud: points of its surface, (N, 3), world frame, metres.
         landmarks: (L, 3), world frame, metres.
+        edits: of the map.
     """
 
     title: str
     cloud: FloatArray
     landmarks: FloatArray
+    edits: tuple[DrawnEdit, ...]
 
 
 def plot_update(
@@ -43,7 +47,7 @@ def plot_update(
     changes: Sequence[tuple[str, FloatArray]],
     T_level_world: FloatArray,
 ) -> None:
-    """Draw both maps from above, and the proposed changes, numbered, over the map before.
+    """Draw both maps from above with their edits, and the proposed changes, numbered, over the map before.
 
     Args:
         path: PNG to write.
@@ -55,24 +59,30 @@ def plot_update(
         MissingExtraError: matplotlib is not installed.
         DataError: the file cannot be written.
     """
-    clouds = [transform(T_level_world, view.cloud) for view in (before, after)]
-    low, high = np.percentile(np.concatenate(clouds)[:, :2], [0.5, 99.5], axis=0)
+
+    def project(points: FloatArray) -> FloatArray:
+        return transform(T_level_world, points)[:, :2]
+
+    clouds = [project(view.cloud) for view in (before, after)]
+    low, high = np.percentile(np.concatenate(clouds), [0.5, 99.5], axis=0)
     margin = 0.05 * float((high - low).max())
     size_in = 5.2 * float(np.clip((high - low)[1] / (high - low)[0], 0.5, 1.6))
     with picture(path, 17.0, size_in + 1.2) as figure:
         axes = figure.subplots(1, 3, squeeze=False)[0].tolist()
         for axis, view, cloud in zip((axes[0], axes[2]), (before, after), clouds, strict=True):
-            axis.plot(*cloud[:, :2].T, ".", color=GREY, markersize=0.6, alpha=0.3, rasterized=True)
-            landmarks = transform(T_level_world, view.landmarks)
-            axis.plot(*landmarks[:, :2].T, ".", color=BLUE, markersize=1.5, label=f"{len(landmarks)} landmarks")
+            axis.plot(*cloud.T, ".", color=GREY, markersize=0.6, alpha=0.3, rasterized=True)
+            axis.plot(
+                *project(view.landmarks).T, ".", color=BLUE, markersize=1.5, label=f"{len(view.landmarks)} landmarks"
+            )
+            draw_edits(axis, view.edits, project, with_content=False)
             axis.set_title(view.title)
             axis.legend(**_BELOW)
         axis = axes[1]
-        axis.plot(*clouds[0][:, :2].T, ".", color=GREY, markersize=0.6, alpha=0.3, rasterized=True)
+        axis.plot(*clouds[0].T, ".", color=GREY, markersize=0.6, alpha=0.3, rasterized=True)
         for number, (kind, points) in enumerate(changes, start=1):
-            level = transform(T_level_world, points)
-            axis.plot(*level[:, :2].T, ".", color=_COLOURS[kind], markersize=3.0)
-            axis.annotate(str(number), tuple(np.median(level[:, :2], axis=0)), fontsize=9, fontweight="bold")
+            page = project(points)
+            axis.plot(*page.T, ".", color=_COLOURS[kind], markersize=3.0)
+            axis.annotate(str(number), tuple(np.median(page, axis=0)), fontsize=9, fontweight="bold")
         for kind in dict.fromkeys(kind for kind, _ in changes):
             axis.plot([], [], ".", color=_COLOURS[kind], markersize=8.0, label=kind)
         axis.set_title(f"{len(changes)} proposals")

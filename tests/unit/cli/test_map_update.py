@@ -40,14 +40,21 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_proposals_are_listed_drawn_and_applied_by_number(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_proposals_are_listed_drawn_and_applied_by_number(
+    here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     before = listing(here)
     listed = json_of(capfd, *UPDATE)
     assert listing(here) == before and listed["counted_flights"] == 2
     assert {each["kind"] for each in listed["proposals"]} == {"retire landmarks"}
     assert sum(each["count"] for each in listed["proposals"]) == is_on_box().sum()
     (here / "room.monoloc" / SIGNATURE).write_bytes(bytes(64))
+    drawn: list[list[str]] = []
+    monkeypatch.setattr(
+        "monoloc.viz.update_drawing.draw_edits", lambda axis, edits, *_, **__: drawn.append([e.name for e in edits])
+    )
     _, err = outputs(capfd, *UPDATE, "--apply", "1", "--plot", "change.png")
+    assert drawn == [[], ["1 update"]]  # before and after
     assert "sign it again" in err and (here / "change.png").stat().st_size > 10_000
     edited = read_bundle(here / "room.monoloc")
     assert len(mapped().landmarks) - len(edited.landmarks) == listed["proposals"][0]["count"]
