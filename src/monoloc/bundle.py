@@ -96,7 +96,7 @@ class Bundle:
     def supports_scan_search(self) -> bool:
         """Whether one scan tells where in the room a lost camera is."""
         tells = self.integrity.supports_scan_search and len(self.reference_poses) > 0
-        return tells and "relocalization" not in self.settings.without
+        return tells and not {"scan", "relocalization"} & {*self.settings.without}
 
     @property
     def supports_landmark_search(self) -> bool:

@@ -45,8 +45,9 @@ class Observation:
         motion: since the previous frame, None where it is not known at all.
         odometry_tracked: whether images or another sensor measured how the camera moved, not only its turn; true at
             the first frame and for a random walk.
-        scan: points of the depth; empty without depth, and where the image has no contrast and no sensor measured it.
-        corners: odometry's corners whose depth parallax has refined.
+        scan: points of the depth; empty without depth, where the image has no contrast and no sensor measured it, and
+            where scans are left out.
+        corners: odometry's corners whose depth parallax has refined; empty where scans are left out.
         down_camera: direction of gravity in the camera's frame, (3,) unit vector, None if it is not known.
     """
 
@@ -91,7 +92,7 @@ class FrontEnd:
         self._depth, self._odometry = components.depth, components.odometry
         self._camera, self._stage = camera, stage
         self._pool = ThreadPoolExecutor(1, "depth") if config.threads == 2 else None
-        self._config = config
+        self._config, self._has_scans = config, "scan" not in config.without
         self._rng = rng
         self._is_first = True
         self._previous: NDArray[np.uint8] | None = None
@@ -143,6 +144,7 @@ class FrontEnd:
         depth, scan = depth_of(), EMPTY_SCAN
         if depth is not None:
             depth = self._corrected(depth, motion)
+        if depth is not None and self._has_scans:
             scan = self._scan(depth, self._config.scan_points if plan is None else plan.scan_points)
         observation = Observation(
             color=color,
@@ -154,7 +156,7 @@ class FrontEnd:
             motion=motion,
             odometry_tracked=self._is_first or self._odometry is None or tracks_translation(motion),
             scan=EMPTY_SCAN if is_repeated or (is_empty and measured_depth is None) else scan,
-            corners=EMPTY_SCAN if motion is None else self._corners(motion),
+            corners=self._corners(motion) if motion is not None and self._has_scans else EMPTY_SCAN,
             down_camera=down_camera,
         )
         self._is_first = False

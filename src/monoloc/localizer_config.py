@@ -13,11 +13,13 @@ from monoloc.odometry.scale_tilt import ScaleTiltConfig
 from monoloc.particle_filter.motion_model import MotionConfig
 
 Part = Literal[
-    "landmarks", "odometry", "depth-scale", "scale-tilt", "bias", "known-bias", "gravity", "relocalization"
+    "landmarks", "scan", "odometry", "depth-scale", "scale-tilt", "bias", "known-bias", "gravity", "relocalization"
 ]
 """A part of the localizer that can be left out; :func:`monoloc.parts.leave_out` says what each is."""
 
 PARTS: tuple[Part, ...] = get_args(Part)
+ADDITIONS: tuple[Part, ...] = tuple(part for part in PARTS if part != "scan")
+"""Parts that Shukla et al. 2023 do not have."""
 
 
 class LocalizerConfig(BaseModel):

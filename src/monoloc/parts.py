@@ -25,6 +25,7 @@ def leave_out(bundle: Bundle, config: LocalizerConfig) -> tuple[Bundle, Localize
     """The bundle and the settings of a flight, without the parts that the settings leave out.
 
     - ``landmarks``: poses by landmarks.
+    - ``scan``: particles are weighed neither by depth scans nor by odometry's corners. Depth still scales odometry.
     - ``odometry``: visual odometry; particles walk at random. Another sensor's motion still counts.
     - ``depth-scale``: each particle's own scale of depth.
     - ``scale-tilt``: the correction of a depth image's scale and tilt by odometry's corners.
@@ -34,7 +35,7 @@ def leave_out(bundle: Bundle, config: LocalizerConfig) -> tuple[Bundle, Localize
     - ``gravity``: alignment with an observed direction of gravity.
     - ``relocalization``: the search for a lost camera.
 
-    The last two, and the belief's memory, are left out where they are used: a bundle does not hold them.
+    The scan, the last two, and the belief's memory are left out where they are used: a bundle does not hold them.
     """
     without = config.without
     if not without:

@@ -56,5 +56,5 @@ def test_bias_that_is_not_subtracted_is_part_of_the_unknown_one(recording: RoomR
 
 def test_names_are_read_and_an_unknown_one_is_named() -> None:
     assert parse_parts("landmarks, odometry,landmarks") == ("landmarks", "odometry")
-    with pytest.raises(SettingError, match="--without: has 'landmark'; choose from landmarks, odometry"):
+    with pytest.raises(SettingError, match="--without: has 'landmark'; choose from landmarks, scan, odometry"):
         parse_parts("bias,landmark")

@@ -59,15 +59,16 @@ class _Flight:
 def stretches(study: Study) -> dict[str, EvalRecording]:
     """What a room built from the first split is flown on, by name.
 
-    A recording: between its build frames, and beyond them. The rendered room: a second flight in every light.
+    A recording: the frames between those of the build, and those after them. The rendered room: a second flight in
+    every light.
     """
     split = study.splits[0]
     if AS_RECORDED not in split.recordings:
         return {f"{split.name}, {light}": recording for light, recording in split.recordings.items()}
     start, stop, _ = split.frames.split(":")
     return {
-        "between": EvalRecording(split.source, f"{start}:{stop}", None),
-        "beyond": split.recordings[AS_RECORDED],
+        "interpolation": EvalRecording(split.source, f"{start}:{stop}", None),
+        "extrapolation": split.recordings[AS_RECORDED],
     }
 
 

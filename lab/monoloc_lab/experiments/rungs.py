@@ -8,7 +8,7 @@ from typing import Any
 
 from monoloc.builder.build_config import METHODS, BuildConfig
 from monoloc.config import override
-from monoloc.localizer_config import PARTS, Part
+from monoloc.localizer_config import ADDITIONS, Part
 
 _LIKE_DEFAULT = {"steps": 600, "network_rate": 0.0015}  # of tuning with ``all``, so that only the layers differ
 _BY_MAP: dict[str, Any] = {"learns_from": "map", "synthesised_views": 0, "relit_share": 0.0, "pose_weight": 0.0}
@@ -30,8 +30,8 @@ class Rung:
 
 
 def _but(*present: Part) -> tuple[Part, ...]:
-    """All parts but those."""
-    return tuple(part for part in PARTS if part not in present)
+    """All additions but those."""
+    return tuple(part for part in ADDITIONS if part not in present)
 
 
 def _built(**adapt: Any) -> BuildConfig:
@@ -45,14 +45,14 @@ _WITH_VIEWS = _BY_DEPTH | {"synthesised_views": 1200, "relit_share": 0.25}
 _WITH_STEPS = _WITH_VIEWS | {"pose_weight": 1.0}
 
 RUNGS: tuple[Rung, ...] = (
-    Rung("the paper's method", METHODS["paper"], PARTS),
-    Rung("+ scale fitted first", _built(fits_scale=True), PARTS),
-    Rung("+ log-depth, given the ray", _built(**_RAY), PARTS),
-    Rung("+ depth supervision", _built(**_BY_DEPTH), PARTS),
-    Rung("+ views and light", _built(**_WITH_VIEWS), PARTS),
-    Rung("+ pose-step loss", _built(**_WITH_STEPS), PARTS),
-    Rung("+ decoder", _built(**_WITH_STEPS, tune="decoder", **_LIKE_DEFAULT), PARTS),
-    Rung("+ all layers", without=PARTS),
+    Rung("the paper's method", METHODS["paper"], ADDITIONS),
+    Rung("+ scale fitted first", _built(fits_scale=True), ADDITIONS),
+    Rung("+ log-depth, given the ray", _built(**_RAY), ADDITIONS),
+    Rung("+ depth supervision", _built(**_BY_DEPTH), ADDITIONS),
+    Rung("+ views and light", _built(**_WITH_VIEWS), ADDITIONS),
+    Rung("+ pose-step loss", _built(**_WITH_STEPS), ADDITIONS),
+    Rung("+ decoder", _built(**_WITH_STEPS, tune="decoder", **_LIKE_DEFAULT), ADDITIONS),
+    Rung("+ all layers", without=ADDITIONS),
     Rung("+ depth scale", without=_but("depth-scale")),
     Rung("+ odometry", without=_but("depth-scale", "odometry")),
     Rung("+ scale and tilt", without=_but("depth-scale", "odometry", "scale-tilt")),
@@ -70,7 +70,7 @@ _LIKELIHOOD = BuildConfig.model_validate({"adapt": _BY_MAP})
 
 _FLIGHTS: dict[str, tuple[Part, ...]] = {", depth alone": ("landmarks",), "": ()}
 
-_PAPER_UNTUNED = Rung("nothing tuned, in the paper's filter", _built(tune="none", map_transform=False), PARTS)
+_PAPER_UNTUNED = Rung("nothing tuned, in the paper's filter", _built(tune="none", map_transform=False), ADDITIONS)
 
 PAIRS: tuple[tuple[Rung, Rung], ...] = (
     (_PAPER_UNTUNED, RUNGS[0]),
@@ -113,7 +113,7 @@ CLAIMED: tuple[Claimed, ...] = (
 )
 
 LAMBDAS: tuple[Rung, ...] = tuple(
-    Rung(f"the paper's method, lambda {value:g}", _built(lambda_kl=value), PARTS) for value in (1.0, 10.0)
+    Rung(f"the paper's method, lambda {value:g}", _built(lambda_kl=value), ADDITIONS) for value in (1.0, 10.0)
 )
 """The paper's method with other weights of the divergence than that of :data:`RUNGS`, 0.1."""
 

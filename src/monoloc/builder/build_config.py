@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from monoloc.adapt.settings import AdaptConfig
 from monoloc.builder.bias import KnownBiasCheck
 from monoloc.fusion.reference_poses import MOST_POSES
-from monoloc.localizer_config import PARTS, LocalizerConfig
+from monoloc.localizer_config import ADDITIONS, LocalizerConfig
 
 
 class BuildConfig(BaseModel):
@@ -70,7 +70,7 @@ METHODS: dict[Method, BuildConfig] = {
             relit_share=0.0,
             pose_weight=0.0,
         ),
-        localizer=LocalizerConfig(without=PARTS),
+        localizer=LocalizerConfig(without=ADDITIONS),
     ),
 }
 """Settings of monoloc's method, and of that of Shukla et al. 2023."""

@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 
 from monoloc.builder.build_config import METHODS, BuildConfig
-from monoloc.localizer_config import PARTS
+from monoloc.localizer_config import ADDITIONS
 from monoloc_lab.experiments.rungs import LAMBDAS, PAIRS, RUNGS, Rung, all_rungs
 
 
 def test_ladder_leads_from_the_papers_method_to_the_default() -> None:
-    assert RUNGS[0].build == METHODS["paper"] and RUNGS[0].without == PARTS
+    assert RUNGS[0].build == METHODS["paper"] and RUNGS[0].without == ADDITIONS
     assert RUNGS[-1].build == BuildConfig() and RUNGS[-1].without == ()
 
 

@@ -27,7 +27,7 @@ from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray
 from monoloc.likelihood.protocol import LikelihoodConfig
 from monoloc.likelihood.thresholds import LikelihoodThresholds
-from monoloc.localizer_config import PARTS, LocalizerConfig
+from monoloc.localizer_config import ADDITIONS, LocalizerConfig
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress
 from monoloc.supervision.integrity import Classes, IntegrityModel, SensorModel
@@ -182,7 +182,7 @@ def test_papers_method_flies_as_it_was_tuned(recording: RoomRecording, measureme
     assert (likelihood.kind, likelihood.noise_sd_m) == ("volume", adapt.noise_sd_m)
     assert likelihood.outlier_share == adapt.outlier_share
     assert measurements.localized == {} and not bundle.reference_poses.forward_bias.any()
-    assert {*bundle.settings.without} == {*PARTS}
+    assert {*bundle.settings.without} == {*ADDITIONS}
 
 
 @pytest.mark.parametrize("int8", [False, True])
