@@ -7,7 +7,7 @@ NATIVE := CMakeLists.txt $(shell find cpp -type f)
 # Some containers set it. Tests start many processes, each of which would compile every module anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo demo-bundle test test-all checks lint native-test sanitize fuzz release-files docs clean
+.PHONY: demo demo-bundle test test-all prepared quick-tests all-tests lint native-test sanitize fuzz release-files docs clean
 
 demo: $(VENV)/installed
 	$(BIN)/monoloc demo
@@ -21,18 +21,24 @@ demo-bundle: $(VENV)/installed
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses logical --maxprocesses 4 --dist loadfile \
 	--no-loadscope-reorder
 
-test: checks
-	$(PYTEST) -m "not slow" --hypothesis-profile quick
+# Types take one processor for a minute, so they are checked beside the tests.
+test: prepared
+	$(MAKE) --no-print-directory --jobs 3 lint docs quick-tests
 
 # The slow tests too, three times the examples of each property, and the coverage, which takes half as long again.
-test-all: checks
-	$(PYTEST) --cov --cov-report html:build/coverage
-	@echo "coverage of lines and branches: $$($(BIN)/coverage report --format total) %; see build/coverage"
+test-all: prepared
+	$(MAKE) --no-print-directory --jobs 3 lint docs all-tests
 
 # The core's own tests are compiled while pip installs, which takes one processor.
-checks:
+prepared:
 	$(MAKE) --no-print-directory --jobs 2 --output-sync $(VENV)/installed native-test
-	$(MAKE) --no-print-directory --jobs 2 --output-sync lint docs
+
+quick-tests: $(VENV)/installed
+	$(PYTEST) -m "not slow" --hypothesis-profile quick
+
+all-tests: $(VENV)/installed
+	$(PYTEST) --cov --cov-report html:build/coverage
+	@echo "coverage of lines and branches: $$($(BIN)/coverage report --format total) %; see build/coverage"
 
 docs: $(VENV)/installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --site-dir build/site

@@ -21,7 +21,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.array_files import decode_arrays, encode_arrays
-from monoloc.bundle_manifest import COPY_AGAIN, MANIFEST, SCHEMA, Manifest, manifest_content, parse_manifest, seal
+from monoloc.bundle_manifest import (
+    COPY_AGAIN,
+    MANIFEST,
+    NETWORK,
+    SCHEMA,
+    Manifest,
+    container_of,
+    manifest_content,
+    parse_manifest,
+    seal,
+)
 from monoloc.bundle_manifest import CloudSize as CloudSize
 from monoloc.bundle_manifest import Provenance as Provenance
 from monoloc.bundle_signature import SIGNATURE, check_signature
@@ -45,8 +55,8 @@ from monoloc.partial_files import whole_folder
 from monoloc.supervision.integrity import IntegrityModel, SensorModel
 from monoloc.version import __version__
 
-_MAP, _LANDMARKS, _DEPTH, _EDITS = "map.npz", "landmarks.npz", "depth.onnx", "edits.npz"
-_CONTENTS = (_MAP, _LANDMARKS, _DEPTH)
+_MAP, _LANDMARKS, _EDITS = "map.npz", "landmarks.npz", "edits.npz"
+_CONTENTS = (_MAP, _LANDMARKS, NETWORK)
 _TRANSFORM = "transform_"
 _REFERENCES = ("reference_poses", "forward_bias", "backward_bias")  # twists (V, 6), float32
 
@@ -127,8 +137,11 @@ def check_target(path: Path) -> None:
     """Refuse a path where a bundle must not be written, before the work is done.
 
     Raises:
-        BundleError: ``path`` exists and is no bundle or holds more than one, or its parent cannot be written to.
+        BundleError: ``path`` exists and is no bundle or holds more than one, its parent cannot be written to, or it
+            lies in a bundle or a place.
     """
+    if (container := container_of(path)) is not None:
+        raise BundleError(path, f"lies in {container}", "choose another folder")
     if not path.parent.is_dir():
         raise BundleError(path, "its folder does not exist", f"make {path.parent} first")
     if not os.access(path.parent, os.W_OK):
@@ -153,7 +166,7 @@ def write_bundle(path: str | Path, bundle: Bundle) -> int:
     contents = {
         _MAP: _pack_maps(bundle),
         _LANDMARKS: encode_arrays(bundle.landmarks.to_arrays()),
-        _DEPTH: bundle.depth_model.content,
+        NETWORK: bundle.depth_model.content,
     }
     if bundle.edits:
         undo = {str(number): np.frombuffer(edit.undo, np.uint8) for number, edit in enumerate(bundle.edits)}
@@ -202,7 +215,7 @@ def read_bundle(path: str | Path, public_key: str | Path | None = None) -> Bundl
         check_signature(path, content, Path(public_key))
     manifest = parse_manifest(content, path / MANIFEST)
     contents = {name: _read_content(path / name, manifest) for name in _CONTENTS}
-    check_network(contents[_DEPTH], path / _DEPTH, BundleError)
+    check_network(contents[NETWORK], path / NETWORK, BundleError)
     try:
         arrays = decode_arrays(contents[_MAP])
         original, adapted = (GaussianMixture.from_arrays(arrays, name) for name in ("original_", "adapted_"))
@@ -221,7 +234,7 @@ def read_bundle(path: str | Path, public_key: str | Path | None = None) -> Bundl
     return Bundle(
         original=original,
         adapted=adapted,
-        depth_model=DepthModel(contents[_DEPTH], manifest.network_spec, manifest.network),
+        depth_model=DepthModel(contents[NETWORK], manifest.network_spec, manifest.network),
         settings=manifest.settings,
         camera=manifest.camera,
         provenance=manifest.provenance,

@@ -14,7 +14,7 @@ from monoloc.config import describe
 from monoloc.depth.spec import ModelSpec
 from monoloc.edit_record import EditRecord
 from monoloc.errors import BundleError
-from monoloc.files import read_regular
+from monoloc.files import read_regular, target_of
 from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.supervision.integrity import IntegrityModel, SensorModel
@@ -28,6 +28,8 @@ READ_SCHEMAS = (9, 10, 11)
 MANIFEST = "manifest.json"
 PLACE_MANIFEST = "place.json"
 """Of a place, a folder that names bundles, see :mod:`monoloc.place`."""
+NETWORK = "depth.onnx"
+"""The network of a bundle."""
 COPY_AGAIN = "copy the bundle again or rebuild it"
 _GreyLevel = Annotated[float, Field(ge=0.0, le=255.0)]
 
@@ -161,3 +163,13 @@ def _unknown_schema(file: Path, body: object) -> BundleError:
     names = list(frames)
     what = f"the {len(names)} frames {names[0]} to {names[-1]} of {recording}"
     return BundleError(file, problem, f"rebuild it with this version from {what}")
+
+
+def container_of(path: Path) -> str | None:
+    """The bundle or place that a path lies in, in words; each is a folder of its own, which is replaced whole."""
+    for parent in (*path.parents, *target_of(path).parents):
+        if (parent / MANIFEST).is_file() and (parent / NETWORK).is_file():
+            return f"the bundle {parent}"
+        if (parent / PLACE_MANIFEST).is_file():
+            return f"the place {parent}"
+    return None

@@ -259,7 +259,8 @@ LIVE = ("fly", "room.monoloc", "camera:987")
         (("fly", "room.monoloc", "absent"), "", "does not exist", ""),
         (("fly", "room.monoloc", "flight", "--start", "1,2"), "--start", "is '1,2'", "TX,TY,TZ"),
         (("fly", "room.monoloc", "flight", "--settings", "absent.toml"), "absent.toml", "cannot be read", "TOML"),
-        (("fly", "room.monoloc", "flight", "--record", "log"), "log", "is not empty", "new folder"),
+        (("fly", "room.monoloc", "flight", "--record", "log"), "--record", "log is not empty", "new folder"),
+        (("doctor", "room.monoloc", "flight", "--settings", "used.toml"), "--record", "log is not empty", "new"),
         (("fly", "room.monoloc", "flight", "--record", "poses.csv"), "--record", "is a file", "name a folder"),
         (("fly", "room.monoloc", "flight", "--record", "x/y"), "--record", "does not exist", "make the folder"),
         (
@@ -276,7 +277,9 @@ LIVE = ("fly", "room.monoloc", "camera:987")
         ),
         (("fly", "room.monoloc", "flight", "--mcap", "x/y.mcap"), "--mcap", "does not exist", "make the folder"),
         (("fly", "room.monoloc", "flight", "--out", "x/y.csv"), "--out", "does not exist", "make the folder"),
-        (("fly", "room.monoloc", "flight", "--out", "poses.csv", "--record", "log"), "log", "is not empty", "new"),
+        (("fly", "room.monoloc", "flight", "--out", "poses.csv", "--record", "log"), "--record", "not empty", "new"),
+        (("fly", "room.monoloc", "flight", "--out", "poses.txt"), "--out", "is a table by another", "NAME.csv"),
+        (("replay", "log", "--out", "poses.txt"), "--out", "poses.txt is a table by another name", "NAME.csv"),
         (("replay", "absent"), "absent", "is no recorded flight", "monoloc fly --record"),
         (("replay", "flight"), "flight", "is no recorded flight", "monoloc fly --record"),
         (("replay", "log", "--room", "flight"), "flight", "is not a bundle", "monoloc build"),
@@ -286,6 +289,7 @@ LIVE = ("fly", "room.monoloc", "camera:987")
 def test_wrong_arguments_are_refused(
     capfd: Capture, here: Path, arguments: tuple[str, ...], names: str, problem: str, fix: str
 ) -> None:
+    (here / "used.toml").write_text('record = "log"\n')
     refused(capfd, here, arguments, names, problem, fix)
 
 

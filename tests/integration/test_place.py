@@ -234,6 +234,6 @@ def test_commands_refuse_what_they_cannot_do(
     refused(capfd, tmp_path, ("place", "door", "all.place", LEFT, RIGHT), "SOURCE", "must be given", "name a walk")
     refused(capfd, tmp_path, ("place", "door", "all.place", LEFT, LEFT, "door"), "ROOM", "twice", "two rooms")
     wrong = ("place", "localize", "all.place", walk, "--out", "walk.txt")
-    refused(capfd, tmp_path, wrong, "--out", "is not named as a table", "NAME.csv")
+    refused(capfd, tmp_path, wrong, "--out", "is a table by another name", "NAME.csv")
     wrong = ("place", "localize", "all.place", walk, "--truth-room", "cellar")
     refused(capfd, tmp_path, wrong, "--truth-room", "is no room", "name one of")

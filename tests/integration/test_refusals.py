@@ -196,6 +196,8 @@ def with_trajectory(here: Path) -> None:
         # Maps.
         (without_depth, ("map", "fit", "flight", "--out", "m.npz"), "flight", "has no depth", "cloud"),
         (nothing, ("map", "fit", "flight", "--out", "no/m.npz"), "--out", "no does not exist", "make the folder"),
+        (nothing, ("map", "fit", "flight", "--out", "m.txt"), "--out", "m.txt is a map by another name", "NAME.npz"),
+        (nothing, ("calibrate", "board", "--out", "board.png"), "--out", "is a PDF by another name", "NAME.pdf"),
         (
             nothing,
             ("map", "fit", "a.xyz", "--out", "m.npz", "--frames", "::2"),

@@ -233,6 +233,12 @@ def test_bundle_that_holds_other_files_is_refused(written):
     assert contents(written) == before
 
 
+def test_bundle_in_a_bundle_is_refused(written):
+    """The outer one would hold more than a bundle, and be replaced with it."""
+    for inner in (written / "room.monoloc", written / "a" / "room.monoloc"):
+        refuses(lambda path=inner: check_target(path), inner, f"lies in the bundle {written}")
+
+
 def test_manifest_of_another_program_is_refused(tmp_path):
     (tmp_path / "page").mkdir()
     (tmp_path / "page" / "manifest.json").write_text('{"name": "a web page"}')

@@ -55,7 +55,7 @@ def tasks(study: Study) -> Sequence[Task]:
 
 
 def _flights(study: Study) -> Iterator[_Flight]:
-    """Of the first split: by the method as tuned and by nothing tuned, in the usual light, L1 and L3."""
+    """Of the first split: by the method and by the untuned bundle, in the usual light, L1 and L3."""
     split = study.splits[0]
     for build in range(study.builds):
         for size in _sizes(study):
@@ -146,7 +146,7 @@ def _dark(rows: Sequence[Row], method: Claimed, size: str) -> Decided:
         _errors(rows, method, tuned, size, light) for tuned, light in ((True, DARK), (False, DARK), (False, BRIGHT))
     )
     return _decided(
-        "more robust in the dark than nothing tuned",
+        "more robust in the dark than untuned",
         method,
         (f"in {DARK}, tuned over untuned", ratios_of_builds(adapted, dark), DARK_BOUND),
         (f"untuned, {BRIGHT} over {DARK}", ratios_of_builds(bright, dark), 1.0),
@@ -191,7 +191,7 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
     text = (
         f"{study.builds} builds, {FLIGHTS} flights each, {split.name}. Medians over builds of the median over "
         f"flights, with the {100 * CONFIDENCE:.0f} % bootstrap interval over builds. A claim holds where all of its "
-        "conditions hold, and fails where one fails. Each method is compared with nothing tuned in its own filter."
+        "conditions hold, and fails where one fails. Each method is compared with the untuned bundle in its own filter."
     )
     return Drawn(
         numbers={"rows": rows, "decided": [vars(each) for each in decided]},
@@ -201,7 +201,7 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
                 ("claim", "method", "measured", "verdict"),
                 [(each.claim, each.method, "; ".join(each.measured), each.verdict) for each in decided],
             ),
-            "RMSE, cm": (("size", "light", "method", "nothing tuned", "tuned"), errors),
+            "RMSE, cm": (("size", "light", "method", "untuned", "tuned"), errors),
         },
         text=text,
     )
@@ -224,7 +224,7 @@ def _draw(study: Study, rows: Sequence[Row], folder: Path) -> Path:
                     for index, light in enumerate(lights)
                     for value in _errors(rows, method, tuned, size, light).values()
                 ]
-                label = "tuned" if tuned else "nothing tuned"
+                label = "tuned" if tuned else "untuned"
                 axis.plot(*np.transpose(points or [(0.0, np.nan)]), "o", color=colour, markersize=6, label=label)
             axis.set_xticks(range(len(lights)), lights)
             axis.set_yscale("log")

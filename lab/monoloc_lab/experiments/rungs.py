@@ -70,14 +70,14 @@ _LIKELIHOOD = BuildConfig.model_validate({"adapt": _BY_MAP})
 
 _FLIGHTS: dict[str, tuple[Part, ...]] = {", depth alone": ("landmarks",), "": ()}
 
-_PAPER_UNTUNED = Rung("nothing tuned, in the paper's filter", _built(tune="none", map_transform=False), ADDITIONS)
+_PAPER_UNTUNED = Rung("untuned, in the paper's filter", _built(tune="none", map_transform=False), ADDITIONS)
 
 PAIRS: tuple[tuple[Rung, Rung], ...] = (
     (_PAPER_UNTUNED, RUNGS[0]),
     *(
         (Rung(f"{name}{suffix}", build, without), Rung(f"the default{suffix}", without=without))
         for name, build in (
-            ("nothing tuned", _UNTUNED),
+            ("untuned", _UNTUNED),
             ("network tuned, map as it is", _NETWORK),
             ("last layer tuned, losses of the default", _LAST),
             ("all layers tuned, by likelihood alone", _LIKELIHOOD),
@@ -93,7 +93,7 @@ The paper's method beside no tuning; others beside the default, by depth alone a
 
 @dataclass(frozen=True)
 class Claimed:
-    """A method that the paper's claims are decided for, and nothing tuned in the same filter."""
+    """A method that the paper's claims are decided for, and the untuned bundle in the same filter."""
 
     name: str
     tuned: Rung
@@ -107,9 +107,9 @@ CLAIMED: tuple[Claimed, ...] = (
     Claimed(
         "the default, depth alone",
         Rung("the default, depth alone", without=_ALONE),
-        Rung("nothing tuned, depth alone", _UNTUNED, _ALONE),
+        Rung("untuned, depth alone", _UNTUNED, _ALONE),
     ),
-    Claimed("the default", RUNGS[-1], Rung("nothing tuned", _UNTUNED)),
+    Claimed("the default", RUNGS[-1], Rung("untuned", _UNTUNED)),
 )
 
 LAMBDAS: tuple[Rung, ...] = tuple(

@@ -114,7 +114,7 @@ def _sentence(study: Study, split: Split, medians: dict[str, dict[str, Spread]])
     least = min(medians, key=lambda name: medians[name][size].median)
     return (
         f"{split.name.capitalize()}, {size}: the median error is {medians['unadapted'][size].centimetres()} with "
-        f"nothing tuned, {medians['last+map'][size].centimetres()} with the last layer and the map (the paper's "
+        f"the untuned bundle, {medians['last+map'][size].centimetres()} with the last layer and the map (the paper's "
         f"variant), and {medians['joint'][size].centimetres()} with network and map (monoloc's default). It is "
         f"smallest with {_NAMES[least][0]}."
     )

@@ -22,6 +22,7 @@ from tf2_ros import Buffer, TransformException, TransformListener
 from monoloc import Camera, Start
 from monoloc.errors import MonolocError, SettingError
 from monoloc.flight.flight_file import FlightFile, read_flight_file
+from monoloc.flight.flight_settings import down_of_map
 from monoloc.geometry import FloatArray
 from monoloc.io.rosbag_messages import camera_of, color_of
 from monoloc.obstacles import tells_obstacles
@@ -164,7 +165,7 @@ class MonolocNode(Node):
 
     def _frames_of(self, camera_frame: str) -> RosFrames:
         names = FrameNames(map=self._map, odom=self._odom, base=self._base, camera=camera_frame)
-        down = self._flown.down if self._settings.down is None else np.array(self._settings.down)
+        down = down_of_map(self._flown, self._settings)
         if self._has_mount:
             return RosFrames(self._settings.mount.T_body_camera, down, names)
         return RosFrames.of_base(self._transform(self._base, camera_frame, Time()), down, names)

@@ -14,6 +14,8 @@ from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import Progress
 
 _COMPONENT_LADDER = (50, 100, 200, 400, 800)
+_LEAST_KEPT = 0.5  # of a cloud's points; if fewer have neighbours, it is sparse, and neighbours are farther away
+_LEAST_EDGE_M, _MOST_EDGE_M, _WIDER = 0.03, 0.3, 1.5
 
 
 def fit_map(
@@ -52,8 +54,17 @@ def room_cloud(
                 recording, config.voxel_m, config.max_depth_m, progress=lambda done, _: step(done)
             )
     count = len(cloud)
-    cloud = remove_outliers(voxel_thin(cloud, config.voxel_m), config.voxel_m)
+    cloud = _without_outliers(voxel_thin(cloud, config.voxel_m), config.voxel_m)
     if len(cloud) == 0:
         problem = f"none of {count} points has neighbours within a few voxels"
         raise DataError("cloud", problem, "give a denser one, in metres")
+    return cloud
+
+
+def _without_outliers(thinned: FloatArray, voxel_m: float) -> FloatArray:
+    """A thinned cloud (N, 3) without points that have few neighbours, which in a sparse cloud may be farther away."""
+    cloud, edge_m = remove_outliers(thinned, voxel_m), max(voxel_m, _LEAST_EDGE_M)
+    while len(cloud) < _LEAST_KEPT * len(thinned) and edge_m < _MOST_EDGE_M:
+        edge_m *= _WIDER
+        cloud = remove_outliers(thinned, edge_m)
     return cloud

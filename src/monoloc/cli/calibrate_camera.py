@@ -16,7 +16,16 @@ from monoloc.calibration.board_pdf import Paper, write_board
 from monoloc.calibration.board_source import read_views
 from monoloc.calibration.intrinsics_solver import Calibration, calibrate_camera
 from monoloc.calibration.sufficiency import assess, coverage_of, require_views
-from monoloc.cli.common import JsonOption, check_outputs, check_picture, naming, print_json, print_table, stderr
+from monoloc.cli.common import (
+    JsonOption,
+    check_outputs,
+    check_picture,
+    check_suffix,
+    naming,
+    print_json,
+    print_table,
+    stderr,
+)
 from monoloc.distortion import COEFFICIENTS, DistortionModel
 from monoloc.errors import SettingError
 from monoloc.io.camera_file import write_camera
@@ -43,6 +52,7 @@ def board_command(
       monoloc calibrate board --out board.pdf --paper letter --square-mm 25
     """
     check_outputs({"--out": out})
+    check_suffix(out, "--out", ".pdf", "a PDF")
     with naming({"square_mm": "--square-mm"}):
         board = Board(square_mm)
         write_board(out, board, paper)

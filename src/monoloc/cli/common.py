@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from monoloc.bundle_manifest import MANIFEST, PLACE_MANIFEST
+from monoloc.bundle_manifest import container_of
 from monoloc.camera import Camera
 from monoloc.errors import SettingError
 from monoloc.extras import require_plotting, require_viewing
@@ -230,7 +230,7 @@ def check_outputs(outputs: Mapping[str, Path | None], inputs: Sequence[str | Pat
 
 
 def check_apart(path: Path, option: str, inputs: Sequence[str | Path | None]) -> None:
-    """Reject an output that is an input, or that is inside an input bundle or place.
+    """Reject an output that is an input, or that is inside a bundle or a place.
 
     Args:
         path: the output.
@@ -246,15 +246,22 @@ def check_apart(path: Path, option: str, inputs: Sequence[str | Path | None]) ->
         source = Path(os.path.realpath(os.path.expanduser(text)))  # noqa: PTH111 - pathlib raises for odd paths
         if text and source == target:
             raise SettingError(option, f"{path} is read by this command", "name another place")
-        if text and source in target.parents:
-            _check_outside(path, option, text, source)
+    _check_outside(path, option)
 
 
-def _check_outside(path: Path, option: str, text: str, source: Path) -> None:
-    """Reject an output in a bundle or a place, each a folder of its own."""
-    for kind, manifest in (("bundle", MANIFEST), ("place", PLACE_MANIFEST)):
-        if (source / manifest).is_file():
-            raise SettingError(option, f"{path} lies in the {kind} {text}", "name another place")
+def _check_outside(path: Path, option: str) -> None:
+    if (container := container_of(path)) is not None:
+        raise SettingError(option, f"{path} lies in {container}", "name another place")
+
+
+def check_suffix(path: Path | None, option: str, suffix: str, kind: str) -> None:
+    """Reject an output that is not named as what it is, such as ``a PNG``.
+
+    Raises:
+        SettingError: the path has another suffix; the error names the option.
+    """
+    if path is not None and path.suffix.lower() != suffix:
+        raise SettingError(option, f"{path} is {kind} by another name", f"name it NAME{suffix}")
 
 
 def check_picture(path: Path | None, option: str) -> None:
@@ -264,11 +271,9 @@ def check_picture(path: Path | None, option: str) -> None:
         SettingError: the path does not end in .png; the error names the option.
         MissingExtraError: matplotlib is not installed.
     """
-    if path is None:
-        return
-    if path.suffix.lower() != ".png":
-        raise SettingError(option, f"{path} is a PNG by another name", "name it NAME.png")
-    require_plotting()
+    check_suffix(path, option, ".png", "a PNG")
+    if path is not None:
+        require_plotting()
 
 
 def check_folder(path: Path, option: str) -> None:
@@ -277,6 +282,7 @@ def check_folder(path: Path, option: str) -> None:
     Raises:
         SettingError: the folder is rejected; the error names the option.
     """
+    _check_outside(path, option)
     if not path.exists():
         _check_parent(path, option)
     elif not path.is_dir():
@@ -292,8 +298,7 @@ def check_viewing(view: bool, record: Path | None = None) -> None:
         MissingExtraError: Rerun is not installed.
         SettingError: no window can be opened, or the recording is not named as one.
     """
-    if record is not None and record.suffix.lower() != ".rrd":
-        raise SettingError("--record", f"{record} is a recording of Rerun by another name", "name it NAME.rrd")
+    check_suffix(record, "--record", ".rrd", "a recording of Rerun")
     if view or record is not None:
         require_viewing()
     if view:

@@ -25,6 +25,7 @@ from monoloc.cli.flight_options import (
     open_frames,
     starting_of,
 )
+from monoloc.cli.flight_outputs import check_flight_outputs
 from monoloc.cli.start_option import UNKNOWN
 from monoloc.errors import SettingError
 from monoloc.files import json_text, write_whole
@@ -69,7 +70,9 @@ def doctor(
       monoloc doctor room.monoloc camera:0 --camera cam.toml --mavlink serial:/dev/ttyAMA0:921600 --firmware px4
     """
     room, flight = flight_of(room, settings, source=source, camera=intrinsics, mavlink=mavlink, firmware=firmware)
-    check_outputs({"--report": report}, (room, flight.source, settings, flight.require_signature))
+    inputs = room, flight.source, settings, flight.require_signature
+    check_outputs({"--report": report}, inputs)
+    check_flight_outputs(flight, inputs)
     check_autopilot(flight, align=False, fast=False)
     flown, flight_settings = map_of(room, flight), flight.settings
     if not (flown.is_searched or flight.marker or flight.start != UNKNOWN):

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import get_args
 
 from monoloc.camera import Camera
-from monoloc.cli.common import check_viewing, print_json
+from monoloc.cli.common import check_apart, check_folder, check_outputs, check_suffix, check_viewing, print_json
 from monoloc.errors import SettingError
 from monoloc.extras import require_mcap, require_viewing
 from monoloc.flight.flight_file import FlightFile
@@ -36,12 +36,27 @@ def check_view(view: bool, port: int | None) -> None:
         require_viewing()
 
 
-def check_mcap(path: Path | None) -> None:
-    """Reject a path that is not named as MCAP, or that cannot be written for want of a library."""
-    if path is not None and path.suffix.lower() != ".mcap":
-        raise SettingError("--mcap", f"{path} is MCAP by another name", "name it NAME.mcap")
-    if path is not None:
+def check_flight_outputs(flight: FlightFile, inputs: Sequence[str | Path | None]) -> None:
+    """Check that what a flight is to write can be written, before anything is opened.
+
+    Args:
+        flight: names the outputs.
+        inputs: see :func:`~monoloc.cli.common.check_apart`.
+
+    Raises:
+        SettingError: an output is rejected; the error names the option.
+        MissingExtraError: the library that writes MCAP is not installed.
+    """
+    check_outputs({"--out": flight.out, "--mcap": flight.mcap}, inputs)
+    check_suffix(flight.out, "--out", ".csv", "a table")
+    check_suffix(flight.mcap, "--mcap", ".mcap", "MCAP")
+    if flight.mcap is not None:
         require_mcap()
+    if flight.record is not None:
+        check_folder(flight.record, "--record")
+        check_apart(flight.record, "--record", inputs)
+        if flight.record.exists() and any(flight.record.iterdir()):
+            raise SettingError("--record", f"{flight.record} is not empty", "name a new folder for this flight")
 
 
 def logs(

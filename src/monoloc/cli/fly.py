@@ -19,9 +19,6 @@ from monoloc.cli.common import (
     JsonOption,
     SeedOption,
     ThreadsOption,
-    check_apart,
-    check_folder,
-    check_outputs,
     stderr,
 )
 from monoloc.cli.flight_options import (
@@ -35,7 +32,7 @@ from monoloc.cli.flight_options import (
     open_frames,
     starting_of,
 )
-from monoloc.cli.flight_outputs import check_mcap, check_view, header_of, logs, report
+from monoloc.cli.flight_outputs import check_flight_outputs, check_view, header_of, logs, report
 from monoloc.cli.signature import RequireSignatureOption
 from monoloc.cli.start_option import METAVAR
 from monoloc.cli.stop_signals import stopped_by_signals
@@ -146,13 +143,7 @@ def fly(
         mcap=mcap,
         record=record,
     )
-    check_outputs(
-        {"--out": flight.out, "--mcap": flight.mcap}, (room, flight.source, settings, flight.require_signature)
-    )
-    check_mcap(flight.mcap)
-    if flight.record is not None:
-        check_folder(flight.record, "--record")
-        check_apart(flight.record, "--record", (room, flight.source))
+    check_flight_outputs(flight, (room, flight.source, settings, flight.require_signature))
     check_view(view, view_port)
     check_autopilot(flight, align, fast)
     flown = map_of(room, flight)

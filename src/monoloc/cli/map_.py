@@ -20,6 +20,7 @@ from monoloc.cli.common import (
     ViewOption,
     check_outputs,
     check_picture,
+    check_suffix,
     check_viewing,
     naming,
     open_cloud,
@@ -71,6 +72,7 @@ def fit(
       monoloc map fit room.ply -k bic --out room.npz
     """
     check_outputs({"--out": out}, (source,))
+    check_suffix(out, "--out", ".npz", "a map")
     is_cloud = Path(source).suffix.lower() in CLOUD_SUFFIXES
     if is_cloud:
         refuse_frames(frames, "a cloud")

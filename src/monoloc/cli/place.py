@@ -18,6 +18,7 @@ from monoloc.cli.common import (
     SeedOption,
     SourceArgument,
     check_outputs,
+    check_suffix,
     open_source,
     print_json,
     print_table,
@@ -166,8 +167,7 @@ def localize_in(
       monoloc place localize house.place tum:walk --truth-room kitchen --json
     """
     check_outputs({"--out": out}, (place, source, require_signature))
-    if out is not None and out.suffix.lower() != ".csv":
-        raise SettingError("--out", f"{out} is not named as a table", "name it NAME.csv")
+    check_suffix(out, "--out", ".csv", "a table")
     read = read_place(place, require_signature)
     recording = open_source(source, frames, intrinsics, depth_scale, fix_poses=fix_poses)
     if truth_room is not None:

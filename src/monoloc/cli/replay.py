@@ -11,7 +11,7 @@ from typing import Annotated
 import cv2
 import typer
 
-from monoloc.cli.common import BudgetOption, JsonOption, check_outputs, naming, print_json, stderr
+from monoloc.cli.common import BudgetOption, JsonOption, check_outputs, check_suffix, naming, print_json, stderr
 from monoloc.errors import DataError
 from monoloc.files import write_whole
 from monoloc.flight.autopilot import senders
@@ -48,6 +48,7 @@ def replay(
       monoloc replay flight-1 --room copies/room.monoloc --out poses.csv
     """
     check_outputs({"--out": out}, (folder, room, *folder.glob("*")))
+    check_suffix(out, "--out", ".csv", "a table")
     header = read_header(folder)
     path = Path(header.bundle) if room is None else room
     if digest_of_map(path) != header.digest:

@@ -12,7 +12,7 @@ from monoloc.bundle import Bundle
 from monoloc.errors import SettingError
 from monoloc.flight.flight_loop import FlightOutput
 from monoloc.flight.flight_recording import MESSAGES
-from monoloc.flight.flight_settings import FlightSettings, LevelMap
+from monoloc.flight.flight_settings import FlightSettings, LevelMap, down_of_map
 from monoloc.flight.message_log import BackgroundMessageLog, MessageLog
 from monoloc.flight.pose_sender import MessageSink, PoseSender
 from monoloc.geometry import FloatArray
@@ -27,9 +27,9 @@ def down_world(map_: LevelMap, settings: FlightSettings) -> FloatArray:
     """Direction of gravity in the map, (3,).
 
     Raises:
-        SettingError: neither the map nor the settings tell it.
+        SettingError: neither the map nor the settings tell it, or they contradict each other.
     """
-    down = map_.down if settings.down is None else np.array(settings.down)
+    down = down_of_map(map_, settings)
     if down is None:
         fix = "write down = [x, y, z], its direction in the map, into flight.toml, and name that file by --settings"
         problem = "is missing, and floor and walls of this map do not tell gravity"
@@ -38,8 +38,8 @@ def down_world(map_: LevelMap, settings: FlightSettings) -> FloatArray:
 
 
 def tells_gravity(map_: LevelMap, settings: FlightSettings) -> bool:
-    """Whether the map or the settings give the direction of gravity, so that :func:`down_world` does not raise."""
-    return map_.down is not None or settings.down is not None
+    """Whether the map or the settings give the direction of gravity; raises where they contradict each other."""
+    return down_of_map(map_, settings) is not None
 
 
 def frames_of(map_: LevelMap, settings: FlightSettings) -> AutopilotFrames:

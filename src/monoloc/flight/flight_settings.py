@@ -7,9 +7,11 @@ from typing import Literal, Protocol
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from monoloc.errors import SettingError
 from monoloc.geometry import FloatArray, make_pose, so3_exp
 
 _LEAST_LENGTH = 1e-6  # of a direction
+_MOST_APART_DEG = 15.0  # of two directions of gravity; floor and walls tell it to a few degrees
 _R_BODY_FORWARD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Axes of a camera that looks forward and stands upright, in the body's axes: forward, right, down."""
 
@@ -79,3 +81,21 @@ class FlightSettings(BaseModel):
         if down is not None and np.linalg.norm(down) < _LEAST_LENGTH:
             raise ValueError("it has no direction")
         return down
+
+
+def down_of_map(map_: LevelMap, settings: FlightSettings) -> FloatArray | None:
+    """Direction of gravity in the map, (3,), by the settings or else by the map; None where neither tells it.
+
+    Raises:
+        SettingError: the two contradict each other.
+    """
+    if settings.down is None:
+        return map_.down
+    down: FloatArray = np.array(settings.down) / np.linalg.norm(settings.down)
+    if map_.down is not None:
+        apart_deg = float(np.rad2deg(np.arccos(np.clip(down @ map_.down, -1.0, 1.0))))
+        if apart_deg > _MOST_APART_DEG:
+            known = ", ".join(f"{value:.2f}" for value in map_.down)
+            problem = f"is {apart_deg:.0f}° from the direction that the map's floor and walls tell, [{known}]"
+            raise SettingError("down", problem, "leave it out of flight.toml, or correct it")
+    return down

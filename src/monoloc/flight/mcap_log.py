@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from monoloc.camera import Camera
 from monoloc.flight.flight_loop import FlightStep
-from monoloc.flight.flight_settings import FlightSettings, LevelMap
+from monoloc.flight.flight_settings import FlightSettings, LevelMap, down_of_map
 from monoloc.flight.writer_thread import WriterThread
 from monoloc.ros.mcap_file import McapFile, StepRecorder
 from monoloc.ros.ros_frames import RosFrames
@@ -24,10 +24,9 @@ def ros_frames_of(map_: LevelMap, settings: FlightSettings) -> RosFrames:
     """How the camera sits on the vehicle and how the room, or the first room of a place, lies in ROS's map.
 
     Raises:
-        SettingError: the direction of gravity is along the room's x axis.
+        SettingError: the direction of gravity is along the room's x axis, or settings and map contradict each other.
     """
-    down = map_.down if settings.down is None else np.array(settings.down)
-    return RosFrames(settings.mount.T_body_camera, down)
+    return RosFrames(settings.mount.T_body_camera, down_of_map(map_, settings))
 
 
 def step_recorder(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -24,7 +25,7 @@ SEEN_M = 4.0
 """Distance up to which a build's cameras are taken to see."""
 
 _COVERED = 0.25  # share of a covered surface's mass from which a voxel is occupied
-_MOST_VOXELS, _COARSER = 1 << 25, 1.1
+_MOST_VOXELS, _COARSER, _MOST_VOXEL_M = 1 << 25, 1.1, 2.0
 _MOST_VIEWS, _VIEW_PX = 200, (32, 24)  # of the cameras that built the map
 _STEP = 0.5  # of a voxel, in which patches are covered and rays followed
 
@@ -111,6 +112,12 @@ def fitting_voxel_m(mixture: GaussianMixture, voxel_m: float, also: FloatArray |
     return voxel_m
 
 
+def _rounded_up(value: float) -> float:
+    """To two digits."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return math.ceil(value / unit) * unit
+
+
 def surface_voxels(mixture: GaussianMixture, voxel_m: float, also: FloatArray | None = None) -> VoxelGrid:
     """Voxels that hold surface; the others are unknown.
 
@@ -123,17 +130,18 @@ def surface_voxels(mixture: GaussianMixture, voxel_m: float, also: FloatArray | 
         also: points (N, 3) that the grid must reach, such as the cameras'; they occupy nothing.
 
     Raises:
-        SettingError: the size is no positive number, or so small that the grid would not fit into memory.
+        SettingError: the size is not positive, larger than 2 m, or so small that the grid would not fit into memory.
     """
-    if not 0.0 < voxel_m < np.inf:
-        raise SettingError("voxel_m", f"is {voxel_m}", "give a positive size in metres")
+    if not 0.0 < voxel_m <= _MOST_VOXEL_M:
+        raise SettingError("voxel_m", f"is {voxel_m}", f"give a size in metres, up to {_MOST_VOXEL_M:g}")
     axes, half_m = patches(mixture)
     low, high = (np.floor(each / voxel_m) for each in _extent(mixture, also))
     shape = high - low + 1.0
     if np.prod(shape) > _MOST_VOXELS:
         least_m = voxel_m * float(np.prod(shape) / _MOST_VOXELS) ** (1.0 / 3.0)
         size = " x ".join(f"{edge:.1f}" for edge in shape * voxel_m)
-        raise SettingError("voxel_m", f"is {voxel_m:g} for a map of {size} m", f"give {least_m:.2g} or more")
+        fix = f"give {_rounded_up(least_m):g} or more"
+        raise SettingError("voxel_m", f"is {voxel_m:g} for a map of {size} m", fix)
     first = low.astype(np.int64)
     mass = np.zeros(shape.astype(np.int64))
     for weight, mean, basis, half in zip(mixture.weights, mixture.means, axes, half_m, strict=True):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from monoloc.array_files import decode_arrays, encode_arrays
 from monoloc.bundle import Bundle, digest_of, read_bundle
-from monoloc.bundle_manifest import PLACE_MANIFEST, manifest_content
+from monoloc.bundle_manifest import PLACE_MANIFEST, container_of, manifest_content
 from monoloc.bundle_signature import SIGNATURE, check_signature
 from monoloc.errors import BundleError, DataError, SettingError
 from monoloc.files import read_regular, target_of
@@ -150,6 +150,8 @@ def check_place_target(path: Path) -> None:
     """
     if path.suffix != SUFFIX:
         raise DataError(path, "is not named as a place", f"name it NAME{SUFFIX}")
+    if (container := container_of(path)) is not None:
+        raise DataError(path, f"lies in {container}", "choose another folder")
     if not path.resolve().parent.is_dir():
         raise DataError(path, "its folder does not exist", f"make {path.parent} first")
     if path.exists() and not path.is_dir():

@@ -177,5 +177,5 @@ def test_robust_in_the_dark_is_an_effect_of_light_and_a_half(untuned_dark_cm: fl
         )
     ]
     found = {each.claim: each.verdict for each in decide(rows, SPLIT, SIZES) if each.method == CLAIMED[-1].name}
-    assert found["more robust in the dark than nothing tuned"] == verdict
+    assert found["more robust in the dark than untuned"] == verdict
     assert found["a small change of the map is enough"] == "holds"

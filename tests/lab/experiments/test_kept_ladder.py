@@ -83,8 +83,8 @@ def ratios(method: str, other: str) -> list[float]:
     return [each.median for each in found if each is not None]
 
 
-TUNED, UNTUNED = each_row("the default"), each_row("nothing tuned")
-BY_DEPTH = ratios("the default, depth alone", "nothing tuned, depth alone")
+TUNED, UNTUNED = each_row("the default"), each_row("untuned")
+BY_DEPTH = ratios("the default, depth alone", "untuned, depth alone")
 DESK_BEYOND = medians_of_builds(of_room("Office desk"), "rmse_cm", split="extrapolation", rung="the default")
 DESK_FLIGHTS = [row for row in of_room("Office desk") if (row["split"], row["rung"]) == (SPLITS[1], RUNGS[-1].name)]
 WITHOUT_SEARCH = medians_of_builds(of_room("Office desk"), "rmse_cm", split="extrapolation", rung="+ landmarks")
@@ -196,7 +196,7 @@ def test_table_of_the_rendered_room() -> None:
         ("to {:.0f}, {:.0f} and {:.0f} cm; all layers", "+ decoder"),
         ("all layers leave {:.0f}, {:.0f} and {:.0f} cm", "+ all layers"),
         ("odometry, to {:.0f}, {:.0f} and {:.0f} cm", "+ odometry"),
-        ("{:.1f}, {:.1f} and {:.1f} cm with nothing tuned", "nothing tuned"),
+        ("{:.1f}, {:.1f} and {:.1f} cm untuned", "untuned"),
         ("{:.1f}, {:.1f} and {:.1f} cm with the default", "the default"),
         ("With the map as it is, they are {:.1f}, {:.1f} and {:.1f} cm", "network tuned, map as it is"),
         ("with the last layer alone, {:.1f}, {:.1f} and {:.1f} cm", "last layer tuned, losses of the default"),

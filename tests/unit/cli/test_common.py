@@ -109,10 +109,10 @@ def test_choice_of_frames_is_refused_where_there_are_none() -> None:
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working folder with a bundle's manifest, a cloud, a link to it, a video, an empty folder and a pipe."""
+    """A working folder with two files of a bundle, a cloud, a link to it, a video, an empty folder and a pipe."""
     (tmp_path / "room.monoloc").mkdir()
     (tmp_path / "run").mkdir()
-    for name in ("room.monoloc/manifest.json", "room.xyz", "flight.mp4"):
+    for name in ("room.monoloc/manifest.json", "room.monoloc/depth.onnx", "room.xyz", "flight.mp4"):
         (tmp_path / name).write_text("content")
     (tmp_path / "link.txt").symlink_to("room.xyz")
     os.mkfifo(tmp_path / "pipe")
@@ -130,7 +130,8 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("link.txt", ("room.xyz",), "link.txt is read"),
         ("room.monoloc", (None, "room.monoloc"), "room.monoloc is read"),
         ("room.monoloc/map.png", ("room.monoloc",), "lies in the bundle room.monoloc"),
-        ("run/../room.monoloc/manifest.json", ("room.monoloc",), "lies in the bundle room.monoloc"),
+        ("run/../room.monoloc/manifest.json", (), "lies in the bundle run/../room.monoloc"),
+        ("room.monoloc/sub/map.png", (), "lies in the bundle room.monoloc"),
     ],
 )
 def test_output_in_the_place_of_an_input_is_refused(

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from monoloc.config import load_settings
-from monoloc.flight.flight_settings import FlightSettings, Mount
-from monoloc.geometry import is_rigid
-from refusals import refuses_data
+from monoloc.flight.flight_settings import FlightSettings, Mount, down_of_map
+from monoloc.geometry import FloatArray, is_rigid
+from refusals import refuses_data, refuses_setting
 
 FORWARD, BACK = (1, 0, 0), (-1, 0, 0)
 RIGHT, LEFT = (0, 1, 0), (0, -1, 0)
@@ -64,3 +65,25 @@ def test_settings_are_read_from_a_file_and_wrong_ones_are_named(tmp_path: Path) 
     ):
         path.write_text(line + "\n")
         refuses_data(lambda: load_settings(path, FlightSettings), path, problem, "mend")
+
+
+@dataclass(frozen=True)
+class Level:
+    """A map."""
+
+    down: FloatArray | None
+
+
+def test_gravity_is_that_of_the_settings_unless_the_map_contradicts_it() -> None:
+    level, tilted = Level(np.array([0.0, 1.0, 0.0])), (0.0, 2.0, 0.4)
+    assert down_of_map(level, FlightSettings()) is level.down
+    given = down_of_map(level, FlightSettings(down=tilted))
+    assert given is not None and np.allclose(given, np.divide(tilted, np.linalg.norm(tilted)))
+    assert down_of_map(Level(None), FlightSettings()) is None
+    assert down_of_map(Level(None), FlightSettings(down=(0.0, -1.0, 0.0))) is not None
+    refuses_setting(
+        lambda: down_of_map(level, FlightSettings(down=(0.0, -1.0, 0.0))),
+        "down",
+        r"is 180° from the direction that the map's floor and walls tell, \[0.00, 1.00, 0.00\]",
+        "leave it out of flight.toml, or correct it",
+    )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from monoloc.errors import SettingError
 from monoloc.map.mixture import GaussianMixture
 from monoloc.map.occupancy import FREE, OCCUPIED, UNKNOWN, VoxelGrid, surface_voxels
 from refusals import refuses_setting
@@ -54,9 +55,21 @@ def test_what_is_before_no_surface_stays_unknown() -> None:
     assert seen.at(points).tolist() == [FREE, OCCUPIED, UNKNOWN]
 
 
+def test_the_size_that_a_refusal_names_is_taken() -> None:
+    mixture = room_mixture(ROOM, 120)
+    with pytest.raises(SettingError) as raised:
+        surface_voxels(mixture, 1e-3)
+    surface_voxels(mixture, float(raised.value.fix.split()[1]))
+
+
 @pytest.mark.parametrize(
     ("voxel_m", "problem", "fix"),
-    [(0.0, "is 0.0", "positive"), (float("nan"), "is nan", "positive"), (1e-3, r"is 0.001 for a map of", "or more")],
+    [
+        (0.0, "is 0.0", "give a size in metres, up to 2"),
+        (float("nan"), "is nan", "give a size in metres"),
+        (2.1, "is 2.1", "up to 2"),
+        (1e-3, r"is 0.001 for a map of", "or more"),
+    ],
 )
 def test_voxels_that_no_memory_holds_are_refused(voxel_m: float, problem: str, fix: str) -> None:
     refuses_setting(lambda: surface_voxels(room_mixture(ROOM, 120), voxel_m), "voxel_m", problem, fix)

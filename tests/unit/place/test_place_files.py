@@ -127,6 +127,9 @@ def test_targets_that_would_lose_something_are_refused(here: Path) -> None:
     refuses_data(lambda: check_place_target(here / "house"), here / "house", "is not named", "NAME.place")
     nowhere = here / "no" / "x.place"
     refuses_data(lambda: check_place_target(nowhere), nowhere, "does not exist", "make .*no first")
+    write_place(a_place(here))
+    inner = here / "house.place" / "x.place"
+    refuses_data(lambda: check_place_target(inner), inner, "lies in the place", "another folder")
     (here / "file.place").write_text("")
     refuses_data(lambda: check_place_target(here / "file.place"), here / "file.place", "is a file", "another name")
     (here / "full.place").mkdir()
