@@ -109,13 +109,13 @@ def with_trajectory(here: Path) -> None:
             ("localize", "room.monoloc", "flight", "--without", "bias,landmark"),
             "--without",
             "has 'landmark'",
-            "choose from landmarks, odometry",
+            "choose from landmarks, scan, odometry",
         ),
         (
             nothing,
             ("localize", "room.monoloc", "flight", "--without", "relocalization"),
             "--start",
-            "is unknown, and neither scans nor landmarks",
+            "is unknown, and the search for the camera is left out",
             "write",
         ),
         (

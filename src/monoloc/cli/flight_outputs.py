@@ -114,7 +114,7 @@ def report(
     say(f"{summary.frames} frames: {states}{how}")
     if summary.rooms is not None:
         rooms = ", ".join(f"{count} in {room}" for room, count in summary.rooms.items())
-        say(f"rooms: {rooms or 'none found'}; entered {len(summary.switches)} times")
+        say(f"rooms: {rooms or 'none found'}; entries: {len(summary.switches)}")
     dropped = ", ".join(f"{count} {reason}" for reason, count in summary.dropped.items() if count)
     say(f"dropped: {dropped or 'none'}; reconnections of the camera: {source.reconnections}")
     if set(summary.levels) - {Level.FULL}:

@@ -104,7 +104,10 @@ class _Target:
             content |= {**last.record.model_dump(mode="json"), "undo_bytes": len(last.undo)}
             _warn_of_unconfirmed(last.record)
         else:
-            content |= {"kind": "undo", "undone": bundle.edits[-1].record.model_dump(mode="json")}
+            undone_edit = bundle.edits[-1].record
+            content |= {"kind": "undo", "undone": undone_edit.model_dump(mode="json")}
+            if undone_edit.kind == "update":
+                stderr.print("note: what its flights showed is used up; two new flights can propose it again")
         if json:
             print_json(content)
         else:

@@ -33,6 +33,7 @@ from monoloc.files import target_of
 from monoloc.io.recording import Recording
 from monoloc.map.surface import surface_points
 from monoloc.map_export import T_map_world
+from monoloc.printable import printable
 from monoloc.progress import ConsoleProgress
 from monoloc.start import START_ERROR_DEG, START_ERROR_M
 from monoloc.updating.apply_update import applied
@@ -223,5 +224,10 @@ def _print(
         ]
         for number, each in enumerate(proposed, start=1)
     ]
-    title = f"{target}: {len(proposed)} proposals from {len(evidence.flights)} flights"
+    if not proposed:
+        typer.echo(
+            f"{printable(str(target))}: no change is proposed; flights counted so far: {len(evidence.flights)}"
+        )
+        return
+    title = f"{target}: proposals, from so many flights: {len(evidence.flights)}"
     print_table(title, ["", "what", "number", "from (m)", "to (m)", "views", "flights", "odds"], rows)

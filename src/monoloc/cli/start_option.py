@@ -58,6 +58,8 @@ def start_of(
         return Start(parse_pose(text), *errors)
     if not room.supports_relocalization:
         problem = "is unknown, and neither scans nor landmarks can find the camera in this room"
+        if "relocalization" in room.settings.without:
+            problem = "is unknown, and the search for the camera is left out"
         fix = f"write {METAVAR}" + ("" if first_pose is None else f", or {TRUTH} for the recording's first pose")
         raise SettingError("--start", problem, fix)
     return None

@@ -63,7 +63,7 @@ FORMATS: dict[str, Format] = {
 }
 
 _SOURCE = re.compile(r"([A-Za-z0-9_-]{2,}):(.+)")  # at least two letters, because C:\ is a drive
-_BUNDLE_FILE = "manifest.json"  # in the folder of every bundle
+_BUNDLE_FILE, _PLACE_FILE = "manifest.json", "place.json"  # in the folder of every bundle, and of every place
 _IMAGES = {".jpg", ".jpeg", ".png"}
 _FRAMES = re.compile(r"(\d*):(\d*)(?::(\d*))?")
 
@@ -95,6 +95,8 @@ def _unrecognised(path: Path) -> DataError:
         return DataError(path, "is an archive", "unpack it, and give the folder")
     if (path / _BUNDLE_FILE).is_file():
         return DataError(path, "is a bundle, not a recording", "give the images or the video of a flight")
+    if (path / _PLACE_FILE).is_file():
+        return DataError(path, "is a place, not a recording", "give the images or the video of a flight")
     suffixes = [file.suffix.lower() for file in path.iterdir()] if path.is_dir() else [""]
     if not suffixes:
         return DataError(path, "is an empty folder", "give the folder that holds the recording")

@@ -185,7 +185,7 @@ class GaussianMixture:
         Raises:
             DataError: the file is missing, truncated, or not a mixture.
         """
-        fix = "give a map written by `monoloc map fit`, or fit it again"
+        fix = "give a bundle or a map written by `monoloc map fit`"
         try:
             return cls.from_arrays(read_arrays(Path(path)))
         except FileNotFoundError:

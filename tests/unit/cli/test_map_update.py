@@ -60,6 +60,8 @@ def test_proposals_are_listed_drawn_and_applied_by_number(
     assert len(mapped().landmarks) - len(edited.landmarks) == listed["proposals"][0]["count"]
     assert edited.edits[-1].record.parameters["newest_flights"] == ["monday", "tuesday"]
     assert len(json_of(capfd, *UPDATE)["proposals"]) == len(listed["proposals"]) - 1
+    _, err = outputs(capfd, "map", "edit", "room.monoloc", "undo")
+    assert "two new flights can propose it again" in err
 
 
 @pytest.mark.slow

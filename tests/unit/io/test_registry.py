@@ -73,9 +73,10 @@ def test_folder_of_images_is_to_be_described(tmp_path: Path) -> None:
     refuses_to_open(tmp_path, tmp_path, "is not recognised", "describe its images in a dataset.toml")
 
 
-def test_bundle_in_place_of_a_recording_is_named_as_one(tmp_path: Path) -> None:
-    (tmp_path / "manifest.json").touch()
-    refuses_to_open(tmp_path, tmp_path, "is a bundle, not a recording", "give the images or the video")
+@pytest.mark.parametrize(("name", "kind"), [("manifest.json", "bundle"), ("place.json", "place")])
+def test_bundle_or_place_in_place_of_a_recording_is_named_as_one(tmp_path: Path, name: str, kind: str) -> None:
+    (tmp_path / name).touch()
+    refuses_to_open(tmp_path, tmp_path, f"is a {kind}, not a recording", "give the images or the video")
 
 
 def test_archive_is_to_be_unpacked(tmp_path: Path) -> None:
