@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 Projection = Callable[[FloatArray], FloatArray]
 """Points (N, 3), world frame, metres, to the page (N, 2); NaN where they are out of view."""
 
+_NAME_SIZE = np.array([0.14, 0.07])  # of a name, of what is drawn
+_ROW_POINTS = 13.0  # from one name to that above it
 _STEPS = np.linspace(0.0, 1.0, 17)[:, None]  # of a line, a part of which may be out of view
 
 
@@ -39,8 +41,7 @@ def draw_edits(axis: Axes, edits: Sequence[DrawnEdit], project: Projection, with
         if edit.place is not None and edit.moved_to is not None:
             _draw_box(axis, edit.moved_to, BLUE, project)
             _draw_arrow(axis, project(_line(edit.place.centre, edit.moved_to.centre)))
-    for edit in edits:
-        _draw_name(axis, edit, project)
+    _draw_names(axis, edits, project)
     if edits and with_content:
         for colour, name in ((VERMILION, "went by an edit"), (BLUE, "came by an edit")):
             axis.plot([], [], "s", color=colour, markersize=5.0, label=name)
@@ -70,19 +71,36 @@ def _draw_arrow(axis: Axes, page: FloatArray) -> None:
         axis.annotate("", tuple(page[-1]), xytext=tuple(page[0]), arrowprops=style)
 
 
-def _draw_name(axis: Axes, edit: DrawnEdit, project: Projection) -> None:
-    """On top of what is in view of its last box, on white so that it can be read over the map."""
+def _draw_names(axis: Axes, edits: Sequence[DrawnEdit], project: Projection) -> None:
+    """Each on top of what is in view of its last box, and above names that it would hide."""
+    size = np.abs(axis.dataLim.size) * _NAME_SIZE
+    up = -1.0 if axis.yaxis_inverted() else 1.0
+    taken: list[FloatArray] = []
+    for edit in edits:
+        anchor = _top(edit, project, up)
+        if anchor is None:
+            continue
+        rows, at = 0, anchor
+        while any((np.abs(at - other) < size).all() for other in taken) and rows < len(edits):
+            rows += 1
+            at = anchor + np.array([0.0, up * rows * size[1]])
+        taken.append(at)
+        _draw_name(axis, edit.name, anchor, rows)
+
+
+def _top(edit: DrawnEdit, project: Projection, up: float) -> FloatArray | None:
+    """Middle of the upper edge, (2,), of what is in view of an edit's last box; None if nothing is."""
     boxes = [project(box.corners) for box in (edit.moved_to, edit.place) if box is not None]
     in_view = [corners for box in boxes if len(corners := box[np.isfinite(box).all(axis=1)])]
-    if not in_view:
-        return
-    corners = in_view[0]
-    is_downward = axis.yaxis_inverted()
-    top = corners[:, 1].min() if is_downward else corners[:, 1].max()
+    return np.array([in_view[0][:, 0].mean(), up * (up * in_view[0][:, 1]).max()]) if in_view else None
+
+
+def _draw_name(axis: Axes, name: str, anchor: FloatArray, rows: int) -> None:
+    """On white, so that it can be read over the map, so many rows above the anchor."""
     axis.annotate(
-        edit.name,
-        (float(corners[:, 0].mean()), float(top)),
-        xytext=(0.0, 3.0),
+        name,
+        (float(anchor[0]), float(anchor[1])),
+        xytext=(0.0, 3.0 + _ROW_POINTS * rows),
         textcoords="offset points",
         ha="center",
         va="bottom",

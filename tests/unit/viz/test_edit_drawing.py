@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import rerun as rr
 from matplotlib.figure import Figure
+from matplotlib.text import Annotation
 
 from edit_helpers import CUBE, mapped_room
 from monoloc.editing.box import Box
@@ -44,6 +45,13 @@ def test_names_and_arrow_are_drawn_as_far_as_they_are_in_view(edits: tuple[Drawn
         draw_edits(axis, edits, project)
         assert len(axis.texts) == names  # one of them is the arrow
         assert {text.get_text() for text in axis.texts} >= {"1 move", "2 remove"}
+
+
+def test_names_of_edits_in_one_place_are_above_each_other(edits: tuple[DrawnEdit, ...]) -> None:
+    axis = Figure().add_subplot()
+    draw_edits(axis, (edits[1], edits[1], edits[1]), lambda points: points[:, :2])
+    heights = sorted(text.xyann[1] for text in axis.texts if isinstance(text, Annotation) and text.get_text())
+    assert len(heights) == 3 and np.all(np.diff(heights) > 10.0)
 
 
 @pytest.mark.parametrize("is_from_above", [True, False])
