@@ -12,7 +12,7 @@ import numpy as np
 import typer
 from typer.core import TyperGroup
 
-from monoloc.bundle import Bundle, check_target, read_bundle, write_bundle
+from monoloc.bundle import Bundle, check_target, digest_of, read_bundle, write_bundle
 from monoloc.bundle_signature import SIGNATURE
 from monoloc.cli.common import (
     DepthScaleOption,
@@ -270,10 +270,13 @@ def merge_command(
     Examples:
       monoloc map edit kitchen.monoloc merge hall.monoloc --out home.monoloc
     """
+    target = _target(context)
+    if digest_of(other) == digest_of(target.path):
+        raise SettingError("OTHER", f"{other} is the same bundle", "name one of another part")
     part = read_bundle(other)
     rng = np.random.default_rng(seed)
     parameters = {"bundle": other.name}
-    _target(context).edit(out, json, lambda bundle: merge(bundle, part, str(other), parameters, rng), other)
+    target.edit(out, json, lambda bundle: merge(bundle, part, str(other), parameters, rng), other)
 
 
 @app.command("undo")

@@ -97,7 +97,8 @@ def test_extend_and_merge(here: Path, capfd: pytest.CaptureFixture[str]) -> None
         ("extend", "flight", "--align"): ("flight", "is not found in the room", "looked"),
         ("extend", "flight", "--fix-poses", "nonsense"): ("--fix-poses", "nonsense", ""),
         ("merge", "b.monoloc"): ("b.monoloc", "does not overlap", "common part"),
-        ("merge", "room.monoloc", "--out", "room.monoloc"): ("--out", "is read by this command", "another place"),
+        ("merge", "b.monoloc", "--out", "b.monoloc"): ("--out", "is read by this command", "another place"),
+        ("merge", "room.monoloc"): ("OTHER", "room.monoloc is the same bundle", "another part"),
         ("merge", "none.monoloc"): ("none.monoloc", "is not a bundle", "monoloc build"),
     }
     for arguments, line in lines.items():
