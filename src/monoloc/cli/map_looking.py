@@ -100,7 +100,8 @@ def render(
     if given is None:
         plot_from_above(out, views, T_map_world(room, roughly=True))
     else:
-        plot_from_pose(out, views, room.camera, given)
+        with naming({"pose": "--pose" if reference is None else "--reference"}):
+            plot_from_pose(out, views, room.camera, given)
     content = {"picture": str(out), "from": "above" if given is None else "pose", "bundles": len(views)}
     if json:
         print_json(content)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from monoloc.camera import Camera
 from monoloc.editing.edit_history import DrawnEdit
+from monoloc.errors import SettingError
 from monoloc.evaluation.cloud_metrics import cloud_distances
 from monoloc.geometry import FloatArray, invert, transform
 from monoloc.map.depth_rendering import cloud_depth
@@ -102,11 +103,14 @@ def plot_from_pose(path: str | Path, views: tuple[MapView, ...], camera: Camera,
     Raises:
         MissingExtraError: matplotlib or SciPy is not installed.
         DataError: the file cannot be written.
+        SettingError: the camera sees nothing of the maps.
     """
     camera = camera.resized(_VIEW_PX, max(1, round(_VIEW_PX * camera.height / camera.width)))
     images = [cloud_depth(view.cloud, camera, T_world_camera) for view in views]
     seen = np.concatenate([image[image > 0.0] for image in images])
-    farthest_m = float(np.percentile(seen, 99.0)) if len(seen) else 1.0
+    if len(seen) == 0:
+        raise SettingError("pose", "shows nothing of the map", "give one that looks at it, such as --reference 0")
+    farthest_m = float(np.percentile(seen, 99.0))
     panels = 1 if len(views) == 1 else 3
     with picture(path, 1.0 + 5.4 * panels, 0.8 + 5.0 * camera.height / camera.width) as figure:
         axes = _panels(figure, panels)

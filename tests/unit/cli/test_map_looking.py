@@ -124,6 +124,7 @@ def test_voxels_and_grid_are_in_the_frame_that_ros_shows(capfd: pytest.CaptureFi
         ((*RENDER[:3], "--out", "a.pdf"), "--out", "a.pdf is a PNG by another name", "NAME.png"),
         ((*RENDER, "--beside", "no"), "no", "is not a bundle", "monoloc build"),
         ((*RENDER, "--pose", "1,2"), "--pose", "is '1,2'", "write TX,TY,TZ,QX,QY,QZ,QW in metres"),
+        ((*RENDER, "--pose", "90,90,90,0,0,0,1"), "--pose", "shows nothing of the map", "--reference 0"),
         ((*RENDER, "--reference", "12"), "--reference", "room.monoloc has 12 reference poses", "0 to 11"),
         (("map", "render", "bare.monoloc", "--out", "a.png", "--reference", "0"), "--reference", "has 0", "--pose"),
         ((*RENDER, "--reference", "1", "--pose", "1,2"), "--reference", "together with --pose", "give one"),
