@@ -11,6 +11,7 @@ from monoloc.camera import Camera
 from monoloc.geometry import make_pose, so3_exp
 from monoloc.viz.map_view import MapView, plot_from_above, plot_from_pose
 from plot_helpers import check_picture
+from refusals import refuses_setting
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 31.5, 23.5)
 NOTHING = np.zeros((0, 3))
@@ -26,7 +27,15 @@ def test_map_without_cameras_and_landmarks_is_drawn(tmp_path: Path, turn: list[f
 
 
 @pytest.mark.filterwarnings("error")
-def test_view_of_nothing_is_drawn(tmp_path: Path) -> None:
-    behind = MapView("A room", np.array([[0.0, 0.0, -1.0]]), np.array([[0.0, 0.0, 2.0]]), np.eye(4)[None])
-    plot_from_pose(tmp_path / "a.png", (behind, behind), CAMERA, np.eye(4))
-    check_picture(tmp_path / "a.png", 1800, 400)
+def test_view_of_nothing_is_refused_unless_the_other_map_shows_something(tmp_path: Path) -> None:
+    behind, before = (
+        MapView("A room", np.array([[0.0, 0.0, z]]), np.array([[0.0, 0.0, 2.0]]), np.eye(4)[None])
+        for z in (-1.0, 1.0)
+    )
+    picture = tmp_path / "a.png"
+    refuses_setting(
+        lambda: plot_from_pose(picture, (behind, behind), CAMERA, np.eye(4)), "pose", "shows nothing", "--reference 0"
+    )
+    assert not picture.exists()
+    plot_from_pose(picture, (behind, before), CAMERA, np.eye(4))
+    check_picture(picture, 1800, 400)
