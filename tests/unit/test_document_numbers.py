@@ -104,6 +104,24 @@ def test_table_of_this_version() -> None:
             agree(text, numbers)
 
 
+def rmse_by_build(method: str, column: dict[str, str]) -> dict[str, float]:
+    rows = chosen(FLIGHTS, method=method, **column)
+    builds = sorted({row["build"] for row in rows})
+    return {build: float(np.median(values(chosen(rows, build=build), "rmse_cm"))) for build in builds}
+
+
+def test_what_scans_add() -> None:
+    text = (REPOSITORY / "docs" / "results.md").read_text(encoding="utf-8")
+    (sentence,) = re.findall(r"The RMSE of the default is (.*?) at the desk, build by build", text)
+    ratios = []
+    for column in COLUMNS:
+        default, without_scans = (rmse_by_build(method, column) for method in ("default", "without scans"))
+        ratios.append(interval_of([default[build] / without_scans[build] for build in default]))
+    agree(
+        sentence, [number for each in ratios for number in (each.median, each.low, each.high) if number is not None]
+    )
+
+
 def spread(found: Iterable[float | None], digits: int = 2) -> list[float]:
     """Median, smallest and largest of what is known; one number where they are equal to the digits shown."""
     known = [value for value in found if value is not None]
