@@ -191,7 +191,8 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
     text = (
         f"{study.builds} builds, {FLIGHTS} flights each, {split.name}. Medians over builds of the median over "
         f"flights, with the {100 * CONFIDENCE:.0f} % bootstrap interval over builds. A claim holds where all of its "
-        "conditions hold, and fails where one fails. Each method is compared with the untuned bundle in its own filter."
+        "conditions hold, and fails where one fails. Each method is compared with the untuned bundle in the same "
+        "filter."
     )
     return Drawn(
         numbers={"rows": rows, "decided": [vars(each) for each in decided]},

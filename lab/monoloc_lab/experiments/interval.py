@@ -21,7 +21,8 @@ Verdict = Literal["holds", "fails", "undecided"]
 class Interval:
     """A median over builds, and its bootstrap interval; None with fewer than :data:`LEAST_BUILDS`.
 
-    Source of the interval: Efron 1979, percentiles of the medians of resampled builds.
+    Source of the interval: Efron 1979, percentiles of the medians of resampled builds. Of three or five builds they
+    are the smallest and the largest, which hold the true median with a probability of 75 and 94 %.
     """
 
     median: float
