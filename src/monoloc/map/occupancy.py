@@ -107,9 +107,14 @@ class VoxelGrid:
 def fitting_voxel_m(mixture: GaussianMixture, voxel_m: float, also: FloatArray | None = None) -> float:
     """The edge of a voxel, or in a map that is too large for it, one whose grid :func:`surface_voxels` takes."""
     low, high = _extent(mixture, also)
-    while np.prod(np.floor(high / voxel_m) - np.floor(low / voxel_m) + 1.0) > _MOST_VOXELS:
+    while np.prod(_shape(low, high, voxel_m)) > _MOST_VOXELS:
         voxel_m *= _COARSER
     return voxel_m
+
+
+def _shape(low: FloatArray, high: FloatArray, voxel_m: float) -> FloatArray:
+    """Voxels along each axis, (3,), from one corner (3,) to the other."""
+    return np.asarray(np.floor(high / voxel_m) - np.floor(low / voxel_m) + 1.0)
 
 
 def _rounded_up(value: float) -> float:
@@ -135,14 +140,15 @@ def surface_voxels(mixture: GaussianMixture, voxel_m: float, also: FloatArray | 
     if not 0.0 < voxel_m <= _MOST_VOXEL_M:
         raise SettingError("voxel_m", f"is {voxel_m}", f"give a size in metres, up to {_MOST_VOXEL_M:g}")
     axes, half_m = patches(mixture)
-    low, high = (np.floor(each / voxel_m) for each in _extent(mixture, also))
-    shape = high - low + 1.0
+    low, high = _extent(mixture, also)
+    shape = _shape(low, high, voxel_m)
     if np.prod(shape) > _MOST_VOXELS:
-        least_m = voxel_m * float(np.prod(shape) / _MOST_VOXELS) ** (1.0 / 3.0)
+        least_m = _rounded_up(voxel_m * float(np.prod(shape) / _MOST_VOXELS) ** (1.0 / 3.0))
+        while np.prod(_shape(low, high, least_m)) > _MOST_VOXELS:
+            least_m = _rounded_up(_COARSER * least_m)
         size = " x ".join(f"{edge:.1f}" for edge in shape * voxel_m)
-        fix = f"give {_rounded_up(least_m):g} or more"
-        raise SettingError("voxel_m", f"is {voxel_m:g} for a map of {size} m", fix)
-    first = low.astype(np.int64)
+        raise SettingError("voxel_m", f"is {voxel_m:g} for a map of {size} m", f"give {least_m:g} or more")
+    first = np.floor(low / voxel_m).astype(np.int64)
     mass = np.zeros(shape.astype(np.int64))
     for weight, mean, basis, half in zip(mixture.weights, mixture.means, axes, half_m, strict=True):
         counts = np.maximum(1, np.ceil(2.0 * half / (_STEP * voxel_m))).astype(np.int64)

@@ -55,7 +55,8 @@ def test_what_is_before_no_surface_stays_unknown() -> None:
     assert seen.at(points).tolist() == [FREE, OCCUPIED, UNKNOWN]
 
 
-def test_the_size_that_a_refusal_names_is_taken() -> None:
+def test_the_size_that_a_refusal_names_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("monoloc.map.occupancy._MOST_VOXELS", 1 << 15)  # of a small memory
     mixture = room_mixture(ROOM, 120)
     with pytest.raises(SettingError) as raised:
         surface_voxels(mixture, 1e-3)
