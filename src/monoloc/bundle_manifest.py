@@ -26,7 +26,7 @@ READ_SCHEMAS = (9, 10, 11)
 """Of bundles that can be read: what later ones keep beyond these is derived, or has a default."""
 
 MANIFEST = "manifest.json"
-PLACE_MANIFEST = "place.json"
+PLACE_MANIFEST, PLACE_INDEX = "place.json", "index.npz"
 """Of a place, a folder that names bundles, see :mod:`monoloc.place`."""
 NETWORK = "depth.onnx"
 """The network of a bundle."""
@@ -170,6 +170,6 @@ def container_of(path: Path) -> str | None:
     for parent in (*path.parents, *target_of(path).parents):
         if (parent / MANIFEST).is_file() and (parent / NETWORK).is_file():
             return f"the bundle {parent}"
-        if (parent / PLACE_MANIFEST).is_file():
+        if (parent / PLACE_MANIFEST).is_file() and (parent / PLACE_INDEX).is_file():
             return f"the place {parent}"
     return None

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from monoloc.array_files import decode_arrays, encode_arrays
 from monoloc.bundle import Bundle, digest_of, read_bundle
-from monoloc.bundle_manifest import PLACE_MANIFEST, container_of, manifest_content
+from monoloc.bundle_manifest import PLACE_INDEX, PLACE_MANIFEST, container_of, manifest_content
 from monoloc.bundle_signature import SIGNATURE, check_signature
 from monoloc.errors import BundleError, DataError, SettingError
 from monoloc.files import read_regular, target_of
@@ -28,7 +28,6 @@ from monoloc.version import __version__
 
 SUFFIX = ".place"
 
-_INDEX = "index.npz"
 _BUNDLE_SUFFIX = ".monoloc"
 _AGAIN = "make the place again: monoloc place new"
 
@@ -156,7 +155,7 @@ def check_place_target(path: Path) -> None:
         raise DataError(path, "its folder does not exist", f"make {path.parent} first")
     if path.exists() and not path.is_dir():
         raise DataError(path, "is a file", "choose another name")
-    own = {PLACE_MANIFEST, _INDEX, SIGNATURE}
+    own = {PLACE_MANIFEST, PLACE_INDEX, SIGNATURE}
     others = sorted({file.name for file in path.iterdir()} - own) if path.exists() else []
     if others:
         raise DataError(path, f"holds more than a place ({others[0]})", "move that away or choose another name")
@@ -171,7 +170,7 @@ def write_place(place: Place) -> int:
     check_place_target(place.path)
     contents: Mapping[str, bytes] = {
         PLACE_MANIFEST: place.manifest.model_dump_json(indent=1).encode(),
-        _INDEX: _packed(place.descriptors),
+        PLACE_INDEX: _packed(place.descriptors),
     }
     try:
         with whole_folder(target_of(place.path)) as folder:
@@ -203,7 +202,7 @@ def read_place(path: str | Path, public_key: Path | None = None, *, is_edited: b
         _checked_bundle(path, room, public_key)
     if public_key is not None and not is_edited:
         check_signature(path, content, public_key)
-    return Place(path, manifest, _read_index(path / _INDEX, manifest), public_key)
+    return Place(path, manifest, _read_index(path / PLACE_INDEX, manifest), public_key)
 
 
 def _checked_bundle(path: Path, room: RoomEntry, public_key: Path | None) -> Path:
