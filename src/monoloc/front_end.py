@@ -144,8 +144,8 @@ class FrontEnd:
         depth, scan = depth_of(), EMPTY_SCAN
         if depth is not None:
             depth = self._corrected(depth, motion)
-        if depth is not None and self._has_scans:
-            scan = self._scan(depth, self._config.scan_points if plan is None else plan.scan_points)
+            if self._has_scans:
+                scan = self._scan(depth, self._config.scan_points if plan is None else plan.scan_points)
         observation = Observation(
             color=color,
             elapsed_s=elapsed_s,
