@@ -1,10 +1,7 @@
 """A film of a localised flight for the documentation; also an example of one's own viewer.
 
-monoloc build folder:lab/monoloc_lab/rooms/living/build/L2 --out room.monoloc --no-landmarks
-monoloc build folder:lab/monoloc_lab/rooms/living/build/L2 --out plain.monoloc \\
-    --tune none --no-map-transform --no-landmarks
-python -m monoloc_lab.make.flight_film room.monoloc plain.monoloc folder:lab/monoloc_lab/rooms/living/test/L3 \\
-    --out docs/pictures/flight.webp
+LIVING=lab/monoloc_lab/rooms/living
+python -m monoloc_lab.make.flight_film $LIVING/living.monoloc folder:$LIVING/test/L3 --out docs/pictures/flight.webp
 """
 
 from __future__ import annotations
@@ -23,16 +20,15 @@ from PIL import Image
 from monoloc.bundle import Bundle, read_bundle
 from monoloc.cli.common import open_source, stderr
 from monoloc.files import write_whole
-from monoloc.geometry import FloatArray, transform
+from monoloc.geometry import FloatArray, invert, transform
 from monoloc.io.recording import Recording
 from monoloc.particle_filter.particles import Particles
 from monoloc.progress import ConsoleProgress
-from monoloc.run import Run, localize
+from monoloc.run import localize
 from monoloc.start import Start
 from monoloc.step import Step
-from monoloc.viz.picture import BLUE, GREEN, INK, ORANGE
+from monoloc.viz.picture import BLUE, GREEN, INK, ORANGE, VERMILION
 from monoloc.viz.run_drawing import draw_mixture, norm_bound_95, page_axes
-from monoloc.viz.viewer import NoViewer, Viewer
 
 _SIZE_IN, _DPI = (8.8, 4.4), 100
 _DEPTH_M = (0.5, 5.0)
@@ -44,13 +40,14 @@ class Film:
     """Draws every second frame of a recording with true poses; a :class:`monoloc.viz.viewer.Viewer`.
 
     Args:
-        unadapted: (N, 4, 4) trajectory of the same flight with an unadapted bundle.
+        start: (4, 4) ``T_world_camera`` from which the flight, and odometry, begin.
     """
 
-    def __init__(self, unadapted: FloatArray) -> None:
-        self._unadapted = unadapted
+    def __init__(self, start: FloatArray) -> None:
+        self._start = start
         self._pictures: list[Image.Image] = []
         self._trajectory: list[FloatArray] = []
+        self._odometry: list[FloatArray] = []
 
     def begin(self, room: Bundle, recording: Recording) -> None:
         assert recording.poses is not None
@@ -68,7 +65,10 @@ class Film:
         odometry: FloatArray,
         step_ms: float,
     ) -> None:
+        if index == 0:
+            self._to_start = self._start @ invert(odometry)
         self._trajectory.append(step.estimate.pose)
+        self._odometry.append(self._to_start @ odometry)
         if index % _EVERY:
             return
         figure = Figure(figsize=_SIZE_IN, dpi=_DPI, facecolor="white")
@@ -94,11 +94,13 @@ class Film:
         draw_mixture(axis, plane, self._map.means, self._map.covariances)
 
         scan = transform(pose, np.exp(step.estimate.log_scale) * step.scan.points)
-        axis.plot(*scan[:, plane].T, ".", color=GREEN, markersize=3, label="scan")
+        axis.plot(*scan[:, plane].T, ".", color=GREEN, markersize=3, label="depth scan")
+        seen = np.zeros((0, 3)) if step.landmark_pose is None else step.landmark_pose.points
+        axis.plot(*seen[:, plane].T, "x", color=VERMILION, markersize=3, label="landmarks")
         trajectories: list[tuple[str, FloatArray, dict[str, Any]]] = [
             ("truth", self._truth, {"color": INK, "linewidth": 4.0, "alpha": 0.35}),
-            ("unadapted", self._unadapted, {"color": ORANGE, "linewidth": 1.4, "linestyle": "--"}),
-            ("adapted", np.array(self._trajectory), {"color": BLUE, "linewidth": 1.8}),
+            ("odometry", np.array(self._odometry), {"color": ORANGE, "linewidth": 1.4, "linestyle": "--"}),
+            ("monoloc", np.array(self._trajectory), {"color": BLUE, "linewidth": 1.8}),
         ]
         for name, poses, style in trajectories:
             axis.plot(*poses[: index + 1, plane, 3].T, **style, label=name)
@@ -109,13 +111,13 @@ class Film:
         axis.fill(*(pose[plane, 3, None] + ring), color=BLUE, alpha=0.15)
         axis.quiver(*pose[plane, 3], *pose[plane, 2], color=BLUE, angles="xy", scale=12.0, width=0.008, zorder=5)
 
-        error_cm, unadapted_cm = (
+        error_cm, odometry_cm = (
             100.0 * np.linalg.norm(estimate[:3, 3] - self._truth[index, :3, 3])
-            for estimate in (pose, self._unadapted[index])
+            for estimate in (pose, self._odometry[index])
         )
         bound_cm = 100.0 * norm_bound_95(covariance[None])[0]
-        title = f"error {error_cm:.0f} cm (stated 95 % bound {bound_cm:.0f}), unadapted {unadapted_cm:.0f}"
-        axis.set_title(title, loc="left", fontsize=10)
+        stated = f"{step.state}, error {error_cm:.0f} cm (stated 95 % bound {bound_cm:.0f})"
+        axis.set_title(f"{stated}, odometry {odometry_cm:.0f}", loc="left", fontsize=10)
         axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=9, frameon=False)
 
     def webp(self) -> bytes:
@@ -136,21 +138,16 @@ class Film:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("adapted", type=Path, help="bundle")
-    parser.add_argument("unadapted", type=Path, help="bundle of the same room")
+    parser.add_argument("bundle", type=Path)
     parser.add_argument("source", help="recording with true poses")
     parser.add_argument("--out", type=Path, required=True)
     arguments = parser.parse_args()
-    recording = open_source(arguments.source, "::")
+    recording, room = open_source(arguments.source, "::"), read_bundle(arguments.bundle)
     assert recording.poses is not None
     start = Start.disturbed(recording.poses[0], np.random.default_rng(0))
-
-    def run(bundle: Path, viewer: Viewer) -> Run:
-        room, rng = read_bundle(bundle), np.random.default_rng(0)
-        return localize(room, recording, start, room.settings, rng, ConsoleProgress(stderr), viewer=viewer)
-
-    film = Film(run(arguments.unadapted, NoViewer()).poses)
-    run(arguments.adapted, film)
+    film = Film(start.pose)
+    rng = np.random.default_rng(0)
+    localize(room, recording, start, room.settings, rng, ConsoleProgress(stderr), viewer=film)
     write_whole(arguments.out, film.webp())
 
 

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from monoloc.geometry import FloatArray
 from monoloc.landmarks.pnp import LandmarkPose
 
-_CORRELATION_LENGTH_M = 2.0  # of the bias, in pose distance
+_CORRELATION_LENGTH_M = 0.7  # of the bias, in pose distance
 COMMON_ERROR = 0.03
 """Variance that landmarks have in common, relative to that of one corner, at the reference poses of a new build. By
 maximum likelihood over a real desk and a real kitchen: docs/decisions/fusion.md."""

@@ -18,7 +18,7 @@ GATE = CHI2_6_QUANTILE_99
 
 # Errors of particles and landmarks are correlated for some frames. Treated as independent from frame to frame, their
 # standard deviations are inflated by these factors.
-_PARTICLE_INFLATION, _LANDMARK_INFLATION = 2.0, 2.0
+_PARTICLE_INFLATION, _LANDMARK_INFLATION = 4.0, 2.0
 _LEAST_VARIANCE = 1e-10  # of a measurement, m^2 and rad^2: all particles may be one
 _LOG_SCALE_SD = 0.2  # of odometry's translation, beside the scale that particles estimate
 

@@ -26,7 +26,8 @@ STRAIGHT_STEP = se3_exp([0.04, -0.01, 0.03, 0.002, 0.004, -0.002])
 STILL = np.eye(4)
 ODOMETRY_SD = np.repeat([0.004, 0.003], 3)
 NOISE_SD = np.repeat([0.01, 0.006], 3)  # of the measured poses, without their biases
-NOISE_INFLATION, ODOMETRY_INFLATION = 2.0, 4.0  # of the filter, for errors that are correlated from frame to frame
+# Of the filter, for errors that are correlated from frame to frame.
+PARTICLE_INFLATION, LANDMARK_INFLATION, ODOMETRY_INFLATION = 4.0, 2.0, 4.0
 ELAPSED_S = 1.0 / 15.0
 
 
@@ -35,12 +36,12 @@ def along_x(distance_m: float) -> FloatArray:
 
 
 def by_particles(pose: FloatArray) -> Estimate:
-    return Estimate(pose, np.diag(NOISE_SD**2) / NOISE_INFLATION**2, 0.0)
+    return Estimate(pose, np.diag(NOISE_SD**2) / PARTICLE_INFLATION**2, 0.0)
 
 
 def by_landmarks(pose: FloatArray) -> LandmarkPose:
     """Of so many landmarks that their noise is NOISE_SD."""
-    return LandmarkPose(pose, np.diag((NOISE_SD / NOISE_INFLATION) ** 2), np.zeros((20, 3)))
+    return LandmarkPose(pose, np.diag((NOISE_SD / LANDMARK_INFLATION) ** 2), np.zeros((20, 3)))
 
 
 def state_at_start(bias: BiasModel = PARTICLE_BIAS) -> BiasAugmentedState:
