@@ -170,40 +170,77 @@ def test_number_of_steps_that_are_decided() -> None:
 
 
 LIGHTS = ("L1", "L2", "L3")
+LIVING, DINING = "living room", "dining room"
+MAP_AS_IT_IS = "network tuned, map as it is"
 
 
-def in_light(method: str, light: str, column: str) -> float:
-    """Of the build of the rendered room."""
-    rows = [row for row in RENDERED if row["split"] == f"living room, {light}"]
-    (value,) = medians_of_builds(rows, column, split=f"living room, {light}", rung=method).values()
+def in_light(room: str, method: str, light: str, column: str) -> float:
+    """Of the build of a rendered room."""
+    rows = [row for row in RENDERED if row["room"] == f"rendered {room}"]
+    (value,) = medians_of_builds(rows, column, split=f"{room}, {light}", rung=method).values()
     return value
 
 
-def test_table_of_the_rendered_room() -> None:
-    (shown,) = tables_of("Rendered living room")
+def test_table_of_the_rendered_rooms() -> None:
+    (shown,) = tables_of("Rendered rooms")
     assert [row[0] for row in shown] == [rung.name for rung in all_rungs()]
-    for name, *errors, depth, coverage in shown:
-        assert errors == [f"{in_light(name, light, 'rmse_cm'):.1f}" for light in LIGHTS]
-        assert depth == f"{100.0 * in_light(name, 'L2', 'depth_absrel'):.1f}"
-        assert coverage == ", ".join(f"{in_light(name, light, 'coverage_95'):.2f}" for light in LIGHTS)
+    for name, *cells in shown:
+        expected: list[str] = []
+        for room in (LIVING, DINING):
+            expected.append(", ".join(f"{in_light(room, name, light, 'rmse_cm'):.1f}" for light in LIGHTS))
+            expected.append(f"{100.0 * in_light(room, name, 'L2', 'depth_absrel'):.1f}")
+            expected.append(", ".join(f"{in_light(room, name, light, 'coverage_95'):.2f}" for light in LIGHTS))
+        assert cells == expected
 
 
 @pytest.mark.parametrize(
-    ("words", "method"),
+    ("words", "digits", "of"),
     [
-        ("its RMSE is {:.0f}, {:.0f} and {:.0f} cm in L1, L2 and L3", "the paper's method"),
-        ("changes {:.0f}, {:.0f} and {:.0f} cm to", "+ pose-step loss"),
-        ("to {:.0f}, {:.0f} and {:.0f} cm; all layers", "+ decoder"),
-        ("all layers leave {:.0f}, {:.0f} and {:.0f} cm", "+ all layers"),
-        ("odometry, to {:.0f}, {:.0f} and {:.0f} cm", "+ odometry"),
-        ("{:.1f}, {:.1f} and {:.1f} cm untuned", "untuned"),
-        ("{:.1f}, {:.1f} and {:.1f} cm with the default", "the default"),
-        ("With the map as it is, they are {:.1f}, {:.1f} and {:.1f} cm", "network tuned, map as it is"),
-        ("with the last layer alone, {:.1f}, {:.1f} and {:.1f} cm", "last layer tuned, losses of the default"),
+        (
+            "{} in L1, L2 and L3 of the living room, and {} in the dining",
+            0,
+            ["the paper's method", "the paper's method"],
+        ),
+        ("changes {} to {} in the living", 0, [(LIVING, "+ pose-step loss"), (LIVING, "+ decoder")]),
+        ("and {} to {} in the dining room. All", 0, [(DINING, "+ pose-step loss"), (DINING, "+ decoder")]),
+        ("All layers leave {}, and {}.", 0, ["+ all layers", "+ all layers"]),
+        ("Odometry brings them to {}, and {};", 0, ["+ odometry", "+ odometry"]),
+        ("landmarks to {}, and {}.", 1, ["+ landmarks", "+ landmarks"]),
+        ("from {} to {}. Its depth", 0, [(DINING, "+ scale and tilt"), (DINING, "+ known bias")]),
+        ("lower the RMSE from {} to {}", 0, [(LIVING, "+ scale and tilt"), (LIVING, "+ known bias")]),
+        ("{} untuned and {} with the default", 1, [(LIVING, "untuned"), (LIVING, "the default")]),
+        ("{} and {} in the dining room.", 1, [(DINING, "untuned"), (DINING, "the default")]),
+        ("the RMSE is {}, and", 1, [(DINING, MAP_AS_IT_IS)]),
+        (
+            "by depth alone {} in place of {}",
+            0,
+            [(DINING, f"{MAP_AS_IT_IS}, depth alone"), (DINING, "the default, depth alone")],
+        ),
+        ("it is {} with landmarks", 1, [(LIVING, MAP_AS_IT_IS)]),
     ],
 )
-def test_sentence_on_the_rendered_room(words: str, method: str) -> None:
-    assert words.format(*(in_light(method, light, "rmse_cm") for light in LIGHTS)) in PAGE
+def test_sentence_on_the_rendered_rooms(words: str, digits: int, of: list[str | tuple[str, str]]) -> None:
+    """Of one method in both rooms, or of methods in one room."""
+    pairs = [
+        each if isinstance(each, tuple) else (room, each) for room, each in zip((LIVING, DINING), of, strict=False)
+    ]
+    errors = [
+        "{}, {} and {} cm".format(*(f"{in_light(*pair, light, 'rmse_cm'):.{digits}f}" for light in LIGHTS))
+        for pair in pairs
+    ]
+    assert words.format(*errors) in PAGE
+
+
+def test_frames_that_were_silently_wrong_in_the_dining_room() -> None:
+    default, untuned = (
+        [row for row in RENDERED if row["split"] == "dining room, L2" and row["rung"] == rung]
+        for rung in ("the default", "untuned")
+    )
+    wrong, frames, wrong_untuned = (
+        sum(row[name] for row in rows)
+        for rows, name in ((default, "silent_30cm"), (default, "frames"), (untuned, "silent_30cm"))
+    )
+    assert f"{wrong} of {frames} frames by more than 30 cm, the untuned bundle in {wrong_untuned}" in PAGE
 
 
 def test_every_method_was_built_and_flown_three_times_by_a_known_commit() -> None:
