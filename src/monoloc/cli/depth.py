@@ -30,7 +30,7 @@ from monoloc.cli.common import (
     stderr,
 )
 from monoloc.config import load_settings, override
-from monoloc.depth.models import shipped_models
+from monoloc.depth.models import is_shipped, shipped_models
 from monoloc.depth.predictor import DepthPredictor
 from monoloc.depth.scale_fit import fit_to_depth
 from monoloc.depth.spec import monoloc_spec, network_images
@@ -212,6 +212,8 @@ def export(
         from monoloc.depth.training.checkpoint import load_network
         from monoloc.depth.training.export import export_onnx
         from monoloc.depth.training.quantise import quantise
+    if is_shipped(str(network)):
+        raise SettingError("network", f"{network} comes with monoloc in ONNX already", "use its name, as in build --network")
     check_outputs({"--out": out}, (network, int8))
     if int8 is None:
         refuse_frames(frames, "an export in 32 bits")
