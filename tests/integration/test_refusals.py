@@ -231,7 +231,13 @@ def with_trajectory(here: Path) -> None:
             "export",
         ),
         (nothing, ("depth", "export", "flight/poses.txt", "--out", "a.onnx"), "flight/poses.txt", "is not", "give a"),
-        (nothing, ("depth", "export", "full-0.35", "--out", "a.onnx"), "network", "comes with monoloc", "use its name"),
+        (
+            nothing,
+            ("depth", "export", "full-0.35", "--out", "a.onnx"),
+            "network",
+            "comes with monoloc",
+            "use its name",
+        ),
         (
             nothing,
             ("depth", "export", "a.safetensors", "--out", "a.onnx", "--frames", "::2"),

@@ -213,7 +213,8 @@ def export(
         from monoloc.depth.training.export import export_onnx
         from monoloc.depth.training.quantise import quantise
     if is_shipped(str(network)):
-        raise SettingError("network", f"{network} comes with monoloc in ONNX already", "use its name, as in build --network")
+        problem = f"{network} comes with monoloc in ONNX already"
+        raise SettingError("network", problem, "use its name, as in build --network")
     check_outputs({"--out": out}, (network, int8))
     if int8 is None:
         refuse_frames(frames, "an export in 32 bits")
