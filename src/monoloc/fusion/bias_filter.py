@@ -230,7 +230,7 @@ class BiasAugmentedFilter:
         return self._state.predict(
             delta,
             np.diag(sd**2),
-            np.array([self._particle_bias.correlation(step_m), self._landmark_bias.correlation(step_m)]),
+            self._particle_bias.correlation(step_m),
             self._prior_sds(self._state.pose @ delta),
             by_log_scale,
             math.exp(-elapsed_s / _LOG_SCALE_TIME_S),

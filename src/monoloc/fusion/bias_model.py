@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -11,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from monoloc.geometry import FloatArray
 from monoloc.landmarks.pnp import LandmarkPose
 
+_CORRELATION_LENGTH_M = 0.7  # of the bias, in pose distance
 COMMON_ERROR = 0.03
 """Variance that landmarks have in common, relative to that of one corner, at the reference poses of a new build. By
 maximum likelihood over a real desk and a real kitchen: docs/decisions/fusion.md."""
@@ -32,8 +32,6 @@ class BiasModel(BaseModel):
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    _CORRELATION_LENGTH_M: ClassVar[float] = 0.7  # pose distance: docs/decisions/fusion.md
 
     sd_at_reference_m: float = Field(0.0, ge=0.0, le=100.0)
     sd_at_reference_rad: float = Field(0.0, ge=0.0, le=100.0)
@@ -59,7 +57,7 @@ class BiasModel(BaseModel):
 
     def correlation(self, step_m: float) -> float:
         """Correlation of the biases of two poses at a pose distance."""
-        return math.exp(-step_m / self._CORRELATION_LENGTH_M)
+        return math.exp(-step_m / _CORRELATION_LENGTH_M)
 
 
 class LandmarkBiasModel(BiasModel):
@@ -75,8 +73,6 @@ class LandmarkBiasModel(BiasModel):
             state it, however many landmarks count as twenty.
         common_error_growth: its growth a square metre of pose distance, up to half a metre.
     """
-
-    _CORRELATION_LENGTH_M: ClassVar[float] = 2.0
 
     common_error: float = Field(0.05, ge=0.0, le=1e4)
     common_error_growth: float = Field(0.0, ge=0.0, le=1e4)

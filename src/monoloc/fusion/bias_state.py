@@ -63,7 +63,7 @@ class BiasAugmentedState:
         self,
         T_previous_current: FloatArray,
         noise: FloatArray,
-        correlations: FloatArray,
+        correlation: float,
         prior_sds: FloatArray,
         by_log_scale: FloatArray = np.zeros(6),
         scale_correlation: float = 1.0,
@@ -76,15 +76,14 @@ class BiasAugmentedState:
         Args:
             T_previous_current: the motion, (4, 4).
             noise: its covariance, (6, 6), of a twist in the new camera's frame.
-            correlations: (S,) of each source's bias before and after the motion.
+            correlation: of the biases before and after the motion.
             prior_sds: (S, 6) at the new pose.
             by_log_scale: derivative of the motion by the log-scale, a twist (6,) in the new camera's frame.
             scale_correlation: of the log-scale before and after the motion.
         """
-        correlation = correlations[:, None]
         remaining = (correlation * self.prior_sds) ** 2
         variances = np.maximum(remaining + (1.0 - correlation**2) * prior_sds**2, prior_sds**2)
-        decay = np.append(np.repeat(correlations, 6), scale_correlation)
+        decay = np.append(np.full(prior_sds.size, correlation), scale_correlation)
         transition = _block_diagonal(adjoint(invert(T_previous_current)), np.diag(decay))
         transition[:6, -1] = by_log_scale
         scale_variance = (1.0 - scale_correlation**2) * _LOG_SCALE_SD**2

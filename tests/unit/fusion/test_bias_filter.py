@@ -100,9 +100,7 @@ def test_last_state_along_a_line_equals_the_batch_solution() -> None:
     row(0.0, 0.05, b0=1.0)
     for k in range(frames):
         if k > 0:
-            state = state.predict(
-                along_x(step_m), np.diag(ODOMETRY_SD**2), np.array([correlation]), bias.sds(0.0)[None]
-            )
+            state = state.predict(along_x(step_m), np.diag(ODOMETRY_SD**2), correlation, bias.sds(0.0)[None])
             row(step_m, ODOMETRY_SD[0], **{f"x{k}": 1.0, f"x{k - 1}": -1.0})
             row(0.0, 0.05 * np.sqrt(1.0 - correlation**2), **{f"b{k}": 1.0, f"b{k - 1}": -correlation})
         state = state.update_from_particles(by_particles(along_x(measured_m[k])))
@@ -138,7 +136,7 @@ def test_particles_that_are_all_one_give_a_finite_belief() -> None:
 def test_scale_of_odometry_keeps_its_prior_variance_without_measurements() -> None:
     before = after = state_at_start()
     for _ in range(3):
-        after = after.predict(np.eye(4), np.zeros((6, 6)), np.ones(1), after.prior_sds, scale_correlation=0.9)
+        after = after.predict(np.eye(4), np.zeros((6, 6)), 1.0, after.prior_sds, scale_correlation=0.9)
     assert after.covariance[-1, -1] == pytest.approx(before.covariance[-1, -1], rel=1e-12)
 
 
@@ -147,7 +145,7 @@ def test_prediction_carries_the_covariance_to_the_new_cameras_frame(seed: int) -
     rng = np.random.default_rng(seed)
     error, motion, no_bias = 1e-4 * rng.normal(size=6), se3_exp(rng.normal(size=6)), np.zeros((1, 6))
     start = BiasAugmentedState.from_start(Estimate(se3_exp(rng.normal(size=6)), np.outer(error, error), 0.0), no_bias)
-    state = start.predict(motion, np.zeros((6, 6)), np.ones(1), no_bias)
+    state = start.predict(motion, np.zeros((6, 6)), 1.0, no_bias)
     carried = se3_log(invert(state.pose) @ start.pose @ se3_exp(error) @ motion)
     np.testing.assert_allclose(state.covariance[:6, :6], np.outer(carried, carried), atol=1e-14)
 
@@ -156,9 +154,7 @@ def test_second_measurement_with_the_same_bias_reveals_nothing_of_it() -> None:
     """A first measurement with unknown bias, then perfect odometry: only the noise is averaged."""
     prior_sds = BiasModel(sd_at_reference_m=0.05, sd_at_reference_rad=0.03).sds(0.0)[None]
     state = BiasAugmentedState.from_measurement(0, np.eye(4), np.diag(NOISE_SD**2), prior_sds)
-    state = state.predict(STILL, np.zeros((6, 6)), np.ones(1), prior_sds).update_from_particles(
-        by_particles(np.eye(4))
-    )
+    state = state.predict(STILL, np.zeros((6, 6)), 1.0, prior_sds).update_from_particles(by_particles(np.eye(4)))
     sds = np.sqrt(np.diag(state.covariance))
     np.testing.assert_allclose(sds[6:-1], prior_sds[0], rtol=1e-6)
     np.testing.assert_allclose(sds[:6], np.hypot(NOISE_SD / np.sqrt(2.0), prior_sds[0]), rtol=1e-4)
