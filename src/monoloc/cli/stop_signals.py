@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -18,11 +17,12 @@ def stopped_by_signals() -> Iterator[Callable[[], bool]]:
 
     A terminal that hangs up sends its signal twice, by the shell and by the kernel: that one never interrupts.
     """
-    asked = threading.Event()
+    asked = False  # not an Event: setting it takes a lock, for which a second signal would wait forever
     before = {number: signal.getsignal(number) for number in TERMINATION}
 
     def ask(number: int, frame: FrameType | None) -> None:
-        asked.set()
+        nonlocal asked
+        asked = True
         for each in (signal.SIGINT, signal.SIGTERM):
             signal.signal(each, before[each])
 
@@ -30,7 +30,7 @@ def stopped_by_signals() -> Iterator[Callable[[], bool]]:
         if handler is not signal.SIG_IGN:
             signal.signal(number, ask)
     try:
-        yield asked.is_set
+        yield lambda: asked
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

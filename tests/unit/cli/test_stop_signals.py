@@ -1,0 +1,26 @@
+import signal
+import subprocess
+import sys
+
+import pytest
+
+AGAIN_AT_EVERY_LINE = """
+import signal, sys
+from monoloc.cli.stop_signals import stopped_by_signals
+
+def again(frame, event, argument):
+    signal.raise_signal(signal.SIGHUP)
+    return again
+
+with stopped_by_signals() as asked:
+    sys.settrace(again)
+    signal.raise_signal(signal.SIGHUP)
+    sys.settrace(None)
+    print(asked())
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="this system has no SIGHUP")
+def test_a_second_signal_may_come_at_any_line_of_the_handler_of_the_first() -> None:
+    done = subprocess.run([sys.executable, "-c", AGAIN_AT_EVERY_LINE], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout) == (0, "True\n"), done.stderr
