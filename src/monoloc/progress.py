@@ -17,7 +17,10 @@ _LOG_INTERVAL_S = 30.0  # in a log; a longer silence looks like a hang
 
 
 class Step(Protocol):
-    """Reports the number of completed steps of a task, with an optional remark."""
+    """Reports the number of completed steps of a task, with an optional remark.
+
+    A task that has to prepare its steps reports 0 when they begin, so that the rate is theirs.
+    """
 
     def __call__(self, done: int, remark: str = "", /) -> None: ...
 
@@ -116,18 +119,21 @@ class ConsoleProgress:
     @contextmanager
     def _log(self, name: str, total: int | None) -> Iterator[Step]:
         # Output goes to a log or another program: no bars, and no final line for a task that fails.
-        started = logged = time.perf_counter()
+        started = begun = logged = time.perf_counter()
         first: int | None = None
 
         def log(done: int, remark: str = "", /) -> None:
-            nonlocal first, logged
-            first = done - 1 if first is None else first  # a resumed task does not start at 0
+            nonlocal begun, first, logged
             now = time.perf_counter()
+            if done == 0:
+                first, begun = 0, now
+                return
+            first = done - 1 if first is None else first  # a resumed task does not start at 0
             if not remark and now - logged < _LOG_INTERVAL_S:
                 return
             logged = now
-            how = remark or _rate((done - first) / (now - started))
-            remaining_s = 0.0 if total is None else (now - started) * (total - done) / (done - first)
+            how = remark or _rate((done - first) / (now - begun))
+            remaining_s = 0.0 if total is None else (now - begun) * (total - done) / (done - first)
             of_all = self._of_all(done, total, remaining_s)
             ending = f", {of_all}" if of_all else ""
             if total is None:

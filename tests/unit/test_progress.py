@@ -53,6 +53,19 @@ def test_resumed_task_does_not_count_earlier_steps(clock: Clock) -> None:
     ]
 
 
+def test_time_before_the_first_step_is_no_part_of_the_rate(clock: Clock) -> None:
+    log = io.StringIO()
+    with ConsoleProgress(Console(file=log, width=200)).task("tune", 300) as step:
+        clock.now_s += 33.0
+        step(0)
+        clock.now_s += 0.5
+        step(1)
+    assert log.getvalue().splitlines() == [
+        "tune: 1 of 300 (0 %), 2.0/s, 150 s remaining",
+        "tune: done in 33.5 s",
+    ]
+
+
 def test_steps_without_a_remark_are_counted_but_not_logged(clock: Clock) -> None:
     log = io.StringIO()
     with ConsoleProgress(Console(file=log, width=200)).task("adapt", 40) as step:

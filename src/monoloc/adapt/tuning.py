@@ -102,7 +102,7 @@ class Adaptation:
             generator: draws views and pixels.
             held_out: frames whose views are not tuned on, but evaluated every ``evaluate_every`` steps.
             evaluate_every: steps between two evaluations.
-            progress: called with the number of steps done.
+            progress: called with the number of steps done; first with 0, when they begin.
 
         Returns:
             Scores on the held-out frames, the first before any step; empty without held-out frames.
@@ -120,6 +120,8 @@ class Adaptation:
         constants = self._constants_of(training, np.random.default_rng(generator.initial_seed()))
         optimizer = self._optimizer()
         schedule = one_cycle(optimizer, steps)
+        if progress is not None:
+            progress(0)
         for step in range(steps):
             chosen = torch.multinomial(odds, self.config.batch_views, replacement=True, generator=generator)
             shown = chosen
