@@ -1,0 +1,174 @@
+"""Numbers of README are those of the kept data, to the digits that they show."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import pytest
+
+from document_numbers import (
+    Sentence,
+    agree,
+    agree_sentence,
+    chosen,
+    json_of,
+    median_of,
+    middle,
+    other_numbers,
+    over_builds,
+    page,
+    table_of,
+    tables_of,
+    total,
+    tracking_percent,
+)
+
+FLIGHTS = table_of("this-version.csv")
+RENDERED_FLIGHTS = table_of("rendered-rooms.csv")
+KITCHEN = json_of("reproduce-redkitchen.json")["figures"]
+LIVING_ROOM = json_of("reproduce-living-room.json")["figures"]
+
+# --- The table ---
+
+COLUMNS = (
+    {"built_from": "RedKitchen 0:300:3", "flown": "0:300"},
+    {"built_from": "RedKitchen 0:300:3", "flown": "300:400"},
+    {"built_from": "desk 0:350:7", "flown": "0:350"},
+    {"built_from": "desk 0:350:7", "flown": "350:500"},
+)
+
+
+def of_flights(method: str, column: dict[str, str]) -> list[float]:
+    found = chosen(FLIGHTS, method=method, **column)
+    return [*over_builds(found, "rmse_cm"), *middle(found, "median_cm")]
+
+
+def of_odometry(column: dict[str, str]) -> list[float]:
+    return over_builds(chosen(FLIGHTS, method="default", **column), "odometry_rmse_cm")
+
+
+def of_sift(column: dict[str, str]) -> list[float]:
+    return [sift_in_kitchen_cm("extrapolation")] if column["flown"] == "300:400" else []
+
+
+def sift_in_kitchen_cm(split: str) -> float:
+    return 100.0 * float(KITCHEN["fig5b"][split]["by light"]["SIFT keypoints"]["as recorded"]["median"])
+
+
+def of_counts(column: dict[str, str]) -> list[float]:
+    found = chosen(FLIGHTS, method="default", **column)
+    return [len({row["build"] for row in found}), len(found)]
+
+
+README_ROWS: tuple[tuple[str, Callable[[dict[str, str]], list[float]]], ...] = (
+    ("monoloc (default)", partial(of_flights, "default")),
+    ("landmarks and odometry, no depth scans", partial(of_flights, "without scans")),
+    ("depth alone, no landmarks", partial(of_flights, "without landmarks")),
+    ("untuned, with landmarks (3 builds)", partial(of_flights, "untuned")),
+    ("visual odometry from the same start", of_odometry),
+    ("SIFT keypoints and PnP, 9.8 MB", of_sift),
+    ("builds, flights (SIFT: one run)", of_counts),
+)
+
+
+def test_table_of_readme() -> None:
+    (rows,) = (table.rows for table in tables_of("README.md") if table.place == ("Accuracy", 0))
+    assert [row[0] for row in rows] == [name for name, _ in README_ROWS]
+    for (_, numbers), (_, *shown) in zip(README_ROWS, rows, strict=True):
+        for text, column in zip(shown, COLUMNS, strict=True):
+            agree(text, numbers(column))
+
+
+# --- Sentences ---
+
+DESK_BEYOND = chosen(FLIGHTS, method="default", **COLUMNS[3])
+KITCHEN_BETWEEN = chosen(FLIGHTS, method="default", **COLUMNS[0])
+
+
+def rendered_rmse_cm(room: str, light: str) -> float:
+    return median_of(chosen(RENDERED_FLIGHTS, room=room, light=light, method="default"), "rmse_cm")
+
+
+def sift_rmse_cm(light: str) -> float:
+    return 100.0 * float(LIVING_ROOM["fig5b"]["living room"]["by light"]["SIFT keypoints"][light]["median"])
+
+
+SENTENCES: tuple[Sentence, ...] = (
+    (r"\d+ % of the frames are \*tracking\*", [tracking_percent(DESK_BEYOND)]),
+    (
+        r"Of these \d+ frames, \d+ were wrongly \*tracking\* \(\d+ over 30 cm off, \d+ beyond 3.5 sigma\)",
+        [
+            total(DESK_BEYOND, "frames"),
+            total(DESK_BEYOND, "silent_30cm") + total(DESK_BEYOND, "silent_3_5_sigma"),
+            total(DESK_BEYOND, "silent_30cm"),
+            30,
+            total(DESK_BEYOND, "silent_3_5_sigma"),
+            3.5,
+        ],
+    ),
+    (
+        r"of the \d+ of RedKitchen, interpolation, \d+ \(\d+ and \d+\)",
+        [
+            total(KITCHEN_BETWEEN, "frames"),
+            total(KITCHEN_BETWEEN, "silent_30cm") + total(KITCHEN_BETWEEN, "silent_3_5_sigma"),
+            total(KITCHEN_BETWEEN, "silent_30cm"),
+            total(KITCHEN_BETWEEN, "silent_3_5_sigma"),
+        ],
+    ),
+    (
+        r"the RMSE is [\d.]+ and [\d.]+ cm in medium light, and [\d.]+ and [\d.]+ cm in near darkness "
+        r"\(1 build a room, \d flights a light\)",
+        [
+            *(rendered_rmse_cm(room, light) for light in ("L2", "L3") for room in ("living room", "dining room")),
+            1,
+            len({row["flight"] for row in RENDERED_FLIGHTS}),
+        ],
+    ),
+    (r"SIFT is more exact, with an RMSE of [\d.]+ cm", [sift_in_kitchen_cm("interpolation")]),
+    (r"SIFT had [\d.]+ and [\d.]+ cm \(1 run\)", [sift_rmse_cm("L2"), sift_rmse_cm("L3"), 1]),
+    (
+        r"the network [\d.]+ MB, landmarks [\d.]+ to [\d.]+ MB, the mixture \d+ kB",
+        [
+            KITCHEN["table1"]["depth networks"]["full"]["bytes"] / 1e6,
+            0.2,
+            0.4,
+            KITCHEN["table1"]["map"]["bytes"] / 1e3,
+        ],
+    ),
+)
+
+NOT_OF_THE_DATA: dict[str, str] = {
+    "200 Gaussians in 8 kB": "a definition: 40 bytes each",
+    "arXiv 2210.15559": "a name",
+    "ICASSP 2023": "a name",
+    "Python 3.11": "what is required",
+    "about 3 GB": "of the packages",
+    "ROS 2": "a name",
+    "7-Scenes": "a name",
+    "takes about 2.3 MB": "the sum of what follows",
+    "about 10 cm and 3°": "what a start must keep to",
+    "400 frames of 7-Scenes": "of the recording",
+    "500 frames of an office": "of the recording",
+    "0:400:4": "frames",
+    "0:350:7": "frames",
+    "0:300:3": "frames",
+    "300:400": "frames",
+    "350:500": "frames",
+    "0:300": "frames",
+    "0:350": "frames",
+    "10 cm and 3° off": "the starts of the flights",
+    "1.5 cm and 1.7°": "stated by those who recorded the desk",
+    "15 to 20 cm": "measured elsewhere, without kept data",
+    "0.35 m from the nearest build frame": "of the recordings, in the median",
+    "17 cm off, odometry alone 18 cm": "written in the picture",
+}
+
+
+@pytest.mark.parametrize(("pattern", "expected"), SENTENCES)
+def test_sentence(pattern: str, expected: list[float]) -> None:
+    agree_sentence("README.md", pattern, expected)
+
+
+def test_every_other_number_is_none_that_was_measured() -> None:
+    assert other_numbers(page("README.md"), SENTENCES, NOT_OF_THE_DATA) == []

@@ -1,0 +1,192 @@
+"""Tables of docs/results.md are those of the kept data, or say that their runs were not kept."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import pytest
+
+from document_numbers import (
+    NOT_KEPT,
+    Table,
+    agree,
+    agree_all,
+    chosen,
+    json_of,
+    median_of,
+    middle,
+    over_builds,
+    spread,
+    table_of,
+    tables_of,
+    total,
+    tracking_percent,
+)
+
+PAGE = "docs/results.md"
+LIGHTS = ("L1", "L2", "L3")
+RECOVERY = "Kidnaps, starts without a pose, edited maps"
+FAULTS_OF_ROW = {
+    "black, covered, saturated, frozen": ("black", "covered", "saturated", "frozen"),
+    "noise, other room, mirrored, turned by 180 degrees": ("noise", "other-room", "mirrored", "turned-180"),
+    "half covered on the right": ("half-covered-right",),
+    "half covered on the left or below, blurred, flickering, JPEG at 10": (
+        "half-covered-left",
+        "half-covered-lower",
+        "blurred",
+        "flickering",
+        "jpeg-quality-10",
+    ),
+    "time backwards, images missing for 2 and 10 s": ("time-backwards", "dropped-2s", "dropped-10s"),
+    "focal length + 10 %, whole flight": ("intrinsics-plus-10",),
+    "focal length - 10 %": ("intrinsics-minus-10",),
+    "focal length + 30 %": ("intrinsics-plus-30",),
+    "focal length - 30 %": ("intrinsics-minus-30",),
+}
+
+
+def check_this_version(table: Table) -> None:
+    flights = table_of("this-version.csv")
+    assert len(table.rows) == len({(row["built_from"], row["flown"], row["method"]) for row in flights})
+    for where, method, *shown in table.rows:
+        built_from, flown = where.split(", ")
+        found = chosen(flights, built_from=built_from, flown=flown, method=method)
+        agree_all(
+            shown,
+            [
+                over_builds(found, "median_cm"),
+                over_builds(found, "rmse_cm"),
+                middle(found, "rotation_median_deg"),
+                [*middle(found, "coverage_95"), *middle(found, "coverage_99")],
+                [tracking_percent(found)],
+                [total(found, name) for name in ("silent_30cm", "silent_3_5_sigma", "frames")],
+            ],
+        )
+
+
+def check_rendered_rooms(table: Table) -> None:
+    flights = table_of("rendered-rooms.csv")
+    assert len(table.rows) == len({(row["room"], row["method"]) for row in flights})
+    for room, method, *shown in table.rows:
+        found = chosen(flights, room=room, method=method)
+        by_light = [chosen(found, light=light) for light in LIGHTS]
+        columns = ("median_cm", "rmse_cm", "odometry_rmse_cm", "coverage_95")
+        agree_all(
+            shown,
+            [
+                *([median_of(rows, column) for rows in by_light] for column in columns),
+                [tracking_percent(rows) for rows in by_light],
+                [total(found, name) for name in ("silent_30cm", "silent_3_5_sigma", "frames")],
+            ],
+        )
+
+
+def check_recovery(table: Table) -> None:
+    rows = iter(table.rows)
+    for room in ("RedKitchen", "desk"):
+        builds = json_of(f"recovery-{room.lower()}.json")
+        assert [build["build"] for build in builds] == [2, 3, 4]
+        for part in ("near", "away", "all"):
+            name, starts, kidnaps, alarms, false, edits, coverage = next(rows)
+            found = [build if part == "all" else build[part] for build in builds]
+            assert name == f"{room}, {part}"
+            agree(starts, [*spread(each["global_start_rate"] for each in found), found[0]["starts"]])
+            agree(kidnaps, [*spread(each["kidnap_recovery_rate"] for each in found), found[0]["kidnaps"]])
+            agree(alarms, spread((100.0 * each["false_alarm_rate"] for each in found), 1))
+            agree(coverage, spread(each["coverage_95"] for each in found))
+            if part == "all":
+                agree(false, spread((100.0 * each["false_tracking_rate"] for each in found), 1))
+                agree(edits, spread(each["map_changed_rate"] for each in found))
+            else:
+                assert (false, edits) == ("", "")
+    assert list(rows) == []
+
+
+def check_recovery_of_other_bundles(table: Table) -> None:
+    bundles = json_of("recovery-others.json")
+    for bundle, (name, starts, kidnaps, *rates, coverage) in zip(bundles, table.rows, strict=True):
+        parts = bundle["near"], bundle["away"]
+        assert name == bundle["bundle"] and bundle["wrong_place_rate"] == 0.0
+        for shown, rate, count in (
+            (starts, "global_start_rate", "starts"),
+            (kidnaps, "kidnap_recovery_rate", "kidnaps"),
+        ):
+            agree(shown, [each for part in parts for each in (part[rate], part[count]) if each is not None])
+        agree_all(rates, [[100.0 * bundle["false_alarm_rate"]], [100.0 * bundle["false_tracking_rate"]]])
+        agree(coverage, [bundle["coverage_95"], bundle["coverage_99"]])
+
+
+# --- Failing cameras ---
+
+
+def when(reported_s: float) -> str:
+    if math.isinf(reported_s):
+        return "never"
+    return f"{reported_s:.2g} s" if reported_s > 0.0 else "at once"
+
+
+def when_reported(faults: Sequence[dict[str, Any]]) -> str:
+    times = [math.inf if fault["reported_s"] is None else fault["reported_s"] for fault in faults]
+    if when(min(times)) == when(max(times)):
+        return when(max(times))
+    return f"{when(min(times))} to never" if math.isinf(max(times)) else f"{when(max(times))} at most"
+
+
+def silent_of(faults: Sequence[dict[str, Any]], *parts: str) -> tuple[int, int]:
+    counted = [fault[part] for fault in faults for part in parts]
+    return sum(part["silent_frames"] for part in counted), sum(part["frames"] for part in counted)
+
+
+def fault_rows(room: str) -> dict[str, str]:
+    """The cells of one room."""
+    kept: dict[str, dict[str, Any]] = json_of(f"faults-{room}.json")["faults"]
+    faults = {name: fault for name, fault in kept.items() if name != "none"}
+    cells = {}
+    for row, names in FAULTS_OF_ROW.items():
+        found = [faults[name] for name in names]
+        cells[row] = "{} of {}".format(*silent_of(found, "during"))
+        if "time-backwards" not in names:
+            cells[row] += f", {when_reported(found)}"
+    silent, frames = silent_of([*faults.values()], "during", "after")
+    cells["all faults, during and after"] = (
+        f"{silent} of {frames} ({100.0 * silent / frames:.{1 if 100 * silent < 10 * frames else 0}f} %)"
+    )
+    others = [fault for name, fault in faults.items() if not name.startswith("intrinsics")]
+    cells["all but the focal length"] = "{} of {}".format(*silent_of(others, "during", "after"))
+    return cells
+
+
+def check_faults(table: Table) -> None:
+    kitchen, desk = (fault_rows(room) for room in ("redkitchen", "desk"))
+    assert table.rows == tuple((name, kitchen[name], desk[name]) for name in kitchen)
+
+
+def test_every_fault_is_in_a_row() -> None:
+    shown = {name for names in FAULTS_OF_ROW.values() for name in names}
+    for room in ("redkitchen", "desk"):
+        assert json_of(f"faults-{room}.json")["faults"].keys() == shown | {"none"}
+
+
+# --- All tables ---
+
+CHECKS: dict[tuple[str, int], Callable[[Table], None]] = {
+    ("This version", 0): check_this_version,
+    ("Two rendered rooms", 0): check_rendered_rooms,
+    (RECOVERY, 0): check_recovery,
+    (RECOVERY, 1): check_recovery_of_other_bundles,
+    ("What the state says", 0): check_faults,
+}
+TABLES = tables_of(PAGE)
+
+
+@pytest.mark.parametrize("table", TABLES, ids=lambda table: f"{table.place[0]} {table.place[1]}")
+def test_table(table: Table) -> None:
+    assert (table.place in CHECKS) != (NOT_KEPT in table.after)
+    if table.place in CHECKS:
+        CHECKS[table.place](table)
+
+
+def test_no_table_is_missing() -> None:
+    assert CHECKS.keys() <= {table.place for table in TABLES}
