@@ -17,12 +17,13 @@ from repository import REPOSITORY
 
 DATA = REPOSITORY / "docs" / "results"
 NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?")
+FRAMES = r"\b\d+:\d+(?::\d+)?\b"
 NOT_KEPT = "The runs behind this table were not kept."
 TIE = 1e-9  # a value halfway between two printed ones may be printed as either
 
 Rows = Sequence[dict[str, str]]
 Sentence = tuple[str, Sequence[float]]
-"""A pattern that occurs once on a page, and the numbers that it shows."""
+"""A text that occurs once on a page, with ``{}`` in place of measured numbers, and these numbers."""
 
 
 # --- Kept data ---
@@ -149,16 +150,20 @@ def agree_all(cells: Sequence[str], expected: Iterable[Sequence[float]]) -> None
         agree(cell, found)
 
 
-def agree_sentence(document: str, pattern: str, expected: Sequence[float]) -> None:
-    (text,) = [match.group(0) for match in re.finditer(pattern, page(document))]
-    agree(text, expected)
+def pattern_of(sentence: str) -> str:
+    return rf"({NUMBER.pattern})".join(map(re.escape, sentence.split("{}")))
+
+
+def agree_sentence(document: str, sentence: str, expected: Sequence[float]) -> None:
+    (match,) = re.finditer(pattern_of(sentence), page(document))
+    agree_all(match.groups(), [[value] for value in expected])
 
 
 def other_numbers(text: str, sentences: Iterable[Sentence], phrases: Iterable[str]) -> list[str]:
-    """Numbers outside code, links, tables, the sentences and the phrases; each phrase must occur."""
-    for pattern in (r"(?s)```.*?```", r"\]\([^)]*\)", r"(?m)^ *\|.*$", *(pattern for pattern, _ in sentences)):
+    """Numbers outside code, links, tables, frames, the sentences and the phrases; each phrase must occur."""
+    for pattern in (r"(?s)```.*?```", r"(?m)^ *\|.*$", *(pattern_of(sentence) for sentence, _ in sentences)):
         text = re.sub(pattern, "", text)
-    text = re.sub(r"`[^`]*`", "", text)
+    text = re.sub(rf"\]\([^)]*\)|`[^`]*`|{FRAMES}", "", text)
     for phrase in sorted(phrases, key=len, reverse=True):
         assert phrase in text, phrase
         text = text.replace(phrase, "")

@@ -1,0 +1,53 @@
+"""Flights of this version with ratios of their errors, and rows of the networks of earlier versions."""
+
+from __future__ import annotations
+
+from document_numbers import Rows, by_build, chosen, middle, only, table_of
+from monoloc_lab.experiments.interval import Interval, interval_of
+
+FLIGHTS = table_of("this-version.csv")
+STRETCHES = (
+    ("RedKitchen 0:300:3", "0:300"),
+    ("RedKitchen 0:300:3", "300:400"),
+    ("desk 0:350:7", "0:350"),
+    ("desk 0:350:7", "350:500"),
+)
+KITCHEN_BETWEEN, KITCHEN_BEYOND, DESK_BETWEEN, DESK_BEYOND = range(4)
+
+
+def flown(method: str, stretch: int) -> Rows:
+    built_from, frames = STRETCHES[stretch]
+    return chosen(FLIGHTS, method=method, built_from=built_from, flown=frames)
+
+
+def over_builds_of(column: str, stretch: int, *methods: str) -> list[float]:
+    """The median over builds, of each method."""
+    return [middle(flown(method, stretch), column)[0] for method in methods]
+
+
+def over(other: str, stretch: int) -> Interval:
+    """RMSE of the default over that of another method, build by build."""
+    default, others = (by_build(flown(method, stretch), "rmse_cm") for method in ("default", other))
+    return interval_of([default[build] / others[build] for build in default])
+
+
+def over_untuned(stretch: int) -> Interval:
+    """RMSE of the default over that of the untuned bundle of the same seed; builds 2 to 4 have seeds 0 to 2."""
+    default, others = (by_build(flown(method, stretch), "rmse_cm") for method in ("default", "untuned"))
+    return interval_of([default[str(int(seed) + 2)] / others[seed] for seed in others])
+
+
+def of_network(
+    network: str, split: str, variant: str = "adapted", landmarks: str = "no", builds: str = "3"
+) -> dict[str, str]:
+    """As recorded in RedKitchen."""
+    return only(
+        table_of("localization.csv"),
+        room="RedKitchen",
+        light="as recorded",
+        network=network,
+        split=split,
+        variant=variant,
+        landmarks=landmarks,
+        builds=builds,
+    )

@@ -1,0 +1,188 @@
+"""Sentences under Failed of docs/results.md show numbers of the kept data, and the data says the verdicts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from document_numbers import (
+    Sentence,
+    agree_sentence,
+    chosen,
+    json_of,
+    numbers,
+    only,
+    other_numbers,
+    sections_of,
+    table_of,
+    three,
+)
+from kept_flights import DESK_BETWEEN, DESK_BEYOND, KITCHEN_BETWEEN, KITCHEN_BEYOND, of_network, over, over_untuned
+from monoloc_lab.experiments.interval import Interval, interval_of, medians_of_builds, ratios_of_builds, step_of
+from monoloc_lab.experiments.ladder import ratio
+
+PAGE = "docs/results.md"
+LOCALIZATION, BASELINES = table_of("localization.csv"), table_of("baselines.csv")
+CLAIMS = json_of("claims-by-method.json")
+LADDER = json_of("ladder.json")
+MEDIAN = ("median_cm", "median_min_cm", "median_max_cm")
+SIZES = ("full", "two-thirds", "one-third", "tiny")
+SPLITS = ("interpolation", "extrapolation")
+
+
+def in_darkness(network: str) -> dict[str, str]:
+    return only(LOCALIZATION, room="living room", light="L3", network=network, variant="adapted", landmarks="no")
+
+
+def over_unadapted(network: str, split: str) -> float:
+    """Median without adaptation over that with it."""
+    unadapted, adapted = (of_network(network, split, variant) for variant in ("unadapted", "adapted"))
+    return float(unadapted["median_cm"]) / float(adapted["median_cm"])
+
+
+def a_third_over_all(room: str) -> Interval:
+    small, large = (
+        medians_of_builds(
+            [row for row in CLAIMS if row["room"] == room],
+            "rmse_cm",
+            method="the default, depth alone",
+            tuned=True,
+            size=size,
+            light="as recorded",
+        )
+        for size in ("one-third", "full")
+    )
+    return interval_of(ratios_of_builds(small, large))
+
+
+def a_third_larger_percent(column: str, builds: str) -> float:
+    small, large = (of_network(size, "extrapolation", builds=builds)[column] for size in ("one-third", "full"))
+    return 100.0 * (float(small) / float(large) - 1.0)
+
+
+BASELINE_BETWEEN = chosen(BASELINES, room="RedKitchen", split="interpolation", light="as recorded")
+SIFT_IN_THE_LIVING_ROOM = only(BASELINES, room="living room", light="L2", method="SIFT keypoints")
+IN_THE_LIVING_ROOM = only(
+    LOCALIZATION, room="living room", light="L2", network="full", variant="adapted", landmarks="yes"
+)
+AWAY_AT_THE_DESK, NEAR_AT_THE_DESK = (
+    [build[part] for build in json_of("recovery-desk.json")] for part in ("away", "near")
+)
+SENTENCES: tuple[Sentence, ...] = (
+    (
+        "is undecided in three: {} ({}–{}) and {} ({}–{}) in RedKitchen, interpolation and extrapolation, and "
+        "{} ({}–{}) at the desk, extrapolation. At the desk, interpolation, scans raise it: {} ({}–{}).",
+        [
+            number
+            for stretch in (KITCHEN_BETWEEN, KITCHEN_BEYOND, DESK_BEYOND, DESK_BETWEEN)
+            for number in three(over("without scans", stretch))
+        ],
+    ),
+    (
+        "the default has {} ({}–{}) times the RMSE of untuned bundles; at the desk, interpolation, the ratio is "
+        "{} ({}–{}), undecided. In RedKitchen it is {} ({}–{}) and {} ({}–{}).",
+        [
+            number
+            for stretch in (DESK_BEYOND, DESK_BETWEEN, KITCHEN_BETWEEN, KITCHEN_BEYOND)
+            for number in three(over_untuned(stretch))
+        ],
+    ),
+    (
+        "{} % (`full`) and {} % (`one-third`) of the frames lie inside the stated 95 % ellipsoid ({} builds, "
+        "{} flights)",
+        [
+            *(100.0 * float(in_darkness(network)["coverage_95"]) for network in ("full", "one-third")),
+            *numbers(in_darkness("full"), "builds", "flights"),
+        ],
+    ),
+    (
+        "the odometry ratio is {} (worst {}) and {} (worst {})",
+        [
+            number
+            for network in ("full", "one-third")
+            for number in numbers(in_darkness(network), "rmse_over_odometry_median", "rmse_over_odometry_worst")
+        ],
+    ),
+    (
+        "On the interpolation split the ratio is {} (`full`), {} (`two-thirds`), {} (`one-third`) and {} (`tiny`). "
+        "On the extrapolation split it is {}, {}, {} and {}. {} builds, {} flights each.",
+        [
+            *(over_unadapted(network, split) for split in SPLITS for network in SIZES),
+            *numbers(of_network("full", "interpolation"), "builds", "flights"),
+        ],
+    ),
+    (
+        "the ratio of the RMSE is {} ({}–{}) at the desk. In RedKitchen it is {} ({}–{}), which is undecided",
+        [*three(a_third_over_all("office desk")), *three(a_third_over_all("RedKitchen"))],
+    ),
+    (
+        "was {} % larger than that of `full` in 3 builds with 6 flights, and {} % larger in 5 builds with 10 flights "
+        "({} against {} cm; RMSE {} % larger)",
+        [
+            *(a_third_larger_percent("median_cm", builds) for builds in ("3", "5")),
+            *(float(of_network(size, "extrapolation", builds="5")["median_cm"]) for size in ("one-third", "full")),
+            a_third_larger_percent("rmse_cm", "5"),
+        ],
+    ),
+    (
+        "SIFT keypoints with PnP have {} cm (9.8 MB of descriptors) and PoseNet has {} cm ({}–{}, {} seeds). monoloc "
+        "has {} cm with landmarks and {} cm with depth alone. In the living room in L2, SIFT has a median of {} cm "
+        "(RMSE {}) and monoloc {} cm (RMSE {})",
+        [
+            *numbers(only(BASELINE_BETWEEN, method="SIFT keypoints"), "median_cm"),
+            *numbers(only(BASELINE_BETWEEN, method="PoseNet", size="full"), *MEDIAN, "seeds"),
+            *(float(of_network("full", "interpolation", landmarks=with_)["median_cm"]) for with_ in ("yes", "no")),
+            *numbers(SIFT_IN_THE_LIVING_ROOM, "median_cm", "rmse_cm"),
+            *numbers(IN_THE_LIVING_ROOM, "median_cm", "rmse_cm"),
+        ],
+    ),
+    (
+        "none of {} kidnaps away from the build's frames was found within 3 s, in each of three builds",
+        [AWAY_AT_THE_DESK[0]["kidnaps"]],
+    ),
+    (
+        "Near them it was {} of {}.",
+        [
+            float(np.median([build["kidnap_recovery_rate"] for build in NEAR_AT_THE_DESK])),
+            NEAR_AT_THE_DESK[0]["kidnaps"],
+        ],
+    ),
+)
+
+
+def test_verdicts_under_failed() -> None:
+    assert [step_of(over("without scans", stretch)) for stretch in range(4)] == [
+        "undecided",
+        "undecided",
+        "worse",
+        "undecided",
+    ]
+    assert [step_of(over_untuned(stretch)) for stretch in range(4)] == ["better", "better", "undecided", "worse"]
+    at_the_desk = [row for row in LADDER if row["room"] == "office desk"]
+    in_the_ladder = ratio(at_the_desk, "extrapolation", "the default", "untuned")
+    assert in_the_ladder is not None and step_of(in_the_ladder) == "undecided"
+    desk, kitchen = (three(a_third_over_all(room)) for room in ("office desk", "RedKitchen"))
+    assert desk[1] > 1.15 and kitchen[1] < 1.15 < kitchen[2]
+    assert [build["kidnap_recovery_rate"] for build in AWAY_AT_THE_DESK] == [0.0, 0.0, 0.0]
+
+
+NOT_OF_THE_DATA: dict[str, str] = {
+    "versions of 23 to 25 November 2026": "dates",
+    "within 15 % of": "the claim",
+    "the stated 95 % ellipsoid held 23 to 58 % of the poses": "not kept",
+    "1 build, 3 flights, 57 frames each": "not kept",
+    "outside 3.5 sigma. The runs were not kept": "not kept",
+    "in 5 of 24 approaches": "not kept",
+    "(1 build, three lights)": "not kept",
+    "60 of 60 approaches to mapped obstacles (20 in three lights; 41 by": "not kept",
+    "in 10 of 15 to new ones (0 by distances alone). The runs were not kept": "not kept",
+}
+
+
+@pytest.mark.parametrize(("sentence", "expected"), SENTENCES)
+def test_sentence(sentence: str, expected: list[float]) -> None:
+    agree_sentence(PAGE, sentence, expected)
+
+
+def test_every_other_number_is_none_of_kept_runs() -> None:
+    assert other_numbers(dict(sections_of(PAGE))["Failed"], SENTENCES, NOT_OF_THE_DATA) == []
