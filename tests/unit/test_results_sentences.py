@@ -93,7 +93,8 @@ THIS_VERSION: tuple[Sentence, ...] = (
         ],
     ),
     (
-        "(builds 0 and 1): {} instead of {} % with landmarks, {} instead of {} % by depth alone",
+        "(builds 0 and 1, and its own builds of the same seeds): {} instead of {} % with landmarks, "
+        "{} instead of {} % by depth alone",
         [tracking(rows, method) for method in ("default", "without landmarks") for rows in (FLIGHTS, OF_4B16D73)],
     ),
     (
