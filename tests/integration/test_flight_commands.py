@@ -260,7 +260,13 @@ LIVE = ("fly", "room.monoloc", "camera:987")
         (("fly", "room.monoloc", "flight", "--start", "1,2"), "--start", "is '1,2'", "TX,TY,TZ"),
         (("fly", "room.monoloc", "flight", "--settings", "absent.toml"), "absent.toml", "cannot be read", "TOML"),
         (("fly", "room.monoloc", "flight", "--record", "log"), "--record", "log is not empty", "new folder"),
-        (("doctor", "room.monoloc", "flight", "--settings", "used.toml"), "--record", "log is not empty", "new"),
+        (("doctor", "room.monoloc", "flight", "--settings", "used.toml"), "used.toml: record", "not empty", "new"),
+        (
+            ("fly", "room.monoloc", "flight", "--settings", "used.toml", "--record", "poses.csv"),
+            "--record",
+            "poses.csv is a file",
+            "name a folder",
+        ),
         (("fly", "room.monoloc", "flight", "--record", "poses.csv"), "--record", "is a file", "name a folder"),
         (("fly", "room.monoloc", "flight", "--record", "x/y"), "--record", "does not exist", "make the folder"),
         (
@@ -291,6 +297,31 @@ def test_wrong_arguments_are_refused(
 ) -> None:
     (here / "used.toml").write_text('record = "log"\n')
     refused(capfd, here, arguments, names, problem, fix)
+
+
+@pytest.mark.parametrize("command", ["fly", "doctor"])
+@pytest.mark.parametrize(
+    ("field", "value", "problem", "fix"),
+    [
+        ("out", "x/y.csv", "x does not exist", "make the folder"),
+        ("out", "poses.txt", "is a table by another name", "NAME.csv"),
+        ("mcap", "flight", "is MCAP by another name", "NAME.mcap"),
+        ("record", "poses.csv", "is a file", "name a folder"),
+        ("camera", "640,480", "is '640,480'", "a .toml of monoloc calibrate"),
+        ("start", "1,2", "is '1,2'", "TX,TY,TZ"),
+        ("mavlink", "here", "is 'here'", "udpin"),
+        ("firmware", "px4", "is given without an autopilot", "give the autopilot's address"),
+        ("source", "camera:x", "unknown format 'camera'", "known formats"),
+    ],
+)
+def test_what_a_file_sets_is_refused_by_its_name_there(
+    capfd: Capture, here: Path, command: str, field: str, value: str, problem: str, fix: str
+) -> None:
+    content = {"room": "room.monoloc", "source": "flight", "down": [0, 1, 0], field: value}
+    content |= {"firmware": "px4"} if field == "mavlink" else {}
+    content |= {"camera": INTRINSICS} if field == "source" else {}
+    (here / "flight.toml").write_text("".join(f"{name} = {json.dumps(given)}\n" for name, given in content.items()))
+    refused(capfd, here, (command, "flight.toml"), f"flight.toml: {field}: ", problem, fix)
 
 
 def test_another_bundle_and_damaged_flights_are_refused(capfd: Capture, here: Path) -> None:

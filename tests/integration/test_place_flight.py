@@ -134,11 +134,16 @@ FLY = ("fly", "house.place", "walk")
     [
         (("fly", "absent.place", "walk"), "absent.place", "is not a place", "monoloc place new"),
         ((*FLY, "--start", "0,0,0,0,0,0,1"), "--start", "a place is searched for the camera", "leave it out"),
-        ((*FLY, "--settings", "marked.toml"), "marker", "a place is searched for the camera", "leave markers out"),
+        (
+            (*FLY, "--settings", "marked.toml"),
+            "marked.toml: marker",
+            "a place is searched for the camera",
+            "leave markers out",
+        ),
         (("fly", "apart.place", "walk"), "apart.place", f"no doors lead from room {RIGHT} to {LEFT}", "place door"),
         ((*FLY, "--out", "house.place/poses.csv"), "--out", "lies in the place house.place", "another place"),
         (("doctor", "apart.place", "walk"), "apart.place", "no doors lead from room", "place door"),
-        (("doctor", "house.place", "walk", "--settings", "marked.toml"), "marker", "a place is searched", "leave"),
+        (("doctor", "house.place", "walk", "--settings", "marked.toml"), "marked.toml: marker", "is given", "leave"),
         (("replay", "log", "--room", "apart.place"), "apart.place", "is not the place of this flight", "--room"),
     ],
 )

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import typer
 
-from monoloc.cli.common import FramesOption, IntrinsicsOption, JsonOption, check_outputs, print_json, stderr
+from monoloc.cli.common import FramesOption, IntrinsicsOption, JsonOption, check_outputs, naming, print_json, stderr
 from monoloc.cli.findings import EXIT_CODES, print_findings
 from monoloc.cli.flight_options import (
     FirmwareOption,
@@ -69,19 +69,21 @@ def doctor(
       monoloc doctor flight.toml --report report.json
       monoloc doctor room.monoloc camera:0 --camera cam.toml --mavlink serial:/dev/ttyAMA0:921600 --firmware px4
     """
-    room, flight = flight_of(room, settings, source=source, camera=intrinsics, mavlink=mavlink, firmware=firmware)
+    given: dict[str, object] = {"source": source, "camera": intrinsics, "mavlink": mavlink, "firmware": firmware}
+    room, flight, names = flight_of(room, settings, **given)
     inputs = room, flight.source, settings, flight.require_signature
     check_outputs({"--report": report}, inputs)
-    check_flight_outputs(flight, inputs)
-    check_autopilot(flight, align=False, fast=False)
-    flown, flight_settings = map_of(room, flight), flight.settings
-    if not (flown.is_searched or flight.marker or flight.start != UNKNOWN):
-        problem = "cannot be searched: neither scans nor landmarks find the camera in it"
-        raise SettingError("ROOM", problem, "write a start or a marker into flight.toml")
+    with naming(names):
+        check_flight_outputs(flight, inputs)
+        check_autopilot(flight, align=False, fast=False)
+        flown, flight_settings = map_of(room, flight), flight.settings
+        if not (flown.is_searched or flight.marker or flight.start != UNKNOWN):
+            problem = "cannot be searched: neither scans nor landmarks find the camera in it"
+            raise SettingError("ROOM", problem, "write a start or a marker into flight.toml")
     cv2.setNumThreads(1)  # as in a flight
     summary = FlightSummary()
     preflight = Preflight(flown.provenance, tells_gravity(flown, flight_settings), flown.scale_sd())
-    with ExitStack() as opened:
+    with naming(names), ExitStack() as opened:
         frame_source, camera, first_pose = open_frames(flight.source, frames, flight.camera, fast=False)
         opened.callback(frame_source.close)
         starting = starting_of(flight, flown.room, camera, first_pose, np.random.default_rng(0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -61,8 +61,13 @@ FirmwareOption = Annotated[
 ]
 
 
-def flight_of(room: Path | None, settings: Path | None, **options: object) -> tuple[Path, FlightFile]:
-    """The bundle or place and the flight that a user asks for.
+def flight_of(
+    room: Path | None, settings: Path | None, **options: object
+) -> tuple[Path, FlightFile, Mapping[str, str]]:
+    """The bundle or place and the flight that a user asks for, and the names of what the file sets.
+
+    The names are for :func:`monoloc.cli.common.naming`: without it, errors about what the file says would name the
+    options that say the same.
 
     Args:
         room: first argument, a bundle, a place or a file.
@@ -80,13 +85,22 @@ def flight_of(room: Path | None, settings: Path | None, **options: object) -> tu
     flight = FlightFile() if settings is None else read_flight_file(settings)
     with naming({name: "--" + name.replace("_", "-") for name in options}):
         flight = override(flight, room=room, **options)
+    given = {"room": room, **options}
+    names = {} if settings is None else _names_in(settings, {name for name in given if given[name] is not None})
     bundle = flight.room
     if bundle is None:
         where = "" if settings is None else f" and {settings} has no room"
         raise SettingError("ROOM", f"is missing{where}", "name a bundle of monoloc build")
     timed = {name: getattr(flight, name) for name in ("mcap", "record")}
     changes = {name: Path(time.strftime(str(path))) for name, path in timed.items() if path and "%" in str(path)}
-    return bundle, flight.model_copy(update=changes)
+    return bundle, flight.model_copy(update=changes), names
+
+
+def _names_in(settings: Path, given: Set[str]) -> dict[str, str]:
+    """The file and its field, by what an error names, of fields that the command line does not set."""
+    arguments = {"room": "ROOM", "source": "SOURCE", "down": "down", "marker": "marker"}
+    named = {arguments.get(field, "--" + field.replace("_", "-")): field for field in FlightFile.model_fields}
+    return {name: f"{settings}: {field}" for name, field in named.items() if field not in given}
 
 
 def check_autopilot(flight: FlightFile, align: bool, fast: bool) -> None:
@@ -99,7 +113,9 @@ def check_autopilot(flight: FlightFile, align: bool, fast: bool) -> None:
     if flight.mavlink is not None and flight.firmware is None:
         raise SettingError("--firmware", "is missing: firmwares take other frames", f"choose from {names}")
     if flight.mavlink is None and flight.firmware is not None:
-        raise SettingError("--firmware", "is given without --mavlink", "give the autopilot's address with --mavlink")
+        raise SettingError(
+            "--firmware", "is given without an autopilot", "give the autopilot's address (mavlink) too"
+        )
     if align and flight.mavlink is None:
         raise SettingError("--align", "needs the autopilot's yaw", "give its address with --mavlink")
     if fast and flight.mavlink is not None:

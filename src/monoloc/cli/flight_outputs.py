@@ -47,9 +47,9 @@ def check_flight_outputs(flight: FlightFile, inputs: Sequence[str | Path | None]
         SettingError: an output is rejected; the error names the option.
         MissingExtraError: the library that writes MCAP is not installed.
     """
-    check_outputs({"--out": flight.out, "--mcap": flight.mcap}, inputs)
     check_suffix(flight.out, "--out", ".csv", "a table")
     check_suffix(flight.mcap, "--mcap", ".mcap", "MCAP")
+    check_outputs({"--out": flight.out, "--mcap": flight.mcap}, inputs)
     if flight.mcap is not None:
         require_mcap()
     if flight.record is not None:

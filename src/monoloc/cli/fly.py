@@ -19,6 +19,7 @@ from monoloc.cli.common import (
     JsonOption,
     SeedOption,
     ThreadsOption,
+    naming,
     stderr,
 )
 from monoloc.cli.flight_options import (
@@ -126,7 +127,7 @@ def fly(
       monoloc fly flight.toml rtsp://192.168.1.20/stream --record flight-%Y%m%d-%H%M%S
       monoloc fly room.monoloc 7scenes:redkitchen --frames 0:400 --out poses.csv --mcap flight.mcap
     """
-    room, flight = flight_of(
+    room, flight, names = flight_of(
         room,
         settings,
         source=source,
@@ -143,15 +144,16 @@ def fly(
         mcap=mcap,
         record=record,
     )
-    check_flight_outputs(flight, (room, flight.source, settings, flight.require_signature))
     check_view(view, view_port)
-    check_autopilot(flight, align, fast)
-    flown = map_of(room, flight)
+    with naming(names):
+        check_flight_outputs(flight, (room, flight.source, settings, flight.require_signature))
+        check_autopilot(flight, align, fast)
+        flown = map_of(room, flight)
     flight_settings, firmware = flight.settings, flight.firmware
     rng = np.random.default_rng(seed)
     cv2.setNumThreads(1)  # more do not speed up small images, and the drone needs its other cores
     summary, north = FlightSummary(), None
-    with stopped_by_signals() as stop, _lines() as say:
+    with naming(names), stopped_by_signals() as stop, _lines() as say:
         outputs: list[FlightOutput] = [WatchdogOutput(), StatusOutput(say, stderr.is_terminal, summary)]
         with ExitStack() as opened:
             frame_source, camera, first_pose = open_frames(flight.source, frames, flight.camera, fast)
