@@ -14,7 +14,7 @@ import pytest
 import synthetic_recordings as synthetic
 from cli_helpers import QUICK, UNTUNED, json_of, listing, outputs, refused, succeeds, write_workspace
 from monoloc import __version__
-from monoloc.bundle import read_bundle, write_bundle
+from monoloc.bundle import digest_of, read_bundle, write_bundle
 from monoloc.depth.models import shipped_file
 from monoloc.evaluation.trajectory import pose_errors, summarise
 from monoloc.io.pose_files import read_tum
@@ -145,6 +145,7 @@ def test_localize_gives_all_metrics_and_repeats(capfd: Capture, here: Path, reco
     assert set(metrics) >= LOCALIZE_KEYS | {f"unseen_{key}" for key in ACCURACY_KEYS} | {"unseen_frames", "states"}
     assert metrics["frames"] == FRAMES and metrics["unseen_frames"] == FRAMES // 2
     options = {"bundle": "room.monoloc", "source": "flight", "seed": 3, "depth": "network"}
+    options["digest"] = digest_of(here / "room.monoloc")
     assert {name: metrics[name] for name in options} == options
     assert metrics["motion"] == "visual" and metrics["particles"] == 600 and metrics["scan_points"] == 300
     assert sum(metrics["states"].values()) == FRAMES

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import typer
 
-from monoloc.bundle import Bundle, read_bundle
+from monoloc.bundle import Bundle, digest_of, read_bundle
 from monoloc.cli.common import (
     BudgetOption,
     DepthScaleOption,
@@ -143,7 +143,7 @@ def localize_command(
     check_picture(plot, "--plot")
     check_viewing(view, record)
     left_out = () if without is None else parse_parts(without)
-    room = read_bundle(bundle, require_signature)
+    room, digest = read_bundle(bundle, require_signature), digest_of(bundle)
     recording = open_source(source, frames, intrinsics, depth_scale, fix_poses=fix_poses, fix_depth=fix_depth)
     warn_of_poses(recording)
     motions = measured_motions(recording.timestamps_s, gyroscope, odometry, odometry_delay, mount)
@@ -180,7 +180,8 @@ def localize_command(
     metrics = run.metrics()
     if json:
         source_of_depth = "sensor" if depth == "sensor" else "network"
-        print_json({"bundle": str(bundle), "source": source, "seed": seed, "depth": source_of_depth, **metrics})
+        what = {"bundle": str(bundle), "digest": digest, "source": source, "seed": seed, "depth": source_of_depth}
+        print_json({**what, **metrics})
     else:
         show(metrics)
         for path in written:

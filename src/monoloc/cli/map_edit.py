@@ -148,7 +148,7 @@ def remove_command(
     """
     rng = np.random.default_rng(seed)
     named = {"changed": str(changed)} if changed is not None else {}
-    corners = _corners(box, changed)
+    corners = _corners(_target(context).path, box, changed)
     inputs = [] if changed is None else [changed]
     _target(context).edit(
         out,
@@ -211,7 +211,7 @@ def move_command(
     shift = parse_numbers(by, 3, "DX,DY,DZ", "--by")
     if not np.any(shift) and turn == 0.0:
         raise SettingError("--by", "moves nothing", "give a shift, or --turn")
-    corners = _corners(box, changed)
+    corners = _corners(_target(context).path, box, changed)
     rng = np.random.default_rng(seed)
     parameters = {**_box_parameters(corners, yaw), "by_m": shift.tolist(), "turn_deg": turn}
     inputs = [] if changed is None else [changed]
@@ -348,17 +348,18 @@ def _warn_of_unconfirmed(record: EditRecord) -> None:
         stderr.print(f"warning: {record.parameters['source']}: {found}; {fix}", soft_wrap=True)
 
 
-def _corners(box: str | None, changed: Path | None) -> tuple[FloatArray, FloatArray]:
+def _corners(bundle: Path, box: str | None, changed: Path | None) -> tuple[FloatArray, FloatArray]:
     """Corners of the box that one of two options gives.
 
     Raises:
+        DataError, BundleError: as :func:`monoloc.editing.changed_region.read_changed_region`.
         SettingError: both do, or neither.
     """
     if (box is None) == (changed is None):
         problem = "is missing" if box is None else "and --changed both name a region"
         raise SettingError("--box", problem, f"give one of --box {_BOX} and --changed RUN.json")
     if changed is not None:
-        return read_changed_region(changed)
+        return read_changed_region(changed, bundle)
     assert box is not None
     return parse_box(box, "--box")
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from monoloc.bundle import digest_of
 from monoloc.config import describe
 from monoloc.errors import DataError
 from monoloc.files import read_regular
@@ -27,30 +28,36 @@ class _Region(BaseModel):
 
 
 class _RunFigures(BaseModel):
+    digest: str
     changed_regions: list[_Region]
 
 
-def read_changed_region(path: Path) -> tuple[FloatArray, FloatArray]:
+def read_changed_region(path: Path, bundle: Path) -> tuple[FloatArray, FloatArray]:
     """Corners (3,) each, world frame, metres, of the region that most frames of a run named.
 
     Args:
         path: JSON of ``monoloc localize``.
+        bundle: that it was localised in: other bundles have other worlds, and after an edit the region may be mended.
 
     Raises:
         DataError: the file is not that, or no frame named a region.
+        BundleError: there is no bundle.
     """
     try:
         body = json.loads(read_regular(path, _MOST_BYTES))
-        regions = _RunFigures.model_validate(body).changed_regions
+        run = _RunFigures.model_validate(body)
     except OSError as error:
         raise DataError(path, f"cannot be read ({error.strerror})", _FIX) from error
     except ValidationError as error:
         raise DataError(path, describe(error), _FIX) from error
     except (ValueError, RecursionError) as error:
         raise DataError(path, "is no JSON", _FIX) from error
-    if not regions:
+    if run.digest != digest_of(bundle):
+        problem = f"is a run in another bundle than {bundle}, or before its last edit"
+        raise DataError(path, problem, "localize in this one again, or give the box: --box")
+    if not run.changed_regions:
         raise DataError(path, "names no changed region: no frame was map-changed", "give the box: --box")
-    named = max(regions, key=lambda region: region.frames)
+    named = max(run.changed_regions, key=lambda region: region.frames)
     lower, upper = np.array(named.lower_m), np.array(named.upper_m)
     if np.any(upper <= lower):
         raise DataError(path, "names a region without volume", _FIX)

@@ -10,7 +10,7 @@ import pytest
 
 from cli_helpers import json_of, listing, outputs, refused, succeeds, write_recording, write_workspace
 from edit_helpers import CUBE, bundle_of_walk, cube_cloud, mapped_room
-from monoloc.bundle import read_bundle, write_bundle
+from monoloc.bundle import digest_of, read_bundle, write_bundle
 from monoloc.bundle_signature import SIGNATURE
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 
@@ -73,10 +73,16 @@ def test_region_of_a_run_is_removed(here: Path, capfd: pytest.CaptureFixture[str
         "upper_m": (CUBE.centre + CUBE.half).tolist(),
         "frames": 4,
     }
-    (here / "run.json").write_text(json.dumps({"changed_regions": [region]}))
+    run = {"digest": digest_of(here / "room.monoloc"), "changed_regions": [region]}
+    (here / "run.json").write_text(json.dumps(run))
     edited = json_of(capfd, *EDIT, "remove", "--changed", "run.json")
     assert edited["parameters"]["changed"] == "run.json"
     assert not CUBE.contains(read_bundle(here / "room.monoloc").landmarks.points.astype(np.float64)).any()
+    # The room is another one now: what else lies in the box was not what the run saw.
+    for again in (("remove",), ("move", "--by", "1,0,0")):
+        refused(
+            capfd, here, (*EDIT, *again, "--changed", "run.json"), "run.json", "another bundle than room", "--box"
+        )
 
 
 def test_log_of_a_map_without_edits(here: Path, capfd: pytest.CaptureFixture[str]) -> None:

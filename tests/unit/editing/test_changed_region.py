@@ -8,12 +8,24 @@ from typing import Any
 
 import pytest
 
+from monoloc.bundle import MANIFEST, digest_of
 from monoloc.editing.changed_region import read_changed_region
 from refusals import refuses_data
 
 
-def written(folder: Path, body: Any) -> Path:
-    path = folder / "run.json"
+@pytest.fixture
+def bundle(tmp_path: Path) -> Path:
+    """As much of a bundle as identifies it."""
+    (tmp_path / "room.monoloc").mkdir()
+    (tmp_path / "room.monoloc" / MANIFEST).write_text("{}")
+    return tmp_path / "room.monoloc"
+
+
+def written(bundle: Path, body: Any) -> Path:
+    """A run's JSON, that of a run in the bundle unless it says otherwise."""
+    path = bundle.with_name("run.json")
+    if isinstance(body, dict):
+        body = {"digest": digest_of(bundle), **body}
     path.write_text(body if isinstance(body, str) else json.dumps(body))
     return path
 
@@ -22,9 +34,9 @@ def region(at: float, frames: int) -> dict[str, Any]:
     return {"lower_m": [at, 0.0, 0.0], "upper_m": [at + 1.0, 1.0, 1.0], "frames": frames}
 
 
-def test_region_that_most_frames_named_is_taken(tmp_path: Path) -> None:
-    path = written(tmp_path, {"frames": 9, "changed_regions": [region(1.0, 3), region(5.0, 8)]})
-    lower, upper = read_changed_region(path)
+def test_region_that_most_frames_named_is_taken(bundle: Path) -> None:
+    path = written(bundle, {"frames": 9, "changed_regions": [region(1.0, 3), region(5.0, 8)]})
+    lower, upper = read_changed_region(path, bundle)
     assert lower.tolist() == [5.0, 0.0, 0.0] and upper.tolist() == [6.0, 1.0, 1.0]
 
 
@@ -40,14 +52,19 @@ def test_region_that_most_frames_named_is_taken(tmp_path: Path) -> None:
         ),
         ({"changed_regions": [region(1.0, 3) | {"upper_m": [0, 0, 0]}]}, "without volume", "monoloc localize"),
         ("{", "is no JSON", "monoloc localize"),
+        (
+            {"digest": "0", "changed_regions": [region(1.0, 3)]},
+            "another bundle than .*room.monoloc",
+            "in this one again",
+        ),
+        (json.dumps({"changed_regions": []}), "digest: Field required", "monoloc localize"),
     ],
 )
-def test_other_files_are_refused(tmp_path: Path, body: Any, problem: str, fix: str) -> None:
-    path = written(tmp_path, body)
-    refuses_data(lambda: read_changed_region(path), path, problem, fix)
+def test_other_files_are_refused(bundle: Path, body: Any, problem: str, fix: str) -> None:
+    path = written(bundle, body)
+    refuses_data(lambda: read_changed_region(path, bundle), path, problem, fix)
 
 
-def test_missing_file_is_refused(tmp_path: Path) -> None:
-    refuses_data(
-        lambda: read_changed_region(tmp_path / "no.json"), tmp_path / "no.json", "cannot be read", "localize"
-    )
+def test_missing_file_is_refused(bundle: Path) -> None:
+    path = bundle.with_name("no.json")
+    refuses_data(lambda: read_changed_region(path, bundle), path, "cannot be read", "localize")
