@@ -137,8 +137,8 @@ def check_target(path: Path) -> None:
     """Refuse a path where a bundle must not be written, before the work is done.
 
     Raises:
-        BundleError: ``path`` exists and is no bundle or holds more than one, its parent cannot be written to, or it
-            lies in a bundle or a place.
+        BundleError: ``path`` exists and is no bundle, holds more than one or is write-protected, its parent cannot
+            be written to, or it lies in a bundle or a place.
     """
     if (container := container_of(path)) is not None:
         raise BundleError(path, f"lies in {container}", "choose another folder")
@@ -150,9 +150,12 @@ def check_target(path: Path) -> None:
         raise BundleError(path, "exists and is not a bundle", "choose another name")
     # A folder is replaced whole: what monoloc did not put there must not go with it.
     known = {MANIFEST, SIGNATURE, _EDITS, *_CONTENTS}
-    others = sorted({file.name for file in path.iterdir()} - known) if path.exists() else []
-    if others:
+    parts = [path, *sorted(path.iterdir())] if path.exists() else []
+    if others := [part.name for part in parts[1:] if part.name not in known]:
         raise BundleError(path, f"holds more than a bundle ({others[0]})", "move that away or choose another name")
+    # The system would allow it, since the folder around it changes; who protects a bundle wants it to stay.
+    if not all(os.access(part, os.W_OK) for part in parts):
+        raise BundleError(path, "is write-protected", f"choose another name, or run: chmod -R u+w {path}")
 
 
 def write_bundle(path: str | Path, bundle: Bundle) -> int:

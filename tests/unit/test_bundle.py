@@ -251,6 +251,17 @@ def test_unwritable_folder_is_refused(tmp_path, monkeypatch):
     refuses(lambda: check_target(tmp_path / "room.monoloc"), tmp_path / "room.monoloc", "cannot be written to")
 
 
+@pytest.mark.parametrize("part", ["", "map.npz"])
+def test_write_protected_bundle_is_refused(written, monkeypatch, part):
+    """As chmod -w leaves it, for all users but root."""
+    access = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: path != written / part and access(path, mode))
+    before = contents(written)
+    for action in (lambda: write_bundle(written, make_bundle()), lambda: check_target(written)):
+        refuses(action, written, "is write-protected")
+    assert contents(written) == before
+
+
 @pytest.mark.parametrize("share", [0.0, 0.5])
 def test_broken_bundle_is_replaced(written, share):
     """As an interrupted copy leaves it."""

@@ -99,6 +99,8 @@ def update(
     numbers = None if apply is None else _numbers(apply)
     rules, rng = UpdateRules(), np.random.default_rng(seed)
     room = read_bundle(bundle)
+    if auto or numbers is not None:
+        check_target(target_of(target))  # before the flights are looked at, which takes minutes
     recordings = [open_source(source, frames, intrinsics, fix_depth=fix_depth) for source in given]
     if depth == "sensor":
         _check_depth(recordings)

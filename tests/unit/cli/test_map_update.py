@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -90,6 +91,16 @@ def test_refusals(
     here: Path, capfd: pytest.CaptureFixture[str], arguments: tuple[str, ...], names: str, problem: str, fix: str
 ) -> None:
     refused(capfd, here, (*UPDATE, *arguments), names, problem, fix)
+
+
+def test_a_write_protected_bundle_is_refused_before_flights_are_looked_at(
+    here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_recording(here / "flight", flight(1))
+    monkeypatch.setattr("monoloc.cli.map_update.observe", None)
+    monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK or Path(path).name != "room.monoloc")
+    room = str(here / "room.monoloc")
+    refused(capfd, here, (*UPDATE, "folder:flight", "--auto"), room, "is write-protected", "chmod -R u\\+w")
 
 
 def test_a_sensor_is_asked_for_only_where_there_is_one(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
