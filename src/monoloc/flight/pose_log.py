@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import io
 from collections import Counter
 from pathlib import Path
 
@@ -19,7 +20,7 @@ _MOST_ROWS = 10_000  # that wait for the disk, 6 MB; more are dropped
 
 
 class PoseLog:
-    """Writes the table, as a :class:`~monoloc.flight.flight_loop.FlightOutput`; each row at once.
+    """Writes the table, as a :class:`~monoloc.flight.flight_loop.FlightOutput`; each row at once, and whole.
 
     Frames are named by their number among the localised ones, six digits, as are the images of a recorded flight.
 
@@ -34,12 +35,11 @@ class PoseLog:
     def __init__(self, path: Path, has_rooms: bool = False) -> None:
         self._path, self._has_rooms = path, has_rooms
         try:
-            self._file = path.open("w", encoding="utf-8", newline="")
+            self._file = path.open("wb", buffering=0)  # a buffer would keep the rest of a row for later
         except OSError as error:
             fix = "name a file in a folder you can write to"
             raise DataError(path, f"cannot be written ({error.strerror})", fix) from error
-        self._rows = csv.writer(self._file, lineterminator="\n")
-        self._count = 0
+        self._size = self._count = 0  # bytes of whole rows, and frames
         self._write((*COLUMNS, ROOM) if has_rooms else COLUMNS)
 
     def take(self, result: FlightStep) -> None:
@@ -57,15 +57,21 @@ class PoseLog:
         return row(time_s, name, result.step)
 
     def _write(self, values: tuple[str, ...]) -> None:
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerow(values)
+        content = left = text.getvalue().encode()
         try:
-            self._rows.writerow(values)
-            self._file.flush()
+            while left:
+                left = left[self._file.write(left) :]
         except OSError as error:
+            with contextlib.suppress(OSError):  # what a full disk took of the row, others would read as a pose
+                self._file.truncate(self._file.seek(self._size))
             fix = "make room, or choose another disk"
             raise DataError(self._path, f"cannot be written ({error.strerror})", fix) from error
+        self._size += len(content)
 
     def close(self) -> None:
-        with contextlib.suppress(OSError):  # only what a write that failed has left is not yet in the file
+        with contextlib.suppress(OSError):  # every row was taken, or its failure was said
             self._file.close()
 
 

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -59,11 +60,24 @@ def read_pose_table(path: Path) -> tuple[FloatArray, FloatArray]:
         if ROOM in (lines.fieldnames or ()):
             fix = f"keep the rows of one room, and remove the column {ROOM}"
             raise DataError(path, "has poses in the worlds of several rooms", fix)
-        rows = [[float(line[name]) for name in ("time_s", *_POSE)] for line in lines if line["state"] != "lost"]
-    except (TypeError, ValueError, csv.Error) as error:
+        whole = _whole(lines, path)
+        rows = [[float(line[name]) for name in ("time_s", *_POSE)] for line in whole if line["state"] != "lost"]
+    except (ValueError, csv.Error) as error:
         raise DataError(path, f"line {max(1, lines.line_num)} has no pose", "remove this line") from error
     if not rows:
         raise DataError(path, "has no pose: every frame is lost", "give a trajectory with poses")
     numbers = np.array(rows)
     check_increasing(numbers[:, 0], path)
     return numbers[:, 0], poses_from_quaternions(numbers[:, 4:], numbers[:, 1:4], path)
+
+
+def _whole(lines: csv.DictReader[str], path: Path) -> Iterator[dict[str, str]]:
+    """The rows, each with a value in every column; the last number of a shorter one may lack digits.
+
+    Raises:
+        DataError: a row is shorter.
+    """
+    for line in lines:
+        if None in line.values():
+            raise DataError(path, f"line {lines.line_num} is cut short", "remove this line")
+        yield line
