@@ -68,7 +68,7 @@ def update(
         typer.Option("--depth", help="What shows surfaces: the network or a sensor. [sensor where there is one]"),
     ] = None,
     apply: Annotated[
-        str | None, typer.Option("--apply", metavar="N,...", help="Apply these proposals, by their numbers.")
+        str | None, typer.Option("--apply", metavar="ID,...", help="Apply these proposals, by their ids.")
     ] = None,
     auto: Annotated[bool, typer.Option("--auto", help="Apply all proposals.")] = False,
     plot: Annotated[
@@ -88,18 +88,16 @@ def update(
     Examples:
       monoloc map update kitchen.monoloc folder:monday --plot change.png
       monoloc map update kitchen.monoloc folder:tuesday folder:wednesday
-      monoloc map update kitchen.monoloc --apply 1,3
+      monoloc map update kitchen.monoloc --apply 3f09ac,d1c2e7
       monoloc map update kitchen.monoloc folder:thursday --auto
     """
     given = sources or []
     target = out or bundle
-    if auto and apply is not None:
-        raise SettingError("--apply", "is given together with --auto", "give one of them")
+    _check_choice(apply, auto, given)
     _check_outputs(bundle, out, plot, given)
-    numbers = None if apply is None else _numbers(apply)
     rules, rng = UpdateRules(), np.random.default_rng(seed)
     room = read_bundle(bundle)
-    if auto or numbers is not None:
+    if auto or apply is not None:
         check_target(target_of(target))  # before the flights are looked at, which takes minutes
     recordings = [open_source(source, frames, intrinsics, fix_depth=fix_depth) for source in given]
     if depth == "sensor":
@@ -117,7 +115,7 @@ def update(
         evidence = evidence.after_flight(room, flight, is_sensor_depth, rules, rng)
         flights.append(flight)
     proposed = proposals(evidence, room, rules)
-    chosen = proposed if auto else _chosen(proposed, numbers)
+    chosen = proposed if auto else _chosen(proposed, apply)
     updated, left = applied(room, evidence, chosen, rules, rng)
     if plot is not None:
         shown = updated if chosen else applied(room, evidence, proposed, rules, np.random.default_rng(seed))[0]
@@ -148,19 +146,24 @@ def _check_depth(recordings: Sequence[Recording]) -> None:
             raise SettingError("--depth", f"is sensor, but {recording.name} has no depth", "leave it out")
 
 
-def _numbers(text: str) -> list[int]:
-    try:
-        return [int(part) for part in text.split(",")]
-    except ValueError as error:
-        raise SettingError("--apply", f"is {text!r}", "write numbers of proposals with commas") from error
+def _check_choice(apply: str | None, auto: bool, sources: list[str]) -> None:
+    if apply is None:
+        return
+    if auto:
+        raise SettingError("--apply", "is given together with --auto", "give one of them")
+    if sources:
+        problem = "chooses from a list that these recordings change"
+        raise SettingError("--apply", problem, "look at the new list first: leave --apply out")
 
 
-def _chosen(proposed: list[Proposal], numbers: list[int] | None) -> list[Proposal]:
-    for number in numbers or []:
-        if not 1 <= number <= len(proposed):
-            fix = f"choose from 1 to {len(proposed)}" if proposed else "fly again: nothing is proposed yet"
-            raise SettingError("--apply", f"names proposal {number} of {len(proposed)}", fix)
-    return [proposed[number - 1] for number in dict.fromkeys(numbers or [])]
+def _chosen(proposed: list[Proposal], apply: str | None) -> list[Proposal]:
+    ids = [] if apply is None else [part.strip() for part in apply.split(",")]
+    by_id = {each.id: each for each in proposed}
+    for name in ids:
+        if name not in by_id:
+            fix = "list them again: leave --apply out" if proposed else "fly again: nothing is proposed"
+            raise SettingError("--apply", f"has {name!r}, the id of no proposal that still holds", fix)
+    return [by_id[name] for name in dict.fromkeys(ids)]
 
 
 def _draw(
@@ -176,7 +179,11 @@ def _draw(
         for title, room in (("before", before), (which, after))
     )
     plot_update(
-        path, first, second, [(each.kind, each.points) for each in proposed], T_map_world(before, roughly=True)
+        path,
+        first,
+        second,
+        [(each.id, each.kind, each.points) for each in proposed],
+        T_map_world(before, roughly=True),
     )
 
 
@@ -216,7 +223,7 @@ def _print(
         stderr.print(f"{flight.name}: {said}", soft_wrap=True)
     rows = [
         [
-            f"{number}\napplied" if id(each) in used else str(number),
+            f"{each.id}\napplied" if id(each) in used else each.id,
             each.kind,
             str(len(each.members)),
             *("\n".join(f"{value:.2f}" for value in corner) for corner in (each.lower, each.upper)),
@@ -224,7 +231,7 @@ def _print(
             str(each.flights),
             f"{each.odds:.0f}",
         ]
-        for number, each in enumerate(proposed, start=1)
+        for each in proposed
     ]
     if not proposed:
         typer.echo(
@@ -232,4 +239,4 @@ def _print(
         )
         return
     title = f"{target}: proposals, from so many flights: {len(evidence.flights)}"
-    print_table(title, ["", "what", "number", "from (m)", "to (m)", "views", "flights", "odds"], rows)
+    print_table(title, ["id", "what", "number", "from (m)", "to (m)", "views", "flights", "odds"], rows)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from hashlib import blake2b
 from typing import Any, Literal
 
 import numpy as np
@@ -46,6 +47,11 @@ class Proposal:
     odds: float
 
     @property
+    def id(self) -> str:
+        """Six digits that tell what is changed where: a proposal keeps them for as long as it is the same."""
+        return blake2b(self.kind.encode() + self.points.tobytes(), digest_size=3).hexdigest()
+
+    @property
     def lower(self) -> FloatArray:
         """Lower corner of its box, (3,), world frame, metres."""
         return np.asarray(self.points.min(axis=0), dtype=np.float64)
@@ -57,6 +63,7 @@ class Proposal:
     def described(self) -> dict[str, Any]:
         """Its figures, as JSON."""
         return {
+            "id": self.id,
             "kind": self.kind,
             "count": len(self.members),
             "lower_m": self.lower.round(3).tolist(),

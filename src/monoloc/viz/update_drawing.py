@@ -44,15 +44,15 @@ def plot_update(
     path: str | Path,
     before: UpdateView,
     after: UpdateView,
-    changes: Sequence[tuple[str, FloatArray]],
+    changes: Sequence[tuple[str, str, FloatArray]],
     T_level_world: FloatArray,
 ) -> None:
-    """Draw both maps from above with their edits, and the proposed changes, numbered, over the map before.
+    """Draw both maps from above with their edits, and the proposed changes, with their ids, over the map before.
 
     Args:
         path: PNG to write.
         before, after: the map as it was, and with what was applied.
-        changes: kind of each proposal, and its points, (N, 3), world frame, metres.
+        changes: id and kind of each proposal, and its points, (N, 3), world frame, metres.
         T_level_world: to the axes that are drawn, z up, (4, 4).
 
     Raises:
@@ -79,11 +79,11 @@ def plot_update(
             axis.legend(**_BELOW)
         axis = axes[1]
         axis.plot(*clouds[0].T, ".", color=GREY, markersize=0.6, alpha=0.3, rasterized=True)
-        for number, (kind, points) in enumerate(changes, start=1):
+        for name, kind, points in changes:
             page = project(points)
             axis.plot(*page.T, ".", color=_COLOURS[kind], markersize=3.0)
-            axis.annotate(str(number), tuple(np.median(page, axis=0)), fontsize=9, fontweight="bold")
-        for kind in dict.fromkeys(kind for kind, _ in changes):
+            axis.annotate(name, tuple(np.median(page, axis=0)), fontsize=9, fontweight="bold")
+        for kind in dict.fromkeys(kind for _, kind, _ in changes):
             axis.plot([], [], ".", color=_COLOURS[kind], markersize=8.0, label=kind)
         axis.set_title(f"{len(changes)} proposals")
         if changes:

@@ -21,9 +21,11 @@ from update_helpers import LEFT, RULES, flight, mapped
 UPDATE = ("map", "update", "room.monoloc")
 
 
-def is_on_box() -> NDArray[np.bool_]:
-    """Of the map's landmarks."""
-    return LEFT.contains(mapped().landmarks.points.astype(np.float64))
+def is_missed() -> NDArray[np.bool_]:
+    """Of the map's landmarks: those on the box, and some at the other end of the room."""
+    points = mapped().landmarks.points.astype(np.float64)
+    from_box_m = np.linalg.norm(points - LEFT.centre, axis=1)
+    return LEFT.contains(points) | (from_box_m > np.quantile(from_box_m, 0.9))
 
 
 @pytest.fixture
@@ -31,36 +33,39 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A working folder with a bundle, beside which two flights have left what they missed."""
     monkeypatch.chdir(tmp_path)
     write_bundle(tmp_path / "room.monoloc", mapped())
-    on_box = is_on_box()
-    views = np.where(on_box, 10, 0)
-    tally = Tally.new(len(on_box), RULES)
+    missed = is_missed()
+    views = np.where(missed, 10, 0)
+    tally = Tally.new(len(missed), RULES)
     for _ in range(2):
-        tally = tally.after_flight(views, views, np.where(on_box, np.inf, 0.0), RULES)
+        tally = tally.after_flight(views, views, np.where(missed, np.inf, 0.0), RULES)
     evidence = replace(Evidence.none(mapped(), RULES), landmarks=tally, flights=("monday", "tuesday"))
     write_evidence(tmp_path / "room.evidence.npz", evidence, mapped())
     return tmp_path
 
 
-def test_proposals_are_listed_drawn_and_applied_by_number(
+def test_proposals_are_listed_drawn_and_applied_by_id(
     here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = listing(here)
     listed = json_of(capfd, *UPDATE)
     assert listing(here) == before and listed["counted_flights"] == 2
     assert {each["kind"] for each in listed["proposals"]} == {"retire landmarks"}
-    assert sum(each["count"] for each in listed["proposals"]) == is_on_box().sum()
+    assert sum(each["count"] for each in listed["proposals"]) == is_missed().sum()
     (here / "room.monoloc" / SIGNATURE).write_bytes(bytes(64))
     drawn: list[list[str]] = []
     monkeypatch.setattr(
         "monoloc.viz.update_drawing.draw_edits", lambda axis, edits, *_, **__: drawn.append([e.name for e in edits])
     )
-    _, err = outputs(capfd, *UPDATE, "--apply", "1", "--plot", "change.png")
+    first, second, *_ = (each["id"] for each in listed["proposals"])
+    out, err = outputs(capfd, *UPDATE, "--apply", first, "--plot", "change.png")
+    assert first in out and second in out
     assert drawn == [[], ["1 update"]]  # before and after
     assert "sign it again" in err and (here / "change.png").stat().st_size > 10_000
     edited = read_bundle(here / "room.monoloc")
     assert len(mapped().landmarks) - len(edited.landmarks) == listed["proposals"][0]["count"]
     assert edited.edits[-1].record.parameters["newest_flights"] == ["monday", "tuesday"]
-    assert len(json_of(capfd, *UPDATE)["proposals"]) == len(listed["proposals"]) - 1
+    assert json_of(capfd, *UPDATE)["proposals"] == listed["proposals"][1:]  # those of the list that was seen
+    refused(capfd, here, (*UPDATE, "--apply", f"{second},{first}"), "--apply", first, "list them again")
     _, err = outputs(capfd, "map", "edit", "room.monoloc", "undo")
     assert "two new flights can propose it again" in err
 
@@ -81,9 +86,9 @@ def test_a_flight_adds_evidence_beside_the_bundle_that_is_written(
 @pytest.mark.parametrize(
     ("arguments", "names", "problem", "fix"),
     [
-        (("--apply", "one"), "--apply", "is 'one'", "write numbers"),
-        (("--apply", "40"), "--apply", "names proposal 40 of", "choose from 1 to"),
+        (("--apply", "1"), "--apply", "has '1', the id of no proposal", "list them again"),
         (("--apply", "1", "--auto"), "--apply", "is given together with --auto", "give one"),
+        (("folder:flight", "--apply", "1"), "--apply", "a list that these recordings change", "the new list first"),
         (("--out", "elsewhere"), "--out", "elsewhere is not named as a bundle", "name it"),
     ],
 )

@@ -53,6 +53,20 @@ def test_two_flights_find_what_is_gone_and_what_is_new() -> None:
     assert len(proposed(evidence, "add landmarks")) >= 1
 
 
+def test_a_proposal_keeps_its_id_in_the_file_and_when_others_are_applied(tmp_path: Path) -> None:
+    evidence = evidence_of(1, 2)
+    every = proposals(evidence, mapped(), RULES)
+    ids = [each.id for each in every]
+    assert len(set(ids)) == len(ids) >= 4
+    write_evidence(tmp_path / "room.evidence.npz", evidence, mapped())
+    read = read_evidence(tmp_path / "room.evidence.npz", mapped(), RULES)
+    assert [each.id for each in proposals(read, mapped(), RULES)] == ids
+    for number, chosen in enumerate(every):
+        bundle, left = applied(mapped(), evidence, [chosen], RULES, np.random.default_rng(0))
+        others = [each.id for each in proposals(left, bundle, RULES)]
+        assert others == ids[:number] + ids[number + 1 :]
+
+
 @pytest.mark.slow
 def test_one_flight_proposes_nothing_and_an_unchanged_room_loses_nothing() -> None:
     assert proposals(evidence_of(1), mapped(), RULES) == []
