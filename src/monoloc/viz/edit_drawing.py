@@ -72,20 +72,24 @@ def _draw_arrow(axis: Axes, page: FloatArray) -> None:
 
 
 def _draw_names(axis: Axes, edits: Sequence[DrawnEdit], project: Projection) -> None:
-    """Each on top of what is in view of its last box, and above names that it would hide."""
+    """Each on top of what is in view of its last box."""
+    up = -1.0 if axis.yaxis_inverted() else 1.0
+    tops = [(edit.name, _top(edit, project, up)) for edit in edits]
+    draw_names(axis, [(name, top) for name, top in tops if top is not None])
+
+
+def draw_names(axis: Axes, names: Sequence[tuple[str, FloatArray]]) -> None:
+    """Draw names at places of a page, (2,), each above those that it would hide."""
     size = np.abs(axis.dataLim.size) * _NAME_SIZE
     up = -1.0 if axis.yaxis_inverted() else 1.0
     taken: list[FloatArray] = []
-    for edit in edits:
-        anchor = _top(edit, project, up)
-        if anchor is None:
-            continue
+    for name, anchor in names:
         rows, at = 0, anchor
-        while any((np.abs(at - other) < size).all() for other in taken) and rows < len(edits):
+        while any((np.abs(at - other) < size).all() for other in taken) and rows < len(names):
             rows += 1
             at = anchor + np.array([0.0, up * rows * size[1]])
         taken.append(at)
-        _draw_name(axis, edit.name, anchor, rows)
+        _draw_name(axis, name, anchor, rows)
 
 
 def _top(edit: DrawnEdit, project: Projection, up: float) -> FloatArray | None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from monoloc.editing.edit_history import DrawnEdit
 from monoloc.geometry import FloatArray, transform
-from monoloc.viz.edit_drawing import draw_edits
+from monoloc.viz.edit_drawing import draw_edits, draw_names
 from monoloc.viz.picture import BLUE, GREEN, GREY, ORANGE, VERMILION, picture
 
 _COLOURS = {
@@ -67,7 +67,7 @@ def plot_update(
     low, high = np.percentile(np.concatenate(clouds), [0.5, 99.5], axis=0)
     margin = 0.05 * float((high - low).max())
     size_in = 5.2 * float(np.clip((high - low)[1] / (high - low)[0], 0.5, 1.6))
-    with picture(path, 17.0, size_in + 1.2) as figure:
+    with picture(path, 17.0, size_in + 1.5) as figure:
         axes = figure.subplots(1, 3, squeeze=False)[0].tolist()
         for axis, view, cloud in zip((axes[0], axes[2]), (before, after), clouds, strict=True):
             axis.plot(*cloud.T, ".", color=GREY, markersize=0.6, alpha=0.3, rasterized=True)
@@ -79,10 +79,9 @@ def plot_update(
             axis.legend(**_BELOW)
         axis = axes[1]
         axis.plot(*clouds[0].T, ".", color=GREY, markersize=0.6, alpha=0.3, rasterized=True)
-        for name, kind, points in changes:
-            page = project(points)
-            axis.plot(*page.T, ".", color=_COLOURS[kind], markersize=3.0)
-            axis.annotate(name, tuple(np.median(page, axis=0)), fontsize=9, fontweight="bold")
+        for _, kind, points in changes:
+            axis.plot(*project(points).T, ".", color=_COLOURS[kind], markersize=3.0)
+        draw_names(axis, [(name, np.median(project(points), axis=0)) for name, _, points in changes])
         for kind in dict.fromkeys(kind for _, kind, _ in changes):
             axis.plot([], [], ".", color=_COLOURS[kind], markersize=8.0, label=kind)
         axis.set_title(f"{len(changes)} proposals")
