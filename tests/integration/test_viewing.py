@@ -110,11 +110,20 @@ def test_failed_run_leaves_the_older_recording(here: Path, capfd: pytest.Capture
 
 
 @pytest.mark.parametrize(
-    "command",
-    [("localize", "room.monoloc", "recording"), ("map", "compare", "room.monoloc"), ("demo", "--out", "out")],
+    ("command", "instead"),
+    [
+        (("localize", "room.monoloc", "recording"), "give --record FILE.rrd"),
+        (("map", "compare", "room.monoloc"), "give --record FILE.rrd"),
+        (("fly", "room.monoloc", "recording"), "give --view-port PORT"),
+        (("demo", "--out", "out"), "leave it out"),
+    ],
 )
 def test_missing_display_is_reported_before_the_work(
-    here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
+    here: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    command: tuple[str, ...],
+    instead: str,
 ) -> None:
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.setattr(viewer, "_is_listening", lambda: False)
@@ -124,7 +133,7 @@ def test_missing_display_is_reported_before_the_work(
     assert invoke([*command, "--view"]) == 2
     out, err = capfd.readouterr()
     assert out == "" and err.count("\n") == 1
-    assert err.startswith("monoloc: --view: there is no display; give --record FILE.rrd")
+    assert err.startswith(f"monoloc: --view: there is no display; {instead}")
     assert file_names(here) == before
 
 
@@ -139,7 +148,7 @@ def test_demo_shows_every_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, m
     flights = tuple(demo._Flight(name, None, recording, True) for name in ("one", "other"))
     monkeypatch.setattr(demo, "_living", lambda build: demo._Demo("a recording", flights, None))
     monkeypatch.setattr(demo, "BUNDLE", made / "room.monoloc")
-    monkeypatch.setattr(demo, "check_viewing", lambda view: None)
+    monkeypatch.setattr(demo, "check_viewing", lambda view, instead: None)
     monkeypatch.setattr(demo, "run_viewer", watch)
     assert invoke(["demo", "--out", str(tmp_path / "out"), "--view", "--json"]) == 0
     assert shown == [("one", True, None), ("other", True, None)]

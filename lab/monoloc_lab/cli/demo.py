@@ -91,7 +91,7 @@ def demo(
     study = _recorded(data) if data is not None else _living(build)
     check_folder(out, "--out")
     require_plotting()
-    check_viewing(view)
+    check_viewing(view, instead="leave it out")
     out.mkdir(exist_ok=True)
     bundles = _bundles(study.build, out, seed)
     runs = [(flight, _run(flight, bundles[flight.adapted], seed, out, view).metrics()) for flight in study.flights]

@@ -27,7 +27,7 @@ from monoloc.io.recording import Selection
 from monoloc.io.registry import FORMATS, open_recording, select_frames
 from monoloc.printable import printable
 from monoloc.structure_from_motion.scale_option import SCALE_FORMS
-from monoloc.viz.viewer import require_window
+from monoloc.viz.viewer import RECORD_INSTEAD, require_window
 
 
 class PlainConsole(Console):
@@ -291,8 +291,12 @@ def check_folder(path: Path, option: str) -> None:
         raise SettingError(option, f"{path} cannot be written to", "choose another folder")
 
 
-def check_viewing(view: bool, record: Path | None = None) -> None:
+def check_viewing(view: bool, record: Path | None = None, instead: str = RECORD_INSTEAD) -> None:
     """Check that the viewer can open its window and write its recording, before long work starts.
+
+    Args:
+        view, record: values of the options.
+        instead: what to do without a display.
 
     Raises:
         MissingExtraError: Rerun is not installed.
@@ -302,7 +306,7 @@ def check_viewing(view: bool, record: Path | None = None) -> None:
     if view or record is not None:
         require_viewing()
     if view:
-        require_window()
+        require_window(instead)
 
 
 def _check_parent(path: Path, option: str) -> None:

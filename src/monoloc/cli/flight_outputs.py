@@ -31,7 +31,7 @@ def check_view(view: bool, port: int | None) -> None:
     """Check that a viewer can be shown, before anything is opened."""
     if view and port is not None:
         raise SettingError("--view-port", "is given beside --view", "choose between a window and a browser")
-    check_viewing(view)
+    check_viewing(view, instead="give --view-port PORT and open its page in a browser")
     if port is not None:
         require_viewing()
 

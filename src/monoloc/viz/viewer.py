@@ -187,14 +187,21 @@ def _check_whole(path: Path) -> None:
         RrdReader(path).store()
 
 
-def require_window() -> None:
+RECORD_INSTEAD = "give --record FILE.rrd and open that elsewhere"
+"""What to do without a display, in a command with this option."""
+
+
+def require_window(instead: str = RECORD_INSTEAD) -> None:
     """Check that a window can be opened, before long work starts.
+
+    Args:
+        instead: what to do without a display.
 
     Raises:
         SettingError: there is neither a display nor a listening viewer.
     """
     if sys.platform == "linux" and not any(os.environ.get(name) for name in _DISPLAYS) and not _is_listening():
-        fix = f"give --record FILE.rrd and open that elsewhere, or forward a viewer's port {WINDOW_PORT} to here"
+        fix = f"{instead}, or forward a viewer's port {WINDOW_PORT} to here"
         raise SettingError("--view", "there is no display", fix)
 
 
