@@ -30,7 +30,7 @@ from monoloc.odometry.motion import Motion
 _SECOND_S = 1.0  # between heartbeats, and between questions for the time and for a parameter
 _ATTITUDES = 200  # that are kept: four seconds at 50 Hz
 _ATTITUDE_S = 0.1  # between a frame and the nearest attitude, beyond which there is none
-_ALIVE_S = 3.0  # since the autopilot's last heartbeat
+_ALIVE_S = 3.0  # since the autopilot's last heartbeat; another one is listened to only after that
 _INVALID_AUTOPILOT, _PX4 = 8, 12  # of HEARTBEAT's autopilot; the first is of what is none
 _GOES_STALE = {"ODOMETRY", "VISION_POSITION_ESTIMATE", "OBSTACLE_DISTANCE", "TIMESYNC"}
 _MAGIC_2, _HEADER_2_BYTES, _HEADER_1_BYTES = 0xFD, 10, 6  # of MAVLink 2 and 1
@@ -189,14 +189,20 @@ class AutopilotLink:
         kind = message.get_type()
         sender = message.get_srcSystem(), message.get_srcComponent()
         if kind == "HEARTBEAT" and message.autopilot != _INVALID_AUTOPILOT and sender[0] != 0:
-            if self._vehicle != sender:
-                self._beat_s = float("-inf")  # it hears at once who is there
-            self._vehicle, self._heard_s, self._is_px4 = sender, arrived_s, message.autopilot == _PX4
-            self._packer.srcSystem = sender[0]  # a part of the same vehicle
+            self._take_heartbeat(message, sender, arrived_s)
         elif kind == "TIMESYNC" and message.tc1 == 0:
             self.send(timesync(time.monotonic_ns(), message.ts1))
         elif self._vehicle in (None, sender):
             self._take_of_autopilot(kind, message, arrived_s)
+
+    def _take_heartbeat(self, message: Any, sender: tuple[int, int], arrived_s: float) -> None:
+        """Act on the heartbeat of an autopilot."""
+        if self._vehicle != sender:
+            if arrived_s - self._heard_s < _ALIVE_S:  # of another vehicle, while ours is alive
+                return
+            self._beat_s = float("-inf")  # it hears at once who is there
+        self._vehicle, self._heard_s, self._is_px4 = sender, arrived_s, message.autopilot == _PX4
+        self._packer.srcSystem = sender[0]  # a part of the same vehicle
 
     def _take_of_autopilot(self, kind: str, message: Any, arrived_s: float) -> None:
         """Act on a message of the autopilot itself."""

@@ -18,6 +18,7 @@ import pytest
 from monoloc.errors import DataError, SettingError
 from monoloc.flight.flight_settings import Mount
 from monoloc.geometry import so3_log
+from monoloc.mavlink import autopilot_link
 from monoloc.mavlink.autopilot_frames import rotation_of
 from monoloc.mavlink.autopilot_link import AutopilotLink
 from monoloc.mavlink.messages import dialect, heartbeat, obstacle_distance, status_text
@@ -192,6 +193,25 @@ def test_attitude_that_is_no_number_or_of_another_is_ignored(peer: Peer, link: A
     peer.mav.attitude_send(5000, 0.5, 0.0, 0.0, 0, 0, 0)
     eventually(lambda: link.counts["received"] >= received + 2)
     assert link.attitude_at(time.monotonic()) is None
+
+
+def test_another_vehicle_on_the_network_is_not_listened_to(
+    peer: Peer, link: AutopilotLink, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Until the first has been silent for three seconds."""
+    peer.beat()
+    eventually(lambda: link.is_alive)
+    peer.mav.srcSystem = 8
+    received = link.counts["received"]
+    peer.beat()
+    peer.mav.attitude_send(5000, 0.5, 0.0, 0.0, 0, 0, 0)
+    eventually(lambda: link.counts["received"] >= received + 2)
+    assert link.attitude_at(time.monotonic()) is None
+    link.send(status_text("whose part?", False))
+    assert peer.wait_for("STATUSTEXT").get_srcSystem() == 7
+    monkeypatch.setattr(autopilot_link, "_ALIVE_S", 0.0)
+    peer.beat()
+    assert peer.wait_for("HEARTBEAT", lambda message: message.get_srcSystem() == 8)
 
 
 def test_round_trip_is_measured_by_a_question_of_its_own(peer: Peer, link: AutopilotLink) -> None:
