@@ -67,3 +67,15 @@ def test_udp_peer_that_does_not_listen_disturbs_nothing() -> None:
     for _ in range(3):
         assert port.write(b"abc") == 3 and port.read() == b""
     port.close()
+
+
+def test_tcp_holds_few_poses_of_a_peer_that_takes_none() -> None:
+    """What is written is delivered, however old: more must wait where it can be dropped."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        port = open_port(Address("tcp", "127.0.0.1", server.getsockname()[1]))
+        taken = 0
+        while taken < 10_000 and port.write(b"\0" * 250):
+            taken += 1
+        port.close()
+    assert taken < 100
