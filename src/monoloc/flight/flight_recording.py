@@ -194,12 +194,12 @@ class FlightRecorder:
 
     def close(self) -> None:
         """Raises DataError if a frame could not be written and neither :meth:`take` nor :meth:`idle` said so."""
-        try:
-            self._thread.close()
-        finally:
-            with contextlib.suppress(OSError):  # only what a write that failed has left is not yet in the file
-                self._frames.close()
-            self._poses.close()
+        self._thread.close(self._release)
+
+    def _release(self) -> None:
+        with contextlib.suppress(OSError):  # only what a write that failed has left is not yet in the file
+            self._frames.close()
+        self._poses.close()
 
     def _make_folder(self) -> None:
         try:

@@ -81,8 +81,10 @@ class McapLog:
 
     def close(self) -> None:
         """Raises DataError if the file cannot be written, and :meth:`take` did not say so."""
+        self._thread.close(self._release)
+
+    def _release(self) -> None:
         try:
-            self._thread.close()
             if not self._thread.has_failed:
                 self._recorder.file.finish()
         finally:

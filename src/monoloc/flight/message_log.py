@@ -105,10 +105,7 @@ class BackgroundMessageLog(MessageLog):
         super().send(message)
 
     def close(self) -> None:
-        try:
-            self._thread.close()
-        finally:
-            super().close()
+        self._thread.close(super().close)
 
     def _hand_over(self, data: bytes) -> None:
         if not self._thread.put(data):

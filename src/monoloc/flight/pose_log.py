@@ -96,10 +96,7 @@ class BackgroundPoseLog(PoseLog):
             self._dropped["poses"] += 1
 
     def close(self) -> None:
-        try:
-            self._thread.close()
-        finally:
-            super().close()
+        self._thread.close(super().close)
 
 
 def row(time_s: float, frame: str, step: Step) -> tuple[str, ...]:

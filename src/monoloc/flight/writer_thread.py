@@ -61,15 +61,22 @@ class WriterThread(Generic[T]):
         self._failure = failure
         self._raise_failure()
 
-    def close(self) -> None:
+    def close(self, release: Callable[[], None] = lambda: None) -> None:
         """Wait until all is written.
+
+        Args:
+            release: closes the file that the thread wrote to. Where an interrupt ends the wait it is not called: the
+                thread may hang in a write, and holds a lock of the file, for which no interrupt ends a wait.
 
         Raises:
             Exception: as :meth:`put`.
         """
         self._queue.put(None)
         self._thread.join()
-        self._raise_failure()
+        try:
+            self._raise_failure()
+        finally:
+            release()
 
     def _raise_failure(self) -> None:
         if self._failure is not None and not self._is_known:

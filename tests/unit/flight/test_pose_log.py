@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import csv
+import os
 import resource
+import signal
+import threading
+import time
 from collections import Counter
 from pathlib import Path
 
@@ -105,3 +109,28 @@ def test_a_thread_writes_the_same_rows_and_says_once_what_it_could_not(tmp_path:
         log.close()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_an_interrupt_ends_the_wait_for_a_disk_that_hangs(tmp_path: Path) -> None:
+    """The disk is a pipe that nobody reads: the thread hangs in a write, and has the file's lock."""
+    path = tmp_path / "poses.csv"
+    os.mkfifo(path)
+    reading = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    log = BackgroundPoseLog(path, Counter())
+    for index in range(1000):  # 600 kB, of which a pipe takes 64 KiB
+        log.take(result_at(index / 3.0, step_at(np.eye(4))))
+    reads_again = threading.Timer(5.0, os.close, [reading])  # else a test that fails would hang
+    reads_again.start()
+    before = signal.signal(signal.SIGALRM, signal.default_int_handler)
+    began_s = time.monotonic()
+    signal.setitimer(signal.ITIMER_REAL, 0.3)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            log.close()
+        assert time.monotonic() - began_s < 4.0
+    finally:
+        signal.signal(signal.SIGALRM, before)
+        reads_again.cancel()
+        reads_again.join()
+        if time.monotonic() - began_s < 5.0:
+            os.close(reading)
