@@ -20,6 +20,7 @@ _SERIAL = re.compile(r"serial:(.+):(\d+)")
 _MOST_PORT = 65535
 _BYTES = 1 << 16  # of one read
 _CONNECT_S = 2.0
+_SILENT_S = 3.0  # without a word from the other side's TCP, after which a connection is lost
 _CLIENT_S = 5.0  # for which a UDP client that is silent is sent to
 _MOST_CLIENTS = 8
 
@@ -156,6 +157,9 @@ class _TcpPort:
         if hasattr(socket, "TCP_NOTSENT_LOWAT"):  # Windows has none
             # Else, while the network is gone, TCP takes megabytes: poses of minutes, which it delivers afterwards.
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, 1)
+        if hasattr(socket, "TCP_USER_TIMEOUT"):  # Linux
+            # Else it tries again ever more rarely, and is silent as long again after the network is back.
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1000.0 * _SILENT_S))
 
     def fileno(self) -> int:
         return self._socket.fileno()

@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import select
 import socket
+import time
 
 import pytest
 
+from monoloc.mavlink import link_port
 from monoloc.mavlink.link_port import Address, open_port, parse_address
 
 SOON_S = 5.0
@@ -79,3 +81,15 @@ def test_tcp_holds_few_poses_of_a_peer_that_takes_none() -> None:
             taken += 1
         port.close()
     assert taken < 100
+
+
+def test_tcp_peer_that_takes_nothing_any_more_is_gone_soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """TCP itself tries again for a quarter of an hour, ever more rarely."""
+    monkeypatch.setattr(link_port, "_SILENT_S", 0.2)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = open_port(Address("tcp", "127.0.0.1", server.getsockname()[1]))
+        end_s = time.monotonic() + SOON_S
+        with pytest.raises(TimeoutError):
+            while time.monotonic() < end_s:
+                port.write(b"\0" * 1000)
+        port.close()
