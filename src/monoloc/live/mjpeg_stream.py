@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
+import select
 import time
-from typing import BinaryIO
+from io import RawIOBase
 
 import cv2
 import numpy as np
@@ -34,7 +35,7 @@ class MjpegStream:
         camera: intrinsics, of whose size the images must be.
     """
 
-    def __init__(self, stream: BinaryIO, camera: Camera) -> None:
+    def __init__(self, stream: RawIOBase, camera: Camera) -> None:
         self.name = "standard input"
         self._stream, self._camera, self._buffer = stream, camera, b""
         self._skipped = 0  # bytes that belong to no image, since the last one
@@ -65,6 +66,9 @@ class MjpegStream:
             if self._skipped + len(self._buffer) > self._most_bytes:
                 raise DataError(self.name, "holds no JPEG images", "write motion JPEG to it, without a container")
             chunk = self._stream.read(_CHUNK)
+            if chunk is None:  # nothing yet: who started this program may have made the stream one that does not wait
+                select.select([self._stream], [], [])
+                continue
             if not chunk:
                 raise EndOfStreamError
             self._buffer += chunk

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import os
+import threading
 import time
 from itertools import pairwise
 from pathlib import Path
@@ -102,6 +104,22 @@ def test_an_image_is_given_when_its_last_byte_came_and_captured_then() -> None:
     before_s = time.monotonic()
     _, captured_s = stream.grab()
     assert before_s <= captured_s <= time.monotonic()
+
+
+def test_a_pipe_that_does_not_wait_has_not_ended() -> None:
+    """As the program that started this one may have made it."""
+    reading, writing = os.pipe()
+    os.set_blocking(reading, False)
+
+    def write() -> None:
+        os.write(writing, JPEGS[0])
+        os.close(writing)
+
+    writes = threading.Timer(0.1, write)
+    writes.start()
+    with os.fdopen(reading, "rb", buffering=0) as pipe:
+        shows(images_of(MjpegStream(pipe, CAMERA)), 0)
+    writes.join()
 
 
 @pytest.mark.parametrize(
