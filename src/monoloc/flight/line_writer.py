@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import queue
+import select
 import threading
 
 _MOST_QUEUED = 100  # lines; more are dropped
@@ -58,7 +59,10 @@ class LineWriter:
         data = line.encode("utf-8", "replace") + b"\n"
         try:
             while data and not self._is_gone:
-                data = data[os.write(self._descriptor, data) :]
+                try:
+                    data = data[os.write(self._descriptor, data) :]
+                except BlockingIOError:  # full, and does not wait: another program that shares it may have set that
+                    select.select([], [self._descriptor], [])
         except OSError:  # a terminal that hung up, a pipe that was closed
             self._is_gone = True
         self.dropped += self._is_gone

@@ -56,3 +56,16 @@ def test_a_pipe_that_nobody_will_read_again_ends_the_writing_alone(pipe: tuple[i
     writer.write("b")
     writer.close()
     assert writer.dropped == 2
+
+
+def test_a_full_pipe_that_does_not_wait_is_written_to_again_when_it_is_read(pipe: tuple[int, int]) -> None:
+    """As a terminal that a program beside this one has made so."""
+    os.set_blocking(pipe[1], False)
+    writer = LineWriter(pipe[1])
+    for _ in range(80):
+        writer.write("x" * 1000)  # of which a pipe takes 64 KiB
+    writer.close()  # does not wait for them
+    assert writer.dropped == 0
+    read = b""
+    while len(read) < 80 * 1001:
+        read += os.read(pipe[0], 1 << 16)
