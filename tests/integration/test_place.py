@@ -100,6 +100,24 @@ def test_a_camera_carried_into_another_room_is_found_there(
     assert len(localizer.loaded) <= 3
 
 
+def test_frames_before_a_loss_do_not_count_for_a_door(
+    place: Place, walk: RoomRecording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three frames in a row must show the room beyond better, and a lost camera sees none."""
+    localizer = PlaceLocalizer(place, CAMERA, LEFT, Start(walk.poses[10]))
+    monkeypatch.setattr(localizer, "_found", lambda room, seen, belief: 30 if room == RIGHT else 0)
+    stepped = localizer._stepped
+    entered = []
+    for is_lost in (False, False, True, False, False, False):
+        monkeypatch.setattr(
+            localizer,
+            "_stepped",
+            lambda *given, is_lost=is_lost: replace(stepped(*given), state="lost" if is_lost else "tracking"),
+        )
+        entered.append(localizer.step(walk.color(10), FRAME_S).entered)
+    assert entered == [False] * 5 + [True]
+
+
 def test_rooms_that_look_alike_are_not_told_apart(folder: Path, place: Place, walk: RoomRecording) -> None:
     """A camera in one of two equal rooms stays lost, rather than in one of them by chance."""
     shutil.copytree(folder / "left.monoloc", folder / "twin.monoloc", dirs_exist_ok=True)

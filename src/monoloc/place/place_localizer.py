@@ -165,6 +165,7 @@ class PlaceLocalizer:
         step = self._stepped(self._localizer, self._room, frame)
         frame = replace(frame, level=step.level)
         if step.state == "lost":
+            self._hand_over.update(0, {})  # frames before it and after it are not in a row
             self._lost_s += elapsed_s
             if self._lost_s < _LOST_S:
                 return PlaceStep(self._room, step, level=step.level)
