@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+import ros_stage
 from cli_helpers import write_workspace
 from monoloc.bundle import Bundle, read_bundle
 from monoloc.bundle_signature import make_keys
@@ -133,6 +134,25 @@ def test_what_cannot_be_used_is_said_and_changes_nothing(stage: Stage, recording
         assert pattern in text
     stage.give_image(2)
     assert len(stage.ros.of(STATE)) == 2
+
+
+def test_a_clock_that_is_set_back_silences_nothing(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither does a single stamp that is far ahead. Time begins anew at the next image."""
+    elapsed: list[float] = []
+    step = Localizer.step
+
+    def spy(self: Any, color: Any, elapsed_s: float, down: Any = None) -> Any:
+        elapsed.append(elapsed_s)
+        return step(self, color, elapsed_s)
+
+    monkeypatch.setattr(Localizer, "step", spy)
+    stage.begin()
+    stage.give_camera()
+    for begin_ns in (BEGIN_NS, BEGIN_NS - 3600 * 10**9):
+        monkeypatch.setattr(ros_stage, "BEGIN_NS", begin_ns)
+        for index in (1, 2, 0):  # the last one is out of order
+            stage.give_image(index)
+    np.testing.assert_allclose(elapsed, [0.0, FRAME_S, 0.0, FRAME_S], atol=1e-8)
 
 
 def test_gravity_of_the_imu_reaches_the_localizer(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:

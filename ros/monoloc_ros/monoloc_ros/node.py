@@ -39,6 +39,7 @@ _PUBLISHED = {
     OBSTACLES: "sensor_msgs/PointCloud2",
 }
 _MOST_IMU_AGE_NS = 50_000_000
+_CLOCKS_APART_NS = 10**9  # by which a camera's clock may be ahead
 _WARN_PERIOD_S = 5.0
 
 
@@ -136,11 +137,17 @@ class MonolocNode(Node):
                 self._warn(str(error))
 
     def _is_in_time(self, stamp_ns: int) -> bool:
-        age_s = (self.get_clock().now().nanoseconds - stamp_ns) / 1e9
+        now_ns = self.get_clock().now().nanoseconds
+        age_s = (now_ns - stamp_ns) / 1e9
         if age_s > self._settings.most_age_s:
             self._warn(f"images are {age_s:.2f} s old when they come, and are dropped")
             return False
-        return self._previous_ns is None or stamp_ns > self._previous_ns
+        if self._previous_ns is None or stamp_ns > self._previous_ns:
+            return True
+        if self._previous_ns - now_ns < _CLOCKS_APART_NS:
+            return False
+        self._previous_ns = None  # the clock was set back, or that image had a wrong stamp
+        return True
 
     # --- Begin ---
 

@@ -36,7 +36,7 @@ class _Rate:
         self._last_ns: int | None = None
 
     def is_due(self, stamp_ns: int) -> bool:
-        due = self._last_ns is None or stamp_ns - self._last_ns >= self._least_ns
+        due = self._last_ns is None or abs(stamp_ns - self._last_ns) >= self._least_ns  # a clock may be set back
         self._last_ns = stamp_ns if due else self._last_ns
         return due
 

@@ -132,3 +132,9 @@ def test_images_come_five_times_a_second_with_their_camera() -> None:
     messages = [each for index in range(9) for each in made.of(index * PERIOD_NS, BLACK)]
     assert [each.stamp_ns for each in messages if each.topic == IMAGE] == [0, 4 * PERIOD_NS, 8 * PERIOD_NS]
     assert [each.stamp_ns for each in messages if each.topic == INFO] == [0, 4 * PERIOD_NS, 8 * PERIOD_NS]
+
+
+def test_images_go_on_after_a_clock_that_was_set_back() -> None:
+    made = ImageMessages(CAMERA, "camera_optical_frame")
+    stamps_ns = [9 * 10**12, 9 * 10**12 - 3600 * 10**9, 9 * 10**12 - 3600 * 10**9 + PERIOD_NS]
+    assert [len(made.of(stamp_ns, BLACK)) for stamp_ns in stamps_ns] == [2, 2, 0]
