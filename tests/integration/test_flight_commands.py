@@ -10,6 +10,7 @@ import pty
 import re
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -25,7 +26,7 @@ from cli_helpers import json_of, listing, outputs, refused, succeeds, write_work
 from marker_images import with_marker
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.cli.main import invoke
-from monoloc.flight.flight_recording import image_path
+from monoloc.flight.flight_recording import FlightRecorder, image_path
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.mcap_log import ros_frames_of
 from monoloc.geometry import make_pose, quaternion_to_rotation, rotation_angle, rotation_to_quaternion, so3_exp
@@ -173,6 +174,28 @@ def test_a_fast_flight_claims_no_latency(capfd: Capture, here: Path) -> None:
     _, err = outputs(capfd, "fly", "room.monoloc", "flight", "--fast", "--start", "truth")
     assert f"{FRAMES} frames: " in err and "after capture" not in err
     assert "dropped: none; reconnections of the camera: 0\n" in err
+
+
+def test_systemd_hears_of_the_end_before_the_rest_is_written(
+    capfd: Capture, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Which may take longer than its watchdog waits."""
+    heard: list[bytes] = []
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind("\0monoloc test of the end")
+        systemd.setblocking(False)
+        monkeypatch.setenv("NOTIFY_SOCKET", "@monoloc test of the end")
+        close = FlightRecorder.close
+
+        def spy(recorder: FlightRecorder) -> None:
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    heard.append(systemd.recv(100))
+            close(recorder)
+
+        monkeypatch.setattr(FlightRecorder, "close", spy)
+        succeeds(capfd, "fly", "room.monoloc", "flight", "--fast", "--start", "truth", "--record", "other")
+    assert heard[0] == b"READY=1" and heard[-1] == b"STOPPING=1"
 
 
 def test_a_flights_mcap_file_is_a_recording_with_its_poses(capfd: Capture, here: Path) -> None:

@@ -154,7 +154,7 @@ def fly(
     cv2.setNumThreads(1)  # more do not speed up small images, and the drone needs its other cores
     summary, north = FlightSummary(), None
     with naming(names), stopped_by_signals() as stop, _lines() as say:
-        outputs: list[FlightOutput] = [WatchdogOutput(), StatusOutput(say, stderr.is_terminal, summary)]
+        outputs: list[FlightOutput] = [StatusOutput(say, stderr.is_terminal, summary)]
         with ExitStack() as opened:
             frame_source, camera, first_pose = open_frames(flight.source, frames, flight.camera, fast)
             opened.callback(frame_source.close)
@@ -190,6 +190,8 @@ def fly(
                 # The autopilot first: what is written may wait for a disk.
                 recorded, unwritten = flight.record, summary.unwritten
                 outputs[:0] = senders(link, recorded, flown, flown.room, firmware, flight_settings, unwritten)
+            # The watchdog last, which so is closed first: systemd must not count while the others write the rest.
+            outputs.append(WatchdogOutput())
             for output in outputs:
                 opened.enter_context(closing(output))
             Flight(
