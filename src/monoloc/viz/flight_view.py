@@ -132,7 +132,22 @@ def flight_view(
         drawing = FlightDrawing(stream, room, camera, frames)
         yield FlightView(drawing, particles, lambda: has_connection(data_port)), remark
     finally:
-        stream.disconnect()
+        disconnect(stream)
+
+
+def disconnect(stream: RecordingStream) -> None:
+    """Hand over what a viewer was not given yet, within a second.
+
+    For a viewer that hangs, Rerun itself would wait for ever: here, where no signal would end it, and when the
+    program ends.
+    """
+    import rerun
+
+    thread = threading.Thread(target=stream.disconnect, name="view", daemon=True)
+    thread.start()
+    thread.join(_LOOK_S)
+    if thread.is_alive():
+        rerun.unregister_shutdown()
 
 
 def _serve(stream: RecordingStream, port: int) -> str:

@@ -23,7 +23,7 @@ from monoloc.geometry import invert, make_pose
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
 from monoloc.particle_filter.particles import Particles
 from monoloc.viz.flight_drawing import FlightDrawing, flight_blueprint
-from monoloc.viz.flight_view import FlightView, _check_free, has_connection
+from monoloc.viz.flight_view import FlightView, _check_free, disconnect, has_connection
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
 from viewer_helpers import Recorded
 
@@ -148,3 +148,17 @@ def test_a_flight_is_drawn_with_obstacles_and_latency(bundle: Bundle, tmp_path: 
     middle = arcs.mean(axis=1)
     ahead = middle[np.abs(middle[:, 1]) < 0.1]
     np.testing.assert_allclose(ahead, [[2.8, 0.0, 1.0]], atol=0.03)
+
+
+def test_a_window_that_hangs_does_not_hold_up_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A viewer that takes a connection and reads nothing, as one forwarded to a laptop that sleeps."""
+    left_out: list[bool] = []
+    monkeypatch.setattr(rerun, "unregister_shutdown", lambda: left_out.append(True))
+    with socket.create_server(("127.0.0.1", 0)) as viewer:
+        stream = rerun.RecordingStream("test")
+        stream.connect_grpc(f"rerun+http://127.0.0.1:{viewer.getsockname()[1]}/proxy")
+        stream.log("text", rerun.TextLog("hello"))
+        ended = threading.Thread(target=disconnect, args=[stream], daemon=True)
+        ended.start()
+        ended.join(SOON_S)
+        assert not ended.is_alive() and left_out == [True]
