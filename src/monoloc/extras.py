@@ -37,7 +37,7 @@ def require_viewing() -> None:
 
 
 def require_mavlink() -> None:
-    """Check that pymavlink is installed, before a link is opened.
+    """Check that pymavlink is installed, before a link is opened or messages are written.
 
     Raises:
         MissingExtraError: pymavlink is not installed.

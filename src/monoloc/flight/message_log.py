@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from monoloc.errors import DataError
+from monoloc.extras import require_mavlink
 from monoloc.flight.flight_loop import FlightStep
 from monoloc.flight.pose_sender import MessageSink
 from monoloc.flight.writer_thread import WriterThread
@@ -29,9 +30,11 @@ class MessageLog:
 
     Raises:
         DataError: the file cannot be written, at once or, by :meth:`take` and :meth:`idle`, later.
+        MissingExtraError: pymavlink is not installed.
     """
 
     def __init__(self, path: Path) -> None:
+        require_mavlink()
         self._path = path
         self._failure: DataError | None = None
         self._is_said = False  # to the flight, that it failed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import resource
+import sys
 import threading
 from collections import Counter
 from contextlib import closing
@@ -14,9 +15,10 @@ import pytest
 from pymavlink import mavutil
 
 from mavlink_helpers import Wire, result_at, step_at
-from monoloc.errors import DataError
+from monoloc.errors import DataError, MissingExtraError
 from monoloc.flight.message_log import BackgroundMessageLog, MessageLog
 from monoloc.mavlink.messages import status_text
+from refusals import refuses
 
 
 def messages_of(path: Path) -> list[Any]:
@@ -39,6 +41,13 @@ def test_pymavlink_reads_the_messages_and_their_times(tmp_path: Path) -> None:
     assert times_s == pytest.approx([*(1000.25 + index for index in range(300)), 2000.5], abs=1e-6)
     assert [message.get_seq() for message in messages[254:258]] == [254, 255, 0, 1]
     assert len(wire.received) == len(messages) == 301
+
+
+def test_without_pymavlink_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where a flight is replayed on another computer."""
+    monkeypatch.setitem(sys.modules, "pymavlink", None)
+    monkeypatch.setitem(sys.modules, "pymavlink.dialects.v20", None)
+    refuses(lambda: MessageLog(tmp_path / "messages.tlog"), MissingExtraError, r"MAVLink .* extra \"mavlink\"")
 
 
 def test_a_full_disk_is_said_once_and_keeps_no_message_from_the_autopilot(tmp_path: Path) -> None:
