@@ -347,6 +347,13 @@ def test_what_a_file_sets_is_refused_by_its_name_there(
     refused(capfd, here, (command, "flight.toml"), f"flight.toml: {field}: ", problem, fix)
 
 
+def test_a_view_that_cannot_be_shown_leaves_nothing_that_refuses_the_next_flight(capfd: Capture, here: Path) -> None:
+    fly = ("fly", "room.monoloc", "flight", "--fast", "--start", "truth", "--record", "seen")
+    with socket.create_server(("0.0.0.0", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        refused(capfd, here, (*fly, "--view-port", port), "--view-port", "is not free", "another one")
+
+
 def test_another_bundle_and_damaged_flights_are_refused(capfd: Capture, here: Path) -> None:
     log, again = here / "log", ("replay", "log", "--room", "room.monoloc", "--out", "again.csv")
     manifest = here / "room.monoloc" / "manifest.json"

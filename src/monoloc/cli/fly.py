@@ -161,15 +161,9 @@ def fly(
             starting = starting_of(flight, flown.room, camera, first_pose, rng)
             made = flown.localizer(camera, starting.start, seed, flight.budget_ms, flight.threads)
             if firmware is not None:
-                _check_map(flown, flight_settings, say)  # before anything is written
+                _check_map(flown, flight_settings, say)  # before anything is written, as the link and the view
             address = flight.mavlink
             link = None if address is None else opened.enter_context(closing(link_to(address, flight_settings)))
-            if flight.record is not None:
-                sent_to = None if align else firmware
-                header = header_of(room, camera, starting.start, seed, flight_settings, sent_to)
-                outputs.append(FlightRecorder(flight.record, header, flown.is_place))
-            clock_offset_s = 0.0 if fast else time.time() - frame_source.now_s()
-            outputs += logs(flight, flown, camera, clock_offset_s, summary.unwritten)
             if view or view_port is not None:
                 shown = flight_view(
                     f"{room}: {flight.source}",
@@ -182,6 +176,12 @@ def fly(
                 output, remark = opened.enter_context(shown)
                 outputs.append(output)
                 say(remark)
+            if flight.record is not None:
+                sent_to = None if align else firmware
+                header = header_of(room, camera, starting.start, seed, flight_settings, sent_to)
+                outputs.append(FlightRecorder(flight.record, header, flown.is_place))
+            clock_offset_s = 0.0 if fast else time.time() - frame_source.now_s()
+            outputs += logs(flight, flown, camera, clock_offset_s, summary.unwritten)
             if link is not None and align:
                 T_body_camera = flight_settings.mount.T_body_camera
                 north = NorthMeasurement(T_body_camera, down_world(flown, flight_settings), link.attitude_at)
