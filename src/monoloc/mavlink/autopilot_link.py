@@ -32,7 +32,7 @@ _ATTITUDES = 200  # that are kept: four seconds at 50 Hz
 _ATTITUDE_S = 0.1  # between a frame and the nearest attitude, beyond which there is none
 _ALIVE_S = 3.0  # since the autopilot's last heartbeat; another one is listened to only after that
 _INVALID_AUTOPILOT, _PX4 = 8, 12  # of HEARTBEAT's autopilot; the first is of what is none
-_GOES_STALE = {"ODOMETRY", "VISION_POSITION_ESTIMATE", "OBSTACLE_DISTANCE", "TIMESYNC"}
+_GOES_STALE = {"HEARTBEAT", "ODOMETRY", "VISION_POSITION_ESTIMATE", "OBSTACLE_DISTANCE", "TIMESYNC"}
 _MAGIC_2, _HEADER_2_BYTES, _HEADER_1_BYTES = 0xFD, 10, 6  # of MAVLink 2 and 1
 # MAV_PARAM_TYPE of the whole numbers, which PX4 sends as their bytes in place of a float's.
 _BYTES_OF = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}
@@ -133,7 +133,7 @@ class AutopilotLink:
             return self._history.between(start_s, end_s)
 
     def send(self, message: Any) -> None:
-        """Queue a message. A pose, obstacles and an answer to TIMESYNC are dropped if the port holds them up."""
+        """Queue a message. All but texts and questions for parameters are dropped if the port holds them up."""
         with self._packing:
             data: bytes = message.pack(self._packer)
             self._packer.seq = (self._packer.seq + 1) % 256

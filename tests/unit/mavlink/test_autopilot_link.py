@@ -302,6 +302,27 @@ def test_udp_server_sends_to_who_was_heard() -> None:
     link.close()
 
 
+def test_ground_station_that_comes_late_reads_the_last_text_and_no_old_heartbeats() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    link = AutopilotLink(f"udpin:127.0.0.1:{port}")
+    link.send(status_text("lost", True))
+    for _ in range(3):  # minutes, in which nobody is there
+        for _ in range(60):
+            link.send(heartbeat())
+        eventually(lambda: link.queued <= 3)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        client.settimeout(SOON_S)
+        client.sendto(b"\0", ("127.0.0.1", port))
+        parser = dialect().MAVLink(None)
+        kinds: list[str] = []
+        while "STATUSTEXT" not in kinds:
+            kinds += [message.get_type() for message in parser.parse_buffer(client.recv(300))]
+    link.close()
+    assert kinds.count("HEARTBEAT") <= 2
+
+
 def test_port_that_takes_nothing_makes_nobody_wait_and_gets_no_old_distances() -> None:
     """A TCP peer that does not read; when it does, texts come, and what went stale does not."""
     server = socket.create_server(("127.0.0.1", 0))
