@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from cli_helpers import json_of, refused
-from monoloc.bundle import read_bundle
+from monoloc.bundle import Bundle, read_bundle
+from monoloc.errors import BundleError
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray, pose_distance_m
 from monoloc.io.pose_table import read_pose_table
@@ -98,6 +99,25 @@ def test_a_camera_carried_into_another_room_is_found_there(
     assert step is not None and pose_distance_m(elsewhere.poses[-1], step.estimate.pose[None])[0] < 0.1
     assert not any(each.room == LEFT and each.state == "tracking" for each in steps[4:])
     assert len(localizer.loaded) <= 3
+
+
+def test_a_room_beyond_a_door_that_cannot_be_read_takes_no_pose_from_the_room_before_it(
+    place: Place, walk: RoomRecording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As when a disk fails in flight. Who asks for that room itself hears of it."""
+    read_room = Place.read_room
+
+    def failing(self: Place, room: str) -> Bundle:
+        if room == RIGHT:
+            raise BundleError(self.path, "cannot be read", "put it back")
+        return read_room(self, room)
+
+    monkeypatch.setattr(Place, "read_room", failing)
+    localizer = PlaceLocalizer(place, CAMERA, LEFT, Start(walk.poses[8]))
+    steps = follow(localizer, walk, range(8, 12))
+    assert {(step.room, step.state) for step in steps} == {(LEFT, "tracking")}
+    with pytest.raises(BundleError):
+        PlaceLocalizer(place, CAMERA, RIGHT)
 
 
 def test_frames_before_a_loss_do_not_count_for_a_door(

@@ -11,6 +11,7 @@ from monoloc.bundle import Bundle
 from monoloc.camera import Camera
 from monoloc.components import ComponentsFactory, default_components
 from monoloc.depth.predictor import DepthPrediction
+from monoloc.errors import BundleError
 from monoloc.geometry import FloatArray
 from monoloc.landmarks.features import KeypointDetector, Keypoints
 from monoloc.localizer import Localizer
@@ -78,7 +79,8 @@ class PlaceLocalizer:
 
     Near a door, landmarks of the room beyond are measured too, and the belief goes on there once they explain the
     view better. Where no landmarks of the room are seen for a second, the place is asked, and the camera found in
-    another room is believed there. At most three rooms are in memory.
+    another room is believed there. At most three rooms are in memory. A room beyond a door that cannot be read is not
+    entered through it.
 
     Args:
         place: as :func:`monoloc.place.place_files.read_place` returns it.
@@ -248,7 +250,10 @@ class PlaceLocalizer:
         door_to: dict[str, Door] = {}
         for door in doors:
             name = door.beyond(room)
-            found = self._found(name, seen, carried(belief, door, room))
+            try:
+                found = self._found(name, seen, carried(belief, door, room))
+            except BundleError:  # the pose in this room is worth more; a search for the camera says it
+                continue
             if found >= beyond.get(name, 0):
                 beyond[name], door_to[name] = found, door
         taken = self._hand_over.update(here, beyond)
