@@ -22,8 +22,10 @@ from monoloc.start import Start
 from monoloc.step import Step
 from monoloc.step_budget import Level, level_counts
 
+MOST_AHEAD_S = 0.02
+"""By which a camera's stamps may be ahead of the clock."""
+
 _WAIT_S = 0.1  # for a frame, before the outputs hear that there is none
-_MOST_AHEAD_S = 0.02  # of the clock, by which a camera's stamps may be off
 _KEPT = 10_000  # latencies and intervals that the summary is made of, the last ones
 
 
@@ -258,7 +260,7 @@ class Flight:
         age_s = self._source.now_s() - frame.captured_s
         if age_s > self._most_age_s:
             reason = "old"
-        elif age_s < -_MOST_AHEAD_S:
+        elif age_s < -MOST_AHEAD_S:
             reason = "future"
         elif self._previous is not None and frame.captured_s <= self._previous.captured_s:
             reason = "unordered"

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from monoloc.flight.flight_loop import FlightStep
+from monoloc.flight.flight_loop import MOST_AHEAD_S, FlightStep
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.geometry import FloatArray, invert, rotation_angle
 from monoloc.mavlink.autopilot_frames import AutopilotFrames, BodyPose
@@ -101,7 +101,7 @@ class PoseSender:
             self.counts["not finite"] += 1
             return False
         age_s = result.done_s - result.frame.captured_s
-        if not 0.0 <= age_s <= self._settings.most_age_s:
+        if not -MOST_AHEAD_S <= age_s <= self._settings.most_age_s:
             self.counts["old" if age_s > 0.0 else "future"] += 1
             return False
         return True

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mavlink_helpers import Wire, result_at, step_at
+from monoloc.flight.flight_loop import MOST_AHEAD_S
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.pose_sender import PoseSender
 from monoloc.geometry import FloatArray, invert, make_pose, so3_exp
@@ -102,6 +103,13 @@ def test_stale_future_and_infinite_poses_are_not_sent_but_counted() -> None:
     flight.take(result_at(1.2, step_at(at(0.0), covariance=np.full((6, 6), np.nan))))
     assert wire.of("ODOMETRY") == [] and wire.of("OBSTACLE_DISTANCE") == []
     assert flight.counts["old"] == flight.counts["future"] == flight.counts["not finite"] == 1
+
+
+def test_a_stamp_that_the_flight_takes_though_it_is_ahead_is_sent() -> None:
+    """Of a camera whose stamps are a little off, on a computer whose step takes less than that."""
+    flight, wire = sender()
+    flight.take(result_at(1.0, step_at(at(0.0)), age_s=-0.5 * MOST_AHEAD_S))
+    assert len(wire.of("ODOMETRY")) == 1
 
 
 def test_rate_is_bounded() -> None:
