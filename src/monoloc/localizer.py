@@ -18,6 +18,7 @@ from monoloc.front_end import FrontEnd, Observation
 from monoloc.fusion.gravity import Gravity
 from monoloc.fusion.reference_poses import NEAR_M
 from monoloc.geometry import FloatArray
+from monoloc.landmarks.landmark_map import FamiliarLandmarks
 from monoloc.landmarks.pnp import LandmarkMeasurement
 from monoloc.likelihood.protocol import weigh_corners, weigh_depth_image
 from monoloc.likelihood.scan import EMPTY_SCAN, Scan
@@ -302,7 +303,7 @@ class Localizer:
         Where particles and belief disagree beyond their errors, one of them is wrong. If landmarks measured the pose,
         it is the particles, which are drawn anew; if not, their scan speaks against the belief.
         """
-        mode = self._relocalization.mode
+        mode, familiar = self._relocalization.mode, None
         if mode is Mode.TRACKING:
             landmark_pose = None if landmarks is None else landmarks.pose
             if contradicted:
@@ -310,7 +311,10 @@ class Localizer:
                 log_likelihood = float("nan")
             elif landmark_pose is None and self._tracker.fusion.contradicts(particle_estimate, None):
                 log_likelihood = -np.inf if observation.scan_has_enough_points else log_likelihood
-            self._integrity.update(log_likelihood, landmarks)
+            familiar = self._familiar(belief, landmarks)
+            if self._tracker.fusion.landmarks_contradict and self._index > 0:  # a given start may be rough
+                self._integrity.contradicted_by_landmarks()
+            self._integrity.update(log_likelihood, landmarks, familiar)
             self._camera_check.update(landmark_pose, observation.elapsed_s)
         probability_far = self._integrity.probability_far(belief)
         return Supervision(
@@ -322,8 +326,15 @@ class Localizer:
             odometry_tracked=observation.odometry_tracked,
             is_near_build=self._bundle.reference_poses.distance_m(belief.pose) <= NEAR_M,
             camera_mismatch=self._camera_check.mismatch,
-            changed_region=self._map_change.update(belief.pose, probability_far, landmarks, observation.elapsed_s),
+            changed_region=self._map_change.update(familiar, probability_far, observation.elapsed_s),
         )
+
+    def _familiar(self, belief: Estimate, landmarks: LandmarkMeasurement | None) -> FamiliarLandmarks | None:
+        """Familiar landmarks at the belief, if landmarks gave a pose."""
+        views = self._bundle.landmarks.views
+        if landmarks is None or landmarks.pose is None or views is None:
+            return None
+        return views.familiar(belief.pose, landmarks.visible, landmarks.is_found)
 
 
 def _untimed(name: Stage) -> AbstractContextManager[None]:

@@ -15,6 +15,7 @@ from monoloc.evaluation.consistency import CHI2_6_QUANTILE_95, consistency
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray
 from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.localizer import Localizer
 from monoloc.map.mixture import GaussianMixture
@@ -107,6 +108,19 @@ def test_kidnapped_camera_is_not_tracking_where_there_are_no_landmarks(flights: 
     covariances = np.stack([step.estimate.covariance for step in steps])
     stated = consistency(poses_of(steps), flights.recording.poses[frames], covariances)
     assert stated.pose_nees[SOMETIME:].max() <= CHI2_6_QUANTILE_95
+
+
+def test_landmarks_of_things_that_moved_together_are_not_vouched_for_at_once(flights: Flights) -> None:
+    """A quarter of a metre, most of those in view: they agree on one pose, and odometry on another."""
+    localizer = flights.localizer()
+    assert follow(localizer, flights.recording, range(11))[-1].state == "tracking"
+    moved = np.random.default_rng(0).uniform(size=len(flights.landmarks)) < 0.75
+    points = flights.landmarks.points + np.float32([0.25, 0.0, 0.0]) * moved[:, None]
+    localizer._landmarks = OrbLandmarkLocalizer(replace(flights.landmarks, points=points), CAMERA)
+    frames = range(11, 11 + SOON)
+    steps = follow(localizer, flights.recording, frames)
+    assert flights.errors_m(steps, frames).min() > 0.2 and "tracking" not in states(steps)
+    assert Reason.BELIEF_DOUBTFUL in steps[0].reasons
 
 
 def test_camera_without_a_start_is_found_by_landmarks_alone(flights: Flights) -> None:

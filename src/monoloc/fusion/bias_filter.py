@@ -63,6 +63,7 @@ class BiasAugmentedFilter:
 
     Attributes:
         restarted: whether the belief started anew at this frame, so that the pose may jump.
+        landmarks_contradict: whether this frame's landmark pose is beyond the gate of the belief before it.
         time_since_update_s: since odometry, particles or landmarks last constrained the pose.
     """
 
@@ -84,7 +85,7 @@ class BiasAugmentedFilter:
         self._time_since_odometry_s = 0.0
         self._recent_motion = np.zeros(6)  # a twist in the camera's frame
         self.time_since_update_s = 0.0
-        self.restarted = False
+        self.restarted = self.landmarks_contradict = False
 
     @property
     def belief(self) -> Estimate:
@@ -99,7 +100,7 @@ class BiasAugmentedFilter:
             elapsed_s: since the previous frame; 0 at the first.
             measured: pose of the particles at this frame, whose motion selects the bias where odometry has none.
         """
-        self.restarted = False
+        self.restarted = self.landmarks_contradict = False
         is_tracked = tracks_translation(motion)
         self._time_since_odometry_s = 0.0 if is_tracked else self._time_since_odometry_s + elapsed_s
         delta = self._scaled(motion)
@@ -141,7 +142,9 @@ class BiasAugmentedFilter:
         """
         is_decisive = len(measured.points) >= _DECISIVE_LANDMARKS
         noise = self._noise_for_belief(measured)
-        if is_decisive and self._state.landmark_excess(measured.pose, noise) > _CONTRADICTION:
+        excess = self._state.landmark_excess(measured.pose, noise)
+        self.landmarks_contradict = excess > 1.0
+        if is_decisive and excess > _CONTRADICTION:
             return self.reinitialise_from_landmarks(measured)
         self._state = self._state.update_from_landmarks(measured.pose, noise, is_decisive)
         self.time_since_update_s = self._time_since_odometry_s = 0.0

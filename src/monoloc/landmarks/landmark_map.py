@@ -26,6 +26,19 @@ _RANGED_LANDMARKS = 2000  # of which the largest distance is sought
 
 
 @dataclass(frozen=True)
+class FamiliarLandmarks:
+    """Landmarks in view that views of the build near the camera found.
+
+    Attributes:
+        indices: (F,) int64, in the room's landmarks.
+        is_found: (F,) bool, whether the image shows each of them where it should be.
+    """
+
+    indices: NDArray[np.int64]
+    is_found: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
 class LandmarkViews:
     """Which of L landmarks V frames of the build found at their true poses.
 
@@ -58,6 +71,25 @@ class LandmarkViews:
         """
         nearest = self.nearest(pose)
         return None if len(nearest) < 2 else self.found[nearest].sum(axis=0)
+
+    def familiar(
+        self, pose: FloatArray, visible: NDArray[np.int64], is_found: NDArray[np.bool_]
+    ) -> FamiliarLandmarks | None:
+        """Those of the landmarks in view that at least :data:`FAMILIAR_TIMES` of the nearest views found.
+
+        Args:
+            pose: ``T_world_camera``, (4, 4).
+            visible: (E,) indices of the landmarks in view.
+            is_found: (E,) whether each of them is found.
+
+        Returns:
+            None where fewer than two views are near.
+        """
+        times = self.times_found(pose)
+        if times is None:
+            return None
+        is_familiar = times[visible] >= FAMILIAR_TIMES
+        return FamiliarLandmarks(visible[is_familiar], is_found[is_familiar])
 
     def nearest(self, pose: FloatArray) -> NDArray[np.int64]:
         """Indices of the nearest views, at most three, that are near a pose (4, 4)."""

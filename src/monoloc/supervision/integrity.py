@@ -1,7 +1,8 @@
 """How probable it is that the belief is wrong, from what the map says of each frame.
 
-A hidden Markov model (Rabiner 1989) of three conditions: the belief is right and landmarks are seen, it is right and
-they are not (blur, darkness, a new viewpoint), or it is wrong, so that the camera is not where the covariance says.
+A hidden Markov model (Rabiner 1989) of four conditions: the belief is right and landmarks are seen, it is right and
+they are not (blur, darkness, a new viewpoint), landmarks of a thing that was moved mislead it, or it is wrong for
+another reason. In the last two, the camera is not where the covariance says.
 The build measures how often each number of landmarks, and each fit of the scan, occurs at right and at wrong poses.
 """
 
@@ -16,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from monoloc.evaluation.consistency import FAR_M
 from monoloc.geometry import FloatArray
+from monoloc.landmarks.landmark_map import FamiliarLandmarks
 from monoloc.landmarks.pnp import LandmarkMeasurement
 from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.particle_filter.estimate import Estimate
@@ -36,6 +38,14 @@ _UNSEEN_S = 1.0  # time for which landmarks stay unseen
 _WRONG_RATE, _WRONG_RATE_WITHOUT_ODOMETRY = 0.001, 0.3
 _WRONG_AT_BREAK = 0.1  # probability that the camera was displaced where odometry newly fails on an image
 _START_IS_WRONG, _LANDMARKS_ARE_WRONG = 0.02, 0.02  # probability of a given start, of a relocalisation by landmarks
+# Probability of being misled where landmarks contradict a belief that was vouched for: landmarks that agree on one
+# pose may all belong to a thing that was moved.
+_MISLED_AT_CONTRADICTION, _VOUCHED_FOR_BELOW = 0.4, 0.05
+_MISLED_S = 3.0  # time constant of trust in landmarks that go on agreeing
+_LEAST_FAMILIAR = 30  # familiar landmarks in view, below which their share says nothing
+# So large a part of the share that a build finds is found in eight of ten frames at right poses, and in one of ten
+# while a moved thing misleads.
+_MANY_FOUND, _MANY_AT_RIGHT, _MANY_WHILE_MISLED = 0.65, 0.8, 0.1
 _LEAST_SEARCH_PRECISION = 0.25  # of relocalisations by a scan, below which they are not tried
 
 
@@ -124,6 +134,11 @@ class IntegrityModel(BaseModel):
         """Whether poses that a scan finds are right often enough to be verified."""
         return self.scan_search_precision >= _LEAST_SEARCH_PRECISION
 
+    @property
+    def knows_familiar(self) -> bool:
+        """Whether familiar landmarks are found more often than wrong matches are; else their share says nothing."""
+        return self.familiar_found > self.strange_found
+
     @staticmethod
     def scan_classes(right: ArrayLike, wrong: ArrayLike) -> Classes:
         """Classes of fits measured at right and at wrong poses."""
@@ -161,7 +176,7 @@ class IntegrityMonitor:
 
     def __init__(self, model: IntegrityModel, is_searched: bool) -> None:
         self._model = model
-        # Of three conditions: right and landmarks seen, right and not seen, wrong.
+        # Of four conditions: right and landmarks seen, right and not seen, misled by landmarks, wrong.
         self._probabilities = self._right_unless(1.0 if is_searched else _START_IS_WRONG)
         self._elapsed_s = 0.0
         self._odometry_tracked = True
@@ -169,7 +184,7 @@ class IntegrityMonitor:
     @property
     def probability_wrong(self) -> float:
         """That the belief is wrong, 0 to 1, whatever its covariance."""
-        return float(self._probabilities[2])
+        return float(self._probabilities[2:].sum())
 
     def probability_far(self, belief: Estimate) -> float:
         """That the position is more than :data:`FAR_M` off, because the belief is wrong or because it is wide."""
@@ -205,33 +220,56 @@ class IntegrityMonitor:
         if image_is_new:  # of others odometry says nothing; the break shows at the next one
             self._odometry_tracked = odometry_tracked
         changes_sight = 1.0 - math.exp(-elapsed_s / _UNSEEN_S)
-        seen, unseen, wrong = self._probabilities
-        right = seen + unseen
+        seen, unseen, misled, wrong = self._probabilities
+        trusted = misled * (1.0 - math.exp(-elapsed_s / _MISLED_S))
+        right = seen + unseen + trusted
         unseen += changes_sight * (self._model.unseen_share * right - unseen)
         remaining = 1.0 - becomes_wrong
         self._probabilities = np.array(
-            [(right - unseen) * remaining, unseen * remaining, wrong + right * becomes_wrong]
+            [(right - unseen) * remaining, unseen * remaining, misled - trusted, wrong + right * becomes_wrong]
         )
 
-    def update(self, mean_log_likelihood: float, landmarks: LandmarkMeasurement | None) -> None:
+    def update(
+        self,
+        mean_log_likelihood: float,
+        landmarks: LandmarkMeasurement | None,
+        familiar: FamiliarLandmarks | None = None,
+    ) -> None:
         """The probabilities after a frame's evidence.
 
         Args:
             mean_log_likelihood: of the scan; NaN where it says nothing, minus infinity where it fits elsewhere.
             landmarks: None where nothing was measured.
+            familiar: those of them that views near the belief found; None where no view is near.
         """
-        likelihood = np.ones(3)
+        likelihood = np.ones(4)
         elapsed_s = max(self._elapsed_s, _FIRST_S)
         if not math.isnan(mean_log_likelihood):
             right, wrong = self._model.scan.likelihoods(mean_log_likelihood)
-            likelihood *= np.array([right, right, wrong]) ** min(1.0, elapsed_s / _SCAN_S)
+            likelihood *= np.array([right, right, wrong, wrong]) ** min(1.0, elapsed_s / _SCAN_S)
         if landmarks is not None and landmarks.expected >= _LEAST_EXPECTED:
             right, wrong = self._model.landmarks.likelihoods(landmarks.found)
-            # A right belief whose landmarks are not seen finds as few as a wrong one, or some.
+            # A right belief whose landmarks are not seen finds as few as a wrong one, or some. One that is misled
+            # finds many as long as the moved thing is in view, and few after that.
             some = max(wrong, 1.0 / len(self._model.landmarks.right))
-            likelihood *= np.array([right, some, wrong]) ** min(1.0, elapsed_s / _LANDMARK_S)
+            likelihood *= np.array([right, some, max(right, wrong), wrong]) ** min(1.0, elapsed_s / _LANDMARK_S)
+        if familiar is not None and self._finds_many(familiar):
+            misled = (_MANY_WHILE_MISLED / _MANY_AT_RIGHT) ** min(1.0, elapsed_s / _LANDMARK_S)
+            likelihood *= np.array([1.0, 1.0, misled, 1.0])
         posterior = self._probabilities * likelihood
         self._probabilities = posterior / posterior.sum()
+
+    def _finds_many(self, familiar: FamiliarLandmarks) -> bool:
+        """Whether so many of the familiar landmarks are found that hardly any can have been moved."""
+        if not self._model.knows_familiar or len(familiar.indices) < _LEAST_FAMILIAR:
+            return False
+        return bool(familiar.is_found.mean() >= _MANY_FOUND * self._model.familiar_found)
+
+    def contradicted_by_landmarks(self) -> None:
+        """Landmarks measured a pose that the belief excluded; if the belief was vouched for, they may be wrong."""
+        if self.probability_wrong < _VOUCHED_FOR_BELOW:
+            self._probabilities *= 1.0 - _MISLED_AT_CONTRADICTION
+            self._probabilities[2] += _MISLED_AT_CONTRADICTION
 
     def lose(self) -> None:
         """The position is unknown."""
@@ -247,4 +285,4 @@ class IntegrityMonitor:
 
     def _right_unless(self, wrong: float) -> FloatArray:
         unseen = self._model.unseen_share
-        return np.array([(1.0 - wrong) * (1.0 - unseen), (1.0 - wrong) * unseen, wrong])
+        return np.array([(1.0 - wrong) * (1.0 - unseen), (1.0 - wrong) * unseen, 0.0, wrong])

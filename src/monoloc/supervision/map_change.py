@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.geometry import FloatArray
-from monoloc.landmarks.landmark_map import FAMILIAR_TIMES, Landmarks
-from monoloc.landmarks.pnp import LandmarkMeasurement
+from monoloc.landmarks.landmark_map import FamiliarLandmarks, Landmarks
 from monoloc.supervision.integrity import IntegrityModel
 
 _CELL_M = 0.2  # edge of the cells of space; one is tested together with those that touch it
@@ -74,9 +73,8 @@ def merged(regions: Iterable[ChangedRegion]) -> list[tuple[ChangedRegion, int]]:
 class MapChangeMonitor:
     """Follows the evidence that the map has changed, in each cell of space that has landmarks.
 
-    A landmark is familiar if at least :data:`FAMILIAR_TIMES` of the three views of the build that are nearest to the
-    camera found it. Where nothing has changed, it is found as often as familiar landmarks in the rest of the image;
-    where something else stands now, as often as landmarks that are not there.
+    Where nothing has changed, a familiar landmark is found as often as those in the rest of the image. Where
+    something else stands now, it is found as often as landmarks that are not there.
 
     Args:
         landmarks: of the room.
@@ -84,8 +82,7 @@ class MapChangeMonitor:
     """
 
     def __init__(self, landmarks: Landmarks, model: IntegrityModel) -> None:
-        # Not measured, or no better than wrong matches: then landmarks say nothing of the map.
-        self._views = landmarks.views if model.familiar_found > model.strange_found else None
+        self._tells_changes = model.knows_familiar
         self._familiar_found, self._strange_found = model.familiar_found, model.strange_found
         cells = np.floor(landmarks.points.astype(np.float64) / _CELL_M).astype(np.int64)
         self._cells, cell_of = np.unique(cells, axis=0, return_inverse=True)
@@ -96,28 +93,23 @@ class MapChangeMonitor:
         self._is_changed = np.zeros(len(self._cells), dtype=np.bool_)
 
     def update(
-        self, pose: FloatArray, probability_far: float, landmarks: LandmarkMeasurement | None, elapsed_s: float
+        self, familiar: FamiliarLandmarks | None, probability_far: float, elapsed_s: float
     ) -> ChangedRegion | None:
         """The changed region in view after a frame; of several, the one with most evidence.
 
         Args:
-            pose: ``T_world_camera``, (4, 4), of the belief.
-            probability_far: that its position is far off; a pose that is not certain says nothing of the map.
-            landmarks: in the frame; None where nothing was measured.
+            familiar: of the landmarks in a frame that gave a pose; None where there is no such pose, or where no view
+                is near.
+            probability_far: that the belief's position is far off; an uncertain pose says nothing of the map.
             elapsed_s: since the previous frame.
         """
-        if landmarks is None or landmarks.pose is None or probability_far >= _CERTAIN_BELOW:
+        if familiar is None or not self._tells_changes or probability_far >= _CERTAIN_BELOW:
             return None
-        times_found = None if self._views is None else self._views.times_found(pose)
-        if times_found is None:
-            return None
-        is_familiar = times_found[landmarks.visible] >= FAMILIAR_TIMES
-        familiar, is_found = landmarks.visible[is_familiar], landmarks.is_found[is_familiar]
         elapsed_s = max(elapsed_s, _FIRST_S)
         self._nats *= math.exp(-elapsed_s / _FORGOTTEN_S)
-        in_view = self._cell_of[familiar]
-        added = self._evidence(in_view, is_found) * min(1.0, elapsed_s / _OBSERVATION_S)
-        self._nats[familiar] = np.clip(self._nats[familiar] + added, _LEAST_NATS, _MOST_NATS)
+        in_view = self._cell_of[familiar.indices]
+        added = self._evidence(in_view, familiar.is_found) * min(1.0, elapsed_s / _OBSERVATION_S)
+        self._nats[familiar.indices] = np.clip(self._nats[familiar.indices] + added, _LEAST_NATS, _MOST_NATS)
         nats = self._around(self._sums(self._cell_of, self._nats))
         self._above_s[self._sums(in_view) > 0.0] += elapsed_s
         self._above_s[nats < _CHANGED_NATS] = 0.0

@@ -554,6 +554,17 @@ def test_belief_that_many_landmarks_contradict_begins_anew_at_their_pose() -> No
     )
 
 
+@pytest.mark.parametrize(("off_m", "contradicts"), [(0.01, False), (0.3, True), (1.0, True)])
+def test_landmarks_beyond_the_gate_contradict_the_belief_for_that_frame(off_m: float, contradicts: bool) -> None:
+    """Whether the belief moves towards them, or begins anew at them."""
+    fusion = filter_with(by_particles(np.eye(4)), np.eye(4))
+    frame(fusion, None, by_particles(np.eye(4)), 0.0)
+    fusion.update_from_landmarks(by_landmarks(along_x(off_m)))
+    assert fusion.landmarks_contradict == contradicts
+    frame(fusion, motion_of(STILL), by_particles(np.eye(4)))
+    assert not fusion.landmarks_contradict
+
+
 def test_relocalisation_by_landmarks_counts_only_them() -> None:
     """And as an update: the next frame without odometry is not one of many."""
     fusion = filter_at_origin()

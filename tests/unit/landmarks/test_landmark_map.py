@@ -53,6 +53,15 @@ def test_times_found_are_of_the_three_nearest_views() -> None:
     assert views.times_found(poses[4]) is None
 
 
+def test_familiar_landmarks_are_those_in_view_that_near_views_found() -> None:
+    poses = se3_exp(0.01 * np.eye(6)[:3])
+    views = LandmarkViews(poses, np.array([[1, 1, 0, 1], [1, 0, 0, 1], [1, 1, 0, 0]], np.bool_))
+    familiar = views.familiar(np.eye(4), np.array([3, 2, 0]), np.array([False, True, True]))
+    assert familiar is not None
+    assert (familiar.indices.tolist(), familiar.is_found.tolist()) == ([3, 0], [False, True])
+    assert views.familiar(se3_exp([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]), np.arange(4), np.ones(4, np.bool_)) is None
+
+
 def test_views_of_other_shapes_are_refused() -> None:
     with pytest.raises(ValueError, match=r"must be \(V, 4, 4\) and \(V, L\), got \(2, 4, 4\) and \(3, 7\)"):
         LandmarkViews(np.zeros((2, 4, 4)), np.zeros((3, 7), np.bool_))

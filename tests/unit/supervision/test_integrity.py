@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy.stats import norm
 
+from monoloc.landmarks.landmark_map import FamiliarLandmarks
 from monoloc.landmarks.pnp import LandmarkMeasurement
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.supervision.integrity import LANDMARK_EDGES, Classes, IntegrityModel, IntegrityMonitor
@@ -21,10 +22,16 @@ MODEL = IntegrityModel(
     landmarks=Classes(edges=LANDMARK_EDGES, right=(0.02, 0.03, 0.05, 0.1, 0.8), wrong=(0.8, 0.1, 0.05, 0.03, 0.02)),
     unseen_share=0.2,
     scan_search_precision=0.9,
+    familiar_found=0.6,
+    strange_found=0.05,
 )
 FITS, MISFIT, SILENT = 2.0, -1.0, math.nan
 SEEN, ABSENT = LandmarkMeasurement(100, 60), LandmarkMeasurement(100, 0)
 TRACKING_BELOW, SUSPECTED = 0.05, 0.5
+
+
+def familiar(found: int, count: int = 100) -> FamiliarLandmarks:
+    return FamiliarLandmarks(np.arange(count), np.arange(count) < found)
 
 
 def make_monitor(model: IntegrityModel = MODEL, is_searched: bool = False) -> IntegrityMonitor:
@@ -38,11 +45,12 @@ def after(
     landmarks: LandmarkMeasurement | None = None,
     odometry_tracked: bool = True,
     image_is_new: bool = True,
+    familiar: FamiliarLandmarks | None = None,
 ) -> float:
     """The probability of a wrong belief after frames that are all alike."""
     for _ in range(round(seconds / FRAME_S)):
         monitor.predict(FRAME_S, odometry_tracked, image_is_new)
-        monitor.update(scan, landmarks)
+        monitor.update(scan, landmarks, familiar)
     return monitor.probability_wrong
 
 
@@ -188,6 +196,56 @@ def test_evidence_counts_by_time_and_not_by_frames() -> None:
     assert math.log(fast.probability_wrong) == pytest.approx(math.log(slow.probability_wrong), abs=0.2)
 
 
+# --- Landmarks that contradict the belief ---
+
+
+def contradicted(model: IntegrityModel = MODEL) -> IntegrityMonitor:
+    """A belief that was vouched for, at the frame whose landmarks exclude it."""
+    monitor = make_monitor(model)
+    after(monitor, 2.0, FITS, SEEN)
+    monitor.contradicted_by_landmarks()
+    return monitor
+
+
+def test_landmarks_that_contradict_what_was_vouched_for_are_not_believed_at_once() -> None:
+    """A bookcase that was moved: its landmarks agree on one pose, and most of the others are missing."""
+    monitor = contradicted()
+    assert TRACKING_BELOW < monitor.probability_wrong < SUSPECTED
+    assert after(monitor, 1.0, landmarks=SEEN, familiar=familiar(25)) > 4.0 * TRACKING_BELOW
+    # They are believed if they go on agreeing for long, ...
+    assert after(monitor, 12.0, landmarks=SEEN, familiar=familiar(25)) < TRACKING_BELOW
+
+
+def test_they_are_believed_soon_where_nearly_all_familiar_landmarks_are_found() -> None:
+    assert after(contradicted(), 0.5, landmarks=SEEN, familiar=familiar(50)) < 0.4 * TRACKING_BELOW
+    # Too few to say so, or a room whose familiar landmarks were not measured:
+    assert after(contradicted(), 0.5, landmarks=SEEN, familiar=familiar(20, 25)) > TRACKING_BELOW
+    unmeasured = contradicted(MODEL.model_copy(update={"familiar_found": 0.0, "strange_found": 0.5}))
+    assert after(unmeasured, 0.5, landmarks=SEEN, familiar=familiar(50)) > TRACKING_BELOW
+
+
+def test_camera_is_suspected_lost_where_the_landmarks_that_contradicted_leave_the_view() -> None:
+    monitor = contradicted()
+    after(monitor, 0.3, landmarks=SEEN)
+    assert after(monitor, 0.5, landmarks=ABSENT) > SUSPECTED
+    # The same absence without a contradiction is a new viewpoint, or blur.
+    unbroken = make_monitor()
+    after(unbroken, 2.3, FITS, SEEN)
+    assert after(unbroken, 0.5, landmarks=ABSENT) < TRACKING_BELOW
+
+
+def test_belief_that_is_doubted_already_may_be_contradicted() -> None:
+    monitor = make_monitor()
+    after(monitor, 1.0, SILENT, odometry_tracked=False)
+    before = monitor.probability_wrong
+    assert before > TRACKING_BELOW
+    monitor.contradicted_by_landmarks()
+    assert monitor.probability_wrong == before
+
+
+# --- Searches ---
+
+
 def test_searches_set_the_probability() -> None:
     monitor = make_monitor(is_searched=True)
     assert monitor.probability_wrong == 1.0
@@ -206,6 +264,8 @@ frames = st.lists(
         st.booleans(),
         st.sampled_from([FITS, 0.5, MISFIT, SILENT, -np.inf]),
         st.sampled_from([None, SEEN, ABSENT, LandmarkMeasurement(10, 3), LandmarkMeasurement(60, 20)]),
+        st.sampled_from([None, familiar(0), familiar(25), familiar(60)]),
+        st.booleans(),
     ),
     max_size=60,
 )
@@ -213,15 +273,17 @@ frames = st.lists(
 
 @given(frames, st.booleans(), st.sampled_from([MODEL, IntegrityModel()]))
 def test_probabilities_are_probabilities_after_any_frames(
-    given_frames: list[tuple[float, bool, bool, float, LandmarkMeasurement | None]],
+    given_frames: list[tuple[float, bool, bool, float, LandmarkMeasurement | None, FamiliarLandmarks | None, bool]],
     is_searched: bool,
     model: IntegrityModel,
 ) -> None:
     monitor = make_monitor(model, is_searched)
-    for elapsed_s, odometry_tracked, image_is_new, scan, landmarks in given_frames:
+    for elapsed_s, odometry_tracked, image_is_new, scan, landmarks, those, is_contradicted in given_frames:
         monitor.predict(elapsed_s, odometry_tracked, image_is_new)
         assert monitor._probabilities.sum() == pytest.approx(1.0)
-        monitor.update(scan, landmarks)
+        if is_contradicted:
+            monitor.contradicted_by_landmarks()
+        monitor.update(scan, landmarks, those)
         assert monitor._probabilities.sum() == pytest.approx(1.0)
         assert np.all(monitor._probabilities >= 0.0) and 0.0 <= monitor.probability_wrong <= 1.0
 

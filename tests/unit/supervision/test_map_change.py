@@ -10,12 +10,10 @@ from numpy.typing import NDArray
 
 from monoloc.geometry import FloatArray, se3_exp
 from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
-from monoloc.landmarks.pnp import LandmarkMeasurement, LandmarkPose
 from monoloc.supervision.integrity import IntegrityModel
 from monoloc.supervision.map_change import ChangedRegion, MapChangeMonitor, merged
 
 MODEL = IntegrityModel(familiar_found=0.7, strange_found=0.05)
-POSE = LandmarkPose(np.eye(4), np.eye(6), np.zeros((0, 3)))
 PLACES = np.array([[-1.5, 0.0, 2.0], [0.0, 0.0, 2.0], [1.5, 0.0, 2.0]])
 EACH = 20  # landmarks at a place
 RIGHT = np.arange(2 * EACH, 3 * EACH)  # those at the place to the right
@@ -36,6 +34,7 @@ class Flight:
 
     def __init__(self, landmarks: Landmarks, model: IntegrityModel = MODEL) -> None:
         self.monitor = MapChangeMonitor(landmarks, model)
+        self._views = landmarks.views
         self._count = len(landmarks)
         self._rng = np.random.default_rng(1)
 
@@ -47,7 +46,6 @@ class Flight:
         share: float = 0.7,
         probability_far: float = 0.0,
         pose: FloatArray = np.eye(4),
-        landmark_pose: LandmarkPose | None = POSE,
         visible: NDArray[np.int64] | None = None,
     ) -> list[ChangedRegion | None]:
         regions = []
@@ -56,8 +54,8 @@ class Flight:
             is_found = self._rng.uniform(size=len(visible)) < share
             if missing is not None:
                 is_found &= ~np.isin(visible, missing)
-            measured = LandmarkMeasurement(len(visible), int(is_found.sum()), landmark_pose, visible, is_found)
-            regions.append(self.monitor.update(pose, probability_far, measured, 1.0 / rate_hz))
+            familiar = None if self._views is None else self._views.familiar(pose, visible, is_found)
+            regions.append(self.monitor.update(familiar, probability_far, 1.0 / rate_hz))
         return regions
 
 
@@ -90,13 +88,12 @@ def test_unmeasured_rates_views_or_frames_say_nothing() -> None:
         (Flight(room(found_by_views=0.0)), {}),
         (Flight(landmarks), {"pose": se3_exp([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])}),
         (Flight(landmarks), {"probability_far": 0.05}),
-        (Flight(landmarks), {"landmark_pose": None}),
         (Flight(landmarks), {"visible": RIGHT}),  # without any landmark beside them
         (Flight(Landmarks.none()), {}),
     ]
     for flight, given in silent:
         assert set(flight(3.0, RIGHT, **given)) == {None}
-        assert flight.monitor.update(np.eye(4), 0.0, None, 0.1) is None
+        assert flight.monitor.update(None, 0.0, 0.1) is None
 
 
 def test_few_missing_landmarks_are_no_change() -> None:
