@@ -1,0 +1,75 @@
+"""Tables and sentences of days of moved furniture are those of the kept data."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from document_numbers import agree, agree_all, agree_sentence, json_of, tables_of
+
+PAGE = "docs/how-to/map-that-ages.md"
+ROOM, OFFICE = json_of("ageing.json"), json_of("ageing-office.json")
+TABLES = [table.rows for table in tables_of(PAGE) if table.place[0] == "Ten days of moved furniture"]
+MAPS = ("never_updated", "updated", "fresh")
+
+
+def centimetres(figures: dict[str, float]) -> list[float]:
+    return [100.0 * figures["median_m"], 100.0 * figures["rmse_m"]]
+
+
+def of_last_flight(found: dict[str, Any], name: str) -> list[list[float]]:
+    figures = found[name]
+    return [*([value] for value in centimetres(figures)), [figures["vouched_for"]], [figures["silent"]]]
+
+
+def test_maps_after_the_last_day() -> None:
+    for (_, *cells), name, landmarks in zip(TABLES[0], MAPS, ROOM["landmarks"], strict=True):
+        agree_all(cells, [*of_last_flight(ROOM, name), [landmarks]])
+    for (_, *cells), name in zip(TABLES[2], MAPS, strict=True):
+        agree_all(cells, of_last_flight(OFFICE, name))
+
+
+def test_days() -> None:
+    for (number, moved, never, updated, teaching, then), day in zip(TABLES[1], ROOM["days"], strict=True):
+        assert moved == ", ".join(day["moved"]) and ROOM["days"][int(number) - 1] is day
+        agree(never, centimetres(day["never_updated"]))
+        agree(updated, centimetres(day["updated"]))
+        agree(teaching, [day["teaching_frames"]])
+        agree(then, day["applied"].values())
+
+
+def extremes_of(values: list[float]) -> list[float]:
+    return [min(values), max(values)]
+
+
+def applied(kind: str) -> int:
+    return sum(day["applied"].get(kind, 0) for day in OFFICE["days"])
+
+
+LAST_DAY = ROOM["days"][-1]["updated"]
+UNDO_KB = [day["undo_bytes"] / 1000.0 for day in ROOM["days"] if day["undo_bytes"]]
+SENTENCES = [
+    ("has {} times its median error and {} times its RMSE", [ROOM["median_ratio"], ROOM["rmse_ratio"]]),
+    (
+        "and {} of its {} frames that are *tracking* or *map-changed* are more",
+        [LAST_DAY["silent"], LAST_DAY["vouched_for"]],
+    ),
+    ("teach too little: {} to {} of", extremes_of([day["teaching_frames"] for day in ROOM["days"][1:]])),
+    ("A day's edits take {} to {} kB", extremes_of(UNDO_KB)),
+    (
+        "has {} times the median error and {} times the RMSE of a fresh build",
+        [OFFICE["median_ratio"], OFFICE["rmse_ratio"]],
+    ),
+    (
+        "the one that was never updated {} and {} times",
+        [OFFICE["never_updated"][name] / OFFICE["fresh"][name] for name in ("median_m", "rmse_m")],
+    ),
+    ("frames a day, {} to {} teach", extremes_of([day["teaching_frames"] for day in OFFICE["days"]])),
+    ("{} landmarks are retired and {} added.", [applied("retire landmarks"), applied("add landmarks")]),
+]
+
+
+@pytest.mark.parametrize(("sentence", "expected"), SENTENCES)
+def test_sentence(sentence: str, expected: list[float]) -> None:
+    agree_sentence(PAGE, sentence, expected)
