@@ -79,8 +79,8 @@ class Gravity:
         return np.asarray(down_camera, dtype=np.float64) / length
 
     def align(self, measured: Estimate, scan: Scan, down_camera: FloatArray | None, rotation_sd: float) -> Estimate:
-        """As :func:`align_with_gravity`, or the pose as it is where gravity is not observed."""
-        if down_camera is None or self._down_world is None:
+        """As :func:`align_with_gravity`, or the pose as it is where gravity is not observed or the scan is empty."""
+        if down_camera is None or self._down_world is None or len(scan) == 0:
             return measured
         centre_m = rotation_centre_m(scan, measured.log_scale)
         return align_with_gravity(measured, down_camera, self._down_world, centre_m, rotation_sd)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from monoloc.fusion.gravity import Gravity, align_with_gravity, rotation_centre_m
 from monoloc.geometry import FloatArray, is_rigid, rotation_angle, se3_exp, so3_exp, transform
-from monoloc.likelihood.scan import Scan, uniform_scan
+from monoloc.likelihood.scan import EMPTY_SCAN, Scan, uniform_scan
 from monoloc.particle_filter.estimate import Estimate
 
 DOWN = np.array([0.0, 1.0, 0.0])
@@ -86,8 +86,9 @@ def test_direction_in_a_room_that_does_not_tell_its_own_is_refused() -> None:
         Gravity(None).direction(DOWN)
 
 
-def test_pose_stays_where_gravity_is_not_observed_or_unknown() -> None:
+def test_pose_stays_where_gravity_is_not_observed_or_unknown_and_without_a_scan() -> None:
     scan, pose = uniform_scan(np.ones((20, 3), dtype=np.float32)), estimate_at(POSE)
+    assert Gravity(DOWN).align(pose, EMPTY_SCAN, DOWN, UNKNOWN_SD) is pose
     assert Gravity(DOWN).align(pose, scan, None, UNKNOWN_SD) is pose
     assert Gravity(None).align(pose, scan, DOWN, UNKNOWN_SD) is pose
     aligned = Gravity(DOWN).align(pose, scan, DOWN, UNKNOWN_SD)
