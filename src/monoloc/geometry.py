@@ -134,6 +134,15 @@ def nearest_rotation(matrix: ArrayLike) -> FloatArray:
     return np.asarray((u * sign[..., None, :]) @ vt)
 
 
+def made_rigid(pose: ArrayLike) -> FloatArray:
+    """Exactly rigid poses of such as nearly are, see :func:`is_rigid`: (..., 4, 4) -> (..., 4, 4), a copy.
+
+    Inversion by the transpose requires exact rotations, and in a product of thousands rounding adds up.
+    """
+    T = np.asarray(pose, dtype=np.float64)
+    return make_pose(nearest_rotation(T[..., :3, :3]), T[..., :3, 3])
+
+
 # --- Quaternions exist only in files and messages. These two functions convert them. ---
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from monoloc.camera import Camera
-from monoloc.geometry import FloatArray, is_rigid, make_pose
+from monoloc.geometry import FloatArray, is_rigid, made_rigid, make_pose
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,7 @@ class Motion:
             raise ValueError(
                 f"standard deviations must be positive and finite, got {translation_sd_m}, {rotation_sd_rad}"
             )
+        T = made_rigid(T)
         return cls(T, translation="metric", translation_sd_m=translation_sd_m, rotation_sd_rad=rotation_sd_rad)
 
     @classmethod
@@ -66,11 +67,11 @@ class Motion:
             ValueError: as :meth:`metric`.
         """
         R = np.asarray(R_previous_current, dtype=np.float64)
-        if R.shape != (3, 3) or not bool(is_rigid(make_pose(R, np.zeros(3)))):
+        if R.shape != (3, 3) or not bool(is_rigid(T := make_pose(R, np.zeros(3)))):
             raise ValueError("the rotation must be a rotation matrix, (3, 3)")
         if not 0.0 < rotation_sd_rad < np.inf:
             raise ValueError(f"rotation_sd_rad must be positive and finite, got {rotation_sd_rad}")
-        return cls(make_pose(R, np.zeros(3)), translation="unknown", rotation_sd_rad=rotation_sd_rad)
+        return cls(made_rigid(T), translation="unknown", rotation_sd_rad=rotation_sd_rad)
 
 
 def tracks_translation(motion: Motion | None) -> bool:

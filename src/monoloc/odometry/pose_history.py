@@ -7,7 +7,7 @@ from bisect import bisect_left, bisect_right
 import numpy as np
 from numpy.typing import ArrayLike
 
-from monoloc.geometry import FloatArray, invert, is_rigid, rotation_angle, se3_exp, se3_log
+from monoloc.geometry import FloatArray, invert, is_rigid, made_rigid, rotation_angle, se3_exp, se3_log
 
 _LEAST_JUMP_M, _LEAST_JUMP_RAD = 0.1, 0.05  # stamps of two samples may be nearer than the samples
 
@@ -58,6 +58,7 @@ class PoseHistory:
         sample = np.asarray(pose, dtype=np.float64)
         if sample.shape != (4, 4) or not bool(is_rigid(sample)):
             raise ValueError(f"the pose at {time_s:.6f} s must be rigid, (4, 4)")
+        sample = made_rigid(sample)
         if self._times_s and self._has_jumped(time_s, sample):
             self._times_s.clear()
             self._poses.clear()

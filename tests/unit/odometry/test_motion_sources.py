@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from monoloc.geometry import FloatArray, invert, se3_exp, se3_log, so3_exp, so3_log
+from monoloc.geometry import FloatArray, invert, is_rigid, se3_exp, se3_log, so3_exp, so3_log
 from monoloc.odometry.attitude import AttitudeHistory
 from monoloc.odometry.external import ExternalNoise, ExternalOdometry
 from monoloc.odometry.gyroscope import Gyroscope
@@ -178,6 +178,18 @@ def test_motions_one_after_another_are_one_with_their_noise() -> None:
     assert mixed is not None and mixed.translation == "unknown" and mixed.rotation_sd_rad == pytest.approx(0.005)
     np.testing.assert_allclose(se3_log(mixed.T_previous_current)[:3], 0.0)
     assert chained([]) is None and chained([None, both]) is None and chained([both]) is both
+
+
+def test_motion_from_rounded_rotations_is_exactly_rigid_and_does_not_change_with_the_callers_array() -> None:
+    """A sensor's matrices have few digits; a belief is moved by thousands of motions, one after another."""
+    given = se3_exp([0.1, 0.0, 0.2, 0.0, 0.3, 0.0])
+    given[:3, :3] *= 1.00045  # as imprecise as is accepted
+    source = ExternalOdometry()
+    for index in range(3):
+        source.add(0.1 * index, given)
+    motions = [Motion.metric(given, 0.01, 0.01), Motion.rotation(given[:3, :3], 0.01), source.between(0.02, 0.15)]
+    given[:] = 0.0
+    assert all(motion is not None and is_rigid(motion.T_previous_current, 1e-12) for motion in motions)
 
 
 def test_motions_between_frames_are_of_the_first_source_that_tells_them() -> None:
