@@ -206,6 +206,19 @@ def test_ten_particles_give_rigid_poses(
     assert np.all(is_rigid(poses_of(steps)))
 
 
+def test_poses_that_a_caller_changes_in_place_do_not_change_the_flight(
+    mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
+) -> None:
+    localizer, twin = (localizer_at_truth(mixture, recording, thresholds) for _ in range(2))
+    for index in range(4):
+        (step,), (other,) = (follow(each, recording, range(index, index + 1)) for each in (localizer, twin))
+        np.testing.assert_array_equal(step.estimate.pose, other.estimate.pose)
+        step.estimate.pose[:3, 1:3] *= -1.0  # to the axes of OpenGL
+        step.estimate.covariance[:] *= 1e4
+        if step.motion is not None:
+            step.motion.T_previous_current[:3, 3] *= 100.0
+
+
 def test_reset_begins_anew_at_another_place(
     mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
 ) -> None:

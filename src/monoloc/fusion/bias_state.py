@@ -57,7 +57,7 @@ class BiasAugmentedState:
         covariance = _block_diagonal(noise + bias, _prior_covariance(prior_sds))
         own = slice(6 + 6 * source, 12 + 6 * source)
         covariance[:6, own] = covariance[own, :6] = -bias
-        return cls(pose, np.zeros_like(prior_sds), 0.0, covariance, prior_sds)
+        return cls(pose.copy(), np.zeros_like(prior_sds), 0.0, covariance, prior_sds)
 
     def predict(
         self,
@@ -145,7 +145,8 @@ class BiasAugmentedState:
         return H
 
     def estimate(self, log_scale: float) -> Estimate:
-        return Estimate(self.pose, self.covariance[:6, :6], log_scale)
+        """Pose and covariance as copies, because callers turn them to other axes in place."""
+        return Estimate(self.pose.copy(), self.covariance[:6, :6].copy(), log_scale)
 
 
 def _block_diagonal(first: FloatArray, second: FloatArray) -> FloatArray:

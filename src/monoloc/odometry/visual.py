@@ -145,7 +145,7 @@ class VisualOdometry:
         inliers = len(self._tracks.points)
         if depth_m.any() and self._needs_keyframe():  # it waits for depth
             T_r_current = self._add_keyframe(gray, T_r_current, depth_m, depth_camera)
-        self._gray, self._T_r_previous, self._last_motion = gray, T_r_current, T_previous_current
+        self._gray, self._T_r_previous, self._last_motion = gray, T_r_current, T_previous_current.copy()
         points = transform(invert(T_r_current), self._tracks.points)
         return Motion(T_previous_current, inliers, points, self._tracks.log_depth_sd)
 
