@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from monoloc.geometry import FloatArray, invert, is_rigid, made_rigid, rotation_angle, se3_exp, se3_log
 
 _LEAST_JUMP_M, _LEAST_JUMP_RAD = 0.1, 0.05  # stamps of two samples may be nearer than the samples
+_MOST_SPANS = 4.0  # of the samples that a velocity is taken from, for which it is taken to last
 
 
 class PoseHistory:
@@ -91,12 +92,21 @@ class PoseHistory:
         # The second of the two samples about a time; where it is that of a sample, no gap beyond it counts.
         after_start = min(bisect_right(times_s, start_s), len(times_s) - 1)
         after_end = min(max(bisect_left(times_s, end_s), 1), len(times_s) - 1)
-        if np.diff(times_s[after_start - 1 : after_end + 1]).max(initial=0.0) > self._max_gap_s:
+        first = after_start - 1
+        if end_s > times_s[-1]:
+            first = min(first, self._before(end_s, after_end))
+        if np.diff(times_s[first : after_end + 1]).max(initial=0.0) > self._max_gap_s:
             return None
         return invert(self._at(start_s, after_start)) @ self._at(end_s, after_end)
 
+    def _before(self, time_s: float, after: int) -> int:
+        """The first of the samples that give the velocity up to a time; beyond the newest, not one just before it."""
+        end_s = self._times_s[after]
+        return max(min(bisect_right(self._times_s, end_s - (time_s - end_s) / _MOST_SPANS), after) - 1, 0)
+
     def _at(self, time_s: float, after: int) -> FloatArray:
-        start_s, end_s = self._times_s[after - 1], self._times_s[after]
-        start, end = self._poses[after - 1], self._poses[after]
+        before = self._before(time_s, after)
+        start_s, end_s = self._times_s[before], self._times_s[after]
+        start, end = self._poses[before], self._poses[after]
         twist = se3_log(invert(start) @ end)
         return np.asarray(start @ se3_exp((time_s - start_s) / (end_s - start_s) * twist))

@@ -116,6 +116,20 @@ def test_dropout_before_between_or_after_two_times_leaves_the_motion_unknown() -
     np.testing.assert_allclose(ahead, invert(pose_at(0.5)) @ pose_at(0.645), atol=1e-9)
 
 
+def test_velocity_that_lasts_beyond_the_samples_is_not_that_of_two_stamps_that_nearly_coincide() -> None:
+    """A clock that is followed by the quickest message steps back, by up to the time between two."""
+
+    def history(*times_s: float) -> PoseHistory:
+        made = PoseHistory(0.25)
+        for index, time_s in enumerate(times_s):
+            made.add(time_s, se3_exp([0.01 * index, 0.0, 0.0, 0.0, 0.0, 0.0]))
+        return made
+
+    moved = history(0.0, 0.02, 0.04, 0.06, 0.0601).between(0.0, 0.16)
+    assert moved is not None and 0.06 < moved[0, 3] < 0.16  # in truth 0.09; by the last two stamps ten metres
+    assert history(0.0, 1.0, 1.0001).between(1.0, 1.1) is None  # no velocity since the dropout
+
+
 def test_attitude_that_comes_seldom_or_jumps_tells_nothing() -> None:
     assert attitudes(np.arange(0.0, 2.0, 0.11)).between(0.5, 0.6) is not None
     assert attitudes(np.arange(0.0, 2.0, 0.13)).between(0.5, 0.6) is None
