@@ -70,6 +70,18 @@ SENTENCES = [
 ]
 
 
+def test_sentence_of_whom_it_is_not_for() -> None:
+    days = [day["never_updated"] for day in ROOM["days"]]
+    silent, vouched_for = max((day["silent"], day["vouched_for"]) for day in days)
+    last = ROOM["never_updated"]
+    expected = [100.0 * last["median_m"], last["silent"], last["vouched_for"], silent, vouched_for]
+    sentence = (
+        "the median error was {} cm, and {} of {} frames were *tracking* or *map-changed* more than 30 cm off, "
+        "and on one of the days {} of {}."
+    )
+    agree_sentence("docs/is-it-for-me.md", sentence, expected)
+
+
 @pytest.mark.parametrize(("sentence", "expected"), SENTENCES)
 def test_sentence(sentence: str, expected: list[float]) -> None:
     agree_sentence(PAGE, sentence, expected)
