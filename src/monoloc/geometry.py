@@ -135,12 +135,13 @@ def nearest_rotation(matrix: ArrayLike) -> FloatArray:
 
 
 def made_rigid(pose: ArrayLike) -> FloatArray:
-    """Exactly rigid poses of such as nearly are, see :func:`is_rigid`: (..., 4, 4) -> (..., 4, 4), a copy.
+    """Exactly rigid pose of one that nearly is, see :func:`is_rigid`: (4, 4) -> (4, 4), a copy.
 
-    Inversion by the transpose requires exact rotations, and in a product of thousands rounding adds up.
+    Inversion by the transpose requires exact rotations, and in a product of thousands rounding adds up. A pose that
+    is exact up to the last digits keeps them, so that it can be recorded and read again.
     """
-    T = np.asarray(pose, dtype=np.float64)
-    return make_pose(nearest_rotation(T[..., :3, :3]), T[..., :3, 3])
+    T = np.array(pose, dtype=np.float64)
+    return T if bool(is_rigid(T, 1e-12)) else make_pose(nearest_rotation(T[:3, :3]), T[:3, 3])
 
 
 # --- Quaternions exist only in files and messages. These two functions convert them. ---

@@ -14,8 +14,8 @@ from monoloc.geometry import (
     FloatArray,
     invert,
     is_rigid,
-    made_rigid,
     make_pose,
+    nearest_rotation,
     quaternion_to_rotation,
     se3_exp,
     se3_log,
@@ -64,7 +64,8 @@ def checked_poses(poses: FloatArray, files: Sequence[Path], names: Sequence[str]
             "write camera-to-world [R t; 0 0 0 1] with a proper rotation R",
         )
     _check_reach(poses[:, :3, 3], files, names)
-    return made_rigid(poses)  # files round rotations to a few digits
+    # Files round rotations to a few digits, but inversion by the transpose requires exact ones.
+    return make_pose(nearest_rotation(poses[:, :3, :3]), poses[:, :3, 3])
 
 
 def read_matrix_pose(path: Path) -> FloatArray:

@@ -204,6 +204,8 @@ def test_motion_from_rounded_rotations_is_exactly_rigid_and_does_not_change_with
     motions = [Motion.metric(given, 0.01, 0.01), Motion.rotation(given[:3, :3], 0.01), source.between(0.02, 0.15)]
     given[:] = 0.0
     assert all(motion is not None and is_rigid(motion.T_previous_current, 1e-12) for motion in motions)
+    exact = se3_exp([0.1, 0.0, 0.2, 0.0, 0.3, 0.0])
+    np.testing.assert_array_equal(Motion.metric(exact, 0.01, 0.01).T_previous_current, exact)  # as in a recording
 
 
 def test_motions_between_frames_are_of_the_first_source_that_tells_them() -> None:
