@@ -37,7 +37,7 @@ def sample_depth(
     depth_camera: Camera,
     relative: float,
 ) -> NDArray[np.float64]:
-    """Interpolate depth at pixels of an image from a depth image of the same camera at another size.
+    """Interpolate depth at pixels of an image from a depth image of the same pose and any intrinsics.
 
     Args:
         pixels: (N, 2) pixel coordinates in ``camera``'s image.
@@ -47,12 +47,14 @@ def sample_depth(
         relative: a pixel gets no depth if its four depth neighbours differ by more than this share of the nearest.
 
     Returns:
-        (N,) metres; 0 where a neighbour has no depth and at depth edges. Pixels outside the image take the depth of
-        the nearest border.
+        (N,) metres; 0 where a neighbour has no depth, at depth edges, and where the depth image does not show the
+        pixel. Pixels outside the image take the depth of the nearest border.
     """
-    scale = np.array([depth_camera.width / camera.width, depth_camera.height / camera.height])
-    xy = (pixels + 0.5) * scale - 0.5
-    xy = np.clip(xy, 0.0, np.array([depth_camera.width - 1, depth_camera.height - 1]))
+    border = np.array([camera.width - 0.5, camera.height - 0.5], dtype=np.float32)
+    xy = _in_depth_image(np.clip(pixels, np.float32(-0.5), border), camera, depth_camera)
+    last = np.array([depth_camera.width - 1, depth_camera.height - 1])
+    is_shown = np.all((xy > -1.0) & (xy < last + 1.0), axis=1)
+    xy = np.clip(xy, 0.0, last)
     x0 = np.minimum(xy[:, 0].astype(np.int64), depth_camera.width - 2)
     y0 = np.minimum(xy[:, 1].astype(np.int64), depth_camera.height - 2)
     fx, fy = xy[:, 0] - x0, xy[:, 1] - y0
@@ -60,5 +62,21 @@ def sample_depth(
     weights = np.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy], axis=1)
     depth = np.sum(weights * corners, axis=1)
     nearest, farthest = corners.min(axis=1), corners.max(axis=1)
-    usable = (nearest > 0.0) & (farthest <= (1.0 + relative) * nearest)
+    usable = is_shown & (nearest > 0.0) & (farthest <= (1.0 + relative) * nearest)
     return np.asarray(np.where(usable, depth, 0.0), dtype=np.float64)
+
+
+def _in_depth_image(pixels: NDArray[np.float32], camera: Camera, depth_camera: Camera) -> NDArray[np.float64]:
+    """Pixels (N, 2) of an image, as those of a depth image; infinite where it does not show them."""
+    if _is_resized(camera, depth_camera):
+        scale = np.array([depth_camera.width / camera.width, depth_camera.height / camera.height])
+        return np.asarray((pixels + 0.5) * scale - 0.5)
+    rays = camera.rays(pixels)
+    return np.where(depth_camera.in_sight(rays)[:, None], depth_camera.project(rays), np.inf)
+
+
+def _is_resized(camera: Camera, other: Camera) -> bool:
+    """Whether another camera is that of the same image at another size, or every n-th pixel of it."""
+    at_its_size = camera.resized(other.width, other.height)
+    lens, other_lens = ((each.distortion_model, each.distortion) for each in (camera, other))
+    return lens == other_lens and np.allclose(at_its_size.matrix, other.matrix, rtol=0.0, atol=0.5)

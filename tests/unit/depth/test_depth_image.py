@@ -20,6 +20,25 @@ def test_sampled_depth_of_a_slanted_plane_is_exact() -> None:
     assert np.allclose(sampled, 2.0 + 0.01 * x - 0.02 * y, atol=1e-5)
 
 
+@pytest.mark.parametrize("distortion", [(), (-0.1, 0.02, 0.001, 0.0)])
+def test_depth_of_another_field_of_view_is_that_on_the_same_ray(distortion: tuple[float, ...]) -> None:
+    """A depth image cut out of the lens's, and one of a sensor that sees more, or less, and has no distortion."""
+    camera = Camera(320, 240, 240.0, 240.0, 159.5, 119.5, distortion)
+    cut = camera.resized(80, 60).cropped(20, 10, 40, 30)
+    for other in (cut, Camera(80, 60, 40.0, 40.0, 39.5, 29.5), Camera(80, 60, 120.0, 120.0, 39.5, 29.5)):
+        rays = other.pixel_rays()
+        depth = (2.0 + 0.3 * rays[..., 0] - 0.5 * rays[..., 1]).astype(np.float32)  # by the ray
+        pixels = np.random.default_rng(0).uniform([0, 0], [319, 239], (300, 2)).astype(np.float32)
+        seen = camera.rays(pixels)
+        sampled = sample_depth(pixels, camera, depth, other, relative=0.15)
+        shown = other.project(seen)
+        is_shown = np.all((shown >= 0.0) & (shown <= [other.width - 1, other.height - 1]), axis=1)
+        expected = 2.0 + 0.3 * seen[:, 0] - 0.5 * seen[:, 1]
+        np.testing.assert_allclose(sampled[is_shown], expected[is_shown], atol=2e-3)
+        is_outside = np.any((shown < -1.5) | (shown > [other.width + 0.5, other.height + 0.5]), axis=1)
+        assert is_shown.sum() > 20 and not sampled[is_outside].any()
+
+
 def test_depth_beyond_the_border_is_that_of_the_nearest_pixel() -> None:
     camera = Camera(40, 30, 30.0, 30.0, 19.5, 14.5)
     depth = np.full((30, 40), 2.0, dtype=np.float32)
