@@ -69,12 +69,12 @@ class _Followed:
     """An equalised grey image (h, w), None without contrast, and the result of following the corners into it.
 
     Attributes:
-        T_r_current: its pose, (4, 4); None on failure.
+        found: its pose, (4, 4), and the corners that agree with it; None on failure.
         turn: then, the rotation by which the whole image fits the previous one; None where it does not.
     """
 
     gray: NDArray[np.uint8] | None
-    T_r_current: FloatArray | None = None
+    found: tuple[FloatArray, _Tracks] | None = None
     turn: Motion | None = None
 
 
@@ -94,18 +94,21 @@ class VisualOdometry:
         self._followed: tuple[NDArray[np.uint8], _Followed] | None = None  # an image, as soon as it is followed
 
     def follow(self, color: NDArray[np.uint8], R_previous_current: FloatArray | None = None) -> None:
-        """Track the corners into the next image, which needs no depth of it; :meth:`step` then goes on from there."""
+        """Track the corners into the next image, which needs no depth of it; :meth:`step` then goes on from there.
+
+        Nothing of it remains if no step follows, as when the image's depth fails.
+        """
         gray = gray_image(color, (self._camera.width, self._camera.height))
         if not has_contrast(gray):
             self._followed = color, _Followed(None)
             return
         gray = np.asarray(self._equalise.apply(gray), dtype=np.uint8)
-        T_r_current, turn = self._follow(gray, R_previous_current), None
-        if T_r_current is None and R_previous_current is None and self._gray is not None:
+        found, turn = self._follow(gray, R_previous_current), None
+        if found is None and R_previous_current is None and self._gray is not None:
             turn = self._image_rotation.between(self._gray, gray)
             if turn is not None:
-                T_r_current = self._follow(gray, turn.T_previous_current[:3, :3])
-        self._followed = color, _Followed(gray, T_r_current, turn)
+                found = self._follow(gray, turn.T_previous_current[:3, :3])
+        self._followed = color, _Followed(gray, found, turn)
 
     def step(
         self,
@@ -129,19 +132,19 @@ class VisualOdometry:
         if self._followed is None or self._followed[0] is not color:
             self.follow(color, R_previous_current)
         assert self._followed is not None
-        gray, T_r_current, turn = self._followed[1].gray, self._followed[1].T_r_current, self._followed[1].turn
+        gray, found, turn = self._followed[1].gray, self._followed[1].found, self._followed[1].turn
         self._followed = None
         if gray is None:
             self._tracks, self._gray = None, None
             return None
-        if T_r_current is None:
+        if found is None:
             self._tracks, self._T_r_previous, self._last_motion = None, np.eye(4), np.eye(4)
             self._add_keyframe(gray, np.eye(4), depth_m, depth_camera)
             self._gray = gray
             return turn
+        T_r_current, self._tracks = found
         # In frame r before the adjustment, which invalidates the previous pose.
         T_previous_current = invert(self._T_r_previous) @ T_r_current
-        assert self._tracks is not None
         inliers = len(self._tracks.points)
         if depth_m.any() and self._needs_keyframe():  # it waits for depth
             T_r_current = self._add_keyframe(gray, T_r_current, depth_m, depth_camera)
@@ -149,8 +152,10 @@ class VisualOdometry:
         points = transform(invert(T_r_current), self._tracks.points)
         return Motion(T_previous_current, inliers, points, self._tracks.log_depth_sd)
 
-    def _follow(self, gray: NDArray[np.uint8], R_previous_current: FloatArray | None) -> FloatArray | None:
-        """Track the corners into ``gray``, solve for its ``T_r_camera``, and drop outlier tracks."""
+    def _follow(
+        self, gray: NDArray[np.uint8], R_previous_current: FloatArray | None
+    ) -> tuple[FloatArray, _Tracks] | None:
+        """Track the corners into ``gray`` and solve for its ``T_r_camera``; with the tracks but for outliers."""
         if self._tracks is None or self._gray is None or len(self._tracks.points) < self.config.min_inliers:
             return None
         expected = self._expected_pixels(self._tracks, R_previous_current)
@@ -160,8 +165,7 @@ class VisualOdometry:
         if solution is None:
             return None
         T_r_current, inliers = solution
-        self._tracks = tracks.select(inliers)
-        return T_r_current
+        return T_r_current, tracks.select(inliers)
 
     def _expected_pixels(self, tracks: _Tracks, R_previous_current: FloatArray | None) -> NDArray[np.float32]:
         """Where the corners are, (N, 2), if the camera goes on as before, or turns as another sensor says."""

@@ -65,6 +65,17 @@ def test_motion_of_every_frame(recording):
     assert min(motion.inliers for motion in motions) > 100
 
 
+def test_image_that_was_followed_and_whose_depth_then_failed_leaves_nothing(recording: RoomRecording) -> None:
+    odometry, twin = VisualOdometry(CAMERA), VisualOdometry(CAMERA)
+    for each in (odometry, twin):
+        for index in range(3):
+            step(each, recording, index)
+    odometry.follow(recording.color(3))
+    motion, expected = step(odometry, recording, 4), step(twin, recording, 4)
+    assert motion is not None and expected is not None
+    np.testing.assert_array_equal(motion.T_previous_current, expected.T_previous_current)
+
+
 def test_bounds_are_far_below_the_true_motion(recording):
     truth = true_motions(recording)
     found = pose_errors(np.tile(np.eye(4), (len(truth), 1, 1)), truth)
