@@ -154,9 +154,10 @@ def test_a_required_signature_refuses_all_else_in_one_line(capfd: Capture, here:
 
 
 def test_the_key_is_not_overwritten_by_what_is_written(capfd: Capture, here: Path) -> None:
-    key = ("--require-signature", "team.pub", "--out", "team.pub")
+    Path("team.pub").rename("team.csv")  # other names are refused as no table
+    key = ("--require-signature", "team.csv", "--out", "team.csv")
     for command in (("fly", "room.monoloc", "flight"), ("localize", "room.monoloc", "flight")):
-        refused(capfd, here, (*command, *key), "--out", "team.pub is read by this command", "another place")
+        refused(capfd, here, (*command, *key), "--out", "team.csv is read by this command", "another place")
 
 
 def test_what_is_no_key_is_refused(here: Path) -> None:

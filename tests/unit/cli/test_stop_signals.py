@@ -12,6 +12,7 @@ def again(frame, event, argument):
     signal.raise_signal(signal.SIGHUP)
     return again
 
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup ignores it, and a child inherits that
 with stopped_by_signals() as asked:
     sys.settrace(again)
     signal.raise_signal(signal.SIGHUP)
