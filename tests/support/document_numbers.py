@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -129,6 +129,13 @@ def tables_of(document: str) -> list[Table]:
         for number, (table, after) in enumerate(zip(parts[::2], parts[1::2], strict=True)):
             found.append(Table((heading, number), tuple(map(cells_of, table.splitlines()[2:])), after))
     return found
+
+
+def check_table(table: Table, checks: Mapping[tuple[str, int], Callable[[Table], None]]) -> None:
+    """A table agrees with its data, or says that its runs were not kept."""
+    assert (table.place in checks) != (NOT_KEPT in table.after)
+    if table.place in checks:
+        checks[table.place](table)
 
 
 def cells_of(line: str) -> tuple[str, ...]:

@@ -43,8 +43,8 @@ _START_IS_WRONG, _LANDMARKS_ARE_WRONG = 0.02, 0.02  # probability of a given sta
 _MISLED_AT_CONTRADICTION, _VOUCHED_FOR_BELOW = 0.4, 0.05
 _MISLED_S = 3.0  # time constant of trust in landmarks that go on agreeing
 _LEAST_FAMILIAR = 30  # familiar landmarks in view, below which their share says nothing
-# So large a part of the share that a build finds is found in eight of ten frames at right poses, and in one of ten
-# while a moved thing misleads.
+# So large a part of the share that a build finds is assumed to be found in eight of ten frames at right poses, and in
+# one of ten while a moved thing misleads.
 _MANY_FOUND, _MANY_AT_RIGHT, _MANY_WHILE_MISLED = 0.65, 0.8, 0.1
 _LEAST_SEARCH_PRECISION = 0.25  # of relocalisations by a scan, below which they are not tried
 
