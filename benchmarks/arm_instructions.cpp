@@ -25,6 +25,7 @@
 #include "monoloc/drawing.hpp"
 #include "monoloc/index.hpp"
 #include "monoloc/kernels.hpp"
+#include "monoloc/landmark_consensus.hpp"
 #include "monoloc/landmark_pose.hpp"
 #include "monoloc/matching.hpp"
 #include "monoloc/pooling.hpp"
@@ -224,36 +225,32 @@ Work weigh_rays() {
   };
 }
 
-std::vector<std::uint16_t> bfloats(std::size_t count) {
-  std::vector<std::uint16_t> values(count);
-  std::mt19937_64 random(5);
-  for (auto& value : values) value = static_cast<std::uint16_t>(0x3F00u + random() % 256);
-  return values;
-}
+constexpr monoloc::ImageShape kPooled{kRows, kColumns, kChannels};
+constexpr std::size_t kBlock = kRows * kColumns * monoloc::kPoolLanes;
+constexpr std::size_t kStages = 4;
 
-Work to_keys() {
-  return [values = bfloats(kColumns * kChannels), keys = std::vector<std::int32_t>(kColumns * kChannels)]() mutable {
-    kernels().to_keys(values.data(), kColumns, kChannels, 160, keys.data());
+Work pool_block() {
+  return [values = floats(kBlock, 0.0f, 6.0f), largest = std::vector<float>(kBlock), along = std::vector<float>(kBlock),
+          from = std::vector<std::int32_t>(kBlock), along_from = std::vector<std::int32_t>(kBlock)]() mutable {
+    kernels().pool_block(values.data(), kRows, kColumns, largest.data(), from.data(), along.data(), along_from.data());
   };
 }
 
-std::vector<std::int32_t> keys_of_row() {
-  std::vector<std::int32_t> keys(kColumns * kChannels);
-  kernels().to_keys(bfloats(keys.size()).data(), kColumns, kChannels, 160, keys.data());
-  return keys;
-}
-
-Work from_keys() {
-  return [keys = keys_of_row(), values = std::vector<std::uint16_t>(kColumns * kChannels),
-          pixels = std::vector<std::uint16_t>(kColumns * kChannels)]() mutable {
-    kernels().from_keys(keys.data(), keys.size(), values.data(), pixels.data());
+Work chain_block() {
+  return [values = floats(kBlock, 0.0f, 6.0f), weights = floats((kStages + 1) * monoloc::kPoolLanes, 0.0f, 0.3f),
+          scratch = std::vector<float>(3 * kBlock), out = std::vector<float>(kBlock)]() mutable {
+    kernels().chain_block(values.data(), kRows, kColumns, weights.data(), kStages, scratch.data(), out.data());
   };
 }
 
-Work largest_of_five() {
-  return [keys = keys_of_row(), out = std::vector<std::int32_t>(kColumns * kChannels)]() mutable {
-    const std::int32_t* rows[5] = {keys.data(), keys.data(), keys.data(), keys.data(), keys.data()};
-    kernels().largest_of_five(rows, keys.size(), out.data());
+Work chain_gradient_block() {
+  const std::size_t weights = (kStages + 1) * monoloc::kPoolLanes;
+  return [values = floats(kBlock, 0.0f, 6.0f), gradient = floats(kBlock, -1.0f, 1.0f), w = floats(weights, 0.0f, 0.3f),
+          scratch = std::vector<float>((4 + kStages) * kBlock),
+          places = std::vector<std::int32_t>((1 + kStages) * kBlock), out = std::vector<float>(kBlock),
+          of_w = std::vector<float>(weights)]() mutable {
+    kernels().chain_gradient_block(values.data(), gradient.data(), kRows, kColumns, w.data(), kStages, scratch.data(),
+                                   places.data(), out.data(), of_w.data());
   };
 }
 
@@ -301,20 +298,19 @@ Work multiply_add() {
 
 // --- Functions that only builds call ---
 
-constexpr monoloc::ImageShape kPooled{kRows, kColumns, kChannels};
-
 Work max_pool() {
-  return [values = bfloats(kPooled.values()), largest = std::vector<std::uint16_t>(kPooled.values()),
+  return [values = floats(kPooled.values(), 0.0f, 6.0f), largest = std::vector<float>(kPooled.values()),
           from = std::vector<std::uint16_t>(kPooled.values())]() mutable {
     monoloc::max_pool(values.data(), 1, kPooled, 1, largest.data(), from.data());
   };
 }
 
 Work max_pool_gradient() {
-  const std::vector<std::uint16_t> values = bfloats(kPooled.values());
-  std::vector<std::uint16_t> largest(values.size()), from(values.size());
+  const std::vector<float> values = floats(kPooled.values(), 0.0f, 6.0f);
+  std::vector<float> largest(values.size());
+  std::vector<std::uint16_t> from(values.size());
   monoloc::max_pool(values.data(), 1, kPooled, 1, largest.data(), from.data());
-  return [=, out = std::vector<std::uint16_t>(values.size())]() mutable {
+  return [=, out = std::vector<float>(values.size())]() mutable {
     monoloc::max_pool_gradient(values.data(), from.data(), 1, kPooled, 1, out.data());
   };
 }
@@ -349,9 +345,9 @@ const Kernel kKernels[] = {
     {"largest_sum", "4096 values", largest_sum},
     {"log_density", "1024 points, 200 components", log_density},
     {"expectation", "1024 points, 200 components", expectation},
-    {"to_keys", "80 pixels, 24 channels", to_keys},
-    {"from_keys", "80 pixels, 24 channels", from_keys},
-    {"largest_of_five", "80 pixels, 24 channels", largest_of_five},
+    {"pool_block", "80x60 pixels, 8 channels", pool_block},
+    {"chain_block", "80x60 pixels, 8 channels, 4 stages", chain_block},
+    {"chain_gradient_block", "80x60 pixels, 8 channels, 4 stages", chain_gradient_block},
     {"multiply_add", "1000 rounds", multiply_add},
     {"max_pool", "80x60 pixels, 24 channels", max_pool},
     {"max_pool_gradient", "80x60 pixels, 24 channels", max_pool_gradient},
@@ -437,6 +433,11 @@ const std::map<std::string, std::function<void(const Call&)>> kFunctions = {
          return {call.at<std::uint8_t>(i), call.count<std::uint8_t>(i, monoloc::kDescriptorBytes)};
        };
        monoloc::nearest_descriptors(of(0), of(1), static_cast<std::size_t>(call.number(2)));
+     }},
+    {"find_consensus",
+     [](const Call& call) {
+       const monoloc::SeenLandmarks seen{call.at(0), call.at(1), call.at(2), call.count(0, 3), call.number(3)};
+       monoloc::find_consensus(seen, call.number(4), static_cast<std::size_t>(call.number(5)), call.number(6));
      }},
     {"fit_pose",
      [](const Call& call) {

@@ -43,6 +43,7 @@ SIZES: dict[str, tuple[tuple[int, str], ...]] = {
     "RayMixture.weigh": ((3, "particles"), (5, "points"), (0, "components")),
     "match_descriptors": ((1, "landmarks"), (3, "keypoints")),
     "nearest_descriptors": ((0, "keypoints"), (1, "landmarks")),
+    "find_consensus": ((0, "landmarks"),),
     "fit_pose": ((0, "landmarks"),),
     "fit_log_focal": ((0, "landmarks"),),
     "adjust_window": ((1, "corners"), (0, "keyframes")),

@@ -10,6 +10,7 @@
 
 #include "monoloc/drawing.hpp"
 #include "monoloc/index.hpp"
+#include "monoloc/landmark_consensus.hpp"
 #include "monoloc/landmark_pose.hpp"
 #include "monoloc/matching.hpp"
 #include "monoloc/mixture.hpp"
@@ -31,8 +32,12 @@ using Matrices = Array<double, nb::shape<-1, 3, 3>>;
 using Poses = Array<double, nb::shape<-1, 4, 4>>;
 using Floats = Array<float, nb::shape<-1>>;
 using FloatVectors = Array<float, nb::shape<-1, 3>>;
-using Images = Array<std::uint16_t, nb::shape<-1, -1, -1, -1>>;
-using WritableImages = nb::ndarray<std::uint16_t, nb::shape<-1, -1, -1, -1>, nb::c_contig, nb::device::cpu>;
+template <class T>
+using Images = Array<T, nb::shape<-1, -1, -1, -1>>;
+template <class T>
+using WritableImages = nb::ndarray<T, nb::shape<-1, -1, -1, -1>, nb::c_contig, nb::device::cpu>;
+using StageWeights = Array<float, nb::shape<-1, -1>>;
+using WritableStageWeights = nb::ndarray<float, nb::shape<-1, -1, -1>, nb::c_contig, nb::device::cpu>;
 using WritableNumbers = nb::ndarray<std::uint32_t, nb::shape<-1, -1>, nb::c_contig, nb::device::cpu>;
 using WritableDepth = nb::ndarray<float, nb::shape<-1, -1>, nb::c_contig, nb::device::cpu>;
 template <long size>
@@ -135,11 +140,14 @@ void require_same_shape(const First& first, const Second& second, const char* wh
   for (std::size_t axis = 0; axis < first.ndim(); ++axis) require(first.shape(axis) == second.shape(axis), what);
 }
 
+template <class Images>
 monoloc::ImageShape image_shape(const Images& images) {
   return {images.shape(1), images.shape(2), images.shape(3)};
 }
 
-void max_pool(const Images& values, std::size_t threads, const WritableImages& largest, const WritableImages& from) {
+template <class T>
+void max_pool(const Images<T>& values, std::size_t threads, const WritableImages<T>& largest,
+              const WritableImages<std::uint16_t>& from) {
   require_same_shape(values, largest, "values and largest must have one shape");
   require_same_shape(values, from, "values and from_ must have one shape");
   require(image_shape(values).pixels() <= monoloc::kMostPooledPixels, "images have too many pixels");
@@ -147,12 +155,57 @@ void max_pool(const Images& values, std::size_t threads, const WritableImages& l
   monoloc::max_pool(values.data(), values.shape(0), image_shape(values), threads, largest.data(), from.data());
 }
 
-void max_pool_gradient(const Images& gradient, const Images& from, std::size_t threads, const WritableImages& out) {
+template <class T>
+void max_pool_gradient(const Images<T>& gradient, const Images<std::uint16_t>& from, std::size_t threads,
+                       const WritableImages<T>& out) {
   require_same_shape(gradient, from, "gradient and from_ must have one shape");
   require_same_shape(gradient, out, "gradient and out must have one shape");
   nb::gil_scoped_release release;
   monoloc::max_pool_gradient(gradient.data(), from.data(), gradient.shape(0), image_shape(gradient), threads,
                              out.data());
+}
+
+// Returns the number of stages.
+template <class T>
+std::size_t require_stages(const Images<T>& values, const StageWeights& weights) {
+  require(weights.shape(0) > 0 && weights.shape(1) == values.shape(3), "weights must be (stages + 1, channels)");
+  return weights.shape(0) - 1;
+}
+
+template <class T>
+void chain_pools(const Images<T>& values, const StageWeights& weights, std::size_t threads,
+                 const WritableImages<T>& out) {
+  const std::size_t stages = require_stages(values, weights);
+  require_same_shape(values, out, "values and out must have one shape");
+  nb::gil_scoped_release release;
+  monoloc::chain_pools(values.data(), values.shape(0), image_shape(values), weights.data(), stages, threads,
+                       out.data());
+}
+
+template <class T>
+void chain_pools_gradient(const Images<T>& values, const Images<T>& gradient, const StageWeights& weights,
+                          std::size_t threads, const WritableImages<T>& out, const WritableStageWeights& of_weights) {
+  const std::size_t stages = require_stages(values, weights);
+  require_same_shape(values, gradient, "values and gradient must have one shape");
+  require_same_shape(values, out, "values and out must have one shape");
+  require(of_weights.shape(0) == values.shape(0) && of_weights.shape(1) == weights.shape(0) &&
+              of_weights.shape(2) == weights.shape(1),
+          "of_weights must be (images, stages + 1, channels)");
+  nb::gil_scoped_release release;
+  monoloc::chain_pools_gradient(values.data(), gradient.data(), values.shape(0), image_shape(values), weights.data(),
+                                stages, threads, out.data(), of_weights.data());
+}
+
+// For images of one type of values.
+template <class T>
+void define_pooling(nb::module_& m) {
+  m.def("max_pool", &max_pool<T>, "values"_a.noconvert(), "threads"_a, "largest"_a.noconvert(),
+        "from_"_a.noconvert());
+  m.def("max_pool_gradient", &max_pool_gradient<T>, "gradient"_a.noconvert(), "from_"_a.noconvert(), "threads"_a,
+        "out"_a.noconvert());
+  m.def("chain_pools", &chain_pools<T>, "values"_a.noconvert(), "weights"_a, "threads"_a, "out"_a.noconvert());
+  m.def("chain_pools_gradient", &chain_pools_gradient<T>, "values"_a.noconvert(), "gradient"_a.noconvert(),
+        "weights"_a, "threads"_a, "out"_a.noconvert(), "of_weights"_a.noconvert());
 }
 
 void draw_points(const Vectors& points, const Pose& camera_from_world, const Array<double, nb::shape<12>>& camera,
@@ -228,6 +281,21 @@ nb::tuple fit_log_focal(const Vectors& points, const Pixels& rays, const Pixels&
   return nb::make_tuple(fit.log_focal, fit.sd);
 }
 
+nb::tuple find_consensus(const Vectors& points, const Pixels& rays, const Pixels& sd, double nearest_m, double most_sd,
+                         std::size_t most_triples, double confidence) {
+  const std::size_t count = points.shape(0);
+  require(rays.shape(0) == count && sd.shape(0) == count, "points, rays and sd must be of one number");
+  monoloc::Consensus found;
+  {
+    nb::gil_scoped_release release;
+    found = monoloc::find_consensus({points.data(), rays.data(), sd.data(), count, nearest_m}, most_sd, most_triples,
+                                    confidence);
+  }
+  const std::size_t agreeing = found.agreeing.size();
+  return nb::make_tuple(to_numpy(std::vector<double>(found.pose, found.pose + 16), {4, 4}),
+                        to_numpy(std::move(found.agreeing), {agreeing}));
+}
+
 nb::tuple adjust_window(const Poses& poses, const Vectors& points, const Array<double, nb::shape<-1, -1, 2>>& rays,
                         const Array<double, nb::shape<-1, -1>>& log_depth, double ray_sd, double log_depth_sd,
                         std::size_t iterations) {
@@ -276,15 +344,15 @@ NB_MODULE(_core, m) {
   m.def("log_density", &log_density, "points"_a, "weights"_a, "means"_a, "covariances"_a);
   m.def("expectation", &expectation, "points"_a, "weights"_a, "means"_a, "covariances"_a);
   m.attr("MOST_POOLED_PIXELS") = monoloc::kMostPooledPixels;
-  m.def("max_pool", &max_pool, "values"_a, "threads"_a, "largest"_a.noconvert(),
-        "from_"_a.noconvert());
-  m.def("max_pool_gradient", &max_pool_gradient, "gradient"_a, "from_"_a, "threads"_a,
-        "out"_a.noconvert());
+  define_pooling<float>(m);
+  define_pooling<std::uint16_t>(m);
   m.def("draw_points", &draw_points, "points"_a, "camera_from_world"_a, "camera"_a, "is_fisheye"_a, "sight"_a,
         "behind"_a, "front"_a.noconvert(), "depth"_a.noconvert());
   m.def("match_descriptors", &match_descriptors, "expected"_a, "known"_a, "pixels"_a, "descriptors"_a, "radius_px"_a,
         "most_bits"_a);
   m.def("nearest_descriptors", &nearest_descriptors, "descriptors"_a, "known"_a, "kept"_a);
+  m.def("find_consensus", &find_consensus, "points"_a, "rays"_a, "sd"_a, "nearest_m"_a, "most_sd"_a,
+        "most_triples"_a, "confidence"_a);
   m.def("fit_pose", &fit_pose, "points"_a, "rays"_a, "sd"_a, "prior"_a, "information"_a, "kernel_sds"_a,
         "nearest_m"_a);
   m.def("fit_log_focal", &fit_log_focal, "points"_a, "rays"_a, "sd"_a, "pose"_a, "information"_a, "kernel_sds"_a,

@@ -12,10 +12,12 @@
 
 #if defined(__GNUC__) || defined(__clang__)
 #define MONOLOC_INLINE static inline __attribute__((always_inline))
+#define MONOLOC_INLINE_MEMBER inline __attribute__((always_inline))
 #define MONOLOC_INLINE_LAMBDA __attribute__((always_inline))
 #define MONOLOC_UNLIKELY(condition) __builtin_expect(condition, 0)
 #else
 #define MONOLOC_INLINE static __forceinline
+#define MONOLOC_INLINE_MEMBER __forceinline
 #define MONOLOC_INLINE_LAMBDA
 #define MONOLOC_UNLIKELY(condition) (condition)
 #define MONOLOC_LANES  // tests define it for the other compilers too
@@ -40,6 +42,7 @@ namespace {
 #endif
 
 MONOLOC_VECTOR(float, 32, F8);
+MONOLOC_VECTOR(std::int32_t, 32, I8);
 MONOLOC_VECTOR(std::uint32_t, 32, U8);
 MONOLOC_VECTOR(float, MONOLOC_VECTOR_BYTES, FW);
 MONOLOC_VECTOR(std::int32_t, MONOLOC_VECTOR_BYTES, IW);

@@ -16,6 +16,7 @@ int main() {
   test_drawing();
   test_matching();
   test_nearest_descriptors();
+  test_landmark_consensus();
   test_landmark_pose();
   test_window();
   for (const monoloc::Kernels* const* k = monoloc::available_kernels(); *k != nullptr; ++k) {
@@ -26,8 +27,7 @@ int main() {
     test_selection(**k);
     test_kernels(**k);
     test_rays(**k);
-    test_keys(**k);
-    test_largest_of_five(**k);
+    test_pool_block(**k);
     test_gram(**k);
     test_differing_bits(**k);
   }

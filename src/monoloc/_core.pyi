@@ -1,5 +1,7 @@
 """Native kernels (C++, see ``cpp/``). Lengths that disagree raise ValueError; all else is checked by the callers."""
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,8 +18,15 @@ def expectation(points: _F64, weights: _F64, means: _F64, covariances: _F64) -> 
 
 MOST_POOLED_PIXELS: int
 
-def max_pool(values: _U16, threads: int, largest: _U16, from_: _U16) -> None: ...
-def max_pool_gradient(gradient: _U16, from_: _U16, threads: int, out: _U16) -> None: ...
+# Of float32, or of the bits of bfloat16; all images of one type.
+_Images = TypeVar("_Images", _F32, _U16)
+
+def max_pool(values: _Images, threads: int, largest: _Images, from_: _U16) -> None: ...
+def max_pool_gradient(gradient: _Images, from_: _U16, threads: int, out: _Images) -> None: ...
+def chain_pools(values: _Images, weights: _F32, threads: int, out: _Images) -> None: ...
+def chain_pools_gradient(
+    values: _Images, gradient: _Images, weights: _F32, threads: int, out: _Images, of_weights: _F32
+) -> None: ...
 def draw_points(
     points: _F64,
     camera_from_world: _F64,
@@ -32,6 +41,15 @@ def match_descriptors(
     expected: _F64, known: _U8, pixels: _F64, descriptors: _U8, radius_px: float, most_bits: int
 ) -> tuple[_I64, _I64]: ...
 def nearest_descriptors(descriptors: _U8, known: _U8, kept: int) -> tuple[_I32, _I64]: ...
+def find_consensus(
+    points: _F64,
+    rays: _F64,
+    sd: _F64,
+    nearest_m: float,
+    most_sd: float,
+    most_triples: int,
+    confidence: float,
+) -> tuple[_F64, _U32]: ...
 def fit_pose(
     points: _F64, rays: _F64, sd: _F64, prior: _F64, information: _F64, kernel_sds: _F64, nearest_m: float
 ) -> tuple[_F64, _F64, _F64, _F64]: ...

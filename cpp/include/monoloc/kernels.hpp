@@ -66,6 +66,7 @@ struct WindowSums {
   double* scratch;  // 12 * kPadding per keyframe
 };
 
+constexpr std::size_t kPoolLanes = 8;        // channels pooled at once
 constexpr std::size_t kDescriptorWords = 4;  // of a binary descriptor of 256 bits
 constexpr std::size_t kRayBatch = 64;    // particles per batch
 constexpr float kNearest = 0.05f;        // metres; components nearer along the ray are ignored
@@ -151,17 +152,20 @@ struct Kernels {
                      const std::size_t* first_candidate, float log_depth_sd, float inlier_share,
                      float outlier_density, float* scratch, double* out);
 
-  // Keys of a row of bfloat16 values (given as bits), so that one maximum finds both value and pixel. The upper half
-  // is an integer in the order of the values. The lower half encodes the pixel; of equal values, the first has the
-  // largest key.
-  void (*to_keys)(const std::uint16_t* values, std::size_t columns, std::size_t channels, std::size_t first_pixel,
-                  std::int32_t* keys);
+  // Maximum over the 5 x 5 pixels around each pixel of a block of kPoolLanes channels, and the number of its pixel (the
+  // first of several; not written if null). All arrays have rows * columns * kPoolLanes elements; scratch: two.
+  void (*pool_block)(const float* values, std::size_t rows, std::size_t columns, float* largest, std::int32_t* from,
+                     float* along, std::int32_t* along_from);
 
-  // Decodes keys to values and pixels.
-  void (*from_keys)(const std::int32_t* keys, std::size_t count, std::uint16_t* values, std::uint16_t* pixels);
+  // See chain_pools. weights: (stages + 1) rows of kPoolLanes; scratch: 3 blocks.
+  void (*chain_block)(const float* values, std::size_t rows, std::size_t columns, const float* weights,
+                      std::size_t stages, float* scratch, float* out);
 
-  // Element-wise maximum of five rows of keys.
-  void (*largest_of_five)(const std::int32_t* const* rows, std::size_t count, std::int32_t* out);
+  // Gradient of chain_block with respect to its values and weights, from that of its output. scratch: 4 + stages
+  // blocks; places: 1 + stages blocks.
+  void (*chain_gradient_block)(const float* values, const float* gradient, std::size_t rows, std::size_t columns,
+                               const float* weights, std::size_t stages, float* scratch, std::int32_t* places,
+                               float* out, float* of_weights);
 
   // Linearises the observations of kPadding corners from `first`: adds to the poses' sums, and writes the points'.
   void (*linearise_window)(const WindowView& view, std::size_t first, const WindowSums& sums);

@@ -24,7 +24,7 @@ from monoloc.adapt.tuning import Adaptation
 from monoloc.builder.build_config import BuildConfig
 from monoloc.builder.room_map import fit_map
 from monoloc.depth.models import DEFAULT, shipped_file
-from monoloc.depth.training import mobilenet
+from monoloc.depth.training import mobilenet, pooling
 from monoloc.depth.training import network as networks
 from monoloc.depth.training.checkpoint import load_network
 from monoloc.depth.training.precision import learns_in_bfloat16
@@ -131,10 +131,6 @@ def _without(names: tuple[str, ...]) -> Iterator[None]:
         yield
 
 
-def _plain_pooling(x: Tensor) -> Tensor:
-    return F.max_pool2d(x, 5, stride=1, padding=2)
-
-
 def _plain_convolution(self: torch.nn.Conv2d, input: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
     return F.conv2d(F.pad(input, (0, 1, 0, 1)), weight, bias, stride=2, groups=self.groups)
 
@@ -154,9 +150,18 @@ def _in_the_other_precision() -> Iterator[None]:
         yield
 
 
+@contextmanager
+def _without_pooling_kernels() -> Iterator[None]:
+    with (
+        patch.object(pooling, "has_kernels", lambda x: False),
+        patch.object(networks, "has_kernels", lambda x: False),
+    ):
+        yield
+
+
 # By name: replaces the optimisation by its plain form.
 _OPTIMISATIONS: dict[str, Callable[[], Any]] = {
-    "pooling kernel": lambda: patch.object(networks, "max_pool5", _plain_pooling),
+    "pooling kernels": _without_pooling_kernels,
     "folded normalisation": lambda: patch.object(mobilenet, "_is_folded", lambda norm: False),
     "last layer as a sum": lambda: patch.object(networks._LastLayer, "_conv_forward", torch.nn.Conv2d._conv_forward),
     "dense strided convolutions": lambda: patch.object(mobilenet._SamePadConv, "_conv_forward", _plain_convolution),

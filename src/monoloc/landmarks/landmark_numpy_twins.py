@@ -5,11 +5,14 @@ Tests check that ``monoloc._core`` gives the same results.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.geometry import FloatArray, hat, invert, ray_jacobian, se3_exp, se3_log, transform
+from monoloc.geometry import FloatArray, hat, invert, make_pose, ray_jacobian, se3_exp, se3_log, transform
 
+_MOST_FITS = 4  # of a pose to the landmarks that agree with it
 _ONES = np.array([bin(byte).count("1") for byte in range(256)], dtype=np.uint8)
 
 
@@ -137,3 +140,122 @@ def _residuals(
     by_point = ray_jacobian(local)
     jacobian = np.concatenate([-by_point, by_point @ hat(local)], axis=2)
     return (local[:, :2] / local[:, 2:] - rays) / sd, jacobian / sd[..., None]
+
+
+def find_consensus(
+    points: FloatArray,
+    rays: FloatArray,
+    sd: FloatArray,
+    nearest_m: float,
+    most_sd: float,
+    most_triples: int,
+    confidence: float,
+) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Pose that most of N matched landmarks agree with, without a prior: RANSAC over triples (Fischler, Bolles 1981).
+
+    A pose that more landmarks agree with than before is fitted to them, as long as that makes them more (Chum et al.,
+    *Locally Optimized RANSAC*, 2003): three noisy landmarks seldom lead to a pose that all right ones agree with.
+
+    Args:
+        points: (N, 3) world frame.
+        rays, sd: (N, 2) image coordinates at z = 1, and their standard deviations.
+        nearest_m: depth of a landmark that agrees, at least.
+        most_sd: standard deviations within which a landmark agrees.
+        most_triples: that are drawn, at most.
+        confidence: probability with which one of agreeing landmarks is to be drawn.
+
+    Returns:
+        ``T_world_camera``, (4, 4), and the indices (A,) of the landmarks that agree with it; zeros and
+        no indices without one.
+    """
+    best, agreeing = np.zeros((4, 4)), np.zeros(0, dtype=np.int64)
+    if len(points) < 3:
+        return best, agreeing
+    directions = np.column_stack([rays, np.ones(len(rays))])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+
+    def agreeing_with(pose: FloatArray) -> NDArray[np.int64]:
+        local = transform(invert(pose), points)
+        offsets = (local[:, :2] - rays * local[:, 2:]) / sd
+        agree = (local[:, 2] > nearest_m) & (np.sum(offsets**2, axis=1) < (most_sd * local[:, 2]) ** 2)
+        return np.flatnonzero(agree)
+
+    numbers = _splitmix64()
+    drawn, wanted = 0, float(most_triples)
+    while drawn < wanted:
+        drawn += 1
+        triple = _triple(numbers, len(points))
+        for pose in poses_of_triple(points[triple], directions[triple]):
+            those, fits = agreeing_with(pose), 0
+            while len(those) > len(agreeing):
+                best, agreeing, fits = pose, those, fits + 1
+                if fits > _MOST_FITS or len(those) < 3:
+                    break
+                seen = points[those], rays[those], sd[those]
+                pose = fit_pose(*seen, pose, np.eye(6), np.array([most_sd, most_sd]), nearest_m)[0]
+                those = agreeing_with(pose)
+            if fits:
+                share = (len(agreeing) / len(points)) ** 3
+                wanted = min(wanted, np.log1p(-confidence) / np.log1p(-share) if share < 1.0 else 0.0)
+    return (best, agreeing) if len(agreeing) >= 3 else (np.zeros((4, 4)), agreeing[:0])
+
+
+def poses_of_triple(points: FloatArray, directions: FloatArray) -> list[FloatArray]:
+    """``T_world_camera`` (4, 4) of every camera that sees points (3, 3) in directions (3, 3), unit vectors.
+
+    Grunert's equation of 1841, as in Haralick et al., *Review and Analysis of Solutions of the Three Point
+    Perspective Pose Estimation Problem* (IJCV 1994).
+    """
+    a2, b2, c2 = (float(np.sum((points[i] - points[j]) ** 2)) for i, j in ((1, 2), (0, 2), (0, 1)))
+    if min(a2, b2, c2) == 0.0 or not np.all(np.isfinite(directions)):
+        return []
+    cos_a, cos_b, cos_c = (float(directions[i] @ directions[j]) for i, j in ((1, 2), (0, 2), (0, 1)))
+    a, c = a2 / b2, c2 / b2
+    k = a - c
+    quartic = [
+        (k - 1) ** 2 - 4 * c * cos_a**2,
+        4 * (k * (1 - k) * cos_b - (1 - a - c) * cos_a * cos_c + 2 * c * cos_a**2 * cos_b),
+        2 * (k**2 - 1 + 2 * k**2 * cos_b**2 + 2 * (1 - c) * cos_a**2)
+        + 4 * ((1 - a) * cos_c**2 - 2 * (a + c) * cos_a * cos_b * cos_c),
+        4 * (-k * (1 + k) * cos_b + 2 * a * cos_c**2 * cos_b - (1 - a - c) * cos_a * cos_c),
+        (1 + k) ** 2 - 4 * a * cos_c**2,
+    ]
+    roots = np.roots(quartic)
+    poses = []
+    for v in roots.real[np.abs(roots.imag) < 1e-9 * np.abs(roots)]:
+        u = ((k - 1) * v**2 - 2 * k * cos_b * v + 1 + k) / (2 * (cos_c - v * cos_a))
+        if v > 0.0 and u > 0.0:
+            first = np.sqrt(b2 / (1 + v**2 - 2 * v * cos_b))
+            poses.append(_aligned(directions * (first * np.array([1.0, u, v]))[:, None], points))
+    return poses
+
+
+def _aligned(there: FloatArray, here: FloatArray) -> FloatArray:
+    """Rigid motion (4, 4) that takes three points there, (3, 3), to three points here."""
+    axes = []
+    for corners in (there, here):
+        first, second = corners[1:] - corners[0]
+        x, z = first / np.linalg.norm(first), np.cross(first, second)
+        z = z / np.linalg.norm(z)
+        axes.append(np.column_stack([x, np.cross(z, x), z]))
+    rotation = axes[1] @ axes[0].T
+    return make_pose(rotation, here[0] - rotation @ there[0])
+
+
+def _splitmix64() -> Iterator[int]:
+    """Pseudorandom 64-bit numbers (Steele, Lea and Flood, *Fast Splittable Pseudorandom Number Generators*, 2014)."""
+    state, most = 0, 2**64 - 1
+    while True:
+        state = z = (state + 0x9E3779B97F4A7C15) & most
+        z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9 & most
+        z = (z ^ (z >> 27)) * 0x94D049BB133111EB & most
+        yield z ^ (z >> 31)
+
+
+def _triple(numbers: Iterator[int], count: int) -> list[int]:
+    """Three different indices below a count; those that repeat an earlier one are drawn again."""
+    triple = [next(numbers) % count for _ in range(3)]
+    for i in (1, 2):
+        while triple[i] in triple[:i]:
+            triple[i] = next(numbers) % count
+    return triple

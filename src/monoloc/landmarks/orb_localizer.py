@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
 from monoloc.evaluation.consistency import CHI2_6_QUANTILE_99
-from monoloc.geometry import FloatArray, invert, make_pose, pose_distance_m, se3_log, so3_exp, transform
+from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_log, transform
 from monoloc.landmarks.features import MATCH_BITS, KeypointDetector, Keypoints, match_descriptors, nearest_descriptors
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.landmarks.pnp import (
@@ -22,12 +21,13 @@ from monoloc.landmarks.pnp import (
     PoseFit,
     fit_matches,
     flat_view_starts,
+    pose_by_consensus,
 )
 
 _LEAST_RADIUS_PX, _MOST_RADIUS_PX = 8.0, 50.0  # of the search around a landmark's expected pixel
 _RATIO = 0.85  # of the best match's distance to that of the best match at another place (Lowe 2004)
 _CANDIDATES, _OTHER_PLACE_M = 8, 0.05  # best matches among which another place is sought, and its distance
-_INLIER_PX, _LEAST_INLIERS, _LEAST_CONFIRMED = 4.0, 8, 20
+_LEAST_CONFIRMED = 20
 # Of a relocalisation: a single object that was moved, such as a window on a screen, may hold all of less spread.
 # At true poses the least was 0.076 and 0.093 (two real rooms, frames near those of the build).
 _LEAST_SPREAD = 0.075
@@ -38,7 +38,7 @@ _APART_M, _RIVAL_SHARE = 0.5, 0.3
 # the same matches lead to were at 0.02 at most; those with which more landmarks agreed, beyond (a desk, two bundles).
 _SAME_POSE = 0.02
 _RIVAL_CANDIDATES, _MOST_RIVALS = 32, 8  # best matches of a keypoint among which other places are sought
-_ITERATIONS, _RIVAL_ITERATIONS = 1000, 100  # of RANSAC
+_TRIPLES, _RIVAL_TRIPLES = 2000, 200  # of RANSAC
 _SIGHT = 3.0  # times as far as the build found landmarks: from farther, a corner looks another one
 _KEPT_M = 2.0  # for which the camera may move before its surroundings are sought anew
 
@@ -70,7 +70,7 @@ class OrbLandmarkLocalizer:
     """Finds a room's landmarks in the images of one camera.
 
     With a prior, each landmark is matched near its expected pixel. Without one, descriptors are matched over the
-    whole image, and the pose comes from triples (Gao et al. 2003) and RANSAC (Fischler & Bolles 1981).
+    whole image, and the pose is one that most matches agree with (RANSAC).
     """
 
     def __init__(self, landmarks: Landmarks, camera: Camera) -> None:
@@ -165,7 +165,7 @@ class OrbLandmarkLocalizer:
         is_elsewhere = np.linalg.norm(found - found[:, :1], axis=2) > _OTHER_PLACE_M
         others = np.where(is_elsewhere, bits, 256).min(axis=1)
         matched = np.flatnonzero((bits[:, 0] < MATCH_BITS) & (bits[:, 0] < _RATIO * others))
-        return self._pose_by_consensus(seen.pixels[matched], nearest[matched, 0], _ITERATIONS)
+        return self._pose_by_consensus(seen.select(matched), nearest[matched, 0], _TRIPLES)
 
     def _confirmed(self, seen: Keypoints, possible: NDArray[np.int64]) -> _Agreement | None:
         """What agrees with a pose from descriptors alone; None where too little does.
@@ -243,7 +243,7 @@ class OrbLandmarkLocalizer:
             bits, nearest: of the candidates, (A, C); those that are not of that place have 256 bits.
         """
         rows, best = np.flatnonzero(bits.min(axis=1) < MATCH_BITS), bits.argmin(axis=1)
-        other = self._pose_by_consensus(agreeing.pixels[rows], nearest[rows, best[rows]], _RIVAL_ITERATIONS)
+        other = self._pose_by_consensus(agreeing.select(rows), nearest[rows, best[rows]], _RIVAL_TRIPLES)
         rival = None if other is None else self.measure_keypoints(seen, other, PRIOR_COVARIANCE).pose
         if rival is None or float(pose_distance_m(found.pose, rival.pose[None])[0]) < _APART_M:
             return False
@@ -262,30 +262,15 @@ class OrbLandmarkLocalizer:
         bits, nearest = nearest_descriptors(seen.descriptors, known, min(count, len(known)))
         return bits, possible[nearest]
 
-    def _pose_by_consensus(
-        self, pixels: FloatArray, landmarks: NDArray[np.int64], iterations: int
-    ) -> FloatArray | None:
-        """``T_world_camera`` (4, 4) that most of N matches agree with; None where they are too few.
+    def _pose_by_consensus(self, seen: Keypoints, landmarks: NDArray[np.int64], triples: int) -> FloatArray | None:
+        """``T_world_camera`` (4, 4) that most of N keypoints and their landmarks agree with; None where too few do.
 
         Args:
-            pixels: (N, 2).
             landmarks: (N,) indices.
-            iterations: of RANSAC, at most.
+            triples: of RANSAC, at most.
         """
-        if len(pixels) < LEAST_LANDMARKS:
-            return None
-        ok, rotation, translation, inliers = cv2.solvePnPRansac(
-            self._landmarks.points[landmarks].astype(np.float64),
-            *self._detect.camera.for_pnp(pixels),
-            iterationsCount=iterations,
-            reprojectionError=_INLIER_PX,
-            confidence=0.999,
-            flags=cv2.SOLVEPNP_P3P,
-        )
-        if not ok or inliers is None or len(inliers) < _LEAST_INLIERS:
-            return None
-        T_camera_world = make_pose(so3_exp(rotation.ravel()), translation.ravel())
-        return invert(T_camera_world) if np.all(np.isfinite(T_camera_world)) else None
+        points = self._landmarks.points[landmarks].astype(np.float64)
+        return pose_by_consensus(points, seen, self._detect.camera, triples)
 
 
 class _Nearby:

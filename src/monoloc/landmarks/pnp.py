@@ -31,6 +31,7 @@ _FOCAL_KERNEL_SDS = np.array([12.0, 6.0, 3.0, 3.0, 3.0])
 # Of the inverse covariance of what a wrong focal length does to a pose, (6,), and of its logarithm.
 _FOCAL_INFORMATION = np.diag(np.repeat([0.5, 0.1, 0.2], [3, 3, 1]) ** -2)
 _AGREE_WEIGHT = 0.25  # of a landmark that agrees
+_AGREE_PX, _LEAST_AGREEING, _CONFIDENCE = 4.0, 8, 1.0 - 1e-6  # with a pose of a triple
 _TURNS_RAD = np.array([-0.3, -0.15, 0.15, 0.3])  # from which the other poses of a flat view are sought
 _PRIOR_INFORMATION = np.linalg.inv(PRIOR_COVARIANCE)
 _NO_INDICES, _NO_FLAGS = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
@@ -175,6 +176,26 @@ def fit_matches(
         return agree, None
     spread = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     return agree, PoseFit(pose @ se3_exp(-spread @ gradient), spread, points, rays, sd, weights)
+
+
+def pose_by_consensus(points: FloatArray, seen: Keypoints, camera: Camera, triples: int) -> FloatArray | None:
+    """``T_world_camera`` (4, 4) that most of N matches agree with; None where too few do.
+
+    RANSAC over the poses of triples, each fitted to the matches that agree with it; see
+    :func:`monoloc.landmarks.landmark_numpy_twins.find_consensus`.
+
+    Args:
+        points: (N, 3) of the landmarks, world frame.
+        seen: their keypoints.
+        triples: that are tried, at most.
+    """
+    if len(points) < LEAST_LANDMARKS:
+        return None
+    rays = camera.rays(seen.pixels)[:, :2]
+    pose, agreeing = _core.find_consensus(
+        points, rays, camera.ray_spread(rays), _NEAREST_M, _AGREE_PX, triples, _CONFIDENCE
+    )
+    return pose if len(agreeing) >= _LEAST_AGREEING and np.all(np.isfinite(pose)) else None
 
 
 def flat_view_starts(pose: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from monoloc import _core
-from monoloc.geometry import FloatArray, se3_exp, transform
+from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_exp, transform
 from monoloc.landmarks import landmark_numpy_twins
 
 
@@ -90,3 +91,49 @@ def test_pose_of_unknown_rays_is_unknown_and_without_information_there_is_none()
         assert np.isnan(weights).all()
         with pytest.raises(ValueError, match="ingular"):  # NumPy's LinAlgError is a ValueError
             fit(points[:0], rays[:0], sd[:0], near, np.zeros((6, 6)), KERNEL_SDS, 0.05)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=60, deadline=None)
+def test_poses_of_a_triple_are_opencv_s(seed: int) -> None:
+    """OpenCV's are those nearest to what it was given, and it may leave out one of two that are nearly the same."""
+    points, rays, _, _ = seen_landmarks(np.random.default_rng(seed), 3)
+    directions = np.column_stack([rays, np.ones(3)]) / np.hypot(1.0, np.linalg.norm(rays, axis=1))[:, None]
+    poses = landmark_numpy_twins.poses_of_triple(points, directions)
+    for pose in poses:
+        local = transform(invert(pose), points)
+        np.testing.assert_allclose(local[:, :2] / local[:, 2:], rays, atol=1e-6)
+    count, rotations, shifts = cv2.solveP3P(points, rays, np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_P3P)
+    for rotation, shift in zip(rotations[:count], shifts[:count], strict=True):
+        theirs = np.eye(4)
+        theirs[:3, :3], theirs[:3, 3] = cv2.Rodrigues(rotation)[0], shift.ravel()
+        if np.abs(transform(theirs, points)[:, :2] / transform(theirs, points)[:, 2:] - rays).max() < 1e-6:
+            assert pose_distance_m(invert(theirs), np.stack(poses)).min() < 1e-3
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 80), st.integers(1, 30))
+@settings(max_examples=40, deadline=None)
+def test_consensus_equals_twin(seed: int, count: int, triples: int) -> None:
+    """Also of landmarks at one point, and of rays that are unknown."""
+    rng = np.random.default_rng(seed)
+    points, rays, sd, _ = seen_landmarks(rng, count)
+    points[rng.uniform(size=count) < 0.1] = points[:1]
+    rays[rng.uniform(size=count) < 0.05] = np.nan
+    arguments = points, rays, sd, 0.05, 4.0, triples, 0.999
+    native, twin = _core.find_consensus(*arguments), landmark_numpy_twins.find_consensus(*arguments)
+    np.testing.assert_array_equal(native[1], twin[1])
+    np.testing.assert_allclose(native[0], twin[0], atol=1e-4)  # some triples determine a pose badly
+
+
+@pytest.mark.parametrize("right", [0.2, 0.5, 1.0])
+def test_consensus_is_the_camera_s_pose_among_wrong_matches(right: float) -> None:
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        pose, count = se3_exp(rng.normal(size=6)), 100
+        local = rng.uniform((-1.5, -1.0, 1.0), (1.5, 1.0, 4.0), (count, 3))
+        sd = np.full((count, 2), 0.002)
+        rays = local[:, :2] / local[:, 2:] + sd * rng.normal(size=(count, 2))
+        rays[int(right * count) :] = rng.uniform(-0.6, 0.6, (count - int(right * count), 2))
+        found, agreeing = _core.find_consensus(transform(pose, local), rays, sd, 0.05, 4.0, 2000, 0.999)
+        assert len(agreeing) >= 0.9 * right * count and np.mean(agreeing < right * count) > 0.8
+        assert pose_distance_m(pose, found[None])[0] < 0.03

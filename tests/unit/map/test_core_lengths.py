@@ -14,6 +14,7 @@ MIXTURE = np.array([0.5, 0.5]), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1))
 POSES, LOG_SCALES = np.tile(np.eye(4), (3, 1, 1)), np.zeros(3)
 PIXELS, DESCRIPTORS = np.zeros((4, 2)), np.zeros((4, 32), np.uint8)
 RAYS, DEPTHS = np.zeros((7, 3, 2)), np.zeros((7, 3))
+STAGES, OF_STAGES = np.ones((3, 4), np.float32), np.ones((2, 3, 4), np.float32)
 IMAGES, FEWER = np.zeros((2, 8, 8, 4), np.uint16), np.zeros((2, 8, 7, 4), np.uint16)
 
 
@@ -40,6 +41,12 @@ def weigh_by_rays(log_scales: np.ndarray, weights: np.ndarray | None) -> None:
         (lambda: core.max_pool(IMAGES, 1, IMAGES.copy(), FEWER), "from_"),
         (lambda: core.max_pool_gradient(IMAGES, FEWER, 1, IMAGES.copy()), "from_"),
         (lambda: core.max_pool_gradient(IMAGES, IMAGES, 1, FEWER), "out"),
+        (lambda: core.chain_pools(IMAGES, STAGES[:, :3], 1, IMAGES.copy()), "weights"),
+        (lambda: core.chain_pools(IMAGES, STAGES[:0], 1, IMAGES.copy()), "weights"),
+        (lambda: core.chain_pools(IMAGES, STAGES, 1, FEWER), "out"),
+        (lambda: core.chain_pools_gradient(IMAGES, FEWER, STAGES, 1, IMAGES.copy(), OF_STAGES), "gradient"),
+        (lambda: core.chain_pools_gradient(IMAGES, IMAGES, STAGES, 1, FEWER, OF_STAGES), "out"),
+        (lambda: core.chain_pools_gradient(IMAGES, IMAGES, STAGES, 1, IMAGES.copy(), OF_STAGES[:1]), "of_weights"),
         (
             lambda: core.draw_points(
                 POINTS,

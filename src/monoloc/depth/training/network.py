@@ -21,7 +21,7 @@ from torch.nn import functional as F
 
 from monoloc.depth.training.mobilenet import BLOCKS, Encoder, check_encoder_blocks
 from monoloc.depth.training.multiply_adds import multiply_adds
-from monoloc.depth.training.pooling import max_pool5
+from monoloc.depth.training.pooling import chained_pools, has_kernels, max_pool5
 
 _STRIDES = (32, 16, 8, 4)  # of the decoder's levels, deep to shallow
 
@@ -123,7 +123,10 @@ class Decoder(nn.Module):
             x = self.adapt[level](self.pooling[level](x))
             x = F.interpolate(x, size=skip.shape[-2:], mode="bilinear", align_corners=False)
             x = F.relu6(x + skip)
-        return F.relu6(self.pre_depth(self.pooling[-1](x)))
+        if not has_kernels(x):
+            return F.relu6(self.pre_depth(self.pooling[-1](x)))
+        # These layers have one weight a channel.
+        return chained_pools(x, [*self.pooling[-1].parameters(), self.pre_depth.weight])
 
 
 class DepthNetwork(nn.Module):
