@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
+from monoloc.bundle import Bundle
 from monoloc.depth.predictor import DepthPrediction, DepthPredictor
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.geometry import FloatArray, invert, is_rigid, se3_exp, se3_log
@@ -26,6 +27,7 @@ from monoloc.particle_filter.particles import Particles, normalised, scatter
 from monoloc.start import Start
 from monoloc.step import Step
 from monoloc.step_budget import Level, StepBudget
+from monoloc.supervision.integrity import IntegrityMonitor
 from synthetic_room import (
     BLACK,
     CAMERA,
@@ -186,6 +188,28 @@ def test_larger_bias_model_follows_odometry_more(
     assert errors_m[0] < 0.03 < 0.07 < errors_m[1]
     sds_m = [np.sqrt(each[-1].estimate.covariance[0, 0]) for each in (small, large)]
     assert sds_m[0] < 0.03 and sds_m[1] > 0.06
+
+
+@pytest.mark.parametrize(
+    ("probability_wrong", "has_landmarks", "moves"), [(0.1, True, True), (0.9, False, True), (0.9, True, False)]
+)
+def test_scans_do_not_move_a_suspected_belief_that_landmarks_could_confirm(
+    mixture: GaussianMixture,
+    recording: RoomRecording,
+    thresholds: LikelihoodThresholds,
+    monkeypatch: pytest.MonkeyPatch,
+    probability_wrong: float,
+    has_landmarks: bool,
+    moves: bool,
+) -> None:
+    monkeypatch.setattr(IntegrityMonitor, "probability_wrong", probability_wrong)
+    monkeypatch.setattr(Bundle, "supports_landmark_search", has_landmarks)
+    monkeypatch.setattr(Bundle, "supports_scan_search", False)  # else a suspected pose is first verified
+    start = recording.poses[0] @ se3_exp([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+    particles = scatter(start, SETTINGS.particles, 0.06, 0.03, 0.0, np.random.default_rng(0))
+    steps = follow(make_localizer(mixture, thresholds, particles, recording.poses[:1], settings=SETTINGS), recording)
+    error_m = np.linalg.norm(steps[-1].estimate.pose[:3, 3] - recording.poses[-1][:3, 3])
+    assert error_m < 0.04 if moves else error_m > 0.07
 
 
 def test_first_frame_without_contrast_leaves_the_start(

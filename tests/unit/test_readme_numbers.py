@@ -23,6 +23,7 @@ from document_numbers import (
     tables_of,
     total,
     tracking_percent,
+    values,
 )
 
 FLIGHTS = table_of("this-version.csv")
@@ -83,6 +84,7 @@ def test_table_of_readme() -> None:
 
 # --- Sentences ---
 
+ANOTHER = table_of("desk-another-build.csv")
 DESK_BEYOND = chosen(FLIGHTS, method="default", **COLUMNS[3])
 KITCHEN_BETWEEN = chosen(FLIGHTS, method="default", **COLUMNS[0])
 
@@ -108,6 +110,10 @@ SENTENCES: tuple[Sentence, ...] = (
         silent(DESK_BEYOND),
     ),
     ("of the {} of RedKitchen, interpolation, {} ({} and {})", silent(KITCHEN_BETWEEN)),
+    (
+        "A sixth build had {} to {} cm in {} flights",
+        [min(values(ANOTHER, "rmse_cm")), max(values(ANOTHER, "rmse_cm")), len(ANOTHER)],
+    ),
     (
         "the RMSE is {} and {} cm in medium light, and {} and {} cm in near darkness (1 build a room, {} flights",
         [
