@@ -191,17 +191,16 @@ Consensus find_consensus(const SeenLandmarks& seen, double most_sd, std::size_t 
     std::array<Motion, kMostPoses> poses;
     const std::size_t count = poses_of(points, towards, poses);
     for (std::size_t i = 0; i < count; ++i) {
-      std::size_t agreeing = 0;
-      for (std::size_t n = 0; n < seen.count; ++n) agreeing += agrees(seen, poses[i], most_sd, n);
-      if (agreeing <= best.agreeing.size()) continue;
+      std::vector<std::uint32_t> agreeing = agreeing_with(seen, poses[i], most_sd);
+      if (agreeing.size() <= best.agreeing.size()) continue;
       // Three noisy landmarks seldom lead to a pose that all right ones agree with: it is fitted to those that do.
       Motion pose = poses[i];
-      for (std::size_t fit = 0; agreeing > best.agreeing.size(); ++fit) {
+      for (std::size_t fit = 0; agreeing.size() > best.agreeing.size(); ++fit) {
         best_pose = pose;
-        best.agreeing = agreeing_with(seen, pose, most_sd);
-        if (fit == kMostFits || best.agreeing.size() < kTriple) break;
-        pose = fitted(seen, best.agreeing, pose, most_sd);
-        agreeing = agreeing_with(seen, pose, most_sd).size();
+        best.agreeing = agreeing;
+        if (fit == kMostFits || agreeing.size() < kTriple) break;
+        pose = fitted(seen, agreeing, pose, most_sd);
+        agreeing = agreeing_with(seen, pose, most_sd);
       }
       const double share = static_cast<double>(best.agreeing.size()) / static_cast<double>(seen.count);
       wanted = std::min(wanted, triples_for(share, confidence));

@@ -153,7 +153,8 @@ struct Kernels {
                      float outlier_density, float* scratch, double* out);
 
   // Maximum over the 5 x 5 pixels around each pixel of a block of kPoolLanes channels, and the number of its pixel (the
-  // first of several; not written if null). All arrays have rows * columns * kPoolLanes elements; scratch: two.
+  // first of several; not written if null). All arrays have rows * columns * kPoolLanes elements; along, along_from:
+  // scratch.
   void (*pool_block)(const float* values, std::size_t rows, std::size_t columns, float* largest, std::int32_t* from,
                      float* along, std::int32_t* along_from);
 

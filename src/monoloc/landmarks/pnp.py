@@ -195,7 +195,7 @@ def pose_by_consensus(points: FloatArray, seen: Keypoints, camera: Camera, tripl
     pose, agreeing = _core.find_consensus(
         points, rays, camera.ray_spread(rays), _NEAREST_M, _AGREE_PX, triples, _CONFIDENCE
     )
-    return pose if len(agreeing) >= _LEAST_AGREEING and np.all(np.isfinite(pose)) else None
+    return pose if len(agreeing) >= _LEAST_AGREEING else None
 
 
 def flat_view_starts(pose: FloatArray, covariance: FloatArray) -> FloatArray:

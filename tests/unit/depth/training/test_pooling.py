@@ -89,7 +89,7 @@ def test_memory_format_does_not_matter(pool: Callable[[Tensor], Tensor]) -> None
 
 
 def test_a_network_without_a_number_stays_without() -> None:
-    """A diverged network must not look healthy."""
+    """Else nobody would notice that training diverged."""
     x = image((1, 8, 6, 7), 0, whole=False, dtype=torch.float32)
     chained = chained_pools(
         x + torch.where(torch.arange(8) == 3, torch.nan, 0.0).reshape(1, 8, 1, 1), [torch.ones(8)]
