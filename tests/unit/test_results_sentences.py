@@ -224,7 +224,7 @@ ANOTHER_BUILD: tuple[Sentence, ...] = (
 SENTENCES = (*READING, *THIS_VERSION, *ANOTHER_BUILD, *STATE)
 NOT_OF_THE_DATA: dict[str, str] = {
     "seed 0, in float32": "of the build",
-    "by up to 39 cm": "looked up in one flight, whose poses were not kept",
+    "lost camera by 39 cm": "looked up in one flight, whose poses were not kept",
     "7-Scenes": "a name",
     "[400 frames": "of the recording",
     "500 frames by hand": "of the recording",
