@@ -13,7 +13,6 @@ namespace {
 
 constexpr float kPrecision = 1.3862943611198906f;  // 2 ln 2
 constexpr float kHalfLog2E = 0.72134752044448170f;
-constexpr float kLog2E = 1.4426950408889634f;
 
 // 1 / sqrt(x) in single precision, x positive: Newton's method from an initial value by the exponent's bits.
 MONOLOC_INLINE FW inverse_root(FW x) {
@@ -21,6 +20,11 @@ MONOLOC_INLINE FW inverse_root(FW x) {
   for (int i = 0; i < 3; ++i) y = y * (1.5f - 0.5f * x * y * y);
   return y;
 }
+
+constexpr float kRoughLog2 = 0.0861f;
+
+// log2 of a positive number, at most kRoughLog2 too small: between powers of two, the bits go in a straight line.
+MONOLOC_INLINE FW rough_log2(FW x) { return convert<FW>(bits<IW>(x)) * (1.0f / (1 << 23)) - 127.0f; }
 
 // Intersection of kWide rays with one component: depth, inverse root of |u|^2, and log2-density there.
 struct Cut {
@@ -89,8 +93,8 @@ std::size_t ray_shortlist(const ShortlistView& view, const float* ray, float lea
     const FW nearer = larger(e - by - farthest * around, zero);
     const FW farther = e + by + larger(depth, -depth) * around;
     const FW peak = load<FW>(view.log2_peak + k);
-    const FW most = peak - nearer * nearer - log_fast<FW, IW>(shortest) * kLog2E;
-    const FW fewest = peak - farther * farther - log_fast<FW, IW>(longest) * kLog2E;
+    const FW most = peak - nearer * nearer - rough_log2(shortest);
+    const FW fewest = peak - farther * farther - rough_log2(longest) - kRoughLog2;
     const FW change = length * by + reach * around + by * around;  // of the product of u and y
     store(scratch + k, choose(along + change > kNearest * shortest * shortest, most, splat<FW>(-2e9f)));
     const IW is_certain = along - change > kNearest * longest * longest;
@@ -119,7 +123,7 @@ std::size_t ray_candidates(const RayView& view, const float* rotations, const fl
     for (std::size_t i = 0; i < stride; i += kWide) {
       const Cut at = cut(view.whiten + 6 * k, view.log2_peak[k], offsets + 3 * k * stride + i, stride,
                          load<FW>(rays + i), load<FW>(rays + kRayBatch + i), load<FW>(rays + 2 * kRayBatch + i));
-      const FW mass = at.log2_peak + log_fast<FW, IW>(at.inverse_root) * kLog2E;
+      const FW mass = at.log2_peak + rough_log2(at.inverse_root);
       store(scratch + s * stride + i, mass);
       store(largest + i, larger(load<FW>(largest + i), mass));
     }
@@ -128,7 +132,7 @@ std::size_t ray_candidates(const RayView& view, const float* rotations, const fl
   for (std::size_t s = 0; s < listed; ++s) {
     IW matters{};
     for (std::size_t i = 0; i < stride; i += kWide) {
-      matters |= load<FW>(scratch + s * stride + i) > load<FW>(largest + i) + least;
+      matters |= load<FW>(scratch + s * stride + i) > load<FW>(largest + i) + (least - kRoughLog2);
     }
     std::int32_t any = 0;
     for (std::size_t lane = 0; lane < kWide; ++lane) any |= matters[lane];

@@ -6,6 +6,7 @@ of width w spans -0.5 .. w - 0.5. Depth is z, not range.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -167,16 +168,23 @@ class Camera:
         x, y = self._distort(points[..., 0] / z, points[..., 1] / z)
         return np.stack([x * self.fx + self.cx, y * self.fy + self.cy], axis=-1)
 
-    def in_sight(self, points_camera: FloatArray) -> NDArray[np.bool_]:
+    def in_sight(self, points_camera: FloatArray, radius_m: float = 0.0) -> NDArray[np.bool_]:
         """Whether points in the camera's frame are within the field of view, (N, 3) m -> (N,).
 
         The field of view extends one pixel beyond the image. Test points before :meth:`project`: the distortion
         polynomial folds points far outside the field of view back into the image.
+
+        Args:
+            points_camera: in the camera's frame, metres.
+            radius_m: of spheres around the points; true then of every sphere that reaches into the field of view,
+                and of some that pass its edges.
         """
-        least_m, most_x, most_y, most_radius = self.sight
+        least_m, *bounds = self.sight
         x, y, z = points_camera.T
-        is_within = (np.abs(x) < most_x * z) & (np.abs(y) < most_y * z) & (np.hypot(x, y) < most_radius * z)
-        return np.asarray((z > least_m) & is_within)
+        is_within = z > least_m - radius_m
+        for off_axis, most in zip((np.abs(x), np.abs(y), np.hypot(x, y)), bounds, strict=True):
+            is_within &= off_axis < most * z + radius_m * math.hypot(1.0, most)
+        return np.asarray(is_within)
 
     @cached_property
     def sight(self) -> tuple[float, float, float, float]:

@@ -29,7 +29,7 @@ from monoloc.particle_filter.particles import Particles
 from monoloc.particle_filter.tempering import tempered_update
 from monoloc.parts import leave_out
 from monoloc.relocalization.search import GlobalRelocalizer
-from monoloc.relocalization.state_machine import SUSPECTED, Mode, Relocalization, RelocalizationStateMachine
+from monoloc.relocalization.state_machine import Mode, Relocalization, RelocalizationStateMachine
 from monoloc.start import Start
 from monoloc.step import Step
 from monoloc.step_budget import Level, Stage, StepBudget, StepPlan, plan_of
@@ -261,7 +261,7 @@ class Localizer:
         landmark_pose = None if landmarks is None else landmarks.pose
         fits = observation.scan_has_enough_points and log_likelihood >= self._thresholds.lost
         fits &= self._integrity.scan_speaks_for_the_pose(log_likelihood)
-        fits &= not self._landmarks_must_confirm(observation)
+        fits &= not relocalization.awaits_landmarks
         fits |= "bias" in self._config.without  # the belief is the particles' pose, whatever their scan says
         scan_accepted = fits and relocalization.mode is Mode.TRACKING and not contradicted
         measured = self._tracker.fusion.without_known_bias(particle_estimate)
@@ -274,14 +274,6 @@ class Localizer:
         if relocalization.confirmed:
             return self._tracker.fusion.reinitialise(measured)
         return belief if landmark_pose is None else self._tracker.fusion.update_from_landmarks(landmark_pose)
-
-    def _landmarks_must_confirm(self, observation: Observation) -> bool:
-        """Whether the belief is suspected where landmarks could confirm it.
-
-        The particles of a lost camera wander, and sooner or later their scan fits as scans do at right poses.
-        """
-        could_be_seen = self._bundle.supports_landmark_search and observation.image_is_new
-        return could_be_seen and self._integrity.probability_wrong >= SUSPECTED
 
     def _contradicted_by(self, landmarks: LandmarkMeasurement | None, particle_estimate: Estimate) -> bool:
         """Whether landmarks measured a pose that the particles' pose contradicts."""

@@ -95,6 +95,17 @@ def test_strongly_distorted_camera_round_trips_at_every_pixel(camera):
 
 
 @pytest.mark.parametrize("camera", LENSES)
+def test_a_sphere_that_holds_a_point_in_sight_is_in_sight(camera):
+    rng = np.random.default_rng(0)
+    inside = points_in_view(camera, 0, 2000)
+    offsets = rng.normal(size=inside.shape)
+    centres = inside + 0.7 * offsets / np.linalg.norm(offsets, axis=1, keepdims=True)
+    assert camera.in_sight(centres, 0.7 + 1e-9).all()
+    assert not camera.in_sight(centres).all()
+    assert not camera.in_sight(np.array([[0.0, 0.0, -0.8]]), 0.7).any()
+
+
+@pytest.mark.parametrize("camera", LENSES)
 def test_a_point_in_sight_has_one_pixel_and_a_pixel_is_in_sight(camera):
     """A distortion polynomial folds directions far outside the field of view back into the image."""
     inside = points_in_view(camera, 0, 2000)

@@ -15,6 +15,8 @@ struct RayNoise {
   double log_depth_range;  // support of outliers, which are uniform in log-depth
 };
 
+struct Rows;
+
 class RayMixture {
  public:
   explicit RayMixture(const std::vector<Component>& mixture);
@@ -27,7 +29,17 @@ class RayMixture {
              double* out) const;
 
  private:
-  std::vector<Component> mixture_;
+  // A cube with components, which are those from first up to last.
+  struct Cell {
+    double centre[3];
+    std::size_t first, last;
+  };
+
+  // Components within `reach` metres of a centre, relative to it.
+  Rows within(const double* centre, double reach) const;
+
+  std::vector<Component> mixture_;  // cell by cell
+  std::vector<Cell> cells_;
 };
 
 }  // namespace monoloc

@@ -12,6 +12,7 @@ from monoloc.camera import Camera
 from monoloc.evaluation.consistency import CHI2_6_QUANTILE_99
 from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_log, transform
 from monoloc.landmarks.features import MATCH_BITS, KeypointDetector, Keypoints, match_descriptors, nearest_descriptors
+from monoloc.landmarks.landmark_cells import LandmarkCells
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.landmarks.pnp import (
     LEAST_LANDMARKS,
@@ -39,8 +40,6 @@ _APART_M, _RIVAL_SHARE = 0.5, 0.3
 _SAME_POSE = 0.02
 _RIVAL_CANDIDATES, _MOST_RIVALS = 32, 8  # best matches of a keypoint among which other places are sought
 _TRIPLES, _RIVAL_TRIPLES = 2000, 200  # of RANSAC
-_SIGHT = 3.0  # times as far as the build found landmarks: from farther, a corner looks another one
-_KEPT_M = 2.0  # for which the camera may move before its surroundings are sought anew
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ class OrbLandmarkLocalizer:
     def __init__(self, landmarks: Landmarks, camera: Camera) -> None:
         self._landmarks = landmarks
         self._detect = KeypointDetector(camera)
-        self._nearby = _Nearby(landmarks)
+        self._cells = LandmarkCells(landmarks)
 
     def measure(self, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
         """As :meth:`LandmarkLocalizer.measure`; a prior that is vague only tells which landmarks are in view.
@@ -145,7 +144,7 @@ class OrbLandmarkLocalizer:
 
     def _visible(self, prior: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
         """Indices (M,) of the landmarks in view of a camera at the prior, and their points in its frame, (M, 3)."""
-        nearby = self._nearby(prior[:3, 3])
+        nearby = self._cells.nearby(prior, self._detect.camera)
         local = transform(invert(prior), self._landmarks.points[nearby])
         visible = np.flatnonzero(self._detect.camera.in_sight(local))
         return nearby[visible], local[visible]
@@ -271,35 +270,6 @@ class OrbLandmarkLocalizer:
         """
         points = self._landmarks.points[landmarks].astype(np.float64)
         return pose_by_consensus(points, seen, self._detect.camera, triples)
-
-
-class _Nearby:
-    """Which of L landmarks are within sight of a place, at a cost that does not grow with L while the place moves on.
-
-    All of them are, where it is not known from how far the build found them.
-    """
-
-    def __init__(self, landmarks: Landmarks) -> None:
-        self._points, self._sight_m = landmarks.points, math.inf
-        if landmarks.views is not None:
-            self._sight_m = _SIGHT * landmarks.views.farthest_m(landmarks.points) or math.inf
-        self._place: FloatArray | None = None  # around which the candidates are
-        self._candidates = np.arange(len(self._points))
-
-    def __call__(self, place: FloatArray) -> NDArray[np.int64]:
-        """Indices of those within sight of a place (3,), in order."""
-        if not math.isfinite(self._sight_m):
-            return self._candidates
-        if self._place is None or np.linalg.norm(place - self._place) > _KEPT_M:
-            self._place = place.copy()
-            self._candidates = np.arange(len(self._points))
-            self._candidates = self._within(place, self._sight_m + _KEPT_M)
-        return self._within(place, self._sight_m)
-
-    def _within(self, place: FloatArray, radius_m: float) -> NDArray[np.int64]:
-        offsets = self._points[self._candidates] - place.astype(np.float32)
-        is_within = np.einsum("ni,ni->n", offsets, offsets) < radius_m**2
-        return np.asarray(self._candidates[is_within])
 
 
 def _is_within(pose: FloatArray, prior: FloatArray, covariance: FloatArray) -> bool:

@@ -85,12 +85,15 @@ class Relocalization:
         particles: where they go on from.
         landmark_pose: where landmarks found the camera at this frame; the belief starts anew there.
         confirmed: whether a place that scans had found was confirmed at this frame.
+        awaits_landmarks: whether the camera is searched for where landmarks could be seen. A scan says nothing of the
+            belief then: particles of a lost camera wander, and sooner or later their scan fits as at right poses.
     """
 
     mode: Mode
     particles: Particles
     landmark_pose: LandmarkPose | None = None
     confirmed: bool = False
+    awaits_landmarks: bool = False
 
 
 class RelocalizationStateMachine:
@@ -156,9 +159,9 @@ class RelocalizationStateMachine:
             place = Estimate(seen.pose, seen.covariance, estimate(particles).log_scale)
             particles = self._relocalizer.sample_around(place, len(particles), rng)
             return Relocalization(self.mode, particles, landmark_pose=seen)
-        landmarks_could_be_seen = self._searches_by_landmarks and by_landmarks is not None
-        scan_is_due = len(scan) > 0 and self._searches_by_scan and self._since_scan_search_s >= _SCAN_PERIOD_S
-        if scan_is_due and not landmarks_could_be_seen:
+        if self._searches_by_landmarks and by_landmarks is not None:
+            return Relocalization(self.mode, particles, awaits_landmarks=True)
+        if len(scan) > 0 and self._searches_by_scan and self._since_scan_search_s >= _SCAN_PERIOD_S:
             self._since_scan_search_s = 0.0
             return self._search_by_scan(particles, scan, rng)
         return Relocalization(self.mode, particles)

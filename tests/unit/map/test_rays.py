@@ -118,6 +118,21 @@ def test_concentrated_particles_equal_the_twin(seed: int) -> None:
     assert np.median(np.abs(native - expected)) < 1e-5 * len(scan)
 
 
+@pytest.mark.parametrize(("spread_m", "spread_rad"), [(0.02, 0.01), (0.5, 0.2)])
+def test_particles_among_many_rooms_equal_the_twin(spread_m: float, spread_rad: float) -> None:
+    """Whether they share their components or not; most of the components are in other rooms or out of view."""
+    rng = np.random.default_rng(0)
+    room = make_mixture(60)
+    offsets = np.stack(np.meshgrid(*[(-5.0, 0.0, 5.0)] * 3), axis=-1).reshape(-1, 3)
+    means = (room.means + offsets[:, None]).reshape(-1, 3)
+    covariances = np.tile(room.covariances + 0.02**2 * np.eye(3), (len(offsets), 1, 1))
+    building = GaussianMixture(np.tile(room.weights, len(offsets)) / len(offsets), means, covariances)
+    poses, log_scales = random_particles(32, rng, spread_m, spread_rad)
+    scan, noise = random_scan(60, rng), {"log_depth_sd": 0.06, "outlier_share": 0.3}
+    native = building.along_rays().weigh(poses, log_scales, scan, **noise)
+    np.testing.assert_allclose(native, twin(building, poses, log_scales, scan, **noise), atol=1e-4 * len(scan))
+
+
 @pytest.mark.parametrize("spread", [(0.05, 0.02), (1.0, 2.0)])
 def test_result_does_not_depend_on_threads(spread: tuple[float, float]) -> None:
     rng = np.random.default_rng(0)

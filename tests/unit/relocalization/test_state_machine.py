@@ -82,12 +82,13 @@ def machine_with(
 
 
 class After(NamedTuple):
-    """What a frame left: the mode, the particles' mean place, and by what the belief begins anew."""
+    """What a frame left: the mode, the particles' mean place, by what the belief begins anew or what it awaits."""
 
     mode: Mode
     x_m: Any
     by_landmarks: bool = False
     confirmed: bool = False
+    awaits_landmarks: bool = False
 
 
 def update(
@@ -106,7 +107,8 @@ def update(
     assert isinstance(result, Relocalization) and len(result.particles) == 10 and result.mode is machine.mode
     by_landmarks = result.landmark_pose is not None
     assert not by_landmarks or result.landmark_pose.pose[0, 3] == landmarks.x_m
-    return After(result.mode, pytest.approx(result.particles.poses[:, 0, 3].mean()), by_landmarks, result.confirmed)
+    x_m = pytest.approx(result.particles.poses[:, 0, 3].mean())
+    return After(result.mode, x_m, by_landmarks, result.confirmed, result.awaits_landmarks)
 
 
 # --- The table of transitions ---
@@ -335,7 +337,8 @@ def test_landmarks_are_asked_five_times_a_second_and_only_if_a_search_is_due() -
 def test_scan_is_not_searched_where_landmarks_could_be_seen(mode: Mode) -> None:
     """The relocaliser has no answer to give: it must not be asked."""
     machine = machine_with(mode=mode)
-    assert update(machine, 0.0, landmarks=_Landmarks(None), probability_wrong=WRONG) == After(mode, 0.0)
+    after = update(machine, 0.0, landmarks=_Landmarks(None), probability_wrong=WRONG)
+    assert after == After(mode, 0.0, awaits_landmarks=True)
 
 
 def test_scan_is_searched_in_a_room_without_landmarks_and_in_an_image_that_says_nothing() -> None:
@@ -346,7 +349,7 @@ def test_scan_is_searched_in_a_room_without_landmarks_and_in_an_image_that_says_
 
 def test_only_landmarks_search_a_room_whose_places_scans_cannot_tell_apart() -> None:
     machine = machine_with(searches_by_scan=False)
-    assert update(machine, 0.0, landmarks=_Landmarks(None)) == After(Mode.SEARCHING, 0.0)
+    assert update(machine, 0.0, landmarks=_Landmarks(None)) == After(Mode.SEARCHING, 0.0, awaits_landmarks=True)
     assert update(machine, 0.0, landmarks=_Landmarks(3.0)) == After(Mode.TRACKING, 3.0, by_landmarks=True)
 
 
@@ -355,4 +358,5 @@ def test_suspected_belief_goes_on_where_landmarks_find_the_camera_there(x_m: flo
     """Nor is a scan searched, which could say otherwise."""
     machine = machine_with(mode=Mode.TRACKING)
     after = update(machine, 0.0, probability_wrong=WRONG, landmarks=_Landmarks(x_m))
-    assert after == After(Mode.TRACKING, x_m if begins_anew else 0.0, by_landmarks=begins_anew)
+    expected_m = x_m if begins_anew else 0.0
+    assert after == After(Mode.TRACKING, expected_m, by_landmarks=begins_anew, awaits_landmarks=not begins_anew)
