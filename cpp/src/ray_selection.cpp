@@ -119,8 +119,14 @@ class Shortlist {
   std::vector<float> rows_, bounds_;
 };
 
-// Tile of the ray (x, y, 1), row by row.
-std::pair<float, float> tile_of(float x, float y) { return {std::floor(y / kTile), std::floor(x / kTile)}; }
+// Tile of the ray (x, y, 1); tiles come row by row.
+struct Tile {
+  float row, column;
+
+  Tile(float x, float y) : row(std::floor(y / kTile)), column(std::floor(x / kTile)) {}
+  bool operator==(const Tile& other) const { return row == other.row && column == other.column; }
+  bool operator<(const Tile& other) const { return row < other.row || (row == other.row && column < other.column); }
+};
 
 // Appends those of `count` listed components that matter along the next ray.
 void add_ray(Candidates& candidates, const RayView& view, const std::vector<float>& particles,
@@ -156,8 +162,8 @@ Rows chosen_rows(const Rows& rows, Candidates& candidates) {
 std::vector<std::size_t> first_of_tiles(const std::vector<float>& scan, std::size_t points) {
   std::vector<std::size_t> first;
   for (std::size_t p = 0; p < points; ++p) {
-    const bool is_new = p == 0 || tile_of(scan[p], scan[points + p]) != tile_of(scan[p - 1], scan[points + p - 1]);
-    if (is_new) first.push_back(p);
+    const bool is_same = p > 0 && Tile(scan[p], scan[points + p]) == Tile(scan[p - 1], scan[points + p - 1]);
+    if (!is_same) first.push_back(p);
   }
   first.push_back(points);
   return first;
@@ -170,8 +176,8 @@ Candidates tile_candidates(const RayView& view, const Cameras& cameras, const st
   std::vector<std::uint32_t> listed(padded(view.components) + 1);
   Candidates candidates{{}, {0}};
   for (std::size_t t = 0; t + 1 < tiles.size(); ++t) {
-    const auto tile = tile_of(scan[tiles[t]], scan[points + tiles[t]]);
-    const float y = (tile.first + 0.5f) * kTile, x = (tile.second + 0.5f) * kTile;  // its middle
+    const Tile tile(scan[tiles[t]], scan[points + tiles[t]]);
+    const float x = (tile.column + 0.5f) * kTile, y = (tile.row + 0.5f) * kTile;  // its middle
     const std::size_t count = all.near(x, y, kTile * std::sqrt(0.5f), listed.data());
     candidates.components.insert(candidates.components.end(), listed.begin(),
                                  listed.begin() + static_cast<std::ptrdiff_t>(count));
@@ -183,14 +189,14 @@ Candidates tile_candidates(const RayView& view, const Cameras& cameras, const st
 }  // namespace
 
 std::vector<std::size_t> by_tile(const float* scan, std::size_t points) {
-  std::vector<std::pair<std::pair<float, float>, std::size_t>> tiles(points);
+  std::vector<Tile> tiles;
   for (std::size_t p = 0; p < points; ++p) {
     const float* point = scan + 3 * p;
-    tiles[p] = {tile_of(point[0] / point[2], point[1] / point[2]), p};
+    tiles.emplace_back(point[0] / point[2], point[1] / point[2]);
   }
-  std::sort(tiles.begin(), tiles.end());
   std::vector<std::size_t> order(points);
-  for (std::size_t p = 0; p < points; ++p) order[p] = tiles[p].second;
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return tiles[a] < tiles[b]; });
   return order;
 }
 
