@@ -24,7 +24,7 @@ from document_numbers import (
     total,
     values,
 )
-from kept_flights import DESK_BEYOND, STRETCHES, flown
+from kept_flights import DESK_BEYOND, STRETCHES
 
 PAGE = "docs/results-of-earlier-versions.md"
 SPLITS = ("interpolation", "extrapolation")
@@ -73,17 +73,52 @@ def shares(*names: str) -> list[float]:
     return [FAULTS["desk"][name]["during"]["coverage_95"] for name in names]
 
 
+ANOTHER = table_of("desk-another-build.csv")
+SHARP = 20.0  # cm; an RMSE above it is counted
+
+
+def above(flown_by: str) -> list[float]:
+    """How many flights' RMSE is above, and the number of flights."""
+    rmse = values(chosen(ANOTHER, flown_by=flown_by), "rmse_cm")
+    return [sum(each > SHARP for each in rmse), len(rmse)]
+
+
+BEFORE_CONSENSUS, CONSENSUS, NOW = dict.fromkeys(row["flown_by"] for row in ANOTHER)
+ANOTHER_EARLIER = [row for row in ANOTHER if row["flown_by"] != NOW]
+ANOTHER_BUILD: tuple[Sentence, ...] = (
+    (
+        "the median error is {} to {} cm and the RMSE {} to {} cm; it is above {} cm in {} of {} flights and in {} "
+        "of {}.",
+        [
+            *(bound(values(ANOTHER_EARLIER, column)) for column in ("median_cm", "rmse_cm") for bound in (min, max)),
+            SHARP,
+            *above(BEFORE_CONSENSUS),
+            *above(CONSENSUS),
+        ],
+    ),
+    (
+        "the RMSE is {} to {} cm, and the states are the same.",
+        [bound(values(chosen(ANOTHER, flown_by=NOW), "rmse_cm")) for bound in (min, max)],
+    ),
+)
+
 BEFORE_THIS_ONE: tuple[Sentence, ...] = (
     (
-        "The default had an RMSE of {}, {}, {} and {} cm in the four rows",
+        "the default had an RMSE of {}, {}, {} and {} cm, the same by depth alone {}, {}, {} and {} cm, and untuned "
+        "bundles {}, {}, {} and {} cm.",
+        [
+            middle(of_version("3c59bd0", method, stretch), "rmse_cm")[0]
+            for method in ("default", "without landmarks", "untuned")
+            for stretch in range(4)
+        ],
+    ),
+    (
+        "With the same builds, the default had an RMSE of {}, {}, {} and {} cm",
         [middle(of_version("491910c", "default", stretch), "rmse_cm")[0] for stretch in range(4)],
     ),
     (
         "untuned bundles had {} instead of {} frames silently beyond 3.5 sigma",
-        [
-            total(rows, "silent_3_5_sigma")
-            for rows in (of_version("491910c", "untuned", DESK_BEYOND), flown("untuned", DESK_BEYOND))
-        ],
+        [total(of_version(commit, "untuned", DESK_BEYOND), "silent_3_5_sigma") for commit in ("491910c", "3c59bd0")],
     ),
     (
         "with landmarks, an RMSE of {} cm ({}–{}), a coverage of {} and {}, and {} and {} of {} frames silently over "
@@ -240,9 +275,11 @@ def test_what_relocalisation_shows_without_a_number() -> None:
 
 # --- All numbers ---
 
-SENTENCES = (*BEFORE_THIS_ONE, *IN_RED_KITCHEN, *OTHERS)
+SENTENCES = (*BEFORE_THIS_ONE, *ANOTHER_BUILD, *IN_RED_KITCHEN, *OTHERS)
 NOT_OF_THE_DATA: dict[str, str] = {
     "versions of 22 to 27 November 2026": "dates",
+    "seed 0, in float32": "of the build",
+    "the lost camera by 39 cm": "looked up in one flight, whose poses were not kept",
     "a version of 26 November had": "a date",
     "a version of 27 November": "a date",
     "Build 0 of the desk, a version of 26 November": "a name and a date",
