@@ -58,6 +58,7 @@ from monoloc.version import __version__
 _MAP, _LANDMARKS, _EDITS = "map.npz", "landmarks.npz", "edits.npz"
 _CONTENTS = (_MAP, _LANDMARKS, NETWORK)
 _TRANSFORM = "transform_"
+_WRITABLE = 0o222  # mode bits of which one is set in what anyone may write
 _REFERENCES = ("reference_poses", "forward_bias", "backward_bias")  # twists (V, 6), float32
 
 
@@ -153,8 +154,9 @@ def check_target(path: Path) -> None:
     parts = [path, *sorted(path.iterdir())] if path.exists() else []
     if others := [part.name for part in parts[1:] if part.name not in known]:
         raise BundleError(path, f"holds more than a bundle ({others[0]})", "move that away or choose another name")
-    # The system would allow it, since the folder around it changes; who protects a bundle wants it to stay.
-    if not all(os.access(part, os.W_OK) for part in parts):
+    # The system would allow it, since the folder around it changes; who protects a bundle wants it to stay. To root
+    # the system allows all, so the mode counts too.
+    if not all(os.access(part, os.W_OK) and part.stat().st_mode & _WRITABLE for part in parts):
         raise BundleError(path, "is write-protected", f"choose another name, or run: chmod -R u+w {path}")
 
 

@@ -27,7 +27,7 @@ def load_settings(path: Path, model: type[Settings]) -> Settings:
     try:
         return model.model_validate(read_toml(path))
     except ValidationError as error:
-        raise DataError(path, _unknown_key(error, model) or describe(error), "mend the field named") from error
+        raise DataError(path, _unknown_key(error, model) or describe(error), "correct the field named") from error
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -41,9 +41,9 @@ def read_toml(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise DataError(path, f"cannot be read ({error.strerror})", "give a TOML file") from error
     except RecursionError as error:
-        raise DataError(path, "is not valid TOML (it is nested too deep)", "mend it") from error
+        raise DataError(path, "is not valid TOML (it is nested too deep)", "correct it") from error
     except ValueError as error:  # of TOML, text and numbers
-        raise DataError(path, f"is not valid TOML ({error})", "mend the line named") from error
+        raise DataError(path, f"is not valid TOML ({error})", "correct the line named") from error
 
 
 def _unknown_key(error: ValidationError, model: type[BaseModel]) -> str | None:
@@ -91,7 +91,10 @@ def describe(error: ValidationError) -> str:
 def _plain(message: str) -> str:
     """A message of pydantic without how it parses."""
     return (
-        message.split(", unable to parse")[0].replace("Input should be", "must be").replace("integer", "whole number")
+        message.removeprefix("Value error, ")
+        .split(", unable to parse")[0]
+        .replace("Input should be", "must be")
+        .replace("integer", "whole number")
     )
 
 

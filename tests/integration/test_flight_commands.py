@@ -265,6 +265,17 @@ def test_a_doctors_report_is_written(capfd: Capture, here: Path) -> None:
     assert str(here) not in (here / "report.json").read_text()
 
 
+def test_a_doctor_reports_a_camera_that_cannot_be_opened(capfd: Capture, here: Path) -> None:
+    camera = ("camera:987", "--intrinsics", INTRINSICS)
+    assert invoke(["doctor", "room.monoloc", *camera, "--report", "report.json", "--json"]) == 2
+    report = json.loads((here / "report.json").read_text())
+    assert report["camera"] is None and report["source"] == "camera:987"
+    findings = {each["name"]: each for each in report["findings"]}
+    assert findings["camera"]["level"] == "bad" and "cannot be opened" in findings["camera"]["value"]
+    assert "gravity" in findings  # the room is looked at all the same
+    assert json.loads(capfd.readouterr().out)["level"] == "bad"
+
+
 # --- What is refused, with nothing half-written ---
 
 LIVE = ("fly", "room.monoloc", "camera:987")

@@ -253,13 +253,21 @@ def test_unwritable_folder_is_refused(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("part", ["", "map.npz"])
 def test_write_protected_bundle_is_refused(written, monkeypatch, part):
-    """As chmod -w leaves it, for all users but root."""
+    """As that of another user is."""
     access = os.access
     monkeypatch.setattr(os, "access", lambda path, mode: path != written / part and access(path, mode))
     before = contents(written)
     for action in (lambda: write_bundle(written, make_bundle()), lambda: check_target(written)):
         refuses(action, written, "is write-protected")
     assert contents(written) == before
+
+
+@pytest.mark.parametrize("part", ["", "map.npz"])
+def test_write_protection_holds_for_root_too(written, part):
+    (written / part).chmod(0o555)
+    refuses(lambda: check_target(written), written, "is write-protected")
+    (written / part).chmod(0o755)
+    check_target(written)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])

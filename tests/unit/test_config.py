@@ -32,7 +32,7 @@ from refusals import refuses, refuses_data
 def test_invalid_settings_file_is_refused(tmp_path: Path, text: str, problem: str) -> None:
     path = tmp_path / "settings.toml"
     path.write_text(text)
-    refuses_data(lambda: load_settings(path, BuildConfig), path, problem, "mend the (field|line) named")
+    refuses_data(lambda: load_settings(path, BuildConfig), path, problem, "correct the (field|line) named")
 
 
 def test_missing_settings_file_is_named(tmp_path: Path) -> None:

@@ -100,7 +100,7 @@ ScaleOption = Annotated[
     typer.Option(
         "--scale",
         metavar=SCALE_FORMS,
-        help="What tells the metres of images without poses. [depth if there is some, else network]",
+        help="Where the scale of images without poses comes from. [depth if there is some, else network]",
     ),
 ]
 

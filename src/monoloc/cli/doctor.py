@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import typer
 
+from monoloc.camera import Camera
 from monoloc.cli.common import FramesOption, IntrinsicsOption, JsonOption, check_outputs, naming, print_json, stderr
 from monoloc.cli.findings import EXIT_CODES, print_findings
 from monoloc.cli.flight_options import (
@@ -27,14 +28,17 @@ from monoloc.cli.flight_options import (
 )
 from monoloc.cli.flight_outputs import check_flight_outputs
 from monoloc.cli.start_option import UNKNOWN
-from monoloc.errors import SettingError
+from monoloc.errors import DataError, SettingError
 from monoloc.files import json_text, write_whole
 from monoloc.flight.autopilot import gravity_of, tells_gravity
 from monoloc.flight.bug_report import bug_report
+from monoloc.flight.flight_file import FlightFile
 from monoloc.flight.flight_loop import Flight, FlightSummary
 from monoloc.flight.preflight import LinkReport, Preflight
+from monoloc.live.opening import is_live
 from monoloc.mavlink.autopilot_link import AutopilotLink
 from monoloc.mavlink.firmware import Firmware
+from monoloc.place.flown_map import FlownMap
 from monoloc.recording_check.inspection import worst
 
 _PARAMETERS_S = 5.0  # to wait for the autopilot's parameters
@@ -60,7 +64,7 @@ def doctor(
 ) -> int:
     """Check camera, map and autopilot, without sending a pose.
 
-    The exit code is 0 if all is well, 1 with warnings, and 2 if something must be mended before a flight.
+    The exit code is 0 if all is well, 1 with warnings, and 2 if something must be fixed before a flight.
 
     \b
     Examples:
@@ -76,35 +80,19 @@ def doctor(
     with naming(names):
         check_flight_outputs(flight, inputs)
         check_autopilot(flight, align=False, fast=False)
-        flown, flight_settings = map_of(room, flight), flight.settings
+        flown = map_of(room, flight)
         if not (flown.is_searched or flight.marker or flight.start != UNKNOWN):
             problem = "cannot be searched: neither scans nor landmarks find the camera in it"
             raise SettingError("ROOM", problem, "write a start or a marker into flight.toml")
     cv2.setNumThreads(1)  # as in a flight
     summary = FlightSummary()
-    preflight = Preflight(flown.provenance, tells_gravity(flown, flight_settings), flown.scale_sd())
+    preflight = Preflight(flown.provenance, tells_gravity(flown, flight.settings), flown.scale_sd())
     with naming(names), ExitStack() as opened:
-        frame_source, camera, first_pose = open_frames(flight.source, frames, flight.camera, fast=False)
-        opened.callback(frame_source.close)
-        starting = starting_of(flight, flown.room, camera, first_pose, np.random.default_rng(0))
-        made = flown.localizer(camera, starting.start, 0, flight.budget_ms, flight.threads)
+        # The link first: it is looked at even where the camera fails.
         link = None if flight.mavlink is None else opened.enter_context(closing(AutopilotLink(flight.mavlink)))
-        end_s = time.monotonic() + seconds
-        Flight(
-            made.localizer,
-            camera,
-            frame_source,
-            [preflight],
-            flight_settings.most_age_s,
-            gravity_of(flown, link, flight_settings),
-            lambda: time.monotonic() > end_s,
-            summary,
-            starting.find,
-            starting.begins,
-            in_place=made.in_place,
-        ).run()
+        camera, failure = _look(flight, flown, link, frames, seconds, preflight, summary)
         heard = None if link is None or flight.firmware is None else _ask(link, flight.firmware)
-    findings = preflight.findings(summary, heard)
+    findings = preflight.findings(summary, heard, failure)
     level = worst(findings)
     print_findings(f"{flight.source} in {room}", findings, level)
     content = {"level": level, "findings": [asdict(finding) for finding in findings], **summary.figures()}
@@ -114,6 +102,48 @@ def doctor(
     if json:
         print_json(content)
     return EXIT_CODES[level]
+
+
+def _look(
+    flight: FlightFile,
+    flown: FlownMap,
+    link: AutopilotLink | None,
+    frames: str,
+    seconds: float,
+    preflight: Preflight,
+    summary: FlightSummary,
+) -> tuple[Camera | None, DataError | None]:
+    """Fly with the camera; its intrinsics, if it could be opened, and what ended the look too early.
+
+    Raises:
+        DataError: a recording cannot be read.
+    """
+    camera = None
+    try:
+        with ExitStack() as opened:
+            frame_source, camera, first_pose = open_frames(flight.source, frames, flight.camera, fast=False)
+            opened.callback(frame_source.close)
+            starting = starting_of(flight, flown.room, camera, first_pose, np.random.default_rng(0))
+            made = flown.localizer(camera, starting.start, 0, flight.budget_ms, flight.threads)
+            end_s = time.monotonic() + seconds
+            Flight(
+                made.localizer,
+                camera,
+                frame_source,
+                [preflight],
+                flight.settings.most_age_s,
+                gravity_of(flown, link, flight.settings),
+                lambda: time.monotonic() > end_s,
+                summary,
+                starting.find,
+                starting.begins,
+                in_place=made.in_place,
+            ).run()
+    except DataError as error:
+        if not is_live(flight.source):
+            raise
+        return camera, error
+    return camera, None
 
 
 def _ask(link: AutopilotLink, firmware: Firmware) -> LinkReport:

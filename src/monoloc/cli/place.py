@@ -74,7 +74,7 @@ def door(
     ] = None,
     frames: FramesOption = "::",
     same_world: Annotated[
-        bool, typer.Option("--same-world", help="Both bundles have one world: no recording is needed.")
+        bool, typer.Option("--same-world", help="Both bundles have one world, which is not checked: no recording is needed.")
     ] = False,
     intrinsics: IntrinsicsOption = None,
     require_signature: RequireSignatureOption = None,
@@ -198,6 +198,8 @@ def _known(place: Place, room: str, field: str = "ROOM") -> str:
 def _described(measured: MeasuredDoor) -> dict[str, object]:
     in_a, in_b, in_both = measured.frames
     counts = {"frames_in_a": in_a, "frames_in_b": in_b, "frames_in_both": in_both, "agreeing": measured.agreeing}
+    if measured.by == "same world":  # nothing was looked at
+        counts = {}
     return {"by": measured.by, **counts, **measured.door.model_dump(mode="json")}
 
 

@@ -1,4 +1,4 @@
-"""What speaks against a run as a whole: another room, another camera, errors beyond the covariance."""
+"""What speaks against a run as a whole: another room, another camera, errors beyond what its state or covariance says."""
 
 from __future__ import annotations
 
@@ -25,6 +25,9 @@ def doubts_of(run: Run, metrics: Mapping[str, object], room: Bundle) -> Iterator
     if mismatches >= _MISMATCH_SHARE * frames:
         problem = f"in {mismatches} of {frames} frames, landmarks fit another focal length than the camera's"
         yield f"{problem}; check --camera, and that images are neither cropped nor resized"
+    if silent := metrics.get("silent_frames_30cm"):
+        yield f"{silent} of {frames} frames are *tracking* or *map-changed*, and more than 30 cm off"
     coverage = metrics.get("coverage_95")
     if isinstance(coverage, float) and coverage < _LEAST_COVERAGE:
-        yield f"{coverage:.0%} of the errors lie within the covariance that states 95 %; do not use these poses"
+        problem = f"{coverage:.0%} of the errors lie within the covariance that states 95 %"
+        yield f"{problem}; do not use these poses, unless the recording's own are of another world than the bundle's"

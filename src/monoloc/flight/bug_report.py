@@ -17,7 +17,7 @@ _LIBRARIES = ("numpy", "onnxruntime", "opencv-python-headless", "pymavlink", "av
 
 
 def bug_report(
-    flight: FlightFile, rooms: Iterable[Bundle], camera: Camera, found: Mapping[str, object]
+    flight: FlightFile, rooms: Iterable[Bundle], camera: Camera | None, found: Mapping[str, object]
 ) -> dict[str, object]:
     """The report, ready for JSON.
 
@@ -26,7 +26,7 @@ def bug_report(
     Args:
         flight: as it was asked for.
         rooms: the room, or those of the place.
-        camera: of the images.
+        camera: of the images; None where it could not be opened.
         found: by the doctor.
     """
     return {
@@ -38,7 +38,7 @@ def bug_report(
         "firmware": None if flight.firmware is None else flight.firmware.value,
         "markers": len(flight.marker),
         "flight_settings": flight.settings.model_dump(mode="json"),
-        "camera": asdict(camera),
+        "camera": None if camera is None else asdict(camera),
         "maps": [_facts_of(room) for room in rooms],
         **{name: value for name, value in found.items() if name not in _NAMES_ROOMS},
     }

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from monoloc.bundle_manifest import Provenance
+from monoloc.errors import DataError
 from monoloc.flight.flight_loop import FlightStep, FlightSummary
 from monoloc.mavlink.firmware import Firmware
 from monoloc.recording_check.image_quality import ImageQuality, quality_of
@@ -79,9 +80,19 @@ class Preflight:
     def close(self) -> None:
         """Nothing is held."""
 
-    def findings(self, summary: FlightSummary, link: LinkReport | None) -> list[Finding]:
-        """What was found, in order of the way from the lens to the autopilot."""
-        if summary.frames == 0:
+    def findings(
+        self, summary: FlightSummary, link: LinkReport | None, failure: DataError | None = None
+    ) -> list[Finding]:
+        """What was found, in order of the way from the lens to the autopilot.
+
+        Args:
+            link: to the autopilot, if one was asked for.
+            failure: of the camera, which ended the look.
+        """
+        if failure is not None:
+            problem, _, fix = str(failure).rpartition("; ")
+            found = [Finding("camera", "bad", problem, fix)]
+        elif summary.frames == 0:
             found = [Finding("camera", "bad", "no frame", "check the cable, and the source that was named")]
         else:
             images = self._images()

@@ -39,6 +39,7 @@ class MjpegStream:
         self.name = "standard input"
         self._stream, self._camera, self._buffer = stream, camera, b""
         self._skipped = 0  # bytes that belong to no image, since the last one
+        self._is_empty = True
         self._most_bytes = camera.width * camera.height * _BYTES_PER_PIXEL + _CHUNK
 
     def open(self) -> None:
@@ -48,13 +49,14 @@ class MjpegStream:
         """See :meth:`monoloc.live.newest_frame.Grabber.grab`.
 
         Raises:
-            DataError: the stream holds no JPEG images, or images of another size.
+            DataError: the stream holds no JPEG images, ends without one, or has images of another size.
         """
         while True:
             jpeg = self._next_jpeg()
             arrived_s = time.monotonic()
             bgr = cv2.imdecode(np.frombuffer(jpeg, np.uint8), _FLAGS)
             if bgr is not None:  # a damaged image is left out
+                self._is_empty = False
                 return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8), arrived_s
 
     def _next_jpeg(self) -> bytes:
@@ -69,6 +71,8 @@ class MjpegStream:
             if chunk is None:  # nothing yet: who started this program may have made the stream one that does not wait
                 select.select([self._stream], [], [])
                 continue
+            if not chunk and self._is_empty:
+                raise DataError(self.name, "ended without a JPEG image", "write motion JPEG to it")
             if not chunk:
                 raise EndOfStreamError
             self._buffer += chunk

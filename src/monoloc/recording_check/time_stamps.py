@@ -49,12 +49,12 @@ def check_times(recording: Recording) -> TimeCheck:
     intervals = np.diff(times_s)
     usual = float(np.median(intervals))
     selected = np.diff(recording.timestamps_s)
-    longest = max(_GAP_S, _GAP_FACTOR * float(np.median(selected))) if len(selected) else np.inf
+    between = float(np.median(selected)) if len(selected) else usual
+    longest = max(_GAP_S, _GAP_FACTOR * between) if len(selected) else np.inf
     gaps = [float(value) for value in selected if value > longest]
     duration = float(recording.timestamps_s[-1] - recording.timestamps_s[0])
-    check = TimeCheck(len(recording), 1.0 / usual, duration, gaps)
     found = _in_another_unit(usual, times_s, whole.poses)
-    return check if found is None else TimeCheck(len(recording), 1.0 / usual, duration, gaps, *found)
+    return TimeCheck(len(recording), 1.0 / between, duration, gaps, *(found or ()))
 
 
 def require_seconds(name: str, check: TimeCheck) -> list[str]:

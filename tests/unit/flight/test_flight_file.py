@@ -73,7 +73,7 @@ def test_a_live_source_is_no_path(tmp_path: Path, source: str) -> None:
 def test_what_is_wrong_is_named(tmp_path: Path, text: str, problem: str) -> None:
     path = tmp_path / "flight.toml"
     path.write_text(text)
-    refuses_data(lambda: read_flight_file(path), path, problem, "mend the field named")
+    refuses_data(lambda: read_flight_file(path), path, problem, "correct the field named")
 
 
 @pytest.mark.parametrize("page", ["fly", "mavlink", "companion-computer", "start-by-a-marker"])

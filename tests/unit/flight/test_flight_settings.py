@@ -64,7 +64,7 @@ def test_settings_are_read_from_a_file_and_wrong_ones_are_named(tmp_path: Path) 
         ("down = [0, 0, 0.0]", "down: .*no direction"),
     ):
         path.write_text(line + "\n")
-        refuses_data(lambda: load_settings(path, FlightSettings), path, problem, "mend")
+        refuses_data(lambda: load_settings(path, FlightSettings), path, problem, "correct")
 
 
 @dataclass(frozen=True)

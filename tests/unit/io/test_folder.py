@@ -91,7 +91,7 @@ def test_missing_description_is_refused(tmp_path: Path) -> None:
 def test_description_that_is_not_toml_is_refused(folder: Path, text: str, problem: str) -> None:
     """The second is nested deeper than a parser's stack."""
     (folder / "dataset.toml").write_text(text)
-    refuses_to_open(folder, folder / "dataset.toml", problem, "mend")
+    refuses_to_open(folder, folder / "dataset.toml", problem, "correct")
 
 
 @pytest.mark.parametrize(("key", "nearest"), [("depthscale", "depth_scale, "), ("focal_x", "[a-z_, ]*fx")])

@@ -168,3 +168,8 @@ def test_what_holds_no_images_is_refused_and_not_kept() -> None:
         stream = MjpegStream(pipe, CAMERA)
         refuses_data(stream.grab, Path("standard input"), "holds no JPEG images", "without a container")
         assert len(pipe.pieces[0]) > len(data) // 2
+
+
+@pytest.mark.parametrize("data", [b"", b"garbage", JPEGS[0][:-2]])
+def test_a_stream_that_ends_without_an_image_is_refused(data: bytes) -> None:
+    refuses_data(stream_of(data).grab, Path("standard input"), "ended without a JPEG image", "motion JPEG")

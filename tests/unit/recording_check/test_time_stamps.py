@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from monoloc.errors import DataError
-from monoloc.io.recording import Selection
+from monoloc.io.recording import Selection, narrowed
 from monoloc.recording_check.time_stamps import check_times, require_seconds
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 
@@ -23,6 +23,11 @@ def test_seconds_are_not_doubted() -> None:
     check = check_times(timed(1700000000.0 + np.arange(20) / 15.0))
     assert check.problem is None and check.rate_hz == pytest.approx(15.0) and check.gaps_s == []
     assert require_seconds("walk", check) == []
+
+
+def test_the_rate_is_that_of_the_chosen_frames() -> None:
+    every_third = narrowed(timed(np.arange(21) / 15.0), np.arange(0, 21, 3))
+    assert check_times(every_third).rate_hz == pytest.approx(5.0)
 
 
 @pytest.mark.parametrize(

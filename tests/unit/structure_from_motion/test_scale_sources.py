@@ -153,7 +153,7 @@ def test_bad_distances_are_refused(walk: RoomRecording, model: SparseModel, tmp_
     path.write_text("metres = -1")
     refuses_data(lambda: DistanceScale(path).frames(walk), path, "metres", "write metres, a and b")
     path.write_text("metres =")
-    refuses_data(lambda: DistanceScale(path).frames(walk), path, "is not valid TOML", "mend the line")
+    refuses_data(lambda: DistanceScale(path).frames(walk), path, "is not valid TOML", "correct the line")
 
 
 def test_undetermined_length_is_refused(walk: RoomRecording, model: SparseModel, tmp_path: Path) -> None:
