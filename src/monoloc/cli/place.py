@@ -74,7 +74,7 @@ def door(
     ] = None,
     frames: FramesOption = "::",
     same_world: Annotated[
-        bool, typer.Option("--same-world", help="Both bundles have one world, which is not checked: no recording is needed.")
+        bool, typer.Option("--same-world", help="Both bundles have one world (not checked); no recording needed.")
     ] = False,
     intrinsics: IntrinsicsOption = None,
     require_signature: RequireSignatureOption = None,

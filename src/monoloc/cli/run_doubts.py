@@ -1,4 +1,4 @@
-"""What speaks against a run as a whole: another room, another camera, errors beyond what its state or covariance says."""
+"""What speaks against a run as a whole: another room or camera, errors that its state or covariance excludes."""
 
 from __future__ import annotations
 
