@@ -169,6 +169,7 @@ std::size_t real_roots(const double* coefficients, double* roots) {
       if (std::isfinite(moved)) roots[i] = moved;
     }
   }
+  std::sort(roots, roots + count);
   return count;
 }
 

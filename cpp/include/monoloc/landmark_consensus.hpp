@@ -20,7 +20,7 @@ struct Consensus {
 // gives the same result.
 Consensus find_consensus(const SeenLandmarks& seen, double most_sd, std::size_t most_triples, double confidence);
 
-// Real roots of a quartic, given its coefficients from the constant to the fourth power. Returns their number.
+// Real roots of a quartic, ascending, given its coefficients from the constant to the fourth power. Returns their number.
 std::size_t real_roots(const double* coefficients, double* roots);
 
 }  // namespace monoloc

@@ -326,7 +326,7 @@ def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
     """Print a table on stdout: the result of a command without ``--json``."""
     table = Table(header_style="")
     for index, column in enumerate(columns):
-        table.add_column(column, justify="left" if index == 0 else "right")
+        table.add_column(column, justify="left" if index == 0 else "right", overflow="fold")  # nothing is cut off
     for row in rows:
         table.add_row(*row)
     console = PlainConsole()

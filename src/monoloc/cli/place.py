@@ -205,6 +205,7 @@ def _described(measured: MeasuredDoor) -> dict[str, object]:
 
 def _show(content: dict[str, object], run: PlaceRun) -> None:
     rows = [[f"{each.time_s:.1f} s", each.before or "(search)", each.after] for each in run.switches]
-    print_table("Entries", ["", "from", "to"], rows)
+    if rows:
+        print_table("Entries", ["", "from", "to"], rows)
     shown = {name: value for name, value in content.items() if name != "switches"}
     print_table("Frames", ["", ""], [[name, text_of(value)] for name, value in shown.items()])

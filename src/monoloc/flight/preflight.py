@@ -97,7 +97,7 @@ class Preflight:
         else:
             images = self._images()
             found = [
-                *_of_timing(summary),
+                *_of_timing(summary, link is not None),
                 *image_findings(images, "expose for a shorter time, add light, clean the lens", "add light"),
                 *light_findings(images, self._brightness),
                 *self._of_intrinsics(),
@@ -150,10 +150,11 @@ class Preflight:
         )
 
 
-def _of_timing(summary: FlightSummary) -> Iterator[Finding]:
+def _of_timing(summary: FlightSummary, is_for_autopilot: bool) -> Iterator[Finding]:
     rate_hz, median_s, p95_s = summary.rate_hz, summary.latency_s(50.0), summary.latency_s(95.0)
     if rate_hz is not None:
-        level: Level = "good" if rate_hz >= _GOOD_RATE_HZ else "warning" if rate_hz >= _LEAST_RATE_HZ else "bad"
+        level: Level = "warning" if rate_hz >= _LEAST_RATE_HZ or not is_for_autopilot else "bad"
+        level = "good" if rate_hz >= _GOOD_RATE_HZ else level
         is_slow_camera = summary.dropped.total() <= _FEW_DROPPED * summary.frames
         fix = "the source gives no more; PX4 asks for 30" if is_slow_camera else "set budget_ms, or threads = 2"
         remark = "" if level == "good" else fix

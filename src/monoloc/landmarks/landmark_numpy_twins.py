@@ -222,7 +222,7 @@ def poses_of_triple(points: FloatArray, directions: FloatArray) -> list[FloatArr
     ]
     roots = np.roots(quartic)
     poses = []
-    for v in roots.real[np.abs(roots.imag) < 1e-9 * np.abs(roots)]:
+    for v in np.sort(roots.real[np.abs(roots.imag) < 1e-9 * np.abs(roots)]):  # of poses as good, the first counts
         u = ((k - 1) * v**2 - 2 * k * cos_b * v + 1 + k) / (2 * (cos_c - v * cos_a))
         if v > 0.0 and u > 0.0:
             first = np.sqrt(b2 / (1 + v**2 - 2 * v * cos_b))

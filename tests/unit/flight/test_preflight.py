@@ -83,6 +83,7 @@ def test_good_flight_with_every_parameter_right_is_good() -> None:
     [
         ("rate", "warning", {"rate_hz": 8.0}),
         ("rate", "bad", {"rate_hz": 3.0}),
+        ("rate", "warning", {"rate_hz": 3.0, "link": None}),
         ("latency", "warning", {"age_s": 0.15}),
         ("latency", "bad", {"age_s": 0.3}),
         ("exposure", "warning", {"color": np.zeros((60, 80, 3), np.uint8)}),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from monoloc import _core
@@ -112,6 +112,7 @@ def test_poses_of_a_triple_are_opencv_s(seed: int) -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 80), st.integers(1, 30))
+@example(13562, 43, 2)
 @settings(max_examples=40, deadline=None)
 def test_consensus_equals_twin(seed: int, count: int, triples: int) -> None:
     """Also of landmarks at one point, and of rays that are unknown."""
