@@ -1,5 +1,6 @@
 // Pose of a camera that most of its matched landmarks agree with, without a prior: RANSAC over triples.
-// Sources: Fischler & Bolles 1981; Chum et al. 2003 (fits to what agrees); Grunert's equation of a triple as in Haralick et al. 1994.
+// Sources: Fischler & Bolles 1981; Chum et al. 2003 (fits to what agrees); Grunert's equation of a triple as in
+// Haralick et al. 1994.
 #pragma once
 
 #include <cstddef>
@@ -20,7 +21,8 @@ struct Consensus {
 // gives the same result.
 Consensus find_consensus(const SeenLandmarks& seen, double most_sd, std::size_t most_triples, double confidence);
 
-// Real roots of a quartic, ascending, given its coefficients from the constant to the fourth power. Returns their number.
+// Real roots of a quartic, ascending, given its coefficients from the constant to the fourth power. Returns their
+// number.
 std::size_t real_roots(const double* coefficients, double* roots);
 
 }  // namespace monoloc

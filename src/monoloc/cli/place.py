@@ -196,11 +196,12 @@ def _known(place: Place, room: str, field: str = "ROOM") -> str:
 
 
 def _described(measured: MeasuredDoor) -> dict[str, object]:
-    in_a, in_b, in_both = measured.frames
-    counts = {"frames_in_a": in_a, "frames_in_b": in_b, "frames_in_both": in_both, "agreeing": measured.agreeing}
-    if measured.by == "same world":  # nothing was looked at
-        counts = {}
-    return {"by": measured.by, **counts, **measured.door.model_dump(mode="json")}
+    described: dict[str, object] = {"by": measured.by}
+    if measured.by != "same world":  # there, no frame was looked at
+        in_a, in_b, in_both = measured.frames
+        described |= {"frames_in_a": in_a, "frames_in_b": in_b, "frames_in_both": in_both}
+        described["agreeing"] = measured.agreeing
+    return described | measured.door.model_dump(mode="json")
 
 
 def _show(content: dict[str, object], run: PlaceRun) -> None:
