@@ -33,7 +33,7 @@ from monoloc.relocalization.state_machine import Mode, Relocalization, Relocaliz
 from monoloc.start import Start
 from monoloc.step import Step
 from monoloc.step_budget import Level, Stage, StepBudget, StepPlan, plan_of
-from monoloc.supervision.camera_check import CameraCheck
+from monoloc.supervision.camera_check import CameraCheck, has_same_focal
 from monoloc.supervision.integrity import IntegrityMonitor
 from monoloc.supervision.map_change import MapChangeMonitor
 from monoloc.supervision.state import VOUCHED_FOR, State, Supervision, classify_state
@@ -67,7 +67,7 @@ class Localizer:
         seed: int | np.random.Generator = 0,
     ) -> None:
         bundle, self._config = leave_out(bundle, config or bundle.settings)
-        self._bundle = bundle
+        self._bundle, self._camera = bundle, camera
         self._rng = np.random.default_rng(seed)
         made = components(bundle, camera, self._config)
         self._likelihood, self._landmarks = made.likelihood, made.landmarks
@@ -100,7 +100,8 @@ class Localizer:
             self._relocalizer, bundle.supports_scan_search, bundle.supports_landmark_search, bundle.thresholds, mode
         )
         self._integrity = IntegrityMonitor(bundle.integrity, is_searched=start is None)
-        self._camera_check = CameraCheck(bundle.integrity.focal_mean, bundle.integrity.focal_sd)
+        is_builds = has_same_focal(self._camera, bundle.camera)
+        self._camera_check = CameraCheck(bundle.integrity.focal_mean, bundle.integrity.focal_sd, is_builds)
         self._map_change = MapChangeMonitor(bundle.landmarks, bundle.integrity)
         self._state: State = "tracking"
         self._index, self._is_followed = 0, False
@@ -157,6 +158,7 @@ class Localizer:
         landmarks = self._measure_landmarks(observation, prior, relocalization) if plan.has_landmarks else None
         contradicted = self._contradicted_by(landmarks, particle_estimate)
         belief = self._fuse(observation, particle_estimate, log_likelihood, relocalization, landmarks, contradicted)
+        belief = self._camera_check.widened(belief, observation.depth)
         supervision = self._supervise(observation, belief, log_likelihood, landmarks, particle_estimate, contradicted)
         self._state, reasons = classify_state(supervision, self._state)
         self._index += 1
@@ -318,6 +320,8 @@ class Localizer:
             self._integrity.update(log_likelihood, landmarks, familiar)
             self._camera_check.update(landmark_pose, observation.elapsed_s)
         probability_far = self._integrity.probability_far(belief)
+        # How many landmarks are found again was measured with the build's focal length.
+        comparable = familiar if self._camera_check.is_builds else None
         return Supervision(
             mode=mode,
             probability_far=probability_far,
@@ -327,7 +331,8 @@ class Localizer:
             odometry_tracked=observation.odometry_tracked,
             is_near_build=self._bundle.reference_poses.distance_m(belief.pose) <= NEAR_M,
             camera_mismatch=self._camera_check.mismatch,
-            changed_region=self._map_change.update(familiar, probability_far, observation.elapsed_s),
+            camera_confirmed=self._camera_check.is_confirmed,
+            changed_region=self._map_change.update(comparable, probability_far, observation.elapsed_s),
         )
 
     def _familiar(self, belief: Estimate, landmarks: LandmarkMeasurement | None) -> FamiliarLandmarks | None:

@@ -233,7 +233,7 @@ def test_scan_that_fits_nowhere_is_lost_where_no_landmarks_are_seen(flights: Fli
             step = localizer.step(flights.recording.color(index), FRAME_S, depth)
         assert step.mean_log_likelihood < flights.thresholds.lost
         assert (step.state, step.reasons) == (state, reasons)
-    assert flights.errors_m([step], 14)[0] < 0.02
+    assert flights.errors_m([step], 14)[0] < 0.025
 
 
 def test_certain_start_far_from_the_truth_is_not_tracking_for_long(flights: Flights) -> None:

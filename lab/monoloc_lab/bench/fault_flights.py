@@ -156,7 +156,7 @@ def with_fault(
 ) -> tuple[list[FlightFrame], slice]:
     """A flight's frames with a fault in their middle, and which of them are in the fault."""
     if fault.is_of_whole_flight:
-        return list(frames), slice(0, len(frames))
+        return fault.change(frames, Surroundings(frames[0], elsewhere, rng)), slice(0, len(frames))
     times_s = np.array([frame.time_s for frame in frames]) - frames[0].time_s
     first, end = np.searchsorted(times_s, [BEFORE_S, BEFORE_S + fault.seconds]).tolist()
     changed = fault.change(frames[first:end], Surroundings(frames[first - 1], elsewhere, rng))

@@ -48,7 +48,8 @@ class Fault:
         name: as users write it.
         change: the frames in the fault -> those that arrive.
         seconds: how long it lasts.
-        focal_factor: on the focal lengths that the localizer is given; unless 1, the fault lasts all of the flight.
+        focal_factor: on the focal lengths that the localizer is given.
+        is_of_whole_flight: whether it lasts from the first frame to the last.
         is_blinding: whether its images tell nothing of where the camera is, so that soon no pose can be vouched for.
     """
 
@@ -56,11 +57,8 @@ class Fault:
     change: Change
     seconds: float = FAULT_S
     focal_factor: float = 1.0
+    is_of_whole_flight: bool = False
     is_blinding: bool = False
-
-    @property
-    def is_of_whole_flight(self) -> bool:
-        return self.focal_factor != 1.0
 
 
 def _images(change: Callable[[Image, int, np.random.Generator], Image]) -> Change:
@@ -86,6 +84,18 @@ def _half_covered(rows: slice, columns: slice) -> Change:
         return np.where(mask[..., None], np.uint8(_COVER_LEVEL), image)
 
     return _images(cover)
+
+
+def _enlarged(factor: float) -> Change:
+    """About the middle of the image, as by a longer lens."""
+
+    def enlarge(image: Image, index: int, rng: np.random.Generator) -> Image:
+        height, width = image.shape[:2]
+        middle = np.array([(width - 1) / 2.0, (height - 1) / 2.0])
+        mapping = np.column_stack([factor * np.eye(2), (1.0 - factor) * middle])
+        return np.asarray(cv2.warpAffine(image, mapping, (width, height)), dtype=np.uint8)
+
+    return _images(enlarge)
 
 
 def _nothing(frames: Sequence[FlightFrame], around: Surroundings) -> list[FlightFrame]:
@@ -151,10 +161,12 @@ _ALL = (
     Fault("other-room", _other_room, is_blinding=True),
     Fault("mirrored", _images(lambda image, index, rng: np.ascontiguousarray(image[:, ::-1])), is_blinding=True),
     Fault("turned-180", _images(lambda image, index, rng: np.ascontiguousarray(image[::-1, ::-1]))),
-    Fault("intrinsics-plus-10", _nothing, focal_factor=1.1),
-    Fault("intrinsics-minus-10", _nothing, focal_factor=0.9),
-    Fault("intrinsics-plus-30", _nothing, focal_factor=1.3),
-    Fault("intrinsics-minus-30", _nothing, focal_factor=0.7),
+    Fault("intrinsics-plus-10", _nothing, focal_factor=1.1, is_of_whole_flight=True),
+    Fault("intrinsics-minus-10", _nothing, focal_factor=0.9, is_of_whole_flight=True),
+    Fault("intrinsics-plus-30", _nothing, focal_factor=1.3, is_of_whole_flight=True),
+    Fault("intrinsics-minus-30", _nothing, focal_factor=0.7, is_of_whole_flight=True),
+    Fault("longer-lens-10", _enlarged(1.1), is_of_whole_flight=True),
+    Fault("longer-lens-30", _enlarged(1.3), is_of_whole_flight=True),
     Fault("jpeg-quality-10", _images(_compressed)),
 )
 

@@ -128,6 +128,9 @@ class Preflight:
         if self._reasons[Reason.CAMERA_MISMATCH]:
             remark = "calibrate the camera at this resolution, with its focus fixed"
             yield Finding("intrinsics", "bad", "landmarks fit another focal length", remark)
+        elif self._reasons[Reason.CAMERA_UNCONFIRMED]:
+            remark = "look at things that are near and far for a few seconds, or build with this camera"
+            yield Finding("intrinsics", "warning", "the focal length is not the build's, nor confirmed", remark)
         elif np.median(self._landmarks) >= _GOOD_LANDMARKS:
             yield Finding("intrinsics", "good", "landmarks fit the stated focal length")
         else:

@@ -20,8 +20,11 @@ from monoloc.image_size import gray_image
 
 FOCAL_PX = 330.0  # of the images in which keypoints are detected, so that their scales are comparable
 MATCH_BITS = 64  # of 256, by which the descriptors of one corner may differ
-_LEAST_SIDE_PX = 96.0  # of an image in which keypoints are detected: ORB ignores a margin of 31 px
+_LEAST_SIDE_PX = 96.0  # of an image in which keypoints are detected
 _KEYPOINTS = 600
+# In which no keypoint lies. ORB's 31 px would leave a third of the image without any; here descriptors near the
+# border read a few mirrored pixels.
+_MARGIN_PX = 12
 # FAST's threshold, and that for images which show fewer keypoints than most by it: dim ones.
 _THRESHOLD, _LOW_THRESHOLD, _FEW_KEYPOINTS = 12, 5, 450
 _CORNER_SD_PX = 1.0  # standard deviation of a keypoint's position, at the pyramid's finest level
@@ -64,7 +67,9 @@ class KeypointDetector:
         self._equalise = equaliser()
         library: Any = cv2  # whose stubs lack it
         self._orb, self._sensitive_orb = (
-            library.ORB_create(nfeatures=_KEYPOINTS, scaleFactor=1.25, nlevels=6, fastThreshold=threshold)
+            library.ORB_create(
+                nfeatures=_KEYPOINTS, scaleFactor=1.25, nlevels=6, edgeThreshold=_MARGIN_PX, fastThreshold=threshold
+            )
             for threshold in (_THRESHOLD, _LOW_THRESHOLD)
         )
         self._patch_px = float(self._orb.getPatchSize())

@@ -1,11 +1,17 @@
-"""Whether landmarks fit the camera's stated focal length."""
+"""How far the camera's stated focal length is trusted: whether it is the build's, and what landmarks say of it."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
+import numpy as np
+
+from monoloc.camera import Camera
+from monoloc.depth.predictor import DepthPrediction
 from monoloc.fusion.bias_model import COMMON_ERROR
 from monoloc.landmarks.pnp import LandmarkPose
+from monoloc.particle_filter.estimate import Estimate
 
 WELL_OBSERVED_SD = 0.02
 """Standard deviation of log-focal above which it says nothing: the view is too flat."""
@@ -15,6 +21,11 @@ _MEMORY_S = 3.0  # time constant of the mean
 _LEAST_S = 0.5  # of measurements before anything is said
 _MOST_SD = 3.0  # of single frames, since they are correlated, by which the mean may differ from the build's
 _LEAST_LOG_FOCAL = 0.04  # smaller differences move a pose by little more than the covariance states
+# Standard deviations of the log-focal of a camera that is not the build's: before landmarks have confirmed it, and
+# after. In views that are nearly flat they may confirm one that is 10 % wrong (a desk), hence no less.
+_UNCONFIRMED_SD, _CONFIRMED_SD = 0.1, 0.04
+_MOST_CONFIRMED = 0.08  # difference that confirms a focal length, however much the build's frames differ
+_CONFIRMED_S = 1.0  # of measurements whose mean agrees with the stated focal length
 
 
 def tells_focal(pose: LandmarkPose) -> bool:
@@ -23,23 +34,47 @@ def tells_focal(pose: LandmarkPose) -> bool:
     return pose.log_focal_sd * math.sqrt(common) <= WELL_OBSERVED_SD
 
 
+def has_same_focal(camera: Camera, other: Camera) -> bool:
+    """Whether two cameras have the same focal length relative to the longer side of their images."""
+    ratio = camera.focal_px / max(camera.width, camera.height) * max(other.width, other.height) / other.focal_px
+    return abs(math.log(ratio)) <= _LEAST_LOG_FOCAL
+
+
 class CameraCheck:
-    """Compares the focal length that landmarks ask for with the build's.
+    """Compares the focal length that landmarks ask for with the build's, and states what it may do to a pose.
+
+    In a flat view a wrong focal length fits as well as the right one: it moves the camera along its optical axis, and
+    both landmarks and predicted depth agree. What speaks for the stated one is that the build had the same. Any other
+    widens the covariance along that axis, less so once landmarks at different depths have confirmed it.
 
     Args:
         mean, sd: of landmarks' log-focal, as the build measured it at right poses.
+        is_builds: whether the stated focal length is that of the build's camera.
+
+    Attributes:
+        is_builds: as given.
     """
 
-    def __init__(self, mean: float, sd: float) -> None:
+    def __init__(self, mean: float, sd: float, is_builds: bool) -> None:
         self._expected, self._bound = mean, max(_LEAST_LOG_FOCAL, _MOST_SD * sd)
         self._sum, self._information, self._measured_s = 0.0, 0.0, 0.0
+        self.is_builds = is_builds
+        self._is_confirmed, self._agreed_s = False, 0.0
+        self._scene_m = 0.0
 
     @property
     def mismatch(self) -> bool:
         """Whether the camera is not the stated one."""
-        if self._measured_s < _LEAST_S:
-            return False
-        return abs(self._sum / self._information - self._expected) > self._bound
+        return self._measured_s >= _LEAST_S and self._difference > self._bound
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether the stated focal length is the build's, or landmarks have confirmed it in this flight."""
+        return self.is_builds or self._is_confirmed
+
+    @property
+    def _difference(self) -> float:
+        return abs(self._sum / self._information - self._expected)
 
     def update(self, pose: LandmarkPose | None, elapsed_s: float) -> None:
         """Take in a frame's landmark pose."""
@@ -49,3 +84,20 @@ class CameraCheck:
         self._measured_s += elapsed_s
         self._sum = decay * self._sum + information * pose.log_focal
         self._information = decay * self._information + information
+        agrees = self._difference <= min(self._bound, _MOST_CONFIRMED)
+        self._agreed_s = self._agreed_s + elapsed_s if agrees else 0.0
+        self._is_confirmed |= self._agreed_s >= _CONFIRMED_S
+
+    def widened(self, belief: Estimate, depth: DepthPrediction | None) -> Estimate:
+        """The belief with a covariance that allows for a wrong focal length.
+
+        Args:
+            depth: of the frame; None where it was not its turn, so that the scene is as far as before.
+        """
+        if self.is_builds:
+            return belief
+        if depth is not None and (depth.depth_m > 0.0).any():
+            self._scene_m = float(np.median(depth.depth_m[depth.depth_m > 0.0]))
+        covariance = belief.covariance.copy()
+        covariance[2, 2] += ((_CONFIRMED_SD if self._is_confirmed else _UNCONFIRMED_SD) * self._scene_m) ** 2
+        return replace(belief, covariance=covariance)

@@ -41,6 +41,9 @@ class Reason(Enum):
     """The image has no contrast: dark, covered or saturated."""
     CAMERA_MISMATCH = "camera mismatch"
     """Landmarks fit another focal length than the camera's stated one."""
+    CAMERA_UNCONFIRMED = "camera unconfirmed"
+    """The stated focal length is not that of the build's camera, and landmarks have not confirmed it: the covariance
+    allows for an error of it."""
     MAP_CHANGED = "map changed"
     """Landmarks are missing in one region in view, while those of the rest of the view are found."""
 
@@ -62,6 +65,7 @@ class Supervision:
         odometry_tracked: whether odometry, if there is any, followed the camera.
         is_near_build: whether the believed pose is near the frames that the map was built from.
         camera_mismatch: whether landmarks fit another focal length.
+        camera_confirmed: whether the focal length is the build's, or landmarks have confirmed it.
         changed_region: in view, in which the map no longer holds; None where there is none.
     """
 
@@ -73,6 +77,7 @@ class Supervision:
     odometry_tracked: bool
     is_near_build: bool
     camera_mismatch: bool
+    camera_confirmed: bool
     changed_region: ChangedRegion | None
 
 
@@ -113,6 +118,7 @@ def _reasons(supervision: Supervision) -> frozenset[Reason]:
         Reason.IMAGE_REPEATED: supervision.repeated_s > _MOST_REPEATED_S,
         Reason.IMAGE_EMPTY: supervision.image_is_empty,
         Reason.CAMERA_MISMATCH: supervision.camera_mismatch,
+        Reason.CAMERA_UNCONFIRMED: not supervision.camera_confirmed,
         Reason.MAP_CHANGED: supervision.changed_region is not None,
     }
     return frozenset(reason for reason, is_so in holds.items() if is_so)

@@ -138,9 +138,9 @@ SENTENCES: tuple[tuple[str, list[float]], ...] = (
         ],
     ),
     (
-        r"Two of five builds have an RMSE of (\d+) and (\d+) cm, with errors of up to (\d+) cm; the others have (\d+) "
-        r"to (\d+) cm. In one of the two it came from the search by scans \(([\d.]+) cm without any search\); the other has "
-        r"(\d+) cm without a search too. Of (\d+) frames (\d+) were silently",
+        r"Two of five builds have an RMSE of (\d+) and (\d+) cm, with errors of up to (\d+) cm; the others have "
+        r"(\d+) to (\d+) cm. In one of the two it came from the search by scans \(([\d.]+) cm without any search\); "
+        r"the other has (\d+) cm without a search too. Of (\d+) frames (\d+) were silently",
         [
             *sorted(DESK_BEYOND.values())[3:],
             max(row["largest_cm"] for row in DESK_FLIGHTS),
@@ -166,7 +166,9 @@ def test_sentence(pattern: str, expected: list[float]) -> None:
 def test_number_of_steps_that_are_decided() -> None:
     verdicts = [row[-2] for title in ROOMS for split in SPLITS for row in ladder_table(of_room(title), split)[1:]]
     decided = len(verdicts) - verdicts.count("undecided")
-    assert f"Of the {len(verdicts)} steps of the ladder {decided} are decided; chance alone would decide 3 or 4" in PAGE
+    assert (
+        f"Of the {len(verdicts)} steps of the ladder {decided} are decided; chance alone would decide 3 or 4" in PAGE
+    )
 
 
 LIGHTS = ("L1", "L2", "L3")

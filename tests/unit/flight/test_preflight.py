@@ -104,6 +104,7 @@ def test_good_flight_with_every_parameter_right_is_good() -> None:
         ("landmarks", "warning", {"step": good_step(3)}),
         ("intrinsics", "warning", {"step": good_step(3)}),
         ("intrinsics", "bad", {"step": replace(good_step(), reasons=frozenset({Reason.CAMERA_MISMATCH}))}),
+        ("intrinsics", "warning", {"step": replace(good_step(), reasons=frozenset({Reason.CAMERA_UNCONFIRMED}))}),
         ("state", "bad", {"step": replace(good_step(), state="lost", reasons=frozenset({Reason.SEARCHING}))}),
         ("autopilot", "bad", {"link": replace(HEARD, is_alive=False)}),
         ("attitude", "warning", {"link": replace(HEARD, has_attitude=False)}),

@@ -1,14 +1,21 @@
-"""Landmarks' focal length against the build's."""
+"""The stated focal length against the build's and against landmarks'."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from monoloc.camera import Camera
+from monoloc.depth.predictor import DepthPrediction
 from monoloc.landmarks.pnp import LandmarkPose
-from monoloc.supervision.camera_check import WELL_OBSERVED_SD, CameraCheck
+from monoloc.particle_filter.estimate import Estimate
+from monoloc.supervision.camera_check import WELL_OBSERVED_SD, CameraCheck, has_same_focal
 
 FRAME_S = 0.1
+CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
+BELIEF = Estimate(np.eye(4), 1e-4 * np.eye(6), 0.0)
 
 
 def by_landmarks(log_focal: float, sd: float = 0.01, count: int = 30) -> LandmarkPose:
@@ -26,12 +33,12 @@ def after(check: CameraCheck, pose: LandmarkPose | None, frames: int) -> bool:
 )
 def test_camera_is_another_where_focal_length_differs_from_the_builds(log_focal: float, is_another: bool) -> None:
     """By more than 4 %, where the build's own frames differ by less than a third of that."""
-    assert after(CameraCheck(0.01, 0.005), by_landmarks(log_focal), 20) == is_another
-    assert not after(CameraCheck(0.01, 0.05), by_landmarks(log_focal), 20)
+    assert after(CameraCheck(0.01, 0.005, True), by_landmarks(log_focal), 20) == is_another
+    assert not after(CameraCheck(0.01, 0.05, True), by_landmarks(log_focal), 20)
 
 
 def test_nothing_is_said_before_half_a_second_of_measurements() -> None:
-    check = CameraCheck(0.0, 0.01)
+    check = CameraCheck(0.0, 0.01, True)
     assert not check.mismatch
     assert not after(check, by_landmarks(0.3), 4)
     assert not after(check, None, 50)  # frames without landmarks do not count
@@ -39,7 +46,7 @@ def test_nothing_is_said_before_half_a_second_of_measurements() -> None:
 
 
 def test_flat_views_say_nothing() -> None:
-    check = CameraCheck(0.0, 0.01)
+    check = CameraCheck(0.0, 0.01, True)
     assert not after(check, by_landmarks(0.3, WELL_OBSERVED_SD * 1.01), 100)
     assert not after(check, by_landmarks(0.3, np.inf), 100)
     assert after(check, by_landmarks(0.3, WELL_OBSERVED_SD), 100)
@@ -47,14 +54,14 @@ def test_flat_views_say_nothing() -> None:
 
 def test_many_landmarks_of_one_surface_do_not_make_a_flat_view_tell_more() -> None:
     """Their common error does not average out: it takes half the deviation of 30."""
-    check = CameraCheck(0.0, 0.01)
+    check = CameraCheck(0.0, 0.01, True)
     assert not after(check, by_landmarks(0.3, WELL_OBSERVED_SD / 1.98, 300), 100)
     assert after(check, by_landmarks(0.3, WELL_OBSERVED_SD / 2.02, 300), 100)
 
 
 def test_what_was_measured_is_forgotten_within_seconds() -> None:
     """Single wrong frames do not make another camera, and a second of them is outvoted by ten of right ones."""
-    check = CameraCheck(0.0, 0.01)
+    check = CameraCheck(0.0, 0.01, True)
     assert not after(check, by_landmarks(0.0), 30)
     assert not after(check, by_landmarks(0.3), 2)
     assert after(check, by_landmarks(0.3), 10)
@@ -62,8 +69,70 @@ def test_what_was_measured_is_forgotten_within_seconds() -> None:
 
 
 def test_better_observed_frames_count_more() -> None:
-    check = CameraCheck(0.0, 0.01)
+    check = CameraCheck(0.0, 0.01, True)
     for _ in range(30):
         check.update(by_landmarks(0.0, 0.002), FRAME_S)
         check.update(by_landmarks(0.2, 0.02), FRAME_S)
     assert not check.mismatch
+
+
+def wall_at(distance_m: float) -> DepthPrediction:
+    depth_m = np.full((6, 8), distance_m, dtype=np.float32)
+    depth_m[:3] = 0.0  # unknown
+    return DepthPrediction(depth_m, CAMERA.resized(8, 6))
+
+
+def sd_along_axis(check: CameraCheck, depth: DepthPrediction | None) -> float:
+    """Added to the belief's, metres."""
+    added = check.widened(BELIEF, depth).covariance - BELIEF.covariance
+    assert np.count_nonzero(added) <= 1  # along the optical axis alone
+    return float(np.sqrt(added[2, 2]))
+
+
+def test_cameras_of_one_focal_length_differ_in_resolution_and_shape_only() -> None:
+    assert has_same_focal(CAMERA, CAMERA)
+    assert has_same_focal(CAMERA.resized(160, 120), CAMERA)
+    assert has_same_focal(CAMERA.cropped(0, 60, 640, 360), CAMERA)  # a video of the same sensor
+    assert has_same_focal(Camera(480, 640, 525.0, 525.0, 239.5, 319.5), CAMERA)  # held upright
+    for factor in (0.9, 0.95, 1.05, 1.1):
+        assert not has_same_focal(replace(CAMERA, fx=factor * CAMERA.fx, fy=factor * CAMERA.fy), CAMERA)
+    assert not has_same_focal(CAMERA.cropped(64, 48, 512, 384), CAMERA)
+
+
+def test_focal_length_of_the_build_adds_nothing_to_the_covariance() -> None:
+    check = CameraCheck(0.0, 0.01, True)
+    assert check.is_confirmed and check.widened(BELIEF, wall_at(2.0)) is BELIEF
+
+
+def test_another_focal_length_may_be_a_tenth_wrong_until_landmarks_confirm_it() -> None:
+    """It then moves the camera by a tenth of the scene's distance, along its optical axis."""
+    check = CameraCheck(0.02, 0.01, False)
+    assert sd_along_axis(check, None) == 0.0  # nothing was seen yet
+    assert sd_along_axis(check, wall_at(2.0)) == pytest.approx(0.2)
+    assert not after(check, by_landmarks(0.03), 9) and not check.is_confirmed
+    assert sd_along_axis(check, None) == pytest.approx(0.2)  # the scene of the last depth image
+    assert not after(check, by_landmarks(0.03), 2) and check.is_confirmed
+    assert sd_along_axis(check, wall_at(1.0)) == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize(
+    ("expected", "sd", "pose"),
+    [
+        (0.0, 0.01, by_landmarks(0.1)),  # another focal length
+        (0.0, 0.01, by_landmarks(0.0, 1.1 * WELL_OBSERVED_SD)),  # a flat view
+        (0.0, 1.0, by_landmarks(0.1)),  # a build that could not measure it
+        (0.0, 0.01, None),
+    ],
+)
+def test_these_do_not_confirm_a_focal_length(expected: float, sd: float, pose: LandmarkPose | None) -> None:
+    check = CameraCheck(expected, sd, False)
+    after(check, pose, 100)
+    assert not check.is_confirmed and sd_along_axis(check, wall_at(2.0)) == pytest.approx(0.2)
+
+
+def test_a_focal_length_is_confirmed_by_a_second_without_contradiction() -> None:
+    check = CameraCheck(0.0, 0.01, False)
+    for _ in range(10):
+        after(check, by_landmarks(0.0), 5)
+        after(check, by_landmarks(0.4), 5)
+    assert not check.is_confirmed

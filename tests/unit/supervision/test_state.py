@@ -23,6 +23,7 @@ def supervision_of(**given: Any) -> Supervision:
         "odometry_tracked": True,
         "is_near_build": True,
         "camera_mismatch": False,
+        "camera_confirmed": True,
         "changed_region": None,
     }
     return Supervision(**(well | given))
@@ -86,7 +87,14 @@ def test_changed_map_is_said_where_the_pose_is_vouched_for() -> None:
 
 
 @pytest.mark.parametrize(
-    "harmless", [{"repeated_s": 0.2}, {"image_is_empty": True}, {"odometry_tracked": False}, {"is_near_build": False}]
+    "harmless",
+    [
+        {"repeated_s": 0.2},
+        {"image_is_empty": True},
+        {"odometry_tracked": False},
+        {"is_near_build": False},
+        {"camera_confirmed": False},
+    ],
 )
 def test_what_the_probability_allows_for_is_tracking_without_reasons(harmless: dict[str, Any]) -> None:
     assert classify_state(supervision_of(**harmless), "tracking") == ("tracking", frozenset())
@@ -106,6 +114,7 @@ CAUSES: dict[Reason, dict[str, Any]] = {
     Reason.NO_ODOMETRY: {"odometry_tracked": False},
     Reason.IMAGE_EMPTY: {"image_is_empty": True},
     Reason.FAR_FROM_BUILD: {"is_near_build": False},
+    Reason.CAMERA_UNCONFIRMED: {"camera_confirmed": False},
 }
 
 
