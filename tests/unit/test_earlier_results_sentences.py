@@ -33,6 +33,7 @@ RECOVERY: list[dict[str, Any]] = json_of("recovery-of-earlier-versions.json")
 FAULTS: dict[str, dict[str, Any]] = {
     each["room"]: each["faults"] for each in json_of("faults-of-earlier-versions.json")
 }
+BUILD_0 = {room: FAULTS[f"{room}, build 0 of 6fcafb4"] for room in ("redkitchen", "desk")}
 LENSES = [name for name in FAULTS["desk"] if name.startswith("intrinsics")]
 LOCALIZATION = [row for row in table_of("localization.csv") if row["room"] == "RedKitchen" and row["builds"] == "3"]
 BASELINES = chosen(table_of("baselines.csv"), room="RedKitchen", light="as recorded")
@@ -67,6 +68,12 @@ def recovered(room: str, commit: str, *builds: int) -> list[dict[str, Any]]:
 LANDMARKS, DEPTH_ALONE = (of_version("4b16d73", method, DESK_BEYOND) for method in ("default", "without landmarks"))
 FALSE_AT_THE_DESK = sorted(100.0 * each["false_tracking_rate"] for each in recovered("desk", "", 2, 3, 4))
 BEFORE, AFTER = recovered("desk", "76e6b71", 0)[0], recovered("desk", "271bf5c", 0)[0]
+
+
+def silent(faults: dict[str, Any], *names: str, column: str = "silent_frames") -> int:
+    """During and after some faults, or all of them."""
+    found = [fault for name, fault in faults.items() if name != "none" and (not names or name in names)]
+    return sum(fault[part][column] for fault in found for part in ("during", "after"))
 
 
 def shares(*names: str) -> list[float]:
@@ -144,6 +151,18 @@ BEFORE_THIS_ONE: tuple[Sentence, ...] = (
     ("The coverage of the same build was {} before", [BEFORE["coverage_95"]]),
     (", and {} after.", [AFTER["coverage_95"]]),
     (
+        "build 0 of [five](results.md#this-version) had {} silent frames of {} in RedKitchen, all of them among the "
+        "{} with a wrong focal length, and {} of {} at the desk, {} of them among the {} with one",
+        [
+            silent(BUILD_0["redkitchen"]),
+            silent(BUILD_0["redkitchen"], column="frames"),
+            silent(BUILD_0["redkitchen"], *LENSES, column="frames"),
+            silent(BUILD_0["desk"]),
+            silent(BUILD_0["desk"], column="frames"),
+            *(silent(BUILD_0["desk"], *LENSES, column=column) for column in ("silent_frames", "frames")),
+        ],
+    ),
+    (
         "RedKitchen had {} silent frames in the version",
         [FAULTS["redkitchen"]["intrinsics-minus-30"]["during"]["silent_frames"]],
     ),
@@ -161,6 +180,7 @@ BEFORE_THIS_ONE: tuple[Sentence, ...] = (
 
 
 def test_what_the_versions_before_show_without_a_number() -> None:
+    assert silent(BUILD_0["redkitchen"]) == silent(BUILD_0["redkitchen"], *LENSES)
     assert FALSE_AT_THE_DESK[0] == 0.0
     assert [each["false_tracking_rate"] for each in recovered("redkitchen", "", 2, 3, 4)] == [0.0] * 3
     assert BEFORE["map_changed_rate"] == AFTER["map_changed_rate"]

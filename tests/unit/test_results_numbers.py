@@ -44,6 +44,8 @@ FAULTS_OF_ROW = {
     "focal length - 10 %": ("intrinsics-minus-10",),
     "focal length + 30 %": ("intrinsics-plus-30",),
     "focal length - 30 %": ("intrinsics-minus-30",),
+    "lens 10 % longer, with the build's focal length": ("longer-lens-10",),
+    "lens 30 % longer": ("longer-lens-30",),
 }
 
 
@@ -153,8 +155,8 @@ def fault_rows(room: str) -> dict[str, str]:
     cells["all faults, during and after"] = (
         f"{silent} of {frames} ({100.0 * silent / frames:.{1 if 100 * silent < 10 * frames else 0}f} %)"
     )
-    others = [fault for name, fault in faults.items() if not name.startswith("intrinsics")]
-    cells["all but the focal length"] = "{} of {}".format(*silent_of(others, "during", "after"))
+    others = [fault for name, fault in faults.items() if not name.startswith(("intrinsics", "longer-lens"))]
+    cells["all but focal length and lens"] = "{} of {}".format(*silent_of(others, "during", "after"))
     return cells
 
 
