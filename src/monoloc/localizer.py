@@ -100,8 +100,8 @@ class Localizer:
             self._relocalizer, bundle.supports_scan_search, bundle.supports_landmark_search, bundle.thresholds, mode
         )
         self._integrity = IntegrityMonitor(bundle.integrity, is_searched=start is None)
-        is_builds = has_same_focal(self._camera, bundle.camera)
-        self._camera_check = CameraCheck(bundle.integrity.focal_mean, bundle.integrity.focal_sd, is_builds)
+        has_build_focal = has_same_focal(self._camera, bundle.camera)
+        self._camera_check = CameraCheck(bundle.integrity.focal_mean, bundle.integrity.focal_sd, has_build_focal)
         self._map_change = MapChangeMonitor(bundle.landmarks, bundle.integrity)
         self._state: State = "tracking"
         self._index, self._is_followed = 0, False
@@ -321,7 +321,7 @@ class Localizer:
             self._camera_check.update(landmark_pose, observation.elapsed_s)
         probability_far = self._integrity.probability_far(belief)
         # How many landmarks are found again was measured with the build's focal length.
-        comparable = familiar if self._camera_check.is_builds else None
+        comparable = familiar if self._camera_check.has_build_focal else None
         return Supervision(
             mode=mode,
             probability_far=probability_far,

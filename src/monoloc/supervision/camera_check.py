@@ -49,16 +49,16 @@ class CameraCheck:
 
     Args:
         mean, sd: of landmarks' log-focal, as the build measured it at right poses.
-        is_builds: whether the stated focal length is that of the build's camera.
+        has_build_focal: whether the stated focal length is that of the build's camera.
 
     Attributes:
-        is_builds: as given.
+        has_build_focal: as given.
     """
 
-    def __init__(self, mean: float, sd: float, is_builds: bool) -> None:
+    def __init__(self, mean: float, sd: float, has_build_focal: bool) -> None:
         self._expected, self._bound = mean, max(_LEAST_LOG_FOCAL, _MOST_SD * sd)
         self._sum, self._information, self._measured_s = 0.0, 0.0, 0.0
-        self.is_builds = is_builds
+        self.has_build_focal = has_build_focal
         self._is_confirmed, self._agreed_s = False, 0.0
         self._scene_m = 0.0
 
@@ -70,7 +70,7 @@ class CameraCheck:
     @property
     def is_confirmed(self) -> bool:
         """Whether the stated focal length is the build's, or landmarks have confirmed it in this flight."""
-        return self.is_builds or self._is_confirmed
+        return self.has_build_focal or self._is_confirmed
 
     @property
     def _difference(self) -> float:
@@ -94,7 +94,7 @@ class CameraCheck:
         Args:
             depth: of the frame; None where it was not its turn, so that the scene is as far as before.
         """
-        if self.is_builds:
+        if self.has_build_focal:
             return belief
         if depth is not None and (depth.depth_m > 0.0).any():
             self._scene_m = float(np.median(depth.depth_m[depth.depth_m > 0.0]))
