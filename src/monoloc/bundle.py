@@ -45,7 +45,7 @@ from monoloc.errors import BundleError
 from monoloc.files import read_regular
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray, se3_exp, se3_log
-from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.landmarks.landmark_map import LEAST_RELOCALIZED, Landmarks
 from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.map.down_direction import down_of
@@ -112,7 +112,8 @@ class Bundle:
     @property
     def supports_landmark_search(self) -> bool:
         """Whether landmarks can tell where in the room a lost camera is."""
-        return len(self.landmarks) > 0 and not {"landmarks", "relocalization"} & {*self.settings.without}
+        is_left_out = bool({"landmarks", "relocalization"} & {*self.settings.without})
+        return len(self.landmarks) >= LEAST_RELOCALIZED and not is_left_out
 
     @cached_property
     def down(self) -> FloatArray | None:

@@ -37,9 +37,9 @@ class Observation:
         color: (H, W, 3) uint8 RGB.
         elapsed_s: since the previous frame, 0 at the first.
         is_first: whether there is no previous frame.
-        repeated_s: for how long the image has been the same, bit for bit: 0 where it is new. A repeated image says
-            nothing of the camera's motion, so there is no scan, and no motion unless it is black and another sensor
-            measured one.
+        is_repeated: whether the image is the previous one, bit for bit. It says nothing of the camera's motion, so
+            there is no scan, and no motion unless it is black and another sensor measured one.
+        repeated_s: for how long the image has been the same.
         is_empty: whether the image has no contrast.
         depth: of the frame, its scale and tilt corrected by odometry's corners; None where it was not its turn.
         motion: since the previous frame, None where it is not known at all.
@@ -54,6 +54,7 @@ class Observation:
     color: NDArray[np.uint8]
     elapsed_s: float
     is_first: bool
+    is_repeated: bool
     repeated_s: float
     is_empty: bool
     depth: DepthPrediction | None
@@ -70,7 +71,7 @@ class Observation:
     @property
     def image_is_new(self) -> bool:
         """Whether the image shows something, and not the same as before."""
-        return not self.is_empty and self.repeated_s == 0.0
+        return not self.is_empty and not self.is_repeated
 
 
 class FrontEnd:
@@ -150,6 +151,7 @@ class FrontEnd:
             color=color,
             elapsed_s=elapsed_s,
             is_first=self._is_first,
+            is_repeated=is_repeated,
             repeated_s=self._repeated_s,
             is_empty=is_empty,
             depth=depth,

@@ -159,6 +159,8 @@ def test_repeated_image_gives_neither_motion_nor_scan(depth: DepthPrediction | N
         assert len(observation.scan) == len(observation.corners) == 0
     moved = front_end.observe(COLOR, 0.1, depth, None)
     assert moved.repeated_s == 0.0 and moved.motion is motion and len(moved.scan) == 50
+    at_once = front_end.observe(COLOR, 0.0, depth, None)  # as streams do that give an image twice with one time stamp
+    assert at_once.repeated_s == 0.0 and at_once.is_repeated and not at_once.image_is_new
     assert front_end.observe(COLOR, 0.1, depth, None).repeated_s == pytest.approx(0.1)
 
 

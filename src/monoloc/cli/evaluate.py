@@ -50,8 +50,8 @@ def evaluate(
 ) -> None:
     """Compare a trajectory with reference poses, without alignment.
 
-    Both are in the map's frame. Poses without a reference within 0.02 s count as unmatched, and references
-    without a pose as missed.
+    Both are in the map's frame. A pose and a reference are compared if each is the nearest of the other in time,
+    and within 0.02 s. Other poses count as unmatched, other references as missed.
 
     \b
     Examples:
@@ -63,18 +63,18 @@ def evaluate(
     times, poses = read(trajectory)
     true_times, true_poses = _read_truth(truth, frames, fix_poses, fix_depth)
     nearest = nearest_times(times, true_times)
-    matched = np.abs(times - true_times[nearest]) <= MAX_TIME_DIFFERENCE_S
+    mutual = nearest_times(true_times, times)[nearest] == np.arange(len(times))
+    matched = mutual & (np.abs(times - true_times[nearest]) <= MAX_TIME_DIFFERENCE_S)
     if not matched.any():
         fix = "check that both use the same clock: fly stamps by its own, and by a recording's with --fast"
         if frames != "::":
             fix += "; and that --frames chooses frames of this trajectory"
         raise DataError(trajectory, f"has no pose within {MAX_TIME_DIFFERENCE_S} s of the truth's", fix)
-    missed = np.abs(true_times - times[nearest_times(true_times, times)]) > MAX_TIME_DIFFERENCE_S
     estimated, true = poses[matched], true_poses[nearest[matched]]
     metrics: dict[str, object] = {
         "frames": int(matched.sum()),
         "unmatched": int((~matched).sum()),
-        "missed": int(missed.sum()),
+        "missed": len(true_times) - int(matched.sum()),
         **asdict(summarise(estimated, true)),
     }
     if len(estimated) > 1:

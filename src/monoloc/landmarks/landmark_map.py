@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 from monoloc.array_files import encode_arrays
 from monoloc.geometry import FloatArray, pose_distance_m, se3_exp, se3_log
 
+LEAST_RELOCALIZED = 20
+"""Landmarks that must agree on a pose before it is believed without a prior."""
+
 FAMILIAR_TIMES = 2
 """From how many of the nearest views a landmark was found that is familiar, see :class:`LandmarkViews`."""
 

@@ -13,7 +13,7 @@ from monoloc.evaluation.consistency import CHI2_6_QUANTILE_99
 from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_log, transform
 from monoloc.landmarks.features import MATCH_BITS, KeypointDetector, Keypoints, match_descriptors, nearest_descriptors
 from monoloc.landmarks.landmark_cells import LandmarkCells
-from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.landmarks.landmark_map import LEAST_RELOCALIZED, Landmarks
 from monoloc.landmarks.pnp import (
     LEAST_LANDMARKS,
     PRIOR_COVARIANCE,
@@ -28,7 +28,6 @@ from monoloc.landmarks.pnp import (
 _LEAST_RADIUS_PX, _MOST_RADIUS_PX = 8.0, 50.0  # of the search around a landmark's expected pixel
 _RATIO = 0.85  # of the best match's distance to that of the best match at another place (Lowe 2004)
 _CANDIDATES, _OTHER_PLACE_M = 8, 0.05  # best matches among which another place is sought, and its distance
-_LEAST_CONFIRMED = 20
 # Of a relocalisation: a single object that was moved, such as a window on a screen, may hold all of less spread.
 # At true poses the least was 0.076 and 0.093 (two real rooms, frames near those of the build).
 _LEAST_SPREAD = 0.075
@@ -177,7 +176,7 @@ class OrbLandmarkLocalizer:
             return None
         best = self._best_of_flat_view(seen, place)
         where = best.keypoints
-        is_confirmed = len(where) >= _LEAST_CONFIRMED and self._spread(seen.pixels[where]) >= _LEAST_SPREAD
+        is_confirmed = len(where) >= LEAST_RELOCALIZED and self._spread(seen.pixels[where]) >= _LEAST_SPREAD
         return best if is_confirmed else None
 
     def _best_of_flat_view(self, seen: Keypoints, place: FloatArray) -> _Agreement:

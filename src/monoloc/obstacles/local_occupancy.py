@@ -13,6 +13,7 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.geometry import FloatArray, invert, transform
@@ -28,6 +29,7 @@ RING_M = 0.1
 
 _HIT, _FREE = 0.85, -0.4  # log-odds that a frame adds
 _BEHIND_M = 1.5 * RING_M  # behind a frame's obstacle, which it occupies
+_BESIDE_M = 1.0  # a sector that a straight way leaves within this distance is beside the vehicle: no camera sees it
 _SURE_SD = 2.0  # standard deviations between a distance and its lower bound
 
 
@@ -72,6 +74,9 @@ class Surroundings:
     def free_ahead(self, half_width_m: float, azimuth_rad: float = 0.0) -> FreeSpace:
         """Free space in a direction.
 
+        None is free if a sector that the way crosses is unknown. Only sectors that it leaves within 1 m may be: a
+        camera that looks ahead does not see beside the vehicle.
+
         Args:
             half_width_m: of the vehicle and what it keeps clear beside it.
             azimuth_rad: direction, clockwise from the heading as seen from above.
@@ -82,9 +87,15 @@ class Surroundings:
         aside_m = known_m * (np.abs(np.sin(turned)) - 0.5 * SECTOR_RAD)  # it is somewhere within its sector
         blocks = (along_m > 0.0) & (aside_m < half_width_m)
         distance_m = float(np.min(along_m[blocks], initial=MOST_M))
-        if np.isnan(self.distances_m[sector_of(np.array(azimuth_rad))]):
-            distance_m = 0.0  # nobody knows what is there
+        if np.any(np.isnan(self.distances_m) & self._is_crossed(half_width_m, azimuth_rad)):
+            distance_m = 0.0
         return FreeSpace(distance_m, float(self.error.sd_m(np.array(distance_m))))
+
+    @staticmethod
+    def _is_crossed(half_width_m: float, azimuth_rad: float) -> NDArray[np.bool_]:
+        """Sectors, (72,), that a way of this half-width still crosses farther away than beside the vehicle."""
+        turned = np.remainder(SECTOR_RAD * np.arange(SECTORS) - azimuth_rad + np.pi, 2.0 * np.pi) - np.pi
+        return np.asarray(np.abs(turned) - 0.5 * SECTOR_RAD <= np.arctan2(half_width_m, _BESIDE_M))
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from monoloc.bundle_signature import SIGNATURE, check_signature
 from monoloc.errors import BundleError, DataError, SettingError
 from monoloc.files import read_regular, target_of
 from monoloc.geometry import FloatArray
+from monoloc.landmarks.landmark_map import LEAST_RELOCALIZED
 from monoloc.partial_files import whole_folder
 from monoloc.place.place_manifest import Door, PlaceManifest, RoomEntry, parse_place, place_content
 from monoloc.place.room_index import RoomIndex, selected_descriptors
@@ -117,7 +118,7 @@ def make_place(path: Path, bundles: Sequence[Path], public_key: Path | None = No
 
     Raises:
         BundleError: one is no bundle, or not signed with the key.
-        DataError: one has no landmarks, which tell rooms apart, or the key is none.
+        DataError: one has too few landmarks, which tell rooms apart, or the key is none.
         MissingExtraError: as :func:`monoloc.bundle_signature.check_signature`, with a key only.
         SettingError: two have the same name.
     """
@@ -130,7 +131,7 @@ def make_place(path: Path, bundles: Sequence[Path], public_key: Path | None = No
         room = read_bundle(bundle, public_key)
         if not room.supports_landmark_search:
             fix = "build it with landmarks, from a recording in which several frames see the same corners"
-            raise DataError(bundle, "has no landmarks, which tell rooms apart", fix)
+            raise DataError(bundle, f"has fewer than {LEAST_RELOCALIZED} landmarks, which tell rooms apart", fix)
         relative = Path(os.path.relpath(bundle.resolve(), target_of(path))).as_posix()
         rooms[name] = RoomEntry(name=name, bundle=relative, sha256=digest_of(bundle))
         descriptors.append(selected_descriptors(room.landmarks))

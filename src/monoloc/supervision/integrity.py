@@ -37,6 +37,7 @@ _UNSEEN_S = 1.0  # time for which landmarks stay unseen
 # Rates at which a belief becomes wrong, per second: with odometry, which a kidnap breaks; without, by motion as well.
 _WRONG_RATE, _WRONG_RATE_WITHOUT_ODOMETRY = 0.001, 0.3
 _WRONG_AT_BREAK = 0.1  # probability that the camera was displaced where odometry newly fails on an image
+_LEAST_RIGHT = 1e-4  # probability of a right belief, however long the evidence against it: it can be believed again
 _START_IS_WRONG, _LANDMARKS_ARE_WRONG = 0.02, 0.02  # probability of a given start, of a relocalisation by landmarks
 # Probability of being misled where landmarks contradict a belief that was vouched for: landmarks that agree on one
 # pose may all belong to a thing that was moved.
@@ -258,6 +259,9 @@ class IntegrityMonitor:
             likelihood *= np.array([1.0, 1.0, misled, 1.0])
         posterior = self._probabilities * likelihood
         self._probabilities = posterior / posterior.sum()
+        if self.probability_wrong > 1.0 - _LEAST_RIGHT:
+            self._probabilities *= 1.0 - _LEAST_RIGHT
+            self._probabilities += _LEAST_RIGHT * self._right_unless(0.0)
 
     def _finds_many(self, familiar: FamiliarLandmarks) -> bool:
         """Whether so many of the familiar landmarks are found that hardly any can have been moved."""

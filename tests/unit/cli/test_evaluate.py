@@ -38,6 +38,22 @@ def test_matched_unmatched_and_missed_poses_are_counted(
     assert re.search(r"missed +│ +1 ", succeeds(capfd, "evaluate", "trajectory.txt", truth))
 
 
+def test_a_trajectory_of_a_higher_rate_has_no_errors_of_pairing(
+    capfd: pytest.CaptureFixture[str], here: Path
+) -> None:
+    """Exact poses at 100 Hz of a camera at 1 m/s, against references at 10 Hz."""
+    times = np.arange(400) / 100.0
+    poses = np.tile(np.eye(4), (400, 1, 1))
+    poses[:, 0, 3] = times
+    write_tum(here / "fast.txt", times, poses)
+    write_tum(here / "truth.txt", times[::10], poses[::10])
+    for estimated, truth, unmatched, missed in (("fast", "truth", 360, 0), ("truth", "fast", 0, 360)):
+        metrics = json_of(capfd, "evaluate", f"{estimated}.txt", f"{truth}.txt")
+        assert (metrics["frames"], metrics["unmatched"], metrics["missed"]) == (40, unmatched, missed)
+        assert metrics["ate_max_m"] == pytest.approx(0.0, abs=1e-9)
+        assert metrics["rpe_rmse_m"] == pytest.approx(0.0, abs=1e-9)
+
+
 def test_frames_choose_frames_of_the_truth(capfd: pytest.CaptureFixture[str], here: Path) -> None:
     metrics = json_of(capfd, "evaluate", "flight/poses.txt", "flight", "--frames", "0:2")
     assert (metrics["frames"], metrics["unmatched"], metrics["missed"]) == (2, 1, 0)

@@ -101,3 +101,7 @@ def test_bound_is_two_standard_deviations_nearer_and_the_unknown_is_not_free() -
     assert (free.distance_m, free.sd_m) == (2.0, pytest.approx(0.12))
     assert free.least_m == pytest.approx(1.76)
     assert ahead.free_ahead(0.3, np.pi).distance_m == ahead.free_ahead(0.3, np.pi).least_m == 0.0
+    # A way of 0.8 m crosses sectors up to 22 degrees aside a metre ahead; farther aside is beside the vehicle.
+    narrow = around({sector % 72: np.nan for sector in range(4, 69)})
+    assert narrow.free_ahead(0.2).distance_m == MOST_M and narrow.free_ahead(0.4).distance_m == 0.0
+    assert around(dict.fromkeys(range(5, 68), np.nan)).free_ahead(0.4).distance_m == MOST_M

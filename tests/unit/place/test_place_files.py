@@ -118,7 +118,7 @@ def test_an_index_that_is_not_what_was_written_is_refused(here: Path) -> None:
 
 def test_bundles_that_make_no_place_are_refused(here: Path) -> None:
     path, bare = here / "x.place", here / "bare.monoloc"
-    refuses_data(lambda: make_place(path, [bare]), bare, "has no landmarks", "build it with landmarks")
+    refuses_data(lambda: make_place(path, [bare]), bare, "has fewer than 20 landmarks", "build it with landmarks")
     twice = [here / "hall.monoloc", here / "hall.monoloc"]
     refuses(lambda: make_place(path, twice), SettingError, "two bundles are named hall; rename one")
 

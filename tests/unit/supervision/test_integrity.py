@@ -160,6 +160,14 @@ def test_without_odometry_doubt_grows_and_more_where_it_breaks_on_an_image() -> 
     assert after(monitor, 10.0) < 0.02
 
 
+@pytest.mark.parametrize("seconds", [5.0, 600.0])
+def test_a_belief_is_soon_believed_again_however_long_the_evidence_against_it(seconds: float) -> None:
+    monitor = make_monitor()
+    assert after(monitor, seconds, MISFIT, ABSENT) > 0.99
+    monitor.predict(1e9, odometry_tracked=False, image_is_new=True)
+    assert after(monitor, 1.0, FITS, SEEN) < TRACKING_BELOW
+
+
 def test_frames_without_evidence_or_with_few_landmarks_in_view_change_nothing() -> None:
     monitor = make_monitor()
     before = monitor.probability_wrong
