@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from monoloc.geometry import FloatArray, is_rigid, se3_exp
+from monoloc.geometry import FloatArray, is_rigid, make_pose, so3_exp
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.particle_filter.particles import Particles, scatter
 
@@ -46,10 +46,10 @@ class Start:
         error_rad: float = np.deg2rad(START_ERROR_DEG),
     ) -> Start:
         """A start that is exactly so far from a true pose, in a random direction."""
-        twist = rng.standard_normal(6)
-        twist[:3] *= error_m / np.linalg.norm(twist[:3])
-        twist[3:] *= error_rad / np.linalg.norm(twist[3:])
-        return cls(np.asarray(pose @ se3_exp(twist)), error_m, error_rad)
+        offset, turn = rng.standard_normal((2, 3))
+        offset *= error_m / np.linalg.norm(offset)
+        turn *= error_rad / np.linalg.norm(turn)
+        return cls(np.asarray(pose @ make_pose(so3_exp(turn), offset)), error_m, error_rad)
 
     def particles(self, config: LocalizerConfig, rng: np.random.Generator) -> Particles:
         """Particles with this uncertainty."""

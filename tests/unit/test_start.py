@@ -14,11 +14,12 @@ POSE = se3_exp([0.5, -1.0, 2.0, 0.3, 0.2, -0.4])
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_disturbed_start_is_exactly_as_far_off_as_asked(seed: int) -> None:
-    start = Start.disturbed(POSE, np.random.default_rng(seed), 0.3, 0.2)
+@pytest.mark.parametrize("error_rad", [0.2, 3.0])
+def test_disturbed_start_is_exactly_as_far_off_as_asked(seed: int, error_rad: float) -> None:
+    start = Start.disturbed(POSE, np.random.default_rng(seed), 0.3, error_rad)
     errors = pose_errors(start.pose[None], POSE[None])
-    assert (errors.position_m[0], errors.rotation_rad[0]) == pytest.approx((0.3, 0.2), rel=0.01)
-    assert (start.error_m, start.error_rad) == (0.3, 0.2)
+    assert (errors.position_m[0], errors.rotation_rad[0]) == pytest.approx((0.3, error_rad))
+    assert (start.error_m, start.error_rad) == (0.3, error_rad)
 
 
 def test_root_mean_square_distance_of_particles_is_the_error() -> None:

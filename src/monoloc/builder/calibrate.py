@@ -31,6 +31,7 @@ _ERROR_SETTINGS = {
     "volume": ("noise_sd_m", (0.02, 0.03, 0.05, 0.08, 0.12, 0.2)),
 }
 _LOG_SCALES = np.linspace(-0.4, 0.4, 161)
+_WIDE_LOG_SCALES = np.linspace(-2.0, 2.0, 81)  # among which depth of another unit or scale is told
 _MOST_PAIRS = 30  # of frames that a calibration measures with
 _LEAST_LOG_SCALE_SD = 0.02  # it is less between a build's frames, but away from them the scale varies by as much
 
@@ -63,7 +64,8 @@ def calibrate(
         reference poses gets those of the recording.
 
     Raises:
-        DataError: the recording has no poses or fewer than two frames, or no frame's depth gives a scan.
+        DataError: the recording has no poses or fewer than two frames, no frame's depth gives a scan, or depth is off
+            by a factor beyond 1.5.
     """
     if recording.poses is None:
         raise DataError(recording.name, "has no poses", "calibrate on a recording with camera poses")
@@ -80,6 +82,7 @@ def calibrate(
     samples = depth_samples(recording, _pairs_of_frames(len(recording)), depth, progress)
     base = bundle.settings.model_copy(update={"particle_bias": BiasModel()})
     settings, thresholds = calibrate_likelihood(likelihood_for, samples, base, rng)
+    _check_scale(likelihood_for(settings.likelihood), samples, settings, np.random.default_rng(seed))
     poses = bundle.reference_poses.poses if len(bundle.reference_poses) else recording.poses
     calibrated = replace(
         bundle, settings=settings, thresholds=thresholds, reference_poses=ReferencePoses.without_bias(poses)
@@ -102,6 +105,17 @@ def calibrate(
     )
     settings = settings.model_copy(update={"particle_bias": bias})
     return replace(calibrated, settings=settings, integrity=integrity)
+
+
+def _check_scale(
+    likelihood: ScanLikelihood, samples: list[Sample], settings: LocalizerConfig, rng: np.random.Generator
+) -> None:
+    """Refuse depth whose scale lies outside the range in which it is followed."""
+    scans = scans_of(samples, settings, rng)
+    _, log_scales = _best_over_scales(likelihood, settings.likelihood, scans, _WIDE_LOG_SCALES)
+    factor = float(np.exp(np.median(log_scales)))
+    if abs(np.log(factor)) > _LOG_SCALES[-1]:
+        raise DataError("depth", f"fits the map best if it is multiplied by {factor:.2g}", "give depth in metres")
 
 
 @dataclass(frozen=True)
@@ -166,14 +180,17 @@ def _pairs_of_frames(frames: int) -> NDArray[np.int64]:
 
 
 def _best_over_scales(
-    likelihood: ScanLikelihood, config: LikelihoodConfig, scans: list[tuple[Scan, Sample]]
+    likelihood: ScanLikelihood,
+    config: LikelihoodConfig,
+    scans: list[tuple[Scan, Sample]],
+    log_scales: FloatArray = _LOG_SCALES,
 ) -> tuple[FloatArray, FloatArray]:
     """Best mean log-likelihood of every scan over the depth's scale, (N,), and the log-scale there, (N,)."""
     best = [
-        best_over_scales(likelihood, sample.pose, scan, _LOG_SCALES, config.log_depth_sd) for scan, sample in scans
+        best_over_scales(likelihood, sample.pose, scan, log_scales, config.log_depth_sd) for scan, sample in scans
     ]
-    values, log_scales = zip(*best, strict=True)
-    return np.array(values), np.array(log_scales)
+    values, best_log_scales = zip(*best, strict=True)
+    return np.array(values), np.array(best_log_scales)
 
 
 def slow_sd(log_scales: FloatArray, frames: NDArray[np.int64]) -> float:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from copy import copy
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 import monoloc
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
 from monoloc.components import Components, ComponentsFactory, default_components
+from monoloc.depth.predictor import DepthPrediction
 from monoloc.errors import DataError
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray, invert
@@ -125,6 +128,24 @@ def test_recording_without_poses_is_refused(
     without_poses.poses = None
     with pytest.raises(DataError, match="room: has no poses; calibrate on a recording with camera poses"):
         monoloc.calibrate(bundle, without_poses, components)
+
+
+@pytest.mark.parametrize("factor", [0.3, 0.5, 2.0, 3.0])
+def test_depth_of_another_unit_or_scale_is_refused(
+    bundle: Bundle, build_recording: RoomRecording, factor: float
+) -> None:
+    def make(bundle: Bundle, camera: Camera, config: LocalizerConfig) -> Components:
+        ours = default_components(bundle, camera, config)
+
+        def depth(color: NDArray[np.uint8]) -> DepthPrediction:
+            predicted = ours.depth(color)
+            return replace(predicted, depth_m=factor * predicted.depth_m)
+
+        return replace(ours, depth=depth)
+
+    with pytest.raises(DataError, match=r"depth: fits the map best if it is multiplied by .*; give depth in m") as e:
+        monoloc.calibrate(bundle, build_recording, make)
+    assert float(re.findall("by ([0-9.]+);", str(e.value))[0]) == pytest.approx(1.0 / factor, rel=0.2)
 
 
 def test_recording_of_one_frame_is_refused(bundle: Bundle, components: ComponentsFactory) -> None:
