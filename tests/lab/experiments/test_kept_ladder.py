@@ -130,7 +130,7 @@ SENTENCES: tuple[tuple[str, list[float]], ...] = (
     ),
     (r"untuned bundles have ([\d.]+) cm and tuned ones ([\d.]+) cm, which is undecided", [UNTUNED[3], TUNED[3]]),
     (
-        r"coverage rises from ([\d.]+) to ([\d.]+) to (\d.\d+)",
+        r"coverage is ([\d.]+) to ([\d.]+) without it and (\d.\d+) with it",
         [
             min(each_row("+ scale and tilt", "coverage_95")),
             max(each_row("+ scale and tilt", "coverage_95")),
