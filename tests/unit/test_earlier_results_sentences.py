@@ -24,7 +24,7 @@ from document_numbers import (
     total,
     values,
 )
-from kept_flights import DESK_BEYOND, STRETCHES
+from kept_flights import DESK_BEYOND, KITCHEN_BETWEEN, STRETCHES
 
 PAGE = "docs/results-of-earlier-versions.md"
 SPLITS = ("interpolation", "extrapolation")
@@ -53,6 +53,15 @@ def extremes(found: Iterable[float]) -> list[float]:
 def of_version(commit: str, method: str, stretch: int) -> Rows:
     built_from, frames = STRETCHES[stretch]
     return chosen(FLIGHTS, flown_by=commit, method=method, built_from=built_from, flown=frames)
+
+
+def of_all_stretches(commit: str) -> list[float]:
+    """RMSE, median over builds, by method and stretch."""
+    return [
+        middle(of_version(commit, method, stretch), "rmse_cm")[0]
+        for method in ("default", "without landmarks", "untuned")
+        for stretch in range(4)
+    ]
 
 
 def of_flights(rows: Rows, column: str) -> list[float]:
@@ -113,10 +122,19 @@ BEFORE_THIS_ONE: tuple[Sentence, ...] = (
     (
         "the default had an RMSE of {}, {}, {} and {} cm, the same by depth alone {}, {}, {} and {} cm, and untuned "
         "bundles {}, {}, {} and {} cm.",
+        of_all_stretches("3c59bd0"),
+    ),
+    (
+        "the default had an RMSE of {}, {}, {} and {} cm, the same by depth alone {}, {}, {} and {} cm, and untuned "
+        "bundles {}, {}, {} and {} cm (3 builds); {} of {} frames in RedKitchen, interpolation, and {} of {} at the "
+        "desk, extrapolation, were silently",
         [
-            middle(of_version("3c59bd0", method, stretch), "rmse_cm")[0]
-            for method in ("default", "without landmarks", "untuned")
-            for stretch in range(4)
+            *of_all_stretches("2554d1a"),
+            *(
+                total(of_version("2554d1a", "default", stretch), column)
+                for stretch in (KITCHEN_BETWEEN, DESK_BEYOND)
+                for column in ("silent_3_5_sigma", "frames")
+            ),
         ],
     ),
     (
@@ -151,7 +169,7 @@ BEFORE_THIS_ONE: tuple[Sentence, ...] = (
     ("The coverage of the same build was {} before", [BEFORE["coverage_95"]]),
     (", and {} after.", [AFTER["coverage_95"]]),
     (
-        "build 0 of [five](results.md#this-version) had {} silent frames of {} in RedKitchen, all of them among the "
+        "build 0 of [five](#flights) had {} silent frames of {} in RedKitchen, all of them among the "
         "{} with a wrong focal length, and {} of {} at the desk, {} of them among the {} with one",
         [
             silent(BUILD_0["redkitchen"]),
