@@ -127,7 +127,7 @@ BEFORE_THIS_ONE: tuple[Sentence, ...] = (
     (
         "the default had an RMSE of {}, {}, {} and {} cm, the same by depth alone {}, {}, {} and {} cm, and untuned "
         "bundles {}, {}, {} and {} cm (3 builds); {} of {} frames in RedKitchen, interpolation, and {} of {} at the "
-        "desk, extrapolation, were silently",
+        "desk, extrapolation, were silently beyond 3.5 sigma",
         [
             *of_all_stretches("2554d1a"),
             *(
