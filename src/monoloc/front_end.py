@@ -215,8 +215,9 @@ class FrontEnd:
 
     def _check_image(self, color: NDArray[np.uint8]) -> None:
         shape = (self._camera.height, self._camera.width, 3)
-        if color.shape != shape or color.dtype != np.uint8:
-            raise ValueError(f"color must have the camera's shape {shape} as uint8, got {color.shape} {color.dtype}")
+        if np.shape(color) != shape or color.dtype != np.uint8:
+            given = f"{np.shape(color)} {getattr(color, 'dtype', type(color).__name__)}"
+            raise ValueError(f"color must have the camera's shape {shape} as uint8, got {given}")
 
     def _corrected(self, depth: DepthPrediction, motion: Motion | None) -> DepthPrediction:
         if motion is None or self._config.scale_tilt is None:

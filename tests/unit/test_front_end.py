@@ -164,6 +164,12 @@ def test_repeated_image_gives_neither_motion_nor_scan(depth: DepthPrediction | N
     assert front_end.observe(COLOR, 0.1, depth, None).repeated_s == pytest.approx(0.1)
 
 
+def test_an_image_that_could_not_be_read_is_refused() -> None:
+    """OpenCV returns None for a file that it cannot read."""
+    with pytest.raises(ValueError, match=r"color must have the camera's shape .* got \(\) NoneType"):
+        make_front_end(_Odometry()).observe(None, 0.0, None, None)  # type: ignore[arg-type]
+
+
 def test_image_that_its_owner_overwrites_is_not_a_repeated_one() -> None:
     """A camera driver that gives the same buffer with every frame."""
     front_end, buffer = make_front_end(), COLOR.copy()

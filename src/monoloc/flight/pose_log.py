@@ -25,7 +25,7 @@ class PoseLog:
     Frames are named by their number among the localised ones, six digits, as are the images of a recorded flight.
 
     Args:
-        path: is replaced.
+        path: is replaced with the first row, not before: a flight without a frame leaves what was there.
         has_rooms: whether the flight is in a place, so that a last column says in which room's world a pose is.
 
     Raises:
@@ -35,12 +35,11 @@ class PoseLog:
     def __init__(self, path: Path, has_rooms: bool = False) -> None:
         self._path, self._has_rooms = path, has_rooms
         try:
-            self._file = path.open("wb", buffering=0)  # a buffer would keep the rest of a row for later
+            self._file = path.open("ab", buffering=0)  # a buffer would keep the rest of a row for later
         except OSError as error:
             fix = "name a file in a folder you can write to"
             raise DataError(path, f"cannot be written ({error.strerror})", fix) from error
         self._size = self._count = 0  # bytes of whole rows, and frames
-        self._write((*COLUMNS, ROOM) if has_rooms else COLUMNS)
 
     def take(self, result: FlightStep) -> None:
         """Add a frame: a lost one too, whose pose says nothing."""
@@ -57,6 +56,16 @@ class PoseLog:
         return row(time_s, name, result.step)
 
     def _write(self, values: tuple[str, ...]) -> None:
+        if self._size == 0:
+            self._begin()
+        self._write_row(values)
+
+    def _begin(self) -> None:
+        if self._path.is_file():
+            self._file.truncate(0)
+        self._write_row((*COLUMNS, ROOM) if self._has_rooms else COLUMNS)
+
+    def _write_row(self, values: tuple[str, ...]) -> None:
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerow(values)
         content = left = text.getvalue().encode()

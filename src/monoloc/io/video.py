@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -61,7 +62,8 @@ class VideoRecording:
         if camera is None:
             problem = "is a video, without poses, without depth, and says nothing of its camera"
             known = f"give --camera FILE.toml of monoloc calibrate, or --camera {width},{height},FX,FY,CX,CY"
-            fix = f"{known}; to find it: monoloc reconstruct {path} --out {path.stem} --camera-out cam.toml"
+            command = ["monoloc", "reconstruct", str(path), "--out", path.stem, "--camera-out", "cam.toml"]
+            fix = f"{known}; to find it: {shlex.join(command)}"
             raise DataError(path, problem, fix)
         if (camera.width, camera.height) != (width, height):
             turned = f", turned by the {self._frames.rotation_deg} degrees of its rotation tag"

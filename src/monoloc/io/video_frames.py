@@ -95,7 +95,8 @@ class VideoFrames:
         self._capture = cv2.VideoCapture(str(self.path))
         self._next = 0
         if not self._capture.isOpened():
-            raise DataError(self.path, "cannot be decoded as a video", "convert it to .mp4 or .avi")
+            fix = "copy it again if it was cut short, or convert it to .mp4 or .avi"
+            raise DataError(self.path, "cannot be decoded as a video", fix)
         self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, float(self._turned))  # the default depends on the version
 
 

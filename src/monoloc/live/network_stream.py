@@ -17,11 +17,14 @@ from monoloc.live.frame_source import CameraGoneError, EndOfStreamError
 
 _TIMEOUT_S = 5.0  # for opening, and for the next packet
 _OPTIONS = {"rtsp_transport": "tcp", "fflags": "nobuffer"}  # TCP loses no packets
+# Containers of bare images hold no times: FFmpeg counts their frames, at 25 a second whatever the camera's rate.
+_WITHOUT_STAMPS = {"mpjpeg", "mjpeg", "h264", "hevc"}
 _CREDENTIALS = re.compile(r"(?<=//)[^/]*@")  # of a URL: they belong in no message
 
 
 class NetworkStream:
-    """A :class:`~monoloc.live.newest_frame.Grabber` of a URL, with times from the stream's own stamps.
+    """A :class:`~monoloc.live.newest_frame.Grabber` of a URL, with times from the stream's own stamps, or of arrival
+    where it has none.
 
     A file on a server, whose size or duration is known, ends; a camera that ends is gone and may come back.
 
@@ -35,7 +38,7 @@ class NetworkStream:
         self._url = url
         self._container: Any = None
         self._frames: Any = None
-        self._is_file = False
+        self._is_file = self._has_stamps = False
         self._clock = CaptureClock()
 
     def open(self) -> None:
@@ -54,6 +57,7 @@ class NetworkStream:
         # Some cameras state a duration over RTSP that means nothing.
         is_rtsp = self._url.startswith("rtsp")
         self._is_file = not is_rtsp and (self._container.duration is not None or self._container.size > 0)
+        self._has_stamps = self._container.format.name not in _WITHOUT_STAMPS
         self._clock = CaptureClock()
 
     def _decoded(self, video: Any) -> Iterator[Any]:
@@ -85,7 +89,8 @@ class NetworkStream:
                 raise DataError(self.name, problem, "copy it here, and name the file") from error
             raise CameraGoneError from error
         color: NDArray[np.uint8] = frame.to_ndarray(format="rgb24")
-        return color, arrived_s if frame.time is None else self._clock.captured_s(frame.time, arrived_s)
+        is_stamped = self._has_stamps and frame.time is not None
+        return color, self._clock.captured_s(frame.time, arrived_s) if is_stamped else arrived_s
 
     def close(self) -> None:
         if self._container is not None:

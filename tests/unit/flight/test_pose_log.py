@@ -67,7 +67,20 @@ def test_a_file_that_cannot_be_written_is_named_at_once_or_when_the_disk_is_full
     refuses_data(lambda: PoseLog(tmp_path), tmp_path, "cannot be written .Is a directory.", "folder you can write to")
     full = Path("/dev/full")  # every write to it finds no space
     if full.exists():
-        refuses_data(lambda: PoseLog(full), full, "cannot be written .No space left on device.", "make room")
+        log, result = PoseLog(full), result_at(0.1, step_at(np.eye(4)))
+        refuses_data(lambda: log.take(result), full, "cannot be written .No space left on device.", "make room")
+
+
+def test_a_flight_without_a_frame_leaves_the_table_of_the_one_before(tmp_path: Path) -> None:
+    path, result = tmp_path / "poses.csv", result_at(0.1, step_at(np.eye(4)))
+    path.write_text("of the flight before\n")
+    PoseLog(path).close()
+    assert path.read_text() == "of the flight before\n"
+    log = PoseLog(path)
+    log.take(result)
+    log.close()
+    header, row = path.read_text().splitlines()
+    assert header.startswith("time_s,frame,") and row.startswith("0.1,000000,")
 
 
 def test_a_disk_that_fills_up_is_said_once_and_the_rows_before_are_whole(tmp_path: Path) -> None:

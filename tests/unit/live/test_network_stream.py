@@ -6,12 +6,13 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler, SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -61,6 +62,39 @@ def served(*contents: bytes, pause_s: float = 0.0) -> Iterator[str]:
         thread.start()
         yield f"tcp://127.0.0.1:{server.getsockname()[1]}"
         thread.join(10.0)
+
+
+class _SlowCamera(BaseHTTPRequestHandler):
+    """Motion JPEG, ten images a second, whose container has no time stamps."""
+
+    def do_GET(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=next")
+        self.end_headers()
+        for index in range(14):
+            _, jpeg = cv2.imencode(".jpg", np.full((48, 64, 3), 10 * index, np.uint8))
+            part = f"--next\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+            with suppress(ConnectionError):  # the client has seen enough
+                self.wfile.write(part.encode() + jpeg.tobytes() + b"\r\n")
+            time.sleep(0.1)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Nothing."""
+
+
+def test_motion_jpeg_is_timed_on_arrival() -> None:
+    """FFmpeg counts its images at 25 a second: those of a slower camera would seem older and older."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), _SlowCamera) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        stream = NetworkStream(f"http://127.0.0.1:{server.server_address[1]}/stream")
+        stream.open()
+        ages_s = []
+        for _ in range(10):
+            _, captured_s = stream.grab()
+            ages_s.append(time.monotonic() - captured_s)
+        stream.close()
+        server.shutdown()
+    assert max(ages_s) < 0.3
 
 
 def frames_of(stream: NetworkStream, end: type[Exception] = CameraGoneError) -> tuple[list[int], list[float]]:
