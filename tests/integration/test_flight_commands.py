@@ -109,6 +109,9 @@ def test_a_flight_that_was_killed_is_replayed_up_to_there(capfd: Capture, here: 
     events = here / "log" / "frames.jsonl"
     lines = events.read_bytes().splitlines(keepends=True)
     events.write_bytes(b"".join(lines[:6]) + lines[6][:-10])
+    poses = here / "log" / "poses.csv"
+    refused(capfd, here, ("replay", "log"), "log", f"holds 6 frames for {FRAMES} poses", "copy the whole folder")
+    poses.write_bytes(b"".join(poses.read_bytes().splitlines(keepends=True)[:8]))  # a header and seven poses
     assert json_of(capfd, "replay", "log") == {
         "frames": 6,
         "different_frames": 0,

@@ -74,7 +74,10 @@ def replay(
         if len(recorded) <= frames:
             problem = f"has {max(0, len(recorded) - 1)} poses for {frames} frames"
             raise DataError(folder / POSES, problem, "give another flight")
-        pairs = zip(recorded[1:], _lines(again / POSES)[1:], strict=False)  # after a kill, the last pose has no frame
+        if len(recorded) > frames + 2:  # after a kill, the last pose has no frame
+            problem = f"holds {frames} frames for {len(recorded) - 1} poses"
+            raise DataError(folder, problem, "copy the whole folder again")
+        pairs = zip(recorded[1:], _lines(again / POSES)[1:], strict=False)
         different = [index for index, (before, now) in enumerate(pairs) if before != now]
         same_messages = None if header.firmware is None else _begins_with(folder / MESSAGES, again / MESSAGES)
         if out is not None:
