@@ -29,7 +29,7 @@ from monoloc.cli.common import (
 from monoloc.cli.signature import RequireSignatureOption
 from monoloc.errors import SettingError
 from monoloc.place.door_measurement import MeasuredDoor, measure_door, same_world_door
-from monoloc.place.place_files import Place, check_place_target, make_place, read_place, write_place
+from monoloc.place.place_files import Place, check_place_target, make_place, read_place, replaced_doors, write_place
 from monoloc.place.place_run import PlaceRun, localize_in_place
 from monoloc.place.place_table import PlaceTable
 from monoloc.progress import ConsoleProgress
@@ -57,9 +57,12 @@ def new(
       monoloc place new house.place kitchen.monoloc hall.monoloc study.monoloc
     """
     check_place_target(place)
-    made = make_place(place, bundles, require_signature)
+    made, doors = make_place(place, bundles, require_signature), replaced_doors(place)
     size = write_place(made)
     stderr.print(f"written: {place} ({len(made.names)} rooms, no doors yet)", soft_wrap=True)
+    if doors:
+        note = f"the doors that it had are gone ({doors}); measure them again by place door"
+        stderr.print(f"note: {place}: {note}", soft_wrap=True)
     if json:
         print_json({"place": str(place), "rooms": made.names, "bytes": size})
 

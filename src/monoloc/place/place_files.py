@@ -162,6 +162,14 @@ def check_place_target(path: Path) -> None:
         raise DataError(path, f"holds more than a place ({others[0]})", "move that away or choose another name")
 
 
+def replaced_doors(path: Path) -> int:
+    """Number of doors of the place that :func:`write_place` would replace, 0 where there is none that can be read."""
+    try:
+        return len(parse_place(place_content(path), path / PLACE_MANIFEST).doors)
+    except DataError:
+        return 0
+
+
 def write_place(place: Place) -> int:
     """Write a place, replacing an older one and its signature; returns its size in bytes, without the bundles.
 
