@@ -76,8 +76,8 @@ def test_sentence_of_whom_it_is_not_for() -> None:
     last = ROOM["never_updated"]
     expected = [100.0 * last["median_m"], last["silent"], last["vouched_for"], silent, vouched_for]
     sentence = (
-        "the median error was {} cm, and {} of {} frames were *tracking* or *map-changed* more than 30 cm off, "
-        "and on one of the days {} of {}."
+        "had a median error of {} cm, and {} of {} frames were *tracking* or *map-changed* more than 30 cm off; "
+        "on the worst day {} of {} (1 build)."
     )
     agree_sentence("docs/is-it-for-me.md", sentence, expected)
 

@@ -11,7 +11,7 @@ def test_sentences_of_the_papers_method() -> None:
     sentences = {
         "has a median of {} cm and an RMSE of {} cm between the build frames": between,
         ", and {} and {} cm beyond them": beyond,
-        "Ten times the particles, beyond, give {} and {} cm": many,
+        "ten times the particles, beyond the build frames, it has {} and {} cm": many,
         "the error falls from {} to {} %": [100.0 * error for error in kept["held_out_absrel"]],
         "moved by {} cm in the median": [kept["shift_median_cm"]],
     }
