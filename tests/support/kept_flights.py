@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 from document_numbers import Rows, by_build, chosen, middle, only, table_of
-from monoloc_lab.experiments.interval import Interval, interval_of
+from monoloc_lab.experiments.interval import Interval, interval_of, medians_of_builds
 
 FLIGHTS = table_of("this-version.csv")
 STRETCHES = (
@@ -35,6 +38,15 @@ def over_untuned(stretch: int) -> Interval:
     """RMSE of the default over that of the untuned bundle of the same seed."""
     default, others = (by_build(flown(method, stretch), "rmse_cm") for method in ("default", "untuned"))
     return interval_of([default[seed] / others[seed] for seed in others])
+
+
+def papers_rmse_cm(ladder: Sequence[Mapping[str, Any]]) -> list[float]:
+    """RMSE of the paper's method in each room and split of a ladder, medians over builds."""
+    rows = [row for row in ladder if row["rung"] == "the paper's method"]
+    return [
+        interval_of([*medians_of_builds(rows, "rmse_cm", room=room, split=split).values()]).median
+        for room, split in dict.fromkeys((row["room"], row["split"]) for row in rows)
+    ]
 
 
 def of_network(

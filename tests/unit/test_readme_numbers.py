@@ -22,11 +22,11 @@ from document_numbers import (
     page,
     table_of,
     tables_of,
+    three,
     total,
     tracking_percent,
 )
-from kept_flights import DESK_BEYOND, KITCHEN_BETWEEN, flown, over, over_untuned
-from monoloc_lab.experiments.interval import interval_of, medians_of_builds
+from kept_flights import DESK_BEYOND, KITCHEN_BETWEEN, flown, over, over_untuned, papers_rmse_cm
 
 FLIGHTS = table_of("this-version.csv")
 RENDERED_FLIGHTS = table_of("rendered-rooms.csv")
@@ -87,18 +87,6 @@ def test_table_of_readme() -> None:
 # --- Sentences ---
 
 
-def papers_least_cm() -> float:
-    """Least RMSE of the paper's method, of each room and split the median over builds."""
-    rows = [*json_of("ladder.json"), *json_of("ladder-rendered.json")]
-    medians = [
-        interval_of(
-            list(medians_of_builds(rows, "rmse_cm", split=split, rung="the paper's method", room=room).values())
-        )
-        for room, split in {(row["room"], row["split"]) for row in rows}
-    ]
-    return min(each.median for each in medians)
-
-
 def largest_over_smallest() -> float:
     builds = by_build(flown("default", DESK_BEYOND), "rmse_cm").values()
     return max(builds) / min(builds)
@@ -126,22 +114,26 @@ SENTENCES: tuple[Sentence, ...] = (
     ),
     ("of the {} of RedKitchen, interpolation, {} ({} and {})", silent(flown("default", KITCHEN_BETWEEN))),
     (
-        "{} and {} times in RedKitchen, interpolation and extrapolation, {} and {} times at the desk",
-        [over("without scans", stretch).median for stretch in range(4)],
+        "{} ({}–{}) and {} ({}–{}) times in RedKitchen, interpolation and extrapolation, {} ({}–{}) and {} ({}–{}) "
+        "times at the desk",
+        [number for stretch in range(4) for number in three(over("without scans", stretch))],
     ),
     (
         "without them, {} of {} frames are silently beyond 3.5 sigma",
         [total(flown("without scans", DESK_BEYOND), name) for name in ("silent_3_5_sigma", "frames")],
     ),
     (
-        "is {} times that of untuned bundles, and at the desk, extrapolation, it is undecided, with {} of {} frames "
-        "of untuned bundles silently beyond 3.5 sigma",
+        "is {} ({}–{}) times that of untuned bundles (3 builds), and at the desk, extrapolation, it is undecided, "
+        "with {} of {} frames of untuned bundles silently beyond 3.5 sigma",
         [
-            over_untuned(KITCHEN_BETWEEN).median,
+            *three(over_untuned(KITCHEN_BETWEEN)),
             *(total(flown("untuned", DESK_BEYOND), name) for name in ("silent_3_5_sigma", "frames")),
         ],
     ),
-    ("has an RMSE of {} cm or more in all four", [papers_least_cm()]),
+    (
+        "has an RMSE of {} cm or more in all four",
+        [min(papers_rmse_cm([*json_of("ladder.json"), *json_of("ladder-rendered.json")]))],
+    ),
     ("the largest of the five builds is {} times the smallest", [largest_over_smallest()]),
     (
         "the RMSE is {} and {} cm in medium light, and {} and {} cm in near darkness (1 build a room, {} flights",

@@ -16,8 +16,8 @@ from document_numbers import (
     sections_of,
     table_of,
 )
-from kept_flights import of_network
-from monoloc_lab.experiments.interval import Interval, interval_of, medians_of_builds, step_of
+from kept_flights import of_network, papers_rmse_cm
+from monoloc_lab.experiments.interval import Interval, step_of
 from monoloc_lab.experiments.ladder import ratio
 
 PAGE = "docs/results.md"
@@ -72,19 +72,6 @@ def without_transform() -> list[Interval]:
     return [each for each in found if each is not None]
 
 
-def of_papers_own_filter() -> list[float]:
-    """Smallest and largest RMSE of the paper's method in two rooms and two splits, medians over builds."""
-    rows = [row for row in LADDER if row["rung"] == "the paper's method"]
-    errors = [
-        interval_of(
-            list(medians_of_builds([row for row in rows if row["room"] == room], "rmse_cm", split=split).values())
-        )
-        for room in ("RedKitchen", "office desk")
-        for split in SPLITS
-    ]
-    return [min(each.median for each in errors), max(each.median for each in errors)]
-
-
 LANDMARK_MEDIANS = {
     split: [float(of_network(size, split, landmarks="yes")["median_cm"]) for size in SIZES] for split in SPLITS
 }
@@ -109,7 +96,7 @@ SENTENCES: tuple[Sentence, ...] = (
         "In another build it was {} cm ({}–{}) against {} cm ({}–{})",
         [*of_another_build("last+map"), *of_another_build("unadapted")],
     ),
-    ("the RMSE of the paper's method is [{} to {} cm]", of_papers_own_filter()),
+    ("the RMSE of the paper's method is [{} to {} cm]", [bound(papers_rmse_cm(LADDER)) for bound in (min, max)]),
     (
         "{} to {} cm in RedKitchen (extrapolation, `full`), {} to {} cm in the living room (L2, `full`)",
         [*over_lambdas(KITCHEN), *over_lambdas(LIVING_ROOM)],

@@ -31,7 +31,7 @@ _ERROR_SETTINGS = {
     "volume": ("noise_sd_m", (0.02, 0.03, 0.05, 0.08, 0.12, 0.2)),
 }
 _LOG_SCALES = np.linspace(-0.4, 0.4, 161)
-_WIDE_LOG_SCALES = np.linspace(-2.0, 2.0, 81)  # among which depth of another unit or scale is told
+_WIDE_LOG_SCALES = np.linspace(-2.0, 2.0, 81)  # among which depth of another unit or scale is found
 _MOST_PAIRS = 30  # of frames that a calibration measures with
 _LEAST_LOG_SCALE_SD = 0.02  # it is less between a build's frames, but away from them the scale varies by as much
 

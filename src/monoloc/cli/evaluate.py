@@ -23,10 +23,10 @@ from monoloc.cli.pose_warning import warn_of_poses
 from monoloc.errors import DataError, SettingError
 from monoloc.evaluation.trajectory import relative_pose_errors, summarise
 from monoloc.geometry import FloatArray
-from monoloc.io.pose_files import nearest_times, read_tum
+from monoloc.io.pose_files import read_tum
 from monoloc.io.pose_table import read_pose_table
 from monoloc.io.registry import FORMATS
-from monoloc.io.tum_recording import MAX_TIME_DIFFERENCE_S
+from monoloc.io.tum_recording import MAX_TIME_DIFFERENCE_S, mutual_nearest
 
 
 def evaluate(
@@ -62,15 +62,14 @@ def evaluate(
     read = read_pose_table if trajectory.suffix.lower() == ".csv" else read_tum
     times, poses = read(trajectory)
     true_times, true_poses = _read_truth(truth, frames, fix_poses, fix_depth)
-    nearest = nearest_times(times, true_times)
-    mutual = nearest_times(true_times, times)[nearest] == np.arange(len(times))
-    matched = mutual & (np.abs(times - true_times[nearest]) <= MAX_TIME_DIFFERENCE_S)
+    partner = mutual_nearest(times, true_times)
+    matched = partner >= 0
     if not matched.any():
         fix = "check that both use the same clock: fly stamps by its own, and by a recording's with --fast"
         if frames != "::":
             fix += "; and that --frames chooses frames of this trajectory"
         raise DataError(trajectory, f"has no pose within {MAX_TIME_DIFFERENCE_S} s of the truth's", fix)
-    estimated, true = poses[matched], true_poses[nearest[matched]]
+    estimated, true = poses[matched], true_poses[partner[matched]]
     metrics: dict[str, object] = {
         "frames": int(matched.sum()),
         "unmatched": int((~matched).sum()),

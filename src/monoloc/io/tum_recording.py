@@ -108,12 +108,12 @@ def _read_list(path: Path) -> tuple[FloatArray, list[Path]]:
     return times_s, files
 
 
-def mutual_nearest(color_s: FloatArray, depth_s: FloatArray) -> NDArray[np.int64]:
-    """Index of the matching depth image for each colour image, or -1: (N,), (M,) seconds, increasing -> (N,).
+def mutual_nearest(times_s: FloatArray, others_s: FloatArray) -> NDArray[np.int64]:
+    """Index of the matching other entry for each entry, or -1: (N,), (M,) seconds, increasing -> (N,).
 
-    Matching images are mutual nearest neighbours, hence one to one, at most 20 ms apart.
+    Matching entries are mutual nearest neighbours, hence one to one, at most 20 ms apart.
     """
-    partner = nearest_times(color_s, depth_s)
-    mutual = nearest_times(depth_s, color_s)[partner] == np.arange(len(color_s))
-    close = np.abs(depth_s[partner] - color_s) <= MAX_TIME_DIFFERENCE_S
+    partner = nearest_times(times_s, others_s)
+    mutual = nearest_times(others_s, times_s)[partner] == np.arange(len(times_s))
+    close = np.abs(others_s[partner] - times_s) <= MAX_TIME_DIFFERENCE_S
     return np.where(mutual & close, partner, -1)
