@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <thread>
 #include <vector>
 
 #include "monoloc/drawing.hpp"
@@ -374,7 +375,7 @@ NB_MODULE(_core, m) {
              double voxel_m, double floor_density, double tolerance) {
             nb::gil_scoped_release release;
             new (self) monoloc::MixtureIndex(components(weights, means, covariances),
-                                             {voxel_m, floor_density, tolerance});
+                                             {voxel_m, floor_density, tolerance, std::thread::hardware_concurrency()});
           },
           "weights"_a, "means"_a, "covariances"_a, "voxel_m"_a, "floor_density"_a, "tolerance"_a)
       .def("log_density", &index_log_density, "points"_a)

@@ -22,6 +22,14 @@ void test_index() {
     worst = std::max(worst, std::abs(std::log(std::exp(result[i]) + floor) - exact));
   }
   CHECK(worst < 2.0 * tolerance);
+  // Built by several threads, it is the same index.
+  const monoloc::MixtureIndex shared(room.components, {0.02, floor, tolerance, 5});
+  const monoloc::MixtureIndex alone(room.components, {0.02, floor, tolerance, 1});
+  std::vector<double> of_shared(count), of_alone(count);
+  shared.log_density(x.data(), count, of_shared.data());
+  alone.log_density(x.data(), count, of_alone.data());
+  CHECK(shared.voxels() > 100000 && shared.voxels() == alone.voxels() && shared.bytes() == alone.bytes());
+  CHECK(of_shared == of_alone);
   const double far[3] = {1e6, -1e9, 0.0};
   index.log_density(far, 1, result.data());
   CHECK(std::isinf(result[0]) && result[0] < 0.0);

@@ -15,6 +15,7 @@ struct IndexSettings {
   double voxel_m;         // edge of a voxel
   double floor_density;   // smallest outlier density in use, 1/m^3
   double tolerance;       // allowed relative error of (density + floor) in a voxel
+  std::size_t threads = 1;  // that build it; their number does not affect the result
 };
 
 class MixtureIndex {
