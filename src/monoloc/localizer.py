@@ -321,7 +321,7 @@ class Localizer:
             self._camera_check.update(landmark_pose, observation.elapsed_s)
         probability_far = self._integrity.probability_far(belief)
         # How many landmarks are found again was measured with the build's focal length.
-        comparable = familiar if self._camera_check.has_build_focal else None
+        comparable = familiar.shown() if familiar is not None and self._camera_check.has_build_focal else None
         return Supervision(
             mode=mode,
             probability_far=probability_far,
@@ -340,7 +340,7 @@ class Localizer:
         views = self._bundle.landmarks.views
         if landmarks is None or landmarks.pose is None or views is None:
             return None
-        return views.familiar(belief.pose, landmarks.visible, landmarks.is_found)
+        return views.familiar(belief.pose, landmarks.visible, landmarks.is_found, landmarks.is_shown)
 
 
 def _untimed(name: Stage) -> AbstractContextManager[None]:

@@ -132,7 +132,7 @@ class Preflight:
             remark = "look at things that are near and far for a few seconds, or build with this camera"
             yield Finding("intrinsics", "warning", "the focal length is not the build's, nor confirmed", remark)
         elif np.median(self._landmarks) >= _GOOD_LANDMARKS:
-            yield Finding("intrinsics", "good", "landmarks fit the stated focal length")
+            yield Finding("intrinsics", "good", "landmarks do not contradict the stated focal length")
         else:
             yield Finding("intrinsics", "warning", "not compared", "look where the build recorded corners")
 

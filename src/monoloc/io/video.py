@@ -16,6 +16,7 @@ from monoloc.io.video_frames import VideoFrames
 
 _SUFFIXES = {".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpg", ".webm"}
 _GUESSED_FOCAL = 0.85  # of the longer side: 61 degrees, as most phones film
+_WHOLE_SHARE = 0.95  # of the frames that a file states, from which it counts as whole
 
 
 def recognises(path: Path) -> bool:
@@ -39,6 +40,15 @@ def has_guessed_camera(recording: Recording) -> bool:
     if isinstance(recording, Selection):
         return has_guessed_camera(recording.source)
     return isinstance(recording, VideoRecording) and recording.camera_is_guessed
+
+
+def _cut_note(count: int, stated_count: int) -> list[str]:
+    """A note where far fewer frames can be decoded than a file states; the last few may be missing of a whole one."""
+    if count >= _WHOLE_SHARE * stated_count:
+        return []
+    return [
+        f"only {count} of the {stated_count} frames that the file states can be decoded; copy it again if it was cut"
+    ]
 
 
 class VideoRecording:
@@ -79,7 +89,7 @@ class VideoRecording:
         self.frame_names = [f"{index:06d}" for index in range(len(self.timestamps_s))]
         self.poses: NDArray[np.float64] | None = None
         self.has_depth = False
-        self.notes: list[str] = []
+        self.notes = _cut_note(len(self.timestamps_s), self._frames.stated_count)
 
     def __len__(self) -> int:
         return len(self.frame_names)

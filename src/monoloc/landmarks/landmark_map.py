@@ -35,10 +35,17 @@ class FamiliarLandmarks:
     Attributes:
         indices: (F,) int64, in the room's landmarks.
         is_found: (F,) bool, whether the image shows each of them where it should be.
+        is_shown: (F,) bool, whether the image shows anything there.
     """
 
     indices: NDArray[np.int64]
     is_found: NDArray[np.bool_]
+    is_shown: NDArray[np.bool_]
+
+    def shown(self) -> FamiliarLandmarks:
+        """Those where the image shows anything: only these tell whether the room has changed."""
+        shown = self.is_shown
+        return FamiliarLandmarks(self.indices[shown], self.is_found[shown], shown[shown])
 
 
 @dataclass(frozen=True)
@@ -76,7 +83,11 @@ class LandmarkViews:
         return None if len(nearest) < 2 else self.found[nearest].sum(axis=0)
 
     def familiar(
-        self, pose: FloatArray, visible: NDArray[np.int64], is_found: NDArray[np.bool_]
+        self,
+        pose: FloatArray,
+        visible: NDArray[np.int64],
+        is_found: NDArray[np.bool_],
+        is_shown: NDArray[np.bool_],
     ) -> FamiliarLandmarks | None:
         """Those of the landmarks in view that at least :data:`FAMILIAR_TIMES` of the nearest views found.
 
@@ -84,6 +95,7 @@ class LandmarkViews:
             pose: ``T_world_camera``, (4, 4).
             visible: (E,) indices of the landmarks in view.
             is_found: (E,) whether each of them is found.
+            is_shown: (E,) whether the image shows anything there.
 
         Returns:
             None where fewer than two views are near.
@@ -92,7 +104,7 @@ class LandmarkViews:
         if times is None:
             return None
         is_familiar = times[visible] >= FAMILIAR_TIMES
-        return FamiliarLandmarks(visible[is_familiar], is_found[is_familiar])
+        return FamiliarLandmarks(visible[is_familiar], is_found[is_familiar], is_shown[is_familiar])
 
     def nearest(self, pose: FloatArray) -> NDArray[np.int64]:
         """Indices of the nearest views, at most three, that are near a pose (4, 4)."""

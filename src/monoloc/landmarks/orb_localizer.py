@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,6 +40,9 @@ _APART_M, _RIVAL_SHARE = 0.5, 0.3
 _SAME_POSE = 0.02
 _RIVAL_CANDIDATES, _MOST_RIVALS = 32, 8  # best matches of a keypoint among which other places are sought
 _TRIPLES, _RIVAL_TRIPLES = 2000, 200  # of RANSAC
+# A part of the image shows nothing where squares of so many tiles a side have no keypoint, and if such squares make
+# up so much of the image.
+_TILE_PX, _BLANK_TILES, _LEAST_BLANK = 40.0, 3, 0.25
 
 
 @dataclass(frozen=True)
@@ -47,12 +51,14 @@ class _Agreement:
 
     Attributes:
         visible: (E,) indices of the landmarks in view.
+        is_shown: (E,) whether the image shows anything where they should be, see :func:`_is_shown`.
         found: (A,) indices in ``visible`` of those that agree.
         keypoints: (A,) indices of their keypoints.
         fit: the pose; None where too few agree, or where they leave a direction undetermined.
     """
 
     visible: NDArray[np.int64]
+    is_shown: NDArray[np.bool_]
     found: NDArray[np.int64]
     keypoints: NDArray[np.int64]
     fit: PoseFit | None
@@ -61,7 +67,7 @@ class _Agreement:
         is_found = np.zeros(len(self.visible), dtype=np.bool_)
         is_found[self.found] = True
         pose = None if self.fit is None else self.fit.measurement()
-        return LandmarkMeasurement(len(self.visible), len(self.found), pose, self.visible, is_found)
+        return LandmarkMeasurement(len(self.visible), len(self.found), pose, self.visible, is_found, self.is_shown)
 
 
 class OrbLandmarkLocalizer:
@@ -130,8 +136,9 @@ class OrbLandmarkLocalizer:
         """
         visible, local = in_view
         camera, room = self._detect.camera, self._landmarks
+        expected = camera.project(local)
         which, where = match_descriptors(
-            camera.project(local),
+            expected,
             room.descriptors[visible],
             seen.pixels,
             seen.descriptors,
@@ -139,7 +146,7 @@ class OrbLandmarkLocalizer:
         )
         points = room.points[visible[which]].astype(np.float64)
         agree, fit = fit_matches(points, seen.select(where), camera, prior, covariance)
-        return _Agreement(visible, which[agree], where[agree], fit)
+        return _Agreement(visible, _is_shown(expected, seen.pixels, camera), which[agree], where[agree], fit)
 
     def _visible(self, prior: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
         """Indices (M,) of the landmarks in view of a camera at the prior, and their points in its frame, (M, 3)."""
@@ -269,6 +276,19 @@ class OrbLandmarkLocalizer:
         """
         points = self._landmarks.points[landmarks].astype(np.float64)
         return pose_by_consensus(points, seen, self._detect.camera, triples)
+
+
+def _is_shown(pixels: FloatArray, keypoints: FloatArray, camera: Camera) -> NDArray[np.bool_]:
+    """Whether the image shows anything at pixels (E, 2): false within large parts of it without a keypoint (N, 2)."""
+    rows, columns = math.ceil(camera.height / _TILE_PX), math.ceil(camera.width / _TILE_PX)
+    is_blank = np.ones((rows, columns), dtype=np.uint8)
+    tiles = (keypoints / _TILE_PX).astype(np.int64)
+    is_blank[tiles[:, 1], tiles[:, 0]] = 0
+    large = cv2.morphologyEx(is_blank, cv2.MORPH_OPEN, np.ones((_BLANK_TILES, _BLANK_TILES), np.uint8))
+    if large.mean() < _LEAST_BLANK:
+        return np.ones(len(pixels), dtype=np.bool_)
+    tiles = np.clip((pixels / _TILE_PX).astype(np.int64), 0, (columns - 1, rows - 1))
+    return np.asarray(large[tiles[:, 1], tiles[:, 0]] == 0)
 
 
 def _is_within(pose: FloatArray, prior: FloatArray, covariance: FloatArray) -> bool:

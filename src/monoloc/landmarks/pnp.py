@@ -73,6 +73,8 @@ class LandmarkMeasurement:
         visible: (E,) int64, indices in the room's landmarks of those in view; empty where it is not known which of
             them were found.
         is_found: (E,) bool, whether each of these agrees.
+        is_shown: (E,) bool, false where a large part of the image shows nothing at all, such as a hand before half
+            of the lens. It says nothing of the room.
     """
 
     expected: int = 0
@@ -80,6 +82,7 @@ class LandmarkMeasurement:
     pose: LandmarkPose | None = None
     visible: NDArray[np.int64] = field(default_factory=lambda: _NO_INDICES)
     is_found: NDArray[np.bool_] = field(default_factory=lambda: _NO_FLAGS)
+    is_shown: NDArray[np.bool_] = field(default_factory=lambda: _NO_FLAGS)
 
 
 class LandmarkLocalizer(Protocol):

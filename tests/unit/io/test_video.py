@@ -119,6 +119,18 @@ def test_video_cut_short_while_it_is_read_is_refused(tmp_path: Path) -> None:
     refuses_data(lambda: recording.color(5), path, "cannot be decoded after frame 3", "0:4")
 
 
+def test_video_that_was_cut_when_it_was_copied_is_noted(tmp_path: Path) -> None:
+    path = tmp_path / "flight.avi"
+    synthetic.write_video(path, frames=12)
+    assert open_recording(str(path), VIDEO_OPTIONS).notes == []
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) * 3 // 4])
+    recording = open_recording(str(path), VIDEO_OPTIONS)
+    assert 1 <= len(recording) < 11
+    (note,) = recording.notes
+    assert note.startswith(f"only {len(recording)} of the 12 frames")
+
+
 def test_name_that_opencv_cannot_take_is_refused(tmp_path: Path) -> None:
     path = tmp_path / os.fsdecode(b"caf\xe9.avi")
     path.write_bytes(b"")

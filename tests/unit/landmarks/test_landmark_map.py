@@ -56,10 +56,14 @@ def test_times_found_are_of_the_three_nearest_views() -> None:
 def test_familiar_landmarks_are_those_in_view_that_near_views_found() -> None:
     poses = se3_exp(0.01 * np.eye(6)[:3])
     views = LandmarkViews(poses, np.array([[1, 1, 0, 1], [1, 0, 0, 1], [1, 1, 0, 0]], np.bool_))
-    familiar = views.familiar(np.eye(4), np.array([3, 2, 0]), np.array([False, True, True]))
+    is_shown = np.array([False, True, True])
+    familiar = views.familiar(np.eye(4), np.array([3, 2, 0]), np.array([False, True, True]), is_shown)
     assert familiar is not None
     assert (familiar.indices.tolist(), familiar.is_found.tolist()) == ([3, 0], [False, True])
-    assert views.familiar(se3_exp([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]), np.arange(4), np.ones(4, np.bool_)) is None
+    shown = familiar.shown()
+    assert (shown.indices.tolist(), shown.is_found.tolist()) == ([0], [True])
+    yes = np.ones(4, np.bool_)
+    assert views.familiar(se3_exp([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]), np.arange(4), yes, yes) is None
 
 
 def test_views_of_other_shapes_are_refused() -> None:

@@ -139,6 +139,22 @@ def test_landmarks_in_view_are_expected_and_found_where_the_camera_is(localizer:
     assert localizer.measure(color, away, PRIOR).expected == 0
 
 
+@pytest.mark.parametrize("level", [30, 255])
+def test_covered_half_of_an_image_says_nothing_of_landmarks_there(
+    localizer: OrbLandmarkLocalizer, level: int
+) -> None:
+    pose = FLIGHT_POSES[30]
+    color = Room().view(pose)[0].copy()
+    whole = localizer.measure(color, pose, PRIOR)
+    assert whole.is_shown.all()
+    color[:, : color.shape[1] // 2] = level
+    covered = localizer.measure(color, pose, PRIOR)
+    local = transform(invert(pose), localizer._landmarks.points[covered.visible])
+    columns = localizer._detect.camera.project(local)[:, 0] / localizer._detect.camera.width
+    assert not covered.is_shown[columns < 0.4].any() and covered.is_shown[columns > 0.5].all()
+    assert covered.expected == whole.expected and covered.pose is not None
+
+
 def test_landmarks_are_expected_from_three_times_as_far_as_the_build_found_them_wherever_the_camera_was(
     localizer: OrbLandmarkLocalizer,
 ) -> None:

@@ -31,7 +31,7 @@ TRACKING_BELOW, SUSPECTED = 0.05, 0.5
 
 
 def familiar(found: int, count: int = 100) -> FamiliarLandmarks:
-    return FamiliarLandmarks(np.arange(count), np.arange(count) < found)
+    return FamiliarLandmarks(np.arange(count), np.arange(count) < found, np.ones(count, np.bool_))
 
 
 def make_monitor(model: IntegrityModel = MODEL, is_searched: bool = False) -> IntegrityMonitor:

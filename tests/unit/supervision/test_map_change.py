@@ -54,7 +54,8 @@ class Flight:
             is_found = self._rng.uniform(size=len(visible)) < share
             if missing is not None:
                 is_found &= ~np.isin(visible, missing)
-            familiar = None if self._views is None else self._views.familiar(pose, visible, is_found)
+            is_shown = np.ones(len(visible), np.bool_)
+            familiar = None if self._views is None else self._views.familiar(pose, visible, is_found, is_shown)
             regions.append(self.monitor.update(familiar, probability_far, 1.0 / rate_hz))
         return regions
 
