@@ -220,7 +220,7 @@ def test_a_flights_mcap_file_is_a_recording_with_its_poses(capfd: Capture, here:
 
 # --- A file that holds the flight ---
 
-FLIGHT = 'room = "room.monoloc"\nsource = "folder:flight"\nstart = "truth"\nout = "file.csv"\nrecord = "log-%Y"\n'
+FLIGHT = 'room = "room.monoloc"\nsource = "folder:flight"\nstart = "truth"\nout = "file-%Y.csv"\nrecord = "log-%Y"\n'
 
 
 def test_a_file_alone_starts_a_flight_and_the_command_line_wins(
@@ -230,7 +230,7 @@ def test_a_file_alone_starts_a_flight_and_the_command_line_wins(
     (here / "elsewhere").mkdir()
     monkeypatch.chdir(here / "elsewhere")  # paths are beside the file
     outputs(capfd, "fly", "../flight.toml", "--fast")
-    assert (here / "file.csv").read_bytes() == (here / "poses.csv").read_bytes()
+    assert (here / f"file-{datetime.now():%Y}.csv").read_bytes() == (here / "poses.csv").read_bytes()
     assert (here / f"log-{datetime.now():%Y}" / "poses.csv").is_file()
     figures = json_of(capfd, "fly", "../flight.toml", "--start", "unknown", "--out", "other.csv", "--record", "log")
     assert figures["frames"] > 0 and rows_of(here / "elsewhere" / "other.csv")[0]["state"] == "lost"

@@ -30,14 +30,15 @@ from monoloc.cli.flight_outputs import check_flight_outputs
 from monoloc.cli.start_option import UNKNOWN
 from monoloc.errors import DataError, SettingError
 from monoloc.files import json_text, write_whole
-from monoloc.flight.autopilot import gravity_of, tells_gravity
+from monoloc.flight.autopilot import frames_of, gravity_of, tells_gravity
 from monoloc.flight.bug_report import bug_report
 from monoloc.flight.flight_file import FlightFile
-from monoloc.flight.flight_loop import Flight, FlightSummary
+from monoloc.flight.flight_loop import Flight, FlightOutput, FlightSummary
+from monoloc.flight.mount_check import MountCheck, MountErrors
 from monoloc.flight.preflight import LinkReport, Preflight
 from monoloc.live.opening import is_live
 from monoloc.mavlink.autopilot_link import AutopilotLink
-from monoloc.mavlink.firmware import Firmware
+from monoloc.mavlink.link_port import BITS_PER_BYTE, parse_address
 from monoloc.place.flown_map import FlownMap
 from monoloc.recording_check.inspection import worst
 
@@ -90,8 +91,14 @@ def doctor(
     with naming(names), ExitStack() as opened:
         # The link first: it is looked at even where the camera fails.
         link = None if flight.mavlink is None else opened.enter_context(closing(AutopilotLink(flight.mavlink)))
-        camera, failure = _look(flight, flown, link, frames, seconds, preflight, summary)
-        heard = None if link is None or flight.firmware is None else _ask(link, flight.firmware)
+        outputs: list[FlightOutput] = [preflight]
+        mount = None
+        if link is not None and tells_gravity(flown, flight.settings):
+            mount = MountCheck(frames_of(flown, flight.settings), link.attitude_at)
+            outputs.append(mount)
+        camera, failure = _look(flight, flown, link, frames, seconds, outputs, summary)
+        errors = None if mount is None else mount.errors
+        heard = None if link is None else _ask(link, flight, errors)
     findings = preflight.findings(summary, heard, failure)
     level = worst(findings)
     print_findings(f"{flight.source} in {room}", findings, level)
@@ -110,7 +117,7 @@ def _look(
     link: AutopilotLink | None,
     frames: str,
     seconds: float,
-    preflight: Preflight,
+    outputs: list[FlightOutput],
     summary: FlightSummary,
 ) -> tuple[Camera | None, DataError | None]:
     """Fly with the camera; its intrinsics, if it could be opened, and what ended the look too early.
@@ -130,7 +137,7 @@ def _look(
                 made.localizer,
                 camera,
                 frame_source,
-                [preflight],
+                outputs,
                 flight.settings.most_age_s,
                 gravity_of(flown, link, flight.settings),
                 lambda: time.monotonic() > end_s,
@@ -146,9 +153,21 @@ def _look(
     return camera, None
 
 
-def _ask(link: AutopilotLink, firmware: Firmware) -> LinkReport:
+def _ask(link: AutopilotLink, flight: FlightFile, mount: MountErrors | None) -> LinkReport:
     """What the autopilot says of itself."""
+    firmware, url = flight.firmware, flight.mavlink
+    assert firmware is not None and url is not None  # check_autopilot
+    is_stated = link.is_alive and link.firmware in (None, firmware)
     names = tuple(rule.name for rule in firmware.parameters)
-    parameters = link.read_parameters(names, _PARAMETERS_S) if link.is_alive else {}
-    has_attitude = link.attitude_at(time.monotonic()) is not None
-    return LinkReport(firmware, link.is_alive, has_attitude, link.round_trip_s, parameters)
+    parameters = link.read_parameters(names, _PARAMETERS_S) if is_stated else {}
+    address = parse_address(url)
+    return LinkReport(
+        firmware,
+        link.firmware,
+        link.is_alive,
+        link.has_attitude,
+        link.round_trip_s,
+        parameters,
+        address.number / BITS_PER_BYTE if address.kind == "serial" else None,
+        mount,
+    )

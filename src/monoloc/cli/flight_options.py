@@ -91,7 +91,7 @@ def flight_of(
     if bundle is None:
         where = "" if settings is None else f" and {settings} has no room"
         raise SettingError("ROOM", f"is missing{where}", "name a bundle of monoloc build")
-    timed = {name: getattr(flight, name) for name in ("mcap", "record")}
+    timed = {name: getattr(flight, name) for name in ("out", "mcap", "record")}
     changes = {name: Path(time.strftime(str(path))) for name, path in timed.items() if path and "%" in str(path)}
     return bundle, flight.model_copy(update=changes), names
 

@@ -42,6 +42,7 @@ from monoloc.flight.flight_loop import Flight, FlightOutput, FlightSummary
 from monoloc.flight.flight_recording import FlightRecorder
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.line_writer import LineWriter
+from monoloc.flight.link_watch import LinkWatch
 from monoloc.flight.north_measurement import NorthMeasurement
 from monoloc.flight.preflight import GOOD_SCALE_SD
 from monoloc.flight.status_output import StatusOutput
@@ -154,7 +155,8 @@ def fly(
     cv2.setNumThreads(1)  # more do not speed up small images, and the drone needs its other cores
     summary, north = FlightSummary(), None
     with naming(names), stopped_by_signals() as stop, _lines() as say:
-        outputs: list[FlightOutput] = [StatusOutput(say, stderr.is_terminal, summary)]
+        status = StatusOutput(say, stderr.is_terminal, summary)
+        outputs: list[FlightOutput] = [status]
         with ExitStack() as opened:
             frame_source, camera, first_pose = open_frames(flight.source, frames, flight.camera, fast)
             opened.callback(frame_source.close)
@@ -190,8 +192,10 @@ def fly(
                 # The autopilot first: what is written may wait for a disk.
                 recorded, unwritten = flight.record, summary.unwritten
                 outputs[:0] = senders(link, recorded, flown, flown.room, firmware, flight_settings, unwritten)
+                if link is not None:
+                    outputs.append(LinkWatch(link, firmware, status.say))
             # The watchdog last, which so is closed first: systemd must not count while the others write the rest.
-            outputs.append(WatchdogOutput())
+            outputs.append(WatchdogOutput(summary))
             for output in outputs:
                 opened.enter_context(closing(output))
             Flight(

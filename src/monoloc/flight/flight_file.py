@@ -31,9 +31,8 @@ class FlightFile(FlightSettings):
         start_error_cm, start_error_deg: of the start.
         budget_ms: that a step may take, see :mod:`monoloc.step_budget`; None takes the bundle's.
         threads: of a step, 1 or 2; None takes the bundle's.
-        out: table to write.
-        mcap, record: file and folder to write; in both, ``%Y``, ``%m``, ``%d``, ``%H``, ``%M`` and ``%S`` stand for
-            the time of the start.
+        out, mcap, record: table, file and folder to write; in all, ``%Y``, ``%m``, ``%d``, ``%H``, ``%M`` and ``%S``
+            stand for the time of the start.
         dictionary, marker: markers of known place, see :class:`~monoloc.relocalization.marker.Markers`.
     """
 

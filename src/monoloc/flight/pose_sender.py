@@ -15,7 +15,7 @@ from monoloc.mavlink.firmware import Firmware
 from monoloc.mavlink.messages import obstacle_distance, odometry, status_text, vision_position_estimate
 from monoloc.mavlink.obstacle_sectors import sector_distances_cm
 from monoloc.obstacles import LEAST_M, MOST_M, ObstacleWatch
-from monoloc.supervision.state import BLIND
+from monoloc.supervision.state import BLIND, VOUCHED_FOR, in_words
 
 _OBSTACLES_HZ = 10.0
 _MOST_SPEED_M_S, _JUMP_M = 4.0, 0.2  # a pose that moved or turned farther than a vehicle can, has jumped
@@ -54,7 +54,7 @@ class PoseSender:
         self._sink, self._frames, self._firmware, self._settings = sink, frames, firmware, settings
         self.counts: Counter[str] = Counter()
         self._reset_counter = 0
-        self._jumped = False
+        self._jumped = self._is_confirmed = False
         self._sent: tuple[float, FloatArray] | None = None  # time of capture and T_ned_body of the last pose
         self._watch = watch
         self._obstacles_s = float("-inf")
@@ -93,7 +93,15 @@ class PoseSender:
             self._watch.clear()
 
     def _is_usable(self, result: FlightStep, pose: BodyPose) -> bool:
-        """Whether the result is of an image that shows something, a number, and in time."""
+        """Whether the result is of an image that shows something, a number, in time, and not a mere start.
+
+        A start is where someone says that the camera is. After a restart in flight it is the place of the take-off,
+        so nothing is sent before a first frame is vouched for.
+        """
+        self._is_confirmed |= result.step.state in VOUCHED_FOR
+        if not self._is_confirmed:
+            self.counts["unconfirmed"] += 1
+            return False
         if result.step.reasons & BLIND:
             self.counts["without image"] += 1
             return False
@@ -109,8 +117,9 @@ class PoseSender:
     def _send_pose(self, result: FlightStep, pose: BodyPose) -> None:
         captured_s = result.frame.captured_s
         if self._sent is None:
-            # After a restart of this program, the autopilot must see another count than before.
-            self._reset_counter = int(captured_s) % 256
+            # After a restart of this program, the autopilot must see another count than before; seconds would repeat
+            # where the program starts with the computer.
+            self._reset_counter = int(1e6 * captured_s) % 256
         elif self._jumped or _moved_too_far(self._sent, (captured_s, pose.T_ned_body)):
             self._reset_counter = (self._reset_counter + 1) % 256
         self._jumped = False
@@ -138,7 +147,7 @@ class PoseSender:
 
     def _say_state(self, result: FlightStep) -> None:
         step = result.step
-        why = ", ".join(sorted(reason.value for reason in step.reasons))
+        why = in_words(step.reasons)
         where = "" if result.room is None else f" in {result.room}"
         text = f"monoloc: {step.state}{where}" + (f": {why}" if why else "")
         self._say(text, step.state != "tracking", result.done_s)

@@ -11,6 +11,7 @@ import numpy as np
 from monoloc.bundle_manifest import Provenance
 from monoloc.errors import DataError
 from monoloc.flight.flight_loop import FlightStep, FlightSummary
+from monoloc.flight.mount_check import MountErrors
 from monoloc.mavlink.firmware import Firmware
 from monoloc.recording_check.image_quality import ImageQuality, quality_of
 from monoloc.recording_check.inspection import Finding, Level, image_findings, light_findings
@@ -25,6 +26,9 @@ _GOOD_LATENCY_S, _MOST_LATENCY_S = 0.1, 0.2  # from capture to result
 _GOOD_TRACKING, _LEAST_TRACKING = 0.9, 0.5  # shares of frames
 _GOOD_ROUND_TRIP_S = 0.05  # beyond it, what is sent waits for the port
 _GOOD_LANDMARKS = 20
+_POSE_BYTES, _OBSTACLES_BYTES_A_SECOND = 245, 1790  # of ODOMETRY, and of ten OBSTACLE_DISTANCE a second
+_MOST_LOAD = 0.8  # of a serial port
+_GOOD_TILT_DEG, _MOST_TILT_DEG, _MOST_YAW_DEG = 3.0, 6.0, 15.0  # between the body by mount and by the autopilot
 _EVERY = 3  # of the frames whose image is measured
 
 
@@ -34,17 +38,23 @@ class LinkReport:
 
     Attributes:
         firmware: that the user says it has.
+        heard: firmware that its heartbeat says; None of another one.
         is_alive: whether its heartbeat is heard.
         has_attitude: whether it sends its attitude.
         round_trip_s: of a question for the time; None where none was answered.
         parameters: values that it gave, by name.
+        bytes_a_second: that a serial port takes; None of another one.
+        mount: by its attitude; None where that was not compared.
     """
 
     firmware: Firmware
+    heard: Firmware | None
     is_alive: bool
     has_attitude: bool
     round_trip_s: float | None
     parameters: Mapping[str, float]
+    bytes_a_second: float | None = None
+    mount: MountErrors | None = None
 
 
 class Preflight:
@@ -93,7 +103,7 @@ class Preflight:
             problem, _, fix = str(failure).rpartition("; ")
             found = [Finding("camera", "bad", problem, fix)]
         elif summary.frames == 0:
-            found = [Finding("camera", "bad", "no frame", "check the cable, and the source that was named")]
+            found = [_without_frames(summary)]
         else:
             images = self._images()
             found = [
@@ -104,7 +114,7 @@ class Preflight:
                 *self._of_room(summary),
             ]
         found += self._of_map(link is not None)
-        return found if link is None else [*found, *_of_link(link)]
+        return found if link is None else [*found, *_of_link(link, summary.rate_hz)]
 
     def _images(self) -> ImageQuality:
         return ImageQuality(np.arange(len(self._quality)), *np.array(self._quality).T)
@@ -153,6 +163,16 @@ class Preflight:
         )
 
 
+def _without_frames(summary: FlightSummary) -> Finding:
+    """Why not one frame was localised."""
+    if count := summary.dropped["without start"]:
+        return Finding("start", "bad", f"no marker in {count} images", "show the camera a marker of flight.toml")
+    if count := summary.dropped["old"]:
+        problem = f"{count} images, all of them too old"
+        return Finding("camera", "bad", problem, "take a faster network, and a source whose stamps are right")
+    return Finding("camera", "bad", "no frame", "check the cable, and the source that was named")
+
+
 def _of_timing(summary: FlightSummary, is_for_autopilot: bool) -> Iterator[Finding]:
     rate_hz, median_s, p95_s = summary.rate_hz, summary.latency_s(50.0), summary.latency_s(95.0)
     if rate_hz is not None:
@@ -164,15 +184,18 @@ def _of_timing(summary: FlightSummary, is_for_autopilot: bool) -> Iterator[Findi
         yield Finding("rate", level, f"{rate_hz:.1f} Hz, {summary.dropped.total()} frames dropped", remark)
     if median_s is not None and p95_s is not None:
         level = "good" if p95_s <= _GOOD_LATENCY_S else "warning" if p95_s <= _MOST_LATENCY_S else "bad"
-        remark = (
-            "" if level == "good" else "older poses than 0.2 s are not sent; set the autopilot's delay to the median"
-        )
+        remark = "" if level == "good" else "older poses than most_age_s, 0.2 s, are not sent"
         yield Finding("latency", level, f"{1e3 * median_s:.0f} ms (95 %: {1e3 * p95_s:.0f} ms)", remark)
 
 
-def _of_link(link: LinkReport) -> Iterator[Finding]:
+def _of_link(link: LinkReport, rate_hz: float | None) -> Iterator[Finding]:
     if not link.is_alive:
         yield Finding("autopilot", "bad", "no heartbeat", "check address, cable and the port's protocol")
+        return
+    if link.heard not in (None, link.firmware):
+        assert link.heard is not None
+        problem = f"is {link.heard.title}, which takes poses in another frame than {link.firmware.title}"
+        yield Finding("autopilot", "bad", problem, f"set firmware to {link.heard.value}")
         return
     yield Finding("autopilot", "good", "its heartbeat is heard")
     if link.has_attitude:
@@ -186,6 +209,13 @@ def _of_link(link: LinkReport) -> Iterator[Finding]:
         is_good = link.round_trip_s <= _GOOD_ROUND_TRIP_S
         remark = "" if is_good else "take a faster port or fewer messages: what is sent waits for it"
         yield Finding("round trip", "good" if is_good else "warning", f"{1e3 * link.round_trip_s:.0f} ms", remark)
+    if link.bytes_a_second is not None and rate_hz is not None:
+        needed = rate_hz * _POSE_BYTES + _OBSTACLES_BYTES_A_SECOND
+        is_enough = needed <= _MOST_LOAD * link.bytes_a_second
+        remark = "" if is_enough else "take 921600 baud, or a lower rate_hz: poses would come late"
+        how_much = f"{needed / 1e3:.1f} of {link.bytes_a_second / 1e3:.1f} kB a second"
+        yield Finding("serial port", "good" if is_enough else "bad", how_much, remark)
+    yield from _of_mount(link.mount)
     for rule in link.firmware.parameters:
         if rule.name not in link.parameters:
             yield Finding(rule.name, "warning", "not answered", f"set it to {rule.value:g}: {rule.why}")
@@ -195,3 +225,18 @@ def _of_link(link: LinkReport) -> Iterator[Finding]:
             yield Finding(
                 rule.name, "bad", f"{link.parameters[rule.name]:g}", f"set it to {rule.value:g}: {rule.why}"
             )
+
+
+def _of_mount(errors: MountErrors | None) -> Iterator[Finding]:
+    """Whether the body's attitude by the mount is the autopilot's."""
+    if errors is None:
+        return
+    level: Level = "good" if errors.tilt_deg <= _GOOD_TILT_DEG else "warning"
+    level = "bad" if errors.tilt_deg > _MOST_TILT_DEG else level
+    found = f"tilt differs from the autopilot's by {errors.tilt_deg:.1f}°"
+    turn = f"pitch {errors.pitch_deg:+.0f}°, roll {errors.roll_deg:+.0f}°"
+    remark = "" if level == "good" else f"correct pitch_deg and roll_deg of [mount]: the body comes out at {turn}"
+    yield Finding("mount", level, found, remark)
+    if abs(errors.yaw_deg) > _MOST_YAW_DEG:
+        problem = f"differs from the autopilot's by {errors.yaw_deg:+.0f}°"
+        yield Finding("heading", "warning", problem, "measure north_deg: monoloc fly ... --align")

@@ -6,9 +6,12 @@ from collections.abc import Callable
 
 from monoloc.flight.flight_loop import FlightStep, FlightSummary
 from monoloc.step_budget import Level
+from monoloc.supervision.state import in_words
 
 _PERIOD_S = 1.0
 _NO_IMAGE_S = 0.5  # without a frame, after which it is said
+_NO_IMAGE, _NO_START = "no image from the camera", "waiting for a marker"
+_OLD_IMAGES = "images come too late: a slow network, or stamps that are slower than the camera"
 
 
 class StatusOutput:
@@ -27,32 +30,48 @@ class StatusOutput:
         self._level = Level.FULL
         self._frame_s = self._printed_s = float("-inf")
         self._frames = self._failures = 0
-        self._is_without_image = False
+        self._at_frame = (0, 0)  # frames dropped as old, and for want of a start, when the last one was taken
+        self._missing = ""
 
     def take(self, result: FlightStep) -> None:
         now_s, step = result.done_s, result.step
         self._begin(now_s)
-        self._frame_s = now_s
-        if self._is_without_image:
-            self._print(now_s, "images again")
-            self._is_without_image = False
+        self._frame_s, self._at_frame = now_s, self._not_taken
+        if self._missing in (_NO_IMAGE, _OLD_IMAGES):
+            self.say(now_s, "images again")
+        self._missing = ""
         if self._said != (step.state, step.reasons, result.room):
             self._said = (step.state, step.reasons, result.room)
-            why = ", ".join(sorted(reason.value for reason in step.reasons))
-            self._print(now_s, _state_of(result) + (f": {why}" if why else ""))
+            why = in_words(step.reasons)
+            self.say(now_s, _state_of(result) + (f": {why}" if why else ""))
         if self._level is not step.level:
             self._level = step.level
-            self._print(now_s, f"budget: {step.level.words}")
+            self.say(now_s, f"budget: {step.level.words}")
         for failure in self._summary.failures[self._failures :]:
             self._failures += 1
-            self._print(now_s, f"no longer written: {failure}")
+            self.say(now_s, f"no longer written: {failure}")
         self._say_how_it_goes(result)
 
     def idle(self, now_s: float) -> None:
         self._begin(now_s)
-        if not self._is_without_image and now_s - self._frame_s > _NO_IMAGE_S:
-            self._is_without_image = True
-            self._print(now_s, "no image in time from the camera")
+        if now_s - self._frame_s <= _NO_IMAGE_S:
+            return
+        old, without_start = (now - then for now, then in zip(self._not_taken, self._at_frame, strict=True))
+        missing = _NO_START if without_start else _OLD_IMAGES if old else _NO_IMAGE
+        if missing != self._missing:
+            self._missing = missing
+            self.say(now_s, missing)
+
+    def say(self, now_s: float, text: str) -> None:
+        """Say a line with the time since the flight began."""
+        self._begin(now_s)
+        assert self._began_s is not None
+        self._say(f"{now_s - self._began_s:8.2f} s  {text}")
+
+    @property
+    def _not_taken(self) -> tuple[int, int]:
+        dropped = self._summary.dropped
+        return dropped["old"], dropped["without start"]
 
     def close(self) -> None:
         """Nothing is held."""
@@ -69,16 +88,12 @@ class StatusOutput:
         rate_hz = (self._summary.frames - self._frames) / (now_s - self._printed_s)
         self._printed_s, self._frames = now_s, self._summary.frames
         x, y, z = result.step.estimate.pose[:3, 3]
-        self._print(
+        self.say(
             now_s,
             f"{_state_of(result)}, x {x:.2f} y {y:.2f} z {z:.2f} m, {rate_hz:.0f} Hz, "
             f"{1e3 * (now_s - result.frame.captured_s):.0f} ms after capture, "
             f"{self._summary.dropped.total()} frames dropped",
         )
-
-    def _print(self, now_s: float, text: str) -> None:
-        assert self._began_s is not None
-        self._say(f"{now_s - self._began_s:8.2f} s  {text}")
 
 
 def _state_of(result: FlightStep) -> str:

@@ -6,19 +6,23 @@ import contextlib
 import os
 import socket
 
-from monoloc.flight.flight_loop import FlightStep
+from monoloc.flight.flight_loop import FlightStep, FlightSummary
 
 _PERIOD_S = 0.5
 
 
 class WatchdogOutput:
-    """A :class:`~monoloc.flight.flight_loop.FlightOutput` that says READY at the first frame, and then WATCHDOG.
+    """A :class:`~monoloc.flight.flight_loop.FlightOutput` that says READY at the first image, and then WATCHDOG.
 
-    A camera that gives no frames does not stop it, since the loop itself goes on and waits for the camera. Without
-    systemd, where NOTIFY_SOCKET is not set, it does nothing.
+    A camera that gives no frames does not stop it, since the loop itself goes on and waits for the camera. Nor does
+    it end a flight that waits for a marker. Without systemd, where NOTIFY_SOCKET is not set, it does nothing.
+
+    Args:
+        summary: of the flight, for the images that were not localised for want of a start.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, summary: FlightSummary) -> None:
+        self._summary = summary
         address = os.environ.get("NOTIFY_SOCKET")
         self._socket = None if not address else socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         if self._socket is not None:
@@ -29,12 +33,15 @@ class WatchdogOutput:
         self._is_ready = False
 
     def take(self, result: FlightStep) -> None:
-        if not self._is_ready:
-            self._is_ready = True
-            self._send("READY=1")
-        self.idle(result.done_s)
+        self._go_on(result.done_s, has_image=True)
 
     def idle(self, now_s: float) -> None:
+        self._go_on(now_s, has_image=self._summary.dropped["without start"] > 0)
+
+    def _go_on(self, now_s: float, has_image: bool) -> None:
+        if has_image and not self._is_ready:
+            self._is_ready = True
+            self._send("READY=1")
         if now_s - self._said_s >= _PERIOD_S:
             self._said_s = now_s
             self._send("WATCHDOG=1")

@@ -5,6 +5,7 @@ The clock of everything that is sent is ``time.monotonic``: that of times of cap
 
 from __future__ import annotations
 
+import bisect
 import contextlib
 import math
 import struct
@@ -22,6 +23,7 @@ from monoloc.extras import require_mavlink
 from monoloc.live.capture_clock import CaptureClock
 from monoloc.mavlink.autopilot_frames import rotation_of
 from monoloc.mavlink.byte_link import ByteLink
+from monoloc.mavlink.firmware import Firmware
 from monoloc.mavlink.link_port import parse_address
 from monoloc.mavlink.messages import COMPONENT, dialect, heartbeat, parameter_request, timesync
 from monoloc.odometry.attitude import AttitudeHistory
@@ -29,9 +31,10 @@ from monoloc.odometry.motion import Motion
 
 _SECOND_S = 1.0  # between heartbeats, and between questions for the time and for a parameter
 _ATTITUDES = 200  # that are kept: four seconds at 50 Hz
-_ATTITUDE_S = 0.1  # between a frame and the nearest attitude, beyond which there is none
-_ALIVE_S = 3.0  # since the autopilot's last heartbeat; another one is listened to only after that
-_INVALID_AUTOPILOT, _PX4 = 8, 12  # of HEARTBEAT's autopilot; the first is of what is none
+# Between two attitudes, between which one is interpolated, and between a frame and an attitude that holds for it.
+_MOST_GAP_S, _SAME_S = 0.12, 0.02
+_ALIVE_S = 3.0  # since the autopilot's last heartbeat
+_INVALID_AUTOPILOT = 8  # HEARTBEAT's autopilot, of what is none
 _GOES_STALE = {"HEARTBEAT", "ODOMETRY", "VISION_POSITION_ESTIMATE", "OBSTACLE_DISTANCE", "TIMESYNC"}
 _MAGIC_2, _HEADER_2_BYTES, _HEADER_1_BYTES = 0xFD, 10, 6  # of MAVLink 2 and 1
 # MAV_PARAM_TYPE of the whole numbers, which PX4 sends as their bytes in place of a float's.
@@ -89,7 +92,8 @@ class AutopilotLink:
         self._clock = CaptureClock()
         self._parameters: dict[str, float] = {}
         self._vehicle: tuple[int, int] | None = None  # system and component of the autopilot
-        self._is_px4 = False
+        self._others: set[int] = set()
+        self._firmware: Firmware | None = None
         self._heard_s = self._beat_s = float("-inf")
         self._asked_ns = 0
         self._bytes = ByteLink(url, self._take_bytes, self._tick)
@@ -116,16 +120,45 @@ class AutopilotLink:
         return time.monotonic() - self._heard_s < _ALIVE_S
 
     @property
+    def system(self) -> int | None:
+        """The autopilot's system; None before its first heartbeat."""
+        return None if self._vehicle is None else self._vehicle[0]
+
+    @property
+    def others(self) -> frozenset[int]:
+        """Systems of other autopilots that were heard, and are not listened to."""
+        return frozenset(self._others)
+
+    @property
+    def firmware(self) -> Firmware | None:
+        """That the autopilot says it has; None before its first heartbeat, or of one that is neither."""
+        return self._firmware
+
+    @property
     def parameters(self) -> Mapping[str, float]:
         """Values of the parameters that were read."""
         with self._changed:
             return dict(self._parameters)
 
-    def attitude_at(self, time_s: float) -> Attitude | None:
-        """The attitude nearest to a time of capture; None where none is within a tenth of a second."""
+    @property
+    def has_attitude(self) -> bool:
+        """Whether an attitude came in the last second."""
         with self._changed:
-            nearest = min(self._attitudes, key=lambda attitude: abs(attitude.time_s - time_s), default=None)
-        return None if nearest is None or abs(nearest.time_s - time_s) > _ATTITUDE_S else nearest
+            return bool(self._attitudes) and time.monotonic() - self._attitudes[-1].time_s < _SECOND_S
+
+    def attitude_at(self, time_s: float) -> Attitude | None:
+        """The attitude at a time of capture, between the two around it; None where these are missing.
+
+        An attitude of 20 ms beside that time will do, for the next one may not have come yet.
+        """
+        with self._changed:
+            known = list(self._attitudes)
+        after = bisect.bisect_left(known, time_s, key=lambda attitude: attitude.time_s)
+        around = known[max(0, after - 1) : after + 1]
+        if len(around) == 2 and around[1].time_s - around[0].time_s <= _MOST_GAP_S:
+            return _between(around[0], around[1], time_s)
+        nearest = min(around, key=lambda attitude: abs(attitude.time_s - time_s), default=None)
+        return None if nearest is None or abs(nearest.time_s - time_s) > _SAME_S else nearest
 
     def turn_between(self, start_s: float, end_s: float) -> Motion | None:
         """The camera's rotation between two times of capture; None where attitudes are missing for 0.12 s."""
@@ -148,7 +181,7 @@ class AutopilotLink:
             missing = [name for name in names if name not in self.parameters]
             if not missing:
                 break
-            system = 0 if self._vehicle is None else self._vehicle[0]
+            system = self.system or 0
             for name in missing:
                 self.send(parameter_request(name, system))
             with self._changed:
@@ -197,12 +230,14 @@ class AutopilotLink:
 
     def _take_heartbeat(self, message: Any, sender: tuple[int, int], arrived_s: float) -> None:
         """Act on the heartbeat of an autopilot."""
-        if self._vehicle != sender:
-            if arrived_s - self._heard_s < _ALIVE_S:  # of another vehicle, while ours is alive
-                return
+        if self._vehicle is None:
+            self._vehicle = sender
+            self._packer.srcSystem = sender[0]  # a part of the same vehicle
             self._beat_s = float("-inf")  # it hears at once who is there
-        self._vehicle, self._heard_s, self._is_px4 = sender, arrived_s, message.autopilot == _PX4
-        self._packer.srcSystem = sender[0]  # a part of the same vehicle
+        elif self._vehicle != sender:  # also while ours is silent: the camera sits on one vehicle
+            self._others.add(sender[0])
+            return
+        self._heard_s, self._firmware = arrived_s, Firmware.of_heartbeat(message.autopilot)
 
     def _take_of_autopilot(self, kind: str, message: Any, arrived_s: float) -> None:
         """Act on a message of the autopilot itself."""
@@ -210,14 +245,28 @@ class AutopilotLink:
             self.round_trip_s = (time.monotonic_ns() - self._asked_ns) / 1e9
         elif kind == "ATTITUDE" and all(map(math.isfinite, (message.roll, message.pitch, message.yaw))):
             time_s = self._clock.captured_s(message.time_boot_ms / 1e3, arrived_s)
-            with self._changed:
+            # A stamp that is not after the last one says nothing new.
+            with self._changed, contextlib.suppress(ValueError):
+                self._history.add(time_s, rotation_of(message.roll, message.pitch, message.yaw))
                 self._attitudes.append(Attitude(time_s, message.roll, message.pitch, message.yaw))
-                with contextlib.suppress(ValueError):  # a stamp that is not after the last one says nothing new
-                    self._history.add(time_s, rotation_of(message.roll, message.pitch, message.yaw))
         elif kind == "PARAM_VALUE":
             with self._changed:
-                self._parameters[str(message.param_id)] = _value_of(message, self._is_px4)
+                self._parameters[str(message.param_id)] = _value_of(message, self._firmware is Firmware.PX4)
                 self._changed.notify_all()
+
+
+def _between(before: Attitude, after: Attitude, time_s: float) -> Attitude:
+    """The attitude at a time between two, which are less than half a turn apart."""
+    share = (time_s - before.time_s) / (after.time_s - before.time_s)
+    angles = [
+        first + share * ((last - first + math.pi) % math.tau - math.pi)
+        for first, last in (
+            (before.roll_rad, after.roll_rad),
+            (before.pitch_rad, after.pitch_rad),
+            (before.yaw_rad, after.yaw_rad),
+        )
+    ]
+    return Attitude(time_s, *angles)
 
 
 def _value_of(parameter: Any, is_px4: bool) -> float:

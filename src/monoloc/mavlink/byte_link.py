@@ -15,6 +15,7 @@ from monoloc.errors import DataError
 from monoloc.mavlink.link_port import Port, open_port, parse_address
 
 _TICK_S = 0.05
+_FULL_S = 0.005  # between looks at a port that has enough to send
 _FIRST_RETRY_S, _LAST_RETRY_S = 0.2, 2.0  # between attempts to open a port that is gone
 _MOST_QUEUED = 100
 _STALE_S = 0.2  # after which a queued pose would mislead
@@ -131,10 +132,12 @@ class ByteLink:
     def _transfer(self) -> None:
         """Wait for the port or for something to send, no longer than a tick."""
         port, to_read = self._port, [self._wake_in.fileno()]
-        to_write = [] if port is None or not self._has_work(port) else [port.fileno()]
+        has_work = port is not None and self._has_work(port)
+        is_full = has_work and port is not None and port.is_full
+        to_write = [port.fileno()] if port is not None and has_work and not is_full else []
         if port is not None:
             to_read.append(port.fileno())
-        readable, writable, _ = select.select(to_read, to_write, [], _TICK_S)
+        readable, writable, _ = select.select(to_read, to_write, [], _FULL_S if is_full else _TICK_S)
         if self._wake_in.fileno() in readable:
             self._wake_in.recv(_WAKES)
         if port is not None and writable:
@@ -143,8 +146,8 @@ class ByteLink:
             self._on_bytes(port.read())
 
     def _write(self, port: Port) -> None:
-        """Write as much as the port takes."""
-        while data := self._rest or self._next():
+        """Write as much as the port takes at once, and would not send late."""
+        while not port.is_full and (data := self._rest or self._next()):
             taken = port.write(data)
             self._rest = data[taken:]
             if self._rest:

@@ -6,6 +6,7 @@ Sources: PX4-Autopilot ``mavlink_receiver.cpp``, ``EKF2.cpp`` and ``ev_*_control
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -18,6 +19,16 @@ class Firmware(Enum):
 
     PX4 = "px4"
     ARDUPILOT = "ardupilot"
+
+    @property
+    def title(self) -> str:
+        """Its name for a person."""
+        return "PX4" if self is Firmware.PX4 else "ArduPilot"
+
+    @classmethod
+    def of_heartbeat(cls, autopilot: int) -> Firmware | None:
+        """Of HEARTBEAT's field ``autopilot``, a member of MAV_AUTOPILOT; None of another firmware."""
+        return {3: cls.ARDUPILOT, 12: cls.PX4}.get(autopilot)
 
     @property
     def pose_frame(self) -> int:
@@ -43,19 +54,23 @@ class ParameterRule:
         value: that it needs.
         why: what goes wrong otherwise.
         is_mask: whether ``value`` is a set of bits, of which the parameter may have more.
+        tolerance: by which a parameter that is none may differ.
     """
 
     name: str
     value: float
     why: str
     is_mask: bool = False
+    tolerance: float = 1e-6
 
     def holds(self, value: float) -> bool:
-        """Whether a parameter's value is as it must be."""
+        """Whether a parameter's value is as it must be; NaN is not."""
+        if not math.isfinite(value):
+            return False
         if self.is_mask:
             bits = int(self.value)
             return int(value) & bits == bits
-        return abs(value - self.value) < 1e-6
+        return abs(value - self.value) <= self.tolerance
 
 
 _PX4 = (
@@ -65,6 +80,7 @@ _PX4 = (
     ParameterRule("EKF2_EV_POS_Y", 0, "monoloc sends the pose of the body, not of the camera"),
     ParameterRule("EKF2_EV_POS_Z", 0, "monoloc sends the pose of the body, not of the camera"),
     ParameterRule("EKF2_EV_NOISE_MD", 0, "otherwise the covariance that monoloc sends is ignored"),
+    ParameterRule("EKF2_EV_DELAY", 0, "monoloc sends the time of capture, so poses count as too old", tolerance=20.0),
 )
 
 _ARDUPILOT = (

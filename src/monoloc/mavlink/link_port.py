@@ -9,11 +9,15 @@ from __future__ import annotations
 import os
 import re
 import socket
+import sys
 import time
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 from monoloc.errors import SettingError
+
+BITS_PER_BYTE = 10
+"""Of a serial port, with a start and a stop bit."""
 
 _NETWORK = re.compile(r"(udpout|udpin|tcp):\[?([^\[\]]+?)\]?:(\d{1,5})")
 _SERIAL = re.compile(r"serial:(.+):(\d+)")
@@ -21,6 +25,7 @@ _MOST_PORT = 65535
 _BYTES = 1 << 16  # of one read
 _CONNECT_S = 2.0
 _SILENT_S = 3.0  # without a word from the other side's TCP, after which a connection is lost
+_WAITING_S = 0.05  # of a serial port's speed: its buffer of kilobytes would hold poses of a second
 _CLIENT_S = 5.0  # for which a UDP client that is silent is sent to
 _MOST_CLIENTS = 8
 
@@ -46,6 +51,11 @@ class Port(Protocol):
     @property
     def has_receiver(self) -> bool:
         """Whether there is someone to write to."""
+        ...
+
+    @property
+    def is_full(self) -> bool:
+        """Whether so much waits to be sent that more would come late, although it would be taken."""
         ...
 
     def fileno(self) -> int: ...
@@ -91,6 +101,8 @@ def open_port(address: Address) -> Port:
 
 class _UdpPort:
     """Sends to one address, or to every client that was heard of late."""
+
+    is_full = False
 
     def __init__(self, address: Address) -> None:
         is_server = address.kind == "udpin"
@@ -148,7 +160,7 @@ class _UdpPort:
 class _TcpPort:
     """A connection to a server."""
 
-    has_receiver = True
+    has_receiver, is_full = True, False
 
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.create_connection((host, port), _CONNECT_S)
@@ -207,6 +219,15 @@ class _SerialPort:
         except termios.error as error:
             os.close(self._file)
             raise OSError("it is no serial port") from error
+        self._most_waiting = round(_WAITING_S * baud / BITS_PER_BYTE)
+
+    @property
+    def is_full(self) -> bool:
+        import fcntl
+        import termios
+
+        waiting = fcntl.ioctl(self._file, termios.TIOCOUTQ, b"\0\0\0\0")
+        return int.from_bytes(waiting, sys.byteorder) >= self._most_waiting
 
     def fileno(self) -> int:
         return self._file

@@ -109,9 +109,12 @@ def obstacle_distance(captured_s: float, distances_cm: NDArray[np.uint16], least
 
 
 def status_text(text: str, is_alarming: bool) -> Any:
-    """STATUSTEXT, at most 50 bytes of ASCII, as a warning or a notice."""
+    """STATUSTEXT, at most 50 bytes of ASCII, as a warning or a notice; a longer text ends at its last whole item."""
     severity = 4 if is_alarming else 5  # MAV_SEVERITY_WARNING, MAV_SEVERITY_NOTICE
-    return dialect().MAVLink_statustext_message(severity, text.encode("ascii", "replace")[:_MOST_TEXT])
+    if len(text) > _MOST_TEXT:
+        cut = text[: _MOST_TEXT + 1]
+        text = cut.rpartition(", ")[0] or cut[:_MOST_TEXT]
+    return dialect().MAVLink_statustext_message(severity, text.encode("ascii", "replace"))
 
 
 def heartbeat() -> Any:

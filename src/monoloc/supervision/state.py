@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from enum import Enum
 from typing import Literal
@@ -21,31 +22,36 @@ _MOST_REPEATED_S = 0.2  # for which an image may repeat: streams show a frame tw
 
 
 class Reason(Enum):
-    """Why the state is not *tracking*."""
+    """Why the state is not *tracking*; first what a pilot must know first."""
 
-    SEARCHING = "searching"
-    """The pose is unknown, and the room is searched for the camera."""
-    VERIFYING = "verifying"
-    """A search found a place, and it is verified."""
+    CAMERA_MISMATCH = "camera mismatch"
+    """Landmarks fit another focal length than the camera's stated one."""
+    IMAGE_EMPTY = "image empty"
+    """The image has no contrast: dark, covered or saturated."""
+    IMAGE_REPEATED = "image repeated"
+    """The camera gives the same image again and again."""
+    NO_ODOMETRY = "no odometry"
+    """Odometry did not follow the camera."""
     BELIEF_DOUBTFUL = "belief doubtful"
     """Scans or landmarks speak against the belief, or nothing has confirmed it for too long."""
     POSITION_WIDE = "position wide"
     """The covariance allows for more than 30 cm."""
-    NO_ODOMETRY = "no odometry"
-    """Odometry did not follow the camera."""
     FAR_FROM_BUILD = "far from the build"
     """The camera is believed to be away from the frames that the map was built from."""
-    IMAGE_REPEATED = "image repeated"
-    """The camera gives the same image again and again."""
-    IMAGE_EMPTY = "image empty"
-    """The image has no contrast: dark, covered or saturated."""
-    CAMERA_MISMATCH = "camera mismatch"
-    """Landmarks fit another focal length than the camera's stated one."""
     CAMERA_UNCONFIRMED = "camera unconfirmed"
     """The stated focal length is not that of the build's camera, and landmarks have not confirmed it: the covariance
     allows for an error of it."""
     MAP_CHANGED = "map changed"
     """Landmarks are missing in one region in view, while those of the rest of the view are found."""
+    SEARCHING = "searching"
+    """The pose is unknown, and the room is searched for the camera."""
+    VERIFYING = "verifying"
+    """A search found a place, and it is verified."""
+
+
+def in_words(reasons: Collection[Reason]) -> str:
+    """Reasons for a person, the most urgent first: a pilot's screen cuts off what is last."""
+    return ", ".join(reason.value for reason in Reason if reason in reasons)
 
 
 BLIND = frozenset({Reason.IMAGE_REPEATED, Reason.IMAGE_EMPTY})

@@ -20,7 +20,7 @@ from monoloc.odometry.motion import tracks_translation
 from monoloc.particle_filter.particles import Particles
 from monoloc.step import Step
 from monoloc.step_budget import Level
-from monoloc.supervision.state import Reason, State
+from monoloc.supervision.state import State, in_words
 from monoloc.viz.pinhole_view import PinholeView
 from monoloc.viz.rerun_edits import Logged, clear_edits, log_edits
 
@@ -181,7 +181,7 @@ class RerunViewer:
     def _show_state(self, step: Step, room: str | None) -> None:
         self._plot("probability_far", step.probability_far)
         self._stream.log("state", rr.StateChange(state=step.state))
-        reasons = ", ".join(reason.value for reason in Reason if reason in step.reasons)
+        reasons = in_words(step.reasons)
         said = step.state if room is None else f"{step.state} in {room}"
         said += f": {reasons}" if reasons else ""
         if step.level is not Level.FULL:

@@ -46,7 +46,7 @@ def test_pose_has_the_time_of_capture_and_all_that_the_firmware_needs() -> None:
         flight.take(result_at(12.5, step_at(at(0.3), probability_far=0.2)))
         (message,) = wire.of("ODOMETRY")
         assert (message.time_usec, message.frame_id, message.child_frame_id) == (12_500_000, frame, 12)
-        assert (message.estimator_type, message.quality, message.reset_counter) == (2, 80, 12)
+        assert (message.estimator_type, message.quality, message.reset_counter) == (2, 80, 12_500_000 % 256)
         assert np.all(np.isnan([message.vx, message.vy, message.vz])) and np.all(np.isfinite(message.pose_covariance))
         assert message.x == pytest.approx(0.3) and message.z == pytest.approx(-1.0)
 
@@ -83,9 +83,10 @@ def test_turn_in_place_that_no_vehicle_makes_is_a_jump() -> None:
 @pytest.mark.parametrize("reason", [Reason.IMAGE_REPEATED, Reason.IMAGE_EMPTY])
 def test_nothing_is_sent_of_an_image_that_says_nothing(reason: Reason) -> None:
     flight, wire = sender()
+    flight.take(result_at(0.5, step_at(at(0.0))))
     flight.take(result_at(1.0, step_at(at(0.0), "uncertain", frozenset({reason}), 0.1)))
     flight.take(result_at(2.5, step_at(at(0.0), "uncertain", frozenset({Reason.NO_ODOMETRY}), 0.1)))
-    assert len(wire.of("ODOMETRY")) == len(wire.of("OBSTACLE_DISTANCE")) == 1
+    assert len(wire.of("ODOMETRY")) == len(wire.of("OBSTACLE_DISTANCE")) == 2
 
 
 def test_reset_counter_goes_on_from_zero_after_255() -> None:
@@ -94,6 +95,26 @@ def test_reset_counter_goes_on_from_zero_after_255() -> None:
         flight.take(result_at(0.1 * index, step_at(at(0.0), restarted=True)))
     counters = [message.reset_counter for message in wire.of("ODOMETRY")]
     assert counters[0] == 0 and counters[255:] == [255, 0, 1]
+
+
+def test_nothing_is_sent_of_a_start_that_nothing_has_confirmed() -> None:
+    """After a restart in flight, the stated start is the place of the take-off."""
+    flight, wire = sender()
+    for index in range(5):
+        flight.take(result_at(0.1 * index, step_at(at(0.0), "uncertain", frozenset({Reason.BELIEF_DOUBTFUL}), 0.1)))
+    assert wire.of("ODOMETRY") == wire.of("OBSTACLE_DISTANCE") == [] and flight.counts["unconfirmed"] == 5
+    flight.take(result_at(1.0, step_at(at(2.0))))
+    flight.take(result_at(1.1, step_at(at(2.0), "uncertain", frozenset({Reason.BELIEF_DOUBTFUL}), 0.1)))
+    assert len(wire.of("ODOMETRY")) == 2
+
+
+def test_two_programs_that_start_with_the_computer_begin_at_different_counts() -> None:
+    counts = set()
+    for captured_s in (24.2001, 24.2377, 24.9005):
+        flight, wire = sender()
+        flight.take(result_at(captured_s, step_at(at(0.0))))
+        counts.add(wire.of("ODOMETRY")[0].reset_counter)
+    assert len(counts) == 3
 
 
 def test_stale_future_and_infinite_poses_are_not_sent_but_counted() -> None:
@@ -138,7 +159,7 @@ def test_pilot_hears_every_state_once_within_fifty_bytes() -> None:
         flight.take(result_at(4.0 + 0.1 * index, step_at(at(0.0), "uncertain", reasons, 0.1)))
     assert [(m.severity, m.text) for m in wire.of("STATUSTEXT")] == [
         (5, "monoloc: tracking"),
-        (4, "monoloc: uncertain: belief doubtful, image empty, "),
+        (4, "monoloc: uncertain: image empty, no odometry"),
     ]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from mavlink_helpers import result_at, step_at
 from monoloc.errors import DataError
@@ -69,18 +70,37 @@ def test_on_a_terminal_it_says_once_a_second_how_it_goes() -> None:
     assert periods == [f"    {s}.00 s  {line}" for s in (1, 2)]
 
 
+@pytest.mark.parametrize(
+    ("dropped", "line", "again"),
+    [
+        ("old", "images come too late: a slow network, or stamps that are slower than the camera", True),
+        ("without start", "waiting for a marker", False),
+    ],
+)
+def test_images_that_are_not_taken_are_no_missing_camera(dropped: str, line: str, again: bool) -> None:
+    flight = Flight()
+    flight.take(100.0)
+    for index in range(20):
+        flight.summary.dropped[dropped] += index % 2  # between them, none comes for a tenth of a second
+        flight.output.idle(100.1 + 0.1 * index)
+    flight.take(102.5)
+    first, *lines = flight.printed()
+    assert first == "    0.00 s  tracking"
+    assert lines == [f"    0.60 s  {line}", *(["    2.50 s  images again"] if again else [])]
+
+
 def test_a_camera_without_images_is_said_once_also_before_the_first_and_that_they_are_back() -> None:
     flight = Flight()
     for index in range(10):
         flight.output.idle(100.0 + 0.1 * index)
-    assert flight.printed() == ["    0.60 s  no image in time from the camera"]
+    assert flight.printed() == ["    0.60 s  no image from the camera"]
     flight.take(101.5)
     assert flight.printed() == ["    1.50 s  images again", "    1.50 s  tracking"]
     flight.output.idle(101.7)
     flight.take(101.9)
     assert flight.printed() == []
     flight.output.idle(102.5)
-    assert flight.printed() == ["    2.50 s  no image in time from the camera"]
+    assert flight.printed() == ["    2.50 s  no image from the camera"]
 
 
 def test_an_output_that_failed_is_said_once() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mavlink_helpers import result_at, step_at
-from monoloc.flight.flight_loop import FlightStep
+from monoloc.flight.flight_loop import FlightStep, FlightSummary
 from monoloc.flight.watchdog_output import WatchdogOutput
 
 
@@ -40,7 +40,7 @@ def test_it_says_ready_at_the_first_frame_watchdog_twice_a_second_and_stopping_a
 ) -> None:
     systemd.bind(str(tmp_path / "notify"))
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
-    with closing(WatchdogOutput()) as output:
+    with closing(WatchdogOutput(FlightSummary())) as output:
         output.idle(10.0)  # a camera that gives nothing yet
         assert heard(systemd) == [b"WATCHDOG=1"]
         output.take(result(10.1))
@@ -53,10 +53,25 @@ def test_it_says_ready_at_the_first_frame_watchdog_twice_a_second_and_stopping_a
     assert heard(systemd) == [b"STOPPING=1"]
 
 
+def test_it_says_ready_while_a_flight_waits_for_its_marker(
+    systemd: socket.socket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    systemd.bind(str(tmp_path / "notify"))
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+    summary = FlightSummary()
+    output = WatchdogOutput(summary)
+    output.idle(10.0)
+    summary.dropped["without start"] += 1
+    output.idle(10.1)
+    output.idle(10.2)
+    assert heard(systemd) == [b"WATCHDOG=1", b"READY=1"]
+    output.close()
+
+
 def test_an_address_without_a_file(systemd: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
     systemd.bind("\0monoloc test @ watchdog")
     monkeypatch.setenv("NOTIFY_SOCKET", "@monoloc test @ watchdog")
-    WatchdogOutput().idle(0.0)
+    WatchdogOutput(FlightSummary()).idle(0.0)
     assert heard(systemd) == [b"WATCHDOG=1"]
 
 
@@ -65,7 +80,7 @@ def test_without_systemd_nothing_happens(address: str | None, monkeypatch: pytes
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
     if address is not None:
         monkeypatch.setenv("NOTIFY_SOCKET", address)
-    output = WatchdogOutput()
+    output = WatchdogOutput(FlightSummary())
     output.take(result(0.0))
     output.close()
     output.close()
@@ -76,7 +91,7 @@ def test_a_listener_that_reads_nothing_does_not_hold_the_flight_up(
 ) -> None:
     systemd.bind(str(tmp_path / "notify"))
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
-    output = WatchdogOutput()
+    output = WatchdogOutput(FlightSummary())
     for index in range(5000):
         output.idle(float(index))
     assert 0 < len(heard(systemd)) < 5000

@@ -7,6 +7,7 @@ import random
 import select
 import socket
 import struct
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -20,7 +21,9 @@ from monoloc.flight.flight_settings import Mount
 from monoloc.geometry import so3_log
 from monoloc.mavlink import autopilot_link
 from monoloc.mavlink.autopilot_frames import rotation_of
-from monoloc.mavlink.autopilot_link import AutopilotLink
+from monoloc.mavlink.autopilot_link import Attitude, AutopilotLink
+from monoloc.mavlink.firmware import Firmware
+from monoloc.mavlink.link_port import _SerialPort
 from monoloc.mavlink.messages import dialect, heartbeat, obstacle_distance, status_text
 
 mavutil = pytest.importorskip("pymavlink.mavutil")
@@ -80,6 +83,10 @@ def eventually(condition: Callable[[], bool]) -> None:
         time.sleep(0.005)
 
 
+def newest_attitude(link: AutopilotLink) -> Attitude:
+    return link._attitudes[-1]
+
+
 def test_heartbeat_is_that_of_a_visual_odometry(peer: Peer, link: AutopilotLink) -> None:
     assert not link.is_alive
     peer.beat()
@@ -105,11 +112,31 @@ def test_attitude_is_that_of_the_time_of_capture(peer: Peer, link: AutopilotLink
         peer.mav.attitude_send(5000 + 20 * index, 0.01 * index, -0.02, 0.5, 0, 0, 0)
         time.sleep(0.02)
     eventually(lambda: link.counts["received"] >= 10)
-    newest = link.attitude_at(time.monotonic())
-    assert newest is not None and newest.roll_rad == pytest.approx(0.09) and newest.pitch_rad == pytest.approx(-0.02)
-    earlier = link.attitude_at(newest.time_s - 0.06)
-    assert earlier is not None and earlier.roll_rad == pytest.approx(0.06, abs=0.011)
-    assert link.attitude_at(newest.time_s + 0.2) is None and link.attitude_at(newest.time_s - 5.0) is None
+    assert link.has_attitude
+    newest = newest_attitude(link)
+    assert newest.roll_rad == pytest.approx(0.09) and newest.pitch_rad == pytest.approx(-0.02)
+    between = link.attitude_at(newest.time_s - 0.07)
+    assert between is not None and between.roll_rad == pytest.approx(0.055)  # by the stamps, 20 ms apart
+    assert link.attitude_at(newest.time_s + 0.1) is None and link.attitude_at(newest.time_s - 5.0) is None
+
+
+def test_attitude_between_two_headings_does_not_go_round(peer: Peer, link: AutopilotLink) -> None:
+    for index, yaw_rad in enumerate((3.1, -3.1)):
+        peer.mav.attitude_send(5000 + 100 * index, 0.0, 0.0, yaw_rad, 0, 0, 0)
+        time.sleep(0.1)
+    eventually(lambda: link.counts["received"] >= 2)
+    between = link.attitude_at(newest_attitude(link).time_s - 0.05)
+    assert between is not None and abs(between.yaw_rad) == pytest.approx(np.pi, abs=1e-6)
+
+
+def test_attitude_across_a_dropout_is_not_made_up(peer: Peer, link: AutopilotLink) -> None:
+    for index in range(2):
+        peer.mav.attitude_send(5000 + 300 * index, 0.1 * index, 0.0, 0.0, 0, 0, 0)
+        time.sleep(0.3)
+    eventually(lambda: link.counts["received"] >= 2)
+    newest = newest_attitude(link)
+    assert link.attitude_at(newest.time_s - 0.15) is None
+    assert link.attitude_at(newest.time_s - 0.01) == newest
 
 
 def test_turn_is_that_of_the_camera_between_two_times_of_capture(peer: Peer) -> None:
@@ -121,8 +148,7 @@ def test_turn_is_that_of_the_camera_between_two_times_of_capture(peer: Peer) -> 
             peer.mav.attitude_send(5000 + 20 * index, 0.3, -0.2, 3.1 + 0.01 * index, 0, 0, 0)
             time.sleep(0.02)
         eventually(lambda: made.counts["received"] >= 10)
-        newest = made.attitude_at(time.monotonic())
-        assert newest is not None
+        newest = newest_attitude(made)
         turn = made.turn_between(newest.time_s - 0.11, newest.time_s - 0.01)
         assert turn is not None and turn.translation == "unknown"
         R_ned_body = rotation_of(0.3, -0.2, 0.0)
@@ -198,7 +224,7 @@ def test_attitude_that_is_no_number_or_of_another_is_ignored(peer: Peer, link: A
 def test_another_vehicle_on_the_network_is_not_listened_to(
     peer: Peer, link: AutopilotLink, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Until the first has been silent for three seconds."""
+    """Not even while the first is silent, as when its autopilot starts anew."""
     peer.beat()
     eventually(lambda: link.is_alive)
     peer.mav.srcSystem = 8
@@ -211,7 +237,20 @@ def test_another_vehicle_on_the_network_is_not_listened_to(
     assert peer.wait_for("STATUSTEXT").get_srcSystem() == 7
     monkeypatch.setattr(autopilot_link, "_ALIVE_S", 0.0)
     peer.beat()
-    assert peer.wait_for("HEARTBEAT", lambda message: message.get_srcSystem() == 8)
+    peer.mav.attitude_send(5020, 0.5, 0.0, 0.0, 0, 0, 0)
+    eventually(lambda: link.counts["received"] >= received + 4)
+    assert not link.has_attitude and not link.is_alive
+    assert (link.system, link.others) == (7, frozenset({8}))
+
+
+def test_firmware_is_that_of_the_heartbeat(peer: Peer, link: AutopilotLink) -> None:
+    assert link.firmware is None
+    peer.mav.heartbeat_send(2, 3, 0, 0, 4)  # ArduPilot
+    eventually(lambda: link.firmware is Firmware.ARDUPILOT)
+    peer.mav.heartbeat_send(2, 12, 0, 0, 4)
+    eventually(lambda: link.firmware is Firmware.PX4)
+    peer.mav.heartbeat_send(2, 0, 0, 0, 4)  # a generic one
+    eventually(lambda: link.firmware is None)
 
 
 def test_round_trip_is_measured_by_a_question_of_its_own(peer: Peer, link: AutopilotLink) -> None:
@@ -288,6 +327,31 @@ def test_serial_port_is_read_and_written_and_found_gone() -> None:
         link.send(status_text("nobody hears this", False))
     finally:
         link.close()
+
+
+def test_pose_that_a_slow_serial_port_would_send_late_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    controller, device = os.openpty()
+    is_full = threading.Event()
+    monkeypatch.setattr(_SerialPort, "is_full", property(lambda port: is_full.is_set()))
+    link = AutopilotLink(f"serial:{os.ttyname(device)}:57600")
+    try:
+        is_full.set()
+        eventually(lambda: link.queued == 0 or link.counts["sent"] > 0)
+        before = link.counts["dropped"]
+        link.send(obstacle_distance(1.0, np.zeros(72, np.uint16), 0.2, 8.0))
+        eventually(lambda: link.counts["dropped"] > before and link.queued == 0)
+        is_full.clear()
+        link.send(status_text("on the line", False))
+        data = b""
+        while b"on the line" not in data:
+            assert select.select([controller], [], [], SOON_S)[0]
+            data += os.read(controller, 4096)
+        kinds = {message.get_type() for message in dialect().MAVLink(None).parse_buffer(data) or []}
+        assert "STATUSTEXT" in kinds and "OBSTACLE_DISTANCE" not in kinds
+    finally:
+        link.close()
+        os.close(device)
+        os.close(controller)
 
 
 def test_udp_server_sends_to_who_was_heard() -> None:

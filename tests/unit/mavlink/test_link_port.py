@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import select
 import socket
+import struct
 import time
 
 import pytest
@@ -59,6 +61,22 @@ def test_serial_device_that_was_unplugged_is_gone_at_the_next_read() -> None:
     with pytest.raises(OSError):
         port.read()
     port.close()
+
+
+@pytest.mark.parametrize(("baud", "full"), [(57600, 288), (921600, 4608)])
+def test_serial_port_is_full_with_what_takes_it_fifty_milliseconds(
+    baud: int, full: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A terminal without a line never has anything to send, so the system's answer is replaced."""
+    controller, device = os.openpty()
+    port = open_port(Address("serial", os.ttyname(device), baud))
+    assert not port.is_full
+    for waiting in (full - 1, full):
+        monkeypatch.setattr(fcntl, "ioctl", lambda *_, waiting=waiting: struct.pack("i", waiting))
+        assert port.is_full == (waiting == full)
+    port.close()
+    os.close(device)
+    os.close(controller)
 
 
 def test_udp_peer_that_does_not_listen_disturbs_nothing() -> None:
