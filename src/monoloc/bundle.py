@@ -52,6 +52,7 @@ from monoloc.map.down_direction import down_of
 from monoloc.map.learnt_transform import LearntTransform
 from monoloc.map.mixture import GaussianMixture
 from monoloc.partial_files import whole_folder
+from monoloc.particle_filter.estimate import UNKNOWN_POSITION_SD_M
 from monoloc.supervision.integrity import IntegrityModel, SensorModel
 from monoloc.version import __version__
 
@@ -107,6 +108,8 @@ class Bundle:
     def supports_scan_search(self) -> bool:
         """Whether one scan tells where in the room a lost camera is."""
         tells = self.integrity.supports_scan_search and len(self.reference_poses) > 0
+        # A belief that begins so wide would be lost again before anything confirms it.
+        tells &= self.settings.particle_bias.relocalization_sd_m < UNKNOWN_POSITION_SD_M
         return tells and not {"scan", "relocalization"} & {*self.settings.without}
 
     @property

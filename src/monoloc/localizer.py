@@ -157,7 +157,10 @@ class Localizer:
         particle_estimate, log_likelihood = self._update_particles(observation, relocalization, plan.particles)
         landmarks = self._measure_landmarks(observation, prior, relocalization) if plan.has_landmarks else None
         contradicted = self._contradicted_by(landmarks, particle_estimate)
-        belief = self._fuse(observation, particle_estimate, log_likelihood, relocalization, landmarks, contradicted)
+        # Where particles are all that is known, their bias is looked up at their own pose.
+        place = particle_estimate.pose if relocalization.confirmed else prior.pose
+        measured = self._tracker.fusion.without_known_bias(particle_estimate, place)
+        belief = self._fuse(observation, measured, log_likelihood, relocalization, landmarks, contradicted)
         belief = self._camera_check.widened(belief, observation.depth)
         supervision = self._supervise(observation, belief, log_likelihood, landmarks, particle_estimate, contradicted)
         self._state, reasons = classify_state(supervision, self._state)
@@ -249,13 +252,16 @@ class Localizer:
     def _fuse(
         self,
         observation: Observation,
-        particle_estimate: Estimate,
+        measured: Estimate,
         log_likelihood: float,
         relocalization: Relocalization,
         landmarks: LandmarkMeasurement | None,
         contradicted: bool,
     ) -> Estimate:
         """The belief after motion, particles and landmarks.
+
+        Args:
+            measured: pose of the particles, less its known bias.
 
         Particles of a lost camera gather somewhere all the same: they count only if the scan fits where they are as
         scans fit at right poses, and landmarks do not contradict them.
@@ -266,9 +272,8 @@ class Localizer:
         fits &= not relocalization.awaits_landmarks
         fits |= "bias" in self._config.without  # the belief is the particles' pose, whatever their scan says
         scan_accepted = fits and relocalization.mode is Mode.TRACKING and not contradicted
-        measured = self._tracker.fusion.without_known_bias(particle_estimate)
         if scan_accepted:
-            rotation_sd = self._tracker.fusion.rotation_sd(particle_estimate)
+            rotation_sd = self._tracker.fusion.rotation_sd(measured)
             measured = self._gravity.align(measured, observation.scan, observation.down_camera, rotation_sd)
         belief = self._tracker.fuse(observation.motion, observation.elapsed_s, measured, scan_accepted)
         if relocalization.landmark_pose is not None:

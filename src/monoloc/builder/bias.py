@@ -198,9 +198,8 @@ def _check_known_bias(
         counted = held_out[trajectory.scored]
         recent = _recent_motions(trajectory, poses, recording.timestamps_s)[trajectory.warm_up :]
         for error, frame, motion in zip(errors[counted], trajectory.scored[counted], recent[counted], strict=True):
-            estimated = poses[frame] @ se3_exp(error)
-            share = model.reference_variance_share(known.distance_m(estimated))
-            corrected = estimated @ se3_exp(-share * known.bias_at(estimated, motion))
+            share = model.reference_variance_share(known.distance_m(poses[frame]))
+            corrected = poses[frame] @ se3_exp(error) @ se3_exp(-share * known.bias_at(poses[frame], motion))
             before.append(error)
             after.append(se3_log(invert(poses[frame]) @ corrected))
     sizes = [twist_errors(np.stack(errors)) for errors in (before, after)]

@@ -172,11 +172,11 @@ class BiasAugmentedFilter:
 
         The particles' bias is the usual one: as it has been estimated, it follows them wherever they go.
         """
-        measured = self.without_known_bias(measured)
         reference, covariance = self._state.pose, self._state.covariance[:6, :6]
         if landmark_pose is not None:
             reference = landmark_pose.pose
             covariance = self._landmark_noise(landmark_pose) + np.diag(self._prior_sds(reference)[LANDMARKS] ** 2)
+        measured = self.without_known_bias(measured, reference)
         covariance = covariance + particle_noise(measured) + np.diag(self._prior_sds(reference)[PARTICLES] ** 2)
         offset = se3_log(invert(reference) @ measured.pose)
         return float(offset @ np.linalg.solve(covariance, offset)) > GATE
@@ -197,13 +197,17 @@ class BiasAugmentedFilter:
         step_m = float(pose_distance_m(np.eye(4), delta[None])[0])
         return self._predicted(delta, motion, elapsed_s, step_m).estimate(self._measured.log_scale)
 
-    def without_known_bias(self, measured: Estimate) -> Estimate:
+    def without_known_bias(self, measured: Estimate, place: FloatArray) -> Estimate:
         """The particles' pose less its bias at the nearest reference poses.
 
         Away from them, the known bias counts by its share of the variance.
+
+        Args:
+            place: the best known pose (4, 4), where the bias is looked up. The particles' own is off by that bias,
+                and so seems farther from the reference poses than the camera is.
         """
-        share = self._particle_bias.reference_variance_share(self._reference_poses.distance_m(measured.pose))
-        known = self._reference_poses.bias_at(measured.pose, self._recent_motion)
+        share = self._particle_bias.reference_variance_share(self._reference_poses.distance_m(place))
+        known = self._reference_poses.bias_at(place, self._recent_motion)
         return replace(measured, pose=measured.pose @ se3_exp(-share * known))
 
     def rotation_sd(self, measured: Estimate) -> float:

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
-from monoloc.evaluation.consistency import CHI2_6_QUANTILE_99
-from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_log, transform
+from monoloc.geometry import FloatArray, invert, pose_distance_m, transform
 from monoloc.landmarks.features import MATCH_BITS, KeypointDetector, Keypoints, match_descriptors, nearest_descriptors
 from monoloc.landmarks.landmark_cells import LandmarkCells
 from monoloc.landmarks.landmark_map import LEAST_RELOCALIZED, Landmarks
@@ -23,6 +22,7 @@ from monoloc.landmarks.pnp import (
     PoseFit,
     fit_matches,
     flat_view_starts,
+    is_within_prior,
     pose_by_consensus,
 )
 
@@ -88,14 +88,14 @@ class OrbLandmarkLocalizer:
         The prior counts as vaguer than it is stated: a belief that has drifted would else select the matches that
         agree with it.
         """
-        covariance = covariance + PRIOR_COVARIANCE
+        stated, covariance = covariance, covariance + PRIOR_COVARIANCE
         visible, local = self._visible(prior)
         seen = self._detect(color)
         if self._radius_px(local, covariance) <= _MOST_RADIUS_PX:
             return self._agreeing(seen, prior, covariance, (visible, local)).measurement()
         # Too vague to say where in the image a landmark is to be sought, but not where in the room.
         found = self._confirmed(seen, visible)
-        if found is None or found.fit is None or not _is_within(found.fit.pose, prior, covariance):
+        if found is None or found.fit is None or not is_within_prior(found.fit.pose, prior, stated):
             return LandmarkMeasurement(len(visible))
         return found.measurement()
 
@@ -289,12 +289,6 @@ def _is_shown(pixels: FloatArray, keypoints: FloatArray, camera: Camera) -> NDAr
         return np.ones(len(pixels), dtype=np.bool_)
     tiles = np.clip((pixels / _TILE_PX).astype(np.int64), 0, (columns - 1, rows - 1))
     return np.asarray(large[tiles[:, 1], tiles[:, 0]] == 0)
-
-
-def _is_within(pose: FloatArray, prior: FloatArray, covariance: FloatArray) -> bool:
-    """Whether a pose (4, 4) is one that a prior expects, up to one in a hundred."""
-    offset = se3_log(invert(prior) @ pose)
-    return float(offset @ np.linalg.solve(covariance, offset)) < CHI2_6_QUANTILE_99
 
 
 def _direction_sd(covariance: FloatArray, depth_m: float) -> float:

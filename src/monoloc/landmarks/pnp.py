@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 import monoloc._core as _core
 from monoloc.camera import Camera
+from monoloc.evaluation.consistency import CHI2_6_QUANTILE_99
 from monoloc.geometry import FloatArray, invert, se3_exp, se3_log
 from monoloc.landmarks.features import Keypoints
 
@@ -83,6 +84,16 @@ class LandmarkMeasurement:
     visible: NDArray[np.int64] = field(default_factory=lambda: _NO_INDICES)
     is_found: NDArray[np.bool_] = field(default_factory=lambda: _NO_FLAGS)
     is_shown: NDArray[np.bool_] = field(default_factory=lambda: _NO_FLAGS)
+
+
+def is_within_prior(pose: FloatArray, prior: FloatArray, covariance: FloatArray) -> bool:
+    """Whether a pose (4, 4) is one that a prior expects, up to one in a hundred; landmarks near it are then sought.
+
+    Args:
+        prior, covariance: as given to :meth:`LandmarkLocalizer.measure`, which takes the prior for vaguer.
+    """
+    offset = se3_log(invert(prior) @ pose)
+    return float(offset @ np.linalg.solve(covariance + PRIOR_COVARIANCE, offset)) < CHI2_6_QUANTILE_99
 
 
 class LandmarkLocalizer(Protocol):

@@ -15,7 +15,7 @@ from enum import Enum
 import numpy as np
 
 from monoloc.geometry import pose_distance_m
-from monoloc.landmarks.pnp import LandmarkPose
+from monoloc.landmarks.pnp import LandmarkPose, is_within_prior
 from monoloc.likelihood.scan import Scan
 from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.particle_filter.estimate import Estimate, estimate
@@ -167,9 +167,14 @@ class RelocalizationStateMachine:
         return Relocalization(self.mode, particles)
 
     def _is_believed(self, seen: LandmarkPose, belief: Estimate) -> bool:
-        """Whether landmarks found the camera where it is believed to be; then measuring near the prior is enough."""
+        """Whether landmarks found the camera where it is believed to be; then measuring near the prior is enough.
+
+        It is not where the belief is more certain than it is right: it would be measured only within its covariance.
+        """
+        if self.mode is not Mode.TRACKING:
+            return False
         distance_m = float(pose_distance_m(belief.pose, seen.pose[None])[0])
-        return self.mode is Mode.TRACKING and distance_m < _SAME_PLACE_M
+        return distance_m < _SAME_PLACE_M and is_within_prior(seen.pose, belief.pose, belief.covariance)
 
     def _search_by_landmarks(self, by_landmarks: Callable[[], LandmarkPose | None]) -> LandmarkPose | None:
         if not self._searches_by_landmarks or self._since_landmark_search_s < _LANDMARK_PERIOD_S:

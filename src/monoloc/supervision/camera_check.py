@@ -12,6 +12,7 @@ from monoloc.depth.predictor import DepthPrediction
 from monoloc.fusion.bias_model import COMMON_ERROR
 from monoloc.landmarks.pnp import LandmarkPose
 from monoloc.particle_filter.estimate import Estimate
+from monoloc.supervision.integrity import MOST_COUNTED_S
 
 WELL_OBSERVED_SD = 0.02
 """Standard deviation of log-focal above which it says nothing: the view is too flat."""
@@ -81,11 +82,12 @@ class CameraCheck:
         if pose is None or not tells_focal(pose):
             return
         decay, information = math.exp(-elapsed_s / _MEMORY_S), pose.log_focal_sd**-2
-        self._measured_s += elapsed_s
+        counted_s = min(elapsed_s, MOST_COUNTED_S)
+        self._measured_s += counted_s
         self._sum = decay * self._sum + information * pose.log_focal
         self._information = decay * self._information + information
         agrees = self._difference <= min(self._bound, _MOST_CONFIRMED)
-        self._agreed_s = self._agreed_s + elapsed_s if agrees else 0.0
+        self._agreed_s = self._agreed_s + counted_s if agrees else 0.0
         self._is_confirmed |= self._agreed_s >= _CONFIRMED_S
 
     def widened(self, belief: Estimate, depth: DepthPrediction | None) -> Estimate:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from monoloc.geometry import FloatArray
 from monoloc.landmarks.landmark_map import FamiliarLandmarks, Landmarks
-from monoloc.supervision.integrity import IntegrityModel
+from monoloc.supervision.integrity import MOST_COUNTED_S, IntegrityModel
 
 _CELL_M = 0.2  # edge of the cells of space; one is tested together with those that touch it
 _OBSERVATION_S = 0.5  # that counts as one observation, since errors of neighbouring frames are correlated
@@ -111,7 +111,7 @@ class MapChangeMonitor:
         added = self._evidence(in_view, familiar.is_found) * min(1.0, elapsed_s / _OBSERVATION_S)
         self._nats[familiar.indices] = np.clip(self._nats[familiar.indices] + added, _LEAST_NATS, _MOST_NATS)
         nats = self._around(self._sums(self._cell_of, self._nats))
-        self._above_s[self._sums(in_view) > 0.0] += elapsed_s
+        self._above_s[self._sums(in_view) > 0.0] += min(elapsed_s, MOST_COUNTED_S)
         self._above_s[nats < _CHANGED_NATS] = 0.0
         self._is_changed = (self._above_s >= _LEAST_S) | (self._is_changed & (nats >= _UNCHANGED_NATS))
         return self._region(nats, in_view)

@@ -176,6 +176,21 @@ def test_impossible_depth_is_zero() -> None:
     np.testing.assert_allclose(row[33:47], 1.0, rtol=1e-4)
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_depth_that_is_no_number_is_refused_before_it_spoils_a_frame(value: float) -> None:
+    camera = Camera(4, 3, 5.0, 5.0, 1.5, 1.0)
+    depth_m, log_error = np.ones((3, 4), np.float32), np.full((3, 4), -2.0, np.float32)
+    depth_m[0, 0] = 0.0
+    log_error[0, 0] = value  # where there is no depth, none is needed
+    DepthPrediction(depth_m, camera, log_error)
+    log_error[1, 1] = value
+    with pytest.raises(ValueError, match="log_error must be finite where there is depth"):
+        DepthPrediction(depth_m, camera, log_error)
+    depth_m[2, 2] = value
+    with pytest.raises(ValueError, match="depth_m must be finite: 0 where there is none"):
+        DepthPrediction(depth_m, camera)
+
+
 def test_pixel_whose_stated_error_is_nan_has_no_depth() -> None:
     used = spec(width=64, height=64, mean=(0.0,) * 3, std=(1.0 / 255.0,) * 3, output="depth", scale=1.0)
     nodes = [

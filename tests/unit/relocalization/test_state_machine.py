@@ -309,6 +309,16 @@ def test_landmarks_elsewhere_are_believed_at_once(
     assert landmarks.calls == 1
 
 
+def test_landmarks_near_a_suspected_belief_are_believed_where_it_would_not_be_measured() -> None:
+    """A belief that is surer than it is right is measured only within its covariance, where nothing is found."""
+    for sd_m, after in (
+        (0.02, After(Mode.TRACKING, 0.28, by_landmarks=True)),
+        (0.1, After(Mode.TRACKING, 0.0, awaits_landmarks=True)),
+    ):
+        machine = machine_with(mode=Mode.TRACKING)
+        assert update(machine, 0.0, landmarks=_Landmarks(0.28), probability_wrong=WRONG, sd_m=sd_m) == after
+
+
 def test_landmarks_find_a_camera_without_depth_but_not_in_an_image_that_says_nothing() -> None:
     machine = machine_with()
     assert update(machine, 0.0, EMPTY_SCAN, landmarks=None) == After(Mode.SEARCHING, 0.0)

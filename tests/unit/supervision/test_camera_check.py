@@ -45,6 +45,13 @@ def test_nothing_is_said_before_half_a_second_of_measurements() -> None:
     assert after(check, by_landmarks(0.3), 2)
 
 
+def test_one_frame_after_a_gap_is_no_second_of_measurements() -> None:
+    for log_focal in (0.3, 0.0):
+        check = CameraCheck(0.0, 0.01, False)
+        check.update(by_landmarks(log_focal), 5.0)
+        assert not check.mismatch and not check.is_confirmed
+
+
 def test_flat_views_say_nothing() -> None:
     check = CameraCheck(0.0, 0.01, True)
     assert not after(check, by_landmarks(0.3, WELL_OBSERVED_SD * 1.01), 100)

@@ -75,6 +75,10 @@ def test_it_takes_half_a_second_whatever_the_frame_rate(rate_hz: float) -> None:
     assert 0.35 < first_s < 1.1
 
 
+def test_one_frame_after_a_gap_is_no_change() -> None:
+    assert Flight(room())(5.0, RIGHT, rate_hz=0.2) == [None]
+
+
 @pytest.mark.parametrize("share", [0.2, 0.4, 0.7, 0.9])
 def test_landmarks_that_are_missing_everywhere_are_no_change(share: float) -> None:
     assert set(Flight(room())(20.0, share=share)) == {None}
