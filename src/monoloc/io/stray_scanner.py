@@ -69,10 +69,11 @@ class StrayScannerRecording:
         self._kept: dict[int, bytes] = {}
         self._kept_bytes = 0
         self._folder = path
+        self.notes: list[str] = []
         times_s, numbers, poses = _read_odometry(path / _ODOMETRY)
         count = self._video.stated_count
         if times_s is None:
-            video_times_s = self._video.times_s()
+            video_times_s = self._video.times_s(self.notes)
             count = len(video_times_s)
             times_s = video_times_s[np.minimum(numbers, count - 1)]
         frames = FrameFilter(len(poses))
@@ -91,7 +92,7 @@ class StrayScannerRecording:
         self.frame_names = [f"{number:06d}" for number in self._numbers]
         self.timestamps_s = times_s[used]
         self.poses: FloatArray | None = poses[used]
-        self.notes = frames.notes()
+        self.notes += frames.notes()
         if self.has_depth and not (path / "confidence").is_dir():
             self.notes.append("there is no folder confidence/, so depth of every confidence is used")
         self.color(0)

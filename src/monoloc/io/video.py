@@ -85,11 +85,12 @@ class VideoRecording:
             )
         self.name = path.stem
         self.camera = camera
-        self.timestamps_s = self._frames.times_s()
+        self.notes: list[str] = []
+        self.timestamps_s = self._frames.times_s(self.notes)
         self.frame_names = [f"{index:06d}" for index in range(len(self.timestamps_s))]
         self.poses: NDArray[np.float64] | None = None
         self.has_depth = False
-        self.notes = _cut_note(len(self.timestamps_s), self._frames.stated_count)
+        self.notes += _cut_note(len(self.timestamps_s), self._frames.stated_count)
 
     def __len__(self) -> int:
         return len(self.frame_names)

@@ -20,6 +20,7 @@ from capture_writers import (
 from monoloc.camera import Camera
 from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.registry import open_recording
+from monoloc.io.video_frames import VideoFrames
 from refusals import refuses_data, refuses_setting, refuses_to_open
 from synthetic_recordings import check_recording
 
@@ -45,6 +46,18 @@ def test_folder_opens(tmp_path: Path, capture: Capture, early: bool) -> None:
     assert recording.camera == capture.camera and recording.name == "walk" and recording.notes == []
     expected_s = np.arange(len(capture)) / 10.0 if early else capture.times_s + 5000.0
     np.testing.assert_allclose(recording.timestamps_s, expected_s, atol=1e-6)
+
+
+def test_mended_times_of_an_early_version_are_noted(
+    tmp_path: Path, capture: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def mended(_: VideoFrames, notes: list[str]) -> np.ndarray:
+        notes.append("mended")
+        return np.arange(len(capture)) / 4.0
+
+    monkeypatch.setattr(VideoFrames, "times_s", mended)
+    write_stray_scanner(tmp_path / "walk", capture, early=True)
+    assert open_recording(str(tmp_path / "walk")).notes == ["mended"]
 
 
 def test_frames_are_read_in_any_order(folder: Path, capture: Capture, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -75,21 +75,26 @@ def test_file_that_is_no_video_is_refused(tmp_path: Path, capfd: pytest.CaptureF
     path.write_bytes(b"not a video")
     refuses_to_open(path, path, "cannot be decoded as a video", "convert it to .mp4")
     assert capfd.readouterr().err == ""
+    path.write_bytes(b"")
+    refuses_to_open(path, path, "is empty", "copy it again, or record it again")
 
 
 OpenCVCapture = cv2.VideoCapture
 
 
 class UntimedCapture:
-    """A cv2.VideoCapture of a stream without times, with a frame rate of choice. (Subclasses of it crash.)"""
+    """A cv2.VideoCapture of a stream without times, or with these, and a frame rate. (Subclasses of it crash.)"""
 
     rate_hz = 0.0
+    stamps_ms = (0.0,) * 6
 
     def __init__(self, path: str) -> None:
         self._capture = OpenCVCapture(path)
 
     def get(self, key: int) -> float:
-        return {cv2.CAP_PROP_POS_MSEC: 0.0, cv2.CAP_PROP_FPS: self.rate_hz}.get(key, self._capture.get(key))
+        if key == cv2.CAP_PROP_POS_MSEC:
+            return self.stamps_ms[int(self._capture.get(cv2.CAP_PROP_POS_FRAMES)) - 1]
+        return self.rate_hz if key == cv2.CAP_PROP_FPS else self._capture.get(key)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._capture, name)
@@ -106,7 +111,55 @@ def test_video_without_times_needs_a_frame_rate(tmp_path: Path, monkeypatch: pyt
         "convert it",
     )
     monkeypatch.setattr(UntimedCapture, "rate_hz", 4.0)
-    np.testing.assert_allclose(open_recording(str(path), VIDEO_OPTIONS).timestamps_s, np.arange(6) / 4.0)
+    recording = open_recording(str(path), VIDEO_OPTIONS)
+    np.testing.assert_allclose(recording.timestamps_s, np.arange(6) / 4.0)
+    assert recording.notes == [
+        "time stamps of the video do not increase at 5 of 6 frames; all are taken to be at its mean rate, 4 Hz"
+    ]
+
+
+def test_one_doubled_time_stamp_of_a_file_is_interpolated(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mp4"
+    synthetic.write_uneven_video(path, [1, 3, 0, 4, 2, 2])
+    recording = open_recording(str(path), VIDEO_OPTIONS)
+    np.testing.assert_allclose(recording.timestamps_s, [0.0, 0.05, 0.2, 0.3, 0.4, 0.5])
+    assert recording.notes == ["time stamps of the video do not increase at 1 of 6 frames; they are interpolated"]
+
+
+@pytest.mark.parametrize(
+    ("stamps_ms", "expected_s"),
+    [
+        ((0, 100, 300, 300, 500, 900), (0.0, 0.1, 0.3, 0.4, 0.5, 0.9)),  # doubled: the second is wrong
+        ((0, 100, 9e6, 300, 400, 900), (0.0, 0.1, 0.2, 0.3, 0.4, 0.9)),  # one that is far ahead
+        ((0, 100, 200, 300, 0, 500), (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)),  # one that is far behind
+        ((0, 100, 200, 400, 400, 400), None),
+        ((200, 300, 400, 500, 600, 600), (0.2, 0.3, 0.4, 0.5, 0.6, 0.7)),  # the last: at the mean rate
+        ((9e6, 100, 200, 300, 400, 600), (-0.025, 0.1, 0.2, 0.3, 0.4, 0.6)),  # the first
+    ],
+)
+def test_few_wrong_time_stamps_leave_the_others(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    stamps_ms: tuple[float, ...],
+    expected_s: tuple[float, ...] | None,
+) -> None:
+    """Where more than a quarter are wrong, none is used."""
+    path = tmp_path / "flight.avi"
+    synthetic.write_video(path)
+    monkeypatch.setattr(cv2, "VideoCapture", UntimedCapture)
+    monkeypatch.setattr(UntimedCapture, "stamps_ms", stamps_ms)
+    monkeypatch.setattr(UntimedCapture, "rate_hz", 4.0)
+    recording = open_recording(str(path), VIDEO_OPTIONS)
+    np.testing.assert_allclose(recording.timestamps_s, np.arange(6) / 4.0 if expected_s is None else expected_s)
+    assert ("interpolated" if expected_s else "mean rate, 4 Hz") in recording.notes[0]
+
+
+def test_video_without_frames_is_empty(tmp_path: Path) -> None:
+    path = tmp_path / "flight.avi"
+    synthetic.write_video(path, frames=0)
+    refuses_data(
+        lambda: open_recording(str(path), VIDEO_OPTIONS), path, "is empty: it has no frame", "record it again"
+    )
 
 
 def test_video_cut_short_while_it_is_read_is_refused(tmp_path: Path) -> None:
