@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import itertools
 import warnings
 import zipfile
 from collections.abc import Callable, Iterator
@@ -110,21 +110,45 @@ def _read_pcd(path: Path, _: list[str]) -> FloatArray:
 
 
 def _read_columns(path: Path, _: list[str]) -> FloatArray:
-    """Columns that white space or commas separate, named by a first line or in the order x, y, z."""
+    """Columns named by a first line, or in the order x, y, z; see :func:`_columns`."""
     with path.open("rb") as file:
         first = file.readline().decode("utf-8-sig", errors="replace")
-        names = re.split(r"[\s,;]+", first.strip().lower().lstrip("#/ "))
+        titles = first.lower().lstrip("#/ ")
+        names = [(title.split() or [""])[0] for title in titles.split(_separator(titles))]
         if {"x", "y", "z"} <= set(names):
-            return _columns(file, (names.index("x"), names.index("y"), names.index("z")))
+            return _columns(file, (names.index("x"), names.index("y"), names.index("z")), path)
         file.seek(0)
-        return _columns(file, (0, 1, 2))
+        return _columns(file, (0, 1, 2), path)
 
 
-def _columns(lines: Iterator[bytes], columns: tuple[int, int, int]) -> FloatArray:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # "input contained no data": an empty file is reported by count
-        separated = (line.replace(b",", b" ").replace(b";", b" ") for line in lines)
-        return np.loadtxt(separated, dtype=np.float64, usecols=columns, ndmin=2)
+def _columns(lines: Iterator[bytes], columns: tuple[int, int, int], path: Path) -> FloatArray:
+    """Numbers that one separator divides, that of the first of them: semicolons, else commas, else white space.
+
+    Spreadsheets of languages with a decimal comma separate columns by semicolons.
+    """
+    filled = (numbers for line in lines if (numbers := line.split(b"#")[0]).strip())
+    first = next(filled, b"")
+    separator = _separator(first.decode("latin-1"))
+    rows = itertools.chain([first], filled)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # no data: an empty file is reported by count
+            return np.loadtxt(
+                (row.replace(b",", b".") for row in rows) if separator == ";" else rows,
+                dtype=np.float64,
+                delimiter=separator,
+                usecols=columns,
+                ndmin=2,
+            )
+    except ValueError as error:
+        problem = f"cannot be read as {path.suffix[1:]} ({error})"
+        fix = "separate columns by one of space, comma or semicolon; a decimal comma needs semicolons"
+        raise DataError(path, problem, fix) from None
+
+
+def _separator(line: str) -> str | None:
+    """What separates the columns of a line; None for white space."""
+    return next((mark for mark in (";", ",") if mark in line), None)
 
 
 def _read_npz(path: Path, _: list[str]) -> FloatArray:
@@ -140,7 +164,7 @@ def _read_npz(path: Path, _: list[str]) -> FloatArray:
 def _read_points_3d_text(path: Path, _: list[str]) -> FloatArray:
     """Lines of ``POINT3D_ID X Y Z R G B ERROR TRACK[]`` (https://colmap.github.io/format.html)."""
     with path.open("rb") as file:
-        return _columns(file, (1, 2, 3))
+        return _columns(file, (1, 2, 3), path)
 
 
 def _read_points_3d_binary(path: Path, _: list[str]) -> FloatArray:

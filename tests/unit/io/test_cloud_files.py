@@ -12,6 +12,7 @@ from capture_writers import Capture, pinhole_of, write_colmap
 from monoloc.errors import DataError
 from monoloc.io.cloud_files import read_cloud
 from monoloc.io.pcd import decompress_lzf, write_pcd
+from refusals import refuses_data
 
 POINTS = np.array([[0.5, -1.25, 2.0], [3.0, 4.5, -0.125], [1e3, 0.0, 7.0]])
 
@@ -174,6 +175,8 @@ def test_xyz_takes_the_first_three_columns(tmp_path: Path, suffix: str) -> None:
         ("a.csv", "Intensity;Z;X;Y\n9;{2};{0};{1}\n"),
         ("a.txt", "//X Y Z\n{0} {1} {2}\n"),
         ("a.xyz", "{0}, {1}, {2}\n"),
+        ("a.csv", "Point ID;x [m];y [m];z [m];\n9;{0};{1};{2};\n"),
+        ("a.csv", "id,x,y,z\n,{0},{1},{2}\n"),
     ],
 )
 def test_commas_and_headers(tmp_path: Path, name: str, text: str) -> None:
@@ -181,6 +184,25 @@ def test_commas_and_headers(tmp_path: Path, name: str, text: str) -> None:
     *header, row = text.splitlines(keepends=True)
     (tmp_path / name).write_text("".join([*header, *(row.format(*point) for point in POINTS)]))
     np.testing.assert_array_equal(read_cloud(tmp_path / name), POINTS)
+
+
+@pytest.mark.parametrize("header", ["", "x;y;z\n"])
+def test_decimal_commas_between_semicolons(tmp_path: Path, header: str) -> None:
+    (tmp_path / "a.csv").write_text(f"{header}1,637;1,270;1,041\n-0,5; 2 ;3,25\n")
+    np.testing.assert_array_equal(read_cloud(tmp_path / "a.csv"), [[1.637, 1.27, 1.041], [-0.5, 2.0, 3.25]])
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["1,637 1,270 1,041\n", "1,637\t1,270\t1,041\n", "1;2;3\n1.234,5;2;3\n", "1,2,3\n1;2;3\n", "1,2,3\n1,,3\n"],
+)
+def test_unclear_columns_are_refused(tmp_path: Path, text: str) -> None:
+    """A decimal comma is no separator, and no column is skipped."""
+    (tmp_path / "a.csv").write_text(text)
+    problem = r"cannot be read as csv \(could not convert string"
+    refuses_data(
+        lambda: read_cloud(tmp_path / "a.csv"), tmp_path / "a.csv", problem, "decimal comma needs semicolons"
+    )
 
 
 @pytest.mark.parametrize("binary", [False, True])
