@@ -124,17 +124,28 @@ def tag_rotation(path: Path, quarter_turns: int) -> None:
 # --- Stray Scanner ---
 
 
-def write_stray_scanner(folder: Path, capture: Capture, early: bool = False) -> None:
-    """A recording with depth of half the size; early versions had NumPy depth and bare poses."""
+def write_stray_scanner(
+    folder: Path, capture: Capture, early: bool = False, focal_factors: Sequence[float] | None = None
+) -> None:
+    """A recording with depth of half the size; early versions had NumPy depth and bare poses.
+
+    ``focal_factors`` are of each frame's intrinsics against the camera matrix, as newer versions write them.
+    """
     for name in ("depth", "confidence"):
         (folder / name).mkdir(parents=True)
     write_video_of(folder / "rgb.mp4", capture.colors)
     np.savetxt(folder / "camera_matrix.csv", capture.camera.matrix, delimiter=",")
     poses = np.column_stack([capture.poses[:, :3, 3], quaternions_xyzw(capture.poses)])
     lines = [] if early else ["timestamp, frame, x, y, z, qx, qy, qz, qw"]
+    if focal_factors is not None:
+        lines[0] += ", fx, fy, cx, cy, distortion_center_x, distortion_center_y"
     for index, pose in enumerate(poses):
         start = [] if early else [f"{capture.times_s[index] + 5000.0:.6f}", f"{index:06d}"]
-        lines.append(", ".join([*start, *map(repr, pose.tolist())]))
+        end = []
+        if focal_factors is not None:
+            camera, factor = capture.camera, focal_factors[index]
+            end = [str(camera.fx * factor), str(camera.fy * factor), str(camera.cx), str(camera.cy), "", ""]
+        lines.append(", ".join([*start, *map(repr, pose.tolist()), *end]))
         depth_mm = halved(capture.depths_mm[index])
         if early:
             np.save(folder / f"depth/{index:06d}.npy", depth_mm)

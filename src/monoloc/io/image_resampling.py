@@ -7,6 +7,7 @@ depth by the nearest pixel.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import cv2
@@ -39,7 +40,7 @@ def common_camera(cameras: Sequence[Camera]) -> tuple[Camera, NDArray[np.bool_]]
         The camera, and for each image (N,) whether its camera has that size and a focal length within 5 %.
     """
     sizes = [(camera.width, camera.height) for camera in cameras]
-    size = max(sizes, key=sizes.count)
+    ((size, _),) = Counter(sizes).most_common(1)
     focals_px = np.array([camera.focal_px for camera in cameras])
     of_size = np.array([each == size for each in sizes])
     candidates = np.flatnonzero(of_size)

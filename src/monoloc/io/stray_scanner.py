@@ -3,8 +3,9 @@
 Layout (https://github.com/strayrobots/scanner, docs/format.md): ``rgb.mp4``, ``depth/NNNNNN.png`` (16-bit
 millimetres, 256x192, of the same field of view as colour), ``confidence/NNNNNN.png`` (0, 1, 2), ``camera_matrix.csv``
 (3x3, of the video's size) and ``odometry.csv``: ``timestamp, frame, x, y, z, qx, qy, qz, qw``, camera to world, with
-OpenCV's camera axes and y up in the world. Early versions wrote depth as .npy, and poses without a header, time stamp
-and number, one line for each frame of the video.
+OpenCV's camera axes and y up in the world. Newer versions add ``fx, fy, cx, cy`` of each frame, and the centre of a
+distortion that they do not state, often left empty. Early versions wrote depth as .npy, and poses without a header,
+time stamp and number, one line for each frame of the video.
 
 ARKit's lower confidence levels mark depth that is filled in at edges and on dark or shiny surfaces, which would blur
 the map. Only depth of the highest level is used.
@@ -12,6 +13,7 @@ the map. Only depth of the highest level is used.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -23,8 +25,9 @@ from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
 from monoloc.io.file_access import read_text, require_file, require_folder
 from monoloc.io.frame_filter import FrameFilter
-from monoloc.io.image_cameras import stated_by
+from monoloc.io.image_cameras import one_camera, stated_by
 from monoloc.io.image_files import read_depth
+from monoloc.io.image_resampling import Resampler
 from monoloc.io.pose_files import check_increasing, poses_from_quaternions
 from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.video_frames import VideoFrames
@@ -33,6 +36,7 @@ DEPTH_SCALE = 1000.0
 HIGH_CONFIDENCE = 2
 _VIDEO, _ODOMETRY, _MATRIX = "rgb.mp4", "odometry.csv", "camera_matrix.csv"
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+_INTRINSICS = ("fx", "fy", "cx", "cy")
 _AGAIN = "export the recording from Stray Scanner again"
 # Frames are kept as JPEG for the next pass over the recording, because a step back in a video costs a decoding from
 # its start. The video is a lossy code with halved colour resolution itself.
@@ -47,8 +51,9 @@ def recognises(path: Path) -> bool:
 def read(path: Path, options: ReaderOptions) -> StrayScannerRecording:
     """Open a recording's folder.
 
-    Frames of the video without a pose or a depth image are left out. Colour is as stored: a rotation tag of the video
-    is ignored, as the intrinsics and the depth are those of the stored pixels.
+    Frames of the video without a pose or a depth image are left out. Images whose intrinsics differ from those of the
+    recording are rendered with these. Colour is as stored: a rotation tag of the video is ignored, as the intrinsics
+    and the depth are those of the stored pixels.
 
     Raises:
         DataError: a file is missing or malformed, or no frame remains.
@@ -70,7 +75,8 @@ class StrayScannerRecording:
         self._kept_bytes = 0
         self._folder = path
         self.notes: list[str] = []
-        times_s, numbers, poses = _read_odometry(path / _ODOMETRY)
+        odometry = _read_odometry(path / _ODOMETRY, self._video.size)
+        times_s, numbers, poses = odometry.times_s, odometry.numbers, odometry.poses
         count = self._video.stated_count
         if times_s is None:
             video_times_s = self._video.times_s(self.notes)
@@ -82,13 +88,15 @@ class StrayScannerRecording:
         self.has_depth = any(depth_path is not None for depth_path in depth_paths)
         if self.has_depth:
             frames.require([depth_path is not None for depth_path in depth_paths], "without depth")
+        cameras = odometry.cameras or [_read_camera(path / _MATRIX, self._video.size)] * len(poses)
+        self.camera, own_cameras = one_camera(cameras, options, frames)
         used = frames.positions(path, _AGAIN)
+        self._resampler = None if own_cameras is None else Resampler(self.camera, [own_cameras[p] for p in used])
         check_increasing(times_s[used], path / _ODOMETRY)
         self._numbers = numbers[used]
         self._depth_paths = [depth_paths[p] for p in used]
         self._depth_scale = options.depth_scale or DEPTH_SCALE
         self.name = path.resolve().name
-        self.camera = options.camera_or(_read_camera(path / _MATRIX, self._video.size))
         self.frame_names = [f"{number:06d}" for number in self._numbers]
         self.timestamps_s = times_s[used]
         self.poses: FloatArray | None = poses[used]
@@ -104,7 +112,10 @@ class StrayScannerRecording:
         """See :meth:`monoloc.io.recording.Recording.color`."""
         number = int(self._numbers[index])
         if number not in self._kept:
-            bgr = cv2.cvtColor(self._checked(self._video.read(number)), cv2.COLOR_RGB2BGR)
+            image = self._checked(self._video.read(number))
+            if self._resampler is not None:
+                image = self._resampler.color(index, image)
+            bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
             self._keep(number, cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes())
         stored = np.frombuffer(self._kept[number], dtype=np.uint8)
         bgr = np.asarray(cv2.imdecode(stored, cv2.IMREAD_COLOR), dtype=np.uint8)
@@ -116,7 +127,8 @@ class StrayScannerRecording:
         if depth_path is None:
             raise DataError(self._folder, "has no depth images", "use a recording with depth, or predicted depth")
         confidence_path = _file_of(self._folder / "confidence", int(self._numbers[index]))
-        return read_depth(depth_path, self._depth_scale, self.camera, confidence_path, HIGH_CONFIDENCE)
+        depth_m = read_depth(depth_path, self._depth_scale, self.camera, confidence_path, HIGH_CONFIDENCE)
+        return depth_m if self._resampler is None else self._resampler.depth(index, depth_m)
 
     def _checked(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         height, width = image.shape[:2]
@@ -149,8 +161,24 @@ def _read_camera(path: Path, size: tuple[int, int]) -> Camera:
         return Camera(*size, rows[0, 0], rows[1, 1], rows[0, 2], rows[1, 2])
 
 
-def _read_odometry(path: Path) -> tuple[FloatArray | None, NDArray[np.int64], FloatArray]:
-    """Time stamps (N,) in seconds, or None; frame numbers (N,); and ``T_world_camera`` (N, 4, 4)."""
+@dataclass(frozen=True)
+class _Odometry:
+    """Lines of ``odometry.csv``.
+
+    Attributes:
+        times_s: time stamps (N,) seconds; None of early versions.
+        numbers: frame numbers (N,).
+        poses: ``T_world_camera`` (N, 4, 4).
+        cameras: camera of each frame, N; None if the file does not state them.
+    """
+
+    times_s: FloatArray | None
+    numbers: NDArray[np.int64]
+    poses: FloatArray
+    cameras: list[Camera] | None
+
+
+def _read_odometry(path: Path, size: tuple[int, int]) -> _Odometry:
     lines = [line for line in read_text(path).splitlines() if line.strip()]
     header = [name.strip() for name in lines[0].split(",")] if lines else []
     if "qw" in header:
@@ -168,15 +196,25 @@ def _read_odometry(path: Path) -> tuple[FloatArray | None, NDArray[np.int64], Fl
     numbers = columns.get("frame", np.arange(len(lines), dtype=np.float64))
     if not (np.isfinite(numbers) & (numbers >= 0.0)).all():
         raise DataError(path, "column frame has a value that is no frame number", _AGAIN)
-    return columns.get("timestamp"), numbers.astype(np.int64), poses_from_quaternions(quaternions, positions_m, path)
+    poses = poses_from_quaternions(quaternions, positions_m, path)
+    return _Odometry(columns.get("timestamp"), numbers.astype(np.int64), poses, _cameras(columns, size, path))
+
+
+def _cameras(columns: dict[str, FloatArray], size: tuple[int, int], path: Path) -> list[Camera] | None:
+    """Camera of each line; None where the file does not state intrinsics for each."""
+    if any(name not in columns or np.isnan(columns[name]).all() for name in _INTRINSICS):
+        return None
+    rows = np.stack([columns[name] for name in _INTRINSICS], axis=1)
+    with stated_by(path):
+        return [Camera(*size, *row) for row in rows.tolist()]
 
 
 def _numbers(path: Path, lines: list[str], count: int) -> FloatArray:
-    """Rows of ``count`` numbers each, separated by commas: (N, count)."""
+    """Rows of ``count`` numbers each, separated by commas: (N, count); NaN of an empty field."""
     rows = []
     for line in lines:
         try:
-            row = [float(word) for word in line.split(",")]
+            row = [float(word if word.strip() else "nan") for word in line.split(",")]
         except ValueError:
             row = []
         if len(row) != count:

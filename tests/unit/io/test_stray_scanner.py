@@ -48,6 +48,34 @@ def test_folder_opens(tmp_path: Path, capture: Capture, early: bool) -> None:
     np.testing.assert_allclose(recording.timestamps_s, expected_s, atol=1e-6)
 
 
+def test_intrinsics_of_each_frame_are_used(tmp_path: Path, capture: Capture) -> None:
+    """A focal length 2 % longer shows the room 2 % larger; another lens is left out. The matrix is the last frame's."""
+    write_stray_scanner(tmp_path / "walk", capture, focal_factors=[1.0] * 8 + [1.02] * 3 + [2.0])
+    matrix = tmp_path / "walk/camera_matrix.csv"
+    np.savetxt(matrix, np.diag([2.0, 2.0, 1.0]) @ capture.camera.matrix, delimiter=",")
+    recording = open_recording(str(tmp_path / "walk"))
+    assert recording.camera == capture.camera and len(recording) == 11
+    assert recording.notes == ["1 of 12 frames are left out: 1 of another image size or lens"]
+    v, u = np.mgrid[10:118:9, 10:150:7]
+    for index, factor in ((0, 1.0), (8, 1.02), (10, 1.02)):
+        x, y = ((pixel - centre) * factor + centre for pixel, centre in ((u, 75.5), (v, 66.0)))
+        columns, rows = np.rint(x).astype(int), np.rint(y).astype(int)
+        assert np.abs(recording.color(index)[v, u] - capture.colors[index][rows, columns].astype(float)).mean() < 5.0
+        depth_mm = certain_depths_mm(capture)[index][rows, columns]
+        np.testing.assert_allclose(recording.depth(index)[v, u], depth_mm / 1000.0, atol=1e-6)
+
+
+def test_empty_columns_of_intrinsics_leave_the_matrix(tmp_path: Path, capture: Capture) -> None:
+    write_stray_scanner(tmp_path / "walk", capture, focal_factors=[1.0] * 12)
+    odometry, camera = tmp_path / "walk/odometry.csv", capture.camera
+    stated = ", ".join(str(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy))
+    text = odometry.read_text()
+    odometry.write_text(text.replace(stated, ", , , "))
+    assert open_recording(str(tmp_path / "walk")).camera == capture.camera
+    odometry.write_text(text.replace(stated, ", , , ", 1))
+    refuses_to_open(tmp_path / "walk", odometry, "camera.fx/fy: is", "positive")
+
+
 def test_mended_times_of_an_early_version_are_noted(
     tmp_path: Path, capture: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
