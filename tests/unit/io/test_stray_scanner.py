@@ -49,7 +49,7 @@ def test_folder_opens(tmp_path: Path, capture: Capture, early: bool) -> None:
 
 
 def test_intrinsics_of_each_frame_are_used(tmp_path: Path, capture: Capture) -> None:
-    """A focal length 2 % longer shows the room 2 % larger; another lens is left out. The matrix is the last frame's."""
+    """A focal length 2 % longer shows the room 2 % larger; another lens is left out. The matrix is of the last."""
     write_stray_scanner(tmp_path / "walk", capture, focal_factors=[1.0] * 8 + [1.02] * 3 + [2.0])
     matrix = tmp_path / "walk/camera_matrix.csv"
     np.savetxt(matrix, np.diag([2.0, 2.0, 1.0]) @ capture.camera.matrix, delimiter=",")
