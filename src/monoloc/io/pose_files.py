@@ -168,17 +168,18 @@ def nearest_times(query_s: FloatArray, times_s: FloatArray) -> NDArray[np.int64]
 
 
 def interpolate_poses(
-    query_s: FloatArray, times_s: FloatArray, poses: FloatArray
+    query_s: FloatArray, times_s: FloatArray, poses: FloatArray, max_gap_s: float = MAX_POSE_GAP_S
 ) -> tuple[NDArray[np.bool_], FloatArray]:
     """Poses at other times than they were sampled at.
 
-    Between samples at most 0.25 s apart, the pose is interpolated on SE(3) with a constant twist; elsewhere it is the
-    nearest sample within 20 ms.
+    Between samples at most ``max_gap_s`` apart, the pose is interpolated on SE(3) with a constant twist; elsewhere it
+    is the nearest sample within 20 ms.
 
     Args:
         query_s: (Q,) seconds.
         times_s: (N,) seconds, increasing, N >= 1.
         poses: (N, 4, 4).
+        max_gap_s: seconds.
 
     Returns:
         Whether the pose is known at each query, (Q,), and the pose (Q, 4, 4), which is arbitrary where it is unknown.
@@ -190,7 +191,7 @@ def interpolate_poses(
         return known, result
     after = np.searchsorted(times_s, query_s).clip(1, len(times_s) - 1)
     start_s, end_s = times_s[after - 1], times_s[after]
-    inside = (query_s >= start_s) & (query_s <= end_s) & (end_s - start_s <= MAX_POSE_GAP_S)
+    inside = (query_s >= start_s) & (query_s <= end_s) & (end_s - start_s <= max_gap_s)
     fraction = ((query_s - start_s) / (end_s - start_s))[inside, None]
     start = poses[after[inside] - 1]
     step = se3_log(invert(start) @ poses[after[inside]])

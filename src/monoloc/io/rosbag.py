@@ -85,9 +85,13 @@ class RosbagRecording:
             frames.require(self._partners >= 0, f"without depth within {1e3 * MAX_TIME_DIFFERENCE_S:g} ms")
         all_poses = None
         if poses is not None:
-            known, all_poses = poses.sampler(times_s)
-            frames.require(known, "without a pose")
-        used = frames.positions(bag.path, "check that images, depth and poses use one clock, or choose other topics")
+            needs, all_poses = poses.sampler(times_s)
+            for known, reason in needs:
+                frames.require(known, reason)
+        fix = (
+            "check that images, depth and poses use one clock and poses come at 4 Hz or more, or choose other topics"
+        )
+        used = frames.positions(bag.path, fix)
         self._positions, self._partners = used, self._partners[used]
         self.timestamps_s = times_s[used]
         self.frame_names = [f"{position:06d}" for position in used]

@@ -10,12 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.errors import DataError
-from monoloc.geometry import FloatArray, invert
+from monoloc.geometry import FloatArray, invert, se3_log
 from monoloc.io.pose_files import interpolate_poses, poses_from_quaternions
 
 _UNCHANGED = 1e-9  # of a transform that is repeated
-# Poses at times (Q,) seconds: whether each is known (Q,), and T_a_b (Q, 4, 4).
-Sampler = Callable[[FloatArray], tuple[NDArray[np.bool_], FloatArray]]
+# Largest jump of the camera from one correction of its drift to the next, whose moment is unknown: about the noise of
+# poses that a build bears.
+_MOST_JUMP_M, _MOST_JUMP_RAD = 0.05, 0.02
+# What a pose needs: whether it is met at each time (Q,), and the reason that FrameFilter.require takes.
+Requirement = tuple[NDArray[np.bool_], str]
+# Poses at times (Q,) seconds: what they need, and T_a_b (Q, 4, 4), arbitrary where that is not met.
+Sampler = Callable[[FloatArray], tuple[list[Requirement], FloatArray]]
 
 
 def is_optical(frame: str) -> bool:
@@ -50,8 +55,8 @@ class Samples:
         (pose,) = poses_from_quaternions(row[:, 3:], row[:, :3], path)
         return np.asarray(pose)
 
-    def sampler(self, path: Path) -> Sampler:
-        """Poses at other times, see :func:`monoloc.io.pose_files.interpolate_poses`.
+    def usable(self, path: Path) -> tuple[FloatArray, FloatArray]:
+        """Increasing times (N,) seconds, and the poses (N, 4, 4) at these.
 
         Poses that are not finite or have no rotation, as before a tracker has started, are left out.
 
@@ -64,8 +69,13 @@ class Samples:
         if not usable.any():
             raise DataError(path, "holds no finite pose", "record after the tracker has started")
         poses = poses_from_quaternions(rows[usable, 3:], rows[usable, :3], path)
-        times_s = stamps_ns[usable] / 1e9
-        return lambda query_s: interpolate_poses(query_s, times_s, poses)
+        return stamps_ns[usable] / 1e9, poses
+
+    def reason(self, name: str) -> str:
+        """Why there is no pose at a time; ``name`` says what of."""
+        count, span_s = len(set(self.stamps_ns)), (max(self.stamps_ns) - min(self.stamps_ns)) / 1e9
+        rate = f"{(count - 1) / span_s:.2g} Hz" if count > 1 else "one pose"
+        return f"without a pose near in time ({name} has {rate})"
 
 
 class TransformTree:
@@ -122,25 +132,57 @@ class TransformTree:
         return (chain[-1][0], max(moving)) if moving else None
 
     def sampler(self, frame: str) -> Sampler:
-        """``T_root_frame`` of a frame over time, where all transforms between them are known."""
-        parts = [
-            samples.last(self._path) if samples.is_constant() else samples.sampler(self._path)
-            for _, samples in self._ancestors(frame)
-        ]
+        """``T_root_frame`` of a frame over time.
 
-        def sample(query_s: FloatArray) -> tuple[NDArray[np.bool_], FloatArray]:
-            known = np.ones(len(query_s), dtype=np.bool_)
-            T_parent_frame = np.tile(np.eye(4), (len(query_s), 1, 1))
-            for part in parts:
-                if callable(part):
-                    is_known, pose = part(query_s)
-                    known &= is_known
+        The lowest transform that changes moves with the frame, so that it is needed near in time. Those above correct
+        its drift, as that from map to odom (REP 105), and may come slowly as long as they jump little.
+        """
+
+        def sample(query_s: FloatArray) -> tuple[list[Requirement], FloatArray]:
+            needs: list[Requirement] = []
+            T_child_frame = np.tile(np.eye(4), (len(query_s), 1, 1))
+            child = frame
+            for parent, samples in self._ancestors(frame):
+                name = f"{parent} to {child} of /tf"
+                if samples.is_constant():
+                    T_parent_child = samples.last(self._path)
+                elif not needs:
+                    known, T_parent_child = interpolate_poses(query_s, *samples.usable(self._path))
+                    needs.append((known, samples.reason(name)))
                 else:
-                    pose = part
-                T_parent_frame = pose @ T_parent_frame
-            return known, T_parent_frame
+                    times_s, poses = samples.usable(self._path)
+                    known, _ = interpolate_poses(query_s, times_s, poses)
+                    known |= _jumps_little(query_s, times_s, poses, T_child_frame)
+                    _, T_parent_child = interpolate_poses(query_s, times_s, poses, np.inf)
+                    needs.append((known, samples.reason(f"{name} jumps, and")))
+                T_child_frame = T_parent_child @ T_child_frame
+                child = parent
+            return needs, T_child_frame
 
         return sample
+
+
+def _jumps_little(
+    query_s: FloatArray, times_s: FloatArray, poses: FloatArray, T_child_frame: FloatArray
+) -> NDArray[np.bool_]:
+    """Whether a frame is nearly the same by the correction before and that after each time: (Q,).
+
+    The first and the last are held for as long as they usually come apart.
+
+    Args:
+        query_s: (Q,) seconds.
+        times_s: (N,) seconds, of the corrections.
+        poses: the corrections ``T_parent_child``, (N, 4, 4).
+        T_child_frame: at each time, (Q, 4, 4).
+    """
+    after = np.searchsorted(times_s, query_s)
+    last = len(times_s) - 1
+    earlier, later = (poses[at.clip(0, last)] @ T_child_frame for at in (after - 1, after))
+    jump = se3_log(invert(earlier) @ later)
+    usual_s = np.median(np.diff(times_s)) if last else 0.0
+    is_near = (query_s >= times_s[0] - usual_s) & (query_s <= times_s[-1] + usual_s)
+    jump_m, jump_rad = (np.linalg.norm(part, axis=1) for part in (jump[:, :3], jump[:, 3:]))
+    return np.asarray(is_near & (jump_m <= _MOST_JUMP_M) & (jump_rad <= _MOST_JUMP_RAD))
 
 
 @dataclass

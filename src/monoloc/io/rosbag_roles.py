@@ -6,17 +6,17 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from monoloc.camera import Camera
 from monoloc.errors import DataError, SettingError
 from monoloc.geometry import FloatArray
+from monoloc.io.pose_files import interpolate_poses
 from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.registration import DepthRegistration
 from monoloc.io.rosbag_contents import Contents, ImageTopic
 from monoloc.io.rosbag_file import BagFile
 from monoloc.io.rosbag_messages import camera_of
-from monoloc.io.rosbag_poses import PoseTopic, Sampler, TransformTree, mount_of
+from monoloc.io.rosbag_poses import PoseTopic, Requirement, Sampler, TransformTree, mount_of
 
 _NONE, _TF = "none", "/tf"
 _SAME_INTRINSICS = 0.01  # largest relative difference of focal lengths and centres of one camera's images
@@ -191,9 +191,9 @@ def _of_topic(
     T_body_camera, how = mount
     path = bag.path / topic.name.lstrip("/")
 
-    def sample(query_s: FloatArray) -> tuple[NDArray[np.bool_], FloatArray]:
-        known, T_world_body = topic.samples.sampler(path)(query_s)
-        return known, T_world_body @ T_body_camera
+    def sample(query_s: FloatArray) -> tuple[list[Requirement], FloatArray]:
+        known, T_world_body = interpolate_poses(query_s, *topic.samples.usable(path))
+        return [(known, topic.samples.reason(topic.name))], T_world_body @ T_body_camera
 
     return PoseSource(topic.name, how, len(topic.samples), sample)
 

@@ -153,4 +153,4 @@ def _interpolated(times_s: FloatArray, right: NDArray[np.int64]) -> FloatArray:
     reach_s = count * (known_s[-1] - known_s[0]) / (right[-1] - right[0])
     positions = np.concatenate([right[:1] - count, right, right[-1:] + count])
     stamps_s = np.concatenate([known_s[:1] - reach_s, known_s, known_s[-1:] + reach_s])
-    return np.interp(np.arange(count), positions, stamps_s)
+    return np.asarray(np.interp(np.arange(count), positions, stamps_s))

@@ -215,6 +215,64 @@ def test_poses_are_chained_from_transforms(tmp_path: Path, capture: Capture) -> 
     assert recording.notes[0].endswith(f"poses are those of /tf, from map to {OPTICAL}")
 
 
+def corrected_odometry(capture: Capture, stamps_s: NDArray[np.float64], jump_m: float = 0.0) -> Bag:
+    """/tf of odom to the body at images' times, and of map to odom at few: 2 cm/s of drift, and a jump halfway."""
+    bag = without_poses(capture)
+    ros, halfway_s = bag.ros, capture.times_s.mean()
+
+    def T_map_odom(time_s: float) -> NDArray[np.float64]:
+        correction = np.eye(4)
+        correction[1, 3] = 0.02 * (time_s - capture.times_s[0]) + jump_m * (time_s > halfway_s)
+        return correction
+
+    for time_s, T_map_body in odometry_of(capture):
+        T_odom_body = np.linalg.inv(T_map_odom(time_s)) @ T_map_body
+        bag.add("/tf", time_s, ros.tf(ros.transform(time_s, "odom", BODY, T_odom_body)))
+    for time_s in (capture.times_s[0] + stamps_s).tolist():
+        bag.add("/tf", time_s, ros.tf(ros.transform(time_s, "map", "odom", T_map_odom(time_s))))
+    return bag
+
+
+def test_slow_corrections_of_drift_are_interpolated(tmp_path: Path, capture: Capture) -> None:
+    span_s = np.ptp(capture.times_s)
+    bag = corrected_odometry(capture, np.linspace(-0.1, span_s + 0.1, 3))
+    recording = open_recording(str(bag.write(tmp_path / "whole")))
+    check_opened(recording, capture, capture.depths_mm, 1e-9)
+    assert len(recording.notes) == 1
+    bag = corrected_odometry(capture, np.array([0.3, 0.7]) * span_s)  # the first and the last are held
+    recording = open_recording(str(bag.write(tmp_path / "held")))
+    check_opened(recording, capture, capture.depths_mm, 1e-9, pose_error=0.02 * 0.3 * span_s + 1e-6)
+
+
+def test_frames_beside_a_jump_of_corrections_are_left_out(tmp_path: Path, capture: Capture) -> None:
+    span_s = np.ptp(capture.times_s)
+    bag = corrected_odometry(capture, np.linspace(-0.1, 1.1, 4) * span_s, jump_m=0.4)
+    recording = open_recording(str(bag.write(tmp_path / "walk")))
+    fractions = (capture.times_s - capture.times_s[0]) / span_s
+    kept = (fractions < 0.3) | (fractions > 0.7)
+    np.testing.assert_allclose(recording.poses, capture.poses[kept], atol=1e-6)
+    rate = f"{3 / (1.2 * span_s):.2g} Hz"
+    assert recording.notes[1].endswith(
+        f": {int((~kept).sum())} without a pose near in time (map to odom of /tf jumps, and has {rate})"
+    )
+    bag = corrected_odometry(capture, np.array([0.0, 0.1]) * span_s)  # then, none for long
+    recording = open_recording(str(bag.write(tmp_path / "stopped")))
+    assert len(recording) == int((fractions <= 0.2).sum())
+
+
+def test_slow_transforms_of_the_camera_are_named(tmp_path: Path, capture: Capture) -> None:
+    """Its movement between two poses is unknown."""
+    bag = without_poses(capture)
+    step_s = float(capture.times_s[1] - capture.times_s[0])
+    for time_s in capture.times_s[0] + step_s * np.arange(0.5, 12.0, 4.0):
+        pose = np.eye(4)
+        pose[0, 3] = time_s - capture.times_s[0]
+        bag.add("/tf", time_s, bag.ros.tf(bag.ros.transform(time_s, WORLD, BODY, pose)))
+    path = bag.write(tmp_path / "walk")
+    problem = rf"12 without a pose near in time \(map to {BODY} of /tf has 3.[78] Hz\)"
+    refuses_to_open(path, path, problem, "poses come at 4 Hz or more")
+
+
 def test_poses_are_interpolated_and_what_is_left_out_is_told(tmp_path: Path, capture: Capture) -> None:
     bag = without_poses(capture)
     for time_s, pose in odometry_of(capture)[:6]:
@@ -226,7 +284,7 @@ def test_poses_are_interpolated_and_what_is_left_out_is_told(tmp_path: Path, cap
     lost.pose.pose.position.x = np.nan
     bag.add(ODOM, capture.times_s[-1], lost)
     recording = open_recording(str(bag.write(tmp_path / "walk")))
-    assert recording.notes[1:] == ["6 of 12 frames are left out: 6 without a pose"]
+    assert recording.notes[1:] == ["6 of 12 frames are left out: 6 without a pose near in time (/odom has 16 Hz)"]
     assert recording.poses is not None
     np.testing.assert_allclose(recording.poses, capture.poses[:6], atol=1e-6)
 
