@@ -61,10 +61,17 @@ class Ros:
             "sensor_msgs/msg/CompressedImage", header=self.header(time_s, frame), format=fmt, data=content
         )
 
-    def info(self, camera: Camera, frame: str, model: str = "plumb_bob", **changes: Any) -> Any:
-        roi = self.make(
-            "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
-        )
+    def info(
+        self,
+        camera: Camera,
+        frame: str,
+        model: str = "plumb_bob",
+        binning: tuple[int, int] = (0, 0),
+        roi: tuple[int, int, int, int] = (0, 0, 0, 0),
+        **changes: Any,
+    ) -> Any:
+        """A CameraInfo; ``roi`` is left, top, width and height."""
+        region = dict(zip(("x_offset", "y_offset", "width", "height"), roi, strict=True))
         matrices = {
             "d": np.array(camera.distortion),
             "k": camera.matrix.reshape(-1),
@@ -79,9 +86,9 @@ class Ros:
             height=camera.height,
             width=camera.width,
             distortion_model=model,
-            binning_x=0,
-            binning_y=0,
-            roi=roi,
+            binning_x=binning[0],
+            binning_y=binning[1],
+            roi=self.make("sensor_msgs/msg/RegionOfInterest", **region, do_rectify=False),
             **matrices,
         )
 

@@ -23,6 +23,7 @@ from monoloc.io.rosbag_messages import (
     encoding_of,
     is_depth,
     pose_row,
+    region_size,
     same_intrinsics,
     size_of,
 )
@@ -119,7 +120,11 @@ class Contents:
         beside = f"{image.base.rpartition('/')[0]}/camera_info"
         if beside in self.infos:
             return self.infos[beside]
-        alike = [each for each in self.infos.values() if (each.message.width, each.message.height) == image.size]
+        alike = [
+            each
+            for each in self.infos.values()
+            if image.size in ((each.message.width, each.message.height), region_size(each.message))
+        ]
         of_frame = [each for each in alike if each.frame == image.frame]
         for group in (of_frame, alike):
             if len(group) == 1:

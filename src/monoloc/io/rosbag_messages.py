@@ -170,16 +170,20 @@ def _pixels(message: Any, path: Path, dtype: np.dtype[Any], channels: int) -> ND
     return pixels if channels == 1 else pixels.reshape(height, width, channels)
 
 
-def camera_of(info: Any, is_rectified: bool, path: Path) -> Camera:
+def camera_of(info: Any, is_rectified: bool, image_size: tuple[int, int] | None, path: Path) -> Camera:
     """Camera of a CameraInfo: K and the distortion, or P of rectified images.
+
+    These are of the whole sensor, of which images may be a region (roi) with averaged pixels (binning). Some drivers
+    state them for the images instead, which have the size of the message then.
 
     Args:
         info: the message.
         is_rectified: whether the images are those after rectification.
+        image_size: width and height of the images; None if they are unknown.
         path: where it is, for error messages.
 
     Raises:
-        DataError: the camera is not calibrated, or its distortion model is not read.
+        DataError: the camera is not calibrated, its distortion model is not read, or its region is not in the image.
     """
     size = (int(info.width), int(info.height))
     K, P = (np.asarray(_field(info, name), dtype=np.float64) for name in ("k", "p"))
@@ -190,13 +194,40 @@ def camera_of(info: Any, is_rectified: bool, path: Path) -> Camera:
     model, coefficients = ("brown", ()) if is_rectified else _distortion(info, path)
     (fx, _, cx), (_, fy, cy), _ = matrix.tolist()
     with stated_by(path):
-        return Camera(*size, fx, fy, cx, cy, coefficients, model)
+        camera = Camera(*size, fx, fy, cx, cy, coefficients, model)
+        return camera if image_size == size else _region_of(camera, info, path)
+
+
+def _region_of(camera: Camera, info: Any, path: Path) -> Camera:
+    """Camera of the region of interest of a CameraInfo, after binning."""
+    roi = info.roi
+    width, height = region_size(info)
+    across, down = _binning(info)
+    left, top = int(roi.x_offset), int(roi.y_offset)
+    if left + width * across > camera.width or top + height * down > camera.height:
+        problem = (
+            f"has the roi {roi.width}x{roi.height} at ({left}, {top}), outside its {camera.width}x{camera.height}"
+        )
+        raise DataError(path, problem, "give --camera W,H,FX,FY,CX,CY,K1,K2,P1,P2,K3 of these images")
+    return camera.cropped(left, top, width * across, height * down).resized(width, height)
+
+
+def region_size(info: Any) -> tuple[int, int]:
+    """Width and height of the images of a CameraInfo: of its region of interest, after binning."""
+    across, down = _binning(info)
+    return (info.roi.width or info.width) // across, (info.roi.height or info.height) // down
+
+
+def _binning(info: Any) -> tuple[int, int]:
+    """Pixels of the sensor in one of an image, along x and y; 0 in a message means 1."""
+    return max(int(info.binning_x), 1), max(int(info.binning_y), 1)
 
 
 def same_intrinsics(info: Any, other: Any) -> bool:
-    """Whether two messages of CameraInfo state the same size and numbers."""
-    if (info.width, info.height) != (other.width, other.height):
-        return False
+    """Whether two messages of CameraInfo state the same size, region and numbers."""
+    for each in ("width", "height", "binning_x", "binning_y", "roi"):
+        if getattr(info, each) != getattr(other, each):
+            return False
     return all(np.array_equal(_field(info, name), _field(other, name)) for name in ("k", "d", "p"))
 
 

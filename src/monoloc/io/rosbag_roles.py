@@ -67,7 +67,7 @@ def choose_camera(bag: BagFile, contents: Contents, color: ImageTopic, options: 
             fix = "record its camera_info topic, or give --camera"
             raise DataError(bag.path, f"holds no CameraInfo of {color.name}", fix)
         return options.camera, "intrinsics are those given"
-    own = camera_of(info.message, color.is_rectified, bag.path / info.name.lstrip("/"))
+    own = camera_of(info.message, color.is_rectified, color.size, bag.path / info.name.lstrip("/"))
     first = ", of which the first is used, as they change" if info.changes else ""
     return options.camera_or(own), f"intrinsics are those of {info.name}{first}"
 
@@ -110,7 +110,8 @@ def choose_depth(
         depth_info = contents.info_of(topic)
         T_color_depth = tree.rigid(color.frame, topic.frame) if topic.frame and color.frame else None
         if depth_info is not None and T_color_depth is not None:
-            depth_camera = camera_of(depth_info.message, topic.is_rectified, bag.path / depth_info.name.lstrip("/"))
+            path = bag.path / depth_info.name.lstrip("/")
+            depth_camera = camera_of(depth_info.message, topic.is_rectified, topic.size, path)
             how = f"registered to colour by {depth_info.name} and /tf_static"
             return DepthSource(topic, how, DepthRegistration(depth_camera, camera, T_color_depth))
     problem = f"is not aligned to {color.name} (frame {topics[0].frame!r}, colour {color.frame!r})"
@@ -127,7 +128,7 @@ def _is_aligned(bag: BagFile, contents: Contents, topic: ImageTopic, color: Imag
     info = contents.info_of(topic)
     if info is None or info is contents.info_of(color):
         return True
-    own = camera_of(info.message, topic.is_rectified, bag.path / info.name.lstrip("/"))
+    own = camera_of(info.message, topic.is_rectified, topic.size, bag.path / info.name.lstrip("/"))
     numbers = np.array([[each.fx, each.fy, each.cx, each.cy] for each in (own, camera)])
     return bool(np.abs(numbers[0] / numbers[1] - 1.0).max() < _SAME_INTRINSICS)
 

@@ -338,11 +338,57 @@ def test_lens_of_each_model(
     assert camera == replace(capture.camera, distortion=tuple(coefficients), distortion_model=expected)
 
 
+def sensor_of(capture: Capture) -> Camera:
+    """The sensor of whose pixels (20, 8) to (340, 392) the capture's images show each 2x3 as one."""
+    camera = capture.camera
+    centre = (2 * (camera.cx + 0.5) - 0.5 + 20, 3 * (camera.cy + 0.5) - 0.5 + 8)
+    return Camera(400, 420, 2 * camera.fx, 3 * camera.fy, *centre)
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_region_and_binning_of_a_sensor_are_applied(tmp_path: Path, capture: Capture, version: int) -> None:
+    bag = bag_of(capture, version)
+    info = bag.ros.info(sensor_of(capture), OPTICAL, binning=(2, 3), roi=(20, 8, 321, 385))  # a rest of one pixel
+    bag.topics = {"/info": [(0.0, info)]} | {
+        topic: messages for topic, messages in bag.topics.items() if not topic.endswith("camera_info")
+    }
+    recording = open_recording(str(bag.write(tmp_path / "walk")))
+    check_opened(recording, capture, capture.depths_mm, 1e-9)
+    numbers = ("width", "height", "fx", "fy", "cx", "cy")
+    np.testing.assert_allclose(
+        *([getattr(each, name) for name in numbers] for each in (recording.camera, capture.camera))
+    )
+
+
+def test_binning_that_the_intrinsics_allow_for_is_not_applied(tmp_path: Path, capture: Capture) -> None:
+    """As some drivers write it: width, height and K are those of the images."""
+    bag = bag_of(capture, poses=False, depth=False)
+    bag.topics["/cam/color/camera_info"] = [(0.0, bag.ros.info(capture.camera, OPTICAL, binning=(2, 2)))]
+    assert open_recording(str(bag.write(tmp_path / "walk"))).camera == capture.camera
+
+
+def test_region_outside_the_sensor_is_refused(tmp_path: Path, capture: Capture) -> None:
+    bag = bag_of(capture, poses=False, depth=False)
+    info = bag.ros.info(sensor_of(capture), OPTICAL, roi=(240, 8, 161, 128))
+    bag.topics["/cam/color/camera_info"] = [(0.0, info)]
+    path = bag.write(tmp_path / "walk")
+    problem = r"has the roi 161x128 at \(240, 8\), outside its 400x420"
+    refuses_to_open(path, path / "cam/color/camera_info", problem, "give --camera W,H")
+    whole = replace(capture.camera, distortion=(0.01, 0.0, 0.0, 0.0, 0.0))
+    assert open_recording(str(path), ReaderOptions(whole)).camera == whole
+
+
 def test_intrinsics_that_change_are_told(tmp_path: Path, capture: Capture) -> None:
     bag = bag_of(capture, poses=False, depth=False)
-    bag.add("/cam/color/camera_info", 1.0, bag.ros.info(replace(capture.camera, fx=140.0), OPTICAL))
-    recording = open_recording(str(bag.write(tmp_path / "walk")))
-    assert recording.camera == capture.camera and "of which the first is used, as they change" in recording.notes[0]
+    told = "of which the first is used, as they change"
+    bag.add("/cam/color/camera_info", 0.5, bag.ros.info(capture.camera, OPTICAL))
+    assert told not in open_recording(str(bag.write(tmp_path / "same"))).notes[0]
+    first = bag.topics.pop("/cam/color/camera_info")
+    for name, camera, binning in (("lens", replace(capture.camera, fx=140.0), 0), ("binning", capture.camera, 2)):
+        changed = bag.ros.info(camera, OPTICAL, binning=(binning, binning))
+        bag.topics["/cam/color/camera_info"] = [*first, (1.0, changed)]
+        recording = open_recording(str(bag.write(tmp_path / name)))
+        assert recording.camera == capture.camera and told in recording.notes[0]
 
 
 def test_rectified_images_have_the_projection_matrix(tmp_path: Path, capture: Capture) -> None:
