@@ -89,6 +89,17 @@ def test_images_in_poses_and_the_whole_tree_out(
     assert not stage.ros.of(OBSTACLES)  # the bundle's network was not tuned
 
 
+def test_camera_info_is_understood_by_the_first_image(stage: Stage) -> None:
+    """That of a sensor of which images bin 2x2 pixels; one without a focal length is replaced by the next."""
+    stage.begin()
+    stage.give_camera(k=[0.0] * 9)
+    stage.give_image(0)
+    assert "has no focal length in K" in stage.ros.said[0] and not stage.ros.published
+    stage.give_camera(SMALL_CAMERA.resized(2 * SMALL_CAMERA.width, 2 * SMALL_CAMERA.height), binning_x=2, binning_y=2)
+    stage.give_image(1)
+    assert len(stage.ros.said) == 1 and stage.ros.of(STATE)
+
+
 def test_without_settings_the_mount_is_that_of_the_tree_and_odometry_may_be_anothers(
     stage: Stage, recording: RoomRecording, room: str, bundle: Bundle
 ) -> None:

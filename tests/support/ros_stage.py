@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import ros_stand_in
+from monoloc.camera import Camera
 from monoloc.geometry import FloatArray
 from monoloc.ros.message_contents import camera_info, pose_with_covariance, transforms
 from monoloc.ros.ros_frames import pose_of
@@ -51,8 +52,9 @@ class Stage:
         filled = sys.modules["monoloc_ros.conversion"].filled
         return filled(getattr(sys.modules[f"{package}.msg"], name)(), content)
 
-    def give_camera(self) -> None:
-        content = camera_info(BEGIN_NS, "cam_optical", self._recording.camera)
+    def give_camera(self, camera: Camera | None = None, **changes: Any) -> None:
+        """The recording's camera, or another, with changes of the message's fields."""
+        content = camera_info(BEGIN_NS, "cam_optical", camera or self._recording.camera) | changes
         self.ros.give("camera_info", self.message("sensor_msgs/CameraInfo", content))
 
     def give_image(self, index: int, age_s: float = 0.02, compressed: bool = False) -> None:

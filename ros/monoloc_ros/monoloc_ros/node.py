@@ -24,7 +24,7 @@ from monoloc.errors import MonolocError, SettingError
 from monoloc.flight.flight_file import FlightFile, read_flight_file
 from monoloc.flight.flight_settings import down_of_map
 from monoloc.geometry import FloatArray
-from monoloc.io.rosbag_messages import camera_of, color_of
+from monoloc.io.rosbag_messages import camera_of, color_of, size_of
 from monoloc.obstacles import tells_obstacles
 from monoloc.place.flown_map import MapLocalizer, open_map
 from monoloc.ros.ros_frames import FrameNames, RosFrames, down_camera, pose_of
@@ -74,6 +74,7 @@ class MonolocNode(Node):
         )
         self._publish_odom: bool = self._parameter("publish_odom", True)
         self._is_rectified: bool = self._parameter("rectified", False)
+        self._info: CameraInfo | None = None
         self._camera: Camera | None = None
         self._start: Start | None = None
         self._made: MapLocalizer | None = None
@@ -97,11 +98,7 @@ class MonolocNode(Node):
     # --- What comes in ---
 
     def _take_camera(self, message: CameraInfo) -> None:
-        if self._camera is None:
-            try:
-                self._camera = camera_of(message, self._is_rectified, Path("camera_info"))
-            except MonolocError as error:
-                self._warn(str(error))
+        self._info = message
 
     def _take_imu(self, message: Imu) -> None:
         self._imu = message
@@ -128,13 +125,23 @@ class MonolocNode(Node):
 
     def _take_image(self, message: Image | CompressedImage) -> None:
         stamp_ns = _nanoseconds(message.header.stamp)
-        if self._camera is None:
-            self._warn("no camera_info yet")
-        elif self._is_in_time(stamp_ns) and self._is_ready(message.header.frame_id, self._camera):
+        camera = self._camera_of(message)
+        if camera is not None and self._is_in_time(stamp_ns) and self._is_ready(message.header.frame_id, camera):
             try:
-                self._localize(color_of(message, Path("image"), self._camera), message, stamp_ns)
+                self._localize(color_of(message, Path("image"), camera), message, stamp_ns)
             except MonolocError as error:  # of the image, or of a room of a place that is read now
                 self._warn(str(error))
+
+    def _camera_of(self, image: Image | CompressedImage) -> Camera | None:
+        """The camera: at the first image, by whose size camera_info is understood."""
+        if self._camera is None and self._info is None:
+            self._warn("no camera_info yet")
+        elif self._camera is None:
+            try:
+                self._camera = camera_of(self._info, self._is_rectified, size_of(image), Path("camera_info"))
+            except MonolocError as error:
+                self._warn(str(error))
+        return self._camera
 
     def _is_in_time(self, stamp_ns: int) -> bool:
         now_ns = self.get_clock().now().nanoseconds
