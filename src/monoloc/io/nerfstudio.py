@@ -2,9 +2,11 @@
 
 Poses ``transform_matrix`` are camera to world with OpenGL's camera axes. Intrinsics ``fl_x, fl_y, cx, cy, w, h`` and
 ``k1, k2, k3, k4, p1, p2`` are stated once or for each frame, with the centre of the top-left pixel at (0.5, 0.5).
+Files of instant-ngp and Blender may state the horizontal field of view ``camera_angle_x`` in radians in place of the
+intrinsics, and name .png images without their suffix.
 ``depth_file_path`` is optional, in millimetres by default. Where poses were scaled by ``applied_scale``, this is
 undone; ``applied_transform`` turns the world, and stays. Sources: nerfstudio's ``nerfstudio_dataparser.py``, and its
-documentation, *Data conventions*.
+documentation, *Data conventions*; instant-ngp's ``nerf_loader.cu``.
 """
 
 from __future__ import annotations
@@ -18,9 +20,10 @@ from monoloc.camera import Camera
 from monoloc.distortion import DistortionModel
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
-from monoloc.io.file_access import json_number, json_rows, read_json, require_file, require_folder
+from monoloc.io.file_access import json_number, json_rows, read_bytes, read_json, require_file, require_folder
 from monoloc.io.frame_filter import FrameFilter
 from monoloc.io.image_cameras import one_camera, stated_by
+from monoloc.io.image_files import checked_header
 from monoloc.io.images import ImageRecording, names_of, natural_order
 from monoloc.io.pose_files import OPENGL_AXES, UNTIMED, UNTIMED_RATE_HZ, checked_poses
 from monoloc.io.reader_options import ReaderOptions
@@ -29,7 +32,10 @@ FILE_NAME = "transforms.json"
 DEPTH_SCALE = 1000.0
 _PERSPECTIVE = ("OPENCV", "PERSPECTIVE", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 _FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
+_INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy")
+_CENTRED = "cx and cy are not stated; the optical axis is taken to be in the centre of the image"
 _AGAIN = "run ns-process-data again"
+_NO_IMAGES = "copy the images to where it says, or correct file_path"
 
 
 def recognises(path: Path) -> bool:
@@ -52,15 +58,16 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
     require_file(file, f"give a {FILE_NAME} or its folder")
     content = read_json(file)
     entries = _frames(content, file)
-    color_paths = [file.parent / entry["file_path"] for entry in entries]
+    color_paths = [_color_path(entry, file.parent) for entry in entries]
     frames = FrameFilter(len(entries))
     frames.require([each.is_file() for each in color_paths], "without an image")
     depth_paths = [_depth_path(entry, file.parent) for entry in entries]
     has_depth = any(each is not None for each in depth_paths)
     if has_depth:
         frames.require([each is not None for each in depth_paths], "without depth")
-    camera, cameras = one_camera([_camera(content | entry, file) for entry in entries], options, frames)
-    used = frames.positions(file, "copy the images to where it says, or correct file_path")
+    shared, is_centred = _completed(content, color_paths[frames.positions(file, _NO_IMAGES)[0]], file)
+    camera, cameras = one_camera([_camera(shared | entry, file) for entry in entries], options, frames)
+    used = frames.positions(file, _NO_IMAGES)
     used_color_paths = [color_paths[p] for p in used]
     return ImageRecording(
         name=file.resolve().parent.name,
@@ -73,7 +80,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
         depth_paths=[each for p in used if (each := depth_paths[p]) is not None] if has_depth else None,
         depth_scale=options.depth_scale or DEPTH_SCALE,
         cameras=None if cameras is None else [cameras[p] for p in used],
-        notes=[*frames.notes(), UNTIMED],
+        notes=[*frames.notes(), *([_CENTRED] if is_centred and options.camera is None else []), UNTIMED],
     )
 
 
@@ -86,6 +93,12 @@ def _frames(content: dict[str, Any], path: Path) -> list[dict[str, Any]]:
         if not isinstance(entry, dict) or not isinstance(entry.get("file_path"), str):
             raise DataError(path, f"entry {number} of frames has no file_path", _AGAIN)
     return sorted(entries, key=lambda entry: natural_order(entry["file_path"]))
+
+
+def _color_path(entry: dict[str, Any], folder: Path) -> Path:
+    name: str = entry["file_path"]
+    path = folder / name
+    return path if path.suffix or path.is_file() else path.with_name(f"{path.name}.png")
 
 
 def _depth_path(entry: dict[str, Any], folder: Path) -> Path | None:
@@ -114,8 +127,36 @@ def _poses(content: dict[str, Any], entries: list[dict[str, Any]], path: Path) -
     return poses
 
 
+def _completed(content: dict[str, Any], image: Path, path: Path) -> tuple[dict[str, Any], bool]:
+    """What is stated for all frames, with the intrinsics of a field of view in place of those that are not stated.
+
+    Returns:
+        This content, and whether the principal point is taken to be in the centre.
+    """
+    if "camera_angle_x" not in content or "fl_x" in content:
+        return content, False
+    header = checked_header(read_bytes(image), image)
+    stated = {"w": header.width, "h": header.height} | content
+    width, height = (json_number(stated, key, path) for key in ("w", "h"))
+    fl_x = _focal_px(content, "camera_angle_x", width, path)
+    fl_y = _focal_px(content, "camera_angle_y", height, path) if "camera_angle_y" in content else fl_x
+    implied = {"fl_x": fl_x, "fl_y": fl_y, "cx": width / 2.0, "cy": height / 2.0}
+    return implied | stated, not {"cx", "cy"} <= content.keys()
+
+
+def _focal_px(content: dict[str, Any], key: str, size: float, path: Path) -> float:
+    """Focal length of a field of view, radians, over a side of the image, pixels."""
+    angle_rad = json_number(content, key, path)
+    if not 0.0 < angle_rad < np.pi:
+        raise DataError(path, f"{key} is {angle_rad!r}, no field of view", "write it in radians")
+    return float(0.5 * size / np.tan(0.5 * angle_rad))
+
+
 def _camera(entry: dict[str, Any], path: Path) -> Camera:
     """Camera of a frame's entry, completed by what is stated for all frames."""
+    missing = [key for key in _INTRINSICS if key not in entry]
+    if missing:
+        raise DataError(path, f"{missing[0]} is missing", f"write {', '.join(_INTRINSICS)}, or camera_angle_x")
     model, distortion = _lens(entry, path)
     with stated_by(path):
         return Camera(

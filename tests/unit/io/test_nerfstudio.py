@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,7 @@ from capture_writers import Capture, check_opened, write_nerfstudio
 from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.registry import open_recording
 from refusals import refuses_data, refuses_to_open
-from synthetic_recordings import check_recording
+from synthetic_recordings import check_recording, write_color
 
 UNTIMED = "the files state no times; frames are taken to be 0.2 s apart"
 
@@ -53,6 +55,48 @@ def test_intrinsics_may_be_those_of_each_frame(tmp_path: Path, capture: Capture)
     recording = open_recording(str(rewrite(tmp_path, content)))
     assert recording.camera == capture.camera
     check_opened(recording, capture, capture.depths_mm)
+
+
+def angle_of(size_px: int, focal_px: float) -> float:
+    return 2.0 * math.atan(0.5 * size_px / focal_px)
+
+
+def with_angles(folder: Path, capture: Capture, **changes: Any) -> Path:
+    """As instant-ngp and Blender may write it: a field of view, and .png images without their suffix."""
+    content = write_nerfstudio(folder, capture)
+    for key in ("fl_x", "fl_y", "cx", "cy", "w", "h"):
+        del content[key]
+    for frame, index in zip(content["frames"], (0, 9, 10, 11, *range(1, 9)), strict=True):
+        frame["file_path"] = f"./images/r_{index}"
+        write_color(folder / f"images/r_{index}.png", capture.colors[index])
+    return rewrite(folder, content | {"camera_angle_x": angle_of(capture.camera.width, capture.camera.fx)} | changes)
+
+
+def test_field_of_view_stands_for_the_intrinsics(tmp_path: Path, capture: Capture) -> None:
+    centred = replace(capture.camera, fy=capture.camera.fx, cx=79.5, cy=63.5)
+    note = "cx and cy are not stated; the optical axis is taken to be in the centre of the image"
+    recording = open_recording(str(with_angles(tmp_path, capture)))
+    check_opened(recording, capture, capture.depths_mm)
+    assert np.allclose(recording.camera.matrix, centred.matrix) and recording.notes == [note, UNTIMED]
+    assert open_recording(str(tmp_path), ReaderOptions(capture.camera)).notes == [UNTIMED]
+    whole = {"camera_angle_y": angle_of(128, capture.camera.fy), "cx": 76.0, "cy": 66.5}
+    recording = open_recording(str(with_angles(tmp_path, capture, **whole)))
+    assert np.allclose(recording.camera.matrix, capture.camera.matrix) and recording.notes == [UNTIMED]
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem", "fix"),
+    [
+        ({"camera_angle_x": 69.4}, "camera_angle_x is 69.4, no field of view", "in radians"),
+        ({"camera_angle_y": 0.0}, "camera_angle_y is 0.0, no field of view", "in radians"),
+        ({"fl_x": 136.0}, "w is missing", "write w, h, fl_x, fl_y, cx, cy, or camera_angle_x"),
+    ],
+)
+def test_field_of_view_that_is_none_is_refused(
+    tmp_path: Path, capture: Capture, changes: dict[str, Any], problem: str, fix: str
+) -> None:
+    with_angles(tmp_path, capture, **changes)
+    refuses_to_open(tmp_path, tmp_path / "transforms.json", problem, fix)
 
 
 def test_incomplete_frames_are_counted(tmp_path: Path, capture: Capture) -> None:
