@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -49,7 +50,8 @@ class _BundleFirst(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         first = str(ctx.params["bundle"])
         if args and first in self.commands and args[0] not in self.commands:
-            raise SettingError("BUNDLE", f"comes before {first}", f"write: monoloc map edit {args[0]} {first}")
+            command = shlex.join(["monoloc", "map", "edit", args[0], first, *args[1:]])
+            raise SettingError("BUNDLE", f"comes before {first}", f"write: {command}")
         return super().resolve_command(ctx, args)
 
 

@@ -138,10 +138,7 @@ class DatasetDescription:
         start = self.integer("start") if self.has("start") else 0
         step = self.step()
         if not self.states_frames:
-            found = [index for index in self._indices_of("color") if index >= start and (index - start) % step == 0]
-            if not found:
-                raise self.error("color", f"is {self.text('color')!r}, which no file matches")
-            return found
+            return self._existing_indices(start, step)
         if self.has("stop") and self.has("count"):
             raise self.error("stop", "is given beside count; remove one of the two")
         stop = self.integer("stop") if self.has("stop") else start + self.integer("count") * step
@@ -150,6 +147,17 @@ class DatasetDescription:
         if stop - start > _MOST_FRAMES * step:
             raise self.error("stop" if self.has("stop") else "count", f"makes more than {_MOST_FRAMES} frames")
         return list(range(start, stop, step))
+
+    def _existing_indices(self, start: int, step: int) -> list[int]:
+        existing = self._indices_of("color")
+        if not existing:
+            raise self.error("color", f"is {self.text('color')!r}, which no file matches")
+        found = [index for index in existing if index >= start and (index - start) % step == 0]
+        if not found:
+            key, value = ("start", start) if existing[-1] < start else ("step", step)
+            numbers = f"{existing[0]} to {existing[-1]}"
+            raise self.error(key, f"is {value}, by which no frame remains of the colour images {numbers}")
+        return found
 
     def step(self) -> int:
         step = self.integer("step") if self.has("step") else 1

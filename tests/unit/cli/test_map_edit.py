@@ -139,6 +139,9 @@ REFUSED = {
 def test_bundle_comes_before_what_to_do(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
     arguments = ("map", "edit", "log", "room.monoloc")
     refused(capfd, here, arguments, "BUNDLE", "comes before log", "monoloc map edit room.monoloc log")
+    arguments = ("map", "edit", "merge", "room.monoloc", "my desk.monoloc", "--out", "both.monoloc")
+    command = "write: monoloc map edit room.monoloc merge 'my desk.monoloc' --out both.monoloc"
+    refused(capfd, here, arguments, "BUNDLE", "comes before merge", command)
 
 
 @pytest.mark.parametrize("name", REFUSED)

@@ -288,6 +288,16 @@ def test_pattern_that_finds_nothing_is_refused(folder: Path, line: str, problem:
     refuses_to_open(folder, folder / "dataset.toml", f"color .*{problem}", "write color = ")
 
 
+@pytest.mark.parametrize(
+    ("line", "problem"),
+    [("start = 21", "start is 21"), ("start = 11\nstep = 10", "step is 10"), ("step = 7", "step is 7")],
+)
+def test_selection_that_leaves_nothing_is_refused_by_its_key(folder: Path, line: str, problem: str) -> None:
+    (folder / "dataset.toml").write_text(f"{changed(*EXISTING)}{line}\n")
+    problem += ", by which no frame remains of the colour images 10 to 20"
+    refuses_to_open(folder, folder / "dataset.toml", problem, f"write {problem.split()[0]} = ")
+
+
 # --- Poses of other kinds ---
 
 
