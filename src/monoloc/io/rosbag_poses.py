@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +17,7 @@ from monoloc.io.pose_files import interpolate_poses, poses_from_quaternions
 _UNCHANGED = 1e-9  # of a transform that is repeated
 # Largest jump of the camera from one correction of its drift to the next, whose moment is unknown: about the noise of
 # poses that a build bears.
-_MOST_JUMP_M, _MOST_JUMP_RAD = 0.05, 0.02
+_MOST_JUMP_M, _MOST_JUMP_RAD = 0.05, math.radians(1.0)
 # What a pose needs: whether it is met at each time (Q,), and the reason that FrameFilter.require takes.
 Requirement = tuple[NDArray[np.bool_], str]
 # Poses at times (Q,) seconds: what they need, and T_a_b (Q, 4, 4), arbitrary where that is not met.
@@ -148,13 +149,13 @@ class TransformTree:
                     T_parent_child = samples.last(self._path)
                 elif not needs:
                     known, T_parent_child = interpolate_poses(query_s, *samples.usable(self._path))
-                    needs.append((known, samples.reason(name)))
+                    needs = [(known, samples.reason(name))]
                 else:
                     times_s, poses = samples.usable(self._path)
                     known, _ = interpolate_poses(query_s, times_s, poses)
                     known |= _jumps_little(query_s, times_s, poses, T_child_frame)
                     _, T_parent_child = interpolate_poses(query_s, times_s, poses, np.inf)
-                    needs.append((known, samples.reason(f"{name} jumps, and")))
+                    needs.append((known, samples.reason(f"{name} jumps or ends, and")))
                 T_child_frame = T_parent_child @ T_child_frame
                 child = parent
             return needs, T_child_frame

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from monoloc.camera import Camera
 from monoloc.errors import DataError, SettingError
+from monoloc.geometry import FloatArray
 from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.recording import Recording, Selection
 from monoloc.io.video_frames import VideoFrames
 
 _SUFFIXES = {".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpg", ".webm"}
 _GUESSED_FOCAL = 0.85  # of the longer side: 61 degrees, as most phones film
-_WHOLE_SHARE = 0.95  # of the frames that a file states, from which it counts as whole
+_WHOLE_SHARE = 0.95  # of the frames or the duration that a file states, from which it counts as whole
 
 
 def recognises(path: Path) -> bool:
@@ -42,9 +43,11 @@ def has_guessed_camera(recording: Recording) -> bool:
     return isinstance(recording, VideoRecording) and recording.camera_is_guessed
 
 
-def _cut_note(count: int, stated_count: int) -> list[str]:
-    """A note where far fewer frames can be decoded than a file states; the last few may be missing of a whole one."""
-    if count >= _WHOLE_SHARE * stated_count:
+def _cut_note(times_s: FloatArray, frames: VideoFrames) -> list[str]:
+    """A note where far less can be decoded than a file states; the last few frames may be missing of a whole one."""
+    count, stated_count = len(times_s), frames.stated_count
+    # Where the rate varies, the number that OpenCV makes up from the duration may be wrong.
+    if count >= _WHOLE_SHARE * stated_count or times_s[-1] >= _WHOLE_SHARE * frames.stated_duration_s > 0.0:
         return []
     return [
         f"only {count} of the {stated_count} frames that the file states can be decoded; copy it again if it was cut"
@@ -90,7 +93,7 @@ class VideoRecording:
         self.frame_names = [f"{index:06d}" for index in range(len(self.timestamps_s))]
         self.poses: NDArray[np.float64] | None = None
         self.has_depth = False
-        self.notes += _cut_note(len(self.timestamps_s), self._frames.stated_count)
+        self.notes += _cut_note(self.timestamps_s, self._frames)
 
     def __len__(self) -> int:
         return len(self.frame_names)

@@ -50,8 +50,14 @@ class VideoFrames:
 
     @property
     def stated_count(self) -> int:
-        """Number of frames that the container states; wrong if an .avi was cut."""
+        """Number of frames that the container states; wrong if an .avi was cut, or where Matroska's rate varies."""
         return max(int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
+
+    @property
+    def stated_duration_s(self) -> float:
+        """How long the container states that the video is; 0 if it does not."""
+        rate_hz = self._capture.get(cv2.CAP_PROP_FPS)
+        return self.stated_count / rate_hz if rate_hz > 0.0 else 0.0
 
     def read(self, index: int) -> NDArray[np.uint8]:
         """Frame ``index`` >= 0: (height, width, 3) uint8, RGB.

@@ -253,7 +253,7 @@ def test_frames_beside_a_jump_of_corrections_are_left_out(tmp_path: Path, captur
     np.testing.assert_allclose(recording.poses, capture.poses[kept], atol=1e-6)
     rate = f"{3 / (1.2 * span_s):.2g} Hz"
     assert recording.notes[1].endswith(
-        f": {int((~kept).sum())} without a pose near in time (map to odom of /tf jumps, and has {rate})"
+        f": {int((~kept).sum())} without a pose near in time (map to odom of /tf jumps or ends, and has {rate})"
     )
     bag = corrected_odometry(capture, np.array([0.0, 0.1]) * span_s)  # then, none for long
     recording = open_recording(str(bag.write(tmp_path / "stopped")))

@@ -184,6 +184,22 @@ def test_video_that_was_cut_when_it_was_copied_is_noted(tmp_path: Path) -> None:
     assert note.startswith(f"only {len(recording)} of the 12 frames")
 
 
+def test_video_of_a_varying_rate_that_is_whole_is_not_noted_as_cut(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """OpenCV makes up Matroska's number of frames: 0.6 s of at most 30 Hz are 18."""
+    path = tmp_path / "flight.avi"
+    synthetic.write_video(path)
+    synthetic.overstate_frames(path, 18)
+    monkeypatch.setattr(cv2, "VideoCapture", UntimedCapture)
+    monkeypatch.setattr(UntimedCapture, "rate_hz", 30.0)
+    monkeypatch.setattr(UntimedCapture, "stamps_ms", (0, 33, 100, 133, 400, 580))
+    assert open_recording(str(path), VIDEO_OPTIONS).notes == []
+    monkeypatch.setattr(UntimedCapture, "stamps_ms", (0, 33, 67, 100, 133, 167))
+    (note,) = open_recording(str(path), VIDEO_OPTIONS).notes
+    assert note.startswith("only 6 of the 18 frames")
+
+
 def test_name_that_opencv_cannot_take_is_refused(tmp_path: Path) -> None:
     path = tmp_path / os.fsdecode(b"caf\xe9.avi")
     path.write_bytes(b"")
