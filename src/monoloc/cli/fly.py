@@ -37,12 +37,21 @@ from monoloc.cli.flight_outputs import check_flight_outputs, check_view, header_
 from monoloc.cli.signature import RequireSignatureOption
 from monoloc.cli.start_option import METAVAR
 from monoloc.cli.stop_signals import stopped_by_signals
-from monoloc.flight.autopilot import down_world, gravity_of, link_to, obstacle_frames, senders, turns_of
+from monoloc.flight.autopilot import (
+    down_world,
+    frames_of,
+    gravity_of,
+    link_to,
+    obstacle_frames,
+    senders,
+    turns_of,
+)
 from monoloc.flight.flight_loop import Flight, FlightOutput, FlightSummary
 from monoloc.flight.flight_recording import FlightRecorder
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.line_writer import LineWriter
 from monoloc.flight.link_watch import LinkWatch
+from monoloc.flight.mount_check import MountCheck
 from monoloc.flight.north_measurement import NorthMeasurement
 from monoloc.flight.preflight import GOOD_SCALE_SD
 from monoloc.flight.status_output import StatusOutput
@@ -193,7 +202,8 @@ def fly(
                 recorded, unwritten = flight.record, summary.unwritten
                 outputs[:0] = senders(link, recorded, flown, flown.room, firmware, flight_settings, unwritten)
                 if link is not None:
-                    outputs.append(LinkWatch(link, firmware, status.say))
+                    mount = MountCheck(frames_of(flown, flight_settings), link.attitude_at)
+                    outputs.append(LinkWatch(link, firmware, mount, status.say))
             # The watchdog last, which so is closed first: systemd must not count while the others write the rest.
             outputs.append(WatchdogOutput(summary))
             for output in outputs:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from monoloc.flight.flight_loop import FlightStep
+from monoloc.flight.mount_check import MOST_TILT_DEG, MOST_YAW_DEG, MountCheck
 from monoloc.mavlink.autopilot_link import AutopilotLink
 from monoloc.mavlink.firmware import Firmware
 from monoloc.mavlink.messages import status_text
@@ -18,17 +19,23 @@ class LinkWatch:
     Args:
         link: to the autopilot.
         firmware: that the flight is set up for.
+        mount: compares attitudes.
         say: takes the time and a line; :meth:`monoloc.flight.status_output.StatusOutput.say` is one.
     """
 
-    def __init__(self, link: AutopilotLink, firmware: Firmware, say: Callable[[float, str], None]) -> None:
-        self._link, self._firmware, self._say = link, firmware, say
+    def __init__(
+        self, link: AutopilotLink, firmware: Firmware, mount: MountCheck, say: Callable[[float, str], None]
+    ) -> None:
+        self._link, self._firmware, self._mount, self._say = link, firmware, mount, say
+        self._has_compared = False
         self._began_s: float | None = None
         self._was_alive: bool | None = None
         self._warned: Firmware | None = None
         self._others: frozenset[int] = frozenset()
 
     def take(self, result: FlightStep) -> None:
+        self._mount.take(result)
+        self._look_at_mount(result.done_s)
         self.idle(result.done_s)
 
     def idle(self, now_s: float) -> None:
@@ -52,6 +59,20 @@ class LinkWatch:
         else:
             self._say(now_s, "autopilot: no heartbeat")
         self._was_alive = is_alive
+
+    def _look_at_mount(self, now_s: float) -> None:
+        errors = self._mount.errors if self._mount.is_done and not self._has_compared else None
+        if errors is None:
+            return
+        self._has_compared = True
+        if errors.tilt_deg > MOST_TILT_DEG:
+            self._warn(now_s, f"tilt is {errors.tilt_deg:.0f} deg off the autopilot's", "correct [mount]")
+        if abs(errors.yaw_deg) > MOST_YAW_DEG:
+            self._warn(now_s, f"heading is {errors.yaw_deg:+.0f} deg off the autopilot's", "measure north_deg by --align")
+
+    def _warn(self, now_s: float, problem: str, fix: str) -> None:
+        self._say(now_s, f"warning: {problem}; {fix}")
+        self._link.send(status_text(f"monoloc: {problem}", True))
 
     def _look_at_firmware(self, now_s: float) -> None:
         heard = self._link.firmware

@@ -12,7 +12,10 @@ from monoloc.mavlink.autopilot_frames import AutopilotFrames, rotation_of
 from monoloc.mavlink.autopilot_link import Attitude
 from monoloc.supervision.state import VOUCHED_FOR
 
-_LEAST_FRAMES = 10
+MOST_TILT_DEG, MOST_YAW_DEG = 6.0, 15.0
+"""Between the body by pose and mount and by the autopilot; more are of a wrong mount, and of a wrong north."""
+
+_LEAST_FRAMES, _ENOUGH_FRAMES = 10, 300
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ class MountCheck:
         self._errors: list[tuple[float, float, float, float]] = []
 
     def take(self, result: FlightStep) -> None:
-        attitude = self._attitude_at(result.frame.captured_s)
+        attitude = None if self.is_done else self._attitude_at(result.frame.captured_s)
         if attitude is None or result.step.state not in VOUCHED_FOR:
             return
         by_pose = self._frames.body_pose(result.estimate)
@@ -59,6 +62,11 @@ class MountCheck:
 
     def close(self) -> None:
         """Nothing is held."""
+
+    @property
+    def is_done(self) -> bool:
+        """Whether enough frames had both."""
+        return len(self._errors) >= _ENOUGH_FRAMES
 
     @property
     def errors(self) -> MountErrors | None:

@@ -11,7 +11,7 @@ import numpy as np
 from monoloc.bundle_manifest import Provenance
 from monoloc.errors import DataError
 from monoloc.flight.flight_loop import FlightStep, FlightSummary
-from monoloc.flight.mount_check import MountErrors
+from monoloc.flight.mount_check import MOST_TILT_DEG, MOST_YAW_DEG, MountErrors
 from monoloc.mavlink.firmware import Firmware
 from monoloc.recording_check.image_quality import ImageQuality, quality_of
 from monoloc.recording_check.inspection import Finding, Level, image_findings, light_findings
@@ -28,7 +28,7 @@ _GOOD_ROUND_TRIP_S = 0.05  # beyond it, what is sent waits for the port
 _GOOD_LANDMARKS = 20
 _POSE_BYTES, _OBSTACLES_BYTES_A_SECOND = 245, 1790  # of ODOMETRY, and of ten OBSTACLE_DISTANCE a second
 _MOST_LOAD = 0.8  # of a serial port
-_GOOD_TILT_DEG, _MOST_TILT_DEG, _MOST_YAW_DEG = 3.0, 6.0, 15.0  # between the body by mount and by the autopilot
+_GOOD_TILT_DEG = 3.0  # between the body by mount and by the autopilot
 _EVERY = 3  # of the frames whose image is measured
 
 
@@ -232,11 +232,11 @@ def _of_mount(errors: MountErrors | None) -> Iterator[Finding]:
     if errors is None:
         return
     level: Level = "good" if errors.tilt_deg <= _GOOD_TILT_DEG else "warning"
-    level = "bad" if errors.tilt_deg > _MOST_TILT_DEG else level
+    level = "bad" if errors.tilt_deg > MOST_TILT_DEG else level
     found = f"tilt differs from the autopilot's by {errors.tilt_deg:.1f}°"
     turn = f"pitch {errors.pitch_deg:+.0f}°, roll {errors.roll_deg:+.0f}°"
     remark = "" if level == "good" else f"correct pitch_deg and roll_deg of [mount]: the body comes out at {turn}"
     yield Finding("mount", level, found, remark)
-    if abs(errors.yaw_deg) > _MOST_YAW_DEG:
+    if abs(errors.yaw_deg) > MOST_YAW_DEG:
         problem = f"differs from the autopilot's by {errors.yaw_deg:+.0f}°"
         yield Finding("heading", "warning", problem, "measure north_deg: monoloc fly ... --align")

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
+from mavlink_helpers import result_at, step_at
+from monoloc.flight.flight_loop import FlightStep
 from monoloc.flight.link_watch import LinkWatch
+from monoloc.flight.mount_check import MountErrors
 from monoloc.mavlink.firmware import Firmware
 
 
@@ -23,10 +27,23 @@ class Link:
         self.sent.append(message)
 
 
+class Mount:
+    """A comparison that is done."""
+
+    is_done = True
+
+    def __init__(self, tilt_deg: float, yaw_deg: float) -> None:
+        self.errors = MountErrors(tilt_deg, tilt_deg, 0.0, yaw_deg)
+
+    def take(self, result: FlightStep) -> None:
+        pass
+
+
 class Watched:
-    def __init__(self) -> None:
-        self.link, self.lines = Link(), []
-        self.watch = LinkWatch(self.link, Firmware.PX4, lambda now_s, text: self.lines.append(text))  # type: ignore[arg-type]
+    def __init__(self, tilt_deg: float = 0.0, yaw_deg: float = 0.0) -> None:
+        self.link, self.lines = Link(), list[str]()
+        made: Any = (self.link, Firmware.PX4, Mount(tilt_deg, yaw_deg))
+        self.watch = LinkWatch(*made, lambda now_s, text: self.lines.append(text))
 
     def until(self, now_s: float) -> list[str]:
         """Lines since the last call."""
@@ -60,6 +77,20 @@ def test_other_firmware_is_said_once_to_the_person_and_to_the_pilot(watched: Wat
     assert watched.until(2.0) == []
     (text,) = watched.link.sent
     assert text.text == "monoloc: set for PX4, not ArduPilot" and text.severity == 4
+
+
+def test_wrong_mount_and_north_are_said_once() -> None:
+    watched = Watched(28.4, -124.0)
+    for index in range(3):
+        watched.watch.take(result_at(0.1 * index, step_at(np.eye(4))))
+    assert watched.lines == [
+        "warning: tilt is 28 deg off the autopilot's; correct [mount]",
+        "warning: heading is -124 deg off the autopilot's; measure north_deg by --align",
+    ]
+    assert [text.text for text in watched.link.sent] == [
+        "monoloc: tilt is 28 deg off the autopilot's",
+        "monoloc: heading is -124 deg off the autopilot's",
+    ]
 
 
 def test_other_autopilots_are_said_once(watched: Watched) -> None:
