@@ -55,7 +55,9 @@ def decode_arrays(data: bytes) -> dict[str, NDArray[Any]]:
 def encode_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     """The content of a compressed .npz file for :func:`decode_arrays`; the same for the same arrays."""
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, **cast(dict[str, Any], arrays))
+    # The order of a transposed array would be stored too, and is lost where the array is read and written again.
+    in_order = {name: np.asarray(array, order="C") for name, array in arrays.items()}
+    np.savez_compressed(buffer, **cast(dict[str, Any], in_order))
     return buffer.getvalue()
 
 

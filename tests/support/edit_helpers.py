@@ -5,12 +5,14 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 
 from monoloc.builder.landmark_mapping import build_landmarks
-from monoloc.bundle import Bundle, CloudSize, Provenance
+from monoloc.bundle import Bundle, CloudSize, Provenance, digest_of, read_bundle, write_bundle
 from monoloc.editing.box import Box
+from monoloc.editing.undo import undone
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray, make_pose
 from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
@@ -93,6 +95,23 @@ def mapped_room() -> Bundle:
         transform=transform,
         cloud=CloudSize(points=len(cloud), voxel_m=VOXEL_M),
     )
+
+
+def written(bundle: Bundle, folder: Path) -> Bundle:
+    """As a command finds it that another one has written."""
+    write_bundle(folder / "written.monoloc", bundle)
+    return read_bundle(folder / "written.monoloc")
+
+
+def digest(bundle: Bundle, folder: Path) -> str:
+    """Of all bytes of the bundle's files."""
+    write_bundle(folder / "written.monoloc", bundle)
+    return digest_of(folder / "written.monoloc")
+
+
+def digest_without_last_edit(bundle: Bundle, folder: Path) -> str:
+    """Of the bundle's files after the last edit was written, read and taken back."""
+    return digest(undone(written(bundle, folder)), folder)
 
 
 WALK_A, WALK_B = make_path(14, 0.0, 5.0), make_path(14, 3.4, 5.0)  # the second looks further to the left

@@ -12,6 +12,7 @@ from monoloc.builder.landmark_mapping import build_landmarks
 from monoloc.bundle import Bundle, CloudSize
 from monoloc.editing.box import Box
 from monoloc.geometry import FloatArray
+from monoloc.io.recording import Recording
 from monoloc.map.cloud import cloud_from_recording
 from monoloc.map.em import fit_mixture
 from monoloc.progress import NoProgress
@@ -66,7 +67,7 @@ def flight(number: int, room: Room = ChangedRoom()) -> RoomRecording:
     return recording
 
 
-def observed(recording: RoomRecording, bundle: Bundle | None = None, **given: object) -> ObservedFlight:
+def observed(recording: Recording, bundle: Bundle | None = None, **given: object) -> ObservedFlight:
     """What a flight shows whose start is not known, by its sensor."""
     known = given.get("known", frozenset())
     assert isinstance(known, frozenset)

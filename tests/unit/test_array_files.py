@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from monoloc import array_files
-from monoloc.array_files import decode_arrays, read_arrays
+from monoloc.array_files import decode_arrays, encode_arrays, read_arrays
 
 
 def archive(**members: bytes) -> bytes:
@@ -41,6 +41,13 @@ def test_arrays_are_read_as_written(tmp_path: Path) -> None:
     arrays = read_arrays(tmp_path / "file.npz")
     assert list(arrays) == ["first", "second"] and arrays["second"].dtype == np.uint8
     np.testing.assert_array_equal(arrays["first"], first)
+
+
+def test_arrays_of_the_same_values_are_the_same_bytes_whatever_their_order_in_memory() -> None:
+    columns = np.asfortranarray(np.arange(6.0).reshape(2, 3))
+    content = encode_arrays({"columns": columns, "one": np.array(4)})
+    assert content == encode_arrays({"columns": columns.copy(order="C"), "one": np.array(4)})
+    assert content == encode_arrays(decode_arrays(content))
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ import typer
 from monoloc.bundle import Bundle, check_target, read_bundle, write_bundle
 from monoloc.bundle_signature import SIGNATURE
 from monoloc.cli.common import (
+    DepthScaleOption,
     FixDepthOption,
     FramesOption,
     IntrinsicsOption,
@@ -76,6 +77,7 @@ def update(
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Bundle to write. [the same]")] = None,
     intrinsics: IntrinsicsOption = None,
+    depth_scale: DepthScaleOption = None,
     fix_depth: FixDepthOption = None,
     seed: SeedOption = 0,
     json: JsonOption = False,
@@ -99,7 +101,7 @@ def update(
     room = read_bundle(bundle)
     if auto or apply is not None:
         check_target(target_of(target))  # before the flights are looked at, which takes minutes
-    recordings = [open_source(source, frames, intrinsics, fix_depth=fix_depth) for source in given]
+    recordings = [open_source(source, frames, intrinsics, depth_scale, fix_depth=fix_depth) for source in given]
     if depth == "sensor":
         _check_depth(recordings)
     before = evidence = read_evidence(evidence_path(bundle), room, rules)

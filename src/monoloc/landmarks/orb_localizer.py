@@ -113,14 +113,14 @@ class OrbLandmarkLocalizer:
 
     def measure_keypoints(self, seen: Keypoints, prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
         """As :meth:`LandmarkLocalizer.measure`, from keypoints that are detected already."""
-        return self.matched_keypoints(seen, prior, covariance)[0]
+        return self._agreeing(seen, prior, covariance, self._visible(prior)).measurement()
 
     def matched_keypoints(
         self, seen: Keypoints, prior: FloatArray, covariance: FloatArray
-    ) -> tuple[LandmarkMeasurement, NDArray[np.int64]]:
-        """As :meth:`measure_keypoints`, with the indices of the keypoints whose landmarks agree."""
+    ) -> tuple[LandmarkMeasurement, NDArray[np.int64], NDArray[np.int64]]:
+        """As :meth:`measure_keypoints`, with the indices, (A,), of landmarks that agree and of their keypoints."""
         agreement = self._agreeing(seen, prior, covariance, self._visible(prior))
-        return agreement.measurement(), agreement.keypoints
+        return agreement.measurement(), agreement.visible[agreement.found], agreement.keypoints
 
     def _agreeing(
         self,

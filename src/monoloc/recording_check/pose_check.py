@@ -227,11 +227,11 @@ def _by_scale(evidence: Evidence, scale: Factor, axes: str, parts: int) -> Expla
     """Depth and poses that differ by a factor; which of the two is wrong, images do not tell."""
     what = f"depth and poses of scales that differ by a factor of {_digits(max(scale.value, 1.0 / scale.value))}"
     of_poses = f"--fix-poses {axes}{',' * bool(axes)}scaled:{_digits(scale.value)}"
-    stored = _depth_scale(evidence.recording)
+    rescaled = depth_scale_option(evidence.recording, scale.value)
     option = f"{of_poses} if the depth is right"
-    if stored is not None:
+    if rescaled is not None:
         axes_too = f"--fix-poses {axes} " if axes else ""
-        option = f"{axes_too}--depth-scale {_common(stored * scale.value):g} if the poses are right, or {option}"
+        option = f"{axes_too}{rescaled} if the poses are right, or {option}"
     if axes:
         what = f"{AXES[axes].what} and {what}"
     return Explanation(*_joined(evidence, what, option), parts, scale.fit.median)
@@ -265,10 +265,10 @@ def _enough_otherwise(evidence: Evidence) -> bool:
     return any(as_stated(reading).pairs >= _LEAST_PAIRS for reading in other_readings(evidence))
 
 
-def _depth_scale(recording: Recording) -> float | None:
-    """Stored depth value of one metre, where it is known."""
+def depth_scale_option(recording: Recording, factor: float) -> str | None:
+    """The option that corrects depth which is a factor too far; None where no stored value of one metre is known."""
     source = recording.source if isinstance(recording, Selection) else recording
-    return source.depth_scale if isinstance(source, ImageRecording) else None
+    return f"--depth-scale {_common(source.depth_scale * factor):g}" if isinstance(source, ImageRecording) else None
 
 
 def _common(value: float) -> float:

@@ -27,6 +27,7 @@ from monoloc.start import Start
 from monoloc.step import Step
 from monoloc.supervision.map_change import ChangedRegion
 from monoloc.supervision.state import VOUCHED_FOR, Reason, State
+from monoloc.updating.depth_comparison import depth_ratios, scale_problem
 from monoloc.updating.update_rules import UpdateRules
 
 # Of a depth sensor: share of the distance, and what pose and map add.
@@ -140,7 +141,7 @@ def _refusal(watcher: _Watcher, rules: UpdateRules) -> str | None:
         return f"{watcher.known} of its {count} frames built the map or were counted before"
     if len(watcher.frames) < rules.least_views:
         return f"{len(watcher.frames)} of its frames teach, fewer than {rules.least_views}"
-    return None
+    return scale_problem(watcher.recording, watcher.depth_ratios)
 
 
 class _Watcher:
@@ -149,12 +150,13 @@ class _Watcher:
     def __init__(
         self, bundle: Bundle, recording: Recording, is_sensor_depth: bool, known: frozenset[int], rules: UpdateRules
     ) -> None:
-        self._recording, self._is_sensor_depth, self._rules = recording, is_sensor_depth, rules
+        self.recording, self._is_sensor_depth, self._rules = recording, is_sensor_depth, rules
         self._known = known | set(bundle.provenance.frames.values())
         self._landmarks, self._familiar_found = bundle.landmarks, bundle.integrity.familiar_found
         self._localizer = OrbLandmarkLocalizer(bundle.landmarks, recording.camera)
         self.detect = KeypointDetector(recording.camera)
         self.frames: list[TeachingFrame] = []
+        self.depth_ratios: list[FloatArray] = []  # of the sensor's depth to that of landmarks
         self.states: Counter[State] = Counter()
         self.mismatches = self.known = 0
 
@@ -186,12 +188,16 @@ class _Watcher:
         if times is None:
             return
         keypoints = self.detect(color)
-        measured, where = self._localizer.matched_keypoints(keypoints, pose, PRIOR_COVARIANCE)
+        measured, which, where = self._localizer.matched_keypoints(keypoints, pose, PRIOR_COVARIANCE)
         familiar = times >= FAMILIAR_TIMES
         if not self._is_witnessed(step.changed_region, familiar, measured.visible, measured.is_found):
             return
         is_landmark = np.zeros(len(keypoints.pixels), dtype=np.bool_)
         is_landmark[where] = True
+        depth = self._depth(index, step)
+        if self._is_sensor_depth and depth is not None:
+            pixels, points = keypoints.pixels[where], self._landmarks.points[which]
+            self.depth_ratios.append(depth_ratios(depth, self.detect.camera, pixels, pose, points))
         sds = np.sqrt(np.diag(step.estimate.covariance))
         self.frames.append(
             TeachingFrame(
@@ -203,7 +209,7 @@ class _Watcher:
                 visible=measured.visible[measured.is_shown],
                 is_found=measured.is_found[measured.is_shown],
                 familiar=familiar,
-                depth=self._depth(index, step),
+                depth=depth,
                 checksum=checksum,
             )
         )
@@ -240,7 +246,7 @@ class _Watcher:
 
     def _depth(self, index: int, step: Step) -> DepthPrediction | None:
         if self._is_sensor_depth:
-            return sparse_depth(self._recording.depth(index), self._recording.camera)
+            return sparse_depth(self.recording.depth(index), self.recording.camera)
         if step.depth is None:
             return None
         scale = np.float32(np.exp(step.estimate.log_scale))

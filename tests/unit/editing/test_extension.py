@@ -4,12 +4,21 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from edit_helpers import VOXEL_M, bundle_of_walk, in_another_world, walk
+from edit_helpers import (
+    VOXEL_M,
+    bundle_of_walk,
+    digest,
+    digest_without_last_edit,
+    in_another_world,
+    walk,
+    written,
+)
 from monoloc.bundle import Bundle
 from monoloc.editing.alignment import known
 from monoloc.editing.extension import extend, merge
@@ -69,9 +78,11 @@ def test_landmarks_of_both_walks_are_kept_once_and_are_familiar_to_the_new_views
     assert found_old > 100 and found_new > 100
 
 
-def test_extension_is_taken_back() -> None:
-    room = bundle_of_walk("A")
-    back = undone(extended(walk("B")))
+def test_extension_is_taken_back(tmp_path: Path) -> None:
+    room = written(bundle_of_walk("A"), tmp_path)
+    edited = extended(walk("B"), bundle=room)
+    assert digest_without_last_edit(edited, tmp_path) == digest(room, tmp_path)
+    back = undone(edited)
     np.testing.assert_allclose(back.original.means, room.original.means, atol=1e-6)
     np.testing.assert_array_equal(back.landmarks.points, room.landmarks.points)
     np.testing.assert_array_equal(back.landmarks.views.found, room.landmarks.views.found)
@@ -153,8 +164,8 @@ def moved_bundle(bundle: Bundle, T_new_old: FloatArray) -> Bundle:
     )
 
 
-def test_bundle_in_another_world_is_merged() -> None:
-    room, other = bundle_of_walk("A"), moved_bundle(bundle_of_walk("B"), OTHER)
+def test_bundle_in_another_world_is_merged(tmp_path: Path) -> None:
+    room, other = written(bundle_of_walk("A"), tmp_path), moved_bundle(bundle_of_walk("B"), OTHER)
     edited = merge(room, other, "b.monoloc", {}, rng())
     found = np.array(changes(edited)["T_world_other"])
     assert pose_distance_m(invert(OTHER), found[None])[0] < 0.03
@@ -169,6 +180,7 @@ def test_bundle_in_another_world_is_merged() -> None:
     back = undone(edited)
     np.testing.assert_array_equal(back.landmarks.descriptors, room.landmarks.descriptors)
     assert back.settings == room.settings and back.thresholds == room.thresholds
+    assert digest_without_last_edit(edited, tmp_path) == digest(room, tmp_path)
 
 
 @pytest.mark.parametrize("has_landmarks", [True, False])

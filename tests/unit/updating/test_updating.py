@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from altered_recordings import Altered
+from edit_helpers import digest, digest_without_last_edit, written
 from monoloc.bundle import Bundle
 from monoloc.editing.undo import undone
 from monoloc.errors import DataError
@@ -106,6 +108,21 @@ def test_a_flight_counts_once() -> None:
     again = observed(flight(1), known=frozenset(evidence_of(1).frames))
     assert again.refusal is not None and "counted before" in again.refusal
     assert evidence_of(1).after_flight(mapped(), again, True, RULES, np.random.default_rng(0)) is evidence_of(1)
+
+
+def test_a_flight_whose_depth_is_in_another_unit_teaches_nothing() -> None:
+    wrong = Altered(flight(1), depth=lambda depth: 1.25 * depth)
+    seen = observed(wrong)
+    assert len(seen.frames) >= 5  # landmarks place the camera all the same
+    assert seen.refusal is not None and "its depth is 1.25 times as far as the map's landmarks" in seen.refusal
+    assert observed(Altered(flight(1), depth=lambda depth: 1.03 * depth)).refusal is None
+
+
+def test_an_update_is_taken_back_to_the_bit(tmp_path: Path) -> None:
+    room, evidence = written(mapped(), tmp_path), evidence_of(1, 2)
+    for proposal in {each.kind: each for each in proposals(evidence, room, RULES)}.values():
+        bundle, _ = applied(room, evidence, [proposal], RULES, np.random.default_rng(0))
+        assert digest_without_last_edit(bundle, tmp_path) == digest(room, tmp_path)
 
 
 def test_a_flight_in_another_room_teaches_nothing() -> None:
