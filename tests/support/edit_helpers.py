@@ -97,6 +97,11 @@ def mapped_room() -> Bundle:
     )
 
 
+def built_from_others(bundle: Bundle) -> Bundle:
+    """The bundle, as if none of the frames that tests have had built it."""
+    return replace(bundle, provenance=bundle.provenance.model_copy(update={"frames": {"0": 1}}))
+
+
 def written(bundle: Bundle, folder: Path) -> Bundle:
     """As a command finds it that another one has written."""
     write_bundle(folder / "written.monoloc", bundle)

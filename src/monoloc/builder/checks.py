@@ -21,7 +21,7 @@ from monoloc.map.depth_rendering import map_depth, supervision
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress, Progress
 from monoloc.recording_check.depth_check import check_depth, require_registered_z
-from monoloc.recording_check.pose_check import check_poses, require_agreement
+from monoloc.recording_check.pose_check import REFINE, check_poses, require_agreement
 from monoloc.recording_check.time_stamps import check_times, require_seconds
 
 _FRAMES, _POINTS = 20, 300  # checked: enough for a mean, within seconds
@@ -75,6 +75,7 @@ def check_recording(
     cloud: FloatArray | None,
     config: BuildConfig,
     progress: Progress = NoProgress(),
+    if_poor: str = REFINE,
 ) -> list[str]:
     """Check that times, depth, poses and images of a recording agree, and that its scale is plausible.
 
@@ -82,6 +83,7 @@ def check_recording(
         recording: posed frames; with depth, unless the cloud is given.
         cloud: (N, 3) world frame, metres, if one was supplied.
         config: of the build.
+        if_poor: what to do about noisy poses.
 
     Returns:
         Warnings, one line each.
@@ -96,7 +98,7 @@ def check_recording(
         check = check_poses(recording, thin)
         step(1)
         # A wrong focal length or convention also bends planes and shifts edges: poses have the first word.
-        warnings += require_agreement(recording.name, check, config.refine_poses)
+        warnings += require_agreement(recording.name, check, config.refine_poses, if_poor)
         step(2)
         if recording.has_depth:
             require_registered_z(recording.name, check_depth(recording))

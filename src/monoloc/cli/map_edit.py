@@ -104,7 +104,7 @@ class _Target:
         if len(edited.edits) > len(bundle.edits):
             last = edited.edits[-1]
             content |= {**last.record.model_dump(mode="json"), "undo_bytes": len(last.undo)}
-            _warn_of_unconfirmed(last.record)
+            _remark(last.record)
         else:
             undone_edit = bundle.edits[-1].record
             content |= {"kind": "undo", "undone": undone_edit.model_dump(mode="json")}
@@ -340,14 +340,21 @@ def _readable(values: dict[str, Any]) -> dict[str, Any]:
     return shown
 
 
-def _warn_of_unconfirmed(record: EditRecord) -> None:
-    """Say so if landmarks confirm few poses of an extension that was taken to be in the map's world."""
-    near, looked_at = (record.changes.get(name, 0) for name in ("frames_confirmed_by_landmarks", "frames_looked_at"))
-    had_landmarks = record.changes["landmarks"][0] > 0
-    if had_landmarks and 2 * near < looked_at:
-        found = f"landmarks of the map confirm the poses of {near} of {looked_at} frames that were looked at"
+def _remark(record: EditRecord) -> None:
+    """Say what the record of an extension holds against it."""
+    changes, source = record.changes, record.parameters.get("source")
+    for warning in changes.get("warnings", []):
+        stderr.print(f"warning: {source}: {warning}", soft_wrap=True)
+    if left_out := changes.get("frames_left_out"):
+        note = f"frames that the map was made of are left out ({left_out})"
+        stderr.print(f"note: {source}: {note}", soft_wrap=True)
+    names = ("confirmed_by_landmarks", "contradicted_by_landmarks", "looked_at")
+    confirmed, contradicted, looked_at = (changes.get(f"frames_{name}", 0) for name in names)
+    has_landmarks = changes["landmarks"][0] > 0
+    if has_landmarks and looked_at and confirmed <= contradicted:
+        found = f"landmarks of the map confirm the poses of {confirmed} of {looked_at} frames that were looked at"
         fix = "unless it shows another part of the room, undo, and extend with --align"
-        stderr.print(f"warning: {record.parameters['source']}: {found}; {fix}", soft_wrap=True)
+        stderr.print(f"warning: {source}: {found}; {fix}", soft_wrap=True)
 
 
 def _corners(bundle: Path, box: str | None, changed: Path | None) -> tuple[FloatArray, FloatArray]:

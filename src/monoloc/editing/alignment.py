@@ -31,9 +31,15 @@ from monoloc.landmarks.features import MATCH_BITS
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 
-_FRAMES, _CHECKED_FRAMES = 16, 6  # that are localised in the room, to align a recording and to check its world
-_LEAST_FRAMES = 3  # that must agree, and half of those that are localised
-_AGREE_M = 0.15  # pose distance within which poses agree, and landmarks and surfaces
+LOOKED_AT = 16
+"""Frames of a recording that are localised in the room."""
+
+LEAST_FRAMES = 3
+"""Frames that must agree, and half of those that are localised."""
+
+AGREE_M = 0.15
+"""Pose distance within which poses agree, and landmarks and surfaces."""
+
 _POINTS, _ROUNDS = 1500, 4  # of the surfaces that are aligned, and how often
 _PRIOR = PosePrior(0.1, 0.05)  # of what landmarks give
 _LEAST_OVERLAP = 0.1  # share of the other's surfaces that the map must know
@@ -75,31 +81,13 @@ def align_recording(bundle: Bundle, recording: Recording, cloud: FloatArray, rng
     Raises:
         DataError: landmarks do not place it, the surfaces do not overlap, or both do not agree.
     """
-    found = _poses_by_landmarks(bundle, recording, _FRAMES)
-    agreed = consensus(*found)
+    assert recording.poses is not None
+    frames, there = poses_by_landmarks(bundle, recording)
+    agreed = consensus(there, recording.poses[frames])
     if agreed is None:
-        problem = f"is not found in the room: landmarks agree on no place ({len(found[0])} frames localised)"
+        problem = f"is not found in the room: landmarks agree on no place ({len(frames)} frames localised)"
         raise DataError(recording.name, problem, "record it from where the room's recording looked, too")
     return _by_surfaces(bundle, recording.name, cloud, *agreed, rng)
-
-
-def check_same_world(bundle: Bundle, recording: Recording) -> tuple[int, int]:
-    """Refuse a recording whose poses are in another world, as far as landmarks show it.
-
-    Returns:
-        The number of frames that landmarks localise near the given poses, and of those that were looked at.
-
-    Raises:
-        DataError: landmarks agree on another world.
-    """
-    there, here = _poses_by_landmarks(bundle, recording, _CHECKED_FRAMES)
-    near = sum(float(pose_distance_m(a, b[None])[0]) < _AGREE_M for a, b in zip(there, here, strict=True))
-    agreed = consensus(there, here)
-    if agreed is not None and 2 * near < agreed[1]:
-        shift_m = float(np.linalg.norm(transform(agreed[0], here[:1, :3, 3]) - here[0, :3, 3]))
-        problem = f"is in another world: landmarks see its cameras {shift_m:.2f} m from where its poses say"
-        raise DataError(recording.name, problem, "align it: --align")
-    return near, min(len(recording), _CHECKED_FRAMES)
 
 
 def align_bundle(bundle: Bundle, other: Bundle, name: str, rng: np.random.Generator) -> Alignment:
@@ -119,28 +107,27 @@ def align_bundle(bundle: Bundle, other: Bundle, name: str, rng: np.random.Genera
     return _by_surfaces(bundle, name, other.original.sample(4 * _POINTS, rng), *agreed, rng)
 
 
-def _poses_by_landmarks(bundle: Bundle, recording: Recording, count: int) -> tuple[FloatArray, FloatArray]:
-    """``T_world_camera`` of some frames by the room's landmarks, and as the recording gives them, (F, 4, 4) each."""
-    assert recording.poses is not None
+def poses_by_landmarks(bundle: Bundle, recording: Recording) -> tuple[NDArray[np.int64], FloatArray]:
+    """Those of some frames that the room's landmarks localise, (F,), and ``T_world_camera`` of each, (F, 4, 4)."""
     localizer = OrbLandmarkLocalizer(bundle.landmarks, recording.camera)
-    there, here = [], []
-    for index in evenly_spaced(len(recording), count).tolist():
+    frames, poses = [], []
+    for index in evenly_spaced(len(recording), LOOKED_AT).tolist():
         found = localizer.relocalize(recording.color(index))
         if found is not None:
-            there.append(found.pose)
-            here.append(recording.poses[index])
-    return np.reshape(there, (-1, 4, 4)), np.reshape(here, (-1, 4, 4))
+            frames.append(index)
+            poses.append(found.pose)
+    return np.array(frames, dtype=np.int64), np.reshape(poses, (-1, 4, 4))
 
 
 def consensus(there: FloatArray, here: FloatArray) -> tuple[FloatArray, int] | None:
     """``T_there_here`` on which most of the same cameras' poses (F, 4, 4) agree, and how many do."""
-    if len(there) < _LEAST_FRAMES:
+    if len(there) < LEAST_FRAMES:
         return None
     candidates = there @ invert(here)
-    agree = np.stack([_distances_m(there, each @ here) < _AGREE_M for each in candidates])
+    agree = np.stack([_distances_m(there, each @ here) < AGREE_M for each in candidates])
     best = int(np.argmax(agree.sum(axis=1)))
     count = int(agree[best].sum())
-    if count < _LEAST_FRAMES or 2 * count < len(there):
+    if count < LEAST_FRAMES or 2 * count < len(there):
         return None
     offsets = se3_log(invert(candidates[best]) @ candidates[agree[best]])
     return candidates[best] @ se3_exp(np.median(offsets, axis=0)), count
@@ -167,7 +154,7 @@ def _by_surfaces(
     for _ in range(_ROUNDS):
         pose = target.align(points, pose, middle, _PRIOR)
     apart_m = float(pose_distance_m(middle, pose[None])[0])
-    if apart_m > _AGREE_M:
+    if apart_m > AGREE_M:
         problem = f"landmarks and surfaces do not agree: they place it {apart_m:.2f} (metres plus radians) apart"
         raise DataError(name, problem, "check its poses and depth: monoloc check")
     return Alignment(pose @ invert(middle) @ by_landmarks, count, apart_m, overlap)

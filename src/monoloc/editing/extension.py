@@ -14,18 +14,21 @@ from typing import Any, TypeVar
 import numpy as np
 
 from monoloc.builder.bias import localizer_factory
+from monoloc.builder.build_config import BuildConfig
+from monoloc.builder.checks import check_recording
 from monoloc.builder.kept_depth import KeptDepth
 from monoloc.bundle import Bundle, Provenance, fingerprint
-from monoloc.editing.alignment import Alignment, align_bundle, align_recording, check_same_world, known
+from monoloc.editing.alignment import Alignment, align_bundle, align_recording, known
 from monoloc.editing.edits import Change, finish
 from monoloc.editing.joined_landmarks import joined, with_recording
 from monoloc.editing.paired_map import PairedMap, cloud_of
+from monoloc.editing.world_check import check_same_world
 from monoloc.errors import DataError
 from monoloc.evaluation.trajectory import axis_sd, twist_errors
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.fusion.reference_poses import MOST_POSES, ReferencePoses
 from monoloc.geometry import FloatArray, invert, se3_log, transform
-from monoloc.io.recording import Recording, evenly_spaced
+from monoloc.io.recording import Recording, Selection, evenly_spaced
 from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
 from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.map.cloud import cloud_from_recording, remove_outliers
@@ -47,23 +50,25 @@ def extend(
         is_aligned: whether to find where its world lies in the room; else its poses are in the room's world.
 
     Raises:
-        DataError: no poses or depth; it is in another world; or it is not found in the room, see
+        DataError: no poses or depth; it contradicts itself, see :func:`monoloc.builder.checks.check_recording`; the
+            map was made of all of its frames; it is in another world; or it is not found in the room, see
             :func:`monoloc.editing.alignment.align_recording`.
     """
-    if recording.poses is None or not recording.has_depth:
-        what = "poses" if recording.poses is None else "depth"
-        raise DataError(recording.name, f"has no {what}", "extend by a recording with poses and depth")
-    poses, measured = recording.poses, dict[str, Any]()
-    recording = KeptDepth(recording)
+    recording, measured = _checked(bundle, recording)
     paired = PairedMap.of(bundle)
     cloud = cloud_from_recording(recording, paired.voxel_m, _MAX_DEPTH_M)
+    T_world_other = np.eye(4)
     if is_aligned:
         alignment = align_recording(bundle, recording, cloud, rng)
-        cloud, poses = transform(alignment.T_world_other, cloud), alignment.T_world_other @ poses
-        measured = _described(alignment)
+        T_world_other = alignment.T_world_other
+        measured |= _described(alignment)
     else:
-        near, looked_at = check_same_world(bundle, recording)
-        measured = {"frames_confirmed_by_landmarks": near, "frames_looked_at": looked_at}
+        check = check_same_world(bundle, recording)
+        measured["frames_confirmed_by_landmarks"] = check.confirmed
+        measured["frames_contradicted_by_landmarks"] = check.contradicted
+        measured["frames_looked_at"] = check.looked_at
+    assert recording.poses is not None
+    cloud, poses = transform(T_world_other, cloud), T_world_other @ recording.poses
     unknown = remove_outliers(cloud[~known(bundle, cloud)], paired.voxel_m)
     if len(unknown) < _LEAST_POINTS:
         unknown = unknown[:0]
@@ -80,6 +85,28 @@ def extend(
         measured["bias_sd_m"] = round(edited.settings.particle_bias.sd_at_reference_m, 4)
     measured |= {"unknown_points": len(unknown), "points": len(cloud)}
     return finish(bundle, edited, "extend", parameters, Change.none(), rng, **measured)
+
+
+def _checked(bundle: Bundle, recording: Recording) -> tuple[Recording, dict[str, Any]]:
+    """The frames of a recording that are new to the map, and what was remarked: warnings, and frames left out.
+
+    Raises:
+        DataError: no poses or depth, it contradicts itself, or no frame is new.
+    """
+    if recording.poses is None or not recording.has_depth:
+        what = "poses" if recording.poses is None else "depth"
+        raise DataError(recording.name, f"has no {what}", "extend by a recording with poses and depth")
+    remarks: dict[str, Any] = {}
+    whole = KeptDepth(recording)
+    if warnings := check_recording(whole, None, BuildConfig(), if_poor="look at them: monoloc check"):
+        remarks["warnings"] = warnings
+    known_frames = set(bundle.provenance.frames.values())
+    new = [index for index in range(len(whole)) if fingerprint(whole.color(index)) not in known_frames]
+    if not new:
+        raise DataError(recording.name, "holds only frames that the map was made of", "extend by others: --frames")
+    if len(new) < len(whole):
+        remarks["frames_left_out"] = len(whole) - len(new)
+    return Selection(whole, new), remarks
 
 
 def merge(bundle: Bundle, other: Bundle, name: str, parameters: dict[str, Any], rng: np.random.Generator) -> Bundle:

@@ -37,6 +37,9 @@ _TIE = 1.15  # hypotheses within this factor of the best are equal, and the simp
 _EXACT_POSES = 0.05  # smaller errors are equal too
 _LEAST_PAIRS = 8
 
+REFINE = "--refine-poses may help"
+"""What a build can do about noisy poses."""
+
 _COMMON_SCALES = (1.0, 100.0, 256.0, 1000.0, 4000.0, 5000.0, 6553.5, 10000.0)
 _SAME = 0.04  # relative difference of an estimated factor from a common value that it is taken for
 
@@ -148,13 +151,14 @@ def _correlation(stated: FloatArray, free: FloatArray) -> float | None:
     return float(min(np.sum(a * b) / np.sqrt(np.sum(a * a) * np.sum(b * b)) for a, b in zip(*vectors, strict=True)))
 
 
-def require_agreement(name: str, check: PoseCheck, poses_are_refined: bool) -> list[str]:
-    """Warnings of a check before a build.
+def require_agreement(name: str, check: PoseCheck, poses_are_refined: bool, if_poor: str = REFINE) -> list[str]:
+    """Warnings of a check before a recording becomes a part of a map.
 
     Args:
         name: of the recording.
         check: of it.
         poses_are_refined: whether the build aligns noisy poses with the map.
+        if_poor: what to do about noisy poses.
 
     Raises:
         DataError: another reading of the recording agrees, or the poses have nothing to do with the images.
@@ -162,7 +166,7 @@ def require_agreement(name: str, check: PoseCheck, poses_are_refined: bool) -> l
     if check.verdict == "explained" or (check.verdict == "disagree" and not poses_are_refined):
         raise DataError(name, f"poses and images disagree: {check.sentence}", check.fix)
     if check.verdict in ("doubtful", "disagree") and not poses_are_refined:
-        return [f"poses fit the images poorly: {check.sentence}; --refine-poses may help"]
+        return [f"poses fit the images poorly: {check.sentence}; {if_poor}"]
     return []
 
 

@@ -12,6 +12,7 @@ from cli_helpers import json_of, listing, outputs, refused, succeeds, write_reco
 from edit_helpers import CUBE, bundle_of_walk, cube_cloud, mapped_room
 from monoloc.bundle import digest_of, read_bundle, write_bundle
 from monoloc.bundle_signature import SIGNATURE
+from monoloc.geometry import make_pose, so3_exp
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 
 LOWER, UPPER = (",".join(map(str, corner)) for corner in (CUBE.centre - CUBE.half, CUBE.centre + CUBE.half))
@@ -91,15 +92,18 @@ def test_log_of_a_map_without_edits(here: Path, capfd: pytest.CaptureFixture[str
 
 def test_extend_and_merge(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
     write_workspace(here, RoomRecording(Room(), make_path(6), SMALL_CAMERA), components=60)
-    extended = json_of(capfd, *EDIT, "extend", "flight", "--frames", "::2")
-    assert extended["parameters"] == {"source": "flight", "frames": "::2", "align": False}
-    assert extended["changes"]["reference_poses"] == [3, 6]
+    out, err = outputs(capfd, *EDIT, "extend", "flight", "--frames", "2:", "--json")
+    assert "note: flight: frames that the map was made of are left out (2)" in err
+    extended = json.loads(out)
+    assert extended["parameters"] == {"source": "flight", "frames": "2:", "align": False}
+    assert extended["changes"]["reference_poses"] == [3, 5] and extended["changes"]["frames_left_out"] == 2
     write_bundle(here / "a.monoloc", bundle_of_walk("A"))
     write_bundle(here / "b.monoloc", bundle_of_walk("B"))
     merged = json_of(capfd, "map", "edit", "a.monoloc", "merge", "b.monoloc", "--out", "both.monoloc")
     assert merged["kind"] == "merge" and merged["changes"]["overlap"] > 0.3
     assert len(read_bundle(here / "both.monoloc").reference_poses) == 28
     lines = {
+        ("extend", "flight", "--frames", "::2"): ("flight", "holds only frames that the map was made of", "--frames"),
         ("extend", "flight", "--align"): ("flight", "is not found in the room", "looked"),
         ("extend", "flight", "--fix-poses", "nonsense"): ("--fix-poses", "nonsense", ""),
         ("merge", "b.monoloc"): ("b.monoloc", "does not overlap", "common part"),
@@ -111,13 +115,21 @@ def test_extend_and_merge(here: Path, capfd: pytest.CaptureFixture[str]) -> None
         refused(capfd, here, (*EDIT, *arguments), *line)
 
 
-def test_extension_whose_poses_no_landmark_confirms_is_warned_of(
-    here: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    write_recording(here / "flight", RoomRecording(Room(), make_path(6), SMALL_CAMERA))
+def test_extension_of_which_no_landmark_tells_is_warned_of(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    away = make_path(6) @ make_pose(so3_exp(np.array([0.0, np.pi, 0.0])), np.zeros(3))  # from the map's landmarks
+    write_recording(here / "flight", RoomRecording(Room(), away, SMALL_CAMERA))
     out, err = outputs(capfd, *EDIT, "extend", "flight", "--frames", "::2")
     assert "warning: flight: landmarks of the map confirm the poses of 0 of 3 frames" in err and "--align" in err
     assert "reference_poses: 12 -> 15" in out
+
+
+def test_extension_whose_frames_should_see_landmarks_and_do_not_is_refused(
+    here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    write_recording(here / "flight", RoomRecording(Room(), make_path(6), SMALL_CAMERA))  # another room
+    arguments = (*EDIT, "extend", "flight", "--frames", "::2")
+    problem = "contradicts the map: where 3 of its frames should see landmarks, 0 do"
+    refused(capfd, here, arguments, "flight", problem, "monoloc check; or align it: --align")
 
 
 REFUSED = {

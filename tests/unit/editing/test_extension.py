@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from altered_recordings import Altered
 from edit_helpers import (
     VOXEL_M,
+    built_from_others,
     bundle_of_walk,
     digest,
     digest_without_last_edit,
@@ -29,6 +34,7 @@ from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.map.cloud import cloud_from_recording
 from monoloc.map.mixture import GaussianMixture
 from refusals import refuses_data
+from synthetic_room import Room, RoomRecording, make_path
 
 OTHER = se3_exp(np.array([2.0, -0.7, 1.1, 0.1, 2.3, -0.2]))  # T_other_world
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -50,6 +56,42 @@ def shifted(mixture: GaussianMixture, x: float) -> GaussianMixture:
     return replace(mixture, means=mixture.means + np.array([x, 0.0, 0.0]))
 
 
+GL = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+@cache
+def long_walk() -> RoomRecording:
+    """The second walk with as many frames as its poses can be compared by."""
+    recording = RoomRecording(Room(), make_path(40, 3.4, 15.0))
+    recording.name = "walk-B"
+    return recording
+
+
+def in_milliseconds(recording: Recording) -> Recording:
+    altered = Altered(recording)
+    altered.timestamps_s = 1000.0 * recording.timestamps_s
+    return altered
+
+
+class Joined(Altered):
+    """One recording after another."""
+
+    def __init__(self, first: RoomRecording, second: RoomRecording) -> None:
+        super().__init__(first, np.concatenate([first.poses, second.poses]))
+        self.name, self._both, self._count = "both", (first, second), len(first)
+        self.frame_names = [f"{walk.name}-{name}" for walk in self._both for name in walk.frame_names]
+        self.timestamps_s = np.concatenate([first.timestamps_s, second.timestamps_s + 100.0])
+
+    def __len__(self) -> int:
+        return len(self.frame_names)
+
+    def color(self, index: int) -> NDArray[np.uint8]:
+        return self._both[index // self._count].color(index % self._count)
+
+    def depth(self, index: int) -> NDArray[np.float32]:
+        return self._both[index // self._count].depth(index % self._count)
+
+
 def test_walk_in_the_same_world_adds_what_the_map_does_not_know() -> None:
     room, recording = bundle_of_walk("A"), walk("B")
     edited = extended(recording)
@@ -60,7 +102,9 @@ def test_walk_in_the_same_world_adds_what_the_map_does_not_know() -> None:
     added = len(edited.original) - count
     assert added / (edited.cloud.points - room.cloud.points) == pytest.approx(count / room.cloud.points, rel=0.2)
     np.testing.assert_array_equal(edited.original.means[:count], room.original.means)
-    assert changes(edited)["frames_confirmed_by_landmarks"] >= 3 and changes(edited)["frames_looked_at"] == 6
+    assert changes(edited)["frames_confirmed_by_landmarks"] >= 7 and changes(edited)["frames_looked_at"] == 14
+    assert changes(edited)["frames_contradicted_by_landmarks"] <= 3
+    assert "warnings" not in changes(edited) and "frames_left_out" not in changes(edited)
     assert len(edited.reference_poses) == 28 and len(edited.provenance.frames) == 28
     assert edited.provenance.recording == "walk-A + walk-B"
 
@@ -90,9 +134,51 @@ def test_extension_is_taken_back(tmp_path: Path) -> None:
 
 
 def test_walk_that_the_map_knows_changes_no_component() -> None:
-    edited = extended(walk("A"))
-    assert len(edited.original) <= len(bundle_of_walk("A").original) + 1
-    assert len(edited.provenance.frames) == 14
+    room = bundle_of_walk("A")
+    edited = extended(walk("A"), bundle=built_from_others(room))
+    assert len(edited.original) <= len(room.original) + 1
+
+
+def test_frames_that_the_map_was_made_of_are_left_out() -> None:
+    both = Joined(walk("A"), walk("B"))
+    edited = extended(both)
+    assert changes(edited)["frames_left_out"] == 14 and len(edited.reference_poses) == 28
+    for known_frames in (walk("A"), walk("B"), both):
+        refuses_data(
+            lambda again=known_frames: extended(again, bundle=edited),
+            known_frames.name,
+            "holds only frames that the map was made of",
+            "--frames",
+        )
+
+
+CONTRADICTIONS: dict[str, tuple[Callable[[Recording], Recording], str, str]] = {
+    "milliseconds": (in_milliseconds, "look like milliseconds|are not seconds", "in seconds|divide them by 1000"),
+    "convention": (
+        lambda walk: Altered(walk, poses=walk.poses @ GL),
+        "as camera axes of OpenGL",
+        "--fix-poses opengl",
+    ),
+    "unit of depth": (
+        lambda walk: Altered(walk, depth=lambda depth: 2.0 * depth),
+        "differ by a factor of 2",
+        "scaled:",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CONTRADICTIONS)
+@pytest.mark.parametrize("align", [False, True])
+def test_walk_that_a_build_refuses_is_refused(name: str, align: bool) -> None:
+    altered, problem, fix = CONTRADICTIONS[name]
+    refuses_data(lambda: extended(altered(long_walk()), align=align), "walk-B", problem, fix)
+
+
+def test_walk_with_noisy_poses_is_warned_of() -> None:
+    noise = se3_exp(rng().normal(size=(40, 6)) * np.repeat([0.02, 0.01], 3))
+    noisy = Altered(long_walk(), poses=long_walk().poses @ noise)
+    (warning,) = changes(extended(noisy))["warnings"]
+    assert "poses fit the images poorly" in warning and warning.endswith("; look at them: monoloc check")
 
 
 @pytest.mark.slow
@@ -107,8 +193,10 @@ def test_walk_in_another_world_is_found() -> None:
 
 
 def test_walk_in_another_world_is_refused_as_one_in_the_same() -> None:
-    moved = in_another_world(walk("A"), OTHER)
-    refuses_data(lambda: extended(moved), "walk-A", "is in another world: landmarks see its cameras", "--align")
+    moved, room = in_another_world(walk("A"), OTHER), built_from_others(bundle_of_walk("A"))
+    refuses_data(
+        lambda: extended(moved, bundle=room), "walk-A", "is in another world: landmarks see its cameras", "--align"
+    )
 
 
 def test_walk_through_another_room_is_refused() -> None:
@@ -121,7 +209,7 @@ def test_walk_through_another_room_is_refused() -> None:
     [(0.3, "landmarks and surfaces do not agree", "monoloc check"), (30.0, "does not fit: .* knows 0%", "overlaps")],
 )
 def test_landmarks_and_surfaces_must_agree(shift_m: float, problem: str, fix: str) -> None:
-    room = bundle_of_walk("A")
+    room = built_from_others(bundle_of_walk("A"))
     torn = replace(room, original=shifted(room.original, shift_m), adapted=shifted(room.adapted, shift_m))
     refuses_data(lambda: extended(walk("A"), align=True, bundle=torn), "walk-A", problem, fix)
 

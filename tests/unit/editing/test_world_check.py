@@ -1,0 +1,57 @@
+"""Poses are confirmed or contradicted by landmarks; where none should be in view, nothing is said of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from altered_recordings import Altered
+from edit_helpers import bundle_of_walk, walk
+from monoloc.bundle import Bundle
+from monoloc.editing.world_check import WorldCheck, check_same_world
+from monoloc.geometry import FloatArray, make_pose, so3_exp
+from monoloc.io.recording import Recording
+from refusals import refuses_data
+from synthetic_room import Room, RoomRecording, make_path
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+HALF_TURN = make_pose(so3_exp(np.array([0.0, np.pi, 0.0])), np.zeros(3))
+
+
+def checked(recording: Recording, room: Bundle | None = None) -> WorldCheck:
+    return check_same_world(room or bundle_of_walk("A"), recording)
+
+
+def without_landmarks_in_sight(recording: RoomRecording) -> Altered:
+    """The same depth and poses, in light in which no landmark is recognised."""
+    return Altered(recording, color=lambda color: np.full_like(color, 90))
+
+
+def test_right_poses_are_confirmed_by_where_landmarks_see_the_camera() -> None:
+    check = checked(walk("A"))
+    assert (check.confirmed, check.contradicted, check.looked_at) == (14, 0, 14)
+
+
+def test_right_poses_are_confirmed_by_depth_where_no_landmark_is_recognised() -> None:
+    check = checked(without_landmarks_in_sight(walk("A")))
+    assert check.confirmed >= 12 and check.contradicted == 0
+
+
+def test_depth_of_another_place_contradicts_poses() -> None:
+    nearer = Altered(without_landmarks_in_sight(walk("A")), depth=lambda depth: 0.7 * depth)
+    refuses_data(
+        lambda: checked(nearer), "walk-A", "contradicts the map: where 1. of its .* landmarks, 0 do", "--align"
+    )
+
+
+def test_frames_that_landmarks_see_elsewhere_contradict_poses() -> None:
+    poses = walk("A").poses
+    assert poses is not None
+    shuffled = Altered(walk("A"), poses=poses[::-1] @ HALF_TURN)
+    refuses_data(lambda: checked(shuffled), "walk-A", "contradicts the map: where 14 of its .* 0 do", "monoloc check")
+
+
+def test_a_part_that_the_map_never_saw_says_nothing() -> None:
+    poses: FloatArray = make_path(8) @ HALF_TURN
+    check = checked(RoomRecording(Room(), poses))
+    assert check == WorldCheck(confirmed=0, contradicted=0, looked_at=8)
