@@ -104,6 +104,20 @@ def whole_folder(target: Path, *, is_synced: bool = True) -> Iterator[Path]:
         _close(lock)
 
 
+@contextmanager
+def locked_folder(folder: Path) -> Iterator[None]:
+    """Context that others wait for who lock the folder too; without effect where folders cannot be locked."""
+    descriptor = None
+    with contextlib.suppress(OSError):  # a folder that may be written to but not read, or on NFS
+        if sys.platform != "win32":
+            descriptor = os.open(folder, os.O_RDONLY)
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+    try:
+        yield
+    finally:
+        _close(descriptor)
+
+
 def _made(target: Path, *, is_folder: bool) -> tuple[Path, int | None]:
     """A new file or folder beside ``target``, and the descriptor that holds its lock; Windows needs none."""
     while True:

@@ -38,6 +38,7 @@ from monoloc.editing.changed_region import read_changed_region
 from monoloc.editing.edits import add, move, remove
 from monoloc.editing.extension import extend, merge
 from monoloc.editing.paired_map import down_direction
+from monoloc.editing.unchanged import AsFound
 from monoloc.editing.undo import undone
 from monoloc.errors import BundleError, SettingError
 from monoloc.files import target_of
@@ -92,12 +93,14 @@ class _Target:
                 raise SettingError("--out", f"{out} is not named as a bundle", "name it NAME.monoloc")
             check_apart(out, "--out", inputs)
             check_target(out)
+        found = AsFound.of(target_of(target))
         bundle = read_bundle(self.path)
         began = time.perf_counter()
         edited = change(bundle)
         seconds = time.perf_counter() - began
-        was_signed = (target / SIGNATURE).is_file()
-        size = write_bundle(target_of(target), edited)
+        with found.held():
+            was_signed = (target / SIGNATURE).is_file()
+            size = write_bundle(target_of(target), edited)
         if was_signed:
             stderr.print(f"note: {target}: its signature is void and was removed; sign it again", soft_wrap=True)
         content: dict[str, object] = {"bundle": str(target), "bytes": size, "seconds": round(seconds, 3)}

@@ -29,6 +29,7 @@ from monoloc.cli.common import (
 )
 from monoloc.cli.start_option import METAVAR, UNKNOWN, start_of
 from monoloc.editing.edit_history import drawn_edits
+from monoloc.editing.unchanged import AsFound
 from monoloc.errors import SettingError
 from monoloc.files import target_of
 from monoloc.io.recording import Recording
@@ -98,13 +99,14 @@ def update(
     _check_choice(apply, auto, given)
     _check_outputs(bundle, out, plot, given)
     rules, rng = UpdateRules(), np.random.default_rng(seed)
+    found = AsFound.of(target_of(target), evidence_path(target_of(target)))
     room = read_bundle(bundle)
     if auto or apply is not None:
         check_target(target_of(target))  # before the flights are looked at, which takes minutes
     recordings = [open_source(source, frames, intrinsics, depth_scale, fix_depth=fix_depth) for source in given]
     if depth == "sensor":
         _check_depth(recordings)
-    before = evidence = read_evidence(evidence_path(bundle), room, rules)
+    before = evidence = read_evidence(evidence_path(target_of(bundle)), room, rules)
     cv2.setNumThreads(1)  # as in a flight
     flights = []
     for recording in recordings:
@@ -119,14 +121,15 @@ def update(
     proposed = proposals(evidence, room, rules)
     chosen = proposed if auto else _chosen(proposed, apply)
     updated, left = applied(room, evidence, chosen, rules, rng)
+    was_signed = (target / SIGNATURE).is_file()
+    if left is not before or out is not None:
+        with found.held():
+            if chosen or out is not None:
+                write_bundle(target_of(target), updated)
+            write_evidence(evidence_path(target_of(target)), left, updated)
     if plot is not None:
         shown = updated if chosen else applied(room, evidence, proposed, rules, np.random.default_rng(seed))[0]
         _draw(plot, bundle.name, room, shown, proposed, "after" if chosen else "if all were applied", seed)
-    was_signed = (target / SIGNATURE).is_file()
-    if chosen or out is not None:
-        write_bundle(target_of(target), updated)
-    if left is not before or out is not None:
-        write_evidence(evidence_path(target_of(target)), left, updated)
     if chosen and was_signed:
         stderr.print(f"note: {target}: its signature is void and was removed; sign it again", soft_wrap=True)
     _print(target, flights, evidence, proposed, chosen, plot, json)

@@ -10,8 +10,10 @@ import pytest
 
 from cli_helpers import json_of, listing, outputs, refused, succeeds, write_recording, write_workspace
 from edit_helpers import CUBE, bundle_of_walk, cube_cloud, mapped_room
-from monoloc.bundle import digest_of, read_bundle, write_bundle
+from monoloc.bundle import Bundle, digest_of, read_bundle, write_bundle
 from monoloc.bundle_signature import SIGNATURE
+from monoloc.cli.main import invoke
+from monoloc.editing.edits import remove
 from monoloc.geometry import make_pose, so3_exp
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 
@@ -169,6 +171,24 @@ def test_damaged_undo_is_refused(here: Path, capfd: pytest.CaptureFixture[str]) 
     object.__setattr__(last, "undo", last.undo[:50])
     write_bundle(here / "room.monoloc", bundle)
     refused(capfd, here, (*EDIT, "undo"), "room.monoloc", "no whole archive", "copy the bundle")
+
+
+def test_edit_of_a_bundle_that_another_command_changed_meanwhile_is_refused(
+    here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def meanwhile(bundle: Bundle, *given: object) -> Bundle:
+        monkeypatch.undo()
+        monkeypatch.chdir(here)
+        succeeds(capfd, *EDIT, "remove", "--box", BOX)
+        states.append(listing(here))
+        return remove(bundle, *given)  # type: ignore[arg-type]
+
+    states: list[dict[str, bytes | None]] = []
+    monkeypatch.setattr("monoloc.cli.map_edit.remove", meanwhile)
+    assert invoke([*EDIT, "remove", "--box", "-2,-1,2.5,2,1,3.2"]) == 2
+    line = f"monoloc: {here / 'room.monoloc'}: was changed meanwhile by another command, so nothing is written; run"
+    assert line in capfd.readouterr().err
+    assert states == [listing(here)]  # the other's edit is there, and no other
 
 
 def test_edit_that_cannot_be_written_leaves_the_bundle(

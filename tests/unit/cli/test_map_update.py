@@ -5,14 +5,17 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cli_helpers import json_of, listing, outputs, refused, remove_depth
+from cli_helpers import json_of, listing, outputs, refused, remove_depth, succeeds
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.bundle_signature import SIGNATURE
+from monoloc.cli.main import invoke
+from monoloc.updating.proposals import proposals
 from monoloc.updating.room_evidence import Evidence, write_evidence
 from monoloc.updating.tally import Tally
 from synthetic_room import write_recording
@@ -68,6 +71,30 @@ def test_proposals_are_listed_drawn_and_applied_by_id(
     refused(capfd, here, (*UPDATE, "--apply", f"{second},{first}"), "--apply", first, "list them again")
     _, err = outputs(capfd, "map", "edit", "room.monoloc", "undo")
     assert "two new flights can propose it again" in err
+
+
+def test_an_update_while_another_one_is_applied_is_refused(
+    here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = json_of(capfd, *UPDATE)["proposals"][0]["id"]
+
+    def meanwhile(*given: Any) -> Any:
+        monkeypatch.undo()
+        monkeypatch.chdir(here)
+        succeeds(capfd, *UPDATE, "--apply", first)
+        states.append(listing(here))
+        return proposals(*given)
+
+    states: list[dict[str, bytes | None]] = []
+    monkeypatch.setattr("monoloc.cli.map_update.proposals", meanwhile)
+    assert invoke([*UPDATE, "--auto", "--plot", "change.png"]) == 2
+    assert "was changed meanwhile by another command, so nothing is written; run" in capfd.readouterr().err
+    assert states == [listing(here)]
+
+
+def test_evidence_lies_beside_the_bundle_that_a_link_leads_to(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (here / "flying.monoloc").symlink_to("room.monoloc")
+    assert json_of(capfd, "map", "update", "flying.monoloc")["proposals"] == json_of(capfd, *UPDATE)["proposals"]
 
 
 @pytest.mark.slow
