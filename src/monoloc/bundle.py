@@ -164,6 +164,14 @@ def check_target(path: Path) -> None:
         raise BundleError(path, "is write-protected", f"choose another name, or run: chmod -R u+w {path}")
 
 
+def replaced_edits(path: Path) -> int:
+    """Number of edits of the bundle that :func:`write_bundle` would replace, 0 where none can be read."""
+    try:
+        return len(parse_manifest(manifest_content(path), path / MANIFEST).edits)
+    except BundleError:
+        return 0
+
+
 def write_bundle(path: str | Path, bundle: Bundle) -> int:
     """Write a bundle, replacing an older one with its signature; returns its size in bytes.
 

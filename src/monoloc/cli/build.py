@@ -12,7 +12,7 @@ from monoloc.adapt.settings import QUICK, Tune
 from monoloc.builder.build_config import METHODS, BuildConfig, BuildReport, Method
 from monoloc.builder.build_plan import expected_stages
 from monoloc.builder.pipeline import build_bundle
-from monoloc.bundle import Bundle, check_target, write_bundle
+from monoloc.bundle import Bundle, check_target, replaced_edits, write_bundle
 from monoloc.cli.common import (
     DepthScaleOption,
     FixDepthOption,
@@ -38,6 +38,7 @@ from monoloc.errors import SettingError
 from monoloc.files import target_of
 from monoloc.io.recording import Recording
 from monoloc.progress import ConsoleProgress, Plan
+from monoloc.updating.room_evidence import evidence_path
 
 _OPTIONS = {
     "components": "--components",
@@ -146,9 +147,13 @@ def build(
             source, frames, intrinsics, depth_scale, fix_poses=fix_poses, fix_depth=fix_depth, guesses_camera=True
         )
         recording = _with_poses(selected, scale, seed, cloud)
+        evidence = evidence_path(target_of(out))
+        _note_replaced(out, evidence)
         progress = ConsoleProgress(stderr, Plan(expected_stages(len(recording), config)))
         bundle, report = build_bundle(recording, config, seed, progress, points, network)
     size = write_bundle(target_of(out), bundle)  # follows links, like all file writes
+    if evidence.is_file():  # of the bundle that was there; flights in this one begin anew
+        evidence.unlink()
     report = replace(report, warnings=remarks + report.warnings)
     for warning in report.warnings:
         stderr.print(f"warning: {recording.name}: {warning}", soft_wrap=True)
@@ -159,6 +164,17 @@ def build(
         print_json({"bundle": str(out), "bytes": size, **asdict(report)})
     else:
         _print_report(out, size, bundle, report, network)
+
+
+def _note_replaced(out: Path, evidence: Path) -> None:
+    """Say what goes with the bundle that is replaced, before the build."""
+    edits = replaced_edits(out)
+    parts = [f"its edits ({edits})"] * (edits > 0) + [
+        f"what flights showed of it ({evidence.name})"
+    ] * evidence.is_file()
+    if parts:
+        note = f"the new bundle replaces {' and '.join(parts)}, too; to keep them, stop now and name another --out"
+        stderr.print(f"note: {out}: {note}", soft_wrap=True)
 
 
 def _print_report(out: Path, size: int, bundle: Bundle, report: BuildReport, network: str) -> None:

@@ -25,6 +25,7 @@ from monoloc.cli.common import (
     SeedOption,
     SourceArgument,
     check_apart,
+    naming,
     open_cloud,
     open_source,
     print_json,
@@ -151,6 +152,7 @@ def remove_command(
       monoloc map edit kitchen.monoloc remove --box -0.5,0.2,1.8,0.3,0.9,2.6 --yaw 30
       monoloc map edit kitchen.monoloc remove --changed run.json --out without-chair.monoloc
     """
+    _check_angle(yaw, "--yaw")
     rng = np.random.default_rng(seed)
     named = {"changed": str(changed)} if changed is not None else {}
     corners = _corners(_target(context).path, box, changed)
@@ -184,6 +186,7 @@ def add_command(
       monoloc map edit kitchen.monoloc add chair.ply --at 0.4,1.1,2.0 --turn 90
     """
     place = np.zeros(3) if at is None else parse_numbers(at, 3, "X,Y,Z", "--at")
+    _check_angle(turn, "--turn")
     points = open_cloud(cloud)
     rng = np.random.default_rng(seed)
     parameters = {"cloud": cloud.name, "at": place.tolist(), "turn_deg": turn}
@@ -214,6 +217,8 @@ def move_command(
       monoloc map edit kitchen.monoloc move --box -0.5,0.2,1.8,0.3,0.9,2.6 --by 0.4,0,0 --turn 15
     """
     shift = parse_numbers(by, 3, "DX,DY,DZ", "--by")
+    _check_angle(turn, "--turn")
+    _check_angle(yaw, "--yaw")
     if not np.any(shift) and turn == 0.0:
         raise SettingError("--by", "moves nothing", "give a shift, or --turn")
     corners = _corners(_target(context).path, box, changed)
@@ -225,7 +230,8 @@ def move_command(
         where = _box(bundle, corners, yaw)
         rotation = _turned(bundle, turn)
         T_new_old = make_pose(rotation, where.centre + shift - rotation @ where.centre)
-        return move(bundle, where, T_new_old, parameters, rng)
+        with naming({"by": "--by"}):
+            return move(bundle, where, T_new_old, parameters, rng)
 
     _target(context).edit(out, json, change, *inputs)
 
@@ -358,6 +364,11 @@ def _remark(record: EditRecord) -> None:
         found = f"landmarks of the map confirm the poses of {confirmed} of {looked_at} frames that were looked at"
         fix = "unless it shows another part of the room, undo, and extend with --align"
         stderr.print(f"warning: {source}: {found}; {fix}", soft_wrap=True)
+
+
+def _check_angle(degrees: float, option: str) -> None:
+    if not np.isfinite(degrees):
+        raise SettingError(option, f"is {degrees}", "give degrees, such as 90")
 
 
 def _corners(bundle: Path, box: str | None, changed: Path | None) -> tuple[FloatArray, FloatArray]:

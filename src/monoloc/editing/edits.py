@@ -32,6 +32,7 @@ from monoloc.map.local_fit import Components, Region, fitted, part
 _SHOWN = 4000  # points of the map that tell which part of a view has changed
 _VIEWS = 300  # reference poses that are looked from; others lie between them
 _LEAST_POINTS = 10  # of a cloud that is added
+_MOST_BEYOND_M = 10.0  # from the map to what an edit puts somewhere: farther, it is of no use in a room
 
 
 @dataclass(frozen=True)
@@ -80,8 +81,9 @@ def add(bundle: Bundle, cloud: FloatArray, parameters: dict[str, Any], rng: np.r
     """Add a cloud (N, 3), world frame, metres. It brings no landmarks.
 
     Raises:
-        SettingError: too few points.
+        SettingError: too few points, or some far from the map.
     """
+    _check_near(bundle, cloud, "cloud")
     edited, change = with_surfaces(bundle, cloud, rng)
     return finish(bundle, edited, "add", parameters, change, rng)
 
@@ -107,13 +109,14 @@ def move(
     """Move what lies in a box by a rigid motion (4, 4), world frame; its landmarks go with it.
 
     Raises:
-        SettingError: nothing lies there.
+        SettingError: nothing lies there, or it would be far from the map.
     """
     paired = PairedMap.of(bundle)
     parted = part(paired.original, box, rng)
     content = paired.original[parted.is_inside] + parted.inner
     if not len(content):
         raise _empty(box, bundle)
+    _check_near(bundle, transform(T_new_old, content.means), "by")
     rest = paired.select(parted.is_outside).with_new(parted.outer)
     landmarks = bundle.landmarks
     points = landmarks.points.astype(np.float64)
@@ -161,6 +164,16 @@ def _empty(box: Region, bundle: Bundle) -> SettingError:
     return SettingError(
         "box", f"holds nothing of the map (centre {centre})", f"the map lies between ({lower}) and ({upper})"
     )
+
+
+def _check_near(bundle: Bundle, points: FloatArray, field: str) -> None:
+    """Refuse to put something far from the map: nearly always, its unit is another one."""
+    lower, upper = bundle.original.bounds_m(1.0)
+    beyond = np.maximum(np.maximum(lower - points, points - upper), 0.0)
+    beyond_m = float(np.linalg.norm(beyond, axis=1).max(initial=0.0))
+    if beyond_m > _MOST_BEYOND_M:
+        problem = f"puts something {beyond_m:.3g} m beyond the map"
+        raise SettingError(field, problem, "are these millimetres? give metres, in the map's world")
 
 
 def _points_of(components: Components, rng: np.random.Generator) -> FloatArray:

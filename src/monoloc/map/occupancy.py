@@ -105,10 +105,13 @@ class VoxelGrid:
 
 
 def fitting_voxel_m(mixture: GaussianMixture, voxel_m: float, also: FloatArray | None = None) -> float:
-    """The edge of a voxel, or in a map that is too large for it, one whose grid :func:`surface_voxels` takes."""
+    """The edge of a voxel, or in a map that is too large for it, one whose grid :func:`surface_voxels` takes.
+
+    In a map that is too large for any, the largest one.
+    """
     low, high = _extent(mixture, also)
-    while np.prod(_shape(low, high, voxel_m)) > _MOST_VOXELS:
-        voxel_m *= _COARSER
+    while np.prod(_shape(low, high, voxel_m)) > _MOST_VOXELS and voxel_m < _MOST_VOXEL_M:
+        voxel_m = min(_COARSER * voxel_m, _MOST_VOXEL_M)
     return voxel_m
 
 
@@ -135,7 +138,8 @@ def surface_voxels(mixture: GaussianMixture, voxel_m: float, also: FloatArray | 
         also: points (N, 3) that the grid must reach, such as the cameras'; they occupy nothing.
 
     Raises:
-        SettingError: the size is not positive, larger than 2 m, or so small that the grid would not fit into memory.
+        SettingError: the size is not positive, larger than 2 m, or so small that the grid would not fit into memory,
+            or the map is too large for any size.
     """
     if not 0.0 < voxel_m <= _MOST_VOXEL_M:
         raise SettingError("voxel_m", f"is {voxel_m}", f"give a size in metres, up to {_MOST_VOXEL_M:g}")
@@ -146,8 +150,11 @@ def surface_voxels(mixture: GaussianMixture, voxel_m: float, also: FloatArray | 
         least_m = _rounded_up(voxel_m * float(np.prod(shape) / _MOST_VOXELS) ** (1.0 / 3.0))
         while np.prod(_shape(low, high, least_m)) > _MOST_VOXELS:
             least_m = _rounded_up(_COARSER * least_m)
-        size = " x ".join(f"{edge:.1f}" for edge in shape * voxel_m)
-        raise SettingError("voxel_m", f"is {voxel_m:g} for a map of {size} m", f"give {least_m:g} or more")
+        size = " x ".join(f"{edge:.4g}" for edge in shape * voxel_m)
+        fix = f"give {least_m:g} or more"
+        if least_m > _MOST_VOXEL_M:
+            fix = "no size fits: is the map in metres? take back an edit far from the room, or build it again"
+        raise SettingError("voxel_m", f"is {voxel_m:g} for a map of {size} m", fix)
     first = np.floor(low / voxel_m).astype(np.int64)
     mass = np.zeros(shape.astype(np.int64))
     for weight, mean, basis, half in zip(mixture.weights, mixture.means, axes, half_m, strict=True):

@@ -23,7 +23,7 @@ from monoloc.files import read_regular, target_of
 from monoloc.geometry import FloatArray
 from monoloc.landmarks.landmark_map import LEAST_RELOCALIZED
 from monoloc.partial_files import whole_folder
-from monoloc.place.place_manifest import Door, PlaceManifest, RoomEntry, parse_place, place_content
+from monoloc.place.place_manifest import MOST_NAME, Door, PlaceManifest, RoomEntry, parse_place, place_content
 from monoloc.place.room_index import RoomIndex, selected_descriptors
 from monoloc.version import __version__
 
@@ -120,26 +120,37 @@ def make_place(path: Path, bundles: Sequence[Path], public_key: Path | None = No
         BundleError: one is no bundle, or not signed with the key.
         DataError: one has too few landmarks, which tell rooms apart, or the key is none.
         MissingExtraError: as :func:`monoloc.bundle_signature.check_signature`, with a key only.
-        SettingError: two have the same name.
+        SettingError: two have the same name or the same content, or one has a name that is none of a room.
     """
     rooms: dict[str, RoomEntry] = {}
     descriptors = []
     for bundle in bundles:
-        name = bundle.resolve().name.removesuffix(_BUNDLE_SUFFIX)
+        name = _name_of(bundle)
         if name in rooms:
             raise SettingError("ROOM", f"two bundles are named {name}", "rename one: a room is named as its bundle")
-        room = read_bundle(bundle, public_key)
+        room, digest = read_bundle(bundle, public_key), digest_of(bundle)
+        if same := next((other for other in rooms.values() if other.sha256 == digest), None):
+            problem = f"{same.name} and {name} are copies of one bundle, which landmarks cannot tell apart"
+            raise SettingError("ROOM", problem, "name the bundle of each room once")
         if not room.supports_landmark_search:
             fix = "build it with landmarks, from a recording in which several frames see the same corners"
             raise DataError(bundle, f"has fewer than {LEAST_RELOCALIZED} landmarks, which tell rooms apart", fix)
         relative = Path(os.path.relpath(bundle.resolve(), target_of(path))).as_posix()
-        rooms[name] = RoomEntry(name=name, bundle=relative, sha256=digest_of(bundle))
+        rooms[name] = RoomEntry(name=name, bundle=relative, sha256=digest)
         descriptors.append(selected_descriptors(room.landmarks))
     content = _packed(descriptors)
     manifest = PlaceManifest(
         monoloc_version=__version__, rooms=tuple(rooms.values()), index_sha256=hashlib.sha256(content).hexdigest()
     )
     return Place(path, manifest, tuple(descriptors), public_key)
+
+
+def _name_of(bundle: Path) -> str:
+    name = bundle.resolve().name.removesuffix(_BUNDLE_SUFFIX)
+    if not 1 <= len(name) <= MOST_NAME:
+        problem = f"{bundle} has a name of {len(name)} characters before {_BUNDLE_SUFFIX}"
+        raise SettingError("ROOM", problem, f"rename it, to 1 to {MOST_NAME}: a room is named as its bundle")
+    return name
 
 
 def check_place_target(path: Path) -> None:

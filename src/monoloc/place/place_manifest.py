@@ -22,6 +22,8 @@ SCHEMA = 1
 
 _MOST_BYTES = 1 << 22  # of a manifest: 10,000 rooms
 _MAKE = "make it by: monoloc place new"
+MOST_NAME = 100
+"""Characters of a room's name."""
 _Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
 _STRICT = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -37,7 +39,7 @@ class RoomEntry(BaseModel):
 
     model_config = _STRICT
 
-    name: str = Field(min_length=1, max_length=100)
+    name: str = Field(min_length=1, max_length=MOST_NAME)
     bundle: str = Field(min_length=1, max_length=4096)
     sha256: str = Field(pattern="^[0-9a-f]{64}$")
 

@@ -57,6 +57,22 @@ def test_removed_and_added_again_the_object_is_mapped_as_well_as_by_the_build() 
     assert mean_nats(mended, cube_cloud()) > mean_nats(room, cube_cloud()) - 0.3
 
 
+@pytest.mark.parametrize("shift_m", [15.0, 700.0, 1e20])
+def test_nothing_is_put_far_from_the_map(shift_m: float) -> None:
+    away = make_pose(np.eye(3), np.array([shift_m, 0.0, 0.0]))
+    room, cloud = mapped_room(), transform(away, cube_cloud())
+    refuses_setting(lambda: add(room, cloud, {}, rng()), "cloud", "m beyond the map", "are these millimetres")
+    refuses_setting(lambda: move(room, CUBE, away, {}, rng()), "by", "m beyond the map", "are these millimetres")
+    refuses_setting(lambda: add(room, 1000.0 * cube_cloud(), {}, rng()), "cloud", "beyond the map", "give metres")
+
+
+def test_the_next_part_of_a_room_is_near_enough() -> None:
+    room = mapped_room()
+    assert len(add(room, shifted(cube_cloud(), 9.0, 0.0, 0.0), {}, rng()).original) > len(room.original)
+    larger = Box.between(np.full(3, -30.0), np.full(3, 30.0), DOWN)  # than the room
+    assert len(move(room, larger, SHIFT, {}, rng()).original) == len(room.original)
+
+
 def test_new_components_are_adapted_by_the_learnt_transform() -> None:
     room = mapped_room()
     edited = add(room, shifted(cube_cloud(), 0.9, 0.0, 0.0), {}, rng())

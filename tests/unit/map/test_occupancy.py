@@ -7,7 +7,7 @@ import pytest
 
 from monoloc.errors import SettingError
 from monoloc.map.mixture import GaussianMixture
-from monoloc.map.occupancy import FREE, OCCUPIED, UNKNOWN, VoxelGrid, surface_voxels
+from monoloc.map.occupancy import FREE, OCCUPIED, UNKNOWN, VoxelGrid, fitting_voxel_m, surface_voxels
 from refusals import refuses_setting
 from synthetic_room import SMALL_CAMERA, Room, make_path, room_mixture
 
@@ -61,6 +61,16 @@ def test_the_size_that_a_refusal_names_is_taken(monkeypatch: pytest.MonkeyPatch)
     with pytest.raises(SettingError) as raised:
         surface_voxels(mixture, 1e-3)
     surface_voxels(mixture, float(raised.value.fix.split()[1]))
+
+
+def test_no_size_is_named_for_a_map_that_is_too_large_for_any() -> None:
+    covariances = np.tile(1e-4 * np.eye(3), (2, 1, 1))
+    far = GaussianMixture(np.full(2, 0.5), np.array([[0.0, 0.0, 0.0], [1e20, 1e20, 1e20]]), covariances)
+    refuses_setting(
+        lambda: surface_voxels(far, 0.1), "voxel_m", "for a map of 1e\\+20 x", "no size fits: .* in metres"
+    )
+    largest_m = fitting_voxel_m(far, 0.1)
+    refuses_setting(lambda: surface_voxels(far, largest_m), "voxel_m", "is 2 for a map", "no size fits")
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from monoloc.geometry import se3_exp
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.place.place_files import Place, check_place_target, make_place, read_place, write_place
 from monoloc.place.place_manifest import Door
-from refusals import refuses, refuses_data
+from refusals import refuses, refuses_data, refuses_setting
 from synthetic_room import Room, RoomRecording, make_bundle, make_path, room_mixture
 
 NAMES = ("hall", "kitchen", "study", "attic")
@@ -52,6 +52,25 @@ def a_place(here: Path) -> Place:
     made = make_place(here / "house.place", [here / f"{name}.monoloc" for name in NAMES])
     made = made.with_door(a_door("hall", "kitchen", [1.0, 0.0, 0.0, 0.0, 0.3, 0.0]))
     return made.with_door(a_door("study", "kitchen", [0.0, 2.0, 0.0, 0.5, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize(("name", "length"), [("", 0), ("r" * 101, 101)])
+def test_a_bundle_whose_name_is_none_of_a_room_is_refused(here: Path, name: str, length: int) -> None:
+    bundle = (here / "hall.monoloc").rename(here / f"{name}.monoloc")
+    given = [here / "kitchen.monoloc", bundle]
+    problem = f"has a name of {length} characters before .monoloc"
+    refuses_setting(lambda: make_place(here / "house.place", given), "ROOM", problem, "rename it, to 1 to 100")
+    bundle.rename(here / f"{'r' * 100}.monoloc")
+    assert len(make_place(here / "house.place", [given[0], here / f"{'r' * 100}.monoloc"]).names) == 2
+
+
+def test_copies_of_one_bundle_are_no_two_rooms(here: Path) -> None:
+    shutil.copytree(here / "hall.monoloc", here / "copy.monoloc")
+    given = [here / f"{name}.monoloc" for name in ("hall", "kitchen", "copy")]
+    problem = "hall and copy are copies of one bundle"
+    refuses_setting(
+        lambda: make_place(here / "house.place", given), "ROOM", problem, "name the bundle of each room once"
+    )
 
 
 def test_a_place_is_read_as_it_was_written(here: Path) -> None:
