@@ -138,6 +138,19 @@ BEFORE_THIS_ONE: tuple[Sentence, ...] = (
         ],
     ),
     (
+        "the default had an RMSE of {}, {}, {} and {} cm, the same by depth alone {}, {}, {} and {} cm, and untuned "
+        "bundles {}, {}, {} and {} cm (3 builds); by depth alone at the desk, extrapolation, {} of {} frames were "
+        "silently beyond 3.5 sigma, with untuned bundles {} of {}.",
+        [
+            *of_all_stretches("5eed510"),
+            *(
+                total(of_version("5eed510", method, DESK_BEYOND), column)
+                for method in ("without landmarks", "untuned")
+                for column in ("silent_3_5_sigma", "frames")
+            ),
+        ],
+    ),
+    (
         "With the same builds, the default had an RMSE of {}, {}, {} and {} cm",
         [middle(of_version("491910c", "default", stretch), "rmse_cm")[0] for stretch in range(4)],
     ),
