@@ -92,7 +92,8 @@ SENTENCES: tuple[Sentence, ...] = (
     (
         "the default has {} ({}–{}) times the RMSE of untuned bundles, undecided, as in "
         "[the ladder](beyond-the-paper.md#office-desk) with builds of an earlier version. It is {} ({}–{}) in "
-        "RedKitchen, interpolation, {} ({}–{}) at the desk, interpolation, and {} ({}–{}) in RedKitchen, extrapolation.",
+        "RedKitchen, interpolation, {} ({}–{}) at the desk, interpolation, and {} ({}–{}) in RedKitchen, "
+        "extrapolation.",
         [
             number
             for stretch in (DESK_BEYOND, KITCHEN_BETWEEN, DESK_BETWEEN, KITCHEN_BEYOND)
