@@ -165,7 +165,7 @@ def _ask(link: AutopilotLink, flight: FlightFile, mount: MountErrors | None) -> 
         firmware,
         link.firmware,
         link.is_alive,
-        link.has_attitude,
+        link.attitude_hz,
         link.round_trip_s,
         parameters,
         address.number / BITS_PER_BYTE if address.kind == "serial" else None,

@@ -68,7 +68,9 @@ class LinkWatch:
         if errors.tilt_deg > MOST_TILT_DEG:
             self._warn(now_s, f"tilt is {errors.tilt_deg:.0f} deg off the autopilot's", "correct [mount]")
         if abs(errors.yaw_deg) > MOST_YAW_DEG:
-            self._warn(now_s, f"heading is {errors.yaw_deg:+.0f} deg off the autopilot's", "measure north_deg by --align")
+            self._warn(
+                now_s, f"heading is {errors.yaw_deg:+.0f} deg off the autopilot's", "measure north_deg by --align"
+            )
 
     def _warn(self, now_s: float, problem: str, fix: str) -> None:
         self._say(now_s, f"warning: {problem}; {fix}")

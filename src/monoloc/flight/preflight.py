@@ -25,6 +25,7 @@ _FEW_DROPPED = 0.1  # of the frames: the computer keeps up with the source
 _GOOD_LATENCY_S, _MOST_LATENCY_S = 0.1, 0.2  # from capture to result
 _GOOD_TRACKING, _LEAST_TRACKING = 0.9, 0.5  # shares of frames
 _GOOD_ROUND_TRIP_S = 0.05  # beyond it, what is sent waits for the port
+_LEAST_ATTITUDE_HZ = 9.0  # of nominally 10
 _GOOD_LANDMARKS = 20
 _POSE_BYTES, _OBSTACLES_BYTES_A_SECOND = 245, 1790  # of ODOMETRY, and of ten OBSTACLE_DISTANCE a second
 _MOST_LOAD = 0.8  # of a serial port
@@ -40,7 +41,7 @@ class LinkReport:
         firmware: that the user says it has.
         heard: firmware that its heartbeat says; None of another one.
         is_alive: whether its heartbeat is heard.
-        has_attitude: whether it sends its attitude.
+        attitude_hz: how often it sends its attitude; 0 if it does not.
         round_trip_s: of a question for the time; None where none was answered.
         parameters: values that it gave, by name.
         bytes_a_second: that a serial port takes; None of another one.
@@ -50,7 +51,7 @@ class LinkReport:
     firmware: Firmware
     heard: Firmware | None
     is_alive: bool
-    has_attitude: bool
+    attitude_hz: float
     round_trip_s: float | None
     parameters: Mapping[str, float]
     bytes_a_second: float | None = None
@@ -198,10 +199,9 @@ def _of_link(link: LinkReport, rate_hz: float | None) -> Iterator[Finding]:
         yield Finding("autopilot", "bad", problem, f"set firmware to {link.heard.value}")
         return
     yield Finding("autopilot", "good", "its heartbeat is heard")
-    if link.has_attitude:
-        yield Finding("attitude", "good", "received")
-    else:
-        yield Finding("attitude", "warning", "none", "without it, gravity is not used; ask the port for ATTITUDE")
+    is_often = link.attitude_hz >= _LEAST_ATTITUDE_HZ
+    remark = "" if is_often else "ask the port for ATTITUDE, 10 Hz or more: else gravity and turns are hardly used"
+    yield Finding("attitude", "good" if is_often else "warning", f"{link.attitude_hz:.0f} Hz", remark)
     if link.round_trip_s is None:
         remark = "it does not answer TIMESYNC: its clock is not compared, and stamps may count as times of arrival"
         yield Finding("round trip", "warning", "unknown", remark)

@@ -141,10 +141,13 @@ class AutopilotLink:
             return dict(self._parameters)
 
     @property
-    def has_attitude(self) -> bool:
-        """Whether an attitude came in the last second."""
+    def attitude_hz(self) -> float:
+        """How often attitudes come; 0 where none came in the last second."""
         with self._changed:
-            return bool(self._attitudes) and time.monotonic() - self._attitudes[-1].time_s < _SECOND_S
+            times_s = [attitude.time_s for attitude in self._attitudes]
+        if len(times_s) < 2 or time.monotonic() - times_s[-1] > _SECOND_S:
+            return 0.0
+        return (len(times_s) - 1) / (times_s[-1] - times_s[0])
 
     def attitude_at(self, time_s: float) -> Attitude | None:
         """The attitude at a time of capture, between the two around it; None where these are missing.

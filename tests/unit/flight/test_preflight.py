@@ -23,7 +23,7 @@ from monoloc.supervision.state import Reason
 SHARP = np.random.default_rng(0).integers(0, 256, (60, 80, 3)).astype(np.uint8)
 PARAMETERS = {rule.name: rule.value for rule in Firmware.PX4.parameters}
 FITS = MountErrors(tilt_deg=1.0, pitch_deg=0.5, roll_deg=0.8, yaw_deg=4.0)
-HEARD = LinkReport(Firmware.PX4, Firmware.PX4, True, True, 0.004, PARAMETERS, 92160.0, FITS)
+HEARD = LinkReport(Firmware.PX4, Firmware.PX4, True, 50.0, 0.004, PARAMETERS, 92160.0, FITS)
 
 
 BUILD = Provenance(
@@ -111,7 +111,9 @@ def test_good_flight_with_every_parameter_right_is_good() -> None:
         ("intrinsics", "warning", {"step": replace(good_step(), reasons=frozenset({Reason.CAMERA_UNCONFIRMED}))}),
         ("state", "bad", {"step": replace(good_step(), state="lost", reasons=frozenset({Reason.SEARCHING}))}),
         ("autopilot", "bad", {"link": replace(HEARD, is_alive=False)}),
-        ("attitude", "warning", {"link": replace(HEARD, has_attitude=False)}),
+        ("attitude", "warning", {"link": replace(HEARD, attitude_hz=0.0)}),
+        ("attitude", "warning", {"link": replace(HEARD, attitude_hz=4.0)}),
+        ("attitude", "good", {"link": replace(HEARD, attitude_hz=9.9)}),
         ("state", "good", {"step": replace(good_step(), state="map-changed", reasons={Reason.MAP_CHANGED})}),
         ("round trip", "warning", {"link": replace(HEARD, round_trip_s=0.2)}),
         ("round trip", "warning", {"link": replace(HEARD, round_trip_s=None)}),
