@@ -150,8 +150,8 @@ SENTENCES: tuple[Sentence, ...] = (
         ],
     ),
     (
-        "none of {} kidnaps away from the build's frames was found within 3 s, in each of [three builds]",
-        [AWAY_AT_THE_DESK[0]["kidnaps"]],
+        "{} of {} kidnaps away from the build's frames were found within 3 s, in each of [three builds]",
+        [AWAY_AT_THE_DESK[0]["kidnap_recovery_rate"], AWAY_AT_THE_DESK[0]["kidnaps"]],
     ),
     (
         "Near them it was {} of {}.",
@@ -176,7 +176,8 @@ def test_verdicts_under_failed() -> None:
     assert in_the_ladder is not None and step_of(in_the_ladder) == "undecided"
     desk, kitchen = (three(a_third_over_all(room)) for room in ("office desk", "RedKitchen"))
     assert desk[1] > 1.15 and kitchen[1] < 1.15 < kitchen[2]
-    assert [build["kidnap_recovery_rate"] for build in AWAY_AT_THE_DESK] == [0.0, 0.0, 0.0]
+    assert len({build["kidnap_recovery_rate"] for build in AWAY_AT_THE_DESK}) == 1
+    assert AWAY_AT_THE_DESK[0]["kidnap_recovery_rate"] < 0.95
 
 
 NOT_OF_THE_DATA: dict[str, str] = {

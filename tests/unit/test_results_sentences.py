@@ -111,8 +111,11 @@ THIS_VERSION: tuple[Sentence, ...] = (
         "{} starts without a pose, {} kidnaps and {} edited maps a build",
         [RECOVERY[0][0][name] for name in ("starts", "kidnaps", "map_edits")],
     ),
-    ("Of the {} kidnaps there", [RECOVERY[1][0]["away"]["kidnaps"]]),
-    ("**1 build each**, {} starts, {} kidnaps", [OTHERS[0]["starts"], OTHERS[0]["kidnaps"]]),
+    ("Of the {} there, 9", [RECOVERY[1][0]["away"]["kidnaps"]]),
+    (
+        "**1 build each**, {} starts, {} kidnaps, in the living room {}",
+        [OTHERS[0]["starts"], *(OTHERS[room]["kidnaps"] for room in (0, 2))],
+    ),
     (
         "**1 build**, two flights a light, {} frames each",
         [float(table_of("rendered-rooms.csv")[0]["frames"])],
@@ -263,8 +266,7 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "turns by 2 to 5° a frame": "of the recording",
     "7 to 15 cm and 5 to 10° off": "of single frames that were not kept",
     "with seeds 0 to 4, and all flights": "names",
-    "(builds 0 to 2 of the": "names",
-    "9 begin at": "of the recording",
+    "(builds 0 to 2 of [the table": "names",
     "2 at 451 and 459": "of the recording",
     "begins at 443": "of the recording",
     ", 1 build and 1 flight a fault": "one in the file",
