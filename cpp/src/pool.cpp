@@ -7,8 +7,10 @@
 #include <algorithm>
 #include <atomic>
 #include <condition_variable>
+#include <exception>
 #include <mutex>
 #include <thread>
+#include <utility>
 #include <vector>
 
 namespace monoloc {
@@ -30,13 +32,21 @@ class Pool {
     take();
     std::unique_lock<std::mutex> lock(mutex_);
     done_.wait(lock, [this] { return busy_ == 0; });
+    if (failure_) std::rethrow_exception(std::exchange(failure_, nullptr));
   }
 
   std::mutex in_use;
 
  private:
+  // What a task throws is thrown by run(), after all threads are done with the tasks; those that are left are skipped.
   void take() {
-    for (std::size_t i = next_++; i < count_; i = next_++) (*task_)(i);
+    try {
+      for (std::size_t i = next_++; i < count_; i = next_++) (*task_)(i);
+    } catch (...) {
+      next_ = count_;
+      const std::lock_guard<std::mutex> lock(mutex_);
+      failure_ = std::current_exception();
+    }
   }
 
   void work(std::size_t number) {
@@ -56,6 +66,7 @@ class Pool {
   std::condition_variable wake_, done_;
   std::vector<std::thread> workers_;
   const std::function<void(std::size_t)>* task_ = nullptr;
+  std::exception_ptr failure_;
   std::size_t count_ = 0, wanted_ = 0, busy_ = 0, round_ = 0;
   std::atomic<std::size_t> next_{0};
 };

@@ -11,6 +11,7 @@ int main() {
   test_log_density_and_expectation();
   test_index();
   test_threads();
+  test_pool();
   test_ray_mixture();
   test_pooling();
   test_drawing();

@@ -12,6 +12,7 @@ void test_exponential(const monoloc::Kernels& kernels);
 void test_logarithm(const monoloc::Kernels& kernels);
 void test_selection(const monoloc::Kernels& kernels);
 void test_threads();
+void test_pool();
 void test_kernels(const monoloc::Kernels& kernels);
 void test_rays(const monoloc::Kernels& kernels);
 void test_ray_mixture();

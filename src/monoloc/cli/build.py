@@ -37,6 +37,7 @@ from monoloc.depth.models import DEFAULT, is_shipped
 from monoloc.errors import SettingError
 from monoloc.files import target_of
 from monoloc.io.recording import Recording
+from monoloc.partial_files import locked_folder
 from monoloc.progress import ConsoleProgress, Plan
 from monoloc.updating.room_evidence import evidence_path
 
@@ -140,20 +141,21 @@ def build(
     values = given | {f"adapt.{name}": value for name, value in adapt.items()}
     # Errors name the option if it was given, or if there is no settings file.
     options = {name: _OPTIONS[name] for name, value in values.items() if value is not None or settings is None}
+    evidence = evidence_path(target_of(out))
     with naming(options):
         config = override(config, **given, adapt=adapt)
+        _note_replaced(out, evidence)
         points = None if cloud is None else open_cloud(cloud)
         selected = open_source(
             source, frames, intrinsics, depth_scale, fix_poses=fix_poses, fix_depth=fix_depth, guesses_camera=True
         )
         recording = _with_poses(selected, scale, seed, cloud)
-        evidence = evidence_path(target_of(out))
-        _note_replaced(out, evidence)
         progress = ConsoleProgress(stderr, Plan(expected_stages(len(recording), config)))
         bundle, report = build_bundle(recording, config, seed, progress, points, network)
-    size = write_bundle(target_of(out), bundle)  # follows links, like all file writes
-    if evidence.is_file():  # of the bundle that was there; flights in this one begin anew
-        evidence.unlink()
+    with locked_folder(target_of(out).parent):
+        size = write_bundle(target_of(out), bundle)  # follows links, like all file writes
+        if evidence.is_file():  # of the bundle that was there; flights in this one begin anew
+            evidence.unlink()
     report = replace(report, warnings=remarks + report.warnings)
     for warning in report.warnings:
         stderr.print(f"warning: {recording.name}: {warning}", soft_wrap=True)

@@ -168,6 +168,7 @@ def _ask(link: AutopilotLink, flight: FlightFile, mount: MountErrors | None) -> 
         link.attitude_hz,
         link.round_trip_s,
         parameters,
+        flight.settings,
         address.number / BITS_PER_BYTE if address.kind == "serial" else None,
         mount,
     )

@@ -100,7 +100,8 @@ def _checked(bundle: Bundle, recording: Recording) -> tuple[Recording, dict[str,
     whole = KeptDepth(recording)
     if warnings := check_recording(whole, None, BuildConfig(), if_poor="look at them: monoloc check"):
         remarks["warnings"] = warnings
-    known_frames = set(bundle.provenance.frames.values())
+    frames = bundle.provenance.frames.items()
+    known_frames = {checksum for name, checksum in frames if not name.startswith(TAUGHT_BY_FLIGHT)}
     new = [index for index in range(len(whole)) if fingerprint(whole.color(index)) not in known_frames]
     if not new:
         raise DataError(recording.name, "holds only frames that the map was made of", "extend by others: --frames")
@@ -173,6 +174,10 @@ def _described(alignment: Alignment) -> dict[str, Any]:
 
 def _fingerprints(recording: Recording) -> dict[str, int]:
     return {name: fingerprint(recording.color(index)) for index, name in enumerate(recording.frame_names)}
+
+
+TAUGHT_BY_FLIGHT = "flight "
+"""Begins the name of a frame that taught an update, but gave the map no surfaces."""
 
 
 def with_frames(provenance: Provenance, name: str, frames: dict[str, int]) -> Provenance:

@@ -11,6 +11,7 @@ import numpy as np
 from monoloc.bundle_manifest import Provenance
 from monoloc.errors import DataError
 from monoloc.flight.flight_loop import FlightStep, FlightSummary
+from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.mount_check import MOST_TILT_DEG, MOST_YAW_DEG, MountErrors
 from monoloc.mavlink.firmware import Firmware
 from monoloc.recording_check.image_quality import ImageQuality, quality_of
@@ -44,6 +45,7 @@ class LinkReport:
         attitude_hz: how often it sends its attitude; 0 if it does not.
         round_trip_s: of a question for the time; None where none was answered.
         parameters: values that it gave, by name.
+        settings: of the flight.
         bytes_a_second: that a serial port takes; None of another one.
         mount: by its attitude; None where that was not compared.
     """
@@ -54,6 +56,7 @@ class LinkReport:
     attitude_hz: float
     round_trip_s: float | None
     parameters: Mapping[str, float]
+    settings: FlightSettings
     bytes_a_second: float | None = None
     mount: MountErrors | None = None
 
@@ -115,7 +118,7 @@ class Preflight:
                 *self._of_room(summary),
             ]
         found += self._of_map(link is not None)
-        return found if link is None else [*found, *_of_link(link, summary.rate_hz)]
+        return found if link is None else [*found, *_of_link(link), *_of_port(link, summary.rate_hz)]
 
     def _images(self) -> ImageQuality:
         return ImageQuality(np.arange(len(self._quality)), *np.array(self._quality).T)
@@ -166,10 +169,12 @@ class Preflight:
 
 def _without_frames(summary: FlightSummary) -> Finding:
     """Why not one frame was localised."""
-    if count := summary.dropped["without start"]:
-        return Finding("start", "bad", f"no marker in {count} images", "show the camera a marker of flight.toml")
-    if count := summary.dropped["old"]:
-        problem = f"{count} images, all of them too old"
+    dropped = summary.dropped
+    reason = max(("without start", "old", "future"), key=lambda each: dropped[each])
+    if count := dropped[reason]:
+        if reason == "without start":
+            return Finding("start", "bad", f"no marker in {count} images", "show the camera a marker of flight.toml")
+        problem = f"{count} images, too old" if reason == "old" else f"{count} images stamped ahead of the clock"
         return Finding("camera", "bad", problem, "take a faster network, and a source whose stamps are right")
     return Finding("camera", "bad", "no frame", "check the cable, and the source that was named")
 
@@ -189,7 +194,7 @@ def _of_timing(summary: FlightSummary, is_for_autopilot: bool) -> Iterator[Findi
         yield Finding("latency", level, f"{1e3 * median_s:.0f} ms (95 %: {1e3 * p95_s:.0f} ms)", remark)
 
 
-def _of_link(link: LinkReport, rate_hz: float | None) -> Iterator[Finding]:
+def _of_link(link: LinkReport) -> Iterator[Finding]:
     if not link.is_alive:
         yield Finding("autopilot", "bad", "no heartbeat", "check address, cable and the port's protocol")
         return
@@ -209,12 +214,6 @@ def _of_link(link: LinkReport, rate_hz: float | None) -> Iterator[Finding]:
         is_good = link.round_trip_s <= _GOOD_ROUND_TRIP_S
         remark = "" if is_good else "take a faster port or fewer messages: what is sent waits for it"
         yield Finding("round trip", "good" if is_good else "warning", f"{1e3 * link.round_trip_s:.0f} ms", remark)
-    if link.bytes_a_second is not None and rate_hz is not None:
-        needed = rate_hz * _POSE_BYTES + _OBSTACLES_BYTES_A_SECOND
-        is_enough = needed <= _MOST_LOAD * link.bytes_a_second
-        remark = "" if is_enough else "take 921600 baud, or a lower rate_hz: poses would come late"
-        how_much = f"{needed / 1e3:.1f} of {link.bytes_a_second / 1e3:.1f} kB a second"
-        yield Finding("serial port", "good" if is_enough else "bad", how_much, remark)
     yield from _of_mount(link.mount)
     for rule in link.firmware.parameters:
         if rule.name not in link.parameters:
@@ -223,8 +222,20 @@ def _of_link(link: LinkReport, rate_hz: float | None) -> Iterator[Finding]:
             yield Finding(rule.name, "good", f"{link.parameters[rule.name]:g}")
         else:
             yield Finding(
-                rule.name, "bad", f"{link.parameters[rule.name]:g}", f"set it to {rule.value:g}: {rule.why}"
+                rule.name, rule.level, f"{link.parameters[rule.name]:g}", f"set it to {rule.value:g}: {rule.why}"
             )
+
+
+def _of_port(link: LinkReport, rate_hz: float | None) -> Iterator[Finding]:
+    """Whether a serial port takes what a flight will send."""
+    if link.bytes_a_second is None or rate_hz is None:
+        return
+    settings = link.settings
+    needed = min(rate_hz, settings.rate_hz) * _POSE_BYTES + settings.obstacles * _OBSTACLES_BYTES_A_SECOND
+    is_enough = needed <= _MOST_LOAD * link.bytes_a_second
+    remark = "" if is_enough else "take 921600 baud, or a lower rate_hz or no obstacles in flight.toml"
+    how_much = f"{needed / 1e3:.1f} of {link.bytes_a_second / 1e3:.1f} kB a second"
+    yield Finding("serial port", "good" if is_enough else "bad", how_much, remark)
 
 
 def _of_mount(errors: MountErrors | None) -> Iterator[Finding]:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
+
+import numpy as np
 
 from monoloc.flight.flight_loop import FlightStep, FlightSummary
 from monoloc.step_budget import Level
@@ -10,8 +13,15 @@ from monoloc.supervision.state import in_words
 
 _PERIOD_S = 1.0
 _NO_IMAGE_S = 0.5  # without a frame, after which it is said
-_NO_IMAGE, _NO_START = "no image from the camera", "waiting for a marker"
-_OLD_IMAGES = "images come too late: a slow network, or stamps that are slower than the camera"
+_NO_IMAGE = "no image from the camera"
+# Why images that come are not localised, by the reason that the summary counts them under.
+_WHY = {
+    "without start": "waiting for a marker",
+    "old": "images come too late: the network is slow, or their time stamps are",
+    "future": "images are stamped ahead of the clock",
+    "unordered": "images come out of order",
+}
+_WHY_S = 2.0  # for which such an image explains that none is localised
 
 
 class StatusOutput:
@@ -30,14 +40,15 @@ class StatusOutput:
         self._level = Level.FULL
         self._frame_s = self._printed_s = float("-inf")
         self._frames = self._failures = 0
-        self._at_frame = (0, 0)  # frames dropped as old, and for want of a start, when the last one was taken
+        self._dropped = Counter[str]()  # as the summary counted at the last look
+        self._dropped_s: dict[str, float] = {}  # when each number grew last
         self._missing = ""
 
     def take(self, result: FlightStep) -> None:
         now_s, step = result.done_s, result.step
         self._begin(now_s)
-        self._frame_s, self._at_frame = now_s, self._not_taken
-        if self._missing in (_NO_IMAGE, _OLD_IMAGES):
+        self._frame_s = now_s
+        if self._missing not in ("", _WHY["without start"]):
             self.say(now_s, "images again")
         self._missing = ""
         if self._said != (step.state, step.reasons, result.room):
@@ -54,10 +65,13 @@ class StatusOutput:
 
     def idle(self, now_s: float) -> None:
         self._begin(now_s)
+        dropped = self._summary.dropped
+        self._dropped_s |= {reason: now_s for reason in _WHY if dropped[reason] > self._dropped[reason]}
+        self._dropped = Counter(dropped)
         if now_s - self._frame_s <= _NO_IMAGE_S:
             return
-        old, without_start = (now - then for now, then in zip(self._not_taken, self._at_frame, strict=True))
-        missing = _NO_START if without_start else _OLD_IMAGES if old else _NO_IMAGE
+        known = (_WHY[reason] for reason in _WHY if now_s - self._dropped_s.get(reason, -np.inf) < _WHY_S)
+        missing = next(known, _NO_IMAGE)
         if missing != self._missing:
             self._missing = missing
             self.say(now_s, missing)
@@ -67,11 +81,6 @@ class StatusOutput:
         self._begin(now_s)
         assert self._began_s is not None
         self._say(f"{now_s - self._began_s:8.2f} s  {text}")
-
-    @property
-    def _not_taken(self) -> tuple[int, int]:
-        dropped = self._summary.dropped
-        return dropped["old"], dropped["without start"]
 
     def close(self) -> None:
         """Nothing is held."""

@@ -202,7 +202,7 @@ def _read_odometry(path: Path, size: tuple[int, int]) -> _Odometry:
 
 def _cameras(columns: dict[str, FloatArray], size: tuple[int, int], path: Path) -> list[Camera] | None:
     """Camera of each line; None where the file does not state intrinsics for each."""
-    if any(name not in columns or np.isnan(columns[name]).all() for name in _INTRINSICS):
+    if any(name not in columns or np.isnan(columns[name]).any() for name in _INTRINSICS):
         return None
     rows = np.stack([columns[name] for name in _INTRINSICS], axis=1)
     with stated_by(path):

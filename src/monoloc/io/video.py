@@ -17,6 +17,7 @@ from monoloc.io.video_frames import VideoFrames
 
 _SUFFIXES = {".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpg", ".webm"}
 _GUESSED_FOCAL = 0.85  # of the longer side: 61 degrees, as most phones film
+_FEW_FRAMES = 5  # at the end, which decoders may not give of a whole file
 _WHOLE_SHARE = 0.95  # of the frames or the duration that a file states, from which it counts as whole
 
 
@@ -47,7 +48,10 @@ def _cut_note(times_s: FloatArray, frames: VideoFrames) -> list[str]:
     """A note where far less can be decoded than a file states; the last few frames may be missing of a whole one."""
     count, stated_count = len(times_s), frames.stated_count
     # Where the rate varies, the number that OpenCV makes up from the duration may be wrong.
-    if count >= _WHOLE_SHARE * stated_count or times_s[-1] >= _WHOLE_SHARE * frames.stated_duration_s > 0.0:
+    if (
+        count >= min(_WHOLE_SHARE * stated_count, stated_count - _FEW_FRAMES)
+        or times_s[-1] >= _WHOLE_SHARE * frames.stated_duration_s > 0.0
+    ):
         return []
     return [
         f"only {count} of the {stated_count} frames that the file states can be decoded; copy it again if it was cut"

@@ -280,15 +280,20 @@ class OrbLandmarkLocalizer:
 
 def _is_shown(pixels: FloatArray, keypoints: FloatArray, camera: Camera) -> NDArray[np.bool_]:
     """Whether the image shows anything at pixels (E, 2): false within large parts of it without a keypoint (N, 2)."""
-    rows, columns = math.ceil(camera.height / _TILE_PX), math.ceil(camera.width / _TILE_PX)
-    is_blank = np.ones((rows, columns), dtype=np.uint8)
-    tiles = (keypoints / _TILE_PX).astype(np.int64)
-    is_blank[tiles[:, 1], tiles[:, 0]] = 0
-    large = cv2.morphologyEx(is_blank, cv2.MORPH_OPEN, np.ones((_BLANK_TILES, _BLANK_TILES), np.uint8))
+    size = np.array([max(1, round(side / _TILE_PX)) for side in (camera.width, camera.height)])
+    tile_px = np.array([camera.width, camera.height]) / size
+
+    def tile_of(places: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        columns, rows = np.clip((places / tile_px).astype(np.int64), 0, size - 1).T
+        return rows, columns
+
+    is_blank = np.ones(size[::-1], dtype=np.uint8)
+    is_blank[tile_of(keypoints)] = 0
+    square = np.ones((_BLANK_TILES, _BLANK_TILES), np.uint8)
+    large = cv2.morphologyEx(is_blank, cv2.MORPH_OPEN, square, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     if large.mean() < _LEAST_BLANK:
         return np.ones(len(pixels), dtype=np.bool_)
-    tiles = np.clip((pixels / _TILE_PX).astype(np.int64), 0, (columns - 1, rows - 1))
-    return np.asarray(large[tiles[:, 1], tiles[:, 0]] == 0)
+    return np.asarray(large[tile_of(pixels)] == 0)
 
 
 def _direction_sd(covariance: FloatArray, depth_m: float) -> float:

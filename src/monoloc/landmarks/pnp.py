@@ -75,7 +75,7 @@ class LandmarkMeasurement:
             them were found.
         is_found: (E,) bool, whether each of these agrees.
         is_shown: (E,) bool, false where a large part of the image shows nothing at all, such as a hand before half
-            of the lens. It says nothing of the room.
+            of the lens. It says nothing of the room. Where it is not given, the image shows something everywhere.
     """
 
     expected: int = 0
@@ -84,6 +84,10 @@ class LandmarkMeasurement:
     visible: NDArray[np.int64] = field(default_factory=lambda: _NO_INDICES)
     is_found: NDArray[np.bool_] = field(default_factory=lambda: _NO_FLAGS)
     is_shown: NDArray[np.bool_] = field(default_factory=lambda: _NO_FLAGS)
+
+    def __post_init__(self) -> None:
+        if len(self.is_shown) != len(self.visible):
+            object.__setattr__(self, "is_shown", np.ones(len(self.visible), dtype=np.bool_))
 
 
 def is_within_prior(pose: FloatArray, prior: FloatArray, covariance: FloatArray) -> bool:

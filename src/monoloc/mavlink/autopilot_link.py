@@ -25,14 +25,15 @@ from monoloc.mavlink.autopilot_frames import rotation_of
 from monoloc.mavlink.byte_link import ByteLink
 from monoloc.mavlink.firmware import Firmware
 from monoloc.mavlink.link_port import parse_address
-from monoloc.mavlink.messages import COMPONENT, dialect, heartbeat, parameter_request, timesync
+from monoloc.mavlink.messages import AUTOPILOT_COMPONENT, COMPONENT, dialect, heartbeat, parameter_request, timesync
 from monoloc.odometry.attitude import AttitudeHistory
 from monoloc.odometry.motion import Motion
 
 _SECOND_S = 1.0  # between heartbeats, and between questions for the time and for a parameter
 _ATTITUDES = 200  # that are kept: four seconds at 50 Hz
-# Between two attitudes, between which one is interpolated, and between a frame and an attitude that holds for it.
-_MOST_GAP_S, _SAME_S = 0.12, 0.02
+# Between two attitudes, between which one is interpolated; between a frame and an attitude that holds for it; and
+# between a frame and the last attitude, as long as the next has not come.
+_MOST_GAP_S, _SAME_S, _LAST_S = 0.12, 0.02, 0.1
 _ALIVE_S = 3.0  # since the autopilot's last heartbeat
 _INVALID_AUTOPILOT = 8  # HEARTBEAT's autopilot, of what is none
 _GOES_STALE = {"HEARTBEAT", "ODOMETRY", "VISION_POSITION_ESTIMATE", "OBSTACLE_DISTANCE", "TIMESYNC"}
@@ -152,7 +153,7 @@ class AutopilotLink:
     def attitude_at(self, time_s: float) -> Attitude | None:
         """The attitude at a time of capture, between the two around it; None where these are missing.
 
-        An attitude of 20 ms beside that time will do, for the next one may not have come yet.
+        An attitude of 20 ms beside that time will do. So will the last one for 0.1 s: the next may not have come.
         """
         with self._changed:
             known = list(self._attitudes)
@@ -161,7 +162,8 @@ class AutopilotLink:
         if len(around) == 2 and around[1].time_s - around[0].time_s <= _MOST_GAP_S:
             return _between(around[0], around[1], time_s)
         nearest = min(around, key=lambda attitude: abs(attitude.time_s - time_s), default=None)
-        return None if nearest is None or abs(nearest.time_s - time_s) > _SAME_S else nearest
+        most_s = _LAST_S if after == len(known) else _SAME_S
+        return None if nearest is None or abs(nearest.time_s - time_s) > most_s else nearest
 
     def turn_between(self, start_s: float, end_s: float) -> Motion | None:
         """The camera's rotation between two times of capture; None where attitudes are missing for 0.12 s."""
@@ -233,13 +235,16 @@ class AutopilotLink:
 
     def _take_heartbeat(self, message: Any, sender: tuple[int, int], arrived_s: float) -> None:
         """Act on the heartbeat of an autopilot."""
-        if self._vehicle is None:
+        if self._vehicle not in (None, sender):
+            is_ours = sender[0] == self.system
+            if not is_ours:  # also while ours is silent: the camera sits on one vehicle
+                self._others.add(sender[0])
+            if not is_ours or sender[1] != AUTOPILOT_COMPONENT:
+                return
+        if self._vehicle != sender:
             self._vehicle = sender
             self._packer.srcSystem = sender[0]  # a part of the same vehicle
             self._beat_s = float("-inf")  # it hears at once who is there
-        elif self._vehicle != sender:  # also while ours is silent: the camera sits on one vehicle
-            self._others.add(sender[0])
-            return
         self._heard_s, self._firmware = arrived_s, Firmware.of_heartbeat(message.autopilot)
 
     def _take_of_autopilot(self, kind: str, message: Any, arrived_s: float) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
+from typing import Literal
 
 LOCAL_NED, LOCAL_FRD, BODY_FRD = 1, 20, 12
 """Members of MAV_FRAME."""
@@ -54,7 +55,8 @@ class ParameterRule:
         value: that it needs.
         why: what goes wrong otherwise.
         is_mask: whether ``value`` is a set of bits, of which the parameter may have more.
-        tolerance: by which a parameter that is none may differ.
+        tolerance: by which the parameter may differ from ``value``.
+        level: of the doctor's finding where it differs by more.
     """
 
     name: str
@@ -62,6 +64,7 @@ class ParameterRule:
     why: str
     is_mask: bool = False
     tolerance: float = 1e-6
+    level: Literal["warning", "bad"] = "bad"
 
     def holds(self, value: float) -> bool:
         """Whether a parameter's value is as it must be; NaN is not."""
@@ -80,7 +83,13 @@ _PX4 = (
     ParameterRule("EKF2_EV_POS_Y", 0, "monoloc sends the pose of the body, not of the camera"),
     ParameterRule("EKF2_EV_POS_Z", 0, "monoloc sends the pose of the body, not of the camera"),
     ParameterRule("EKF2_EV_NOISE_MD", 0, "otherwise the covariance that monoloc sends is ignored"),
-    ParameterRule("EKF2_EV_DELAY", 0, "monoloc sends the time of capture, so poses count as too old", tolerance=20.0),
+    ParameterRule(
+        "EKF2_EV_DELAY",
+        0,
+        "monoloc sends the time of capture; only what the camera's stamps leave out is to be added",
+        tolerance=20.0,
+        level="warning",
+    ),
 )
 
 _ARDUPILOT = (

@@ -21,7 +21,7 @@ COMPONENT = 197
 UNKNOWN_CM = 65535
 """Of a sector of OBSTACLE_DISTANCE of which nothing is known."""
 
-_AUTOPILOT_COMPONENT = 1
+AUTOPILOT_COMPONENT = 1
 _ONBOARD_CONTROLLER, _INVALID_AUTOPILOT, _ACTIVE = 18, 8, 4  # of HEARTBEAT: type, autopilot, system_status
 _VISION = 2  # MAV_ESTIMATOR_TYPE_VISION; PX4 ignores the covariance of a NAIVE one
 _UNKNOWN_SENSOR = 4  # MAV_DISTANCE_SENSOR_UNKNOWN
@@ -112,8 +112,7 @@ def status_text(text: str, is_alarming: bool) -> Any:
     """STATUSTEXT, at most 50 bytes of ASCII, as a warning or a notice; a longer text ends at its last whole item."""
     severity = 4 if is_alarming else 5  # MAV_SEVERITY_WARNING, MAV_SEVERITY_NOTICE
     if len(text) > _MOST_TEXT:
-        cut = text[: _MOST_TEXT + 1]
-        text = cut.rpartition(", ")[0] or cut[:_MOST_TEXT]
+        text = text[: _MOST_TEXT + len(", ")].rpartition(", ")[0] or text[:_MOST_TEXT]
     return dialect().MAVLink_statustext_message(severity, text.encode("ascii", "replace"))
 
 
@@ -129,7 +128,7 @@ def timesync(own_ns: int, asked_ns: int) -> Any:
 
 def parameter_request(name: str, system: int) -> Any:
     """PARAM_REQUEST_READ of a parameter of the autopilot of a vehicle."""
-    return dialect().MAVLink_param_request_read_message(system, _AUTOPILOT_COMPONENT, name.encode("ascii"), -1)
+    return dialect().MAVLink_param_request_read_message(system, AUTOPILOT_COMPONENT, name.encode("ascii"), -1)
 
 
 def _microseconds(time_s: float) -> int:

@@ -29,11 +29,11 @@ LANDMARK_EDGES = (3.5, 7.5, 14.5, 29.5)  # between the classes of numbers of lan
 _LEAST_EXPECTED = 30  # landmarks in view, below which their number says nothing
 _SCAN_PERCENTILES = (5.0, 20.0, 50.0)  # of the fits at right poses: edges between the classes of fits
 _PSEUDO_COUNT = 0.5  # of each class, so that none is impossible
-# The errors of neighbouring frames are correlated: so long lasts what counts as one observation, of landmarks and of
-# scans, whose depth errs alike for as long as the view is the same.
 MOST_COUNTED_S = 0.25
 """That a frame adds to the time for which something was seen, however long ago the frame before was."""
 
+# The errors of neighbouring frames are correlated: so long lasts what counts as one observation, of landmarks and of
+# scans, whose depth errs alike for as long as the view is the same.
 _LANDMARK_S, _SCAN_S = 0.15, 1.0
 _FIRST_S = 0.05  # for which the first frame counts
 _UNSEEN_S = 1.0  # time for which landmarks stay unseen

@@ -11,6 +11,7 @@ import pytest
 from mavlink_helpers import result_at, step_at
 from monoloc.bundle_manifest import Provenance
 from monoloc.flight.flight_loop import FlightStep, FlightSummary
+from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.mount_check import MountErrors
 from monoloc.flight.preflight import LinkReport, Preflight
 from monoloc.geometry import FloatArray
@@ -23,7 +24,7 @@ from monoloc.supervision.state import Reason
 SHARP = np.random.default_rng(0).integers(0, 256, (60, 80, 3)).astype(np.uint8)
 PARAMETERS = {rule.name: rule.value for rule in Firmware.PX4.parameters}
 FITS = MountErrors(tilt_deg=1.0, pitch_deg=0.5, roll_deg=0.8, yaw_deg=4.0)
-HEARD = LinkReport(Firmware.PX4, Firmware.PX4, True, 50.0, 0.004, PARAMETERS, 92160.0, FITS)
+HEARD = LinkReport(Firmware.PX4, Firmware.PX4, True, 50.0, 0.004, PARAMETERS, FlightSettings(), 92160.0, FITS)
 
 
 BUILD = Provenance(
@@ -120,12 +121,17 @@ def test_good_flight_with_every_parameter_right_is_good() -> None:
         ("autopilot", "bad", {"link": replace(HEARD, heard=Firmware.ARDUPILOT)}),
         ("autopilot", "good", {"link": replace(HEARD, heard=None)}),
         ("serial port", "bad", {"link": replace(HEARD, bytes_a_second=5760.0)}),
+        (
+            "serial port",
+            "good",
+            {"link": replace(HEARD, bytes_a_second=5760.0, settings=FlightSettings(rate_hz=10.0, obstacles=False))},
+        ),
         ("mount", "bad", {"link": replace(HEARD, mount=replace(FITS, tilt_deg=28.0))}),
         ("mount", "warning", {"link": replace(HEARD, mount=replace(FITS, tilt_deg=4.0))}),
         ("heading", "warning", {"link": replace(HEARD, mount=replace(FITS, yaw_deg=-120.0))}),
         ("EKF2_EV_CTRL", "bad", {"link": replace(HEARD, parameters={**PARAMETERS, "EKF2_EV_CTRL": np.nan})}),
         ("EKF2_EV_DELAY", "good", {"link": replace(HEARD, parameters={**PARAMETERS, "EKF2_EV_DELAY": 15.0})}),
-        ("EKF2_EV_DELAY", "bad", {"link": replace(HEARD, parameters={**PARAMETERS, "EKF2_EV_DELAY": 45.0})}),
+        ("EKF2_EV_DELAY", "warning", {"link": replace(HEARD, parameters={**PARAMETERS, "EKF2_EV_DELAY": 45.0})}),
         ("EKF2_HGT_REF", "bad", {"link": replace(HEARD, parameters={**PARAMETERS, "EKF2_HGT_REF": 1.0})}),
         ("EKF2_HGT_REF", "warning", {"link": replace(HEARD, parameters={})}),
     ],
@@ -138,13 +144,15 @@ def test_what_is_wrong_is_named(name: str, level: Level, given: dict[str, object
     ("reason", "name", "words"),
     [
         ("without start", "start", "no marker in 40 images"),
-        ("old", "camera", "40 images, all of them too old"),
+        ("old", "camera", "40 images, too old"),
+        ("future", "camera", "40 images stamped ahead of the clock"),
         ("skipped", "camera", "no frame"),
     ],
 )
 def test_why_no_frame_was_localised_is_named(reason: str, name: str, words: str) -> None:
     summary = FlightSummary()
     summary.dropped[reason] += 40
+    summary.dropped["old"] += reason == "without start"
     finding = Preflight(BUILD, True, 0.0).findings(summary, None)[0]
     assert (finding.name, finding.level, finding.value) == (name, "bad", words)
 

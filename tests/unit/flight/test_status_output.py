@@ -73,7 +73,8 @@ def test_on_a_terminal_it_says_once_a_second_how_it_goes() -> None:
 @pytest.mark.parametrize(
     ("dropped", "line", "again"),
     [
-        ("old", "images come too late: a slow network, or stamps that are slower than the camera", True),
+        ("old", "images come too late: the network is slow, or their time stamps are", True),
+        ("future", "images are stamped ahead of the clock", True),
         ("without start", "waiting for a marker", False),
     ],
 )
@@ -87,6 +88,18 @@ def test_images_that_are_not_taken_are_no_missing_camera(dropped: str, line: str
     first, *lines = flight.printed()
     assert first == "    0.00 s  tracking"
     assert lines == [f"    0.60 s  {line}", *(["    2.50 s  images again"] if again else [])]
+
+
+def test_a_camera_that_is_unplugged_while_its_images_were_late_is_said() -> None:
+    flight = Flight()
+    flight.take(100.0)
+    flight.summary.dropped["old"] += 1
+    for index in range(40):
+        flight.output.idle(100.1 + 0.1 * index)
+    assert [line.split("s  ")[1] for line in flight.printed()[1:]] == [
+        "images come too late: the network is slow, or their time stamps are",
+        "no image from the camera",
+    ]
 
 
 def test_a_camera_without_images_is_said_once_also_before_the_first_and_that_they_are_back() -> None:

@@ -153,6 +153,8 @@ def test_covered_half_of_an_image_says_nothing_of_landmarks_there(
     columns = localizer._detect.camera.project(local)[:, 0] / localizer._detect.camera.width
     assert not covered.is_shown[columns < 0.4].any() and covered.is_shown[columns > 0.5].all()
     assert covered.expected == whole.expected and covered.pose is not None
+    given = LandmarkMeasurement(2, 1, None, np.array([3, 5]), np.array([True, False]))
+    assert given.is_shown.tolist() == [True, True]  # of a localizer that does not tell
 
 
 def test_landmarks_are_expected_from_three_times_as_far_as_the_build_found_them_wherever_the_camera_was(

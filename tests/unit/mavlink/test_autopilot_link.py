@@ -117,7 +117,8 @@ def test_attitude_is_that_of_the_time_of_capture(peer: Peer, link: AutopilotLink
     assert newest.roll_rad == pytest.approx(0.09) and newest.pitch_rad == pytest.approx(-0.02)
     between = link.attitude_at(newest.time_s - 0.07)
     assert between is not None and between.roll_rad == pytest.approx(0.055)  # by the stamps, 20 ms apart
-    assert link.attitude_at(newest.time_s + 0.1) is None and link.attitude_at(newest.time_s - 5.0) is None
+    assert link.attitude_at(newest.time_s + 0.09) == newest  # the next one may not have come
+    assert link.attitude_at(newest.time_s + 0.11) is None and link.attitude_at(newest.time_s - 5.0) is None
 
 
 def test_attitude_between_two_headings_does_not_go_round(peer: Peer, link: AutopilotLink) -> None:
@@ -241,6 +242,23 @@ def test_another_vehicle_on_the_network_is_not_listened_to(
     eventually(lambda: link.counts["received"] >= received + 4)
     assert link.attitude_hz == 0.0 and not link.is_alive
     assert (link.system, link.others) == (7, frozenset({8}))
+
+
+def test_another_part_of_the_vehicle_that_was_heard_first_gives_way_to_the_autopilot(
+    peer: Peer, link: AutopilotLink
+) -> None:
+    peer.mav.srcComponent = 2
+    peer.mav.heartbeat_send(2, 0, 0, 0, 4)
+    eventually(lambda: link.is_alive)
+    peer.mav.srcComponent = 1
+    peer.mav.heartbeat_send(2, 12, 0, 0, 4)
+    eventually(lambda: link.firmware is Firmware.PX4)
+    assert link.others == frozenset()
+    received = link.counts["received"]
+    peer.mav.srcComponent = 2  # it does not take over again
+    peer.mav.heartbeat_send(2, 3, 0, 0, 4)
+    eventually(lambda: link.counts["received"] > received)
+    assert link.firmware is Firmware.PX4 and link.others == frozenset()
 
 
 def test_firmware_is_that_of_the_heartbeat(peer: Peer, link: AutopilotLink) -> None:
