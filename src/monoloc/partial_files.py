@@ -106,7 +106,7 @@ def whole_folder(target: Path, *, is_synced: bool = True) -> Iterator[Path]:
 
 @contextmanager
 def locked_folder(folder: Path) -> Iterator[None]:
-    """Context that others wait for who lock the folder too; without effect where folders cannot be locked."""
+    """Lock a folder, for which everyone else who locks it waits; without effect where folders cannot be locked."""
     descriptor = None
     with contextlib.suppress(OSError):  # a folder that may be written to but not read, or on NFS
         if sys.platform != "win32":

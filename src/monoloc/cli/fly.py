@@ -96,7 +96,12 @@ def fly(
     budget_ms: BudgetOption = None,
     threads: ThreadsOption = None,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="CSV to write: pose, covariance, state and reasons a frame.")
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            help="CSV to write: pose, covariance, state and reasons a frame; %Y%m%d-%H%M%S stands for the start.",
+        ),
     ] = None,
     mcap: Annotated[
         Path | None,

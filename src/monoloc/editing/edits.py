@@ -172,7 +172,7 @@ def _check_near(bundle: Bundle, points: FloatArray, field: str) -> None:
     beyond = np.maximum(np.maximum(lower - points, points - upper), 0.0)
     beyond_m = float(np.linalg.norm(beyond, axis=1).max(initial=0.0))
     if beyond_m > _MOST_BEYOND_M:
-        problem = f"puts something {beyond_m:.3g} m beyond the map"
+        problem = f"puts something {beyond_m:.4g} m beyond the map"
         raise SettingError(field, problem, "are these millimetres? give metres, in the map's world")
 
 

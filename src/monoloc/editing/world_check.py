@@ -65,7 +65,7 @@ def check_same_world(bundle: Bundle, recording: Recording) -> WorldCheck:
     check = WorldCheck(said.count(True), said.count(False), len(frames))
     if check.contradicted > check.confirmed and check.contradicted >= min(LEAST_FRAMES, len(frames)):
         told = check.confirmed + check.contradicted
-        problem = f"contradicts the map: where {told} of its frames should see landmarks, {check.confirmed} do"
+        problem = f"contradicts the map: {check.confirmed} of {told} frames see the landmarks that they should"
         raise DataError(recording.name, problem, "check its poses: monoloc check; or align it: --align")
     return check
 

@@ -130,7 +130,7 @@ def test_extension_whose_frames_should_see_landmarks_and_do_not_is_refused(
 ) -> None:
     write_recording(here / "flight", RoomRecording(Room(), make_path(6), SMALL_CAMERA))  # another room
     arguments = (*EDIT, "extend", "flight", "--frames", "::2")
-    problem = "contradicts the map: where 3 of its frames should see landmarks, 0 do"
+    problem = "contradicts the map: 0 of 3 frames see the landmarks that they should"
     refused(capfd, here, arguments, "flight", problem, "monoloc check; or align it: --align")
 
 
