@@ -43,6 +43,7 @@ Selector::Selector(const std::vector<Component>& mixture, const IndexSettings& s
 }
 
 List Selector::select(const List& candidates, const double* corner) {
+  if (candidates.empty()) return {};
   const Kernels& run = kernels();
   densities_.resize(candidates.size() * stride_);
   total_.assign(stride_, static_cast<float>(settings_.floor_density));
