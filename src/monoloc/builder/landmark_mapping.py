@@ -17,7 +17,6 @@ from monoloc.landmarks.features import KeypointDetector
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.progress import Progress
 
-_DEPTH_JUMP = 0.15  # relative; next to a larger jump a corner's depth is ambiguous
 _MOST_FRAMES = 300  # computation time is quadratic in their number
 
 
@@ -47,7 +46,7 @@ def build_landmarks(
         for index in frames.tolist():
             keypoints = detect(recording.color(index))
             pixels = keypoints.pixels.astype(np.float32)
-            depth = sample_depth(pixels, detect.camera, depth_of(index), recording.camera, _DEPTH_JUMP)
+            depth = sample_depth(pixels, detect.camera, depth_of(index), recording.camera)
             corners.append(Corners(keypoints, depth))
             show(len(corners))
         measured = measure_landmarks(corners, recording.camera, detect.camera, poses)

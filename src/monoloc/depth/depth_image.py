@@ -7,6 +7,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from monoloc.camera import Camera
 
+_EDGE = 0.15  # of the depth: next to a larger jump, a corner's depth is ambiguous
+
 
 def at_discontinuity(depth_m: ArrayLike, relative: float) -> NDArray[np.bool_]:
     """Mark pixels at depth discontinuities: (H, W) metres, 0 where there is no depth -> (H, W) bool.
@@ -35,7 +37,7 @@ def sample_depth(
     camera: Camera,
     depth_m: NDArray[np.float32],
     depth_camera: Camera,
-    relative: float,
+    relative: float = _EDGE,
 ) -> NDArray[np.float64]:
     """Interpolate depth at pixels of an image from a depth image of the same pose and any intrinsics.
 

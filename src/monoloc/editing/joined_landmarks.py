@@ -17,7 +17,6 @@ from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.landmarks.pnp import PRIOR_COVARIANCE
 
 _SAME_M, _CANDIDATES = 0.05, 8  # distance within which landmarks that look alike are one; best matches looked at
-_DEPTH_JUMP = 0.15  # relative; next to a larger jump a corner's depth is ambiguous
 _MOST_FRAMES = 150
 
 
@@ -47,7 +46,7 @@ def with_recording(landmarks: Landmarks, recording: Recording, poses: FloatArray
     for index in frames.tolist():
         keypoints = detect(recording.color(index))
         pixels = keypoints.pixels.astype(np.float32)
-        depth = sample_depth(pixels, detect.camera, recording.depth(index), recording.camera, _DEPTH_JUMP)
+        depth = sample_depth(pixels, detect.camera, recording.depth(index), recording.camera)
         corners.append(Corners(keypoints, depth))
     seen = landmarks_of(corners, detect.camera, poses[frames])
     both = joined(landmarks, seen)

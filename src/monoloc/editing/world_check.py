@@ -24,7 +24,6 @@ from monoloc.landmarks.landmark_map import FAMILIAR_TIMES, LandmarkViews
 # A landmark should be in view where so many views found it from a similar direction and distance.
 _ALIKE_COS, _ALIKE_DISTANCES = np.cos(np.deg2rad(20.0)), 1.5
 _LEAST_IN_VIEW = 100
-_DEPTH_JUMP = 0.15  # relative; next to a larger jump a landmark's depth is ambiguous
 _SAME_DEPTH = 0.1  # relative, with the errors of landmarks and depth
 # Share of the landmarks in view with their depth, from which on the pose is confirmed. Of the frames that landmarks
 # did not localise at their right poses (RedKitchen, the desk), 22 of 28 had more, and five 0.7 to 0.8.
@@ -82,7 +81,7 @@ def _said(bundle: Bundle, recording: Recording, index: int, is_elsewhere: bool) 
     in_view = np.flatnonzero(camera.in_sight(local))
     in_view = in_view[_found_alike(views, in_view, points[in_view], pose[:3, 3])]
     pixels = camera.project(local[in_view]).astype(np.float32)
-    depth_m = sample_depth(pixels, camera, recording.depth(index), camera, _DEPTH_JUMP)
+    depth_m = sample_depth(pixels, camera, recording.depth(index), camera)
     ratios = depth_m[depth_m > 0.0] / local[in_view, 2][depth_m > 0.0]
     if len(ratios) < _LEAST_IN_VIEW:
         return nothing

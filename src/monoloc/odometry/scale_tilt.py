@@ -20,7 +20,6 @@ from monoloc.odometry.motion import Motion
 _HUBER = 1.5  # standard deviations beyond which a corner counts linearly
 _ITERATIONS = 4
 _LEAST_CORNERS = 10
-_DEPTH_JUMP = 0.15  # share of the depth; at a larger jump, the depth of a corner is ambiguous
 
 
 class ScaleTiltConfig(BaseModel):
@@ -63,7 +62,7 @@ def correct_scale_and_tilt(depth: DepthPrediction, motion: Motion, config: Scale
     points, sd, pixels = points[inside], sd[inside], pixels[inside]
     if len(points) < _LEAST_CORNERS:
         return depth
-    predicted = sample_depth(pixels, camera, depth.depth_m, camera, _DEPTH_JUMP)
+    predicted = sample_depth(pixels, camera, depth.depth_m, camera)
     usable = predicted > 0.0
     if usable.sum() < _LEAST_CORNERS:
         return depth

@@ -18,7 +18,6 @@ from monoloc.geometry import FloatArray, invert, transform
 from monoloc.io.recording import Recording
 from monoloc.recording_check.pose_check import depth_scale_option
 
-_DEPTH_JUMP = 0.15  # relative; next to a larger jump a corner's depth is ambiguous
 _LEAST_RATIOS = 30  # of a flight, that tell
 # Logarithm of the median ratio. In right flights it was 0.001 or less (RedKitchen, the desk), and 0.01 in their worst
 # frame; from about 0.07 on, a surface at 3 m seems to be elsewhere with the certainty that an update asks for.
@@ -36,7 +35,7 @@ def depth_ratios(
         pose: ``T_world_camera``, (4, 4).
         points: (A, 3), their landmarks, world frame, metres.
     """
-    seen_m = sample_depth(pixels.astype(np.float32), detected, depth.depth_m, depth.camera, _DEPTH_JUMP)
+    seen_m = sample_depth(pixels.astype(np.float32), detected, depth.depth_m, depth.camera)
     local = transform(invert(pose), points.astype(np.float64))
     is_seen = seen_m > 0.0
     return np.asarray(seen_m[is_seen] / local[is_seen, 2])

@@ -22,7 +22,6 @@ from monoloc.updating.tally import Tally, bernoulli_nats
 from monoloc.updating.update_rules import UpdateRules
 
 _RADIUS_PX = 8.0  # around a corner's expected pixel, as for landmarks
-_DEPTH_JUMP = 0.15  # relative; next to a larger jump a corner's depth is ambiguous
 _MOST_CANDIDATES = 6000  # 500 kB
 _LEAST_FINDS = 3  # views of a flight that found a corner, for a new candidate
 _GIVEN_UP_ODDS = 1.0 / 30.0  # of the prior: a candidate that is not found again
@@ -214,7 +213,7 @@ def _unmatched(frame: TeachingFrame, flight: ObservedFlight) -> Corners:
     if frame.depth is None:
         return Corners(seen, np.zeros(len(seen.pixels)))
     depth = frame.depth
-    depth_m = sample_depth(seen.pixels.astype(np.float32), flight.detected, depth.depth_m, depth.camera, _DEPTH_JUMP)
+    depth_m = sample_depth(seen.pixels.astype(np.float32), flight.detected, depth.depth_m, depth.camera)
     nearest_m = np.maximum(depth_m, 0.5)
     by_pose_px = flight.detected.focal_px * np.hypot(frame.pose_sd_m / nearest_m, frame.pose_sd_rad)
     return Corners(Keypoints(seen.pixels, seen.descriptors, np.hypot(seen.sd_px, by_pose_px)), depth_m)
