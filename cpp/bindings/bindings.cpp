@@ -1,6 +1,4 @@
 // Converts types, and checks that lengths agree. Python checks shapes first, where the messages name the argument.
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
 
 #include <cstdint>
@@ -9,36 +7,27 @@
 #include <thread>
 #include <vector>
 
+#include "arrays.hpp"
 #include "monoloc/drawing.hpp"
 #include "monoloc/index.hpp"
 #include "monoloc/landmark_consensus.hpp"
 #include "monoloc/landmark_pose.hpp"
 #include "monoloc/matching.hpp"
 #include "monoloc/mixture.hpp"
-#include "monoloc/pooling.hpp"
 #include "monoloc/rays.hpp"
 #include "monoloc/rigid_motion.hpp"
 #include "monoloc/window.hpp"
 
-namespace nb = nanobind;
 using namespace nb::literals;
 
 namespace {
 
-template <class T, class Shape>
-using Array = nb::ndarray<const T, Shape, nb::c_contig, nb::device::cpu>;
 using Scalars = Array<double, nb::shape<-1>>;
 using Vectors = Array<double, nb::shape<-1, 3>>;
 using Matrices = Array<double, nb::shape<-1, 3, 3>>;
 using Poses = Array<double, nb::shape<-1, 4, 4>>;
 using Floats = Array<float, nb::shape<-1>>;
 using FloatVectors = Array<float, nb::shape<-1, 3>>;
-template <class T>
-using Images = Array<T, nb::shape<-1, -1, -1, -1>>;
-template <class T>
-using WritableImages = nb::ndarray<T, nb::shape<-1, -1, -1, -1>, nb::c_contig, nb::device::cpu>;
-using StageWeights = Array<float, nb::shape<-1, -1>>;
-using WritableStageWeights = nb::ndarray<float, nb::shape<-1, -1, -1>, nb::c_contig, nb::device::cpu>;
 using WritableNumbers = nb::ndarray<std::uint32_t, nb::shape<-1, -1>, nb::c_contig, nb::device::cpu>;
 using WritableDepth = nb::ndarray<float, nb::shape<-1, -1>, nb::c_contig, nb::device::cpu>;
 template <long size>
@@ -56,10 +45,6 @@ nb::ndarray<nb::numpy, T> to_numpy(std::vector<T> values, std::initializer_list<
   T* data = kept->data();
   nb::capsule owner(kept.release(), [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
   return nb::ndarray<nb::numpy, T>(data, shape, owner);
-}
-
-void require(bool agrees, const char* what) {
-  if (!agrees) throw nb::value_error(what);
 }
 
 std::vector<monoloc::Component> components(const Scalars& weights, const Vectors& means, const Matrices& covariances) {
@@ -134,79 +119,6 @@ Result rays_weigh(const monoloc::RayMixture& mixture, const Poses& poses, const 
                   scan.shape(0), {log_depth_sd, outlier_share, log_depth_range}, threads, out.data());
   }
   return to_numpy(std::move(out), {count});
-}
-
-template <class First, class Second>
-void require_same_shape(const First& first, const Second& second, const char* what) {
-  for (std::size_t axis = 0; axis < first.ndim(); ++axis) require(first.shape(axis) == second.shape(axis), what);
-}
-
-template <class Images>
-monoloc::ImageShape image_shape(const Images& images) {
-  return {images.shape(1), images.shape(2), images.shape(3)};
-}
-
-template <class T>
-void max_pool(const Images<T>& values, std::size_t threads, const WritableImages<T>& largest,
-              const WritableImages<std::uint16_t>& from) {
-  require_same_shape(values, largest, "values and largest must have one shape");
-  require_same_shape(values, from, "values and from_ must have one shape");
-  require(image_shape(values).pixels() <= monoloc::kMostPooledPixels, "images have too many pixels");
-  nb::gil_scoped_release release;
-  monoloc::max_pool(values.data(), values.shape(0), image_shape(values), threads, largest.data(), from.data());
-}
-
-template <class T>
-void max_pool_gradient(const Images<T>& gradient, const Images<std::uint16_t>& from, std::size_t threads,
-                       const WritableImages<T>& out) {
-  require_same_shape(gradient, from, "gradient and from_ must have one shape");
-  require_same_shape(gradient, out, "gradient and out must have one shape");
-  nb::gil_scoped_release release;
-  monoloc::max_pool_gradient(gradient.data(), from.data(), gradient.shape(0), image_shape(gradient), threads,
-                             out.data());
-}
-
-// Returns the number of stages.
-template <class T>
-std::size_t require_stages(const Images<T>& values, const StageWeights& weights) {
-  require(weights.shape(0) > 0 && weights.shape(1) == values.shape(3), "weights must be (stages + 1, channels)");
-  return weights.shape(0) - 1;
-}
-
-template <class T>
-void chain_pools(const Images<T>& values, const StageWeights& weights, std::size_t threads,
-                 const WritableImages<T>& out) {
-  const std::size_t stages = require_stages(values, weights);
-  require_same_shape(values, out, "values and out must have one shape");
-  nb::gil_scoped_release release;
-  monoloc::chain_pools(values.data(), values.shape(0), image_shape(values), weights.data(), stages, threads,
-                       out.data());
-}
-
-template <class T>
-void chain_pools_gradient(const Images<T>& values, const Images<T>& gradient, const StageWeights& weights,
-                          std::size_t threads, const WritableImages<T>& out, const WritableStageWeights& of_weights) {
-  const std::size_t stages = require_stages(values, weights);
-  require_same_shape(values, gradient, "values and gradient must have one shape");
-  require_same_shape(values, out, "values and out must have one shape");
-  require(of_weights.shape(0) == values.shape(0) && of_weights.shape(1) == weights.shape(0) &&
-              of_weights.shape(2) == weights.shape(1),
-          "of_weights must be (images, stages + 1, channels)");
-  nb::gil_scoped_release release;
-  monoloc::chain_pools_gradient(values.data(), gradient.data(), values.shape(0), image_shape(values), weights.data(),
-                                stages, threads, out.data(), of_weights.data());
-}
-
-// For images of one type of values.
-template <class T>
-void define_pooling(nb::module_& m) {
-  m.def("max_pool", &max_pool<T>, "values"_a.noconvert(), "threads"_a, "largest"_a.noconvert(),
-        "from_"_a.noconvert());
-  m.def("max_pool_gradient", &max_pool_gradient<T>, "gradient"_a.noconvert(), "from_"_a.noconvert(), "threads"_a,
-        "out"_a.noconvert());
-  m.def("chain_pools", &chain_pools<T>, "values"_a.noconvert(), "weights"_a, "threads"_a, "out"_a.noconvert());
-  m.def("chain_pools_gradient", &chain_pools_gradient<T>, "values"_a.noconvert(), "gradient"_a.noconvert(),
-        "weights"_a, "threads"_a, "out"_a.noconvert(), "of_weights"_a.noconvert());
 }
 
 void draw_points(const Vectors& points, const Pose& camera_from_world, const Array<double, nb::shape<12>>& camera,
@@ -344,9 +256,7 @@ NB_MODULE(_core, m) {
   m.def("pose_distances", &pose_distances, "pose"_a, "others"_a, "turn_worth"_a);
   m.def("log_density", &log_density, "points"_a, "weights"_a, "means"_a, "covariances"_a);
   m.def("expectation", &expectation, "points"_a, "weights"_a, "means"_a, "covariances"_a);
-  m.attr("MOST_POOLED_PIXELS") = monoloc::kMostPooledPixels;
-  define_pooling<float>(m);
-  define_pooling<std::uint16_t>(m);
+  define_pooling(m);
   m.def("draw_points", &draw_points, "points"_a, "camera_from_world"_a, "camera"_a, "is_fisheye"_a, "sight"_a,
         "behind"_a, "front"_a.noconvert(), "depth"_a.noconvert());
   m.def("match_descriptors", &match_descriptors, "expected"_a, "known"_a, "pixels"_a, "descriptors"_a, "radius_px"_a,

@@ -90,12 +90,11 @@ std::vector<Slot> hash_table(const std::vector<std::uint32_t>& keys, std::uint32
 }
 
 // Lists of a batch of bricks from the first on, on several threads.
-std::vector<BrickLists> batch_of(const Bricks& bricks, std::size_t first, const std::vector<Component>& mixture,
-                                 const IndexSettings& settings) {
+std::vector<BrickLists> batch_of(const Bricks& bricks, std::size_t first, const Selector& selector,
+                                 std::size_t threads) {
   std::vector<BrickLists> batch(std::min(kBatch, bricks.size() - first));
-  const Selector selector(mixture, settings);
-  run_on_threads((batch.size() + kShare - 1) / kShare, settings.threads, [&](std::size_t share) {
-    Selector own = selector;
+  run_on_threads((batch.size() + kShare - 1) / kShare, threads, [&](std::size_t share) {
+    Selector own = selector;  // with buffers of its own
     for (std::size_t i = share * kShare; i < std::min(batch.size(), (share + 1) * kShare); ++i) {
       batch[i] = bricks.lists(first + i, own);
     }
@@ -114,12 +113,13 @@ MixtureIndex::MixtureIndex(const std::vector<Component>& mixture, const IndexSet
     centre_[axis] = grid.lower[axis] + 0.5 * grid.bricks[axis] * grid.brick_m;
     origin_[axis] = static_cast<float>(grid.lower[axis] - centre_[axis]);
   }
+  const Selector selector(mixture, settings);
   Blocks blocks(mixture, centre_, blocks_);
   std::vector<std::uint32_t> keys, names;
   std::size_t kept = 0;
   voxel_lists_.assign(kBrickVoxels, 0);
   for (std::size_t first = 0; first < bricks.size(); first += kBatch) {
-    for (const BrickLists& brick : batch_of(bricks, first, mixture, settings)) {
+    for (const BrickLists& brick : batch_of(bricks, first, selector, settings.threads)) {
       if (brick.voxels == 0) continue;
       voxels_ += brick.voxels;
       kept += brick.components;

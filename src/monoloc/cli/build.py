@@ -170,10 +170,11 @@ def build(
 
 def _note_replaced(out: Path, evidence: Path) -> None:
     """Say what goes with the bundle that is replaced, before the build."""
-    edits = replaced_edits(out)
-    parts = [f"its edits ({edits})"] * (edits > 0) + [
-        f"what flights showed of it ({evidence.name})"
-    ] * evidence.is_file()
+    parts = []
+    if edits := replaced_edits(out):
+        parts.append(f"its edits ({edits})")
+    if evidence.is_file():
+        parts.append(f"what flights showed of it ({evidence.name})")
     if parts:
         note = f"the new bundle replaces {' and '.join(parts)}, too; to keep them, stop now and name another --out"
         stderr.print(f"note: {out}: {note}", soft_wrap=True)

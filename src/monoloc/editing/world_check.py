@@ -63,8 +63,8 @@ def check_same_world(bundle: Bundle, recording: Recording) -> WorldCheck:
     said = [True if index in near else _said(bundle, recording, index, index in elsewhere) for index in frames]
     check = WorldCheck(said.count(True), said.count(False), len(frames))
     if check.contradicted > check.confirmed and check.contradicted >= min(LEAST_FRAMES, len(frames)):
-        told = check.confirmed + check.contradicted
-        problem = f"contradicts the map: {check.confirmed} of {told} frames see the landmarks that they should"
+        compared = check.confirmed + check.contradicted
+        problem = f"contradicts the map: {check.confirmed} of {compared} frames see the landmarks that they should"
         raise DataError(recording.name, problem, "check its poses: monoloc check; or align it: --align")
     return check
 

@@ -78,10 +78,9 @@ class LinkWatch:
 
     def _look_at_firmware(self, now_s: float) -> None:
         heard = self._link.firmware
-        if heard in (None, self._firmware, self._warned):
+        problem = self._firmware.contradiction(heard)
+        if heard is None or problem is None or heard is self._warned:
             return
-        assert heard is not None
         self._warned = heard
-        told = f"the autopilot is {heard.title}, which takes poses in another frame than {self._firmware.title}"
-        self._say(now_s, f"warning: {told}; set firmware to {heard.value}")
+        self._say(now_s, f"warning: the autopilot {problem}; set firmware to {heard.value}")
         self._link.send(status_text(f"monoloc: set for {self._firmware.title}, not {heard.title}", True))

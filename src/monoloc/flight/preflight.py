@@ -198,9 +198,7 @@ def _of_link(link: LinkReport) -> Iterator[Finding]:
     if not link.is_alive:
         yield Finding("autopilot", "bad", "no heartbeat", "check address, cable and the port's protocol")
         return
-    if link.heard not in (None, link.firmware):
-        assert link.heard is not None
-        problem = f"is {link.heard.title}, which takes poses in another frame than {link.firmware.title}"
+    if link.heard is not None and (problem := link.firmware.contradiction(link.heard)):
         yield Finding("autopilot", "bad", problem, f"set firmware to {link.heard.value}")
         return
     yield Finding("autopilot", "good", "its heartbeat is heard")

@@ -131,13 +131,14 @@ class ByteLink:
 
     def _transfer(self) -> None:
         """Wait for the port or for something to send, no longer than a tick."""
-        port, to_read = self._port, [self._wake_in.fileno()]
-        has_work = port is not None and self._has_work(port)
-        is_full = has_work and port is not None and port.is_full
-        to_write = [port.fileno()] if port is not None and has_work and not is_full else []
+        port, to_read, to_write, wait_s = self._port, [self._wake_in.fileno()], list[int](), _TICK_S
         if port is not None:
             to_read.append(port.fileno())
-        readable, writable, _ = select.select(to_read, to_write, [], _FULL_S if is_full else _TICK_S)
+            if self._has_work(port) and port.is_full:
+                wait_s = _FULL_S
+            elif self._has_work(port):
+                to_write.append(port.fileno())
+        readable, writable, _ = select.select(to_read, to_write, [], wait_s)
         if self._wake_in.fileno() in readable:
             self._wake_in.recv(_WAKES)
         if port is not None and writable:

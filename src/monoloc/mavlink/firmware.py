@@ -31,6 +31,12 @@ class Firmware(Enum):
         """Of HEARTBEAT's field ``autopilot``, a member of MAV_AUTOPILOT; None of another firmware."""
         return {3: cls.ARDUPILOT, 12: cls.PX4}.get(autopilot)
 
+    def contradiction(self, heard: Firmware | None) -> str | None:
+        """What an autopilot is, in words, whose heartbeat says another firmware; None if it says this or neither."""
+        if heard in (None, self):
+            return None
+        return f"is {heard.title}, which takes poses in another frame than {self.title}"
+
     @property
     def pose_frame(self) -> int:
         """``frame_id`` of ODOMETRY.

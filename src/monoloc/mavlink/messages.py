@@ -22,6 +22,8 @@ UNKNOWN_CM = 65535
 """Of a sector of OBSTACLE_DISTANCE of which nothing is known."""
 
 AUTOPILOT_COMPONENT = 1
+"""MAV_COMP_ID_AUTOPILOT1: the autopilot itself, among the parts of a vehicle."""
+
 _ONBOARD_CONTROLLER, _INVALID_AUTOPILOT, _ACTIVE = 18, 8, 4  # of HEARTBEAT: type, autopilot, system_status
 _VISION = 2  # MAV_ESTIMATOR_TYPE_VISION; PX4 ignores the covariance of a NAIVE one
 _UNKNOWN_SENSOR = 4  # MAV_DISTANCE_SENSOR_UNKNOWN
