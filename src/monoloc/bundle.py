@@ -120,8 +120,12 @@ class Bundle:
 
     @cached_property
     def down(self) -> FloatArray | None:
-        """Direction of gravity, (3,) unit vector, world frame; None where the room's surfaces do not tell it."""
-        return down_of(self.original, np.asarray(self.provenance.down_world))
+        """Direction of gravity, (3,) unit vector, world frame.
+
+        None where neither the recording nor the room's surfaces tell it.
+        """
+        down = np.asarray(self.provenance.down_world)
+        return down if self.provenance.knows_down else down_of(self.original, down)
 
 
 def fingerprint(color: NDArray[np.uint8]) -> int:

@@ -161,6 +161,28 @@ class Camera:
         mirrored = tuple(-k if name == "p2" else k for name, k in zip(names, self.distortion, strict=True))
         return replace(self, cx=self.width - 1 - self.cx, distortion=mirrored)
 
+    def turned(self, quarter_turns: int) -> Camera:
+        """Camera of the image turned counter-clockwise by quarter turns, as :func:`numpy.rot90` turns it."""
+        camera = self
+        for _ in range(quarter_turns % 4):
+            camera = camera._turned_once()
+        return camera
+
+    def _turned_once(self) -> Camera:
+        # The new x axis is the old y axis, the new y axis points against the old x axis.
+        old = dict(zip(COEFFICIENTS[self.distortion_model], self.distortion, strict=True))
+        new = {**old, "p1": -old["p2"], "p2": old["p1"]} if "p1" in old else old
+        return replace(
+            self,
+            width=self.height,
+            height=self.width,
+            fx=self.fy,
+            fy=self.fx,
+            cx=self.cy,
+            cy=self.width - 1 - self.cx,
+            distortion=tuple(new.values()),
+        )
+
     def project(self, points_camera: ArrayLike) -> FloatArray:
         """Project points in the camera's frame: (..., 3) m -> (..., 2) px; NaN for points with z <= 0."""
         points = np.asarray(points_camera, dtype=np.float64)

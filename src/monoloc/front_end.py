@@ -41,6 +41,7 @@ class Observation:
             there is no scan, and no motion unless it is black and another sensor measured one.
         repeated_s: for how long the image has been the same.
         is_empty: whether the image has no contrast.
+        depth_is_predicted: whether the network predicts this flight's depth, in this frame or in others.
         depth: of the frame, its scale and tilt corrected by odometry's corners; None where it was not its turn.
         motion: since the previous frame, None where it is not known at all.
         odometry_tracked: whether images or another sensor measured how the camera moved, not only its turn; true at
@@ -57,6 +58,7 @@ class Observation:
     is_repeated: bool
     repeated_s: float
     is_empty: bool
+    depth_is_predicted: bool
     depth: DepthPrediction | None
     motion: Motion | None
     odometry_tracked: bool
@@ -154,6 +156,7 @@ class FrontEnd:
             is_repeated=is_repeated,
             repeated_s=self._repeated_s,
             is_empty=is_empty,
+            depth_is_predicted=measured_depth is None,
             depth=depth,
             motion=motion,
             odometry_tracked=self._is_first or self._odometry is None or tracks_translation(motion),

@@ -33,7 +33,7 @@ from monoloc.relocalization.state_machine import Mode, Relocalization, Relocaliz
 from monoloc.start import Start
 from monoloc.step import Step
 from monoloc.step_budget import Level, Stage, StepBudget, StepPlan, plan_of
-from monoloc.supervision.camera_check import CameraCheck, has_same_focal
+from monoloc.supervision.camera_check import CameraCheck, TurnCheck, has_same_focal
 from monoloc.supervision.integrity import IntegrityMonitor
 from monoloc.supervision.map_change import MapChangeMonitor
 from monoloc.supervision.state import VOUCHED_FOR, State, Supervision, classify_state
@@ -73,6 +73,8 @@ class Localizer:
         self._likelihood, self._landmarks = made.likelihood, made.landmarks
         self._thresholds = bundle.thresholds
         self._gravity = Gravity(bundle.down)
+        down = np.asarray(bundle.provenance.down_world) if bundle.down is None else bundle.down
+        self._turn_check = TurnCheck(bundle.reference_poses.poses, down)
         poses = bundle.reference_poses.poses if len(bundle.reference_poses) else np.eye(4)[None]
         self._relocalizer = GlobalRelocalizer(
             made.likelihood, self._config.likelihood, poses, self._config.log_scale_sd
@@ -336,9 +338,14 @@ class Localizer:
             odometry_tracked=observation.odometry_tracked,
             is_near_build=self._bundle.reference_poses.distance_m(belief.pose) <= NEAR_M,
             camera_mismatch=self._camera_check.mismatch,
+            camera_turned=self._is_turned(observation, belief),
             camera_confirmed=self._camera_check.is_confirmed,
             changed_region=self._map_change.update(comparable, probability_far, observation.elapsed_s),
         )
+
+    def _is_turned(self, observation: Observation, belief: Estimate) -> bool:
+        is_known = observation.depth_is_predicted and self._relocalization.mode is Mode.TRACKING
+        return is_known and self._turn_check.is_turned(belief.pose)
 
     def _familiar(self, belief: Estimate, landmarks: LandmarkMeasurement | None) -> FamiliarLandmarks | None:
         """Familiar landmarks at the belief, if landmarks gave a pose."""

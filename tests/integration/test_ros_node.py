@@ -89,6 +89,41 @@ def test_images_in_poses_and_the_whole_tree_out(
     assert not stage.ros.of(OBSTACLES)  # the bundle's network was not tuned
 
 
+@pytest.mark.parametrize("by_tree", [False, True])
+def test_images_of_a_camera_upside_down_are_turned(
+    monkeypatch: pytest.MonkeyPatch,
+    recording: RoomRecording,
+    bundle: Bundle,
+    tmp_path: Path,
+    room: str,
+    by_tree: bool,
+) -> None:
+    """The vehicle's poses are as with the camera upright; the turned images have a frame of their own."""
+    turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    assert recording.poses is not None
+    upside_down = RoomRecording(Room(), recording.poses @ turn, SMALL_CAMERA.turned(2))
+    settings = tmp_path / "flight.toml"
+    settings.write_text(f'room = "{room}"\n[mount]\nforward_m = 0.1\nroll_deg = 180.0\n')
+    stage = Stage(monkeypatch, upside_down, settings)
+    frames = ros_frames_of(bundle, FlightSettings.model_validate({"mount": {"forward_m": 0.1}}))
+    if by_tree:
+        stage.begin(settings="", bundle=room)
+        stage.set_transform("base_link", "cam_optical", frames.T_base_camera @ turn)
+    else:
+        stage.begin()
+    stage.give_camera()
+    T_map_base = frames.T_map_room @ recording.poses @ invert(frames.T_base_camera)
+    stage.give_image(0)
+    stage.give_start(T_map_base[1])
+    for index in range(1, FRAMES):
+        stage.give_image(index)
+    stated = np.array([pose_of(message) for message in stage.ros.of(POSE)])
+    assert len(stated) >= FRAMES - 2
+    assert np.linalg.norm(stated[-1, :3, 3] - T_map_base[-1, :3, 3]) < 0.1
+    assert "images are turned by 180°, to stand upright" in stage.ros.said
+    np.testing.assert_allclose(stage.tree(-1)["base_link", "cam_optical_upright"], frames.T_base_camera, atol=1e-9)
+
+
 def test_camera_info_is_understood_by_the_first_image(stage: Stage) -> None:
     """That of a sensor of which images bin 2x2 pixels; one without a focal length is replaced by the next."""
     stage.begin()

@@ -9,7 +9,7 @@ import json
 import struct
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,9 @@ FloatArray = NDArray[np.float64]
 
 # Camera axes of ARKit and OpenGL: x right, y up, z backward.
 _UP_AND_BACK = np.diag([1.0, -1.0, -1.0, 1.0])
+# Of the synthetic room's world, whose y axis points down, in worlds of other tools.
+Y_UP = np.diag([1.0, -1.0, -1.0, 1.0])
+Z_UP = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 LOW, MEDIUM, HIGH = 0, 1, 2  # confidence
 
 
@@ -52,6 +55,23 @@ def capture_of(recording: Recording, frames: Sequence[int]) -> Capture:
         recording.poses[list(frames)],
         [recording.color(index) for index in frames],
         [np.round(1000.0 * recording.depth(index)).astype(np.uint16) for index in frames],
+    )
+
+
+def in_world(capture: Capture, T_new_world: FloatArray) -> Capture:
+    return replace(capture, poses=T_new_world @ capture.poses)
+
+
+def on_its_side(capture: Capture, quarter_turns: int) -> Capture:
+    """The same views by a camera that was turned counter-clockwise, so that its images are turned clockwise."""
+    turn = np.eye(4)
+    turn[:3, :3] = Rotation.from_euler("z", -90 * quarter_turns, degrees=True).as_matrix()
+    return Capture(
+        capture.camera.turned(-quarter_turns),
+        capture.times_s,
+        capture.poses @ turn,
+        [np.ascontiguousarray(np.rot90(each, -quarter_turns)) for each in capture.colors],
+        [np.ascontiguousarray(np.rot90(each, -quarter_turns)) for each in capture.depths_mm],
     )
 
 

@@ -189,6 +189,17 @@ def test_a_window_may_leave_out_the_principal_point():
 
 
 @given(cameras(), st.integers(0, 1000))
+def test_turning_turns_projections(camera, seed):
+    points = points_in_view(camera, seed)
+    pixels = camera.project(points)
+    expected = np.column_stack([pixels[:, 1], camera.width - 1 - pixels[:, 0]])  # where rot90 puts them
+    turned = np.column_stack([points[:, 1], -points[:, 0], points[:, 2]])
+    np.testing.assert_allclose(camera.turned(1).project(turned), expected, atol=1e-6)
+    assert (camera.turned(1).width, camera.turned(1).height) == (camera.height, camera.width)
+    assert camera.turned(-1) == camera.turned(3) and camera.turned(2).turned(2).cx == pytest.approx(camera.cx)
+
+
+@given(cameras(), st.integers(0, 1000))
 def test_flipping_mirrors_projections(camera, seed):
     points = points_in_view(camera, seed)
     pixels = camera.project(points)

@@ -24,6 +24,7 @@ from monoloc.errors import MonolocError, SettingError
 from monoloc.flight.flight_file import FlightFile, read_flight_file
 from monoloc.flight.flight_settings import down_of_map
 from monoloc.geometry import FloatArray
+from monoloc.image_turns import T_camera_turned, in_words, turned_image
 from monoloc.io.rosbag_messages import camera_of, color_of, size_of
 from monoloc.obstacles import tells_obstacles
 from monoloc.place.flown_map import MapLocalizer, open_map
@@ -61,7 +62,7 @@ class MonolocNode(Node):
     def __init__(self) -> None:
         super().__init__("monoloc")
         settings = self._parameter("settings", "")
-        self._has_mount = bool(settings)
+        self._has_mount, self._turns = bool(settings), 0  # turns of images, to stand upright
         flight = read_flight_file(Path(settings)) if settings else FlightFile()
         self._flight, self._settings = flight, flight.settings
         bundle = self._parameter("bundle", "") or flight.room
@@ -165,13 +166,13 @@ class MonolocNode(Node):
                 self._frames = self._frames_of(camera_frame)
                 room = self._flown.room  # in a place, each frame says whether its depth tells obstacles
                 with_obstacles = self._settings.obstacles and (room is None or tells_obstacles(room))
-                self._messages = StepMessages(self._frames, with_obstacles, with_mount=self._has_mount)
+                self._messages = StepMessages(self._frames, with_obstacles, self._has_mount or self._turns > 0)
             if self._made is None:
                 if self._start is None and not self._flown.is_searched:
                     self._warn("this room cannot be searched for the camera; publish /initialpose")
                     return False
                 limits = self._flight.budget_ms, self._flight.threads
-                self._made = self._flown.localizer(camera, self._start, 0, *limits)
+                self._made = self._flown.localizer(camera.turned(self._turns), self._start, 0, *limits)
         except (TransformException, MonolocError) as error:
             self._warn(str(error))
             return False
@@ -181,14 +182,20 @@ class MonolocNode(Node):
         names = FrameNames(map=self._map, odom=self._odom, base=self._base, camera=camera_frame)
         down = down_of_map(self._flown, self._settings)
         if self._has_mount:
-            return RosFrames(self._settings.mount.T_body_camera, down, names)
-        return RosFrames.of_base(self._transform(self._base, camera_frame, Time()), down, names)
+            frames = RosFrames(self._flight.mount.T_body_camera, down, names)
+        else:
+            frames = RosFrames.of_base(self._transform(self._base, camera_frame, Time()), down, names)
+        self._turns = frames.quarter_turns
+        if self._turns > 0:
+            self._warn(f"images are turned by {in_words(self._turns)}, to stand upright")
+        return frames.upright
 
     # --- Localise ---
 
     def _localize(self, color: Any, message: Image | CompressedImage, stamp_ns: int) -> None:
         assert self._made is not None and self._messages is not None
         elapsed_s = 0.0 if self._previous_ns is None else (stamp_ns - self._previous_ns) / 1e9
+        color = turned_image(color, self._turns)
         step = self._made.localizer.step(color, elapsed_s, down=self._down(stamp_ns, message.header.frame_id))
         self._previous_ns = stamp_ns
         in_place = self._made.in_place()
@@ -211,7 +218,8 @@ class MonolocNode(Node):
         if abs(_nanoseconds(imu.header.stamp) - stamp_ns) > _MOST_IMU_AGE_NS:
             return None
         try:
-            return down_camera(imu.orientation, self._transform(imu.header.frame_id, camera_frame, Time()))
+            T_imu_camera = self._transform(imu.header.frame_id, camera_frame, Time())
+            return down_camera(imu.orientation, T_imu_camera @ T_camera_turned(self._turns))
         except (TransformException, ValueError) as error:
             self._warn(f"the IMU is not used: {error}")
             return None

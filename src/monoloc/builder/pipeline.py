@@ -35,7 +35,7 @@ from monoloc.evaluation.trajectory import PoseErrors, pose_errors
 from monoloc.extras import training_extra
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray
-from monoloc.io.recording import Recording, scale_sd_of
+from monoloc.io.recording import Recording, recorded_down, scale_sd_of
 from monoloc.likelihood import make_likelihood
 from monoloc.map.compare import compare_maps
 from monoloc.map.depth_rendering import supervision
@@ -241,6 +241,7 @@ def _calibrate(
         rng,
         fits_width=config.adapt.likelihood == "ray",  # a map has one width, in tuning and in flight
     )
+    down = recorded_down(room.recording)
     bundle = Bundle(
         original=adapted.original,
         adapted=adapted.adapted,
@@ -254,7 +255,8 @@ def _calibrate(
             map_transform=config.adapt.map_transform,
             lambda_kl=config.adapt.lambda_kl,
             seed=seed,
-            down_world=_mean_down(room.poses),
+            down_world=_mean_down(room.poses) if down is None else (down[0], down[1], down[2]),
+            knows_down=down is not None,
             scale_sd=scale_sd_of(room.recording),
             brightness=measure_images(room.recording).grey_level,
         ),

@@ -14,15 +14,17 @@ from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
-from monoloc.cli.common import naming, open_source, parse_intrinsics, refuse_frames
+from monoloc.cli.common import naming, open_source, parse_intrinsics, refuse_frames, stderr
 from monoloc.cli.start_option import UNKNOWN, start_of
 from monoloc.config import override
 from monoloc.errors import SettingError
 from monoloc.flight.flight_file import FlightFile, read_flight_file
 from monoloc.geometry import FloatArray
+from monoloc.image_turns import T_camera_turned, in_words
 from monoloc.live.frame_source import FrameSource
 from monoloc.live.opening import is_live, open_live
 from monoloc.live.replayed_recording import PacedRecording, UnpacedRecording
+from monoloc.live.turned_frames import TurnedFrames
 from monoloc.mavlink.firmware import Firmware
 from monoloc.place.flown_map import FlownMap, is_place, open_map
 from monoloc.relocalization.marker import MarkerLocalizer
@@ -188,14 +190,26 @@ def starting_of(
     return Starting(start, find, "searching" if start is None else "known")
 
 
-def open_frames(
-    source: str, frames: str, intrinsics: str | None, fast: bool
-) -> tuple[FrameSource, Camera, FloatArray | None]:
+def open_frames(flight: FlightFile, frames: str, fast: bool) -> tuple[FrameSource, Camera, FloatArray | None]:
     """The source, its camera, and the first pose, (4, 4), of a recording that has poses.
+
+    Images of a camera that is mounted on its side or upside down are turned upright, and camera and pose with them.
 
     Raises:
         DataError, SettingError: from the reader or the camera, or an option is invalid.
     """
+    source, camera, first_pose = _frames_as_stored(flight.source, frames, flight.camera, fast)
+    turns = flight.mount.quarter_turns
+    if turns == 0:
+        return source, camera, first_pose
+    stderr.print(f"note: [mount] turns the camera: its images are turned by {in_words(turns)}, to stand upright")
+    first_pose = None if first_pose is None else first_pose @ T_camera_turned(turns)
+    return TurnedFrames(source, turns), camera.turned(turns), first_pose
+
+
+def _frames_as_stored(
+    source: str, frames: str, intrinsics: str | None, fast: bool
+) -> tuple[FrameSource, Camera, FloatArray | None]:
     if not is_live(source):
         recording = open_source(source, frames, intrinsics)
         paced = UnpacedRecording(recording) if fast else PacedRecording(recording)

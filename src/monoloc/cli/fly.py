@@ -172,7 +172,7 @@ def fly(
         status = StatusOutput(say, stderr.is_terminal, summary)
         outputs: list[FlightOutput] = [status]
         with ExitStack() as opened:
-            frame_source, camera, first_pose = open_frames(flight.source, frames, flight.camera, fast)
+            frame_source, camera, first_pose = open_frames(flight, frames, fast)
             opened.callback(frame_source.close)
             starting = starting_of(flight, flown.room, camera, first_pose, rng)
             made = flown.localizer(camera, starting.start, seed, flight.budget_ms, flight.threads)

@@ -67,8 +67,9 @@ class FlightFile(FlightSettings):
 
     @property
     def settings(self) -> FlightSettings:
-        """What poses and messages follow from, beside the images."""
-        return FlightSettings.model_validate(self.model_dump(include=set(FlightSettings.model_fields)))
+        """What poses and messages follow from, beside the images, which are turned upright."""
+        content = self.model_dump(include=set(FlightSettings.model_fields))
+        return FlightSettings.model_validate(content | {"mount": self.mount.upright})
 
 
 def read_flight_file(path: Path) -> FlightFile:

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from monoloc.errors import SettingError
 from monoloc.geometry import FloatArray, make_pose, so3_exp
+from monoloc.image_turns import turns_on_body
 
 _LEAST_LENGTH = 1e-6  # of a direction
 _MOST_APART_DEG = 15.0  # of two directions of gravity; floor and walls tell it to a few degrees
@@ -49,6 +50,17 @@ class Mount(BaseModel):
         turns = np.deg2rad(np.diag([self.roll_deg, self.pitch_deg, self.yaw_deg]))  # about forward, right, down
         rotation = so3_exp(turns[2]) @ so3_exp(turns[1]) @ so3_exp(turns[0]) @ _R_BODY_FORWARD
         return make_pose(rotation, [self.forward_m, self.right_m, self.down_m])
+
+    @property
+    def quarter_turns(self) -> int:
+        """Turns, 0 to 3, that bring the images upright in level flight; 0 of a camera that looks up or down."""
+        return turns_on_body(self.T_body_camera)
+
+    @property
+    def upright(self) -> Mount:
+        """The mount of the camera whose images are turned upright."""
+        roll_deg = self.roll_deg + 90.0 * self.quarter_turns
+        return self.model_copy(update={"roll_deg": (roll_deg + 180.0) % 360.0 - 180.0})
 
 
 class FlightSettings(BaseModel):

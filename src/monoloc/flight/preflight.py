@@ -139,6 +139,9 @@ class Preflight:
             yield Finding("scale", level, f"known to {self._scale_sd:.0%}", remark)
 
     def _of_intrinsics(self) -> Iterator[Finding]:
+        if self._reasons[Reason.CAMERA_TURNED]:
+            remark = "state how the camera is turned as roll_deg in [mount], or let its driver turn the images"
+            yield Finding("orientation", "bad", "images lie on their side or upside down", remark)
         if self._reasons[Reason.CAMERA_MISMATCH]:
             remark = "calibrate the camera at this resolution, with its focus fixed"
             yield Finding("intrinsics", "bad", "landmarks fit another focal length", remark)

@@ -15,8 +15,9 @@ from monoloc.geometry import FloatArray
 from monoloc.io import seven_scenes
 from monoloc.io.images import ImageRecording
 from monoloc.io.pose_fixes import PoseFixes, parse_pose_fixes
-from monoloc.io.recording import Recording, Selection, scale_sd_of
+from monoloc.io.recording import Recording, Selection, recorded_down, scale_sd_of
 from monoloc.io.registration import DepthRegistration
+from monoloc.io.upright import Turned
 
 DepthFix = Literal["range", "kinect", "registered", "turned-180"]
 _DepthMap = Callable[[NDArray[np.float32]], NDArray[np.float32]]
@@ -54,13 +55,19 @@ class Fixes:
 class _Converted:
     """A recording with poses and depth of its own."""
 
-    def __init__(self, source: Recording, poses: FloatArray | None, depth_map: _DepthMap | None) -> None:
+    def __init__(
+        self,
+        source: Recording,
+        poses: FloatArray | None,
+        depth_map: _DepthMap | None,
+        down_world: FloatArray | None = None,
+    ) -> None:
         self._source, self._depth_map = source, depth_map
         self.name, self.camera = source.name, source.camera
         self.frame_names, self.timestamps_s = source.frame_names, source.timestamps_s
         self.poses, self.has_depth = poses, source.has_depth
         self.notes: list[str] = getattr(source, "notes", [])
-        self.scale_sd = scale_sd_of(source)
+        self.scale_sd, self.down_world = scale_sd_of(source), down_world
 
     def __len__(self) -> int:
         return len(self._source)
@@ -74,14 +81,15 @@ class _Converted:
 
 
 def with_poses(recording: Recording, poses: FloatArray) -> Recording:
-    """The recording with other poses ``T_world_camera``, (N, 4, 4)."""
-    return _Converted(recording, poses, None)
+    """The recording with other poses ``T_world_camera``, (N, 4, 4), in the same world."""
+    return _Converted(recording, poses, None, recorded_down(recording))
 
 
 def corrected(recording: Recording, fixes: Fixes) -> Recording:
     """The recording, read as the fixes say; the fix of the depth is applied first.
 
-    With late or early poses, the frames at one end have none and are left out.
+    With late or early poses, the frames at one end have none and are left out. Where the poses were of
+    another convention, the direction of gravity is not known either, and images are not turned upright by it.
 
     Raises:
         DataError: there is nothing to fix, or too few frames are left.
@@ -96,6 +104,8 @@ def corrected(recording: Recording, fixes: Fixes) -> Recording:
 def _with_pose_fixes(recording: Recording, fixes: PoseFixes) -> Recording:
     if recording.poses is None:
         raise DataError(recording.name, "has no poses to fix", "leave out --fix-poses")
+    if isinstance(recording, Turned):
+        return _with_pose_fixes(recording.source, fixes)
     rows = np.arange(len(recording)) + fixes.late_frames
     frames = np.flatnonzero((rows >= 0) & (rows < len(recording)))
     if len(frames) == 0:
@@ -115,7 +125,8 @@ def with_depth_fix(recording: Recording, name: str) -> Recording:
         raise DataError(recording.name, "has no depth to fix", "leave out --fix-depth")
     if name == "registered":
         return _as_registered(recording)
-    return _Converted(recording, recording.poses, _depth_map(name, recording.camera))
+    depth_map = _depth_map(name, recording.camera)
+    return _Converted(recording, recording.poses, depth_map, recorded_down(recording))
 
 
 def _depth_map(name: str, camera: Camera) -> _DepthMap:

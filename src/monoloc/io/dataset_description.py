@@ -51,12 +51,13 @@ _EXAMPLES = {
     "T_color_depth": "[[1, 0, 0, 0.025], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]",
     "rate_hz": "30",
     "scale_sd": "0.02",
+    "down": "[0, 0, -1]",
 }
 _INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
 _DEPTH_INTRINSICS = tuple(f"depth_{key}" for key in _INTRINSICS)
 # Keys that have no meaning without another.
 _NEEDS = {
-    **dict.fromkeys(("pose_axes", "pose_direction", "pose_unit_m", "scale_sd"), "poses"),
+    **dict.fromkeys(("pose_axes", "pose_direction", "pose_unit_m", "scale_sd", "down"), "poses"),
     **dict.fromkeys(("confidence", *_DEPTH_INTRINSICS), "depth"),
     "T_color_depth": "depth_fx",
     "least_confidence": "confidence",
@@ -204,6 +205,20 @@ class DatasetDescription:
         if matrix.shape != (4, 4) or not is_rigid(matrix):
             raise self.error("T_color_depth", f"is {value!r}, not a rigid 4x4 matrix")
         return matrix
+
+    def down(self) -> FloatArray | None:
+        """Direction of gravity in the world of the poses, (3,) unit vector; None if the key is absent."""
+        if not self.has("down"):
+            return None
+        value = self._value("down")
+        try:
+            direction = np.array(value, dtype=np.float64)
+        except (ValueError, TypeError):
+            direction = np.empty(0)
+        length = float(np.linalg.norm(direction))
+        if direction.shape != (3,) or not 1e-6 < length < np.inf:
+            raise self.error("down", f"is {value!r}, not a direction")
+        return np.asarray(direction / length)
 
     def _indices_of(self, key: str) -> list[int]:
         """Frame numbers of the files that match a pattern, in ascending order."""

@@ -22,7 +22,8 @@
 Optional, with their defaults: ``pose_axes = "opencv"`` (or ``"opengl"``), ``pose_direction = "camera-to-world"`` (or
 ``"world-to-camera"``) and ``pose_unit_m = 1``; ``confidence``, a pattern, with ``least_confidence``; ``depth_width``
 to ``depth_cy`` of a depth camera of its own, with ``T_color_depth``; ``scale_sd``, the relative standard deviation of
-the scale of poses and depth, where ``monoloc reconstruct`` found them.
+the scale of poses and depth, where ``monoloc reconstruct`` found them; ``down``, the direction of gravity in the
+world of the poses, such as ``[0, 0, -1]`` where z is up: images that lie on their side are then turned upright.
 """
 
 from __future__ import annotations
@@ -100,6 +101,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
         ),
         least_confidence=description.integer("least_confidence") if description.has("confidence") else 0,
         scale_sd=description.positive("scale_sd") if description.has("scale_sd") else None,
+        down_world=description.down(),
         notes=frames.notes(),
     )
 

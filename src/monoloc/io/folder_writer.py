@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from monoloc.errors import DataError
 from monoloc.files import target_of
 from monoloc.io.dataset_description import FILE_NAME
-from monoloc.io.recording import Recording, scale_sd_of
+from monoloc.io.recording import Recording, recorded_down, scale_sd_of
 from monoloc.io.tum_trajectory import write_tum
 from monoloc.partial_files import whole_folder
 from monoloc.progress import NoProgress, Progress
@@ -73,7 +73,7 @@ def _stored(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
 
 
 def _description(recording: Recording) -> str:
-    camera, scale_sd = recording.camera, scale_sd_of(recording)
+    camera, scale_sd, down = recording.camera, scale_sd_of(recording), recorded_down(recording)
     lines = [
         'kind = "sequence"',
         'color = "color/{index:06d}.png"',
@@ -85,5 +85,6 @@ def _description(recording: Recording) -> str:
         f"distortion = [{', '.join(repr(value) for value in camera.distortion)}]",
         f"depth_scale = {_DEPTH_SCALE:g}",
         *([] if scale_sd is None else [f"scale_sd = {scale_sd!r}"]),
+        *([] if down is None else [f"down = {down.tolist()!r}"]),
     ]
     return "\n".join([*lines, ""])

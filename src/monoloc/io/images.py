@@ -49,6 +49,7 @@ class ImageRecording:
         least_confidence: depth of a lower confidence is taken as unknown.
         cameras: camera of each image, where they differ: images are rendered as ``camera`` sees them.
         scale_sd: see :func:`monoloc.io.recording.scale_sd_of`.
+        down_world: see :func:`monoloc.io.recording.recorded_down`.
 
     Raises:
         DataError: the recording has no frames, or its first image is unusable.
@@ -68,6 +69,7 @@ class ImageRecording:
     least_confidence: int = 0
     cameras: list[Camera] | None = None
     scale_sd: float | None = None
+    down_world: FloatArray | None = None
     notes: list[str] = field(default_factory=list)
     has_depth: bool = field(init=False)
 

@@ -22,7 +22,7 @@ from monoloc.io.file_access import json_number, read_json, require_folder
 from monoloc.io.frame_filter import FrameFilter
 from monoloc.io.image_cameras import one_camera, stated_by
 from monoloc.io.images import ImageRecording
-from monoloc.io.pose_files import OPENGL_AXES, checked_poses
+from monoloc.io.pose_files import DOWN_OF_ARKIT, OPENGL_AXES, checked_poses
 from monoloc.io.reader_options import ReaderOptions
 
 DEPTH_SCALE = 1000.0
@@ -83,6 +83,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
         confidence_paths=[confidence_paths[p] for p in used] if has_confidence else None,
         least_confidence=HIGH_CONFIDENCE,
         cameras=None if own_cameras is None else [own_cameras[p] for p in used],
+        down_world=DOWN_OF_ARKIT,
         notes=frames.notes(),
     )
 

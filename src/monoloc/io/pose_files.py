@@ -28,6 +28,8 @@ UNIT_TOLERANCE = 1e-2
 
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 """``T_opengl_opencv``: camera axes x right, y up, z backward, from x right, y down, z forward; (4, 4)."""
+DOWN_OF_ARKIT = np.array([0.0, -1.0, 0.0])
+"""Direction of gravity in ARKit's world, whose y axis points up, (3,)."""
 
 # Between samples further apart, a hand-held camera departs from constant velocity by more than its poses' errors:
 # 1 m/s^2 over 0.25 s is 8 mm.

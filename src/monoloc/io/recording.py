@@ -77,7 +77,7 @@ class Selection:
         self.timestamps_s = source.timestamps_s[self.positions]
         self.poses = None if source.poses is None else source.poses[self.positions]
         self.has_depth = source.has_depth
-        self.scale_sd = scale_sd_of(source)
+        self.scale_sd, self.down_world = scale_sd_of(source), recorded_down(source)
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -104,6 +104,11 @@ def narrowed(recording: Recording, frames: NDArray[np.int64]) -> Selection:
 def scale_sd_of(recording: Recording) -> float | None:
     """Relative standard deviation of the scale of poses and depth; None where a sensor measured them in metres."""
     return getattr(recording, "scale_sd", None)
+
+
+def recorded_down(recording: Recording) -> FloatArray | None:
+    """Direction of gravity in the world of the poses, (3,) unit vector; None where the format does not tell it."""
+    return getattr(recording, "down_world", None)
 
 
 def evenly_spaced(count: int, most: int) -> NDArray[np.int64]:

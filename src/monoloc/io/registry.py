@@ -29,6 +29,7 @@ from monoloc.io import (
 )
 from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.recording import Recording, Selection, StoredRecording
+from monoloc.io.upright import upright
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,8 @@ _FRAMES = re.compile(r"(\d*):(\d*)(?::(\d*))?")
 def open_recording(source: str, options: ReaderOptions | None = None) -> StoredRecording:
     """Open the recording at SOURCE: ``FORMAT:PATH``, or a path whose format is recognised.
 
+    Where the format tells the direction of gravity, images that lie on their side are turned upright.
+
     Raises:
         SettingError: the format is unknown, or an override does not apply to it.
         DataError: the path does not exist, its format is not recognised, or the recording is unusable.
@@ -80,12 +83,12 @@ def open_recording(source: str, options: ReaderOptions | None = None) -> StoredR
     if name is not None:
         if name not in FORMATS:
             raise SettingError("SOURCE", f"unknown format {name!r}", f"known formats: {', '.join(FORMATS)}")
-        return FORMATS[name].read(path, options)
+        return upright(FORMATS[name].read(path, options))
     if not path.exists():
         raise DataError(path.absolute(), "does not exist", "check the path, or write FORMAT:PATH")
     for known in FORMATS.values():
         if known.recognises(path):
-            return known.read(path, options)
+            return upright(known.read(path, options))
     raise _unrecognised(path)
 
 

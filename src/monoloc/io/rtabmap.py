@@ -89,6 +89,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
         depth_paths=[depth_paths[p] for p in used] if has_depth else None,
         depth_scale=options.depth_scale or DEPTH_SCALE,
         cameras=None if cameras is None else [cameras[c] for c in chosen],
+        down_world=np.array([0.0, 0.0, -1.0]),
         notes=frames.notes() + remaining.notes(),
     )
 

@@ -28,7 +28,7 @@ from monoloc.io.frame_filter import FrameFilter
 from monoloc.io.image_cameras import one_camera, stated_by
 from monoloc.io.image_files import read_depth
 from monoloc.io.image_resampling import Resampler
-from monoloc.io.pose_files import check_increasing, poses_from_quaternions
+from monoloc.io.pose_files import DOWN_OF_ARKIT, check_increasing, poses_from_quaternions
 from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.video_frames import VideoFrames
 
@@ -85,6 +85,7 @@ class StrayScannerRecording:
         frames = FrameFilter(len(poses))
         frames.require(numbers < count, "without an image in the video")
         depth_paths = [_file_of(path / "depth", number) for number in numbers]
+        self.down_world = DOWN_OF_ARKIT
         self.has_depth = any(depth_path is not None for depth_path in depth_paths)
         if self.has_depth:
             frames.require([depth_path is not None for depth_path in depth_paths], "without depth")

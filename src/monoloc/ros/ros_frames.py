@@ -7,13 +7,15 @@ it is, and so is one whose direction of gravity is not known. *odom* is where *b
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from monoloc.geometry import FloatArray, adjoint, invert, is_rigid, make_pose, quaternion_to_rotation
+from monoloc.image_turns import T_camera_turned, turns_on_body
 from monoloc.io.rosbag_messages import pose_row
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
 from monoloc.particle_filter.estimate import Estimate
@@ -64,6 +66,20 @@ class RosFrames:
     ) -> RosFrames:
         """The frames by the pose of the camera on ``base_link``, (4, 4)."""
         return cls(_FLIP @ T_base_camera, down_world, names)
+
+    @property
+    def quarter_turns(self) -> int:
+        """Turns, 0 to 3, that bring the camera's images upright, see :func:`monoloc.image_turns.turns_on_body`."""
+        return turns_on_body(_FLIP @ self.T_base_camera)
+
+    @property
+    def upright(self) -> RosFrames:
+        """The frames of the camera whose images are turned upright, which has a name of its own where they are."""
+        turns, upright = self.quarter_turns, copy(self)
+        if turns > 0:
+            upright.T_base_camera = self.T_base_camera @ T_camera_turned(turns)
+            upright.names = replace(self.names, camera=f"{self.names.camera}_upright")
+        return upright
 
     def base_pose(self, estimate: Estimate) -> tuple[FloatArray, FloatArray]:
         """``T_map_base`` (4, 4), and its covariance as ROS takes it, (6, 6).

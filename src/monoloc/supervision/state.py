@@ -26,6 +26,8 @@ class Reason(Enum):
 
     CAMERA_MISMATCH = "camera mismatch"
     """Landmarks fit another focal length than the camera's stated one."""
+    CAMERA_TURNED = "camera turned"
+    """The camera lies on its side or upside down, and depth is predicted by a network that has not learnt that."""
     IMAGE_EMPTY = "image empty"
     """The image has no contrast: dark, covered or saturated."""
     IMAGE_REPEATED = "image repeated"
@@ -71,6 +73,7 @@ class Supervision:
         odometry_tracked: whether odometry, if there is any, followed the camera.
         is_near_build: whether the believed pose is near the frames that the map was built from.
         camera_mismatch: whether landmarks fit another focal length.
+        camera_turned: whether depth is predicted from an image that lies on its side, or upside down.
         camera_confirmed: whether the focal length is the build's, or landmarks have confirmed it.
         changed_region: in view, in which the map no longer holds; None where there is none.
     """
@@ -83,6 +86,7 @@ class Supervision:
     odometry_tracked: bool
     is_near_build: bool
     camera_mismatch: bool
+    camera_turned: bool
     camera_confirmed: bool
     changed_region: ChangedRegion | None
 
@@ -104,8 +108,8 @@ def _state(supervision: Supervision, previous: State) -> State:
     if supervision.mode is not Mode.TRACKING or far >= _LOST_ABOVE:
         return "lost"
     bound = _TRACKING_BELOW if previous in VOUCHED_FOR else _TRACKING_AGAIN_BELOW
-    doubtful = supervision.camera_mismatch or supervision.repeated_s > _MOST_REPEATED_S
-    if doubtful or far >= bound:
+    doubtful = supervision.camera_mismatch or supervision.camera_turned
+    if doubtful or supervision.repeated_s > _MOST_REPEATED_S or far >= bound:
         return "uncertain"
     return "tracking" if supervision.changed_region is None else "map-changed"
 
@@ -124,6 +128,7 @@ def _reasons(supervision: Supervision) -> frozenset[Reason]:
         Reason.IMAGE_REPEATED: supervision.repeated_s > _MOST_REPEATED_S,
         Reason.IMAGE_EMPTY: supervision.image_is_empty,
         Reason.CAMERA_MISMATCH: supervision.camera_mismatch,
+        Reason.CAMERA_TURNED: supervision.camera_turned,
         Reason.CAMERA_UNCONFIRMED: not supervision.camera_confirmed,
         Reason.MAP_CHANGED: supervision.changed_region is not None,
     }

@@ -11,6 +11,7 @@ import pytest
 from monoloc.config import load_settings
 from monoloc.flight.flight_settings import FlightSettings, Mount, down_of_map
 from monoloc.geometry import FloatArray, is_rigid
+from monoloc.image_turns import T_camera_turned
 from refusals import refuses_data, refuses_setting
 
 FORWARD, BACK = (1, 0, 0), (-1, 0, 0)
@@ -45,6 +46,20 @@ def test_where_a_turned_camera_looks(
     np.testing.assert_allclose(T_body_camera[:3, 2], axis, atol=1e-12)
     np.testing.assert_allclose(T_body_camera[:3, 0], image_right, atol=1e-12)
     np.testing.assert_array_equal(T_body_camera[:3, 3], [0.1, -0.02, 0.03])
+
+
+@pytest.mark.parametrize(("turns", "axis", "image_right"), MOUNTS)
+def test_images_of_a_turned_camera_stand_upright(
+    turns: dict[str, float], axis: tuple[float, ...], image_right: tuple[float, ...]
+) -> None:
+    mount = Mount.model_validate({**turns, "forward_m": 0.1})
+    expected = mount.T_body_camera @ T_camera_turned(mount.quarter_turns)
+    np.testing.assert_allclose(mount.upright.T_body_camera, expected, atol=1e-12)
+    if abs(axis[2]) < 0.9:  # else it looks up or down
+        assert mount.upright.T_body_camera[2, 1] > 0.7 and mount.upright.quarter_turns == 0
+    else:
+        assert mount.quarter_turns == 0 and mount.upright.roll_deg == mount.roll_deg
+    assert image_right[2] != 1 or mount.quarter_turns == 3
 
 
 def test_settings_are_read_from_a_file_and_wrong_ones_are_named(tmp_path: Path) -> None:

@@ -110,6 +110,7 @@ def test_good_flight_with_every_parameter_right_is_good() -> None:
         ("intrinsics", "warning", {"step": good_step(3)}),
         ("intrinsics", "bad", {"step": replace(good_step(), reasons=frozenset({Reason.CAMERA_MISMATCH}))}),
         ("intrinsics", "warning", {"step": replace(good_step(), reasons=frozenset({Reason.CAMERA_UNCONFIRMED}))}),
+        ("orientation", "bad", {"step": replace(good_step(), reasons=frozenset({Reason.CAMERA_TURNED}))}),
         ("state", "bad", {"step": replace(good_step(), state="lost", reasons=frozenset({Reason.SEARCHING}))}),
         ("autopilot", "bad", {"link": replace(HEARD, is_alive=False)}),
         ("attitude", "warning", {"link": replace(HEARD, attitude_hz=0.0)}),

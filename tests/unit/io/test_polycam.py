@@ -9,10 +9,25 @@ from typing import Any
 import numpy as np
 import pytest
 
-from capture_writers import HIGH, Capture, check_opened, confidence_of, doubled, halved, write_polycam
+from capture_writers import (
+    HIGH,
+    Y_UP,
+    Capture,
+    check_opened,
+    confidence_of,
+    doubled,
+    halved,
+    in_world,
+    write_polycam,
+)
 from monoloc.io.registry import open_recording
 from refusals import refuses_data, refuses_to_open
 from synthetic_recordings import check_recording
+
+
+@pytest.fixture
+def capture(capture: Capture) -> Capture:
+    return in_world(capture, Y_UP)
 
 
 @pytest.fixture

@@ -7,11 +7,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capture_writers import Capture, check_opened, doubled, halved, write_rtabmap, write_rtabmap_calibration
+from capture_writers import (
+    Z_UP,
+    Capture,
+    check_opened,
+    doubled,
+    halved,
+    in_world,
+    write_rtabmap,
+    write_rtabmap_calibration,
+)
 from monoloc.camera import Camera
 from monoloc.io.registry import open_recording
 from refusals import refuses_data, refuses_to_open
 from synthetic_recordings import check_recording
+
+
+@pytest.fixture
+def capture(capture: Capture) -> Capture:
+    return in_world(capture, Z_UP)
 
 
 @pytest.fixture

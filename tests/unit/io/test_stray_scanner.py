@@ -9,11 +9,13 @@ import pytest
 
 from capture_writers import (
     HIGH,
+    Y_UP,
     Capture,
     check_opened,
     confidence_of,
     doubled,
     halved,
+    in_world,
     tag_rotation,
     write_stray_scanner,
 )
@@ -29,6 +31,11 @@ def certain_depths_mm(capture: Capture) -> list[np.ndarray]:
     """Depth of high confidence at colour's size."""
     kept = [np.where(confidence_of(halved(each)) == HIGH, halved(each), 0) for each in capture.depths_mm]
     return [doubled(each) for each in kept]
+
+
+@pytest.fixture
+def capture(capture: Capture) -> Capture:
+    return in_world(capture, Y_UP)
 
 
 @pytest.fixture

@@ -23,6 +23,7 @@ def supervision_of(**given: Any) -> Supervision:
         "odometry_tracked": True,
         "is_near_build": True,
         "camera_mismatch": False,
+        "camera_turned": False,
         "camera_confirmed": True,
         "changed_region": None,
     }
@@ -107,6 +108,7 @@ REASONS: dict[Reason, dict[str, Any]] = {
     Reason.POSITION_WIDE: {"probability_far": 0.3, "probability_wrong": 0.1},
     Reason.IMAGE_REPEATED: {"repeated_s": 0.3},
     Reason.CAMERA_MISMATCH: {"camera_mismatch": True},
+    Reason.CAMERA_TURNED: {"camera_turned": True},
     Reason.MAP_CHANGED: {"changed_region": REGION},
 }
 # These come with a width or a doubt, and explain it.
