@@ -107,6 +107,32 @@ def test_trajectories_are_long_enough_to_forget_their_start(places: int, frames_
     assert not reference_poses.forward_bias.any() and not reference_poses.backward_bias.any()
 
 
+def test_single_frame_is_looked_at_until_the_start_is_forgotten() -> None:
+    """A localizer leaves out an image that is the previous one, bit for bit, and would keep its true start."""
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses[:, 2, 3] = 5.0 * np.arange(3)
+    images: list[NDArray[np.uint8]] = []
+    is_look: list[bool] = []
+
+    class Frames(_NumberedFrames):
+        def color(self, index: int) -> NDArray[np.uint8]:
+            return np.full((9, 9, 3), index, dtype=np.uint8)
+
+    class Looker(_FakeLocalizer):
+        def step(self, color: NDArray[np.uint8], elapsed_s: float) -> SimpleNamespace:
+            if self.frames:
+                is_look.append(elapsed_s > 0.0 and not np.array_equal(color, images[-1]))
+            images.append(color)
+            return super().step(np.full((1, 1, 3), np.median(color), dtype=np.uint8), elapsed_s)
+
+    def make(_: FloatArray) -> _FakeLocalizer:
+        return Looker(poses, lambda _i, _p, _s: np.zeros(6))
+
+    measure_bias_at_reference(make, Frames(poses), False, NoProgress())
+    assert len(is_look) == 3 * 60 and all(is_look)
+    assert all(np.ptp(image.astype(np.int64)) <= 1 for image in images)  # it shows the same
+
+
 @pytest.mark.parametrize(
     ("frames", "regions"), [(200, [[90, 91]]), (200, [[90]]), (30, [[20, 21]]), (29, [[20, 21]]), (200, [])]
 )
