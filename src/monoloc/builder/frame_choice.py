@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from monoloc.builder.trajectories import LONG_FRAMES, can_be_followed
 from monoloc.geometry import FloatArray, invert, pose_distance_m, rotation_angle, transform
-from monoloc.io.recording import Recording, narrowed
+from monoloc.io.recording import Recording, evenly_spaced, narrowed
 from monoloc.progress import Progress
 
 _CANDIDATES = 2  # times the frames that are wanted: so many depth images are read
@@ -85,11 +85,16 @@ def most_covering(sets: list[set[Cell]], count: int, covered: Iterable[Cell] = (
 
 
 def _along_the_path(poses: FloatArray, count: int) -> NDArray[np.int64]:
-    """At most so many frames, at equal steps of pose distance travelled: a camera that stands adds few."""
+    """At most so many frames, at equal steps of pose distance travelled: a camera that stands adds few.
+
+    Of a camera that hardly moved, frames at equal steps of time too, so that there are some to measure with.
+    """
     steps = invert(poses[:-1]) @ poses[1:]
     travelled = np.cumsum(np.linalg.norm(steps[:, :3, 3], axis=1) + rotation_angle(steps[:, :3, :3]))
     targets = np.linspace(0.0, travelled[-1], min(count, len(poses)))
-    return np.unique(np.searchsorted(np.concatenate([[0.0], travelled]), targets))
+    frames = np.unique(np.searchsorted(np.concatenate([[0.0], travelled]), targets))
+    few = min(count // 2, LONG_FRAMES)
+    return frames if len(frames) >= few else np.union1d(frames, evenly_spaced(len(poses), few))
 
 
 def _spread_order(count: int) -> NDArray[np.int64]:

@@ -65,6 +65,16 @@ def test_a_long_recording_is_covered_by_a_bounded_number_of_frames(has_depth: bo
     assert max(pose_distance_m(pose, walk.poses[frames]).min() for pose in every) < 0.6
 
 
+@pytest.mark.parametrize("places", [1, 2])
+def test_frames_of_a_camera_that_stands_are_enough_for_a_build(places: int) -> None:
+    walk = Walk(1000)
+    walk.poses = np.tile(np.eye(4), (1000, 1, 1))
+    walk.poses[500:, 0, 3] = float(places - 1)
+    frames = choose_frames(walk, 120, NoProgress())
+    assert 30 <= len(frames) <= 120
+    assert frames.poses is not None and len(np.unique(frames.poses[:, 0, 3])) == places
+
+
 def test_half_of_the_frames_can_be_followed_so_that_the_bias_can_be_measured() -> None:
     chosen = choose_frames(Walk(6000), 130, NoProgress())
     assert chosen.poses is not None
