@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import pytest
 
 from depth_helpers import ROOM, SMALL_CAMERA, small_recording
 from monoloc.camera import Camera
@@ -54,3 +55,19 @@ def test_points_that_distortion_folds_into_the_image_are_not_seen() -> None:
     recording = RoomRecording(ROOM, se3_exp(np.full((1, 6), 1e-9)), camera)
     assert not map_depth(recording, aside)(0).any()
     assert map_depth(recording, before)(0).any()
+
+
+@pytest.mark.parametrize("near_m", [0.2, 0.4, 0.7, 1.0])
+def test_rendering_does_not_see_through_surfaces_next_to_the_camera(near_m: float) -> None:
+    """A camera next to a wall: its points, three centimetres apart, are many pixels apart in the image."""
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[-2.0:2.0:0.03, -3.0:3.0:0.03].reshape(2, -1)
+    near, far = (
+        np.stack([x, y, np.full_like(x, z)], axis=1)
+        + np.append(rng.uniform(-0.015, 0.015, (len(x), 2)), np.zeros((len(x), 1)), axis=1)
+        for z in (near_m, 3.0)
+    )
+    recording = RoomRecording(ROOM, se3_exp(np.full((1, 6), 1e-9)), SMALL_CAMERA)
+    depth = map_depth(recording, np.concatenate([far, near]))(0)
+    seen = depth[depth > 0.0]
+    assert len(seen) > 0 and np.mean(seen > 1.1 * near_m) < 0.01
