@@ -34,6 +34,9 @@ from monoloc.obstacles.depth_error import nearest_depth_m
 from monoloc.viz.map_view import MapView, plot_from_above, plot_from_pose
 
 _DRAWN_POINTS = 100_000
+# From a pose: a surface at arm's length fills the picture with few of a map's points, and shows what is behind it
+# where these are too sparse.
+_POSED_POINTS = 2_000_000
 _EXPORTED_POINTS = 100_000
 _SEEN_VOXEL_M = 0.1  # of the volume that the build's cameras saw
 _VOXEL_M = 0.05
@@ -96,7 +99,8 @@ def render(
     later = None if beside is None else read_bundle(beside)
     given = given if reference is None else _reference_pose(room, bundle, reference)
     shown = [(bundle, room)] if beside is None or later is None else [(bundle, room), (beside, later)]
-    views = tuple(_view(path, each, seed) for path, each in shown)
+    count = _DRAWN_POINTS if given is None else _POSED_POINTS
+    views = tuple(_view(path, each, seed, count) for path, each in shown)
     if given is None:
         plot_from_above(out, views, T_map_world(room, roughly=True))
     else:
@@ -224,12 +228,12 @@ def _seen(bundle: Bundle) -> dict[str, object]:
     return {"surface_volume_m3": grid.volume_m3(OCCUPIED), "free_volume_m3": grid.volume_m3(FREE)}
 
 
-def _view(path: Path, bundle: Bundle, seed: int) -> MapView:
+def _view(path: Path, bundle: Bundle, seed: int, points: int) -> MapView:
     require_plotting()
     rng = np.random.default_rng(seed)
     return MapView(
         name=path.name,
-        cloud=surface_points(bundle.original, _DRAWN_POINTS, rng),
+        cloud=surface_points(bundle.original, points, rng),
         landmarks=bundle.landmarks.points.astype(np.float64),
         poses=bundle.reference_poses.poses,
         edits=drawn_edits(bundle, rng),

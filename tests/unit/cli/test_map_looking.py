@@ -17,6 +17,7 @@ from monoloc.cli import map_looking
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import rotation_to_quaternion
 from monoloc.io.cloud_files import read_cloud
+from monoloc.map.depth_rendering import cloud_depth
 from monoloc.map.mixture import GaussianMixture
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
 
@@ -79,6 +80,24 @@ def test_pose_and_its_reference_give_the_same_picture(capfd: pytest.CaptureFixtu
     by_pose = cv2.imread("a.png")
     succeeds(capfd, *RENDER, "--beside", "later.monoloc", "--reference", "5")
     assert np.mean(np.any(cv2.imread("a.png") != by_pose, axis=-1)) < 0.01
+
+
+def test_a_view_does_not_show_through_a_near_surface(
+    capfd: pytest.CaptureFixture[str], here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A board that fills the view from 40 cm holds one in 150 of the map's points; a wall behind it, the rest."""
+    board, wall = (0.6, 0.5), (9.0, 5.0)  # metres
+    areas = np.array([np.prod(board), np.prod(wall)])
+    deviations = np.array([[*board, 0.01], [*wall, 0.01]]) / np.sqrt(12.0)
+    covariances = np.stack([np.diag(each**2) for each in deviations])
+    map_ = GaussianMixture(areas / areas.sum(), np.array([[0.0, 0.0, 0.4], [0.0, 0.0, 3.0]]), covariances)
+    bundle = read_bundle(here / "room.monoloc")
+    write_bundle(here / "near.monoloc", replace(bundle, original=map_, adapted=map_))
+    clouds = []
+    monkeypatch.setattr(map_looking, "plot_from_pose", lambda out, views, *view: clouds.append(views[0].cloud))
+    succeeds(capfd, "map", "render", "near.monoloc", "--out", "a.png", "--pose", "0,0,0,0,0,0,1")
+    seen = cloud_depth(clouds[0], bundle.camera, np.eye(4))
+    assert np.mean(seen > 1.0) < 0.02 and np.mean(seen > 0.0) > 0.2  # 0.5 with a twentieth of the points
 
 
 def test_points_are_on_the_room_in_both_formats(capfd: pytest.CaptureFixture[str], here: Path) -> None:
