@@ -188,9 +188,12 @@ def write_place(place: Place) -> int:
         DataError: as :func:`check_place_target`, or the disk does not take it.
     """
     check_place_target(place.path)
+    index = _packed(place.descriptors)
+    # Of what is written here: another computer may have compressed the same index to other bytes.
+    manifest = place.manifest.model_copy(update={"index_sha256": hashlib.sha256(index).hexdigest()})
     contents: Mapping[str, bytes] = {
-        PLACE_MANIFEST: place.manifest.model_dump_json(indent=1).encode(),
-        PLACE_INDEX: _packed(place.descriptors),
+        PLACE_MANIFEST: manifest.model_dump_json(indent=1).encode(),
+        PLACE_INDEX: index,
     }
     try:
         with whole_folder(target_of(place.path)) as folder:
