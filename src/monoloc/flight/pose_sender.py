@@ -120,8 +120,10 @@ class PoseSender:
             # After a restart of this program, the autopilot must see another count than before; seconds would repeat
             # where the program starts with the computer.
             self._reset_counter = int(1e6 * captured_s) % 256
-        elif self._jumped or _moved_too_far(self._sent, (captured_s, pose.T_ned_body)):
-            self._reset_counter = (self._reset_counter + 1) % 256
+        else:
+            if _moved_too_far(self._sent, (captured_s, pose.T_ned_body)):
+                self._jump()
+            self._reset_counter = (self._reset_counter + self._jumped) % 256
         self._jumped = False
         self._sent = captured_s, pose.T_ned_body
         quality = max(1, min(100, round(100.0 * (1.0 - result.step.probability_far))))

@@ -228,13 +228,15 @@ def test_a_frame_without_depth_says_nothing_of_obstacles() -> None:
     assert len(wire.of("ODOMETRY")) == 4 and len(wire.of("OBSTACLE_DISTANCE")) == 2
 
 
-@pytest.mark.parametrize("jump", ["restarted", "lost"])
+@pytest.mark.parametrize("jump", ["restarted", "lost", "moved"])
 def test_obstacles_are_remembered_but_not_over_a_jump(jump: str) -> None:
+    """Nor where the pose moves farther than a vehicle can: what was 1 m ahead is not 2.5 m ahead by that."""
     flight, wire = sender()
     flight.take(result_at(1.0, step_at(at(0.0), depth_m=1.0)))
     flight.take(result_at(1.1, step_at(at(0.0), depth_m=4.0)))
     if jump == "lost":
         flight.take(result_at(1.2, step_at(at(0.0), "lost", frozenset({Reason.SEARCHING}))))
-    flight.take(result_at(1.3, step_at(at(0.0), depth_m=4.0, restarted=jump == "restarted")))
+    there = at(-1.5 if jump == "moved" else 0.0)
+    flight.take(result_at(1.3, step_at(there, depth_m=4.0, restarted=jump == "restarted")))
     sent = [ArduPilot.obstacles(message)[0.0] for message in wire.of("OBSTACLE_DISTANCE")]
     assert sent == [pytest.approx(1.0, rel=0.03), pytest.approx(1.0, abs=0.06), pytest.approx(4.0, rel=0.03)]
