@@ -63,12 +63,20 @@ class FlightDrawing:
         color = cv2.resize(result.frame.color, self._size, interpolation=cv2.INTER_AREA)
         self._viewer.show_step(np.asarray(color, dtype=np.uint8), result.step, particles, None, result.room)
         self._stream.log("latency_ms", rr.Scalars(1e3 * (result.done_s - captured_s)))
+        self._show_obstacles(result)
+
+    def _show_obstacles(self, result: FlightStep) -> None:
+        """Log what is around the vehicle; nothing while it is lost, and in a room whose network was not tuned."""
+        is_lost = result.step.state == "lost"
+        around, T_level_camera = None, np.eye(4)
         if self._frames is not None and self._watch is not None:
             T_level_camera = self._frames.T_level_camera(result.estimate)
-            around = self._watch.update(captured_s, result.step, T_level_camera)
-            if around is not None:
-                T_world_level = result.step.estimate.pose @ invert(T_level_camera)
-                self._stream.log("world/obstacles", self._obstacles(around, T_world_level))
+            around = self._watch.update(result.frame.captured_s, result.step, T_level_camera)
+        if is_lost or self._watch is None:  # else those of before would stay where they were, or in the next room
+            self._stream.log("world/obstacles", rr.LineStrips3D.cleared())
+        elif around is not None:
+            T_world_level = result.step.estimate.pose @ invert(T_level_camera)
+            self._stream.log("world/obstacles", self._obstacles(around, T_world_level))
 
     def _obstacles(self, around: Surroundings, T_world_level: FloatArray) -> rr.LineStrips3D:
         """An arc for each sector that is not free, at its distance around the vehicle; red within a metre."""

@@ -22,6 +22,7 @@ from monoloc.flight.in_place import InPlace
 from monoloc.geometry import invert, make_pose
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
 from monoloc.particle_filter.particles import Particles
+from monoloc.supervision.state import Reason
 from monoloc.viz.flight_drawing import FlightDrawing, flight_blueprint
 from monoloc.viz.flight_view import FlightView, _check_free, disconnect, has_connection
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
@@ -121,7 +122,7 @@ def test_a_flight_is_drawn_with_obstacles_and_latency(bundle: Bundle, tmp_path: 
     pose = invert(frames.T_ned_world) @ make_pose(np.eye(3), [0.5, 0.0, -1.0]) @ mount
     far = replace(bundle.original, means=bundle.original.means + 50.0)  # the map knows nothing of the wall
     tuned = bundle.provenance.model_copy(update={"tune": "last"})
-    bundle = replace(bundle, original=far, provenance=tuned)
+    untuned, bundle = bundle, replace(bundle, original=far, provenance=tuned)
     stream = rerun.RecordingStream("monoloc fly")
     stream.set_log_tick_enabled(False)
     stream.set_log_time_enabled(False)
@@ -131,6 +132,10 @@ def test_a_flight_is_drawn_with_obstacles_and_latency(bundle: Bundle, tmp_path: 
     drawing.show(in_place(result_at(5.0, step_at(pose), age_s=0.04), bundle), PARTICLES)
     for index in range(1, 3):
         drawing.show(result_at(5.0 + 0.1 * index, step_at(pose), age_s=0.04), PARTICLES)
+    lost = replace(step_at(pose, "lost", frozenset({Reason.SEARCHING})), depth=None)
+    drawing.show(result_at(5.3, lost, age_s=0.04), PARTICLES)
+    drawing.show(result_at(5.4, step_at(pose), age_s=0.04), PARTICLES)
+    drawing.show(in_place(result_at(5.5, step_at(pose), age_s=0.04), untuned), PARTICLES)
     stream.disconnect()
     recorded = Recorded(tmp_path / "flight.rrd")
     assert len(recorded.reader.blueprints()) == 1
@@ -144,7 +149,11 @@ def test_a_flight_is_drawn_with_obstacles_and_latency(bundle: Bundle, tmp_path: 
     }
     latencies = np.concatenate(list(recorded.frames("/latency_ms", "Scalars:scalars", "seconds").values()))
     np.testing.assert_allclose(latencies, 40.0, atol=1e-6)
-    arcs = np.array(list(recorded.frames("/world/obstacles", "LineStrips3D:strips", "seconds").values())[-1])
+    by_time = recorded.frames("/world/obstacles", "LineStrips3D:strips", "seconds")
+    shown = [arcs for _, arcs in sorted(by_time.items())]
+    # Those of a frame before are not left while it is lost, nor in a room whose network was not tuned.
+    assert [len(arcs) > 0 for arcs in shown] == [True, True, True, False, True, False]
+    arcs = np.array(shown[2])
     middle = arcs.mean(axis=1)
     ahead = middle[np.abs(middle[:, 1]) < 0.1]
     np.testing.assert_allclose(ahead, [[2.8, 0.0, 1.0]], atol=0.03)
