@@ -27,6 +27,8 @@ _CHAINED_FRAMES = 3  # before the door and after it, that odometry joins
 _LEAST_FRAMES = 3  # that must agree, see :func:`monoloc.editing.alignment.consensus`
 _REACH_M, _MOST_RADIUS_M = 1.0, 3.0  # of a door, beyond the places where both rooms explain the view
 _SAME_WORLD_SDS = (0.02, 0.01)  # metres, radians: of two recordings by one system of poses
+_LEAST_COSINE = np.cos(np.deg2rad(15.0))  # of two directions of gravity; floor and walls tell it to a few degrees
+_WALK = "record a walk through the door: monoloc place door PLACE A B SOURCE"
 _RECORD = "record a slow walk through the door that looks ahead, from well inside one room to well inside the other"
 
 
@@ -85,16 +87,24 @@ def same_world_door(names: tuple[str, str], rooms: tuple[Bundle, Bundle]) -> Mea
     """A door between rooms whose bundles have one world: between their nearest build poses.
 
     Raises:
-        SettingError: the rooms' build poses are too far apart for a door.
+        SettingError: the rooms' build poses are too far apart for a door, or one has none, or their directions of
+            gravity are not those of one world.
     """
+    for name, room in zip(names, rooms, strict=True):
+        if len(room.reference_poses) == 0:
+            raise SettingError("--same-world", f"the bundle of room {name} keeps no poses of its build", _WALK)
+    down_a, down_b = (room.down for room in rooms)
+    if down_a is not None and down_b is not None and float(down_a @ down_b) < _LEAST_COSINE:
+        angle_deg = float(np.rad2deg(np.arccos(np.clip(down_a @ down_b, -1.0, 1.0))))
+        problem = f"gravity of rooms {names[0]} and {names[1]} differs by {angle_deg:.0f}°, so they have two worlds"
+        raise SettingError("--same-world", problem, _WALK)
     a, b = (room.reference_poses.poses[:, :3, 3] for room in rooms)
     apart_m = np.linalg.norm(a[:, None] - b[None], axis=2)
     first, second = np.unravel_index(int(apart_m.argmin()), apart_m.shape)
     radius_m = 0.5 * float(apart_m[first, second]) + _REACH_M
     if radius_m > _MOST_RADIUS_M:
         problem = f"rooms {names[0]} and {names[1]} were recorded {apart_m.min():.1f} m apart"
-        fix = "record a walk through the door: monoloc place door PLACE A B SOURCE"
-        raise SettingError("--same-world", problem, fix)
+        raise SettingError("--same-world", problem, _WALK)
     centre_m = 0.5 * (a[first] + b[second])
     door = Door.between(*names, np.eye(4), _SAME_WORLD_SDS, centre_m, radius_m)
     return MeasuredDoor(door, "same world", (0, 0, 0), 0)
