@@ -203,7 +203,7 @@ def _bundle(path: Path) -> dict[str, object]:
     views = bundle.landmarks.views
     provenance = bundle.provenance
     return {
-        **_mixture(bundle.adapted),
+        **_mixture(bundle.original),
         "files_bytes": {file.name: file.stat().st_size for file in sorted(path.iterdir())},
         "landmarks": len(bundle.landmarks),
         "landmark_views": 0 if views is None else len(views.poses),

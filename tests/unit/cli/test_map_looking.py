@@ -61,6 +61,16 @@ def test_info_says_what_a_bundle_holds_and_what_was_seen(capfd: pytest.CaptureFi
     assert "files_bytes" in succeeds(capfd, "map", "info", "room.monoloc")
 
 
+def test_info_tells_the_extent_of_the_room_not_of_the_map_that_was_bent_to_the_network(
+    capfd: pytest.CaptureFixture[str], here: Path
+) -> None:
+    bundle = read_bundle(here / "room.monoloc")
+    bent = replace(bundle.adapted, means=1.3 * bundle.adapted.means)
+    write_bundle(here / "bent.monoloc", replace(bundle, adapted=bent))
+    room, info = (json_of(capfd, "map", "info", name) for name in ("room.monoloc", "bent.monoloc"))
+    assert [info[key] for key in ("lower_m", "upper_m")] == [room[key] for key in ("lower_m", "upper_m")]
+
+
 @pytest.mark.parametrize("extra", [(), ("--reference", "3"), ("--beside", "later.monoloc")])
 def test_map_is_drawn(capfd: pytest.CaptureFixture[str], here: Path, extra: tuple[str, ...]) -> None:
     content = json_of(capfd, *RENDER, *extra)
