@@ -16,7 +16,7 @@ from monoloc.errors import BundleError
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray, pose_distance_m
 from monoloc.io.pose_table import read_pose_table
-from monoloc.place import door_measurement
+from monoloc.place import door_measurement, place_localizer
 from monoloc.place.door_measurement import MeasuredDoor, measure_door, same_world_door
 from monoloc.place.place_files import Place, make_place, read_place, write_place
 from monoloc.place.place_localizer import PlaceLocalizer, PlaceStep
@@ -118,6 +118,27 @@ def test_a_room_beyond_a_door_that_cannot_be_read_takes_no_pose_from_the_room_be
     assert {(step.room, step.state) for step in steps} == {(LEFT, "tracking")}
     with pytest.raises(BundleError):
         PlaceLocalizer(place, CAMERA, RIGHT)
+
+
+def test_a_room_that_cannot_be_read_does_not_end_a_flight_that_is_tracking_in_another(
+    place: Place, walk: RoomRecording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the room's landmarks are not seen for a while, the place is asked; a failing disk then takes no pose."""
+    localizer = PlaceLocalizer(place, CAMERA, LEFT, Start(walk.poses[0]))
+    stepped = localizer._stepped
+    asked: list[str] = []
+
+    def failing(self: Place, room: str) -> Bundle:
+        asked.append(room)
+        raise BundleError(self.path, "cannot be read", "put it back")
+
+    monkeypatch.setattr(place_localizer, "_UNSEEN_S", 5.5 * FRAME_S)
+    monkeypatch.setattr(Place, "read_room", failing)
+    monkeypatch.setattr(localizer._search, "ranked", lambda seen, known: [LEFT, OTHER])
+    monkeypatch.setattr(localizer, "_door_taken", lambda color, room, belief: None)
+    monkeypatch.setattr(localizer, "_stepped", lambda *given: replace(stepped(*given), landmark_pose=None))
+    steps = follow(localizer, walk, range(8))
+    assert asked == [OTHER] and {(step.room, step.state) for step in steps} == {(LEFT, "tracking")}
 
 
 def test_frames_before_a_loss_do_not_count_for_a_door(

@@ -79,8 +79,8 @@ class PlaceLocalizer:
 
     Near a door, landmarks of the room beyond are measured too, and the belief goes on there once they explain the
     view better. Where no landmarks of the room are seen for a second, the place is asked, and the camera found in
-    another room is believed there. At most three rooms are in memory. A room beyond a door that cannot be read is not
-    entered through it.
+    another room is believed there. At most three rooms are in memory. While the camera is not lost, a room that
+    cannot be read is not entered; a lost camera's search says so.
 
     Args:
         place: as :func:`monoloc.place.place_files.read_place` returns it.
@@ -211,7 +211,12 @@ class PlaceLocalizer:
         self._unseen_s = 0.0 if step.landmark_pose is not None else self._unseen_s + frame.elapsed_s
         if self._unseen_s < _UNSEEN_S:
             return None
-        found = self._agreed(frame)
+        try:
+            found = self._agreed(frame)
+        except (
+            BundleError
+        ):  # of a room that may not be the camera's: as at a door, the pose in this one is worth more
+            found = None
         is_pending = self._candidate not in (None, room) and self._since_candidate_s < _AGREE_S
         self._unseen_s = _UNSEEN_S - _SEARCH_PERIOD_S if is_pending else 0.0
         return None if found == room else found
