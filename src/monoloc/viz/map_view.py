@@ -1,4 +1,4 @@
-"""Pictures of a map: from above or as a camera sees it; of two maps of one world, what went and what came."""
+"""Pictures of a map: from above or as a camera sees it; of two maps of one world, what only one of them holds."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from matplotlib.image import AxesImage
 
 CHANGED_M = 0.15
-"""Distance to the other map's nearest point, from which a point went or came."""
+"""Distance to the other map's nearest point, from which a point is only in one: it went or came, or the other
+recording did not see it."""
 
 _ABOVE_CAMERAS_M = 0.2  # surfaces higher than that above the highest camera, such as the ceiling, are left out
 _VIEW_PX = 480  # width of a view from a pose
@@ -192,8 +193,8 @@ def _draw_difference(axis: Axes, before: FloatArray, after: FloatArray) -> None:
     went = before[cloud_distances(before, after) > CHANGED_M]
     came = after[cloud_distances(after, before) > CHANGED_M]
     axis.plot(*after[:, :2].T, ".", color=GREY, markersize=0.8, alpha=0.3, rasterized=True)
-    axis.plot(*went[:, :2].T, ".", color=VERMILION, markersize=2.0, label=f"went: {len(went)} points")
-    axis.plot(*came[:, :2].T, ".", color=BLUE, markersize=2.0, label=f"came: {len(came)} points")
+    axis.plot(*went[:, :2].T, ".", color=VERMILION, markersize=2.0, label=f"only before: {len(went)} points")
+    axis.plot(*came[:, :2].T, ".", color=BLUE, markersize=2.0, label=f"only after: {len(came)} points")
     axis.set_title(f"What differs by more than {100.0 * CHANGED_M:.0f} cm")
     axis.legend(**_BELOW, markerscale=4.0)
 
