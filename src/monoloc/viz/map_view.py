@@ -71,7 +71,7 @@ def plot_from_above(path: str | Path, views: tuple[MapView, ...], T_level_world:
     def project(points: FloatArray) -> FloatArray:
         return transform(T_level_world, points)[:, :2]
 
-    shown = [_below_ceiling(view) for view in views]
+    shown = _below_ceiling(views)
     low, high = _limits(views, shown)
     lowest, highest = np.percentile(np.concatenate(shown)[:, 2], [1.0, 99.0])
     size_in = 5.2 * float(np.clip((high - low)[1] / (high - low)[0], 0.5, 1.6))
@@ -162,12 +162,16 @@ def _levelled(view: MapView, T: FloatArray) -> MapView:
     return replace(view, cloud=transform(T, view.cloud), landmarks=transform(T, view.landmarks), poses=T @ view.poses)
 
 
-def _below_ceiling(view: MapView) -> FloatArray:
-    """The view's points without what is far above all cameras."""
-    if len(view.poses) == 0:
-        return view.cloud
-    below = view.cloud[view.cloud[:, 2] < view.poses[:, 2, 3].max() + _ABOVE_CAMERAS_M]
-    return below if len(below) else view.cloud
+def _below_ceiling(views: tuple[MapView, ...]) -> list[FloatArray]:
+    """The views' points without what is far above all cameras.
+
+    Of two maps, both end at the same height: else what lies between their heights would be in one of them alone.
+    """
+    heights = [view.poses[:, 2, 3].max() for view in views if len(view.poses)]
+    if not heights:
+        return [view.cloud for view in views]
+    below = [view.cloud[view.cloud[:, 2] < max(heights) + _ABOVE_CAMERAS_M] for view in views]
+    return below if all(len(cloud) for cloud in below) else [view.cloud for view in views]
 
 
 def _limits(views: tuple[MapView, ...], shown: list[FloatArray]) -> tuple[FloatArray, FloatArray]:

@@ -9,6 +9,7 @@ import pytest
 
 from monoloc.camera import Camera
 from monoloc.geometry import make_pose, so3_exp
+from monoloc.viz import map_view
 from monoloc.viz.map_view import MapView, plot_from_above, plot_from_pose
 from plot_helpers import check_picture
 from refusals import refuses_setting
@@ -24,6 +25,18 @@ def test_map_without_cameras_and_landmarks_is_drawn(tmp_path: Path, turn: list[f
     view = MapView("A room", cloud, NOTHING, np.zeros((0, 4, 4)))
     plot_from_above(tmp_path / "a.png", (view, view), make_pose(so3_exp(turn), np.zeros(3)))
     check_picture(tmp_path / "a.png", 1800, 400)
+
+
+def test_one_room_seen_from_two_heights_does_not_differ(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is above the cameras is left out of both maps alike, or of neither."""
+    cloud = np.random.default_rng(0).uniform(0.0, [4.0, 3.0, 2.5], (3000, 3))
+    low, high = (MapView("A room", cloud, NOTHING, make_pose(np.eye(3), [1.0, 1.0, z])[None]) for z in (0.5, 1.5))
+    compared = []
+    monkeypatch.setattr(map_view, "_draw_difference", lambda axis, before, after: compared.append((before, after)))
+    plot_from_above(tmp_path / "a.png", (low, high), np.eye(4))
+    ((before, after),) = compared
+    np.testing.assert_array_equal(before, after)
+    assert before[:, 2].max() == pytest.approx(1.7, abs=0.01)
 
 
 @pytest.mark.filterwarnings("error")
