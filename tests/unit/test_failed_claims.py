@@ -74,7 +74,20 @@ IN_THE_LIVING_ROOM = only(
 AWAY_AT_THE_DESK, NEAR_AT_THE_DESK = (
     [build[part] for build in json_of("recovery-desk.json")] for part in ("away", "near")
 )
+STOPS = json_of("stopping.json")["lights"].values()
+
+
+def stops_before(kind: str) -> list[float]:
+    """Stops, approaches and stops by distances alone."""
+    return [sum(light[kind][name] for light in STOPS) for name in ("stops", "approaches", "stops_by_distance")]
+
+
 SENTENCES: tuple[Sentence, ...] = (
+    (
+        "it stopped in {} of {} approaches to mapped obstacles ({} in three lights; {} by distances alone, the rest "
+        "because the state was *uncertain* or *lost*), and in {} of {} to new ones ({} by distances alone)",
+        [*stops_before("mapped")[:2], 20, *stops_before("mapped")[2:], *stops_before("new")],
+    ),
     (
         "A later build had {} in L3 and {} in L1",
         [coverage_of_a_later_build(light) for light in ("L3", "L1")],
@@ -189,8 +202,6 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "outside 3.5 sigma. The runs were not kept": "not kept",
     "in 5 of 24 approaches": "not kept",
     "(1 build, three lights)": "not kept",
-    "60 of 60 approaches to mapped obstacles (20 in three lights; 41 by": "not kept",
-    "in 10 of 15 to new ones (0 by distances alone). The runs were not kept": "not kept",
 }
 
 

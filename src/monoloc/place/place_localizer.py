@@ -213,9 +213,7 @@ class PlaceLocalizer:
             return None
         try:
             found = self._agreed(frame)
-        except (
-            BundleError
-        ):  # of a room that may not be the camera's: as at a door, the pose in this one is worth more
+        except BundleError:  # of a room that may not be the camera's; the pose in this one is worth more
             found = None
         is_pending = self._candidate not in (None, room) and self._since_candidate_s < _AGREE_S
         self._unseen_s = _UNSEEN_S - _SEARCH_PERIOD_S if is_pending else 0.0
