@@ -40,6 +40,8 @@ class Observation:
         is_repeated: whether the image is the previous one, bit for bit. It says nothing of the camera's motion, so
             there is no scan, and no motion unless it is black and another sensor measured one.
         repeated_s: for how long the image has been the same.
+        waits: whether the motion since the previous image is told only by the next one, because this one repeats it.
+        motion_s: time that the motion is of: since the previous frame, or since the last one that did not wait.
         is_empty: whether the image has no contrast.
         depth_is_predicted: whether the network predicts this flight's depth, in this frame or in others.
         depth: of the frame, its scale and tilt corrected by odometry's corners; None where it was not its turn.
@@ -57,6 +59,8 @@ class Observation:
     is_first: bool
     is_repeated: bool
     repeated_s: float
+    waits: bool
+    motion_s: float
     is_empty: bool
     depth_is_predicted: bool
     depth: DepthPrediction | None
@@ -99,13 +103,13 @@ class FrontEnd:
         self._rng = rng
         self._is_first = True
         self._previous: NDArray[np.uint8] | None = None
-        self._repeated_s = 0.0
+        self._repeated_s = self._waited_s = 0.0
         self._depth_camera = camera  # of the last depth image
         self._measured: list[Motion | None] = []  # by another sensor, since the last image that did not wait
 
     def reset(self) -> None:
         """Take the next frame as the first."""
-        self._is_first, self._previous, self._measured = True, None, []
+        self._is_first, self._previous, self._measured, self._waited_s = True, None, [], 0.0
 
     def observe(
         self,
@@ -145,6 +149,8 @@ class FrontEnd:
         motion = None if waits else self._motion(color, depth_of, is_repeated)
         motion = None if self._is_first else motion  # since before a reset
         depth, scan = depth_of(), EMPTY_SCAN
+        motion_s = elapsed_s if waits else self._waited_s + elapsed_s
+        self._waited_s = self._waited_s + elapsed_s if waits else 0.0
         if depth is not None:
             depth = self._corrected(depth, motion)
             if self._has_scans:
@@ -155,6 +161,8 @@ class FrontEnd:
             is_first=self._is_first,
             is_repeated=is_repeated,
             repeated_s=self._repeated_s,
+            waits=waits,
+            motion_s=motion_s,
             is_empty=is_empty,
             depth_is_predicted=measured_depth is None,
             depth=depth,

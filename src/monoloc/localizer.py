@@ -154,7 +154,7 @@ class Localizer:
         level, plan = self._plan(level)
         observation = self._front_end.observe(color, elapsed_s, measured_depth, down_camera, measured_motion, plan)
         predicted = self._predict(observation)
-        prior = self._tracker.fusion.predicted(observation.motion, observation.elapsed_s)
+        prior = self._tracker.fusion.predicted(observation.motion, observation.motion_s)
         relocalization = self._relocalize(observation, predicted, prior)
         particle_estimate, log_likelihood = self._update_particles(observation, relocalization, plan.particles)
         landmarks = self._measure_landmarks(observation, prior, relocalization) if plan.has_landmarks else None
@@ -199,8 +199,12 @@ class Localizer:
 
     def _predict(self, observation: Observation) -> Particles:
         self._integrity.predict(observation.elapsed_s, observation.odometry_tracked, observation.image_is_new)
+        if observation.waits:
+            self._tracker.hold()
+        else:  # what was allowed for meanwhile is now known
+            self._tracker.resume()
         is_verifying = self._relocalization.mode is Mode.VERIFYING
-        return self._tracker.predict(observation.motion, observation.elapsed_s, from_search=is_verifying)
+        return self._tracker.predict(observation.motion, observation.motion_s, from_search=is_verifying)
 
     def _relocalize(self, observation: Observation, predicted: Particles, prior: Estimate) -> Relocalization:
         relocalization = self._relocalization.update(
@@ -277,7 +281,7 @@ class Localizer:
         if scan_accepted:
             rotation_sd = self._tracker.fusion.rotation_sd(measured)
             measured = self._gravity.align(measured, observation.scan, observation.down_camera, rotation_sd)
-        belief = self._tracker.fuse(observation.motion, observation.elapsed_s, measured, scan_accepted)
+        belief = self._tracker.fuse(observation.motion, observation.motion_s, measured, scan_accepted)
         if relocalization.landmark_pose is not None:
             return self._tracker.fusion.reinitialise_from_landmarks(relocalization.landmark_pose)
         if relocalization.confirmed:

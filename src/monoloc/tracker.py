@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 
 import numpy as np
 
@@ -42,10 +43,22 @@ class Tracker:
             is_memoryless="bias" in config.without,
         )
         self._is_first = True
+        self._held: tuple[Particles, BiasAugmentedFilter] | None = None
 
     @property
     def particles(self) -> Particles:
         return self._filter.particles
+
+    def hold(self) -> None:
+        """Remember particles and belief at the last image, before the first prediction for one that repeats it."""
+        if self._held is None:
+            self._held = self._filter.particles, copy(self.fusion)
+
+    def resume(self) -> None:
+        """Go on from what is remembered, if anything: the motion of the next prediction begins there."""
+        if self._held is not None:
+            self._filter.particles, self.fusion = self._held
+            self._held = None
 
     def predict(self, motion: Motion | None, elapsed_s: float, from_search: bool = False) -> Particles:
         """Particles after the motion since the previous frame; at the first frame, as they start.

@@ -157,8 +157,10 @@ def test_repeated_image_gives_neither_motion_nor_scan(depth: DepthPrediction | N
     for observation in repeated:
         assert observation.motion is None and not observation.odometry_tracked
         assert len(observation.scan) == len(observation.corners) == 0
+    assert [(observation.waits, observation.motion_s) for observation in repeated] == [(True, 0.1), (True, 0.25)]
     moved = front_end.observe(COLOR, 0.1, depth, None)
     assert moved.repeated_s == 0.0 and moved.motion is motion and len(moved.scan) == 50
+    assert not moved.waits and moved.motion_s == pytest.approx(0.45) and moved.elapsed_s == 0.1
     at_once = front_end.observe(COLOR, 0.0, depth, None)  # as streams do that give an image twice with one time stamp
     assert at_once.repeated_s == 0.0 and at_once.is_repeated and not at_once.image_is_new
     assert front_end.observe(COLOR, 0.1, depth, None).repeated_s == pytest.approx(0.1)

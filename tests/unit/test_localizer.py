@@ -101,6 +101,22 @@ def test_same_seed_gives_the_same_trajectory_and_another_seed_another(
     assert not np.allclose(first[1:], other[1:], atol=1e-4)
 
 
+def test_stream_that_shows_each_image_twice_is_followed_as_well(
+    mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
+) -> None:
+    """What the second showing allows for is known at the next image, whose motion begins at the first."""
+    once, twice = (localizer_at_truth(mixture, recording, thresholds) for _ in range(2))
+    for index in range(FRAMES):
+        color, depth = recording.color(index), sparse_depth(recording, index)
+        once.step(color, FRAME_S, depth)
+        twice.step(color, 0.5 * FRAME_S, depth)
+        new, expected = twice._tracker.fusion.belief, once._tracker.fusion.belief
+        assert new.position_sd_m == pytest.approx(expected.position_sd_m, rel=0.15)
+        assert np.linalg.norm(new.pose[:3, 3] - expected.pose[:3, 3]) < 0.02
+        twice.step(color, 0.5 * FRAME_S, depth)
+        assert twice._tracker.fusion.belief.position_sd_m > new.position_sd_m + 0.001  # the camera may have moved
+
+
 class _RecordedLikelihood:
     """Notes what it is asked for and what it answered."""
 

@@ -53,6 +53,25 @@ def test_particles_spread_with_the_time_since_an_update(from_search: bool, time_
     np.testing.assert_array_equal(predicted.poses, moved(START, None, time_since_update_s).poses)
 
 
+def test_what_was_allowed_for_while_an_image_repeated_does_not_last() -> None:
+    """The motion of the next one begins at the held particles and belief."""
+    tracker, twin = make_tracker(), make_tracker()
+    for each in (tracker, twin):
+        each.predict(None, 0.0)
+        each.fuse(None, 0.0, estimate(START), accepted=True)
+    before = tracker.fusion.belief
+    for _ in range(3):
+        tracker.hold()
+        tracker.fuse(None, ELAPSED_S, estimate(tracker.predict(None, ELAPSED_S)), accepted=False)
+    assert tracker.fusion.belief.position_sd_m > before.position_sd_m + 0.02
+    for each in (tracker, twin):
+        each.resume()
+    np.testing.assert_array_equal(tracker.particles.poses, START.poses)
+    beliefs = [each.fuse(MOTION, 4.0 * ELAPSED_S, estimate(START), accepted=False) for each in (tracker, twin)]
+    np.testing.assert_array_equal(beliefs[0].pose, beliefs[1].pose)
+    np.testing.assert_array_equal(beliefs[0].covariance, beliefs[1].covariance)
+
+
 def test_update_returns_the_weighted_pose_and_resamples() -> None:
     weighed = Particles(START.poses, START.log_scale, normalised(-2000.0 * START.poses[:, 0, 3] ** 2))
     tracker = make_tracker()
