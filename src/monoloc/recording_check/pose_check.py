@@ -14,6 +14,7 @@ from monoloc.geometry import FloatArray, so3_log
 from monoloc.io.images import ImageRecording
 from monoloc.io.pose_fixes import AXES
 from monoloc.io.recording import Recording, Selection
+from monoloc.io.upright import Turned
 from monoloc.recording_check.correspondences import PAIRS
 from monoloc.recording_check.evidence import Evidence, gather_evidence, other_readings
 from monoloc.recording_check.factors import Factor, fit_depth_scale, fit_focal
@@ -272,6 +273,7 @@ def _enough_otherwise(evidence: Evidence) -> bool:
 def depth_scale_option(recording: Recording, factor: float) -> str | None:
     """The option that corrects depth which is a factor too far; None where no stored value of one metre is known."""
     source = recording.source if isinstance(recording, Selection) else recording
+    source = source.source if isinstance(source, Turned) else source
     return f"--depth-scale {_common(source.depth_scale * factor):g}" if isinstance(source, ImageRecording) else None
 
 

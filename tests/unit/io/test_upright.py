@@ -25,9 +25,10 @@ from capture_writers import (
 from monoloc.camera import Camera
 from monoloc.io.corrected import Fixes, corrected
 from monoloc.io.folder_writer import write_folder
-from monoloc.io.recording import recorded_down
+from monoloc.io.recording import Selection, recorded_down
 from monoloc.io.registry import open_recording
 from monoloc.io.upright import upright
+from monoloc.recording_check.pose_check import depth_scale_option
 from refusals import refuses_to_open
 from synthetic_room import Room, RoomRecording, make_path
 
@@ -99,6 +100,12 @@ def test_poses_of_another_convention_do_not_tell_gravity() -> None:
     fixed = corrected(upright(recording), Fixes(poses="opengl"))
     assert fixed.camera == recording.camera and recorded_down(fixed) is None
     np.testing.assert_array_equal(fixed.color(2), recording.color(2))
+
+
+def test_depth_of_a_wrong_scale_has_its_option(capture: Capture, tmp_path: Path) -> None:
+    write_polycam(tmp_path / "walk", on_its_side(in_world(capture, Y_UP), 1))
+    recording = open_recording(str(tmp_path / "walk"))
+    assert depth_scale_option(Selection(recording, range(3)), 10.0) == "--depth-scale 10000"
 
 
 def test_folder_keeps_gravity(tmp_path: Path) -> None:
