@@ -36,7 +36,7 @@ from monoloc.step_budget import Level, Stage, StepBudget, StepPlan, plan_of
 from monoloc.supervision.camera_check import CameraCheck, TurnCheck, has_same_focal
 from monoloc.supervision.integrity import IntegrityMonitor
 from monoloc.supervision.map_change import MapChangeMonitor
-from monoloc.supervision.state import VOUCHED_FOR, State, Supervision, classify_state
+from monoloc.supervision.state import MOST_REPEATED_S, VOUCHED_FOR, State, Supervision, classify_state
 from monoloc.tracker import Tracker
 
 
@@ -198,7 +198,10 @@ class Localizer:
         return level, plan_of(level, self._index, config.particles, config.scan_points, self._is_followed)
 
     def _predict(self, observation: Observation) -> Particles:
-        self._integrity.predict(observation.elapsed_s, observation.odometry_tracked, observation.image_is_new)
+        # The motion of an image that is shown twice comes with the next one.
+        is_awaited = observation.waits and observation.repeated_s <= MOST_REPEATED_S
+        is_tracked = observation.odometry_tracked or is_awaited
+        self._integrity.predict(observation.elapsed_s, is_tracked, observation.image_is_new)
         if observation.waits:
             self._tracker.hold()
         else:  # what was allowed for meanwhile is now known

@@ -147,6 +147,17 @@ def test_covered_camera_without_a_start_is_lost_because_it_searches(flights: Fli
     assert {Reason.SEARCHING, Reason.IMAGE_EMPTY} <= step.reasons
 
 
+def test_stream_that_shows_images_twice_is_no_worse(flights: Flights) -> None:
+    """The next image tells the motion of both; without landmarks nothing else would mend a doubt."""
+    frames = range(20)
+    localizer = flights.localizer(landmarks=Landmarks.none())
+    steps = follow(localizer, flights.recording, [frame for frame in frames for _ in range(2)])
+    plain = follow(flights.localizer(landmarks=Landmarks.none()), flights.recording, frames)
+    assert set(states(steps)) == {"tracking"}
+    doubts = [np.array([step.probability_far for step in each]) for each in (steps[::2], plain)]
+    assert np.all(doubts[0] <= 1.5 * doubts[1])
+
+
 def test_frozen_image_is_uncertain_soon_and_then_lost(flights: Flights) -> None:
     """Sensor depth or none; the camera may be anywhere by then. A new image finds it again."""
     localizer = flights.localizer()

@@ -15,10 +15,12 @@ State = Literal["tracking", "uncertain", "lost", "map-changed"]
 VOUCHED_FOR: frozenset[State] = frozenset({"tracking", "map-changed"})
 """States whose pose may be used: an error that its covariance does not allow for is silent."""
 
+MOST_REPEATED_S = 0.2
+"""For which an image may repeat: streams show a frame twice."""
+
 # Probabilities that the position is more than 30 cm off. It is vouched for below the first; once it is not, below
 # the second, so that the state does not flicker; and it is *lost* above the third.
 _TRACKING_BELOW, _TRACKING_AGAIN_BELOW, _LOST_ABOVE = 0.05, 0.02, 0.5
-_MOST_REPEATED_S = 0.2  # for which an image may repeat: streams show a frame twice
 
 
 class Reason(Enum):
@@ -109,7 +111,7 @@ def _state(supervision: Supervision, previous: State) -> State:
         return "lost"
     bound = _TRACKING_BELOW if previous in VOUCHED_FOR else _TRACKING_AGAIN_BELOW
     doubtful = supervision.camera_mismatch or supervision.camera_turned
-    if doubtful or supervision.repeated_s > _MOST_REPEATED_S or far >= bound:
+    if doubtful or supervision.repeated_s > MOST_REPEATED_S or far >= bound:
         return "uncertain"
     return "tracking" if supervision.changed_region is None else "map-changed"
 
@@ -125,7 +127,7 @@ def _reasons(supervision: Supervision) -> frozenset[Reason]:
         Reason.POSITION_WIDE: is_far and wide > wrong,
         Reason.NO_ODOMETRY: not supervision.odometry_tracked,
         Reason.FAR_FROM_BUILD: supervision.mode is Mode.TRACKING and not supervision.is_near_build,
-        Reason.IMAGE_REPEATED: supervision.repeated_s > _MOST_REPEATED_S,
+        Reason.IMAGE_REPEATED: supervision.repeated_s > MOST_REPEATED_S,
         Reason.IMAGE_EMPTY: supervision.image_is_empty,
         Reason.CAMERA_MISMATCH: supervision.camera_mismatch,
         Reason.CAMERA_TURNED: supervision.camera_turned,
