@@ -146,10 +146,10 @@ class FrontEnd:
         self._measured.append(None if self._is_first else measured_motion)
         # Odometry's next motion is from the image that repeats, and so is the other sensor's.
         waits = is_repeated and not is_empty
-        motion = None if waits else self._motion(color, depth_of, is_repeated)
+        motion_s = elapsed_s if waits else self._waited_s + elapsed_s
+        motion = None if waits else self._motion(color, depth_of, is_repeated, motion_s)
         motion = None if self._is_first else motion  # since before a reset
         depth, scan = depth_of(), EMPTY_SCAN
-        motion_s = elapsed_s if waits else self._waited_s + elapsed_s
         self._waited_s = self._waited_s + elapsed_s if waits else 0.0
         if depth is not None:
             depth = self._corrected(depth, motion)
@@ -192,14 +192,16 @@ class FrontEnd:
 
         return wait
 
-    def _motion(self, color: NDArray[np.uint8], depth_of: DepthOfFrame, is_repeated: bool) -> Motion | None:
+    def _motion(
+        self, color: NDArray[np.uint8], depth_of: DepthOfFrame, is_repeated: bool, elapsed_s: float
+    ) -> Motion | None:
         """The motion since the previous call, by the odometry and the other sensor."""
         measured, self._measured = chained(self._measured), []
         if self._odometry is None or is_repeated:
             return measured
         rotation = None if measured is None else measured.T_previous_current[:3, :3]
         if isinstance(self._odometry, FollowingOdometry):
-            self._odometry.follow(color, rotation)
+            self._odometry.follow(color, rotation, elapsed_s)
         depth = depth_of()
         if depth is None:
             camera = self._depth_camera

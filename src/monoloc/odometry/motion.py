@@ -127,8 +127,18 @@ class Odometry(Protocol):
 class FollowingOdometry(Protocol):
     """An :class:`Odometry` that can begin a frame while its depth is still being predicted."""
 
-    def follow(self, color: NDArray[np.uint8], R_previous_current: FloatArray | None = None) -> None:
-        """As much of :meth:`Odometry.step` as needs no depth; called before it, with the same arguments, or not."""
+    def follow(
+        self,
+        color: NDArray[np.uint8],
+        R_previous_current: FloatArray | None = None,
+        elapsed_s: float | None = None,
+    ) -> None:
+        """As much of :meth:`Odometry.step` as needs no depth; called before it, or not.
+
+        Args:
+            color, R_previous_current: as :meth:`Odometry.step`.
+            elapsed_s: since the image of the previous step; None where that is not known.
+        """
         ...
 
 

@@ -22,13 +22,17 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 from monoloc.contrast import equaliser, has_contrast
 from monoloc.depth.depth_image import sample_depth
-from monoloc.geometry import FloatArray, invert, make_pose, so3_exp, transform
+from monoloc.geometry import FloatArray, invert, make_pose, se3_exp, se3_log, so3_exp, transform
 from monoloc.image_size import gray_image
 from monoloc.odometry.corner_tracking import follow_corners
 from monoloc.odometry.image_rotation import ImageRotation
 from monoloc.odometry.motion import Motion
 from monoloc.odometry.odometry_config import OdometryConfig
 from monoloc.odometry.window import Window, adjust
+
+# By which the expected motion may be longer or shorter than the last one, since stamps of arrival come in bursts; and
+# the logarithm of a change that does not count.
+_MOST_PACE, _STEADY = 4.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -71,9 +75,11 @@ class _Followed:
     Attributes:
         found: its pose, (4, 4), and the corners that agree with it; None on failure.
         turn: then, the rotation by which the whole image fits the previous one; None where it does not.
+        elapsed_s: since the previous image; None where that is not known.
     """
 
     gray: NDArray[np.uint8] | None
+    elapsed_s: float | None
     found: tuple[FloatArray, _Tracks] | None = None
     turn: Motion | None = None
 
@@ -90,25 +96,36 @@ class VisualOdometry:
         self._gray: NDArray[np.uint8] | None = None
         self._T_r_previous = np.eye(4)
         self._last_motion = np.eye(4)  # T_previous_current of the frame before, which is expected to go on
+        self._last_elapsed_s: float | None = None  # of that motion
         self._tracks: _Tracks | None = None
         self._followed: tuple[NDArray[np.uint8], _Followed] | None = None  # an image, as soon as it is followed
 
-    def follow(self, color: NDArray[np.uint8], R_previous_current: FloatArray | None = None) -> None:
+    def follow(
+        self,
+        color: NDArray[np.uint8],
+        R_previous_current: FloatArray | None = None,
+        elapsed_s: float | None = None,
+    ) -> None:
         """Track the corners into the next image, which needs no depth of it; :meth:`step` then goes on from there.
 
         Nothing of it remains if no step follows, as when the image's depth fails.
+
+        Args:
+            color, R_previous_current: as :meth:`step`.
+            elapsed_s: since the previous image, by which the expected motion is longer or shorter than the last one.
         """
         gray = gray_image(color, (self._camera.width, self._camera.height))
         if not has_contrast(gray):
-            self._followed = color, _Followed(None)
+            self._followed = color, _Followed(None, elapsed_s)
             return
         gray = np.asarray(self._equalise.apply(gray), dtype=np.uint8)
-        found, turn = self._follow(gray, R_previous_current), None
+        expected = self._expected_motion(R_previous_current, elapsed_s)
+        found, turn = self._follow(gray, expected), None
         if found is None and R_previous_current is None and self._gray is not None:
             turn = self._image_rotation.between(self._gray, gray)
             if turn is not None:
-                found = self._follow(gray, turn.T_previous_current[:3, :3])
-        self._followed = color, _Followed(gray, found, turn)
+                found = self._follow(gray, self._expected_motion(turn.T_previous_current[:3, :3], elapsed_s))
+        self._followed = color, _Followed(gray, elapsed_s, found, turn)
 
     def step(
         self,
@@ -132,8 +149,9 @@ class VisualOdometry:
         if self._followed is None or self._followed[0] is not color:
             self.follow(color, R_previous_current)
         assert self._followed is not None
-        gray, found, turn = self._followed[1].gray, self._followed[1].found, self._followed[1].turn
-        self._followed = None
+        followed = self._followed[1]
+        gray, found, turn = followed.gray, followed.found, followed.turn
+        self._followed, self._last_elapsed_s = None, followed.elapsed_s
         if gray is None:
             self._tracks, self._gray = None, None
             return None
@@ -152,14 +170,16 @@ class VisualOdometry:
         points = transform(invert(T_r_current), self._tracks.points)
         return Motion(T_previous_current, inliers, points, self._tracks.log_depth_sd)
 
-    def _follow(
-        self, gray: NDArray[np.uint8], R_previous_current: FloatArray | None
-    ) -> tuple[FloatArray, _Tracks] | None:
-        """Track the corners into ``gray`` and solve for its ``T_r_camera``; with the tracks but for outliers."""
+    def _follow(self, gray: NDArray[np.uint8], expected: FloatArray) -> tuple[FloatArray, _Tracks] | None:
+        """Track the corners into ``gray`` and solve for its ``T_r_camera``; with the tracks but for outliers.
+
+        Args:
+            expected: ``T_previous_current``, (4, 4).
+        """
         if self._tracks is None or self._gray is None or len(self._tracks.points) < self.config.min_inliers:
             return None
-        expected = self._expected_pixels(self._tracks, R_previous_current)
-        pixels, tracked = follow_corners(self._gray, gray, self._tracks.pixels, expected, self.config)
+        near = self._expected_pixels(self._tracks, expected)
+        pixels, tracked = follow_corners(self._gray, gray, self._tracks.pixels, near, self.config)
         tracks = replace(self._tracks, pixels=pixels).select(tracked)
         solution = self._solve(tracks.points, tracks.pixels)
         if solution is None:
@@ -167,11 +187,19 @@ class VisualOdometry:
         T_r_current, inliers = solution
         return T_r_current, tracks.select(inliers)
 
-    def _expected_pixels(self, tracks: _Tracks, R_previous_current: FloatArray | None) -> NDArray[np.float32]:
-        """Where the corners are, (N, 2), if the camera goes on as before, or turns as another sensor says."""
-        expected_motion = self._last_motion.copy()
+    def _expected_motion(self, R_previous_current: FloatArray | None, elapsed_s: float | None) -> FloatArray:
+        """``T_previous_current`` (4, 4) if the camera goes on as before, or turns as another sensor says."""
+        expected = self._last_motion.copy()
+        if elapsed_s and self._last_elapsed_s:
+            pace = float(np.clip(elapsed_s / self._last_elapsed_s, 1.0 / _MOST_PACE, _MOST_PACE))
+            if abs(np.log(pace)) > _STEADY:
+                expected = se3_exp(pace * se3_log(expected))
         if R_previous_current is not None:
-            expected_motion[:3, :3] = R_previous_current
+            expected[:3, :3] = R_previous_current
+        return expected
+
+    def _expected_pixels(self, tracks: _Tracks, expected_motion: FloatArray) -> NDArray[np.float32]:
+        """Where the corners are, (N, 2), after a motion ``T_previous_current``, (4, 4)."""
         local = transform(invert(self._T_r_previous @ expected_motion), tracks.points)
         expected = np.where(self._camera.in_sight(local)[:, None], self._camera.project(local), tracks.pixels)
         return np.asarray(expected, dtype=np.float32)

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 from monoloc.depth.depth_image import sample_depth
 from monoloc.evaluation.trajectory import PoseErrors, pose_errors
-from monoloc.geometry import FloatArray, invert, make_pose, so3_exp
+from monoloc.geometry import FloatArray, invert, make_pose, se3_log, so3_exp
 from monoloc.odometry.motion import Motion, tracks_translation
 from monoloc.odometry.visual import VisualOdometry
-from synthetic_room import BLACK, CAMERA, Room, RoomRecording, make_path
+from synthetic_room import BLACK, CAMERA, FRAME_S, Room, RoomRecording, make_path
 
 # Measured over the path below with exact depth: median 1.3 mm and 0.025 degrees a frame, largest 5.2 mm and 0.081.
 # A frame moves 3 cm and 1.2 degrees, so what is allowed is far below doing nothing.
@@ -74,6 +74,22 @@ def test_image_that_was_followed_and_whose_depth_then_failed_leaves_nothing(reco
     motion, expected = step(odometry, recording, 4), step(twin, recording, 4)
     assert motion is not None and expected is not None
     np.testing.assert_array_equal(motion.T_previous_current, expected.T_previous_current)
+
+
+@pytest.mark.parametrize("frames", [4, 0.5])
+def test_corners_are_sought_where_the_time_that_passed_puts_them(recording: RoomRecording, frames: float) -> None:
+    """After lost frames the camera has gone on for longer, and two images may come close together."""
+    odometry = VisualOdometry(CAMERA)
+    for index in range(10, 14):
+        odometry.follow(recording.color(index), elapsed_s=FRAME_S)
+        step(odometry, recording, index)
+    truth = se3_log(invert(recording.poses[13]) @ recording.poses[13 + 4]) * frames / 4.0
+
+    def error(elapsed_s: float | None) -> float:
+        return float(np.linalg.norm(se3_log(odometry._expected_motion(None, elapsed_s)) - truth))
+
+    assert error(frames * FRAME_S) < 0.5 * error(None)
+    assert error(1000.0) == error(4.0 * FRAME_S)  # stamps of arrival come in bursts
 
 
 def test_bounds_are_far_below_the_true_motion(recording):
