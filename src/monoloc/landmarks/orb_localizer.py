@@ -40,7 +40,6 @@ _APART_M, _RIVAL_SHARE = 0.5, 0.3
 _SAME_POSE = 0.02
 _RIVAL_CANDIDATES, _MOST_RIVALS = 32, 8  # best matches of a keypoint among which other places are sought
 _TRIPLES, _RIVAL_TRIPLES = 2000, 200  # of RANSAC
-_LEAST_NEAR = 2 * LEAST_RELOCALIZED  # landmarks that agree near a vague prior, so that no other place is sought
 # A part of the image shows nothing where squares of so many tiles a side have no keypoint, and if such squares make
 # up so much of the image.
 _TILE_PX, _BLANK_TILES, _LEAST_BLANK = 40.0, 3, 0.25
@@ -94,9 +93,8 @@ class OrbLandmarkLocalizer:
         seen = self._detect(color)
         if self._radius_px(local, covariance) <= _MOST_RADIUS_PX:
             return self._agreeing(seen, prior, covariance, (visible, local)).measurement()
-        # Too vague to say where in the image a landmark is to be sought, but not where in the room. Most priors are
-        # better than they say, since errors that they allow for last from frame to frame.
-        found = self._near(seen, prior, (visible, local)) or self._confirmed(seen, visible)
+        # Too vague to say where in the image a landmark is to be sought, but not where in the room.
+        found = self._confirmed(seen, visible)
         if found is None or found.fit is None or not is_within_prior(found.fit.pose, prior, stated):
             return LandmarkMeasurement(len(visible))
         return found.measurement()
@@ -162,17 +160,6 @@ class OrbLandmarkLocalizer:
         depth_m = float(np.median(local[:, 2])) if len(local) else 1.0
         return max(_LEAST_RADIUS_PX, 3.0 * self._detect.camera.focal_px * _direction_sd(covariance, depth_m))
 
-    def _near(
-        self, seen: Keypoints, prior: FloatArray, in_view: tuple[NDArray[np.int64], FloatArray]
-    ) -> _Agreement | None:
-        """What agrees with a pose near a prior, as if no belief were vague; None where too little does."""
-        first = self._agreeing(seen, prior, PRIOR_COVARIANCE, in_view).fit
-        if first is None or not is_within_prior(first.pose, prior, np.zeros((6, 6))):
-            return None
-        # Of the matches around a prior that is off, too many are those that agree with it.
-        near = self._agreeing(seen, first.pose, PRIOR_COVARIANCE, self._visible(first.pose))
-        return near if near.fit is not None and self._are_enough(seen, near, _LEAST_NEAR) else None
-
     def _pose_without_prior(self, seen: Keypoints, possible: NDArray[np.int64]) -> FloatArray | None:
         """``T_world_camera`` (4, 4) from descriptors of some landmarks; None where too few agree."""
         if min(len(seen.descriptors), len(possible)) < LEAST_LANDMARKS:
@@ -195,12 +182,9 @@ class OrbLandmarkLocalizer:
         if place is None:
             return None
         best = self._best_of_flat_view(seen, place)
-        return best if self._are_enough(seen, best, LEAST_RELOCALIZED) else None
-
-    def _are_enough(self, seen: Keypoints, agreement: _Agreement, least: int) -> bool:
-        """Whether so many landmarks agree, and not all of them on one small object."""
-        where = agreement.keypoints
-        return len(where) >= least and self._spread(seen.pixels[where]) >= _LEAST_SPREAD
+        where = best.keypoints
+        is_confirmed = len(where) >= LEAST_RELOCALIZED and self._spread(seen.pixels[where]) >= _LEAST_SPREAD
+        return best if is_confirmed else None
 
     def _best_of_flat_view(self, seen: Keypoints, place: FloatArray) -> _Agreement:
         """Of the poses that a flat view leads to from a place (4, 4), the one that most landmarks agree with.

@@ -12,7 +12,7 @@ from monoloc.camera import Camera
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import invert, make_pose, se3_exp, transform
 from monoloc.landmarks import orb_localizer
-from monoloc.landmarks.features import KeypointDetector, Keypoints, match_descriptors, nearest_descriptors
+from monoloc.landmarks.features import KeypointDetector, Keypoints, match_descriptors
 from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.landmarks.pnp import PRIOR_COVARIANCE as PRIOR
@@ -110,29 +110,6 @@ def test_vague_prior_tells_equal_places_apart_and_contradicts_a_pose_far_from_it
     np.testing.assert_array_equal(both.points[found.visible[found.is_found]], found.pose.points)
     contradicted = OrbLandmarkLocalizer(both, CAMERA).measure(color, far, covariance)
     assert contradicted.expected > 60 and contradicted.found == 0 and contradicted.pose is None
-
-
-def test_vague_prior_that_is_right_needs_no_search_by_descriptors(
-    localizer: OrbLandmarkLocalizer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What it allows for lasts from frame to frame; one that is off by it is still found by descriptors."""
-    searches: list[int] = []
-
-    def counted(*given: Any) -> Any:
-        searches[-1] += 1
-        return nearest_descriptors(*given)
-
-    monkeypatch.setattr(orb_localizer, "nearest_descriptors", counted)
-    covariance = np.diag([0.3, 0.3, 0.3, 0.1, 0.1, 0.1]) ** 2
-    for pose in FLIGHT_POSES[5::20]:
-        color, _ = Room().view(pose)
-        for offset in (np.array([0.02, -0.01, 0.02, 0.01, 0.01, 0.0]), np.array([0.3, 0.1, -0.3, 0.05, 0.15, 0.0])):
-            searches.append(0)
-            found = localizer.measure(color, pose @ se3_exp(offset), covariance).pose
-            assert found is not None
-            errors = pose_errors(found.pose[None], pose[None])
-            assert errors.position_m[0] < 0.03 and errors.rotation_rad[0] < 0.015
-    assert searches == [0, 1] * 3
 
 
 def test_no_pose_in_the_dark_or_in_another_room(localizer: OrbLandmarkLocalizer) -> None:
