@@ -130,9 +130,9 @@ ANOTHER_BUILD: tuple[Sentence, ...] = (
 
 BEFORE_THIS_ONE: tuple[Sentence, ...] = (
     (
-        "the RMSE of the default was {}, {}, {} and {} cm, by depth alone {}, {}, {} and {} cm, and of untuned bundles "
-        "{}, {}, {} and {} cm (3 builds). At the desk, extrapolation, {} of {} frames by depth alone and {} of {} of "
-        "untuned bundles were silently beyond 3.5 sigma.",
+        "the RMSE of the default was {}, {}, {} and {} cm, by depth alone {}, {}, {} and {} cm, and of untuned "
+        "bundles {}, {}, {} and {} cm (3 builds). At the desk, extrapolation, {} of {} frames by depth alone and "
+        "{} of {} of untuned bundles were silently beyond 3.5 sigma.",
         [
             *of_all_stretches("78912a3"),
             *(

@@ -109,7 +109,7 @@ def silent(rows: Rows) -> list[float]:
 SENTENCES: tuple[Sentence, ...] = (
     ("{} % of the frames are *tracking*", [tracking_percent(flown("default", DESK_BEYOND))]),
     (
-        "Of these {} frames, {} were silently wrong ({} over 30 cm off, {} beyond 3.5 sigma)",
+        "Of these {} frames, silently wrong: {} ({} over 30 cm off, {} beyond 3.5 sigma)",
         silent(flown("default", DESK_BEYOND)),
     ),
     ("of the {} of RedKitchen, interpolation, {} ({} and {})", silent(flown("default", KITCHEN_BETWEEN))),
@@ -124,9 +124,8 @@ SENTENCES: tuple[Sentence, ...] = (
     ),
     (
         "the RMSE of tuned bundles is {} ({}–{}) and {} ({}–{}) times that of untuned ones in RedKitchen, "
-        "interpolation and extrapolation, and {} ({}–{}) times at the desk, interpolation (3 builds). At the desk, "
-        "extrapolation, {} ({}–{}) is undecided; there {} of {} frames of untuned bundles are silently beyond "
-        "3.5 sigma",
+        "interpolation and extrapolation, and {} ({}–{}) and {} ({}–{}) times at the desk (3 builds). The first is "
+        "undecided. At the desk, extrapolation, {} of {} frames of untuned bundles are silently beyond 3.5 sigma",
         [
             *(number for stretch in range(4) for number in three(over_untuned(stretch))),
             *(total(flown("untuned", DESK_BEYOND), name) for name in ("silent_3_5_sigma", "frames")),

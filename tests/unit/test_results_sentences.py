@@ -5,9 +5,11 @@ from __future__ import annotations
 import re
 from typing import Any
 
+import numpy as np
 import pytest
 
 from document_numbers import (
+    Rows,
     Sentence,
     agree_sentence,
     by_build,
@@ -31,21 +33,21 @@ from kept_flights import (
     over_builds_of,
     over_untuned,
 )
+from monoloc_lab.experiments.interval import step_of
 
 PAGE = "docs/results.md"
-BEFORE = chosen(
-    table_of("flights-of-earlier-versions.csv"),
-    flown_by="2554d1a",
-    method="default",
-    built_from="RedKitchen 0:300:3",
-    flown="300:400",
-)
 RECOVERY = [json_of(f"recovery-{room}.json") for room in ("redkitchen", "desk")]
 FAULTS: list[dict[str, Any]] = [json_of(f"faults-{room}.json")["faults"] for room in ("redkitchen", "desk")]
 OTHERS = json_of("recovery-others.json")
 LENSES = [name for name in FAULTS[0] if name.startswith(("intrinsics", "longer-lens"))]
 
 # --- This version ---
+
+
+def before(version: str) -> Rows:
+    """The default of an earlier version in RedKitchen, extrapolation."""
+    flights = chosen(table_of("flights-of-earlier-versions.csv"), flown_by=version, method="default")
+    return chosen(flights, built_from="RedKitchen 0:300:3", flown="300:400")
 
 
 THIS_VERSION: tuple[Sentence, ...] = (
@@ -64,18 +66,18 @@ THIS_VERSION: tuple[Sentence, ...] = (
         ],
     ),
     (
-        "without scans, {} of {} frames are silently beyond 3.5 sigma, with them none. In RedKitchen, interpolation, "
+        "without scans, {} of {} frames are silently beyond 3.5 sigma, with them {}. In RedKitchen, interpolation, "
         "{} frames are, with scans or without",
         [
             *(total(flown("without scans", DESK_BEYOND), name) for name in ("silent_3_5_sigma", "frames")),
+            total(flown("default", DESK_BEYOND), "silent_3_5_sigma"),
             total(flown("default", KITCHEN_BETWEEN), "silent_3_5_sigma"),
         ],
     ),
     (
-        "it lowers the RMSE by {} % ({} cm untuned, {} cm tuned). Beyond the build frames it lowers the RMSE from {} "
-        "to {} cm; without scans that is {} to {} cm",
+        "the difference is undecided ({} cm untuned, {} cm tuned). Beyond the build frames it lowers the RMSE from "
+        "{} to {} cm; without scans that is {} to {} cm",
         [
-            100.0 * (1.0 - three(over_untuned(KITCHEN_BETWEEN))[0]),
             *over_builds_of("rmse_cm", KITCHEN_BETWEEN, "untuned", "default"),
             *over_builds_of("rmse_cm", KITCHEN_BEYOND, "untuned", "default"),
             *over_builds_of("rmse_cm", KITCHEN_BEYOND, "untuned, without scans", "without scans"),
@@ -104,8 +106,12 @@ THIS_VERSION: tuple[Sentence, ...] = (
         [total(flown("without landmarks", DESK_BEYOND), column) for column in ("silent_3_5_sigma", "frames")],
     ),
     (
-        "had an RMSE of {} cm ({}–{}), and these have {} cm ({}–{})",
-        [*over_builds(BEFORE, "rmse_cm"), *over_builds(flown("default", KITCHEN_BEYOND), "rmse_cm")],
+        "had an RMSE of {} cm ({}–{}), and these have {} cm ({}–{}). The version before this one had {} cm ({}–{})",
+        [
+            *over_builds(before("2554d1a"), "rmse_cm"),
+            *over_builds(flown("default", KITCHEN_BEYOND), "rmse_cm"),
+            *over_builds(before("78912a3"), "rmse_cm"),
+        ],
     ),
     (
         "{} starts without a pose, {} kidnaps and {} edited maps a build",
@@ -125,9 +131,10 @@ THIS_VERSION: tuple[Sentence, ...] = (
 
 def test_what_the_bullets_of_this_version_say_without_a_number() -> None:
     beyond = [total(flown(method, KITCHEN_BETWEEN), "silent_3_5_sigma") for method in ("default", "without scans")]
-    assert beyond[0] == beyond[1] and total(flown("default", DESK_BEYOND), "silent_3_5_sigma") == 0.0
+    assert beyond[0] == beyond[1]
+    assert step_of(over_untuned(KITCHEN_BETWEEN)) == "undecided"
     for stretch in (KITCHEN_BEYOND, DESK_BEYOND):
-        assert len({*by_build(flown("untuned, without scans", stretch), "rmse_cm").values()}) == 1
+        assert np.ptp([*by_build(flown("untuned, without scans", stretch), "rmse_cm").values()]) < 0.01
     for build in (build for room in RECOVERY for build in room):
         assert build["lost_reported_rate"] == 1.0 and build["map_changed_false_rate"] == 0.0
         assert build["false_tracking_rate"] == 0.0
