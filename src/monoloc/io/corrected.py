@@ -88,12 +88,20 @@ def with_poses(recording: Recording, poses: FloatArray) -> Recording:
 def corrected(recording: Recording, fixes: Fixes) -> Recording:
     """The recording, read as the fixes say; the fix of the depth is applied first.
 
-    With late or early poses, the frames at one end have none and are left out. Where the poses were of
-    another convention, the direction of gravity is not known either, and images are not turned upright by it.
+    Fixes are of what is stored, before images are turned upright. With late or early poses, the frames at one end
+    have none and are left out. Where the poses were of another convention, the direction of gravity is not known
+    either, and images are not turned upright by it.
 
     Raises:
         DataError: there is nothing to fix, or too few frames are left.
     """
+    if not isinstance(recording, Turned):
+        return _as_fixed(recording, fixes)
+    fixed = _as_fixed(recording.source, fixes)
+    return Turned(fixed, recording.quarter_turns) if fixes.poses is None else fixed
+
+
+def _as_fixed(recording: Recording, fixes: Fixes) -> Recording:
     if fixes.depth is not None:
         recording = with_depth_fix(recording, fixes.depth)
     if fixes.poses is not None:
@@ -104,8 +112,6 @@ def corrected(recording: Recording, fixes: Fixes) -> Recording:
 def _with_pose_fixes(recording: Recording, fixes: PoseFixes) -> Recording:
     if recording.poses is None:
         raise DataError(recording.name, "has no poses to fix", "leave out --fix-poses")
-    if isinstance(recording, Turned):
-        return _with_pose_fixes(recording.source, fixes)
     rows = np.arange(len(recording)) + fixes.late_frames
     frames = np.flatnonzero((rows >= 0) & (rows < len(recording)))
     if len(frames) == 0:

@@ -24,16 +24,16 @@ class Turned:
         quarter_turns: 1 to 3.
     """
 
-    def __init__(self, source: StoredRecording, quarter_turns: int) -> None:
+    def __init__(self, source: Recording, quarter_turns: int) -> None:
         assert source.poses is not None
-        self.source, self._turns = source, quarter_turns
+        self.source, self.quarter_turns = source, quarter_turns
         self.name, self.has_depth = source.name, source.has_depth
         self.camera = source.camera.turned(quarter_turns)
         self.frame_names, self.timestamps_s = source.frame_names, source.timestamps_s
         self.poses: FloatArray | None = source.poses @ T_camera_turned(quarter_turns)
         how = "upside down" if quarter_turns == 2 else "sideways"
         note = f"the camera was held {how}: its images are turned by {in_words(quarter_turns)}"
-        self.notes = [*source.notes, note]
+        self.notes: list[str] = [*getattr(source, "notes", []), note]
         self.scale_sd, self.down_world = scale_sd_of(source), recorded_down(source)
 
     def __len__(self) -> int:
@@ -41,11 +41,11 @@ class Turned:
 
     def color(self, index: int) -> NDArray[np.uint8]:
         """See :meth:`monoloc.io.recording.Recording.color`."""
-        return turned_image(self.source.color(index), self._turns)
+        return turned_image(self.source.color(index), self.quarter_turns)
 
     def depth(self, index: int) -> NDArray[np.float32]:
         """See :meth:`monoloc.io.recording.Recording.depth`."""
-        return np.ascontiguousarray(np.rot90(self.source.depth(index), self._turns))
+        return np.ascontiguousarray(np.rot90(self.source.depth(index), self.quarter_turns))
 
 
 def upright(recording: StoredRecording) -> StoredRecording:

@@ -23,7 +23,7 @@ from capture_writers import (
     write_stray_scanner,
 )
 from monoloc.camera import Camera
-from monoloc.io.corrected import Fixes, corrected
+from monoloc.io.corrected import DEPTH_FIXES, Fixes, corrected
 from monoloc.io.folder_writer import write_folder
 from monoloc.io.recording import Selection, recorded_down
 from monoloc.io.registry import open_recording
@@ -100,6 +100,19 @@ def test_poses_of_another_convention_do_not_tell_gravity() -> None:
     fixed = corrected(upright(recording), Fixes(poses="opengl"))
     assert fixed.camera == recording.camera and recorded_down(fixed) is None
     np.testing.assert_array_equal(fixed.color(2), recording.color(2))
+
+
+def test_depth_is_fixed_as_it_is_stored() -> None:
+    """A Kinect's depth camera stands as its colour camera does, not as the images that were turned."""
+    recording = Stored(PATH, [1] * 4)
+    for name in DEPTH_FIXES:
+        if name != "registered":  # only of 7-Scenes
+            stored, turned = (corrected(each, Fixes(depth=name)) for each in (recording, upright(recording)))
+            np.testing.assert_array_equal(turned.depth(2), np.rot90(stored.depth(2)))
+            assert turned.notes == [f"the camera was held {TURNS[1]}"]
+    both = [corrected(each, Fixes(poses="opengl", depth="range")) for each in (recording, upright(recording))]
+    np.testing.assert_array_equal(both[1].poses, both[0].poses)
+    np.testing.assert_array_equal(both[1].depth(2), both[0].depth(2))
 
 
 def test_depth_of_a_wrong_scale_has_its_option(capture: Capture, tmp_path: Path) -> None:
