@@ -21,6 +21,7 @@ from monoloc.errors import SettingError
 from monoloc.flight.flight_file import FlightFile, read_flight_file
 from monoloc.geometry import FloatArray
 from monoloc.image_turns import T_camera_turned, in_words
+from monoloc.io.upright import is_upright
 from monoloc.live.frame_source import FrameSource
 from monoloc.live.opening import is_live, open_live
 from monoloc.live.replayed_recording import PacedRecording, UnpacedRecording
@@ -193,27 +194,30 @@ def starting_of(
 def open_frames(flight: FlightFile, frames: str, fast: bool) -> tuple[FrameSource, Camera, FloatArray | None]:
     """The source, its camera, and the first pose, (4, 4), of a recording that has poses.
 
-    Images of a camera that is mounted on its side or upside down are turned upright, and camera and pose with them.
+    Images of a camera that is mounted on its side or upside down are turned upright, and camera and pose with them;
+    those of a recording that tells gravity stand upright already.
 
     Raises:
         DataError, SettingError: from the reader or the camera, or an option is invalid.
     """
-    source, camera, first_pose = _frames_as_stored(flight.source, frames, flight.camera, fast)
+    source, camera, first_pose, are_upright = _frames_of(flight.source, frames, flight.camera, fast)
     turns = flight.mount.quarter_turns
-    if turns == 0:
+    if turns == 0 or are_upright:
         return source, camera, first_pose
     stderr.print(f"note: [mount] turns the camera: its images are turned by {in_words(turns)}, to stand upright")
     first_pose = None if first_pose is None else first_pose @ T_camera_turned(turns)
     return TurnedFrames(source, turns), camera.turned(turns), first_pose
 
 
-def _frames_as_stored(
+def _frames_of(
     source: str, frames: str, intrinsics: str | None, fast: bool
-) -> tuple[FrameSource, Camera, FloatArray | None]:
+) -> tuple[FrameSource, Camera, FloatArray | None, bool]:
+    """As :func:`open_frames`, before the mount turns them, and whether gravity tells that the images are upright."""
     if not is_live(source):
         recording = open_source(source, frames, intrinsics)
         paced = UnpacedRecording(recording) if fast else PacedRecording(recording)
-        return paced, recording.camera, None if recording.poses is None else recording.poses[0]
+        first_pose = None if recording.poses is None else recording.poses[0]
+        return paced, recording.camera, first_pose, is_upright(recording)
     refuse_frames(frames, "a live camera")
     if fast:
         raise SettingError("--fast", "has no meaning for a live camera", "leave it out")
@@ -221,4 +225,4 @@ def _frames_as_stored(
         problem = "is missing: a live camera does not tell its own"
         raise SettingError("--camera", problem, "name the file that monoloc calibrate wrote")
     camera = parse_intrinsics(intrinsics)[0]
-    return open_live(source, camera), camera, None
+    return open_live(source, camera), camera, None, False

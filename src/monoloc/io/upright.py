@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from monoloc.geometry import FloatArray
 from monoloc.image_turns import T_camera_turned, in_words, turned_image, turns_upright
-from monoloc.io.recording import Recording, StoredRecording, recorded_down, scale_sd_of
+from monoloc.io.recording import Recording, Selection, StoredRecording, recorded_down, scale_sd_of
 
 _LEAST_SHARE = 0.75  # of the frames that tell; a phone that was turned on the way has no upright
 
@@ -51,17 +51,22 @@ class Turned:
 def upright(recording: StoredRecording) -> StoredRecording:
     """The recording as it is, or turned until its images stand upright, where it tells the direction of gravity."""
     turns = _quarter_turns(recording)
-    return recording if turns == 0 else Turned(recording, turns)
+    return Turned(recording, turns) if turns else recording
 
 
-def _quarter_turns(recording: Recording) -> int:
-    """How often the images are to be turned by 90 degrees counter-clockwise; 0 where that is not known."""
+def is_upright(recording: Recording) -> bool:
+    """Whether gravity tells that the images stand upright, as they are or as they were turned when they were read."""
+    return _quarter_turns(recording.source if isinstance(recording, Selection) else recording) == 0
+
+
+def _quarter_turns(recording: Recording) -> int | None:
+    """How often the images are to be turned by 90 degrees counter-clockwise; None where that is not known."""
     down_world = recorded_down(recording)
     if recording.poses is None or down_world is None:
-        return 0
+        return None
     turns = turns_upright(np.einsum("nij,i->nj", recording.poses[:, :3, :3], down_world))
     if len(turns) == 0:
-        return 0
+        return None
     counts = np.bincount(turns, minlength=4)
     most = int(counts.argmax())
-    return most if counts[most] >= _LEAST_SHARE * len(turns) else 0
+    return most if counts[most] >= _LEAST_SHARE * len(turns) else None

@@ -1,0 +1,31 @@
+"""The frames of a flight: turned upright once, by the mount or by the gravity that a recording tells."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from monoloc.cli.flight_options import open_frames
+from monoloc.flight.flight_file import FlightFile
+from monoloc.flight.flight_settings import Mount
+from monoloc.io.folder_writer import write_folder
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
+
+ROLLED = np.diag([-1.0, -1.0, 1.0, 1.0])  # of a camera upside down, in a world whose y axis points down
+
+
+@pytest.mark.parametrize("tells_down", [True, False])
+def test_images_of_a_recording_are_turned_once(tmp_path: Path, tells_down: bool) -> None:
+    recording = RoomRecording(Room(), make_path(3) @ ROLLED, SMALL_CAMERA)
+    write_folder(tmp_path / "walk", recording, [recording.depth(index) for index in range(3)])
+    if tells_down:
+        with (tmp_path / "walk/dataset.toml").open("a") as file:
+            file.write("down = [0, 1, 0]\n")
+    flight = FlightFile(source=str(tmp_path / "walk"), mount=Mount(roll_deg=180.0))
+    source, camera, first_pose = open_frames(flight, "::", fast=True)
+    frame = source.next(1.0)
+    assert frame is not None and camera == SMALL_CAMERA.turned(2)
+    np.testing.assert_array_equal(frame.color, np.rot90(recording.color(0), 2))
+    np.testing.assert_allclose(first_pose, recording.poses[0] @ ROLLED, atol=1e-6)
