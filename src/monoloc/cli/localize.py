@@ -50,6 +50,7 @@ from monoloc.cli.start_option import METAVAR, UNKNOWN, StartErrorCmOption, Start
 from monoloc.config import override
 from monoloc.editing.edit_history import drawn_edits
 from monoloc.errors import MonolocError
+from monoloc.io.upright import quarter_turns_of
 from monoloc.localizer_config import PARTS
 from monoloc.parts import parse_parts
 from monoloc.progress import ConsoleProgress
@@ -146,7 +147,8 @@ def localize_command(
     room, digest = read_bundle(bundle, require_signature), digest_of(bundle)
     recording = open_source(source, frames, intrinsics, depth_scale, fix_poses=fix_poses, fix_depth=fix_depth)
     warn_of_poses(recording)
-    motions = measured_motions(recording.timestamps_s, gyroscope, odometry, odometry_delay, mount)
+    turns = quarter_turns_of(recording)
+    motions = measured_motions(recording.timestamps_s, gyroscope, odometry, odometry_delay, mount, turns)
     given: dict[str, object] = {"motion": motion, "particles": particles, "scan_points": scan_points}
     given |= {"budget_ms": budget_ms, "threads": threads}
     with naming({name: "--" + name.replace("_", "-") for name in given}):

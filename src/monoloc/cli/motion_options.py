@@ -12,6 +12,7 @@ from monoloc.errors import DataError, SettingError
 from monoloc.flight.flight_file import read_flight_file
 from monoloc.flight.flight_settings import Mount
 from monoloc.geometry import FloatArray
+from monoloc.image_turns import T_camera_turned
 from monoloc.io.gyroscope_file import read_gyroscope
 from monoloc.io.pose_files import read_tum
 from monoloc.odometry.external import ExternalOdometry
@@ -52,9 +53,19 @@ _T_FLU_FRD = np.diag([1.0, -1.0, -1.0, 1.0])  # the body's axes forward, left, u
 
 
 def measured_motions(
-    times_s: FloatArray, gyroscope: Path | None, odometry: Path | None, delay_s: float, mount: Path | None
+    times_s: FloatArray,
+    gyroscope: Path | None,
+    odometry: Path | None,
+    delay_s: float,
+    mount: Path | None,
+    quarter_turns: int = 0,
 ) -> list[Motion | None] | None:
     """Motions between frames (N,) by the files' sensors, N; the odometry's where it tells one; None without files.
+
+    Where images were turned upright, motions are those of the upright camera; trajectory and mount, of the camera.
+
+    Args:
+        quarter_turns: by which images were turned when they were read.
 
     Raises:
         DataError: a file cannot be used, or tells nothing of the frames.
@@ -66,10 +77,12 @@ def measured_motions(
         raise SettingError("--odometry-delay", "is given without --odometry", "leave it out")
     if not np.isfinite(delay_s):
         raise SettingError("--odometry-delay", f"is {delay_s}", "give seconds")
-    T_body_camera = _T_FLU_FRD @ (Mount() if mount is None else read_flight_file(mount).mount).T_body_camera
+    mounted = Mount() if mount is None else read_flight_file(mount).mount
+    mounted = mounted.upright if quarter_turns else mounted
+    T_body_camera = _T_FLU_FRD @ mounted.T_body_camera
     sources: list[MotionSource] = []
     if odometry is not None:
-        T = np.eye(4) if mount is None else T_body_camera
+        T = T_camera_turned(quarter_turns) if mount is None else T_body_camera
         sources.append(_telling(odometry, _odometry(odometry, T, delay_s), times_s))
     if gyroscope is not None:
         sources.append(_telling(gyroscope, _gyroscope(gyroscope, T_body_camera[:3, :3]), times_s))

@@ -54,6 +54,12 @@ def upright(recording: StoredRecording) -> StoredRecording:
     return Turned(recording, turns) if turns else recording
 
 
+def quarter_turns_of(recording: Recording) -> int:
+    """How often the images were turned by 90 degrees counter-clockwise when the recording was read, 0 to 3."""
+    source = recording.source if isinstance(recording, Selection) else recording
+    return source.quarter_turns if isinstance(source, Turned) else 0
+
+
 def is_upright(recording: Recording) -> bool:
     """Whether gravity tells that the images stand upright, as they are or as they were turned when they were read."""
     return _quarter_turns(recording.source if isinstance(recording, Selection) else recording) == 0

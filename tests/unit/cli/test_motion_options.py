@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from monoloc.cli.motion_options import measured_motions
-from monoloc.geometry import FloatArray, invert, se3_exp, so3_exp, so3_log
+from monoloc.geometry import FloatArray, invert, make_pose, se3_exp, so3_exp, so3_log
 from monoloc.io.tum_trajectory import write_tum
 from refusals import refuses_data, refuses_setting
 
@@ -45,6 +45,25 @@ def test_gyroscope_turns_the_camera_that_looks_forward_or_is_mounted(tmp_path: P
             assert motion is not None and motion.translation == "unknown"
             rotation = so3_log(motion.T_previous_current[:3, :3])
             np.testing.assert_allclose(rotation, 0.6 / 7.5 * np.array(axis), atol=1e-9)
+
+
+@pytest.mark.parametrize("quarter_turns", [1, 2, 3])
+def test_motions_are_those_of_the_camera_whose_images_were_turned(tmp_path: Path, quarter_turns: int) -> None:
+    """The trajectory and the mount are of the camera as it is held, in the order of the turns."""
+    poses = write_poses(tmp_path / "camera.txt")
+    spins = write_gyroscope(tmp_path / "imu.csv", np.array([0.0, 0.0, 0.6]))
+    roll_deg = {1: -90, 2: 180, 3: 90}[quarter_turns]
+    (tmp_path / "flight.toml").write_text(f"[mount]\nroll_deg = {roll_deg}\n")
+    T_held_upright = make_pose(so3_exp([0.0, 0.0, 0.5 * np.pi * quarter_turns]), np.zeros(3))
+    motions = measured_motions(FRAMES_S, None, poses, 0.0, None, quarter_turns)
+    assert motions is not None and motions[1] is not None
+    step = invert(T_held_upright) @ se3_exp(TWIST / 7.5) @ T_held_upright
+    np.testing.assert_allclose(motions[1].T_previous_current, step, atol=1e-7)
+    for mount in (None, tmp_path / "flight.toml"):
+        motions = measured_motions(FRAMES_S, spins, None, 0.0, mount, quarter_turns)
+        assert motions is not None and motions[1] is not None
+        rotation = so3_log(motions[1].T_previous_current[:3, :3])
+        np.testing.assert_allclose(rotation, [0.0, -0.6 / 7.5, 0.0], atol=1e-9)
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.08])
