@@ -73,8 +73,7 @@ class Localizer:
         self._likelihood, self._landmarks = made.likelihood, made.landmarks
         self._thresholds = bundle.thresholds
         self._gravity = Gravity(bundle.down)
-        down = np.asarray(bundle.provenance.down_world) if bundle.down is None else bundle.down
-        self._turn_check = TurnCheck(bundle.reference_poses.poses, down)
+        self._turn_check = TurnCheck(bundle.reference_poses.poses, bundle.down)
         poses = bundle.reference_poses.poses if len(bundle.reference_poses) else np.eye(4)[None]
         self._relocalizer = GlobalRelocalizer(
             made.likelihood, self._config.likelihood, poses, self._config.log_scale_sd

@@ -25,6 +25,7 @@ from monoloc.io.corrected import DEPTH_FIXES, Fixes, corrected
 from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.recording import Selection
 from monoloc.io.registry import FORMATS, open_recording, select_frames
+from monoloc.io.upright import Turned
 from monoloc.printable import printable
 from monoloc.structure_from_motion.scale_option import SCALE_FORMS
 from monoloc.viz.viewer import RECORD_INSTEAD, require_window
@@ -152,7 +153,9 @@ def open_source(
         camera, keeps_distortion = (None, False) if intrinsics is None else parse_intrinsics(intrinsics)
         reading = ReaderOptions(camera, keeps_distortion, depth_scale, guesses_camera)
         recording = open_recording(source, reading)
-        for note in recording.notes:
+        # The last note of turned images is theirs, and poses that are fixed do not turn them.
+        is_turned = isinstance(recording, Turned) and fix_poses is not None
+        for note in recording.notes[:-1] if is_turned else recording.notes:
             stderr.print(f"note: {recording.name}: {note}", soft_wrap=True)
         return select_frames(corrected(recording, fixes), frames)
 

@@ -70,7 +70,7 @@ class FlightSettings(BaseModel):
         mount: of the camera.
         north_deg: heading of the map's x axis, clockwise from north as seen from above; ``monoloc fly --align``
             measures it. The map of a place is that of its first room.
-        down: direction of gravity in the map; None takes that of the map's floor and walls.
+        down: direction of gravity in the map; None takes that of the recording, or of the map's floor and walls.
         most_age_s: since its capture, beyond which a frame is not localised and a pose is not sent.
         rate_hz: most messages a second of each kind.
         obstacles: whether OBSTACLE_DISTANCE is sent.
@@ -108,6 +108,6 @@ def down_of_map(map_: LevelMap, settings: FlightSettings) -> FloatArray | None:
         apart_deg = float(np.rad2deg(np.arccos(np.clip(down @ map_.down, -1.0, 1.0))))
         if apart_deg > _MOST_APART_DEG:
             known = ", ".join(f"{value:.2f}" for value in map_.down)
-            problem = f"is {apart_deg:.0f}° from the direction that the map's floor and walls tell, [{known}]"
+            problem = f"is {apart_deg:.0f}° from the direction that the map tells, [{known}]"
             raise SettingError("down", problem, "leave it out of flight.toml, or correct it")
     return down

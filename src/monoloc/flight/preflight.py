@@ -140,7 +140,7 @@ class Preflight:
 
     def _of_intrinsics(self) -> Iterator[Finding]:
         if self._reasons[Reason.CAMERA_TURNED]:
-            remark = "state how the camera is turned as roll_deg in [mount], or let its driver turn the images"
+            remark = "state roll_deg in [mount]; if the build's images lay on their side, build again with down"
             yield Finding("orientation", "bad", "images lie on their side or upside down", remark)
         if self._reasons[Reason.CAMERA_MISMATCH]:
             remark = "calibrate the camera at this resolution, with its focus fixed"

@@ -31,7 +31,6 @@ class ReconstructedRecording:
 
     Attributes:
         scale_sd: relative standard deviation of the scale of poses and depth.
-        down_world: direction of gravity, (3,) unit vector; None where surfaces did not tell it.
     """
 
     def __init__(
@@ -40,7 +39,6 @@ class ReconstructedRecording:
         model: SparseModel,
         depths: Sequence[NDArray[np.float32]],
         scale_sd: float,
-        down_world: FloatArray | None,
         notes: list[str],
     ) -> None:
         frames = model.frames
@@ -49,7 +47,7 @@ class ReconstructedRecording:
         self.poses: FloatArray | None = model.poses
         self.frame_names = [source.frame_names[index] for index in frames]
         self.timestamps_s = source.timestamps_s[frames]
-        self.scale_sd, self.down_world, self.notes = scale_sd, down_world, notes
+        self.scale_sd, self.notes = scale_sd, notes
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -117,8 +115,7 @@ def reconstruct(
     metric = scale.measure(recording, unscaled, depths)
     depths = [depth * np.float32(metric.metres) for depth in depths]
     model, is_upright = levelled(unscaled.scaled(metric.metres), depths, np.random.default_rng(seed))
-    down = np.array([0.0, 0.0, -1.0]) if is_upright else None
-    found = ReconstructedRecording(recording, model, depths, metric.sd, down, _notes(recording, model, metric))
+    found = ReconstructedRecording(recording, model, depths, metric.sd, _notes(recording, model, metric))
     return Reconstruction(found, model, depths, metric, is_upright)
 
 

@@ -54,11 +54,11 @@ class TurnCheck:
 
     Args:
         poses: of the build's camera, (N, 4, 4).
-        down_world: direction of gravity, (3,) unit vector.
+        down_world: direction of gravity, (3,) unit vector; None where it is not known, and nothing is said.
     """
 
-    def __init__(self, poses: FloatArray, down_world: FloatArray) -> None:
-        self._down_world = down_world
+    def __init__(self, poses: FloatArray, down_world: FloatArray | None) -> None:
+        self._down_world = np.zeros(3) if down_world is None else down_world
         in_image, is_upright = self._seen_by(poses)
         self._is_known = len(poses) > 0 and float((in_image & is_upright).mean()) >= _LEAST_SHARE
 

@@ -99,6 +99,6 @@ def test_gravity_is_that_of_the_settings_unless_the_map_contradicts_it() -> None
     refuses_setting(
         lambda: down_of_map(level, FlightSettings(down=(0.0, -1.0, 0.0))),
         "down",
-        r"is 180° from the direction that the map's floor and walls tell, \[0.00, 1.00, 0.00\]",
+        r"is 180° from the direction that the map tells, \[0.00, 1.00, 0.00\]",
         "leave it out of flight.toml, or correct it",
     )

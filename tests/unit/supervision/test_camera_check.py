@@ -51,6 +51,10 @@ def test_nothing_is_said_where_the_build_did_not_stand_upright(roll_deg: float) 
         assert not any(TurnCheck(walk, DOWN).is_turned(turned(0, 0, roll)) for roll in (0, 90, 180))
 
 
+def test_nothing_is_said_where_gravity_is_not_known() -> None:
+    assert not TurnCheck(WALK, None).is_turned(turned(0, 0, 180))
+
+
 def by_landmarks(log_focal: float, sd: float = 0.01, count: int = 30) -> LandmarkPose:
     return LandmarkPose(np.eye(4), 1e-6 * np.eye(6), np.zeros((count, 3)), log_focal, sd)
 
