@@ -306,7 +306,9 @@ def _with_bias(
 def _add_landmarks(bundle: Bundle, room: _Room, config: BuildConfig, progress: Progress) -> Bundle:
     if not config.landmarks:
         return bundle
-    landmarks, bias, evidence = build_landmarks(room.recording, supervision(room.recording, room.cloud), progress)
+    # A landmark needs depth to begin with, and other frames then tell whether it was right.
+    depth_of = supervision(room.recording, room.cloud, is_dense=room.recording.has_depth)
+    landmarks, bias, evidence = build_landmarks(room.recording, depth_of, progress)
     settings = bundle.settings.model_copy(update={"landmark_bias": bias})
     integrity = bundle.integrity.model_copy(update=vars(evidence))
     return replace(bundle, settings=settings, landmarks=landmarks, integrity=integrity)

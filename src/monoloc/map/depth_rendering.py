@@ -19,13 +19,18 @@ _GAP = 1.4  # spacings that a cell must be wide: points are not evenly spaced
 _SPACING_CELL_M = 0.15
 
 
-def supervision(recording: Recording, cloud: FloatArray) -> Callable[[int], NDArray[np.float32]]:
+def supervision(
+    recording: Recording, cloud: FloatArray, is_dense: bool = False
+) -> Callable[[int], NDArray[np.float32]]:
     """Return a function from frame index to depth (H, W) m: sensor depth, or the cloud's depth where it is missing.
 
     Sensors miss dark, shiny and far surfaces in all frames. Without supervision there, the network's depth would be
     arbitrary in about a quarter of the scan.
+
+    Args:
+        recording, cloud, is_dense: as :func:`map_depth`.
     """
-    from_map = map_depth(recording, cloud)
+    from_map = map_depth(recording, cloud, is_dense)
 
     def depth_of(index: int) -> NDArray[np.float32]:
         depth = from_map(index)
@@ -37,7 +42,9 @@ def supervision(recording: Recording, cloud: FloatArray) -> Callable[[int], NDAr
     return depth_of
 
 
-def map_depth(recording: Recording, cloud: FloatArray) -> Callable[[int], NDArray[np.float32]]:
+def map_depth(
+    recording: Recording, cloud: FloatArray, is_dense: bool = False
+) -> Callable[[int], NDArray[np.float32]]:
     """Return a function from frame index to the cloud's depth (H, W) m, 0 where no point is visible.
 
     The depth is rendered 160 pixels wide and scaled to the frame by nearest neighbour. A point is visible if no other
@@ -47,10 +54,12 @@ def map_depth(recording: Recording, cloud: FloatArray) -> Callable[[int], NDArra
     Args:
         recording: posed frames.
         cloud: (N, 3), world frame, metres.
+        is_dense: whether all cells are the narrow ones, so that more of the image has depth, and what is nearer than
+            a metre may show what is behind it.
     """
     poses, camera = recording.poses, recording.camera
     assert poses is not None
-    spacing_m = _spacing_m(cloud)
+    spacing_m = 0.0 if is_dense else _spacing_m(cloud)
     return lambda index: cloud_depth(cloud, camera, poses[index], spacing_m)
 
 
