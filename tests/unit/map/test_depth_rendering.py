@@ -71,3 +71,11 @@ def test_rendering_does_not_see_through_surfaces_next_to_the_camera(near_m: floa
     depth = map_depth(recording, np.concatenate([far, near]))(0)
     seen = depth[depth > 0.0]
     assert len(seen) > 0 and np.mean(seen > 1.1 * near_m) < 0.01
+
+
+def test_dense_rendering_shows_all_that_the_other_does_and_more() -> None:
+    recording, cloud = small_recording(12), ROOM.cloud(0.05)
+    for index in (0, 6):
+        some, all_ = (map_depth(recording, cloud, is_dense)(index) for is_dense in (False, True))
+        assert (all_ > 0.0).sum() > (some > 0.0).sum()
+        assert (all_[some > 0.0] > 0.0).all()
