@@ -74,8 +74,11 @@ def test_rendering_does_not_see_through_surfaces_next_to_the_camera(near_m: floa
 
 
 def test_dense_rendering_shows_all_that_the_other_does_and_more() -> None:
-    recording, cloud = small_recording(12), ROOM.cloud(0.05)
-    for index in (0, 6):
-        some, all_ = (map_depth(recording, cloud, is_dense)(index) for is_dense in (False, True))
-        assert (all_ > 0.0).sum() > (some > 0.0).sum()
-        assert (all_[some > 0.0] > 0.0).all()
+    """The points of a floor before a far wall: what is beyond the floor's edge is hidden in wide cells."""
+    x, z = np.mgrid[-1.0:1.0:0.05, 0.3:1.2:0.05].reshape(2, -1)
+    wall_x, wall_y = np.mgrid[-3.0:3.0:0.05, -1.0:1.0:0.05].reshape(2, -1)
+    floor, wall = np.stack([x, 0.2 + 0.0 * x, z], axis=1), np.stack([wall_x, wall_y, 3.0 + 0.0 * wall_x], axis=1)
+    recording = RoomRecording(ROOM, se3_exp(np.full((1, 6), 1e-9)), SMALL_CAMERA)
+    some, all_ = (map_depth(recording, np.concatenate([floor, wall]), each)(0) for each in (False, True))
+    assert (all_ > 0.0).sum() > (some > 0.0).sum()
+    assert (all_[some > 0.0] > 0.0).all()
