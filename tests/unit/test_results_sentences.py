@@ -277,7 +277,7 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "2 at 451 and 459": "of the recording",
     "begins at 443": "of the recording",
     ", 1 build and 1 flight a fault": "one in the file",
-    "of the same versions as [the table, with seed 0": "names",
+    "The builds, with seed 0": "names",
     "[may be 10 % wrong": "a definition",
     "with AVX-512 and AMX": "a name",
 }
