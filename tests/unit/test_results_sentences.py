@@ -272,7 +272,7 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "within 0.3 of pose distance": "a definition",
     "turns by 2 to 5° a frame": "of the recording",
     "7 to 15 cm and 5 to 10° off": "of single frames that were not kept",
-    "with seeds 0 to 4, and all flights": "names",
+    "with seeds 0 to 4, and their landmarks": "names",
     "(builds 0 to 2 of [the version before": "names",
     "2 at 451 and 459": "of the recording",
     "begins at 443": "of the recording",
