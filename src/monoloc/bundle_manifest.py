@@ -42,9 +42,9 @@ class Provenance(BaseModel):
         frames: name and :func:`fingerprint` of every frame that built the map or tuned the network.
         tune, map_transform, lambda_kl: the adaptation's variant.
         seed: of the build.
-        down_world: direction of gravity where the recording told it; or else the mean direction of the cameras' y
+        down_world: direction of gravity where the recording states it; or else the mean direction of the cameras' y
             axes over those frames: down, if the camera was held upright.
-        knows_down: whether the recording told it.
+        knows_down: whether the recording states it.
         scale_sd: relative standard deviation of the map's scale; None where a sensor measured it.
         brightness: median grey level, of 255, of the build's images: mean and standard deviation over the images;
             None in bundles that do not keep it.

@@ -40,7 +40,7 @@ class Observation:
         is_repeated: whether the image is the previous one, bit for bit. It says nothing of the camera's motion, so
             there is no scan, and no motion unless it is black and another sensor measured one.
         repeated_s: for how long the image has been the same.
-        waits: whether the motion since the previous image is told only by the next one, because this one repeats it.
+        waits: whether this image repeats the previous one, so that only the next one shows the motion.
         motion_s: time that the motion is of: since the previous frame, or since the last one that did not wait.
         is_empty: whether the image has no contrast.
         depth_is_predicted: whether the network predicts this flight's depth, in this frame or in others.

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.geometry import FloatArray, make_pose
 
-_LEAST_IN_IMAGE = 0.5  # of gravity's unit vector; a camera that looks up or down has no upright
+_Value = TypeVar("_Value", bound=np.generic)
+
+LEAST_IN_IMAGE = 0.5
+"""Length of gravity's unit vector along the image, from which it tells how the image lies: a camera that looks up or
+down has no upright."""
+
 _R_TURNED_CAMERA = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # after one turn
 
 
@@ -20,7 +27,7 @@ def turns_upright(down_camera: FloatArray) -> NDArray[np.int64]:
     Returns:
         (M,), M at most N.
     """
-    right, down, _ = down_camera[np.hypot(down_camera[:, 0], down_camera[:, 1]) > _LEAST_IN_IMAGE].T
+    right, down, _ = down_camera[np.hypot(down_camera[:, 0], down_camera[:, 1]) > LEAST_IN_IMAGE].T
     return np.asarray(np.round(np.arctan2(-right, down) / (0.5 * np.pi)).astype(np.int64) % 4)
 
 
@@ -39,8 +46,8 @@ def T_camera_turned(quarter_turns: int) -> FloatArray:
     return make_pose(np.linalg.matrix_power(_R_TURNED_CAMERA, quarter_turns % 4).T, np.zeros(3))
 
 
-def turned_image(image: NDArray[np.uint8], quarter_turns: int) -> NDArray[np.uint8]:
-    """An image (H, W, 3), turned."""
+def turned_image(image: NDArray[_Value], quarter_turns: int) -> NDArray[_Value]:
+    """An image, (H, W, ...), turned."""
     return np.ascontiguousarray(np.rot90(image, quarter_turns))
 
 

@@ -33,10 +33,11 @@ from monoloc.relocalization.state_machine import Mode, Relocalization, Relocaliz
 from monoloc.start import Start
 from monoloc.step import Step
 from monoloc.step_budget import Level, Stage, StepBudget, StepPlan, plan_of
-from monoloc.supervision.camera_check import CameraCheck, TurnCheck, has_same_focal
+from monoloc.supervision.camera_check import CameraCheck, has_same_focal
 from monoloc.supervision.integrity import IntegrityMonitor
 from monoloc.supervision.map_change import MapChangeMonitor
 from monoloc.supervision.state import MOST_REPEATED_S, VOUCHED_FOR, State, Supervision, classify_state
+from monoloc.supervision.turn_check import TurnCheck
 from monoloc.tracker import Tracker
 
 

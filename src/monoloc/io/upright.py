@@ -45,7 +45,7 @@ class Turned:
 
     def depth(self, index: int) -> NDArray[np.float32]:
         """See :meth:`monoloc.io.recording.Recording.depth`."""
-        return np.ascontiguousarray(np.rot90(self.source.depth(index), self.quarter_turns))
+        return turned_image(self.source.depth(index), self.quarter_turns)
 
 
 def upright(recording: StoredRecording) -> StoredRecording:

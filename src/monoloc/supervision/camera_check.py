@@ -1,4 +1,4 @@
-"""How far the camera is trusted: whether it stands as the build's did, and has the focal length that is stated."""
+"""How far the camera's stated focal length is trusted: whether it is the build's, and what landmarks say of it."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from monoloc.camera import Camera
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.fusion.bias_model import COMMON_ERROR
-from monoloc.geometry import FloatArray
 from monoloc.landmarks.pnp import LandmarkPose
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.supervision.integrity import MOST_COUNTED_S
@@ -29,9 +27,6 @@ _LEAST_LOG_FOCAL = 0.04  # smaller differences move a pose by little more than t
 _UNCONFIRMED_SD, _CONFIRMED_SD = 0.1, 0.04
 _MOST_CONFIRMED = 0.08  # difference that confirms a focal length, however much the build's frames differ
 _CONFIRMED_S = 1.0  # of measurements whose mean agrees with the stated focal length
-_LEAST_IN_IMAGE = 0.5  # of a unit vector that points down, from which it tells how the image lies
-_LEAST_UPRIGHT = 0.5  # cosine of the image's turn: 60 degrees
-_LEAST_SHARE = 0.75  # of the build's frames that stand upright
 
 
 def tells_focal(pose: LandmarkPose) -> bool:
@@ -44,34 +39,6 @@ def has_same_focal(camera: Camera, other: Camera) -> bool:
     """Whether two cameras have the same focal length relative to the longer side of their images."""
     ratio = camera.focal_px / max(camera.width, camera.height) * max(other.width, other.height) / other.focal_px
     return abs(math.log(ratio)) <= _LEAST_LOG_FOCAL
-
-
-class TurnCheck:
-    """Whether a camera lies on its side or upside down, where the build's stood upright.
-
-    The depth network has not learnt such images. Nothing is said of a camera that looks up or down, nor where the
-    build's did not stand upright, as one that looked at the floor.
-
-    Args:
-        poses: of the build's camera, (N, 4, 4).
-        down_world: direction of gravity, (3,) unit vector; None where it is not known, and nothing is said.
-    """
-
-    def __init__(self, poses: FloatArray, down_world: FloatArray | None) -> None:
-        self._down_world = np.zeros(3) if down_world is None else down_world
-        in_image, is_upright = self._seen_by(poses)
-        self._is_known = len(poses) > 0 and float((in_image & is_upright).mean()) >= _LEAST_SHARE
-
-    def is_turned(self, pose: FloatArray) -> bool:
-        """Of a camera at ``T_world_camera``, (4, 4)."""
-        in_image, is_upright = self._seen_by(pose[None])
-        return self._is_known and bool(in_image[0] and not is_upright[0])
-
-    def _seen_by(self, poses: FloatArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Whether gravity is along the image of cameras (N, 4, 4), and then points to its lower edge, (N,) each."""
-        right, down, _ = (poses[:, :3, :3].transpose(0, 2, 1) @ self._down_world).T
-        length = np.hypot(right, down)
-        return length > _LEAST_IN_IMAGE, down >= _LEAST_UPRIGHT * length
 
 
 class CameraCheck:
