@@ -77,6 +77,7 @@ def single_pass(segment: NDArray[np.int64]) -> Trajectory:
 
 
 def hover(segment: NDArray[np.int64]) -> Trajectory:
-    """Frames in order, in reverse, and again, until the start is forgotten; the first pass is not scored."""
+    """Frames in order, in reverse, and again, until the start is forgotten; only the last cycle is scored."""
     cycle = np.concatenate([segment, segment[-2:0:-1]])
-    return Trajectory(np.tile(cycle, 1 + math.ceil(_WARM_UP_FRAMES / len(cycle))), len(segment))
+    warm_up = math.ceil(_WARM_UP_FRAMES / len(cycle))
+    return Trajectory(np.tile(cycle, 1 + warm_up), warm_up * len(cycle))
