@@ -21,7 +21,6 @@ from monoloc.fusion.bias_state import (
     LANDMARKS,
     PARTICLES,
     BiasAugmentedState,
-    landmark_noise,
     particle_noise,
 )
 from monoloc.fusion.reference_poses import MOST_STEP_M, ReferencePoses
@@ -40,6 +39,9 @@ _MOST_TIME_WITHOUT_ODOMETRY_S = 1.0
 _RECENT_MOTION_S = 1.0  # time constant of the recent motion, which selects the known bias
 _DECISIVE_LANDMARKS = 20  # so many that agree are not down-weighted
 _CONTRADICTION = 4.0  # times the gate: beyond it, decisive landmarks begin the belief anew
+# Landmark poses of nearby views have nearly the same errors. After this pose distance one counts fully; after less,
+# the variance of its noise is as much larger. A camera that hovers counts as moving by the second.
+_NEW_ERRORS_M, _LEAST_NEW_M = 0.1, 0.1 / 16.0
 _LOG_SCALE_TIME_S = 5.0  # for which predicted depth is wrong by one factor
 
 
@@ -84,6 +86,7 @@ class BiasAugmentedFilter:
         self._measured = start  # by the particles, last
         self._time_since_odometry_s = 0.0
         self._recent_motion = np.zeros(6)  # a twist in the camera's frame
+        self._moved_m = math.inf  # pose distance since landmarks last moved the belief, as far as it is known
         self.time_since_update_s = 0.0
         self.restarted = self.landmarks_contradict = False
 
@@ -108,6 +111,7 @@ class BiasAugmentedFilter:
         step_m = float(pose_distance_m(np.eye(4), moved[None])[0])
         is_jump = not is_tracked and (elapsed_s == 0.0 or step_m > MOST_STEP_M)  # of the particles, not the camera
         self._recent_motion = decayed(self._recent_motion, elapsed_s) + (np.zeros(6) if is_jump else se3_log(moved))
+        self._moved_m += step_m if is_tracked else math.inf
         self._state = self._predicted(delta, motion, elapsed_s, step_m)
         self._measured = measured
         self.time_since_update_s = 0.0 if is_tracked else self.time_since_update_s + elapsed_s
@@ -141,12 +145,14 @@ class BiasAugmentedFilter:
         agree on one pose are not wrong together. Far from the reference poses they can be, as the bias there says.
         """
         is_decisive = len(measured.points) >= _DECISIVE_LANDMARKS
-        noise = self._noise_for_belief(measured)
+        share_new = np.clip(self._moved_m, _LEAST_NEW_M, _NEW_ERRORS_M) / _NEW_ERRORS_M
+        noise = self._noise_for_belief(measured) / share_new
         excess = self._state.landmark_excess(measured.pose, noise)
         self.landmarks_contradict = excess > 1.0
         if is_decisive and excess > _CONTRADICTION:
             return self.reinitialise_from_landmarks(measured)
         self._state = self._state.update_from_landmarks(measured.pose, noise, is_decisive)
+        self._moved_m = 0.0
         self.time_since_update_s = self._time_since_odometry_s = 0.0
         return self.belief
 
@@ -157,13 +163,14 @@ class BiasAugmentedFilter:
 
     def _landmark_noise(self, measured: LandmarkPose) -> FloatArray:
         distance_m = self._reference_poses.distance_m(measured.pose)
-        return landmark_noise(self._landmark_bias.covariance(measured, distance_m))
+        return self._landmark_bias.covariance(measured, distance_m)
 
     def reinitialise_from_landmarks(self, measured: LandmarkPose) -> Estimate:
         """The belief after landmarks relocalised the camera: only their pose counts."""
         noise, prior_sds = self._landmark_noise(measured), self._prior_sds(measured.pose)
         self._state = BiasAugmentedState.from_measurement(LANDMARKS, measured.pose, noise, prior_sds)
         self.restarted = True
+        self._moved_m = 0.0
         self.time_since_update_s = self._time_since_odometry_s = 0.0
         return self.belief
 

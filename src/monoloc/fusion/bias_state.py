@@ -16,10 +16,10 @@ PARTICLES, LANDMARKS = 0, 1
 GATE = CHI2_6_QUANTILE_99
 """Chi-squared: a measured pose beyond it is down-weighted."""
 
-# Errors of particles and landmarks are correlated for some frames. Treated as independent from frame to frame, their
-# standard deviations are inflated by these factors.
-_PARTICLE_INFLATION, _LANDMARK_INFLATION = 4.0, 2.0
-_LEAST_VARIANCE = 1e-10  # of a measurement, m^2 and rad^2: all particles may be one
+# Errors of the particles' pose are correlated for some frames. Treated as independent from frame to frame, their
+# standard deviation is inflated by this factor.
+_PARTICLE_INFLATION = 4.0
+_LEAST_VARIANCE = 1e-10  # of the particles' pose, m^2 and rad^2: all may be one
 _LOG_SCALE_SD = 0.2  # of odometry's translation, beside the scale that particles estimate
 
 
@@ -97,7 +97,7 @@ class BiasAugmentedState:
         return self._gated_update(PARTICLES, measured.pose, particle_noise(measured))
 
     def update_from_landmarks(self, pose: FloatArray, noise: FloatArray, is_decisive: bool) -> BiasAugmentedState:
-        """After a landmark pose (4, 4) and its noise (6, 6), see :func:`landmark_noise`.
+        """After a landmark pose (4, 4) and its noise (6, 6), without its bias.
 
         Beyond the gate, the noise of one that is not decisive is inflated until it lies on the gate.
         """
@@ -164,8 +164,3 @@ def _prior_covariance(prior_sds: FloatArray) -> FloatArray:
 def particle_noise(measured: Estimate) -> FloatArray:
     """Covariance (6, 6) of the particles' pose without its bias."""
     return np.asarray(_PARTICLE_INFLATION**2 * measured.covariance + _LEAST_VARIANCE * np.eye(6))
-
-
-def landmark_noise(covariance: FloatArray) -> FloatArray:
-    """Noise (6, 6) of a landmark pose with a covariance, without its bias."""
-    return np.asarray(_LANDMARK_INFLATION**2 * covariance + _LEAST_VARIANCE * np.eye(6))
