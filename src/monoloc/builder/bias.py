@@ -36,11 +36,9 @@ from monoloc.localizer_config import LocalizerConfig
 from monoloc.progress import Progress
 from monoloc.start import Start
 
-_LEAST_DISTANCE_M, _LEAST_TAIL_DISTANCE_M = 0.01, 0.05  # for the median of growth, and for its tail
-_CHI2_90_3 = 6.251388631170325  # 90 % quantile of the chi-squared distribution with 3 degrees of freedom
+_LEAST_DISTANCE_M = 0.01
 _MOST_PASSES, _MOST_HOVERS = 8, 8  # segments that the hold-out network follows, and parts of regions it hovers in
-# Metres and radians a metre: of tuned networks, beyond their builds' frames (docs/decisions/fusion.md).
-_PRIOR_GROWTH = 0.2
+_PRIOR_GROWTH = 0.1  # metres and radians a metre, of adapted networks in other rooms
 _STILL_S = 1.0 / 15.0  # between the images of a camera that stays at one frame
 
 LocalizerFactory = Callable[[FloatArray], Localizer]
@@ -118,9 +116,7 @@ def measure_bias(
     hold_out_at_reference = twist_errors(np.concatenate(hold_out_errors)[tuned_on])
 
     def model_of(remaining: list[FloatArray]) -> BiasModel:
-        at_reference, away = _sizes(remaining), _sizes(away_errors)
-        model = fit_bias_model(at_reference, hold_out_at_reference, away, np.array(distances_m))
-        return widened(model, at_reference, away, np.array(distances_m))
+        return fit_bias_model(_sizes(remaining), hold_out_at_reference, _sizes(away_errors), np.array(distances_m))
 
     remaining, reference_poses = _known_bias(errors, segments, poses, True)
     hold_out_remaining, known = _known_bias(of_hold_out, segments, poses, True)
@@ -157,7 +153,8 @@ def measure_bias_at_reference(
     with progress.task("covariances", _frame_count(trajectories)) as show:
         errors = _Follower(recording, poses, show)(final, trajectories)
     remaining, reference_poses = _known_bias(errors, segments, poses, is_tuned)
-    return bias_at_reference(_sizes(remaining)), reference_poses
+    sd_m, sd_rad = axis_sd(_sizes(remaining))
+    return BiasModel(sd_at_reference_m=sd_m, sd_at_reference_rad=sd_rad), reference_poses
 
 
 @dataclass(frozen=True)
@@ -324,49 +321,6 @@ def _growth(errors: FloatArray, sd_at_reference: float, distances_m: FloatArray,
     beyond = errors**2 / CHI2_MEDIAN_3 - sd_at_reference**2
     measured = max(0.0, float(np.median(beyond / np.maximum(distances_m, _LEAST_DISTANCE_M) ** 2)))
     return math.sqrt(0.5 * (measured + prior**2))
-
-
-def bias_at_reference(errors: PoseErrors) -> BiasModel:
-    """Of errors at reference poses, at least one, without growth."""
-    sd_m, sd_rad = axis_sd(errors)
-    model = BiasModel(sd_at_reference_m=sd_m, sd_at_reference_rad=sd_rad)
-    return widened(model, errors, PoseErrors(np.zeros(0), np.zeros(0)), np.zeros(0))
-
-
-def widened(bias: BiasModel, at_reference: PoseErrors, away: PoseErrors, distances_m: FloatArray) -> BiasModel:
-    """The bias model, wide enough for nine errors of ten, at the reference poses and then away from them.
-
-    A model fitted to medians is too narrow where errors have heavy tails: a network is far off where it has learnt
-    nothing, and a flat view has two poses that look alike.
-
-    Args:
-        bias: fitted to medians.
-        at_reference, away: errors at the reference poses, and of N poses away from them.
-        distances_m: (N,) from each of the latter to the nearest reference pose.
-    """
-    sd_m = max(bias.sd_at_reference_m, _sd_by_quantile(at_reference.position_m))
-    sd_rad = max(bias.sd_at_reference_rad, _sd_by_quantile(at_reference.rotation_rad))
-    return bias.model_copy(
-        update={
-            "sd_at_reference_m": sd_m,
-            "sd_growth_m": max(bias.sd_growth_m, _growth_by_quantile(away.position_m, sd_m, distances_m)),
-            "sd_at_reference_rad": sd_rad,
-            "sd_growth_rad": max(bias.sd_growth_rad, _growth_by_quantile(away.rotation_rad, sd_rad, distances_m)),
-        }
-    )
-
-
-def _sd_by_quantile(errors: FloatArray) -> float:
-    """Standard deviation an axis for which nine of ten errors (N,) are likely."""
-    return float(np.percentile(errors, 90.0)) / math.sqrt(_CHI2_90_3)
-
-
-def _growth_by_quantile(errors: FloatArray, sd_at_reference: float, distances_m: FloatArray) -> float:
-    """The same of the growth with distance (N,); 0 without errors."""
-    if len(errors) == 0:
-        return 0.0
-    beyond = np.maximum(errors**2 / _CHI2_90_3 - sd_at_reference**2, 0.0)
-    return math.sqrt(float(np.percentile(beyond / np.maximum(distances_m, _LEAST_TAIL_DISTANCE_M) ** 2, 90.0)))
 
 
 def _directions(errors: list[FloatArray]) -> tuple[FloatArray, FloatArray]:

@@ -8,13 +8,13 @@ from dataclasses import astuple, dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.builder.bias import fit_bias_model, widened
+from monoloc.builder.bias import fit_bias_model
 from monoloc.builder.landmark_triangulation import Corners, landmarks_of
 from monoloc.camera import Camera
 from monoloc.evaluation.consistency import FAR_M
 from monoloc.evaluation.hold_out import HELD_OUT_SHARE, REGIONS, hold_out_regions
 from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, axis_sd, twist_errors
-from monoloc.fusion.bias_model import COMMON_ERROR, LandmarkBiasModel
+from monoloc.fusion.bias_model import COMMON_ERROR, BiasModel, LandmarkBiasModel
 from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_log
 from monoloc.landmarks.landmark_map import FAMILIAR_TIMES, Landmarks, LandmarkViews
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
@@ -22,7 +22,9 @@ from monoloc.landmarks.pnp import LEAST_LANDMARKS, PRIOR_COVARIANCE, LandmarkPos
 from monoloc.supervision.camera_check import tells_focal
 from monoloc.supervision.integrity import WRONG_DISTANCE_M, Classes, IntegrityModel
 
+_LEAST_DISTANCE_M = 0.05
 _LEAST_M, _LEAST_RAD = 0.001, 0.0005  # smallest errors, even of a static camera
+_CHI2_90_3 = 6.251388631170325  # 90 % quantile of the chi-squared distribution with 3 degrees of freedom
 _NORMAL_MAD = 1.4826  # standard deviation over median deviation
 _LEAST_FOCAL_FRAMES, _LEAST_FOCAL_SD = 10, 0.005  # frames that tell a deviation of log-focal, and the smallest
 _LEAST_VIEWS = 10  # frames that tell how well nearby frames predict what is found
@@ -134,6 +136,41 @@ def fit_common_error_growth(
         if value > best_value:
             best, best_value = float(growth), value
     return best
+
+
+def widened(bias: BiasModel, at_reference: PoseErrors, away: PoseErrors, distances_m: FloatArray) -> BiasModel:
+    """The bias model, wide enough for nine errors of ten, at the reference poses and then away from them.
+
+    A model fitted to medians is too narrow where errors have heavy tails: a flat view has two poses that look alike.
+
+    Args:
+        bias: fitted to medians.
+        at_reference, away: errors at the reference poses, and of N poses away from them.
+        distances_m: (N,) from each of the latter to the nearest reference pose.
+    """
+    sd_m = max(bias.sd_at_reference_m, _sd_by_quantile(at_reference.position_m))
+    sd_rad = max(bias.sd_at_reference_rad, _sd_by_quantile(at_reference.rotation_rad))
+    return bias.model_copy(
+        update={
+            "sd_at_reference_m": sd_m,
+            "sd_growth_m": max(bias.sd_growth_m, _growth_by_quantile(away.position_m, sd_m, distances_m)),
+            "sd_at_reference_rad": sd_rad,
+            "sd_growth_rad": max(bias.sd_growth_rad, _growth_by_quantile(away.rotation_rad, sd_rad, distances_m)),
+        }
+    )
+
+
+def _sd_by_quantile(errors: FloatArray) -> float:
+    """Standard deviation an axis for which nine of ten errors (N,) are likely."""
+    return float(np.percentile(errors, 90.0)) / math.sqrt(_CHI2_90_3)
+
+
+def _growth_by_quantile(errors: FloatArray, sd_at_reference: float, distances_m: FloatArray) -> float:
+    """The same of the growth with distance (N,); 0 without errors."""
+    if len(errors) == 0:
+        return 0.0
+    beyond = np.maximum(errors**2 / _CHI2_90_3 - sd_at_reference**2, 0.0)
+    return math.sqrt(float(np.percentile(beyond / np.maximum(distances_m, _LEAST_DISTANCE_M) ** 2, 90.0)))
 
 
 def measure_views(

@@ -77,7 +77,6 @@ def single_pass(segment: NDArray[np.int64]) -> Trajectory:
 
 
 def hover(segment: NDArray[np.int64]) -> Trajectory:
-    """Frames in order, in reverse, and again, until the start is forgotten; only the last cycle is scored."""
+    """Frames in order, in reverse, and again, until the start is forgotten; the first pass is not scored."""
     cycle = np.concatenate([segment, segment[-2:0:-1]])
-    warm_up = math.ceil(_WARM_UP_FRAMES / len(cycle))
-    return Trajectory(np.tile(cycle, 1 + warm_up), warm_up * len(cycle))
+    return Trajectory(np.tile(cycle, 1 + math.ceil(_WARM_UP_FRAMES / len(cycle))), len(segment))

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from monoloc.builder.bias import bias_at_reference, localizer_factory
+from monoloc.builder.bias import localizer_factory
 from monoloc.builder.build_config import BuildConfig
 from monoloc.builder.checks import check_recording
 from monoloc.builder.kept_depth import KeptDepth
@@ -24,7 +24,7 @@ from monoloc.editing.joined_landmarks import joined, with_recording
 from monoloc.editing.paired_map import PairedMap, cloud_of
 from monoloc.editing.world_check import check_same_world
 from monoloc.errors import DataError
-from monoloc.evaluation.trajectory import twist_errors
+from monoloc.evaluation.trajectory import axis_sd, twist_errors
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.fusion.reference_poses import MOST_POSES, ReferencePoses
 from monoloc.geometry import FloatArray, invert, se3_log, transform
@@ -231,6 +231,7 @@ def _with_bias_of(bundle: Bundle, recording: Recording, poses: FloatArray) -> Bu
     for index, since_s in zip(there_and_back.tolist(), elapsed_s.tolist(), strict=True):
         step = localizer.step(recording.color(index), since_s)
         errors.append(se3_log(invert(poses[index]) @ step.particle_estimate.pose))
-    along = bias_at_reference(twist_errors(np.stack(errors[len(frames) :])))
-    bias = _wider(bundle.settings.particle_bias, along)
+    sd_m, sd_rad = axis_sd(twist_errors(np.stack(errors[len(frames) :])))
+    bias = bundle.settings.particle_bias
+    bias = _wider(bias, BiasModel(sd_at_reference_m=sd_m, sd_at_reference_rad=sd_rad))
     return replace(bundle, settings=bundle.settings.model_copy(update={"particle_bias": bias}))

@@ -11,14 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from monoloc.builder.bias import (
-    bias_at_reference,
-    fit_bias_model,
-    localizer_factory,
-    measure_bias,
-    measure_bias_at_reference,
-    widened,
-)
+from monoloc.builder.bias import fit_bias_model, localizer_factory, measure_bias, measure_bias_at_reference
 from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.geometry import FloatArray, se3_exp
@@ -47,55 +40,21 @@ def test_model_is_that_which_errors_were_drawn_from(seed: int) -> None:
     here = np.zeros(2000)
     model = fit_bias_model(errors(true, here), errors(hold_out, here), errors(hold_out, distances_m), distances_m)
     assert (model.sd_at_reference_m, model.sd_at_reference_rad) == pytest.approx((0.03, 0.01), rel=0.05)
-    # The squares of the growth and of the prior's 0.2 are averaged.
-    assert (model.sd_growth_m, model.sd_growth_rad) == pytest.approx(np.sqrt([0.025, 0.04]), rel=0.12)
+    # The squares of the growth and of the prior's 0.1 are averaged.
+    assert (model.sd_growth_m, model.sd_growth_rad) == pytest.approx((0.1, np.sqrt(0.025)), rel=0.12)
 
 
 def test_prior_gives_some_growth_where_errors_away_are_no_larger() -> None:
     at_reference = PoseErrors(np.full(9, 0.1), np.full(9, 0.1))
     away = PoseErrors(np.full(9, 0.08), np.full(9, 0.2))
     model = fit_bias_model(at_reference, at_reference, away, np.full(9, 0.5))
-    assert model.sd_growth_m == pytest.approx(np.sqrt(0.5) * 0.2) and model.sd_growth_rad > model.sd_growth_m
+    assert model.sd_growth_m == pytest.approx(np.sqrt(0.5) * 0.1) and model.sd_growth_rad > model.sd_growth_m
 
 
 def test_prior_is_all_without_errors_away() -> None:
     at_reference, none = PoseErrors(np.full(9, 0.1), np.full(9, 0.1)), PoseErrors(np.zeros(0), np.zeros(0))
     model = fit_bias_model(at_reference, at_reference, none, np.zeros(0))
-    assert model.sd_growth_m == model.sd_growth_rad == 0.2
-
-
-NARROW = BiasModel(sd_at_reference_m=1e-4, sd_at_reference_rad=1e-4, sd_growth_m=1e-4, sd_growth_rad=1e-4)
-
-
-def drawn(rng: np.random.Generator, sd_m: np.ndarray, sd_rad: np.ndarray) -> PoseErrors:
-    sizes = (np.linalg.norm(rng.normal(size=(len(sd), 3)), axis=1) * sd for sd in (sd_m, sd_rad))
-    return PoseErrors(*sizes)
-
-
-def test_a_narrow_model_becomes_as_wide_as_errors_at_and_away_from_the_reference_poses() -> None:
-    rng = np.random.default_rng(0)
-    distances_m = rng.uniform(0.2, 0.6, 2000)
-    at_reference = drawn(rng, np.full(2000, 0.005), np.full(2000, 0.004))
-    away = drawn(rng, np.hypot(0.005, 0.06 * distances_m), np.hypot(0.004, 0.03 * distances_m))
-    model = widened(NARROW, at_reference, away, distances_m)
-    found = (model.sd_at_reference_m, model.sd_at_reference_rad, model.sd_growth_m, model.sd_growth_rad)
-    assert found == pytest.approx((0.005, 0.004, 0.06, 0.03), rel=0.1)
-
-
-def test_tails_at_the_reference_poses_do_not_widen_the_growth() -> None:
-    rng = np.random.default_rng(1)
-    far_off = drawn(rng, np.full(500, 0.02), np.full(500, 0.02))
-    none = PoseErrors(np.zeros(0), np.zeros(0))
-    model = widened(NARROW, far_off, none, np.zeros(0))
-    assert model.sd_growth_m == NARROW.sd_growth_m and model.sd_growth_rad == NARROW.sd_growth_rad
-    assert model.sd_at_reference_m == pytest.approx(0.02, rel=0.1)
-
-
-def test_a_model_without_growth_is_as_wide_as_nine_errors_of_ten() -> None:
-    """Most errors are small and a fifth are not; the median says nothing of those."""
-    sizes = np.where(np.arange(100) < 80, 0.01, 0.1)
-    model = bias_at_reference(PoseErrors(sizes, sizes))
-    assert model.sd_at_reference_m == model.sd_at_reference_rad == pytest.approx(0.1 / 2.5, rel=0.01)
+    assert model.sd_growth_m == model.sd_growth_rad == 0.1
 
 
 # --- The measurement ---

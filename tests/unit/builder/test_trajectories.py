@@ -68,6 +68,6 @@ def test_short_segments_are_hovered_in_until_the_start_is_forgotten(count: int) 
         np.testing.assert_array_equal(trajectory.frames, segment)
         return
     np.testing.assert_array_equal(trajectory.frames, hover(segment).frames)
-    np.testing.assert_array_equal(trajectory.frames[:count], segment)
-    assert trajectory.warm_up >= WARM_UP
+    np.testing.assert_array_equal(trajectory.frames[: trajectory.warm_up], segment)
+    assert len(trajectory.scored) >= WARM_UP
     assert set(trajectory.scored) == set(segment) and np.abs(np.diff(trajectory.frames)).max(initial=0) <= 1
