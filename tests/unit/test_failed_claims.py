@@ -102,11 +102,11 @@ SENTENCES: tuple[Sentence, ...] = (
         ],
     ),
     (
-        "the default has {} ({}–{}) times the RMSE of untuned bundles, undecided. It is {} ({}–{}) in RedKitchen, "
-        "extrapolation, {} ({}–{}) at the desk, interpolation, and {} ({}–{}) at the desk, extrapolation, where",
+        "the default has {} ({}–{}) times the RMSE of untuned bundles, and at the desk {} ({}–{}). It is {} ({}–{}) "
+        "in RedKitchen, extrapolation, and {} ({}–{}) at the desk, extrapolation, where",
         [
             number
-            for stretch in (KITCHEN_BETWEEN, KITCHEN_BEYOND, DESK_BETWEEN, DESK_BEYOND)
+            for stretch in (KITCHEN_BETWEEN, DESK_BETWEEN, KITCHEN_BEYOND, DESK_BEYOND)
             for number in three(over_untuned(stretch))
         ],
     ),
@@ -180,7 +180,7 @@ def test_verdicts_under_failed() -> None:
         "worse",
         "better",
     ]
-    assert [step_of(over_untuned(stretch)) for stretch in range(4)] == ["undecided", "better", "better", "better"]
+    assert [step_of(over_untuned(stretch)) for stretch in range(4)] == ["undecided", "better", "undecided", "better"]
     at_the_desk = [row for row in LADDER if row["room"] == "office desk"]
     in_the_ladder = ratio(at_the_desk, "extrapolation", "the default", "untuned")
     assert in_the_ladder is not None and step_of(in_the_ladder) == "undecided"

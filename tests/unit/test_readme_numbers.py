@@ -124,8 +124,9 @@ SENTENCES: tuple[Sentence, ...] = (
     ),
     (
         "the RMSE of tuned bundles is {} ({}–{}) and {} ({}–{}) times that of untuned ones in RedKitchen, "
-        "interpolation and extrapolation, and {} ({}–{}) and {} ({}–{}) times at the desk (3 builds). The first is "
-        "undecided. At the desk, extrapolation, {} of {} frames of untuned bundles are silently beyond 3.5 sigma",
+        "interpolation and extrapolation, and {} ({}–{}) and {} ({}–{}) times at the desk (3 builds). "
+        "Interpolation is undecided in both rooms. At the desk, extrapolation, {} of {} frames of untuned bundles "
+        "are silently beyond 3.5 sigma",
         [
             *(number for stretch in range(4) for number in three(over_untuned(stretch))),
             *(total(flown("untuned", DESK_BEYOND), name) for name in ("silent_3_5_sigma", "frames")),
