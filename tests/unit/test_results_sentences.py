@@ -193,8 +193,7 @@ STATE: tuple[Sentence, ...] = (
         [FAULTS[1]["half-covered-left"]["during"][column] for column in ("silent_frames", "frames")],
     ),
     (
-        "two further builds of this version had {} and {} silent frames of {}; two of the version before, flown by "
-        "this one, had {} and {} ",
+        "two further builds of this table had {} and {} silent frames of {}, and two older builds {} and {} ",
         [
             *silent_but_for_lenses("silent_frames")[:2],
             silent_but_for_lenses("frames")[0],
@@ -202,7 +201,7 @@ STATE: tuple[Sentence, ...] = (
         ],
     ),
     (
-        "at the desk {} were, in eight faults, {} of {} at most",
+        "at the desk {} were, in nine faults, {} of {} at most",
         [sum(part["silent_frames"] for part in AFTER), WORST["silent_frames"], WORST["frames"]],
     ),
     (
@@ -229,8 +228,10 @@ STATE: tuple[Sentence, ...] = (
         ],
     ),
     (
-        "held all poses but those of turned images ({}) and of wrong lenses ({} to {})",
+        "held all poses but those of mirrored ({}, of {} frames) and turned images ({}) and of wrong lenses ({} to {})",
         [
+            *shares(FAULTS[0], "mirrored"),
+            FAULTS[0]["mirrored"]["during"]["states"]["uncertain"],
             *shares(FAULTS[0], "turned-180"),
             min(shares(FAULTS[0], *LENSES)),
             max(shares(FAULTS[0], *LENSES)),
@@ -241,14 +242,14 @@ STATE: tuple[Sentence, ...] = (
 
 def test_what_the_state_says_without_a_number() -> None:
     assert sum(fault["after"]["silent_frames"] for fault in FAULTS[0].values()) == 0
-    assert len(AFTER) == 8
+    assert len(AFTER) == 9
     assert not any(
         "map-changed" in part["states"]
         for fault in FAULTS[0].values()
         for part in fault.values()
         if isinstance(part, dict)
     )
-    others = [fault for name, fault in FAULTS[0].items() if name not in (*LENSES, "turned-180")]
+    others = [fault for name, fault in FAULTS[0].items() if name not in (*LENSES, "mirrored", "turned-180")]
     assert {fault["during"]["coverage_95"] for fault in others} == {1.0, None}
     assert all(FAULTS[1][name]["during"]["states"]["tracking"] for name in LENSES)
 
