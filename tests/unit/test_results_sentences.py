@@ -228,7 +228,8 @@ STATE: tuple[Sentence, ...] = (
         ],
     ),
     (
-        "held all poses but those of mirrored ({}, of {} frames) and turned images ({}) and of wrong lenses ({} to {})",
+        "held all poses but those of mirrored ({}, of {} frames) and turned images ({}) and of wrong lenses "
+        "({} to {})",
         [
             *shares(FAULTS[0], "mirrored"),
             FAULTS[0]["mirrored"]["during"]["states"]["uncertain"],
