@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 from typing import Any
@@ -133,6 +134,42 @@ def test_sentences() -> None:
         for m in CLAIMED
     ]
     assert f"maps move by {min(moved):.1f} to {max(moved):.1f} cm" in text
+
+
+def test_table_against_posenet_and_its_ratios() -> None:
+    with (DOCS / "results" / "baselines.csv").open(newline="") as file:
+        baselines = [row for row in csv.DictReader(file) if row["split"] == "extrapolation" and row["size"] == "full"]
+    networks = ("PoseNet", "PoseNet with synthesised views", "filtered PoseNet")
+    section = (DOCS / "beyond-the-paper.md").read_text(encoding="utf-8").split("\n## Against PoseNet\n")[1]
+    shown = [
+        [part.strip() for part in line.split("|")[1:-1]]
+        for line in section.partition("\n## ")[0].splitlines()
+        if line.startswith("| ")
+    ]
+    values = {
+        light: [
+            *(
+                float(row["rmse_cm"])
+                for name in networks
+                for row in baselines
+                if (row["room"], row["method"], row["light"]) == ("RedKitchen", name, light)
+            ),
+            *(
+                interval_of([*rmse("RedKitchen", method=method.name, tuned=True, light=light).values()]).median
+                for method in CLAIMED
+            ),
+        ]
+        for light in LIGHTS
+    }
+    assert shown[1:] == [[light, *(f"{value:.1f}" for value in row)] for light, row in values.items()]
+    posenet, _, filtered, paper, alone, default = values["L3"]
+    for words in (
+        f"{paper / posenet:.2f} times its RMSE in L3, and {paper / filtered:.1f} times that of",
+        f"The default has {default / posenet:.2f} and {default / filtered:.2f} times",
+        f"by depth alone {alone / posenet:.2f} and {alone / filtered:.2f} times",
+        f"its RMSE in L3 is {posenet / values['L1'][0]:.2f} times that in L1",
+    ):
+        assert words in section
 
 
 def test_three_builds_of_every_method_network_and_light_by_a_known_commit() -> None:
