@@ -125,6 +125,7 @@ class BiasAugmentedFilter:
         updated = self._state.update_from_particles(measured)
         if self._is_memoryless:
             updated = self._from_particles(measured)
+            self._moved_m = math.inf  # no landmark pose is left in the belief
         elif self._time_since_odometry_s > _MOST_TIME_WITHOUT_ODOMETRY_S:
             updated = self._from_particles(measured)
             if updated.estimate(measured.log_scale).position_is_unknown:
@@ -194,6 +195,7 @@ class BiasAugmentedFilter:
         prior_sds[PARTICLES] = self._particle_bias.relocalization_sds(self._reference_poses.distance_m(measured.pose))
         noise = particle_noise(measured)
         self._state = BiasAugmentedState.from_measurement(PARTICLES, measured.pose, noise, prior_sds)
+        self._moved_m = math.inf
         self.restarted = True
         self.time_since_update_s = 0.0
         return self.belief
