@@ -81,7 +81,9 @@ FALSE_AT_THE_DESK = sorted(
     for each in recovered("desk", "", 2, 3, 4)
     if each["flown_by"] in ("10ca71e", "a445b12")
 )
-WITHOUT_THE_BORDER = {room: recovered(room, "2554d1a", 0, 1, 2) for room in ("desk", "redkitchen")}
+WITHOUT_THE_BORDER, DOUBLED_NOISE = (
+    {room: recovered(room, version, 0, 1, 2) for room in ("desk", "redkitchen")} for version in ("2554d1a", "78912a3")
+)
 BEFORE, AFTER = recovered("desk", "76e6b71", 0)[0], recovered("desk", "271bf5c", 0)[0]
 
 
@@ -213,6 +215,23 @@ BEFORE_THIS_ONE: tuple[Sentence, ...] = (
         "at the desk, {} % of the *tracking* frames were more than 30 cm off in one of three builds, {} % in another "
         "and none in the third",
         FALSE_AT_THE_DESK[:0:-1],
+    ),
+    (
+        "of the {} kidnaps away from the build's frames of the desk {} were found, and {} of all {}; of map edits, "
+        "{} at the desk and {} in RedKitchen were named. The coverage at the desk was {}, away from the build's "
+        "frames {}.",
+        [
+            DOUBLED_NOISE["desk"][0]["away"]["kidnaps"],
+            middle_of(build["away"]["kidnap_recovery_rate"] for build in DOUBLED_NOISE["desk"]),
+            middle_of(build["kidnap_recovery_rate"] for build in DOUBLED_NOISE["desk"]),
+            DOUBLED_NOISE["desk"][0]["kidnaps"],
+            *(
+                middle_of(build["map_changed_rate"] for build in DOUBLED_NOISE[room])
+                for room in ("desk", "redkitchen")
+            ),
+            middle_of(build["coverage_95"] for build in DOUBLED_NOISE["desk"]),
+            middle_of(build["away"]["coverage_95"] for build in DOUBLED_NOISE["desk"]),
+        ],
     ),
     (
         "of {} kidnaps away from the build's frames of the desk, {} were found within 3 s, and {} of all {}; of map "

@@ -303,7 +303,7 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "turns by 2 to 5° a frame": "of the recording",
     "7 to 15 cm and 5 to 10° off": "of single frames that were not kept",
     "with seeds 0 to 4, and their landmarks": "names",
-    "(builds 0 to 2 of [the version before": "names",
+    "(builds 0 to 2 of [the table": "names",
     "2 at 451 and 459": "of the recording",
     "begins at 443": "of the recording",
     ", 1 build and 1 flight a fault": "one in the file",
