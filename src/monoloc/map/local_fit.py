@@ -24,6 +24,7 @@ _DRAWN = 400  # points a component that may cross the border: shares are known t
 _NEGLIGIBLE = 0.02  # share of a component on one side of the border that is dropped
 _SMALL = 0.15  # share of a component on one side of the border from which on it starts one of its own there
 _LEAST_POINTS = 4  # of a component's points on one side, for moments
+_COVERED = 3.0  # standard deviations of a component on one side of the border, within which it covers others' points
 _ENTROPY_POINTS = 4000  # drawn for an entropy: its standard error is about 1 %
 
 
@@ -162,8 +163,10 @@ def _draw(components: Components, rng: np.random.Generator) -> FloatArray:
 def _refitted(mass: FloatArray, drawn: FloatArray, side: NDArray[np.bool_]) -> Components:
     """Components of the points on one side of the border.
 
-    EM starts from the moments of each component's points there. To halve components that still reach across the
-    border, as those with a hole in their middle, was not worth their number.
+    EM starts from the moments of each component's points there. Of components that have little there, points count
+    only where those of others cover them: tails around a thing that was cut out would become one cloud in its place.
+    To halve components that still reach across the border, as those with a hole in their middle, was not worth their
+    number.
 
     Args:
         mass: of C components, (C,).
@@ -178,8 +181,18 @@ def _refitted(mass: FloatArray, drawn: FloatArray, side: NDArray[np.bool_]) -> C
         return Components.none()
     moments = [_moments(points[chosen]) for points, chosen in zip(drawn[starts], side[starts], strict=True)]
     start = Components((mass * share)[starts], *(np.stack(each) for each in zip(*moments, strict=True)))
-    result = maximise_likelihood(drawn[side], start.mixture(), FLOOR_M).mixture
-    return Components.of(result, float((mass * share).sum()))
+    kept = side & starts[:, None]
+    others = side & ~starts[:, None]
+    kept[others] = _covers(start, drawn[others])
+    result = maximise_likelihood(drawn[kept], start.mixture(), FLOOR_M).mixture
+    return Components.of(result, float(mass @ (share * kept.sum(axis=1) / np.maximum(side.sum(axis=1), 1))))
+
+
+def _covers(components: Components, points: FloatArray) -> NDArray[np.bool_]:
+    """Whether one of the components covers each of points (N, 3), (N,)."""
+    offsets = points[:, None] - components.means
+    squared = np.einsum("nki,kij,nkj->nk", offsets, np.linalg.inv(components.covariances), offsets)
+    return np.asarray(squared.min(axis=1) < _COVERED**2)
 
 
 def _moments(points: FloatArray) -> tuple[FloatArray, FloatArray]:

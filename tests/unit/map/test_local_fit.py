@@ -93,3 +93,17 @@ def test_points_of_a_cloud_are_estimated_from_the_map(tilt: float) -> None:
     cloud = voxel_thin(points @ turn.T, 0.03)
     estimate = estimated_points(fit_mixture(cloud, 40, rng).mixture, 0.03)
     assert 0.6 < estimate / len(cloud) < 1.8
+
+
+def test_tails_around_a_thing_that_is_cut_out_leave_no_cloud_in_its_place() -> None:
+    """Four sides of a table: below the box lies a fifteenth of each, far from the others."""
+    sd_m, half_m = 0.15, 0.4
+    sides = np.array([[half_m, 0.0, 0.0], [-half_m, 0.0, 0.0], [0.0, 0.0, half_m], [0.0, 0.0, -half_m]])
+    covariances = np.tile(np.diag([0.02, sd_m, 0.02]) ** 2, (4, 1, 1))
+    floor = Components(np.array([500.0]), np.array([[0.0, 3.0, 0.0]]), np.diag([1.0, 0.02, 1.0])[None] ** 2)
+    table = Components(np.full(4, 100.0), sides, covariances)
+    parted = part(table + floor, box((-0.5, -0.22, -0.5), (0.5, 2.0, 0.5)), np.random.default_rng(0))
+    assert parted.is_outside.tolist() == [False, False, False, False, True]
+    spread = np.sqrt(np.linalg.eigvalsh(parted.outer.covariances)[:, -1])
+    assert len(spread) and np.all(spread < sd_m)
+    assert parted.inner.mass.sum() == pytest.approx(400.0, rel=0.1)
