@@ -9,7 +9,7 @@ import pytest
 from document_numbers import agree, agree_all, agree_sentence, json_of, tables_of
 
 PAGE = "docs/how-to/map-that-ages.md"
-ROOM, OFFICE = json_of("ageing.json"), json_of("ageing-office.json")
+ROOM, AGAIN, OFFICE = (json_of(f"{name}.json") for name in ("ageing", "ageing-again", "ageing-office"))
 TABLES = [table.rows for table in tables_of(PAGE) if table.place[0] == "Ten days of moved furniture"]
 MAPS = ("never_updated", "updated", "fresh")
 
@@ -54,6 +54,16 @@ SENTENCES = [
     (
         "and {} of its {} frames that are *tracking* or *map-changed* are more",
         [LAST_DAY["silent"], LAST_DAY["vouched_for"]],
+    ),
+    (
+        "a fresh build has a median error of {} cm, the updated map {} cm and the one that was never updated {} cm, "
+        "so the updated one has {} times the error of the fresh one. Of the frames that are *tracking* or "
+        "*map-changed*, {} of {} and {} of {} are more than 30 cm off.",
+        [
+            *(100.0 * AGAIN[name]["median_m"] for name in ("fresh", "updated", "never_updated")),
+            AGAIN["median_ratio"],
+            *(AGAIN[name][count] for name in ("updated", "never_updated") for count in ("silent", "vouched_for")),
+        ],
     ),
     ("teach too little: {} to {} of", extremes_of([day["teaching_frames"] for day in ROOM["days"][1:]])),
     ("A day's edits take {} to {} kB", extremes_of(UNDO_KB)),
