@@ -56,12 +56,20 @@ def of_version(commit: str, method: str, stretch: int) -> Rows:
     return chosen(FLIGHTS, flown_by=commit, method=method, built_from=built_from, flown=frames)
 
 
-def of_all_stretches(commit: str) -> list[float]:
+METHODS = ("default", "without landmarks", "untuned")
+
+
+def of_all_stretches(commit: str, methods: tuple[str, ...] = METHODS) -> list[float]:
     """RMSE, median over builds, by method and stretch."""
+    return [middle(of_version(commit, method, stretch), "rmse_cm")[0] for method in methods for stretch in range(4)]
+
+
+def silent_beyond_the_desk(commit: str, *methods: str) -> list[float]:
+    """Frames silently beyond 3.5 sigma at the desk, extrapolation, and all of them, by method."""
     return [
-        middle(of_version(commit, method, stretch), "rmse_cm")[0]
-        for method in ("default", "without landmarks", "untuned")
-        for stretch in range(4)
+        total(of_version(commit, method, DESK_BEYOND), column)
+        for method in methods
+        for column in ("silent_3_5_sigma", "frames")
     ]
 
 
@@ -84,6 +92,27 @@ FALSE_AT_THE_DESK = sorted(
 WITHOUT_THE_BORDER, DOUBLED_NOISE = (
     {room: recovered(room, version, 0, 1, 2) for room in ("desk", "redkitchen")} for version in ("2554d1a", "78912a3")
 )
+
+
+def of_three_builds(by_room: dict[str, list[dict[str, Any]]], part: str) -> list[float]:
+    """Kidnaps away from the desk's build frames, those found there, those found of all, edits named, coverage.
+
+    Args:
+        by_room: three builds of each room.
+        part: of the flights, whose coverage stands last.
+    """
+    desk = by_room["desk"]
+    return [
+        desk[0]["away"]["kidnaps"],
+        middle_of(build["away"]["kidnap_recovery_rate"] for build in desk),
+        middle_of(build["kidnap_recovery_rate"] for build in desk),
+        desk[0]["kidnaps"],
+        *(middle_of(build["map_changed_rate"] for build in by_room[room]) for room in ("desk", "redkitchen")),
+        middle_of(build["coverage_95"] for build in desk),
+        middle_of(build[part]["coverage_95"] for build in desk),
+    ]
+
+
 BEFORE, AFTER = recovered("desk", "76e6b71", 0)[0], recovered("desk", "271bf5c", 0)[0]
 
 
@@ -136,12 +165,8 @@ BEFORE_THIS_ONE: tuple[Sentence, ...] = (
         "the desk, extrapolation, {} of {} frames of the default and {} of {} of untuned bundles were silently "
         "beyond 3.5 sigma.",
         [
-            *(of_all_stretches("54ae70c")[each] for each in (0, 1, 2, 3, 8, 9, 10, 11)),
-            *(
-                total(of_version("54ae70c", method, DESK_BEYOND), column)
-                for method in ("default", "untuned")
-                for column in ("silent_3_5_sigma", "frames")
-            ),
+            *of_all_stretches("54ae70c", ("default", "untuned")),
+            *silent_beyond_the_desk("54ae70c", "default", "untuned"),
         ],
     ),
     (
@@ -150,11 +175,7 @@ BEFORE_THIS_ONE: tuple[Sentence, ...] = (
         "{} of {} of untuned bundles were silently beyond 3.5 sigma.",
         [
             *of_all_stretches("78912a3"),
-            *(
-                total(of_version("78912a3", method, DESK_BEYOND), column)
-                for method in ("without landmarks", "untuned")
-                for column in ("silent_3_5_sigma", "frames")
-            ),
+            *silent_beyond_the_desk("78912a3", "without landmarks", "untuned"),
         ],
     ),
     (
@@ -220,35 +241,13 @@ BEFORE_THIS_ONE: tuple[Sentence, ...] = (
         "of the {} kidnaps away from the build's frames of the desk {} were found, and {} of all {}; of map edits, "
         "{} at the desk and {} in RedKitchen were named. The coverage at the desk was {}, away from the build's "
         "frames {}.",
-        [
-            DOUBLED_NOISE["desk"][0]["away"]["kidnaps"],
-            middle_of(build["away"]["kidnap_recovery_rate"] for build in DOUBLED_NOISE["desk"]),
-            middle_of(build["kidnap_recovery_rate"] for build in DOUBLED_NOISE["desk"]),
-            DOUBLED_NOISE["desk"][0]["kidnaps"],
-            *(
-                middle_of(build["map_changed_rate"] for build in DOUBLED_NOISE[room])
-                for room in ("desk", "redkitchen")
-            ),
-            middle_of(build["coverage_95"] for build in DOUBLED_NOISE["desk"]),
-            middle_of(build["away"]["coverage_95"] for build in DOUBLED_NOISE["desk"]),
-        ],
+        of_three_builds(DOUBLED_NOISE, "away"),
     ),
     (
         "of {} kidnaps away from the build's frames of the desk, {} were found within 3 s, and {} of all {}; of map "
         "edits, {} at the desk and {} in RedKitchen were named. The coverage at the desk was {}, near the build's "
         "frames {}.",
-        [
-            WITHOUT_THE_BORDER["desk"][0]["away"]["kidnaps"],
-            middle_of(build["away"]["kidnap_recovery_rate"] for build in WITHOUT_THE_BORDER["desk"]),
-            middle_of(build["kidnap_recovery_rate"] for build in WITHOUT_THE_BORDER["desk"]),
-            WITHOUT_THE_BORDER["desk"][0]["kidnaps"],
-            *(
-                middle_of(build["map_changed_rate"] for build in WITHOUT_THE_BORDER[room])
-                for room in ("desk", "redkitchen")
-            ),
-            middle_of(build["coverage_95"] for build in WITHOUT_THE_BORDER["desk"]),
-            middle_of(build["near"]["coverage_95"] for build in WITHOUT_THE_BORDER["desk"]),
-        ],
+        of_three_builds(WITHOUT_THE_BORDER, "near"),
     ),
     ("named {} of the map edits", [AFTER["map_changed_rate"]]),
     ("The coverage of the same build was {} before", [BEFORE["coverage_95"]]),
