@@ -12,25 +12,28 @@ namespace {
 
 constexpr double kCandidateShare = 0.1;  // of the allowed error; components below it are not sampled
 
-double whitened_norm(const Component& c, const double* point) {
+Vec3 whitened(const Component& c, const double* point) {
   const double* w = c.whiten;
   const double d[3] = {point[0] - c.mean[0], point[1] - c.mean[1], point[2] - c.mean[2]};
-  const double y0 = w[0] * d[0];
-  const double y1 = w[1] * d[0] + w[2] * d[1];
-  const double y2 = w[3] * d[0] + w[4] * d[1] + w[5] * d[2];
-  return std::sqrt(y0 * y0 + y1 * y1 + y2 * y2);
+  return {w[0] * d[0], w[1] * d[0] + w[2] * d[1], w[3] * d[0] + w[4] * d[1] + w[5] * d[2]};
 }
 
-// Largest whitened distance from the centre of a cube to its surface, which occurs at a corner.
-double whitened_reach(const Component& c, double half_edge) {
-  double longest = 0.0;
-  for (const double sy : {-half_edge, half_edge}) {
-    for (const double sz : {-half_edge, half_edge}) {
-      const double corner[3] = {c.mean[0] + half_edge, c.mean[1] + sy, c.mean[2] + sz};
-      longest = std::max(longest, whitened_norm(c, corner));
-    }
+// By how much each whitened coordinate differs, at most, between the centre of a cube and its other points.
+Vec3 whitened_spans(const Component& c, double half_edge) {
+  const double* w = c.whiten;
+  return {half_edge * std::abs(w[0]), half_edge * (std::abs(w[1]) + std::abs(w[2])),
+          half_edge * (std::abs(w[3]) + std::abs(w[4]) + std::abs(w[5]))};
+}
+
+// Whether a cube about a point may come within a whitened radius of a component: never false where it does.
+bool comes_within(const Component& c, const double* middle, const Vec3& spans, double radius) {
+  const Vec3 y = whitened(c, middle);
+  double squared = 0.0;
+  for (std::size_t i = 0; i < 3; ++i) {
+    const double least = std::max(0.0, std::abs(y[i]) - spans[i]);
+    squared += least * least;
   }
-  return longest;
+  return squared <= radius * radius;
 }
 
 // Regions where each component's density exceeds `density`; components that never exceed it are omitted.
@@ -88,7 +91,7 @@ std::vector<std::pair<std::uint32_t, std::uint32_t>> near_bricks(const std::vect
   for (std::size_t r = 0; r < reached.size(); ++r) {
     const Reach& reach = reached[r];
     const Component& c = mixture[reach.component];
-    const double limit = reach.radius + whitened_reach(c, 0.5 * grid.brick_m);
+    const Vec3 spans = whitened_spans(c, 0.5 * grid.brick_m);
     std::uint32_t from[3], to[3];
     for (int axis = 0; axis < 3; ++axis) {
       from[axis] = static_cast<std::uint32_t>((reach.lower[axis] - grid.lower[axis]) / grid.brick_m);
@@ -100,7 +103,9 @@ std::vector<std::pair<std::uint32_t, std::uint32_t>> near_bricks(const std::vect
         for (std::uint32_t x = from[0]; x <= to[0]; ++x) {
           const double middle[3] = {grid.lower[0] + (x + 0.5) * grid.brick_m, grid.lower[1] + (y + 0.5) * grid.brick_m,
                                     grid.lower[2] + (z + 0.5) * grid.brick_m};
-          if (whitened_norm(c, middle) <= limit) near.emplace_back(grid.key(x, y, z), static_cast<std::uint32_t>(r));
+          if (comes_within(c, middle, spans, reach.radius)) {
+            near.emplace_back(grid.key(x, y, z), static_cast<std::uint32_t>(r));
+          }
         }
       }
     }
@@ -153,21 +158,41 @@ Bricks::Bricks(const std::vector<Component>& mixture, const IndexSettings& setti
       reached_(reaches(mixture, kCandidateShare * settings.tolerance * settings.floor_density)),
       grid_(make_grid(reached_, voxel_m_)),
       near_(near_bricks(mixture, reached_, grid_)) {
-  for (const Reach& r : reached_) {
-    limits_.push_back(r.radius + whitened_reach(mixture[r.component], 0.5 * voxel_m_));
-  }
+  for (const Reach& r : reached_) spans_.push_back(whitened_spans(mixture[r.component], 0.5 * voxel_m_));
   for (std::size_t i = 0; i < near_.size(); ++i) {
     if (i == 0 || near_[i].first != near_[i - 1].first) firsts_.push_back(i);
   }
   firsts_.push_back(near_.size());
 }
 
-void Bricks::find_candidates(std::size_t i, const double* middle, List& found) const {
-  found.clear();
+std::vector<List> Bricks::candidates(std::size_t i) const {
+  std::vector<List> found(kBrickVoxels);
+  double corner[3];
+  grid_.corner(near_[firsts_[i]].first, corner);
   for (std::size_t n = firsts_[i]; n < firsts_[i + 1]; ++n) {
-    const std::uint32_t r = near_[n].second, component = reached_[r].component;
-    if (whitened_norm(mixture_[component], middle) <= limits_[r]) found.push_back(component);
+    const std::uint32_t r = near_[n].second;
+    const Reach& reach = reached_[r];
+    std::uint32_t from[3], to[3];  // the voxels that its box meets
+    for (int axis = 0; axis < 3; ++axis) {
+      const double most = kBrickEdge - 1.0;
+      const double low = std::floor((reach.lower[axis] - corner[axis]) / voxel_m_);
+      const double high = std::floor((reach.upper[axis] - corner[axis]) / voxel_m_);
+      from[axis] = static_cast<std::uint32_t>(std::clamp(low, 0.0, most));
+      to[axis] = static_cast<std::uint32_t>(std::clamp(high, 0.0, most));
+    }
+    for (std::uint32_t z = from[2]; z <= to[2]; ++z) {
+      for (std::uint32_t y = from[1]; y <= to[1]; ++y) {
+        for (std::uint32_t x = from[0]; x <= to[0]; ++x) {
+          const double middle[3] = {corner[0] + (x + 0.5) * voxel_m_, corner[1] + (y + 0.5) * voxel_m_,
+                                    corner[2] + (z + 0.5) * voxel_m_};
+          if (comes_within(mixture_[reach.component], middle, spans_[r], reach.radius)) {
+            found[(z * kBrickEdge + y) * kBrickEdge + x].push_back(reach.component);
+          }
+        }
+      }
+    }
   }
+  return found;
 }
 
 BrickLists Bricks::lists(std::size_t i, Selector& selector) const {
@@ -175,18 +200,13 @@ BrickLists Bricks::lists(std::size_t i, Selector& selector) const {
   brick.key = near_[firsts_[i]].first;
   double lower[3];
   grid_.corner(brick.key, lower);
-  std::vector<List> lists(kBrickVoxels);
-  List candidates;
+  std::vector<List> lists = candidates(i);
   for (std::uint32_t voxel = 0; voxel < kBrickVoxels; ++voxel) {
     const std::uint32_t along[3] = {voxel % kBrickEdge, voxel / kBrickEdge % kBrickEdge,
                                     voxel / (kBrickEdge * kBrickEdge)};
-    double corner[3], middle[3];
-    for (int axis = 0; axis < 3; ++axis) {
-      corner[axis] = lower[axis] + along[axis] * voxel_m_;
-      middle[axis] = corner[axis] + 0.5 * voxel_m_;
-    }
-    find_candidates(i, middle, candidates);
-    lists[voxel] = selector.select(candidates, corner);
+    double corner[3];
+    for (int axis = 0; axis < 3; ++axis) corner[axis] = lower[axis] + along[axis] * voxel_m_;
+    lists[voxel] = selector.select(lists[voxel], corner);
     brick.components += lists[voxel].size();
     brick.voxels += lists[voxel].empty() ? 0 : 1;
   }

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "monoloc/index.hpp"
+#include "monoloc/rigid_motion.hpp"
 #include "select.hpp"
 
 namespace monoloc {
@@ -58,14 +59,14 @@ class Bricks {
   BrickLists lists(std::size_t i, Selector& selector) const;
 
  private:
-  // Components that may matter in a voxel of the i-th brick, by its centre.
-  void find_candidates(std::size_t i, const double* middle, List& found) const;
+  // Components that may matter in each voxel of the i-th brick, x fastest, then y, then z.
+  std::vector<List> candidates(std::size_t i) const;
 
   const std::vector<Component>& mixture_;
   double voxel_m_;
   std::vector<Reach> reached_;
   Grid grid_;
-  std::vector<double> limits_;  // whitened distance from a voxel's centre within which a component may matter there
+  std::vector<Vec3> spans_;  // of each whitened coordinate of a component in a voxel, from its value at the centre
   std::vector<std::pair<std::uint32_t, std::uint32_t>> near_;  // (brick key, index in `reached_`), sorted
   std::vector<std::size_t> firsts_;                            // in `near_`, of each brick, and its end
 };

@@ -45,7 +45,7 @@ Selector::Selector(const std::vector<Component>& mixture, const IndexSettings& s
 List Selector::select(const List& candidates, const double* corner) {
   if (candidates.empty()) return {};
   const Kernels& run = kernels();
-  densities_.resize(candidates.size() * stride_);
+  if (densities_.size() < candidates.size() * stride_) densities_.resize(candidates.size() * stride_);
   total_.assign(stride_, static_cast<float>(settings_.floor_density));
   for (std::size_t c = 0; c < candidates.size(); ++c) {
     run.component_density(mixture_[candidates[c]], corner, offsets_.data(), stride_, densities_.data() + c * stride_,
@@ -58,6 +58,7 @@ List Selector::select(const List& candidates, const double* corner) {
   std::sort(importance_.begin(), importance_.end());
   dropped_.assign(stride_, 0.0f);
   List kept;
+  kept.reserve(candidates.size());
   for (const auto& [most, c] : importance_) {
     const float* share = densities_.data() + c * stride_;
     if (kept.empty() && run.largest_sum(dropped_.data(), share, stride_) <= settings_.tolerance) {
