@@ -84,6 +84,20 @@ def most_covering(sets: list[set[Cell]], count: int, covered: Iterable[Cell] = (
     return chosen
 
 
+def spread_stretches(count: int, times_s: FloatArray, poses: FloatArray) -> NDArray[np.int64]:
+    """Frames of at most so many stretches in a row, spread over a recording, along each of which it can be followed.
+
+    Args:
+        times_s, poses: of all its frames, (N,) and (N, 4, 4).
+    """
+    middles = evenly_spaced(len(poses), count + 2)[1:-1].tolist() or [0]
+    frames = np.zeros(0, dtype=np.int64)
+    for middle in middles:
+        if middle > frames.max(initial=-1):  # else it is in the stretch before
+            frames = np.union1d(frames, _stretch_around(middle, times_s, poses))
+    return frames
+
+
 def _along_the_path(poses: FloatArray, count: int) -> NDArray[np.int64]:
     """At most so many frames, at equal steps of pose distance travelled: a camera that stands adds few.
 

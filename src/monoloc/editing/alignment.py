@@ -161,7 +161,7 @@ def _by_surfaces(
 
 
 def _pairs(landmarks: Landmarks, others: Landmarks) -> tuple[FloatArray, FloatArray]:
-    """Points (P, 3) of landmarks of two maps that look alike, one to one."""
+    """Points of landmarks of two maps that look alike, (P, 3) each; one of the first may be in several pairs."""
     if min(len(landmarks), len(others)) < 2:
         return np.zeros((0, 3)), np.zeros((0, 3))
     bits, nearest = cv2.batchDistance(

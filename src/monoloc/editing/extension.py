@@ -13,9 +13,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from monoloc.builder.bias import localizer_factory
+from monoloc.builder.bias import localizer_factory, measure_bias_at_reference
 from monoloc.builder.build_config import BuildConfig
 from monoloc.builder.checks import check_recording
+from monoloc.builder.frame_choice import spread_stretches
 from monoloc.builder.kept_depth import KeptDepth
 from monoloc.bundle import Bundle, Provenance, fingerprint
 from monoloc.editing.alignment import Alignment, align_bundle, align_recording, known
@@ -24,19 +25,20 @@ from monoloc.editing.joined_landmarks import joined, with_recording
 from monoloc.editing.paired_map import PairedMap, cloud_of
 from monoloc.editing.world_check import check_same_world
 from monoloc.errors import DataError
-from monoloc.evaluation.trajectory import axis_sd, twist_errors
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.fusion.reference_poses import MOST_POSES, ReferencePoses
-from monoloc.geometry import FloatArray, invert, se3_log, transform
-from monoloc.io.recording import Recording, Selection, evenly_spaced
+from monoloc.geometry import FloatArray, transform
+from monoloc.io.corrected import with_poses
+from monoloc.io.recording import Recording, Selection, evenly_spaced, narrowed
 from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
 from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.map.cloud import cloud_from_recording, remove_outliers
 from monoloc.map.local_fit import Components, fitted, part
+from monoloc.progress import NoProgress
 
 _MAX_DEPTH_M = 4.5  # as in a build
 _LEAST_POINTS = 10  # that the map does not know, for components of their own
-_MOST_FOLLOWED = 60  # frames along which a tuned network's bias is measured
+_STRETCHES = 2  # of new frames in a row, along which a tuned network's bias is measured
 
 _Model = TypeVar("_Model", bound=BiasModel)
 
@@ -219,19 +221,10 @@ def _wider(bias: _Model, other: _Model) -> _Model:
 
 
 def _with_bias_of(bundle: Bundle, recording: Recording, poses: FloatArray) -> Bundle:
-    """With a bias at the reference poses that is no less than along new frames.
-
-    They are followed there and back; on the way there, the start is forgotten.
-    """
-    frames = evenly_spaced(len(recording), min(len(recording), _MOST_FOLLOWED))
-    localizer = localizer_factory(replace(bundle, camera=recording.camera), 0)(poses[frames[0]])
-    errors = []
-    there_and_back = np.concatenate([frames, frames[::-1]])
-    elapsed_s = np.abs(np.diff(recording.timestamps_s[there_and_back], prepend=recording.timestamps_s[frames[0]]))
-    for index, since_s in zip(there_and_back.tolist(), elapsed_s.tolist(), strict=True):
-        step = localizer.step(recording.color(index), since_s)
-        errors.append(se3_log(invert(poses[index]) @ step.particle_estimate.pose))
-    sd_m, sd_rad = axis_sd(twist_errors(np.stack(errors[len(frames) :])))
-    bias = bundle.settings.particle_bias
-    bias = _wider(bias, BiasModel(sd_at_reference_m=sd_m, sd_at_reference_rad=sd_rad))
+    """With a bias at the reference poses that is no less than measured along stretches of the new frames."""
+    frames = spread_stretches(_STRETCHES, recording.timestamps_s, poses)
+    new = narrowed(with_poses(recording, poses), frames)
+    final = localizer_factory(replace(bundle, camera=recording.camera), 0)
+    new_bias, _ = measure_bias_at_reference(final, new, False, NoProgress())
+    bias = _wider(bundle.settings.particle_bias, new_bias)
     return replace(bundle, settings=bundle.settings.model_copy(update={"particle_bias": bias}))

@@ -32,8 +32,8 @@ from monoloc.odometry.motion import Motion
 _SECOND_S = 1.0  # between heartbeats, and between questions for the time and for a parameter
 _ATTITUDES = 200  # that are kept: four seconds at 50 Hz
 # Between two attitudes, between which one is interpolated; between a frame and an attitude that holds for it; and
-# between a frame and the last attitude, as long as the next has not come.
-_MOST_GAP_S, _SAME_S, _LAST_S = 0.12, 0.02, 0.1
+# between a frame and the last attitude, as long as the next has not come, of which the vehicle turns on for a part.
+_MOST_GAP_S, _SAME_S, _LAST_S, _TURNS_ON_S = 0.12, 0.02, 0.1, 0.06
 _ALIVE_S = 3.0  # since the autopilot's last heartbeat
 _INVALID_AUTOPILOT = 8  # HEARTBEAT's autopilot, of what is none
 _GOES_STALE = {"HEARTBEAT", "ODOMETRY", "VISION_POSITION_ESTIMATE", "OBSTACLE_DISTANCE", "TIMESYNC"}
@@ -153,7 +153,8 @@ class AutopilotLink:
     def attitude_at(self, time_s: float) -> Attitude | None:
         """The attitude at a time of capture, between the two around it; None where these are missing.
 
-        An attitude of 20 ms beside that time will do. So will the last one for 0.1 s: the next may not have come.
+        Up to 0.1 s after the last one, since the next may not have come, the vehicle is taken to turn on for 0.06 s
+        as it did between the last two. An attitude of 20 ms beside that time will do as well.
         """
         with self._changed:
             known = list(self._attitudes)
@@ -161,9 +162,10 @@ class AutopilotLink:
         around = known[max(0, after - 1) : after + 1]
         if len(around) == 2 and around[1].time_s - around[0].time_s <= _MOST_GAP_S:
             return _between(around[0], around[1], time_s)
+        if after == len(known):
+            return _after(known[-2:], time_s)
         nearest = min(around, key=lambda attitude: abs(attitude.time_s - time_s), default=None)
-        most_s = _LAST_S if after == len(known) else _SAME_S
-        return None if nearest is None or abs(nearest.time_s - time_s) > most_s else nearest
+        return None if nearest is None or abs(nearest.time_s - time_s) > _SAME_S else nearest
 
     def turn_between(self, start_s: float, end_s: float) -> Motion | None:
         """The camera's rotation between two times of capture; None where attitudes are missing for 0.12 s."""
@@ -264,7 +266,7 @@ class AutopilotLink:
 
 
 def _between(before: Attitude, after: Attitude, time_s: float) -> Attitude:
-    """The attitude at a time between two, which are less than half a turn apart."""
+    """The attitude at a time between or after two, which are less than half a turn apart."""
     share = (time_s - before.time_s) / (after.time_s - before.time_s)
     angles = [
         first + share * ((last - first + math.pi) % math.tau - math.pi)
@@ -275,6 +277,15 @@ def _between(before: Attitude, after: Attitude, time_s: float) -> Attitude:
         )
     ]
     return Attitude(time_s, *angles)
+
+
+def _after(last: list[Attitude], time_s: float) -> Attitude | None:
+    """The attitude at a time not before the last of at most two; None where that is too long ago."""
+    if not last or time_s - last[-1].time_s > _LAST_S:
+        return None
+    if len(last) < 2 or last[1].time_s - last[0].time_s > _MOST_GAP_S:
+        return last[-1]
+    return _between(last[0], last[1], min(time_s, last[1].time_s + _TURNS_ON_S))
 
 
 def _value_of(parameter: Any, is_px4: bool) -> float:

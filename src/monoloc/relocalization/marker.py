@@ -14,6 +14,7 @@ from monoloc.geometry import FloatArray, invert, make_pose, quaternion_to_rotati
 from monoloc.start import Start
 
 _CORNER_SD_PX = 0.5  # of a detected corner, and of a lens that is not quite the calibrated one
+_CENTRE_PX = 0.5  # of the first pixel, as these corners are counted; here it is at 0
 _LEAST_RATIO = 2.0  # of reprojection errors of a square's two poses, below which it is not known which is right
 _MOST_ERROR_PX = 3.0  # of the better one: a marker of another size fits as well, but not a wrong lens
 _STEP_M, _STEP_RAD = 1e-4, 1e-4  # of the numerical Jacobian
@@ -103,7 +104,9 @@ class MarkerDetector:
 
     def __init__(self, dictionary: Dictionary) -> None:
         parameters = cv2.aruco.DetectorParameters()
-        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+        # Lines along the sides meet where the corners are. Gradients around a corner meet inside the black square, a
+        # quarter to half a pixel away, so that the marker looks smaller.
+        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG
         known = cv2.aruco.getPredefinedDictionary(_DICTIONARIES[dictionary])
         self._detector = cv2.aruco.ArucoDetector(known, parameters)
 
@@ -112,7 +115,7 @@ class MarkerDetector:
         corners, numbers, _ = self._detector.detectMarkers(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY))
         known = () if numbers is None else np.ravel(numbers).tolist()  # no array where there is none
         return [
-            (int(number), np.asarray(found, dtype=np.float64).reshape(4, 2))
+            (int(number), np.asarray(found, dtype=np.float64).reshape(4, 2) - _CENTRE_PX)
             for number, found in zip(known, corners, strict=True)
         ]
 

@@ -8,7 +8,7 @@ from monoloc.camera import Camera
 from monoloc.geometry import FloatArray, invert, ray_jacobian, transform
 
 _STEPS = 8
-_LEAST_DETERMINED = 1e-12  # of the normal matrix: a point on parallel rays is nowhere
+_LEAST_DETERMINED = 1e-12  # of a normal matrix without a unit: a point on parallel rays is nowhere
 
 
 def triangulate(camera: Camera, poses: FloatArray, pixels: FloatArray) -> tuple[FloatArray, FloatArray] | None:
@@ -35,7 +35,7 @@ def triangulate(camera: Camera, poses: FloatArray, pixels: FloatArray) -> tuple[
         jacobian = ray_jacobian(local) @ np.swapaxes(poses[:, :3, :3], 1, 2)
         offset = local[:, :2] / local[:, 2:] - rays[:, :2]
         normal = np.einsum("nij,nik->jk", jacobian, jacobian)
-        if np.linalg.det(normal) < _LEAST_DETERMINED:
+        if np.linalg.det(normal * np.median(local[:, 2]) ** 2) < _LEAST_DETERMINED:
             return None
         point = point - np.linalg.solve(normal, np.einsum("nij,ni->j", jacobian, offset))
     return point, np.asarray(np.linalg.inv(normal) / camera.focal_px**2)

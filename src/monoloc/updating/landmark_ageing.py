@@ -190,7 +190,7 @@ def _fresh(
 ) -> Candidates:
     """Corners that this flight is the first to show."""
     poses = np.stack([frame.pose for frame in flight.frames])
-    depth_sd = DEPTH_SD if is_sensor_depth else flight.depth_sd
+    depth_sd = DEPTH_SD if is_sensor_depth else float(flight.depth_error.sd_m(np.array(1.0)))  # relative, at a metre
     seen = landmarks_of([_unmatched(frame, flight) for frame in flight.frames], flight.detected, poses, depth_sd)
     seen = select_landmarks(seen, ~is_among(seen, known) & ~is_among(seen, landmarks))
     views = known.views

@@ -71,7 +71,7 @@ class ObservedFlight:
         frames: that teach.
         detected: camera of the keypoints.
         states: number of frames in each state.
-        depth_sd: relative standard deviation of depth.
+        depth_error: standard deviation of depth.
         refusal: why nothing may be learned from it; None where it may.
     """
 
@@ -79,12 +79,12 @@ class ObservedFlight:
     frames: list[TeachingFrame]
     detected: Camera
     states: dict[State, int]
-    depth_sd: float
+    depth_error: DepthError
     refusal: str | None
 
     def error_m(self, depth_m: FloatArray) -> FloatArray:
         """Standard deviation of depths (...) as surface in the map."""
-        return np.asarray(np.hypot(self.depth_sd * depth_m, _POSE_SD_M))
+        return np.asarray(np.hypot(self.depth_error.sd_m(depth_m), _POSE_SD_M))
 
 
 def observe(
@@ -110,10 +110,10 @@ def observe(
     views_of(bundle)
     watcher = _Watcher(bundle, recording, is_sensor_depth, known, rules)
     localize(bundle, recording, start, bundle.settings, rng, progress, viewer=watcher)
-    depth_sd = _SENSOR_SD if is_sensor_depth else DepthError.of(bundle).relative_sd
+    depth_error = DepthError(_SENSOR_SD, 0.0, True) if is_sensor_depth else DepthError.of(bundle)
     states: dict[State, int] = dict(watcher.states)
     return ObservedFlight(
-        recording.name, watcher.frames, watcher.detect.camera, states, depth_sd, _refusal(watcher, rules)
+        recording.name, watcher.frames, watcher.detect.camera, states, depth_error, _refusal(watcher, rules)
     )
 
 

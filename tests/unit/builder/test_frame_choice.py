@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from monoloc.builder.frame_choice import choose_frames, most_covering
+from monoloc.builder.frame_choice import choose_frames, most_covering, spread_stretches
 from monoloc.builder.trajectories import continuous_segments, is_long
 from monoloc.camera import Camera
 from monoloc.geometry import FloatArray, make_pose, pose_distance_m, so3_exp
@@ -80,6 +80,16 @@ def test_half_of_the_frames_can_be_followed_so_that_the_bias_can_be_measured() -
     assert chosen.poses is not None
     segments = continuous_segments(np.arange(len(chosen)), chosen.timestamps_s, chosen.poses)
     assert sum(len(segment) for segment in segments if is_long(segment)) >= 60
+
+
+@pytest.mark.parametrize("count", [1, 2, 30, 1200, 6000])
+def test_stretches_can_be_followed_however_long_a_recording_is(count: int) -> None:
+    walk = Walk(count)
+    assert walk.poses is not None
+    frames = spread_stretches(2, walk.timestamps_s, walk.poses)
+    segments = continuous_segments(frames, walk.timestamps_s, walk.poses)
+    assert 1 <= len(segments) <= 2 and len(frames) <= 62
+    assert count < 1000 or is_long(segments[-1])
 
 
 def test_a_selection_keeps_its_source() -> None:

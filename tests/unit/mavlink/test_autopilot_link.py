@@ -117,7 +117,10 @@ def test_attitude_is_that_of_the_time_of_capture(peer: Peer, link: AutopilotLink
     assert newest.roll_rad == pytest.approx(0.09) and newest.pitch_rad == pytest.approx(-0.02)
     between = link.attitude_at(newest.time_s - 0.07)
     assert between is not None and between.roll_rad == pytest.approx(0.055)  # by the stamps, 20 ms apart
-    assert link.attitude_at(newest.time_s + 0.09) == newest  # the next one may not have come
+    # The next one may not have come; the vehicle turns on, but not for long.
+    for since_s, roll_rad in ((0.0, 0.09), (0.03, 0.105), (0.06, 0.12), (0.09, 0.12)):
+        later = link.attitude_at(newest.time_s + since_s)
+        assert later is not None and later.roll_rad == pytest.approx(roll_rad)
     assert link.attitude_at(newest.time_s + 0.11) is None and link.attitude_at(newest.time_s - 5.0) is None
 
 
@@ -138,6 +141,7 @@ def test_attitude_across_a_dropout_is_not_made_up(peer: Peer, link: AutopilotLin
     newest = newest_attitude(link)
     assert link.attitude_at(newest.time_s - 0.15) is None
     assert link.attitude_at(newest.time_s - 0.01) == newest
+    assert link.attitude_at(newest.time_s + 0.05) == newest
 
 
 def test_turn_is_that_of_the_camera_between_two_times_of_capture(peer: Peer) -> None:

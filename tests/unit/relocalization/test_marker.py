@@ -14,7 +14,7 @@ from monoloc.camera import Camera
 from monoloc.config import load_settings
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray, invert, make_pose, rotation_to_quaternion, so3_exp, transform
-from monoloc.relocalization.marker import Marker, MarkerLocalizer, Markers
+from monoloc.relocalization.marker import DEFAULT_DICTIONARY, Marker, MarkerDetector, MarkerLocalizer, Markers
 from repository import REPOSITORY
 
 CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, distortion=(-0.1, 0.02, 0.001, -0.001, 0.0))
@@ -65,6 +65,23 @@ def test_camera_is_found_within_its_stated_error(
     errors = pose_errors(start.pose[None], T_world_camera[None])
     assert errors.position_m[0] < 2.0 * start.error_m < 0.2
     assert errors.rotation_rad[0] < 2.0 * start.error_rad < 0.2
+
+
+@pytest.mark.parametrize("distance_m", [0.6, 1.2, 2.0])
+def test_marker_is_seen_as_large_as_it_is(distance_m: float) -> None:
+    """Corners that lie inside the black square by a quarter of a pixel make a map 1 % too large."""
+    camera = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
+    outside_px = []
+    for turn in np.random.default_rng(1).uniform(-0.7, 0.7, (8, 3)):
+        T_world_camera = looking_at_marker(distance_m, tuple(turn))
+        local = transform(invert(T_world_camera) @ T_WORLD_MARKER, marker().corners)
+        ((_, seen),) = MarkerDetector(DEFAULT_DICTIONARY)(image(T_world_camera, camera))
+        corners = camera.project(local)
+        outward = corners - corners.mean(axis=0)
+        outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+        outside_px.append(np.sum((seen - corners) * outward, axis=1))
+        assert np.abs(seen - corners).max() < 1.0
+    assert abs(np.mean(outside_px)) < 0.1
 
 
 def test_error_of_the_markers_place_is_passed_on() -> None:

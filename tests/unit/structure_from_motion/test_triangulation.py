@@ -33,6 +33,15 @@ def test_covariance_is_that_of_repeated_measurements() -> None:
     assert np.std(lengths) == pytest.approx(sd_px * distance_sd(first, second)[1], rel=0.15)
 
 
+@pytest.mark.parametrize("unit", [0.01, 1.0, 30.0, 1000.0])
+def test_unit_of_a_model_does_not_matter(unit: float) -> None:
+    """Structure from motion chooses it."""
+    poses = POSES.copy()
+    poses[:, :3, 3] *= unit
+    found = triangulate(CAMERA, poses[:2], CAMERA.project(transform(invert(POSES[:2]), POINTS[:1])[:, 0]))
+    assert found is not None and found[0] == pytest.approx(unit * POINTS[0], rel=1e-6)
+
+
 def test_one_side_and_behind_determine_nothing() -> None:
     twice = POSES[[0, 0]]
     assert triangulate(CAMERA, twice, CAMERA.project(transform(invert(twice), POINTS[:1])[:, 0])) is None
