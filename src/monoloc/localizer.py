@@ -107,6 +107,9 @@ class Localizer:
         self._map_change = MapChangeMonitor(bundle.landmarks, bundle.integrity)
         self._state: State = "tracking"
         self._index, self._is_followed = 0, False
+        # A start is where someone says that the camera is. What a search finds is evidence itself.
+        can_be_confirmed = len(bundle.landmarks) > 0 or bundle.integrity.scans_can_confirm
+        self._start_confirmed = start is None or not can_be_confirmed
 
     def reset(self, start: Start | None) -> None:
         """Forget what is believed, and begin anew at the next frame, whose elapsed time is ignored.
@@ -153,6 +156,7 @@ class Localizer:
         down_camera = self._gravity.direction(None if "gravity" in self._config.without else down)
         level, plan = self._plan(level)
         observation = self._front_end.observe(color, elapsed_s, measured_depth, down_camera, measured_motion, plan)
+        previous = self._state if self._start_confirmed else "tracking"  # nothing was doubted before it was known
         predicted = self._predict(observation)
         prior = self._tracker.fusion.predicted(observation.motion, observation.motion_s)
         relocalization = self._relocalize(observation, predicted, prior)
@@ -165,7 +169,7 @@ class Localizer:
         belief = self._fuse(observation, measured, log_likelihood, relocalization, landmarks, contradicted)
         belief = self._camera_check.widened(belief, observation.depth)
         supervision = self._supervise(observation, belief, log_likelihood, landmarks, particle_estimate, contradicted)
-        self._state, reasons = classify_state(supervision, self._state)
+        self._state, reasons = classify_state(supervision, previous)
         self._index += 1
         self._is_followed = relocalization.mode is Mode.TRACKING and observation.odometry_tracked
         if self._budget is not None:
@@ -278,6 +282,9 @@ class Localizer:
         landmark_pose = None if landmarks is None else landmarks.pose
         fits = observation.scan_has_enough_points and log_likelihood >= self._thresholds.lost
         fits &= self._integrity.scan_speaks_for_the_pose(log_likelihood)
+        is_found = relocalization.confirmed or relocalization.landmark_pose is not None
+        scan_confirms = fits and not contradicted and self._integrity.scan_confirms(log_likelihood)
+        self._start_confirmed |= is_found or landmark_pose is not None or scan_confirms
         fits &= not relocalization.awaits_landmarks
         fits |= "bias" in self._config.without  # the belief is the particles' pose, whatever their scan says
         scan_accepted = fits and relocalization.mode is Mode.TRACKING and not contradicted
@@ -347,6 +354,7 @@ class Localizer:
             camera_mismatch=self._camera_check.mismatch,
             camera_turned=self._is_turned(observation, belief),
             camera_confirmed=self._camera_check.is_confirmed,
+            start_confirmed=self._start_confirmed,
             changed_region=self._map_change.update(comparable, probability_far, observation.elapsed_s),
         )
 

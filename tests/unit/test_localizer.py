@@ -28,6 +28,7 @@ from monoloc.start import Start
 from monoloc.step import Step
 from monoloc.step_budget import Level, StepBudget
 from monoloc.supervision.integrity import IntegrityMonitor
+from monoloc.supervision.state import Reason
 from synthetic_room import (
     BLACK,
     CAMERA,
@@ -234,8 +235,23 @@ def test_first_frame_without_contrast_leaves_the_start(
     localizer = localizer_at_truth(mixture, recording, thresholds)
     step = localizer.step(BLACK, 0.0, NO_DEPTH)
     assert step.motion is None and len(step.scan) == 0 and np.isnan(step.mean_log_likelihood)
-    assert step.state == "tracking"  # a stated start is believed for a third of a second
+    assert step.state == "uncertain" and step.reasons >= {Reason.BELIEF_DOUBTFUL}  # nothing has confirmed the start
     assert np.linalg.norm(step.estimate.pose[:3, 3] - recording.poses[0][:3, 3]) < 0.01
+
+
+@pytest.mark.parametrize(("away_m", "states"), [(0.0, {"tracking"}), (50.0, {"uncertain", "lost"})])
+def test_start_is_vouched_for_once_something_confirms_it(
+    mixture: GaussianMixture,
+    recording: RoomRecording,
+    thresholds: LikelihoodThresholds,
+    away_m: float,
+    states: set[str],
+) -> None:
+    """A start that sees none of the map may be in other units: no frame of it reaches an autopilot."""
+    start = Start(se3_exp([away_m, 0.0, 0.0, 0.0, 0.0, 0.0]) @ recording.poses[0], error_m=0.03, error_rad=0.01)
+    particles = start.particles(SETTINGS, np.random.default_rng(0))
+    steps = follow(make_localizer(mixture, thresholds, particles, recording.poses[:1], settings=SETTINGS), recording)
+    assert {step.state for step in steps} <= states
 
 
 def test_ten_particles_give_rigid_poses(

@@ -117,6 +117,8 @@ def report(
         say(f"rooms: {rooms or 'none found'}; entries: {len(summary.switches)}")
     dropped = ", ".join(f"{count} {reason}" for reason, count in summary.dropped.items() if count)
     say(f"dropped: {dropped or 'none'}; reconnections of the camera: {source.reconnections}")
+    if poses := ", ".join(f"{count} {what}" for what, count in summary.poses.items() if count):
+        say(f"poses for the autopilot: {poses}")
     if set(summary.levels) - {Level.FULL}:
         say(budget_line(level_counts(summary.levels)))
     if unwritten := ", ".join(f"{count} {what}" for what, count in summary.unwritten.items() if count):

@@ -204,8 +204,8 @@ def fly(
                 outputs.append(north)
             elif firmware is not None:
                 # The autopilot first: what is written may wait for a disk.
-                recorded, unwritten = flight.record, summary.unwritten
-                outputs[:0] = senders(link, recorded, flown, flown.room, firmware, flight_settings, unwritten)
+                recorded, poses, unwritten = flight.record, summary.poses, summary.unwritten
+                outputs[:0] = senders(link, recorded, flown, flown.room, firmware, flight_settings, poses, unwritten)
                 if link is not None:
                     mount = MountCheck(frames_of(flown, flight_settings), link.attitude_at)
                     outputs.append(LinkWatch(link, firmware, mount, status.say))

@@ -64,6 +64,7 @@ def senders(
     room: Bundle | None,
     firmware: Firmware,
     settings: FlightSettings,
+    poses: Counter[str],
     unwritten: Counter[str],
 ) -> list[FlightOutput]:
     """The outputs that send to an autopilot, in their order.
@@ -73,6 +74,7 @@ def senders(
         folder: of a recording, where they are written; None writes none.
         map_, firmware, settings: of the flight.
         room: whose obstacles are sent; None in a place, where each room that is entered brings its own.
+        poses: counts those that are sent, and why others are not.
         unwritten: counts messages that were sent but not written, since the disk was too slow.
 
     Raises:
@@ -86,8 +88,8 @@ def senders(
     if folder is not None:
         path = folder / MESSAGES
         log = MessageLog(path) if sink is None else BackgroundMessageLog(path, sink, unwritten)
-        return [log, PoseSender(log, frames, firmware, settings, watch)]
-    return [] if sink is None else [PoseSender(sink, frames, firmware, settings, watch)]
+        return [log, PoseSender(log, frames, firmware, settings, watch, poses)]
+    return [] if sink is None else [PoseSender(sink, frames, firmware, settings, watch, poses)]
 
 
 def gravity_of(

@@ -116,6 +116,9 @@ class FlightSummary:
             (captured no later than the one before), ``without start`` (before the first marker).
         states: number of frames in each state.
         levels: number of frames at each level of the budget.
+        poses: of frames that are not *lost*, if there is an autopilot: ``sent``, or why they were not: ``old`` (older
+            than the limit when they were done), ``future``, ``unconfirmed`` (no frame had been vouched for yet),
+            ``without image`` (it was repeated or empty), ``not finite``.
         unwritten: what outputs did not write since the disk was too slow, by kind: ``mcap images``, ``mcap frames``,
             ``poses``, ``messages``.
         failures: of outputs, which took no more frames.
@@ -129,6 +132,7 @@ class FlightSummary:
     dropped: Counter[str] = field(default_factory=Counter)
     states: Counter[str] = field(default_factory=Counter)
     levels: Counter[Level] = field(default_factory=Counter)
+    poses: Counter[str] = field(default_factory=Counter)
     unwritten: Counter[str] = field(default_factory=Counter)
     failures: list[MonolocError] = field(default_factory=list)
     latencies_s: list[float] = field(default_factory=list)
@@ -177,6 +181,7 @@ class FlightSummary:
         return {
             "frames": self.frames,
             "dropped": dict(self.dropped),
+            "poses": dict(self.poses),
             "unwritten": dict(self.unwritten),
             "states": dict(self.states),
             "levels": level_counts(self.levels),

@@ -21,6 +21,8 @@ _OBSTACLES_HZ = 10.0
 _MOST_SPEED_M_S, _JUMP_M = 4.0, 0.2  # a pose that moved or turned farther than a vehicle can, has jumped
 _MOST_TURN_RAD_S, _JUMP_RAD = 3.0, 0.15
 _NO_IMAGE_S = 0.5
+# Without a pose that is young enough, after which that is said: PX4 stops using vision then.
+_LATE_S, _TOO_LATE = 0.4, "poses come too late"
 _TEXT_S = 1.0  # between texts on the same state: one that flickers must not fill the pilot's screen
 
 
@@ -41,6 +43,7 @@ class PoseSender:
         firmware: of the autopilot.
         settings: of the flight.
         watch: finds the obstacles; None sends none. In a place, each room that is entered brings its own.
+        poses: counts those of frames that are not *lost*: ``sent``, or why not.
     """
 
     def __init__(
@@ -50,9 +53,10 @@ class PoseSender:
         firmware: Firmware,
         settings: FlightSettings,
         watch: ObstacleWatch | None,
+        poses: Counter[str],
     ) -> None:
         self._sink, self._frames, self._firmware, self._settings = sink, frames, firmware, settings
-        self.counts: Counter[str] = Counter()
+        self._poses = poses
         self._reset_counter = 0
         self._jumped = self._is_confirmed = False
         self._sent: tuple[float, FloatArray] | None = None  # time of capture and T_ned_body of the last pose
@@ -60,10 +64,13 @@ class PoseSender:
         self._obstacles_s = float("-inf")
         self._said: tuple[str, float] = ("", float("-inf"))
         self._frame_s: float | None = None
+        self._in_time_s: float | None = None  # when a result was last young enough to be sent
 
     def take(self, result: FlightStep) -> None:
         self._frame_s = result.done_s
-        self._say_state(result)
+        if self._in_time_s is None or self._is_in_time(result):
+            self._in_time_s = result.done_s
+        self._say_state(result, result.done_s - self._in_time_s > _LATE_S)
         if result.in_place is not None and result.in_place.entered is not None:
             sends_obstacles = self._settings.obstacles and result.in_place.tells_obstacles
             self._watch = ObstacleWatch.entered(result.in_place.entered) if sends_obstacles else None
@@ -100,19 +107,21 @@ class PoseSender:
         """
         self._is_confirmed |= result.step.state in VOUCHED_FOR
         if not self._is_confirmed:
-            self.counts["unconfirmed"] += 1
+            self._poses["unconfirmed"] += 1
             return False
         if result.step.reasons & BLIND:
-            self.counts["without image"] += 1
+            self._poses["without image"] += 1
             return False
         if not pose.is_finite:
-            self.counts["not finite"] += 1
+            self._poses["not finite"] += 1
             return False
-        age_s = result.done_s - result.frame.captured_s
-        if not -MOST_AHEAD_S <= age_s <= self._settings.most_age_s:
-            self.counts["old" if age_s > 0.0 else "future"] += 1
+        if not self._is_in_time(result):
+            self._poses["old" if result.done_s > result.frame.captured_s else "future"] += 1
             return False
         return True
+
+    def _is_in_time(self, result: FlightStep) -> bool:
+        return -MOST_AHEAD_S <= result.done_s - result.frame.captured_s <= self._settings.most_age_s
 
     def _send_pose(self, result: FlightStep, pose: BodyPose) -> None:
         captured_s = result.frame.captured_s
@@ -131,7 +140,7 @@ class PoseSender:
             message = odometry(captured_s, pose, quality, self._reset_counter, self._firmware)
         else:
             message = vision_position_estimate(captured_s, pose, self._reset_counter)
-        self.counts["poses"] += 1
+        self._poses["sent"] += 1
         self._sink.send(message)
 
     def _send_obstacles(self, result: FlightStep) -> None:
@@ -144,15 +153,14 @@ class PoseSender:
             return
         self._obstacles_s = captured_s
         distances_cm = sector_distances_cm(around.distances_m)
-        self.counts["obstacles"] += 1
         self._sink.send(obstacle_distance(captured_s, distances_cm, LEAST_M, MOST_M))
 
-    def _say_state(self, result: FlightStep) -> None:
+    def _say_state(self, result: FlightStep, is_late: bool) -> None:
         step = result.step
-        why = in_words(step.reasons)
+        why = ", ".join(filter(None, [_TOO_LATE if is_late else "", in_words(step.reasons)]))
         where = "" if result.room is None else f" in {result.room}"
         text = f"monoloc: {step.state}{where}" + (f": {why}" if why else "")
-        self._say(text, step.state != "tracking", result.done_s)
+        self._say(text, is_late or step.state != "tracking", result.done_s)
 
     def _say(self, text: str, is_alarming: bool, now_s: float) -> None:
         """Say a state once, and no sooner than a second after the last."""

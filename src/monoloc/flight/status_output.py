@@ -97,11 +97,12 @@ class StatusOutput:
         rate_hz = (self._summary.frames - self._frames) / (now_s - self._printed_s)
         self._printed_s, self._frames = now_s, self._summary.frames
         x, y, z = result.step.estimate.pose[:3, 3]
+        old = self._summary.poses["old"]
         self.say(
             now_s,
             f"{_state_of(result)}, x {x:.2f} y {y:.2f} z {z:.2f} m, {rate_hz:.0f} Hz, "
             f"{1e3 * (now_s - result.frame.captured_s):.0f} ms after capture, "
-            f"{self._summary.dropped.total()} frames dropped",
+            f"{self._summary.dropped.total()} frames dropped" + (f", {old} poses too old to send" if old else ""),
         )
 
 

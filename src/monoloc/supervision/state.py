@@ -37,7 +37,7 @@ class Reason(Enum):
     NO_ODOMETRY = "no odometry"
     """Odometry did not follow the camera."""
     BELIEF_DOUBTFUL = "belief doubtful"
-    """Scans or landmarks speak against the belief, or nothing has confirmed it for too long."""
+    """Scans or landmarks speak against the belief, or nothing has confirmed it yet, or for too long."""
     POSITION_WIDE = "position wide"
     """The covariance allows for more than 30 cm."""
     FAR_FROM_BUILD = "far from the build"
@@ -77,6 +77,7 @@ class Supervision:
         camera_mismatch: whether landmarks fit another focal length.
         camera_turned: whether depth is predicted from an image that lies on its side, or upside down.
         camera_confirmed: whether the focal length is the build's, or landmarks have confirmed it.
+        start_confirmed: whether scans or landmarks have spoken for the belief since the start.
         changed_region: in view, in which the map no longer holds; None where there is none.
     """
 
@@ -90,6 +91,7 @@ class Supervision:
     camera_mismatch: bool
     camera_turned: bool
     camera_confirmed: bool
+    start_confirmed: bool
     changed_region: ChangedRegion | None
 
 
@@ -110,7 +112,7 @@ def _state(supervision: Supervision, previous: State) -> State:
     if supervision.mode is not Mode.TRACKING or far >= _LOST_ABOVE:
         return "lost"
     bound = _TRACKING_BELOW if previous in VOUCHED_FOR else _TRACKING_AGAIN_BELOW
-    doubtful = supervision.camera_mismatch or supervision.camera_turned
+    doubtful = supervision.camera_mismatch or supervision.camera_turned or not supervision.start_confirmed
     if doubtful or supervision.repeated_s > MOST_REPEATED_S or far >= bound:
         return "uncertain"
     return "tracking" if supervision.changed_region is None else "map-changed"
@@ -123,7 +125,7 @@ def _reasons(supervision: Supervision) -> frozenset[Reason]:
     holds = {
         Reason.SEARCHING: supervision.mode is Mode.SEARCHING,
         Reason.VERIFYING: supervision.mode is Mode.VERIFYING,
-        Reason.BELIEF_DOUBTFUL: is_far and wrong >= wide,
+        Reason.BELIEF_DOUBTFUL: not supervision.start_confirmed or (is_far and wrong >= wide),
         Reason.POSITION_WIDE: is_far and wide > wrong,
         Reason.NO_ODOMETRY: not supervision.odometry_tracked,
         Reason.FAR_FROM_BUILD: supervision.mode is Mode.TRACKING and not supervision.is_near_build,

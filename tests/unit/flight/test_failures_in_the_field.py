@@ -5,6 +5,8 @@ docs/how-to/mavlink.md lists all ten, and the tests of the others.
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 import pytest
 
@@ -29,7 +31,7 @@ def heading(yaw_deg: float) -> FloatArray:
 
 def sender(firmware: Firmware) -> tuple[PoseSender, Wire]:
     wire = Wire()
-    return PoseSender(wire, FRAMES, firmware, FlightSettings(), None), wire
+    return PoseSender(wire, FRAMES, firmware, FlightSettings(), None, Counter()), wire
 
 
 def test_a_message_for_one_firmware_would_vanish_in_the_other_so_the_firmware_is_asked_for() -> None:

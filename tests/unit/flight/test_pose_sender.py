@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -29,9 +30,12 @@ def at(x_m: float) -> FloatArray:
     return make_pose(R_WORLD_CAMERA, [x_m, 0.0, 1.0])
 
 
-def sender(firmware: Firmware = Firmware.PX4, **settings: object) -> tuple[PoseSender, Wire]:
+def sender(
+    firmware: Firmware = Firmware.PX4, poses: Counter[str] | None = None, **settings: object
+) -> tuple[PoseSender, Wire]:
     wire, flown = Wire(), FlightSettings.model_validate(settings)
-    return PoseSender(wire, FRAMES, firmware, flown, ObstacleWatch(ERROR, None) if flown.obstacles else None), wire
+    watch = ObstacleWatch(ERROR, None) if flown.obstacles else None
+    return PoseSender(wire, FRAMES, firmware, flown, watch, Counter() if poses is None else poses), wire
 
 
 def resets(wire: Wire) -> list[int]:
@@ -99,10 +103,11 @@ def test_reset_counter_goes_on_from_zero_after_255() -> None:
 
 def test_nothing_is_sent_of_a_start_that_nothing_has_confirmed() -> None:
     """After a restart in flight, the stated start is the place of the take-off."""
-    flight, wire = sender()
+    poses = Counter[str]()
+    flight, wire = sender(poses=poses)
     for index in range(5):
         flight.take(result_at(0.1 * index, step_at(at(0.0), "uncertain", frozenset({Reason.BELIEF_DOUBTFUL}), 0.1)))
-    assert wire.of("ODOMETRY") == wire.of("OBSTACLE_DISTANCE") == [] and flight.counts["unconfirmed"] == 5
+    assert wire.of("ODOMETRY") == wire.of("OBSTACLE_DISTANCE") == [] and poses == {"unconfirmed": 5}
     flight.take(result_at(1.0, step_at(at(2.0))))
     flight.take(result_at(1.1, step_at(at(2.0), "uncertain", frozenset({Reason.BELIEF_DOUBTFUL}), 0.1)))
     assert len(wire.of("ODOMETRY")) == 2
@@ -118,12 +123,26 @@ def test_two_programs_that_start_with_the_computer_begin_at_different_counts() -
 
 
 def test_stale_future_and_infinite_poses_are_not_sent_but_counted() -> None:
-    flight, wire = sender(most_age_s=0.2)
+    poses = Counter[str]()
+    flight, wire = sender(poses=poses, most_age_s=0.2)
     flight.take(result_at(1.0, step_at(at(0.0)), age_s=0.3))
     flight.take(result_at(1.1, step_at(at(0.0)), age_s=-0.1))
     flight.take(result_at(1.2, step_at(at(0.0), covariance=np.full((6, 6), np.nan))))
     assert wire.of("ODOMETRY") == [] and wire.of("OBSTACLE_DISTANCE") == []
-    assert flight.counts["old"] == flight.counts["future"] == flight.counts["not finite"] == 1
+    assert poses == {"old": 1, "future": 1, "not finite": 1}
+    flight.take(result_at(1.3, step_at(at(0.0))))
+    assert len(wire.of("ODOMETRY")) == poses["sent"] == 1
+
+
+def test_pilot_hears_that_poses_come_too_late() -> None:
+    """The state is *tracking*, and the autopilot gets nothing."""
+    flight, wire = sender(most_age_s=0.2)
+    ages_s = {**dict.fromkeys(range(2, 30), 0.3), 12: 0.1}  # a single pose in time changes nothing for long
+    for index in range(60):
+        flight.take(result_at(0.1 * index, step_at(at(0.0)), age_s=ages_s.get(index, 0.05)))
+    said = [(message.severity, message.text) for message in wire.of("STATUSTEXT")]
+    assert said[0] == (5, "monoloc: tracking") and said[1] == (4, "monoloc: tracking: poses come too late")
+    assert said[-1] == said[0] and len(said) <= 5
 
 
 def test_a_stamp_that_the_flight_takes_though_it_is_ahead_is_sent() -> None:
@@ -206,7 +225,9 @@ def test_obstacles_are_as_far_from_the_vehicle_as_the_belief_says(
     pose = invert(frames.T_ned_world) @ T_ned_body @ T_body_camera
     step = step_at(pose, depth_m=2.0)
     step = replace(step, estimate=replace(step.estimate, log_scale=log_scale))
-    PoseSender(wire, frames, Firmware.ARDUPILOT, settings, ObstacleWatch(ERROR, None)).take(result_at(1.0, step))
+    PoseSender(wire, frames, Firmware.ARDUPILOT, settings, ObstacleWatch(ERROR, None), Counter()).take(
+        result_at(1.0, step)
+    )
     (message,) = wire.of("OBSTACLE_DISTANCE")
     assert ArduPilot.obstacles(message)[0.0] == pytest.approx(expected_m, rel=0.03)
 

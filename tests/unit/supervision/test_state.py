@@ -25,6 +25,7 @@ def supervision_of(**given: Any) -> Supervision:
         "camera_mismatch": False,
         "camera_turned": False,
         "camera_confirmed": True,
+        "start_confirmed": True,
         "changed_region": None,
     }
     return Supervision(**(well | given))
@@ -65,7 +66,7 @@ def test_camera_that_is_searched_for_or_verified_is_lost(mode: Mode) -> None:
     assert classify_state(supervision_of(mode=mode), "tracking")[0] == "lost"
 
 
-@pytest.mark.parametrize("doubt", [{"repeated_s": 0.21}, {"camera_mismatch": True}])
+@pytest.mark.parametrize("doubt", [{"repeated_s": 0.21}, {"camera_mismatch": True}, {"start_confirmed": False}])
 def test_doubtful_images_and_intrinsics_are_at_best_uncertain(doubt: dict[str, Any]) -> None:
     assert classify_state(supervision_of(**doubt), "tracking")[0] == "uncertain"
     assert classify_state(supervision_of(probability_far=0.6, **doubt), "tracking")[0] == "lost"
