@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from copy import copy
 from dataclasses import replace
 from functools import partial
 
@@ -107,6 +108,7 @@ class Localizer:
         self._map_change = MapChangeMonitor(bundle.landmarks, bundle.integrity)
         self._state: State = "tracking"
         self._index, self._is_followed = 0, False
+        self._held: tuple[IntegrityMonitor, Mode] | None = None  # at the last image, while others repeat it
         # A start is where someone says that the camera is. What a search finds is evidence itself.
         can_be_confirmed = len(bundle.landmarks) > 0 or bundle.integrity.scans_can_confirm
         self._start_confirmed = start is None or not can_be_confirmed
@@ -172,7 +174,8 @@ class Localizer:
         self._state, reasons = classify_state(supervision, previous)
         self._index += 1
         self._is_followed = relocalization.mode is Mode.TRACKING and observation.odometry_tracked
-        if self._budget is not None:
+        is_usual = self._is_followed and not relocalization.awaits_landmarks and not self._tracker.fusion.restarted
+        if self._budget is not None and is_usual:  # no level leaves out a search
             # Their number changes after the weighing, so a step weighs as many as the one before left.
             self._budget.end(replace(plan, particles=len(relocalization.particles)))
         return Step(
@@ -205,11 +208,14 @@ class Localizer:
         # The motion of an image that is shown twice comes with the next one.
         is_awaited = observation.waits and observation.repeated_s <= MOST_REPEATED_S
         is_tracked = observation.odometry_tracked or is_awaited
-        self._integrity.predict(observation.elapsed_s, is_tracked, observation.image_is_new)
         if observation.waits:
             self._tracker.hold()
+            self._held = self._held or (copy(self._integrity), self._relocalization.mode)
         else:  # what was allowed for meanwhile is now known
             self._tracker.resume()
+            if self._held is not None:
+                (self._integrity, self._relocalization.mode), self._held = self._held, None
+        self._integrity.predict(observation.motion_s, is_tracked, observation.image_is_new)
         is_verifying = self._relocalization.mode is Mode.VERIFYING
         return self._tracker.predict(observation.motion, observation.motion_s, from_search=is_verifying)
 

@@ -24,6 +24,7 @@ from monoloc.map.mixture import GaussianMixture
 from monoloc.odometry.scale_tilt import ScaleTiltConfig
 from monoloc.particle_filter.estimate import estimate
 from monoloc.particle_filter.particles import Particles, normalised, scatter
+from monoloc.relocalization.state_machine import Mode
 from monoloc.start import Start
 from monoloc.step import Step
 from monoloc.step_budget import Level, StepBudget
@@ -315,6 +316,47 @@ def test_frames_without_their_turn_have_no_depth_and_make_the_belief_no_surer(
     assert all(variances[index] > variances[index - 1] for index in range(1, FRAMES, 2))
     errors_m = np.linalg.norm(poses_of(steps)[:, :3, 3] - recording.poses[:FRAMES, :3, 3], axis=1)
     assert errors_m[FRAMES // 2 :].max() < 0.1
+
+
+def test_depth_of_a_sensor_has_its_turn_too(
+    mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
+) -> None:
+    localizer = localizer_at_truth(mixture, recording, thresholds)
+    follow(localizer, recording, range(1))
+    steps = [
+        localizer.step(recording.color(index), FRAME_S, sparse_depth(recording, index), level=Level.IN_TURN)
+        for index in range(1, 5)
+    ]
+    assert [step.depth is None for step in steps] == [len(step.scan) == 0 for step in steps] == [True, False] * 2
+
+
+def test_stream_that_was_frozen_goes_on_where_it_stopped(
+    mixture: GaussianMixture, recording: RoomRecording, thresholds: LikelihoodThresholds
+) -> None:
+    """While the image repeats the camera may be anywhere; the next image shows that it is not."""
+    localizer = localizer_at_truth(mixture, recording, thresholds)
+    follow(localizer, recording, range(4))
+    frozen = [localizer.step(recording.color(3), 0.1, NO_DEPTH) for _ in range(40)]
+    assert frozen[0].state == "tracking" and frozen[-1].state == "lost"
+    resumed = localizer.step(recording.color(4), 0.1, sparse_depth(recording, 4))
+    assert resumed.state == "tracking"
+    assert np.linalg.norm(resumed.estimate.pose[:3, 3] - recording.poses[4][:3, 3]) < 0.05
+
+
+def test_time_of_a_search_does_not_choose_the_level(
+    mixture: GaussianMixture,
+    recording: RoomRecording,
+    thresholds: LikelihoodThresholds,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """No level leaves a search out, so its time would only make the flight after it worse."""
+    ended: list[int] = []
+    monkeypatch.setattr(StepBudget, "end", lambda self, plan: ended.append(plan.particles))
+    config = SETTINGS.model_copy(update={"budget_ms": 1000.0})
+    localizer = make_localizer(mixture, thresholds, None, recording.poses[:1], settings=config)
+    steps = [*follow(localizer, recording), *follow(localizer, recording, range(FRAMES - 1, -1, -1))]
+    counted = sum(step.mode is Mode.TRACKING and not step.restarted for step in steps)
+    assert {step.mode for step in steps} > {Mode.TRACKING} and len(ended) == counted
 
 
 def test_cost_of_weighing_counts_the_particles_that_were_weighed(

@@ -64,7 +64,8 @@ class BiasAugmentedFilter:
             believed before.
 
     Attributes:
-        restarted: whether the belief started anew at this frame, so that the pose may jump.
+        restarted: whether the belief started anew at this frame, so that the pose may jump. Of a belief that starts
+            anew at every frame, as without odometry, only the first counts.
         landmarks_contradict: whether this frame's landmark pose is beyond the gate of the belief before it.
         time_since_update_s: since odometry, particles or landmarks last constrained the pose.
     """
@@ -85,6 +86,7 @@ class BiasAugmentedFilter:
         self._state = BiasAugmentedState.from_start(start, self._prior_sds(start.pose))
         self._measured = start  # by the particles, last
         self._time_since_odometry_s = 0.0
+        self._follows_particles = False  # for want of odometry
         self._recent_motion = np.zeros(6)  # a twist in the camera's frame
         self._moved_m = math.inf  # pose distance since landmarks last moved the belief, as far as it is known
         self.time_since_update_s = 0.0
@@ -106,6 +108,7 @@ class BiasAugmentedFilter:
         self.restarted = self.landmarks_contradict = False
         is_tracked = tracks_translation(motion)
         self._time_since_odometry_s = 0.0 if is_tracked else self._time_since_odometry_s + elapsed_s
+        self._follows_particles &= not is_tracked
         delta = self._scaled(motion)
         moved = delta if is_tracked else invert(self._measured.pose) @ measured.pose
         step_m = float(pose_distance_m(np.eye(4), moved[None])[0])
@@ -130,6 +133,8 @@ class BiasAugmentedFilter:
             updated = self._from_particles(measured)
             if updated.estimate(measured.log_scale).position_is_unknown:
                 return self.belief
+            self.restarted = not self._follows_particles
+            self._follows_particles = True
         self._state = updated
         self.time_since_update_s = 0.0
         return self.belief

@@ -35,7 +35,7 @@ MOST_COUNTED_S = 0.25
 # The errors of neighbouring frames are correlated: so long lasts what counts as one observation, of landmarks and of
 # scans, whose depth errs alike for as long as the view is the same.
 _LANDMARK_S, _SCAN_S = 0.15, 1.0
-_FIRST_S = 0.05  # for which the first frame counts
+_FIRST_S = 0.05  # for which a first frame counts
 _UNSEEN_S = 1.0  # time for which landmarks stay unseen
 # Rates at which a belief becomes wrong, per second: with odometry, which a kidnap breaks; without, by motion as well.
 _WRONG_RATE, _WRONG_RATE_WITHOUT_ODOMETRY = 0.001, 0.3
@@ -260,7 +260,7 @@ class IntegrityMonitor:
             familiar: those of them that views near the belief found; None where no view is near.
         """
         likelihood = np.ones(4)
-        elapsed_s = max(self._elapsed_s, _FIRST_S)
+        elapsed_s = self._elapsed_s if self._elapsed_s > 0.0 else _FIRST_S
         if not math.isnan(mean_log_likelihood):
             right, wrong = self._model.scan.likelihoods(mean_log_likelihood)
             likelihood *= np.array([right, right, wrong, wrong]) ** min(1.0, elapsed_s / _SCAN_S)

@@ -22,7 +22,7 @@ from monoloc.supervision.integrity import MOST_COUNTED_S, IntegrityModel
 
 _CELL_M = 0.2  # edge of the cells of space; one is tested together with those that touch it
 _OBSERVATION_S = 0.5  # that counts as one observation, since errors of neighbouring frames are correlated
-_FIRST_S = 0.05  # for which the first frame counts
+_FIRST_S = 0.05  # for which a first frame counts
 # Evidence that one landmark gives, nats. It is bounded, since what hides a landmark hides it for long: only several
 # missing landmarks show a change.
 _LEAST_NATS, _MOST_NATS = -3.0, 1.0
@@ -105,7 +105,7 @@ class MapChangeMonitor:
         """
         if familiar is None or not self._tells_changes or probability_far >= _CERTAIN_BELOW:
             return None
-        elapsed_s = max(elapsed_s, _FIRST_S)
+        elapsed_s = elapsed_s if elapsed_s > 0.0 else _FIRST_S
         self._nats *= math.exp(-elapsed_s / _FORGOTTEN_S)
         in_view = self._cell_of[familiar.indices]
         added = self._evidence(in_view, familiar.is_found) * min(1.0, elapsed_s / _OBSERVATION_S)

@@ -193,10 +193,10 @@ def test_scan_speaks_for_the_pose_where_its_fit_is_as_probable_there_as_at_wrong
 
 
 def test_evidence_counts_by_time_and_not_by_frames() -> None:
-    """A camera of twice the rate gives no more independent observations."""
+    """A camera of ten times the rate gives no more independent observations."""
     fast, slow = make_monitor(), make_monitor()
-    for _ in range(4):
-        fast.predict(0.05, True, True)
+    for _ in range(20):
+        fast.predict(0.01, True, True)
         fast.update(FITS, SEEN)
     for _ in range(2):
         slow.predict(0.1, True, True)
