@@ -42,7 +42,6 @@ _WRONG_RATE, _WRONG_RATE_WITHOUT_ODOMETRY = 0.001, 0.3
 _WRONG_AT_BREAK = 0.1  # probability that the camera was displaced where odometry newly fails on an image
 _LEAST_RIGHT = 1e-4  # probability of a right belief, however long the evidence against it: it can be believed again
 _START_IS_WRONG, _LANDMARKS_ARE_WRONG = 0.02, 0.02  # probability of a given start, of a relocalisation by landmarks
-_CONFIRMING_RATIO = 2.0  # of a scan's probability at right poses to that at wrong ones, from which on it confirms
 # Probability of being misled where landmarks contradict a belief that was vouched for: landmarks that agree on one
 # pose may all belong to a thing that was moved.
 _MISLED_AT_CONTRADICTION, _VOUCHED_FOR_BELOW = 0.4, 0.05
@@ -142,9 +141,7 @@ class IntegrityModel(BaseModel):
     @property
     def scans_can_confirm(self) -> bool:
         """Whether there are fits that confirm a start."""
-        return any(
-            right >= _CONFIRMING_RATIO * wrong for right, wrong in zip(self.scan.right, self.scan.wrong, strict=True)
-        )
+        return any(right > wrong for right, wrong in zip(self.scan.right, self.scan.wrong, strict=True))
 
     @property
     def knows_familiar(self) -> bool:
@@ -219,9 +216,9 @@ class IntegrityMonitor:
         return right >= wrong
 
     def scan_confirms(self, mean_log_likelihood: float) -> bool:
-        """Whether a scan's fit is so much more probable at right poses that it alone confirms a start."""
+        """Whether a scan's fit is more probable at right poses than at wrong ones, and so confirms a start."""
         right, wrong = self._model.scan.likelihoods(mean_log_likelihood)
-        return right >= _CONFIRMING_RATIO * wrong
+        return right > wrong
 
     def predict(self, elapsed_s: float, odometry_tracked: bool, image_is_new: bool) -> None:
         """The probabilities after a motion.
