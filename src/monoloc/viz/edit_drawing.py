@@ -20,6 +20,7 @@ Projection = Callable[[FloatArray], FloatArray]
 
 _NAME_SIZE = np.array([0.14, 0.07])  # of a name, of what is drawn
 _ROW_POINTS = 13.0  # from one name to that above it
+_ROWS_ABOVE = 2.0  # that fit above a name, or it and others go below
 _STEPS = np.linspace(0.0, 1.0, 17)[:, None]  # of a line, a part of which may be out of view
 
 
@@ -42,9 +43,12 @@ def draw_edits(axis: Axes, edits: Sequence[DrawnEdit], project: Projection, with
             _draw_box(axis, edit.moved_to, BLUE, project)
             _draw_arrow(axis, project(_line(edit.place.centre, edit.moved_to.centre)))
     _draw_names(axis, edits, project)
-    if edits and with_content:
-        for colour, name in ((VERMILION, "went by an edit"), (BLUE, "came by an edit")):
-            axis.plot([], [], "s", color=colour, markersize=5.0, label=name)
+    if with_content:
+        went = any(len(edit.went) + len(edit.went_landmarks) for edit in edits)
+        came = any(len(edit.came) + len(edit.came_landmarks) for edit in edits)
+        for colour, name, occurs in ((VERMILION, "went by an edit", went), (BLUE, "came by an edit", came)):
+            if occurs:
+                axis.plot([], [], "s", color=colour, markersize=5.0, label=name)
 
 
 def _draw_content(axis: Axes, edit: DrawnEdit, project: Projection) -> None:
@@ -73,45 +77,61 @@ def _draw_arrow(axis: Axes, page: FloatArray) -> None:
 
 def _draw_names(axis: Axes, edits: Sequence[DrawnEdit], project: Projection) -> None:
     """Each on top of what is in view of its last box."""
-    up = -1.0 if axis.yaxis_inverted() else 1.0
-    tops = [(edit.name, _top(edit, project, up)) for edit in edits]
+    tops = [(edit.name, _top(axis, edit, project)) for edit in edits]
     draw_names(axis, [(name, top) for name, top in tops if top is not None])
 
 
 def draw_names(axis: Axes, names: Sequence[tuple[str, FloatArray]]) -> None:
-    """Draw names at places of a page, (2,), each above those that it would hide."""
-    size = np.abs(axis.dataLim.size) * _NAME_SIZE
+    """Draw names at places of a page, (2,), above those that each would hide, or below near the upper border."""
+    lower, upper = _limits(axis)
+    size = (upper - lower) * _NAME_SIZE
     up = -1.0 if axis.yaxis_inverted() else 1.0
+    border = upper[1] if up > 0.0 else lower[1]
     taken: list[FloatArray] = []
     for name, anchor in names:
-        rows, at = 0, anchor
-        while any((np.abs(at - other) < size).all() for other in taken) and rows < len(names):
+        is_below = up * (border - anchor[1]) < _ROWS_ABOVE * size[1]
+        step = np.array([0.0, -up * size[1] if is_below else up * size[1]])
+        rows = 0
+        while any((np.abs(anchor + rows * step - other) < size).all() for other in taken) and rows < len(names):
             rows += 1
-            at = anchor + np.array([0.0, up * rows * size[1]])
-        taken.append(at)
-        _draw_name(axis, name, anchor, rows)
+        taken.append(anchor + rows * step)
+        _draw_name(axis, name, anchor, rows, is_below)
 
 
-def _top(edit: DrawnEdit, project: Projection, up: float) -> FloatArray | None:
-    """Middle of the upper edge, (2,), of what is in view of an edit's last box; None if nothing is."""
-    boxes = [project(box.corners) for box in (edit.moved_to, edit.place) if box is not None]
-    in_view = [corners for box in boxes if len(corners := box[np.isfinite(box).all(axis=1)])]
-    return np.array([in_view[0][:, 0].mean(), up * (up * in_view[0][:, 1]).max()]) if in_view else None
+def _limits(axis: Axes) -> tuple[FloatArray, FloatArray]:
+    """Lower and upper limits of a page, (2,) each."""
+    both = np.sort([axis.get_xlim(), axis.get_ylim()], axis=1)
+    return both[:, 0], both[:, 1]
 
 
-def _draw_name(axis: Axes, name: str, anchor: FloatArray, rows: int) -> None:
-    """On white, so that it can be read over the map, so many rows above the anchor."""
+def _top(axis: Axes, edit: DrawnEdit, project: Projection) -> FloatArray | None:
+    """Middle of the upper edge, (2,), of what is on the page of an edit's last box; None if nothing is."""
+    lower, upper = _limits(axis)
+    for box in (edit.moved_to, edit.place):
+        corners = np.zeros((0, 2)) if box is None else project(box.corners)
+        corners = corners[np.isfinite(corners).all(axis=1)]
+        if len(corners) and np.all(corners.max(axis=0) > lower) and np.all(corners.min(axis=0) < upper):
+            seen = np.clip(corners, lower, upper)
+            highest = seen[:, 1].min() if axis.yaxis_inverted() else seen[:, 1].max()
+            return np.array([0.5 * (seen[:, 0].min() + seen[:, 0].max()), highest])
+    return None
+
+
+def _draw_name(axis: Axes, name: str, anchor: FloatArray, rows: int, is_below: bool) -> None:
+    """On white, so that it can be read over the map, so many rows from the anchor, with a line to it."""
+    offset = 3.0 + _ROW_POINTS * rows
     axis.annotate(
         name,
         (float(anchor[0]), float(anchor[1])),
-        xytext=(0.0, 3.0 + _ROW_POINTS * rows),
+        xytext=(0.0, -offset if is_below else offset),
         textcoords="offset points",
         ha="center",
-        va="bottom",
+        va="top" if is_below else "bottom",
         fontsize=9,
         fontweight="bold",
         color=INK,
         bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
+        arrowprops={"arrowstyle": "-", "color": INK, "linewidth": 0.8} if rows else None,
         annotation_clip=True,
         zorder=6,
     )

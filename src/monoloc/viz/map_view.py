@@ -77,6 +77,8 @@ def plot_from_above(path: str | Path, views: tuple[MapView, ...], T_level_world:
     size_in = 5.2 * float(np.clip((high - low)[1] / (high - low)[0], 0.5, 1.6))
     with picture(path, 6.6 if len(views) == 1 else 17.0, size_in + 1.2) as figure:
         axes = _panels(figure, 1 if len(views) == 1 else 3)
+        for axis in axes:
+            axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x (m)", ylabel="y (m)", aspect="equal")
         for axis, view, cloud in zip(axes, views, shown, strict=False):
             x, y, height = cloud[np.argsort(cloud[:, 2])].T
             dots = axis.scatter(x, y, 1.2, height, cmap=_CMAP, vmin=lowest, vmax=highest, **_DOTS)
@@ -88,8 +90,6 @@ def plot_from_above(path: str | Path, views: tuple[MapView, ...], T_level_world:
         if len(views) == 2:
             _draw_difference(axes[2], *shown)
             draw_edits(axes[2], _later_edits(*views), project, with_content=False)
-        for axis in axes:
-            axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x (m)", ylabel="y (m)", aspect="equal")
 
 
 def plot_from_pose(path: str | Path, views: tuple[MapView, ...], camera: Camera, T_world_camera: FloatArray) -> None:

@@ -69,6 +69,9 @@ def plot_update(
     size_in = 5.2 * float(np.clip((high - low)[1] / (high - low)[0], 0.5, 1.6))
     with picture(path, 17.0, size_in + 1.5) as figure:
         axes = figure.subplots(1, 3, squeeze=False)[0].tolist()
+        for axis in axes:
+            axis.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
+            axis.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
         for axis, view, cloud in zip((axes[0], axes[2]), (before, after), clouds, strict=True):
             axis.plot(*cloud.T, ".", color=GREY, markersize=0.6, alpha=0.3, rasterized=True)
             axis.plot(
@@ -87,6 +90,3 @@ def plot_update(
         axis.set_title(f"{len(changes)} proposals")
         if changes:
             axis.legend(**_BELOW)
-        for axis in axes:
-            axis.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
-            axis.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rerun as rr
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 
@@ -52,6 +54,23 @@ def test_names_of_edits_in_one_place_are_above_each_other(edits: tuple[DrawnEdit
     draw_edits(axis, (edits[1], edits[1], edits[1]), lambda points: points[:, :2])
     heights = sorted(text.xyann[1] for text in axis.texts if isinstance(text, Annotation) and text.get_text())
     assert len(heights) == 3 and np.all(np.diff(heights) > 10.0)
+
+
+@pytest.mark.parametrize("is_inverted", [True, False])
+def test_name_of_a_box_that_is_larger_than_the_page_is_on_the_page(
+    edits: tuple[DrawnEdit, ...], is_inverted: bool
+) -> None:
+    large = replace(edits[1], place=Box(np.zeros(3), np.full(3, 50.0), np.eye(3)))
+    figure = Figure()
+    FigureCanvasAgg(figure)
+    axis = figure.add_subplot()
+    axis.set(xlim=(-2.0, 2.0), ylim=(1.0, -1.0) if is_inverted else (-1.0, 1.0))
+    draw_edits(axis, (large, large, edits[1]), lambda points: points[:, :2])
+    figure.canvas.draw()
+    page = axis.get_window_extent()
+    names = [text.get_window_extent() for text in axis.texts if text.get_text()]
+    assert len(names) == 3
+    assert all(page.y0 <= name.y0 and name.y1 <= page.y1 for name in names)
 
 
 @pytest.mark.parametrize("is_from_above", [True, False])
