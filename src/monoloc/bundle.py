@@ -270,6 +270,17 @@ def read_bundle(path: str | Path, public_key: str | Path | None = None) -> Bundl
     )
 
 
+def check_bytes(path: Path) -> None:
+    """Check a bundle byte for byte, one file after another, without a look at what they mean.
+
+    Raises:
+        BundleError: not a bundle, cut short, edited, or of an unknown schema.
+    """
+    manifest = parse_manifest(manifest_content(path), path / MANIFEST)
+    for name in (*_CONTENTS, *((_EDITS,) if manifest.edits else ())):
+        _read_content(path / name, manifest)
+
+
 def _read_content(file: Path, manifest: Manifest) -> bytes:
     try:
         content = read_regular(file)

@@ -17,7 +17,7 @@ from mcap_ros2.decoder import DecoderFactory
 from pymavlink import mavutil
 
 from cli_helpers import json_of, refused
-from monoloc.bundle_manifest import PLACE_MANIFEST, manifest_content
+from monoloc.bundle_manifest import NETWORK, PLACE_MANIFEST, manifest_content
 from monoloc.bundle_signature import SIGNATURE, make_keys, signature_of
 from monoloc.cli.main import invoke
 from monoloc.flight.flight_settings import Mount
@@ -229,3 +229,8 @@ def test_a_place_and_every_bundle_of_it_must_be_signed(capfd: Capture, here: Pat
     manifest = here / "house.place" / PLACE_MANIFEST
     manifest.write_text(manifest.read_text().replace('"radius_m": 1.0', '"radius_m": 2.0'))
     refused(capfd, here, (*read[2], *key), "house.place", "was changed", "copy it again")
+    network = right / NETWORK
+    network.write_bytes(network.read_bytes() + b"x")  # its manifest, and so its signature, are as they were
+    verify = ("signature", "verify", "house.place", "--key", "team.pub")
+    for command in (*((*command, *key) for command in read), read[2], verify):
+        refused(capfd, here, command, str(network), "is not what was written", "copy the bundle again")

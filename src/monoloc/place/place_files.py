@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.array_files import decode_arrays, encode_arrays
-from monoloc.bundle import Bundle, digest_of, read_bundle
+from monoloc.bundle import Bundle, check_bytes, digest_of, read_bundle
 from monoloc.bundle_manifest import PLACE_INDEX, PLACE_MANIFEST, container_of, manifest_content
 from monoloc.bundle_signature import SIGNATURE, check_signature
 from monoloc.errors import BundleError, DataError, SettingError
@@ -208,13 +208,15 @@ def write_place(place: Place) -> int:
 def read_place(path: str | Path, public_key: Path | None = None, *, is_edited: bool = False) -> Place:
     """Read a place, and check that its bundles are there, unchanged and signed, and that the place is signed.
 
+    Every byte of the bundles is checked, so that a flight does not begin in a place with a damaged room.
+
     Args:
         path: of the place.
         public_key: of who must have signed every bundle and the place; None takes those of anybody.
         is_edited: whether the place is read to be changed, so that only its bundles must be signed.
 
     Raises:
-        BundleError: a bundle is missing or changed, or a bundle or the place is not signed with the key.
+        BundleError: a bundle is missing, damaged or changed, or a bundle or the place is not signed with the key.
         DataError: not a place, damaged, or of an unknown schema, or the key is none.
         MissingExtraError: as :func:`monoloc.bundle_signature.check_signature`, with a key only.
     """
@@ -222,16 +224,16 @@ def read_place(path: str | Path, public_key: Path | None = None, *, is_edited: b
     content = place_content(path)
     manifest = parse_place(content, path / PLACE_MANIFEST)
     for room in manifest.rooms:
-        _checked_bundle(path, room, public_key)
+        check_bytes(_checked_bundle(path, room, public_key))
     if public_key is not None and not is_edited:
         check_signature(path, content, public_key)
     return Place(path, manifest, _read_index(path / PLACE_INDEX, manifest), public_key)
 
 
 def _checked_bundle(path: Path, room: RoomEntry, public_key: Path | None) -> Path:
-    """Where a room's bundle lies, which is there, unchanged, and signed if there is a key.
+    """Where a room's bundle lies, whose manifest is there, unchanged, and signed if there is a key.
 
-    The place itself need not be written yet.
+    Its other files are not looked at. The place itself need not be written yet.
     """
     bundle = Path(os.path.normpath(target_of(path) / room.bundle))
     try:

@@ -138,6 +138,16 @@ def test_bundles_that_are_gone_or_changed_are_refused(here: Path) -> None:
     refuses_data(lambda: read_place(place.path), bundle, "the bundle of room kitchen is missing", "put it back")
 
 
+@pytest.mark.parametrize("file", ["map.npz", "landmarks.npz", "depth.onnx"])
+def test_a_bundle_with_a_damaged_file_is_refused(here: Path, file: str) -> None:
+    """Though its manifest, which the place knows it by, is the same."""
+    place = a_place(here)
+    write_place(place)
+    damaged = here / "kitchen.monoloc" / file
+    damaged.write_bytes(damaged.read_bytes() + b"x")
+    refuses_data(lambda: read_place(place.path), damaged, "is not what was written", "copy the bundle again")
+
+
 def test_an_index_that_is_not_what_was_written_is_refused(here: Path) -> None:
     place = a_place(here)
     write_place(place)
