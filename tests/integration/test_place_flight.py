@@ -155,6 +155,19 @@ def test_what_makes_no_sense_in_a_place_is_refused(
     refused(capfd, here, arguments, names, problem, fix)
 
 
+def test_a_flight_that_does_not_begin_for_a_damaged_room_leaves_no_trace(capfd: Capture, here: Path) -> None:
+    """Files of earlier flights stay, whichever room it is; no folder or file is begun."""
+    written = ("--out", "poses.csv", "--mcap", "a.mcap", "--record", "log-2")
+    localize = ("place", "localize", "house.place", "walk", "--out", "poses.csv")
+    for room in (LEFT, RIGHT):
+        file = here / f"{room}.monoloc" / "landmarks.npz"
+        whole = file.read_bytes()
+        file.write_bytes(whole[:-1])
+        for command in ((*FLY, "--fast", *written), localize):
+            refused(capfd, here, command, str(file), "is not what was written", "copy the bundle again")
+        file.write_bytes(whole)
+
+
 def test_the_ros_node_goes_through_a_door_in_one_frame(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its poses are in the world of the first room, which is ``room``; the state names the room."""
     stage = Stage(monkeypatch, RoomRecording(Room(), POSES), here / "flight.toml")
