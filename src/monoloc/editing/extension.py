@@ -102,14 +102,19 @@ def _checked(bundle: Bundle, recording: Recording) -> tuple[Recording, dict[str,
     whole = KeptDepth(recording)
     if warnings := check_recording(whole, None, BuildConfig(), if_poor="look at them: monoloc check"):
         remarks["warnings"] = warnings
-    frames = bundle.provenance.frames.items()
-    known_frames = {checksum for name, checksum in frames if not name.startswith(TAUGHT_BY_FLIGHT)}
+    known_frames = _mapped_frames(bundle)
     new = [index for index in range(len(whole)) if fingerprint(whole.color(index)) not in known_frames]
     if not new:
         raise DataError(recording.name, "holds only frames that the map was made of", "extend by others: --frames")
     if len(new) < len(whole):
         remarks["frames_left_out"] = len(whole) - len(new)
     return Selection(whole, new), remarks
+
+
+def _mapped_frames(bundle: Bundle) -> set[int]:
+    """Checksums of the frames that a map was made of, without those that only taught an update."""
+    frames = bundle.provenance.frames.items()
+    return {checksum for name, checksum in frames if not name.startswith(TAUGHT_BY_FLIGHT)}
 
 
 def merge(bundle: Bundle, other: Bundle, name: str, parameters: dict[str, Any], rng: np.random.Generator) -> Bundle:
@@ -119,8 +124,11 @@ def merge(bundle: Bundle, other: Bundle, name: str, parameters: dict[str, Any], 
         name: of the other bundle, for messages.
 
     Raises:
-        DataError: it is not found in the room, see :func:`monoloc.editing.alignment.align_bundle`.
+        DataError: the map was made of all of its frames, as after an earlier merge; or it is not found in the room,
+            see :func:`monoloc.editing.alignment.align_bundle`.
     """
+    if _mapped_frames(other) <= _mapped_frames(bundle):
+        raise DataError(name, "holds only frames that the map was made of", "merge a bundle of another recording")
     alignment = align_bundle(bundle, other, name, rng)
     T_world_other = alignment.T_world_other
     paired = PairedMap.of(bundle)

@@ -104,6 +104,8 @@ def test_extend_and_merge(here: Path, capfd: pytest.CaptureFixture[str]) -> None
     merged = json_of(capfd, "map", "edit", "a.monoloc", "merge", "b.monoloc", "--out", "both.monoloc")
     assert merged["kind"] == "merge" and merged["changes"]["overlap"] > 0.3
     assert len(read_bundle(here / "both.monoloc").reference_poses) == 28
+    again = ("map", "edit", "both.monoloc", "merge", "b.monoloc")
+    refused(capfd, here, again, "b.monoloc", "holds only frames that the map was made of", "another recording")
     lines = {
         ("extend", "flight", "--frames", "::2"): ("flight", "holds only frames that the map was made of", "--frames"),
         ("extend", "flight", "--align"): ("flight", "is not found in the room", "looked"),

@@ -26,7 +26,7 @@ from edit_helpers import (
 )
 from monoloc.bundle import Bundle
 from monoloc.editing.alignment import known
-from monoloc.editing.extension import extend, merge
+from monoloc.editing.extension import TAUGHT_BY_FLIGHT, extend, merge, with_frames
 from monoloc.editing.undo import undone
 from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_exp, transform
 from monoloc.io.recording import Recording, Selection
@@ -271,10 +271,28 @@ def test_bundle_in_another_world_is_merged(tmp_path: Path) -> None:
     assert digest_without_last_edit(edited, tmp_path) == digest(room, tmp_path)
 
 
+def test_bundle_whose_frames_the_map_was_made_of_is_not_merged() -> None:
+    """After a first merge, or because it was built from a part of the same recording."""
+    room, other = bundle_of_walk("A"), moved_bundle(bundle_of_walk("B"), OTHER)
+    edited = merge(room, other, "b.monoloc", {}, rng())
+    for again in (other, room):
+        refuses_data(
+            lambda again=again: merge(edited, again, "again.monoloc", {}, rng()),
+            "again.monoloc",
+            "holds only frames that the map was made of",
+            "another recording",
+        )
+    assert len(merge(undone(edited), other, "b.monoloc", {}, rng()).provenance.frames) == 28
+    # What only taught an update gave the map no surfaces.
+    taught = {f"{TAUGHT_BY_FLIGHT}{frame}": checksum for frame, checksum in other.provenance.frames.items()}
+    provenance = with_frames(room.provenance, room.provenance.recording, taught)
+    assert merge(replace(room, provenance=provenance), other, "b.monoloc", {}, rng()).edits
+
+
 @pytest.mark.parametrize("has_landmarks", [True, False])
 def test_bundle_of_another_room_is_not_merged(has_landmarks: bool) -> None:
     room = bundle_of_walk("A")
     descriptors = rng().integers(0, 256, (len(room.landmarks), 32)).astype(np.uint8)
     strange = replace(room.landmarks, descriptors=descriptors) if has_landmarks else Landmarks.none()
-    other = replace(room, landmarks=strange)
+    other = replace(built_from_others(room), landmarks=strange)
     refuses_data(lambda: merge(room, other, "b.monoloc", {}, rng()), "b.monoloc", "does not overlap", "common part")
