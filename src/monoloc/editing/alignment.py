@@ -54,13 +54,13 @@ class Alignment:
 
     Attributes:
         T_world_other: (4, 4).
-        landmarks: frames, or pairs of landmarks, that agree.
+        agreeing: how many frames of a recording, or landmarks of a bundle, agree.
         apart_m: pose distance between the placements by landmarks and by surfaces, at the middle of the surfaces.
         overlap: share of the other's surfaces that the map knows.
     """
 
     T_world_other: FloatArray
-    landmarks: int
+    agreeing: int
     apart_m: float
     overlap: float
 

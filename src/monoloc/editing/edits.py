@@ -42,11 +42,6 @@ class Change:
     gone: FloatArray
     new: FloatArray
 
-    @classmethod
-    def none(cls) -> Change:
-        """Nothing that stood in a view; the map has only grown."""
-        return cls(np.zeros((0, 3)), np.zeros((0, 3)))
-
 
 def remove(bundle: Bundle, box: Box, parameters: dict[str, Any], rng: np.random.Generator) -> Bundle:
     """Take away what lies in a box.
@@ -135,23 +130,25 @@ def finish(
     edited: Bundle,
     kind: EditKind,
     parameters: dict[str, Any],
-    change: Change,
+    change: Change | None,
     rng: np.random.Generator,
     **measured: Any,
 ) -> Bundle:
     """Let views and biases follow a change of surfaces, and add the edit to the bundle's list.
 
     Args:
+        change: None where the map has only grown, so that views and biases stay.
         measured: further entries of the record's changes.
     """
-    edited = _views_follow(edited, change)
-    shares = _changed_shares(before, change, rng)
-    edited = replace(edited, reference_poses=_biases_follow(edited.reference_poses, shares))
+    if change is not None:
+        edited = _views_follow(edited, change)
+        shares = _changed_shares(before, change, rng)
+        edited = replace(edited, reference_poses=_biases_follow(edited.reference_poses, shares))
+        measured = {"largest_share_of_a_view": round(float(shares.max(initial=0.0)), 3), **measured}
     changes = {
         "components": [len(before.original), len(edited.original)],
         "landmarks": [len(before.landmarks), len(edited.landmarks)],
         "reference_poses": [len(before.reference_poses), len(edited.reference_poses)],
-        "largest_share_of_a_view": round(float(shares.max(initial=0.0)), 3),
         **measured,
     }
     now = datetime.now(UTC).isoformat(timespec="seconds")

@@ -20,7 +20,7 @@ from monoloc.builder.frame_choice import spread_stretches
 from monoloc.builder.kept_depth import KeptDepth
 from monoloc.bundle import Bundle, Provenance, fingerprint
 from monoloc.editing.alignment import Alignment, align_bundle, align_recording, known
-from monoloc.editing.edits import Change, finish
+from monoloc.editing.edits import finish
 from monoloc.editing.joined_landmarks import joined, with_recording
 from monoloc.editing.paired_map import PairedMap, cloud_of
 from monoloc.editing.world_check import check_same_world
@@ -63,7 +63,7 @@ def extend(
     if is_aligned:
         alignment = align_recording(bundle, recording, cloud, rng)
         T_world_other = alignment.T_world_other
-        measured |= _described(alignment)
+        measured |= {"agreeing_frames": alignment.agreeing, **_described(alignment)}
     else:
         check = check_same_world(bundle, recording)
         measured["frames_confirmed_by_landmarks"] = check.confirmed
@@ -86,7 +86,7 @@ def extend(
         edited = _with_bias_of(edited, recording, poses)
         measured["bias_sd_m"] = round(edited.settings.particle_bias.sd_at_reference_m, 4)
     measured |= {"unknown_points": len(unknown), "points": len(cloud)}
-    return finish(bundle, edited, "extend", parameters, Change.none(), rng, **measured)
+    return finish(bundle, edited, "extend", parameters, None, rng, **measured)
 
 
 def _checked(bundle: Bundle, recording: Recording) -> tuple[Recording, dict[str, Any]]:
@@ -156,8 +156,9 @@ def merge(bundle: Bundle, other: Bundle, name: str, parameters: dict[str, Any], 
             lost=min(bundle.thresholds.lost, other.thresholds.lost),
         ),
     )
-    measured = {**_described(alignment), "same_network": is_same_network, "new_components": len(new)}
-    return finish(bundle, edited, "merge", parameters, Change.none(), rng, **measured)
+    measured: dict[str, Any] = {"agreeing_landmarks": alignment.agreeing, **_described(alignment)}
+    measured |= {"same_network": is_same_network, "new_components": len(new)}
+    return finish(bundle, edited, "merge", parameters, None, rng, **measured)
 
 
 class _KnownRegion:
@@ -176,7 +177,6 @@ class _KnownRegion:
 def _described(alignment: Alignment) -> dict[str, Any]:
     return {
         "T_world_other": alignment.T_world_other.round(6).tolist(),
-        "agreeing_landmarks": alignment.landmarks,
         "landmarks_to_surfaces": round(alignment.apart_m, 4),
         "overlap": round(alignment.overlap, 3),
     }
