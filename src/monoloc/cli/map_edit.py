@@ -52,7 +52,9 @@ class _BundleFirst(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         first = str(ctx.params["bundle"])
         if args and first in self.commands and args[0] not in self.commands:
-            command = shlex.join(["monoloc", "map", "edit", args[0], first, *args[1:]])
+            # An option, such as --help, is no bundle.
+            bundle, others = ("BUNDLE", args) if args[0].startswith("-") else (args[0], args[1:])
+            command = shlex.join(["monoloc", "map", "edit", bundle, first, *others])
             raise SettingError("BUNDLE", f"comes before {first}", f"write: {command}")
         return super().resolve_command(ctx, args)
 

@@ -169,6 +169,9 @@ def test_bundle_comes_before_what_to_do(here: Path, capfd: pytest.CaptureFixture
     arguments = ("map", "edit", "merge", "room.monoloc", "my desk.monoloc", "--out", "both.monoloc")
     command = "write: monoloc map edit room.monoloc merge 'my desk.monoloc' --out both.monoloc"
     refused(capfd, here, arguments, "BUNDLE", "comes before merge", command)
+    for options in (("--help",), ("--box", BOX, "--by", "1,0,0")):
+        command = " ".join(("write: monoloc map edit BUNDLE move", *options))
+        refused(capfd, here, ("map", "edit", "move", *options), "BUNDLE", "comes before move", command)
 
 
 @pytest.mark.parametrize("name", REFUSED)
