@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import asdict
 from json import loads
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import typer
 
 from monoloc.bundle import read_bundle
+from monoloc.bundle_manifest import PLACE_MANIFEST
 from monoloc.bundle_signature import SIGNATURE
 from monoloc.camera import Camera
 from monoloc.cli.common import (
@@ -23,7 +25,7 @@ from monoloc.cli.common import (
     refuse_frames,
     text_of,
 )
-from monoloc.errors import SettingError
+from monoloc.errors import DataError, SettingError
 from monoloc.evaluation.trajectory import twist_errors
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.io.recording import Selection
@@ -56,6 +58,9 @@ def inspect(
       monoloc inspect 7scenes:redkitchen --json
       monoloc inspect flight.mp4 --camera 640,480,525,525,319.5,239.5
     """
+    if (Path(target) / PLACE_MANIFEST).is_file():
+        fix = f"describe it by: monoloc place info {shlex.quote(target)}"
+        raise DataError(target, "is a place of several rooms", fix, "how-to/many-rooms")
     if (Path(target) / "manifest.json").is_file():
         refuse_frames(frames, "a bundle")
         if intrinsics is not None:

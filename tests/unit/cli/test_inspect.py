@@ -11,6 +11,7 @@ import pytest
 import synthetic_recordings as synthetic
 from cli_helpers import json_of, refused, succeeds
 from monoloc.bundle import read_bundle, write_bundle
+from monoloc.bundle_manifest import PLACE_MANIFEST
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.supervision.integrity import Classes, IntegrityModel
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
@@ -87,3 +88,10 @@ def test_bundle_says_what_tells_right_from_wrong_beliefs(capfd: pytest.CaptureFi
 def test_missing_file_is_named(capfd: pytest.CaptureFixture[str], here: Path) -> None:
     (here / "flight/color/000020.jpg").unlink()
     refused(capfd, here, ("inspect", "flight"), "flight/color/000020.jpg", "is missing", "restore it")
+
+
+def test_place_is_left_to_its_own_command(capfd: pytest.CaptureFixture[str], here: Path) -> None:
+    (here / "house.place").mkdir()
+    (here / "house.place" / PLACE_MANIFEST).write_text("{}")
+    fix = "monoloc place info house.place"
+    refused(capfd, here, ("inspect", "house.place"), "house.place", "is a place of several rooms", fix)
