@@ -182,6 +182,9 @@ def add_command(
 ) -> None:
     """Add a cloud: one in the bundle's world, or an object's with a place.
 
+    The axes of an object's cloud are those of the map's world, which need not be upright: "down" of monoloc inspect
+    is the direction of gravity in them.
+
     \b
     Examples:
       monoloc map edit kitchen.monoloc add new-shelf.ply

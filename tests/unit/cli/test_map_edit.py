@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +69,26 @@ def test_turned_object_is_at_its_place(here: Path, capfd: pytest.CaptureFixture[
     room, edited = mapped_room(), read_bundle(here / "room.monoloc")
     new = edited.original.means[len(room.original) :]
     assert np.abs(new.mean(axis=0) - [1.2, 0.7, 0.0]).max() < 0.1
+
+
+def test_help_says_which_axes_the_cloud_of_an_object_has(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    text = " ".join(succeeds(capfd, *EDIT, "add", "--help").split())
+    assert "axes of an object's cloud are those of the map's world, which need not be upright" in text
+    assert '"down" of monoloc inspect' in text and "down" in json_of(capfd, "inspect", "room.monoloc")
+
+
+def test_object_has_the_axes_of_the_world(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Also where the world does not stand upright, and the object is turned about the vertical."""
+    room = mapped_room()
+    tilted = room.provenance.model_copy(update={"down_world": (0.0, 0.8, 0.6), "knows_down": True})
+    write_bundle(here / "room.monoloc", replace(room, provenance=tilted))
+    pole = np.zeros((400, 3))
+    pole[:, 2] = np.linspace(-0.8, 0.8, 400)
+    np.savez(here / "pole.npz", points=pole)
+    for turn, axis in ((0.0, [0.0, 0.0, 1.0]), (180.0, [0.0, 0.96, -0.28])):
+        json_of(capfd, *EDIT, "add", "pole.npz", "--turn", str(turn), "--out", "with-pole.monoloc")
+        new = read_bundle(here / "with-pole.monoloc").original.covariances[len(room.original) :]
+        assert abs(np.linalg.eigh(new.mean(axis=0))[1][:, -1] @ axis) > 0.99
 
 
 def test_region_of_a_run_is_removed(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
