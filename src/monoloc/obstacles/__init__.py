@@ -5,11 +5,15 @@ build measured (:class:`~monoloc.obstacles.depth_error.DepthError`), and only in
 
     frames = AutopilotFrames(mount.T_body_camera, bundle.down, 0.0)
     watch = ObstacleWatch.of(bundle)
+    free_m, known_s = 0.0, 0.0  # nothing is known yet
     ...
     step = localizer.step(color, elapsed_s)
     around = watch.update(captured_s, step, frames.T_level_camera(step.estimate))
-    if around.free_ahead(0.3).least_m < stopping_distance_m:
-        ...
+    if around is not None:  # None where the step left out depth, to keep its budget
+        free_m, known_s = around.free_ahead(0.3).least_m, captured_s
+    is_old = captured_s - known_s > 0.3
+    if step.state not in ("tracking", "map-changed") or is_old or free_m < stopping_distance_m:
+        brake()
 """
 
 from monoloc.obstacles.depth_error import DepthError, tells_obstacles

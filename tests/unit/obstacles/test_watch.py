@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import re
+import textwrap
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from mavlink_helpers import step_at
+from monoloc import obstacles
 from monoloc.bundle import Bundle
 from monoloc.flight.flight_settings import Mount
 from monoloc.geometry import make_pose
+from monoloc.mavlink.autopilot_frames import AutopilotFrames
 from monoloc.obstacles import DepthError, Knowledge, ObstacleWatch
+from monoloc.obstacles.local_occupancy import FreeSpace
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture
 
 LEVEL = Mount().T_body_camera
@@ -39,6 +47,30 @@ def test_a_room_that_was_entered_in_flight_brings_its_map_two_seconds_later(bund
     watch, step = ObstacleWatch.entered(bundle), step_at(POSE, depth_m=4.5)
     kinds = [isinstance(watch.update(time_s, step, LEVEL), Knowledge) for time_s in (1.0, 2.9, 3.0, 3.1)]
     assert kinds == [False, False, True, True]
+
+
+def test_code_in_the_docstring_brakes_where_steps_leave_out_depth_for_long(bundle: Bundle) -> None:
+    """And not for a single step that leaves it out, to keep its budget."""
+    code = textwrap.dedent(re.findall(r"(?:    .*\n)+", obstacles.__doc__ or "")[-1])
+    begin, each_frame = code.split("...\n", 1)
+    braked: list[float] = []
+    names: dict[str, Any] = {
+        "AutopilotFrames": AutopilotFrames,
+        "ObstacleWatch": ObstacleWatch,
+        "bundle": bundle,
+        "mount": Mount(),
+    }
+    exec(begin, names)
+    for time_s, free_m in ((1.0, None), (1.1, 2.0), (1.2, None), (1.3, 0.5), (2.0, 2.0), (2.2, None), (2.4, None)):
+        seen = None if free_m is None else SimpleNamespace(free_ahead=lambda _, free_m=free_m: FreeSpace(free_m, 0.0))
+        names |= {
+            "localizer": SimpleNamespace(step=lambda *_: step_at(POSE)),
+            "watch": SimpleNamespace(update=lambda *_, seen=seen: seen),
+            "brake": lambda time_s=time_s: braked.append(time_s),
+        }
+        names |= {"color": None, "elapsed_s": 0.1, "captured_s": time_s, "stopping_distance_m": 1.0}
+        exec(each_frame, names)
+    assert braked == [1.0, 1.3, 2.4]
 
 
 @pytest.mark.parametrize("jump", ["restarted", "lost", "cleared", "none"])
