@@ -127,7 +127,8 @@ def merge(bundle: Bundle, other: Bundle, name: str, parameters: dict[str, Any], 
         DataError: the map was made of all of its frames, as after an earlier merge; or it is not found in the room,
             see :func:`monoloc.editing.alignment.align_bundle`.
     """
-    if _mapped_frames(other) <= _mapped_frames(bundle):
+    others = _mapped_frames(other)
+    if others and others <= _mapped_frames(bundle):
         raise DataError(name, "holds only frames that the map was made of", "merge a bundle of another recording")
     alignment = align_bundle(bundle, other, name, rng)
     T_world_other = alignment.T_world_other
