@@ -349,13 +349,18 @@ def _report(
     )
 
 
+def _cure(config: BuildConfig) -> str:
+    """What makes the network's depth better than this build did."""
+    if config.adapt.tune == "none":
+        return "Tune its network, or build from more of the room"
+    return "Record more of the room" if config.adapt.steps is None else "Build without --quick"
+
+
 def _bundle_warnings(bundle: Bundle, config: BuildConfig, depth_absrel: float | None) -> list[str]:
     warnings = []
     if depth_absrel is not None and depth_absrel > _USUAL_ABSREL:
         problem = f"depth is wrong by {depth_absrel:.0%} on held-out frames; with more than {_USUAL_ABSREL:.0%}"
-        is_tuned = config.adapt.tune != "none" and config.adapt.steps is None
-        fix = "Record more of the room" if is_tuned else "Tune it without --quick, or build from more of the room"
-        warnings.append(f"{problem} a flight leans on landmarks. {fix}")
+        warnings.append(f"{problem} a flight leans on landmarks. {_cure(config)}")
     if bundle.down is None:
         problem = "floor and walls do not tell the direction of gravity"
         warnings.append(f"{problem}: poses for an autopilot need down = [x, y, z] in flight.toml")

@@ -31,6 +31,8 @@ from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.recording import Recording, Selection, StoredRecording
 from monoloc.io.upright import upright
 
+_DEVICE = re.compile(r"(?:/dev/video)?(\d+)")  # of a camera, as other programs name it
+
 
 @dataclass(frozen=True)
 class Format:
@@ -84,8 +86,11 @@ def open_recording(source: str, options: ReaderOptions | None = None) -> StoredR
         if name not in FORMATS:
             raise SettingError("SOURCE", f"unknown format {name!r}", f"known formats: {', '.join(FORMATS)}")
         return upright(FORMATS[name].read(path, options))
-    if not path.exists():
-        raise DataError(path.absolute(), "does not exist", "check the path, or write FORMAT:PATH")
+    if not path.exists() or path.is_char_device():
+        device = _DEVICE.fullmatch(source)
+        fix = f"fly by it: camera:{device[1]}" if device else "check the path, or write FORMAT:PATH"
+        problem = "is a device, not a recording" if path.exists() else "does not exist"
+        raise DataError(path.absolute(), problem, fix)
     for known in FORMATS.values():
         if known.recognises(path):
             return upright(known.read(path, options))

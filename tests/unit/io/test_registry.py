@@ -56,6 +56,16 @@ def test_missing_path_is_named_from_the_root(tmp_path: Path, monkeypatch: pytest
     refuses_data(lambda: open_recording(f"{name}no"), tmp_path / "no", "does not exist|is missing", "")
 
 
+@pytest.mark.parametrize(
+    ("source", "fix"), [("0", "camera:0"), ("/dev/video7", "camera:7"), ("/dev/null", "FORMAT:")]
+)
+def test_camera_named_as_elsewhere_is_told_its_name_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, source: str, fix: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    refuses_data(lambda: open_recording(source), Path(source).absolute(), "(does not exist|is a device)", fix)
+
+
 def test_file_where_a_folder_is_meant_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "rgb.txt"
     file.write_text("")
