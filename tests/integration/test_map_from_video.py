@@ -9,6 +9,8 @@ import pytest
 
 from cli_helpers import QUICK, json_of
 from monoloc.io.camera_file import read_camera
+from monoloc.structure_from_motion import reconstruction
+from monoloc.structure_from_motion.levelling import levelled
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 
 
@@ -23,7 +25,11 @@ def _walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     writer.release()
 
 
-def test_video_is_reconstructed_checked_and_built_from(capfd: pytest.CaptureFixture[str]) -> None:
+def test_video_is_reconstructed_checked_and_built_from(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The small room's surfaces leave the vertical open.
+    monkeypatch.setattr(reconstruction, "levelled", lambda *given: (levelled(*given)[0], True))
     outputs = ("--out", "walk", "--camera-out", "cam.toml", "--plot", "walk.png")
     found = json_of(capfd, "reconstruct", "walk.avi", *outputs)
     assert found["frames"] >= 9 and found["scale_by"].startswith("predicted depth of ")
@@ -34,7 +40,9 @@ def test_video_is_reconstructed_checked_and_built_from(capfd: pytest.CaptureFixt
     assert read["has_poses"] and read["has_depth"] and read["frames"] == found["frames"]
     built = json_of(capfd, "build", "walk", "--no-landmarks", "--out", "room.monoloc", *QUICK)
     assert built["scale_sd"] == found["scale_sd"] >= 0.3
-    assert json_of(capfd, "inspect", "room.monoloc")["scale_sd"] == found["scale_sd"]
+    bundle = json_of(capfd, "inspect", "room.monoloc")
+    assert bundle["scale_sd"] == found["scale_sd"]
+    assert bundle["knows_down"] and bundle["down"] == [0.0, 0.0, -1.0]
 
 
 @pytest.mark.slow

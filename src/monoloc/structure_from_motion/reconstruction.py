@@ -25,12 +25,15 @@ from monoloc.structure_from_motion.mapping import map_keyframes
 from monoloc.structure_from_motion.metric_scale import MetricScale, ScaleSource
 from monoloc.structure_from_motion.sparse_model import SparseModel
 
+_DOWN = np.array([0.0, 0.0, -1.0])  # of a levelled model
+
 
 class ReconstructedRecording:
     """The placed frames of a recording, with the poses and the depth that were found.
 
     Attributes:
         scale_sd: relative standard deviation of the scale of poses and depth.
+        down_world: see :func:`monoloc.io.recording.recorded_down`; None where only the camera's axes told it.
     """
 
     def __init__(
@@ -39,6 +42,7 @@ class ReconstructedRecording:
         model: SparseModel,
         depths: Sequence[NDArray[np.float32]],
         scale_sd: float,
+        is_upright: bool,
         notes: list[str],
     ) -> None:
         frames = model.frames
@@ -48,6 +52,7 @@ class ReconstructedRecording:
         self.frame_names = [source.frame_names[index] for index in frames]
         self.timestamps_s = source.timestamps_s[frames]
         self.scale_sd, self.notes = scale_sd, notes
+        self.down_world: FloatArray | None = _DOWN if is_upright else None
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -115,14 +120,18 @@ def reconstruct(
     metric = scale.measure(recording, unscaled, depths)
     depths = [depth * np.float32(metric.metres) for depth in depths]
     model, is_upright = levelled(unscaled.scaled(metric.metres), depths, np.random.default_rng(seed))
-    found = ReconstructedRecording(recording, model, depths, metric.sd, _notes(recording, model, metric))
+    notes = _notes(recording, model, metric, is_upright)
+    found = ReconstructedRecording(recording, model, depths, metric.sd, is_upright, notes)
     return Reconstruction(found, model, depths, metric, is_upright)
 
 
-def _notes(recording: Recording, model: SparseModel, scale: MetricScale) -> list[str]:
+def _notes(recording: Recording, model: SparseModel, scale: MetricScale, is_upright: bool) -> list[str]:
     notes = [
         f"poses and depth are by structure from motion, of {len(model.frames)} keyframes of {len(recording)} frames",
         f"the scale is by {scale.how}, ± {100.0 * scale.sd:.2g} %",
+        "gravity is by floor and walls, and z is up"
+        if is_upright
+        else "gravity is not known, as floor and walls do not show it; z is up if the camera was held without roll",
     ]
     if model.camera_sd:
         notes.append(

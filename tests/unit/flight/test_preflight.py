@@ -162,6 +162,12 @@ def test_parameters_of_another_firmware_are_not_asked_for() -> None:
     assert not set(PARAMETERS) & set(levels_of(good_step(), link=replace(HEARD, heard=Firmware.ARDUPILOT)))
 
 
+def test_proposed_gravity_says_when_it_holds() -> None:
+    preflight = Preflight(built(down_world=(0.0, 0.6, -0.8)), False, 0.0)
+    (gravity,) = (each for each in preflight.findings(FlightSummary(), None) if each.name == "gravity")
+    assert gravity.remark.endswith("[0.000, 0.600, -0.800] if the build's camera looked level on average")
+
+
 def test_light_of_a_build_that_does_not_tell_it_is_not_compared() -> None:
     assert "light" not in levels_of(good_step(), build=built(brightness=None))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,11 @@ from monoloc.camera import Camera
 from monoloc.errors import DataError, MissingExtraError
 from monoloc.geometry import FloatArray, make_pose, nearest_rotation, rotation_angle, so3_exp
 from monoloc.io.colmap import parameters_of
+from monoloc.io.folder_writer import write_folder
+from monoloc.io.recording import recorded_down
+from monoloc.io.registry import open_recording
 from monoloc.progress import NoProgress
+from monoloc.structure_from_motion import reconstruction
 from monoloc.structure_from_motion.depth_scale import DepthScale
 from monoloc.structure_from_motion.mapping import map_keyframes
 from monoloc.structure_from_motion.reconstruction import Reconstruction, reconstruct
@@ -78,6 +83,26 @@ def test_recording_is_of_the_placed_frames(walk: RoomRecording, found: Reconstru
     np.testing.assert_array_equal(recording.color(3), walk.color(int(found.model.frames[3])))
     assert recording.notes[0].startswith("poses and depth are by structure from motion, of ")
     assert recording.notes[1].startswith("the scale is by depth of ")
+
+
+@pytest.mark.parametrize(("is_upright", "down", "note"), [(True, [0.0, 0.0, -1.0], "by"), (False, None, "not known")])
+def test_gravity_is_written_where_surfaces_tell_it(
+    walk: RoomRecording,
+    found: Reconstruction,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    is_upright: bool,
+    down: list[float] | None,
+    note: str,
+) -> None:
+    unscaled = found.model.scaled(1.0 / found.scale.metres)
+    monkeypatch.setattr(reconstruction, "map_keyframes", lambda *_: unscaled)
+    monkeypatch.setattr(reconstruction, "levelled", lambda model, *_: (model, is_upright))
+    again = reconstruct(walk, DepthScale(), refine_camera=False)
+    assert again.recording.notes[2].startswith(f"gravity is {note}")
+    write_folder(tmp_path / "walk", again.recording, again.depths)
+    written = recorded_down(open_recording(str(tmp_path / "walk")))
+    assert (None if written is None else written.tolist()) == down
 
 
 @pytest.mark.slow
