@@ -96,6 +96,20 @@ def test_replay_computes_every_pose_to_the_last_bit(capfd: Capture, here: Path) 
     assert err.endswith(f"{FRAMES} frames: every pose is the same to the last bit\n")
 
 
+def test_replay_of_a_moved_bundle_asks_for_it(capfd: Capture, here: Path) -> None:
+    header = here / "log" / "flight.json"
+    moved = str(here / "moved.monoloc")
+    header.write_text(json.dumps(json.loads(header.read_bytes()) | {"bundle": moved}))
+    refused(
+        capfd,
+        here,
+        ("replay", "log"),
+        moved,
+        "was the bundle of this flight, and is no longer there",
+        "path with --room",
+    )
+
+
 def test_replay_says_which_pose_is_not_the_same(capfd: Capture, here: Path) -> None:
     path = image_path(here / "log", 4)
     image = cv2.imread(str(path))

@@ -19,7 +19,7 @@ from monoloc.flight.flight_loop import FlightOutput
 from monoloc.flight.flight_recording import MESSAGES, POSES, FlightHeader, read_header
 from monoloc.flight.pose_log import PoseLog
 from monoloc.flight.recomputation import recompute
-from monoloc.place.flown_map import digest_of_map, is_place, open_map
+from monoloc.place.flown_map import FlownMap, digest_of_map, is_place, open_map
 from monoloc.progress import ConsoleProgress
 from monoloc.version import __version__
 
@@ -50,11 +50,7 @@ def replay(
     check_outputs({"--out": out}, (folder, room, *folder.glob("*")))
     check_suffix(out, "--out", ".csv", "a table")
     header = read_header(folder)
-    path = Path(header.bundle) if room is None else room
-    if digest_of_map(path) != header.digest:
-        kind = "place" if is_place(path) else "bundle"
-        raise DataError(path, f"is not the {kind} of this flight", "give that one with --room")
-    flown = open_map(path)
+    flown = _map_of(header, room)
     recorded = _lines(folder / POSES)
     cv2.setNumThreads(1)  # as in the flight
     with tempfile.TemporaryDirectory() as made, ExitStack() as opened:
@@ -83,6 +79,23 @@ def replay(
         if out is not None:
             write_whole(out, (again / POSES).read_bytes())
     _report(frames, different, same_messages, header, json)
+
+
+def _map_of(header: FlightHeader, room: Path | None) -> FlownMap:
+    """The bundle or place of a flight: ``room``, or where it was then.
+
+    Raises:
+        BundleError, DataError: as :func:`open_map`, or there is nothing, or another one.
+    """
+    path = Path(header.bundle) if room is None else room
+    kind = "place" if is_place(path) else "bundle"
+    if room is None and not path.exists():
+        raise DataError(
+            path, f"was the {kind} of this flight, and is no longer there", "give its new path with --room"
+        )
+    if digest_of_map(path) != header.digest:
+        raise DataError(path, f"is not the {kind} of this flight", "give that one with --room")
+    return open_map(path)
 
 
 def _lines(path: Path) -> list[bytes]:
