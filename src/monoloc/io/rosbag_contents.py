@@ -42,7 +42,7 @@ class ImageTopic:
         frame: the camera's optical frame.
         times_ns: (N,) when each message was recorded, nanoseconds, in order of the stamps.
         stamps_ns: (N,) time stamp of each.
-        is_timed: whether all have time stamps; otherwise the times of recording stand for them.
+        is_timed: whether stamps are set, of which one may be 0; otherwise the times of recording stand for them.
     """
 
     name: str
@@ -161,9 +161,9 @@ def read_contents(bag: BagFile) -> tuple[Contents, TransformTree]:
 
 
 def _ordered(positions: Sequence[tuple[int, int]]) -> tuple[NDArray[np.int64], NDArray[np.int64], bool]:
-    """Times of recording and stamps in order of time, and whether all are stamped."""
+    """Times of recording and stamps in order of time, and whether these are set."""
     stamps_ns, times_ns = np.array(positions, dtype=np.int64).T
-    is_timed = bool((stamps_ns > 0).all())
+    is_timed = int((stamps_ns <= 0).sum()) <= int(len(stamps_ns) > 1)  # a recording's own clock begins at 0
     order = np.argsort(stamps_ns if is_timed else times_ns, kind="stable")
     return times_ns[order], stamps_ns[order], is_timed
 

@@ -565,6 +565,29 @@ def test_other_clock_is_refused(tmp_path: Path, capture: Capture) -> None:
     refuses_to_open(path, path, "none of its 12 frames can be used: 12 without a pose", "one clock")
 
 
+def stamped(capture: Capture, stamps_s: NDArray[np.float64]) -> Bag:
+    """The capture without depth and poses, recorded at its times, whose images have other stamps."""
+    bag = bag_of(capture, poses=False, depth=False)
+    del bag.topics[COLOR]
+    for time_s, stamp_s, color in zip(capture.times_s, stamps_s, capture.colors, strict=True):
+        bag.add(COLOR, time_s, bag.ros.image(stamp_s, OPTICAL, color, "rgb8"))
+    return bag
+
+
+def test_clock_that_begins_at_zero_is_taken(tmp_path: Path, capture: Capture) -> None:
+    stamps_s = capture.times_s - capture.times_s[0]
+    recording = open_recording(str(stamped(capture, stamps_s).write(tmp_path / "walk")))
+    np.testing.assert_allclose(recording.timestamps_s, stamps_s, atol=1e-6)
+    assert len(recording.notes) == 1
+    np.testing.assert_array_equal(recording.color(0), capture.colors[0])
+
+
+def test_images_without_stamps_have_the_times_of_recording(tmp_path: Path, capture: Capture) -> None:
+    recording = open_recording(str(stamped(capture, np.zeros(len(capture))).write(tmp_path / "walk")))
+    np.testing.assert_allclose(recording.timestamps_s, capture.times_s, atol=1e-6)
+    assert recording.notes[1:] == [f"{COLOR} has no time stamps, so the times of recording are used"]
+
+
 def test_missing_extra_is_named(tmp_path: Path, capture: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     path = bag_of(capture).write(tmp_path / "walk")
     monkeypatch.setitem(sys.modules, "rosbags", None)
