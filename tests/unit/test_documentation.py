@@ -29,6 +29,13 @@ def test_every_page_that_an_error_names_exists() -> None:
     assert [page for page in sorted(named) if not (REPOSITORY / "docs" / f"{page}.md").is_file()] == []
 
 
+def test_a_file_is_piped_into_a_flight_at_its_own_pace() -> None:
+    """Frames of a pipe are timed on arrival, and all but the newest are skipped."""
+    pages = [REPOSITORY / "README.md", *(REPOSITORY / "docs").rglob("*.md"), *(REPOSITORY / "src").rglob("*.py")]
+    piped = [line for page in pages for line in re.findall(r"ffmpeg .*monoloc fly", page.read_text("utf-8"))]
+    assert piped and [line for line in piped if not line.startswith("ffmpeg -re ")] == []
+
+
 def test_command_line_adds_the_page_to_the_line(capfd: pytest.CaptureFixture[str]) -> None:
     assert invoke(["inspect", str(REPOSITORY / "docs")]) == 2
     err = capfd.readouterr().err
