@@ -16,7 +16,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from cli_helpers import json_of, outputs, remove_depth, succeeds, write_workspace
+from cli_helpers import json_of, outputs, refused, remove_depth, succeeds, write_workspace
 from depth_helpers import ROOM, looking_around, small_recording
 from monoloc.bundle import read_bundle
 from monoloc.cli.main import invoke
@@ -227,6 +227,15 @@ def train_in_two_processes(folder: Path) -> dict[str, object]:
     figures = json.loads(result.stdout)  # fails if both processes print
     assert isinstance(figures, dict)
     return figures
+
+
+def test_outputs_are_refused_before_pytorch_is_loaded(
+    capfd: Capture, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("train", "checkpoint"):
+        monkeypatch.setitem(sys.modules, f"monoloc.depth.training.{name}", None)
+    for command in (("train", "flight"), ("export", "network.safetensors")):
+        refused(capfd, here, ("depth", *command, "--out", "no/made"), "--out", "no does not exist", "make the folder")
 
 
 @pytest.mark.slow

@@ -32,7 +32,7 @@ def place(
     \b
     Examples:
       monoloc bench place --rooms 3
-      monoloc bench place --work runs/building --json
+      monoloc bench place --work building --json
     """
     if work is not None:
         check_folder(work, "--work")

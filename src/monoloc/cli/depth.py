@@ -86,17 +86,17 @@ def train(
     \b
     Examples:
       monoloc depth train folder:nyu-labelled --frames 0:1349 --validate 1349: \\
-          --encoder mobilenet_v2_0.35_imagenet.npz --settings one-third-0.35.toml --out runs/one-third
-      monoloc depth train nyu:nyu_depth_v2_labeled.mat --validate 1349: --frames :1349 --epochs 30 --out runs/short
+          --encoder mobilenet_v2_0.35_imagenet.npz --settings one-third-0.35.toml --out one-third
+      monoloc depth train nyu:nyu_depth_v2_labeled.mat --validate 1349: --frames :1349 --epochs 30 --out short
       monoloc depth train folder:nyu-labelled --frames :1349 --also folder:rooms --start one-third.safetensors \\
-          --validate 1349: --settings one-third-0.35-finish.toml --out runs/with-rooms
+          --validate 1349: --settings one-third-0.35-finish.toml --out with-rooms
     """
-    with training_extra():
-        from monoloc.depth.training.train import EpochRecord, TrainConfig, train_network
     check_folder(out, "--out")
     check_apart(out / "network.safetensors", "--out", (start,))
     if encoder is not None and start is not None:
         raise SettingError("--start", "conflicts with --encoder", "give one of them")
+    with training_extra():
+        from monoloc.depth.training.train import EpochRecord, TrainConfig, train_network
     require_plotting()
     with naming({"epochs": "--epochs"}):
         config = override(TrainConfig() if settings is None else load_settings(settings, TrainConfig), epochs=epochs)
@@ -205,19 +205,19 @@ def export(
 
     \b
     Examples:
-      monoloc depth export runs/nyu/network.safetensors --out depth.onnx
-      monoloc depth export runs/nyu/network.safetensors --out small.onnx --int8 folder:nyu-labelled --frames ::10
+      monoloc depth export one-third/network.safetensors --out depth.onnx
+      monoloc depth export one-third/network.safetensors --out small.onnx --int8 folder:nyu-labelled --frames ::10
     """
-    with training_extra():
-        from monoloc.depth.training.checkpoint import load_network
-        from monoloc.depth.training.export import export_onnx
-        from monoloc.depth.training.quantise import quantise
     if is_shipped(str(network)):
         problem = f"{network} comes with monoloc in ONNX already"
         raise SettingError("network", problem, "use its name, as in build --network")
     check_outputs({"--out": out}, (network, int8))
     if int8 is None:
         refuse_frames(frames, "an export in 32 bits")
+    with training_extra():
+        from monoloc.depth.training.checkpoint import load_network
+        from monoloc.depth.training.export import export_onnx
+        from monoloc.depth.training.quantise import quantise
     loaded = load_network(network)
     content, report = export_onnx(loaded)
     result: dict[str, object] = asdict(report)
