@@ -87,7 +87,8 @@ def doctor(
             raise SettingError("ROOM", problem, "write a start or a marker into flight.toml")
     cv2.setNumThreads(1)  # as in a flight
     summary = FlightSummary()
-    preflight = Preflight(flown.provenance, tells_gravity(flown, flight.settings), flown.scale_sd())
+    roll_deg = flight.mount.roll_deg
+    preflight = Preflight(flown.provenance, tells_gravity(flown, flight.settings), flown.scale_sd(), roll_deg)
     with naming(names), ExitStack() as opened:
         # The link first: it is looked at even where the camera fails.
         link = None if flight.mavlink is None else opened.enter_context(closing(AutopilotLink(flight.mavlink)))

@@ -21,7 +21,7 @@ from monoloc.supervision.state import VOUCHED_FOR, Reason
 GOOD_SCALE_SD = 0.05
 """Relative standard deviation of a map's scale up to which its poses are for an autopilot: 5 cm in a metre."""
 
-_LEAST_RATE_HZ, _GOOD_RATE_HZ = 5.0, 15.0  # PX4 stops to fuse below 5 Hz; its guide asks for 30
+_LEAST_RATE_HZ, _GOOD_RATE_HZ = 5.0, 15.0  # PX4 stops to fuse below 5 Hz
 _FEW_DROPPED = 0.1  # of the frames: the computer keeps up with the source
 _GOOD_LATENCY_S, _MOST_LATENCY_S = 0.1, 0.2  # from capture to result
 _GOOD_TRACKING, _LEAST_TRACKING = 0.9, 0.5  # shares of frames
@@ -68,10 +68,12 @@ class Preflight:
         provenance: of the bundle that is flown in, or of the first room of a place.
         tells_gravity: whether the map or the flight's settings tell the direction of gravity.
         scale_sd: relative standard deviation of the map's scale; 0 where a sensor measured it.
+        roll_deg: of the camera's mount, as the user states it; 0 where it is not stated.
     """
 
-    def __init__(self, provenance: Provenance, tells_gravity: bool, scale_sd: float) -> None:
+    def __init__(self, provenance: Provenance, tells_gravity: bool, scale_sd: float, roll_deg: float) -> None:
         self._provenance, self._tells_gravity, self._scale_sd = provenance, tells_gravity, scale_sd
+        self._roll_deg = roll_deg
         self._brightness = provenance.brightness
         self._count = 0
         self._quality: list[tuple[float, float, float, float]] = []
@@ -111,7 +113,7 @@ class Preflight:
         else:
             images = self._images()
             found = [
-                *_of_timing(summary, link is not None),
+                *_of_timing(summary, None if link is None else link.firmware),
                 *image_findings(images, "expose for a shorter time, add light, clean the lens", "add light"),
                 *light_findings(images, self._brightness),
                 *self._of_intrinsics(),
@@ -139,7 +141,8 @@ class Preflight:
 
     def _of_intrinsics(self) -> Iterator[Finding]:
         if self._reasons[Reason.CAMERA_TURNED]:
-            remark = "state roll_deg in [mount]; if the build's images lay on their side, build again with down"
+            verb = "correct" if self._roll_deg else "state"
+            remark = f"{verb} roll_deg in [mount]; if the build's images lay on their side, build again with down"
             yield Finding("orientation", "bad", "images lie on their side or upside down", remark)
         if self._reasons[Reason.CAMERA_MISMATCH]:
             remark = "calibrate the camera at this resolution, with its focus fixed"
@@ -181,13 +184,14 @@ def _without_frames(summary: FlightSummary) -> Finding:
     return Finding("camera", "bad", "no frame", "check the cable, and the source that was named")
 
 
-def _of_timing(summary: FlightSummary, is_for_autopilot: bool) -> Iterator[Finding]:
+def _of_timing(summary: FlightSummary, firmware: Firmware | None) -> Iterator[Finding]:
     rate_hz, median_s, p95_s = summary.rate_hz, summary.latency_s(50.0), summary.latency_s(95.0)
     if rate_hz is not None:
-        level: Level = "warning" if rate_hz >= _LEAST_RATE_HZ or not is_for_autopilot else "bad"
+        level: Level = "warning" if rate_hz >= _LEAST_RATE_HZ or firmware is None else "bad"
         level = "good" if rate_hz >= _GOOD_RATE_HZ else level
         is_slow_camera = summary.dropped.total() <= _FEW_DROPPED * summary.frames
-        fix = "the source gives no more; PX4 asks for 30" if is_slow_camera else "set budget_ms, or threads = 2"
+        asked = "" if firmware is None else f"; {firmware.title} asks for {firmware.asked_rate}"
+        fix = f"the source gives no more{asked}" if is_slow_camera else "set budget_ms, or threads = 2"
         remark = "" if level == "good" else fix
         yield Finding("rate", level, f"{rate_hz:.1f} Hz, {summary.dropped.total()} frames dropped", remark)
     if median_s is not None and p95_s is not None:

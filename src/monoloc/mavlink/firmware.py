@@ -1,7 +1,7 @@
 """What the two autopilot firmwares accept: frames of a pose, and the parameters that make them fuse it.
 
 Sources: PX4-Autopilot ``mavlink_receiver.cpp``, ``EKF2.cpp`` and ``ev_*_control.cpp``; ArduPilot ``GCS_Common.cpp``,
-``AP_VisualOdom`` and ``AP_NavEKF3``; pull requests PX4 19097 and 27031, ArduPilot 26277 and 32084.
+``AP_VisualOdom`` and ``AP_NavEKF3``; pull requests PX4 19097 and 27031, ArduPilot 26277 and 32084; both guides.
 """
 
 from __future__ import annotations
@@ -45,6 +45,11 @@ class Firmware(Enum):
         ArduPilot drops every other frame than LOCAL_FRD, without a message, and takes its axes as north, east, down.
         """
         return LOCAL_NED if self is Firmware.PX4 else LOCAL_FRD
+
+    @property
+    def asked_rate(self) -> str:
+        """Poses a second that its guide asks for."""
+        return "30" if self is Firmware.PX4 else "4 or more"
 
     @property
     def parameters(self) -> tuple[ParameterRule, ...]:

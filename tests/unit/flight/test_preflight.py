@@ -17,7 +17,7 @@ from monoloc.flight.preflight import LinkReport, Preflight
 from monoloc.geometry import FloatArray
 from monoloc.landmarks.pnp import LandmarkPose
 from monoloc.mavlink.firmware import Firmware
-from monoloc.recording_check.inspection import Level, worst
+from monoloc.recording_check.inspection import Finding, Level, worst
 from monoloc.step import Step
 from monoloc.supervision.state import Reason
 
@@ -41,26 +41,33 @@ def good_step(landmarks: int = 80) -> Step:
     return replace(step_at(np.eye(4)), landmark_pose=place)
 
 
-def levels_of(
+def findings_of(
     step: Step,
     color: FloatArray = SHARP,
     rate_hz: float = 30.0,
     age_s: float = 0.04,
+    late: int = 0,
     link: LinkReport | None = HEARD,
     build: Provenance = BUILD,
     tells_gravity: bool = True,
-) -> dict[str, Level]:
-    """Levels by name after 60 equal frames."""
-    preflight, summary = Preflight(build, tells_gravity, build.scale_sd or 0.0), FlightSummary()
+    roll_deg: float = 0.0,
+) -> dict[str, Finding]:
+    """Findings by name after 60 equal frames, and ``late`` ones that were dropped."""
+    preflight, summary = Preflight(build, tells_gravity, build.scale_sd or 0.0, roll_deg), FlightSummary()
     for index in range(60):
         result = result_at(index / rate_hz, step, age_s)
         frame = replace(result.frame, color=color)
         result = FlightStep(frame, 1.0 / rate_hz, None, step, result.done_s)
         summary.add(result)
         preflight.take(result)
+    summary.dropped["late"] += late
     findings = preflight.findings(summary, link)
     assert all(finding.level == "good" or finding.remark for finding in findings)
-    return {finding.name: finding.level for finding in findings}
+    return {finding.name: finding for finding in findings}
+
+
+def levels_of(step: Step, **given: object) -> dict[str, Level]:
+    return {name: finding.level for name, finding in findings_of(step, **given).items()}  # type: ignore[arg-type]
 
 
 def test_good_flight_with_every_parameter_right_is_good() -> None:
@@ -154,7 +161,7 @@ def test_why_no_frame_was_localised_is_named(reason: str, name: str, words: str)
     summary = FlightSummary()
     summary.dropped[reason] += 40
     summary.dropped["old"] += reason == "without start"
-    finding = Preflight(BUILD, True, 0.0).findings(summary, None)[0]
+    finding = Preflight(BUILD, True, 0.0, 0.0).findings(summary, None)[0]
     assert (finding.name, finding.level, finding.value) == (name, "bad", words)
 
 
@@ -163,7 +170,7 @@ def test_parameters_of_another_firmware_are_not_asked_for() -> None:
 
 
 def test_proposed_gravity_says_when_it_holds() -> None:
-    preflight = Preflight(built(down_world=(0.0, 0.6, -0.8)), False, 0.0)
+    preflight = Preflight(built(down_world=(0.0, 0.6, -0.8)), False, 0.0, 0.0)
     (gravity,) = (each for each in preflight.findings(FlightSummary(), None) if each.name == "gravity")
     assert gravity.remark.endswith("[0.000, 0.600, -0.800] if the build's camera looked level on average")
 
@@ -177,17 +184,25 @@ def test_scale_that_a_sensor_or_a_marker_measured_needs_no_word() -> None:
         assert "scale" not in levels_of(good_step(), build=built(scale_sd=scale_sd))
 
 
-def test_slow_source_and_slow_computer_are_told_apart() -> None:
-    for dropped, fix in ((0, "the source gives no more"), (9, "set budget_ms")):
-        preflight, summary = Preflight(BUILD, True, 0.0), FlightSummary()
-        for index in range(60):
-            result = result_at(index / 8.0, good_step(), 0.04)
-            result = FlightStep(replace(result.frame, color=SHARP), 1.0 / 8.0, None, good_step(), result.done_s)
-            summary.add(result)
-            preflight.take(result)
-        summary.dropped["late"] += dropped
-        (rate,) = (finding for finding in preflight.findings(summary, None) if finding.name == "rate")
-        assert rate.level == "warning" and rate.remark.startswith(fix)
+@pytest.mark.parametrize(
+    ("late", "firmware", "fix"),
+    [
+        (0, None, "the source gives no more"),
+        (0, Firmware.PX4, "the source gives no more; PX4 asks for 30"),
+        (0, Firmware.ARDUPILOT, "the source gives no more; ArduPilot asks for 4 or more"),
+        (9, None, "set budget_ms, or threads = 2"),
+    ],
+)
+def test_slow_source_and_slow_computer_are_told_apart(late: int, firmware: Firmware | None, fix: str) -> None:
+    link = None if firmware is None else replace(HEARD, firmware=firmware)
+    rate = findings_of(good_step(), rate_hz=8.0, late=late, link=link)["rate"]
+    assert (rate.level, rate.remark) == ("warning", fix)
+
+
+def test_stated_roll_of_a_turned_camera_is_to_be_corrected() -> None:
+    step = replace(good_step(), reasons=frozenset({Reason.CAMERA_TURNED}))
+    for roll_deg, verb in ((0.0, "state"), (180.0, "correct")):
+        assert findings_of(step, roll_deg=roll_deg)["orientation"].remark.startswith(f"{verb} roll_deg in [mount]; ")
 
 
 def test_set_of_bits_may_have_more() -> None:
@@ -198,5 +213,5 @@ def test_set_of_bits_may_have_more() -> None:
 
 
 def test_no_frame_is_bad() -> None:
-    findings = Preflight(BUILD, True, 0.0).findings(FlightSummary(states=Counter()), None)
+    findings = Preflight(BUILD, True, 0.0, 0.0).findings(FlightSummary(states=Counter()), None)
     assert worst(findings) == "bad" and [finding.name for finding in findings] == ["camera", "gravity"]
