@@ -58,7 +58,8 @@ def reconstruct_command(
 
     Other images without poses will do, too. What it writes is a recording like any other: look at it, check it, build
     from it. Poses that the source may have are not used. docs/how-to/map-from-a-video.md says how to film, and what
-    tells the scale.
+    tells the scale. The file of a distance names frames by their numbers in the video, from 000000; images in --out
+    are numbered anew.
 
     \b
     Examples:

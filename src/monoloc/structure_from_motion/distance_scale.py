@@ -6,6 +6,8 @@
     sd_m = 0.005                                        # optional: of the distance
     a = [["000012", 310, 77], ["000090", 402, 80]]      # frame, x and y in pixels; at least two frames
     b = [["000012", 120, 210], ["000061", 98, 233]]
+
+Frames are named as in the recording whose scale is wanted; files of a reconstruction are numbered otherwise.
 """
 
 from __future__ import annotations
@@ -60,26 +62,26 @@ class DistanceScale:
     def measure(self, recording: Recording, model: SparseModel, depths: Sequence[NDArray[np.float32]]) -> MetricScale:
         """See :meth:`monoloc.structure_from_motion.metric_scale.ScaleSource.measure`."""
         distance = self._distance()
-        ends = []
-        for name, pixels in (("a", distance.a), ("b", distance.b)):
-            end = self._placed(recording, model, pixels)
-            if end is None:
-                problem = f"{name} is marked in fewer than two frames that could be placed, or from one side only"
-                raise DataError(self.path, problem, "mark it in frames further apart")
-            ends.append(end)
-        length, length_sd = distance_sd(ends[0], ends[1])
+        a, b = (self._placed(recording, model, *end) for end in (("a", distance.a), ("b", distance.b)))
+        length, length_sd = distance_sd(a, b)
         how = f"a distance of {distance.metres:g} m"
         return from_length(length, _CLICK_SD_PX * length_sd, distance.metres, distance.sd_m, how, str(self.path))
 
     def _placed(
-        self, recording: Recording, model: SparseModel, pixels: Sequence[_Pixel]
-    ) -> tuple[FloatArray, FloatArray] | None:
-        indices = [self._index(recording, name) for name, _, _ in pixels]
+        self, recording: Recording, model: SparseModel, end: str, pixels: Sequence[_Pixel]
+    ) -> tuple[FloatArray, FloatArray]:
+        indices = np.array([self._index(recording, name) for name, _, _ in pixels])
         placed = np.isin(indices, model.frames)
-        if placed.sum() < 2:
-            return None
-        poses = model.poses[np.searchsorted(model.frames, np.array(indices)[placed])]
-        return triangulate(model.camera, poses, np.array([pixel[1:] for pixel in pixels])[placed])
+        count = len(np.unique(indices[placed]))
+        if count < 2:
+            problem = f"{end} is marked in {count} of the frames that could be placed, and two are needed"
+            raise DataError(self.path, problem, "mark it in more frames")
+        poses = model.poses[np.searchsorted(model.frames, indices[placed])]
+        found = triangulate(model.camera, poses, np.array([pixel[1:] for pixel in pixels])[placed])
+        if found is None:
+            problem = f"{end} is seen from one side only, or one of its marks is wrong"
+            raise DataError(self.path, problem, "mark it in frames further apart, or correct the mark")
+        return found
 
     def _index(self, recording: Recording, name: str) -> int:
         if name not in recording.frame_names:

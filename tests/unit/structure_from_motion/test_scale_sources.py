@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -147,13 +148,25 @@ def test_marked_distance_gives_the_scale_within_its_stated_error(
 
 def test_bad_distances_are_refused(walk: RoomRecording, model: SparseModel, tmp_path: Path) -> None:
     path = distance_file(tmp_path, model, frames=(0, 0))
-    refuses_data(lambda: DistanceScale(path).measure(walk, model, []), path, "a is marked in fewer than two", "apart")
+    refuses_data(lambda: DistanceScale(path).measure(walk, model, []), path, "a is marked in 1 of the", "more frames")
     path.write_text(path.read_text().replace("000000", "IMG_1"))
     refuses_data(lambda: DistanceScale(path).frames(walk), path, "'IMG_1' is no frame of room", "000000 to 000011")
     path.write_text("metres = -1")
     refuses_data(lambda: DistanceScale(path).frames(walk), path, "metres", "write metres, a and b")
     path.write_text("metres =")
     refuses_data(lambda: DistanceScale(path).frames(walk), path, "is not valid TOML", "correct the line")
+
+
+def test_point_from_one_side_is_not_one_of_too_few_frames(
+    walk: RoomRecording, model: SparseModel, tmp_path: Path
+) -> None:
+    path, still = distance_file(tmp_path, model), np.repeat(model.poses[:1], len(walk), axis=0)
+    refuses_data(
+        lambda: DistanceScale(path).measure(walk, replace(model, poses=still), []),
+        path,
+        "a is seen from one side only, or one of its marks is wrong",
+        "further apart",
+    )
 
 
 def test_undetermined_length_is_refused(walk: RoomRecording, model: SparseModel, tmp_path: Path) -> None:
