@@ -42,7 +42,7 @@ def test_video_is_reconstructed_checked_and_built_from(
     assert built["scale_sd"] == found["scale_sd"] >= 0.3
     bundle = json_of(capfd, "inspect", "room.monoloc")
     assert bundle["scale_sd"] == found["scale_sd"]
-    assert bundle["knows_down"] and bundle["down"] == [0.0, 0.0, -1.0]
+    assert bundle["down_by"] == "the recording" and bundle["down"] == [0.0, 0.0, -1.0]
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from monoloc.bundle import read_bundle
+from monoloc.bundle import Bundle, read_bundle
 from monoloc.bundle_manifest import PLACE_MANIFEST
 from monoloc.bundle_signature import SIGNATURE
 from monoloc.camera import Camera
@@ -35,7 +35,7 @@ from monoloc.map.surface import EXTENT_SIGMAS
 # Entries of a bundle that are listed first: what it is of, and what a flight depends on.
 _FIRST = (
     *("kind", "recording", "frames", "size_m", "landmarks", "components", "supports_relocalization", "down"),
-    *("down_world", "tune", "scale_sd", "known_bias_m", "known_bias_deg"),
+    *("down_by", "mean_camera_down", "tune", "scale_sd", "known_bias_m", "known_bias_deg"),
 )
 
 
@@ -91,9 +91,9 @@ def _bundle(path: Path) -> dict[str, object]:
         "network": bundle.depth_model.name,
         "network_spec": bundle.depth_model.spec.model_dump(mode="json", exclude_none=True),
         "depth_bytes": len(bundle.depth_model.content),
-        **bundle.provenance.model_dump(exclude={"frames"}),
+        **bundle.provenance.model_dump(exclude={"frames", "down_world", "knows_down"}),
         "frames": len(bundle.provenance.frames),
-        "down": None if bundle.down is None else [float(value) for value in bundle.down],
+        **_gravity(bundle),
         **_known_bias(bundle.reference_poses),
         **_camera(bundle.camera),
         "supports_relocalization": bundle.supports_relocalization,
@@ -104,6 +104,16 @@ def _bundle(path: Path) -> dict[str, object]:
         "settings": bundle.settings.model_dump(mode="json"),
     }
     return {name: content[name] for name in _FIRST} | content
+
+
+def _gravity(bundle: Bundle) -> dict[str, object]:
+    """Direction of gravity, what told it, and what may stand for it: the mean of the cameras' y axes."""
+    down, is_recorded = bundle.down, bundle.provenance.knows_down
+    return {
+        "down": None if down is None else [float(value) for value in down],
+        "down_by": None if down is None else "the recording" if is_recorded else "floor and walls",
+        "mean_camera_down": None if is_recorded else list(bundle.provenance.down_world),
+    }
 
 
 def _known_bias(reference_poses: ReferencePoses) -> dict[str, object]:

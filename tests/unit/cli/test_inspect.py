@@ -72,7 +72,7 @@ def test_bundle_says_what_tells_right_from_wrong_beliefs(capfd: pytest.CaptureFi
     assert content["sensor"]["thresholds"] is None
     np.testing.assert_allclose(content["down"], read_bundle(here / "room.monoloc").down)
     table = succeeds(capfd, "inspect", "room.monoloc")
-    assert table.index("down ") < table.index("down_world") < table.index("monoloc_version")
+    assert table.index("down ") < table.index("mean_camera_down") < table.index("monoloc_version")
     for part in (
         "supports_relocalization",
         "scan_search_precision: 0.800",
@@ -83,6 +83,31 @@ def test_bundle_says_what_tells_right_from_wrong_beliefs(capfd: pytest.CaptureFi
     write_bundle(here / "mute.monoloc", replace(bundle, integrity=IntegrityModel()))
     content = json_of(capfd, "inspect", "mute.monoloc")
     assert not content["supports_relocalization"] and not content["supports_scan_search"]
+
+
+@pytest.mark.parametrize(
+    ("components", "knows_down", "by", "mean"),
+    [
+        (20, False, "floor and walls", [0.0, 1.0, 0.0]),
+        (20, True, "the recording", None),
+        (1, False, None, [0.0, 1.0, 0.0]),
+    ],
+)
+def test_bundle_says_what_told_gravity(
+    capfd: pytest.CaptureFixture[str],
+    here: Path,
+    components: int,
+    knows_down: bool,
+    by: str | None,
+    mean: list[float] | None,
+) -> None:
+    room = Room()
+    bundle = make_bundle(room_mixture(room, components), RoomRecording(room, make_path(2), SMALL_CAMERA))
+    provenance = bundle.provenance.model_copy(update={"knows_down": knows_down, "down_world": (0.0, 1.0, 0.0)})
+    write_bundle(here / "room.monoloc", replace(bundle, provenance=provenance))
+    content = json_of(capfd, "inspect", "room.monoloc")
+    assert (content["down"] is None, content["down_by"], content["mean_camera_down"]) == (by is None, by, mean)
+    assert not {"down_world", "knows_down"} & set(content)
 
 
 def test_missing_file_is_named(capfd: pytest.CaptureFixture[str], here: Path) -> None:
