@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import SubFigure
 
+_STATE_STRIP = 0.95, 1.0  # of a panel's height
 _STATE_COLOURS = {"uncertain": YELLOW, "lost": VERMILION, "map-changed": PURPLE}
 _DASHED = (0, (4, 2))
 _ELLIPSE_SIGMA = 1.5
@@ -256,13 +257,14 @@ def _draw_error(
         edges = np.flatnonzero(np.diff(run.in_state(state).astype(np.int8), prepend=0, append=0))
         for start, end in edges.reshape(-1, 2):
             until_s = time_s[min(end, len(time_s) - 1)]
-            shown[state] = axis.axvspan(time_s[start], until_s, color=colour, alpha=0.3, linewidth=0.0)
+            # Along the upper edge: over the band, neither colour would be that of the legend.
+            shown[state] = axis.axvspan(time_s[start], until_s, *_STATE_STRIP, color=colour, linewidth=0.0)
     if run.unseen is not None:
         built_s = time_s[~run.unseen]
         foot = np.full_like(built_s, 0.012)
         axis.plot(built_s, foot, "|", color=GREEN, markersize=6, transform=axis.get_xaxis_transform())
     axis.set_title(_error_title(name, unit, error, run.unseen))
-    axis.set_ylabel(f"{name.lower()} error ({unit.strip()})")
+    axis.set_ylabel(f"{name.lower()} {'bound' if error is None else 'error'} ({unit.strip()})")
     counts = ~run.in_state("lost")  # the error of a lost camera is meaningless
     counts |= not counts.any()
     curves = (None if curve is None else curve[counts] for curve in (error, drift, bound))
