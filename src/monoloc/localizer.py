@@ -74,7 +74,7 @@ class Localizer:
         made = components(bundle, camera, self._config)
         self._likelihood, self._landmarks = made.likelihood, made.landmarks
         self._thresholds = bundle.thresholds
-        self._gravity = Gravity(bundle.down)
+        self._gravity = Gravity(bundle.down, is_of_video=bundle.provenance.scale_sd is not None)
         self._turn_check = TurnCheck(bundle.reference_poses.poses, bundle.down)
         poses = bundle.reference_poses.poses if len(bundle.reference_poses) else np.eye(4)[None]
         self._relocalizer = GlobalRelocalizer(
@@ -145,7 +145,7 @@ class Localizer:
             elapsed_s: seconds since the previous frame; ignored at the first.
             measured_depth: of a depth sensor, in place of the network's.
             down: direction of gravity in the camera's frame, (3,) of any length, as a flight controller's attitude
-                gives it; a standard deviation of one degree is assumed.
+                gives it; a standard deviation of one degree is assumed, of five in a map of a video.
             measured_motion: since the previous frame, by another sensor: :meth:`Motion.rotation` of a gyroscope or
                 an attitude, or :meth:`Motion.metric` of another odometry; ignored at the first frame.
             level: what to leave out, as a recorded flight did; None leaves it to the budget.
