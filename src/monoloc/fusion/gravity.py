@@ -14,8 +14,7 @@ from monoloc.geometry import FloatArray, make_pose, so3_exp
 from monoloc.likelihood.scan import Scan
 from monoloc.particle_filter.estimate import Estimate
 
-# Of a flight controller's tilt and of the map's. A reconstruction of RedKitchen and maps of it were 3.4 to 6.5 degrees
-# off.
+# Of a flight controller's tilt and of the map's. Of a video of RedKitchen, the map's was 3.4 to 6.5 degrees off.
 _SENSOR_SD_RAD, _VIDEO_SD_RAD = np.deg2rad(1.0), np.deg2rad(5.0)
 
 
