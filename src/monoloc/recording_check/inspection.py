@@ -144,7 +144,7 @@ def _of_frames(recording: Recording, times: TimeCheck) -> Iterator[Finding]:
     yield Finding("frames", "warning" if notes else "good", f"{times.frames}", "; ".join(notes))
     if times.rate_hz is None:
         return
-    value = f"{times.duration_s:.1f} s, {times.rate_hz:.3g} Hz"
+    value = f"{times.duration_s:.1f} s, {times.rate_words}"
     if times.problem is not None:
         yield Finding("times", "bad" if times.is_certain else "warning", value, f"{times.problem}; {times.remedy}")
         return

@@ -14,6 +14,7 @@ _GAP_FACTOR, _GAP_S = 3.0, 0.5  # a gap is longer than both: so many frames, and
 _MOST_RATE_HZ, _SLOW_FRAME_S = 1000.0, 4.0  # beyond these, times are not in seconds
 _UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 _RATES_HZ = (1.0, 240.0)  # of cameras
+_UNEVEN = 0.1  # relative difference of two rates that is said
 _SLOW_M_S, _SLOW_RAD_S = 0.02, 0.05  # slower is no walk and no flight
 
 
@@ -38,6 +39,15 @@ class TimeCheck:
     problem: str | None = None
     remedy: str = ""
     is_certain: bool = False
+
+    @property
+    def rate_words(self) -> str:
+        """The rate, and its mean where frames are missing or come unevenly."""
+        if self.rate_hz is None:
+            return "one frame"
+        mean_hz = (self.frames - 1) / self.duration_s
+        uneven = f", {mean_hz:.3g} on average" if abs(mean_hz / self.rate_hz - 1.0) > _UNEVEN else ""
+        return f"{self.rate_hz:.3g} Hz{uneven}"
 
 
 def check_times(recording: Recording) -> TimeCheck:

@@ -55,6 +55,14 @@ def test_selected_frames_one_second_apart_are_no_frame_numbers() -> None:
     assert check_times(Selection(timed(np.arange(60) / 15.0), range(0, 60, 15))).problem is None
 
 
+def test_rate_of_uneven_frames_is_said_with_its_mean() -> None:
+    """A phone's video in dim light: every third interval is double."""
+    uneven = check_times(timed(np.cumsum(np.tile([1.0, 1.0, 2.0], 10)) / 15.0))
+    assert uneven.gaps_s == [] and uneven.rate_words == "15 Hz, 11.2 on average"
+    assert check_times(timed(np.arange(20) / 15.0)).rate_words == "15 Hz"
+    assert check_times(timed(np.zeros(1))).rate_words == "one frame"
+
+
 def test_gaps_are_counted() -> None:
     times = np.arange(20) / 15.0
     times[12:] += 2.0
