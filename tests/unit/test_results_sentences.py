@@ -15,6 +15,7 @@ from document_numbers import (
     by_build,
     chosen,
     json_of,
+    median_of,
     other_numbers,
     over_builds,
     sections_of,
@@ -36,6 +37,8 @@ from kept_flights import (
 from monoloc_lab.experiments.interval import step_of
 
 PAGE = "docs/results.md"
+RENDERED = table_of("rendered-rooms.csv")
+DINING, LIGHTS = ("untuned", "default"), ("L1", "L2", "L3")
 RECOVERY = [json_of(f"recovery-{room}.json") for room in ("redkitchen", "desk")]
 FAULTS: list[dict[str, Any]] = [json_of(f"faults-{room}.json")["faults"] for room in ("redkitchen", "desk")]
 OTHERS = json_of("recovery-others.json")
@@ -48,6 +51,10 @@ def before(version: str) -> Rows:
     """The default of an earlier version in RedKitchen, extrapolation."""
     flights = chosen(table_of("flights-of-earlier-versions.csv"), flown_by=version, method="default")
     return chosen(flights, built_from="RedKitchen 0:300:3", flown="300:400")
+
+
+def in_dining_room(method: str, light: str) -> Rows:
+    return chosen(RENDERED, room="dining room", light=light, method=method)
 
 
 THIS_VERSION: tuple[Sentence, ...] = (
@@ -126,7 +133,26 @@ THIS_VERSION: tuple[Sentence, ...] = (
         "**1 build**, two flights a light, {} frames each",
         [float(table_of("rendered-rooms.csv")[0]["frames"])],
     ),
+    (
+        "in the dining room it is {}, {} and {} cm, with the default {}, {} and {} cm. In the dining room in L3, "
+        "frames are silently more than 30 cm off: {} of {} with the default, {} untuned",
+        [
+            *(median_of(in_dining_room(method, light), "rmse_cm") for method in DINING for light in LIGHTS),
+            *(total(in_dining_room("default", "L3"), column) for column in ("silent_30cm", "frames")),
+            total(in_dining_room("untuned", "L3"), "silent_30cm"),
+        ],
+    ),
 )
+
+
+def test_where_tuning_does_no_good_in_the_rendered_rooms() -> None:
+    living = [
+        [median_of(chosen(RENDERED, room="living room", light=light, method=method), "rmse_cm") for light in LIGHTS]
+        for method in DINING
+    ]
+    assert all(untuned < default for untuned, default in zip(*living, strict=True))
+    for method in DINING:
+        assert [total(in_dining_room(method, light), "silent_30cm") for light in LIGHTS[:2]] == [0, 0]
 
 
 def test_what_the_bullets_of_this_version_say_without_a_number() -> None:
