@@ -141,9 +141,9 @@ class FrontEnd:
         if not 0.0 <= elapsed_s < np.inf:
             raise ValueError(f"elapsed_s must be finite and not negative, got {elapsed_s}")
         is_repeated, is_empty = self._is_repeated(color, elapsed_s), not has_contrast(color)
-        is_predicted = measured_depth is None and (plan is None or plan.has_depth)
-        used_depth = measured_depth if plan is None or plan.has_depth else None
-        depth_of = self._predicted(color) if is_predicted else lambda: used_depth
+        has_depth = plan is None or plan.has_depth
+        is_predicted = measured_depth is None and has_depth
+        depth_of = self._predicted(color) if is_predicted else lambda: measured_depth if has_depth else None
         self._measured.append(None if self._is_first else measured_motion)
         # Odometry's next motion is from the image that repeats, and so is the other sensor's.
         waits = is_repeated and not is_empty

@@ -107,7 +107,7 @@ def _bundle(path: Path) -> dict[str, object]:
 
 
 def _gravity(bundle: Bundle) -> dict[str, object]:
-    """Direction of gravity, what told it, and what may stand for it: the mean of the cameras' y axes."""
+    """Direction of gravity, what it is from, and what may stand for it: the mean of the cameras' y axes."""
     down, is_recorded = bundle.down, bundle.provenance.knows_down
     return {
         "down": None if down is None else [float(value) for value in down],

@@ -33,7 +33,7 @@ class ReconstructedRecording:
 
     Attributes:
         scale_sd: relative standard deviation of the scale of poses and depth.
-        down_world: see :func:`monoloc.io.recording.recorded_down`; None where only the camera's axes told it.
+        down_world: see :func:`monoloc.io.recording.recorded_down`; None where it is from the camera's axes alone.
     """
 
     def __init__(
