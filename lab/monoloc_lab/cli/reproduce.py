@@ -28,7 +28,7 @@ def reproduce(
         list[str] | None,
         typer.Argument(
             metavar="[FIGURE]...",
-            help="Such as fig4d. [all but ablation, adapt-settings, robustness, ladder, claims-by-method]",
+            help="Such as fig4d. [all but ablation, adapt-settings, robustness, ladder, claims-by-method, posenets]",
         ),
     ] = None,
     data: Annotated[

@@ -24,6 +24,7 @@ from monoloc_lab.experiments import (
     kl_weight,
     ladder,
     map_size,
+    posenets,
     robustness,
     table1,
     variants,
@@ -52,6 +53,7 @@ FIGURES: tuple[Figure, ...] = (
     robustness.FIGURE,
     ladder.FIGURE,
     claims_by_method.FIGURE,
+    posenets.FIGURE,
 )
 
 

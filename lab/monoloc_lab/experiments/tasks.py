@@ -40,6 +40,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 DEPTH_STRIDE = 5
 """Depth is compared with the sensor's in one of so many frames."""
 
+_NOT_DARKENED: dict[str, Any] = {"exposure_stops": 0.0, "dim_share": 0.0}
 _QUICK_POSENET: dict[str, Any] = {"epochs": 60, "learning_rates": (1e-2,), "search_epochs": 30}
 
 
@@ -146,12 +147,12 @@ TRAJECTORY_ARRAYS = ("poses", "truth", "unseen", "seconds", "covariances", "odom
 """
 
 
-def posenet_search(study: Study, split: Split, size: str, views: bool = False) -> Task:
+def posenet_search(study: Study, split: Split, size: str, views: bool = False, darkened: bool = True) -> Task:
     """The best learning rate of a PoseNet; figures ``learning_rate``, ``trials``, and ``error`` of the best."""
-    return _task("posenet-search", build=_build(split), **_training(study, size, views), seed=0)
+    return _task("posenet-search", build=_build(split), **_training(study, size, views, darkened), seed=0)
 
 
-def posenet(study: Study, split: Split, size: str, seed: int, views: bool = False) -> Task:
+def posenet(study: Study, split: Split, size: str, seed: int, views: bool = False, darkened: bool = True) -> Task:
     """A PoseNet with as many parameters as the depth network of a size, trained on a split: ``posenet.safetensors``.
 
     Its figures are ``parameters``, ``bytes`` of the file, ``multiply_adds`` at the input size of the depth network in
@@ -160,9 +161,12 @@ def posenet(study: Study, split: Split, size: str, seed: int, views: bool = Fals
     Args:
         seed: of weights, order and exposures. All seeds share the learning rate of :func:`posenet_search`.
         views: whether it also learns from views synthesised from the recording, as the depth network does.
+        darkened: whether it learns from images of random exposure, some of them darkened; else all have the exposure
+            that they were recorded with.
     """
-    search = posenet_search(study, split, size, views)
-    return _task("posenet", needs=(search,), build=_build(split), **_training(study, size, views), seed=seed)
+    search = posenet_search(study, split, size, views, darkened)
+    training = _training(study, size, views, darkened)
+    return _task("posenet", needs=(search,), build=_build(split), **training, seed=seed)
 
 
 def posenet_run(posenet: Task, recording: EvalRecording) -> Task:
@@ -233,13 +237,14 @@ def _task(kind: str, needs: Sequence[Task] = (), **settings: Any) -> Task:
     return Task.of(kind, {"monoloc": __version__, "code": source_sha256(KINDS[kind].__module__), **settings}, needs)
 
 
-def _training(study: Study, size: str, views: bool) -> dict[str, Any]:
+def _training(study: Study, size: str, views: bool, darkened: bool) -> dict[str, Any]:
     with training_extra():
         from monoloc_lab.baselines.posenet import posenet_config
         from monoloc_lab.baselines.posenet_training import PoseNetTraining
     config = override(
         PoseNetTraining(network=posenet_config(size, WIDTH)),
         synthesised_views=AdaptConfig.model_validate(study.adapt).synthesised_views if views else 0,
+        augment={} if darkened else _NOT_DARKENED,
         **(_QUICK_POSENET if study.quick else {}),
     )
     weights = study.encoder_weights

@@ -39,7 +39,7 @@ from monoloc_lab.experiments.task import Result, Task
 
 NAMES = ["fig1", "fig2", "fig3", "fig4ab", "fig4c", "fig4d", "fig5top", "fig5a", "fig5b", "table1", "variants"]
 NAMES += ["map-size", "lambda", "frames"]
-ON_REQUEST = ["ablation", "adapt-settings", "robustness", "ladder", "claims-by-method"]
+ON_REQUEST = ["ablation", "adapt-settings", "robustness", "ladder", "claims-by-method", "posenets"]
 ONLY_IN_FULL = {"map-size", "lambda", "frames"}
 ROOM = "living room"
 
@@ -96,7 +96,7 @@ def test_figures_are_chosen_by_name() -> None:
     assert [figure.name for figure in chosen_figures(["lambda", "fig1"])] == ["fig1", "lambda"]
     assert [figure.name for figure in chosen_figures([])] == NAMES
     assert [figure.name for figure in chosen_figures(["robustness"])] == ["robustness"]
-    with pytest.raises(SettingError, match=r"^FIGURE: is 'fig9'; choose from fig1, fig2, .*, claims-by-method$"):
+    with pytest.raises(SettingError, match=r"^FIGURE: is 'fig9'; choose from fig1, fig2, .*, posenets$"):
         chosen_figures(["fig4d", "fig9"])
 
 
