@@ -115,7 +115,7 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
 def _draw(study: Study, rows: Sequence[Row], folder: Path) -> Path:
     """RMSE in every light, a point a training: a panel a size."""
     path, lights = folder / "posenets.png", _lights(study.splits[0])
-    with picture(path, 3.6 * len(study.sizes), 3.6) as figure:
+    with picture(path, max(5.0, 3.6 * len(study.sizes)), 3.6) as figure:
         axes = figure.subplots(1, len(study.sizes), sharey=True, squeeze=False)[0]
         for axis, size in zip(axes, study.sizes, strict=True):
             for darkened, colour, shift in ((False, GREY, -0.1), (True, VERMILION, 0.1)):

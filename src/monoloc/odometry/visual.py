@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 from monoloc.contrast import equaliser, has_contrast
 from monoloc.depth.depth_image import sample_depth
-from monoloc.geometry import FloatArray, invert, make_pose, se3_exp, se3_log, so3_exp, transform
+from monoloc.geometry import FloatArray, invert, se3_exp, se3_log, transform
 from monoloc.image_size import gray_image
+from monoloc.odometry.camera_pose import solve_pose
 from monoloc.odometry.corner_tracking import follow_corners
 from monoloc.odometry.image_rotation import ImageRotation
 from monoloc.odometry.motion import Motion
@@ -181,7 +182,7 @@ class VisualOdometry:
         near = self._expected_pixels(self._tracks, expected)
         pixels, tracked = follow_corners(self._gray, gray, self._tracks.pixels, near, self.config)
         tracks = replace(self._tracks, pixels=pixels).select(tracked)
-        solution = self._solve(tracks.points, tracks.pixels)
+        solution = solve_pose(tracks.points, tracks.pixels, self._camera, self.config)
         if solution is None:
             return None
         T_r_current, inliers = solution
@@ -203,31 +204,6 @@ class VisualOdometry:
         local = transform(invert(self._T_r_previous @ expected_motion), tracks.points)
         expected = np.where(self._camera.in_sight(local)[:, None], self._camera.project(local), tracks.pixels)
         return np.asarray(expected, dtype=np.float32)
-
-    def _solve(self, points: FloatArray, pixels: NDArray[np.float32]) -> tuple[FloatArray, NDArray[np.int64]] | None:
-        """Solve PnP for ``T_r_current`` and the indices of inliers; None on failure."""
-        if len(points) < self.config.min_inliers:
-            return None
-        seen, K, distortion = self._camera.for_pnp(pixels)
-        ok, rotation, translation, inliers = cv2.solvePnPRansac(
-            points,
-            seen,
-            K,
-            distortion,
-            iterationsCount=100,
-            reprojectionError=self.config.reprojection_px,
-            confidence=0.999,
-            flags=cv2.SOLVEPNP_EPNP,
-        )
-        least = max(self.config.min_inliers, self.config.min_inlier_share * len(points))
-        if not ok or inliers is None or len(inliers) < least:
-            return None
-        chosen = inliers.ravel().astype(np.int64)
-        rotation, translation = cv2.solvePnPRefineLM(
-            points[chosen], seen[chosen], K, distortion, rotation, translation
-        )
-        T_current_r = make_pose(so3_exp(rotation.ravel()), translation.ravel())
-        return (invert(T_current_r), chosen) if np.all(np.isfinite(T_current_r)) else None
 
     def _needs_keyframe(self) -> bool:
         tracks = self._tracks

@@ -1,0 +1,76 @@
+"""Pose of a camera that sees corners of known places, of which some are wrong.
+
+Sources: Fischler & Bolles 1981 (RANSAC); Lepetit et al. 2009 (EPnP).
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+import monoloc._core as _core
+from monoloc.camera import Camera
+from monoloc.geometry import FloatArray, invert, make_pose, so3_exp, transform
+from monoloc.odometry.odometry_config import OdometryConfig
+
+_PRIOR_INFORMATION = 1e-6 * np.eye(6)  # against a singular matrix alone
+_KERNEL_SDS = np.full(4, 1e3)  # inliers count alike
+_NEAREST_M = 0.05  # depth of a corner, at least
+
+
+def solve_pose(
+    points: FloatArray, pixels: NDArray[np.float32], camera: Camera, config: OdometryConfig
+) -> tuple[FloatArray, NDArray[np.int64]] | None:
+    """``T_r_camera`` (4, 4) of a camera that sees points (N, 3) of frame r at pixels (N, 2), and indices of inliers.
+
+    None where too few points agree.
+    """
+    if len(points) < config.min_inliers:
+        return None
+    seen, K, distortion = camera.for_pnp(pixels)
+    ok, rotation, translation, inliers = cv2.solvePnPRansac(
+        points,
+        seen,
+        K,
+        distortion,
+        iterationsCount=100,
+        reprojectionError=config.reprojection_px,
+        confidence=0.999,
+        flags=cv2.SOLVEPNP_EPNP,
+    )
+    if not ok or inliers is None:
+        return None
+    chosen, T_camera_r = inliers.ravel().astype(np.int64), make_pose(so3_exp(rotation.ravel()), translation.ravel())
+    is_fisheye = camera.distortion_model == "fisheye"
+    if is_fisheye:
+        chosen = _agreeing(points, pixels, camera, T_camera_r, config.reprojection_px)
+    if len(chosen) < max(config.min_inliers, config.min_inlier_share * len(points)):
+        return None
+    if is_fisheye:
+        T_r_camera = _fit(points[chosen], pixels[chosen], camera, invert(T_camera_r))
+    else:
+        refined = cv2.solvePnPRefineLM(points[chosen], seen[chosen], K, distortion, rotation, translation)
+        T_r_camera = invert(make_pose(so3_exp(refined[0].ravel()), refined[1].ravel()))
+    return (T_r_camera, chosen) if np.all(np.isfinite(T_r_camera)) else None
+
+
+# OpenCV's solvers know no fisheye, so they take its corners at z = 1, where a pixel at the edge spans several times
+# as much as one at the centre. What follows compares pixels.
+
+
+def _agreeing(
+    points: FloatArray, pixels: NDArray[np.float32], camera: Camera, T_camera_r: FloatArray, most_px: float
+) -> NDArray[np.int64]:
+    """Indices of the points that a camera sees within so many pixels of where they were found."""
+    local = transform(T_camera_r, points)
+    ahead = np.flatnonzero(camera.in_sight(local))
+    error_px = np.linalg.norm(camera.project(local[ahead]) - pixels[ahead], axis=1)
+    return np.asarray(ahead[error_px < most_px], dtype=np.int64)
+
+
+def _fit(points: FloatArray, pixels: NDArray[np.float32], camera: Camera, start: FloatArray) -> FloatArray:
+    """The pose ``T_r_camera`` with the least squares of errors in pixels, (4, 4)."""
+    rays = camera.rays(pixels)[:, :2]
+    fit = _core.fit_pose(points, rays, camera.ray_spread(rays), start, _PRIOR_INFORMATION, _KERNEL_SDS, _NEAREST_M)
+    return fit[0]

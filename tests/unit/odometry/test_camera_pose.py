@@ -1,0 +1,52 @@
+"""Pose of a camera from corners of known places: tests."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from monoloc.camera import Camera
+from monoloc.geometry import FloatArray, invert, se3_exp, se3_log, transform
+from monoloc.odometry.camera_pose import solve_pose
+from monoloc.odometry.odometry_config import OdometryConfig
+
+PINHOLE = Camera(320, 240, 262.0, 262.0, 159.5, 119.5)
+FISHEYE = Camera(320, 240, 142.0, 142.0, 159.5, 119.5, (0.02, -0.01, 0.003, -0.001), "fisheye")
+CAMERAS = [PINHOLE, FISHEYE]
+CORNERS, NOISE_PX = 250, 0.3
+
+
+def scene(camera: Camera, seed: int) -> tuple[FloatArray, FloatArray, np.ndarray]:
+    """Points (N, 3), a pose ``T_r_camera`` near the origin, and the pixels all over its image that show them."""
+    rng = np.random.default_rng(seed)
+    pixels = rng.uniform((4.0, 4.0), (camera.width - 4.0, camera.height - 4.0), (CORNERS, 2))
+    points = camera.rays(pixels) * rng.uniform(1.0, 4.0, CORNERS)[:, None]
+    pose = se3_exp(rng.normal(size=6) * [0.04, 0.04, 0.04, 0.02, 0.02, 0.02])
+    local = transform(invert(pose), points)
+    points, local = points[camera.in_sight(local)], local[camera.in_sight(local)]
+    seen = camera.project(local) + NOISE_PX * rng.standard_normal((len(local), 2))
+    return points, pose, seen.astype(np.float32)
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_corners_count_by_their_pixels_all_over_the_image(camera: Camera, seed: int) -> None:
+    """Also at the edge of a fisheye. Each pose is within four times what so much noise explains."""
+    points, pose, pixels = scene(camera, seed)
+    wrong = np.arange(0, len(points), 5)
+    pixels[wrong] += 12.0
+    solution = solve_pose(points, pixels, camera, OdometryConfig())
+    assert solution is not None
+    found, inliers = solution
+    assert not np.isin(wrong, inliers).any()
+    assert len(inliers) > 0.98 * (len(points) - len(wrong))
+    error = se3_log(invert(pose) @ found)
+    assert np.linalg.norm(error[:3]) < 0.004 and np.linalg.norm(error[3:]) < 0.002
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_pose_needs_corners_that_agree(camera: Camera) -> None:
+    points, _, pixels = scene(camera, 3)
+    config = OdometryConfig()
+    assert solve_pose(points[:14], pixels[:14], camera, config) is None
+    assert solve_pose(points, np.random.default_rng(0).permutation(pixels), camera, config) is None
