@@ -165,8 +165,8 @@ Bricks::Bricks(const std::vector<Component>& mixture, const IndexSettings& setti
   firsts_.push_back(near_.size());
 }
 
-std::vector<List> Bricks::candidates(std::size_t i) const {
-  std::vector<List> found(kBrickVoxels);
+void Bricks::find_candidates(std::size_t i, std::vector<List>& found) const {
+  for (List& list : found) list.clear();
   double corner[3];
   grid_.corner(near_[firsts_[i]].first, corner);
   for (std::size_t n = firsts_[i]; n < firsts_[i + 1]; ++n) {
@@ -192,21 +192,21 @@ std::vector<List> Bricks::candidates(std::size_t i) const {
       }
     }
   }
-  return found;
 }
 
-BrickLists Bricks::lists(std::size_t i, Selector& selector) const {
+BrickLists Bricks::lists(std::size_t i, BrickBuffers& buffers) const {
   BrickLists brick;
   brick.key = near_[firsts_[i]].first;
   double lower[3];
   grid_.corner(brick.key, lower);
-  std::vector<List> lists = candidates(i);
+  std::vector<List>& lists = buffers.voxels;
+  find_candidates(i, lists);
   for (std::uint32_t voxel = 0; voxel < kBrickVoxels; ++voxel) {
     const std::uint32_t along[3] = {voxel % kBrickEdge, voxel / kBrickEdge % kBrickEdge,
                                     voxel / (kBrickEdge * kBrickEdge)};
     double corner[3];
     for (int axis = 0; axis < 3; ++axis) corner[axis] = lower[axis] + along[axis] * voxel_m_;
-    lists[voxel] = selector.select(lists[voxel], corner);
+    buffers.selector.select(lists[voxel], corner);
     brick.components += lists[voxel].size();
     brick.voxels += lists[voxel].empty() ? 0 : 1;
   }

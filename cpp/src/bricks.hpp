@@ -46,6 +46,12 @@ struct BrickLists {
   std::size_t voxels = 0, components = 0;  // voxels that have a list, and components of these before they share
 };
 
+// Buffers of a thread, which go from brick to brick.
+struct BrickBuffers {
+  Selector selector;
+  std::vector<List> voxels = std::vector<List>(kBrickVoxels);
+};
+
 // The bricks of a mixture. Different bricks can be computed at once.
 class Bricks {
  public:
@@ -56,11 +62,11 @@ class Bricks {
   std::size_t size() const { return firsts_.size() - 1; }
 
   // Lists of the i-th brick, in the order of keys.
-  BrickLists lists(std::size_t i, Selector& selector) const;
+  BrickLists lists(std::size_t i, BrickBuffers& buffers) const;
 
  private:
-  // Components that may matter in each voxel of the i-th brick, x fastest, then y, then z.
-  std::vector<List> candidates(std::size_t i) const;
+  // Writes the components that may matter in each voxel of the i-th brick, x fastest, then y, then z.
+  void find_candidates(std::size_t i, std::vector<List>& found) const;
 
   const std::vector<Component>& mixture_;
   double voxel_m_;

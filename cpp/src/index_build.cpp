@@ -94,7 +94,7 @@ std::vector<BrickLists> batch_of(const Bricks& bricks, std::size_t first, const 
                                  std::size_t threads) {
   std::vector<BrickLists> batch(std::min(kBatch, bricks.size() - first));
   run_on_threads((batch.size() + kShare - 1) / kShare, threads, [&](std::size_t share) {
-    Selector own = selector;  // with buffers of its own
+    BrickBuffers own{selector};
     for (std::size_t i = share * kShare; i < std::min(batch.size(), (share + 1) * kShare); ++i) {
       batch[i] = bricks.lists(first + i, own);
     }

@@ -42,8 +42,8 @@ Selector::Selector(const std::vector<Component>& mixture, const IndexSettings& s
   }
 }
 
-List Selector::select(const List& candidates, const double* corner) {
-  if (candidates.empty()) return {};
+void Selector::select(List& candidates, const double* corner) {
+  if (candidates.empty()) return;
   const Kernels& run = kernels();
   if (densities_.size() < candidates.size() * stride_) densities_.resize(candidates.size() * stride_);
   total_.assign(stride_, static_cast<float>(settings_.floor_density));
@@ -57,18 +57,17 @@ List Selector::select(const List& candidates, const double* corner) {
   }
   std::sort(importance_.begin(), importance_.end());
   dropped_.assign(stride_, 0.0f);
-  List kept;
-  kept.reserve(candidates.size());
+  kept_.clear();
   for (const auto& [most, c] : importance_) {
     const float* share = densities_.data() + c * stride_;
-    if (kept.empty() && run.largest_sum(dropped_.data(), share, stride_) <= settings_.tolerance) {
+    if (kept_.empty() && run.largest_sum(dropped_.data(), share, stride_) <= settings_.tolerance) {
       for (std::size_t s = 0; s < stride_; ++s) dropped_[s] += share[s];
     } else {
-      kept.push_back(candidates[c]);
+      kept_.push_back(candidates[c]);
     }
   }
-  std::sort(kept.begin(), kept.end());
-  return kept;
+  std::sort(kept_.begin(), kept_.end());
+  candidates.assign(kept_.begin(), kept_.end());
 }
 
 }  // namespace monoloc

@@ -19,8 +19,8 @@ class Selector {
  public:
   Selector(const std::vector<Component>& mixture, const IndexSettings& settings);
 
-  // Selected components, ascending; corner: the voxel's lower corner in the mixture's frame.
-  List select(const List& candidates, const double* corner);
+  // Replaces candidates by the selected ones, ascending; corner: the voxel's lower corner in the mixture's frame.
+  void select(List& candidates, const double* corner);
 
  private:
   const std::vector<Component>& mixture_;
@@ -28,6 +28,7 @@ class Selector {
   std::size_t stride_;
   std::vector<float> offsets_, densities_, total_, dropped_;
   std::vector<std::pair<float, std::size_t>> importance_;
+  List kept_;
 };
 
 }  // namespace monoloc
