@@ -12,7 +12,8 @@ from monoloc.adapt.settings import QUICK, Tune
 from monoloc.builder.build_config import METHODS, BuildConfig, BuildReport, Method
 from monoloc.builder.build_plan import expected_stages
 from monoloc.builder.pipeline import build_bundle
-from monoloc.bundle import Bundle, check_target, replaced_edits, write_bundle
+from monoloc.bundle import Bundle, write_bundle
+from monoloc.cli.bundle_output import check_bundle_output, note_replaced
 from monoloc.cli.common import (
     DepthScaleOption,
     FixDepthOption,
@@ -23,7 +24,6 @@ from monoloc.cli.common import (
     ScaleOption,
     SeedOption,
     SourceArgument,
-    check_apart,
     naming,
     open_cloud,
     open_source,
@@ -121,10 +121,7 @@ def build(
       monoloc build my-recording --tune none --no-map-transform --no-landmarks --out plain.monoloc
       monoloc build my-recording --network midas.toml --out midas.monoloc     (another network)
     """
-    check_target(out)
-    check_apart(out, "--out", (network,))
-    if out.suffix != ".monoloc":
-        raise SettingError("--out", f"{out} is not named as a bundle", "name it NAME.monoloc")
+    check_bundle_output(out, (network,))
     config = _settings_of(method, settings)
     remarks = []
     if trainable_file(network) is None:
@@ -144,7 +141,7 @@ def build(
     evidence = evidence_path(target_of(out))
     with naming(options):
         config = override(config, **given, adapt=adapt)
-        _note_replaced(out, evidence)
+        note_replaced(out, evidence, "; to keep them, stop now and name another --out")
         points = None if cloud is None else open_cloud(cloud)
         selected = open_source(
             source, frames, intrinsics, depth_scale, fix_poses=fix_poses, fix_depth=fix_depth, guesses_camera=True
@@ -166,18 +163,6 @@ def build(
         print_json({"bundle": str(out), "bytes": size, **asdict(report)})
     else:
         _print_report(out, size, bundle, report, network)
-
-
-def _note_replaced(out: Path, evidence: Path) -> None:
-    """Say what goes with the bundle that is replaced, before the build."""
-    parts = []
-    if edits := replaced_edits(out):
-        parts.append(f"its edits ({edits})")
-    if evidence.is_file():
-        parts.append(f"what flights showed of it ({evidence.name})")
-    if parts:
-        note = f"the new bundle replaces {' and '.join(parts)}, too; to keep them, stop now and name another --out"
-        stderr.print(f"note: {out}: {note}", soft_wrap=True)
 
 
 def _print_report(out: Path, size: int, bundle: Bundle, report: BuildReport, network: str) -> None:

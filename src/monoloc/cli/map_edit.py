@@ -13,8 +13,9 @@ import numpy as np
 import typer
 from typer.core import TyperGroup
 
-from monoloc.bundle import Bundle, check_target, digest_of, read_bundle, write_bundle
+from monoloc.bundle import Bundle, digest_of, read_bundle, write_bundle
 from monoloc.bundle_signature import SIGNATURE
+from monoloc.cli.bundle_output import check_bundle_output, note_replaced
 from monoloc.cli.common import (
     DepthScaleOption,
     FixDepthOption,
@@ -24,7 +25,6 @@ from monoloc.cli.common import (
     JsonOption,
     SeedOption,
     SourceArgument,
-    check_apart,
     naming,
     open_cloud,
     open_source,
@@ -92,10 +92,9 @@ class _Target:
         """Read, change and write the bundle, and print what changed."""
         target = out or self.path
         if out is not None:
-            if out.suffix != ".monoloc":
-                raise SettingError("--out", f"{out} is not named as a bundle", "name it NAME.monoloc")
-            check_apart(out, "--out", inputs)
-            check_target(out)
+            check_bundle_output(out, inputs)
+            if target_of(out) != target_of(self.path):
+                note_replaced(out)
         found = AsFound.of(target_of(target))
         bundle = read_bundle(self.path)
         began = time.perf_counter()

@@ -12,6 +12,7 @@ import typer
 
 from monoloc.bundle import Bundle, check_target, read_bundle, write_bundle
 from monoloc.bundle_signature import SIGNATURE
+from monoloc.cli.bundle_output import check_bundle_output, note_replaced
 from monoloc.cli.common import (
     DepthScaleOption,
     FixDepthOption,
@@ -19,7 +20,6 @@ from monoloc.cli.common import (
     IntrinsicsOption,
     JsonOption,
     SeedOption,
-    check_apart,
     check_outputs,
     check_picture,
     open_source,
@@ -137,10 +137,9 @@ def update(
 
 def _check_outputs(bundle: Path, out: Path | None, plot: Path | None, sources: list[str]) -> None:
     if out is not None:
-        if out.suffix != ".monoloc":
-            raise SettingError("--out", f"{out} is not named as a bundle", "name it NAME.monoloc")
-        check_apart(out, "--out", sources)
-        check_target(out)
+        check_bundle_output(out, sources)
+        if target_of(out) != target_of(bundle):
+            note_replaced(out, evidence_path(target_of(out)))
     check_outputs({"--plot": plot}, (bundle, *sources))
     check_picture(plot, "--plot")
 

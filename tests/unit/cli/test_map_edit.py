@@ -109,6 +109,18 @@ def test_region_of_a_run_is_removed(here: Path, capfd: pytest.CaptureFixture[str
         )
 
 
+def test_edits_of_another_bundle_that_an_edit_replaces_are_noted(
+    here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    remove = (*EDIT, "remove", "--box", BOX, "--out", "other.monoloc")
+    _, err = outputs(capfd, *remove)
+    assert "replaces" not in err
+    _, err = outputs(capfd, *remove)
+    assert "note: other.monoloc: the new bundle replaces its edits (1), too\n" in err
+    _, err = outputs(capfd, "map", "edit", "other.monoloc", "remove", "--box", BOX, "--out", "./other.monoloc")
+    assert "replaces" not in err
+
+
 def test_log_of_a_map_without_edits(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert succeeds(capfd, *EDIT, "log") == ""
 
