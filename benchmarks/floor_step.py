@@ -2,9 +2,9 @@
 
     python benchmarks/floor_step.py BUNDLE SOURCE FRAMES
 
-The floor has copies of a room's map, wall to wall, with 100,000 components, and 200,000 landmarks; those of the copies
-have descriptors of their own. Both are flown at once, frame by frame, from the true pose. Prints processor times of
-one thread, and errors.
+The floor has copies of a room's map, wall to wall, with 100,000 components, and 200,000 landmarks, of which those of
+the copies have descriptors of their own. Both are flown at once, frame by frame, from the true pose. Prints processor
+times of one thread, and errors.
 """
 
 from __future__ import annotations
