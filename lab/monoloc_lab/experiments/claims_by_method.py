@@ -17,7 +17,7 @@ from monoloc_lab.experiments import tasks as factories
 from monoloc_lab.experiments.claims import DARK_BOUND, MOVED_BOUND_M, SMALLER_BOUND
 from monoloc_lab.experiments.drawing import legend_below, logarithmic
 from monoloc_lab.experiments.figure import Drawn, Figure
-from monoloc_lab.experiments.gather import BRIGHT, DARK, MEDIAN, RMSE, network_of, usual_light
+from monoloc_lab.experiments.gather import BRIGHT, DARK, MEDIAN, RMSE, compared_lights, network_of, usual_light
 from monoloc_lab.experiments.interval import (
     CONFIDENCE,
     Interval,
@@ -62,7 +62,7 @@ def _flights(study: Study) -> Iterator[_Flight]:
             for method, tuned in ((method, tuned) for method in CLAIMED for tuned in (True, False)):
                 rung = method.tuned if tuned else method.untuned
                 bundle = factories.built(split, network_of(size), rung.build, build)
-                for light in _lights(split):
+                for light in compared_lights(split):
                     for flight in range(FLIGHTS):
                         task = factories.run(bundle, split.recordings[light], flight, without=rung.without)
                         yield _Flight(method.name, tuned, size, light, build, flight, task)
@@ -71,10 +71,6 @@ def _flights(study: Study) -> Iterator[_Flight]:
 def _sizes(study: Study) -> tuple[str, ...]:
     """The largest network, and a third of its parameters where the study has it."""
     return tuple(dict.fromkeys([study.sizes[0], *(size for size in study.sizes if size == _SMALLER)]))
-
-
-def _lights(split: Split) -> tuple[str, ...]:
-    return tuple(dict.fromkeys([usual_light(split), BRIGHT, DARK]))
 
 
 def rows_of(study: Study, results: Results) -> list[Row]:
@@ -185,7 +181,7 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
     errors = [
         (size, light, method.name, *(_error(rows, method, tuned, size, light) for tuned in (False, True)))
         for size in sizes
-        for light in _lights(split)
+        for light in compared_lights(split)
         for method in CLAIMED
     ]
     text = (
@@ -215,7 +211,7 @@ def _error(rows: Sequence[Row], method: Claimed, tuned: bool, size: str, light: 
 
 def _draw(study: Study, rows: Sequence[Row], folder: Path) -> Path:
     """RMSE in every light by the largest network, a point a build: a panel a method."""
-    path, lights, size = folder / "claims-by-method.png", _lights(study.splits[0]), study.sizes[0]
+    path, lights, size = folder / "claims-by-method.png", compared_lights(study.splits[0]), study.sizes[0]
     with picture(path, 3.6 * len(CLAIMED), 3.6) as figure:
         axes = figure.subplots(1, len(CLAIMED), sharey=True)
         for axis, method in zip(axes, CLAIMED, strict=True):

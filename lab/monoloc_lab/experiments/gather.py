@@ -80,6 +80,11 @@ def usual_recording(split: Split) -> EvalRecording:
     return split.recordings[usual_light(split)]
 
 
+def compared_lights(split: Split) -> tuple[str, ...]:
+    """The light of the build frames, bright light and near darkness."""
+    return tuple(dict.fromkeys([usual_light(split), BRIGHT, DARK]))
+
+
 def network_of(size: str) -> str:
     """The depth network of a size."""
     return f"{size}-{WIDTH}"

@@ -13,9 +13,9 @@ from monoloc.viz.picture import GREY, VERMILION, picture
 from monoloc_lab.experiments import tasks as factories
 from monoloc_lab.experiments.drawing import legend_below, logarithmic
 from monoloc_lab.experiments.figure import Drawn, Figure
-from monoloc_lab.experiments.gather import BRIGHT, DARK, MEDIAN, RMSE, ROTATION, seeds_of, usual_light
+from monoloc_lab.experiments.gather import BRIGHT, DARK, MEDIAN, RMSE, ROTATION, compared_lights, seeds_of
 from monoloc_lab.experiments.interval import CONFIDENCE, Interval, interval_of, ratios_of_builds
-from monoloc_lab.experiments.study import Split, Study
+from monoloc_lab.experiments.study import Study
 from monoloc_lab.experiments.task import Results, Task
 
 _TRAINED = {True: "with darkened images", False: "without darkened images"}
@@ -44,13 +44,9 @@ def _flights(study: Study) -> Iterator[_Flight]:
         for size in study.sizes:
             for darkened in _TRAINED:
                 posenet = factories.posenet(study, split, size, seed, darkened=darkened)
-                for light in _lights(split):
+                for light in compared_lights(split):
                     task = factories.posenet_run(posenet, split.recordings[light])
                     yield _Flight(darkened, size, light, seed, task)
-
-
-def _lights(split: Split) -> tuple[str, ...]:
-    return tuple(dict.fromkeys([usual_light(split), BRIGHT, DARK]))
 
 
 def rows_of(study: Study, results: Results) -> list[Row]:
@@ -95,7 +91,10 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
         (
             size,
             text,
-            *(interval_of(list(_errors(rows, darkened, size, light).values())).text() for light in _lights(split)),
+            *(
+                interval_of(list(_errors(rows, darkened, size, light).values())).text()
+                for light in compared_lights(split)
+            ),
             in_the_dark(rows, darkened, size).text(digits=2),
         )
         for size in study.sizes
@@ -104,7 +103,9 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
     return Drawn(
         numbers={"rows": rows},
         pictures=[_draw(study, rows, folder)],
-        tables={"PoseNet, RMSE in cm": (("size", "trained", *_lights(split), f"{DARK} over {BRIGHT}"), table)},
+        tables={
+            "PoseNet, RMSE in cm": (("size", "trained", *compared_lights(split), f"{DARK} over {BRIGHT}"), table)
+        },
         text=(
             f"{study.seeds} trainings, {split.name}, every frame by itself. Medians over trainings with the "
             f"{100 * CONFIDENCE:.0f} % bootstrap interval."
@@ -114,7 +115,7 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
 
 def _draw(study: Study, rows: Sequence[Row], folder: Path) -> Path:
     """RMSE in every light, a point a training: a panel a size."""
-    path, lights = folder / "posenets.png", _lights(study.splits[0])
+    path, lights = folder / "posenets.png", compared_lights(study.splits[0])
     with picture(path, max(5.0, 3.6 * len(study.sizes)), 3.6) as figure:
         axes = figure.subplots(1, len(study.sizes), sharey=True, squeeze=False)[0]
         for axis, size in zip(axes, study.sizes, strict=True):
