@@ -92,11 +92,14 @@ def open_port(address: Address) -> Port:
     Raises:
         OSError: it cannot be opened.
     """
-    if address.kind == "serial":
-        return _SerialPort(address.place, address.number)
-    if address.kind == "tcp":
-        return _TcpPort(address.place, address.number)
-    return _UdpPort(address)
+    try:
+        if address.kind == "serial":
+            return _SerialPort(address.place, address.number)
+        if address.kind == "tcp":
+            return _TcpPort(address.place, address.number)
+        return _UdpPort(address)
+    except ValueError as error:  # such as a host with two dots in a row
+        raise OSError("nothing can have this name") from error
 
 
 class _UdpPort:
