@@ -147,13 +147,16 @@ class _UdpPort:
         return data
 
     def write(self, data: bytes) -> int:
-        try:
-            for receiver in self._receivers():
+        for receiver in self._receivers():
+            try:
                 self._socket.sendto(data, receiver)
-        except BlockingIOError:
-            return 0
-        except ConnectionError:  # nobody listens yet
-            pass
+            except BlockingIOError:
+                return 0
+            except ConnectionError:  # nobody listens yet
+                pass
+            except OSError:  # such as no route to it
+                if self._clients.pop(receiver, None) is None:
+                    raise
         return len(data)
 
     def close(self) -> None:

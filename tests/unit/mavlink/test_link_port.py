@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 import select
@@ -86,6 +87,40 @@ def test_udp_peer_that_does_not_listen_disturbs_nothing() -> None:
     port = open_port(Address("udpout", "127.0.0.1", number))
     for _ in range(3):
         assert port.write(b"abc") == 3 and port.read() == b""
+    port.close()
+
+
+def test_udp_client_that_no_way_leads_to_any_more_takes_nothing_from_the_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A ground station whose network went down, beside the autopilot."""
+    gone = list[int]()
+
+    class Network(socket.socket):
+        def sendto(self, data: bytes, place: tuple[str, int]) -> int:  # type: ignore[override]
+            if place[1] in gone:
+                raise OSError(errno.ENETUNREACH, "Network is unreachable")
+            return super().sendto(data, place)
+
+    monkeypatch.setattr(socket, "socket", Network)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        number = free.getsockname()[1]
+    port = open_port(Address("udpin", "127.0.0.1", number))
+    udp = socket.AF_INET, socket.SOCK_DGRAM
+    with socket.socket(*udp) as station, socket.socket(*udp) as autopilot:
+        autopilot.settimeout(SOON_S)
+        for client in (station, autopilot):
+            client.connect(("127.0.0.1", number))
+            client.send(b"hello")
+            select.select([port], [], [], SOON_S)
+            assert port.read() == b"hello"
+        gone.append(station.getsockname()[1])
+        for _ in range(2):
+            assert port.write(b"pose") == 4
+            assert autopilot.recv(9) == b"pose"
+        gone.append(autopilot.getsockname()[1])
+        assert port.write(b"pose") == 4 and not port.has_receiver
     port.close()
 
 
