@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -36,10 +37,10 @@ class CameraDevice:
         self._stamps_are_ours: bool | None = None  # None before the first image
 
     def open(self) -> None:
-        with _without_warnings():
+        capture = None
+        with _without_warnings(), contextlib.suppress(cv2.error):  # of a number that no device has
             capture = cv2.VideoCapture(self._index)
-        if not capture.isOpened():
-            capture.release()
+        if capture is None or not capture.isOpened():
             fix = "check that it is plugged in and that nothing else uses it"
             raise DataError(self.name, "cannot be opened", fix, page="how-to/fly")
         for key, value in (

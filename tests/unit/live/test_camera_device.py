@@ -130,10 +130,11 @@ def test_after_it_came_back_its_clock_is_found_again(
     assert device.grab()[1] == NOW_S
 
 
-def test_an_absent_camera_is_one_line_and_opencv_adds_none(capfd: pytest.CaptureFixture[str]) -> None:
-    device = CameraDevice(987, CAMERA)
+@pytest.mark.parametrize("number", [987, 99_999_999_999])
+def test_an_absent_camera_is_one_line_and_opencv_adds_none(capfd: pytest.CaptureFixture[str], number: int) -> None:
+    device = CameraDevice(number, CAMERA)
     level = cv2.utils.logging.getLogLevel()
-    refuses_data(device.open, Path("camera:987"), "cannot be opened", "plugged in")
+    refuses_data(device.open, Path(f"camera:{number}"), "cannot be opened", "plugged in")
     assert capfd.readouterr() == ("", "")
     assert cv2.utils.logging.getLogLevel() == level
     device.close()
