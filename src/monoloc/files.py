@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
@@ -64,7 +65,8 @@ def write_whole(path: Path, content: bytes, *, is_synced: bool = True) -> None:
         with whole_file(target_of(path), is_synced=is_synced) as partial:
             partial.write_bytes(content)
     except OSError as error:
-        fix = "name a file in a folder you can write to"
+        is_full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        fix = "make room, or choose another disk" if is_full else "name a file in a folder you can write to"
         raise DataError(path, f"cannot be written ({error.strerror})", fix) from error
 
 

@@ -29,7 +29,7 @@ def test_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.Mo
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Path, "replace", full_disk)
-    with pytest.raises(DataError, match=r"file\.txt: cannot be written \(No space left on device\); "):
+    with pytest.raises(DataError, match=r"file\.txt: cannot be written \(No space left on device\); make room"):
         write_whole(path, b"new")
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
