@@ -39,6 +39,11 @@ def _without_waiting(name: str, flags: int) -> int:
     return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))  # Windows has no such flag, nor such pipes
 
 
+def at_home(path: str | Path) -> Path:
+    """The path with the home folder in place of ``~``; that of an unknown user stays, and so is not found."""
+    return Path(os.path.expanduser(path))  # noqa: PTH111 - pathlib raises for an unknown user
+
+
 def target_of(path: Path) -> Path:
     """The file that a write to ``path`` replaces: ``path`` with all links resolved.
 

@@ -17,7 +17,7 @@ from monoloc.bundle_manifest import container_of
 from monoloc.camera import Camera
 from monoloc.errors import SettingError
 from monoloc.extras import require_plotting, require_viewing
-from monoloc.files import json_text, target_of
+from monoloc.files import at_home, json_text, target_of
 from monoloc.geometry import FloatArray
 from monoloc.io.camera_file import read_camera
 from monoloc.io.cloud_files import read_cloud
@@ -246,7 +246,7 @@ def check_apart(path: Path, option: str, inputs: Sequence[str | Path | None]) ->
     target = target_of(path)
     texts = [str(given) for given in inputs if given is not None]
     for text in (*texts, *(text.partition(":")[2] for text in texts)):  # PATH or FORMAT:PATH
-        source = Path(os.path.realpath(os.path.expanduser(text)))  # noqa: PTH111 - pathlib raises for odd paths
+        source = Path(os.path.realpath(at_home(text)))
         if text and source == target:
             raise SettingError(option, f"{path} is read by this command", "name another place")
     _check_outside(path, option)

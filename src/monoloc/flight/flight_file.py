@@ -9,6 +9,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from monoloc.config import load_settings
+from monoloc.files import at_home
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.io.registry import FORMATS
 from monoloc.live.opening import is_live
@@ -82,9 +83,9 @@ def read_flight_file(path: Path) -> FlightFile:
     changes: dict[str, object] = {"source": _source_beside(flight.source, folder)}
     for name in ("room", "require_signature", "out", "mcap", "record"):
         given = getattr(flight, name)
-        changes[name] = None if given is None else folder / given.expanduser()
+        changes[name] = None if given is None else folder / at_home(given)
     if flight.camera is not None and flight.camera.endswith(".toml"):
-        changes["camera"] = str(folder / Path(flight.camera).expanduser())
+        changes["camera"] = str(folder / at_home(flight.camera))
     return flight.model_copy(update=changes)
 
 
@@ -92,5 +93,5 @@ def _source_beside(source: str, folder: Path) -> str:
     if is_live(source):
         return source
     if known := _FORMAT.fullmatch(source):
-        return f"{known[1]}:{folder / Path(known[2]).expanduser()}"
-    return str(folder / Path(source).expanduser())
+        return f"{known[1]}:{folder / at_home(known[2])}"
+    return str(folder / at_home(source))

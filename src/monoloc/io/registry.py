@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from monoloc.errors import DataError, SettingError
+from monoloc.files import at_home
 from monoloc.io import (
     colmap,
     folder,
@@ -124,8 +125,8 @@ def _split_source(source: str) -> tuple[str | None, Path]:
     """Split SOURCE into format, or None, and path."""
     match = _SOURCE.fullmatch(source)
     if match and not Path(source).exists():
-        return match[1], Path(match[2]).expanduser()
-    return None, Path(source).expanduser()
+        return match[1], at_home(match[2])
+    return None, at_home(source)
 
 
 def select_frames(recording: Recording, frames: str) -> Selection:

@@ -10,6 +10,7 @@ import pytest
 
 from monoloc.flight.flight_file import read_flight_file
 from monoloc.flight.flight_settings import FlightSettings, Mount
+from monoloc.io.registry import open_recording
 from monoloc.mavlink.firmware import Firmware
 from refusals import refuses_data
 from repository import REPOSITORY
@@ -84,3 +85,12 @@ def test_the_documents_examples_are_flights(tmp_path: Path, page: str) -> None:
     for example in examples:
         (tmp_path / "flight.toml").write_text(example)
         read_flight_file(tmp_path / "flight.toml")
+
+
+def test_the_home_of_an_unknown_user_is_a_path_that_is_not_found(tmp_path: Path) -> None:
+    path = tmp_path / "flight.toml"
+    path.write_text('room = "~nobody-here/room.monoloc"\nsource = "~nobody-here/flight"\nout = "~/poses.csv"\n')
+    flight = read_flight_file(path)
+    assert flight.room == tmp_path / "~nobody-here" / "room.monoloc" and flight.out == Path.home() / "poses.csv"
+    refuses_data(lambda: open_recording(flight.source), tmp_path / "~nobody-here" / "flight", "does not exist", "")
+    refuses_data(lambda: open_recording("~nobody-here/x"), Path("~nobody-here/x").absolute(), "does not exist", "")
