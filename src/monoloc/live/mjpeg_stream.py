@@ -40,6 +40,7 @@ class MjpegStream:
         self._stream, self._camera, self._buffer = stream, camera, b""
         self._skipped = 0  # bytes that belong to no image, since the last one
         self._is_empty = True
+        self._other_sizes: set[tuple[int, int]] = set()  # that images stated since the last one of the right size
         self._most_bytes = camera.width * camera.height * _BYTES_PER_PIXEL + _CHUNK
 
     def open(self) -> None:
@@ -64,6 +65,7 @@ class MjpegStream:
             end = self._find_image()
             if end != _INCOMPLETE:
                 jpeg, self._buffer, self._skipped = self._buffer[:end], self._buffer[end:], 0
+                self._other_sizes.clear()
                 return jpeg
             if self._skipped + len(self._buffer) > self._most_bytes:
                 raise DataError(self.name, "holds no JPEG images", "write motion JPEG to it, without a container")
@@ -104,21 +106,29 @@ class MjpegStream:
                 return at + 2
             if at + 9 > len(data):
                 break
-            if marker in _SIZES:
-                self._check_size(data[at + 5 : at + 9])
+            if marker in _SIZES and not self._is_of_camera(data[at + 5 : at + 9]):
+                return _DAMAGED
             at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
             if marker == _SCAN:
                 following = _AFTER_PIXELS.search(data, at)
                 at = len(data) if following is None else following.start()
         return _INCOMPLETE
 
-    def _check_size(self, size: bytes) -> None:
+    def _is_of_camera(self, size: bytes) -> bool:
+        """Whether an image has the camera's size. Among right ones, one that states another may be damaged.
+
+        Raises:
+            DataError: it is the first image, or the second that states this size.
+        """
         height, width = int.from_bytes(size[:2], "big"), int.from_bytes(size[2:], "big")
-        if (width, height) != (self._camera.width, self._camera.height):
-            problem = (
-                f"gives images of {width}x{height}, but the camera is {self._camera.width}x{self._camera.height}"
-            )
+        if (width, height) == (self._camera.width, self._camera.height):
+            return True
+        if self._is_empty or (width, height) in self._other_sizes:
+            expected = f"{self._camera.width}x{self._camera.height}"
+            problem = f"gives images of {width}x{height}, but the camera is {expected}"
             raise DataError(self.name, problem, "give the intrinsics of these images")
+        self._other_sizes.add((width, height))
+        return False
 
     def close(self) -> None:
         """Nothing: the stream belongs to the caller."""

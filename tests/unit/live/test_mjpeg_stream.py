@@ -47,6 +47,14 @@ WITH_THUMBNAIL = (
 )
 
 
+def stating(size: int) -> bytes:
+    """An image whose header states another size, in both directions."""
+    jpeg = bytearray(JPEGS[0])
+    at = jpeg.index(b"\xff\xc0") + 5
+    jpeg[at : at + 4] = size.to_bytes(2, "big") * 2
+    return bytes(jpeg)
+
+
 class Pieces(io.RawIOBase):
     """A pipe that gives what was written, in the pieces in which it was written."""
 
@@ -150,13 +158,17 @@ def test_an_orientation_does_not_turn_the_pixels_that_the_intrinsics_are_of() ->
 
 def test_another_size_is_refused_by_the_header_before_the_pixels_came() -> None:
     """The header of an image of 60000x60000 pixels; nothing of it is decoded, or even waited for."""
-    large = bytearray(JPEGS[0])
-    at = large.index(b"\xff\xc0") + 5
-    large[at : at + 4] = (60000).to_bytes(2, "big") * 2
-    stream = stream_of(JPEGS[0], bytes(large[: at + 4]))
-    shows([stream.grab()[0]], 0)
+    large = stating(60000)
+    header = large[: large.index(b"\xff\xc0") + 9]
     problem = "gives images of 60000x60000, but the camera is 64x48"
+    refuses_data(stream_of(header).grab, Path("standard input"), problem, "intrinsics")
+    stream = stream_of(JPEGS[0], large, header)
+    shows([stream.grab()[0]], 0)
     refuses_data(stream.grab, Path("standard input"), problem, "intrinsics")
+
+
+def test_damage_to_the_sizes_of_images_ends_no_flight() -> None:
+    shows(images_of(stream_of(JPEGS[0], stating(7), stating(60000), JPEGS[1], stating(7), JPEGS[2])), 0, 1, 2)
 
 
 def test_what_holds_no_images_is_refused_and_not_kept() -> None:
