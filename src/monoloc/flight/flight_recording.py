@@ -88,7 +88,7 @@ class FlightHeader(BaseModel):
     digest: str
     camera: Camera
     start: RecordedStart | None
-    seed: int
+    seed: int = Field(ge=0)
     settings: FlightSettings
     firmware: Firmware | None = None
 
@@ -138,6 +138,12 @@ class RecordedFrame(BaseModel):
     start: RecordedStart | None = None
     rotation: RecordedRotation | None = None
     level: Level = Level.FULL
+
+    @model_validator(mode="after")
+    def _check(self) -> RecordedFrame:
+        if self.start is not None:
+            self.start.start  # noqa: B018 - raises where it is none
+        return self
 
     @property
     def motion(self) -> Motion | None:

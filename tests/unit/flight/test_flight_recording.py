@@ -136,6 +136,7 @@ def test_damaged_files_are_named(tmp_path: Path) -> None:
     record(tmp_path)
     events, whole = tmp_path / "frames.jsonl", (tmp_path / "frames.jsonl").read_bytes()
     first, *rest = lines(tmp_path)
+    no_start = json.dumps({"pose": [1.0] * 16, "error_m": 0.1, "error_rad": 0.1}).encode()
     for damaged in (
         b"{}\n",
         b"not JSON\n",
@@ -143,6 +144,7 @@ def test_damaged_files_are_named(tmp_path: Path) -> None:
         first.replace(b'"elapsed_s":0.0', b'"elapsed_s":-1.0'),
         first.replace(b'"elapsed_s":0.0', b'"elapsed_s":NaN'),
         first.replace(b'"done_s":', b'"more":1,"done_s":'),
+        first.replace(b'"start":null', b'"start":' + no_start),
         first.replace(b'"sd_rad":0.0', b'"sd_rad":-1.0'),
         first.replace(b'"R_previous_current":[', b'"R_previous_current":[2'),
         b"[" * 100_000 + b"\n",
@@ -171,6 +173,7 @@ def test_damaged_headers_are_named(tmp_path: Path) -> None:
     whole = json.loads(path.read_text())
     for changes, problem in (
         ({"seed": "x"}, "seed: "),
+        ({"seed": -1}, "seed: "),
         ({"digest": None}, "digest: "),
         ({"more": 1}, "more: "),
         ({"camera": {**whole["camera"], "fx": -1.0}}, "camera.fx/fy"),
