@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import socket
 
@@ -40,8 +39,7 @@ class WatchdogOutput:
 
     def _go_on(self, now_s: float, has_image: bool) -> None:
         if has_image and not self._is_ready:
-            self._is_ready = True
-            self._send("READY=1")
+            self._is_ready = self._send("READY=1")
         if now_s - self._said_s >= _PERIOD_S:
             self._said_s = now_s
             self._send("WATCHDOG=1")
@@ -52,8 +50,12 @@ class WatchdogOutput:
             self._socket.close()
             self._socket = None
 
-    def _send(self, text: str) -> None:
+    def _send(self, text: str) -> bool:
+        """Whether systemd will hear it: its socket may be full for a while, as when the computer starts."""
         if self._socket is None:
-            return
-        with contextlib.suppress(OSError):  # without systemd the flight goes on
+            return False
+        try:
             self._socket.sendto(text.encode(), self._address)
+        except OSError:  # without systemd the flight goes on
+            return False
+        return True

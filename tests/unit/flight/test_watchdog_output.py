@@ -53,6 +53,24 @@ def test_it_says_ready_at_the_first_frame_watchdog_twice_a_second_and_stopping_a
     assert heard(systemd) == [b"STOPPING=1"]
 
 
+def test_it_says_ready_again_where_the_socket_was_full(
+    systemd: socket.socket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A service that does not say it would be restarted, in flight."""
+    systemd.bind(str(tmp_path / "notify"))
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other, pytest.raises(BlockingIOError):
+        other.setblocking(False)
+        while True:
+            other.sendto(b"other", str(tmp_path / "notify"))
+    with closing(WatchdogOutput(FlightSummary())) as output:
+        output.take(result(10.0))
+        assert set(heard(systemd)) == {b"other"}
+        output.take(result(10.1))
+        output.take(result(10.2))
+        assert heard(systemd) == [b"READY=1"]
+
+
 def test_it_says_ready_while_a_flight_waits_for_its_marker(
     systemd: socket.socket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
