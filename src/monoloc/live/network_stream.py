@@ -50,8 +50,7 @@ class NetworkStream:
         except (av.FFmpegError, OSError, IndexError) as error:
             self.close()
             fix = "check the address, and that another player shows it"
-            reason = getattr(error, "strerror", None) or "it has none"  # the error's whole text repeats the URL
-            raise DataError(self.name, f"gives no video ({reason})", fix) from error
+            raise DataError(self.name, f"gives no video ({_reason(error, 'it has none')})", fix) from error
         video.thread_type = "SLICE"  # threads by frame add a frame of delay each
         self._frames = self._decoded(video)
         # Some cameras state a duration over RTSP that means nothing.
@@ -85,7 +84,7 @@ class NetworkStream:
             raise (EndOfStreamError if self._is_file else CameraGoneError) from error
         except (av.FFmpegError, OSError) as error:
             if self._is_file:  # opened again, it would play from its start
-                problem = f"breaks off ({getattr(error, 'strerror', None) or type(error).__name__})"
+                problem = f"breaks off ({_reason(error, type(error).__name__)})"
                 raise DataError(self.name, problem, "copy it here, and name the file") from error
             raise CameraGoneError from error
         color: NDArray[np.uint8] = frame.to_ndarray(format="rgb24")
@@ -96,3 +95,12 @@ class NetworkStream:
         if self._container is not None:
             self._container.close()
             self._container = self._frames = None
+
+
+def _reason(error: Exception, otherwise: str) -> str:
+    """Why a stream cannot be read; the error's whole text repeats the URL."""
+    import av
+
+    if isinstance(error, av.error.ExitError):  # how a wait ends; FFmpeg says "Immediate exit requested"
+        return f"no answer in {_TIMEOUT_S:g} s"
+    return getattr(error, "strerror", None) or otherwise

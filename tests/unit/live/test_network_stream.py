@@ -236,6 +236,13 @@ def test_a_camera_that_stops_sending_is_gone(transport_stream: bytes, monkeypatc
         thread.join(10.0)
 
 
+def test_an_address_that_says_nothing_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(network_stream, "_TIMEOUT_S", 0.3)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        silent = NetworkStream(f"http://127.0.0.1:{server.getsockname()[1]}/")
+        refuses(silent.open, DataError, "gives no video .no answer in 0.3 s.; check the address")
+
+
 def test_an_address_that_gives_no_video_is_refused_without_its_password(tmp_path: Path) -> None:
     fix = "another player"
     absent = NetworkStream("rtsp://pilot:se@cret@127.0.0.1:1/x")
