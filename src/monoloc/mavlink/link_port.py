@@ -109,9 +109,11 @@ class _UdpPort:
 
     def __init__(self, address: Address) -> None:
         is_server = address.kind == "udpin"
-        family, kind, protocol, _, place = socket.getaddrinfo(
+        found = socket.getaddrinfo(
             address.place, address.number, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE if is_server else 0
-        )[0]
+        )
+        # Autopilots speak IPv4. Of localhost, many systems name the address of IPv6 first, where nobody listens.
+        family, kind, protocol, _, place = min(found, key=lambda each: each[0] != socket.AF_INET)
         self._socket = socket.socket(family, kind, protocol)
         self._socket.setblocking(False)
         self._target = None if is_server else place

@@ -90,6 +90,26 @@ def test_udp_peer_that_does_not_listen_disturbs_nothing() -> None:
     port.close()
 
 
+def test_udp_takes_the_address_that_autopilots_listen_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As Debian answers for localhost: the address of IPv6 comes first."""
+
+    def both(host: str, port: int, **_: int) -> list[tuple[int, int, int, str, tuple[str | int, ...]]]:
+        kind, protocol = socket.SOCK_DGRAM, socket.IPPROTO_UDP
+        return [
+            (socket.AF_INET6, kind, protocol, "", ("::1", port, 0, 0)),
+            (socket.AF_INET, kind, protocol, "", ("127.0.0.1", port)),
+        ]
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
+        autopilot.bind(("127.0.0.1", 0))
+        autopilot.settimeout(SOON_S)
+        number = autopilot.getsockname()[1]
+        monkeypatch.setattr(socket, "getaddrinfo", both)
+        port = open_port(Address("udpout", "localhost", number))
+        assert port.write(b"pose") == 4 and autopilot.recv(9) == b"pose"
+        port.close()
+
+
 def test_udp_client_that_no_way_leads_to_any_more_takes_nothing_from_the_others(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
