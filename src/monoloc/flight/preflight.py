@@ -24,6 +24,7 @@ GOOD_SCALE_SD = 0.05
 _LEAST_RATE_HZ, _GOOD_RATE_HZ = 5.0, 15.0  # PX4 stops to fuse below 5 Hz
 _FEW_DROPPED = 0.1  # of the frames: the computer keeps up with the source
 _GOOD_LATENCY_S, _MOST_LATENCY_S = 0.1, 0.2  # from capture to result
+_MOST_PAUSE_S = 0.3  # after which ArduPilot no longer uses vision; PX4 waits for 0.4 s
 _GOOD_TRACKING, _LEAST_TRACKING = 0.9, 0.5  # shares of frames
 _GOOD_ROUND_TRIP_S = 0.05  # beyond it, what is sent waits for the port
 _LEAST_ATTITUDE_HZ = 9.0  # of nominally 10
@@ -76,6 +77,8 @@ class Preflight:
         self._roll_deg = roll_deg
         self._brightness = provenance.brightness
         self._count = 0
+        self._frame_s: float | None = None  # when the last frame was done
+        self._pause_s = 0.0  # the longest time without another
         self._quality: list[tuple[float, float, float, float]] = []
         self._landmarks: list[int] = []
         self._reasons: Counter[Reason] = Counter()
@@ -84,6 +87,7 @@ class Preflight:
         if self._count % _EVERY == 0:
             self._quality.append(quality_of(result.frame.color))
         self._count += 1
+        self._frame_s = result.done_s
         pose = result.step.landmark_pose
         self._landmarks.append(0 if pose is None else len(pose.points))
         self._reasons.update(result.step.reasons)
@@ -91,7 +95,8 @@ class Preflight:
             self._brightness = result.in_place.entered.provenance.brightness
 
     def idle(self, now_s: float) -> None:
-        """Nothing: the summary tells the rate."""
+        if self._frame_s is not None:
+            self._pause_s = max(self._pause_s, now_s - self._frame_s)
 
     def close(self) -> None:
         """Nothing is held."""
@@ -114,6 +119,7 @@ class Preflight:
             images = self._images()
             found = [
                 *_of_timing(summary, None if link is None else link.firmware),
+                *self._of_pauses(is_for_autopilot=link is not None),
                 *image_findings(images, "expose for a shorter time, add light, clean the lens", "add light"),
                 *light_findings(images, self._brightness),
                 *self._of_intrinsics(),
@@ -121,6 +127,13 @@ class Preflight:
             ]
         found += self._of_map(link is not None)
         return found if link is None else [*found, *_of_link(link), *_of_port(link, summary.rate_hz)]
+
+    def _of_pauses(self, is_for_autopilot: bool) -> Iterator[Finding]:
+        """What the rate, a median, hides: a camera that comes and goes, or is gone at the end."""
+        if self._pause_s > _MOST_PAUSE_S:
+            remark = "check the cable, its power or the network: after 0.3 s, an autopilot stops using vision"
+            level: Level = "bad" if is_for_autopilot else "warning"
+            yield Finding("pauses", level, f"{self._pause_s:.1f} s without an image in time", remark)
 
     def _images(self) -> ImageQuality:
         return ImageQuality(np.arange(len(self._quality)), *np.array(self._quality).T)

@@ -199,6 +199,22 @@ def test_slow_source_and_slow_computer_are_told_apart(late: int, firmware: Firmw
     assert (rate.level, rate.remark) == ("warning", fix)
 
 
+@pytest.mark.parametrize(("link", "level"), [(None, "warning"), (HEARD, "bad")])
+def test_camera_that_went_away_is_named_whatever_its_rate_was(link: LinkReport | None, level: Level) -> None:
+    preflight, summary = Preflight(BUILD, True, 0.0, 0.0), FlightSummary()
+    preflight.idle(0.0)  # before the first image
+    for index in range(60):
+        result = result_at(50.0 + index / 30.0, good_step())
+        result = replace(result, frame=replace(result.frame, color=SHARP), elapsed_s=1.0 / 30.0)
+        summary.add(result)
+        preflight.take(result)
+        preflight.idle(result.done_s + 0.1)
+    assert "pauses" not in {finding.name for finding in preflight.findings(summary, link)}
+    preflight.idle(result.done_s + 6.0)
+    (pauses,) = (finding for finding in preflight.findings(summary, link) if finding.name == "pauses")
+    assert (pauses.level, pauses.value) == (level, "6.0 s without an image in time")
+
+
 def test_stated_roll_of_a_turned_camera_is_to_be_corrected() -> None:
     step = replace(good_step(), reasons=frozenset({Reason.CAMERA_TURNED}))
     for roll_deg, verb in ((0.0, "state"), (180.0, "correct")):
