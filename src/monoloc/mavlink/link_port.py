@@ -121,6 +121,8 @@ class _UdpPort:
         try:
             if is_server:
                 self._socket.bind(place)
+            else:
+                _refuse_broadcast(family, place)
         except OSError:
             self._socket.close()
             raise
@@ -163,6 +165,17 @@ class _UdpPort:
 
     def close(self) -> None:
         self._socket.close()
+
+
+def _refuse_broadcast(family: int, place: Any) -> None:
+    """Raise OSError for the address of all computers of a network, to which no message would ever go out."""
+    with socket.socket(family, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(place)  # sends nothing
+        except PermissionError as error:
+            raise OSError("it is a broadcast address") from error
+        except OSError:  # no way leads there yet
+            pass
 
 
 class _TcpPort:

@@ -462,6 +462,7 @@ def test_address_that_is_none_is_refused(url: str) -> None:
         ("serial:/dev/null:57601", "no 57601 baud"),
         ("udpin:192.0.2.1:14550", "assign requested address"),
         ("udpout:192.168.1..20:14550", "nothing can have this name"),
+        ("udpout:255.255.255.255:14550", "a broadcast address"),
     ],
 )
 def test_port_that_cannot_be_opened_is_refused(url: str, problem: str) -> None:
