@@ -67,18 +67,20 @@ def replay(
             start = None if header.start is None else header.start.start
             fresh = flown.localizer(header.camera, start, header.seed, budget_ms)
             frames = recompute(folder, header, fresh.localizer, outputs, show, budget_ms is None, fresh.in_place)
-        if len(recorded) <= frames:
-            problem = f"has {max(0, len(recorded) - 1)} poses for {frames} frames"
-            raise DataError(folder / POSES, problem, "give another flight")
-        if len(recorded) > frames + 2:  # after a kill, the last pose has no frame
-            problem = f"holds {frames} frames for {len(recorded) - 1} poses"
-            raise DataError(folder, problem, "copy the whole folder again")
-        pairs = zip(recorded[1:], _lines(again / POSES)[1:], strict=False)
+        pairs = list(zip(recorded[1:], _lines(again / POSES)[1:], strict=False))
+        if not pairs:
+            raise DataError(folder / POSES, "holds no pose", "give another flight")
         different = [index for index, (before, now) in enumerate(pairs) if before != now]
-        same_messages = None if header.firmware is None else _begins_with(folder / MESSAGES, again / MESSAGES)
+        breaks_off = len(recorded) - 1 not in (frames, frames + 1)  # after a kill, the last pose may have no frame
+        same_messages = None
+        if header.firmware is not None:
+            same_messages = _begins_with(folder / MESSAGES, again / MESSAGES, breaks_off)
         if out is not None:
             write_whole(out, (again / POSES).read_bytes())
-    _report(frames, different, same_messages, header, json)
+    if breaks_off:
+        note = f"holds {frames} whole frames and {len(recorded) - 1} poses: it was cut short, or not copied whole"
+        stderr.print(f"note: {folder}: {note}; what both have is compared", soft_wrap=True)
+    _report(len(pairs), different, same_messages, header, json)
 
 
 def _map_of(header: FlightHeader, room: Path | None) -> FlownMap:
@@ -106,12 +108,17 @@ def _lines(path: Path) -> list[bytes]:
         raise DataError(path, "cannot be read", "give another flight") from error
 
 
-def _begins_with(recorded: Path, again: Path) -> bool:
-    """Whether a file begins with another's content: after a kill, the last messages have no frame."""
+def _begins_with(recorded: Path, again: Path, breaks_off: bool) -> bool:
+    """Whether a file begins with another's content: after a kill, the last messages have no frame.
+
+    Args:
+        breaks_off: whether the recording does, so that its messages may be fewer.
+    """
     try:
-        return recorded.read_bytes().startswith(again.read_bytes())
+        before, now = recorded.read_bytes(), again.read_bytes()
     except OSError as error:
         raise DataError(recorded, "cannot be read", "give another flight") from error
+    return before.startswith(now) or (breaks_off and before != b"" and now.startswith(before))
 
 
 def _report(frames: int, different: list[int], same_messages: bool | None, header: FlightHeader, json: bool) -> None:

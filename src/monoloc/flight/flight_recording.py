@@ -279,14 +279,15 @@ def read_header(folder: Path) -> FlightHeader:
 def read_events(folder: Path, camera: Camera) -> Iterator[tuple[NDArray[np.uint8], RecordedFrame] | RecordedIdle]:
     """Images (H, W, 3) uint8 RGB with their times, and idle times of a recorded flight, in order.
 
-    A last line that was cut is left out.
+    They end where the disk had taken no more when the computer was killed or lost its power: at a line that is cut,
+    or at an image that is empty or missing.
 
     Args:
         folder: of the flight.
         camera: of the images.
 
     Raises:
-        DataError: a file is missing or damaged, or an image of another size.
+        DataError: a file is damaged, there are no lines, or an image has another size.
     """
     path, index = folder / _FRAMES, 0
     try:
@@ -302,6 +303,9 @@ def read_events(folder: Path, camera: Camera) -> Iterator[tuple[NDArray[np.uint8
             raise DataError(path, f"is damaged in line {number}", "give another flight") from error
         if isinstance(event, RecordedIdle):
             yield event
-        else:
-            yield read_color(image_path(folder, index), camera), event
-            index += 1
+            continue
+        image = image_path(folder, index)
+        if not image.is_file() or image.stat().st_size == 0:
+            return
+        yield read_color(image, camera), event
+        index += 1

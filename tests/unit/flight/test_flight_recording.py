@@ -160,8 +160,10 @@ def test_damaged_files_are_named(tmp_path: Path) -> None:
     image.write_bytes(data)
     small = replace(CAMERA, width=20, cx=9.5)
     refuses_data(lambda: list(read_events(tmp_path, small)), image_path(tmp_path, 0), "is 40x30, but", "intrinsics")
+    image.write_bytes(b"")  # as after a loss of power
+    assert sum(isinstance(event, tuple) for event in read_events(tmp_path, CAMERA)) == 3
     image.unlink()
-    refuses_data(lambda: list(read_events(tmp_path, CAMERA)), image, "cannot be read", "restore")
+    assert sum(isinstance(event, tuple) for event in read_events(tmp_path, CAMERA)) == 3
     events.unlink()
     refuses_data(lambda: list(read_events(tmp_path, CAMERA)), events, "cannot be read", "another flight")
 
