@@ -208,6 +208,20 @@ class Camera:
             is_within &= off_axis < most * z + radius_m * math.hypot(1.0, most)
         return np.asarray(is_within)
 
+    def in_view(self, points_camera: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+        """Which of points in the camera's frame, (N, 3) m, are in the image, or at most one pixel beyond it.
+
+        The field of view of :meth:`in_sight` is larger: it is as wide to the left as to the right, whether or not the
+        principal point is in the middle, and as wide everywhere as a distorted image is in its corners.
+
+        Returns:
+            Their indices, (M,), and pixels, (M, 2).
+        """
+        seen = np.flatnonzero(self.in_sight(points_camera))
+        pixels = self.project(points_camera[seen])
+        is_within = np.all((pixels >= -1.0) & (pixels <= [self.width, self.height]), axis=1)
+        return seen[is_within], pixels[is_within]
+
     @cached_property
     def sight(self) -> tuple[float, float, float, float]:
         """Bounds of :meth:`in_sight`: smallest depth, metres, and largest abs(x), abs(y) and hypot(x, y) at z = 1."""

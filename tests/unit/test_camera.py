@@ -119,6 +119,17 @@ def test_a_point_in_sight_has_one_pixel_and_a_pixel_is_in_sight(camera):
     np.testing.assert_allclose(camera.rays(pixels[within_image])[:, :2], expected, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.parametrize("camera", LENSES)
+def test_points_in_view_are_those_that_the_image_shows(camera):
+    """Also of an image that was cropped, whose principal point is at its border."""
+    for shown in (camera, camera.cropped(camera.width // 2, 0, camera.width // 2, camera.height)):
+        directions = np.random.default_rng(1).normal(size=(20_000, 3))
+        seen, pixels = shown.in_view(directions)
+        assert len(seen) > 300 and np.all((pixels >= -1.0) & (pixels <= [shown.width, shown.height]))
+        np.testing.assert_allclose(pixels, shown.project(directions[seen]))
+        assert len(shown.in_view(shown.pixel_rays().reshape(-1, 3))[0]) == shown.width * shown.height
+
+
 def test_a_pixel_beside_a_wide_image_has_a_ray_in_front_of_the_camera():
     rays = WIDE.rays([[-30.0, -30.0], [WIDE.width + 30.0, WIDE.height + 30.0]])
     assert np.rad2deg(np.arctan(np.hypot(rays[:, 0], rays[:, 1]))) == pytest.approx([87.0, 87.0])

@@ -86,6 +86,11 @@ class KeypointDetector:
         sd_px = np.array([keypoint.size for keypoint in found]) / self._patch_px * _CORNER_SD_PX
         return Keypoints(pixels, descriptors, sd_px)
 
+    def reaches(self, pixels: FloatArray) -> NDArray[np.bool_]:
+        """Whether keypoints are detected at pixels (N, 2) of the camera, (N,): none are near the border."""
+        beyond = np.array([self.camera.width, self.camera.height]) - _MARGIN_PX
+        return np.asarray(np.all((pixels >= _MARGIN_PX) & (pixels < beyond), axis=1))
+
 
 def match_descriptors(
     expected: FloatArray,

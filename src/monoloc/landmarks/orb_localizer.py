@@ -51,7 +51,7 @@ class _Agreement:
 
     Attributes:
         visible: (E,) indices of the landmarks in view.
-        is_shown: (E,) whether the image shows anything where they should be, see :func:`_is_shown`.
+        is_shown: (E,) whether the image shows keypoints where they should be, see :func:`_is_shown`.
         found: (A,) indices in ``visible`` of those that agree.
         keypoints: (A,) indices of their keypoints.
         fit: the pose; None where too few agree, or where they leave a direction undetermined.
@@ -146,13 +146,14 @@ class OrbLandmarkLocalizer:
         )
         points = room.points[visible[which]].astype(np.float64)
         agree, fit = fit_matches(points, seen.select(where), camera, prior, covariance)
-        return _Agreement(visible, _is_shown(expected, seen.pixels, camera), which[agree], where[agree], fit)
+        is_shown = self._detect.reaches(expected) & _is_shown(expected, seen.pixels, camera)
+        return _Agreement(visible, is_shown, which[agree], where[agree], fit)
 
     def _visible(self, prior: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
         """Indices (M,) of the landmarks in view of a camera at the prior, and their points in its frame, (M, 3)."""
         nearby = self._cells.nearby(prior, self._detect.camera)
         local = transform(invert(prior), self._landmarks.points[nearby])
-        visible = np.flatnonzero(self._detect.camera.in_sight(local))
+        visible, _ = self._detect.camera.in_view(local)
         return nearby[visible], local[visible]
 
     def _radius_px(self, local: FloatArray, covariance: FloatArray) -> float:

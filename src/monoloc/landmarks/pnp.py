@@ -74,8 +74,9 @@ class LandmarkMeasurement:
         visible: (E,) int64, indices in the room's landmarks of those in view; empty where it is not known which of
             them were found.
         is_found: (E,) bool, whether each of these agrees.
-        is_shown: (E,) bool, false where a large part of the image shows nothing at all, such as a hand before half
-            of the lens. It says nothing of the room. Where it is not given, the image shows something everywhere.
+        is_shown: (E,) bool, false at the border, where no keypoint is detected, and where a large part of the image
+            shows nothing at all, such as a hand before half of the lens. It says nothing of the room. Where it is
+            not given, the image shows something everywhere.
     """
 
     expected: int = 0

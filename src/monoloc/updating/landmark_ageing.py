@@ -159,8 +159,9 @@ def _sought(
     seen_from = np.zeros_like(views.found)
     for frame, nearest in zip(flight.frames, near, strict=True):
         which = _found_in(corners, frame, flight.detected)
-        visible = flight.detected.in_sight(transform(invert(frame.pose), corners.points.astype(np.float64)))
-        is_expected = visible & (views.found[nearest].sum(axis=0) >= FAMILIAR_TIMES)
+        is_expected = np.zeros(len(corners), dtype=np.bool_)
+        is_expected[_in_view(corners, frame, flight.detected)[0]] = True
+        is_expected &= views.found[nearest].sum(axis=0) >= FAMILIAR_TIMES
         expected += is_expected
         found[which] += is_expected[which]
         seen_from[np.ix_(nearest, which)] = True
@@ -171,13 +172,15 @@ def _found_in(corners: Landmarks, frame: TeachingFrame, detected: Camera) -> NDA
     """Indices of corners that a frame finds among its keypoints that are no landmarks."""
     if not len(corners):
         return np.zeros(0, dtype=np.int64)
-    local = transform(invert(frame.pose), corners.points.astype(np.float64))
-    visible = np.flatnonzero(detected.in_sight(local))
+    visible, pixels = _in_view(corners, frame, detected)
     seen = frame.keypoints.select(np.flatnonzero(~frame.is_landmark))
-    which, _ = match_descriptors(
-        detected.project(local[visible]), corners.descriptors[visible], seen.pixels, seen.descriptors, _RADIUS_PX
-    )
+    which, _ = match_descriptors(pixels, corners.descriptors[visible], seen.pixels, seen.descriptors, _RADIUS_PX)
     return np.asarray(visible[which])
+
+
+def _in_view(corners: Landmarks, frame: TeachingFrame, detected: Camera) -> tuple[NDArray[np.int64], FloatArray]:
+    """Indices of corners in view of a frame, (E,), and their pixels, (E, 2)."""
+    return detected.in_view(transform(invert(frame.pose), corners.points.astype(np.float64)))
 
 
 def _fresh(

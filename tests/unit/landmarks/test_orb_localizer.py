@@ -139,6 +139,22 @@ def test_landmarks_in_view_are_expected_and_found_where_the_camera_is(localizer:
     assert localizer.measure(color, away, PRIOR).expected == 0
 
 
+@pytest.mark.parametrize("window", [(160, 0, 160, 256), (0, 0, 320, 150), (0, 106, 320, 150)])
+def test_landmarks_beyond_the_border_of_a_cropped_image_are_not_expected(
+    localizer: OrbLandmarkLocalizer, window: tuple[int, int, int, int]
+) -> None:
+    """The principal point of a cropped image is not in its middle."""
+    left, top, width, height = window
+    pose = FLIGHT_POSES[30]
+    color = np.ascontiguousarray(Room().view(pose)[0][top : top + height, left : left + width])
+    cropped = OrbLandmarkLocalizer(localizer._landmarks, CAMERA.cropped(left, top, width, height))
+    detected = cropped._detect.camera
+    measured = cropped.measure_keypoints(cropped._detect(color), pose, PRIOR)
+    pixels = detected.project(transform(invert(pose), localizer._landmarks.points[measured.visible]))
+    assert measured.expected == len(pixels) > 60
+    assert np.all((pixels > -1.5) & (pixels < [detected.width + 0.5, detected.height + 0.5]))
+
+
 @pytest.mark.parametrize("level", [30, 255])
 def test_covered_half_of_an_image_says_nothing_of_landmarks_there(
     localizer: OrbLandmarkLocalizer, level: int
@@ -146,12 +162,14 @@ def test_covered_half_of_an_image_says_nothing_of_landmarks_there(
     pose = FLIGHT_POSES[30]
     color = Room().view(pose)[0].copy()
     whole = localizer.measure(color, pose, PRIOR)
-    assert whole.is_shown.all()
+    local = transform(invert(pose), localizer._landmarks.points[whole.visible])
+    pixels = localizer._detect.camera.project(local)
+    is_inside = localizer._detect.reaches(pixels)
+    np.testing.assert_array_equal(whole.is_shown, is_inside)  # the border shows no keypoint
     color[:, : color.shape[1] // 2] = level
     covered = localizer.measure(color, pose, PRIOR)
-    local = transform(invert(pose), localizer._landmarks.points[covered.visible])
-    columns = localizer._detect.camera.project(local)[:, 0] / localizer._detect.camera.width
-    assert not covered.is_shown[columns < 0.4].any() and covered.is_shown[columns > 0.5].all()
+    columns = pixels[:, 0] / localizer._detect.camera.width
+    assert not covered.is_shown[columns < 0.4].any() and covered.is_shown[is_inside & (columns > 0.5)].all()
     assert covered.expected == whole.expected and covered.pose is not None
     given = LandmarkMeasurement(2, 1, None, np.array([3, 5]), np.array([True, False]))
     assert given.is_shown.tolist() == [True, True]  # of a localizer that does not tell
