@@ -105,11 +105,16 @@ class OrbLandmarkLocalizer:
 
     def relocalize_keypoints(self, seen: Keypoints) -> LandmarkPose | None:
         """As :meth:`relocalize`, from keypoints that are detected already."""
+        found, is_only_place = self.best_place(seen)
+        return found if is_only_place else None
+
+    def best_place(self, seen: Keypoints) -> tuple[LandmarkPose | None, bool]:
+        """Pose that most landmarks agree with, without a prior, and whether no other place looks alike."""
         agreement = self._confirmed(seen, np.arange(len(self._landmarks)))
-        if agreement is None:
-            return None
-        found = agreement.measurement().pose
-        return None if found is None or self._fits_elsewhere(seen, agreement.keypoints, found) else found
+        found = None if agreement is None else agreement.measurement().pose
+        if agreement is None or found is None:
+            return None, False
+        return found, not self._fits_elsewhere(seen, agreement.keypoints, found)
 
     def measure_keypoints(self, seen: Keypoints, prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
         """As :meth:`LandmarkLocalizer.measure`, from keypoints that are detected already."""

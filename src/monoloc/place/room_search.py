@@ -7,6 +7,7 @@ that agree nearly alike decide nothing: a wrong room is worse than a lost camera
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,6 +17,21 @@ from monoloc.place.place_files import Place
 
 _LEAST_VOTES = 10  # of a room in which the camera is searched for
 _RIVAL_SHARE = 0.5  # of the best room's landmarks with which another room counts as well
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What a search finds in a room.
+
+    Attributes:
+        room: its name.
+        agreeing: number of landmarks that agree on one pose without a prior.
+        is_only_place: whether there is such a pose, and no other place of the room looks alike.
+    """
+
+    room: str
+    agreeing: int
+    is_only_place: bool
 
 
 class RoomSearch:
@@ -47,19 +63,21 @@ class RoomSearch:
         Raises:
             BundleError: a bundle is missing, damaged or changed.
         """
-        return _decided([(self._agreeing(name, seen), name) for name in self.ranked(seen, known)])
+        return _decided([self._found(name, seen) for name in self.ranked(seen, known)])
 
-    def _agreeing(self, name: str, seen: Keypoints) -> int:
-        """Number of a room's landmarks that agree on one pose without a prior."""
-        found = self._rooms[name].landmarks.relocalize_keypoints(seen)
-        return 0 if found is None else len(found.points)
+    def _found(self, name: str, seen: Keypoints) -> _Found:
+        pose, is_only_place = self._rooms[name].landmarks.best_place(seen)
+        return _Found(name, 0 if pose is None else len(pose.points), is_only_place)
 
 
-def _decided(found: Sequence[tuple[int, str]]) -> str | None:
-    """The room with the most landmarks, if no other room has nearly as many."""
-    ordered = sorted(found, key=lambda each: -each[0])
-    if not ordered or ordered[0][0] == 0:
+def _decided(found: Sequence[_Found]) -> str | None:
+    """The room with the most landmarks, if they are of one place and no other room has nearly as many.
+
+    A room whose own places look alike speaks against others all the same.
+    """
+    ordered = sorted(found, key=lambda each: -each.agreeing)
+    if not ordered or not ordered[0].is_only_place:
         return None
-    if len(ordered) > 1 and ordered[1][0] >= _RIVAL_SHARE * ordered[0][0]:
+    if len(ordered) > 1 and ordered[1].agreeing >= _RIVAL_SHARE * ordered[0].agreeing:
         return None
-    return ordered[0][1]
+    return ordered[0].room

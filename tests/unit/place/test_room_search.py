@@ -1,0 +1,53 @@
+"""Which room a search says that a camera is in."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from monoloc.builder.landmark_mapping import build_landmarks
+from monoloc.landmarks.features import KeypointDetector
+from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
+from monoloc.place.room_index import RoomIndex
+from monoloc.place.room_search import RoomSearch
+from monoloc.progress import NoProgress
+from synthetic_room import CAMERA, Room, RoomRecording, make_path
+
+POSES = make_path(60)
+
+
+@pytest.fixture(scope="module")
+def landmarks() -> Landmarks:
+    recording = RoomRecording(Room(), POSES[::3])
+    built, _, _ = build_landmarks(recording, recording.depth, NoProgress())
+    return Landmarks(built.points, built.descriptors)
+
+
+def search_among(**rooms: Landmarks) -> RoomSearch:
+    place: Any = SimpleNamespace(names=list(rooms), index=lambda: RoomIndex([r.descriptors for r in rooms.values()]))
+    loaded = {name: SimpleNamespace(landmarks=OrbLandmarkLocalizer(room, CAMERA)) for name, room in rooms.items()}
+    return RoomSearch(place, cast(Any, loaded))
+
+
+def part_of(landmarks: Landmarks, share: float, shift_m: float = 0.0) -> Landmarks:
+    kept = np.random.default_rng(3).uniform(size=len(landmarks)) < share
+    return Landmarks(landmarks.points[kept] + np.float32([shift_m, 0.0, 0.0]), landmarks.descriptors[kept])
+
+
+def test_a_room_whose_places_look_alike_speaks_against_another_that_looks_like_them(landmarks: Landmarks) -> None:
+    """The camera is in *two*, which holds one place twice; *one* holds something like it once."""
+    twin = part_of(landmarks, 0.9, shift_m=12.0)
+    two = Landmarks(
+        np.concatenate([landmarks.points, twin.points]), np.concatenate([landmarks.descriptors, twin.descriptors])
+    )
+    one = part_of(landmarks, 0.7)
+    other, _, _ = build_landmarks(recording := RoomRecording(Room(seed=5), POSES[::3]), recording.depth, NoProgress())
+    for pose in POSES[5::20]:
+        seen = KeypointDetector(CAMERA)(Room().view(pose)[0])
+        assert search_among(one=one, other=other).find(seen) == "one"
+        assert search_among(one=one, two=two).find(seen) is None
+        assert search_among(two=two, other=other).find(seen) is None  # its own search could not find the pose
