@@ -129,8 +129,10 @@ def consensus(there: FloatArray, here: FloatArray) -> tuple[FloatArray, int] | N
     count = int(agree[best].sum())
     if count < LEAST_FRAMES or 2 * count < len(there):
         return None
-    offsets = se3_log(invert(candidates[best]) @ candidates[agree[best]])
-    return candidates[best] @ se3_exp(np.median(offsets, axis=0)), count
+    # About the middle of the cameras, so that their errors of rotation do not shift them: medians are axis by axis.
+    middle = make_pose(np.eye(3), here[agree[best], :3, 3].mean(axis=0))
+    offsets = se3_log(invert(candidates[best] @ middle) @ candidates[agree[best]] @ middle)
+    return candidates[best] @ middle @ se3_exp(np.median(offsets, axis=0)) @ invert(middle), count
 
 
 def _distances_m(poses: FloatArray, others: FloatArray) -> FloatArray:
