@@ -103,10 +103,10 @@ class MapChangeMonitor:
             probability_far: that the belief's position is far off; an uncertain pose says nothing of the map.
             elapsed_s: since the previous frame.
         """
+        elapsed_s = elapsed_s if elapsed_s > 0.0 else _FIRST_S
+        self._nats *= math.exp(-elapsed_s / _FORGOTTEN_S)  # also in frames that say nothing
         if familiar is None or not self._tells_changes or probability_far >= _CERTAIN_BELOW:
             return None
-        elapsed_s = elapsed_s if elapsed_s > 0.0 else _FIRST_S
-        self._nats *= math.exp(-elapsed_s / _FORGOTTEN_S)
         in_view = self._cell_of[familiar.indices]
         added = self._evidence(in_view, familiar.is_found) * min(1.0, elapsed_s / _OBSERVATION_S)
         self._nats[familiar.indices] = np.clip(self._nats[familiar.indices] + added, _LEAST_NATS, _MOST_NATS)

@@ -126,6 +126,15 @@ def test_evidence_is_forgotten_slowly() -> None:
     assert flight(0.1)[0] is None
 
 
+@pytest.mark.parametrize("elsewhere", [{"pose": se3_exp([3.0, 0.0, 0.0, 0.0, 0.0, 0.0])}, {"probability_far": 0.9}])
+def test_evidence_is_forgotten_where_nothing_can_be_seen_of_it(elsewhere: dict[str, Any]) -> None:
+    """Far from the build's views, and while the camera is lost."""
+    flight = Flight(room())
+    assert flight(2.0, RIGHT)[-1] is not None
+    flight(600.0, rate_hz=2.0, **elsewhere)
+    assert flight(0.1)[0] is None
+
+
 def test_regions_that_overlap_are_merged_and_the_one_of_most_frames_is_first() -> None:
     def region(lower: float, upper: float) -> ChangedRegion:
         return ChangedRegion(np.full(3, lower), np.full(3, upper))
