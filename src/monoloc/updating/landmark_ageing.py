@@ -24,7 +24,6 @@ from monoloc.updating.update_rules import UpdateRules
 _RADIUS_PX = 8.0  # around a corner's expected pixel, as for landmarks
 _MOST_CANDIDATES = 6000  # 500 kB
 _LEAST_FINDS = 3  # views of a flight that found a corner, for a new candidate
-_GIVEN_UP_ODDS = 1.0 / 30.0  # of the prior: a candidate that is not found again
 _MOST_RATE = 0.95
 _CELL_M, _NEIGHBOUR_NATS = 0.2, 1.0  # edge of the cells around landmarks; what one says of others
 
@@ -94,7 +93,7 @@ def candidates_after(
     assert known is not None
     corners = replace(candidates.corners, views=LandmarkViews(views.poses, known.found | seen_from))
     before = Candidates(corners, tally)
-    before = before.select(tally.log_odds > np.log(rules.prior_odds * _GIVEN_UP_ODDS))
+    before = before.select(tally.is_above_prior(rules))  # not those that were not found again
     fresh = _fresh(before.corners, landmarks, flight, near, is_sensor_depth, rules)
     return _bounded(Candidates(with_more(before.corners, fresh.corners), before.tally + fresh.tally))
 

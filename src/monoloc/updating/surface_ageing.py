@@ -226,9 +226,8 @@ def _thinned(points: FloatArray, bundle: Bundle) -> NDArray[np.float32]:
 
 def _bounded(surfaces: Surfaces, rules: UpdateRules) -> Surfaces:
     """Without voxels of which nothing speaks for a change any more, and of points only those in a new voxel."""
-    floor = np.log(rules.prior_odds)
-    gone = np.flatnonzero(surfaces.gone_tally.log_odds > floor)[-_MOST_CELLS:]
-    new = np.flatnonzero(surfaces.new_tally.log_odds > floor)[-_MOST_CELLS:]
+    gone = np.flatnonzero(surfaces.gone_tally.is_above_prior(rules))[-_MOST_CELLS:]
+    new = np.flatnonzero(surfaces.new_tally.is_above_prior(rules))[-_MOST_CELLS:]
     kept = is_among_cells(cells_of(surfaces.points.astype(np.float64), rules), surfaces.new[new])
     return Surfaces(
         surfaces.gone[gone],

@@ -76,6 +76,10 @@ class Tally:
         """Whether the change of each thing may be proposed, (N,)."""
         return np.asarray((self.log_odds >= np.log(rules.least_odds)) & (self.flights >= rules.least_flights))
 
+    def is_above_prior(self, rules: UpdateRules) -> NDArray[np.bool_]:
+        """Whether anything speaks for the change of each thing, (N,); the odds fall no lower than the prior."""
+        return np.asarray(self.log_odds > np.float32(np.log(rules.prior_odds)))
+
     def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
         return {
             prefix + "log_odds": self.log_odds,

@@ -69,6 +69,17 @@ def test_a_proposal_keeps_its_id_in_the_file_and_when_others_are_applied(tmp_pat
         assert others == ids[:number] + ids[number + 1 :]
 
 
+def test_candidates_that_the_next_flight_does_not_find_again_are_given_up() -> None:
+    """The box stood elsewhere for one flight only."""
+    first = evidence_of(1).candidates
+    back = observed(flight(2, Room()))
+    second = evidence_of(1).after_flight(mapped(), back, True, RULES, np.random.default_rng(0)).candidates
+    again = {point.tobytes() for point in second.corners.points}
+    kept = sum(point.tobytes() in again for point in first.corners.points)
+    assert 0 < kept < 0.5 * len(first)
+    assert second.tally.odds.min() > 1.01 * RULES.prior_odds
+
+
 @pytest.mark.slow
 def test_one_flight_proposes_nothing_and_an_unchanged_room_loses_nothing() -> None:
     assert proposals(evidence_of(1), mapped(), RULES) == []
