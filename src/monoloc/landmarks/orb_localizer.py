@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -85,6 +87,8 @@ class OrbLandmarkLocalizer:
     def measure(self, color: NDArray[np.uint8], prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
         """As :meth:`LandmarkLocalizer.measure`; a prior that is vague only tells which landmarks are in view.
 
+        Where two places that look alike are both within such a prior, nothing is measured.
+
         The prior counts as vaguer than it is stated: a belief that has drifted would else select the matches that
         agree with it.
         """
@@ -97,7 +101,11 @@ class OrbLandmarkLocalizer:
         found = self._confirmed(seen, visible)
         if found is None or found.fit is None or not is_within_prior(found.fit.pose, prior, stated):
             return LandmarkMeasurement(len(visible))
-        return found.measurement()
+        measured = found.measurement()
+        is_expected = partial(is_within_prior, prior=prior, covariance=stated)
+        if measured.pose is not None and self._fits_elsewhere(seen, found.keypoints, measured.pose, is_expected):
+            return LandmarkMeasurement()  # which of the places it is, they do not say
+        return measured
 
     def relocalize(self, color: NDArray[np.uint8]) -> LandmarkPose | None:
         """As :meth:`LandmarkLocalizer.relocalize`; None too where two places look alike."""
@@ -212,11 +220,18 @@ class OrbLandmarkLocalizer:
         variance = float(np.linalg.eigvalsh(np.cov(pixels.T))[0])
         return math.sqrt(max(variance, 0.0)) / self._detect.camera.height
 
-    def _fits_elsewhere(self, seen: Keypoints, where: NDArray[np.int64], found: LandmarkPose) -> bool:
+    def _fits_elsewhere(
+        self,
+        seen: Keypoints,
+        where: NDArray[np.int64],
+        found: LandmarkPose,
+        is_possible: Callable[[FloatArray], bool] = lambda pose: True,
+    ) -> bool:
         """Whether keypoints that agree with a pose agree with another one, far away, nearly as well.
 
         Args:
             where: (A,) indices of the keypoints that agree with the pose.
+            is_possible: whether the camera may be at a pose (4, 4).
         """
         agreeing = seen.select(where)
         bits, nearest = self._candidates(agreeing, np.arange(len(self._landmarks)), _RIVAL_CANDIDATES)
@@ -235,20 +250,21 @@ class OrbLandmarkLocalizer:
                 return False
             seed = np.unravel_index(int(np.where(is_rival, bits, 256).argmin()), bits.shape)
             is_here = is_rival & (np.linalg.norm(points - points[seed], axis=2) < width_m)
-            if self._agrees_at(seen, agreeing, np.where(is_here, bits, 256), nearest, found):
+            rival = self._rival_at(seen, agreeing, np.where(is_here, bits, 256), nearest, found)
+            if rival is not None and is_possible(rival):
                 return True
             is_rival &= ~is_here
         return False
 
-    def _agrees_at(
+    def _rival_at(
         self,
         seen: Keypoints,
         agreeing: Keypoints,
         bits: NDArray[np.int32],
         nearest: NDArray[np.int64],
         found: LandmarkPose,
-    ) -> bool:
-        """Whether the A agreeing keypoints, by their candidates at another place, lead to a pose there that holds.
+    ) -> FloatArray | None:
+        """The pose (4, 4) that holds at another place, to which the A agreeing keypoints lead by their candidates.
 
         Args:
             bits, nearest: of the candidates, (A, C); those that are not of that place have 256 bits.
@@ -257,8 +273,8 @@ class OrbLandmarkLocalizer:
         other = self._pose_by_consensus(agreeing.select(rows), nearest[rows, best[rows]], _RIVAL_TRIPLES)
         rival = None if other is None else self.measure_keypoints(seen, other, PRIOR_COVARIANCE).pose
         if rival is None or float(pose_distance_m(found.pose, rival.pose[None])[0]) < _APART_M:
-            return False
-        return len(rival.points) >= _RIVAL_SHARE * len(found.points)
+            return None
+        return rival.pose if len(rival.points) >= _RIVAL_SHARE * len(found.points) else None
 
     def _candidates(
         self, seen: Keypoints, possible: NDArray[np.int64], count: int

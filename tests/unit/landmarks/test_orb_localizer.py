@@ -112,6 +112,24 @@ def test_vague_prior_tells_equal_places_apart_and_contradicts_a_pose_far_from_it
     assert contradicted.expected > 60 and contradicted.found == 0 and contradicted.pose is None
 
 
+def test_vague_prior_that_holds_two_places_that_look_alike_measures_nothing(localizer: OrbLandmarkLocalizer) -> None:
+    """Nor does it speak against the belief that few landmarks are found."""
+    room = localizer._landmarks
+    twin = room.points + np.array([0.8, 0.0, 0.0], np.float32)
+    kept = np.random.default_rng(7).uniform(size=len(room)) < 0.8
+    both = Landmarks(
+        np.concatenate([room.points[kept], twin]), np.concatenate([room.descriptors[kept], room.descriptors])
+    )
+    alone = Landmarks(room.points[kept], room.descriptors[kept])
+    pose = FLIGHT_POSES[25]
+    color, _ = Room().view(pose)
+    for prior in (pose, pose @ se3_exp([0.4, 0.0, 0.0, 0.0, 0.0, 0.0])):
+        vague = np.diag([0.4, 0.4, 0.4, 0.1, 0.1, 0.1]) ** 2
+        assert OrbLandmarkLocalizer(alone, CAMERA).measure(color, prior, vague).pose is not None
+        measured = OrbLandmarkLocalizer(both, CAMERA).measure(color, prior, vague)
+        assert measured.pose is None and measured.expected == measured.found == 0
+
+
 def test_no_pose_in_the_dark_or_in_another_room(localizer: OrbLandmarkLocalizer) -> None:
     """Walls with other paint have the same shape and other landmarks."""
     other = Room(seed=1)
