@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
+from monoloc.evaluation.consistency import FAR_M
 from monoloc.geometry import FloatArray, invert, pose_distance_m, transform
 from monoloc.landmarks.features import MATCH_BITS, KeypointDetector, Keypoints, match_descriptors, nearest_descriptors
 from monoloc.landmarks.landmark_cells import LandmarkCells
@@ -34,9 +35,9 @@ _CANDIDATES, _OTHER_PLACE_M = 8, 0.05  # best matches among which another place 
 # Of a relocalisation: a single object that was moved, such as a window on a screen, may hold all of less spread.
 # At true poses the least was 0.076 and 0.093 (two real rooms, frames near those of the build).
 _LEAST_SPREAD = 0.075
-# Of two poses without a prior: pose distance from which they are two, and the share of the better one's landmarks
-# with which the other counts as well.
-_APART_M, _RIVAL_SHARE = 0.5, 0.3
+# Of two poses without a prior: pose distance from which they are two, since a position that far off is of no use, and
+# the share of the better one's landmarks with which the other counts as well.
+_APART_M, _RIVAL_SHARE = FAR_M, 0.3
 # Of a twist, m and rad, up to which two poses of a view are the same. In views that determine the pose, others that
 # the same matches lead to were at 0.02 at most; those with which more landmarks agreed, beyond (a desk, two bundles).
 _SAME_POSE = 0.02
