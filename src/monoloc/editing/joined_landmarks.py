@@ -21,8 +21,9 @@ _MOST_FRAMES = 150
 
 
 def joined(landmarks: Landmarks, others: Landmarks) -> Landmarks:
-    """Landmarks of two maps of one world, those of the second that the first has too left out."""
-    new = ~is_among(others, landmarks)
+    """Landmarks of two maps of one world; those of the second that the first has too are one with these."""
+    place = _places_among(others, landmarks)
+    new = place < 0
     points = np.concatenate([landmarks.points, others.points[new]])
     descriptors = np.concatenate([landmarks.descriptors, others.descriptors[new]])
     first, second = landmarks.views, others.views
@@ -30,7 +31,9 @@ def joined(landmarks: Landmarks, others: Landmarks) -> Landmarks:
         return Landmarks(points, descriptors, _padded(first, int(new.sum())))
     found = np.zeros((len(first.poses) + len(second.poses), len(points)), dtype=np.bool_)
     found[: len(first.poses), : len(landmarks)] = first.found
-    found[len(first.poses) :, len(landmarks) :] = second.found[:, new]
+    place[new] = len(landmarks) + np.arange(new.sum())
+    view, other = np.nonzero(second.found)
+    found[len(first.poses) + view, place[other]] = True
     return Landmarks(points, descriptors, LandmarkViews(np.concatenate([first.poses, second.poses]), found))
 
 
@@ -78,8 +81,13 @@ def _padded(views: LandmarkViews | None, count: int) -> LandmarkViews | None:
 
 def is_among(landmarks: Landmarks, others: Landmarks) -> NDArray[np.bool_]:
     """Whether each of L landmarks is one of the others, (L,)."""
+    return _places_among(landmarks, others) >= 0
+
+
+def _places_among(landmarks: Landmarks, others: Landmarks) -> NDArray[np.int64]:
+    """Which of the others each of L landmarks is, the most similar one, (L,); -1 if none."""
     if not len(landmarks) or not len(others):
-        return np.zeros(len(landmarks), dtype=np.bool_)
+        return np.full(len(landmarks), -1, dtype=np.int64)
     bits, nearest = cv2.batchDistance(
         landmarks.descriptors,
         others.descriptors,
@@ -87,5 +95,8 @@ def is_among(landmarks: Landmarks, others: Landmarks) -> NDArray[np.bool_]:
         normType=cv2.NORM_HAMMING,
         K=min(_CANDIDATES, len(others)),
     )
-    apart = np.linalg.norm(others.points[np.asarray(nearest)] - landmarks.points[:, None], axis=2)
-    return np.asarray(np.any((np.asarray(bits) < MATCH_BITS) & (apart < _SAME_M), axis=1))
+    nearest = np.asarray(nearest, dtype=np.int64)
+    apart = np.linalg.norm(others.points[nearest] - landmarks.points[:, None], axis=2)
+    is_same = (np.asarray(bits) < MATCH_BITS) & (apart < _SAME_M)
+    first = np.argmax(is_same, axis=1)[:, None]  # they are sorted by similarity
+    return np.where(is_same.any(axis=1), np.take_along_axis(nearest, first, axis=1)[:, 0], -1)
