@@ -187,6 +187,13 @@ def of_builds(room: str, method: str, light: str, column: str) -> list[float]:
     return [*medians_of_builds(rows, column, split=f"{room}, {light}", rung=method).values()]
 
 
+def test_number_of_builds_of_the_rendered_rooms() -> None:
+    for room in (LIVING, DINING):
+        assert all(len(of_builds(room, rung.name, light, "rmse_cm")) == 2 for rung in all_rungs() for light in LIGHTS)
+    assert "[rendered rooms](#rendered-rooms) have two builds each." in PAGE
+    assert "**Two builds a room**" in PAGE
+
+
 def test_table_of_the_rendered_rooms() -> None:
     (shown,) = tables_of("Rendered rooms")
     assert [row[0] for row in shown] == [rung.name for rung in all_rungs()]

@@ -1,0 +1,62 @@
+"""Pages that repeat a figure of kept data show it as the data has it."""
+
+from __future__ import annotations
+
+import pytest
+
+from document_numbers import agree_sentence, chosen, median_of, table_of
+from kept_flights import (
+    DESK_BETWEEN,
+    DESK_BEYOND,
+    KITCHEN_BETWEEN,
+    KITCHEN_BEYOND,
+    over_builds_of,
+    over_untuned,
+)
+from monoloc_lab.experiments.interval import step_of
+
+BETWEEN, BEYOND = (KITCHEN_BETWEEN, DESK_BETWEEN), (KITCHEN_BEYOND, DESK_BEYOND)
+
+
+def of_default(column: str, stretches: tuple[int, ...]) -> list[float]:
+    return [number for stretch in stretches for number in over_builds_of(column, stretch, "default")]
+
+
+def in_living_room(light: str) -> float:
+    """Median error in centimetres."""
+    rows = chosen(table_of("rendered-rooms.csv"), room="living room", light=light, method="default")
+    return median_of(rows, "median_cm")
+
+
+@pytest.mark.parametrize(
+    ("document", "sentence", "expected"),
+    [
+        (
+            "docs/is-it-for-me.md",
+            "five builds each, the median error was {} and {} cm between the build frames, and {} and {} cm on the "
+            "frames after them (RMSE {} and {} cm)",
+            [
+                *of_default("median_cm", BETWEEN),
+                *of_default("median_cm", BEYOND),
+                *of_default("rmse_cm", BEYOND),
+            ],
+        ),
+        (
+            "docs/beyond-the-paper.md",
+            "the RMSE is {} cm untuned (3 builds) and {} cm tuned (5 builds) in RedKitchen, {} cm and {} cm at the",
+            [number for stretch in BEYOND for number in over_builds_of("rmse_cm", stretch, "untuned", "default")],
+        ),
+        (
+            "docs/how-to/fly.md",
+            "the median error was {} cm in near darkness, against {} cm in medium light (1 build, 2 flights each)",
+            [in_living_room("L3"), in_living_room("L2")],
+        ),
+    ],
+)
+def test_sentence(document: str, sentence: str, expected: list[float]) -> None:
+    agree_sentence(document, sentence, expected)
+
+
+def test_where_tuning_helps_this_version() -> None:
+    assert [step_of(over_untuned(stretch)) for stretch in BETWEEN] == ["undecided", "undecided"]
+    assert [step_of(over_untuned(stretch)) for stretch in BEYOND] == ["better", "better"]
