@@ -48,9 +48,21 @@ def of_all(kind: str, name: str) -> int:
     return sum(light[kind][name] for light in LIGHTS.values())
 
 
+BY_MAP = [of_all("mapped", name) for name in ("stops_by_distance", "approaches", "stops", "approaches")]
+
+
+def test_sentence_of_the_decision() -> None:
+    sentence = "before {} of {} mapped obstacles; with a brake on *uncertain* and *lost* it is {} of {}."
+    agree_sentence("docs/decisions/map.md", sentence, BY_MAP)
+
+
 @pytest.mark.parametrize(
     ("sentence", "expected"),
     [
+        (
+            "before {} of {} mapped obstacles, and before {} of {} new ones.**",
+            [of_all(kind, name) for kind in ("mapped", "new") for name in ("stops", "approaches")],
+        ),
         ("The stated standard deviation is {} % of the distance", [100.0 * FIGURES["stated_relative_sd"]]),
         (
             "if the state were ignored: {} of {} before mapped obstacles, {} of {} before new ones",
