@@ -38,6 +38,11 @@ def damage(draw: st.DrawFn, whole: bytes) -> bytes:
     return bytes(data)
 
 
+def test_number_of_kinds_in_the_documentation() -> None:
+    page = (REPOSITORY / "docs" / "reliability.md").read_text(encoding="utf-8")
+    assert f"damages {len(TARGETS)} kinds of files at random" in page
+
+
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of NumPy, about numbers that are then refused
 @pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
 @settings(deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
