@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from document_numbers import agree_sentence, chosen, median_of, table_of
+from document_numbers import agree_sentence, chosen, median_of, table_of, total
 from kept_flights import (
     DESK_BETWEEN,
     DESK_BEYOND,
     KITCHEN_BETWEEN,
     KITCHEN_BEYOND,
+    flown,
     over_builds_of,
     over_untuned,
 )
@@ -45,6 +46,11 @@ def in_living_room(light: str) -> float:
             "docs/beyond-the-paper.md",
             "the RMSE is {} cm untuned (3 builds) and {} cm tuned (5 builds) in RedKitchen, {} cm and {} cm at the",
             [number for stretch in BEYOND for number in over_builds_of("rmse_cm", stretch, "untuned", "default")],
+        ),
+        (
+            "docs/decisions/fusion.md",
+            "In [this version](../results.md#this-version) {} are.",
+            [total(flown("untuned", DESK_BEYOND), "silent_3_5_sigma")],
         ),
         (
             "docs/how-to/fly.md",
