@@ -20,6 +20,7 @@ from document_numbers import (
     numbers,
     only,
     other_numbers,
+    page,
     sections_of,
     table_of,
     total,
@@ -444,3 +445,16 @@ def test_every_other_number_is_none_of_kept_runs() -> None:
 @pytest.mark.parametrize("heading", WITHOUT_KEPT_RUNS)
 def test_section_says_that_its_runs_were_not_kept(heading: str) -> None:
     assert re.search(r"The runs .*were not kept", dict(sections_of(PAGE))[heading])
+
+
+VERSIONS = ("no", "one", "two", "three", "four", "five", "six", "seven")
+
+
+@pytest.mark.parametrize(
+    ("table", "words"), [("flights-of", "flights"), ("faults-of", "failing"), ("recovery-of", "kidnaps")]
+)
+def test_number_of_versions_in_the_list_of_files(table: str, words: str) -> None:
+    data = json_of if table != "flights-of" else table_of
+    found = {row["flown_by"] for row in data(f"{table}-earlier-versions.{'csv' if data is table_of else 'json'}")}
+    (line,) = [line for line in page("docs/results/README.md").splitlines() if f"({table}-earlier-versions." in line]
+    assert re.search(rf"\[{words}[^|]* {VERSIONS[len(found)]} versions", line)
