@@ -29,6 +29,18 @@ def test_every_page_that_an_error_names_exists() -> None:
     assert [page for page in sorted(named) if not (REPOSITORY / "docs" / f"{page}.md").is_file()] == []
 
 
+def test_list_of_decisions_is_complete() -> None:
+    folder = REPOSITORY / "docs" / "decisions"
+    listed = re.findall(r"\]\(([\w-]+\.md#[\w-]+)\)", (folder / "index.md").read_text("utf-8"))
+    records = {
+        file.name + "#" + re.sub(r"[^\w\s-]", "", title.lower()).replace(" ", "-")
+        for file in folder.glob("*.md")
+        if file.name != "index.md"
+        for title in re.findall(r"(?m)^## (.+)$", file.read_text("utf-8"))
+    }
+    assert sorted(listed) == sorted(records)
+
+
 def test_a_file_is_piped_into_a_flight_at_its_own_pace() -> None:
     """Frames of a pipe are timed on arrival, and all but the newest are skipped."""
     pages = [REPOSITORY / "README.md", *(REPOSITORY / "docs").rglob("*.md"), *(REPOSITORY / "src").rglob("*.py")]
