@@ -41,6 +41,22 @@ def test_list_of_decisions_is_complete() -> None:
     assert sorted(listed) == sorted(records)
 
 
+def test_tables_of_the_concepts_name_what_is_in_the_files() -> None:
+    rows = [
+        line.strip("|").split("|")
+        for page in (REPOSITORY / "docs" / "concepts").glob("*.md")
+        for line in page.read_text("utf-8").splitlines()
+        if "`src/monoloc" in line and line.count("|") == 4
+    ]
+    assert len(rows) > 40
+    for _, names, files in rows:
+        first, *others = re.findall(r"`([^`]+)`", files)
+        paths = [REPOSITORY / first, *((REPOSITORY / first).with_name(other) for other in others)]
+        code = "\n".join(path.read_text("utf-8") for path in paths)
+        for name in re.findall(r"`(?:\w+\.)*(\w+)`", names):
+            assert re.search(rf"(?m)(?:def|class) {name}\b|^{name}\b", code), (name, files)
+
+
 def test_a_file_is_piped_into_a_flight_at_its_own_pace() -> None:
     """Frames of a pipe are timed on arrival, and all but the newest are skipped."""
     pages = [REPOSITORY / "README.md", *(REPOSITORY / "docs").rglob("*.md"), *(REPOSITORY / "src").rglob("*.py")]
