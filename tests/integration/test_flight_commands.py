@@ -436,6 +436,17 @@ def test_images_of_another_size_than_the_intrinsics_end_the_flight(capfd: Captur
     )
 
 
+def test_a_flight_that_the_camera_ends_says_what_it_came_to(capfd: Capture, here: Path) -> None:
+    right = [path.read_bytes() for path in sorted((here / "flight" / "color").iterdir())[:3]]
+    images = [cv2.imencode(".jpg", cv2.imdecode(np.frombuffer(each, np.uint8), 1))[1].tobytes() for each in right]
+    small = cv2.imencode(".jpg", np.zeros((20, 30, 3), np.uint8))[1].tobytes()
+    process = fly_in_process(here, "fly", "room.monoloc", "-", "--intrinsics", INTRINSICS, "--json")
+    out, err = process.communicate(b"".join([*images, small, small]), timeout=120)
+    assert process.returncode == 2
+    assert json.loads(out)["frames"] >= 1
+    assert err.decode().endswith("but the camera is 160x128; give the intrinsics of these images\n")
+
+
 # --- In a process of its own ---
 
 

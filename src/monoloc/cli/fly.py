@@ -37,6 +37,7 @@ from monoloc.cli.flight_outputs import check_flight_outputs, check_view, header_
 from monoloc.cli.signature import RequireSignatureOption
 from monoloc.cli.start_option import METAVAR
 from monoloc.cli.stop_signals import stopped_by_signals
+from monoloc.errors import MonolocError
 from monoloc.flight.autopilot import (
     down_world,
     frames_of,
@@ -213,7 +214,7 @@ def fly(
             outputs.append(WatchdogOutput(summary))
             for output in outputs:
                 opened.enter_context(closing(output))
-            Flight(
+            loop = Flight(
                 made.localizer,
                 camera,
                 frame_source,
@@ -226,13 +227,24 @@ def fly(
                 starting.begins,
                 turns_of(link),
                 made.in_place,
-            ).run()
-        if north is not None:
+            )
+            _run(loop, summary)
+        if north is not None and not summary.failures:
             north_deg, sd_deg = north.north_deg()
             say(f"north_deg = {north_deg:.1f}     (write it into flight.toml; varied by {sd_deg:.1f}°)")
         report(summary, frame_source, link, say, json)
     if summary.failures:
         raise summary.failures[0]
+
+
+def _run(flight: Flight, summary: FlightSummary) -> None:
+    """Fly. An error that ends a flight after its first frame is kept, to be raised once its summary is printed."""
+    try:
+        flight.run()
+    except MonolocError as error:
+        if summary.frames == 0:
+            raise
+        summary.failures.insert(0, error)
 
 
 def _check_map(flown: FlownMap, settings: FlightSettings, say: Callable[[str], None]) -> None:

@@ -121,7 +121,7 @@ class FlightSummary:
             ``without image`` (it was repeated or empty), ``not finite``.
         unwritten: what outputs did not write since the disk was too slow, by kind: ``mcap images``, ``mcap frames``,
             ``poses``, ``messages``.
-        failures: of outputs, which took no more frames.
+        failures: of outputs, which took no more frames; and, first, what ended the flight.
         latencies_s: from capture to result, of the last frames.
         intervals_s: between localised frames, of the last ones.
         rooms: number of frames that are not *lost* in each room of a place; None in a single room.
