@@ -219,8 +219,12 @@ class Camera:
         """
         seen = np.flatnonzero(self.in_sight(points_camera))
         pixels = self.project(points_camera[seen])
-        is_within = np.all((pixels >= -1.0) & (pixels <= [self.width, self.height]), axis=1)
+        is_within = self.contains(pixels)
         return seen[is_within], pixels[is_within]
+
+    def contains(self, pixels: FloatArray) -> NDArray[np.bool_]:
+        """Whether pixels (N, 2) are in the image, or at most one pixel beyond it, (N,)."""
+        return np.asarray(np.all((pixels >= -1.0) & (pixels <= [self.width, self.height]), axis=1))
 
     @cached_property
     def sight(self) -> tuple[float, float, float, float]:

@@ -50,27 +50,32 @@ _TILE_PX, _BLANK_TILES, _LEAST_BLANK = 40.0, 3, 0.25
 
 @dataclass(frozen=True)
 class _Agreement:
-    """Landmarks in view of a prior, and those of them whose matches agree with one pose.
+    """Landmarks that a camera near a prior may see, and those of them whose matches agree with one pose.
 
     Attributes:
-        visible: (E,) indices of the landmarks in view.
+        possible: (E,) indices of the landmarks.
+        is_in_view: (E,) whether the image holds their expected pixel.
         is_shown: (E,) whether the image shows keypoints where they should be, see :func:`_is_shown`.
-        found: (A,) indices in ``visible`` of those that agree.
+        found: (A,) indices in ``possible`` of those that agree.
         keypoints: (A,) indices of their keypoints.
         fit: the pose; None where too few agree, or where they leave a direction undetermined.
     """
 
-    visible: NDArray[np.int64]
+    possible: NDArray[np.int64]
+    is_in_view: NDArray[np.bool_]
     is_shown: NDArray[np.bool_]
     found: NDArray[np.int64]
     keypoints: NDArray[np.int64]
     fit: PoseFit | None
 
     def measurement(self) -> LandmarkMeasurement:
-        is_found = np.zeros(len(self.visible), dtype=np.bool_)
+        is_found = np.zeros(len(self.possible), dtype=np.bool_)
         is_found[self.found] = True
         pose = None if self.fit is None else self.fit.measurement()
-        return LandmarkMeasurement(len(self.visible), len(self.found), pose, self.visible, is_found, self.is_shown)
+        visible = np.flatnonzero(self.is_in_view | is_found)
+        return LandmarkMeasurement(
+            len(visible), len(self.found), pose, self.possible[visible], is_found[visible], self.is_shown[visible]
+        )
 
 
 class OrbLandmarkLocalizer:
@@ -94,14 +99,14 @@ class OrbLandmarkLocalizer:
         agree with it.
         """
         stated, covariance = covariance, covariance + PRIOR_COVARIANCE
-        visible, local = self._visible(prior)
+        possible, local = self._possible(prior)
         seen = self._detect(color)
         if self._radius_px(local, covariance) <= _MOST_RADIUS_PX:
-            return self._agreeing(seen, prior, covariance, (visible, local)).measurement()
+            return self._agreeing(seen, prior, covariance, (possible, local)).measurement()
         # Too vague to say where in the image a landmark is to be sought, but not where in the room.
-        found = self._confirmed(seen, visible)
+        found = self._confirmed(seen, possible)
         if found is None or found.fit is None or not is_within_prior(found.fit.pose, prior, stated):
-            return LandmarkMeasurement(len(visible))
+            return LandmarkMeasurement(len(self._detect.camera.in_view(local)[0]))
         measured = found.measurement()
         is_expected = partial(is_within_prior, prior=prior, covariance=stated)
         if measured.pose is not None and self._fits_elsewhere(seen, found.keypoints, measured.pose, is_expected):
@@ -127,48 +132,51 @@ class OrbLandmarkLocalizer:
 
     def measure_keypoints(self, seen: Keypoints, prior: FloatArray, covariance: FloatArray) -> LandmarkMeasurement:
         """As :meth:`LandmarkLocalizer.measure`, from keypoints that are detected already."""
-        return self._agreeing(seen, prior, covariance, self._visible(prior)).measurement()
+        return self._agreeing(seen, prior, covariance, self._possible(prior)).measurement()
 
     def matched_keypoints(
         self, seen: Keypoints, prior: FloatArray, covariance: FloatArray
     ) -> tuple[LandmarkMeasurement, NDArray[np.int64], NDArray[np.int64]]:
         """As :meth:`measure_keypoints`, with the indices, (A,), of landmarks that agree and of their keypoints."""
-        agreement = self._agreeing(seen, prior, covariance, self._visible(prior))
-        return agreement.measurement(), agreement.visible[agreement.found], agreement.keypoints
+        agreement = self._agreeing(seen, prior, covariance, self._possible(prior))
+        return agreement.measurement(), agreement.possible[agreement.found], agreement.keypoints
 
     def _agreeing(
         self,
         seen: Keypoints,
         prior: FloatArray,
         covariance: FloatArray,
-        in_view: tuple[NDArray[np.int64], FloatArray],
+        sought: tuple[NDArray[np.int64], FloatArray],
     ) -> _Agreement:
         """The matches near a prior that agree with one pose.
 
         Args:
-            in_view: of :meth:`_visible` at the prior.
+            sought: of :meth:`_possible` at the prior.
         """
-        visible, local = in_view
+        possible, local = sought
         camera, room = self._detect.camera, self._landmarks
         expected = camera.project(local)
         which, where = match_descriptors(
             expected,
-            room.descriptors[visible],
+            room.descriptors[possible],
             seen.pixels,
             seen.descriptors,
             self._radius_px(local, covariance),
         )
-        points = room.points[visible[which]].astype(np.float64)
+        points = room.points[possible[which]].astype(np.float64)
         agree, fit = fit_matches(points, seen.select(where), camera, prior, covariance)
         is_shown = self._detect.reaches(expected) & _is_shown(expected, seen.pixels, camera)
-        return _Agreement(visible, is_shown, which[agree], where[agree], fit)
+        return _Agreement(possible, camera.contains(expected), is_shown, which[agree], where[agree], fit)
 
-    def _visible(self, prior: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
-        """Indices (M,) of the landmarks in view of a camera at the prior, and their points in its frame, (M, 3)."""
+    def _possible(self, prior: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+        """Landmarks that a camera near the prior may see: indices (M,), and points in the prior's frame, (M, 3).
+
+        Also those a little beyond the border of the image, since the prior may be wrong by so much.
+        """
         nearby = self._cells.nearby(prior, self._detect.camera)
         local = transform(invert(prior), self._landmarks.points[nearby])
-        visible, _ = self._detect.camera.in_view(local)
-        return nearby[visible], local[visible]
+        possible = self._detect.camera.in_sight(local)
+        return nearby[possible], local[possible]
 
     def _radius_px(self, local: FloatArray, covariance: FloatArray) -> float:
         """Three standard deviations of the expected pixel of points (M, 3) in the camera's frame."""
@@ -206,12 +214,12 @@ class OrbLandmarkLocalizer:
 
         Landmarks are matched anew only around poses that the matches at the place allow.
         """
-        best = self._agreeing(seen, place, PRIOR_COVARIANCE, self._visible(place))
+        best = self._agreeing(seen, place, PRIOR_COVARIANCE, self._possible(place))
         if best.fit is None:
             return best
         starts, (rivals, _) = flat_view_starts(best.fit.pose, best.fit.covariance), best.fit.rivals
         for start in starts[np.linalg.norm(rivals, axis=1) > _SAME_POSE]:
-            other = self._agreeing(seen, start, PRIOR_COVARIANCE, self._visible(start))
+            other = self._agreeing(seen, start, PRIOR_COVARIANCE, self._possible(start))
             if other.fit is not None and len(other.keypoints) > len(best.keypoints):
                 best = other
         return best

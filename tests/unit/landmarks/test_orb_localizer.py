@@ -174,6 +174,21 @@ def test_landmarks_beyond_the_border_of_a_cropped_image_are_not_expected(
     assert np.all((pixels > -1.5) & (pixels < [detected.width + 0.5, detected.height + 0.5]))
 
 
+def test_landmarks_a_little_beyond_the_border_are_found_where_the_prior_is_wrong(
+    localizer: OrbLandmarkLocalizer,
+) -> None:
+    left, top, width, height = 0, 0, 320, 150
+    pose = FLIGHT_POSES[30]
+    color = np.ascontiguousarray(Room().view(pose)[0][top : top + height, left : left + width])
+    cropped = OrbLandmarkLocalizer(localizer._landmarks, CAMERA.cropped(left, top, width, height))
+    prior = pose @ se3_exp([0.0, 0.0, 0.0, 0.06, 0.0, 0.0])  # looks up
+    measured = cropped.measure(color, prior, PRIOR)
+    found = measured.visible[measured.is_found]
+    pixels = cropped._detect.camera.project(transform(invert(prior), localizer._landmarks.points[found]))
+    assert measured.pose is not None and measured.expected > measured.found
+    assert not cropped._detect.camera.contains(pixels).all()
+
+
 @pytest.mark.parametrize("level", [30, 255])
 def test_covered_half_of_an_image_says_nothing_of_landmarks_there(
     localizer: OrbLandmarkLocalizer, level: int
