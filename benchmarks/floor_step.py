@@ -22,7 +22,7 @@ from monoloc.io.registry import open_recording, select_frames
 from monoloc.landmarks.landmark_map import Landmarks, LandmarkViews
 from monoloc.localizer import Localizer
 from monoloc.start import Start
-from monoloc_lab.bench.scenes import building
+from monoloc_lab.bench.scenes import building, copies_m
 from monoloc_lab.bench.timing import one_thread
 
 COMPONENTS, LANDMARKS = 100_000, 200_000
@@ -33,10 +33,7 @@ def floor_of(bundle: Bundle, rng: np.random.Generator) -> Bundle:
     """The bundle of a floor, whose first room is that of a bundle with landmarks."""
     room, known = bundle.adapted, bundle.landmarks
     rooms = -(-LANDMARKS // len(known))
-    side = int(np.ceil(np.sqrt(rooms)))
-    number = np.arange(rooms)
-    lower, upper = room.bounds_m()
-    offsets = np.stack([number % side, np.zeros_like(number), number // side], axis=1) * (upper - lower)
+    offsets = copies_m(room, rooms)
     points = np.concatenate([known.points + offset for offset in offsets]).astype(np.float32)
     others = rng.integers(0, 256, ((rooms - 1) * len(known), 32), dtype=np.uint8)
     descriptors = np.concatenate([known.descriptors, others])

@@ -21,7 +21,7 @@ from monoloc.likelihood.scan import uniform_scan
 from monoloc.map.em import fit_mixture
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import Progress
-from monoloc_lab.bench.scenes import Weighing, building, weighing
+from monoloc_lab.bench.scenes import Weighing, building, copies_m, weighing
 from monoloc_lab.bench.timing import one_thread
 
 _CAMERA = Camera(402, 301, 330.0, 330.0, 200.5, 150.0)  # as keypoints are detected
@@ -113,10 +113,9 @@ def _landmarks(
 
     A view from the middle of each copy found those within _FOUND_M.
     """
-    side = int(np.ceil(np.sqrt(rooms)))
     lower, upper = room.bounds_m()
     number = np.repeat(np.arange(rooms), count)
-    offsets = np.stack([number % side, np.zeros_like(number), number // side], axis=1) * (upper - lower)
+    offsets = copies_m(room, rooms)[number]
     points = (cloud[rng.integers(len(cloud), size=len(number))] + offsets).astype(np.float32)
     poses = np.tile(np.eye(4), (rooms, 1, 1))
     poses[:, :3, 3] = 0.5 * (lower + upper) + offsets[::count]

@@ -33,13 +33,19 @@ def synthetic_cloud(count: int, rng: np.random.Generator) -> FloatArray:
     return np.asarray(lower[box] + place * edges[box] + rng.normal(0.0, _SURFACE_SD_M, (count, 3)))
 
 
+def copies_m(room: GaussianMixture, rooms: int) -> FloatArray:
+    """Shifts of copies of a room that stand wall to wall in a square, (rooms, 3); the first is the room itself."""
+    side = int(np.ceil(np.sqrt(rooms)))
+    lower, upper = room.bounds_m()
+    number = np.arange(rooms)
+    return np.stack([number % side, np.zeros_like(number), number // side], axis=1) * (upper - lower)
+
+
 def building(room: GaussianMixture, components: int, rng: np.random.Generator) -> GaussianMixture:
     """A building of slightly different copies of a room, wall to wall, with at least ``components`` components."""
     rooms = -(-components // len(room))
-    side = int(np.ceil(np.sqrt(rooms)))
-    lower, upper = room.bounds_m()
     number = np.repeat(np.arange(rooms), len(room))
-    offset = np.stack([number % side, np.zeros_like(number), number // side], axis=1) * (upper - lower)
+    offset = copies_m(room, rooms)[number]
     jitter = rng.normal(0.0, 0.02, offset.shape) * (number > 0)[:, None]  # the first copy is the room itself
     return GaussianMixture(
         np.tile(room.weights, rooms) / rooms,

@@ -10,12 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from monoloc.viz.picture import BLUE, GREY, picture
 from monoloc_lab.experiments import tasks as factories
 from monoloc_lab.experiments.claims import DARK_BOUND, MOVED_BOUND_M, SMALLER_BOUND
-from monoloc_lab.experiments.drawing import legend_below, logarithmic
+from monoloc_lab.experiments.drawing import draw_points, legend_below, logarithmic
 from monoloc_lab.experiments.figure import Drawn, Figure
 from monoloc_lab.experiments.gather import BRIGHT, DARK, MEDIAN, RMSE, compared_lights, network_of, usual_light
 from monoloc_lab.experiments.interval import (
@@ -215,18 +213,11 @@ def _draw(study: Study, rows: Sequence[Row], folder: Path) -> Path:
     with picture(path, 3.6 * len(CLAIMED), 3.6) as figure:
         axes = figure.subplots(1, len(CLAIMED), sharey=True)
         for axis, method in zip(axes, CLAIMED, strict=True):
-            for tuned, colour, shift in ((False, GREY, -0.1), (True, BLUE, 0.1)):
-                points = [
-                    (index + shift, value)
-                    for index, light in enumerate(lights)
-                    for value in _errors(rows, method, tuned, size, light).values()
-                ]
-                label = "tuned" if tuned else "untuned"
-                axis.plot(*np.transpose(points or [(0.0, np.nan)]), "o", color=colour, markersize=6, label=label)
-            axis.set_xticks(range(len(lights)), lights)
-            axis.set_yscale("log")
-            axis.grid(axis="y", alpha=0.3)
-            axis.set_title(method.name)
+            untuned, tuned = (
+                [list(_errors(rows, method, is_tuned, size, light).values()) for light in lights]
+                for is_tuned in (False, True)
+            )
+            draw_points(axis, method.name, lights, {"untuned": (GREY, untuned), "tuned": (BLUE, tuned)})
         logarithmic(axes[0].yaxis)
         axes[0].set_ylabel("position RMSE (cm), a point a build")
         legend_below(figure, list(axes), 2)

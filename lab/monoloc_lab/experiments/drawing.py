@@ -67,6 +67,24 @@ def draw_ranges(axis: Axes, groups: Sequence[str], series: Sequence[Series], fac
     logarithmic(axis.yaxis)
 
 
+def draw_points(
+    axis: Axes, title: str, groups: Sequence[str], series: Mapping[str, tuple[str, Sequence[Sequence[float]]]]
+) -> None:
+    """Single values as dots, in groups; the axis is logarithmic.
+
+    Args:
+        series: by its name, the colour and the values of each group.
+    """
+    for number, (name, (colour, values)) in enumerate(series.items()):
+        offset = 0.2 * (number - 0.5 * (len(series) - 1))
+        points = [(group + offset, value) for group, each in enumerate(values) for value in each]
+        axis.plot(*np.transpose(points or [(0.0, np.nan)]), "o", color=colour, markersize=6, label=name)
+    axis.set_xticks(range(len(groups)), groups)
+    axis.set_yscale("log")
+    axis.grid(axis="y", alpha=0.3)
+    axis.set_title(title)
+
+
 def draw_bound(axis: Axes, name: str, spread: Spread, colour: str, style: Any) -> None:
     """A horizontal line for a spread in metres that all groups share; the axis is in centimetres."""
     if spread.values:

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from monoloc.viz.picture import GREY, VERMILION, picture
 from monoloc_lab.experiments import tasks as factories
-from monoloc_lab.experiments.drawing import legend_below, logarithmic
+from monoloc_lab.experiments.drawing import draw_points, legend_below, logarithmic
 from monoloc_lab.experiments.figure import Drawn, Figure
 from monoloc_lab.experiments.gather import BRIGHT, DARK, MEDIAN, RMSE, ROTATION, compared_lights, seeds_of
 from monoloc_lab.experiments.interval import CONFIDENCE, Interval, interval_of, ratios_of_builds
@@ -119,17 +117,14 @@ def _draw(study: Study, rows: Sequence[Row], folder: Path) -> Path:
     with picture(path, max(5.0, 3.6 * len(study.sizes)), 3.6) as figure:
         axes = figure.subplots(1, len(study.sizes), sharey=True, squeeze=False)[0]
         for axis, size in zip(axes, study.sizes, strict=True):
-            for darkened, colour, shift in ((False, GREY, -0.1), (True, VERMILION, 0.1)):
-                points = [
-                    (index + shift, value)
-                    for index, light in enumerate(lights)
-                    for value in _errors(rows, darkened, size, light).values()
-                ]
-                axis.plot(*np.transpose(points), "o", color=colour, markersize=6, label=_TRAINED[darkened])
-            axis.set_xticks(range(len(lights)), lights)
-            axis.set_yscale("log")
-            axis.grid(axis="y", alpha=0.3)
-            axis.set_title(size)
+            series = {
+                _TRAINED[darkened]: (
+                    colour,
+                    [list(_errors(rows, darkened, size, light).values()) for light in lights],
+                )
+                for darkened, colour in ((False, GREY), (True, VERMILION))
+            }
+            draw_points(axis, size, lights, series)
         logarithmic(axes[0].yaxis)
         axes[0].set_ylabel("position RMSE (cm), a point a training")
         legend_below(figure, list(axes), 2)
