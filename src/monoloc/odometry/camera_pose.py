@@ -15,7 +15,9 @@ from monoloc.geometry import FloatArray, invert, make_pose, so3_exp, transform
 from monoloc.odometry.odometry_config import OdometryConfig
 
 _PRIOR_INFORMATION = 1e-6 * np.eye(6)  # against a singular matrix alone
-_KERNEL_SDS = np.full(4, 1e3)  # inliers count alike
+# Pixels at which a corner's weight is a quarter, step by step: in a fit by all corners, and in one by those that
+# agree, which count alike.
+_ALL_PX, _AGREEING_PX = np.array([6.0, 3.0, 3.0, 3.0]), np.full(4, 1e3)
 _NEAREST_M = 0.05  # depth of a corner, at least
 
 
@@ -42,13 +44,16 @@ def solve_pose(
     if not ok or inliers is None:
         return None
     chosen, T_camera_r = inliers.ravel().astype(np.int64), make_pose(so3_exp(rotation.ravel()), translation.ravel())
+    T_r_camera = invert(T_camera_r)
     is_fisheye = camera.distortion_model == "fisheye"
     if is_fisheye:
-        chosen = _agreeing(points, pixels, camera, T_camera_r, config.reprojection_px)
+        # Where depth errs, EPnP's pose is at times one with which few corners agree.
+        T_r_camera = _fit(points, pixels, camera, T_r_camera, _ALL_PX)
+        chosen = _agreeing(points, pixels, camera, invert(T_r_camera), config.reprojection_px)
     if len(chosen) < max(config.min_inliers, config.min_inlier_share * len(points)):
         return None
     if is_fisheye:
-        T_r_camera = _fit(points[chosen], pixels[chosen], camera, invert(T_camera_r))
+        T_r_camera = _fit(points[chosen], pixels[chosen], camera, T_r_camera, _AGREEING_PX)
     else:
         refined = cv2.solvePnPRefineLM(points[chosen], seen[chosen], K, distortion, rotation, translation)
         T_r_camera = invert(make_pose(so3_exp(refined[0].ravel()), refined[1].ravel()))
@@ -69,8 +74,14 @@ def _agreeing(
     return np.asarray(ahead[error_px < most_px], dtype=np.int64)
 
 
-def _fit(points: FloatArray, pixels: NDArray[np.float32], camera: Camera, start: FloatArray) -> FloatArray:
-    """The pose ``T_r_camera`` with the least squares of errors in pixels, (4, 4)."""
+def _fit(
+    points: FloatArray, pixels: NDArray[np.float32], camera: Camera, start: FloatArray, kernel_px: FloatArray
+) -> FloatArray:
+    """The pose ``T_r_camera`` (4, 4) at which points (N, 3) are seen nearest to where they were found.
+
+    Args:
+        kernel_px: (S,) of each step, errors at which a point's weight is a quarter.
+    """
     rays = camera.rays(pixels)[:, :2]
-    fit = _core.fit_pose(points, rays, camera.ray_spread(rays), start, _PRIOR_INFORMATION, _KERNEL_SDS, _NEAREST_M)
+    fit = _core.fit_pose(points, rays, camera.ray_spread(rays), start, _PRIOR_INFORMATION, kernel_px, _NEAREST_M)
     return fit[0]
