@@ -88,7 +88,8 @@ class PoseCheck:
     def sentence(self) -> str:
         """The finding, for a message."""
         if self.share is None:
-            return f"poses are not compared with the images: {self.pairs} pairs of frames show corners that move"
+            seen = f"{self.pairs} pairs of frames show corners that move and whose depth is known"
+            return f"poses are not compared with the images: {seen}"
         of = "" if self.share >= _MANY_TIMES else " of"  # "66 times their motion"
         away = f"{_percent(self.share)}{of} their motion away from where they are seen"
         found = f"by poses and depth, corners land {away}"
@@ -143,13 +144,19 @@ def judge(evidence: Evidence) -> PoseCheck:
 
 
 def _correlation(stated: FloatArray, free: FloatArray) -> float | None:
-    """Lower correlation of rotation vectors and of translations of relative poses (N, 4, 4); NaN where unknown."""
+    """Lower correlation of turns and of translations of relative poses (N, 4, 4); None if few are known."""
     known = np.isfinite(free).all(axis=(1, 2))
     if known.sum() < _LEAST_PAIRS:
         return None
     stated, free = stated[known], free[known]
     vectors = [(T[:, :3, 3], so3_log(T[:, :3, :3])) for T in (stated, free)]
-    return float(min(np.sum(a * b) / np.sqrt(np.sum(a * a) * np.sum(b * b)) for a, b in zip(*vectors, strict=True)))
+    return min(_alike(a, b) for a, b in zip(*vectors, strict=True))
+
+
+def _alike(a: FloatArray, b: FloatArray) -> float:
+    """Correlation of vectors (N, 3); 0 if one side is all zero, as placeholders for poses are."""
+    length = float(np.sqrt(np.sum(a * a) * np.sum(b * b)))
+    return float(np.sum(a * b)) / length if length > 0.0 else 0.0
 
 
 def require_agreement(name: str, check: PoseCheck, poses_are_refined: bool, if_poor: str = REFINE) -> list[str]:

@@ -54,6 +54,13 @@ def test_poses_of_another_convention_are_named_and_fixed(room: tuple[Recording, 
         np.testing.assert_allclose(fixes.convert(altered), recording.poses, atol=1e-6)
 
 
+def test_one_pose_for_all_frames_is_refused(room: tuple[Recording, Matches]) -> None:
+    recording, matches = room
+    assert recording.poses is not None
+    line = refusal(judged(Altered(recording, poses=np.repeat(recording.poses[:1], len(recording), axis=0)), matches))
+    assert "motions correlate by 0.00" in line and "check the poses' convention" in line
+
+
 @pytest.mark.parametrize("factor", [0.2, 1.4, 5.0, 1000.0])
 def test_depth_of_another_scale_is_named(room: tuple[Recording, Matches], factor: float) -> None:
     recording, matches = room
@@ -134,7 +141,8 @@ def test_scale_and_axes_together_are_named(room: tuple[Recording, Matches]) -> N
 def test_too_little_motion_is_not_judged() -> None:
     still = np.repeat(make_path(1), 30, axis=0)
     check = check_poses(RoomRecording(Room(), still, SMALL_CAMERA))
-    assert check.verdict == "unknown" and "0 pairs of frames show corners that move" in check.sentence
+    assert check.verdict == "unknown"
+    assert "0 pairs of frames show corners that move and whose depth is known" in check.sentence
     assert require_agreement("walk", check, poses_are_refined=False) == []
 
 
