@@ -140,6 +140,7 @@ def _draw_path(axis: Axes, inspection: Inspection) -> None:
         color=GREY, width=0.0035, scale=18.0, label="view",
     )  # fmt: skip
     axis.plot(positions[0, first], positions[0, second], "o", color=GREEN, label="start")
+    axis.margins(0.12)  # arrows reach beyond the path
     axis.set_aspect("equal", adjustable="datalim")
     axis.set(xlabel=f"{'xyz'[first]} (m)", ylabel=f"{'xyz'[second]} (m)")
     axis.legend(loc="best")
