@@ -79,7 +79,9 @@ def read_rows(path: Path, columns: int, meaning: str, *, optional: int = 0) -> F
             row = []
         expected = (len(rows[0]),) if rows else (columns, columns + optional)
         if len(row) not in expected:
-            raise DataError(path, f"line {number} is not {expected[0]} numbers", f"each line holds: {meaning}")
+            separators = ", separated by spaces, with decimal points" if "," in line else ""
+            problem = f"line {number} is not {expected[0]} numbers"
+            raise DataError(path, problem, f"each line holds: {meaning}{separators}")
         rows.append(row)
     if not rows:
         raise DataError(path, "has no lines of numbers", f"each line holds: {meaning}")

@@ -109,7 +109,7 @@ def _unrecognised(path: Path) -> DataError:
     suffixes = [file.suffix.lower() for file in path.iterdir()] if path.is_dir() else [""]
     if not suffixes:
         return DataError(path, "is an empty folder", "give the folder that holds the recording")
-    fix = f"write FORMAT:PATH with one of {', '.join(FORMATS)}"
+    fix = f"write FORMAT:PATH with one of {', '.join(FORMATS)}, or describe its images in a dataset.toml"
     if _IMAGES.intersection(suffixes):
         fix = "describe its images in a dataset.toml"
     return DataError(path, "is not recognised as a recording", fix, page="how-to/record-a-room")

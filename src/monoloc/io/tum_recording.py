@@ -65,7 +65,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
     if (path / "groundtruth.txt").is_file():
         known, poses = interpolate_poses(color_times, *read_tum(path / "groundtruth.txt"))
         frames.require(known, "without a pose")
-    positions = frames.positions(path, "check that the three lists use one clock")
+    positions = frames.positions(path, "check that the three lists use one clock, in seconds")
     name = path.resolve().name
     camera = next((camera for freiburg, camera in _CAMERAS.items() if freiburg in name), None)
     is_assumed = camera is None and options.camera is None

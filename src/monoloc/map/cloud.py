@@ -55,7 +55,7 @@ def cloud_from_recording(
     if recording.poses is None:
         raise DataError(recording.name, "has no poses", "give a recording with poses, or a cloud file")
     if not recording.has_depth:
-        raise DataError(recording.name, "has no depth", "give a recording with depth, or a cloud file")
+        raise DataError(recording.name, "has no depth", "give a recording with depth, or a cloud (--cloud)")
     rays = recording.camera.pixel_rays()[::stride, ::stride]
     thinner = VoxelThinner(voxel_m)
     for index, T_world_camera in enumerate(recording.poses):

@@ -75,7 +75,8 @@ def test_file_where_a_folder_is_meant_is_refused(tmp_path: Path) -> None:
 def test_folder_of_no_known_format_is_refused(tmp_path: Path) -> None:
     refuses_to_open(tmp_path, tmp_path, "is an empty folder", "give the folder that holds the recording")
     (tmp_path / "notes.md").touch()
-    refuses_to_open(tmp_path, tmp_path, "is not recognised", "FORMAT:PATH with one of .*7scenes")
+    fix = "FORMAT:PATH with one of .*7scenes.*, or describe .* dataset.toml"
+    refuses_to_open(tmp_path, tmp_path, "is not recognised", fix)
 
 
 def test_folder_of_images_is_to_be_described(tmp_path: Path) -> None:

@@ -132,4 +132,4 @@ def test_time_that_does_not_increase_is_refused(sequence: Path, name: str) -> No
 def test_clocks_that_differ_are_refused(sequence: Path) -> None:
     rows = np.loadtxt(sequence / "groundtruth.txt")
     np.savetxt(sequence / "groundtruth.txt", rows + np.eye(8)[0] * 3600.0)
-    refuses_to_open(sequence, sequence, "none of its 4 frames can be used: 4 without a pose", "one clock")
+    refuses_to_open(sequence, sequence, "none of its 4 frames can be used: 4 without a pose", "one clock, in seconds")
