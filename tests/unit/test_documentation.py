@@ -57,6 +57,15 @@ def test_tables_of_the_concepts_name_what_is_in_the_files() -> None:
             assert re.search(rf"(?m)(?:def|class) {name}\b|^{name}\b", code), (name, files)
 
 
+def test_modules_that_pages_import_are_in_the_reference() -> None:
+    docs = REPOSITORY / "docs"
+    text = "\n".join(page.read_text("utf-8") for page in docs.rglob("*.md"))
+    imported = set(re.findall(r"(?m)^from (monoloc\.[\w.]+) import", text))
+    described = tuple(f"{name}." for name in re.findall(r"(?m)^::: (monoloc\.[\w.]+)$", text))
+    assert len(imported) > 8 and len(described) > 30
+    assert [name for name in sorted(imported) if not f"{name}.".startswith(described)] == []
+
+
 def test_a_file_is_piped_into_a_flight_at_its_own_pace() -> None:
     """Frames of a pipe are timed on arrival, and all but the newest are skipped."""
     pages = [REPOSITORY / "README.md", *(REPOSITORY / "docs").rglob("*.md"), *(REPOSITORY / "src").rglob("*.py")]
