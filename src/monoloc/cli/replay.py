@@ -13,7 +13,7 @@ import typer
 
 from monoloc.cli.common import BudgetOption, JsonOption, check_outputs, check_suffix, naming, print_json, stderr
 from monoloc.errors import DataError
-from monoloc.files import write_whole
+from monoloc.files import read_regular, write_whole
 from monoloc.flight.autopilot import senders
 from monoloc.flight.flight_loop import FlightOutput
 from monoloc.flight.flight_recording import MESSAGES, POSES, FlightHeader, read_header
@@ -76,7 +76,7 @@ def replay(
         if header.firmware is not None:
             same_messages = _begins_with(folder / MESSAGES, again / MESSAGES, breaks_off)
         if out is not None:
-            write_whole(out, (again / POSES).read_bytes())
+            write_whole(out, read_regular(again / POSES))
     if breaks_off:
         note = f"holds {frames} whole frames and {len(recorded) - 1} poses: it was cut short, or not copied whole"
         stderr.print(f"note: {folder}: {note}; what both have is compared", soft_wrap=True)
@@ -103,8 +103,8 @@ def _map_of(header: FlightHeader, room: Path | None) -> FlownMap:
 def _lines(path: Path) -> list[bytes]:
     """Whole lines of a table; a last line that was cut is left out."""
     try:
-        return [line for line in path.read_bytes().splitlines(keepends=True) if line.endswith(b"\n")]
-    except OSError as error:
+        return [line for line in read_regular(path).splitlines(keepends=True) if line.endswith(b"\n")]
+    except (OSError, ValueError) as error:
         raise DataError(path, "cannot be read", "give another flight") from error
 
 
@@ -115,8 +115,8 @@ def _begins_with(recorded: Path, again: Path, breaks_off: bool) -> bool:
         breaks_off: whether the recording does, so that its messages may be fewer.
     """
     try:
-        before, now = recorded.read_bytes(), again.read_bytes()
-    except OSError as error:
+        before, now = read_regular(recorded), read_regular(again)
+    except (OSError, ValueError) as error:
         raise DataError(recorded, "cannot be read", "give another flight") from error
     return before.startswith(now) or (breaks_off and before != b"" and now.startswith(before))
 

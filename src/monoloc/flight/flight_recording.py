@@ -50,8 +50,8 @@ class RecordedStart(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     pose: tuple[float, ...] = Field(min_length=16, max_length=16)
-    error_m: float
-    error_rad: float
+    error_m: float = Field(ge=0.0, le=1e3)
+    error_rad: float = Field(ge=0.0, le=1e3)
 
     @classmethod
     def of(cls, start: Start | None) -> RecordedStart | None:
@@ -143,6 +143,8 @@ class RecordedFrame(BaseModel):
     def _check(self) -> RecordedFrame:
         if self.start is not None:
             self.start.start  # noqa: B018 - raises where it is none
+        if self.down_camera is not None and not any(self.down_camera):
+            raise ValueError("down_camera has no direction")
         return self
 
     @property

@@ -85,9 +85,9 @@ class RealSense:
 
     def open(self) -> None:
         rs = self._library
-        pipeline, config = rs.pipeline(), rs.config()
-        config.enable_stream(rs.stream.color, self._camera.width, self._camera.height, rs.format.rgb8, _RATE_HZ)
         try:
+            pipeline, config = rs.pipeline(), rs.config()
+            config.enable_stream(rs.stream.color, self._camera.width, self._camera.height, rs.format.rgb8, _RATE_HZ)
             pipeline.start(config)
         except RuntimeError as error:
             fix = f"check with rs-enumerate-devices that it gives {self._camera.width}x{self._camera.height}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import threading
 import time
 from dataclasses import replace
@@ -137,6 +138,7 @@ def test_damaged_files_are_named(tmp_path: Path) -> None:
     events, whole = tmp_path / "frames.jsonl", (tmp_path / "frames.jsonl").read_bytes()
     first, *rest = lines(tmp_path)
     no_start = json.dumps({"pose": [1.0] * 16, "error_m": 0.1, "error_rad": 0.1}).encode()
+    far_start = json.dumps({"pose": np.eye(4).ravel().tolist(), "error_m": 1e300, "error_rad": 0.1}).encode()
     for damaged in (
         b"{}\n",
         b"not JSON\n",
@@ -145,6 +147,8 @@ def test_damaged_files_are_named(tmp_path: Path) -> None:
         first.replace(b'"elapsed_s":0.0', b'"elapsed_s":NaN'),
         first.replace(b'"done_s":', b'"more":1,"done_s":'),
         first.replace(b'"start":null', b'"start":' + no_start),
+        first.replace(b'"start":null', b'"start":' + far_start),
+        re.sub(rb'"down_camera":[^"]*,"', b'"down_camera":[0.0,0.0,0.0],"', first),
         first.replace(b'"sd_rad":0.0', b'"sd_rad":-1.0'),
         first.replace(b'"R_previous_current":[', b'"R_previous_current":[2'),
         b"[" * 100_000 + b"\n",
