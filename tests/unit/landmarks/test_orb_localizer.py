@@ -93,6 +93,21 @@ def test_landmarks_in_a_narrow_band_do_not_relocalize(localizer: OrbLandmarkLoca
     assert narrow.relocalize(color) is None and wide.relocalize(color) is not None
 
 
+def test_landmarks_in_a_small_part_of_a_wide_image_relocalize(localizer: OrbLandmarkLocalizer) -> None:
+    """They spread over as many degrees as in a narrower image that they fill."""
+    pose, room = FLIGHT_POSES[30], localizer._landmarks
+    local = transform(invert(pose), room.points)
+    height = CAMERA.project(local)[:, 1]
+    seen = CAMERA.in_sight(local) & (np.abs(height - CAMERA.cy) < 0.3 * CAMERA.height)
+    known = Landmarks(room.points[seen], room.descriptors[seen])
+    assert OrbLandmarkLocalizer(known, CAMERA).relocalize(Room().view(pose)[0]) is not None
+    side = round(2.8 * CAMERA.focal_px)
+    wide = Camera(side, side, CAMERA.focal_px, CAMERA.focal_px, (side - 1) / 2.0, (side - 1) / 2.0)
+    found = OrbLandmarkLocalizer(known, wide).relocalize(Room().view(pose, wide)[0])
+    assert found is not None
+    assert pose_errors(found.pose[None], pose[None]).position_m[0] < 0.03
+
+
 def test_vague_prior_tells_equal_places_apart_and_contradicts_a_pose_far_from_it(
     localizer: OrbLandmarkLocalizer,
 ) -> None:

@@ -1,0 +1,193 @@
+"""Accuracy of a flight with another camera than the map's, in a rendered room.
+
+    python benchmarks/other_cameras.py FOLDER SEED [BUNDLE]
+
+Renders a walk with a phone's field of view, builds a bundle from it without tuning unless one is given, and renders a
+flight 15 cm and 7 degrees off that walk (standard deviations) with a wide lens. Images of every other camera are
+resampled from those, so all see the same flight. Prints a row of CSV for every camera, two starts together. The
+rendering takes some minutes, and is kept in the folder.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from monoloc.adapt.settings import AdaptConfig
+from monoloc.builder.build_config import BuildConfig
+from monoloc.builder.pipeline import build_bundle
+from monoloc.bundle import Bundle, read_bundle
+from monoloc.camera import Camera
+from monoloc.config import override
+from monoloc.geometry import FloatArray, se3_exp
+from monoloc.io.recording import Recording
+from monoloc.io.registry import open_recording
+from monoloc.progress import ConsoleProgress, NoProgress
+from monoloc.run import localize
+from monoloc.start import Start
+from monoloc_lab.synth.blur import velocities
+from monoloc_lab.synth.flights import FlightConfig, plan_flight
+from monoloc_lab.synth.layout import generate_room
+from monoloc_lab.synth.light import LIGHTS
+from monoloc_lab.synth.sequence import RenderConfig, render_sequence
+
+PHONE = Camera(480, 360, 415.0, 415.0, 239.5, 179.5)
+WIDE = Camera(1120, 840, 320.0, 320.0, 559.5, 419.5)
+STARTS = 2
+PROGRESS = ConsoleProgress(Console(stderr=True))
+_FLIGHT = FlightConfig(seconds=30.0, speed=0.5, acceleration=0.8, yaw_rate_deg=40.0)
+_OFF, _PERIODS_S = np.repeat([0.15, 0.12], 3), np.array([7.0, 9.0, 11.0, 8.0, 10.0, 12.0])  # of the flight, a twist
+
+Altered = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
+
+
+def pinhole(width: int, height: int, degrees: float) -> Camera:
+    """A camera without distortion, by its horizontal field of view."""
+    focal_px = width / 2.0 / np.tan(np.deg2rad(degrees) / 2.0)
+    return Camera(width, height, focal_px, focal_px, (width - 1) / 2.0, (height - 1) / 2.0)
+
+
+def toned(exponent: float) -> Altered:
+    table = (255.0 * (np.arange(256) / 255.0) ** exponent).round().astype(np.uint8)
+    return lambda color: table[color]
+
+
+def noisy(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    noise = np.random.default_rng(int(color.sum())).normal(0.0, 12.0, color.shape)
+    return np.clip(color + noise, 0.0, 255.0).astype(np.uint8)
+
+
+def gray(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.asarray(cv2.cvtColor(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB), dtype=np.uint8)
+
+
+def warm(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.clip(color * np.array([1.25, 1.0, 0.65]), 0.0, 255.0).astype(np.uint8)
+
+
+def unchanged(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return color
+
+
+_BARREL = Camera(560, 420, 300.0, 300.0, 279.5, 209.5, (-0.28, 0.07, 0.0005, -0.0003))
+_FISHEYE = Camera(480, 340, 300.0, 300.0, 239.5, 169.5, (-0.02, 0.004, 0.0, 0.0), "fisheye")
+CAMERAS: dict[str, tuple[Camera, Altered]] = {
+    "60 degrees, as the map's": (pinhole(360, 270, 60.0), unchanged),
+    "60 degrees, 160 x 120": (pinhole(160, 120, 60.0), unchanged),
+    "45 degrees": (pinhole(264, 198, 45.0), unchanged),
+    "75 degrees": (pinhole(480, 360, 75.0), unchanged),
+    "75 degrees, 16:9": (pinhole(640, 360, 75.0), unchanged),
+    "90 degrees": (pinhole(600, 450, 90.0), unchanged),
+    "110 degrees": (pinhole(800, 600, 110.0), unchanged),
+    "barrel distortion, 94 degrees": (_BARREL, unchanged),
+    "fisheye, 92 degrees": (_FISHEYE, unchanged),
+    "75 degrees, grey": (pinhole(480, 360, 75.0), gray),
+    "75 degrees, dark tones": (pinhole(480, 360, 75.0), toned(1.8)),
+    "75 degrees, warm": (pinhole(480, 360, 75.0), warm),
+    "75 degrees, noisy": (pinhole(480, 360, 75.0), noisy),
+}
+
+
+class Resampled:
+    """A recording as another camera at the same place would have seen it; a :class:`Recording` without depth."""
+
+    def __init__(self, source: Recording, camera: Camera, altered: Altered) -> None:
+        self._source, self._altered = source, altered
+        self.name, self.camera, self.has_depth = source.name, camera, False
+        self.poses, self.timestamps_s, self.frame_names = source.poses, source.timestamps_s, source.frame_names
+        rows, columns = np.mgrid[: camera.height, : camera.width]
+        pixels = np.stack([columns, rows], axis=-1).reshape(-1, 2)
+        seen_at = source.camera.project(camera.rays(pixels))
+        self._seen_at = seen_at.reshape(camera.height, camera.width, 2).astype(np.float32)
+        shrink = source.camera.fx / camera.fx
+        self._blur_px = 0.5 * np.sqrt(max(0.0, shrink**2 - 1.0))  # as larger pixels would see it
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+    def color(self, index: int) -> NDArray[np.uint8]:
+        """See :meth:`monoloc.io.recording.Recording.color`."""
+        seen = self._source.color(index)
+        if self._blur_px > 0.1:
+            seen = cv2.GaussianBlur(seen, (0, 0), self._blur_px).astype(np.uint8)
+        image = cv2.remap(seen, self._seen_at[..., 0], self._seen_at[..., 1], cv2.INTER_LINEAR)
+        return self._altered(np.asarray(image, dtype=np.uint8))
+
+    def depth(self, index: int) -> NDArray[np.float32]:
+        """See :meth:`monoloc.io.recording.Recording.depth`."""
+        raise NotImplementedError
+
+
+def rendered(folder: Path, seed: int) -> tuple[Recording, Recording]:
+    """The walk, and the flight with a wide lens."""
+    folder.mkdir(parents=True, exist_ok=True)
+    room = generate_room(seed)
+    planned = plan_flight(room, _FLIGHT, 10 * seed + 1)
+    times_s, poses = planned.times_s, planned.camera_poses()
+    chosen = slice(90, 700, 8)
+    phase = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, 6)
+    off = _OFF * np.sin(2.0 * np.pi * times_s[chosen, None] / _PERIODS_S + phase)
+    flown, flown_s = poses[chosen] @ se3_exp(off), times_s[chosen] - times_s[90]
+
+    def render(name: str, along: FloatArray, at_s: FloatArray, camera: Camera, samples: int, noise: int) -> Recording:
+        config = RenderConfig(samples=samples, is_even=True)
+        given = (velocities(along, at_s), camera, [LIGHTS["L1"]], config, noise, folder / name, PROGRESS)
+        return open_recording(f"folder:{render_sequence(room, along, at_s, *given)[0]}")
+
+    walk = render("build", poses[::9], times_s[::9], PHONE, 16, 10 * seed + 1)
+    return walk, render("wide", flown, flown_s, WIDE, 8, 5)
+
+
+def row_of(bundle: Bundle, recording: Recording, without: tuple[str, ...]) -> dict[str, object]:
+    """Figures of the flights from two starts 10 cm and 3 degrees off."""
+    assert recording.poses is not None
+    settings = override(bundle.settings, without=without)
+    runs = []
+    for number in range(STARTS):
+        rng = np.random.default_rng(number)
+        start = Start.disturbed(recording.poses[0], rng)
+        runs.append(localize(bundle, recording, start, settings, rng, NoProgress()))
+    errors_m = np.concatenate([np.linalg.norm(r.poses[:, :3, 3] - recording.poses[:, :3, 3], axis=1) for r in runs])
+    states = [state for run in runs for state in run.states]
+    figures = [run.metrics() for run in runs]
+    silent = sum(int(str(each[f"silent_frames_{kind}"])) for each in figures for kind in ("30cm", "3_5_sigma"))
+    return {
+        "without": " ".join(without),
+        "frames": len(states),
+        "median_cm": f"{100.0 * np.median(errors_m):.1f}",
+        "rmse_cm": f"{100.0 * np.sqrt(np.mean(errors_m**2)):.1f}",
+        "tracking": states.count("tracking"),
+        "lost": states.count("lost"),
+        "silent": silent,
+        "step_ms": f"{np.median(np.concatenate([run.step_ms for run in runs])):.0f}",
+    }
+
+
+def main(folder: str, seed: str, bundle_path: str | None = None) -> None:
+    cv2.setNumThreads(1)
+    walk, flight = rendered(Path(folder), int(seed))
+    if bundle_path is None:
+        config = BuildConfig(adapt=AdaptConfig(tune="none", map_transform=False))
+        bundle = build_bundle(walk, config, 0, progress=PROGRESS)[0]
+    else:
+        bundle = read_bundle(bundle_path)
+    table: csv.DictWriter[str] | None = None
+    for without in ((), ("landmarks",)):
+        for name, (camera, altered) in CAMERAS.items():
+            row = {"room": seed, "camera": name, **row_of(bundle, Resampled(flight, camera, altered), without)}
+            if table is None:
+                table = csv.DictWriter(sys.stdout, list(row))
+                table.writeheader()
+            table.writerow(row)
+            sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
