@@ -33,8 +33,11 @@ _LEAST_RADIUS_PX, _MOST_RADIUS_PX = 8.0, 50.0  # of the search around a landmark
 _RATIO = 0.85  # of the best match's distance to that of the best match at another place (Lowe 2004)
 _CANDIDATES, _OTHER_PLACE_M = 8, 0.05  # best matches among which another place is sought, and its distance
 # Of a relocalisation: a single object that was moved, such as a window on a screen, may hold all of less spread.
-# At true poses the least was 0.069 and 0.073 (two real rooms, frames near those of the build).
-_LEAST_SPREAD = 0.0685
+# At true poses the least was 0.076 and 0.093 (two real rooms, frames near those of the build).
+_LEAST_SPREAD = 0.075
+# Focal lengths of an image's height that count for it, as many as in one of these rooms: what is as large in a taller
+# image of a wider lens is no less.
+_TALLEST = 0.914
 # Of two poses without a prior: pose distance from which they are two, since a position that far off is of no use, and
 # the share of the better one's landmarks with which the other counts as well.
 _APART_M, _RIVAL_SHARE = FAR_M, 0.3
@@ -225,9 +228,10 @@ class OrbLandmarkLocalizer:
         return best
 
     def _spread(self, pixels: FloatArray) -> float:
-        """Standard deviation of pixels (A, 2) along the direction in which it is least, in focal lengths."""
+        """Standard deviation of pixels (A, 2) along the direction in which it is least, in image heights."""
         variance = float(np.linalg.eigvalsh(np.cov(pixels.T))[0])
-        return math.sqrt(max(variance, 0.0)) / self._detect.camera.focal_px
+        camera = self._detect.camera
+        return math.sqrt(max(variance, 0.0)) / min(camera.height, _TALLEST * camera.focal_px)
 
     def _fits_elsewhere(
         self,
