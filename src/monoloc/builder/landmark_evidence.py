@@ -8,7 +8,7 @@ from dataclasses import astuple, dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.builder.bias import fit_bias_model
+from monoloc.builder.bias import bounded_model, fit_bias_model
 from monoloc.builder.landmark_triangulation import Corners, landmarks_of
 from monoloc.camera import Camera
 from monoloc.evaluation.consistency import FAR_M
@@ -150,13 +150,11 @@ def widened(bias: BiasModel, at_reference: PoseErrors, away: PoseErrors, distanc
     """
     sd_m = max(bias.sd_at_reference_m, _sd_by_quantile(at_reference.position_m))
     sd_rad = max(bias.sd_at_reference_rad, _sd_by_quantile(at_reference.rotation_rad))
-    return bias.model_copy(
-        update={
-            "sd_at_reference_m": sd_m,
-            "sd_growth_m": max(bias.sd_growth_m, _growth_by_quantile(away.position_m, sd_m, distances_m)),
-            "sd_at_reference_rad": sd_rad,
-            "sd_growth_rad": max(bias.sd_growth_rad, _growth_by_quantile(away.rotation_rad, sd_rad, distances_m)),
-        }
+    return bounded_model(
+        sd_at_reference_m=sd_m,
+        sd_growth_m=max(bias.sd_growth_m, _growth_by_quantile(away.position_m, sd_m, distances_m)),
+        sd_at_reference_rad=sd_rad,
+        sd_growth_rad=max(bias.sd_growth_rad, _growth_by_quantile(away.rotation_rad, sd_rad, distances_m)),
     )
 
 

@@ -15,6 +15,10 @@ COMMON_ERROR = 0.03
 """Variance that landmarks have in common, relative to that of one corner, at the reference poses of a new build. By
 maximum likelihood over a real desk and a real kitchen: docs/decisions/fusion.md."""
 
+MOST_SD = 100.0
+"""Largest standard deviation of a model, metres and radians, and largest growth, both a metre: of such a bias nothing
+is known."""
+
 _MOST_DISTANCE_M = 0.5  # to which growth was measured; from farther, errors were not seen to grow on
 
 
@@ -33,12 +37,12 @@ class BiasModel(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    sd_at_reference_m: float = Field(0.0, ge=0.0, le=100.0)
-    sd_at_reference_rad: float = Field(0.0, ge=0.0, le=100.0)
-    sd_growth_m: float = Field(0.0, ge=0.0, le=100.0)
-    sd_growth_rad: float = Field(0.0, ge=0.0, le=100.0)
-    relocalization_sd_m: float = Field(0.0, ge=0.0, le=100.0)
-    relocalization_sd_rad: float = Field(0.0, ge=0.0, le=100.0)
+    sd_at_reference_m: float = Field(0.0, ge=0.0, le=MOST_SD)
+    sd_at_reference_rad: float = Field(0.0, ge=0.0, le=MOST_SD)
+    sd_growth_m: float = Field(0.0, ge=0.0, le=MOST_SD)
+    sd_growth_rad: float = Field(0.0, ge=0.0, le=MOST_SD)
+    relocalization_sd_m: float = Field(0.0, ge=0.0, le=MOST_SD)
+    relocalization_sd_rad: float = Field(0.0, ge=0.0, le=MOST_SD)
 
     def reference_variance_share(self, distance_m: float) -> FloatArray:
         """Variance at the reference poses divided by that at a distance, (6,)."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from monoloc.builder.bias import fit_bias_model, localizer_factory, measure_bias, measure_bias_at_reference
 from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors
-from monoloc.fusion.bias_model import BiasModel
+from monoloc.fusion.bias_model import MOST_SD, BiasModel
 from monoloc.geometry import FloatArray, se3_exp
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress
@@ -55,6 +55,14 @@ def test_prior_is_all_without_errors_away() -> None:
     at_reference, none = PoseErrors(np.full(9, 0.1), np.full(9, 0.1)), PoseErrors(np.zeros(0), np.zeros(0))
     model = fit_bias_model(at_reference, at_reference, none, np.zeros(0))
     assert model.sd_growth_m == model.sd_growth_rad == 0.1
+
+
+def test_errors_of_any_size_give_a_model_that_a_bundle_may_state() -> None:
+    """Eight metres off, beside the reference poses."""
+    at_reference, wild = PoseErrors(np.full(9, 0.05), np.full(9, 0.02)), PoseErrors(np.full(9, 8.0), np.full(9, 3.0))
+    model = fit_bias_model(at_reference, at_reference, wild, np.full(9, 0.01))
+    assert model.sd_growth_m == model.sd_growth_rad == MOST_SD
+    assert BiasModel.model_validate(model.model_dump()) == model
 
 
 # --- The measurement ---

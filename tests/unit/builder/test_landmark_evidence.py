@@ -7,7 +7,7 @@ import pytest
 
 from monoloc.builder.landmark_evidence import fit_common_error_growth, widened
 from monoloc.evaluation.trajectory import PoseErrors
-from monoloc.fusion.bias_model import BiasModel, LandmarkBiasModel
+from monoloc.fusion.bias_model import MOST_SD, BiasModel, LandmarkBiasModel
 from monoloc.landmarks.pnp import LandmarkPose
 
 NARROW = BiasModel(sd_at_reference_m=1e-4, sd_at_reference_rad=1e-4, sd_growth_m=1e-4, sd_growth_rad=1e-4)
@@ -35,6 +35,12 @@ def test_tails_at_the_reference_poses_do_not_widen_the_growth() -> None:
     model = widened(NARROW, far_off, none, np.zeros(0))
     assert model.sd_growth_m == NARROW.sd_growth_m and model.sd_growth_rad == NARROW.sd_growth_rad
     assert model.sd_at_reference_m == pytest.approx(0.02, rel=0.1)
+
+
+def test_errors_of_any_size_give_a_model_that_a_bundle_may_state() -> None:
+    near, far_off = PoseErrors(np.full(9, 0.01), np.full(9, 0.01)), PoseErrors(np.full(9, 20.0), np.full(9, 0.01))
+    model = widened(NARROW, near, far_off, np.full(9, 0.05))
+    assert BiasModel.model_validate(model.model_dump()).sd_growth_m == MOST_SD
 
 
 @pytest.mark.parametrize("growth", [0.15, 1.0, 5.0])
