@@ -92,7 +92,7 @@ def measure_bias(
 
     Returns:
         Standard deviation of the unknown part of the bias, the N reference poses with the known part, and what
-        decided whether there is one; None where nothing could.
+        decided whether there is one; None where nothing could: no frame is held out, or no segment is long enough.
     """
     poses = recording.poses
     assert poses is not None
@@ -118,6 +118,8 @@ def measure_bias(
     def model_of(remaining: list[FloatArray]) -> BiasModel:
         return fit_bias_model(_sizes(remaining), hold_out_at_reference, _sizes(away_errors), np.array(distances_m))
 
+    if not any(map(is_long, segments)):  # rounding would decide between errors that are the same
+        return model_of(errors), ReferencePoses.without_bias(poses), None
     remaining, reference_poses = _known_bias(errors, segments, poses, True)
     hold_out_remaining, known = _known_bias(of_hold_out, segments, poses, True)
     flown = list(zip([*passes, *hovers], [*hold_out_errors, *away_errors], strict=True))

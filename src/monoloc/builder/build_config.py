@@ -84,8 +84,9 @@ class BuildReport:
     others. The change of the map is as in :class:`monoloc.map.compare.MapChange`. Scale and shift of the network's
     output are None where they were not fitted, see :class:`monoloc.depth.spec.ModelSpec`. ``known_bias_used`` says
     whether flights subtract the bias that was measured at the reference poses. They do if that helped in
-    ``known_bias_check``, which is None where no frame was held out. ``scale_sd`` is the relative standard deviation
-    of the map's scale, None where a sensor measured it.
+    ``known_bias_check``, which is None where no frame was held out, or where no segment of the recording is long
+    enough to know a bias of. ``scale_sd`` is the relative standard deviation of the map's scale, None where a sensor
+    measured it.
     """
 
     frames: int

@@ -179,6 +179,21 @@ def test_bias_of_the_place_is_known_and_has_no_deviation(frames: int, regions: l
     assert (model.sd_growth_m > 0.0) == bool(regions) and np.isfinite(model.sd_growth_m)
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_nothing_is_decided_where_no_segment_is_long_enough_to_know_a_bias_of(seed: int) -> None:
+    """The errors before and after are the same but for rounding."""
+    rng = np.random.default_rng(seed)
+    poses, errors = se3_exp(0.1 * rng.normal(size=(12, 6))), 0.05 * rng.normal(size=(12, 6))
+
+    def make(_: FloatArray) -> _FakeLocalizer:
+        return _FakeLocalizer(poses, lambda index, _p, _s: errors[index])
+
+    regions = [np.array([5]), np.array([9])]
+    model, reference_poses, check = measure_bias(make, make, _NumberedFrames(poses), regions, NoProgress())
+    assert check is None and not reference_poses.common_bias.any()
+    assert model.sd_at_reference_m > 0.0
+
+
 def test_bias_is_not_known_where_knowing_it_does_harm_on_held_out_frames() -> None:
     """There the hold-out localizer's bias is the opposite of that at the frames around."""
     poses = np.tile(np.eye(4), (200, 1, 1))
