@@ -166,7 +166,6 @@ def row_of(bundle: Bundle, recording: Recording, without: tuple[str, ...]) -> di
         "tracking": states.count("tracking"),
         "lost": states.count("lost"),
         "silent": silent,
-        "step_ms": f"{np.median(np.concatenate([run.step_ms for run in runs])):.0f}",
     }
 
 

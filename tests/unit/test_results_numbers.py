@@ -17,6 +17,8 @@ from document_numbers import (
     json_of,
     median_of,
     middle,
+    numbers,
+    only,
     over_builds,
     spread,
     table_of,
@@ -83,6 +85,20 @@ def check_rendered_rooms(table: Table) -> None:
                 [total(found, name) for name in ("silent_30cm", "silent_3_5_sigma", "frames")],
             ],
         )
+
+
+def check_other_cameras(table: Table) -> None:
+    flights = table_of("other-cameras.csv")
+    assert len(table.rows) == len({row["camera"] for row in flights})
+    columns = (
+        {"room": "office", "bundle": "untuned", "without": ""},
+        {"room": "dining room", "bundle": "untuned", "without": ""},
+        {"room": "office", "bundle": "tuned", "without": ""},
+        {"room": "office", "bundle": "tuned", "without": "landmarks"},
+    )
+    for camera, *shown in table.rows:
+        found = [only(flights, camera=camera.replace("°", " degrees"), **labels) for labels in columns]
+        agree_all(shown, [numbers(row, "median_cm", "rmse_cm", "tracking") for row in found])
 
 
 def check_recovery(table: Table) -> None:
@@ -176,6 +192,7 @@ def test_every_fault_is_in_a_row() -> None:
 CHECKS: dict[tuple[str, int], Callable[[Table], None]] = {
     ("This version", 0): check_this_version,
     ("Two rendered rooms", 0): check_rendered_rooms,
+    ("Other cameras", 0): check_other_cameras,
     (RECOVERY, 0): check_recovery,
     (RECOVERY, 1): check_recovery_of_other_bundles,
     ("What the state says", 0): check_faults,
