@@ -27,7 +27,8 @@ from monoloc.bundle import Bundle, read_bundle
 from monoloc.camera import Camera
 from monoloc.config import override
 from monoloc.geometry import FloatArray, se3_exp
-from monoloc.io.recording import Recording
+from monoloc.io.image_resampling import Resampler
+from monoloc.io.recording import Recording, Selection
 from monoloc.io.registry import open_recording
 from monoloc.progress import ConsoleProgress, NoProgress
 from monoloc.run import localize
@@ -69,7 +70,7 @@ def gray(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def warm(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    return np.clip(color * np.array([1.25, 1.0, 0.65]), 0.0, 255.0).astype(np.uint8)
+    return np.asarray(np.clip(color * np.array([1.25, 1.0, 0.65]), 0.0, 255.0), dtype=np.uint8)
 
 
 def unchanged(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -95,34 +96,24 @@ CAMERAS: dict[str, tuple[Camera, Altered]] = {
 }
 
 
-class Resampled:
-    """A recording as another camera at the same place would have seen it; a :class:`Recording` without depth."""
+class Resampled(Selection):
+    """A recording as another camera at the same place would have seen it."""
 
     def __init__(self, source: Recording, camera: Camera, altered: Altered) -> None:
-        self._source, self._altered = source, altered
-        self.name, self.camera, self.has_depth = source.name, camera, False
-        self.poses, self.timestamps_s, self.frame_names = source.poses, source.timestamps_s, source.frame_names
-        rows, columns = np.mgrid[: camera.height, : camera.width]
-        pixels = np.stack([columns, rows], axis=-1).reshape(-1, 2)
-        seen_at = source.camera.project(camera.rays(pixels))
-        self._seen_at = seen_at.reshape(camera.height, camera.width, 2).astype(np.float32)
+        super().__init__(source, np.arange(len(source)))
+        self._resampler, self._altered = Resampler(camera, [source.camera]), altered
+        self.camera = camera
         shrink = source.camera.fx / camera.fx
         self._blur_px = 0.5 * np.sqrt(max(0.0, shrink**2 - 1.0))  # as larger pixels would see it
 
-    def __len__(self) -> int:
-        return len(self._source)
-
     def color(self, index: int) -> NDArray[np.uint8]:
-        """See :meth:`monoloc.io.recording.Recording.color`."""
-        seen = self._source.color(index)
+        seen = super().color(index)
         if self._blur_px > 0.1:
             seen = cv2.GaussianBlur(seen, (0, 0), self._blur_px).astype(np.uint8)
-        image = cv2.remap(seen, self._seen_at[..., 0], self._seen_at[..., 1], cv2.INTER_LINEAR)
-        return self._altered(np.asarray(image, dtype=np.uint8))
+        return self._altered(self._resampler.color(0, seen))
 
     def depth(self, index: int) -> NDArray[np.float32]:
-        """See :meth:`monoloc.io.recording.Recording.depth`."""
-        raise NotImplementedError
+        return self._resampler.depth(0, super().depth(index))
 
 
 def rendered(folder: Path, seed: int) -> tuple[Recording, Recording]:

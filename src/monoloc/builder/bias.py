@@ -25,7 +25,7 @@ from monoloc.camera import Camera
 from monoloc.components import Components, ComponentsFactory, default_components
 from monoloc.evaluation.trajectory import CHI2_MEDIAN_3, PoseErrors, axis_sd, twist_errors
 from monoloc.fusion.bias_filter import decayed
-from monoloc.fusion.bias_model import MOST_SD, BiasModel
+from monoloc.fusion.bias_model import BiasModel
 from monoloc.fusion.reference_poses import ReferencePoses, bias_correlation
 from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_exp, se3_log
 from monoloc.io.recording import Recording
@@ -156,7 +156,7 @@ def measure_bias_at_reference(
         errors = _Follower(recording, poses, show)(final, trajectories)
     remaining, reference_poses = _known_bias(errors, segments, poses, is_tuned)
     sd_m, sd_rad = axis_sd(_sizes(remaining))
-    return bounded_model(sd_at_reference_m=sd_m, sd_at_reference_rad=sd_rad), reference_poses
+    return BiasModel.bounded(sd_at_reference_m=sd_m, sd_at_reference_rad=sd_rad), reference_poses
 
 
 @dataclass(frozen=True)
@@ -305,21 +305,12 @@ def fit_bias_model(
     """
     sd_m, sd_rad = axis_sd(at_reference)
     hold_out_m, hold_out_rad = axis_sd(hold_out_at_reference)
-    return bounded_model(
+    return BiasModel.bounded(
         sd_at_reference_m=sd_m,
         sd_at_reference_rad=sd_rad,
         sd_growth_m=_growth(away_from_reference.position_m, hold_out_m, distances_m, prior_growth),
         sd_growth_rad=_growth(away_from_reference.rotation_rad, hold_out_rad, distances_m, prior_growth),
     )
-
-
-def bounded_model(**measured: float) -> BiasModel:
-    """A bias model of what was measured, up to what a bundle may state.
-
-    Growth is an error divided by a distance, which has no bound: particles that wander off are metres away beside a
-    reference pose.
-    """
-    return BiasModel(**{name: min(value, MOST_SD) for name, value in measured.items()})
 
 
 def _growth(errors: FloatArray, sd_at_reference: float, distances_m: FloatArray, prior: float) -> float:

@@ -8,7 +8,7 @@ from dataclasses import astuple, dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.builder.bias import bounded_model, fit_bias_model
+from monoloc.builder.bias import fit_bias_model
 from monoloc.builder.landmark_triangulation import Corners, landmarks_of
 from monoloc.camera import Camera
 from monoloc.evaluation.consistency import FAR_M
@@ -150,7 +150,7 @@ def widened(bias: BiasModel, at_reference: PoseErrors, away: PoseErrors, distanc
     """
     sd_m = max(bias.sd_at_reference_m, _sd_by_quantile(at_reference.position_m))
     sd_rad = max(bias.sd_at_reference_rad, _sd_by_quantile(at_reference.rotation_rad))
-    return bounded_model(
+    return BiasModel.bounded(
         sd_at_reference_m=sd_m,
         sd_growth_m=max(bias.sd_growth_m, _growth_by_quantile(away.position_m, sd_m, distances_m)),
         sd_at_reference_rad=sd_rad,

@@ -44,6 +44,15 @@ class BiasModel(BaseModel):
     relocalization_sd_m: float = Field(0.0, ge=0.0, le=MOST_SD)
     relocalization_sd_rad: float = Field(0.0, ge=0.0, le=MOST_SD)
 
+    @classmethod
+    def bounded(cls, **measured: float) -> BiasModel:
+        """The model of what was measured, up to what a bundle may state.
+
+        Growth is an error divided by a distance, which has no bound: particles that wander off are metres away beside
+        a reference pose.
+        """
+        return cls(**{name: min(value, MOST_SD) for name, value in measured.items()})
+
     def reference_variance_share(self, distance_m: float) -> FloatArray:
         """Variance at the reference poses divided by that at a distance, (6,)."""
         reference, here = self.sds(0.0), self.sds(distance_m)

@@ -53,7 +53,7 @@ class Resampler:
 
     Args:
         camera: the common camera.
-        cameras: camera of each image, of the common camera's size.
+        cameras: camera of each image.
     """
 
     def __init__(self, camera: Camera, cameras: Sequence[Camera]) -> None:

@@ -43,13 +43,13 @@ def solve_pose(
     )
     if not ok or inliers is None:
         return None
-    chosen, T_camera_r = inliers.ravel().astype(np.int64), make_pose(so3_exp(rotation.ravel()), translation.ravel())
-    T_r_camera = invert(T_camera_r)
+    chosen = inliers.ravel().astype(np.int64)
+    T_r_camera = invert(make_pose(so3_exp(rotation.ravel()), translation.ravel()))
     is_fisheye = camera.distortion_model == "fisheye"
     if is_fisheye:
         # Where depth errs, EPnP's pose is at times one with which few corners agree.
         T_r_camera = _fit(points, pixels, camera, T_r_camera, _ALL_PX)
-        chosen = _agreeing(points, pixels, camera, invert(T_r_camera), config.reprojection_px)
+        chosen = _agreeing(points, pixels, camera, T_r_camera, config.reprojection_px)
     if len(chosen) < max(config.min_inliers, config.min_inlier_share * len(points)):
         return None
     if is_fisheye:
@@ -65,10 +65,10 @@ def solve_pose(
 
 
 def _agreeing(
-    points: FloatArray, pixels: NDArray[np.float32], camera: Camera, T_camera_r: FloatArray, most_px: float
+    points: FloatArray, pixels: NDArray[np.float32], camera: Camera, T_r_camera: FloatArray, most_px: float
 ) -> NDArray[np.int64]:
     """Indices of the points that a camera sees within so many pixels of where they were found."""
-    local = transform(T_camera_r, points)
+    local = transform(invert(T_r_camera), points)
     ahead = np.flatnonzero(camera.in_sight(local))
     error_px = np.linalg.norm(camera.project(local[ahead]) - pixels[ahead], axis=1)
     return np.asarray(ahead[error_px < most_px], dtype=np.int64)
