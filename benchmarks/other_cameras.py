@@ -18,33 +18,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
+from rendered_flights import PHONE, RenderedRoom, bundle_of, figures, flights, silent_frames
 
-from monoloc.adapt.settings import AdaptConfig
-from monoloc.builder.build_config import BuildConfig
-from monoloc.builder.pipeline import build_bundle
-from monoloc.bundle import Bundle, read_bundle
 from monoloc.camera import Camera
-from monoloc.config import override
-from monoloc.geometry import FloatArray, se3_exp
 from monoloc.io.image_resampling import Resampler
 from monoloc.io.recording import Recording, Selection
-from monoloc.io.registry import open_recording
-from monoloc.progress import ConsoleProgress, NoProgress
-from monoloc.run import localize
-from monoloc.start import Start
-from monoloc_lab.synth.blur import velocities
-from monoloc_lab.synth.flights import FlightConfig, plan_flight
-from monoloc_lab.synth.layout import generate_room
-from monoloc_lab.synth.light import LIGHTS
-from monoloc_lab.synth.sequence import RenderConfig, render_sequence
 
-PHONE = Camera(480, 360, 415.0, 415.0, 239.5, 179.5)
 WIDE = Camera(1120, 840, 320.0, 320.0, 559.5, 419.5)
-STARTS = 2
-PROGRESS = ConsoleProgress(Console(stderr=True))
-_FLIGHT = FlightConfig(seconds=30.0, speed=0.5, acceleration=0.8, yaw_rate_deg=40.0)
-_OFF, _PERIODS_S = np.repeat([0.15, 0.12], 3), np.array([7.0, 9.0, 11.0, 8.0, 10.0, 12.0])  # of the flight, a twist
 
 Altered = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 
@@ -116,62 +96,18 @@ class Resampled(Selection):
         return self._resampler.depth(0, super().depth(index))
 
 
-def rendered(folder: Path, seed: int) -> tuple[Recording, Recording]:
-    """The walk, and the flight with a wide lens."""
-    folder.mkdir(parents=True, exist_ok=True)
-    room = generate_room(seed)
-    planned = plan_flight(room, _FLIGHT, 10 * seed + 1)
-    times_s, poses = planned.times_s, planned.camera_poses()
-    chosen = slice(90, 700, 8)
-    phase = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, 6)
-    off = _OFF * np.sin(2.0 * np.pi * times_s[chosen, None] / _PERIODS_S + phase)
-    flown, flown_s = poses[chosen] @ se3_exp(off), times_s[chosen] - times_s[90]
-
-    def render(name: str, along: FloatArray, at_s: FloatArray, camera: Camera, samples: int, noise: int) -> Recording:
-        config = RenderConfig(samples=samples, is_even=True)
-        given = (velocities(along, at_s), camera, [LIGHTS["L1"]], config, noise, folder / name, PROGRESS)
-        return open_recording(f"folder:{render_sequence(room, along, at_s, *given)[0]}")
-
-    walk = render("build", poses[::9], times_s[::9], PHONE, 16, 10 * seed + 1)
-    return walk, render("wide", flown, flown_s, WIDE, 8, 5)
-
-
-def row_of(bundle: Bundle, recording: Recording, without: tuple[str, ...]) -> dict[str, object]:
-    """Figures of the flights from two starts 10 cm and 3 degrees off."""
-    assert recording.poses is not None
-    settings = override(bundle.settings, without=without)
-    runs = []
-    for number in range(STARTS):
-        rng = np.random.default_rng(number)
-        start = Start.disturbed(recording.poses[0], rng)
-        runs.append(localize(bundle, recording, start, settings, rng, NoProgress()))
-    errors_m = np.concatenate([np.linalg.norm(r.poses[:, :3, 3] - recording.poses[:, :3, 3], axis=1) for r in runs])
-    states = [state for run in runs for state in run.states]
-    figures = [run.metrics() for run in runs]
-    silent = sum(int(str(each[f"silent_frames_{kind}"])) for each in figures for kind in ("30cm", "3_5_sigma"))
-    return {
-        "without": " ".join(without),
-        "frames": len(states),
-        "median_cm": f"{100.0 * np.median(errors_m):.1f}",
-        "rmse_cm": f"{100.0 * np.sqrt(np.mean(errors_m**2)):.1f}",
-        "tracking": states.count("tracking"),
-        "lost": states.count("lost"),
-        "silent": silent,
-    }
-
-
 def main(folder: str, seed: str, bundle_path: str | None = None) -> None:
     cv2.setNumThreads(1)
-    walk, flight = rendered(Path(folder), int(seed))
-    if bundle_path is None:
-        config = BuildConfig(adapt=AdaptConfig(tune="none", map_transform=False))
-        bundle = build_bundle(walk, config, 0, progress=PROGRESS)[0]
-    else:
-        bundle = read_bundle(bundle_path)
+    room = RenderedRoom(Path(folder), int(seed))
+    walk, flight = room.walk("build", PHONE, samples=16), room.beside_the_walk("wide", WIDE, samples=8)
+    bundle = bundle_of(walk, bundle_path)
     table: csv.DictWriter[str] | None = None
     for without in ((), ("landmarks",)):
         for name, (camera, altered) in CAMERAS.items():
-            row = {"room": seed, "camera": name, **row_of(bundle, Resampled(flight, camera, altered), without)}
+            runs = flights(bundle, Resampled(flight, camera, altered), without)
+            silent = silent_frames(runs, "30cm") + silent_frames(runs, "3_5_sigma")
+            labels = {"room": seed, "camera": name, "without": " ".join(without)}
+            row = {**labels, **figures(runs), "silent": silent}
             if table is None:
                 table = csv.DictWriter(sys.stdout, list(row))
                 table.writeheader()
