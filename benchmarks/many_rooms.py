@@ -2,10 +2,10 @@
 
     python benchmarks/many_rooms.py FOLDER SEED [BUNDLE]
 
-Renders a walk with a phone's field of view, builds a bundle from it without tuning unless one is given, and flies with
-the same camera: 15 cm and 7 degrees off the walk (standard deviations), and on another way through the room, there
-also with images of near darkness. Prints a row of CSV for every flight with and without landmarks, two starts together.
-The rendering takes some minutes, and is kept in the folder.
+Renders a walk with a phone's field of view, builds a bundle from it without tuning unless one is given, and flies
+with the same camera: 15 cm and 7 degrees off the walk (standard deviations), and on another way through the room,
+there also with images of near darkness. Prints a row of CSV for every flight with and without landmarks, two starts
+together. The rendering takes some minutes, and is kept in the folder.
 """
 
 from __future__ import annotations
