@@ -428,6 +428,7 @@ WITHOUT_KEPT_RUNS = (
     "When the states were introduced",
     "A live flight beside other work",
     "Gyroscope",
+    "Floor of a building",
 )
 
 
