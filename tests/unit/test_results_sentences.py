@@ -214,7 +214,7 @@ STATE: tuple[Sentence, ...] = (
         "had {} silent frames of {} in RedKitchen with the four wrong focal lengths, and {} of {} at the desk",
         WRONG_FOCAL,
     ),
-    ("without any fault, the 95 % ellipsoid holds {} of the poses", shares(FAULTS[1], "none")),
+    ("Without any fault, the 95 % ellipsoid holds {} of the poses", shares(FAULTS[1], "none")),
     (
         "Half covered on the left, the desk was silently wrong in {} of {} frames.**",
         [FAULTS[1]["half-covered-left"]["during"][column] for column in ("silent_frames", "frames")],
@@ -363,7 +363,7 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "starts 10 cm and 3° off": "the starts of the flights",
     "94 % (five builds) and 75 % (three)": "of the statistics",
     "the stated 95 % ellipsoid": "a definition",
-    "the 95 % ellipsoid of frames": "a definition",
+    "The 95 % ellipsoid of frames": "a definition",
     "the stated 95 and 99 % ellipsoids": "a definition",
     "more than 30 cm off, or beyond 3.5 sigma": "a definition",
     "**Beyond 3.5 sigma**": "a definition",
