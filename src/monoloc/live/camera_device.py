@@ -34,7 +34,8 @@ class CameraDevice:
         self.name = f"camera:{index}"
         self._index, self._camera = index, camera
         self._capture: cv2.VideoCapture | None = None
-        self._stamps_are_ours: bool | None = None  # None before the first image
+        self._stamps_are_ours: bool | None = None  # None before the first stamp
+        self._delay_s = 0.0  # the shortest from a stamp to the arrival
 
     def open(self) -> None:
         capture = None
@@ -67,11 +68,19 @@ class CameraDevice:
     def _captured_s(self, stamp_s: float, arrived_s: float) -> float:
         """V4L2 stamps by the monotonic clock, with an image's first or last byte; other drivers by none or their own.
 
-        The first image tells. A later one that is old was held back in the driver's queue, and must count as old.
+        The first stamp tells. A later one that is old was held back in the driver's queue, and must count as old.
+        Zero is no stamp: some drivers give it for single images, which are timed by their arrival and the delay of
+        others.
         """
-        if self._stamps_are_ours is None:
-            self._stamps_are_ours = 0.0 <= arrived_s - stamp_s <= _MOST_LATENCY_S
-        return stamp_s if self._stamps_are_ours else arrived_s
+        is_stamped, delay_s = stamp_s > 0.0, arrived_s - stamp_s
+        if self._stamps_are_ours is None and is_stamped:
+            self._stamps_are_ours, self._delay_s = 0.0 <= delay_s <= _MOST_LATENCY_S, delay_s
+        if not self._stamps_are_ours:
+            return arrived_s
+        if not is_stamped:
+            return arrived_s - self._delay_s
+        self._delay_s = min(self._delay_s, max(0.0, delay_s))
+        return stamp_s
 
     def close(self) -> None:
         if self._capture is not None:

@@ -90,6 +90,15 @@ def test_a_frame_that_the_drivers_queue_held_back_is_as_old_as_its_stamp_says(
     assert device.grab()[1] == pytest.approx(NOW_S - 3.0)
 
 
+@pytest.mark.parametrize("none_s", [0.0, -0.001, float("nan")])
+def test_an_image_without_a_stamp_between_others_is_as_late_as_they_are(
+    plugged: Callable[..., CameraDevice], none_s: float
+) -> None:
+    device = plugged(none_s, NOW_S - 0.05, NOW_S - 3.0, none_s, NOW_S - 0.04)
+    captured_s = [device.grab()[1] for _ in range(5)]
+    assert captured_s == pytest.approx([NOW_S, NOW_S - 0.05, NOW_S - 3.0, NOW_S - 0.05, NOW_S - 0.04])
+
+
 def test_the_size_of_the_intrinsics_one_buffer_and_a_fixed_focus_are_asked_for(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
