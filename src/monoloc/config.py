@@ -94,6 +94,7 @@ def _plain(message: str) -> str:
         message.removeprefix("Value error, ")
         .split(", unable to parse")[0]
         .replace("Input should be", "must be")
+        .replace("Input is not a valid path for <class 'pathlib.Path'>", "must be a path, in quotes")
         .replace("integer", "whole number")
     )
 

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from monoloc.config import load_settings
 from monoloc.files import at_home
@@ -53,6 +53,13 @@ class FlightFile(FlightSettings):
     record: Path | None = None
     dictionary: Dictionary = DEFAULT_DICTIONARY
     marker: tuple[Marker, ...] = ()
+
+    @field_validator("room", "require_signature", "source", "camera", "out", "mcap", "record")
+    @classmethod
+    def _check_name(cls, name: Path | str | None) -> Path | str | None:
+        if "\0" in str(name):
+            raise ValueError("holds a null character")
+        return name
 
     @model_validator(mode="after")
     def _check_markers(self) -> FlightFile:

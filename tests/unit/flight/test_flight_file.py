@@ -69,6 +69,9 @@ def test_a_live_source_is_no_path(tmp_path: Path, source: str) -> None:
         (MARKER, "give either quaternion or rpy_deg"),
         (MARKER + "rpy_deg = [0, 0, 0]\nquaternion = [0, 0, 0, 1]\n", "give either quaternion or rpy_deg"),
         (2 * (MARKER + "rpy_deg = [0, 0, 0]\n"), "two markers have the same id"),
+        ("out = 1\n", "out: must be a path, in quotes"),
+        ('record = "a\\u0000b"\n', "record: holds a null character"),
+        ('source = "7scenes:a\\u0000b"\n', "source: holds a null character"),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path: Path, text: str, problem: str) -> None:
