@@ -134,11 +134,32 @@ def test_a_room_that_cannot_be_read_does_not_end_a_flight_that_is_tracking_in_an
 
     monkeypatch.setattr(place_localizer, "_UNSEEN_S", 5.5 * FRAME_S)
     monkeypatch.setattr(Place, "read_room", failing)
-    monkeypatch.setattr(localizer._search, "ranked", lambda seen, known: [LEFT, OTHER])
+    monkeypatch.setattr(localizer._search, "ranked", lambda seen, known: {LEFT: 50, OTHER: 10})
     monkeypatch.setattr(localizer, "_door_taken", lambda color, room, belief: None)
     monkeypatch.setattr(localizer, "_stepped", lambda *given: replace(stepped(*given), landmark_pose=None))
     steps = follow(localizer, walk, range(8))
     assert asked == [OTHER] and {(step.room, step.state) for step in steps} == {(LEFT, "tracking")}
+
+
+def test_a_lost_camera_is_found_although_another_room_cannot_be_read(
+    place: Place, walk: RoomRecording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As when a disk fails in flight; once the other room can be read again, it is entered."""
+    read_room, fails = Place.read_room, [True]
+
+    def failing(self: Place, room: str) -> Bundle:
+        if room == RIGHT and fails[0]:
+            raise BundleError(self.path, "cannot be read", "put it back")
+        return read_room(self, room)
+
+    monkeypatch.setattr(Place, "read_room", failing)
+    localizer = PlaceLocalizer(place, CAMERA)
+    steps = follow(localizer, walk, range(8))
+    assert {step.room for step in steps} == {None, LEFT} and steps[-1].state == "tracking"
+    assert list(localizer.unreadable) == [RIGHT] and "put it back" in localizer.unreadable[RIGHT]
+    fails[0] = False
+    steps = [localizer.step(walk.color(FRAMES - 1), 0.4) for _ in range(10)]
+    assert steps[-1].room == RIGHT and not localizer.unreadable
 
 
 def test_frames_before_a_loss_do_not_count_for_a_door(

@@ -130,7 +130,7 @@ class MonolocNode(Node):
         if camera is not None and self._is_in_time(stamp_ns) and self._is_ready(message.header.frame_id, camera):
             try:
                 self._localize(color_of(message, Path("image"), camera), message, stamp_ns)
-            except MonolocError as error:  # of the image, or of a room of a place that is read now
+            except MonolocError as error:  # of the image, or of a room of a place that is entered now
                 self._warn(str(error))
 
     def _camera_of(self, image: Image | CompressedImage) -> Camera | None:
@@ -190,8 +190,6 @@ class MonolocNode(Node):
             self._warn(f"images are turned by {in_words(self._turns)}, to stand upright")
         return frames.upright
 
-    # --- Localise ---
-
     def _localize(self, color: Any, message: Image | CompressedImage, stamp_ns: int) -> None:
         assert self._made is not None and self._messages is not None
         elapsed_s = 0.0 if self._previous_ns is None else (stamp_ns - self._previous_ns) / 1e9
@@ -200,6 +198,8 @@ class MonolocNode(Node):
         self._previous_ns = stamp_ns
         in_place = self._made.in_place()
         step, room = (step, None) if in_place is None else (in_place.in_first_room(step), in_place.room)
+        if in_place is not None and in_place.unreadable:
+            self._warn(", ".join(in_place.problems))
         try:
             odom_base = None
             if not self._publish_odom:

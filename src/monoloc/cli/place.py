@@ -180,6 +180,8 @@ def localize_in(
     cv2.setNumThreads(1)  # as in monoloc localize
     table = None if out is None else PlaceTable(out)
     run = localize_in_place(read, recording, seed, ConsoleProgress(stderr), table)
+    for room, problem in run.unreadable.items():
+        stderr.print(f"warning: room {room} was not entered: {problem}", soft_wrap=True)
     if table is not None:
         table.write()
         stderr.print(f"written: {out}", soft_wrap=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 from monoloc.bundle import Bundle
 from monoloc.particle_filter.estimate import Estimate
@@ -19,12 +20,19 @@ class InPlace:
         estimate: the belief in the world of the place's first room, by way of the doors between; its covariance has
             grown by theirs. Says nothing without a room.
         tells_obstacles: whether the room's depth may be taken for obstacles.
+        unreadable: why rooms could not be read when they were needed last, by name: they are not entered.
     """
 
     room: str | None
     entered: Bundle | None
     estimate: Estimate
     tells_obstacles: bool
+    unreadable: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def problems(self) -> list[str]:
+        """What keeps rooms from being entered, in words."""
+        return [f"room {room} cannot be entered: {why}" for room, why in self.unreadable.items()]
 
     def in_first_room(self, step: Step) -> Step:
         """The frame's step with its pose in the world of the place's first room, and without depth where that tells

@@ -38,6 +38,7 @@ class StatusOutput:
         self._began_s: float | None = None
         self._said: tuple[str, frozenset[object], str | None] = ("", frozenset(), None)
         self._level = Level.FULL
+        self._problems: list[str] = []  # of rooms of a place, that were said
         self._frame_s = self._printed_s = float("-inf")
         self._frames = self._failures = 0
         self._dropped = Counter[str]()  # as the summary counted at the last look
@@ -55,6 +56,7 @@ class StatusOutput:
             self._said = (step.state, step.reasons, result.room)
             why = in_words(step.reasons)
             self.say(now_s, _state_of(result) + (f": {why}" if why else ""))
+        self._say_problems(now_s, [] if result.in_place is None else result.in_place.problems)
         if self._level is not step.level:
             self._level = step.level
             self.say(now_s, f"budget: {step.level.words}")
@@ -89,6 +91,12 @@ class StatusOutput:
         if self._began_s is None:
             self._began_s = self._frame_s = self._printed_s = now_s
             self._frames = self._summary.frames
+
+    def _say_problems(self, now_s: float, problems: list[str]) -> None:
+        for problem in problems:
+            if problem not in self._problems:
+                self.say(now_s, problem)
+        self._problems = problems
 
     def _say_how_it_goes(self, result: FlightStep) -> None:
         now_s = result.done_s

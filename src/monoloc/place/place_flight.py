@@ -73,7 +73,7 @@ class PlaceFlight:
         found = self._localizer.step(color, elapsed_s, down=down, measured_motion=measured_motion, level=level)
         bundle = self._localizer.bundle
         if found.step is None or found.room is None or bundle is None:
-            self._in_place = InPlace(None, None, self._in_place.estimate, False)
+            self._in_place = InPlace(None, None, self._in_place.estimate, False, self._localizer.unreadable)
             return replace(self._searching, level=found.level)
         if found.entered:
             way = self._place.way(found.room, self._place.names[0])
@@ -82,7 +82,9 @@ class PlaceFlight:
         estimate = found.step.estimate
         for room, door in self._way:
             estimate = carried(estimate, door, room)
-        self._in_place = InPlace(found.room, bundle if found.entered else None, estimate, self._tells_obstacles)
+        entered = bundle if found.entered else None
+        unreadable = self._localizer.unreadable
+        self._in_place = InPlace(found.room, entered, estimate, self._tells_obstacles, unreadable)
         self._searching = replace(_SEARCHING, estimate=found.step.estimate, particle_estimate=found.step.estimate)
         return found.step
 

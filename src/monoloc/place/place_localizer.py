@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -79,8 +80,8 @@ class PlaceLocalizer:
 
     Near a door, landmarks of the room beyond are measured too, and the belief goes on there once they explain the
     view better. Where no landmarks of the room are seen for a second, the place is asked, and the camera found in
-    another room is believed there. At most three rooms are in memory. While the camera is not lost, a room that
-    cannot be read is not entered; a lost camera's search says so.
+    another room is believed there. At most three rooms are in memory. A room that cannot be read, such as from a disk
+    that fails, is not entered until it can; :attr:`unreadable` says so.
 
     Args:
         place: as :func:`monoloc.place.place_files.read_place` returns it.
@@ -130,6 +131,11 @@ class PlaceLocalizer:
         return self._rooms.names
 
     @property
+    def unreadable(self) -> Mapping[str, str]:
+        """Why rooms could not be read when they were needed last, by name."""
+        return self._rooms.unreadable
+
+    @property
     def bundle(self) -> Bundle | None:
         """Of the room that the camera is in; None while the place is searched for it."""
         return None if self._localizer is None or self._room is None else self._rooms[self._room].bundle
@@ -154,7 +160,6 @@ class PlaceLocalizer:
         be localised twice, in both rooms at the same level.
 
         Raises:
-            BundleError: a bundle is missing, damaged or changed.
             ValueError: as :meth:`monoloc.localizer.Localizer.step`.
         """
         shape = (self._camera.height, self._camera.width, 3)
@@ -211,10 +216,7 @@ class PlaceLocalizer:
         self._unseen_s = 0.0 if step.landmark_pose is not None else self._unseen_s + frame.elapsed_s
         if self._unseen_s < _UNSEEN_S:
             return None
-        try:
-            found = self._agreed(frame)
-        except BundleError:  # of a room that may not be the camera's; the pose in this one is worth more
-            found = None
+        found = self._agreed(frame)
         is_pending = self._candidate not in (None, room) and self._since_candidate_s < _AGREE_S
         self._unseen_s = _UNSEEN_S - _SEARCH_PERIOD_S if is_pending else 0.0
         return None if found == room else found
@@ -255,7 +257,7 @@ class PlaceLocalizer:
             name = door.beyond(room)
             try:
                 found = self._found(name, seen, carried(belief, door, room))
-            except BundleError:  # the pose in this room is worth more; a search for the camera says it
+            except BundleError:  # the pose in this room is worth more
                 continue
             if found >= beyond.get(name, 0):
                 beyond[name], door_to[name] = found, door

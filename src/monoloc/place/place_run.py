@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -39,6 +40,7 @@ class PlaceRun:
         switches: entries into rooms.
         step_ms: (N,).
         loaded: rooms in memory after each frame, at most.
+        unreadable: why rooms could not be read at last, by name.
     """
 
     rooms: list[str | None]
@@ -47,6 +49,7 @@ class PlaceRun:
     switches: list[Switch]
     step_ms: FloatArray
     loaded: int
+    unreadable: Mapping[str, str] = field(default_factory=dict)
 
     def metrics(self) -> dict[str, object]:
         """The figures, ready for JSON."""
@@ -86,7 +89,6 @@ def localize_in_place(
     """Localise every frame of a recording, of whose start nothing is known.
 
     Raises:
-        BundleError: a bundle is missing, damaged or changed.
         DataError: there are no frames, or one cannot be read.
     """
     if len(recording) == 0:
@@ -118,4 +120,5 @@ def localize_in_place(
         switches=switches,
         step_ms=np.array(step_ms),
         loaded=loaded,
+        unreadable=localizer.unreadable,
     )

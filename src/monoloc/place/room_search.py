@@ -1,7 +1,8 @@
 """Which room of a place a camera is in, of which nothing is known: by the index, then by landmarks.
 
 The index ranks all rooms at a small cost. In the best few, the strict search among all landmarks decides. Two rooms
-that agree nearly alike decide nothing: a wrong room is worse than a lost camera.
+that agree nearly alike decide nothing: a wrong room is worse than a lost camera. Of a room that cannot be read, only
+the index tells whether it may be the camera's.
 """
 
 from __future__ import annotations
@@ -11,12 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from monoloc.errors import BundleError
 from monoloc.landmarks.features import Keypoints
 from monoloc.place.loaded_rooms import MOST_LOADED, LoadedRooms
 from monoloc.place.place_files import Place
 
 _LEAST_VOTES = 10  # of a room in which the camera is searched for
 _RIVAL_SHARE = 0.5  # of the best room's landmarks with which another room counts as well
+# Of its votes, with which one that cannot be read does: rooms that have nothing in common often have half of them.
+_RIVAL_VOTES = 0.8
 
 
 @dataclass(frozen=True)
@@ -45,8 +49,8 @@ class RoomSearch:
     def __init__(self, place: Place, rooms: LoadedRooms) -> None:
         self._names, self._index, self._rooms = place.names, place.index(), rooms
 
-    def ranked(self, seen: Keypoints, known: str | None = None) -> list[str]:
-        """The rooms that are worth a search, best first.
+    def ranked(self, seen: Keypoints, known: str | None = None) -> dict[str, int]:
+        """The rooms that are worth a search, best first, and the votes of each.
 
         Args:
             seen: keypoints of an image.
@@ -55,18 +59,31 @@ class RoomSearch:
         votes = self._index.votes(seen.descriptors)
         order = np.argsort(-votes, kind="stable")[:MOST_LOADED]
         names = [self._names[index] for index in order.tolist() if votes[index] >= _LEAST_VOTES]
-        return names if known is None or known in names else [*names[: MOST_LOADED - 1], known]
+        if known is not None and known not in names:
+            names = [*names[: MOST_LOADED - 1], known]
+        return {name: int(votes[self._names.index(name)]) for name in names}
 
     def find(self, seen: Keypoints, known: str | None = None) -> str | None:
         """The room that an image's keypoints show; None where none or several agree. Arguments as :meth:`ranked`.
 
-        Raises:
-            BundleError: a bundle is missing, damaged or changed.
+        Rooms that cannot be read are left out, unless they may well be the camera's: then there is no room either.
         """
-        return _decided([self._found(name, seen) for name in self.ranked(seen, known)])
+        votes = self.ranked(seen, known)
+        found = {name: self._found(name, seen) for name in votes}
+        room = _decided([each for each in found.values() if each is not None])
+        if room is None or any(
+            votes[name] >= _RIVAL_VOTES * votes[room] for name, each in found.items() if each is None
+        ):
+            return None
+        return room
 
-    def _found(self, name: str, seen: Keypoints) -> _Found:
-        pose, is_only_place = self._rooms[name].landmarks.best_place(seen)
+    def _found(self, name: str, seen: Keypoints) -> _Found | None:
+        """What the search finds in a room; None where it cannot be read."""
+        try:
+            landmarks = self._rooms[name].landmarks
+        except BundleError:
+            return None
+        pose, is_only_place = landmarks.best_place(seen)
         return _Found(name, 0 if pose is None else len(pose.points), is_only_place)
 
 

@@ -10,6 +10,7 @@ import pytest
 from mavlink_helpers import result_at, step_at
 from monoloc.errors import DataError
 from monoloc.flight.flight_loop import FlightSummary
+from monoloc.flight.in_place import InPlace
 from monoloc.flight.status_output import StatusOutput
 from monoloc.geometry import make_pose
 from monoloc.step_budget import Level
@@ -57,6 +58,20 @@ def test_what_is_left_out_to_keep_the_budget_is_said_as_it_changes() -> None:
         result = result_at(100.0 + index, replace(step_at(POSE), level=level), age_s=0.0)
         flight.output.take(result)
     assert flight.printed()[1:] == ["    1.00 s  budget: fewer particles", "    3.00 s  budget: full"]
+
+
+def test_a_room_of_a_place_that_cannot_be_read_is_named_once() -> None:
+    flight = Flight()
+    for index, unreadable in enumerate(
+        [{}, {"hall": "disk"}, {"hall": "disk", "study": "gone"}, {}, {"hall": "disk"}]
+    ):
+        in_place = InPlace("kitchen", None, step_at(POSE).estimate, False, unreadable)
+        flight.output.take(replace(result_at(100.0 + index, step_at(POSE), age_s=0.0), in_place=in_place))
+    assert flight.printed()[1:] == [
+        "    1.00 s  room hall cannot be entered: disk",
+        "    2.00 s  room study cannot be entered: gone",
+        "    4.00 s  room hall cannot be entered: disk",
+    ]
 
 
 def test_on_a_terminal_it_says_once_a_second_how_it_goes() -> None:

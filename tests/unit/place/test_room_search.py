@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from monoloc.builder.landmark_mapping import build_landmarks
+from monoloc.errors import BundleError
 from monoloc.landmarks.features import KeypointDetector
 from monoloc.landmarks.landmark_map import Landmarks
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
@@ -27,10 +28,17 @@ def landmarks() -> Landmarks:
     return Landmarks(built.points, built.descriptors)
 
 
-def search_among(**rooms: Landmarks) -> RoomSearch:
+class Loaded(dict[str, Any]):
+    """Rooms in memory; others cannot be read."""
+
+    def __missing__(self, name: str) -> Any:
+        raise BundleError(name, "cannot be read", "put it back")
+
+
+def search_among(unreadable: tuple[str, ...] = (), **rooms: Landmarks) -> RoomSearch:
     place: Any = SimpleNamespace(names=list(rooms), index=lambda: RoomIndex([r.descriptors for r in rooms.values()]))
     loaded = {name: SimpleNamespace(landmarks=OrbLandmarkLocalizer(room, CAMERA)) for name, room in rooms.items()}
-    return RoomSearch(place, cast(Any, loaded))
+    return RoomSearch(place, cast(Any, Loaded({name: loaded[name] for name in loaded if name not in unreadable})))
 
 
 def part_of(landmarks: Landmarks, share: float, shift_m: float = 0.0) -> Landmarks:
@@ -51,3 +59,13 @@ def test_a_room_whose_places_look_alike_speaks_against_another_that_looks_like_t
         assert search_among(one=one, other=other).find(seen) == "one"
         assert search_among(one=one, two=two).find(seen) is None
         assert search_among(two=two, other=other).find(seen) is None  # its own search could not find the pose
+
+
+def test_a_room_that_cannot_be_read_is_left_out_unless_the_view_may_be_of_it(landmarks: Landmarks) -> None:
+    other, _, _ = build_landmarks(recording := RoomRecording(Room(seed=5), POSES[::3]), recording.depth, NoProgress())
+    alike = part_of(landmarks, 0.9)
+    for pose in POSES[5::20]:
+        seen = KeypointDetector(CAMERA)(Room().view(pose)[0])
+        assert search_among(("other",), one=landmarks, other=other).find(seen, known="other") == "one"
+        assert search_among(("alike",), one=landmarks, alike=alike).find(seen) is None
+        assert search_among(("one", "other"), one=landmarks, other=other).find(seen) is None
