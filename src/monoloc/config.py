@@ -96,6 +96,7 @@ def _plain(message: str) -> str:
         .replace("Input should be", "must be")
         .replace("Input is not a valid path for <class 'pathlib.Path'>", "must be a path, in quotes")
         .replace("integer", "whole number")
+        .replace("a valid tuple", "a list, as [...] or, of tables, [[...]]")
     )
 
 

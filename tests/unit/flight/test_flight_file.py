@@ -70,6 +70,7 @@ def test_a_live_source_is_no_path(tmp_path: Path, source: str) -> None:
         (MARKER + "rpy_deg = [0, 0, 0]\nquaternion = [0, 0, 0, 1]\n", "give either quaternion or rpy_deg"),
         (2 * (MARKER + "rpy_deg = [0, 0, 0]\n"), "two markers have the same id"),
         ("out = 1\n", "out: must be a path, in quotes"),
+        ("[marker]\nid = 7\n", r"marker: must be a list, .*\[\[\.\.\.\]\]"),
         ('record = "a\\u0000b"\n', "record: holds a null character"),
         ('source = "7scenes:a\\u0000b"\n', "source: holds a null character"),
     ],
