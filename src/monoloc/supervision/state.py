@@ -59,7 +59,9 @@ def in_words(reasons: Collection[Reason]) -> str:
 
 
 BLIND = frozenset({Reason.IMAGE_REPEATED, Reason.IMAGE_EMPTY})
-"""Reasons with which the frame's image says nothing: the pose rests on earlier ones."""
+"""Reasons with which the frame's image says nothing: the pose rests on earlier ones.
+
+A frame that is vouched for has none, and so neither has an empty image in the first 0.2 s."""
 
 
 @dataclass(frozen=True)
