@@ -13,6 +13,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -132,7 +133,7 @@ class RecordedFrame(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     captured_s: float
-    elapsed_s: float = Field(ge=0.0)
+    elapsed_s: float = Field(ge=0.0, le=1e9)
     done_s: float
     down_camera: tuple[float, float, float] | None
     start: RecordedStart | None = None
@@ -143,7 +144,7 @@ class RecordedFrame(BaseModel):
     def _check(self) -> RecordedFrame:
         if self.start is not None:
             self.start.start  # noqa: B018 - raises where it is none
-        if self.down_camera is not None and not any(self.down_camera):
+        if self.down_camera is not None and not 1e-6 < math.hypot(*self.down_camera) < 1e6:
             raise ValueError("down_camera has no direction")
         return self
 
