@@ -87,8 +87,13 @@ def doctor(
             raise SettingError("ROOM", problem, "write a start or a marker into flight.toml")
     cv2.setNumThreads(1)  # as in a flight
     summary = FlightSummary()
-    roll_deg = flight.mount.roll_deg
-    preflight = Preflight(flown.provenance, tells_gravity(flown, flight.settings), flown.scale_sd(), roll_deg)
+    preflight = Preflight(
+        flown.provenance,
+        tells_gravity(flown, flight.settings),
+        flown.scale_sd(),
+        flight.mount.roll_deg,
+        flight.most_age_s,
+    )
     with naming(names), ExitStack() as opened:
         # The link first: it is looked at even where the camera fails.
         link = None if flight.mavlink is None else opened.enter_context(closing(AutopilotLink(flight.mavlink)))

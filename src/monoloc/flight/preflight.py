@@ -23,7 +23,7 @@ GOOD_SCALE_SD = 0.05
 
 _LEAST_RATE_HZ, _GOOD_RATE_HZ = 5.0, 15.0  # PX4 stops to fuse below 5 Hz
 _FEW_DROPPED = 0.1  # of the frames: the computer keeps up with the source
-_GOOD_LATENCY_S, _MOST_LATENCY_S = 0.1, 0.2  # from capture to result
+_GOOD_LATENCY_S = 0.1  # from capture to result
 _MOST_PAUSE_S = 0.3  # after which ArduPilot no longer uses vision; PX4 waits for 0.4 s
 _GOOD_TRACKING, _LEAST_TRACKING = 0.9, 0.5  # shares of frames
 _GOOD_ROUND_TRIP_S = 0.05  # beyond it, what is sent waits for the port
@@ -70,11 +70,14 @@ class Preflight:
         tells_gravity: whether the map or the flight's settings tell the direction of gravity.
         scale_sd: relative standard deviation of the map's scale; 0 where a sensor measured it.
         roll_deg: of the camera's mount, as the user states it; 0 where it is not stated.
+        most_age_s: of the flight, beyond which a pose is not sent.
     """
 
-    def __init__(self, provenance: Provenance, tells_gravity: bool, scale_sd: float, roll_deg: float) -> None:
+    def __init__(
+        self, provenance: Provenance, tells_gravity: bool, scale_sd: float, roll_deg: float, most_age_s: float
+    ) -> None:
         self._provenance, self._tells_gravity, self._scale_sd = provenance, tells_gravity, scale_sd
-        self._roll_deg = roll_deg
+        self._roll_deg, self._most_age_s = roll_deg, most_age_s
         self._brightness = provenance.brightness
         self._count = 0
         self._frame_s: float | None = None  # when the last frame was done
@@ -118,7 +121,7 @@ class Preflight:
         else:
             images = self._images()
             found = [
-                *_of_timing(summary, None if link is None else link.firmware),
+                *_of_timing(summary, self._most_age_s, None if link is None else link.firmware),
                 *self._of_pauses(is_for_autopilot=link is not None),
                 *image_findings(images, "expose for a shorter time, add light, clean the lens", "add light"),
                 *light_findings(images, self._brightness),
@@ -126,7 +129,7 @@ class Preflight:
                 *self._of_room(summary),
             ]
         found += self._of_map(link is not None)
-        return found if link is None else [*found, *_of_link(link), *_of_port(link, summary.rate_hz)]
+        return found if link is None else [*found, *_of_link(link), *_of_sending(link, summary.rate_hz)]
 
     def _of_pauses(self, is_for_autopilot: bool) -> Iterator[Finding]:
         """What the rate, a median, hides: a camera that comes and goes, or is gone at the end."""
@@ -197,7 +200,7 @@ def _without_frames(summary: FlightSummary) -> Finding:
     return Finding("camera", "bad", "no frame", "check the cable, and the source that was named")
 
 
-def _of_timing(summary: FlightSummary, firmware: Firmware | None) -> Iterator[Finding]:
+def _of_timing(summary: FlightSummary, most_age_s: float, firmware: Firmware | None) -> Iterator[Finding]:
     rate_hz, median_s, p95_s = summary.rate_hz, summary.latency_s(50.0), summary.latency_s(95.0)
     if rate_hz is not None:
         level: Level = "warning" if rate_hz >= _LEAST_RATE_HZ or firmware is None else "bad"
@@ -208,8 +211,9 @@ def _of_timing(summary: FlightSummary, firmware: Firmware | None) -> Iterator[Fi
         remark = "" if level == "good" else fix
         yield Finding("rate", level, f"{rate_hz:.1f} Hz, {summary.dropped.total()} frames dropped", remark)
     if median_s is not None and p95_s is not None:
-        level = "good" if p95_s <= _GOOD_LATENCY_S else "warning" if p95_s <= _MOST_LATENCY_S else "bad"
-        remark = "" if level == "good" else "older poses than most_age_s, 0.2 s, are not sent"
+        level = "good" if p95_s <= _GOOD_LATENCY_S else "warning"
+        level = level if p95_s <= most_age_s else "bad"
+        remark = "" if level == "good" else f"older poses than most_age_s, {most_age_s:g} s, are not sent"
         yield Finding("latency", level, f"{1e3 * median_s:.0f} ms (95 %: {1e3 * p95_s:.0f} ms)", remark)
 
 
@@ -243,11 +247,15 @@ def _of_link(link: LinkReport) -> Iterator[Finding]:
             )
 
 
-def _of_port(link: LinkReport, rate_hz: float | None) -> Iterator[Finding]:
-    """Whether a serial port takes what a flight will send."""
+def _of_sending(link: LinkReport, rate_hz: float | None) -> Iterator[Finding]:
+    """Whether a flight will send often enough, and whether a serial port takes it."""
+    settings = link.settings
+    if settings.rate_hz < min(_GOOD_RATE_HZ, rate_hz or 0.0):
+        level: Level = "warning" if settings.rate_hz >= _LEAST_RATE_HZ else "bad"
+        remark = f"raise it in flight.toml: {link.firmware.title} asks for {link.firmware.asked_rate}"
+        yield Finding("rate_hz", level, f"{settings.rate_hz:g} poses a second at most", remark)
     if link.bytes_a_second is None or rate_hz is None:
         return
-    settings = link.settings
     needed = min(rate_hz, settings.rate_hz) * _POSE_BYTES + settings.obstacles * _OBSTACLES_BYTES_A_SECOND
     is_enough = needed <= _MOST_LOAD * link.bytes_a_second
     remark = "" if is_enough else "take 921600 baud, or a lower rate_hz or no obstacles in flight.toml"

@@ -51,9 +51,11 @@ def findings_of(
     build: Provenance = BUILD,
     tells_gravity: bool = True,
     roll_deg: float = 0.0,
+    most_age_s: float = 0.2,
 ) -> dict[str, Finding]:
     """Findings by name after 60 equal frames, and ``late`` ones that were dropped."""
-    preflight, summary = Preflight(build, tells_gravity, build.scale_sd or 0.0, roll_deg), FlightSummary()
+    preflight = Preflight(build, tells_gravity, build.scale_sd or 0.0, roll_deg, most_age_s)
+    summary = FlightSummary()
     for index in range(60):
         result = result_at(index / rate_hz, step, age_s)
         frame = replace(result.frame, color=color)
@@ -98,6 +100,10 @@ def test_good_flight_with_every_parameter_right_is_good() -> None:
         ("rate", "warning", {"rate_hz": 3.0, "link": None}),
         ("latency", "warning", {"age_s": 0.15}),
         ("latency", "bad", {"age_s": 0.3}),
+        ("latency", "warning", {"age_s": 0.3, "most_age_s": 0.5}),
+        ("latency", "bad", {"age_s": 0.04, "most_age_s": 0.03}),
+        ("rate_hz", "bad", {"link": replace(HEARD, settings=FlightSettings(rate_hz=2.0))}),
+        ("rate_hz", "warning", {"link": replace(HEARD, settings=FlightSettings(rate_hz=10.0))}),
         ("exposure", "warning", {"color": np.zeros((60, 80, 3), np.uint8)}),
         ("exposure", "warning", {"color": np.full((60, 80, 3), 255, np.uint8)}),
         ("blur", "warning", {"color": np.zeros((60, 80, 3), np.uint8)}),
@@ -161,7 +167,7 @@ def test_why_no_frame_was_localised_is_named(reason: str, name: str, words: str)
     summary = FlightSummary()
     summary.dropped[reason] += 40
     summary.dropped["old"] += reason == "without start"
-    finding = Preflight(BUILD, True, 0.0, 0.0).findings(summary, None)[0]
+    finding = Preflight(BUILD, True, 0.0, 0.0, 0.2).findings(summary, None)[0]
     assert (finding.name, finding.level, finding.value) == (name, "bad", words)
 
 
@@ -170,7 +176,7 @@ def test_parameters_of_another_firmware_are_not_asked_for() -> None:
 
 
 def test_proposed_gravity_says_when_it_holds() -> None:
-    preflight = Preflight(built(down_world=(0.0, 0.6, -0.8)), False, 0.0, 0.0)
+    preflight = Preflight(built(down_world=(0.0, 0.6, -0.8)), False, 0.0, 0.0, 0.2)
     (gravity,) = (each for each in preflight.findings(FlightSummary(), None) if each.name == "gravity")
     assert gravity.remark.endswith("[0.000, 0.600, -0.800] if the build's camera looked level on average")
 
@@ -201,7 +207,7 @@ def test_slow_source_and_slow_computer_are_told_apart(late: int, firmware: Firmw
 
 @pytest.mark.parametrize(("link", "level"), [(None, "warning"), (HEARD, "bad")])
 def test_camera_that_went_away_is_named_whatever_its_rate_was(link: LinkReport | None, level: Level) -> None:
-    preflight, summary = Preflight(BUILD, True, 0.0, 0.0), FlightSummary()
+    preflight, summary = Preflight(BUILD, True, 0.0, 0.0, 0.2), FlightSummary()
     preflight.idle(0.0)  # before the first image
     for index in range(60):
         result = result_at(50.0 + index / 30.0, good_step())
@@ -229,5 +235,5 @@ def test_set_of_bits_may_have_more() -> None:
 
 
 def test_no_frame_is_bad() -> None:
-    findings = Preflight(BUILD, True, 0.0, 0.0).findings(FlightSummary(states=Counter()), None)
+    findings = Preflight(BUILD, True, 0.0, 0.0, 0.2).findings(FlightSummary(states=Counter()), None)
     assert worst(findings) == "bad" and [finding.name for finding in findings] == ["camera", "gravity"]
