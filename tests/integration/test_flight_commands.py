@@ -190,6 +190,20 @@ def test_messages_are_recorded_beside_the_flight_and_replayed_to_the_last_bit(ca
     assert replayed["different_frames"] == 0 and replayed["same_messages"]
 
 
+def test_a_measurement_of_north_says_that_no_autopilot_is_heard(
+    capfd: Capture, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("monoloc.flight.link_watch._SILENT_S", 0.0)
+    (here / "down.toml").write_text("down = [0, 1, 0]\n")
+    link = ("--mavlink", "udpout:127.0.0.1:9", "--firmware", "px4")
+    assert (
+        invoke(["fly", "room.monoloc", "flight", "--start", "truth", "--settings", "down.toml", *link, "--align"])
+        == 2
+    )
+    err = capfd.readouterr().err
+    assert "autopilot: no heartbeat" in err and "only 0 frames had a pose and an attitude" in err
+
+
 def test_a_fast_flight_claims_no_latency(capfd: Capture, here: Path) -> None:
     _, err = outputs(capfd, "fly", "room.monoloc", "flight", "--fast", "--start", "truth")
     assert f"{FRAMES} frames: " in err and "after capture" not in err

@@ -207,9 +207,9 @@ def fly(
                 # The autopilot first: what is written may wait for a disk.
                 recorded, poses, unwritten = flight.record, summary.poses, summary.unwritten
                 outputs[:0] = senders(link, recorded, flown, flown.room, firmware, flight_settings, poses, unwritten)
-                if link is not None:
-                    mount = MountCheck(frames_of(flown, flight_settings), link.attitude_at)
-                    outputs.append(LinkWatch(link, firmware, mount, status.say))
+            if link is not None and firmware is not None:
+                mount = MountCheck(frames_of(flown, flight_settings), link.attitude_at)
+                outputs.append(LinkWatch(link, firmware, mount, status.say))
             # The watchdog last, which so is closed first: systemd must not count while the others write the rest.
             outputs.append(WatchdogOutput(summary))
             for output in outputs:
