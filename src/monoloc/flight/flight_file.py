@@ -81,16 +81,18 @@ class FlightFile(FlightSettings):
 
 
 def read_flight_file(path: Path) -> FlightFile:
-    """Read a flight; paths in it are relative to its folder.
+    """Read a flight; paths in it are relative to its folder. In those of outputs, what stands for the time stays.
 
     Raises:
         DataError: the file is unreadable or not TOML, or a field is unknown or out of range; the message names it.
     """
     flight, folder = load_settings(path, FlightFile), path.parent
     changes: dict[str, object] = {"source": _source_beside(flight.source, folder)}
-    for name in ("room", "require_signature", "out", "mcap", "record"):
+    literal = Path(str(folder).replace("%", "%%"))  # whose own % stands for no time
+    beside = {"room": folder, "require_signature": folder, "out": literal, "mcap": literal, "record": literal}
+    for name, place in beside.items():
         given = getattr(flight, name)
-        changes[name] = None if given is None else folder / at_home(given)
+        changes[name] = None if given is None else place / at_home(given)
     if flight.camera is not None and flight.camera.endswith(".toml"):
         changes["camera"] = str(folder / at_home(flight.camera))
     return flight.model_copy(update=changes)

@@ -1,19 +1,29 @@
-"""The frames of a flight: turned upright once, by the mount or by the gravity that a recording tells."""
+"""What a user asks for of a flight, and its frames: turned upright once, by the mount or by a recording's gravity."""
 
 from __future__ import annotations
 
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from monoloc.cli.flight_options import open_frames
+from monoloc.cli.flight_options import flight_of, open_frames
 from monoloc.flight.flight_file import FlightFile
 from monoloc.flight.flight_settings import Mount
 from monoloc.io.folder_writer import write_folder
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 
 ROLLED = np.diag([-1.0, -1.0, 1.0, 1.0])  # of a camera upside down, in a world whose y axis points down
+
+
+def test_a_percent_sign_in_the_folder_of_a_flight_is_no_time(tmp_path: Path) -> None:
+    folder = tmp_path / "run%d"
+    folder.mkdir()
+    (folder / "flight.toml").write_text('room = "a%Y.monoloc"\nout = "poses-%Y.csv"\nrecord = "log"\n')
+    room, flight, _ = flight_of(folder / "flight.toml", None)
+    assert (room, flight.out) == (folder / "a%Y.monoloc", folder / f"poses-{datetime.now():%Y}.csv")
+    assert flight.record == folder / "log"
 
 
 @pytest.mark.parametrize("tells_down", [True, False])
