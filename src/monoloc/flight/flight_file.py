@@ -14,7 +14,7 @@ from monoloc.flight.flight_settings import FlightSettings
 from monoloc.io.registry import FORMATS
 from monoloc.live.opening import is_live
 from monoloc.mavlink.firmware import Firmware
-from monoloc.relocalization.marker import DEFAULT_DICTIONARY, Dictionary, Marker, Markers
+from monoloc.relocalization.marker import DEFAULT_DICTIONARY, Dictionary, Marker, Markers, check_markers
 
 _FORMAT = re.compile(rf"({'|'.join(FORMATS)}):(.+)")
 
@@ -63,9 +63,7 @@ class FlightFile(FlightSettings):
 
     @model_validator(mode="after")
     def _check_markers(self) -> FlightFile:
-        numbers = [marker.id for marker in self.marker]
-        if len(set(numbers)) < len(numbers):
-            raise ValueError("two markers have the same id")
+        check_markers(self.dictionary, self.marker)
         return self
 
     @property

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Sequence
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
@@ -32,6 +33,8 @@ _DICTIONARIES: dict[Dictionary, int] = {
     "apriltag_25h9": cv2.aruco.DICT_APRILTAG_25h9,
     "apriltag_36h11": cv2.aruco.DICT_APRILTAG_36h11,
 }
+_Coordinate = Annotated[float, Field(ge=-1e5, le=1e5)]
+_Degrees = Annotated[float, Field(ge=-360.0, le=360.0)]
 
 
 class Marker(BaseModel):
@@ -53,9 +56,9 @@ class Marker(BaseModel):
 
     id: int = Field(ge=0)
     size_m: float = Field(gt=0.005, le=5.0)
-    position_m: tuple[float, float, float]
+    position_m: tuple[_Coordinate, _Coordinate, _Coordinate]
     quaternion: tuple[float, float, float, float] | None = None
-    rpy_deg: tuple[float, float, float] | None = None
+    rpy_deg: tuple[_Degrees, _Degrees, _Degrees] | None = None
     error_m: float = Field(0.01, ge=0.0, le=1.0)
     error_rad: float = Field(0.01, ge=0.0, le=1.0)
 
@@ -97,6 +100,21 @@ class Markers(BaseModel):
 
     dictionary: Dictionary = DEFAULT_DICTIONARY
     marker: tuple[Marker, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _check(self) -> Markers:
+        check_markers(self.dictionary, self.marker)
+        return self
+
+
+def check_markers(dictionary: Dictionary, markers: Sequence[Marker]) -> None:
+    """Raise ValueError where two markers have the same number, or one has a number that the dictionary has not."""
+    numbers = [marker.id for marker in markers]
+    if len(set(numbers)) < len(numbers):
+        raise ValueError("two markers have the same id")
+    count = len(cv2.aruco.getPredefinedDictionary(_DICTIONARIES[dictionary]).bytesList)
+    if markers and max(numbers) >= count:
+        raise ValueError(f"a marker has the id {max(numbers)}, but those of {dictionary} are 0 to {count - 1}")
 
 
 class MarkerDetector:

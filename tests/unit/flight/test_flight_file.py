@@ -69,6 +69,11 @@ def test_a_live_source_is_no_path(tmp_path: Path, source: str) -> None:
         (MARKER, "give either quaternion or rpy_deg"),
         (MARKER + "rpy_deg = [0, 0, 0]\nquaternion = [0, 0, 0, 1]\n", "give either quaternion or rpy_deg"),
         (2 * (MARKER + "rpy_deg = [0, 0, 0]\n"), "two markers have the same id"),
+        (
+            MARKER.replace("7", "587") + "rpy_deg = [0, 0, 0]\n",
+            "the id 587, but those of apriltag_36h11 are 0 to 586",
+        ),
+        (MARKER + "rpy_deg = [1e200, 0, 0]\n", "marker.0.rpy_deg.0: must be less than or equal to 360"),
         ("out = 1\n", "out: must be a path, in quotes"),
         ("[marker]\nid = 7\n", r"marker: must be a list, .*\[\[\.\.\.\]\]"),
         ('record = "a\\u0000b"\n', "record: holds a null character"),
