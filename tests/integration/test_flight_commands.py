@@ -26,9 +26,11 @@ from cli_helpers import json_of, listing, outputs, refused, succeeds, write_work
 from marker_images import with_marker
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.cli.main import invoke
+from monoloc.errors import DataError
 from monoloc.flight.flight_recording import FlightRecorder, image_path
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.mcap_log import ros_frames_of
+from monoloc.flight.pose_log import PoseLog
 from monoloc.geometry import make_pose, quaternion_to_rotation, rotation_angle, rotation_to_quaternion, so3_exp
 from monoloc.io.pose_table import COLUMNS, read_pose_table
 from monoloc.io.reader_options import ReaderOptions
@@ -397,6 +399,18 @@ def test_a_view_that_cannot_be_shown_leaves_nothing_that_refuses_the_next_flight
     with socket.create_server(("0.0.0.0", 0)) as taken:
         port = str(taken.getsockname()[1])
         refused(capfd, here, (*fly, "--view-port", port), "--view-port", "is not free", "another one")
+
+
+def test_a_disk_that_is_full_at_the_last_row_takes_no_summary(
+    capfd: Capture, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(self: PoseLog, values: tuple[str, ...]) -> None:
+        raise DataError("last.csv", "cannot be written (No space left on device)", "make room")
+
+    monkeypatch.setattr(PoseLog, "_write_row", full)
+    assert invoke(["fly", "room.monoloc", "flight", "--fast", "--frames", "0:1", "--out", "last.csv", "--json"]) == 2
+    out, err = capfd.readouterr()
+    assert json.loads(out)["frames"] == 1 and "monoloc: last.csv: cannot be written" in err
 
 
 def test_another_bundle_and_damaged_flights_are_refused(capfd: Capture, here: Path) -> None:

@@ -213,7 +213,7 @@ def fly(
             # The watchdog last, which so is closed first: systemd must not count while the others write the rest.
             outputs.append(WatchdogOutput(summary))
             for output in outputs:
-                opened.enter_context(closing(output))
+                opened.callback(_close, output, summary)
             loop = Flight(
                 made.localizer,
                 camera,
@@ -245,6 +245,14 @@ def _run(flight: Flight, summary: FlightSummary) -> None:
         if summary.frames == 0:
             raise
         summary.failures.insert(0, error)
+
+
+def _close(output: FlightOutput, summary: FlightSummary) -> None:
+    """Close an output. An error of its last writes is kept, as in :func:`_run`."""
+    try:
+        output.close()
+    except MonolocError as error:
+        summary.failures.append(error)
 
 
 def _check_map(flown: FlownMap, settings: FlightSettings, say: Callable[[str], None]) -> None:
