@@ -355,6 +355,12 @@ LIVE = ("fly", "room.monoloc", "camera:987")
         (("fly", "room.monoloc", "flight", "--out", "x/y.csv"), "--out", "does not exist", "make the folder"),
         (("fly", "room.monoloc", "flight", "--out", "poses.csv", "--record", "log"), "--record", "not empty", "new"),
         (("fly", "room.monoloc", "flight", "--out", "poses.txt"), "--out", "is a table by another", "NAME.csv"),
+        (
+            ("fly", "room.monoloc", "flight", "--out", "new/poses.csv", "--record", "new"),
+            "--out",
+            "lies in the folder of --record",
+            "another place",
+        ),
         (("replay", "log", "--out", "poses.txt"), "--out", "poses.txt is a table by another name", "NAME.csv"),
         (("replay", "absent"), "absent", "is no recorded flight", "monoloc fly --record"),
         (("replay", "flight"), "flight", "is no recorded flight", "monoloc fly --record"),
@@ -366,6 +372,7 @@ def test_wrong_arguments_are_refused(
     capfd: Capture, here: Path, arguments: tuple[str, ...], names: str, problem: str, fix: str
 ) -> None:
     (here / "used.toml").write_text('record = "log"\n')
+    (here / "new").mkdir()
     refused(capfd, here, arguments, names, problem, fix)
 
 

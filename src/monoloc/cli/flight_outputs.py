@@ -11,6 +11,7 @@ from monoloc.camera import Camera
 from monoloc.cli.common import check_apart, check_folder, check_outputs, check_suffix, check_viewing, print_json
 from monoloc.errors import SettingError
 from monoloc.extras import require_mcap, require_viewing
+from monoloc.files import target_of
 from monoloc.flight.flight_file import FlightFile
 from monoloc.flight.flight_loop import FlightOutput, FlightSummary
 from monoloc.flight.flight_recording import FlightHeader, RecordedStart
@@ -49,7 +50,8 @@ def check_flight_outputs(flight: FlightFile, inputs: Sequence[str | Path | None]
     """
     check_suffix(flight.out, "--out", ".csv", "a table")
     check_suffix(flight.mcap, "--mcap", ".mcap", "MCAP")
-    check_outputs({"--out": flight.out, "--mcap": flight.mcap}, inputs)
+    files = {"--out": flight.out, "--mcap": flight.mcap}
+    check_outputs(files, inputs)
     if flight.mcap is not None:
         require_mcap()
     if flight.record is not None:
@@ -57,6 +59,9 @@ def check_flight_outputs(flight: FlightFile, inputs: Sequence[str | Path | None]
         check_apart(flight.record, "--record", inputs)
         if flight.record.exists() and any(flight.record.iterdir()):
             raise SettingError("--record", f"{flight.record} is not empty", "name a new folder for this flight")
+        for option, path in files.items():  # the recording has a poses.csv of its own
+            if path is not None and target_of(flight.record) in target_of(path).parents:
+                raise SettingError(option, f"{path} lies in the folder of --record", "name another place")
 
 
 def logs(
