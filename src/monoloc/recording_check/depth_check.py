@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.depth.depth_image import at_discontinuity
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
 from monoloc.io.corrected import DEPTH_FIXES, DepthFix, is_seven_scenes, with_depth_fix
@@ -23,12 +22,14 @@ _POINTS, _TRIALS, _LEAST_POINTS = 1500, 150, 300
 _PLANE_TOLERANCE = 0.01  # of depth
 _FLATTER, _AGREEING = 1.25, 0.8  # median ratio, and share of the frames that are flatter
 
-# Edges: strength of the image's gradient at depth's edges, relative to that around. Registered depth gave 1.8, and
-# 1.1 times that at best after a zoom of 1.02 (RedKitchen 0:200); the same depth unregistered gave 1.0, and 2.1 times
-# that after a zoom of 0.90.
+# Edges: strength of the image's gradient at depth's edges, relative to that around. Registered depth gave 1.7 to 2.5
+# (RedKitchen, the desk, the rendered living room, NYU), and at most 1.2 times that at a zoom of 5 % and more. Of a
+# wider depth camera, taken as registered, it was 1.0 to 1.1, and 1.6 to 2.1 times that after zooms of 1.27 to 1.63.
+# Depth cameras see from 0.8 times (Kinects) to 1.6 times (RealSense D435) as much as their colour cameras.
 _EDGE, _LEAST_EDGES = 0.05, 200
+_EDGE_WIDTH, _HOLE = 640, 0.02  # pixels that edges are looked for in; width of a hole that they lie at, share of it
 _WIDTH, _NEIGHBOURHOOD_PX, _SEARCH_PX = 320, 41, 16
-_ZOOMS = np.linspace(0.84, 1.16, 33)
+_ZOOMS = np.exp(0.0125 * np.arange(-18, 46))  # 0.80 to 1.75
 _GAIN, _LEAST_ZOOM = 1.4, 0.05  # of depth that is not registered, by a zoom that differs from 1 at least so much
 
 
@@ -65,7 +66,9 @@ class DepthCheck:
 
     @property
     def remedy(self) -> str:
-        return f"give --fix-depth {self.fix}" if self.fix else "align depth to colour in the recorder"
+        if self.fix is not None:
+            return f"give --fix-depth {self.fix}"
+        return "align depth to colour in the recorder, or state the depth camera (depth_fx, ...) in a dataset.toml"
 
 
 def check_depth(recording: Recording) -> DepthCheck:
@@ -143,6 +146,31 @@ def _relative_gradient(color: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.asarray(gradient / np.maximum(around, 1e-3), dtype=np.float32)
 
 
+def front_edges(depth_m: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Pixels (E, 2), x and y, of a depth image (H, W) beside which a farther surface begins, or behind a narrow hole.
+
+    Stereo cameras leave such holes along the edges of what is in front.
+    """
+    step = max(1, depth_m.shape[1] // _EDGE_WIDTH)
+    depth = depth_m[::step, ::step]
+    marked = np.zeros(depth.shape, dtype=np.bool_)
+    for turns in range(4):
+        marked |= np.rot90(_before_farther(np.rot90(depth, turns), round(_HOLE * depth.shape[1])), -turns)
+    return np.asarray(np.argwhere(marked)[:, ::-1] * step)
+
+
+def _before_farther(depth: NDArray[np.float32], hole_px: int) -> NDArray[np.bool_]:
+    """Pixels (H, W) whose next depth to the right, at most so many pixels away, is that of a farther surface."""
+    count = depth.shape[1]
+    columns = np.arange(count, dtype=np.int32)
+    known = np.where(depth > 0.0, columns, np.int32(count))
+    following = np.full_like(known, count)
+    following[:, :-1] = np.minimum.accumulate(known[:, :0:-1], axis=1)[:, ::-1]
+    beyond = np.take_along_axis(depth, np.minimum(following, count - 1), axis=1)
+    is_near = (following < count) & (following - columns <= hole_px + 1)
+    return np.asarray((depth > 0.0) & is_near & (beyond > (1.0 + _EDGE) * depth))
+
+
 class _Alignment:
     """How well depth's edges lie on those of the images.
 
@@ -154,7 +182,7 @@ class _Alignment:
     def __init__(
         self, recording: Recording, depths: list[NDArray[np.float32]], images: list[NDArray[np.float32]]
     ) -> None:
-        edges = [np.argwhere(at_discontinuity(depth, _EDGE))[:, ::-1] for depth in depths]
+        edges = [front_edges(depth) for depth in depths]
         seen = [(xy, image) for xy, image in zip(edges, images, strict=True) if len(xy) >= _LEAST_EDGES]
         self.stated: float | None = None
         self.zoom: float | None = None
@@ -164,8 +192,10 @@ class _Alignment:
         spectra = [spectrum(np.pad(image, _SEARCH_PX, mode="edge"), image.shape) for _, image in seen]
         best, at_rest = [], 0.0
         for zoom in _ZOOMS:
-            strength = mean_correlation(spectra, [self._edge_weights(xy, image.shape, zoom) for xy, image in seen])
-            best.append(float(strength.max()))
+            inside = [self._edge_pixels(xy, image.shape, zoom) for xy, image in seen]
+            weights = [_weights(flat, image.shape) for flat, (_, image) in zip(inside, seen, strict=True)]
+            strength = mean_correlation(spectra, weights)
+            best.append(float(strength.max()) if sum(map(len, inside)) >= _LEAST_FRAMES * _LEAST_EDGES else 0.0)
             if abs(zoom - 1.0) < 1e-6:
                 at_rest = float(strength[_SEARCH_PX - 1 : _SEARCH_PX + 2, _SEARCH_PX - 1 : _SEARCH_PX + 2].max())
         self.stated = at_rest
@@ -173,15 +203,19 @@ class _Alignment:
         if abs(zoom - 1.0) >= _LEAST_ZOOM - 1e-6 and max(best) > _GAIN * at_rest:
             self.zoom = zoom
 
-    def _edge_weights(self, xy: NDArray[np.int64], shape: tuple[int, ...], zoom: float) -> NDArray[np.float32]:
-        """An image (h, w) of edges (E, 2), zoomed about the principal point, that sums to 1."""
+    def _edge_pixels(self, xy: NDArray[np.int64], shape: tuple[int, ...], zoom: float) -> NDArray[np.int64]:
+        """Pixels of an image (h, w), counted by rows, of edges (E, 2) that are zoomed about the principal point."""
         centre = np.array([self._camera.cx, self._camera.cy])
         factor = shape[1] / self._camera.width
         moved = np.round(((xy - centre) * zoom + centre + 0.5) * factor - 0.5).astype(np.int64)
         inside = (moved >= 0).all(axis=1) & (moved < [shape[1], shape[0]]).all(axis=1)
-        flat = np.ravel_multi_index((moved[inside, 1], moved[inside, 0]), shape)
-        counts = np.bincount(flat, minlength=shape[0] * shape[1]).reshape(shape)
-        return np.asarray(counts / max(1, int(inside.sum())), dtype=np.float32)
+        return np.asarray(np.ravel_multi_index((moved[inside, 1], moved[inside, 0]), shape))
+
+
+def _weights(flat: NDArray[np.int64], shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Share of the edges in each pixel of an image (h, w)."""
+    counts = np.bincount(flat, minlength=shape[0] * shape[1]).reshape(shape)
+    return np.asarray(counts / max(1, len(flat)), dtype=np.float32)
 
 
 def spectrum(values: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.float32]:
