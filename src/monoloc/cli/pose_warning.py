@@ -25,3 +25,5 @@ def warn_of_poses(recording: Recording) -> None:
     if is_otherwise or check.verdict == "disagree":
         line = f"errors against its poses mean nothing: {check.sentence}; {check.fix}"
         stderr.print(f"warning: {recording.name}: {line}", soft_wrap=True)
+    elif check.jump_sentence is not None:
+        stderr.print(f"warning: {recording.name}: {check.jump_sentence}", soft_wrap=True)

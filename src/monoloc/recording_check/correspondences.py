@@ -6,7 +6,7 @@ check).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -23,6 +23,7 @@ from monoloc.odometry.corner_tracking import track_corners
 from monoloc.odometry.odometry_config import OdometryConfig
 
 DepthOf = Callable[[int], NDArray[np.float32]]
+_Pair = tuple[tuple[int, int], NDArray[np.float32]]  # two frames, and their matches (M, 2, 2)
 
 PAIRS = 30
 """Number of pairs of frames that are compared."""
@@ -99,21 +100,38 @@ def match_corners(recording: Recording, pairs: int = PAIRS) -> Matches:
     Raises:
         DataError: a frame cannot be read.
     """
+    images = _tracking_images(recording)
+    starts = evenly_spaced(len(recording) - 1, pairs) if len(recording) > 1 else np.zeros(0, np.int64)
+    count, least_px = len(recording), _LEAST_MOTION * images.camera.width
+    found = [pair for start in starts.tolist() if (pair := _match(images, start, count, least_px)) is not None]
+    return _joined(images.camera, found, np.array([_motion(pixels) for _, pixels in found]))
+
+
+def match_neighbours(recording: Recording, starts: Iterable[int]) -> Matches:
+    """Match corners from frames to those that follow them, however little they move; ``motion_px`` is 1.
+
+    Raises:
+        DataError: a frame cannot be read.
+    """
+    images = _tracking_images(recording)
+    found = [pair for start in starts if (pair := _match(images, start, start + 2, 0.0)) is not None]
+    return _joined(images.camera, found, np.ones(len(found)))
+
+
+def _joined(camera: Camera, found: list[_Pair], motion_px: FloatArray) -> Matches:
+    return Matches(
+        camera,
+        frames=np.array([frames for frames, _ in found], dtype=np.int64).reshape(-1, 2),
+        pair=np.repeat(np.arange(len(found)), [len(pixels) for _, pixels in found]),
+        pixels=np.concatenate([np.zeros((0, 2, 2), np.float32), *(pixels for _, pixels in found)]),
+        motion_px=motion_px,
+    )
+
+
+def _tracking_images(recording: Recording) -> TrackingImages:
     width, height = recording.camera.width, recording.camera.height
     factor = min(1.0, _TRACKING.width / width)
-    images = TrackingImages(recording, recording.camera.resized(round(width * factor), round(height * factor)))
-    starts = evenly_spaced(len(recording) - 1, pairs) if len(recording) > 1 else np.zeros(0, np.int64)
-    found = [pair for start in starts.tolist() if (pair := _match(images, start, len(recording))) is not None]
-    if not found:
-        nothing = np.zeros(0, np.int64)
-        return Matches(images.camera, nothing.reshape(0, 2), nothing, np.zeros((0, 2, 2), np.float32), np.zeros(0))
-    return Matches(
-        images.camera,
-        frames=np.array([frames for frames, _ in found], dtype=np.int64),
-        pair=np.repeat(np.arange(len(found)), [len(pixels) for _, pixels in found]),
-        pixels=np.concatenate([pixels for _, pixels in found]),
-        motion_px=np.array([_motion(pixels) for _, pixels in found]),
-    )
+    return TrackingImages(recording, recording.camera.resized(round(width * factor), round(height * factor)))
 
 
 class TrackingImages:
@@ -136,8 +154,8 @@ def _motion(pixels: NDArray[np.float32]) -> float:
     return float(np.median(np.linalg.norm(pixels[:, 1] - pixels[:, 0], axis=1)))
 
 
-def _match(images: TrackingImages, start: int, count: int) -> tuple[tuple[int, int], NDArray[np.float32]] | None:
-    """The pair of frames from ``start`` on, and its matches (M, 2, 2); None if it has none, or hardly moves."""
+def _match(images: TrackingImages, start: int, count: int, least_px: float) -> _Pair | None:
+    """The pair of frames from ``start`` on, and its matches (M, 2, 2); None if it has none, or moves less."""
     before = images(start)
     if before is None:
         return None
@@ -154,7 +172,7 @@ def _match(images: TrackingImages, start: int, count: int) -> tuple[tuple[int, i
         best = (start, start + step), matched
         if _motion(matched) > _ENOUGH_MOTION * images.camera.width:
             break
-    if best is None or _motion(best[1]) < _LEAST_MOTION * images.camera.width:
+    if best is None or _motion(best[1]) < least_px:
         return None
     frames, pixels = best
     return frames, pixels[evenly_spaced(len(pixels), _MOST_MATCHES)]

@@ -63,7 +63,11 @@ class Evidence:
         if self.recording.has_depth:
             return self
         pairs = evenly_spaced(len(self.matches), _RENDERED_PAIRS)
-        return Evidence(self.recording, self.matches.select(pairs), self._cloud)
+        return self.of(self.recording, self.matches.select(pairs))
+
+    def of(self, recording: Recording, matches: Matches) -> Evidence:
+        """Other corners, of other frames, with depth from the same source."""
+        return Evidence(recording, matches, self._cloud)
 
     def relative(self, poses: FloatArray) -> FloatArray:
         """``T_second_first`` of the pairs, (N, 4, 4), from poses of the recording's frames."""

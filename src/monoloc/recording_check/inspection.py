@@ -213,7 +213,8 @@ def _of_poses(poses: PoseCheck) -> Iterator[Finding]:
         return
     value = f"{poses.share:.0%} of the corners' motion off"
     if poses.verdict == "agree":
-        yield Finding("poses", "good", value)
+        jumps = poses.jump_sentence
+        yield Finding("poses", "good" if jumps is None else "warning", value, jumps or "")
         return
     level: Level = "warning" if poses.verdict == "doubtful" else "bad"
     why = (

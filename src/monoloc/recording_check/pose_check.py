@@ -19,6 +19,7 @@ from monoloc.recording_check.correspondences import PAIRS
 from monoloc.recording_check.evidence import Evidence, gather_evidence, other_readings
 from monoloc.recording_check.factors import Factor, fit_depth_scale, fit_focal
 from monoloc.recording_check.pose_hypotheses import as_stated, conventions, delays
+from monoloc.recording_check.pose_jumps import PoseJump, find_jumps
 
 # Median error, share of the corners' motion. On RedKitchen (0:200), whose poses have 2 cm of noise, it is 0.07, on
 # the desk (0:350) 0.08; later parts of both have up to 0.14. There, wrong conventions gave 0.48 and more, poses one
@@ -74,6 +75,7 @@ class PoseCheck:
         correlation: of the motions by the poses with those that the corners give, the lower one of rotation and
             translation; None if unknown.
         explanation: what the poses would agree as; None if nothing is found, or nothing is wrong.
+        jumps: steps of poses that agree otherwise, which the images contradict.
     """
 
     verdict: Literal["unknown", "agree", "doubtful", "explained", "disagree"]
@@ -83,6 +85,19 @@ class PoseCheck:
     free_share: float | None = None
     correlation: float | None = None
     explanation: Explanation | None = None
+    jumps: tuple[PoseJump, ...] = ()
+
+    @property
+    def jump_sentence(self) -> str | None:
+        """The largest jump, and what to do about it, for a message; None if there is none."""
+        if not self.jumps:
+            return None
+        largest = max(self.jumps, key=lambda jump: jump.distance_m + jump.angle_rad)
+        by = f"{100.0 * largest.distance_m:.0f} cm and {np.rad2deg(largest.angle_rad):.0f} degrees"
+        most = "" if len(self.jumps) == 1 else f", the largest of {len(self.jumps)} jumps,"
+        found = f"poses jump by {by}{most} from frame {largest.before} to {largest.after}, and the images do not"
+        at = largest.position
+        return f"{found}; if they go on in another world, give --frames :{at} or {at}:, else leave these frames out"
 
     @property
     def sentence(self) -> str:
@@ -133,6 +148,13 @@ def judge(evidence: Evidence) -> PoseCheck:
     free = evidence.reproject(free_motion, depth_m)
     correlation = _correlation(evidence.relative(evidence.poses), free_motion)
     check = PoseCheck("agree", stated.pairs, corners, share, free.median if free.pairs else None, correlation)
+    check = _with_verdict(check, evidence)
+    return replace(check, jumps=tuple(find_jumps(evidence))) if check.verdict == "agree" else check
+
+
+def _with_verdict(check: PoseCheck, evidence: Evidence) -> PoseCheck:
+    share, correlation = check.share, check.correlation
+    assert share is not None
     if share <= _RIGHT:
         return check
     explanation = _explain(evidence, share)
@@ -175,7 +197,7 @@ def require_agreement(name: str, check: PoseCheck, poses_are_refined: bool, if_p
         raise DataError(name, f"poses and images disagree: {check.sentence}", check.fix)
     if check.verdict in ("doubtful", "disagree") and not poses_are_refined:
         return [f"poses fit the images poorly: {check.sentence}; {if_poor}"]
-    return []
+    return [] if check.jump_sentence is None else [check.jump_sentence]
 
 
 def _explain(evidence: Evidence, share: float) -> Explanation | None:

@@ -38,7 +38,7 @@ def room() -> tuple[Recording, Matches]:
 
 def test_right_recordings_agree(room: tuple[Recording, Matches]) -> None:
     check = judged(*room)
-    assert check.verdict == "agree" and check.share is not None and check.share < 0.12
+    assert check.verdict == "agree" and check.share is not None and check.share < 0.12 and check.jumps == ()
     assert require_agreement("walk", check, poses_are_refined=False) == []
 
 
@@ -59,6 +59,23 @@ def test_one_pose_for_all_frames_is_refused(room: tuple[Recording, Matches]) -> 
     assert recording.poses is not None
     line = refusal(judged(Altered(recording, poses=np.repeat(recording.poses[:1], len(recording), axis=0)), matches))
     assert "motions correlate by 0.00" in line and "check the poses' convention" in line
+
+
+def test_poses_that_go_on_in_another_world_give_a_warning_that_names_the_frame(
+    room: tuple[Recording, Matches],
+) -> None:
+    """As where tracking was lost; between all other frames, these poses agree with the images."""
+    recording, _ = room
+    assert recording.poses is not None
+    poses = recording.poses.copy()
+    poses[30:] = make_pose(so3_exp(np.array([0.0, 0.7, 0.0])), np.array([0.8, 0.0, 0.5])) @ poses[30:]
+    wrong = Altered(recording, poses=poses)
+    for frames in (range(60), range(0, 60, 3)):
+        check = check_poses(Selection(wrong, frames))
+        (warning,) = require_agreement("walk", check, poses_are_refined=False)
+        names = f"from frame {recording.frame_names[29]} to {recording.frame_names[30]}"
+        assert names in warning and "give --frames :30 or 30:" in warning
+    assert check_poses(Selection(wrong, range(30))).jumps == ()
 
 
 @pytest.mark.parametrize("factor", [0.2, 1.4, 5.0, 1000.0])
