@@ -208,18 +208,20 @@ def _without_poses(recording: Recording) -> Iterator[Finding]:
 
 
 def _of_poses(poses: PoseCheck) -> Iterator[Finding]:
-    if poses.share is None:
+    if poses.verdict == "unknown":
         yield Finding("poses", "warning", "not compared", poses.sentence)
         return
-    value = f"{poses.share:.0%} of the corners' motion off"
+    unseen = f"{poses.pairs} pairs of frames see the cloud"
+    value = unseen if poses.share is None else f"{poses.share:.0%} of the corners' motion off"
     if poses.verdict == "agree":
         jumps = poses.jump_sentence
         yield Finding("poses", "good" if jumps is None else "warning", value, jumps or "")
         return
     level: Level = "warning" if poses.verdict == "doubtful" else "bad"
-    why = (
-        poses.sentence if poses.explanation is None else f"{poses.explanation.share:.0%} as {poses.explanation.what}"
-    )
+    why = poses.sentence
+    if poses.explanation is not None:
+        off = "" if poses.share is not None else " of the corners' motion off"
+        why = f"{poses.explanation.share:.0%}{off} as {poses.explanation.what}"
     yield Finding("poses", level, value, f"{why}; {poses.fix}")
 
 

@@ -103,6 +103,10 @@ class PoseCheck:
     def sentence(self) -> str:
         """The finding, for a message."""
         if self.share is None:
+            if self.explanation is not None:
+                found = f"by the poses, {self.pairs} pairs of frames see the cloud"
+                away = f"{_percent(self.explanation.share)} of their motion away from where they are seen"
+                return f"{found}; corners land {away} as {self.explanation.what}"
             seen = f"{self.pairs} pairs of frames show corners that move and whose depth is known"
             return f"poses are not compared with the images: {seen}"
         of = "" if self.share >= _MANY_TIMES else " of"  # "66 times their motion"
@@ -141,7 +145,8 @@ def judge(evidence: Evidence) -> PoseCheck:
     stated = as_stated(evidence)
     corners = len(evidence.matches.pair)
     if stated.pairs < _LEAST_PAIRS and not _enough_otherwise(evidence):
-        return PoseCheck("unknown", stated.pairs, corners)
+        explanation = _of_unseen_cloud(evidence)
+        return PoseCheck("explained" if explanation else "unknown", stated.pairs, corners, explanation=explanation)
     share = stated.median
     depth_m = evidence.depth_m(evidence.poses)
     free_motion = evidence.reproject.free_motion(depth_m)
@@ -217,6 +222,13 @@ def _explain(evidence: Evidence, share: float) -> Explanation | None:
     return next((explanation for explanation in found if explanation is not None), None)
 
 
+def _of_unseen_cloud(evidence: Evidence) -> Explanation | None:
+    """A convention by which poses that see nothing of the cloud do see it, and agree; None if there is none."""
+    if evidence.recording.has_depth or len(evidence.matches) < _LEAST_PAIRS:
+        return None
+    return _best(list(_exact(evidence.for_search())), float("inf"))
+
+
 def _best(explanations: list[Explanation], most: float) -> Explanation | None:
     """The simplest of those that are about as good as the best, if their error is that of a right recording."""
     fitting = [each for each in explanations if each.share <= min(_FITS, most)]
@@ -229,7 +241,8 @@ def _best(explanations: list[Explanation], most: float) -> Explanation | None:
 def _exact(evidence: Evidence) -> Iterator[Explanation]:
     """Explanations without unknown numbers, by one reading of the depth."""
     for hypothesis in (*conventions(), *(delays() if evidence.recording.has_depth else ())):
-        share = hypothesis.measure(evidence).median
+        measured = hypothesis.measure(evidence)
+        share = measured.median if 2 * measured.pairs >= min(_LEAST_PAIRS, len(evidence.matches)) else float("inf")
         yield Explanation(*_joined(evidence, hypothesis.what, hypothesis.option), hypothesis.parts, share)
 
 

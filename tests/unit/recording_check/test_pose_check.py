@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 from altered_recordings import POSES, Altered, judged, late, range_of, refusal, upside_down, with_focal
+from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, make_pose, se3_exp, so3_exp
 from monoloc.io.corrected import Fixes, corrected
 from monoloc.io.pose_fixes import parse_pose_fixes
 from monoloc.io.recording import Recording, Selection
 from monoloc.io.registry import open_recording
 from monoloc.recording_check.correspondences import Matches, match_corners
+from monoloc.recording_check.inspection import inspect_recording
 from monoloc.recording_check.pose_check import check_poses, require_agreement
 from monoloc_lab.rooms import BUILD, TESTS
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
@@ -134,6 +136,22 @@ def test_poses_with_a_cloud_in_place_of_depth(room: tuple[Recording, Matches]) -
     assert recording.poses is not None
     wrong = Altered(recording, poses=POSES["OpenGL"].poses(recording.poses), has_depth=False)
     assert refusal(check_poses(wrong, cloud)).endswith("; give --fix-poses opengl")
+
+
+def test_poses_that_see_nothing_of_the_cloud_are_named(room: tuple[Recording, Matches]) -> None:
+    """Of millimetres, no frame is in the room."""
+    recording, _ = room
+    assert recording.poses is not None
+    wrong = Altered(recording, poses=POSES["millimetres"].poses(recording.poses), has_depth=False)
+    inspection = inspect_recording(wrong, Room().cloud(0.04))
+    (finding,) = [each for each in inspection.findings if each.name == "poses"]
+    assert (finding.level, finding.value) == ("bad", "0 pairs of frames see the cloud")
+    assert re.fullmatch(
+        r"\d% of the corners' motion off as millimetres; give --fix-poses millimetres", finding.remark
+    )
+    assert inspection.poses is not None
+    with pytest.raises(DataError, match=r"^walk: .* 0 pairs .* see the cloud; .*; give --fix-poses millimetres$"):
+        require_agreement("walk", inspection.poses, poses_are_refined=False)
 
 
 def test_delay_counts_frames_of_the_whole_recording() -> None:
