@@ -18,7 +18,7 @@ import numpy as np
 from monoloc.camera import Camera
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
-from monoloc.io.file_access import json_number, read_json, require_folder
+from monoloc.io.file_access import json_number, read_json, require_folder, visible
 from monoloc.io.frame_filter import FrameFilter
 from monoloc.io.image_cameras import one_camera, stated_by
 from monoloc.io.images import ImageRecording
@@ -50,7 +50,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
     folder = _keyframes(path)
     is_corrected = all((folder / name).is_dir() for name in ("corrected_cameras", "corrected_images"))
     prefix = "corrected_" if is_corrected else ""
-    files = sorted((folder / f"{prefix}cameras").glob("*.json"), key=_stamp)
+    files = sorted(visible(folder / f"{prefix}cameras", ".json"), key=_stamp)
     if not files:
         raise DataError(folder, f"has no {prefix}cameras/STAMP.json", _AGAIN)
     stamps = [_stamp(file) for file in files]

@@ -23,7 +23,7 @@ from monoloc.camera import Camera
 from monoloc.distortion import DistortionModel
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
-from monoloc.io.file_access import read_rows, read_text
+from monoloc.io.file_access import read_rows, read_text, visible
 from monoloc.io.frame_filter import FrameFilter
 from monoloc.io.image_cameras import one_camera, stated_by
 from monoloc.io.images import ImageRecording, natural_order
@@ -56,7 +56,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
         raise _not_one_export(path, exports)
     poses_path = exports[0]
     folder, name = poses_path.parent, poses_path.name.removesuffix(_POSES)
-    color_paths = sorted((folder / f"{name}_rgb").glob("*.jpg"), key=lambda each: natural_order(each.stem))
+    color_paths = sorted(visible(folder / f"{name}_rgb", ".jpg"), key=lambda each: natural_order(each.stem))
     if not color_paths:
         raise DataError(folder / f"{name}_rgb", "has no images", _FIX)
     stems = [each.stem for each in color_paths]
@@ -96,7 +96,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
 
 def _exports(path: Path) -> list[Path]:
     """Files of camera poses that have images beside them."""
-    files = [path] if path.name.endswith(_POSES) else sorted(path.glob(f"*{_POSES}")) if path.is_dir() else []
+    files = [path] if path.name.endswith(_POSES) else sorted(visible(path, _POSES)) if path.is_dir() else []
     return [file for file in files if file.with_name(file.name.removesuffix(_POSES) + "_rgb").is_dir()]
 
 

@@ -52,6 +52,13 @@ def test_raw_data_opens(tmp_path: Path, capture: Capture, corrected: bool) -> No
         np.testing.assert_allclose(np.diff(recording.timestamps_s), np.diff(capture.times_s), atol=1e-5)
 
 
+def test_files_that_macos_adds_on_other_disks_are_no_frames(folder: Path, capture: Capture) -> None:
+    for file in [*cameras_of(folder), *(folder / "keyframes/images").iterdir()]:
+        file.with_name(f"._{file.name}").write_bytes(b"\0\5\26\7\0\2\0\0Mac OS X")
+    recording = open_recording(str(folder))
+    assert len(recording) == len(capture) and recording.notes == []
+
+
 def test_incomplete_frames_are_counted(folder: Path) -> None:
     files = cameras_of(folder)
     (folder / f"keyframes/images/{files[1].stem}.jpg").unlink()

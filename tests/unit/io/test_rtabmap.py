@@ -46,6 +46,14 @@ def test_export_opens(tmp_path: Path, capture: Capture, poses_format: int, by_st
         assert recording.frame_names == [str(9 + 3 * index) for index in range(12)]  # 9 before 12
 
 
+def test_files_that_macos_adds_on_other_disks_are_no_images(tmp_path: Path, capture: Capture) -> None:
+    write_rtabmap(tmp_path, capture, poses_format=10)
+    for file in list((tmp_path / "room_rgb").iterdir()):
+        file.with_name(f"._{file.name}").write_bytes(b"\0\5\26\7\0\2\0\0Mac OS X")
+    recording = open_recording(str(tmp_path))
+    assert len(recording) == len(capture) and recording.notes == []
+
+
 def test_images_without_pose_calibration_or_depth_are_counted(folder: Path) -> None:
     poses = folder / "room_camera_poses.txt"
     poses.write_text("".join(line for line in poses.read_text().splitlines(True) if not line.endswith(" 12\n")))
