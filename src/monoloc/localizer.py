@@ -31,7 +31,7 @@ from monoloc.particle_filter.tempering import tempered_update
 from monoloc.parts import leave_out
 from monoloc.relocalization.search import GlobalRelocalizer
 from monoloc.relocalization.state_machine import Mode, Relocalization, RelocalizationStateMachine
-from monoloc.start import Start
+from monoloc.start import Start, checked_start
 from monoloc.step import Step
 from monoloc.step_budget import Level, Stage, StepBudget, StepPlan, plan_of
 from monoloc.supervision.camera_check import CameraCheck, has_same_focal
@@ -57,6 +57,7 @@ class Localizer:
     Raises:
         DataError: the bundle's network does not take the camera's images.
         ValueError: no start is given, and neither scans nor landmarks can find the camera in this room.
+        TypeError: the start is no :class:`monoloc.start.Start`, but a pose for example.
     """
 
     def __init__(
@@ -85,7 +86,7 @@ class Localizer:
             self._budget = StepBudget(self._config.budget_ms, self._config.particles, self._config.scan_points)
         # No method of this object, which a circle would keep alive: a place drops localizers with their memory.
         self._stage = _untimed if self._budget is None else self._budget.stage
-        self._begin(start)
+        self._begin(checked_start(start))
         self._front_end = FrontEnd(made, camera, self._config, self._rng, self._stage)
 
     def _begin(self, start: Start | None) -> None:
@@ -120,9 +121,9 @@ class Localizer:
             start: pose of the next frame; None searches for the camera.
 
         Raises:
-            ValueError: as the constructor; nothing has changed then.
+            ValueError, TypeError: as the constructor; nothing has changed then.
         """
-        self._begin(start)
+        self._begin(checked_start(start))
         self._front_end.reset()
 
     @property

@@ -55,3 +55,15 @@ class Start:
         """Particles with this uncertainty."""
         sd_m, sd_rad = self.error_m / np.sqrt(3.0), self.error_rad / np.sqrt(3.0)  # per axis
         return scatter(self.pose, config.particles, sd_m, sd_rad, config.log_scale_sd, rng)
+
+
+def checked_start(start: object) -> Start | None:
+    """The start that is given, or None.
+
+    Raises:
+        TypeError: it is something else, such as a pose.
+    """
+    if start is None or isinstance(start, Start):
+        return start
+    given = f"an array of shape {start.shape}" if isinstance(start, np.ndarray) else type(start).__name__
+    raise TypeError(f"start must be a monoloc.Start or None, got {given}; write monoloc.Start(T_world_camera)")

@@ -8,7 +8,7 @@ import pytest
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import se3_exp
 from monoloc.localizer_config import LocalizerConfig
-from monoloc.start import Start
+from monoloc.start import Start, checked_start
 
 POSE = se3_exp([0.5, -1.0, 2.0, 0.3, 0.2, -0.4])
 
@@ -35,6 +35,12 @@ def test_root_mean_square_distance_of_particles_is_the_error() -> None:
 def test_pose_that_is_not_rigid_is_refused(pose: np.ndarray) -> None:
     with pytest.raises(ValueError, match=r"pose must be a rigid \(4, 4\) T_world_camera"):
         Start(pose)
+
+
+@pytest.mark.parametrize("given", [POSE, POSE.tolist(), "truth"])
+def test_start_that_is_no_start_is_refused(given: object) -> None:
+    with pytest.raises(TypeError, match=r"^start must be a monoloc\.Start or None, got .*; write monoloc\.Start\("):
+        checked_start(given)
 
 
 @pytest.mark.parametrize("errors", [(-0.1, 0.1), (0.1, np.inf)])
