@@ -112,7 +112,7 @@ def override(settings: Settings, **values: object) -> Settings:
         return type(settings).model_validate(_merged(settings.model_dump(), values))
     except ValidationError as error:
         field, problem = describe(error).split(": ", 1)
-        raise SettingError(field, problem, "see the command's --help") from error
+        raise SettingError(field, problem, "correct its value") from error
 
 
 def _merged(base: dict[str, object], values: dict[str, object]) -> dict[str, object]:
