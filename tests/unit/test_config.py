@@ -56,7 +56,9 @@ def test_value_out_of_range_is_refused(
 ) -> None:
     outer, _, inner = field.partition(".")
     values = {outer: {inner: value} if inner else value}
-    refuses(lambda: override(settings, **values), SettingError, f"^{re.escape(field)}: .*{problem}.*; correct its value$")
+    refuses(
+        lambda: override(settings, **values), SettingError, f"^{re.escape(field)}: .*{problem}.*; correct its value$"
+    )
 
 
 def test_override_replaces_only_given_fields() -> None:

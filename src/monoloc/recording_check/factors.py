@@ -59,6 +59,14 @@ def fit_focal(evidence: Evidence) -> Factor:
     return _fit(lambda log_factor: evidence.reproject(relative, depth_m, float(np.exp(log_factor))), _FOCALS)
 
 
+def fit_image_size(evidence: Evidence) -> Factor:
+    """Factor of true over stated focal length and principal point, as where images were resized after calibration."""
+    relative, depth_m = evidence.relative(evidence.poses), evidence.depth_m(evidence.poses)
+    camera = evidence.matches.camera
+    corner = np.array([-(camera.cx + 0.5) / camera.fx, -(camera.cy + 0.5) / camera.fy])
+    return _fit(lambda log_factor: evidence.reproject(relative, depth_m, float(np.exp(log_factor)), corner), _FOCALS)
+
+
 def _fit(measure: Callable[[float], Reprojection], log_factors: FloatArray) -> Factor:
     coarse = log_factors[np.argmin([measure(value).median for value in log_factors])]
     step = log_factors[1] - log_factors[0]

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from monoloc.camera import Camera
-from monoloc.errors import DataError
+from monoloc.errors import DataError, SettingError
 from monoloc.geometry import FloatArray, so3_log
 from monoloc.io.images import ImageRecording
 from monoloc.io.pose_fixes import AXES
@@ -17,7 +17,7 @@ from monoloc.io.recording import Recording, Selection
 from monoloc.io.upright import Turned
 from monoloc.recording_check.correspondences import PAIRS
 from monoloc.recording_check.evidence import Evidence, gather_evidence, other_readings
-from monoloc.recording_check.factors import Factor, fit_depth_scale, fit_focal
+from monoloc.recording_check.factors import Factor, fit_depth_scale, fit_focal, fit_image_size
 from monoloc.recording_check.pose_hypotheses import as_stated, conventions, delays
 from monoloc.recording_check.pose_jumps import PoseJump, find_jumps
 
@@ -252,6 +252,11 @@ def _fitted(evidence: Evidence) -> Iterator[Explanation]:
         yield _by_scale(evidence, fit_depth_scale(evidence), "", 2)
     focal = fit_focal(evidence)
     yield Explanation(*_focal_words(evidence, focal), 2, focal.fit.median)
+    size = fit_image_size(evidence)
+    resized = _resized(evidence.recording.camera, size.value)
+    if resized is not None:
+        what = f"intrinsics of images {_digits(1.0 / size.value)} times as large{_sd_words(size)}"
+        yield Explanation(what, f"--camera {intrinsics_text(resized)}", 3, size.fit.median)
 
 
 def _by_reading(reading: Evidence) -> Explanation:
@@ -286,16 +291,31 @@ def _by_scale(evidence: Evidence, scale: Factor, axes: str, parts: int) -> Expla
 
 def _focal_words(evidence: Evidence, focal: Factor) -> tuple[str, str]:
     camera = evidence.recording.camera
-    sd = f" (to {_percent(focal.log_sd)})" if np.isfinite(focal.log_sd) else ""
-    what = f"a focal length of {focal.value * camera.focal_px:.0f} px{sd} instead of {camera.focal_px:.0f}"
-    return what, f"--camera {intrinsics_text(evidence.matches.camera, camera, focal.value)}"
+    what = (
+        f"a focal length of {focal.value * camera.focal_px:.0f} px{_sd_words(focal)} instead of {camera.focal_px:.0f}"
+    )
+    fitted = replace(camera, fx=camera.fx * focal.value, fy=camera.fy * focal.value)
+    is_other_lens = evidence.matches.camera.distortion != camera.distortion
+    return what, f"--camera {intrinsics_text(fitted)}{',0,0,0,0,0' * is_other_lens}"
 
 
-def intrinsics_text(matched: Camera, stated: Camera, factor: float) -> str:
-    """Value of ``--camera`` for the stated camera with its focal lengths multiplied by a factor."""
-    values = [stated.width, stated.height, stated.fx * factor, stated.fy * factor, stated.cx, stated.cy]
-    text = ",".join(f"{value:.5g}" for value in values)
-    return text if matched.distortion == stated.distortion else text + ",0,0,0,0,0"
+def _sd_words(factor: Factor) -> str:
+    return f" (to {_percent(factor.log_sd)})" if np.isfinite(factor.log_sd) else ""
+
+
+def intrinsics_text(camera: Camera) -> str:
+    """Value of ``--camera`` for a camera, without its distortion."""
+    values = [camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy]
+    return ",".join(f"{value:.5g}" for value in values)
+
+
+def _resized(camera: Camera, factor: float) -> Camera | None:
+    """The camera of images that were resized by a factor, with the stated size; None if it is impossible."""
+    cx, cy = (factor * (value + 0.5) - 0.5 for value in (camera.cx, camera.cy))
+    try:
+        return replace(camera, fx=camera.fx * factor, fy=camera.fy * factor, cx=cx, cy=cy)
+    except SettingError:
+        return None
 
 
 def _joined(evidence: Evidence, what: str, option: str) -> tuple[str, str]:

@@ -18,6 +18,7 @@ from monoloc.recording_check.correspondences import Matches
 LEAST_WITH_DEPTH = 15  # matches of a pair
 _BEHIND = 100.0  # error, in focal lengths, of a corner behind the camera
 _INLIER_PX = 2.0
+_AXIS = np.zeros(2)
 
 
 @dataclass(frozen=True)
@@ -49,32 +50,40 @@ class Reprojector:
         self._first, self._second = matches.rays()
         self._of_pairs = [matches.of_pair(index) for index in range(len(matches))]
 
-    def __call__(self, T_second_first: FloatArray, depth_m: FloatArray, focal: float = 1.0) -> Reprojection:
+    def __call__(
+        self, T_second_first: FloatArray, depth_m: FloatArray, focal: float = 1.0, fixed: FloatArray = _AXIS
+    ) -> Reprojection:
         """Errors of relative poses.
 
         Args:
             T_second_first: (N, 4, 4) of the pairs; NaN where it is unknown.
             depth_m: (P,) of the corners in the first frame, 0 where it is unknown.
             focal: true over stated focal length.
+            fixed: (2,) point at z = 1 of the stated camera whose pixel stays where it is with that focal length; that
+                of the principal point by default.
         """
         matches = self.matches
-        offset = self._predicted(T_second_first[matches.pair], depth_m, focal) - self._second[:, :2]
+        offset = self._predicted(T_second_first[matches.pair], depth_m, focal, fixed) - self._second[:, :2]
         distance = np.linalg.norm(offset, axis=1) * matches.camera.focal_px
         distance[depth_m <= 0.0] = np.nan
         return Reprojection(np.array([_median(distance[of]) for of in self._of_pairs]) / matches.motion_px)
 
     def predicted_px(self, T_second_first: FloatArray, depth_m: FloatArray) -> FloatArray:
         """Where the corners are predicted in the second frame, (P, 2) pixels of the matches' camera."""
-        rays = self._predicted(T_second_first[self.matches.pair], depth_m, 1.0)
+        rays = self._predicted(T_second_first[self.matches.pair], depth_m)
         return self.matches.camera.project(np.column_stack([rays, np.ones(len(rays))]))
 
-    def _predicted(self, T_second_first: FloatArray, depth_m: FloatArray, focal: float) -> FloatArray:
+    def _predicted(
+        self, T_second_first: FloatArray, depth_m: FloatArray, focal: float = 1.0, fixed: FloatArray = _AXIS
+    ) -> FloatArray:
         """Predicted coordinates at z = 1 of the stated camera, (P, 2)."""
-        points = self._first * depth_m[:, None]
-        points[:, :2] /= focal
+        points = self._first.copy()
+        points[:, :2] = (points[:, :2] - fixed) / focal + fixed
+        points *= depth_m[:, None]
         moved = np.einsum("pij,pj->pi", T_second_first[:, :3, :3], points) + T_second_first[:, :3, 3]
         z = moved[:, 2:]
-        return np.asarray(np.where(z > 0.0, focal * moved[:, :2] / np.where(z > 0.0, z, 1.0), _BEHIND))
+        seen = focal * (moved[:, :2] / np.where(z > 0.0, z, 1.0) - fixed) + fixed
+        return np.asarray(np.where(z > 0.0, seen, _BEHIND))
 
     def free_motion(self, depth_m: FloatArray) -> FloatArray:
         """Relative poses ``T_second_first`` (N, 4, 4) that the corners alone give by PnP and RANSAC; NaN without."""

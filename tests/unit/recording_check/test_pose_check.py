@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from altered_recordings import POSES, Altered, judged, late, range_of, refusal, upside_down, with_focal
+from monoloc.camera import Camera
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, make_pose, se3_exp, so3_exp
 from monoloc.io.corrected import Fixes, corrected
@@ -101,6 +102,25 @@ def test_another_focal_length_is_named(room: tuple[Recording, Matches], factor: 
     assert found, line
     assert float(found[1]) == pytest.approx(right, rel=0.06)
     assert float(found[2]) == pytest.approx(recording.camera.fx, rel=0.06)
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.4])
+def test_intrinsics_of_another_image_size_are_named(room: tuple[Recording, Matches], factor: float) -> None:
+    """As of images that were resized after the camera was calibrated."""
+    recording, matches = room
+
+    def of_another_size(camera: Camera) -> Camera:
+        cx, cy = (factor * (value + 0.5) - 0.5 for value in (camera.cx, camera.cy))
+        return replace(with_focal(camera, factor), cx=cx, cy=cy)
+
+    right = recording.camera
+    matches = replace(matches, camera=of_another_size(matches.camera))
+    line = refusal(judged(Altered(recording, camera=of_another_size(right)), matches))
+    found = re.fullmatch(r".* as intrinsics of images ([\d.]+) times as large.*; give --camera (.*)", line)
+    assert found, line
+    assert float(found[1]) == pytest.approx(factor, rel=0.06)
+    named = [float(value) for value in found[2].split(",")]
+    assert named == pytest.approx([right.width, right.height, right.fx, right.fy, right.cx, right.cy], rel=0.06)
 
 
 def test_images_upside_down_are_named(room: tuple[Recording, Matches]) -> None:
