@@ -16,7 +16,7 @@ from monoloc.calibration.board import Board
 from monoloc.calibration.board_views import BoardDetector, BoardView, diverse_views, sharp_views
 from monoloc.camera import Camera
 from monoloc.errors import DataError
-from monoloc.io.file_access import read_bytes
+from monoloc.io.file_access import read_bytes, visible
 from monoloc.io.image_files import checked_header
 from monoloc.io.video_frames import VideoFrames
 from monoloc.live.camera_device import CameraDevice
@@ -68,7 +68,7 @@ def read_views(
     if device:
         count, images = None, _watched(int(device[1]), device_size, seconds)
     elif Path(source).is_dir():
-        paths = sorted(path for path in Path(source).iterdir() if path.suffix.lower() in _SUFFIXES)
+        paths = sorted(path for path in visible(Path(source)) if path.suffix.lower() in _SUFFIXES)
         count, images = len(paths), _pictures(paths)
     elif Path(source).exists():
         frames = VideoFrames(Path(source))

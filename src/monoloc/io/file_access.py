@@ -34,7 +34,7 @@ def require_file(path: Path, fix: str) -> None:
         raise DataError(path, "is missing", fix)
 
 
-def visible(folder: Path, ending: str) -> list[Path]:
+def visible(folder: Path, ending: str = "") -> list[Path]:
     """Files of a folder by the end of their name, without the ``._`` files that macOS leaves on other disks."""
     return [file for file in folder.glob(f"*{ending}") if not file.name.startswith(".")]
 

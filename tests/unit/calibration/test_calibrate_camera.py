@@ -56,6 +56,12 @@ def calibration_of(name: str) -> Calibration:
     return calibrate_camera(views_of(name), BOARD, SIZE, CAMERAS[name].distortion_model)
 
 
+def test_files_that_macos_adds_on_other_disks_are_no_pictures(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "1.png"), images_of("brown")[0])
+    (tmp_path / "._1.png").write_bytes(b"\0\5\26\7\0\2\0\0Mac OS X")
+    assert read_views(str(tmp_path), BOARD, NoProgress()).images == 1
+
+
 @pytest.mark.parametrize("name", CAMERAS)
 def test_known_camera_is_recovered_within_its_stated_error(name: str) -> None:
     camera, calibration = CAMERAS[name], calibration_of(name)
