@@ -31,6 +31,7 @@ _MUCH_DARKER, _MUCH_BRIGHTER, _USUAL_SDS = 0.15, 1.6, 2.0
 _CLIPPED_SHARE = 0.25  # of the pixels that are black, or saturated
 _LEAST_COVERAGE = 0.3  # of the pixels with depth
 _FOCAL_ERROR, _FOCAL_SDS = 0.04, 3.0  # relative error that moves a pose, and how certain it must be
+_OFF_CENTRE = 0.1  # of the image's side; the benchmarks' cameras are within 4 %
 _LEAST_FOUND_SHARE = 0.3  # of the frames, in which landmarks of the map are found
 _SAME_WORLD_M, _SAME_WORLD_RAD = 0.1, np.deg2rad(3.0)
 _BY_IMAGES = "monoloc build finds them from the images (extra sfm): give it --scale; localising needs none"
@@ -129,6 +130,7 @@ def inspect_recording(
         *(_of_depth(depth, is_explained) if depth is not None else ()),
         *(_of_poses(poses) if poses is not None else _without_poses(recording)),
         *(_of_focal(focal, recording.camera) if focal is not None else ()),
+        *_of_principal_point(recording.camera),
     ]
     if agreement is not None and bundle is not None:
         findings += light_findings(images, bundle.provenance.brightness)
@@ -230,6 +232,19 @@ def _of_focal(focal: Factor, camera: Camera) -> Iterator[Finding]:
     value = f"{focal.value:.3f} ± {focal.log_sd:.3f} of the stated {camera.focal_px:.0f} px"
     remark = "calibrate the camera, or check that the intrinsics are of this image size" if is_wrong else ""
     yield Finding("focal length", "warning" if is_wrong else "good", value, remark)
+
+
+def _of_principal_point(camera: Camera) -> Iterator[Finding]:
+    """A warning where it is far from the image's centre; corners tell that less clearly than a wrong focal length."""
+    off_x = abs(camera.cx - 0.5 * (camera.width - 1)) / camera.width
+    off_y = abs(camera.cy - 0.5 * (camera.height - 1)) / camera.height
+    if camera.is_window or max(off_x, off_y) <= _OFF_CENTRE:
+        return
+    value = f"({camera.cx:.0f}, {camera.cy:.0f}) in images of {camera.width}x{camera.height}"
+    remark = (
+        "far from the centre; check that cx and cy are of this image size and in this order, or calibrate the camera"
+    )
+    yield Finding("principal point", "warning", value, remark)
 
 
 def _of_landmarks(agreement: MapAgreement) -> Finding:
