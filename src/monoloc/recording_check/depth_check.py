@@ -22,10 +22,10 @@ _POINTS, _TRIALS, _LEAST_POINTS = 1500, 150, 300
 _PLANE_TOLERANCE = 0.01  # of depth
 _FLATTER, _AGREEING = 1.25, 0.8  # median ratio, and share of the frames that are flatter
 
-# Edges: strength of the image's gradient at depth's edges, relative to that around. Registered depth gave 1.7 to 2.5
-# (RedKitchen, the desk, the rendered living room, NYU), and at most 1.2 times that at a zoom of 5 % and more. Of a
-# wider depth camera, taken as registered, it was 1.0 to 1.1, and 1.6 to 2.1 times that after zooms of 1.27 to 1.63.
-# Depth cameras see from 0.8 times (Kinects) to 1.6 times (RealSense D435) as much as their colour cameras.
+# Edges: strength of the image's gradient at depth's edges, relative to that around. Registered depth gave 1.6 to 2.8
+# (RedKitchen, the desk, the rendered living room, NYU; 1.2 in a blurred turn), and at most 1.2 times that at a zoom
+# of 5 % and more. Of a wider depth camera, taken as registered, it was 1.0 to 1.1, and 1.6 to 2.1 times that after
+# zooms of 1.27 to 1.63. Depth cameras see up to 1.6 times as much as their colour cameras (RealSense D435).
 _EDGE, _LEAST_EDGES = 0.05, 200
 _EDGE_WIDTH, _HOLE = 640, 0.02  # pixels that edges are looked for in; width of a hole that they lie at, share of it
 _WIDTH, _NEIGHBOURHOOD_PX, _SEARCH_PX = 320, 41, 16
