@@ -294,18 +294,17 @@ def _focal_words(evidence: Evidence, focal: Factor) -> tuple[str, str]:
     what = (
         f"a focal length of {focal.value * camera.focal_px:.0f} px{_sd_words(focal)} instead of {camera.focal_px:.0f}"
     )
-    fitted = replace(camera, fx=camera.fx * focal.value, fy=camera.fy * focal.value)
     is_other_lens = evidence.matches.camera.distortion != camera.distortion
-    return what, f"--camera {intrinsics_text(fitted)}{',0,0,0,0,0' * is_other_lens}"
+    return what, f"--camera {intrinsics_text(camera, focal.value)}{',0,0,0,0,0' * is_other_lens}"
 
 
 def _sd_words(factor: Factor) -> str:
     return f" (to {_percent(factor.log_sd)})" if np.isfinite(factor.log_sd) else ""
 
 
-def intrinsics_text(camera: Camera) -> str:
-    """Value of ``--camera`` for a camera, without its distortion."""
-    values = [camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy]
+def intrinsics_text(camera: Camera, factor: float = 1.0) -> str:
+    """Value of ``--camera`` for a camera with its focal lengths multiplied by a factor, without its distortion."""
+    values = [camera.width, camera.height, camera.fx * factor, camera.fy * factor, camera.cx, camera.cy]
     return ",".join(f"{value:.5g}" for value in values)
 
 
