@@ -170,6 +170,8 @@ class Localizer:
         place = particle_estimate.pose if relocalization.confirmed else prior.pose
         measured = self._tracker.fusion.without_known_bias(particle_estimate, place)
         belief = self._fuse(observation, measured, log_likelihood, relocalization, landmarks, contradicted)
+        if observation.depth_is_predicted:  # a sensor's does not err more in views that no network was tuned on
+            belief = self._tracker.fusion.stated()
         belief = self._camera_check.widened(belief, observation.depth)
         supervision = self._supervise(observation, belief, log_likelihood, landmarks, particle_estimate, contradicted)
         self._state, reasons = classify_state(supervision, previous)

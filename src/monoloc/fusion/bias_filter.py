@@ -96,6 +96,15 @@ class BiasAugmentedFilter:
     def belief(self) -> Estimate:
         return self._state.estimate(self._measured.log_scale)
 
+    def stated(self) -> Estimate:
+        """The belief with a covariance that allows for a larger bias of the particles away from the reference poses.
+
+        It is for the user alone: the filter goes on with its own, by which particles count for more beside landmarks
+        that are wrong.
+        """
+        sds = self._particle_bias.stated_sds(self._reference_poses.distance_m(self._state.pose))
+        return replace(self.belief, covariance=self._state.covariance_with_bias(PARTICLES, sds))
+
     def predict(self, motion: Motion | None, elapsed_s: float, measured: Estimate) -> Estimate:
         """The belief after the motion since the previous frame.
 

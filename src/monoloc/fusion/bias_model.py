@@ -19,6 +19,10 @@ MOST_SD = 100.0
 """Largest standard deviation of a model, metres and radians, and largest growth, both a metre: of such a bias nothing
 is known."""
 
+_STATED_GROWTH = np.array([0.3, 0.15])
+"""Least growth of the particles' bias, metres and radians a metre, that a stated covariance allows for: the median of
+five stretches beyond a build's frames. A build's own two regions may be lucky (docs/decisions/fusion.md)."""
+
 _MOST_DISTANCE_M = 0.5  # to which growth was measured; from farther, errors were not seen to grow on
 
 
@@ -60,8 +64,14 @@ class BiasModel(BaseModel):
 
     def sds(self, distance_m: float) -> FloatArray:
         """Standard deviations of the bias twist (rho, phi), (6,), at a distance from the nearest reference pose."""
-        growth = distance_m * np.array([self.sd_growth_m, self.sd_growth_rad])
-        return np.repeat(np.hypot([self.sd_at_reference_m, self.sd_at_reference_rad], growth), 3)
+        return self._grown(np.array([self.sd_growth_m, self.sd_growth_rad]), distance_m)
+
+    def stated_sds(self, distance_m: float) -> FloatArray:
+        """The same for a covariance that is stated: the bias grows at least as it did in other rooms."""
+        return self._grown(np.maximum([self.sd_growth_m, self.sd_growth_rad], _STATED_GROWTH), distance_m)
+
+    def _grown(self, growth: FloatArray, distance_m: float) -> FloatArray:
+        return np.repeat(np.hypot([self.sd_at_reference_m, self.sd_at_reference_rad], distance_m * growth), 3)
 
     def relocalization_sds(self, distance_m: float) -> FloatArray:
         """The same after a relocalisation, which may be wrong about the distance itself."""

@@ -144,6 +144,20 @@ class BiasAugmentedState:
         H[:, :6] = H[:, 6 + 6 * source :][:, :6] = np.eye(6)
         return H
 
+    def covariance_with_bias(self, source: int, sds: FloatArray) -> FloatArray:
+        """Covariance (6, 6) of the pose, had a source's bias larger standard deviations (6,) than its prior's.
+
+        The part of the pose's error that comes with that bias is larger by the same factors. Where other sources have
+        revealed the bias, it is small.
+        """
+        own = slice(6 + 6 * source, 12 + 6 * source)
+        shared = self.covariance[:6, own]
+        part = shared @ np.linalg.pinv(self.covariance[own, own], hermitian=True) @ shared.T
+        prior = self.prior_sds[source]
+        ratio = np.divide(sds, prior, out=np.ones_like(prior), where=prior > 0.0)
+        excess = np.sqrt(np.maximum(ratio**2 - 1.0, 0.0))
+        return np.asarray(self.covariance[:6, :6] + excess[:, None] * part * excess)
+
     def estimate(self, log_scale: float) -> Estimate:
         """Pose and covariance as copies, because callers turn them to other axes in place."""
         return Estimate(self.pose.copy(), self.covariance[:6, :6].copy(), log_scale)

@@ -10,7 +10,7 @@ import pytest
 from map_helpers import motion_of
 from monoloc.fusion.bias_filter import BiasAugmentedFilter
 from monoloc.fusion.bias_model import BiasModel, LandmarkBiasModel
-from monoloc.fusion.bias_state import BiasAugmentedState
+from monoloc.fusion.bias_state import PARTICLES, BiasAugmentedState
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray, adjoint, invert, is_rigid, pose_distance_m, se3_exp, se3_log
 from monoloc.landmarks.pnp import LandmarkPose
@@ -320,6 +320,37 @@ def test_growth_widens_covariance_away_from_reference_poses() -> None:
         belief = frame(fusion, motion_of(invert(start) @ place), by_particles(place))
         sd = np.sqrt(np.diag(belief.covariance))
         np.testing.assert_allclose(sd, np.hypot(NOISE_SD, bias.sds(distance_m)), rtol=0.1)
+
+
+def test_stated_covariance_is_that_of_a_larger_bias_of_the_particles() -> None:
+    """Of a belief that particles alone made, exactly that of a belief made with the larger bias."""
+    noise, prior_sds = np.diag(NOISE_SD**2), np.stack([PARTICLE_BIAS.sds(0.5), LANDMARK_BIAS.sds(0.5)])
+    wider = np.stack([PARTICLE_BIAS.stated_sds(0.5), LANDMARK_BIAS.sds(0.5)])
+    assert np.all(wider[PARTICLES] > prior_sds[PARTICLES])
+    made = [BiasAugmentedState.from_measurement(PARTICLES, STEP, noise, sds) for sds in (prior_sds, wider)]
+    stated = made[0].covariance_with_bias(PARTICLES, wider[PARTICLES])
+    np.testing.assert_allclose(stated, made[1].covariance[:6, :6], rtol=1e-9, atol=1e-12)
+
+
+def test_covariance_is_stated_wider_away_from_the_build_unless_landmarks_are_seen() -> None:
+    def stated(distance_m: float, with_landmarks: bool) -> tuple[float, float]:
+        """Standard deviations of position, as stated and as believed."""
+        pose = along_x(distance_m)
+        belief = filter_at_origin()
+        belief.reinitialise(by_particles(pose))
+        for _ in range(20):
+            belief.predict(motion_of(STILL), ELAPSED_S, by_particles(pose))
+            belief.update_from_particles(by_particles(pose))
+            if with_landmarks:
+                belief.update_from_landmarks(by_landmarks(pose))
+        return belief.stated().position_sd_m, belief.belief.position_sd_m
+
+    at_build, at_build_believed = stated(0.0, with_landmarks=False)
+    away, away_believed = stated(1.0, with_landmarks=False)
+    seen, seen_believed = stated(1.0, with_landmarks=True)
+    assert at_build == pytest.approx(at_build_believed, rel=1e-9)
+    assert away > 1.5 * away_believed and away > 0.2
+    assert seen_believed <= seen < 0.2 * away
 
 
 def test_known_bias_is_subtracted_and_less_of_it_away_from_the_reference_pose() -> None:
