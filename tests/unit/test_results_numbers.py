@@ -29,6 +29,7 @@ from document_numbers import (
 
 PAGE = "docs/results.md"
 LIGHTS = ("L1", "L2", "L3")
+BUNDLES = ("tuned", "untuned")
 RECOVERY = "Kidnaps, starts without a pose, edited maps"
 FAULTS_OF_ROW = {
     "black, covered, saturated, frozen": ("black", "covered", "saturated", "frozen"),
@@ -99,6 +100,28 @@ def check_other_cameras(table: Table) -> None:
     for camera, *shown in table.rows:
         found = [only(flights, camera=camera.replace("°", " degrees"), **labels) for labels in columns]
         agree_all(shown, [numbers(row, "median_cm", "rmse_cm", "tracking") for row in found])
+
+
+def check_many_rooms(table: Table) -> None:
+    flights = table_of("many-rooms.csv")
+    assert [row[0] for row in table.rows] == sorted({row["room"] for row in flights})
+    for room, *shown in table.rows:
+        found = chosen(flights, room=room, without="")
+        beside, elsewhere, dark = (
+            [numbers(only(found, bundle=bundle, flight=flight), "rmse_cm", "tracking") for bundle in BUNDLES]
+            for flight in ("beside the walk", "elsewhere", "elsewhere, near darkness")
+        )
+        distance = numbers(only(found, bundle="tuned", flight="elsewhere"), "distance")
+        agree_all(shown, [*beside, distance, *elsewhere, *dark])
+
+
+def check_starts_in_many_rooms(table: Table) -> None:
+    rooms = json_of("recovery-many-rooms.json")
+    for room, (name, *shown, coverage) in zip(rooms, table.rows, strict=True):
+        assert name == room["room"] and (room["starts"], room["kidnaps"]) == (20, 20)
+        rates = [room["global_start_rate"], room["kidnap_recovery_rate"]]
+        alarms, false = (100.0 * room[rate] for rate in ("false_alarm_rate", "false_tracking_rate"))
+        agree_all([*shown, coverage], [*([rate] for rate in rates), [alarms], [false], [room["coverage_95"]]])
 
 
 def check_recovery(table: Table) -> None:
@@ -193,6 +216,8 @@ CHECKS: dict[tuple[str, int], Callable[[Table], None]] = {
     ("This version", 0): check_this_version,
     ("Two rendered rooms", 0): check_rendered_rooms,
     ("Other cameras", 0): check_other_cameras,
+    ("Eight rendered rooms", 0): check_many_rooms,
+    ("Eight rendered rooms", 1): check_starts_in_many_rooms,
     (RECOVERY, 0): check_recovery,
     (RECOVERY, 1): check_recovery_of_other_bundles,
     ("What the state says", 0): check_faults,
