@@ -10,14 +10,14 @@ together. The rendering takes some minutes, and is kept in the folder.
 
 from __future__ import annotations
 
-import csv
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rendered_flights import PHONE, RenderedRoom, bundle_of, figures, flights, silent_frames
+from rendered_flights import PHONE, RenderedRoom, bundle_of, figures, flights, print_table, silent_frames
 
 from monoloc.geometry import pose_distance_m
 from monoloc_lab.synth.light import LIGHTS, relit
@@ -29,13 +29,11 @@ def dark(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return relit(color, LIGHTS["L3"], np.random.default_rng(int(color.sum())))
 
 
-def main(folder: str, seed: str, bundle_path: str | None = None) -> None:
-    cv2.setNumThreads(1)
+def rows(folder: str, seed: str, bundle_path: str | None = None) -> Iterator[dict[str, object]]:
     room = RenderedRoom(Path(folder), int(seed))
     walk = room.walk("build", PHONE, _SAMPLES)
     beside, elsewhere = room.beside_the_walk("beside", PHONE, _SAMPLES), room.elsewhere("elsewhere", PHONE, _SAMPLES)
     bundle = bundle_of(walk, bundle_path)
-    table: csv.DictWriter[str] | None = None
     for name, recording, relight in (
         ("beside the walk", beside, None),
         ("elsewhere", elsewhere, None),
@@ -45,7 +43,7 @@ def main(folder: str, seed: str, bundle_path: str | None = None) -> None:
         away = [float(pose_distance_m(pose, walk.poses).min()) for pose in recording.poses]
         for without in ((), ("landmarks",)):
             runs = flights(bundle, recording, without, relight)
-            row: dict[str, object] = {
+            yield {
                 "room": seed,
                 "bundle": "untuned" if bundle_path is None else "tuned",
                 "flight": name,
@@ -55,12 +53,8 @@ def main(folder: str, seed: str, bundle_path: str | None = None) -> None:
                 **{f"silent_{kind}": silent_frames(runs, kind) for kind in ("30cm", "3_5_sigma")},
                 "coverage_95": f"{np.mean([float(str(each.metrics()['coverage_95'])) for each in runs]):.2f}",
             }
-            if table is None:
-                table = csv.DictWriter(sys.stdout, list(row))
-                table.writeheader()
-            table.writerow(row)
-            sys.stdout.flush()
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    cv2.setNumThreads(1)
+    print_table(rows(*sys.argv[1:]))

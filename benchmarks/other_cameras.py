@@ -10,15 +10,14 @@ rendering takes some minutes, and is kept in the folder.
 
 from __future__ import annotations
 
-import csv
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rendered_flights import PHONE, RenderedRoom, bundle_of, figures, flights, silent_frames
+from rendered_flights import PHONE, RenderedRoom, bundle_of, figures, flights, print_table, silent_frames
 
 from monoloc.camera import Camera
 from monoloc.io.image_resampling import Resampler
@@ -96,24 +95,17 @@ class Resampled(Selection):
         return self._resampler.depth(0, super().depth(index))
 
 
-def main(folder: str, seed: str, bundle_path: str | None = None) -> None:
-    cv2.setNumThreads(1)
+def rows(folder: str, seed: str, bundle_path: str | None = None) -> Iterator[dict[str, object]]:
     room = RenderedRoom(Path(folder), int(seed))
     walk, flight = room.walk("build", PHONE, samples=16), room.beside_the_walk("wide", WIDE, samples=8)
     bundle = bundle_of(walk, bundle_path)
-    table: csv.DictWriter[str] | None = None
     for without in ((), ("landmarks",)):
         for name, (camera, altered) in CAMERAS.items():
             runs = flights(bundle, Resampled(flight, camera, altered), without)
             silent = silent_frames(runs, "30cm") + silent_frames(runs, "3_5_sigma")
-            labels = {"room": seed, "camera": name, "without": " ".join(without)}
-            row = {**labels, **figures(runs), "silent": silent}
-            if table is None:
-                table = csv.DictWriter(sys.stdout, list(row))
-                table.writeheader()
-            table.writerow(row)
-            sys.stdout.flush()
+            yield {"room": seed, "camera": name, "without": " ".join(without), **figures(runs), "silent": silent}
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    cv2.setNumThreads(1)
+    print_table(rows(*sys.argv[1:]))

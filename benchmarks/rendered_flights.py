@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import csv
+import sys
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,7 +39,7 @@ _OFF, _PERIODS_S = np.repeat([0.15, 0.12], 3), np.array([7.0, 9.0, 11.0, 8.0, 10
 
 @dataclass(frozen=True)
 class RenderedRoom:
-    """A room of some seed, whose renderings are kept in a folder."""
+    """A room of some seed, whose renderings are kept in a folder; ``samples`` are of the light of a pixel."""
 
     folder: Path
     seed: int
@@ -121,3 +124,14 @@ def truth_of(run: Run) -> FloatArray:
     """True positions (N, 3), metres."""
     assert run.truth is not None
     return run.truth[:, :3, 3]
+
+
+def print_table(rows: Iterable[dict[str, object]]) -> None:
+    """Print rows of CSV, each as soon as it is known."""
+    table: csv.DictWriter[str] | None = None
+    for row in rows:
+        if table is None:
+            table = csv.DictWriter(sys.stdout, list(row))
+            table.writeheader()
+        table.writerow(row)
+        sys.stdout.flush()
