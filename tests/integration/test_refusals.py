@@ -96,7 +96,7 @@ def with_trajectory(here: Path) -> None:
         (nothing, (*BUILD, "--frames", "90:"), "--frames", "selects none of the 6", "START"),
         (nothing, (*BUILD, *QUICK, "--depth-scale", "1"), "flight", "has no depth between 0 and", "depth scale"),
         (nothing, (*BUILD, *UNTUNED, "-k", "1000000"), "--components", "is 1000000 for a cloud of", ""),
-        (nothing, (*BUILD, "--lambda", "nan"), "--lambda", "a finite number", "--help"),
+        (nothing, (*BUILD, "--lambda", "nan"), "--lambda", "a finite number", "correct its value"),
         (
             with_settings(""),
             (*BUILD, "--method", "paper", "--settings", "s.toml"),
@@ -171,7 +171,7 @@ def with_trajectory(here: Path) -> None:
         (cut_short("flight/color/000003.png"), LOCALIZE, "flight/color/000003.png", "is cut short", "again"),
         (cut_short("room.monoloc/map.npz"), LOCALIZE, "room.monoloc/map.npz", "(is|was)", "copy the bundle again"),
         (without_depth, (*LOCALIZE, "--depth", "sensor"), "flight", "has no depth", "--depth"),
-        (nothing, (*LOCALIZE, "--particles", "3"), "--particles", "greater than or equal to 10", "--help"),
+        (nothing, (*LOCALIZE, "--particles", "3"), "--particles", "greater than or equal to 10", "correct its value"),
         (nothing, (*LOCALIZE, "--start", "here"), "--start", "is 'here'", "TX,TY,TZ"),
         (nothing, (*LOCALIZE[:6], "a.json"), "--out", "a.json has no suffix of a trajectory", "choose from .txt"),
         (nothing, (*LOCALIZE[:-1], "plot.pdf"), "--plot", "plot.pdf is a PNG by another name", "NAME.png"),
