@@ -7,6 +7,8 @@ then rotation vector in radians. Formulas: Solà et al., *A micro Lie theory for
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -107,6 +109,11 @@ def ray_jacobian(points: FloatArray) -> FloatArray:
 def pose_distance_m(pose: FloatArray, others: FloatArray) -> FloatArray:
     """Distance in metres plus one metre per radian of rotation, from a pose (4, 4) to others (N, 4, 4): (N,)."""
     return _core.pose_distances(pose, others, TURN_WORTH_M)
+
+
+def steps_m(poses: FloatArray) -> FloatArray:
+    """Pose distance from each pose to the next, (N, 4, 4) -> (N - 1,)."""
+    return np.array([pose_distance_m(a, b[None])[0] for a, b in itertools.pairwise(poses)])
 
 
 def is_rigid(pose: ArrayLike, tolerance: float = 1e-3) -> NDArray[np.bool_]:

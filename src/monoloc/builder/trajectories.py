@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.fusion.reference_poses import MOST_STEP_M
-from monoloc.geometry import FloatArray, pose_distance_m
+from monoloc.geometry import FloatArray, steps_m
 
 _WARM_UP_FRAMES = 60  # after so many the start is forgotten, and the pose is what the depth there gives
 LONG_FRAMES = 30  # on a shorter segment, the biases of place and direction cannot be separated
@@ -49,8 +48,7 @@ def selection(segments: list[NDArray[np.int64]], most: int) -> list[NDArray[np.i
 
 def continuous_segments(frames: NDArray[np.int64], times_s: FloatArray, poses: FloatArray) -> list[NDArray[np.int64]]:
     """Frames in order of time, split where a camera could not be followed."""
-    steps_m = [pose_distance_m(a, b[None])[0] for a, b in itertools.pairwise(poses[frames])]
-    gaps = (np.diff(times_s[frames]) > _MOST_GAP_S) | (np.array(steps_m) > MOST_STEP_M)
+    gaps = (np.diff(times_s[frames]) > _MOST_GAP_S) | (steps_m(poses[frames]) > MOST_STEP_M)
     return np.split(frames, 1 + np.flatnonzero(gaps))
 
 

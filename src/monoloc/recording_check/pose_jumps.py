@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.geometry import FloatArray, invert, rotation_angle
+from monoloc.geometry import invert, rotation_angle, steps_m
 from monoloc.io.recording import Recording, Selection
 from monoloc.recording_check.correspondences import match_neighbours
 from monoloc.recording_check.evidence import Evidence
@@ -68,18 +68,12 @@ def _whole(recording: Recording) -> tuple[Recording, NDArray[np.int64]]:
 def _largest_steps(recording: Recording, positions: NDArray[np.int64]) -> NDArray[np.int64]:
     """Frames from which the poses step far, each between two selected frames that are as far from each other."""
     assert recording.poses is not None
-    sizes = _sizes(recording.poses)
-    far = np.flatnonzero(_sizes(recording.poses[positions]) > _LEAST_STEP)
+    sizes = steps_m(recording.poses)
+    far = np.flatnonzero(steps_m(recording.poses[positions]) > _LEAST_STEP)
     spans = [(int(positions[index]), int(positions[index + 1])) for index in far]
     steps = np.array([first + int(np.argmax(sizes[first:last])) for first, last in spans], dtype=np.int64)
     steps = steps[sizes[steps] > _LEAST_STEP]
     return np.sort(steps[np.argsort(-sizes[steps], kind="stable")[:_MOST]])
-
-
-def _sizes(poses: FloatArray) -> FloatArray:
-    """Steps of ``T_world_camera``, (N, 4, 4), metres plus radians: (N - 1,)."""
-    steps = invert(poses[:-1]) @ poses[1:]
-    return np.asarray(np.linalg.norm(steps[:, :3, 3], axis=1) + rotation_angle(steps[:, :3, :3]))
 
 
 def _jump(recording: Selection, before: int) -> PoseJump:

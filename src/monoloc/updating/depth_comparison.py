@@ -16,7 +16,7 @@ from monoloc.depth.depth_image import sample_depth
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.geometry import FloatArray, invert, transform
 from monoloc.io.recording import Recording
-from monoloc.recording_check.pose_check import depth_scale_option
+from monoloc.recording_check.explanations import depth_scale_option
 
 _LEAST_RATIOS = 30  # of a flight, that tell
 # Logarithm of the median ratio. In right flights it was 0.001 or less (RedKitchen, the desk), and 0.01 in their worst

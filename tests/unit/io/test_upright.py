@@ -28,7 +28,7 @@ from monoloc.io.folder_writer import write_folder
 from monoloc.io.recording import Selection, recorded_down
 from monoloc.io.registry import open_recording
 from monoloc.io.upright import upright
-from monoloc.recording_check.pose_check import depth_scale_option
+from monoloc.recording_check.explanations import depth_scale_option
 from refusals import refuses_to_open
 from synthetic_room import Room, RoomRecording, make_path
 

@@ -1,0 +1,196 @@
+"""What a recording agrees as, where its poses do not agree with its images and depth as it is stated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from monoloc.camera import Camera
+from monoloc.errors import SettingError
+from monoloc.io.images import ImageRecording
+from monoloc.io.pose_fixes import AXES
+from monoloc.io.recording import Recording, Selection
+from monoloc.io.upright import Turned
+from monoloc.recording_check.evidence import Evidence, other_readings
+from monoloc.recording_check.factors import Factor, fit_depth_scale, fit_focal, fit_image_size
+from monoloc.recording_check.pose_hypotheses import as_stated, conventions, delays
+
+LEAST_PAIRS = 8
+"""Pairs of frames, with fewer of which nothing is compared."""
+
+MANY_TIMES = 10.0
+"""Share from which it is written as a factor."""
+
+# Of the median error, share of the corners' motion; pose_check.py has what right and wrong recordings gave.
+_FITS = 0.15  # a hypothesis must come to this,
+_IMPROVEMENT = 0.6  # and to this share of the stated poses' error
+_CLEAR = 0.35  # a convention that brings the error so far down needs no comparison with fitted factors
+_TIE = 1.15  # hypotheses within this factor of the best are equal, and the simplest is named
+_EXACT_POSES = 0.05  # smaller errors are equal too
+
+_COMMON_SCALES = (1.0, 100.0, 256.0, 1000.0, 4000.0, 5000.0, 6553.5, 10000.0)
+_SAME = 0.04  # relative difference of an estimated factor from a common value that it is taken for
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What a recording agrees as.
+
+    Attributes:
+        what: "camera axes of OpenGL".
+        option: command-line option that applies it.
+        parts: number of things that are other than stated.
+        share: median error under it, share of the corners' motion.
+    """
+
+    what: str
+    option: str
+    parts: int
+    share: float
+
+
+def explain(evidence: Evidence, share: float) -> Explanation | None:
+    """The simplest of the best explanations; None if none brings the error down to that of a right recording."""
+    evidence = evidence.for_search()
+    readings = other_readings(evidence)
+    exact = [*_exact(evidence), *(_by_reading(reading) for reading in readings)]
+    plain = _best(exact, _CLEAR * share)
+    if plain is not None:
+        return plain
+    stages: tuple[Iterable[Explanation], ...] = (
+        (*exact, *_fitted(evidence)),
+        (explanation for reading in readings for explanation in _exact(reading)),
+        _in_another_scale(evidence),
+    )
+    found = (_best(list(explanations), _IMPROVEMENT * share) for explanations in stages)
+    return next((explanation for explanation in found if explanation is not None), None)
+
+
+def explain_unseen_cloud(evidence: Evidence) -> Explanation | None:
+    """A convention by which poses that see nothing of the cloud do see it, and agree; None if there is none."""
+    if evidence.recording.has_depth or len(evidence.matches) < LEAST_PAIRS:
+        return None
+    return _best(list(_exact(evidence.for_search())), float("inf"))
+
+
+def _best(explanations: list[Explanation], most: float) -> Explanation | None:
+    """The simplest of those that are about as good as the best, if their error is that of a right recording."""
+    fitting = [each for each in explanations if each.share <= min(_FITS, most)]
+    if not fitting:
+        return None
+    equal = _TIE * max(_EXACT_POSES, min(each.share for each in fitting))
+    return min((each for each in fitting if each.share <= equal), key=lambda each: (each.parts, each.share))
+
+
+def _exact(evidence: Evidence) -> Iterator[Explanation]:
+    """Explanations without unknown numbers, by one reading of the depth."""
+    for hypothesis in (*conventions(), *(delays() if evidence.recording.has_depth else ())):
+        measured = hypothesis.measure(evidence)
+        share = measured.median if 2 * measured.pairs >= min(LEAST_PAIRS, len(evidence.matches)) else float("inf")
+        yield Explanation(*_joined(evidence, hypothesis.what, hypothesis.option), hypothesis.parts, share)
+
+
+def _fitted(evidence: Evidence) -> Iterator[Explanation]:
+    """Explanations by one factor; they have it as a further part."""
+    if evidence.recording.has_depth:
+        yield _by_scale(evidence, fit_depth_scale(evidence), "", 2)
+    focal = fit_focal(evidence)
+    yield Explanation(*_focal_words(evidence, focal), 2, focal.fit.median)
+    size = fit_image_size(evidence)
+    resized = _resized(evidence.recording.camera, size.value)
+    if resized is not None:
+        what = f"intrinsics of images {_digits(1.0 / size.value)} times as large{_sd_words(size)}"
+        yield Explanation(what, f"--camera {_intrinsics_text(resized)}", 3, size.fit.median)
+
+
+def _by_reading(reading: Evidence) -> Explanation:
+    """By another reading of the depth alone."""
+    if reading.focal_is_unknown:
+        focal = fit_focal(reading)
+        return Explanation(*_joined(reading, *_focal_words(reading, focal)), 1, focal.fit.median)
+    return Explanation(reading.what, reading.option, 1, as_stated(reading).median)
+
+
+def _in_another_scale(evidence: Evidence) -> Iterator[Explanation]:
+    """Camera axes of another convention together with an unknown scale."""
+    if not evidence.recording.has_depth:
+        return
+    for name, convention in AXES.items():
+        yield _by_scale(evidence, fit_depth_scale(evidence, convention.convert), name, 3)
+
+
+def _by_scale(evidence: Evidence, scale: Factor, axes: str, parts: int) -> Explanation:
+    """Depth and poses that differ by a factor; which of the two is wrong, images do not tell."""
+    what = f"depth and poses of scales that differ by a factor of {_digits(max(scale.value, 1.0 / scale.value))}"
+    of_poses = f"--fix-poses {axes}{',' * bool(axes)}scaled:{_digits(scale.value)}"
+    rescaled = depth_scale_option(evidence.recording, scale.value)
+    option = f"{of_poses} if the depth is right"
+    if rescaled is not None:
+        axes_too = f"--fix-poses {axes} " if axes else ""
+        option = f"{axes_too}{rescaled} if the poses are right, or {option}"
+    if axes:
+        what = f"{AXES[axes].what} and {what}"
+    return Explanation(*_joined(evidence, what, option), parts, scale.fit.median)
+
+
+def _focal_words(evidence: Evidence, focal: Factor) -> tuple[str, str]:
+    camera = evidence.recording.camera
+    what = (
+        f"a focal length of {focal.value * camera.focal_px:.0f} px{_sd_words(focal)} instead of {camera.focal_px:.0f}"
+    )
+    is_other_lens = evidence.matches.camera.distortion != camera.distortion
+    return what, f"--camera {_intrinsics_text(camera, focal.value)}{',0,0,0,0,0' * is_other_lens}"
+
+
+def _sd_words(factor: Factor) -> str:
+    return f" (to {in_percent(factor.log_sd)})" if np.isfinite(factor.log_sd) else ""
+
+
+def _intrinsics_text(camera: Camera, factor: float = 1.0) -> str:
+    """Value of ``--camera`` for a camera with its focal lengths multiplied by a factor, without its distortion."""
+    values = [camera.width, camera.height, camera.fx * factor, camera.fy * factor, camera.cx, camera.cy]
+    return ",".join(f"{value:.5g}" for value in values)
+
+
+def _resized(camera: Camera, factor: float) -> Camera | None:
+    """The camera of images that were resized by a factor, with the stated size; None if it is impossible."""
+    cx, cy = (factor * (value + 0.5) - 0.5 for value in (camera.cx, camera.cy))
+    try:
+        return replace(camera, fx=camera.fx * factor, fy=camera.fy * factor, cx=cx, cy=cy)
+    except SettingError:
+        return None
+
+
+def _joined(evidence: Evidence, what: str, option: str) -> tuple[str, str]:
+    """What the evidence and a hypothesis change, in one."""
+    if not evidence.what:
+        return what, option
+    if option.startswith("--fix-poses ") and "--fix-poses" in evidence.option:
+        return f"{evidence.what}, and {what}", f"{evidence.option},{option.removeprefix('--fix-poses ')}"
+    return f"{evidence.what}, and {what}", f"{evidence.option} {option}"
+
+
+def depth_scale_option(recording: Recording, factor: float) -> str | None:
+    """The option that corrects depth which is a factor too far; None where no stored value of one metre is known."""
+    source = recording.source if isinstance(recording, Selection) else recording
+    source = source.source if isinstance(source, Turned) else source
+    return f"--depth-scale {_common(source.depth_scale * factor):g}" if isinstance(source, ImageRecording) else None
+
+
+def _common(value: float) -> float:
+    """The common depth scale near a value, or the value with three digits."""
+    nearest = min(_COMMON_SCALES, key=lambda common: abs(np.log(value / common)))
+    return nearest if abs(value / nearest - 1.0) < _SAME else float(_digits(value))
+
+
+def _digits(value: float) -> str:
+    """A value with three significant digits, without an exponent."""
+    return f"{float(f'{value:.3g}'):g}"
+
+
+def in_percent(share: float | None) -> str:
+    if share is None:
+        return "unknown"
+    return f"{share:.0%}" if share < MANY_TIMES else f"{share:.0f} times"
