@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle
+from monoloc.editing.alignment import known
 from monoloc.geometry import FloatArray
 from monoloc.map.occupancy import OCCUPIED, surface_voxels
 from monoloc.supervision.map_change import touching
@@ -81,7 +82,7 @@ def proposals(evidence: Evidence, bundle: Bundle, rules: UpdateRules) -> list[Pr
         *_retired(evidence, bundle, rules),
         *_new_landmarks(evidence, bundle, rules),
         *_gone_surfaces(evidence, bundle, rules),
-        *_new_surfaces(evidence, rules),
+        *_new_surfaces(evidence, bundle, rules),
     ]
 
 
@@ -118,10 +119,11 @@ def _gone_surfaces(evidence: Evidence, bundle: Bundle, rules: UpdateRules) -> It
             yield _proposal("remove surfaces", members, centres[part], surfaces.gone_tally[chosen[part]])
 
 
-def _new_surfaces(evidence: Evidence, rules: UpdateRules) -> Iterator[Proposal]:
+def _new_surfaces(evidence: Evidence, bundle: Bundle, rules: UpdateRules) -> Iterator[Proposal]:
     surfaces = evidence.surfaces
     chosen = np.flatnonzero(surfaces.new_tally.is_proven(rules))
     points = surfaces.points.astype(np.float64)
+    points = points[~known(bundle, points)]  # an edit may have added them since
     cells = cells_of(points, rules)
     for part in _regions(surfaces.new[chosen]):
         members = surfaces.new[chosen[part]]

@@ -11,6 +11,7 @@ import pytest
 from altered_recordings import Altered
 from edit_helpers import digest, digest_without_last_edit, written
 from monoloc.bundle import Bundle
+from monoloc.editing.edits import add
 from monoloc.editing.undo import undone
 from monoloc.errors import DataError
 from monoloc.updating.apply_update import applied
@@ -67,6 +68,14 @@ def test_a_proposal_keeps_its_id_in_the_file_and_when_others_are_applied(tmp_pat
         bundle, left = applied(mapped(), evidence, [chosen], RULES, np.random.default_rng(0))
         others = [each.id for each in proposals(left, bundle, RULES)]
         assert others == ids[:number] + ids[number + 1 :]
+
+
+def test_what_an_edit_has_added_meanwhile_is_not_proposed_again() -> None:
+    evidence = evidence_of(1, 2)
+    (new,) = proposed(evidence, "add surfaces")
+    edited = add(mapped(), new.points, {}, np.random.default_rng(0))
+    others = [each.id for each in proposals(evidence, mapped(), RULES) if each.kind != "add surfaces"]
+    assert [each.id for each in proposals(evidence, edited, RULES)] == others
 
 
 def test_candidates_that_the_next_flight_does_not_find_again_are_given_up() -> None:
