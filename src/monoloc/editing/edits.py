@@ -47,24 +47,26 @@ def remove(bundle: Bundle, box: Box, parameters: dict[str, Any], rng: np.random.
     """Take away what lies in a box.
 
     Raises:
-        SettingError: nothing does, or all of the map does.
+        SettingError: neither surfaces nor landmarks do, or all of the map does.
     """
     edited, change = without_surfaces(bundle, box, rng)
     inside = box.contains(bundle.landmarks.points.astype(np.float64))
+    if not len(change.gone) and not inside.any():
+        raise _empty(box, bundle)
     edited = replace(edited, landmarks=select_landmarks(bundle.landmarks, ~inside))
     return finish(bundle, edited, "remove", parameters, change, rng)
 
 
 def without_surfaces(bundle: Bundle, region: Region, rng: np.random.Generator) -> tuple[Bundle, Change]:
-    """The bundle without the surfaces in a region; its landmarks stay.
+    """The bundle without the surfaces in a region, as it is if there are none; its landmarks stay.
 
     Raises:
-        SettingError: nothing lies there, or all of the map does.
+        SettingError: all of the map lies there.
     """
     paired = PairedMap.of(bundle)
     parted = part(paired.original, region, rng)
     if not len(parted.inner) and not parted.is_inside.any():
-        raise _empty(region, bundle)
+        return bundle, Change(np.zeros((0, 3)), np.zeros((0, 3)))
     rest = paired.select(parted.is_outside).with_new(parted.outer)
     if not len(rest):
         raise SettingError("box", "holds the whole map", "give a smaller one")

@@ -148,6 +148,15 @@ def test_box_without_anything_in_it_is_refused(is_moved: bool) -> None:
     refuses_setting(edit, "box", "holds nothing of the map", "the map lies between")
 
 
+def test_box_that_holds_landmarks_alone_is_emptied() -> None:
+    """As after an update that removed the surfaces there."""
+    nowhere, room = Box.between(np.full(3, 8.0), np.full(3, 9.0), DOWN), mapped_room()
+    points = room.landmarks.points.copy()
+    points[:7] = 8.5
+    edited = remove(replace(room, landmarks=replace(room.landmarks, points=points)), nowhere, {}, rng())
+    assert len(edited.landmarks) == len(points) - 7 and edited.original is room.original
+
+
 def test_box_around_everything_is_refused() -> None:
     everything = Box.between(np.full(3, -50.0), np.full(3, 50.0), DOWN)
     refuses_setting(lambda: remove(mapped_room(), everything, {}, rng()), "box", "the whole map", "smaller")

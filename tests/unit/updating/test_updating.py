@@ -14,6 +14,7 @@ from monoloc.bundle import Bundle
 from monoloc.editing.edits import add
 from monoloc.editing.undo import undone
 from monoloc.errors import DataError
+from monoloc.map.mixture import GaussianMixture
 from monoloc.updating.apply_update import applied
 from monoloc.updating.observed_flight import views_of
 from monoloc.updating.proposals import Proposal, proposals
@@ -112,6 +113,16 @@ def test_an_update_is_edits_that_can_be_undone() -> None:
     np.testing.assert_array_equal(
         bundle.original.means.astype(np.float32), mapped().original.means.astype(np.float32)
     )
+
+
+def test_a_removal_of_next_to_nothing_of_the_map_does_not_stop_an_update() -> None:
+    """A few voxels of a wall that is one component."""
+    wall = GaussianMixture(np.ones(1), np.zeros((1, 3)), np.diag([4.0, 4.0, 1e-4])[None])
+    room = replace(mapped(), original=wall, adapted=wall)
+    voxels = np.array([[8, 8, 0], [9, 8, 0], [10, 8, 0]])
+    gone = Proposal("remove surfaces", voxels, (voxels + 0.5) * RULES.voxel_m, 2, 5.0, 5.0, 30.0)
+    bundle, _ = applied(room, Evidence.none(room, RULES), [gone], RULES, np.random.default_rng(0))
+    assert bundle.original is wall and len(bundle.edits) == 1
 
 
 @pytest.mark.slow
