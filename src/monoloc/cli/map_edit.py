@@ -354,8 +354,8 @@ def _readable(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def _remark(record: EditRecord) -> None:
-    """Say what the record of an extension holds against it."""
-    changes, source = record.changes, record.parameters.get("source")
+    """Say what the record of an addition holds against it."""
+    changes, source = record.changes, record.parameters.get("source", record.parameters.get("cloud"))
     for warning in changes.get("warnings", []):
         stderr.print(f"warning: {source}: {warning}", soft_wrap=True)
     if left_out := changes.get("frames_left_out"):

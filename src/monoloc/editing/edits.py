@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from monoloc.bundle import Bundle
 from monoloc.edit_record import EditKind, EditRecord
 from monoloc.editing.box import Box
-from monoloc.editing.paired_map import PairedMap
+from monoloc.editing.paired_map import PairedMap, cloud_of
 from monoloc.editing.undo import with_edit
 from monoloc.editing.visibility import DepthBuffer, changed_share
 from monoloc.errors import SettingError
@@ -32,6 +32,9 @@ from monoloc.map.local_fit import Components, Region, fitted, part
 _SHOWN = 4000  # points of the map that tell which part of a view has changed
 _VIEWS = 300  # reference poses that are looked from; others lie between them
 _LEAST_POINTS = 10  # of a cloud that is added
+# Times as many points as at twice the map's spacing: four of a surface, two of a wire. At this, a surface has a third
+# of its points; obstacles begin at a quarter.
+_LEAST_THINNED = 1.5
 _MOST_BEYOND_M = 10.0  # from the map to what an edit puts somewhere: farther, it is of no use in a room
 
 
@@ -82,7 +85,8 @@ def add(bundle: Bundle, cloud: FloatArray, parameters: dict[str, Any], rng: np.r
     """
     _check_near(bundle, cloud, "cloud")
     edited, change = with_surfaces(bundle, cloud, rng)
-    return finish(bundle, edited, "add", parameters, change, rng)
+    remarks = {"warnings": [problem]} if (problem := _sparseness(cloud, cloud_of(bundle).voxel_m)) else {}
+    return finish(bundle, edited, "add", parameters, change, rng, **remarks)
 
 
 def with_surfaces(bundle: Bundle, cloud: FloatArray, rng: np.random.Generator) -> tuple[Bundle, Change]:
@@ -173,6 +177,14 @@ def _check_near(bundle: Bundle, points: FloatArray, field: str) -> None:
     if beyond_m > _MOST_BEYOND_M:
         problem = f"puts something {beyond_m:.4g} m beyond the map"
         raise SettingError(field, problem, "are these millimetres? give metres, in the map's world")
+
+
+def _sparseness(cloud: FloatArray, voxel_m: float) -> str | None:
+    """What a cloud (N, 3) lacks whose points are much farther apart than those of the map; None if they are not."""
+    if len(voxel_thin(cloud, voxel_m)) >= _LEAST_THINNED * len(voxel_thin(cloud, 2.0 * voxel_m)):
+        return None
+    problem = f"its points are farther apart than the {100.0 * voxel_m:g} cm of the map"
+    return f"{problem}: it is too thin for obstacles and exports; undo, add a denser one"
 
 
 def _points_of(components: Components, rng: np.random.Generator) -> FloatArray:

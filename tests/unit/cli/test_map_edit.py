@@ -71,6 +71,15 @@ def test_turned_object_is_at_its_place(here: Path, capfd: pytest.CaptureFixture[
     assert np.abs(new.mean(axis=0) - [1.2, 0.7, 0.0]).max() < 0.1
 
 
+def test_cloud_that_is_sparser_than_the_map_is_warned_of(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    side = np.arange(-0.4, 0.4, 0.08)
+    np.savez(here / "sparse.npz", points=np.stack(np.meshgrid(side, side, 0.0), axis=-1).reshape(-1, 3))
+    _, err = outputs(capfd, *EDIT, "add", "sparse.npz", "--at", "0,0,1")
+    assert "warning: sparse.npz: its points are farther apart than the 3 cm of the map" in err
+    _, err = outputs(capfd, *EDIT, "add", "cube.npz", "--at", "0,0,1")
+    assert "warning" not in err
+
+
 def test_help_says_which_axes_the_cloud_of_an_object_has(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
     text = " ".join(succeeds(capfd, *EDIT, "add", "--help").split())
     assert "axes of an object's cloud are those of the map's world, which need not be upright" in text
