@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
@@ -30,7 +31,7 @@ from monoloc.cli.common import (
 from monoloc.cli.start_option import METAVAR, UNKNOWN, start_of
 from monoloc.editing.edit_history import drawn_edits
 from monoloc.editing.unchanged import AsFound
-from monoloc.errors import SettingError
+from monoloc.errors import DataError, SettingError
 from monoloc.files import target_of
 from monoloc.io.recording import Recording
 from monoloc.map.surface import surface_points
@@ -142,6 +143,10 @@ def _check_outputs(bundle: Path, out: Path | None, plot: Path | None, sources: l
             note_replaced(out, evidence_path(target_of(out)))
     check_outputs({"--plot": plot}, (bundle, *sources))
     check_picture(plot, "--plot")
+    evidence = evidence_path(target_of(out or bundle))
+    if sources and evidence.parent.is_dir() and not os.access(evidence.parent, os.W_OK):
+        fix = "copy the bundle to a folder that you can write to"
+        raise DataError(evidence, "what flights show cannot be written there", fix)
 
 
 def _check_depth(recordings: Sequence[Recording]) -> None:

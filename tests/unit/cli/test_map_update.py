@@ -136,6 +136,16 @@ def test_a_write_protected_bundle_is_refused_before_flights_are_looked_at(
     refused(capfd, here, (*UPDATE, "folder:flight", "--auto"), room, "is write-protected", "chmod -R u\\+w")
 
 
+def test_a_folder_that_takes_no_evidence_is_refused_before_flights_are_looked_at(
+    here: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_recording(here / "flight", flight(1))
+    monkeypatch.setattr("monoloc.cli.map_update.observe", None)
+    monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK or Path(path) != here)
+    path = str(here / "room.evidence.npz")
+    refused(capfd, here, (*UPDATE, "folder:flight"), path, "cannot be written there", "copy the bundle")
+
+
 def test_a_sensor_is_asked_for_only_where_there_is_one(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
     write_recording(here / "flight", flight(1))
     remove_depth(here / "flight")
