@@ -82,6 +82,9 @@ def align_recording(bundle: Bundle, recording: Recording, cloud: FloatArray, rng
         DataError: landmarks do not place it, the surfaces do not overlap, or both do not agree.
     """
     assert recording.poses is not None
+    if not len(bundle.landmarks):
+        problem = "cannot be aligned: the bundle has no landmarks"
+        raise DataError(recording.name, problem, "build it with landmarks, or record in its world: without --align")
     frames, there = poses_by_landmarks(bundle, recording)
     agreed = consensus(there, recording.poses[frames])
     if agreed is None:
@@ -99,6 +102,9 @@ def align_bundle(bundle: Bundle, other: Bundle, name: str, rng: np.random.Genera
     Raises:
         DataError: as :func:`align_recording`.
     """
+    if not len(bundle.landmarks) or not len(other.landmarks):
+        problem = f"cannot be merged: {'the other bundle' if len(other.landmarks) else 'it'} has no landmarks"
+        raise DataError(name, problem, "build both with landmarks")
     pairs = _pairs(bundle.landmarks, other.landmarks)
     agreed = _rigid(*pairs, rng)
     if agreed is None:

@@ -150,9 +150,9 @@ def test_extend_and_merge(here: Path, capfd: pytest.CaptureFixture[str]) -> None
     refused(capfd, here, again, "b.monoloc", "holds only frames that the map was made of", "another recording")
     lines = {
         ("extend", "flight", "--frames", "::2"): ("flight", "holds only frames that the map was made of", "--frames"),
-        ("extend", "flight", "--align"): ("flight", "is not found in the room", "looked"),
+        ("extend", "flight", "--align"): ("flight", "the bundle has no landmarks", "without --align"),
         ("extend", "flight", "--fix-poses", "nonsense"): ("--fix-poses", "nonsense", ""),
-        ("merge", "b.monoloc"): ("b.monoloc", "does not overlap", "common part"),
+        ("merge", "b.monoloc"): ("b.monoloc", "the other bundle has no landmarks", "build both"),
         ("merge", "b.monoloc", "--out", "b.monoloc"): ("--out", "is read by this command", "another place"),
         ("merge", "room.monoloc"): ("OTHER", "room.monoloc is the same bundle", "another part"),
         ("merge", "none.monoloc"): ("none.monoloc", "is not a bundle", "monoloc build"),

@@ -292,10 +292,18 @@ def test_bundle_whose_frames_the_map_was_made_of_is_not_merged() -> None:
     assert merge(replace(room, provenance=provenance), other, "b.monoloc", {}, rng()).edits
 
 
-@pytest.mark.parametrize("has_landmarks", [True, False])
-def test_bundle_of_another_room_is_not_merged(has_landmarks: bool) -> None:
+def test_bundle_of_another_room_is_not_merged() -> None:
     room = bundle_of_walk("A")
     descriptors = rng().integers(0, 256, (len(room.landmarks), 32)).astype(np.uint8)
-    strange = replace(room.landmarks, descriptors=descriptors) if has_landmarks else Landmarks.none()
-    other = replace(built_from_others(room), landmarks=strange)
+    other = replace(built_from_others(room), landmarks=replace(room.landmarks, descriptors=descriptors))
     refuses_data(lambda: merge(room, other, "b.monoloc", {}, rng()), "b.monoloc", "does not overlap", "common part")
+
+
+def test_what_landmarks_would_place_says_where_there_are_none() -> None:
+    room = bundle_of_walk("A")
+    bare = replace(built_from_others(room), landmarks=Landmarks.none())
+    fix = "build both with landmarks"
+    refuses_data(lambda: merge(room, bare, "b.monoloc", {}, rng()), "b.monoloc", "it has no landmarks", fix)
+    refuses_data(lambda: merge(bare, room, "b.monoloc", {}, rng()), "b.monoloc", "the other bundle has no", fix)
+    problem = "cannot be aligned: the bundle has no landmarks"
+    refuses_data(lambda: extended(walk("B"), bundle=bare, align=True), "walk-B", problem, "without --align")
