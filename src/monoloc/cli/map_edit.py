@@ -392,7 +392,7 @@ def _corners(bundle: Path, box: str | None, changed: Path | None) -> tuple[Float
 
 
 def _box(bundle: Bundle, corners: tuple[FloatArray, FloatArray], yaw_deg: float) -> Box:
-    return Box.between(*corners, down_direction(bundle), float(np.deg2rad(yaw_deg)))
+    return Box.between(*corners, _down_for(bundle, yaw_deg, "--yaw"), float(np.deg2rad(yaw_deg)))
 
 
 def _box_parameters(corners: tuple[FloatArray, FloatArray], yaw_deg: float) -> dict[str, object]:
@@ -402,4 +402,12 @@ def _box_parameters(corners: tuple[FloatArray, FloatArray], yaw_deg: float) -> d
 
 def _turned(bundle: Bundle, turn_deg: float) -> FloatArray:
     """Rotation about the upward direction, (3, 3)."""
-    return so3_exp(-np.deg2rad(turn_deg) * down_direction(bundle))
+    return so3_exp(-np.deg2rad(turn_deg) * _down_for(bundle, turn_deg, "--turn"))
+
+
+def _down_for(bundle: Bundle, turn_deg: float, option: str) -> FloatArray:
+    """Down, (3,), and a warning where a turn is about an axis that may be tilted."""
+    if turn_deg != 0.0 and bundle.down is None:
+        problem = "is about the cameras' mean direction, since the map does not tell that of gravity"
+        stderr.print(f"warning: {option}: {problem}; look at the map, and undo if it is tilted", soft_wrap=True)
+    return down_direction(bundle)

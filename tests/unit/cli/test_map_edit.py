@@ -100,6 +100,18 @@ def test_object_has_the_axes_of_the_world(here: Path, capfd: pytest.CaptureFixtu
         assert abs(np.linalg.eigh(new.mean(axis=0))[1][:, -1] @ axis) > 0.99
 
 
+@pytest.mark.parametrize(("turns", "option"), [(("--turn", "15"), "--turn"), (("--yaw", "15"), "--yaw"), ((), None)])
+def test_turn_in_a_map_that_does_not_tell_gravity_is_warned_of(
+    here: Path, capfd: pytest.CaptureFixture[str], turns: tuple[str, ...], option: str | None
+) -> None:
+    room = mapped_room()
+    tilted = room.provenance.model_copy(update={"down_world": (0.0, 0.7, 0.7)})
+    write_bundle(here / "room.monoloc", replace(room, provenance=tilted))
+    _, err = outputs(capfd, *EDIT, "move", "--box", BOX, "--by", "0.5,0,0", *turns)
+    warned = f"warning: {option}: is about the cameras' mean direction, since the map does not tell that of gravity"
+    assert err.startswith(warned) if option else "warning" not in err
+
+
 def test_region_of_a_run_is_removed(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
     region = {
         "lower_m": (CUBE.centre - CUBE.half).tolist(),
