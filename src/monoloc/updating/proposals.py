@@ -94,11 +94,11 @@ def _retired(evidence: Evidence, bundle: Bundle, rules: UpdateRules) -> Iterator
 
 
 def _new_landmarks(evidence: Evidence, bundle: Bundle, rules: UpdateRules) -> Iterator[Proposal]:
-    """The likeliest, as many as there is room for once the others are retired."""
+    """The likeliest, as many as there is room for once the others are retired, or as are retired in a full map."""
     candidates = evidence.candidates
     chosen = np.flatnonzero(candidates.tally.is_proven(rules))
     retired = int(evidence.landmarks.is_proven(rules).sum())
-    room = max(0, rules.most_landmarks - len(bundle.landmarks) + retired)
+    room = max(0, rules.most_landmarks - len(bundle.landmarks)) + retired
     chosen = np.sort(chosen[np.argsort(-candidates.tally.log_odds[chosen], kind="stable")][:room])
     points = candidates.corners.points[chosen].astype(np.float64)
     for part in _landmark_regions(points, rules):

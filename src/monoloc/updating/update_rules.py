@@ -23,7 +23,7 @@ class UpdateRules(BaseModel):
         voxel_m: edge of the voxels of surfaces.
         most_point_sd_m: of a depth point that may show a new surface.
         least_voxels, least_landmarks: that a proposal must have; scattered landmarks are proposed together.
-        most_landmarks: of a map, up to which new ones are added.
+        most_landmarks: of a map, up to which new ones are added; in one that has more, as many as are retired.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)

@@ -79,6 +79,16 @@ def test_what_an_edit_has_added_meanwhile_is_not_proposed_again() -> None:
     assert [each.id for each in proposals(evidence, edited, RULES)] == others
 
 
+def test_a_full_map_gets_as_many_landmarks_as_are_retired() -> None:
+    """As one that was extended or merged."""
+    evidence, rules = evidence_of(1, 2), RULES.model_copy(update={"most_landmarks": 1})
+    counts = {"retire landmarks": 0, "add landmarks": 0}
+    for each in proposals(evidence, mapped(), rules):
+        counts[each.kind] = counts.get(each.kind, 0) + len(each.members)
+    proven = int(evidence.candidates.tally.is_proven(RULES).sum())
+    assert counts["add landmarks"] == min(proven, counts["retire landmarks"]) > 0
+
+
 def test_candidates_that_the_next_flight_does_not_find_again_are_given_up() -> None:
     """The box stood elsewhere for one flight only."""
     first = evidence_of(1).candidates
