@@ -192,17 +192,21 @@ TAUGHT_BY_FLIGHT = "flight "
 
 
 def with_frames(provenance: Provenance, name: str, frames: dict[str, int]) -> Provenance:
-    """With the frames of another recording, name and checksum; equal names are told apart by a number."""
+    """With the frames of other recordings, name and checksum; equal names are told apart by a number.
+
+    Args:
+        provenance: of the map.
+        name: of the recording, or of several as a provenance names them; those that the map has are not repeated.
+        frames: name and checksum of each.
+    """
     both = dict(provenance.frames)
     for frame, checksum in frames.items():
         key, number = frame, 2
         while both.get(key, checksum) != checksum:
             key, number = f"{frame} ({number})", number + 1
         both[key] = checksum
-    names = provenance.recording.split(" + ")
-    return provenance.model_copy(
-        update={"frames": both, "recording": " + ".join(names if name in names else [*names, name])}
-    )
+    names = dict.fromkeys([*provenance.recording.split(" + "), *name.split(" + ")])
+    return provenance.model_copy(update={"frames": both, "recording": " + ".join(names)})
 
 
 def _joined_references(first: ReferencePoses, second: ReferencePoses) -> ReferencePoses:

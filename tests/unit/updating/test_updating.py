@@ -12,6 +12,7 @@ from altered_recordings import Altered
 from edit_helpers import digest, digest_without_last_edit, written
 from monoloc.bundle import Bundle
 from monoloc.editing.edits import add
+from monoloc.editing.extension import with_frames
 from monoloc.editing.undo import undone
 from monoloc.errors import DataError
 from monoloc.map.mixture import GaussianMixture
@@ -133,6 +134,15 @@ def test_a_removal_of_next_to_nothing_of_the_map_does_not_stop_an_update() -> No
     gone = Proposal("remove surfaces", voxels, (voxels + 0.5) * RULES.voxel_m, 2, 5.0, 5.0, 30.0)
     bundle, _ = applied(room, Evidence.none(room, RULES), [gone], RULES, np.random.default_rng(0))
     assert bundle.original is wall and len(bundle.edits) == 1
+
+
+def test_an_update_of_an_extended_map_keeps_the_names_of_its_recordings() -> None:
+    evidence, provenance = evidence_of(1, 2), mapped().provenance
+    room = replace(mapped(), provenance=with_frames(provenance, "second walk", {"0": 1}))
+    names = f"{provenance.recording} + second walk"
+    every = proposals(evidence, room, RULES)
+    bundle, _ = applied(room, evidence, every, RULES, np.random.default_rng(0))
+    assert len(bundle.edits) >= 4 and room.provenance.recording == bundle.provenance.recording == names
 
 
 @pytest.mark.slow
