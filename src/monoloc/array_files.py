@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 from monoloc.errors import DataError
 from monoloc.files import read_regular
 
+MOST_ARRAYS = 1000
+"""Of an archive; one with more is not read."""
+
 _MOST_BYTES = 1 << 28  # of all arrays of an archive: it is held three times while it is unpacked
-_MOST_ARRAYS = 1000  # of an archive
 _ENCRYPTED = 0x1  # flag of a member of an archive
 
 
@@ -72,7 +74,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _check(members: list[zipfile.ZipInfo]) -> None:
-    if len(members) > _MOST_ARRAYS:
+    if len(members) > MOST_ARRAYS:
         raise ValueError(f"it has {len(members)} arrays")
     if any(member.flag_bits & _ENCRYPTED for member in members):
         raise ValueError("it is encrypted")

@@ -106,7 +106,7 @@ class _Target:
         if was_signed:
             stderr.print(f"note: {target}: its signature is void and was removed; sign it again", soft_wrap=True)
         content: dict[str, object] = {"bundle": str(target), "bytes": size, "seconds": round(seconds, 3)}
-        if len(edited.edits) > len(bundle.edits):
+        if len(edited.edits) >= len(bundle.edits):  # as many where the first one was dropped
             last = edited.edits[-1]
             content |= {**last.record.model_dump(mode="json"), "undo_bytes": len(last.undo)}
             _remark(last.record)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from monoloc.array_files import decode_arrays, encode_arrays
+from monoloc.array_files import MOST_ARRAYS, decode_arrays, encode_arrays
 from monoloc.bundle import Bundle, CloudSize, Provenance
 from monoloc.edit_record import Edit, EditRecord
 from monoloc.errors import SettingError
@@ -42,7 +42,10 @@ _PARTS: dict[str, Callable[[Any], Any]] = {
 
 
 def with_edit(before: Bundle, after: Bundle, record: EditRecord) -> Bundle:
-    """The edited bundle with one more line in its list of edits, and what undoes it."""
+    """The edited bundle with one more line in its list of edits, and what undoes it.
+
+    The first line is dropped where there are as many as a bundle's archive may hold.
+    """
     arrays: _Arrays = {"weights": before.original.to_arrays()["weights"]}
     views = before.landmarks.views
     count = 0 if views is None else len(views.poses)
@@ -53,7 +56,7 @@ def with_edit(before: Bundle, after: Bundle, record: EditRecord) -> Bundle:
         arrays["views"] = se3_log(views.poses).astype(np.float32)
     changed = {name: _body(before, name) for name in _PARTS if getattr(before, name) != getattr(after, name)}
     arrays["manifest"] = np.frombuffer(json.dumps(changed).encode(), np.uint8)
-    return replace(after, edits=(*before.edits, Edit(record, encode_arrays(arrays))))
+    return replace(after, edits=(*before.edits, Edit(record, encode_arrays(arrays)))[-MOST_ARRAYS:])
 
 
 def undone(bundle: Bundle) -> Bundle:

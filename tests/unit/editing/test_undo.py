@@ -19,6 +19,7 @@ from edit_helpers import (
     shifted,
     written,
 )
+from monoloc.array_files import MOST_ARRAYS
 from monoloc.bundle import Bundle
 from monoloc.editing.box import Box
 from monoloc.editing.edits import add, move, remove
@@ -46,6 +47,15 @@ def stored(bundle: Bundle) -> dict[str, bytes]:
 @pytest.fixture
 def room(tmp_path: Path) -> Bundle:
     return written(mapped_room(), tmp_path)
+
+
+def test_the_first_of_very_many_edits_is_dropped_so_that_the_bundle_can_be_read(room: Bundle, tmp_path: Path) -> None:
+    first, second = EDITS["add"](room).edits[0], EDITS["move"](room).edits[0]
+    full = replace(room, edits=(first, *[second] * (MOST_ARRAYS - 1)))
+    edited = written(EDITS["remove"](full), tmp_path)
+    assert len(edited.edits) == MOST_ARRAYS
+    assert [edited.edits[place].record.kind for place in (0, -2, -1)] == ["move", "move", "remove"]
+    assert stored(undone(edited)) == stored(room)
 
 
 @pytest.mark.parametrize("name", EDITS)
