@@ -48,6 +48,10 @@ _PAIR_M, _LEAST_PAIRS, _TRIALS = 0.06, 30, 500  # landmarks of two maps: distanc
 _RATIO = 0.85  # of the best match's distance to that of the second best
 
 
+Located = tuple[NDArray[np.int64], FloatArray]
+"""Frames that landmarks localise, (F,), and ``T_world_camera`` of each, (F, 4, 4)."""
+
+
 @dataclass(frozen=True)
 class Alignment:
     """Where another world lies in a room.
@@ -72,10 +76,15 @@ def known(bundle: Bundle, points: FloatArray) -> NDArray[np.bool_]:
     return np.asarray(expected >= _KNOWN_POINTS)
 
 
-def align_recording(bundle: Bundle, recording: Recording, cloud: FloatArray, rng: np.random.Generator) -> Alignment:
+def align_recording(
+    bundle: Bundle, recording: Recording, located: Located, cloud: FloatArray, rng: np.random.Generator
+) -> Alignment:
     """Where a posed recording's world lies in a room.
 
     Args:
+        bundle: the room.
+        recording: with poses.
+        located: its :func:`poses_by_landmarks`.
         cloud: of the recording, (N, 3), its world frame, metres.
 
     Raises:
@@ -85,7 +94,7 @@ def align_recording(bundle: Bundle, recording: Recording, cloud: FloatArray, rng
     if not len(bundle.landmarks):
         problem = "cannot be aligned: the bundle has no landmarks"
         raise DataError(recording.name, problem, "build it with landmarks, or record in its world: without --align")
-    frames, there = poses_by_landmarks(bundle, recording)
+    frames, there = located
     agreed = consensus(there, recording.poses[frames])
     if agreed is None:
         problem = f"is not found in the room: landmarks agree on no place ({len(frames)} frames localised)"
@@ -113,7 +122,7 @@ def align_bundle(bundle: Bundle, other: Bundle, name: str, rng: np.random.Genera
     return _by_surfaces(bundle, name, other.original.sample(4 * _POINTS, rng), *agreed, rng)
 
 
-def poses_by_landmarks(bundle: Bundle, recording: Recording) -> tuple[NDArray[np.int64], FloatArray]:
+def poses_by_landmarks(bundle: Bundle, recording: Recording) -> Located:
     """Those of some frames that the room's landmarks localise, (F,), and ``T_world_camera`` of each, (F, 4, 4)."""
     localizer = OrbLandmarkLocalizer(bundle.landmarks, recording.camera)
     frames, poses = [], []

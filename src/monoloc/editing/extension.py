@@ -19,7 +19,8 @@ from monoloc.builder.checks import check_recording
 from monoloc.builder.frame_choice import spread_stretches
 from monoloc.builder.kept_depth import KeptDepth
 from monoloc.bundle import Bundle, Provenance, fingerprint
-from monoloc.editing.alignment import Alignment, align_bundle, align_recording, known
+from monoloc.editing.alignment import Alignment, align_bundle, align_recording, known, poses_by_landmarks
+from monoloc.editing.depth_comparison import check_depth_scale
 from monoloc.editing.edits import finish
 from monoloc.editing.joined_landmarks import joined, with_recording
 from monoloc.editing.paired_map import PairedMap, cloud_of
@@ -53,19 +54,22 @@ def extend(
 
     Raises:
         DataError: no poses or depth; it contradicts itself, see :func:`monoloc.builder.checks.check_recording`; the
-            map was made of all of its frames; it is in another world; or it is not found in the room, see
-            :func:`monoloc.editing.alignment.align_recording`.
+            map was made of all of its frames; its depth is in another unit; it is in another world; or it is not
+            found in the room, see :func:`monoloc.editing.alignment.align_recording`.
     """
-    recording, measured = _checked(bundle, recording)
+    given = recording
+    recording, measured = _checked(bundle, given)
+    located = poses_by_landmarks(bundle, recording)
+    check_depth_scale(bundle.landmarks, recording, *located, given)
     paired = PairedMap.of(bundle)
     cloud = cloud_from_recording(recording, paired.voxel_m, _MAX_DEPTH_M)
     T_world_other = np.eye(4)
     if is_aligned:
-        alignment = align_recording(bundle, recording, cloud, rng)
+        alignment = align_recording(bundle, recording, located, cloud, rng)
         T_world_other = alignment.T_world_other
         measured |= {"agreeing_frames": alignment.agreeing, **_described(alignment)}
     else:
-        check = check_same_world(bundle, recording)
+        check = check_same_world(bundle, recording, located)
         measured["frames_confirmed_by_landmarks"] = check.confirmed
         measured["frames_contradicted_by_landmarks"] = check.contradicted
         measured["frames_looked_at"] = check.looked_at

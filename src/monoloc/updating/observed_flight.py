@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from monoloc.bundle import Bundle, fingerprint
 from monoloc.camera import Camera
 from monoloc.depth.predictor import DepthPrediction
+from monoloc.editing.depth_comparison import depth_ratios, scale_problem
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, pose_distance_m
 from monoloc.io.recording import Recording
@@ -27,7 +28,6 @@ from monoloc.start import Start
 from monoloc.step import Step
 from monoloc.supervision.map_change import ChangedRegion
 from monoloc.supervision.state import VOUCHED_FOR, Reason, State
-from monoloc.updating.depth_comparison import depth_ratios, scale_problem
 from monoloc.updating.update_rules import UpdateRules
 
 # Of a depth sensor: share of the distance, and what pose and map add.
@@ -141,7 +141,9 @@ def _refusal(watcher: _Watcher, rules: UpdateRules) -> str | None:
         return f"{watcher.known} of its {count} frames built the map or were counted before"
     if len(watcher.frames) < rules.least_views:
         return f"{len(watcher.frames)} of its frames teach, fewer than {rules.least_views}"
-    return scale_problem(watcher.recording, watcher.depth_ratios)
+    if (found := scale_problem(watcher.recording, watcher.depth_ratios)) is None:
+        return None
+    return f"{'; '.join(found)}, or leave it out: --depth predicted"
 
 
 class _Watcher:

@@ -200,6 +200,14 @@ def test_walk_in_another_world_is_refused_as_one_in_the_same() -> None:
     )
 
 
+@pytest.mark.parametrize("align", [False, True])
+def test_walk_whose_depth_is_in_another_unit_is_refused(align: bool) -> None:
+    """By landmarks, as far as poses do not tell: a tenth passes the check of the recording."""
+    wrong, room = Altered(walk("B"), depth=lambda depth: 1.1 * depth), built_from_others(bundle_of_walk("A"))
+    problem = "its depth is 1.1 times as far as the map's landmarks"
+    refuses_data(lambda: extended(wrong, align, room), "walk-B", problem, "correct its depth")
+
+
 def test_walk_through_another_room_is_refused() -> None:
     other = walk("A", room_seed=7)
     refuses_data(lambda: extended(other, align=True), "walk-A", "is not found in the room", "record it from where")

@@ -8,6 +8,7 @@ import pytest
 from altered_recordings import Altered
 from edit_helpers import bundle_of_walk, walk
 from monoloc.bundle import Bundle
+from monoloc.editing.alignment import poses_by_landmarks
 from monoloc.editing.world_check import WorldCheck, check_same_world
 from monoloc.geometry import FloatArray, make_pose, so3_exp
 from monoloc.io.recording import Recording
@@ -19,7 +20,8 @@ HALF_TURN = make_pose(so3_exp(np.array([0.0, np.pi, 0.0])), np.zeros(3))
 
 
 def checked(recording: Recording, room: Bundle | None = None) -> WorldCheck:
-    return check_same_world(room or bundle_of_walk("A"), recording)
+    room = room or bundle_of_walk("A")
+    return check_same_world(room, recording, poses_by_landmarks(room, recording))
 
 
 def without_landmarks_in_sight(recording: RoomRecording) -> Altered:

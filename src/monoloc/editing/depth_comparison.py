@@ -1,7 +1,7 @@
 """A sensor's depth beside that of landmarks: whether both are in one unit.
 
 Landmarks fix the pose of a frame that teaches, whatever its depth says. Depth in another unit would show all surfaces
-of the room as gone.
+of the room as gone, and extend the map by a second, larger or smaller room.
 """
 
 from __future__ import annotations
@@ -14,9 +14,15 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 from monoloc.depth.depth_image import sample_depth
 from monoloc.depth.predictor import DepthPrediction
+from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, invert, transform
 from monoloc.io.recording import Recording
+from monoloc.landmarks.features import KeypointDetector
+from monoloc.landmarks.landmark_map import Landmarks
+from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
+from monoloc.landmarks.pnp import PRIOR_COVARIANCE
 from monoloc.recording_check.explanations import depth_scale_option
+from monoloc.sensor_depth import sparse_depth
 
 _LEAST_RATIOS = 30  # of a flight, that tell
 # Logarithm of the median ratio. In right flights it was 0.001 or less (RedKitchen, the desk), and 0.01 in their worst
@@ -41,10 +47,36 @@ def depth_ratios(
     return np.asarray(seen_m[is_seen] / local[is_seen, 2])
 
 
-def scale_problem(recording: Recording, ratios: Sequence[FloatArray]) -> str | None:
-    """Why a flight's depth is in another unit than the map, and what to do; None if it is not, or too little tells.
+def check_depth_scale(
+    landmarks: Landmarks, recording: Recording, frames: NDArray[np.int64], poses: FloatArray, given: Recording
+) -> None:
+    """Refuse a recording whose depth is in another unit than the map.
 
     Args:
+        landmarks: of the map.
+        recording: with depth.
+        frames, poses: those that landmarks localise, (F,), and ``T_world_camera`` of each, (F, 4, 4).
+        given: the recording as it was opened, which tells the option that corrects it.
+
+    Raises:
+        DataError: it is.
+    """
+    localizer, detect = OrbLandmarkLocalizer(landmarks, recording.camera), KeypointDetector(recording.camera)
+    ratios = []
+    for index, pose in zip(frames.tolist(), poses, strict=True):
+        keypoints = detect(recording.color(index))
+        _, which, where = localizer.matched_keypoints(keypoints, pose, PRIOR_COVARIANCE)
+        depth = sparse_depth(recording.depth(index), recording.camera)
+        ratios.append(depth_ratios(depth, detect.camera, keypoints.pixels[where], pose, landmarks.points[which]))
+    if (found := scale_problem(given, ratios)) is not None:
+        raise DataError(recording.name, *found)
+
+
+def scale_problem(recording: Recording, ratios: Sequence[FloatArray]) -> tuple[str, str] | None:
+    """How a recording's depth is in another unit than the map, and what to do; None if not, or too little tells.
+
+    Args:
+        recording: as it was opened.
         ratios: :func:`depth_ratios` of its frames.
     """
     every = np.concatenate([np.zeros(0), *ratios])
@@ -55,4 +87,4 @@ def scale_problem(recording: Recording, ratios: Sequence[FloatArray]) -> str | N
         return None
     option = depth_scale_option(recording, factor)
     fix = "correct its depth" if option is None else f"give {option}"
-    return f"its depth is {factor:.3g} times as far as the map's landmarks; {fix}, or leave it out: --depth predicted"
+    return f"its depth is {factor:.3g} times as far as the map's landmarks", fix
