@@ -45,6 +45,8 @@ _PRIOR = PosePrior(0.1, 0.05)  # of what landmarks give
 _LEAST_OVERLAP = 0.1  # share of the other's surfaces that the map must know
 _KNOWN_POINTS = 0.2  # a voxel: a surface point is known where the map expects so many
 _PAIR_M, _LEAST_PAIRS, _TRIALS = 0.06, 30, 500  # landmarks of two maps: distance of a pair, pairs, triples drawn
+_ROUGHLY_M, _SCALE_PAIRS = 0.3, 5000  # distance of a pair in worlds of other scales; distances that are compared
+_MOST_OFF = 0.05  # logarithm of a scale, as of depth
 _RATIO = 0.85  # of the best match's distance to that of the second best
 
 
@@ -109,7 +111,7 @@ def align_bundle(bundle: Bundle, other: Bundle, name: str, rng: np.random.Genera
         name: of the other bundle, for messages.
 
     Raises:
-        DataError: as :func:`align_recording`.
+        DataError: as :func:`align_recording`, or it is in another scale.
     """
     if not len(bundle.landmarks) or not len(other.landmarks):
         problem = f"cannot be merged: {'the other bundle' if len(other.landmarks) else 'it'} has no landmarks"
@@ -119,6 +121,7 @@ def align_bundle(bundle: Bundle, other: Bundle, name: str, rng: np.random.Genera
     if agreed is None:
         problem = f"does not overlap: no place where {_LEAST_PAIRS} of its landmarks are those of the room"
         raise DataError(name, problem, "merge rooms whose recordings looked at a common part")
+    _check_scale(name, *pairs, agreed[0])
     return _by_surfaces(bundle, name, other.original.sample(4 * _POINTS, rng), *agreed, rng)
 
 
@@ -204,6 +207,21 @@ def _rigid(there: FloatArray, here: FloatArray, rng: np.random.Generator) -> tup
         pose = _fitted(there[best], here[best])
         best = _agree(pose, there, here)
     return pose, int(best.sum())
+
+
+def _check_scale(name: str, there: FloatArray, here: FloatArray, pose: FloatArray) -> None:
+    """Refuse a world of another scale, by the distances between the points of pairs (P, 3) that agree roughly."""
+    near = np.linalg.norm(transform(pose, here) - there, axis=1) < _ROUGHLY_M
+    there, here = there[near], here[near]
+    one, two = np.random.default_rng(0).integers(0, len(there), (2, _SCALE_PAIRS))
+    there_m, here_m = (np.linalg.norm(points[one] - points[two], axis=1) for points in (there, here))
+    is_far = there_m > _ROUGHLY_M
+    if np.count_nonzero(is_far) < _LEAST_PAIRS:
+        return
+    factor = float(np.median(here_m[is_far] / there_m[is_far]))
+    if abs(np.log(factor)) > _MOST_OFF:
+        problem = f"is in another scale: its distances are {factor:.3g} times those of the room"
+        raise DataError(name, problem, "build the wrong one again, from depth and poses in metres")
 
 
 def _agree(pose: FloatArray, there: FloatArray, here: FloatArray) -> NDArray[np.bool_]:

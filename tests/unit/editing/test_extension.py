@@ -307,6 +307,16 @@ def test_bundle_of_another_room_is_not_merged() -> None:
     refuses_data(lambda: merge(room, other, "b.monoloc", {}, rng()), "b.monoloc", "does not overlap", "common part")
 
 
+def test_bundle_of_another_scale_is_not_merged() -> None:
+    """Landmarks of a part of the room agree all the same."""
+    room, other = bundle_of_walk("A"), bundle_of_walk("B")
+    larger = replace(other, landmarks=replace(other.landmarks, points=other.landmarks.points * np.float32(1.08)))
+    problem = "is in another scale: its distances are 1.08 times those of the room"
+    refuses_data(
+        lambda: merge(room, larger, "b.monoloc", {}, rng()), "b.monoloc", problem, "build the wrong one again"
+    )
+
+
 def test_what_landmarks_would_place_says_where_there_are_none() -> None:
     room = bundle_of_walk("A")
     bare = replace(built_from_others(room), landmarks=Landmarks.none())
