@@ -55,7 +55,7 @@ def map_keyframes(
     import pycolmap
 
     if len(keyframes) < _LEAST_FRAMES:
-        problem = f"moves so little that it has {len(keyframes)} keyframes"
+        problem = f"moves so little that it has {len(keyframes)} keyframe{'' if len(keyframes) == 1 else 's'}"
         raise DataError(recording.name, problem, f"at least {_LEAST_FRAMES} are needed: walk through the room")
     pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value  # monoloc reports problems itself, once
     pycolmap.set_random_seed(seed)
