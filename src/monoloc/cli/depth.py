@@ -173,7 +173,8 @@ def evaluate(
         )
     if calibration is not None:
         if evaluation.calibration is None:
-            raise SettingError("--calibration", f"{model} does not state its error", "leave it out")
+            problem = f"{model} does not state its error, or at too few pixels of known depth"
+            raise SettingError("--calibration", problem, "leave it out")
         plot_calibration(calibration, {model: evaluation.calibration})
     metrics = {
         **asdict(evaluation.metrics),

@@ -10,7 +10,7 @@ import numpy as np
 from monoloc.depth.predictor import DepthPredictor
 from monoloc.errors import DataError
 from monoloc.evaluation.depth_metrics import DepthAccumulator, DepthMetrics, truth_where_predicted
-from monoloc.evaluation.uncertainty import ErrorCalibration, error_calibration
+from monoloc.evaluation.uncertainty import LEAST_PIXELS, ErrorCalibration, error_calibration
 from monoloc.io.recording import Recording
 from monoloc.progress import Step
 
@@ -23,7 +23,7 @@ class NetworkEvaluation:
         metrics: means over frames, at pixels with true and predicted depth, at the resolution of the truth.
         evaluated: indices of the frames with at least one such pixel.
         predicted_share: share of the pixels with true depth that have a prediction.
-        calibration: calibration of the network's own error estimate; None if it has none.
+        calibration: calibration of the network's own error estimate; None if it has none, or at too few pixels.
     """
 
     metrics: DepthMetrics
@@ -62,5 +62,7 @@ def evaluate_network(
             progress(index + 1)
     if not evaluated:
         raise DataError(predictor.name, "gives no depth at any pixel of known depth", "check its TOML, or --frames")
-    calibration = error_calibration(np.concatenate(errors), np.concatenate(scales)) if errors else None
+    # Sparse depth may have hardly a pixel of the network's.
+    has_enough = sum(map(len, errors)) >= LEAST_PIXELS
+    calibration = error_calibration(np.concatenate(errors), np.concatenate(scales)) if has_enough else None
     return NetworkEvaluation(accumulator.mean(), evaluated, predicted / known, calibration)

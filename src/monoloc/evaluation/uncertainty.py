@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike
 from monoloc.geometry import FloatArray
 
 _BINS = 10
+LEAST_PIXELS = _BINS
+"""Number of values that a calibration needs: one a bin."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +48,8 @@ def error_calibration(log_error: ArrayLike, log_scale: ArrayLike) -> ErrorCalibr
     """
     error = np.abs(np.asarray(log_error, dtype=np.float64))
     log_b = np.asarray(log_scale, dtype=np.float64)
-    if error.shape != log_b.shape or error.ndim != 1 or len(error) < _BINS:
-        raise ValueError(f"need two arrays (N,), N >= {_BINS}, got {error.shape} and {log_b.shape}")
+    if error.shape != log_b.shape or error.ndim != 1 or len(error) < LEAST_PIXELS:
+        raise ValueError(f"need two arrays (N,), N >= {LEAST_PIXELS}, got {error.shape} and {log_b.shape}")
     if not (np.isfinite(error).all() and np.isfinite(log_b).all()):
         raise ValueError("errors and scales must be finite")
     scale = np.exp(log_b)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from monoloc.bundle import read_network
 from monoloc.depth.predictor import DepthPredictor
 from monoloc.depth.spec import DepthModel
 from monoloc.errors import DataError
@@ -53,3 +54,19 @@ def test_network_without_depth_at_known_pixels_is_refused(recording: RoomRecordi
     predictor = DepthPredictor(DepthModel(onnx_network(none), none, "none"), SMALL_CAMERA)
     with pytest.raises(DataError, match="none: gives no depth at any pixel of known depth; "):
         evaluate_network(predictor, recording)
+
+
+def test_depth_at_a_few_pixels_is_compared_without_a_calibration(
+    recording: RoomRecording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a sparse lidar gives it: smaller images of the network hold hardly a pixel that has depth."""
+    depth = recording.depth
+
+    def sparse(index: int) -> np.ndarray:
+        kept = np.zeros_like(depth(index))
+        kept[::20, ::40] = depth(index)[::20, ::40]
+        return kept
+
+    monkeypatch.setattr(recording, "depth", sparse)
+    result = evaluate_network(DepthPredictor(read_network("tiny-0.35"), SMALL_CAMERA), recording)
+    assert result.evaluated == [0, 1, 2, 3] and result.calibration is None
