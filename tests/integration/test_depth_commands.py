@@ -60,6 +60,15 @@ def test_evaluate_fits_a_scale_on_request(capfd: Capture, here: Path) -> None:
     assert fitted["scale"] == pytest.approx(2.0, rel=0.01) and fitted["absrel"] < 0.02
 
 
+def test_evaluate_counts_the_frames_that_it_compares(capfd: Capture, here: Path) -> None:
+    """The metrics are means over these; of the others, the sensor saw nothing."""
+    recording = RoomRecording(Room(), make_path(3), SMALL_CAMERA)
+    write_recording(here / "holes", recording)
+    (path,) = (here / "holes" / "depth").glob("*1.png")
+    cv2.imwrite(str(path), np.zeros((SMALL_CAMERA.height, SMALL_CAMERA.width), np.uint16))
+    assert json_of(capfd, "depth", "evaluate", "room.monoloc", "holes")["frames"] == 2
+
+
 def test_evaluate_plots_the_error_that_a_network_states(capfd: Capture, here: Path) -> None:
     command = ("depth", "evaluate", "tiny-0.35", "flight", "--frames", "::4", "--calibration", "error.png")
     assert json_of(capfd, *command)["frames"] == 3

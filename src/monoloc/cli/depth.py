@@ -178,7 +178,7 @@ def evaluate(
         plot_calibration(calibration, {model: evaluation.calibration})
     metrics = {
         **asdict(evaluation.metrics),
-        "frames": len(recording),
+        "frames": len(evaluation.evaluated),
         "predicted_share": evaluation.predicted_share,
         "scale": 1.0 if network.spec.scale is None else network.spec.scale,
     }
