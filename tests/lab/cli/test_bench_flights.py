@@ -25,6 +25,7 @@ RECOVERY_KEYS = {
     "starts", "supports_starts", "global_start_rate", "kidnaps", "kidnap_recovery_rate", "lost_reported_rate",
     "false_tracking_rate", "wrong_place_rate", "false_alarm_rate", "coverage_95", "coverage_99", "nees",
     "recovery_s_median", "map_edits", "map_changed_rate", "map_changed_false_rate",
+    "near", "away",
 }  # fmt: skip
 RATES = {key for key in RECOVERY_KEYS if key.endswith("_rate") or key.startswith("coverage")}
 # One fault of each kind.
