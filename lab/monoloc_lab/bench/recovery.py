@@ -108,6 +108,8 @@ def draw_kidnaps(frames: UnseenFrames, count: int, rng: np.random.Generator) -> 
     Raises:
         DataError: there are not enough frames in a row, or all are close together.
     """
+    if count == 0:
+        return []  # what the recording cannot give is then not needed
     befores, afters = frames.windows_of(BEFORE_FRAMES), _afters(frames)
     if not befores:
         raise DataError(frames.name, f"has no {BEFORE_FRAMES} unseen frames in a row", "give more frames")
@@ -126,6 +128,8 @@ def draw_starts(frames: UnseenFrames, count: int, rng: np.random.Generator) -> l
     Raises:
         DataError: there are none.
     """
+    if count == 0:
+        return []
     afters = _afters(frames)
     return [afters[index] for index in rng.integers(len(afters), size=count)]
 

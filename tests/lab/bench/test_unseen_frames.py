@@ -78,3 +78,10 @@ def test_too_few_unseen_frames_are_refused(room: RoomRecording) -> None:
     refuses(lambda: unseen(range(100)), DataError, "has no frames in a row that did not build the bundle")
     refuses(lambda: draw_starts(unseen(range(130)), 1, rng), DataError, "has no 5 s of unseen frames in a row")
     refuses(lambda: draw_kidnaps(unseen(range(100, 310, 8)), 1, rng), DataError, "has no 30 unseen frames in a row")
+
+
+def test_no_flights_are_drawn_from_too_few_frames(room: RoomRecording) -> None:
+    """Who asks for starts alone needs no frames for kidnaps."""
+    bundle = make_bundle(room_mixture(Room(), 20), room, range(0, 100))
+    few, rng = UnseenFrames(bundle, Selection(room, range(130)), NoProgress()), np.random.default_rng(0)
+    assert draw_kidnaps(few, 0, rng) == [] and draw_starts(few, 0, rng) == []
