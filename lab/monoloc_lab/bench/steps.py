@@ -26,6 +26,7 @@ from monoloc.errors import MonolocError
 from monoloc.io.registry import open_recording, select_frames
 from monoloc.landmarks.orb_localizer import OrbLandmarkLocalizer
 from monoloc.likelihood.ray import RayLikelihood
+from monoloc.likelihood.volume import VolumeLikelihood
 from monoloc.localizer import Localizer
 from monoloc.odometry.visual import VisualOdometry
 from monoloc.particle_filter import filter as particle_filter
@@ -44,6 +45,7 @@ STAGES: list[tuple[str, Any, str]] = [
     ("landmarks", OrbLandmarkLocalizer, "measure"),
     ("predict", particle_filter, "predict"),
     ("likelihood", RayLikelihood, "mean_log_likelihood"),
+    ("likelihood", VolumeLikelihood, "mean_log_likelihood"),
     ("estimate", particle_filter, "estimate"),
     ("resample", particle_filter, "resample"),
 ]

@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import math
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from cli_helpers import json_of, python, refused, succeeds
-from monoloc.bundle import write_bundle
+from monoloc.bundle import read_bundle, write_bundle
 from monoloc.cli.main import invoke
+from monoloc.config import override
 from monoloc_lab.bench import kernels, scaling, timing, tuning_steps
 from monoloc_lab.bench.fitting import FitSizes
 from monoloc_lab.bench.kernels import KernelSizes
@@ -117,6 +119,17 @@ def test_pipeline_reports_every_stage(capfd: pytest.CaptureFixture[str], folder:
     assert set(figures["stage_ms"]) == STAGES | RARE_STAGES
     assert all(figures["stage_ms"][name] > 0.0 for name in STAGES)
     assert 20.0 < figures["peak_memory_mb"] < 2000.0
+
+
+def test_pipeline_reports_the_likelihood_of_the_volume(
+    capfd: pytest.CaptureFixture[str], folder: Path, tmp_path: Path
+) -> None:
+    """That of the paper's method."""
+    room = read_bundle(folder / "room.monoloc")
+    settings = override(room.settings, likelihood={"kind": "volume"})
+    write_bundle(tmp_path / "room.monoloc", replace(room, settings=settings))
+    flight = ("bench", "pipeline", str(folder / "flight"), "--bundle", str(tmp_path / "room.monoloc"))
+    assert json_of(capfd, *flight)["stage_ms"]["likelihood"] > 0.0
 
 
 @pytest.mark.slow
