@@ -38,7 +38,10 @@ def bench_pipeline(bundle: Path, source: str, frames: str, seed: int) -> Pipelin
         MonolocError: the process refuses its input.
     """
     command = [sys.executable, "-m", "monoloc_lab.bench.steps", str(bundle), source, frames, str(seed)]
-    done = subprocess.run(command, env=os.environ | _ONE_THREAD, stdout=subprocess.PIPE, text=True)
+    # In a session of its own, Ctrl-C does not reach it, of which it would print a traceback; run() ends it.
+    done = subprocess.run(
+        command, env=os.environ | _ONE_THREAD, stdout=subprocess.PIPE, text=True, start_new_session=True
+    )
     if done.returncode == 2:
         raise MonolocError(done.stdout.strip())
     done.check_returncode()

@@ -109,7 +109,9 @@ class _Flight:
 
     def plug_in(self) -> None:
         arguments = (self.source, self.frames, str(self.camera_port), str(self.rate_hz), str(self.log))
-        self.stream = subprocess.Popen([sys.executable, "-m", "monoloc_lab.soak.stream_camera", *arguments])
+        command = [sys.executable, "-m", "monoloc_lab.soak.stream_camera", *arguments]
+        # In a session of its own, Ctrl-C does not reach it, of which it would print a traceback; close() ends it.
+        self.stream = subprocess.Popen(command, start_new_session=True)
         end_s = time.monotonic() + _SOON_S
         while not _listens(self.camera_port):
             if self.stream.poll() is not None or time.monotonic() > end_s:

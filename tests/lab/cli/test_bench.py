@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import shlex
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +22,7 @@ from monoloc_lab.bench.fitting import FitSizes
 from monoloc_lab.bench.kernels import KernelSizes
 from monoloc_lab.bench.scaling import ScalingSizes
 from monoloc_lab.bench.tuning_steps import TuningSizes
+from monoloc_lab.bench.whole_step import bench_pipeline
 from monoloc_lab.cli import bench
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_bundle, make_path, room_mixture, write_recording
 
@@ -130,6 +134,17 @@ def test_pipeline_reports_the_likelihood_of_the_volume(
     write_bundle(tmp_path / "room.monoloc", replace(room, settings=settings))
     flight = ("bench", "pipeline", str(folder / "flight"), "--bundle", str(tmp_path / "room.monoloc"))
     assert json_of(capfd, *flight)["stage_ms"]["likelihood"] > 0.0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="it has no sessions")
+def test_ctrl_c_does_not_reach_the_timed_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would print a traceback beside the one line of the command."""
+    reports = f'import json, os; print(json.dumps({dict.fromkeys(PIPELINE_KEYS, 0)} | {{"stage_ms": os.getsid(0)}}))'
+    stand_in = tmp_path / "python"
+    stand_in.write_text(f"#!/bin/sh\nexec {shlex.quote(sys.executable)} -c {shlex.quote(reports)}\n")
+    stand_in.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(stand_in))
+    assert bench_pipeline(tmp_path, "flight", "::", 0).stage_ms != os.getsid(0)
 
 
 @pytest.mark.slow
