@@ -33,8 +33,8 @@ class PartFigures:
     Attributes:
         frames: their number.
         states: number of frames in each state; ``refused`` are frames that the localizer does not take in.
-        silent_frames: that are *tracking*, and more than 30 cm off or outside 3.5 standard deviations in position. Of
-            another room, every *tracking* frame is silent.
+        silent_frames: that are *tracking* or *map-changed*, and more than 30 cm off or outside 3.5 standard
+            deviations in position. Of another room, every such frame is silent.
         silent_share: of the frames, 0..1; None without frames.
         coverage_95: of the frames that are not *lost*; None without any.
     """

@@ -1,7 +1,7 @@
 """Whether errors of poses are as large as their covariances and states say.
 
-A *silent* error is one that the state does not announce: the frame is *tracking*, and its position is far off, or far
-outside its own covariance.
+A *silent* error is one that the state does not announce: the frame is *tracking* or *map-changed*, and its position
+is far off, or far outside its own covariance.
 """
 
 from __future__ import annotations
