@@ -89,7 +89,7 @@ class PoseSender:
 
     def idle(self, now_s: float) -> None:
         if self._frame_s is not None and now_s - self._frame_s > _NO_IMAGE_S:
-            self._say("monoloc: no image from the camera", True, now_s)
+            self._say("monoloc: no image in time from the camera", True, now_s)
 
     def close(self) -> None:
         """Nothing is held."""
@@ -157,10 +157,12 @@ class PoseSender:
 
     def _say_state(self, result: FlightStep, is_late: bool) -> None:
         step = result.step
-        why = ", ".join(filter(None, [_TOO_LATE if is_late else "", in_words(step.reasons)]))
+        unreadable = {} if result.in_place is None else result.in_place.unreadable
+        problems = [_TOO_LATE if is_late else "", *(f"cannot enter {room}" for room in unreadable)]
+        why = ", ".join(filter(None, [*problems, in_words(step.reasons)]))
         where = "" if result.room is None else f" in {result.room}"
         text = f"monoloc: {step.state}{where}" + (f": {why}" if why else "")
-        self._say(text, is_late or step.state != "tracking", result.done_s)
+        self._say(text, is_late or bool(unreadable) or step.state != "tracking", result.done_s)
 
     def _say(self, text: str, is_alarming: bool, now_s: float) -> None:
         """Say a state once, and no sooner than a second after the last."""

@@ -11,6 +11,7 @@ import pytest
 from mavlink_helpers import Wire, result_at, step_at
 from monoloc.flight.flight_loop import MOST_AHEAD_S
 from monoloc.flight.flight_settings import FlightSettings
+from monoloc.flight.in_place import InPlace
 from monoloc.flight.pose_sender import PoseSender
 from monoloc.geometry import FloatArray, invert, make_pose, so3_exp
 from monoloc.mavlink.autopilot_frames import AutopilotFrames
@@ -201,7 +202,16 @@ def test_pilot_hears_that_the_camera_gives_no_image() -> None:
     for index in range(30):
         flight.idle(1.1 + 0.1 * index)
     texts = [message.text for message in wire.of("STATUSTEXT")]
-    assert texts == ["monoloc: tracking", "monoloc: no image from the camera"]
+    assert texts == ["monoloc: tracking", "monoloc: no image in time from the camera"]
+
+
+def test_pilot_hears_that_a_room_cannot_be_entered() -> None:
+    flight, wire = sender()
+    step = step_at(at(0.0))
+    in_place = InPlace("kitchen", None, step.estimate, False, {"hall": "it is gone"})
+    flight.take(replace(result_at(1.0, step), in_place=in_place))
+    (message,) = wire.of("STATUSTEXT")
+    assert (message.text, message.severity) == ("monoloc: tracking in kitchen: cannot enter hall", 4)
 
 
 @pytest.mark.parametrize(
