@@ -148,7 +148,7 @@ def test_camera_at_rest_is_refused() -> None:
     refuses(
         lambda: reconstruct(recording, DepthScale(), refine_camera=False),
         DataError,
-        "room: moves so little that it has 1 keyframes; at least 8",
+        "room: moves so little that it has 1 keyframe; at least 8",
     )
 
 
