@@ -50,7 +50,7 @@ _MOST_OFF = 0.05  # logarithm of a scale, as of depth
 _RATIO = 0.85  # of the best match's distance to that of the second best
 
 
-Located = tuple[NDArray[np.int64], FloatArray]
+PosedFrames = tuple[NDArray[np.int64], FloatArray]
 """Frames that landmarks localise, (F,), and ``T_world_camera`` of each, (F, 4, 4)."""
 
 
@@ -79,14 +79,14 @@ def known(bundle: Bundle, points: FloatArray) -> NDArray[np.bool_]:
 
 
 def align_recording(
-    bundle: Bundle, recording: Recording, located: Located, cloud: FloatArray, rng: np.random.Generator
+    bundle: Bundle, recording: Recording, posed: PosedFrames, cloud: FloatArray, rng: np.random.Generator
 ) -> Alignment:
     """Where a posed recording's world lies in a room.
 
     Args:
         bundle: the room.
         recording: with poses.
-        located: its :func:`poses_by_landmarks`.
+        posed: its :func:`poses_by_landmarks`.
         cloud: of the recording, (N, 3), its world frame, metres.
 
     Raises:
@@ -96,7 +96,7 @@ def align_recording(
     if not len(bundle.landmarks):
         problem = "cannot be aligned: the bundle has no landmarks"
         raise DataError(recording.name, problem, "build it with landmarks, or record in its world: without --align")
-    frames, there = located
+    frames, there = posed
     agreed = consensus(there, recording.poses[frames])
     if agreed is None:
         problem = f"is not found in the room: landmarks agree on no place ({len(frames)} frames localised)"
@@ -125,7 +125,7 @@ def align_bundle(bundle: Bundle, other: Bundle, name: str, rng: np.random.Genera
     return _by_surfaces(bundle, name, other.original.sample(4 * _POINTS, rng), *agreed, rng)
 
 
-def poses_by_landmarks(bundle: Bundle, recording: Recording) -> Located:
+def poses_by_landmarks(bundle: Bundle, recording: Recording) -> PosedFrames:
     """Those of some frames that the room's landmarks localise, (F,), and ``T_world_camera`` of each, (F, 4, 4)."""
     localizer = OrbLandmarkLocalizer(bundle.landmarks, recording.camera)
     frames, poses = [], []

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from monoloc.camera import Camera
 from monoloc.depth.depth_image import sample_depth
 from monoloc.depth.predictor import DepthPrediction
+from monoloc.editing.alignment import PosedFrames
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, invert, transform
 from monoloc.io.recording import Recording
@@ -47,15 +48,13 @@ def depth_ratios(
     return np.asarray(seen_m[is_seen] / local[is_seen, 2])
 
 
-def check_depth_scale(
-    landmarks: Landmarks, recording: Recording, frames: NDArray[np.int64], poses: FloatArray, given: Recording
-) -> None:
+def check_depth_scale(landmarks: Landmarks, recording: Recording, posed: PosedFrames, given: Recording) -> None:
     """Refuse a recording whose depth is in another unit than the map.
 
     Args:
         landmarks: of the map.
         recording: with depth.
-        frames, poses: those that landmarks localise, (F,), and ``T_world_camera`` of each, (F, 4, 4).
+        posed: its :func:`monoloc.editing.alignment.poses_by_landmarks`.
         given: the recording as it was opened, which tells the option that corrects it.
 
     Raises:
@@ -63,7 +62,7 @@ def check_depth_scale(
     """
     localizer, detect = OrbLandmarkLocalizer(landmarks, recording.camera), KeypointDetector(recording.camera)
     ratios = []
-    for index, pose in zip(frames.tolist(), poses, strict=True):
+    for index, pose in zip(posed[0].tolist(), posed[1], strict=True):
         keypoints = detect(recording.color(index))
         _, which, where = localizer.matched_keypoints(keypoints, pose, PRIOR_COVARIANCE)
         depth = sparse_depth(recording.depth(index), recording.camera)

@@ -59,17 +59,17 @@ def extend(
     """
     given = recording
     recording, measured = _checked(bundle, given)
-    located = poses_by_landmarks(bundle, recording)
-    check_depth_scale(bundle.landmarks, recording, *located, given)
+    posed = poses_by_landmarks(bundle, recording)
+    check_depth_scale(bundle.landmarks, recording, posed, given)
     paired = PairedMap.of(bundle)
     cloud = cloud_from_recording(recording, paired.voxel_m, _MAX_DEPTH_M)
     T_world_other = np.eye(4)
     if is_aligned:
-        alignment = align_recording(bundle, recording, located, cloud, rng)
+        alignment = align_recording(bundle, recording, posed, cloud, rng)
         T_world_other = alignment.T_world_other
         measured |= {"agreeing_frames": alignment.agreeing, **_described(alignment)}
     else:
-        check = check_same_world(bundle, recording, located)
+        check = check_same_world(bundle, recording, posed)
         measured["frames_confirmed_by_landmarks"] = check.confirmed
         measured["frames_contradicted_by_landmarks"] = check.contradicted
         measured["frames_looked_at"] = check.looked_at
@@ -196,7 +196,7 @@ TAUGHT_BY_FLIGHT = "flight "
 
 
 def with_frames(provenance: Provenance, name: str, frames: dict[str, int]) -> Provenance:
-    """With the frames of other recordings, name and checksum; equal names are told apart by a number.
+    """With the frames of other recordings, name and checksum; equal names get a number.
 
     Args:
         provenance: of the map.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle
 from monoloc.depth.depth_image import sample_depth
-from monoloc.editing.alignment import AGREE_M, LEAST_FRAMES, LOOKED_AT, Located, consensus
+from monoloc.editing.alignment import AGREE_M, LEAST_FRAMES, LOOKED_AT, PosedFrames, consensus
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, invert, pose_distance_m, transform
 from monoloc.io.recording import Recording, evenly_spaced
@@ -39,20 +39,20 @@ class WorldCheck:
     looked_at: int
 
 
-def check_same_world(bundle: Bundle, recording: Recording, located: Located) -> WorldCheck:
+def check_same_world(bundle: Bundle, recording: Recording, posed: PosedFrames) -> WorldCheck:
     """Refuse a recording whose poses are in another world, as far as landmarks tell.
 
     Args:
         bundle: the room.
         recording: with poses and depth.
-        located: its :func:`monoloc.editing.alignment.poses_by_landmarks`.
+        posed: its :func:`monoloc.editing.alignment.poses_by_landmarks`.
 
     Raises:
         DataError: landmarks agree on another world, or most of the frames that they tell of contradict their poses.
     """
     poses = recording.poses
     assert poses is not None
-    found, there = located
+    found, there = posed
     here = poses[found]
     is_near = np.array([pose_distance_m(a, b[None])[0] < AGREE_M for a, b in zip(there, here, strict=True)], np.bool_)
     agreed = consensus(there, here)
