@@ -117,8 +117,8 @@ SENTENCES: tuple[Sentence, ...] = (
     ),
     ("of the {} of RedKitchen, interpolation, {} ({} and {})", silent(flown("default", KITCHEN_BETWEEN))),
     (
-        "{} ({}–{}) and {} ({}–{}) times in RedKitchen, interpolation and extrapolation, {} ({}–{}) and {} ({}–{}) "
-        "times at the desk",
+        "{} ({}–{}) and {} ({}–{}) in RedKitchen, interpolation and extrapolation, and by {} ({}–{}) and "
+        "{} ({}–{}) at the desk",
         [number for stretch in range(4) for number in three(over("without scans", stretch))],
     ),
     (
@@ -153,7 +153,7 @@ SENTENCES: tuple[Sentence, ...] = (
         "Of {} frames, {} are silently more than 30 cm off",
         [total(TUNED, name) for name in ("frames", "silent_30cm")],
     ),
-    ("SIFT is more exact**, with an RMSE of {} cm", [sift_in_kitchen_cm("interpolation")]),
+    ("SIFT is more accurate**, with an RMSE of {} cm", [sift_in_kitchen_cm("interpolation")]),
     (
         "the network {} MB, landmarks 0.2 to 0.4 MB, the mixture {} kB",
         [
