@@ -65,7 +65,7 @@ SENTENCES = [
             *(AGAIN[name][count] for name in ("updated", "never_updated") for count in ("silent", "vouched_for")),
         ],
     ),
-    ("teach too little: {} to {} of", extremes_of([day["teaching_frames"] for day in ROOM["days"][1:]])),
+    ("frames are too few: {} to {} of", extremes_of([day["teaching_frames"] for day in ROOM["days"][1:]])),
     ("A day's edits take {} to {} kB", extremes_of(UNDO_KB)),
     (
         "has {} times the median error and {} times the RMSE of a fresh build",

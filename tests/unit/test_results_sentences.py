@@ -65,8 +65,8 @@ THIS_VERSION: tuple[Sentence, ...] = (
         [number for stretch in range(4) for number in three(over("without scans", stretch))],
     ),
     (
-        "At the desk, extrapolation, the median error is {} cm with scans and {} cm without, and the covariance "
-        "holds more of the poses ({} for {})",
+        "At the desk, extrapolation, the median error is {} cm with scans and {} cm without, and the 95 % ellipsoid "
+        "holds more of the poses ({} instead of {})",
         [
             number
             for column in ("median_cm", "coverage_95")
@@ -96,8 +96,8 @@ THIS_VERSION: tuple[Sentence, ...] = (
         over_builds_of("rmse_cm", DESK_BETWEEN, "untuned", "default"),
     ),
     (
-        "untuned bundles have an RMSE of {} for {} cm (without scans {} for {}) and a median of {} for {} cm, with "
-        "{} of {} frames silently beyond 3.5 sigma",
+        "untuned bundles have an RMSE of {} instead of {} cm (without scans {} instead of {}) and a median of {} "
+        "instead of {} cm, with {} of {} frames silently beyond 3.5 sigma",
         [
             *over_builds_of("rmse_cm", DESK_BEYOND, "untuned", "default"),
             *over_builds_of("rmse_cm", DESK_BEYOND, "untuned, without scans", "without scans"),
@@ -220,7 +220,8 @@ STATE: tuple[Sentence, ...] = (
         [FAULTS[1]["half-covered-left"]["during"][column] for column in ("silent_frames", "frames")],
     ),
     (
-        "two further builds of this table had {} and {} silent frames of {}, and two older builds {} and {} ",
+        "two further builds of this table, flown by the previous version, had {} and {} silent frames of {}, and two "
+        "older builds {} and {} ",
         [
             *silent_but_for_lenses("silent_frames")[:2],
             silent_but_for_lenses("frames")[0],
@@ -315,7 +316,7 @@ def change_by_colour(row: dict[str, str]) -> float:
 BY_DEPTH = {"room": "office", "bundle": "tuned", "without": "landmarks"}
 OTHER_CAMERAS: tuple[Sentence, ...] = (
     (
-        "its RMSE is {} to {} cm, with the map's lens {} cm",
+        "the RMSE of such lenses is {} to {} cm, that of the map's lens {} cm",
         [
             *(extreme(values(through_lenses(**BY_DEPTH), "rmse_cm")) for extreme in (min, max)),
             float(only(CAMERAS, camera="60 degrees, as the map's", **BY_DEPTH)["rmse_cm"]),
@@ -336,7 +337,7 @@ OTHER_CAMERAS: tuple[Sentence, ...] = (
         "{} and {} of 154 frames, untuned",
         values(chosen(CAMERAS, camera="45 degrees", bundle="untuned", without=""), "tracking"),
     ),
-    ("untuned, {} of their frames in the office are silently wrong, no others", [total(CAMERAS, "silent")]),
+    ("untuned, {} of their frames in the office are silently wrong; no other", [total(CAMERAS, "silent")]),
     (
         "change the median error by {} cm at most",
         [max(change_by_colour(row) for row in chosen(CAMERAS, without="") if row["camera"].endswith(COLOURS))],
@@ -397,7 +398,8 @@ MANY_ROOMS: tuple[Sentence, ...] = (
         ],
     ),
     (
-        "{} of {} frames are *tracking* tuned, and {} untuned; {} and {} of them are more than 30 cm off",
+        "{} of {} frames are *tracking* with tuned bundles, and {} with untuned ones; {} and {} of them are more "
+        "than 30 cm off",
         [
             by_bundle(UNSEEN, "tracking")[0],
             by_bundle(UNSEEN, "frames")[0],
@@ -424,7 +426,7 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "500 frames by hand": "of the recording",
     "160x120": "pixels",
     "the frames of 154 that": "counted",
-    "Of 32 flights": "without kept runs",
+    "In each of 32 flights": "without kept runs",
     "the 95 % ellipsoid holds 0.98 of the poses instead of 0.86": "without kept runs",
     "Rooms 11 to 18 of": "seeds",
     "of 3.6 to 4.7 m": "of the rooms",
@@ -437,7 +439,7 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "Rooms 11 to 16 were": "seeds",
     "111 and 70 were": "of the version before, which was not kept",
     "20 starts and 20 kidnaps a room": "checked in the table",
-    "In room 17, where the camera is 1.7 from": "in the table",
+    "In room 17, where the camera is at a distance of 1.7 from": "in the table",
     "a phone's, of 60°": "of the recordings",
     "15 cm and 7° off the walk": "of the recordings",
     "lenses of 75° and more": "names",
@@ -447,7 +449,7 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "(0.8 of pose distance": "of the recording",
     "lights, 0.35 m from the nearest build frame": "of the recordings",
     "is flown 0.35 m from": "of the recordings",
-    "are 10 cm and 3° beside": "the starts of the flights",
+    "are 10 cm and 3° off the": "the starts of the flights",
     "starts 10 cm and 3° off": "the starts of the flights",
     "94 % (five builds) and 75 % (three)": "of the statistics",
     "the stated 95 % ellipsoid": "a definition",
@@ -460,11 +462,11 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "and more than 30 cm off or beyond 3.5 sigma": "a definition",
     "3D-Rendering": "a name",
     "first 1000 frames of a public RealSense D435 recording": "of the recording",
-    "A T265 gave its poses, which err by 1.5 cm and 1.7° between": "of the recording",
+    "A T265 gave its poses, which are off by 1.5 cm and 1.7° between": "of the recording",
     "1.5 cm and 1.7° at the desk. Smaller errors": "of the recording",
     "recorded depth of 50 frames": "without kept runs",
-    "lies 3.3 cm and 2.2° from the recorded poses (medians; RMSE 4.4 cm), that of 50 frames": "without kept runs",
-    "the build's 0.9 cm and 0.5°": "without kept runs",
+    "lies 3.3 cm and 2.2° from the recorded poses (medians; RMSE 4.4 cm), and that of 50 frames": "without kept runs",
+    "lies 0.9 cm and 0.5° from": "without kept runs",
     "(4.0 and 4.5 cm, two builds)": "without kept runs",
     "an error of 4 cm there": "without kept runs",
     "frame was more than 30 cm off": "a definition",
