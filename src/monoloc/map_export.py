@@ -123,7 +123,7 @@ def T_map_world(bundle: Bundle, roughly: bool = False) -> FloatArray:
     if bundle.down is None and roughly:
         return RosFrames(np.eye(4), bundle.provenance.down_world).T_map_room
     if bundle.down is None:
-        problem = "does not tell the direction of gravity: it shows too little of floor and walls"
+        problem = "does not give the direction of gravity: it shows too little of floor and walls"
         raise DataError(bundle.provenance.recording, problem, "export a .ply or .pcd")
     return RosFrames(np.eye(4), bundle.down).T_map_room
 

@@ -195,7 +195,7 @@ def test_localize_takes_the_motion_of_other_sensors(capfd: Capture, here: Path, 
     localize = ("localize", "room.monoloc", "flight", "--start", "truth", "--motion", "random-walk")
     metrics = json_of(capfd, *localize, "--odometry", "wheels.txt", "--odometry-delay", "0.02")
     assert metrics["odometry_ate_rmse_m"] < 0.001
-    problem, fix = "tells no motion between frames", "bring its time stamps to the clock of the frames"
+    problem, fix = "gives no motion between frames", "bring its time stamps to the clock of the frames"
     write_tum(here / "wheels.txt", recording.timestamps_s + 100.0, recording.poses)
     refused(capfd, here, [*localize, "--odometry", "wheels.txt"], "wheels.txt", problem, fix)
 

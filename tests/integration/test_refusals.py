@@ -271,5 +271,5 @@ def test_bad_input_is_refused_and_leaves_no_trace(
 
 def test_video_without_poses_is_refused(capfd: pytest.CaptureFixture[str], here: Path) -> None:
     synthetic.write_video(here / "flight.avi")
-    problem, fix = "says nothing of its camera", "--camera 64,48,FX,FY,CX,CY"
+    problem, fix = "does not state its intrinsics", "--camera 64,48,FX,FY,CX,CY"
     refused(capfd, here, (*LOCALIZE[:2], "flight.avi"), "flight.avi", problem, fix)

@@ -216,7 +216,7 @@ def check_room(bundle: Bundle, path: Path) -> None:
     if not set(bundle.provenance.frames.values()) & {fingerprint(built.color(i)) for i in range(len(built))}:
         raise DataError(path, "is not of the rendered living room", fix)
     if bundle.down is None:
-        raise DataError(path, "does not tell the direction of gravity", fix)
+        raise DataError(path, "does not give the direction of gravity", fix)
 
 
 def bench_stops(

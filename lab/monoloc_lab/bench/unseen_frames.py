@@ -49,7 +49,9 @@ class UnseenFrames:
         self.segments = continuous_segments(unseen, self._times_s, self.poses) if len(unseen) else []
         intervals_s = [np.diff(self._times_s[segment]) for segment in self.segments]
         if not any(map(len, intervals_s)):
-            raise DataError(self.name, "has no frames in a row that did not build the bundle", "give more frames")
+            raise DataError(
+                self.name, "has no consecutive frames that were not used in the build", "give more frames"
+            )
         self.interval_s = float(np.median(np.concatenate(intervals_s)))
 
     def _unseen(self, built: set[int], count: int, progress: Progress) -> Frames:

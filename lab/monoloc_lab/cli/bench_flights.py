@@ -53,7 +53,7 @@ def recovery(
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
-    """Kidnap the camera, start it without a pose, and edit its map, over frames that did not build the bundle.
+    """Kidnap the camera, start it without a pose, and edit its map, over frames that were not used in the build.
 
     \b
     Examples:
@@ -90,7 +90,7 @@ def faults(
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
-    """Let the camera fail in the middle of flights over frames that did not build the bundle.
+    """Let the camera fail in the middle of flights over frames that were not used in the build.
 
     \b
     Examples:
@@ -144,8 +144,8 @@ def fly(
     source: SourceArgument,
     frames: FramesOption = "::",
     seconds: Annotated[float, typer.Option("--seconds", min=15.0, help="Undisturbed flight.")] = 60.0,
-    rate_hz: Annotated[float, typer.Option("--rate-hz", min=1.0, max=120.0, help="Of the camera.")] = 30.0,
-    firmware: Annotated[Firmware, typer.Option("--firmware", help="Whose decoder takes the poses.")] = Firmware.PX4,
+    rate_hz: Annotated[float, typer.Option("--rate-hz", min=1.0, max=120.0, help="Images a second.")] = 30.0,
+    firmware: Annotated[Firmware, typer.Option("--firmware", help="Firmware that is simulated.")] = Firmware.PX4,
     json: JsonOption = False,
 ) -> None:
     """Fly a recording live, over sockets, and lose camera, link and process on the way.

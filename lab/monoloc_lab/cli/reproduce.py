@@ -44,8 +44,8 @@ def reproduce(
         typer.Option(
             "--build-frames",
             metavar="START:STOP:STEP",
-            help="Of the extrapolation split, which evaluates the frames from STOP; every third of three quarters by "
-            "default.",
+            help="Build frames of the extrapolation split, whose test frames begin at STOP; every third of three "
+            "quarters by default.",
             show_default=False,
         ),
     ] = None,
@@ -67,7 +67,7 @@ def reproduce(
     size: Annotated[
         list[str] | None,
         typer.Option(
-            "--size", help="Of networks; may be repeated. All four by default, two with --quick.", show_default=False
+            "--size", help="Network size; may be repeated. All four by default, two with --quick.", show_default=False
         ),
     ] = None,
     workers: Annotated[
@@ -94,13 +94,16 @@ def reproduce(
         typer.Option(
             "--benchmark",
             metavar="7scenes|12scenes",
-            help="In place of figures, a row a scene on the published split; --data is the folder of the data set.",
+            help="Instead of figures, one row per scene on the published split; --data is the data set's folder.",
         ),
     ] = None,
     scene: Annotated[
         list[str] | None,
         typer.Option(
-            "--scene", metavar="NAME", help="Of the benchmark; may be repeated. All by default.", show_default=False
+            "--scene",
+            metavar="NAME",
+            help="Scene of the benchmark; may be repeated. All by default.",
+            show_default=False,
         ),
     ] = None,
     json: JsonOption = False,

@@ -38,7 +38,7 @@ RoomOption = Annotated[
 ]
 SecondsOption = Annotated[float, typer.Option("--seconds", min=1.0, max=600.0, help="Duration of the flight.")]
 WidthOption = Annotated[
-    int, typer.Option("--width", min=32, max=1920, help="Of the images; the height is 3/4 of it.")
+    int, typer.Option("--width", min=32, max=1920, help="Width of the images; the height is 3/4 of it.")
 ]
 SamplesOption = Annotated[int, typer.Option("--samples", min=1, help="Paths per pixel and light group.")]
 
@@ -115,7 +115,7 @@ def render(
         Path | None, typer.Option("--poses", help="A TUM trajectory. [OUT/flight.txt, or a flight from the seed]")
     ] = None,
     seconds: SecondsOption = 10.0,
-    every: Annotated[int, typer.Option("--every", min=1, help="Render one of so many poses.")] = 2,
+    every: Annotated[int, typer.Option("--every", min=1, help="Render every N-th pose.")] = 2,
     lights: Annotated[
         list[str] | None, typer.Option("--light", help="L1, L2 or L3; may be repeated. [all three]")
     ] = None,

@@ -359,10 +359,10 @@ def _cure(config: BuildConfig) -> str:
 def _bundle_warnings(bundle: Bundle, config: BuildConfig, depth_absrel: float | None) -> list[str]:
     warnings = []
     if depth_absrel is not None and depth_absrel > _USUAL_ABSREL:
-        problem = f"depth is wrong by {depth_absrel:.0%} on held-out frames; with more than {_USUAL_ABSREL:.0%}"
-        warnings.append(f"{problem} a flight leans on landmarks. {_cure(config)}")
+        problem = f"depth is wrong by {depth_absrel:.0%} on held-out frames; above {_USUAL_ABSREL:.0%},"
+        warnings.append(f"{problem} a flight depends on landmarks. {_cure(config)}")
     if bundle.down is None:
-        problem = "floor and walls do not tell the direction of gravity"
+        problem = "floor and walls do not show the direction of gravity"
         warnings.append(f"{problem}: poses for an autopilot need down = [x, y, z] in flight.toml")
     if config.landmarks and len(bundle.landmarks) == 0:
         warnings.append("too few corners are seen by several frames: there are no landmarks")

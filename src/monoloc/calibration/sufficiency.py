@@ -48,7 +48,7 @@ def assess(source: str, calibration: Calibration) -> list[str]:
     cells = coverage_of(calibration.views, (camera.width, camera.height)) > 0
     coverage = float(cells.mean())
     if calibration.rms_px > _MOST_RMS_PX:
-        problem = f"is explained to {calibration.rms_px:.1f} pixels only"
+        problem = f"fits the calibration only to {calibration.rms_px:.1f} pixels"
         fix = "keep the board flat, hold still, fix the focus, or try --model rational or fisheye"
         raise DataError(source, problem, fix)
     if not relative_sd <= _MOST_FOCAL_SD:  # true for NaN

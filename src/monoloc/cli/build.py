@@ -65,7 +65,7 @@ def build(
         typer.Option("--components", "-k", help="Gaussians in the map, or 'bic' for automatic choice. [200]"),
     ] = None,
     method: Annotated[
-        Method | None, typer.Option("--method", help="Ours, or that of the source paper, as it flies too. [default]")
+        Method | None, typer.Option("--method", help="monoloc's method or the paper's, for flights too. [default]")
     ] = None,
     tune: Annotated[Tune | None, typer.Option("--tune", help="Layers of the network to tune. [all]")] = None,
     map_transform: Annotated[

@@ -90,8 +90,8 @@ def camera_command(
 ) -> None:
     """Calibrate a camera from at least ten sharp views of the board.
 
-    Tilt the board by 30 to 45 degrees to all sides, fill the image with it, and bring it into all corners. Keep the
-    focus and the resolution that will fly. The size of a square changes the distances that are printed, and not the
+    Tilt the board by 30 to 45 degrees to all sides, fill the image with it, and bring it into all corners. Use the
+    focus and the resolution of the flight. The size of a square changes the distances that are printed, but not the
     intrinsics.
 
     \b

@@ -49,13 +49,15 @@ def doctor(
     room: RoomOrFlightArgument = None,
     source: Annotated[
         str | None,
-        typer.Argument(metavar="[SOURCE]", help="As for monoloc fly; the camera sees the room.", show_default=False),
+        typer.Argument(
+            metavar="[SOURCE]", help="As for monoloc fly; point the camera at the room.", show_default=False
+        ),
     ] = None,
     intrinsics: IntrinsicsOption = None,
     settings: SettingsOption = None,
     mavlink: MavlinkOption = None,
     firmware: FirmwareOption = None,
-    seconds: Annotated[float, typer.Option("--seconds", min=1.0, max=600.0, help="How long to look.")] = 10.0,
+    seconds: Annotated[float, typer.Option("--seconds", min=1.0, max=600.0, help="How long to observe.")] = 10.0,
     frames: FramesOption = "::",
     report: Annotated[
         Path | None,

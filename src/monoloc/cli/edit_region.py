@@ -68,6 +68,6 @@ def turn_of(bundle: Bundle, turn_deg: float) -> FloatArray:
 def _down_for(bundle: Bundle, turn_deg: float, option: str) -> FloatArray:
     """Down, (3,), and a warning where a turn is about an axis that may be tilted."""
     if turn_deg != 0.0 and bundle.down is None:
-        problem = "is about the cameras' mean direction, since the map does not tell that of gravity"
+        problem = "is about the cameras' mean vertical, since the map does not give the direction of gravity"
         stderr.print(f"warning: {option}: {problem}; look at the map, and undo if it is tilted", soft_wrap=True)
     return down_direction(bundle)

@@ -32,7 +32,7 @@ def fetch(
     """Download a public recording by its name.
 
     Its terms are those of its publisher: their page is shown first, and nothing is downloaded before they are
-    accepted. A download that broke off goes on when the command is run again.
+    accepted. An interrupted download continues when the command is run again.
 
     \b
     Examples:

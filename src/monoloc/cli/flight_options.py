@@ -35,7 +35,7 @@ RoomOrFlightArgument = Annotated[
     Path | None,
     typer.Argument(
         metavar="ROOM|FLIGHT.toml",
-        help="Bundle from monoloc build, or a file that names it and all else of a flight.",
+        help="Bundle from monoloc build, or a file with it and all other settings of a flight.",
         show_default=False,
     ),
 ]
@@ -43,13 +43,13 @@ MapOrFlightArgument = Annotated[
     Path | None,
     typer.Argument(
         metavar="ROOM|PLACE|FLIGHT.toml",
-        help="Bundle of a room, a place of several, or a file that names either and all else of a flight.",
+        help="Bundle of a room, place of several rooms, or a file with either and all other settings of a flight.",
         show_default=False,
     ),
 ]
 SettingsOption = Annotated[
     Path | None,
-    typer.Option("--settings", metavar="FLIGHT.toml", help="The file, where the first argument is none."),
+    typer.Option("--settings", metavar="FLIGHT.toml", help="The file, if the first argument is none."),
 ]
 MavlinkOption = Annotated[
     str | None,
@@ -114,7 +114,7 @@ def check_autopilot(flight: FlightFile, align: bool, fast: bool) -> None:
     """
     names = ", ".join(each.value for each in Firmware)
     if flight.mavlink is not None and flight.firmware is None:
-        raise SettingError("--firmware", "is missing: firmwares take other frames", f"choose from {names}")
+        raise SettingError("--firmware", "is missing: each expects another frame", f"choose from {names}")
     if flight.mavlink is None and flight.firmware is not None:
         raise SettingError(
             "--firmware", "is given without an autopilot", "give the autopilot's address (mavlink) too"
@@ -222,7 +222,7 @@ def _frames_of(
     if fast:
         raise SettingError("--fast", "has no meaning for a live camera", "leave it out")
     if intrinsics is None:
-        problem = "is missing: a live camera does not tell its own"
+        problem = "is missing: a live camera does not state its intrinsics"
         raise SettingError("--camera", problem, "name the file that monoloc calibrate wrote")
     camera = parse_intrinsics(intrinsics)[0]
     return open_live(source, camera), camera, None, False

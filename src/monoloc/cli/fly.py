@@ -67,8 +67,8 @@ def fly(
         str | None,
         typer.Argument(
             metavar="[SOURCE]",
-            help="camera:0, picamera, realsense, oak, rtsp://..., - (motion JPEG on standard input), or a recording; "
-            "camera:0 if neither this nor the file says.",
+            help="camera:0, picamera, realsense, oak, rtsp://..., - (motion JPEG on standard input), or a recording. "
+            "[the file's, else camera:0]",
             show_default=False,
         ),
     ] = None,
@@ -101,13 +101,13 @@ def fly(
         typer.Option(
             "--out",
             "-o",
-            help="CSV to write: pose, covariance, state and reasons a frame; %Y%m%d-%H%M%S stands for the start.",
+            help="CSV to write: pose, covariance, state, reasons of each frame; %Y%m%d-%H%M%S stands for the start.",
         ),
     ] = None,
     mcap: Annotated[
         Path | None,
         typer.Option(
-            "--mcap", metavar="FILE", help="MCAP to write: pose, transforms, state, obstacles, images, ROS 2."
+            "--mcap", metavar="FILE", help="MCAP to write (ROS 2): pose, transforms, state, obstacles, images."
         ),
     ] = None,
     record: Annotated[
@@ -117,7 +117,11 @@ def fly(
     view_port: Annotated[
         int | None,
         typer.Option(
-            "--view-port", min=1024, max=65534, metavar="PORT", help="Serve the flight to a browser, also elsewhere."
+            "--view-port",
+            min=1024,
+            max=65534,
+            metavar="PORT",
+            help="Serve the flight to browsers, also on other computers.",
         ),
     ] = None,
     fast: Annotated[
@@ -129,9 +133,9 @@ def fly(
 ) -> None:
     """Localise a live camera, and send its pose to an autopilot.
 
-    Ctrl-C, SIGTERM and a terminal that hangs up end a flight; what it wrote is whole. A file can hold all options
-    but the last ones; what is given here wins. In a place of several rooms, the camera is found in one of them and
-    followed through doors.
+    Ctrl-C, SIGTERM and a terminal that hangs up end a flight; its files are then complete. A file can hold all
+    options but the last ones; options on the command line take precedence. In a place of several rooms, the camera
+    is found in one of them and followed through doors.
 
     \b
     Examples:

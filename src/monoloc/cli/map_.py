@@ -55,7 +55,9 @@ app.command()(update)
 
 @app.command()
 def fit(
-    source: Annotated[str, typer.Argument(help="Recording, or cloud (ply, pcd, xyz, txt, npz).", show_default=False)],
+    source: Annotated[
+        str, typer.Argument(help="Recording, or cloud (ply, pcd, xyz, txt, csv, npz, points3D).", show_default=False)
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Map to write, NAME.npz.")],
     frames: FramesOption = "::",
     components: Annotated[

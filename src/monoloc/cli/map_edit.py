@@ -95,7 +95,7 @@ def remove_command(
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
-    """Take away what lies in a box, or in the region that a run named as changed.
+    """Remove what lies in a box, or in the region that a run named as changed.
 
     \b
     Examples:
@@ -118,7 +118,9 @@ def remove_command(
 @app.command("add")
 def add_command(
     context: typer.Context,
-    cloud: Annotated[Path, typer.Argument(help="Cloud (ply, pcd, xyz, txt, csv, npz), metres.", show_default=False)],
+    cloud: Annotated[
+        Path, typer.Argument(help="Cloud (ply, pcd, xyz, txt, csv, npz, points3D), metres.", show_default=False)
+    ],
     at: Annotated[
         str | None,
         typer.Option("--at", metavar="X,Y,Z", help="Where the cloud's origin is to be. [the cloud is in the world]"),
@@ -205,7 +207,7 @@ def extend_command(
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
-    """Extend the map by another recording with poses and depth: what the map does not know yet is added.
+    """Extend the map by another recording with poses and depth: what the map does not contain yet is added.
 
     \b
     Examples:

@@ -50,7 +50,7 @@ def info(
     target: Annotated[Path, typer.Argument(help="Map (.npz) or bundle.", show_default=False)],
     json: JsonOption = False,
 ) -> None:
-    """Describe a map: its size and resolution, and of a bundle its parts, and what of the room was seen.
+    """Describe a map: its size and resolution; for a bundle also its parts, and how much of the room was seen.
 
     \b
     Examples:
@@ -126,12 +126,12 @@ def export(
     voxel: Annotated[float | None, typer.Option("--voxel", help="Edge of a voxel or cell, metres.")] = None,
     height: Annotated[
         float | None,
-        typer.Option("--height", help="Of the grid, metres along z of ROS's map frame. [median of the cameras']"),
+        typer.Option("--height", help="Height of the grid, metres, in ROS's map frame. [median of the cameras']"),
     ] = None,
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
-    """Write a map for other programs; the ending says how.
+    """Write a map for other programs; the extension selects the format.
 
     Points and ellipsoids are in the bundle's world frame, voxels and grids in ROS's frame map, whose z axis is up.
 

@@ -55,7 +55,7 @@ def update(
         list[str] | None,
         typer.Argument(
             metavar="SOURCE...",
-            help="Recordings of flights; without any, what earlier ones showed.",
+            help="Recordings of flights; without any, the evidence of earlier ones is used.",
             show_default=False,
         ),
     ] = None,
@@ -68,7 +68,7 @@ def update(
     ] = UNKNOWN,
     depth: Annotated[
         Literal["predicted", "sensor"] | None,
-        typer.Option("--depth", help="What shows surfaces: the network or a sensor. [sensor where there is one]"),
+        typer.Option("--depth", help="Depth of surfaces, by the network or a sensor. [sensor where there is one]"),
     ] = None,
     apply: Annotated[
         str | None, typer.Option("--apply", metavar="ID,...", help="Apply these proposals, by their ids.")
@@ -84,7 +84,7 @@ def update(
     seed: SeedOption = 0,
     json: JsonOption = False,
 ) -> None:
-    """Propose edits of a map from what flights saw elsewhere than it says, and apply them.
+    """Propose edits where flights contradict a map, and apply them.
 
     Evidence is kept in NAME.evidence.npz beside the bundle, and adds up over calls.
 
@@ -171,7 +171,7 @@ def _chosen(proposed: list[Proposal], apply: str | None) -> list[Proposal]:
     for name in ids:
         if name not in by_id:
             fix = "list them again: leave --apply out" if proposed else "fly again: nothing is proposed"
-            raise SettingError("--apply", f"has {name!r}, the id of no proposal that still holds", fix)
+            raise SettingError("--apply", f"has {name!r}, which is the id of no current proposal", fix)
     return [by_id[name] for name in dict.fromkeys(ids)]
 
 
@@ -247,5 +247,5 @@ def _print(
             f"{printable(str(target))}: no change is proposed; flights counted so far: {len(evidence.flights)}"
         )
         return
-    title = f"{target}: proposals, from so many flights: {len(evidence.flights)}"
+    title = f"{target}: proposals; flights counted so far: {len(evidence.flights)}"
     print_table(title, ["id", "what", "number", "from (m)", "to (m)", "views", "flights", "odds"], rows)

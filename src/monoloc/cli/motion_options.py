@@ -38,14 +38,15 @@ OdometryOption = Annotated[
     ),
 ]
 OdometryDelayOption = Annotated[
-    float, typer.Option("--odometry-delay", metavar="SECONDS", help="By which the stamps of --odometry are late.")
+    float, typer.Option("--odometry-delay", metavar="SECONDS", help="Delay of the time stamps of --odometry.")
 ]
 MountOption = Annotated[
     Path | None,
     typer.Option(
         "--mount",
         metavar="FLIGHT.toml",
-        help="File whose [mount] says how the camera sits on the body of --gyroscope and --odometry. [looks forward]",
+        help="File whose [mount] says how the camera is mounted on the body of --gyroscope and --odometry. "
+        "[looks forward]",
     ),
 ]
 
@@ -110,6 +111,6 @@ def _telling(path: Path, source: MotionSource, times_s: FloatArray) -> MotionSou
         DataError: it tells none.
     """
     if len(times_s) > 1 and not any(motions_between(times_s, [source])):
-        problem = f"tells no motion between frames of {times_s[0]:.3f} to {times_s[-1]:.3f} s"
+        problem = f"gives no motion between frames of {times_s[0]:.3f} to {times_s[-1]:.3f} s"
         raise DataError(path, problem, "bring its time stamps to the clock of the frames")
     return source

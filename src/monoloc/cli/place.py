@@ -50,7 +50,7 @@ def new(
 ) -> None:
     """Make a place of bundles.
 
-    A room is named as its bundle, which stays where it is.
+    A room has the name of its bundle, which stays where it is.
 
     \b
     Examples:
@@ -85,11 +85,11 @@ def door(
 ) -> None:
     """Measure a door between two rooms by a walk through it.
 
-    The walk shows where both rooms' landmarks see the camera. It replaces a door at the same place.
+    Landmarks of both rooms localise the camera along the walk. The new door replaces one at the same place.
 
     \b
     Examples:
-      monoloc place door house.place kitchen hall door.mp4 --camera camera.toml
+      monoloc place door house.place kitchen hall door.mp4 --camera cam.toml
       monoloc place door house.place hall study --same-world
     """
     if (source is None) != same_world:
@@ -166,7 +166,7 @@ def localize_in(
 
     \b
     Examples:
-      monoloc place localize house.place flight.mp4 --camera camera.toml --out flight.csv
+      monoloc place localize house.place flight.mp4 --camera cam.toml --out flight.csv
       monoloc place localize house.place tum:walk --truth-room kitchen --json
     """
     check_outputs({"--out": out}, (place, source, require_signature))

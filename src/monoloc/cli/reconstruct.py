@@ -56,10 +56,10 @@ def reconstruct_command(
 ) -> None:
     """Find poses and depth of a video by structure from motion.
 
-    Other images without poses will do, too. What it writes is a recording like any other: look at it, check it, build
-    from it. Poses that the source may have are not used. docs/how-to/map-from-a-video.md says how to film, and what
-    tells the scale. The file of a distance names frames by their numbers in the video, from 000000; images in --out
-    are numbered anew.
+    Other images without poses work too. The result is a recording like any other: look at it, check it, build from
+    it. Poses of the source are not used. docs/how-to/map-from-a-video.md says how to film, and what can give the
+    scale. The file of a distance names frames by their numbers in the video, from 000000; images in --out are
+    renumbered.
 
     \b
     Examples:

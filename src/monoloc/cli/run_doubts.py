@@ -20,7 +20,7 @@ def doubts_of(run: Run, metrics: Mapping[str, object], room: Bundle) -> Iterator
     """
     frames = len(run.poses)
     if len(room.landmarks) and "landmarks" not in run.config.without and not run.landmark_used.any():
-        yield "no frame shows landmarks of this room; monoloc check BUNDLE SOURCE tells whether it is another room"
+        yield "no frame shows landmarks of this room; monoloc check BUNDLE SOURCE shows whether it is another room"
     mismatches = sum(Reason.CAMERA_MISMATCH in reasons for reasons in run.reasons)
     if mismatches >= _MISMATCH_SHARE * frames:
         problem = f"in {mismatches} of {frames} frames, landmarks fit another focal length than the camera's"
@@ -29,5 +29,5 @@ def doubts_of(run: Run, metrics: Mapping[str, object], room: Bundle) -> Iterator
         yield f"{silent} of {frames} frames are *tracking* or *map-changed*, and more than 30 cm off"
     coverage = metrics.get("coverage_95")
     if isinstance(coverage, float) and coverage < _LEAST_COVERAGE:
-        problem = f"{coverage:.0%} of the errors lie within the covariance that states 95 %"
+        problem = f"{coverage:.0%} of the errors lie within the stated 95 % ellipsoid"
         yield f"{problem}; do not use these poses, unless the recording's own are of another world than the bundle's"

@@ -60,8 +60,8 @@ def sign(
 ) -> None:
     """Sign a bundle, after a check of every byte, or a place.
 
-    Any later change, or build of the same name, voids the signature. The bundles of a place are signed by
-    themselves; its doors, and which bundles it is made of, with the place.
+    Any later change, or build of the same name, voids the signature. The bundles of a place are signed one by one.
+    The signature of a place covers its doors, and which bundles it consists of.
 
     \b
     Examples:
@@ -86,10 +86,10 @@ def sign(
 @app.command()
 def verify(
     bundle: BundleArgument,
-    key: Annotated[Path, typer.Option("--key", metavar="NAME.pub", help="Public key of who should have signed.")],
+    key: Annotated[Path, typer.Option("--key", metavar="NAME.pub", help="Public key of the expected signer.")],
     json: JsonOption = False,
 ) -> None:
-    """Check that a bundle, or a place with all its bundles, is just what the owner of a key signed.
+    """Check that a bundle, or a place with all its bundles, is exactly what the owner of a key signed.
 
     \b
     Examples:

@@ -104,7 +104,7 @@ def _checked(bundle: Bundle, recording: Recording) -> tuple[Recording, dict[str,
         raise DataError(recording.name, f"has no {what}", "extend by a recording with poses and depth")
     remarks: dict[str, Any] = {}
     whole = KeptDepth(recording)
-    if warnings := check_recording(whole, None, BuildConfig(), if_poor="look at them: monoloc check"):
+    if warnings := check_recording(whole, None, BuildConfig(), if_poor="check them: monoloc check"):
         remarks["warnings"] = warnings
     known_frames = _mapped_frames(bundle)
     new = [index for index in range(len(whole)) if fingerprint(whole.color(index)) not in known_frames]

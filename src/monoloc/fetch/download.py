@@ -14,7 +14,7 @@ from monoloc.progress import Progress, Step
 
 _CHUNK = 1 << 20
 _TIMEOUT_S = 60.0
-_AGAIN = "check the connection, and run the command again: it goes on where it broke off"
+_AGAIN = "check the connection, and run the command again: it continues where it stopped"
 _HTTP_PARTIAL, _HTTP_NO_SUCH_RANGE = 206, 416
 
 

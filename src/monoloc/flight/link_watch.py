@@ -43,7 +43,7 @@ class LinkWatch:
         self._look_at_heartbeat(now_s)
         self._look_at_firmware(now_s)
         for system in sorted(self._link.others - self._others):
-            self._say(now_s, f"another autopilot is heard, system {system}: nothing is taken from it")
+            self._say(now_s, f"another autopilot is heard, system {system}: it is ignored")
         self._others = self._link.others
 
     def close(self) -> None:

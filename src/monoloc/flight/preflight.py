@@ -165,7 +165,7 @@ class Preflight:
             yield Finding("intrinsics", "bad", "landmarks fit another focal length", remark)
         elif self._reasons[Reason.CAMERA_UNCONFIRMED]:
             remark = "look at things that are near and far for a few seconds, or build with this camera"
-            yield Finding("intrinsics", "warning", "the focal length is not the build's, nor confirmed", remark)
+            yield Finding("intrinsics", "warning", "the focal length is neither the build's nor confirmed", remark)
         elif np.median(self._landmarks) >= _GOOD_LANDMARKS:
             yield Finding("intrinsics", "good", "landmarks do not contradict the stated focal length")
         else:
@@ -196,7 +196,7 @@ def _without_frames(summary: FlightSummary) -> Finding:
         if reason == "without start":
             return Finding("start", "bad", f"no marker in {count} images", "show the camera a marker of flight.toml")
         problem = f"{count} images, too old" if reason == "old" else f"{count} images stamped ahead of the clock"
-        return Finding("camera", "bad", problem, "take a faster network, and a source whose stamps are right")
+        return Finding("camera", "bad", problem, "use a faster network, and a source whose time stamps are right")
     return Finding("camera", "bad", "no frame", "check the cable, and the source that was named")
 
 
@@ -213,7 +213,7 @@ def _of_timing(summary: FlightSummary, most_age_s: float, firmware: Firmware | N
     if median_s is not None and p95_s is not None:
         level = "good" if p95_s <= _GOOD_LATENCY_S else "warning"
         level = level if p95_s <= most_age_s else "bad"
-        remark = "" if level == "good" else f"older poses than most_age_s, {most_age_s:g} s, are not sent"
+        remark = "" if level == "good" else f"poses older than most_age_s, {most_age_s:g} s, are not sent"
         yield Finding("latency", level, f"{1e3 * median_s:.0f} ms (95 %: {1e3 * p95_s:.0f} ms)", remark)
 
 
@@ -233,7 +233,7 @@ def _of_link(link: LinkReport) -> Iterator[Finding]:
         yield Finding("round trip", "warning", "unknown", remark)
     else:
         is_good = link.round_trip_s <= _GOOD_ROUND_TRIP_S
-        remark = "" if is_good else "take a faster port or fewer messages: what is sent waits for it"
+        remark = "" if is_good else "use a faster port, or send fewer messages: they wait for it"
         yield Finding("round trip", "good" if is_good else "warning", f"{1e3 * link.round_trip_s:.0f} ms", remark)
     yield from _of_mount(link.mount)
     for rule in link.firmware.parameters:
@@ -258,7 +258,7 @@ def _of_sending(link: LinkReport, rate_hz: float | None) -> Iterator[Finding]:
         return
     needed = min(rate_hz, settings.rate_hz) * _POSE_BYTES + settings.obstacles * _OBSTACLES_BYTES_A_SECOND
     is_enough = needed <= _MOST_LOAD * link.bytes_a_second
-    remark = "" if is_enough else "take 921600 baud, or a lower rate_hz or no obstacles in flight.toml"
+    remark = "" if is_enough else "use 921600 baud, or a lower rate_hz or no obstacles in flight.toml"
     how_much = f"{needed / 1e3:.1f} of {link.bytes_a_second / 1e3:.1f} kB a second"
     yield Finding("serial port", "good" if is_enough else "bad", how_much, remark)
 

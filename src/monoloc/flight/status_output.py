@@ -17,7 +17,7 @@ _NO_IMAGE = "no image from the camera"
 # Why images that come are not localised, by the reason that the summary counts them under.
 _WHY = {
     "without start": "waiting for a marker",
-    "old": "images come too late: the network is slow, or their time stamps are",
+    "old": "images come too late: the network is slow, or their time stamps are wrong",
     "future": "images are stamped ahead of the clock",
     "unordered": "images come out of order",
 }

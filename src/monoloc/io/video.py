@@ -77,7 +77,7 @@ class VideoRecording:
             focal_px = _GUESSED_FOCAL * max(width, height)
             camera = Camera(width, height, focal_px, focal_px, (width - 1) / 2.0, (height - 1) / 2.0)
         if camera is None:
-            problem = "is a video, without poses, without depth, and says nothing of its camera"
+            problem = "is a video, without poses, without depth, and does not state its intrinsics"
             known = f"give --camera FILE.toml of monoloc calibrate, or --camera {width},{height},FX,FY,CX,CY"
             command = ["monoloc", "reconstruct", str(path), "--out", path.stem, "--camera-out", "cam.toml"]
             fix = f"{known}; to find it: {shlex.join(command)}"

@@ -162,7 +162,7 @@ def _level_axes(down_world: ArrayLike, north_rad: float) -> FloatArray:
     ahead = np.array([1.0, 0.0, 0.0]) - down[0] * down  # the x axis, levelled
     horizontal = float(np.linalg.norm(ahead))
     if horizontal < _LEAST_HORIZONTAL:
-        raise SettingError("down", "is along the map's x axis, which so has no heading", "turn the map's poses")
+        raise SettingError("down", "is along the map's x axis, which thus has no heading", "turn the map's poses")
     ahead /= horizontal
     R_level_world = np.stack([ahead, np.cross(down, ahead), down])
     cosine, sine = np.cos(north_rad), np.sin(north_rad)

@@ -35,7 +35,7 @@ class Firmware(Enum):
         """What an autopilot is, in words, whose heartbeat says another firmware; None if it says this or neither."""
         if heard in (None, self):
             return None
-        return f"is {heard.title}, which takes poses in another frame than {self.title}"
+        return f"is {heard.title}, which expects poses in another frame than {self.title}"
 
     @property
     def pose_frame(self) -> int:

@@ -127,11 +127,12 @@ def reconstruct(
 
 def _notes(recording: Recording, model: SparseModel, scale: MetricScale, is_upright: bool) -> list[str]:
     notes = [
-        f"poses and depth are by structure from motion, of {len(model.frames)} keyframes of {len(recording)} frames",
-        f"the scale is by {scale.how}, ± {100.0 * scale.sd:.2g} %",
-        "gravity is by floor and walls, and z is up"
+        f"poses and depth come from structure from motion, {len(model.frames)} keyframes of {len(recording)} frames",
+        f"the scale comes from {scale.how}, ± {100.0 * scale.sd:.2g} %",
+        "the direction of gravity comes from floor and walls, and z is up"
         if is_upright
-        else "gravity is not known, as floor and walls do not show it; z is up if the camera was held without roll",
+        else "the direction of gravity is not known, since floor and walls do not show it; z is up if the camera was "
+        "held without roll",
     ]
     if model.camera_sd:
         notes.append(

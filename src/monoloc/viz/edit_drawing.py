@@ -46,7 +46,7 @@ def draw_edits(axis: Axes, edits: Sequence[DrawnEdit], project: Projection, with
     if with_content:
         went = any(len(edit.went) + len(edit.went_landmarks) for edit in edits)
         came = any(len(edit.came) + len(edit.came_landmarks) for edit in edits)
-        for colour, name, occurs in ((VERMILION, "went by an edit", went), (BLUE, "came by an edit", came)):
+        for colour, name, occurs in ((VERMILION, "removed by an edit", went), (BLUE, "added by an edit", came)):
             if occurs:
                 axis.plot([], [], "s", color=colour, markersize=5.0, label=name)
 

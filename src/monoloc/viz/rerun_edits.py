@@ -55,10 +55,10 @@ def _entities(edit: DrawnEdit, down: FloatArray) -> dict[str, rr.Boxes3D | rr.Ar
         radius = rr.Radius.ui_points(2.0)
         entities["arrow"] = rr.Arrows3D(origins=[edit.place.centre], vectors=[shift], colors=_NAME, radii=radius)
     for name, points, color, size in (
-        ("went", edit.went, _WENT, 1.5),
-        ("came", edit.came, _CAME, 1.5),
-        ("landmarks that went", edit.went_landmarks, _WENT, 2.5),
-        ("landmarks that came", edit.came_landmarks, _CAME, 2.5),
+        ("removed", edit.went, _WENT, 1.5),
+        ("added", edit.came, _CAME, 1.5),
+        ("removed landmarks", edit.went_landmarks, _WENT, 2.5),
+        ("added landmarks", edit.came_landmarks, _CAME, 2.5),
     ):
         if len(points):
             entities[name] = rr.Points3D(points, colors=color, radii=rr.Radius.ui_points(size))

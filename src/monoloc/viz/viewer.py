@@ -219,9 +219,9 @@ def open_window() -> None:
     try:
         rerun.spawn(port=WINDOW_PORT, connect=False, hide_welcome_screen=True)
     except RuntimeError as error:
-        raise SettingError("--view", f"Rerun does not start ({error})", "see that 'rerun' does") from error
+        raise SettingError("--view", f"Rerun does not start ({error})", "check that 'rerun' starts") from error
     if not _is_listening():
-        raise SettingError("--view", "Rerun did not open its window in time", "see that 'rerun' does, and try again")
+        raise SettingError("--view", "Rerun did not open its window in time", "check that 'rerun' does; try again")
 
 
 def _is_listening() -> bool:

@@ -75,7 +75,7 @@ def test_too_few_unseen_frames_are_refused(room: RoomRecording) -> None:
         return UnseenFrames(bundle, Selection(room, frames), NoProgress())
 
     rng = np.random.default_rng(0)
-    refuses(lambda: unseen(range(100)), DataError, "has no frames in a row that did not build the bundle")
+    refuses(lambda: unseen(range(100)), DataError, "has no consecutive frames that were not used in the build")
     refuses(lambda: draw_starts(unseen(range(130)), 1, rng), DataError, "has no 5 s of unseen frames in a row")
     refuses(lambda: draw_kidnaps(unseen(range(100, 310, 8)), 1, rng), DataError, "has no 30 unseen frames in a row")
 

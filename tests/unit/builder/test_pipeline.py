@@ -248,7 +248,7 @@ def test_bundle_and_report_hold_the_measurements_and_warn_of_poor_relocalization
     levels = [np.median(cv2.cvtColor(recording.color(index), cv2.COLOR_RGB2GRAY)) for index in range(len(recording))]
     assert bundle.provenance.brightness == pytest.approx((np.mean(levels), np.std(levels)), abs=1.0)
     assert bundle.supports_relocalization == (not warnings)
-    no_gravity = "floor and walls do not tell the direction of gravity: poses for an autopilot need down = "
+    no_gravity = "floor and walls do not show the direction of gravity: poses for an autopilot need down = "
     assert bundle.down is None and report.warnings[1].startswith(no_gravity)
     assert [report.warnings[0], *report.warnings[2:]] == [REMARK, *warnings]
     figures = (report.nll_start, report.nll_end, report.depth_absrel_before, report.depth_absrel_after)

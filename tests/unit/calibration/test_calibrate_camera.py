@@ -145,7 +145,7 @@ def test_views_that_no_camera_explains_are_refused() -> None:
         )
         for view in views_of("brown")
     ]
-    with pytest.raises(DataError, match=r"is explained to \d\.\d pixels only; keep the board flat"):
+    with pytest.raises(DataError, match=r"fits the calibration only to \d\.\d pixels; keep the board flat"):
         assess("views", calibrate_camera(bent, BOARD, SIZE, "brown"))
 
 

@@ -108,7 +108,8 @@ def test_turn_in_a_map_that_does_not_tell_gravity_is_warned_of(
     tilted = room.provenance.model_copy(update={"down_world": (0.0, 0.7, 0.7)})
     write_bundle(here / "room.monoloc", replace(room, provenance=tilted))
     _, err = outputs(capfd, *EDIT, "move", "--box", BOX, "--by", "0.5,0,0", *turns)
-    warned = f"warning: {option}: is about the cameras' mean direction, since the map does not tell that of gravity"
+    problem = "is about the cameras' mean vertical, since the map does not give the direction of gravity"
+    warned = f"warning: {option}: {problem}"
     assert err.startswith(warned) if option else "warning" not in err
 
 

@@ -175,7 +175,7 @@ def test_voxels_and_grid_are_in_the_frame_that_ros_shows(capfd: pytest.CaptureFi
         (
             ("map", "export", "bare.monoloc", "--out", "a.bt"),
             "room",
-            "does not tell the direction of gravity",
+            "does not give the direction of gravity",
             ".ply",
         ),
     ],

@@ -113,7 +113,7 @@ def test_a_flight_adds_evidence_beside_the_bundle_that_is_written(
 @pytest.mark.parametrize(
     ("arguments", "names", "problem", "fix"),
     [
-        (("--apply", "1"), "--apply", "has '1', the id of no proposal", "list them again"),
+        (("--apply", "1"), "--apply", "has '1', which is the id of no current proposal", "list them again"),
         (("--apply", "1", "--auto"), "--apply", "is given together with --auto", "give one"),
         (("folder:flight", "--apply", "1"), "--apply", "a list that these recordings change", "the new list first"),
         (("folder:flight", "--depth-scale", "0"), "--depth-scale", "is 0", "the stored value of one metre"),

@@ -90,7 +90,7 @@ def test_gyroscope_stands_in_where_odometry_ends(tmp_path: Path) -> None:
 
 def test_sensor_that_tells_nothing_of_the_frames_is_refused(tmp_path: Path) -> None:
     poses, rates = write_poses(tmp_path / "wheels.txt"), write_gyroscope(tmp_path / "imu.csv", TWIST[3:])
-    problem, fix = r"tells no motion between frames of 1000\.000 to 1000\.533 s", "clock of the frames"
+    problem, fix = r"gives no motion between frames of 1000\.000 to 1000\.533 s", "clock of the frames"
     refuses_data(lambda: measured_motions(1000.0 + FRAMES_S, rates, None, 0.0, None), rates, problem, fix)
     refuses_data(lambda: measured_motions(1000.0 + FRAMES_S, None, poses, 0.0, None), poses, problem, fix)
     assert measured_motions(FRAMES_S[:1], rates, None, 0.0, None) == [None]

@@ -57,7 +57,7 @@ def test_another_focal_length_speaks_for_another_camera(room: Bundle, run: Run) 
 
 def test_errors_beyond_the_covariance_are_said(room: Bundle, run: Run) -> None:
     (doubt,) = doubts(replace(run, covariances=1e-12 * run.covariances), room)
-    assert doubt.startswith("0% of the errors lie within the covariance that states 95 %; do not use these poses,")
+    assert doubt.startswith("0% of the errors lie within the stated 95 % ellipsoid; do not use these poses,")
 
 
 def test_frames_that_are_far_off_while_tracking_are_counted(room: Bundle, run: Run) -> None:

@@ -72,7 +72,8 @@ def test_other_firmware_is_said_once_to_the_person_and_to_the_pilot(watched: Wat
     watched.link.is_alive, watched.link.firmware = True, Firmware.ARDUPILOT
     lines = watched.until(1.0)
     assert lines[1] == (
-        "warning: the autopilot is ArduPilot, which takes poses in another frame than PX4; set firmware to ardupilot"
+        "warning: the autopilot is ArduPilot, which expects poses in another frame than PX4; "
+        "set firmware to ardupilot"
     )
     assert watched.until(2.0) == []
     (text,) = watched.link.sent
@@ -97,6 +98,6 @@ def test_other_autopilots_are_said_once(watched: Watched) -> None:
     watched.link.is_alive = True
     watched.until(1.0)
     watched.link.others = frozenset({7})
-    assert watched.until(1.1) == ["another autopilot is heard, system 7: nothing is taken from it"]
+    assert watched.until(1.1) == ["another autopilot is heard, system 7: it is ignored"]
     watched.link.others = frozenset({7, 9})
-    assert watched.until(1.2) == ["another autopilot is heard, system 9: nothing is taken from it"]
+    assert watched.until(1.2) == ["another autopilot is heard, system 9: it is ignored"]

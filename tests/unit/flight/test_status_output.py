@@ -88,7 +88,7 @@ def test_on_a_terminal_it_says_once_a_second_how_it_goes() -> None:
 @pytest.mark.parametrize(
     ("dropped", "line", "again"),
     [
-        ("old", "images come too late: the network is slow, or their time stamps are", True),
+        ("old", "images come too late: the network is slow, or their time stamps are wrong", True),
         ("future", "images are stamped ahead of the clock", True),
         ("without start", "waiting for a marker", False),
     ],
@@ -112,7 +112,7 @@ def test_a_camera_that_is_unplugged_while_its_images_were_late_is_said() -> None
     for index in range(40):
         flight.output.idle(100.1 + 0.1 * index)
     assert [line.split("s  ")[1] for line in flight.printed()[1:]] == [
-        "images come too late: the network is slow, or their time stamps are",
+        "images come too late: the network is slow, or their time stamps are wrong",
         "no image from the camera",
     ]
 

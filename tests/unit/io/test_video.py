@@ -65,7 +65,7 @@ def test_only_frames_that_can_be_decoded_are_counted(tmp_path: Path) -> None:
 def test_missing_intrinsics_are_named(tmp_path: Path) -> None:
     path = tmp_path / "flight.avi"
     synthetic.write_video(path)
-    problem = "without poses, without depth, and says nothing of its camera"
+    problem = "without poses, without depth, and does not state its intrinsics"
     known = "--camera FILE.toml of monoloc calibrate, or --camera 64,48,FX,FY,CX,CY"
     refuses_to_open(path, path, problem, f"{known}; .* monoloc reconstruct .*flight.avi --out flight --camera-out ")
 

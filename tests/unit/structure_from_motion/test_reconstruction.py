@@ -81,11 +81,13 @@ def test_recording_is_of_the_placed_frames(walk: RoomRecording, found: Reconstru
     recording = found.recording
     assert recording.frame_names == [walk.frame_names[index] for index in found.model.frames]
     np.testing.assert_array_equal(recording.color(3), walk.color(int(found.model.frames[3])))
-    assert recording.notes[0].startswith("poses and depth are by structure from motion, of ")
-    assert recording.notes[1].startswith("the scale is by depth of ")
+    assert recording.notes[0].startswith("poses and depth come from structure from motion, ")
+    assert recording.notes[1].startswith("the scale comes from depth of ")
 
 
-@pytest.mark.parametrize(("is_upright", "down", "note"), [(True, [0.0, 0.0, -1.0], "by"), (False, None, "not known")])
+@pytest.mark.parametrize(
+    ("is_upright", "down", "note"), [(True, [0.0, 0.0, -1.0], "comes from"), (False, None, "is not known")]
+)
 def test_gravity_is_written_where_surfaces_tell_it(
     walk: RoomRecording,
     found: Reconstruction,
@@ -99,7 +101,7 @@ def test_gravity_is_written_where_surfaces_tell_it(
     monkeypatch.setattr(reconstruction, "map_keyframes", lambda *_: unscaled)
     monkeypatch.setattr(reconstruction, "levelled", lambda model, *_: (model, is_upright))
     again = reconstruct(walk, DepthScale(), refine_camera=False)
-    assert again.recording.notes[2].startswith(f"gravity is {note}")
+    assert again.recording.notes[2].startswith(f"the direction of gravity {note}")
     write_folder(tmp_path / "walk", again.recording, again.depths)
     written = recorded_down(open_recording(str(tmp_path / "walk")))
     assert (None if written is None else written.tolist()) == down
