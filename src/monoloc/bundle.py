@@ -76,10 +76,10 @@ class Bundle:
         thresholds: of the scan's likelihood.
         reference_poses: of the frames that built it.
         landmarks: that they saw.
-        integrity: what tells right from wrong beliefs in the room.
+        integrity: what distinguishes right from wrong beliefs in the room.
         sensor: the same of a depth sensor in place of the network.
         transform: from the original to the adapted map; None where both are the same.
-        cloud: that the map stands for; None in bundles of earlier versions, which did not note it.
+        cloud: size of the cloud that the map was fitted to; None in bundles of earlier versions, which lack it.
         edits: of the map since it was built, the last one last.
     """
 
@@ -100,7 +100,7 @@ class Bundle:
 
     @property
     def supports_relocalization(self) -> bool:
-        """Whether a lost camera can be found: by landmarks, or by scans that tell the room's places apart."""
+        """Whether a lost camera can be found: by landmarks, or by scans that distinguish the room's places."""
         by_landmarks = self.supports_landmark_search and len(self.reference_poses) > 0
         return self.supports_scan_search or by_landmarks
 
@@ -122,7 +122,7 @@ class Bundle:
     def down(self) -> FloatArray | None:
         """Direction of gravity, (3,) unit vector, world frame.
 
-        None where neither the recording nor the room's surfaces tell it.
+        None where neither the recording nor the room's surfaces show it.
         """
         down = np.asarray(self.provenance.down_world)
         return down if self.provenance.knows_down else down_of(self.original, down)
@@ -223,7 +223,7 @@ def read_bundle(path: str | Path, public_key: str | Path | None = None) -> Bundl
 
     Args:
         path: of the bundle.
-        public_key: file with the key of who must have signed it; None takes bundles of anybody.
+        public_key: file with the key of the required signer; None accepts bundles of anybody.
 
     Raises:
         BundleError: not a bundle, cut short, edited, of an unknown schema, with a network that is refused by

@@ -1,4 +1,4 @@
-"""Signatures tell who made a bundle or a place: Ed25519 over its manifest, which holds the checksums of all else.
+"""Signatures show who made a bundle or a place: Ed25519 over its manifest, which holds the checksums of all else.
 
 A signature is its plain 64 bytes and keys are PEM files, so that OpenSSL makes and checks the same. Needs the extra
 ``sign``.

@@ -48,8 +48,8 @@ class Localizer:
     Args:
         bundle: the room, as :func:`monoloc.load` returns it.
         camera: the camera of the frames.
-        start: the first pose; None where nothing is known of it. Then the room is searched, and the state is *lost*
-            until the camera is found.
+        start: the first pose; None if it is unknown. Then the room is searched, and the state is *lost* until the
+            camera is found.
         config: settings in place of the bundle's.
         components: makes the components, see :mod:`monoloc.components`.
         seed: of all random numbers: the same seed gives the same poses. A generator is used as it is.

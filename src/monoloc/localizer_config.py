@@ -39,7 +39,7 @@ class LocalizerConfig(BaseModel):
         landmark_bias: the same of landmark poses, and their noise.
         without: parts that are left out, see :func:`monoloc.parts.leave_out`.
         threads: of a step: with two, depth is predicted while the odometry follows corners. Results are the same.
-        budget_ms: that a step may take; more is left out the slower the computer is, see
+        budget_ms: that a step may take; the slower the computer, the more is left out, see
             :mod:`monoloc.step_budget`. None leaves nothing out.
     """
 

@@ -29,7 +29,7 @@ def leave_out(bundle: Bundle, config: LocalizerConfig) -> tuple[Bundle, Localize
     - ``odometry``: visual odometry; particles walk at random. Another sensor's motion still counts.
     - ``depth-scale``: each particle's own scale of depth.
     - ``scale-tilt``: the correction of a depth image's scale and tilt by odometry's corners.
-    - ``known-bias``: the correction by what was measured at the reference poses; the bias is as much wider.
+    - ``known-bias``: the correction by the bias measured at the reference poses; the bias is wider by as much.
     - ``bias``: the biases in the belief, and ``known-bias``; each frame's belief is the particles' pose alone, then
       that of landmarks.
     - ``gravity``: alignment with an observed direction of gravity.

@@ -45,7 +45,7 @@ class Start:
         error_m: float = START_ERROR_M,
         error_rad: float = np.deg2rad(START_ERROR_DEG),
     ) -> Start:
-        """A start that is exactly so far from a true pose, in a random direction."""
+        """A start at exactly these distances from a true pose, in a random direction."""
         offset, turn = rng.standard_normal((2, 3))
         offset *= error_m / np.linalg.norm(offset)
         turn *= error_rad / np.linalg.norm(turn)

@@ -17,7 +17,7 @@ class BuildConfig(BaseModel):
     """Settings of a build.
 
     Attributes:
-        most_frames: of a longer recording, so many frames are chosen that show most of the room.
+        most_frames: largest number of frames used; of a longer recording, those that show most of the room are taken.
         components: of the map, or ``bic`` to choose their number.
         voxel_m: edge of the voxels that thin the cloud to one point each.
         max_depth_m: sensor depth beyond it is not used for the map.

@@ -1,4 +1,4 @@
-"""Calibration: what the localizer may believe, measured at known poses."""
+"""Calibration of the localizer's error model, at known poses."""
 
 from __future__ import annotations
 

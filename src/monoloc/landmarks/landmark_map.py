@@ -1,6 +1,6 @@
 """The landmark map: corners of a room with descriptors.
 
-Away from the views that it was tuned on, a depth network errs in the same way from frame to frame. Where a corner is
+Away from the views that it was tuned on, a depth network makes the same error from frame to frame. Where a corner is
 does not depend on what a network has learnt.
 """
 

@@ -1,4 +1,4 @@
-"""Obstacles from depth: nearest in each direction, free space ahead, local occupancy, what the map knows of them.
+"""Obstacles from depth: nearest in each direction, free space ahead, local occupancy, and the map's surfaces.
 
 Depth that was predicted for localisation is used once more, at the scale of the belief. Distances are as good as the
 build measured (:class:`~monoloc.obstacles.depth_error.DepthError`), and only in a room that the network was tuned to.

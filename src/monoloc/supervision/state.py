@@ -79,7 +79,7 @@ class Supervision:
         camera_mismatch: whether landmarks fit another focal length.
         camera_turned: whether depth is predicted from an image that lies on its side, or upside down.
         camera_confirmed: whether the focal length is the build's, or landmarks have confirmed it.
-        start_confirmed: whether scans or landmarks have spoken for the belief since the start.
+        start_confirmed: whether scans or landmarks have confirmed the belief since the start.
         changed_region: in view, in which the map no longer holds; None where there is none.
     """
 

@@ -95,8 +95,9 @@ SENTENCES: tuple[tuple[str, list[float]], ...] = (
         each_row("the paper's method"),
     ),
     (
-        r"The RMSE falls to ([\d.]+) of that of the row above, in both rooms; of the paper's method it is then "
-        r"([\d.]+) in RedKitchen and ([\d.]+) at the desk. Beyond the build frames it falls to ([\d.]+) in Red",
+        r"The RMSE falls to ([\d.]+) of that of the row above, in both rooms; it is then ([\d.]+) times that of the "
+        r"paper's method in RedKitchen and ([\d.]+) times at the desk. Beyond the build frames it falls to ([\d.]+) "
+        r"in Red",
         [
             max(ratios("+ decoder", "+ pose-step loss")[::2]),
             *ratios("+ decoder", "the paper's method")[::2],
