@@ -58,7 +58,7 @@ def draw(study: Study, results: Results, folder: Path) -> Drawn:
     rows.append(
         (
             "all",
-            "map transform (not in the bundle)",
+            "map transform (for edits of the map)",
             f"{transform:,}",
             "–",
             f"{_FLOAT_BYTES * transform / 1e3:.1f} kB",
@@ -86,8 +86,8 @@ def _text(numbers: dict[str, Any]) -> str:
     return (
         f"The parameters of PoseNet and depth network of a size differ by at most {100.0 * apart:.2f} %. Both serve "
         f"one room: a room costs its network, which is tuned to it, and its map of "
-        f"{numbers['map']['bytes'] / 1e3:.1f} kB, and by default landmarks besides. The transform is applied during "
-        "the build and is not part of the bundle."
+        f"{numbers['map']['bytes'] / 1e3:.1f} kB, and by default landmarks besides. The bundle keeps the "
+        "transform for edits of the map; flights do not use it."
     )
 
 
