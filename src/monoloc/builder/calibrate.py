@@ -59,9 +59,9 @@ def calibrate(
     from them. The bias of landmarks is not measured: set ``landmark_bias`` for a landmark localizer of your own.
 
     Returns:
-        The bundle with new ``settings`` and ``thresholds``. It keeps its reference poses, without the biases that
-        were measured there with the old components, and the growth of the bias away from them. A bundle without
-        reference poses gets those of the recording.
+        The bundle with new ``settings``, ``thresholds`` and classes of the scan (``integrity``). It keeps its
+        reference poses, without the biases that were measured there with the old components, and the growth of the
+        bias away from them. A bundle without reference poses gets those of the recording.
 
     Raises:
         DataError: the recording has no poses or fewer than two frames, no frame's depth gives a scan, or depth is off
