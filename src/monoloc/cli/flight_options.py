@@ -49,7 +49,7 @@ MapOrFlightArgument = Annotated[
 ]
 SettingsOption = Annotated[
     Path | None,
-    typer.Option("--settings", metavar="FLIGHT.toml", help="The file, if the first argument is none."),
+    typer.Option("--settings", metavar="FLIGHT.toml", help="Flight file, if the first argument is not one."),
 ]
 MavlinkOption = Annotated[
     str | None,
