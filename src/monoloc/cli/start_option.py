@@ -27,6 +27,7 @@ StartErrorDegOption = Annotated[
 
 _MIN_ERROR_M, _MIN_ERROR_RAD = 0.03, 0.015  # lower bounds of the error of a start
 _MAX_COORDINATE_M = 1e6  # of a start; no map is larger
+_MOST_BEYOND_M = 10.0  # from the map to a start that is given as numbers
 
 
 def start_of(
@@ -47,7 +48,7 @@ def start_of(
         rng: draws the direction.
 
     Raises:
-        SettingError: the text is none of these, or the room cannot be searched.
+        SettingError: the text is none of these, or a pose far from the room, or the room cannot be searched.
     """
     errors = max(_MIN_ERROR_M, error_m), max(_MIN_ERROR_RAD, error_rad)
     if text == TRUTH:
@@ -55,7 +56,12 @@ def start_of(
             raise SettingError("--start", "is truth, but the recording has no poses", f"write {METAVAR} or {UNKNOWN}")
         return Start(Start.disturbed(first_pose, rng, error_m, error_rad).pose, *errors)
     if text != UNKNOWN:
-        return Start(parse_pose(text), *errors)
+        pose = parse_pose(text)
+        beyond_m = room.original.beyond_m(pose[None, :3, 3])
+        if beyond_m > _MOST_BEYOND_M:
+            problem = f"is {text!r}, {beyond_m:.4g} m beyond the map"
+            raise SettingError("--start", problem, "are these millimetres? give metres, in the map's world")
+        return Start(pose, *errors)
     if not room.supports_relocalization:
         problem = "is unknown, and neither scans nor landmarks can find the camera in this room"
         if "relocalization" in room.settings.without:
@@ -76,7 +82,7 @@ def parse_pose(text: str, option: str = "--start") -> FloatArray:
         if values.shape != (7,) or not np.all(np.isfinite(values)):
             raise ValueError
     except ValueError as error:
-        fix = f"write {METAVAR} in metres" + (f", or {UNKNOWN}" if option == "--start" else "")
+        fix = f"write {METAVAR} in metres" + (f", {UNKNOWN}, or {TRUTH}" if option == "--start" else "")
         raise SettingError(option, f"is {text!r}", fix) from error
     far_m, length = float(np.abs(values[:3]).max()), math.hypot(*values[3:])
     if far_m > _MAX_COORDINATE_M:

@@ -171,9 +171,7 @@ def _empty(box: Region, bundle: Bundle) -> SettingError:
 
 def _check_near(bundle: Bundle, points: FloatArray, field: str) -> None:
     """Refuse to put something far from the map: nearly always, its unit is another one."""
-    lower, upper = bundle.original.bounds_m(1.0)
-    beyond = np.maximum(np.maximum(lower - points, points - upper), 0.0)
-    beyond_m = float(np.linalg.norm(beyond, axis=1).max(initial=0.0))
+    beyond_m = bundle.original.beyond_m(points)
     if beyond_m > _MOST_BEYOND_M:
         problem = f"puts something {beyond_m:.4g} m beyond the map"
         raise SettingError(field, problem, "are these millimetres? give metres, in the map's world")

@@ -101,6 +101,12 @@ class GaussianMixture:
         reach = sigmas * np.sqrt(np.diagonal(self.covariances, axis1=-2, axis2=-1))
         return (self.means - reach).min(axis=0), (self.means + reach).max(axis=0)
 
+    def beyond_m(self, points: FloatArray) -> float:
+        """Distance from the one-sigma box of :meth:`bounds_m` to the farthest of points (N, 3), metres; 0 inside."""
+        lower, upper = self.bounds_m(1.0)
+        beyond = np.maximum(np.maximum(lower - points, points - upper), 0.0)
+        return float(np.linalg.norm(beyond, axis=1).max(initial=0.0))
+
     @property
     def volume_m3(self) -> float:
         """Volume of :meth:`bounds_m` at 3 sigma, the support of outliers."""

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from monoloc.cli.localize import _write_each
-from monoloc.cli.start_option import parse_pose
+from monoloc.cli.start_option import parse_pose, start_of
 from monoloc.errors import DataError, SettingError
+from monoloc.start import Start
 from refusals import refuses
+from synthetic_room import Room, RoomRecording, make_bundle, make_path, room_mixture
 
 
 @pytest.mark.filterwarnings("error")
@@ -29,6 +31,23 @@ from refusals import refuses
 )
 def test_start_that_is_no_pose_is_refused(start: str) -> None:
     refuses(lambda: parse_pose(start), SettingError, f"^--start: is '{start}'.*; write TX,TY,TZ,QX,QY,QZ,QW")
+
+
+def test_a_word_that_is_no_start_is_answered_with_those_that_are() -> None:
+    refuses(lambda: parse_pose("Truth"), SettingError, "in metres, unknown, or truth$")
+
+
+def test_start_in_millimetres_is_refused() -> None:
+    """The room is a few metres wide."""
+    bundle = make_bundle(room_mixture(Room()), RoomRecording(Room(), make_path(2)))
+
+    def start(text: str) -> Start | None:
+        return start_of(text, bundle, None, 0.1, 0.05, np.random.default_rng(0))
+
+    given = start("0.5,0.2,-0.1,0,0,0,1")
+    assert given is not None and given.pose[0, 3] == 0.5
+    message = r"^--start: is '500,200,-100,.*', \d+\.?\d* m beyond the map; are these millimetres\? give metres"
+    refuses(lambda: start("500,200,-100,0,0,0,1"), SettingError, message)
 
 
 def test_start_is_a_translation_and_a_quaternion() -> None:
