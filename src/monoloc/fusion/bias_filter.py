@@ -28,7 +28,7 @@ from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_exp, se3_l
 from monoloc.landmarks.pnp import LandmarkPose
 from monoloc.odometry.motion import Motion, tracks_translation
 from monoloc.particle_filter.estimate import Estimate
-from monoloc.particle_filter.motion_model import MotionConfig, motion_sd
+from monoloc.particle_filter.motion_model import MotionConfig, few_corners_factor, motion_sd
 
 # Errors of odometry are correlated for a second or so. Treated as independent from frame to frame, their standard
 # deviations are inflated by this factor.
@@ -97,10 +97,11 @@ class BiasAugmentedFilter:
         return self._state.estimate(self._measured.log_scale)
 
     def stated(self) -> Estimate:
-        """The belief with a covariance that allows for a larger bias of the particles away from the reference poses.
+        """The belief with a covariance that allows for more than the filter's own.
 
-        It is for the user alone: the filter goes on with its own, by which particles count for more beside landmarks
-        that are wrong.
+        Away from the reference poses the particles' bias may be larger, and odometry is less exact in directions that
+        the view hardly determines. Only the user gets this covariance. The filter goes on with its own, by which
+        particles and odometry count for more beside landmarks that are wrong.
         """
         sds = self._particle_bias.stated_sds(self._reference_poses.distance_m(self._state.pose))
         return replace(self.belief, covariance=self._state.covariance_with_bias(PARTICLES, sds))
@@ -264,7 +265,14 @@ class BiasAugmentedFilter:
             self._prior_sds(self._state.pose @ delta),
             by_log_scale,
             math.exp(-elapsed_s / _LOG_SCALE_TIME_S),
+            self._view_noise(motion),
         )
+
+    def _view_noise(self, motion: Motion | None) -> FloatArray:
+        """Odometry's noise by the shape of the view, (6, 6), inflated as its other noise is."""
+        if motion is None or motion.view_covariance is None:
+            return np.zeros((6, 6))
+        return (_ODOMETRY_INFLATION * few_corners_factor(motion.inliers)) ** 2 * motion.view_covariance
 
     def _prior_sds(self, pose: FloatArray) -> FloatArray:
         """Standard deviations of the sources' biases at a pose, (S, 6)."""

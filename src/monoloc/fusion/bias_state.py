@@ -34,6 +34,7 @@ class BiasAugmentedState:
         covariance: (7 + 6 S, 7 + 6 S) of the pose's twist, as in :class:`Estimate`, of the biases, and of the
             log-scale.
         prior_sds: (S, 6) standard deviations of biases that no measurement has corrected, after the motion so far.
+        unweighted: (7 + 6 S, 7 + 6 S) covariance of errors that come on top, and by which no measurement is weighted.
     """
 
     pose: FloatArray
@@ -41,12 +42,13 @@ class BiasAugmentedState:
     log_scale: float
     covariance: FloatArray
     prior_sds: FloatArray
+    unweighted: FloatArray
 
     @classmethod
     def from_start(cls, start: Estimate, prior_sds: FloatArray) -> BiasAugmentedState:
         """Before the first measurement: pose and biases are independent."""
         covariance = _block_diagonal(start.covariance, _prior_covariance(prior_sds))
-        return cls(start.pose, np.zeros_like(prior_sds), 0.0, covariance, prior_sds)
+        return cls(start.pose, np.zeros_like(prior_sds), 0.0, covariance, prior_sds, np.zeros_like(covariance))
 
     @classmethod
     def from_measurement(
@@ -57,7 +59,7 @@ class BiasAugmentedState:
         covariance = _block_diagonal(noise + bias, _prior_covariance(prior_sds))
         own = slice(6 + 6 * source, 12 + 6 * source)
         covariance[:6, own] = covariance[own, :6] = -bias
-        return cls(pose.copy(), np.zeros_like(prior_sds), 0.0, covariance, prior_sds)
+        return cls(pose.copy(), np.zeros_like(prior_sds), 0.0, covariance, prior_sds, np.zeros_like(covariance))
 
     def predict(
         self,
@@ -67,6 +69,7 @@ class BiasAugmentedState:
         prior_sds: FloatArray,
         by_log_scale: FloatArray = np.zeros(6),
         scale_correlation: float = 1.0,
+        unweighted_noise: FloatArray = np.zeros((6, 6)),
     ) -> BiasAugmentedState:
         """After a motion: the pose moves along, and the biases decay.
 
@@ -80,6 +83,7 @@ class BiasAugmentedState:
             prior_sds: (S, 6) at the new pose.
             by_log_scale: derivative of the motion by the log-scale, a twist (6,) in the new camera's frame.
             scale_correlation: of the log-scale before and after the motion.
+            unweighted_noise: of the motion, (6, 6), on top of ``noise``; see ``unweighted``.
         """
         remaining = (correlation * self.prior_sds) ** 2
         variances = np.maximum(remaining + (1.0 - correlation**2) * prior_sds**2, prior_sds**2)
@@ -89,8 +93,12 @@ class BiasAugmentedState:
         scale_variance = (1.0 - scale_correlation**2) * _LOG_SCALE_SD**2
         process_noise = _block_diagonal(noise, np.diag(np.append((variances - remaining).ravel(), scale_variance)))
         covariance = transition @ self.covariance @ transition.T + process_noise
+        unweighted = transition @ self.unweighted @ transition.T
+        unweighted[:6, :6] += unweighted_noise
         pose, log_scale = self.pose @ T_previous_current, scale_correlation * self.log_scale
-        return BiasAugmentedState(pose, correlation * self.biases, log_scale, covariance, np.sqrt(variances))
+        return BiasAugmentedState(
+            pose, correlation * self.biases, log_scale, covariance, np.sqrt(variances), unweighted
+        )
 
     def update_from_particles(self, measured: Estimate) -> BiasAugmentedState:
         """After the particles' pose; their spread is its noise. One beyond the gate counts less, as for landmarks."""
@@ -130,6 +138,7 @@ class BiasAugmentedState:
             biases=self.biases + correction[6:-1].reshape(-1, 6),
             log_scale=self.log_scale + float(correction[-1]),
             covariance=covariance,
+            unweighted=remaining @ self.unweighted @ remaining.T,
         )
 
     def _innovation(self, source: int, pose: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -148,7 +157,7 @@ class BiasAugmentedState:
         """Covariance (6, 6) of the pose, had a source's bias larger standard deviations (6,) than its prior's.
 
         The part of the pose's error that comes with that bias is larger by the same factors. Where other sources have
-        revealed the bias, it is small.
+        revealed the bias, it is small. The unweighted errors are added.
         """
         own = slice(6 + 6 * source, 12 + 6 * source)
         shared = self.covariance[:6, own]
@@ -156,7 +165,7 @@ class BiasAugmentedState:
         prior = self.prior_sds[source]
         ratio = np.divide(sds, prior, out=np.ones_like(prior), where=prior > 0.0)
         excess = np.sqrt(np.maximum(ratio**2 - 1.0, 0.0))
-        return np.asarray(self.covariance[:6, :6] + excess[:, None] * part * excess)
+        return np.asarray(self.covariance[:6, :6] + excess[:, None] * part * excess + self.unweighted[:6, :6])
 
     def estimate(self, log_scale: float) -> Estimate:
         """Pose and covariance as copies, because callers turn them to other axes in place."""

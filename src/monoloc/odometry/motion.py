@@ -32,6 +32,8 @@ class Motion:
             ``metric``; or ``unknown``, and zero: only the rotation is measured.
         translation_sd_m, rotation_sd_rad: standard deviation per axis; None as the settings state it for visual
             odometry, or for an unknown velocity where the translation is unknown.
+        view_covariance: of the twist in the current camera's frame, (6, 6), by how the view determines it; None
+            where that is not known.
     """
 
     T_previous_current: FloatArray
@@ -41,6 +43,7 @@ class Motion:
     translation: Literal["scaled", "metric", "unknown"] = "scaled"
     translation_sd_m: float | None = None
     rotation_sd_rad: float | None = None
+    view_covariance: FloatArray | None = None
 
     @classmethod
     def metric(cls, T_previous_current: ArrayLike, translation_sd_m: float, rotation_sd_rad: float) -> Motion:

@@ -13,7 +13,7 @@ filters of corners, initialised with a network's prediction).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -69,19 +69,27 @@ class _Tracks:
         )
 
 
+class _Found(NamedTuple):
+    """``T_r_current`` (4, 4), its covariance (6, 6) as :func:`solve_pose` has it, and the corners that agree."""
+
+    pose: FloatArray
+    covariance: FloatArray
+    tracks: _Tracks
+
+
 @dataclass(frozen=True)
 class _Followed:
     """An equalised grey image (h, w), None without contrast, and the result of following the corners into it.
 
     Attributes:
-        found: its pose, (4, 4), and the corners that agree with it; None on failure.
+        found: None on failure.
         turn: then, the rotation by which the whole image fits the previous one; None where it does not.
         elapsed_s: since the previous image; None where that is not known.
     """
 
     gray: NDArray[np.uint8] | None
     elapsed_s: float | None
-    found: tuple[FloatArray, _Tracks] | None = None
+    found: _Found | None = None
     turn: Motion | None = None
 
 
@@ -161,7 +169,7 @@ class VisualOdometry:
             self._add_keyframe(gray, np.eye(4), depth_m, depth_camera)
             self._gray = gray
             return turn
-        T_r_current, self._tracks = found
+        T_r_current, covariance, self._tracks = found
         # In frame r before the adjustment, which invalidates the previous pose.
         T_previous_current = invert(self._T_r_previous) @ T_r_current
         inliers = len(self._tracks.points)
@@ -169,9 +177,9 @@ class VisualOdometry:
             T_r_current = self._add_keyframe(gray, T_r_current, depth_m, depth_camera)
         self._gray, self._T_r_previous, self._last_motion = gray, T_r_current, T_previous_current.copy()
         points = transform(invert(T_r_current), self._tracks.points)
-        return Motion(T_previous_current, inliers, points, self._tracks.log_depth_sd)
+        return Motion(T_previous_current, inliers, points, self._tracks.log_depth_sd, view_covariance=covariance)
 
-    def _follow(self, gray: NDArray[np.uint8], expected: FloatArray) -> tuple[FloatArray, _Tracks] | None:
+    def _follow(self, gray: NDArray[np.uint8], expected: FloatArray) -> _Found | None:
         """Track the corners into ``gray`` and solve for its ``T_r_camera``; with the tracks but for outliers.
 
         Args:
@@ -185,8 +193,8 @@ class VisualOdometry:
         solution = solve_pose(tracks.points, tracks.pixels, self._camera, self.config)
         if solution is None:
             return None
-        T_r_current, inliers = solution
-        return T_r_current, tracks.select(inliers)
+        T_r_current, covariance, inliers = solution
+        return _Found(T_r_current, covariance, tracks.select(inliers))
 
     def _expected_motion(self, R_previous_current: FloatArray | None, elapsed_s: float | None) -> FloatArray:
         """``T_previous_current`` (4, 4) if the camera goes on as before, or turns as another sensor says."""

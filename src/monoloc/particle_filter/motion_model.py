@@ -37,6 +37,11 @@ class MotionConfig(BaseModel):
     log_scale_correlation: float = Field(0.95, ge=0.0, lt=1.0)
 
 
+def few_corners_factor(inliers: int) -> float:
+    """By which odometry's standard deviations are larger; 1 of a motion that no corners measured."""
+    return max(1.0, (_ENOUGH_INLIERS / inliers) ** _INLIER_POWER) if inliers > 0 else 1.0
+
+
 def motion_sd(
     motion: Motion | None, elapsed_s: float, time_since_update_s: float, config: MotionConfig
 ) -> FloatArray:
@@ -54,7 +59,7 @@ def motion_sd(
     translation_ratio, rotation_ratio = config.translation_sd_ratio, config.rotation_sd_ratio
     translation_sd = float(np.hypot(config.translation_sd_m, translation_ratio * np.linalg.norm(delta[:3, 3])))
     rotation_sd = float(np.hypot(config.rotation_sd_rad, rotation_ratio * rotation_angle(delta[:3, :3])))
-    factor = max(1.0, (_ENOUGH_INLIERS / motion.inliers) ** _INLIER_POWER) if motion.inliers > 0 else 1.0
+    factor = few_corners_factor(motion.inliers)
     translation_sd, rotation_sd = factor * translation_sd, factor * rotation_sd
     if motion.translation == "unknown":
         translation_sd = config.speed_sd_m_s * equivalent_s

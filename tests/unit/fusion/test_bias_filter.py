@@ -353,6 +353,45 @@ def test_covariance_is_stated_wider_away_from_the_build_unless_landmarks_are_see
     assert seen_believed <= seen < 0.2 * away
 
 
+def test_belief_is_the_same_whatever_the_view_and_its_stated_covariance_is_not() -> None:
+    """Until landmarks are seen, the stated covariance is wider by the noise of the view, of few corners more."""
+    view = np.diag(np.repeat([0.02, 0.01], 3) ** 2)
+    without, within = filter_at_origin(), filter_at_origin()
+    motion = replace(motion_of(STILL), inliers=50)
+    for fusion, covariance in ((without, None), (within, view)):
+        frame(fusion, replace(motion, view_covariance=covariance), by_particles(STILL), accepted=False)
+    np.testing.assert_array_equal(within.belief.covariance, without.belief.covariance)
+    wider = within.stated().covariance - without.stated().covariance
+    np.testing.assert_allclose(wider, (ODOMETRY_INFLATION * (200 / 50) ** 1.5) ** 2 * view, rtol=1e-9, atol=1e-12)
+    for fusion in (without, within):
+        fusion.update_from_landmarks(by_landmarks(along_x(0.01)))
+    np.testing.assert_array_equal(within.belief.pose, without.belief.pose)
+    seen = within.stated().covariance - without.stated().covariance
+    assert 0.0 < np.trace(seen) < 0.1 * np.trace(wider)
+
+
+def test_unweighted_noise_makes_the_stated_covariance_as_large_as_the_errors() -> None:
+    """Motions have more noise than the filter weighs them by: its own covariance is too small for the errors."""
+    rng, no_bias = np.random.default_rng(7), np.zeros((2, 6))
+    noise, more = np.diag(ODOMETRY_SD**2), np.diag((4.0 * ODOMETRY_SD) ** 2)
+    own, stated = [], []
+    for _ in range(100):
+        true = np.eye(4)
+        state = BiasAugmentedState.from_start(Estimate(true, np.diag(NOISE_SD**2), 0.0), no_bias)
+        state = replace(state, pose=se3_exp(NOISE_SD * rng.standard_normal(6)))
+        for _ in range(6):
+            true = true @ STEP @ se3_exp(rng.multivariate_normal(np.zeros(6), noise + more))
+            state = state.predict(STEP, noise, 1.0, no_bias, unweighted_noise=more)
+            measured = true @ se3_exp(NOISE_SD * rng.standard_normal(6))
+            state = state.update_from_landmarks(measured, np.diag(NOISE_SD**2), is_decisive=True)
+        error = se3_log(invert(state.pose) @ true)
+        own.append(error @ np.linalg.solve(state.covariance[:6, :6], error))
+        stated.append(error @ np.linalg.solve(state.covariance_with_bias(PARTICLES, np.zeros(6)), error))
+    # Of 100 chi-squares with 6 degrees of freedom, the mean has a standard deviation of 0.35.
+    assert 5.0 < np.mean(stated) < 7.0
+    assert np.mean(own) > 12.0
+
+
 def test_known_bias_is_subtracted_and_less_of_it_away_from_the_reference_pose() -> None:
     bias = BiasModel(sd_at_reference_m=0.03, sd_at_reference_rad=0.03, sd_growth_m=0.1, sd_growth_rad=0.1)
     reference_pose = se3_exp([0.5, -1.0, 2.0, 0.3, 0.2, -0.4])

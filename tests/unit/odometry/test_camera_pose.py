@@ -37,7 +37,7 @@ def test_corners_count_by_their_pixels_all_over_the_image(camera: Camera, seed: 
     pixels[wrong] += 12.0
     solution = solve_pose(points, pixels, camera, OdometryConfig())
     assert solution is not None
-    found, inliers = solution
+    found, _, inliers = solution
     assert not np.isin(wrong, inliers).any()
     assert len(inliers) > 0.98 * (len(points) - len(wrong))
     error = se3_log(invert(pose) @ found)
@@ -66,4 +66,36 @@ def test_depth_that_errs_smoothly_is_followed(seed: int) -> None:
     seen = camera.project(local) + NOISE_PX * rng.standard_normal((len(local), 2))
     solution = solve_pose(points, seen.astype(np.float32), camera, OdometryConfig())
     assert solution is not None
-    assert len(solution[1]) > 0.8 * len(points)
+    assert len(solution[2]) > 0.8 * len(points)
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_covariance_is_that_of_25_independent_corners(camera: Camera) -> None:
+    """Here all corners are independent, so a pose by n of them has 25 / n of the stated covariance."""
+    normalised = []
+    for seed in range(60):
+        points, pose, pixels = scene(camera, seed)
+        solution = solve_pose(points, pixels, camera, OdometryConfig())
+        assert solution is not None
+        found, covariance, inliers = solution
+        error = se3_log(invert(found) @ pose)
+        normalised.append(error @ np.linalg.solve(covariance * 25.0 / len(inliers), error))
+    # Of 60 chi-squares with 6 degrees of freedom, the mean has a standard deviation of 0.45.
+    assert 4.5 < np.mean(normalised) < 7.5
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_covariance_has_the_shape_of_the_view(camera: Camera) -> None:
+    """In front of a plane, a step to the right and a turn to the left look alike, so their errors come together."""
+    rng = np.random.default_rng(0)
+    rays = camera.rays(rng.uniform((80.0, 60.0), (240.0, 180.0), (CORNERS, 2)))
+    correlations = []
+    for depth_m in (np.full(CORNERS, 2.0), rng.uniform(0.5, 4.0, CORNERS)):
+        points = rays * (depth_m / rays[:, 2])[:, None]
+        seen = camera.project(points) + NOISE_PX * rng.standard_normal((CORNERS, 2))
+        solution = solve_pose(points, seen.astype(np.float32), camera, OdometryConfig())
+        assert solution is not None
+        covariance = solution[1]
+        correlations.append(covariance[0, 4] / np.sqrt(covariance[0, 0] * covariance[4, 4]))
+    of_plane, of_room = correlations
+    assert of_plane < -0.95 and of_plane < of_room
