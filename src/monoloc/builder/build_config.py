@@ -101,6 +101,7 @@ class BuildReport:
     correspondence_share: float
     size_ratio_median: float
     landmarks: int
+    held_out_frames: int
     depth_absrel_before: float | None
     depth_absrel_after: float | None
     depth_scale: float | None

@@ -334,6 +334,7 @@ def _report(
         kl=adapted.kl,
         **asdict(compare_maps(adapted.original, adapted.adapted)),
         landmarks=len(bundle.landmarks),
+        held_out_frames=len(adapted.held_out),
         depth_absrel_before=adapted.absrel[0],
         depth_absrel_after=adapted.absrel[1],
         depth_scale=fitted.scale if fitted else None,

@@ -174,7 +174,7 @@ def _print_report(out: Path, size: int, bundle: Bundle, report: BuildReport, net
     )
     if report.depth_absrel_before is not None and report.depth_absrel_after is not None:
         stderr.print(
-            f"held-out frames: depth error {100 * report.depth_absrel_before:.1f} % -> "
+            f"on {report.held_out_frames} held-out frames: depth error {100 * report.depth_absrel_before:.1f} % -> "
             f"{100 * report.depth_absrel_after:.1f} %, map moved {100 * report.shift_median_m:.1f} cm (median)",
             soft_wrap=True,
         )

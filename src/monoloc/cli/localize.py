@@ -146,7 +146,6 @@ def localize_command(
     left_out = () if without is None else parse_parts(without)
     room, digest = read_bundle(bundle, require_signature), digest_of(bundle)
     recording = open_source(source, frames, intrinsics, depth_scale, fix_poses=fix_poses, fix_depth=fix_depth)
-    warn_of_poses(recording)
     turns = quarter_turns_of(recording)
     motions = measured_motions(recording.timestamps_s, gyroscope, odometry, odometry_delay, mount, turns)
     given: dict[str, object] = {"motion": motion, "particles": particles, "scan_points": scan_points}
@@ -161,6 +160,7 @@ def localize_command(
     first_pose = None if recording.poses is None else recording.poses[0]
     error_rad = float(np.deg2rad(start_error_deg))
     begin = start_of(start, used, first_pose, start_error_cm / 100.0, error_rad, rng)
+    warn_of_poses(recording)  # takes a second, so all that can be refused has been
     name = f"{bundle.name}: {recording.name}"
     cv2.setNumThreads(1)  # more do not speed up small images, and the drone needs its other cores
     with ExitStack() as writing, ExitStack() as viewing:

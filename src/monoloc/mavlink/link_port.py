@@ -80,7 +80,9 @@ def parse_address(url: str) -> Address:
     if serial := _SERIAL.fullmatch(url):
         return Address("serial", serial[1], int(serial[2]))
     network = _NETWORK.fullmatch(url)
-    if network is None or not 0 < int(network[3]) <= _MOST_PORT:
+    if network is not None and not 0 < int(network[3]) <= _MOST_PORT:
+        raise SettingError("--mavlink", f"is {url!r}", f"a port is a number of 1 to {_MOST_PORT}")
+    if network is None:
         fix = "write udpout:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD"
         raise SettingError("--mavlink", f"is {url!r}", fix)
     return Address(network[1], network[2], int(network[3]))
