@@ -437,6 +437,8 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "**1 build** of each kind a room": "in the data",
     "a third of the *tracking* frames are more than 30 cm off": "in the table",
     "Rooms 11 to 16 were": "seeds",
+    "rooms 11, 12, 16 and 17 when": "seeds",
+    "32 were": "of the version before, which was not kept",
     "111 and 70 were": "of the version before, which was not kept",
     "20 starts and 20 kidnaps a room": "checked in the table",
     "In room 17, where the camera is at a distance of 1.7 from": "in the table",
