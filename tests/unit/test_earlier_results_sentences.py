@@ -24,6 +24,7 @@ from document_numbers import (
     sections_of,
     table_of,
     total,
+    tracking_percent,
     values,
 )
 from kept_flights import DESK_BEYOND, KITCHEN_BETWEEN, STRETCHES
@@ -58,6 +59,7 @@ def of_version(commit: str, method: str, stretch: int) -> Rows:
 
 
 METHODS = ("default", "without landmarks", "untuned")
+STATED = ("default", "without scans", "untuned")
 
 
 def of_all_stretches(commit: str, methods: tuple[str, ...] = METHODS) -> list[float]:
@@ -161,6 +163,14 @@ ANOTHER_BUILD: tuple[Sentence, ...] = (
 )
 
 BEFORE_THIS_ONE: tuple[Sentence, ...] = (
+    (
+        "{} of {} frames of the default, {} of {} without scans and {} of {} of untuned bundles were silently beyond "
+        "3.5 sigma; {}, {} and {} % of the frames were *tracking*.",
+        [
+            *silent_beyond_the_desk("85929a4", *STATED),
+            *(tracking_percent(of_version("85929a4", method, DESK_BEYOND)) for method in STATED),
+        ],
+    ),
     (
         "the default had an RMSE of {}, {}, {} and {} cm, and untuned bundles {}, {}, {} and {} cm (3 builds). At "
         "the desk, extrapolation, {} of {} frames of the default and {} of {} of untuned bundles were silently "
@@ -448,7 +458,7 @@ def test_section_says_that_its_runs_were_not_kept(heading: str) -> None:
     assert re.search(r"The runs .*were not kept", dict(sections_of(PAGE))[heading])
 
 
-VERSIONS = ("no", "one", "two", "three", "four", "five", "six", "seven")
+VERSIONS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight")
 
 
 @pytest.mark.parametrize(
