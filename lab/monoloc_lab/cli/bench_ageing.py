@@ -8,7 +8,14 @@ from typing import Annotated
 import cv2
 import typer
 
-from monoloc.cli.common import JsonOption, SeedOption, check_folder, print_json, print_table, stderr
+from monoloc.cli.common import (
+    JsonOption,
+    SeedOption,
+    print_json,
+    print_table,
+    stderr,
+)
+from monoloc.cli.output_checks import check_folder
 from monoloc.progress import ConsoleProgress
 from monoloc_lab.bench.ageing import ErrorFigures, as_json, bench_ageing, rendered_days
 

@@ -16,13 +16,13 @@ from monoloc.cli.common import (
     JsonOption,
     SeedOption,
     SourceArgument,
-    check_folder,
     open_source,
     print_json,
     print_table,
     stderr,
     text_of,
 )
+from monoloc.cli.output_checks import check_folder
 from monoloc.errors import SettingError
 from monoloc.extras import require_mavlink, require_stream
 from monoloc.fusion.reference_poses import NEAR_M

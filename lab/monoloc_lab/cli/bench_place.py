@@ -11,7 +11,15 @@ from typing import Annotated
 import cv2
 import typer
 
-from monoloc.cli.common import JsonOption, SeedOption, check_folder, print_json, print_table, stderr, text_of
+from monoloc.cli.common import (
+    JsonOption,
+    SeedOption,
+    print_json,
+    print_table,
+    stderr,
+    text_of,
+)
+from monoloc.cli.output_checks import check_folder
 from monoloc.progress import ConsoleProgress
 from monoloc_lab.bench.places import bench_place
 

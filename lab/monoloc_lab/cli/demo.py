@@ -16,14 +16,13 @@ from monoloc.cli.common import (
     JsonOption,
     SeedOption,
     ViewOption,
-    check_folder,
-    check_viewing,
     open_source,
     print_json,
     print_table,
     stderr,
 )
 from monoloc.cli.localize import draw
+from monoloc.cli.output_checks import check_folder, check_viewing
 from monoloc.depth.models import DEFAULT
 from monoloc.errors import DataError
 from monoloc.extras import require_plotting

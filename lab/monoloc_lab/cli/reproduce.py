@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from monoloc.cli.common import JsonOption, check_folder, print_json, print_table, stderr
+from monoloc.cli.common import (
+    JsonOption,
+    print_json,
+    print_table,
+    stderr,
+)
+from monoloc.cli.output_checks import check_folder
 from monoloc.errors import DataError, SettingError
 from monoloc.extras import require_plotting, training_extra
 from monoloc.io.registry import absolute_source, open_recording

@@ -8,7 +8,8 @@ from typing import Any
 
 from monoloc.adapt.settings import QUICK
 from monoloc.builder.build_config import BuildConfig
-from monoloc.cli.common import check_folder, print_json, print_table, stderr
+from monoloc.cli.common import print_json, print_table, stderr
+from monoloc.cli.output_checks import check_folder
 from monoloc.config import override
 from monoloc.errors import SettingError
 from monoloc.files import json_text, write_whole

@@ -9,7 +9,13 @@ import numpy as np
 import typer
 
 from monoloc.camera import Camera
-from monoloc.cli.common import JsonOption, SeedOption, check_folder, print_json, stderr
+from monoloc.cli.common import (
+    JsonOption,
+    SeedOption,
+    print_json,
+    stderr,
+)
+from monoloc.cli.output_checks import check_folder
 from monoloc.errors import SettingError
 from monoloc.geometry import FloatArray
 from monoloc.io.pose_files import read_tum

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from monoloc.bundle import check_target, replaced_edits
-from monoloc.cli.common import check_apart, stderr
+from monoloc.cli.common import stderr
+from monoloc.cli.output_checks import check_apart
 from monoloc.errors import SettingError
 
 
@@ -15,7 +16,7 @@ def check_bundle_output(out: Path, inputs: Sequence[str | Path]) -> None:
 
     Args:
         out: the bundle to be written.
-        inputs: see :func:`monoloc.cli.common.check_apart`.
+        inputs: see :func:`monoloc.cli.output_checks.check_apart`.
 
     Raises:
         BundleError: as :func:`monoloc.bundle.check_target`.

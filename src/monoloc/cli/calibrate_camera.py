@@ -18,14 +18,12 @@ from monoloc.calibration.intrinsics_solver import Calibration, calibrate_camera
 from monoloc.calibration.sufficiency import assess, coverage_of, require_views
 from monoloc.cli.common import (
     JsonOption,
-    check_outputs,
-    check_picture,
-    check_suffix,
     naming,
     print_json,
     print_table,
     stderr,
 )
+from monoloc.cli.output_checks import check_outputs, check_picture, check_suffix
 from monoloc.distortion import COEFFICIENTS, DistortionModel
 from monoloc.errors import SettingError
 from monoloc.io.camera_file import write_camera

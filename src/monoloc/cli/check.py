@@ -17,14 +17,13 @@ from monoloc.cli.common import (
     FramesOption,
     IntrinsicsOption,
     JsonOption,
-    check_outputs,
-    check_picture,
     open_cloud,
     open_source,
     print_json,
     stderr,
 )
 from monoloc.cli.findings import EXIT_CODES, print_findings
+from monoloc.cli.output_checks import check_outputs, check_picture
 from monoloc.errors import SettingError
 from monoloc.progress import ConsoleProgress
 from monoloc.recording_check.inspection import Inspection, inspect_recording

@@ -18,10 +18,6 @@ from monoloc.cli.common import (
     IntrinsicsOption,
     JsonOption,
     SourceArgument,
-    check_apart,
-    check_folder,
-    check_outputs,
-    check_picture,
     naming,
     open_source,
     print_json,
@@ -29,6 +25,7 @@ from monoloc.cli.common import (
     refuse_frames,
     stderr,
 )
+from monoloc.cli.output_checks import check_apart, check_folder, check_outputs, check_picture
 from monoloc.config import load_settings, override
 from monoloc.depth.models import is_shipped, shipped_models
 from monoloc.depth.predictor import DepthPredictor

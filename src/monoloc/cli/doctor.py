@@ -13,7 +13,14 @@ import numpy as np
 import typer
 
 from monoloc.camera import Camera
-from monoloc.cli.common import FramesOption, IntrinsicsOption, JsonOption, check_outputs, naming, print_json, stderr
+from monoloc.cli.common import (
+    FramesOption,
+    IntrinsicsOption,
+    JsonOption,
+    naming,
+    print_json,
+    stderr,
+)
 from monoloc.cli.findings import EXIT_CODES, print_findings
 from monoloc.cli.flight_options import (
     FirmwareOption,
@@ -27,6 +34,7 @@ from monoloc.cli.flight_options import (
     starting_of,
 )
 from monoloc.cli.flight_outputs import check_flight_outputs
+from monoloc.cli.output_checks import check_outputs
 from monoloc.cli.start_option import UNKNOWN
 from monoloc.errors import DataError, SettingError
 from monoloc.files import json_text, write_whole

@@ -13,7 +13,12 @@ import typer
 from monoloc.bundle import Bundle, read_bundle, write_bundle
 from monoloc.bundle_signature import SIGNATURE
 from monoloc.cli.bundle_output import check_bundle_output, note_replaced
-from monoloc.cli.common import print_json, print_table, stderr, text_of
+from monoloc.cli.common import (
+    print_json,
+    print_table,
+    stderr,
+    text_of,
+)
 from monoloc.edit_record import EditRecord
 from monoloc.editing.unchanged import AsFound
 from monoloc.files import target_of

@@ -8,7 +8,13 @@ from typing import Annotated
 import typer
 from pydantic import TypeAdapter
 
-from monoloc.cli.common import JsonOption, check_folder, print_json, print_table, stderr
+from monoloc.cli.common import (
+    JsonOption,
+    print_json,
+    print_table,
+    stderr,
+)
+from monoloc.cli.output_checks import check_folder
 from monoloc.errors import DataError, SettingError
 from monoloc.fetch.data_sets import DATA_SETS, DataSet
 from monoloc.fetch.download import download, sha256_of

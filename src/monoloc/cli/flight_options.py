@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
-from monoloc.cli.common import naming, open_source, parse_intrinsics, refuse_frames, stderr
+from monoloc.cli.common import (
+    naming,
+    open_source,
+    parse_intrinsics,
+    refuse_frames,
+    stderr,
+)
 from monoloc.cli.start_option import UNKNOWN, start_of
 from monoloc.config import override
 from monoloc.errors import SettingError

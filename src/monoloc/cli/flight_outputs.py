@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import get_args
 
 from monoloc.camera import Camera
-from monoloc.cli.common import check_apart, check_folder, check_outputs, check_suffix, check_viewing, print_json
+from monoloc.cli.common import print_json
+from monoloc.cli.output_checks import check_apart, check_folder, check_outputs, check_suffix, check_viewing
 from monoloc.errors import SettingError
 from monoloc.extras import require_mcap, require_viewing
 from monoloc.files import target_of
@@ -42,7 +43,7 @@ def check_flight_outputs(flight: FlightFile, inputs: Sequence[str | Path | None]
 
     Args:
         flight: names the outputs.
-        inputs: see :func:`~monoloc.cli.common.check_apart`.
+        inputs: see :func:`~monoloc.cli.output_checks.check_apart`.
 
     Raises:
         SettingError: an output is rejected; the error names the option.

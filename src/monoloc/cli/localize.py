@@ -27,9 +27,6 @@ from monoloc.cli.common import (
     SourceArgument,
     ThreadsOption,
     ViewOption,
-    check_outputs,
-    check_picture,
-    check_viewing,
     naming,
     open_source,
     print_json,
@@ -43,6 +40,7 @@ from monoloc.cli.motion_options import (
     OdometryOption,
     measured_motions,
 )
+from monoloc.cli.output_checks import check_outputs, check_picture, check_viewing
 from monoloc.cli.pose_warning import warn_of_poses
 from monoloc.cli.run_doubts import doubts_of
 from monoloc.cli.signature import RequireSignatureOption

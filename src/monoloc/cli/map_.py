@@ -18,10 +18,6 @@ from monoloc.cli.common import (
     RecordOption,
     SeedOption,
     ViewOption,
-    check_outputs,
-    check_picture,
-    check_suffix,
-    check_viewing,
     naming,
     open_cloud,
     open_source,
@@ -33,6 +29,7 @@ from monoloc.cli.common import (
 )
 from monoloc.cli.map_looking import export, info, render
 from monoloc.cli.map_update import update
+from monoloc.cli.output_checks import check_outputs, check_picture, check_suffix, check_viewing
 from monoloc.config import override
 from monoloc.editing.edit_history import drawn_edits
 from monoloc.evaluation.cloud_metrics import COMPARED_POINTS, compare_clouds

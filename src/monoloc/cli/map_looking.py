@@ -13,13 +13,12 @@ from monoloc.bundle import Bundle, read_bundle
 from monoloc.cli.common import (
     JsonOption,
     SeedOption,
-    check_outputs,
-    check_picture,
     naming,
     print_json,
     print_table,
     text_of,
 )
+from monoloc.cli.output_checks import check_outputs, check_picture
 from monoloc.cli.start_option import METAVAR, parse_pose
 from monoloc.editing.edit_history import drawn_edits
 from monoloc.errors import SettingError

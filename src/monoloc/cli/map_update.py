@@ -21,13 +21,12 @@ from monoloc.cli.common import (
     IntrinsicsOption,
     JsonOption,
     SeedOption,
-    check_outputs,
-    check_picture,
     open_source,
     print_json,
     print_table,
     stderr,
 )
+from monoloc.cli.output_checks import check_outputs, check_picture
 from monoloc.cli.start_option import METAVAR, UNKNOWN, start_of
 from monoloc.editing.edit_history import drawn_edits
 from monoloc.editing.unchanged import AsFound

@@ -17,8 +17,6 @@ from monoloc.cli.common import (
     JsonOption,
     SeedOption,
     SourceArgument,
-    check_outputs,
-    check_suffix,
     open_source,
     print_json,
     print_table,
@@ -26,6 +24,7 @@ from monoloc.cli.common import (
     stderr,
     text_of,
 )
+from monoloc.cli.output_checks import check_outputs, check_suffix
 from monoloc.cli.signature import RequireSignatureOption
 from monoloc.errors import SettingError
 from monoloc.place.door_measurement import MeasuredDoor, measure_door, same_world_door

@@ -18,15 +18,12 @@ from monoloc.cli.common import (
     ScaleOption,
     SeedOption,
     SourceArgument,
-    check_apart,
-    check_folder,
-    check_outputs,
-    check_picture,
     naming,
     open_source,
     print_json,
     stderr,
 )
+from monoloc.cli.output_checks import check_apart, check_folder, check_outputs, check_picture
 from monoloc.errors import SettingError
 from monoloc.io.camera_file import write_camera
 from monoloc.io.folder_writer import require_empty, write_folder

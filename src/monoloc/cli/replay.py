@@ -11,7 +11,14 @@ from typing import Annotated
 import cv2
 import typer
 
-from monoloc.cli.common import BudgetOption, JsonOption, check_outputs, check_suffix, naming, print_json, stderr
+from monoloc.cli.common import (
+    BudgetOption,
+    JsonOption,
+    naming,
+    print_json,
+    stderr,
+)
+from monoloc.cli.output_checks import check_outputs, check_suffix
 from monoloc.errors import DataError
 from monoloc.files import read_regular, write_whole
 from monoloc.flight.autopilot import senders

@@ -10,7 +10,8 @@ import typer
 from monoloc.bundle import read_bundle
 from monoloc.bundle_manifest import manifest_content
 from monoloc.bundle_signature import SIGNATURE, make_keys, signature_of
-from monoloc.cli.common import JsonOption, check_apart, print_json, stderr
+from monoloc.cli.common import JsonOption, print_json, stderr
+from monoloc.cli.output_checks import check_apart
 from monoloc.errors import BundleError
 from monoloc.partial_files import whole_file
 from monoloc.place.flown_map import is_place

@@ -104,7 +104,7 @@ class BiasAugmentedFilter:
         particles and odometry count for more beside landmarks that are wrong.
         """
         sds = self._particle_bias.stated_sds(self._reference_poses.distance_m(self._state.pose))
-        return replace(self.belief, covariance=self._state.covariance_with_bias(PARTICLES, sds))
+        return replace(self.belief, covariance=self._state.stated_covariance(PARTICLES, sds))
 
     def predict(self, motion: Motion | None, elapsed_s: float, measured: Estimate) -> Estimate:
         """The belief after the motion since the previous frame.

@@ -153,7 +153,7 @@ class BiasAugmentedState:
         H[:, :6] = H[:, 6 + 6 * source :][:, :6] = np.eye(6)
         return H
 
-    def covariance_with_bias(self, source: int, sds: FloatArray) -> FloatArray:
+    def stated_covariance(self, source: int, sds: FloatArray) -> FloatArray:
         """Covariance (6, 6) of the pose, had a source's bias larger standard deviations (6,) than its prior's.
 
         The part of the pose's error that comes with that bias is larger by the same factors. Where other sources have

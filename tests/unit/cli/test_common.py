@@ -11,11 +11,6 @@ import pytest
 
 import synthetic_recordings as synthetic
 from monoloc.cli.common import (
-    check_apart,
-    check_folder,
-    check_outputs,
-    check_picture,
-    check_viewing,
     naming,
     open_cloud,
     open_source,
@@ -23,6 +18,7 @@ from monoloc.cli.common import (
     refuse_frames,
     text_of,
 )
+from monoloc.cli.output_checks import check_apart, check_folder, check_outputs, check_picture, check_viewing
 from monoloc.errors import MissingExtraError, SettingError
 from refusals import refuses_setting
 

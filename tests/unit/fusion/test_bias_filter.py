@@ -328,7 +328,7 @@ def test_stated_covariance_is_that_of_a_larger_bias_of_the_particles() -> None:
     wider = np.stack([PARTICLE_BIAS.stated_sds(0.5), LANDMARK_BIAS.sds(0.5)])
     assert np.all(wider[PARTICLES] > prior_sds[PARTICLES])
     made = [BiasAugmentedState.from_measurement(PARTICLES, STEP, noise, sds) for sds in (prior_sds, wider)]
-    stated = made[0].covariance_with_bias(PARTICLES, wider[PARTICLES])
+    stated = made[0].stated_covariance(PARTICLES, wider[PARTICLES])
     np.testing.assert_allclose(stated, made[1].covariance[:6, :6], rtol=1e-9, atol=1e-12)
 
 
@@ -386,7 +386,7 @@ def test_unweighted_noise_makes_the_stated_covariance_as_large_as_the_errors() -
             state = state.update_from_landmarks(measured, np.diag(NOISE_SD**2), is_decisive=True)
         error = se3_log(invert(state.pose) @ true)
         own.append(error @ np.linalg.solve(state.covariance[:6, :6], error))
-        stated.append(error @ np.linalg.solve(state.covariance_with_bias(PARTICLES, np.zeros(6)), error))
+        stated.append(error @ np.linalg.solve(state.stated_covariance(PARTICLES, np.zeros(6)), error))
     # Of 100 chi-squares with 6 degrees of freedom, the mean has a standard deviation of 0.35.
     assert 5.0 < np.mean(stated) < 7.0
     assert np.mean(own) > 12.0

@@ -1,0 +1,126 @@
+"""Checks of what a command writes and shows, before long work starts."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from monoloc.bundle_manifest import container_of
+from monoloc.errors import SettingError
+from monoloc.extras import require_plotting, require_viewing
+from monoloc.files import at_home, target_of
+from monoloc.viz.viewer import RECORD_INSTEAD, require_window
+
+
+def check_outputs(outputs: Mapping[str, Path | None], inputs: Sequence[str | Path | None] = ()) -> None:
+    """Reject output paths that cannot be written or that would replace something else, before long work starts.
+
+    Args:
+        outputs: path of each option, or None if the option is not given.
+        inputs: see :func:`check_apart`.
+
+    Raises:
+        SettingError: an output is rejected; the error names the option.
+    """
+    options: dict[Path, str] = {}
+    for option, path in outputs.items():
+        if path is None:
+            continue
+        if path.is_dir():
+            raise SettingError(option, f"{path} is a folder", "name a file")
+        if path.exists() and not path.is_file():
+            raise SettingError(option, f"{path} is neither a file nor a folder", "name a file")
+        _check_parent(target_of(path) if path.is_symlink() else path, option)
+        check_apart(path, option, inputs)
+        other = options.setdefault(target_of(path), option)
+        if other != option:
+            raise SettingError(option, f"{path} is what {other} writes", "name another file")
+
+
+def check_apart(path: Path, option: str, inputs: Sequence[str | Path | None]) -> None:
+    """Reject an output that is an input, or that is inside a bundle or a place.
+
+    Args:
+        path: the output.
+        option: its option.
+        inputs: files, folders and SOURCEs that the command reads; None is ignored.
+
+    Raises:
+        SettingError: the output is rejected; the error names the option.
+    """
+    target = target_of(path)
+    texts = [str(given) for given in inputs if given is not None]
+    for text in (*texts, *(text.partition(":")[2] for text in texts)):  # PATH or FORMAT:PATH
+        source = Path(os.path.realpath(at_home(text)))
+        if text and source == target:
+            raise SettingError(option, f"{path} is read by this command", "name another place")
+    _check_outside(path, option)
+
+
+def _check_outside(path: Path, option: str) -> None:
+    if (container := container_of(path)) is not None:
+        raise SettingError(option, f"{path} lies in {container}", "name another place")
+
+
+def check_suffix(path: Path | None, option: str, suffix: str, kind: str) -> None:
+    """Reject an output that is not named as what it is, such as ``a PNG``.
+
+    Raises:
+        SettingError: the path has another suffix; the error names the option.
+    """
+    if path is not None and path.suffix.lower() != suffix:
+        raise SettingError(option, f"{path} is {kind} by another name", f"name it NAME{suffix}")
+
+
+def check_picture(path: Path | None, option: str) -> None:
+    """Reject a picture that is not named as PNG, or that cannot be drawn, before long work starts.
+
+    Raises:
+        SettingError: the path does not end in .png; the error names the option.
+        MissingExtraError: matplotlib is not installed.
+    """
+    check_suffix(path, option, ".png", "a PNG")
+    if path is not None:
+        require_plotting()
+
+
+def check_folder(path: Path, option: str) -> None:
+    """Reject an output folder that cannot be created or written to, before long work starts.
+
+    Raises:
+        SettingError: the folder is rejected; the error names the option.
+    """
+    _check_outside(path, option)
+    if not path.exists():
+        _check_parent(path, option)
+    elif not path.is_dir():
+        raise SettingError(option, f"{path} is a file", "name a folder")
+    elif not os.access(path, os.W_OK | os.X_OK):
+        raise SettingError(option, f"{path} cannot be written to", "choose another folder")
+
+
+def check_viewing(view: bool, record: Path | None = None, instead: str = RECORD_INSTEAD) -> None:
+    """Check that the viewer can open its window and write its recording, before long work starts.
+
+    Args:
+        view, record: values of the options.
+        instead: what to do without a display.
+
+    Raises:
+        MissingExtraError: Rerun is not installed.
+        SettingError: no window can be opened, or the recording is not named as one.
+    """
+    check_suffix(record, "--record", ".rrd", "a recording of Rerun")
+    if view or record is not None:
+        require_viewing()
+    if view:
+        require_window(instead)
+
+
+def _check_parent(path: Path, option: str) -> None:
+    parent = path.absolute().parent
+    if not parent.is_dir():
+        raise SettingError(option, f"{path.parent} does not exist", "make the folder first")
+    if not os.access(parent, os.W_OK):
+        raise SettingError(option, f"{path.parent} cannot be written to", "choose another folder")
