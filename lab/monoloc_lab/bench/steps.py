@@ -39,6 +39,7 @@ STAGES: list[tuple[str, Any, str]] = [
     ("step", Localizer, "step"),
     ("depth", DepthPredictor, "__call__"),
     ("scan", front_end, "scan_from_depth"),
+    ("odometry", VisualOdometry, "follow"),  # of corners, before the step
     ("odometry", VisualOdometry, "step"),
     ("scale and tilt", front_end, "correct_scale_and_tilt"),
     ("scan", front_end, "scan_from_corners"),
