@@ -99,9 +99,10 @@ class BiasAugmentedFilter:
     def stated(self) -> Estimate:
         """The belief with a covariance that allows for more than the filter's own.
 
-        Away from the reference poses the particles' bias may be larger, and odometry is less exact in directions that
-        the view hardly determines. Only the user gets this covariance. The filter goes on with its own, by which
-        particles and odometry count for more beside landmarks that are wrong.
+        Away from the reference poses the particles' bias may be larger. In directions that the view hardly
+        determines, odometry is less exact, and landmark poses have the same error for many frames. Only the user gets
+        this covariance. The filter goes on with its own, by which particles and odometry count for more beside
+        landmarks that are wrong.
         """
         sds = self._particle_bias.stated_sds(self._reference_poses.distance_m(self._state.pose))
         return replace(self.belief, covariance=self._state.stated_covariance(PARTICLES, sds))
@@ -162,20 +163,21 @@ class BiasAugmentedFilter:
         """
         is_decisive = len(measured.points) >= _DECISIVE_LANDMARKS
         share_new = np.clip(self._moved_m, _LEAST_NEW_M, _NEW_ERRORS_M) / _NEW_ERRORS_M
-        noise = self._noise_for_belief(measured) / share_new
+        lasting = self._landmark_noise(measured)
+        noise = (lasting + self._wider_bias(measured)) / share_new
         excess = self._state.landmark_excess(measured.pose, noise)
         self.landmarks_contradict = excess > 1.0
         if is_decisive and excess > _CONTRADICTION:
             return self.reinitialise_from_landmarks(measured)
-        self._state = self._state.update_from_landmarks(measured.pose, noise, is_decisive)
+        self._state = self._state.update_from_landmarks(measured.pose, noise, is_decisive, lasting)
         self._moved_m = 0.0
         self.time_since_update_s = self._time_since_odometry_s = 0.0
         return self.belief
 
-    def _noise_for_belief(self, measured: LandmarkPose) -> FloatArray:
-        """Noise of a landmark pose, with what its bias is wider there than at the belief, where the state has it."""
+    def _wider_bias(self, measured: LandmarkPose) -> FloatArray:
+        """Covariance (6, 6) by which the landmarks' bias is wider at their pose than at the belief, which has it."""
         there, here = self._prior_sds(measured.pose)[LANDMARKS], self._state.prior_sds[LANDMARKS]
-        return self._landmark_noise(measured) + np.diag(np.maximum(there**2 - here**2, 0.0))
+        return np.diag(np.maximum(there**2 - here**2, 0.0))
 
     def _landmark_noise(self, measured: LandmarkPose) -> FloatArray:
         distance_m = self._reference_poses.distance_m(measured.pose)
@@ -184,7 +186,7 @@ class BiasAugmentedFilter:
     def reinitialise_from_landmarks(self, measured: LandmarkPose) -> Estimate:
         """The belief after landmarks relocalised the camera: only their pose counts."""
         noise, prior_sds = self._landmark_noise(measured), self._prior_sds(measured.pose)
-        self._state = BiasAugmentedState.from_measurement(LANDMARKS, measured.pose, noise, prior_sds)
+        self._state = BiasAugmentedState.from_measurement(LANDMARKS, measured.pose, noise, prior_sds, noise)
         self.restarted = True
         self._moved_m = 0.0
         self.time_since_update_s = self._time_since_odometry_s = 0.0

@@ -35,6 +35,7 @@ class BiasAugmentedState:
             log-scale.
         prior_sds: (S, 6) standard deviations of biases that no measurement has corrected, after the motion so far.
         unweighted: (7 + 6 S, 7 + 6 S) covariance of errors that come on top, and by which no measurement is weighted.
+        unweighted_bias: (6, 6) covariance of the landmarks' bias in it that no measurement has corrected.
     """
 
     pose: FloatArray
@@ -43,23 +44,33 @@ class BiasAugmentedState:
     covariance: FloatArray
     prior_sds: FloatArray
     unweighted: FloatArray
+    unweighted_bias: FloatArray
 
     @classmethod
     def from_start(cls, start: Estimate, prior_sds: FloatArray) -> BiasAugmentedState:
         """Before the first measurement: pose and biases are independent."""
         covariance = _block_diagonal(start.covariance, _prior_covariance(prior_sds))
-        return cls(start.pose, np.zeros_like(prior_sds), 0.0, covariance, prior_sds, np.zeros_like(covariance))
+        biases, nothing = np.zeros_like(prior_sds), np.zeros_like(covariance)
+        return cls(start.pose, biases, 0.0, covariance, prior_sds, nothing, np.zeros((6, 6)))
 
     @classmethod
     def from_measurement(
-        cls, source: int, pose: FloatArray, noise: FloatArray, prior_sds: FloatArray
+        cls,
+        source: int,
+        pose: FloatArray,
+        noise: FloatArray,
+        prior_sds: FloatArray,
+        unweighted_bias: FloatArray = np.zeros((6, 6)),
     ) -> BiasAugmentedState:
         """From one source's pose (4, 4) and nothing else: the pose's error is minus its bias, plus noise (6, 6)."""
         bias = np.diag(prior_sds[source] ** 2)
         covariance = _block_diagonal(noise + bias, _prior_covariance(prior_sds))
         own = slice(6 + 6 * source, 12 + 6 * source)
         covariance[:6, own] = covariance[own, :6] = -bias
-        return cls(pose.copy(), np.zeros_like(prior_sds), 0.0, covariance, prior_sds, np.zeros_like(covariance))
+        by_bias = np.zeros((len(covariance), 6))
+        by_bias[:6], by_bias[own] = -np.eye(6), np.eye(6)
+        unweighted = by_bias @ unweighted_bias @ by_bias.T
+        return cls(pose.copy(), np.zeros_like(prior_sds), 0.0, covariance, prior_sds, unweighted, unweighted_bias)
 
     def predict(
         self,
@@ -96,21 +107,41 @@ class BiasAugmentedState:
         unweighted = transition @ self.unweighted @ transition.T
         unweighted[:6, :6] += unweighted_noise
         pose, log_scale = self.pose @ T_previous_current, scale_correlation * self.log_scale
+        biases, unweighted_bias = correlation * self.biases, correlation**2 * self.unweighted_bias
         return BiasAugmentedState(
-            pose, correlation * self.biases, log_scale, covariance, np.sqrt(variances), unweighted
+            pose, biases, log_scale, covariance, np.sqrt(variances), unweighted, unweighted_bias
         )
 
     def update_from_particles(self, measured: Estimate) -> BiasAugmentedState:
         """After the particles' pose; their spread is its noise. One beyond the gate counts less, as for landmarks."""
         return self._gated_update(PARTICLES, measured.pose, particle_noise(measured))
 
-    def update_from_landmarks(self, pose: FloatArray, noise: FloatArray, is_decisive: bool) -> BiasAugmentedState:
+    def update_from_landmarks(
+        self,
+        pose: FloatArray,
+        noise: FloatArray,
+        is_decisive: bool,
+        unweighted_bias: FloatArray = np.zeros((6, 6)),
+    ) -> BiasAugmentedState:
         """After a landmark pose (4, 4) and its noise (6, 6), without its bias.
 
         Beyond the gate, the noise of one that is not decisive is inflated until it lies on the gate.
+
+        Args:
+            unweighted_bias: (6, 6) covariance of a bias that comes on top; see ``unweighted``.
         """
-        update = self._update if is_decisive else self._gated_update
+        state = self._with_unweighted_bias(unweighted_bias)
+        update = state._update if is_decisive else state._gated_update
         return update(LANDMARKS, pose, noise)
+
+    def _with_unweighted_bias(self, covariance: FloatArray) -> BiasAugmentedState:
+        """With a landmark bias of at least this covariance (6, 6) in every direction."""
+        values, vectors = np.linalg.eigh(covariance - self.unweighted_bias)
+        grown = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        own = slice(6 + 6 * LANDMARKS, 12 + 6 * LANDMARKS)
+        unweighted = self.unweighted.copy()
+        unweighted[own, own] += grown
+        return replace(self, unweighted=unweighted, unweighted_bias=self.unweighted_bias + grown)
 
     def landmark_excess(self, pose: FloatArray, noise: FloatArray) -> float:
         """How far a landmark pose is from the expected one: above 1 it is beyond the gate."""

@@ -10,7 +10,7 @@ import pytest
 from map_helpers import motion_of
 from monoloc.fusion.bias_filter import BiasAugmentedFilter
 from monoloc.fusion.bias_model import BiasModel, LandmarkBiasModel
-from monoloc.fusion.bias_state import PARTICLES, BiasAugmentedState
+from monoloc.fusion.bias_state import LANDMARKS, PARTICLES, BiasAugmentedState
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray, adjoint, invert, is_rigid, pose_distance_m, se3_exp, se3_log
 from monoloc.landmarks.pnp import LandmarkPose
@@ -384,6 +384,34 @@ def test_unweighted_noise_makes_the_stated_covariance_as_large_as_the_errors() -
             state = state.predict(STEP, noise, 1.0, no_bias, unweighted_noise=more)
             measured = true @ se3_exp(NOISE_SD * rng.standard_normal(6))
             state = state.update_from_landmarks(measured, np.diag(NOISE_SD**2), is_decisive=True)
+        error = se3_log(invert(state.pose) @ true)
+        own.append(error @ np.linalg.solve(state.covariance[:6, :6], error))
+        stated.append(error @ np.linalg.solve(state.stated_covariance(PARTICLES, np.zeros(6)), error))
+    # Of 100 chi-squares with 6 degrees of freedom, the mean has a standard deviation of 0.35.
+    assert 5.0 < np.mean(stated) < 7.0
+    assert np.mean(own) > 12.0
+
+
+@pytest.mark.parametrize("is_from_landmarks", [False, True])
+def test_lasting_landmark_errors_make_the_stated_covariance_as_large_as_the_errors(is_from_landmarks: bool) -> None:
+    """Landmark poses of all frames share a bias that the filter does not know of, and that changes slowly."""
+    rng, no_bias, correlation = np.random.default_rng(8), np.zeros((2, 6)), 0.95
+    noise, lasting = np.diag(NOISE_SD**2), np.diag((3.0 * NOISE_SD) ** 2)
+    own, stated = [], []
+    for _ in range(100):
+        true, bias = np.eye(4), 3.0 * NOISE_SD * rng.standard_normal(6)
+        measured = se3_exp(bias) @ se3_exp(NOISE_SD * rng.standard_normal(6))
+        if is_from_landmarks:
+            state = BiasAugmentedState.from_measurement(LANDMARKS, measured, noise, no_bias, lasting)
+        else:
+            start = Estimate(se3_exp(NOISE_SD * rng.standard_normal(6)), noise, 0.0)
+            state = BiasAugmentedState.from_start(start, no_bias)
+        for _ in range(6):
+            true = true @ STEP @ se3_exp(ODOMETRY_SD * rng.standard_normal(6))
+            state = state.predict(STEP, np.diag(ODOMETRY_SD**2), correlation, no_bias)
+            bias = correlation * bias + np.sqrt(1.0 - correlation**2) * 3.0 * NOISE_SD * rng.standard_normal(6)
+            measured = true @ se3_exp(bias) @ se3_exp(NOISE_SD * rng.standard_normal(6))
+            state = state.update_from_landmarks(measured, noise, is_decisive=True, unweighted_bias=lasting)
         error = se3_log(invert(state.pose) @ true)
         own.append(error @ np.linalg.solve(state.covariance[:6, :6], error))
         stated.append(error @ np.linalg.solve(state.stated_covariance(PARTICLES, np.zeros(6)), error))
