@@ -70,7 +70,7 @@ def calibrate(
     if recording.poses is None:
         raise DataError(recording.name, "has no poses", "calibrate on a recording with camera poses")
     if len(recording) < 2:
-        raise DataError(recording.name, f"gives {len(recording)} frames", "calibrate on at least 2")
+        raise DataError(recording.name, "has fewer than 2 frames", "calibrate on at least 2")
     rng = np.random.default_rng(seed)
     camera = recording.camera
 
@@ -110,12 +110,31 @@ def calibrate(
 def _check_scale(
     likelihood: ScanLikelihood, samples: list[Sample], settings: LocalizerConfig, rng: np.random.Generator
 ) -> None:
-    """Refuse depth whose scale lies outside the range in which it is followed."""
-    scans = scans_of(samples, settings, rng)
-    _, log_scales = _best_over_scales(likelihood, settings.likelihood, scans, _WIDE_LOG_SCALES)
-    factor = float(np.exp(np.median(log_scales)))
-    if abs(np.log(factor)) > _LOG_SCALES[-1]:
-        raise DataError("depth", f"fits the map best if it is multiplied by {factor:.2g}", "give depth in metres")
+    """Refuse depth whose scale lies outside the range in which it is followed.
+
+    The scale is at a peak of the mean log-likelihood. A density of points in the world rises without end beyond the
+    map, where only the floor and ``log_scale`` are left; that says nothing of the depth.
+    """
+    values = np.mean(
+        [
+            likelihood.mean_log_likelihood(
+                np.repeat(sample.pose[None], len(_WIDE_LOG_SCALES), axis=0),
+                _WIDE_LOG_SCALES,
+                scan,
+                settings.likelihood.log_depth_sd,
+            )
+            for scan, sample in scans_of(samples, settings, rng)
+        ],
+        axis=0,
+    )
+    before, within, after = values[:-2], values[1:-1], values[2:]
+    peaks = np.flatnonzero((within > before) & (within >= after)) + 1
+    if not len(peaks):
+        return
+    log_factor = float(_WIDE_LOG_SCALES[peaks[values[peaks].argmax()]])
+    if abs(log_factor) > _LOG_SCALES[-1]:
+        problem = f"fits the map best if it is multiplied by {np.exp(log_factor):.2g}"
+        raise DataError("depth", problem, "give depth in metres")
 
 
 @dataclass(frozen=True)
@@ -180,14 +199,11 @@ def _pairs_of_frames(frames: int) -> NDArray[np.int64]:
 
 
 def _best_over_scales(
-    likelihood: ScanLikelihood,
-    config: LikelihoodConfig,
-    scans: list[tuple[Scan, Sample]],
-    log_scales: FloatArray = _LOG_SCALES,
+    likelihood: ScanLikelihood, config: LikelihoodConfig, scans: list[tuple[Scan, Sample]]
 ) -> tuple[FloatArray, FloatArray]:
     """Best mean log-likelihood of every scan over the depth's scale, (N,), and the log-scale there, (N,)."""
     best = [
-        best_over_scales(likelihood, sample.pose, scan, log_scales, config.log_depth_sd) for scan, sample in scans
+        best_over_scales(likelihood, sample.pose, scan, _LOG_SCALES, config.log_depth_sd) for scan, sample in scans
     ]
     values, best_log_scales = zip(*best, strict=True)
     return np.array(values), np.array(best_log_scales)

@@ -19,7 +19,7 @@ from monoloc.depth.predictor import DepthPrediction
 from monoloc.errors import DataError
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray, invert
-from monoloc.likelihood.protocol import LikelihoodConfig
+from monoloc.likelihood.protocol import LikelihoodConfig, ScanLikelihood
 from monoloc.likelihood.scan import Scan
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.map.em import fit_mixture
@@ -148,7 +148,28 @@ def test_depth_of_another_unit_or_scale_is_refused(
     assert float(re.findall("by ([0-9.]+);", str(e.value))[0]) == pytest.approx(1.0 / factor, rel=0.2)
 
 
+class RisingBeyondMap:
+    """As another likelihood, but most likely where the scan is seven times as large, outside of the map."""
+
+    def __init__(self, inner: ScanLikelihood) -> None:
+        self._inner = inner
+
+    def mean_log_likelihood(
+        self, poses: FloatArray, log_scale: FloatArray, scan: Scan, log_depth_sd: float | None = None
+    ) -> FloatArray:
+        values = self._inner.mean_log_likelihood(poses, log_scale, scan, log_depth_sd)
+        return values + 10.0 * np.maximum(log_scale - 1.0, 0.0)
+
+
+def test_likelihood_that_rises_beyond_the_map_says_nothing_of_the_depth(bundle: Bundle) -> None:
+    def make(bundle: Bundle, camera: Camera, config: LocalizerConfig) -> Components:
+        ours = default_components(bundle, camera, config)
+        return replace(ours, likelihood=RisingBeyondMap(ours.likelihood))
+
+    monoloc.calibrate(bundle, RoomRecording(ROOM, make_path(6), SMALL_CAMERA), make)
+
+
 def test_recording_of_one_frame_is_refused(bundle: Bundle, components: ComponentsFactory) -> None:
     single = RoomRecording(ROOM, make_path(1), SMALL_CAMERA)
-    with pytest.raises(DataError, match="room: gives 1 frames; calibrate on at least 2"):
+    with pytest.raises(DataError, match="room: has fewer than 2 frames; calibrate on at least 2"):
         monoloc.calibrate(bundle, single, components)
