@@ -121,15 +121,15 @@ def update(
     proposed = proposals(evidence, room, rules)
     chosen = proposed if auto else _chosen(proposed, apply)
     updated, left = applied(room, evidence, chosen, rules, rng)
+    if plot is not None:  # before the bundle is replaced, since it may fail
+        shown = updated if chosen else applied(room, evidence, proposed, rules, np.random.default_rng(seed))[0]
+        _draw(plot, bundle.name, room, shown, proposed, "after" if chosen else "if all were applied", seed)
     was_signed = (target / SIGNATURE).is_file()
     if left is not before or out is not None:
         with found.held():
             if chosen or out is not None:
                 write_bundle(target_of(target), updated)
             write_evidence(evidence_path(target_of(target)), left, updated)
-    if plot is not None:
-        shown = updated if chosen else applied(room, evidence, proposed, rules, np.random.default_rng(seed))[0]
-        _draw(plot, bundle.name, room, shown, proposed, "after" if chosen else "if all were applied", seed)
     if chosen and was_signed:
         stderr.print(f"note: {target}: its signature is void and was removed; sign it again", soft_wrap=True)
     _print(target, flights, evidence, proposed, chosen, plot, json)
@@ -229,6 +229,8 @@ def _print(
             f"{len(flight.frames)} frames teach" if flight.refusal is None else f"teaches nothing: {flight.refusal}"
         )
         stderr.print(f"{flight.name}: {said}", soft_wrap=True)
+    if plot is not None:
+        stderr.print(f"written: {plot}", soft_wrap=True)
     rows = [
         [
             f"{each.id}\napplied" if id(each) in used else each.id,

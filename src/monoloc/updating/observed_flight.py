@@ -140,7 +140,8 @@ def _refusal(watcher: _Watcher, rules: UpdateRules) -> str | None:
     if watcher.known > 0.5 * count:
         return f"{watcher.known} of its {count} frames built the map or were counted before"
     if len(watcher.frames) < rules.least_views:
-        return f"{len(watcher.frames)} of its frames teach, fewer than {rules.least_views}"
+        others = ", ".join(f"{why}: {number}" for why, number in watcher.left_out.most_common())
+        return f"{len(watcher.frames)} of its frames teach, fewer than {rules.least_views} ({others})"
     if (found := scale_problem(watcher.recording, watcher.depth_ratios)) is None:
         return None
     return f"{'; '.join(found)}, or leave it out: --depth predicted"
@@ -160,6 +161,7 @@ class _Watcher:
         self.frames: list[TeachingFrame] = []
         self.depth_ratios: list[FloatArray] = []  # of the sensor's depth to that of landmarks
         self.states: Counter[State] = Counter()
+        self.left_out: Counter[str] = Counter()  # frames that do not teach, by why
         self.mismatches = self.known = 0
 
     def begin(self, room: Bundle, recording: Recording) -> None:
@@ -181,18 +183,22 @@ class _Watcher:
         if checksum in self._known:
             self.known += 1
             return
-        pose = step.estimate.pose
-        is_certain = step.state in VOUCHED_FOR and step.landmark_pose is not None
-        if not is_certain or not self._is_apart(pose):
+        if step.state not in VOUCHED_FOR or step.landmark_pose is None:
+            self.left_out["in doubt or without landmarks"] += 1
             return
-        views = self._landmarks.views
+        pose, views = step.estimate.pose, self._landmarks.views
         times = None if views is None else views.times_found(pose)
         if times is None:
+            self.left_out["far from the views that built the map"] += 1
+            return
+        if not self._is_apart(pose):
+            self.left_out["as the view before"] += 1
             return
         keypoints = self.detect(color)
         measured, which, where = self._localizer.matched_keypoints(keypoints, pose, PRIOR_COVARIANCE)
         familiar = times >= FAMILIAR_TIMES
         if not self._is_witnessed(step.changed_region, familiar, measured.visible, measured.is_found):
+            self.left_out["too few of the expected landmarks found"] += 1
             return
         is_landmark = np.zeros(len(keypoints.pixels), dtype=np.bool_)
         is_landmark[where] = True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -167,6 +168,12 @@ def test_a_flight_whose_depth_is_in_another_unit_teaches_nothing() -> None:
     assert len(seen.frames) >= 5  # landmarks place the camera all the same
     assert seen.refusal is not None and "its depth is 1.25 times as far as the map's landmarks" in seen.refusal
     assert observed(Altered(flight(1), depth=lambda depth: 1.03 * depth)).refusal is None
+
+
+def test_a_flight_that_hardly_moves_teaches_nothing_and_is_told_why() -> None:
+    refusal = observed(RoomRecording(Room(), make_path(12, 1.0, 200.0), SMALL_CAMERA)).refusal
+    assert refusal is not None
+    assert re.match(r"[0-4] of its frames teach, fewer than 5 \(as the view before: [0-9]+", refusal)
 
 
 def test_an_update_is_taken_back_to_the_bit(tmp_path: Path) -> None:
