@@ -15,7 +15,7 @@ from monoloc.camera import Camera
 from monoloc.components import Components
 from monoloc.contrast import has_contrast
 from monoloc.depth.predictor import DepthPrediction
-from monoloc.geometry import FloatArray
+from monoloc.geometry import FloatArray, is_rigid
 from monoloc.likelihood.scan import EMPTY_SCAN, Scan, scan_from_corners, scan_from_depth
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.odometry.motion import FollowingOdometry, Motion, chained, tracks_translation
@@ -133,9 +133,16 @@ class FrontEnd:
         Raises:
             ValueError: the image does not have the camera's size or type, time runs backwards, or the motion does
                 not state its noise; nothing has changed then.
+            TypeError: ``measured_depth`` or ``measured_motion`` is of another type; the same.
+            ValueError, TypeError: a component returns what its protocol does not allow.
         """
         self._check_image(color)
-        if measured_motion is not None and measured_motion.rotation_sd_rad is None:
+        if measured_depth is not None:
+            _checked_depth(measured_depth, "measured_depth")
+        if (
+            measured_motion is not None
+            and _checked_motion(measured_motion, "measured_motion").rotation_sd_rad is None
+        ):
             raise ValueError("measured_motion must state its noise: make it by Motion.rotation or Motion.metric")
         elapsed_s = 0.0 if self._is_first else elapsed_s
         if not 0.0 <= elapsed_s < np.inf:
@@ -189,7 +196,8 @@ class FrontEnd:
         @cache
         def wait() -> DepthPrediction:
             with self._stage("depth"):
-                return self._depth(color) if future is None else future.result()
+                depth = self._depth(color) if future is None else future.result()
+            return _checked_depth(depth, "the result of Components.depth")
 
         return wait
 
@@ -211,6 +219,8 @@ class FrontEnd:
             depth_m, camera = depth.depth_m, depth.camera
             self._depth_camera = camera
         odometry = self._odometry.step(color, depth_m, camera, rotation)
+        if odometry is not None:
+            _checked_motion(odometry, "the result of Components.odometry")
         return self._best(odometry, measured)
 
     def _best(self, odometry: Motion | None, measured: Motion | None) -> Motion | None:
@@ -229,7 +239,7 @@ class FrontEnd:
 
     def _check_image(self, color: NDArray[np.uint8]) -> None:
         shape = (self._camera.height, self._camera.width, 3)
-        if np.shape(color) != shape or color.dtype != np.uint8:
+        if np.shape(color) != shape or not isinstance(color, np.ndarray) or color.dtype != np.uint8:
             given = f"{np.shape(color)} {getattr(color, 'dtype', type(color).__name__)}"
             raise ValueError(f"color must have the camera's shape {shape} as uint8, got {given}")
 
@@ -243,3 +253,27 @@ class FrontEnd:
 
     def _scan(self, depth: DepthPrediction, count: int) -> Scan:
         return scan_from_depth(depth, count, self._rng, self._config.likelihood.error_power)
+
+
+# A component or a sensor of a user's own may return anything, whatever the types say.
+def _checked_depth(depth: object, what: str) -> DepthPrediction:
+    if not isinstance(depth, DepthPrediction):
+        fix = "make it of a sensor's image by monoloc.sensor_depth.sparse_depth"
+        raise TypeError(f"{what} must be a DepthPrediction, got {type(depth).__name__}; {fix}")
+    return depth
+
+
+def _checked_motion(motion: object, what: str) -> Motion:
+    if not isinstance(motion, Motion):
+        raise TypeError(f"{what} must be a Motion or None, got {type(motion).__name__}")
+    T, covariance = motion.T_previous_current, motion.view_covariance
+    if np.shape(T) != (4, 4) or not is_rigid(T):
+        raise ValueError(f"{what} must have a rigid T_previous_current, (4, 4)")
+    if covariance is not None and not (np.shape(covariance) == (6, 6) and np.isfinite(covariance).all()):
+        raise ValueError(f"{what} must have a finite view_covariance, (6, 6)")
+    return motion
+
+
+def _check_noise(motion: Motion) -> None:
+    if motion.rotation_sd_rad is None:
+        raise ValueError("measured_motion must state its noise: make it by Motion.rotation or Motion.metric")

@@ -155,6 +155,8 @@ class Localizer:
             ValueError: the image does not have the camera's size or type, time runs backwards, ``down`` is no
                 direction or unknown for the room, or ``measured_motion`` does not state its noise; nothing has
                 changed then.
+            TypeError: ``measured_depth`` or ``measured_motion`` is of another type; the same.
+            ValueError, TypeError: a component of your own returns what its protocol does not allow.
         """
         down_camera = self._gravity.direction(None if "gravity" in self._config.without else down)
         level, plan = self._plan(level)

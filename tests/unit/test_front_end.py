@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -199,6 +201,33 @@ def test_image_of_wrong_size_or_type_is_refused(shape: tuple[int, ...], dtype: s
         front_end.observe(np.zeros(shape, dtype=dtype), 0.0, None, None)
     assert depth.calls == odometry.calls == 0
     assert front_end.observe(COLOR, 0.0, None, None).is_first
+
+
+@pytest.mark.parametrize(
+    ("motion", "message"),
+    [
+        (np.eye(4), "odometry must be a Motion or None, got ndarray"),
+        (Motion(2.0 * np.eye(4)), "odometry must have a rigid T_previous_current"),
+        (Motion(np.eye(4)[:3]), "odometry must have a rigid T_previous_current"),
+        (Motion(np.eye(4), view_covariance=np.full((6, 6), np.nan)), "odometry must have a finite view_covariance"),
+    ],
+)
+def test_what_is_no_motion_of_odometry_is_refused(motion: Any, message: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=message):
+        make_front_end(_Odometry(motion)).observe(COLOR, 0.0, None, None)
+
+
+def test_an_array_in_place_of_depth_or_motion_is_refused() -> None:
+    array: Any = np.ones((32, 40), np.float32)
+    depth = _Depth()
+    front_end = make_front_end(None, depth=depth)
+    with pytest.raises(TypeError, match=r"measured_depth must be a DepthPrediction, got ndarray; .*sparse_depth"):
+        front_end.observe(COLOR, 0.0, array, None)
+    with pytest.raises(TypeError, match="measured_motion must be a Motion or None, got ndarray"):
+        front_end.observe(COLOR, 0.0, None, None, array)
+    assert depth.calls == 0 and front_end.observe(COLOR, 0.0, None, None).is_first
+    with pytest.raises(TypeError, match=r"the result of Components.depth must be a DepthPrediction, got ndarray"):
+        make_front_end(None, depth=lambda color: array).observe(COLOR, 0.0, None, None)
 
 
 @pytest.mark.parametrize("elapsed_s", [-0.01, np.nan, np.inf])

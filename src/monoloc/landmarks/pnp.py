@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import monoloc._core as _core
 from monoloc.camera import Camera
 from monoloc.evaluation.consistency import CHI2_6_QUANTILE_99
-from monoloc.geometry import FloatArray, invert, se3_exp, se3_log
+from monoloc.geometry import FloatArray, invert, is_rigid, se3_exp, se3_log
 from monoloc.landmarks.features import Keypoints
 
 PRIOR_COVARIANCE = np.diag([0.05, 0.05, 0.05, 0.03, 0.03, 0.03]) ** 2
@@ -52,6 +52,9 @@ class LandmarkPose:
         rivals: (K, 6) twists from it to other poses that the landmarks allow, in the camera's frame: a flat view has
             several, and the covariance at one of them says nothing of the others.
         rival_nats: (K,) by how much less likely these are, by the corners' localisation error alone; not negative.
+
+    Raises:
+        ValueError: the pose is not rigid, or the covariance is not finite or has a negative variance.
     """
 
     pose: FloatArray
@@ -61,6 +64,14 @@ class LandmarkPose:
     log_focal_sd: float = math.inf
     rivals: FloatArray = field(default_factory=lambda: np.zeros((0, 6)))
     rival_nats: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        if np.shape(self.pose) != (4, 4) or not is_rigid(self.pose):
+            raise ValueError("the pose of landmarks must be a rigid T_world_camera, (4, 4)")
+        if np.shape(self.covariance) != (6, 6) or not np.isfinite(self.covariance).all():
+            raise ValueError("the covariance of a landmark pose must be finite, (6, 6)")
+        if np.any(np.diagonal(self.covariance) < 0.0):
+            raise ValueError("the covariance of a landmark pose must have no negative variance")
 
 
 @dataclass(frozen=True)

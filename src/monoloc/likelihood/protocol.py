@@ -103,9 +103,17 @@ def weigh_corners(
 def _weigh(
     particles: Particles, scan: Scan, likelihood: ScanLikelihood, effective_points: float, log_depth_sd: float
 ) -> Particles:
-    """The scan counts as ``effective_points`` independent points, or as many as it has if these are fewer."""
+    """The scan counts as ``effective_points`` independent points, or as many as it has if these are fewer.
+
+    Raises:
+        ValueError: a likelihood of a user's own does not return a finite value for each particle.
+    """
     if len(scan) == 0 or effective_points == 0.0:
         return particles
     mean = likelihood.mean_log_likelihood(particles.poses, particles.log_scale, scan, log_depth_sd)
-    log_weights = particles.log_weights + min(effective_points, len(scan)) * mean
+    count = len(particles.log_weights)
+    if np.shape(mean) != (count,) or not np.isfinite(mean).all():
+        found = f"shape {np.shape(mean)}" if np.shape(mean) != (count,) else "values that are not"
+        raise ValueError(f"mean_log_likelihood must return ({count},) finite values, got {found}")
+    log_weights = particles.log_weights + min(effective_points, len(scan)) * np.asarray(mean)
     return Particles(particles.poses, particles.log_scale, normalised(log_weights))

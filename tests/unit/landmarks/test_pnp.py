@@ -175,3 +175,17 @@ def test_focal_length_is_undetermined_where_all_points_are_at_one_depth_and_near
     seen = keypoints_at(pixels + rng.normal(size=pixels.shape), 1.0)
     _, found = pose_from_matches(points, seen, CAMERA, np.eye(4), PRIOR)
     assert found is not None and found.log_focal_sd > WELL_OBSERVED_SD
+
+
+@pytest.mark.parametrize(
+    ("pose", "covariance", "problem"),
+    [
+        (2.0 * np.eye(4), np.eye(6), "pose of landmarks must be a rigid T_world_camera"),
+        (np.eye(4), np.ones(6), "covariance of a landmark pose must be finite, .6, 6."),
+        (np.eye(4), np.full((6, 6), np.nan), "covariance of a landmark pose must be finite, .6, 6."),
+        (np.eye(4), -np.eye(6), "covariance of a landmark pose must have no negative variance"),
+    ],
+)
+def test_what_is_no_landmark_pose_is_refused(pose: FloatArray, covariance: FloatArray, problem: str) -> None:
+    with pytest.raises(ValueError, match=problem):
+        LandmarkPose(pose, covariance, np.zeros((20, 3)))

@@ -106,3 +106,30 @@ def test_settings_are_checked() -> None:
         LikelihoodConfig(kind="area")
     with pytest.raises(ValueError, match="log_depth_sd"):
         LikelihoodConfig(log_depth_sd=0.0)
+
+
+class _Own:
+    def __init__(self, values: FloatArray) -> None:
+        self._values = values
+
+    def mean_log_likelihood(
+        self, poses: FloatArray, log_scale: FloatArray, scan: Scan, log_depth_sd: float | None = None
+    ) -> FloatArray:
+        return self._values
+
+
+@pytest.mark.parametrize(
+    ("values", "found"),
+    [
+        (np.array(0.0), r"shape \(\)"),
+        (np.zeros((20, 60)), r"shape \(20, 60\)"),
+        (np.full(20, -np.inf), "values that are not"),
+        (np.full(20, np.nan), "values that are not"),
+    ],
+)
+def test_likelihood_of_ones_own_must_give_a_finite_value_a_particle(
+    values: FloatArray, found: str, scan: Scan
+) -> None:
+    particles = Particles(*make_particles(20, np.random.default_rng(0)), normalised(np.zeros(20)))
+    with pytest.raises(ValueError, match=rf"mean_log_likelihood must return \(20,\) finite values, got {found}"):
+        weigh_depth_image(particles, scan, _Own(values), LikelihoodConfig())
