@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -121,14 +122,15 @@ def update(
     proposed = proposals(evidence, room, rules)
     chosen = proposed if auto else _chosen(proposed, apply)
     updated, left = applied(room, evidence, chosen, rules, rng)
-    if plot is not None:  # before the bundle is replaced, since it may fail
-        shown = updated if chosen else applied(room, evidence, proposed, rules, np.random.default_rng(seed))[0]
-        _draw(plot, bundle.name, room, shown, proposed, "after" if chosen else "if all were applied", seed)
     was_signed = (target / SIGNATURE).is_file()
-    if left is not before or out is not None:
-        with found.held():
-            if chosen or out is not None:
-                write_bundle(target_of(target), updated)
+    is_written = left is not before or out is not None
+    with found.held() if is_written else nullcontext():
+        if plot is not None:  # first, so that a bundle is not replaced and then reported as failed
+            shown = updated if chosen else applied(room, evidence, proposed, rules, np.random.default_rng(seed))[0]
+            _draw(plot, bundle.name, room, shown, proposed, "after" if chosen else "if all were applied", seed)
+        if is_written and (chosen or out is not None):
+            write_bundle(target_of(target), updated)
+        if is_written:
             write_evidence(evidence_path(target_of(target)), left, updated)
     if chosen and was_signed:
         stderr.print(f"note: {target}: its signature is void and was removed; sign it again", soft_wrap=True)
