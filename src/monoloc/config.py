@@ -93,6 +93,7 @@ def _plain(message: str) -> str:
     return (
         message.removeprefix("Value error, ")
         .split(", unable to parse")[0]
+        .replace("Field required", "is missing")
         .replace("Input should be", "must be")
         .replace("Input is not a valid path for <class 'pathlib.Path'>", "must be a path, in quotes")
         .replace("integer", "whole number")

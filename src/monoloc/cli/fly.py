@@ -47,6 +47,7 @@ from monoloc.flight.autopilot import (
     senders,
     turns_of,
 )
+from monoloc.flight.flight_file import FlightFile
 from monoloc.flight.flight_loop import Flight, FlightOutput, FlightSummary
 from monoloc.flight.flight_recording import FlightRecorder
 from monoloc.flight.flight_settings import FlightSettings
@@ -237,8 +238,16 @@ def fly(
             north_deg, sd_deg = north.north_deg()
             say(f"north_deg = {north_deg:.1f}     (write it into flight.toml; varied by {sd_deg:.1f}°)")
         report(summary, frame_source, link, say, json)
+        _say_written(flight, summary, say)
     if summary.failures:
         raise summary.failures[0]
+
+
+def _say_written(flight: FlightFile, summary: FlightSummary, say: Callable[[str], None]) -> None:
+    """Name what was written, as all commands do; where an output failed, its error names it."""
+    for path in () if summary.failures else (flight.out, flight.mcap, flight.record):
+        if path is not None:
+            say(f"written: {path}")
 
 
 def _run(flight: Flight, summary: FlightSummary) -> None:

@@ -107,12 +107,13 @@ def remove_command(
     named = {"changed": str(changed)} if changed is not None else {}
     corners = corners_of(edit_target(context).path, box, changed)
     inputs = [] if changed is None else [changed]
-    edit_target(context).edit(
-        out,
-        json,
-        lambda bundle: remove(bundle, box_of(bundle, corners, yaw), {**box_parameters(corners, yaw), **named}, rng),
-        *inputs,
-    )
+    parameters = {**box_parameters(corners, yaw), **named}
+
+    def change(bundle: Bundle) -> Bundle:
+        with naming({"box": "--box" if changed is None else "--changed"}):
+            return remove(bundle, box_of(bundle, corners, yaw), parameters, rng)
+
+    edit_target(context).edit(out, json, change, *inputs)
 
 
 @app.command("add")
@@ -185,7 +186,7 @@ def move_command(
         where = box_of(bundle, corners, yaw)
         rotation = turn_of(bundle, turn)
         T_new_old = make_pose(rotation, where.centre + shift - rotation @ where.centre)
-        with naming({"by": "--by"}):
+        with naming({"by": "--by", "box": "--box" if changed is None else "--changed"}):
             return move(bundle, where, T_new_old, parameters, rng)
 
     edit_target(context).edit(out, json, change, *inputs)

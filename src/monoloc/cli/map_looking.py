@@ -16,12 +16,14 @@ from monoloc.cli.common import (
     naming,
     print_json,
     print_table,
+    stderr,
     text_of,
 )
 from monoloc.cli.output_checks import check_outputs, check_picture
 from monoloc.cli.start_option import METAVAR, parse_pose
 from monoloc.editing.edit_history import drawn_edits
 from monoloc.errors import SettingError
+from monoloc.evaluation.cloud_metrics import cloud_distances
 from monoloc.extras import require_plotting
 from monoloc.geometry import FloatArray
 from monoloc.io.ros_grid import picture_of
@@ -30,7 +32,7 @@ from monoloc.map.occupancy import FREE, OCCUPIED, fitting_voxel_m, surface_voxel
 from monoloc.map.surface import EXTENT_SIGMAS, surface_points
 from monoloc.map_export import T_map_world, export_ellipsoids, export_grid, export_points, export_voxels
 from monoloc.obstacles.depth_error import nearest_depth_m
-from monoloc.viz.map_view import MapView, plot_from_above, plot_from_pose
+from monoloc.viz.map_view import CHANGED_M, MapView, plot_from_above, plot_from_pose
 
 _DRAWN_POINTS = 100_000
 # From a pose: a surface at arm's length fills the picture with few of a map's points, and shows what is behind it
@@ -39,6 +41,7 @@ _POSED_POINTS = 2_000_000
 _EXPORTED_POINTS = 100_000
 _SEEN_VOXEL_M = 0.1  # of the volume that the build's cameras saw
 _VOXEL_M = 0.05
+_LEAST_COMMON = 0.2  # of surfaces of two maps of one world: 5 % or less by chance, in rooms that are not alike
 
 BundleArgument = Annotated[
     Path, typer.Argument(metavar="BUNDLE", help="Bundle from monoloc build.", show_default=False)
@@ -100,6 +103,8 @@ def render(
     shown = [(bundle, room)] if beside is None or later is None else [(bundle, room), (beside, later)]
     count = _DRAWN_POINTS if given is None else _POSED_POINTS
     views = tuple(_view(path, each, seed, count) for path, each in shown)
+    if beside is not None:
+        _check_world(views[0], views[1])
     if given is None:
         plot_from_above(out, views, T_map_world(room, roughly=True))
     else:
@@ -237,6 +242,15 @@ def _view(path: Path, bundle: Bundle, seed: int, points: int) -> MapView:
         poses=bundle.reference_poses.poses,
         edits=drawn_edits(bundle, rng),
     )
+
+
+def _check_world(before: MapView, after: MapView) -> None:
+    """Warn if two maps have hardly a surface in common, as those of two worlds; one may be a part of the other."""
+    first, second = (view.cloud[:: 1 + len(view.cloud) // _DRAWN_POINTS] for view in (before, after))
+    share = max(float(np.mean(cloud_distances(*pair) < CHANGED_M)) for pair in ((first, second), (second, first)))
+    if share < _LEAST_COMMON:
+        problem = f"at most {share:.0%} of its surfaces are also in {before.name}"
+        stderr.print(f"warning: {after.name}: {problem}; both must be of one world", soft_wrap=True)
 
 
 def _reference_pose(bundle: Bundle, path: Path, number: int) -> FloatArray:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from cli_helpers import json_of, refused, succeeds
+from cli_helpers import json_of, outputs, refused, succeeds
 from monoloc.bundle import read_bundle, write_bundle
 from monoloc.cli import map_looking
 from monoloc.fusion.reference_poses import ReferencePoses
@@ -69,6 +69,15 @@ def test_info_tells_the_extent_of_the_room_not_of_the_map_that_was_bent_to_the_n
     write_bundle(here / "bent.monoloc", replace(bundle, adapted=bent))
     room, info = (json_of(capfd, "map", "info", name) for name in ("room.monoloc", "bent.monoloc"))
     assert [info[key] for key in ("lower_m", "upper_m")] == [room[key] for key in ("lower_m", "upper_m")]
+
+
+def test_bundles_of_two_worlds_beside_each_other_are_warned_of(capfd: pytest.CaptureFixture[str], here: Path) -> None:
+    room = read_bundle(here / "room.monoloc")
+    elsewhere = replace(room.original, means=room.original.means + np.array([20.0, 0.0, 0.0]))
+    write_bundle(here / "other.monoloc", replace(room, original=elsewhere))
+    warning = "warning: other.monoloc: at most 0% of its surfaces are also in room.monoloc; both must be of one world"
+    assert warning in outputs(capfd, *RENDER, "--beside", "other.monoloc")[1]
+    assert "warning" not in outputs(capfd, *RENDER, "--beside", "later.monoloc")[1]
 
 
 @pytest.mark.parametrize("extra", [(), ("--reference", "3"), ("--beside", "later.monoloc")])

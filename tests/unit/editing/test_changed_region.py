@@ -44,7 +44,7 @@ def test_region_that_most_frames_named_is_taken(bundle: Path) -> None:
     ("body", "problem", "fix"),
     [
         ({"changed_regions": []}, "names no changed region", "--box"),
-        ({"frames": 3}, "changed_regions: Field required", "monoloc localize"),
+        ({"frames": 3}, "changed_regions: is missing", "monoloc localize"),
         (
             {"changed_regions": [{"lower_m": [0, 0], "upper_m": [1, 1, 1], "frames": 2}]},
             "lower_m",
@@ -57,7 +57,7 @@ def test_region_that_most_frames_named_is_taken(bundle: Path) -> None:
             "another bundle than .*room.monoloc",
             "in this one again",
         ),
-        (json.dumps({"changed_regions": []}), "digest: Field required", "monoloc localize"),
+        (json.dumps({"changed_regions": []}), "digest: is missing", "monoloc localize"),
     ],
 )
 def test_other_files_are_refused(bundle: Path, body: Any, problem: str, fix: str) -> None:

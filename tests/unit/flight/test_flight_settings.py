@@ -75,7 +75,7 @@ def test_settings_are_read_from_a_file_and_wrong_ones_are_named(tmp_path: Path) 
         ("nort_deg = 3", "nort_deg: is unknown, the nearest is north_deg"),
         ("[mount]\npitch_deg = 91", "mount.pitch_deg: .*less than or equal to 90"),
         ("[mount]\nup_m = 1", "mount.up_m: is unknown, the nearest is "),
-        ("down = [0, 0]", "down.2: Field required"),
+        ("down = [0, 0]", "down.2: is missing"),
         ("down = [0, 0, 0.0]", "down: .*no direction"),
     ):
         path.write_text(line + "\n")

@@ -35,7 +35,7 @@ def test_pinhole_needs_six_numbers(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "match"),
     [
-        (("fx = 525.0", ""), "fx: Field required; give a file that monoloc calibrate wrote"),
+        (("fx = 525.0", ""), "fx: is missing; give a file that monoloc calibrate wrote"),
         (("fx = 525.0", "fx = nan"), "fx: "),
         (("fx = 525.0", "fx = -1.0"), "focal lengths are positive"),
         (("fx = 525.0", 'fx = "far"'), "fx: "),
