@@ -19,7 +19,7 @@ from monoloc.evaluation.consistency import consistency
 from monoloc.evaluation.depth_metrics import DepthAccumulator
 from monoloc.evaluation.trajectory import summarise
 from monoloc.geometry import FloatArray, invert
-from monoloc.io.recording import Recording, Relight
+from monoloc.io.recording import Recording, Relight, check_arrays
 from monoloc.localizer import Localizer
 from monoloc.localizer_config import LocalizerConfig
 from monoloc.odometry.motion import Motion, tracks_translation
@@ -174,10 +174,12 @@ def localize(
 
     Raises:
         DataError: sensor depth is asked for and there is none, there are no frames, or one cannot be read.
-        ValueError: as :class:`monoloc.localizer.Localizer`, or ``down`` or ``motions`` are not one a frame.
+        ValueError: as :class:`monoloc.localizer.Localizer` and :func:`monoloc.io.recording.check_arrays`, or ``down``
+            or ``motions`` are not one a frame.
     """
     if len(recording) == 0:
         raise DataError(recording.name, "gives no frames", "give a recording with at least one")
+    check_arrays(recording)
     if down is not None and len(down) != len(recording):
         raise ValueError(f"down must have shape ({len(recording)}, 3), got {np.shape(down)}")
     if motions is not None and len(motions) != len(recording):

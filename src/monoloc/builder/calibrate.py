@@ -18,7 +18,7 @@ from monoloc.errors import DataError
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray
-from monoloc.io.recording import Recording
+from monoloc.io.recording import Recording, check_arrays
 from monoloc.likelihood.protocol import LikelihoodConfig, ScanLikelihood, best_over_scales
 from monoloc.likelihood.scan import Scan
 from monoloc.likelihood.thresholds import LikelihoodThresholds
@@ -66,11 +66,13 @@ def calibrate(
     Raises:
         DataError: the recording has no poses or fewer than two frames, no frame's depth gives a scan, or depth is off
             by a factor beyond 1.5.
+        ValueError: as :func:`monoloc.io.recording.check_arrays`.
     """
     if recording.poses is None:
         raise DataError(recording.name, "has no poses", "calibrate on a recording with camera poses")
     if len(recording) < 2:
         raise DataError(recording.name, "has fewer than 2 frames", "calibrate on at least 2")
+    check_arrays(recording)
     rng = np.random.default_rng(seed)
     camera = recording.camera
 

@@ -117,6 +117,7 @@ def build_bundle(
             that cannot give a pose (see :mod:`monoloc.builder.checks`), or an unusable network.
         SettingError: something is to be tuned of a network that cannot be.
         MissingExtraError: something is to be tuned and PyTorch is not installed.
+        ValueError: as :func:`monoloc.io.recording.check_arrays`, or the cloud is not (N, 3) and finite.
     """
     started = time.perf_counter()
     start_network = checked_network(recording, config, network)

@@ -17,7 +17,7 @@ from monoloc.depth.predictor import DepthPredictor
 from monoloc.depth.spec import DepthModel
 from monoloc.errors import DataError, SettingError
 from monoloc.extras import training_extra
-from monoloc.io.recording import Recording
+from monoloc.io.recording import Recording, check_arrays
 
 _MIN_FRAMES = 5
 
@@ -35,11 +35,13 @@ def checked_network(recording: Recording, config: BuildConfig, network: str | Pa
 
     Raises:
         DataError, SettingError, MissingExtraError: as :func:`monoloc.builder.pipeline.build_bundle`.
+        ValueError: as :func:`monoloc.io.recording.check_arrays`.
     """
     if recording.poses is None:
         raise DataError(recording.name, "has no poses", "build from a recording with camera poses")
     if len(recording) < _MIN_FRAMES:
         raise DataError(recording.name, f"gives {len(recording)} frames", f"build from at least {_MIN_FRAMES}")
+    check_arrays(recording)
     if config.refine_poses:
         check_refinable(recording)
     file = None

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monoloc.camera import Camera
-from monoloc.geometry import FloatArray
+from monoloc.geometry import FloatArray, is_rigid
 
 # Simulates an image under different lighting: (H, W, 3) uint8 RGB -> the same.
 Relight = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
@@ -53,6 +53,26 @@ class Recording(Protocol):
             DataError: see :meth:`color`.
         """
         ...
+
+
+def check_arrays(recording: Recording) -> None:
+    """Check that the arrays of a recording belong together; those of the readers do.
+
+    Raises:
+        ValueError: names, time stamps or poses are not one a frame, time runs backwards, or a pose is not rigid.
+    """
+    count, poses = len(recording), recording.poses
+    if len(recording.frame_names) != count:
+        raise ValueError(f"frame_names must be {count}, one a frame, got {len(recording.frame_names)}")
+    times_s = np.asarray(recording.timestamps_s)
+    if times_s.shape != (count,):
+        raise ValueError(f"timestamps_s must have shape ({count},), got {times_s.shape}")
+    if not np.isfinite(times_s).all() or np.any(np.diff(times_s) < 0.0):
+        raise ValueError("timestamps_s must be finite, and none before the previous one")
+    if poses is not None and np.shape(poses) != (count, 4, 4):
+        raise ValueError(f"poses must have shape ({count}, 4, 4), got {np.shape(poses)}")
+    if poses is not None and not np.all(is_rigid(poses)):
+        raise ValueError("poses must be rigid, T_world_camera")
 
 
 class StoredRecording(Recording, Protocol):
