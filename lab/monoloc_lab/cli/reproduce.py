@@ -12,6 +12,7 @@ import typer
 
 from monoloc.cli.common import (
     JsonOption,
+    naming,
     print_json,
     print_table,
     stderr,
@@ -203,22 +204,21 @@ def _study(
     """The study of the options.
 
     Raises:
-        DataError, SettingError: the source cannot be read or has no poses or no depth, the weights do not exist,
+        DataError, SettingError: the source cannot be read or has no poses or no depth, the weights do not fit,
             there are more builds than seeds, or a size is unknown.
     """
     from dataclasses import replace
 
     from monoloc_lab.experiments.study import SIZES, builtin, recorded
 
-    if encoder is not None and not encoder.is_file():
-        raise SettingError("--encoder", f"{encoder} does not exist", "give MobileNetV2 weights as .npz")
     if data == _BUILTIN or data.startswith(_RENDERED):
         if build_frames is not None:
             raise SettingError("--build-frames", "has no meaning for a rendered room", "leave it out")
         study = builtin(quick) if data == _BUILTIN else _rendered(data, quick)
     else:
-        source = absolute_source(data)
-        recording = open_recording(source)
+        with naming({"SOURCE": "--data"}):
+            source = absolute_source(data)
+            recording = open_recording(source)
         lacking = "no poses" if recording.poses is None else None if recording.has_depth else "no depth"
         if lacking is not None:
             raise DataError(recording.name, f"has {lacking}", f"give --data {_BUILTIN}, or one with poses and depth")
@@ -236,7 +236,28 @@ def _study(
         if unknown is not None:
             raise SettingError("--size", f"is {unknown!r}", f"choose from {', '.join(SIZES)}")
         study = replace(study, sizes=tuple(size for size in SIZES if size in sizes))
-    return study if encoder is None else replace(study, encoder_weights=str(encoder.resolve()))
+    if encoder is None:
+        return study
+    _check_encoder(encoder, study.sizes)
+    return replace(study, encoder_weights=str(encoder.resolve()))
+
+
+def _check_encoder(encoder: Path, sizes: tuple[str, ...]) -> None:
+    """Check that the weights fit the PoseNets, which are trained hours later.
+
+    Raises:
+        SettingError: there is no such file, or it is no .npz.
+        DataError: as :func:`monoloc.depth.training.mobilenet.load_encoder_weights`.
+    """
+    from monoloc.depth.training.mobilenet import load_encoder_weights
+    from monoloc_lab.baselines.posenet import PoseNet, posenet_config
+    from monoloc_lab.experiments.study import WIDTH
+
+    if not encoder.is_file() or encoder.suffix != ".npz":
+        problem = "is no .npz" if encoder.is_file() else "does not exist"
+        raise SettingError("--encoder", f"{encoder} {problem}", "give MobileNetV2 weights as .npz")
+    for size in sizes:
+        load_encoder_weights(PoseNet(posenet_config(size, WIDTH)), encoder)
 
 
 def _rendered(data: str, quick: bool) -> Study:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import synthetic_recordings as synthetic
@@ -20,7 +21,10 @@ from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path, write_r
     [
         (("fig9",), "FIGURE", "is 'fig9'", "choose from fig1, fig2, .*map-size, lambda, frames"),
         (("--data", "nowhere"), "", "nowhere: does not exist", ""),
+        (("--data", "nofo:x"), "--data", "unknown format 'nofo'", "known formats: folder"),
         (("--encoder", "weights.npz"), "--encoder", "weights.npz does not exist", "give MobileNetV2 weights as .npz"),
+        (("--encoder", "weights.txt"), "--encoder", "weights.txt is no .npz", "give MobileNetV2 weights as .npz"),
+        (("--encoder", "other.npz"), "other.npz", "has no tensor", "torchvision's MobileNetV2 names"),
         (
             ("--workers", "2", "--dask", "tcp://127.0.0.1:1"),
             "--workers",
@@ -53,6 +57,9 @@ def test_bad_options_are_refused_before_any_work(
     fix: str,
 ) -> None:
     monkeypatch.setattr("monoloc_lab.experiments.engine._ANSWER_S", 0.5)
+    monkeypatch.chdir(tmp_path)
+    Path("weights.txt").touch()
+    np.savez("other.npz", weights=np.zeros(3))
     refused(capfd, tmp_path, ("reproduce", *arguments, "--out", str(tmp_path / "out")), names, problem, fix)
 
 
