@@ -84,7 +84,12 @@ def relit(color: NDArray[np.uint8], light: Light, rng: np.random.Generator) -> N
     """Simulate another light on a well exposed image: (H, W, 3) uint8 RGB -> the same.
 
     The direction of the light does not change; its amount and the noise do.
+
+    Raises:
+        ValueError: the image has another shape or type.
     """
+    if np.ndim(color) != 3 or color.shape[2] != 3 or color.dtype != np.uint8:
+        raise ValueError(f"color must have shape (H, W, 3) as uint8, got {np.shape(color)} {color.dtype}")
     sensor = SensorConfig()
     reached = levels(light, sensor)
     exposure = Exposure(stops=reached.stops, electrons=reached.electrons, read_noise=sensor.read_noise)

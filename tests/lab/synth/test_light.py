@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from monoloc_lab.synth.light import LIGHTS, Light, levels, relit
 from monoloc_lab.synth.sensor import SensorConfig
@@ -40,3 +41,9 @@ def test_relit_images_are_darker_and_noisier() -> None:
     assert np.abs(lights["L2"] - image).mean() < 3.0
     noise = {name: np.median(picture.std(axis=0)) for name, picture in lights.items()}
     assert noise["L3"] > 4.0 * noise["L2"]
+
+
+@pytest.mark.parametrize("image", [np.zeros((4, 5, 3)), np.zeros((4, 5), np.uint8), np.zeros((4, 5, 4), np.uint8)])
+def test_relit_refuses_what_is_no_colour_image(image: NDArray[np.uint8]) -> None:
+    with pytest.raises(ValueError, match=r"color must have shape \(H, W, 3\) as uint8, got \(4, 5"):
+        relit(image, LIGHTS["L3"], np.random.default_rng(0))
