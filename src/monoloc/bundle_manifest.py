@@ -31,6 +31,7 @@ PLACE_MANIFEST, PLACE_INDEX = "place.json", "index.npz"
 NETWORK = "depth.onnx"
 """The network of a bundle."""
 COPY_AGAIN = "copy the bundle again or rebuild it"
+_VERSIONS = "reference/versions"  # the page that says which schemas are read
 _GreyLevel = Annotated[float, Field(ge=0.0, le=255.0)]
 
 
@@ -157,15 +158,15 @@ def _unknown_schema(file: Path, body: object) -> BundleError:
     found = entries.get("schema_version")
     problem = f"has schema {found}, this monoloc reads {READ_SCHEMAS[0]} to {SCHEMA}"
     if isinstance(found, int) and found > SCHEMA:
-        return BundleError(file, problem, "read it with the monoloc that wrote it, or a newer one")
+        return BundleError(file, problem, "read it with the monoloc that wrote it, or a newer one", _VERSIONS)
     provenance = entries.get("provenance")
     provenance = provenance if isinstance(provenance, dict) else {}
     recording, frames = provenance.get("recording"), provenance.get("frames")
     if not isinstance(recording, str) or not isinstance(frames, dict) or not frames:
-        return BundleError(file, problem, "rebuild it with this version")
+        return BundleError(file, problem, "rebuild it with this version", _VERSIONS)
     names = list(frames)
     what = f"the {len(names)} frames {names[0]} to {names[-1]} of {recording}"
-    return BundleError(file, problem, f"rebuild it with this version from {what}")
+    return BundleError(file, problem, f"rebuild it with this version from {what}", _VERSIONS)
 
 
 def container_of(path: Path) -> str | None:

@@ -52,8 +52,6 @@ class SettingError(MonolocError):
 class BundleError(DataError):
     """A bundle is incomplete, was edited, or has an unknown schema."""
 
-    page = "reference/versions"
-
 
 class MissingExtraError(MonolocError):
     """A feature needs libraries that are not installed.

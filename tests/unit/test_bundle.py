@@ -416,6 +416,10 @@ def test_unknown_schema_is_refused(written, schema):
     body["schema_version"] = schema
     file.write_text(json.dumps(body))
     refuses(lambda: read_bundle(written), file, f"has schema {schema}, this monoloc reads 9 to {SCHEMA}")
+    for path, page in ((written, "reference/versions"), (written / "no", None)):
+        with pytest.raises(BundleError) as raised:
+            read_bundle(path)
+        assert raised.value.page == page
 
 
 def test_older_schema_says_what_to_rebuild_from_and_a_newer_one_what_reads_it(written):
