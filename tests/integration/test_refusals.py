@@ -92,7 +92,7 @@ def with_trajectory(here: Path) -> None:
         ),
         (without_depth, (*BUILD, *QUICK), "flight", "has no depth", "cloud"),
         (without_depth, (*BUILD, "--refine-poses"), "--refine-poses", "needs depth", "leave it out"),
-        (nothing, (*BUILD, "--frames", "0:3"), "flight", "gives 3 frames", "at least 5"),
+        (nothing, (*BUILD, "--frames", "0:3"), "flight", r"has too few frames \(3\)", "at least 5"),
         (nothing, (*BUILD, "--frames", "90:"), "--frames", "selects none of the 6", "START"),
         (nothing, (*BUILD, *QUICK, "--depth-scale", "1"), "flight", "has no depth between 0 and", "depth scale"),
         (nothing, (*BUILD, *UNTUNED, "-k", "1000000"), "--components", "is 1000000 for a cloud of", ""),

@@ -204,7 +204,9 @@ def _checked(recording: Recording, config: PoseNetTraining) -> FloatArray:
     if recording.poses is None:
         raise DataError(recording.name, "has no poses", "train on a recording with camera poses")
     if len(recording) < config.least_frames:
-        raise DataError(recording.name, f"gives {len(recording)} frames", f"train on {config.least_frames} or more")
+        raise DataError(
+            recording.name, f"has too few frames ({len(recording)})", f"train on {config.least_frames} or more"
+        )
     if config.synthesised_views and not recording.has_depth:
         raise DataError(recording.name, "has no depth", "set synthesised_views to 0")
     return recording.poses

@@ -40,7 +40,9 @@ def checked_network(recording: Recording, config: BuildConfig, network: str | Pa
     if recording.poses is None:
         raise DataError(recording.name, "has no poses", "build from a recording with camera poses")
     if len(recording) < _MIN_FRAMES:
-        raise DataError(recording.name, f"gives {len(recording)} frames", f"build from at least {_MIN_FRAMES}")
+        raise DataError(
+            recording.name, f"has too few frames ({len(recording)})", f"build from at least {_MIN_FRAMES}"
+        )
     check_arrays(recording)
     if config.refine_poses:
         check_refinable(recording)
@@ -84,7 +86,7 @@ def _check_8_bits(network: str | Path, recording: Recording) -> None:
         from monoloc.depth.training.quantise import LEAST_IMAGES
     if len(recording) < LEAST_IMAGES:
         fix = f"build in 8 bits from at least {LEAST_IMAGES}"
-        raise DataError(recording.name, f"gives {len(recording)} frames", fix)
+        raise DataError(recording.name, f"has too few frames ({len(recording)})", fix)
 
 
 def in_8_bits(model: DepthModel, images: list[NDArray[np.float32]]) -> DepthModel:

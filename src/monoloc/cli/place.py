@@ -58,7 +58,7 @@ def new(
     check_place_target(place)
     made, doors = make_place(place, bundles, require_signature), replaced_doors(place)
     size = write_place(made)
-    stderr.print(f"written: {place} ({len(made.names)} rooms, no doors yet)", soft_wrap=True)
+    stderr.print(f"written: {place} (rooms: {len(made.names)}, doors: none yet)", soft_wrap=True)
     if doors:
         note = f"the doors that it had are gone ({doors}); measure them again by place door"
         stderr.print(f"note: {place}: {note}", soft_wrap=True)

@@ -62,7 +62,7 @@ def measure_door(
     for name, count in zip(names, counts, strict=False):
         if count < _LEAST_FRAMES:
             raise DataError(
-                recording.name, f"shows room {name} in {count} frames, and {_LEAST_FRAMES} are needed", _RECORD
+                recording.name, f"shows room {name} in fewer than {_LEAST_FRAMES} frames ({count})", _RECORD
             )
     in_both = [index for index in range(len(passage.a)) if passage.a[index] and passage.b[index]]
     if len(in_both) >= _LEAST_FRAMES:

@@ -101,7 +101,7 @@ def test_recording_without_poses_is_refused() -> None:
 
 
 def test_too_few_frames_are_refused() -> None:
-    with pytest.raises(DataError, match="room: gives 7 frames; train on 8 or more"):
+    with pytest.raises(DataError, match=r"room: has too few frames \(7\); train on 8 or more"):
         train(small_recording(7))
 
 

@@ -114,7 +114,10 @@ def test_failed_task_is_named(tmp_path: Path, capfd: pytest.CaptureFixture[str])
     arguments = ["reproduce", "fig3", "--quick", "--data", f"folder:{tmp_path / 'short'}", "--workers", "1"]
     assert invoke([*arguments, "--out", str(tmp_path / "out")]) == 2
     message = capfd.readouterr().err.splitlines()[-1]
-    assert "monoloc: bundle of full-0.35" in message and "short: gives 3 frames; build from at least 5" in message
+    assert (
+        "monoloc: bundle of full-0.35" in message
+        and "short: has too few frames (3); build from at least 5" in message
+    )
 
 
 def test_command_is_offered_without_the_libraries_of_its_work() -> None:
