@@ -139,11 +139,8 @@ class FrontEnd:
         self._check_image(color)
         if measured_depth is not None:
             _checked_depth(measured_depth, "measured_depth")
-        if (
-            measured_motion is not None
-            and _checked_motion(measured_motion, "measured_motion").rotation_sd_rad is None
-        ):
-            raise ValueError("measured_motion must state its noise: make it by Motion.rotation or Motion.metric")
+        if measured_motion is not None:
+            _check_noise(_checked_motion(measured_motion, "measured_motion"))
         elapsed_s = 0.0 if self._is_first else elapsed_s
         if not 0.0 <= elapsed_s < np.inf:
             raise ValueError(f"elapsed_s must be finite and not negative, got {elapsed_s}")
