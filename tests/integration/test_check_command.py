@@ -162,3 +162,15 @@ def test_bundle_without_landmarks_in_sight_is_bad(workspace: Path, capfd: pytest
         "frames": 24, "found": 0, "agreeing": None, "offset_m": None, "offset_deg": None, "T_map_world": None,
         "focal": None,
     }  # fmt: skip
+
+
+def test_recording_without_poses_is_warned_of_before_a_build_and_not_before_a_flight(
+    workspace: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    description = workspace / "flight/dataset.toml"
+    description.write_text(description.read_text().replace('poses = "poses.txt"', "rate_hz = 15"))
+    for arguments, level in ((("flight",), "warning"), (("room.monoloc", "flight"), "good")):
+        capfd.readouterr()
+        invoke(["check", *arguments, "--json"])
+        findings = json.loads(capfd.readouterr().out)["findings"]
+        assert [each["level"] for each in findings if each["name"] == "poses"] == [level]

@@ -75,11 +75,16 @@ def check_arrays(recording: Recording) -> None:
         raise ValueError("poses must be rigid, T_world_camera")
 
 
+class Remark(str):
+    """A note on how a recording was read that casts no doubt on it, such as which topics of a bag were taken."""
+
+
 class StoredRecording(Recording, Protocol):
     """A :class:`Recording` that was read from files.
 
     Attributes:
-        notes: sentences on what a user may not expect: frames that are left out and why, metadata that was assumed.
+        notes: sentences on what a user may not expect: frames that are left out and why, metadata that was assumed;
+            :class:`Remark` where nothing may be wrong.
     """
 
     notes: list[str]

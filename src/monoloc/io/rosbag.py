@@ -18,6 +18,7 @@ from monoloc.errors import DataError, SettingError
 from monoloc.geometry import FloatArray
 from monoloc.io.frame_filter import FrameFilter
 from monoloc.io.reader_options import ReaderOptions
+from monoloc.io.recording import Remark
 from monoloc.io.rosbag_contents import Contents, ImageTopic, read_contents
 from monoloc.io.rosbag_file import BagFile, is_bag
 from monoloc.io.rosbag_messages import color_of, depth_of
@@ -99,7 +100,7 @@ class RosbagRecording:
         roles = [f"colour is {self._color.name}", camera_note]
         roles += [f"depth is {depth.topic.name}, {depth.how}" if depth else "there is no depth"]
         roles += [f"poses are those of {poses.name}, {poses.how}" if poses else "there are no poses"]
-        self.notes = ["; ".join(roles), *self._other_notes(contents, poses), *frames.notes()]
+        self.notes = [Remark("; ".join(roles)), *self._other_notes(contents, poses), *frames.notes()]
         self.color(0)
         if self.has_depth:
             self.depth(0)
@@ -141,10 +142,11 @@ class RosbagRecording:
             for name in topics
             if name not in used
         ]
-        notes = []
+        notes: list[str] = []
         if others:
+            names = ", ".join(sorted(others))
             notes.append(
-                f"also in the bag, with numbers of messages: {', '.join(sorted(others))}; choose by PATH#ROLE=TOPIC"
+                Remark(f"also in the bag, with numbers of messages: {names}; choose by rosbag:PATH#ROLE=TOPIC")
             )
         if not self._color.is_timed:
             notes.append(f"{self._color.name} has no time stamps, so the times of recording are used")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from monoloc.geometry import FloatArray
 from monoloc.image_turns import T_camera_turned, in_words, turned_image, turns_upright
-from monoloc.io.recording import Recording, Selection, StoredRecording, recorded_down, scale_sd_of
+from monoloc.io.recording import Recording, Remark, Selection, StoredRecording, recorded_down, scale_sd_of
 
 _LEAST_SHARE = 0.75  # of the frames that tell; a phone that was turned on the way has no upright
 
@@ -32,7 +32,7 @@ class Turned:
         self.frame_names, self.timestamps_s = source.frame_names, source.timestamps_s
         self.poses: FloatArray | None = source.poses @ T_camera_turned(quarter_turns)
         how = "upside down" if quarter_turns == 2 else "sideways"
-        note = f"the camera was held {how}: its images are turned by {in_words(quarter_turns)}"
+        note = Remark(f"the camera was held {how}: its images are turned by {in_words(quarter_turns)}")
         self.notes: list[str] = [*getattr(source, "notes", []), note]
         self.scale_sd, self.down_world = scale_sd_of(source), recorded_down(source)
 

@@ -11,7 +11,7 @@ import numpy as np
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
 from monoloc.geometry import FloatArray
-from monoloc.io.recording import Recording, Selection
+from monoloc.io.recording import Recording, Remark, Selection
 from monoloc.progress import NoProgress, Progress
 from monoloc.recording_check.depth_check import DepthCheck, check_depth
 from monoloc.recording_check.evidence import Evidence, gather_evidence
@@ -128,7 +128,7 @@ def inspect_recording(
         *image_findings(images, "move more slowly, or expose for a shorter time", "record in more light"),
         *(_of_motion(motion) if motion is not None else ()),
         *(_of_depth(depth, is_explained) if depth is not None else ()),
-        *(_of_poses(poses) if poses is not None else _without_poses(recording)),
+        *(_of_poses(poses) if poses is not None else _without_poses(recording, bundle)),
         *(_of_focal(focal, recording.camera) if focal is not None else ()),
         *_of_principal_point(recording.camera),
     ]
@@ -142,8 +142,8 @@ def inspect_recording(
 
 def _of_frames(recording: Recording, times: TimeCheck) -> Iterator[Finding]:
     source = recording.source if isinstance(recording, Selection) else recording
-    notes: list[str] = getattr(source, "notes", [])
-    yield Finding("frames", "warning" if notes else "good", f"{times.frames}", "; ".join(notes))
+    doubts = [note for note in getattr(source, "notes", []) if not isinstance(note, Remark)]
+    yield Finding("frames", "warning" if doubts else "good", f"{times.frames}", "; ".join(doubts))
     if times.rate_hz is None:
         return
     value = f"{times.duration_s:.1f} s, {times.rate_words}"
@@ -202,8 +202,10 @@ def _of_depth(depth: DepthCheck, is_explained: bool) -> Iterator[Finding]:
     yield Finding("depth", "warning" if too_little else "good", value, remark)
 
 
-def _without_poses(recording: Recording) -> Iterator[Finding]:
-    if recording.poses is None:
+def _without_poses(recording: Recording, bundle: Bundle | None) -> Iterator[Finding]:
+    if recording.poses is None and bundle is not None:
+        yield Finding("poses", "good", "none", "localising needs none")
+    elif recording.poses is None:
         yield Finding("poses", "warning", "none", _BY_IMAGES)
     else:
         yield Finding("poses", "warning", "not compared", "give --cloud, since there is no depth to compare with")

@@ -7,8 +7,13 @@ from dataclasses import replace
 import pytest
 
 from altered_recordings import Altered
-from monoloc.recording_check.inspection import inspect_recording
+from monoloc.io.recording import Remark
+from monoloc.recording_check.inspection import Finding, inspect_recording
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
+
+
+class Noted(Altered):
+    notes: list[str]
 
 
 @pytest.mark.parametrize("is_exchanged", [False, True])
@@ -18,3 +23,12 @@ def test_principal_point_far_from_the_centre_gives_a_warning(is_exchanged: bool)
     findings = inspect_recording(Altered(recording, camera=exchanged if is_exchanged else None)).findings
     levels = [finding.level for finding in findings if finding.name == "principal point"]
     assert levels == ["warning"] * is_exchanged
+
+
+def test_notes_warn_only_where_something_is_left_out_or_assumed() -> None:
+    recording = Noted(RoomRecording(Room(), make_path(2), SMALL_CAMERA))
+    recording.notes = [Remark("colour is /cam/color/image_raw")]
+    assert inspect_recording(recording).findings[0] == Finding("frames", "good", "2")
+    recording.notes.append("1 of 3 frames are left out: 1 without depth")
+    expected = Finding("frames", "warning", "2", "1 of 3 frames are left out: 1 without depth")
+    assert inspect_recording(recording).findings[0] == expected
