@@ -65,8 +65,8 @@ class _Image:
 
 
 def recognises(path: Path) -> bool:
-    """Whether a folder, or ``sparse/0`` in it, contains a model."""
-    return _model_of(path) is not None
+    """Whether a folder contains a model or ``sparse``, in which :func:`read` asks for one."""
+    return _model_of(path) is not None or (path / "sparse").is_dir()
 
 
 def read(path: Path, options: ReaderOptions) -> ImageRecording:
@@ -128,7 +128,7 @@ def _other_parts(model: Path) -> list[str]:
     others = [each.name for each in model.parent.glob("*") if each.name.isdecimal() and each.name != model.name]
     if not (model.name.isdecimal() and others):
         return []
-    return [f"the model is in {len(others) + 1} parts, of which the largest is used, {model.name}"]
+    return [f"the model has {len(others) + 1} parts; the largest, {model.name}, is used"]
 
 
 def _has(folder: Path, name: str) -> bool:

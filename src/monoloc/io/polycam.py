@@ -31,10 +31,10 @@ _AGAIN = "export the raw data from Polycam again, with developer mode on"
 
 
 def recognises(path: Path) -> bool:
-    """Whether a folder is, or contains, ``keyframes`` with ``cameras`` or ``corrected_cameras``."""
+    """Whether a folder is, or contains, ``keyframes`` with cameras or images; :func:`read` asks for cameras."""
     folder = _keyframes(path)
     return folder.resolve().name == "keyframes" and any(
-        (folder / name).is_dir() for name in ("cameras", "corrected_cameras")
+        (folder / f"{prefix}{name}").is_dir() for prefix in ("", "corrected_") for name in ("cameras", "images")
     )
 
 

@@ -88,14 +88,23 @@ def open_recording(source: str, options: ReaderOptions | None = None) -> StoredR
             raise SettingError("SOURCE", f"unknown format {name!r}", f"known formats: {', '.join(FORMATS)}")
         return upright(FORMATS[name].read(path, options))
     if not path.exists() or path.is_char_device():
-        device = _DEVICE.fullmatch(source)
-        fix = f"fly by it: camera:{device[1]}" if device else "check the path, or write FORMAT:PATH"
-        problem = "is a device, not a recording" if path.exists() else "does not exist"
-        raise DataError(path.absolute(), problem, fix)
+        raise _no_file(source, path)
     for known in FORMATS.values():
         if known.recognises(path):
             return upright(known.read(path, options))
     raise _unrecognised(path)
+
+
+def _no_file(source: str, path: Path) -> DataError:
+    """A device, or a path that does not exist."""
+    problem = "is a device, not a recording" if path.exists() else "does not exist"
+    device, (before, mark, _) = _DEVICE.fullmatch(source), source.rpartition("#")
+    fix = "check the path, or write FORMAT:PATH"
+    if device:
+        fix = f"fly by it: camera:{device[1]}"
+    elif mark and at_home(before).exists():
+        fix = f"to choose topics of a bag, write rosbag:{source}"
+    return DataError(path.absolute(), problem, fix)
 
 
 def _unrecognised(path: Path) -> DataError:
@@ -107,6 +116,9 @@ def _unrecognised(path: Path) -> DataError:
     if (path / _PLACE_FILE).is_file():
         return DataError(path, "is a place, not a recording", "give the images or the video of a flight")
     suffixes = [file.suffix.lower() for file in path.iterdir()] if path.is_dir() else [""]
+    if {".db3", ".mcap"}.intersection(suffixes):
+        fix = f"give its .db3 or .mcap file, or run: ros2 bag reindex {path}"
+        return DataError(path, "is a ROS 2 bag without metadata.yaml", fix)
     if not suffixes:
         return DataError(path, "is an empty folder", "give the folder that holds the recording")
     fix = f"write FORMAT:PATH with one of {', '.join(FORMATS)}, or describe its images in a dataset.toml"

@@ -36,8 +36,14 @@ _FIX = "export again: rtabmap-export --images_id --poses_camera --poses_format 1
 
 
 def recognises(path: Path) -> bool:
-    """Whether a folder contains ``X_camera_poses.txt`` beside ``X_rgb``, or the path is such a file."""
-    return bool(_exports(path))
+    """Whether a folder contains ``X_rgb`` beside ``X_camera_poses.txt`` or ``X_calib``, or the path is such poses.
+
+    An export without ``--poses_camera`` has no such poses, and :func:`read` asks for them.
+    """
+    images = visible(path, "_rgb") if path.is_dir() else []
+    return bool(_exports(path)) or any(
+        each.with_name(each.name.removesuffix("_rgb") + "_calib").is_dir() for each in images
+    )
 
 
 def read(path: Path, options: ReaderOptions) -> ImageRecording:

@@ -44,8 +44,9 @@ _QUALITY, _MOST_KEPT_BYTES = 95, 1 << 29
 
 
 def recognises(path: Path) -> bool:
-    """Whether a folder contains ``rgb.mp4`` and ``odometry.csv``."""
-    return (path / _VIDEO).is_file() and (path / _ODOMETRY).is_file()
+    """Whether a folder contains two of ``rgb.mp4``, ``odometry.csv`` and ``camera_matrix.csv``; :func:`read` asks for
+    the third."""
+    return sum((path / name).is_file() for name in (_VIDEO, _ODOMETRY, _MATRIX)) >= 2
 
 
 def read(path: Path, options: ReaderOptions) -> StrayScannerRecording:
@@ -61,7 +62,7 @@ def read(path: Path, options: ReaderOptions) -> StrayScannerRecording:
     """
     options.allow_only("stray-scanner", "camera", "depth_scale")
     require_folder(path)
-    for name in (_ODOMETRY, _MATRIX):
+    for name in (_VIDEO, _ODOMETRY, _MATRIX):
         require_file(path / name, "give a folder that Stray Scanner exported, with all its files")
     return StrayScannerRecording(path, options)
 

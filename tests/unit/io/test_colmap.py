@@ -101,7 +101,7 @@ def test_largest_part_of_a_model_is_read(tmp_path: Path, capture: Capture) -> No
     (tmp_path / "sparse/0/images.txt").write_text("\n".join(lines[:6]))
     recording = open_recording(str(tmp_path))
     assert len(recording) == 12
-    assert recording.notes == ["the model is in 2 parts, of which the largest is used, 1", *NOTES]
+    assert recording.notes == ["the model has 2 parts; the largest, 1, is used", *NOTES]
     assert open_recording(str(part)).notes == NOTES
 
 

@@ -84,6 +84,38 @@ def test_folder_of_images_is_to_be_described(tmp_path: Path) -> None:
     refuses_to_open(tmp_path, tmp_path, "is not recognised", "describe its images in a dataset.toml")
 
 
+@pytest.mark.parametrize(
+    ("parts", "missing", "problem", "fix"),
+    [
+        (
+            ["odometry.csv", "camera_matrix.csv"],
+            "rgb.mp4",
+            "is missing",
+            "Stray Scanner exported, with all its files",
+        ),
+        (["rgb.mp4", "camera_matrix.csv"], "odometry.csv", "is missing", "Stray Scanner exported"),
+        (["keyframes/images/", "keyframes/depth/"], "keyframes", "has no cameras/STAMP.json", "developer mode on"),
+        (["x_rgb/", "x_calib/", "x_poses.txt"], ".", "has no X_camera_poses.txt", "export again: .*--poses_camera"),
+        (["images/", "sparse/0/images.bin"], ".", "has no COLMAP model", "give the folder of cameras.bin"),
+        (["walk_0.mcap"], ".", "is a ROS 2 bag without metadata.yaml", "ros2 bag reindex"),
+    ],
+)
+def test_part_of_a_capture_is_told_what_it_lacks(
+    tmp_path: Path, parts: list[str], missing: str, problem: str, fix: str
+) -> None:
+    for part in parts:
+        path = tmp_path / part
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.mkdir() if part.endswith("/") else path.touch()
+    refuses_to_open(tmp_path, tmp_path / missing, problem, fix)
+
+
+def test_topics_without_the_format_are_told_how_to_be_chosen(tmp_path: Path) -> None:
+    (tmp_path / "walk.bag").touch()
+    source = tmp_path / "walk.bag#depth=none"
+    refuses_to_open(source, source, "does not exist", f"write rosbag:{source}")
+
+
 @pytest.mark.parametrize(("name", "kind"), [("manifest.json", "bundle"), ("place.json", "place")])
 def test_bundle_or_place_in_place_of_a_recording_is_named_as_one(tmp_path: Path, name: str, kind: str) -> None:
     (tmp_path / name).touch()
