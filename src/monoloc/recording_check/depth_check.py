@@ -57,6 +57,8 @@ class DepthCheck:
     @property
     def problem(self) -> str | None:
         """What is wrong, for a message."""
+        if self.coverage == 0.0:
+            return "no pixel has depth"
         if self.fix == "range":
             return f"depth is {DEPTH_FIXES['range']}: planes are {self.flatness:.1f} times as flat"
         if self.zoom is not None:
@@ -66,6 +68,8 @@ class DepthCheck:
 
     @property
     def remedy(self) -> str:
+        if self.coverage == 0.0:
+            return "record within the sensor's range; of an app's depth, only that of the highest confidence counts"
         if self.fix is not None:
             return f"give --fix-depth {self.fix}"
         return "align depth to colour in the recorder, or state the depth camera (depth_fx, ...) in a dataset.toml"
@@ -99,7 +103,7 @@ def require_registered_z(name: str, check: DepthCheck) -> None:
     """Refuse depth that is of another kind.
 
     Raises:
-        DataError: the depth is range, or not registered.
+        DataError: no pixel has depth, or it is range, or not registered.
     """
     if check.problem is not None:
         raise DataError(name, check.problem, check.remedy)

@@ -193,7 +193,8 @@ def _of_motion(motion: MotionCoverage) -> Iterator[Finding]:
 
 
 def _of_depth(depth: DepthCheck, is_explained: bool) -> Iterator[Finding]:
-    value = f"{depth.coverage:.0%} of pixels, median {depth.median_m:.1f} m"
+    median = f", median {depth.median_m:.1f} m" if depth.coverage > 0.0 else ""
+    value = f"{depth.coverage:.0%} of pixels{median}"
     if depth.problem is not None and not is_explained:
         yield Finding("depth", "bad", value, f"{depth.problem}; {depth.remedy}")
         return

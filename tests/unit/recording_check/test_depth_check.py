@@ -22,6 +22,7 @@ from monoloc.recording_check.depth_check import (
     require_registered_z,
     spectrum,
 )
+from monoloc.recording_check.inspection import inspect_recording
 from monoloc_lab.rooms import BUILD
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 
@@ -46,6 +47,16 @@ def test_right_depth_is_not_doubted(right: RoomRecording) -> None:
     assert check.problem is None and check.coverage == 1.0 and 1.0 < check.median_m < 4.0
     assert check.flatness is not None and check.flatness < 1.0
     require_registered_z("walk", check)
+
+
+def test_depth_without_a_value_is_refused(right: RoomRecording) -> None:
+    empty = Altered(right, depth=np.zeros_like)
+    check = check_depth(empty)
+    assert (check.coverage, check.flatness, check.edges, check.fix) == (0.0, None, None, None)
+    with pytest.raises(DataError, match=r"^walk: no pixel has depth; record within the sensor's range"):
+        require_registered_z("walk", check)
+    depth = next(each for each in inspect_recording(empty).findings if each.name == "depth")
+    assert (depth.level, depth.value) == ("bad", "0% of pixels")
 
 
 def test_range_is_named_and_fixed(right: RoomRecording) -> None:
@@ -80,8 +91,3 @@ def test_edges_are_those_of_what_is_in_front_also_beside_narrow_holes() -> None:
     depth[3, 60:65] = 0.0
     found = {(x, y) for x, y in front_edges(depth).tolist()}
     assert found == {(40, y) for y in range(8)} | {(59, y) for y in range(8) if y != 3}
-
-
-def test_depth_without_edges_or_pixels_is_not_judged(right: RoomRecording) -> None:
-    check = check_depth(Altered(right, depth=np.zeros_like))
-    assert (check.coverage, check.flatness, check.edges, check.problem) == (0.0, None, None, None)
