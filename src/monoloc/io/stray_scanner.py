@@ -97,7 +97,7 @@ class StrayScannerRecording:
         check_increasing(times_s[used], path / _ODOMETRY)
         self._numbers = numbers[used]
         self._depth_paths = [depth_paths[p] for p in used]
-        self._depth_scale = options.depth_scale or DEPTH_SCALE
+        self.depth_scale = options.depth_scale or DEPTH_SCALE
         self.name = path.resolve().name
         self.frame_names = [f"{number:06d}" for number in self._numbers]
         self.timestamps_s = times_s[used]
@@ -129,7 +129,7 @@ class StrayScannerRecording:
         if depth_path is None:
             raise DataError(self._folder, "has no depth images", "use a recording with depth, or predicted depth")
         confidence_path = _file_of(self._folder / "confidence", int(self._numbers[index]))
-        depth_m = read_depth(depth_path, self._depth_scale, self.camera, confidence_path, HIGH_CONFIDENCE)
+        depth_m = read_depth(depth_path, self.depth_scale, self.camera, confidence_path, HIGH_CONFIDENCE)
         return depth_m if self._resampler is None else self._resampler.depth(index, depth_m)
 
     def _checked(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:

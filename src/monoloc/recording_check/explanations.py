@@ -12,6 +12,7 @@ from monoloc.errors import SettingError
 from monoloc.io.images import ImageRecording
 from monoloc.io.pose_fixes import AXES
 from monoloc.io.recording import Recording, Selection
+from monoloc.io.stray_scanner import StrayScannerRecording
 from monoloc.io.upright import Turned
 from monoloc.recording_check.evidence import Evidence, other_readings
 from monoloc.recording_check.factors import Factor, fit_depth_scale, fit_focal, fit_image_size
@@ -176,7 +177,9 @@ def depth_scale_option(recording: Recording, factor: float) -> str | None:
     """The option that corrects depth which is a factor too far; None where no stored value of one metre is known."""
     source = recording.source if isinstance(recording, Selection) else recording
     source = source.source if isinstance(source, Turned) else source
-    return f"--depth-scale {_common(source.depth_scale * factor):g}" if isinstance(source, ImageRecording) else None
+    if not isinstance(source, ImageRecording | StrayScannerRecording):
+        return None
+    return f"--depth-scale {_common(source.depth_scale * factor):g}"
 
 
 def _common(value: float) -> float:

@@ -116,9 +116,10 @@ def test_depth_is_fixed_as_it_is_stored() -> None:
 
 
 def test_depth_of_a_wrong_scale_has_its_option(capture: Capture, tmp_path: Path) -> None:
-    write_polycam(tmp_path / "walk", on_its_side(in_world(capture, Y_UP), 1))
-    recording = open_recording(str(tmp_path / "walk"))
-    assert depth_scale_option(Selection(recording, range(3)), 10.0) == "--depth-scale 10000"
+    for name, write in (("polycam", write_polycam), ("stray", write_stray_scanner)):
+        write(tmp_path / name, on_its_side(in_world(capture, Y_UP), 1))
+        recording = open_recording(str(tmp_path / name))
+        assert depth_scale_option(Selection(recording, range(3)), 10.0) == "--depth-scale 10000"
 
 
 def test_folder_keeps_gravity(tmp_path: Path) -> None:
