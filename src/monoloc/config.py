@@ -83,12 +83,12 @@ def describe(error: ValidationError) -> str:
     for problem in error.errors():
         # Pydantic adds the type of each alternative of a union to the path; it is not a field.
         field = ".".join(str(part) for part in problem["loc"] if isinstance(part, int) or part.isidentifier())
-        problems.setdefault(field or "settings", []).append(_plain(problem["msg"]))
+        problems.setdefault(field or "settings", []).append(in_plain_words(problem["msg"]))
     field, messages = next(iter(problems.items()))
     return f"{field}: {', or '.join(messages)}"
 
 
-def _plain(message: str) -> str:
+def in_plain_words(message: str) -> str:
     """A message of pydantic without how it parses."""
     return (
         message.removeprefix("Value error, ")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Annotated
@@ -97,6 +98,16 @@ def _before_all(
     pass
 
 
+def _option_first(message: str) -> str:
+    """A message of typer on a value as other errors are: the option, and the problem in plain words."""
+    from monoloc.config import in_plain_words
+
+    option = re.match(r"Invalid value for '([^']+)'(?: / '[^']+')*: ", message)
+    if option is None:
+        return message
+    return f"{option[1]}: {in_plain_words(message[option.end() :]).removesuffix('.')}"
+
+
 def carry_out(arguments: list[str]) -> int:
     """Run a command line and return its exit code.
 
@@ -110,7 +121,7 @@ def carry_out(arguments: list[str]) -> int:
         raise KeyboardInterrupt from error
     except TyperException as error:
         context = getattr(error, "ctx", None)
-        problem = error.format_message()
+        problem = _option_first(error.format_message())
         if arguments and arguments[0] in _LAB_COMMANDS and context is not None and context.parent is None:
             raise _LabMissingError(
                 f"monoloc {arguments[0]} comes with monoloc-lab; run: pip install monoloc-lab"
