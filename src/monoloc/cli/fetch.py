@@ -70,8 +70,10 @@ def _list(json: bool) -> None:
     if json:
         print_json({name: {"title": each.title, "terms": each.terms} for name, each in DATA_SETS.items()})
     else:
-        rows = [[name, each.title, each.terms] for name, each in DATA_SETS.items()]
-        print_table("Recordings", ["name", "what it is", "terms"], rows)
+        print_table("Recordings", ["name", "what it is"], [[name, each.title] for name, each in DATA_SETS.items()])
+        for terms in dict.fromkeys(each.terms for each in DATA_SETS.values()):  # whole, so that they can be opened
+            names = ", ".join(name for name, each in DATA_SETS.items() if each.terms == terms)
+            typer.echo(f"terms of {names}: {terms}")
 
 
 def _accept(data_set: DataSet, is_accepted: bool) -> None:
