@@ -197,6 +197,20 @@ def with_trajectory(here: Path) -> None:
         (without_depth, ("map", "fit", "flight", "--out", "m.npz"), "flight", "has no depth", "cloud"),
         (nothing, ("map", "fit", "flight", "--out", "no/m.npz"), "--out", "no does not exist", "make the folder"),
         (nothing, ("map", "fit", "flight", "--out", "m.txt"), "--out", "m.txt is a map by another name", "NAME.npz"),
+        (
+            nothing,
+            ("calibrate", "camera", "x", "--out", "c.txt"),
+            "--out",
+            "is a camera file by another",
+            "NAME.toml",
+        ),
+        (
+            nothing,
+            ("reconstruct", "flight", "--out", "walk", "--camera-out", "c.txt"),
+            "--camera-out",
+            "is a camera file by another name",
+            "NAME.toml",
+        ),
         (nothing, ("calibrate", "board", "--out", "board.png"), "--out", "is a PDF by another name", "NAME.pdf"),
         (
             nothing,

@@ -26,7 +26,10 @@ def require_views(source: str, found: BoardViews) -> None:
     """Raise DataError if there are too few views to begin with."""
     if len(found.views) < LEAST_VIEWS:
         problem = f"shows the board in {len(found.views)} of {found.images} images, and {LEAST_VIEWS} are needed"
-        raise DataError(source, problem, "print the board of: monoloc calibrate board; show it sharp, flat and whole")
+        fix = "print the board of: monoloc calibrate board; show it sharp, flat and whole"
+        if 2 * len(found.views) > found.images:
+            fix = "take more pictures of it, from other sides and in other places of the image"
+        raise DataError(source, problem, fix)
 
 
 def coverage_of(views: Sequence[BoardView], size: tuple[int, int]) -> FloatArray:

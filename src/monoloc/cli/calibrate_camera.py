@@ -99,6 +99,7 @@ def camera_command(
       monoloc calibrate camera camera:0 --out cam.toml --size 1280x720
     """
     check_outputs({"--out": out, "--plot": plot}, (source,))
+    check_suffix(out, "--out", ".toml", "a camera file")  # --camera reads no other
     check_picture(plot, "--plot")
     with naming({"square_mm": "--square-mm", "calibration": source}):
         board = Board(square_mm)

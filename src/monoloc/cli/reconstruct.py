@@ -23,7 +23,7 @@ from monoloc.cli.common import (
     print_json,
     stderr,
 )
-from monoloc.cli.output_checks import check_apart, check_folder, check_outputs, check_picture
+from monoloc.cli.output_checks import check_apart, check_folder, check_outputs, check_picture, check_suffix
 from monoloc.errors import SettingError
 from monoloc.io.camera_file import write_camera
 from monoloc.io.folder_writer import require_empty, write_folder
@@ -68,6 +68,7 @@ def reconstruct_command(
     check_apart(out, "--out", (source,))
     require_empty(out)
     check_outputs({"--camera-out": camera_out, "--plot": plot}, (source,))
+    check_suffix(camera_out, "--camera-out", ".toml", "a camera file")
     check_picture(plot, "--plot")
     recording = open_source(source, frames, intrinsics, depth_scale, guesses_camera=True)
     if camera_out is not None and not has_guessed_camera(recording):

@@ -168,6 +168,8 @@ def test_too_few_views_and_another_board_are_refused() -> None:
     assert BoardDetector(BOARD)("other", np.asarray(other)) is None
     with pytest.raises(DataError, match=r"pictures: shows the board in 3 of 40 images, and 10 are needed; print the"):
         require_views("pictures", BoardViews(views_of("brown")[:3], SIZE, 40))
+    with pytest.raises(DataError, match=r"shows the board in 3 of 4 images, and 10 are needed; take more pictures"):
+        require_views("pictures", BoardViews(views_of("brown")[:3], SIZE, 4))
 
 
 # --- Sources ---
