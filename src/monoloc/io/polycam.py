@@ -24,6 +24,7 @@ from monoloc.io.image_cameras import one_camera, stated_by
 from monoloc.io.images import ImageRecording
 from monoloc.io.pose_files import DOWN_OF_ARKIT, OPENGL_AXES, checked_poses
 from monoloc.io.reader_options import ReaderOptions
+from monoloc.io.stray_scanner import NO_CONFIDENCE
 
 DEPTH_SCALE = 1000.0
 HIGH_CONFIDENCE = 255
@@ -84,7 +85,7 @@ def read(path: Path, options: ReaderOptions) -> ImageRecording:
         least_confidence=HIGH_CONFIDENCE,
         cameras=None if own_cameras is None else [own_cameras[p] for p in used],
         down_world=DOWN_OF_ARKIT,
-        notes=frames.notes(),
+        notes=[*frames.notes(), *([NO_CONFIDENCE] if has_depth and not has_confidence else [])],
     )
 
 

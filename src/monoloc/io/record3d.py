@@ -29,7 +29,7 @@ from monoloc.io.image_files import decode_color, fit_depth, metric_depth
 from monoloc.io.image_resampling import Resampler
 from monoloc.io.pose_files import OPENGL_AXES, check_increasing, poses_from_quaternions
 from monoloc.io.reader_options import ReaderOptions
-from monoloc.io.stray_scanner import HIGH_CONFIDENCE
+from monoloc.io.stray_scanner import HIGH_CONFIDENCE, NO_CONFIDENCE
 
 _METADATA = "metadata"
 _MOST_BYTES = 1 << 26  # of a member of the archive
@@ -45,7 +45,7 @@ def recognises(path: Path) -> bool:
 
 
 def read(path: Path, options: ReaderOptions) -> Record3DRecording:
-    """Open a ``.r3d`` file or the folder of an unpacked one. Frames without an image or depth are left out.
+    """Open a ``.r3d`` file or the folder of an unpacked one. Frames without image, depth or confidence are left out.
 
     Raises:
         DataError: the file is not such an archive, its metadata is malformed, or no frame remains.
@@ -70,10 +70,16 @@ class Record3DRecording:
         frames.require([archive.has(f"rgbd/{n}.jpg") for n in range(len(poses))], "without an image")
         with_depth = np.array([archive.has(f"rgbd/{n}.depth") for n in range(len(poses))], dtype=np.bool_)
         self.has_depth = bool(with_depth.any())
+        self.notes: list[str] = []
         self._depth_size = (0, 0)
         if self.has_depth:
             _decoder()
             frames.require(with_depth, "without depth")
+            with_confidence = [archive.has(f"rgbd/{n}.conf") for n in range(len(poses))]
+            if any(with_confidence):
+                frames.require(with_confidence, "without confidence")
+            else:
+                self.notes.append(NO_CONFIDENCE)
             self._depth_size = (_size(metadata, "dw", metadata_path), _size(metadata, "dh", metadata_path))
         self.camera, own_cameras = one_camera(cameras, options, frames)
         self._numbers = frames.positions(path, _AGAIN)
@@ -85,7 +91,7 @@ class Record3DRecording:
         self.timestamps_s = times_s[self._numbers]
         check_increasing(self.timestamps_s, metadata_path)
         self.poses: FloatArray | None = poses[self._numbers]
-        self.notes = frames.notes()
+        self.notes += frames.notes()
         self.color(0)
 
     def __len__(self) -> int:

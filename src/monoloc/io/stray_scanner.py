@@ -34,6 +34,7 @@ from monoloc.io.video_frames import VideoFrames
 
 DEPTH_SCALE = 1000.0
 HIGH_CONFIDENCE = 2
+NO_CONFIDENCE = "no confidence is recorded, so depth of every confidence is used"
 _VIDEO, _ODOMETRY, _MATRIX = "rgb.mp4", "odometry.csv", "camera_matrix.csv"
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _INTRINSICS = ("fx", "fy", "cx", "cy")
@@ -52,9 +53,9 @@ def recognises(path: Path) -> bool:
 def read(path: Path, options: ReaderOptions) -> StrayScannerRecording:
     """Open a recording's folder.
 
-    Frames of the video without a pose or a depth image are left out. Images whose intrinsics differ from those of the
-    recording are rendered with these. Colour is as stored: a rotation tag of the video is ignored, as the intrinsics
-    and the depth are those of the stored pixels.
+    Frames of the video without a pose, a depth image or its confidence are left out. Images whose intrinsics differ
+    from those of the recording are rendered with these. Colour is as stored: a rotation tag of the video is ignored,
+    as the intrinsics and the depth are those of the stored pixels.
 
     Raises:
         DataError: a file is missing or malformed, or no frame remains.
@@ -90,6 +91,11 @@ class StrayScannerRecording:
         self.has_depth = any(depth_path is not None for depth_path in depth_paths)
         if self.has_depth:
             frames.require([depth_path is not None for depth_path in depth_paths], "without depth")
+            with_confidence = [_file_of(path / "confidence", number) is not None for number in numbers]
+            if any(with_confidence):
+                frames.require(with_confidence, "without confidence")
+            else:
+                self.notes.append(NO_CONFIDENCE)
         cameras = odometry.cameras or [_read_camera(path / _MATRIX, self._video.size)] * len(poses)
         self.camera, own_cameras = one_camera(cameras, options, frames)
         used = frames.positions(path, _AGAIN)
@@ -103,8 +109,6 @@ class StrayScannerRecording:
         self.timestamps_s = times_s[used]
         self.poses: FloatArray | None = poses[used]
         self.notes += frames.notes()
-        if self.has_depth and not (path / "confidence").is_dir():
-            self.notes.append("there is no folder confidence/, so depth of every confidence is used")
         self.color(0)
 
     def __len__(self) -> int:

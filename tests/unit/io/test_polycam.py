@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from capture_writers import (
     write_polycam,
 )
 from monoloc.io.registry import open_recording
+from monoloc.io.stray_scanner import NO_CONFIDENCE
 from refusals import refuses_data, refuses_to_open
 from synthetic_recordings import check_recording
 
@@ -69,6 +71,8 @@ def test_incomplete_frames_are_counted(folder: Path) -> None:
     assert recording.notes == [
         "3 of 12 frames are left out: 1 without an image, 1 without depth, 1 without confidence",
     ]
+    shutil.rmtree(folder / "keyframes/confidence")
+    assert open_recording(str(folder)).notes[-1] == NO_CONFIDENCE
 
 
 @pytest.mark.parametrize(

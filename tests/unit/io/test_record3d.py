@@ -25,6 +25,7 @@ from capture_writers import (
 )
 from monoloc.errors import MissingExtraError
 from monoloc.io.registry import open_recording
+from monoloc.io.stray_scanner import NO_CONFIDENCE
 from refusals import refuses, refuses_data, refuses_to_open
 from synthetic_recordings import check_recording
 
@@ -70,6 +71,14 @@ def test_early_recording_has_neither_times_nor_confidence(tmp_path: Path, captur
     recording = open_recording(str(tmp_path / "walk.r3d"))
     np.testing.assert_allclose(recording.timestamps_s, np.arange(12) / 10.0)
     assert (recording.depth(3)[1:, 2:] > 0.0).all()
+    assert recording.notes == [NO_CONFIDENCE]
+
+
+def test_image_without_confidence_is_left_out_where_others_have_it(tmp_path: Path, capture: Capture) -> None:
+    members = record3d_members(capture)
+    del members["rgbd/3.conf"]
+    write_record3d(tmp_path / "walk.r3d", members)
+    assert open_recording(str(tmp_path / "walk.r3d")).notes == ["1 of 12 frames are left out: 1 without confidence"]
 
 
 def test_images_of_other_focal_lengths_are_rendered_as_one_camera_sees_them(tmp_path: Path, capture: Capture) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from capture_writers import (
 from monoloc.camera import Camera
 from monoloc.io.reader_options import ReaderOptions
 from monoloc.io.registry import open_recording
+from monoloc.io.stray_scanner import NO_CONFIDENCE
 from monoloc.io.video_frames import VideoFrames
 from refusals import refuses_data, refuses_setting, refuses_to_open
 from synthetic_recordings import check_recording
@@ -124,12 +126,12 @@ def test_frames_without_pose_depth_or_image_are_counted(folder: Path) -> None:
 
 
 def test_folder_without_depth_or_confidence(folder: Path, capture: Capture) -> None:
-    for file in (folder / "confidence").iterdir():
-        file.unlink()
-    (folder / "confidence").rmdir()
+    (folder / "confidence/000003.png").unlink()
+    assert open_recording(str(folder)).notes == ["1 of 12 frames are left out: 1 without confidence"]
+    shutil.rmtree(folder / "confidence")
     recording = open_recording(str(folder))
     check_opened(recording, capture, [doubled(halved(each)) for each in capture.depths_mm])
-    assert recording.notes == ["there is no folder confidence/, so depth of every confidence is used"]
+    assert recording.notes == [NO_CONFIDENCE]
     for file in (folder / "depth").iterdir():
         file.unlink()
     recording = open_recording(str(folder))
