@@ -151,6 +151,7 @@ def test_unusable_arguments_are_refused(workspace: Path, capfd: pytest.CaptureFi
         (("flight", "--fix-poses", "sideways"), "--fix-poses: ", "'sideways' is no fix", "names are w-first"),
         (("flight", "--fix-depth", "sideways"), "--fix-depth: ", "is 'sideways'", "choose one of range"),
         (("room.monoloc",), "SOURCE: ", "is missing after the bundle", "give the recording"),
+        (("flight", "room.monoloc"), "SOURCE: ", "is a bundle", "monoloc check room.monoloc flight"),
         (("flight", "--plot", "check.jpg"), "--plot: ", "is a PNG by another name", "name it"),
     ):
         refused(capfd, workspace, ("check", *arguments), names, problem, fix)

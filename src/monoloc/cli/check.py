@@ -60,6 +60,8 @@ def check(
     bundle_path, source = (None, target) if source is None else (Path(target), source)
     if bundle_path is None and (Path(target) / "manifest.json").is_file():
         raise SettingError("SOURCE", "is missing after the bundle", "give the recording to compare it with")
+    if bundle_path is not None and (Path(source) / "manifest.json").is_file():
+        raise SettingError("SOURCE", f"{source} is a bundle", f"give it first: monoloc check {source} {target}")
     check_outputs({"--plot": plot}, (bundle_path, source, cloud))
     check_picture(plot, "--plot")
     bundle = None if bundle_path is None else read_bundle(bundle_path)
