@@ -47,9 +47,12 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def _unknown_key(error: ValidationError, model: type[BaseModel]) -> str | None:
-    """The first invalid field with the known one that is nearest, if it is unknown."""
-    first = error.errors()[0]
-    if first["type"] != "extra_forbidden":
+    """The first unknown field with the known one that is nearest, if there is one.
+
+    A field that is missing is often this one, misspelt.
+    """
+    first = next((each for each in error.errors() if each["type"] == "extra_forbidden"), None)
+    if first is None:
         return None
     *within, key = first["loc"]
     nearest = nearest_keys(str(key), _keys(model, within), 1)
@@ -93,8 +96,10 @@ def in_plain_words(message: str) -> str:
     return (
         message.removeprefix("Value error, ")
         .split(", unable to parse")[0]
-        .replace("Field required", "is missing")
         .replace("Input should be", "must be")
+        .replace("Field required", "is missing")
+        .replace("List should have", "must have")
+        .replace(" after validation", "")
         .replace("Input is not a valid path for <class 'pathlib.Path'>", "must be a path, in quotes")
         .replace("integer", "whole number")
         .replace("a valid tuple", "a list, as [...] or, of tables, [[...]]")

@@ -80,7 +80,7 @@ class VideoRecording:
             problem = "is a video, without poses, without depth, and does not state its intrinsics"
             known = f"give --camera FILE.toml of monoloc calibrate, or --camera {width},{height},FX,FY,CX,CY"
             command = ["monoloc", "reconstruct", str(path), "--out", path.stem, "--camera-out", "cam.toml"]
-            fix = f"{known}; to find it: {shlex.join(command)}"
+            fix = f"{known}; without a board, estimate them: {shlex.join(command)}"
             raise DataError(path, problem, fix)
         if (camera.width, camera.height) != (width, height):
             turned = f", turned by the {self._frames.rotation_deg} degrees of its rotation tag"

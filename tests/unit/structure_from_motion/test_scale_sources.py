@@ -153,6 +153,9 @@ def test_bad_distances_are_refused(walk: RoomRecording, model: SparseModel, tmp_
     refuses_data(lambda: DistanceScale(path).frames(walk), path, "'IMG_1' is no frame of room", "000000 to 000011")
     path.write_text("metres = -1")
     refuses_data(lambda: DistanceScale(path).frames(walk), path, "metres", "write metres, a and b")
+    path.write_text('metres = 1\na = [["000001", 2, 3]]\nb = [["000001", 2, 3], ["000002", 4, 5]]')
+    problem = "a: must have at least 2 items, not 1"
+    refuses_data(lambda: DistanceScale(path).frames(walk), path, problem, "write metres, a and b")
     path.write_text("metres =")
     refuses_data(lambda: DistanceScale(path).frames(walk), path, "is not valid TOML", "correct the line")
 
