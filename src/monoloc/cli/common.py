@@ -210,7 +210,8 @@ def print_json(content: Mapping[str, object]) -> None:
 
 def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
     """Print a table on stdout: the result of a command without ``--json``."""
-    table = Table(header_style="")
+    # With both paddings, a long value would break words of the header in a terminal of 80 columns.
+    table = Table(header_style="", collapse_padding=True)
     for index, column in enumerate(columns):
         table.add_column(column, justify="left" if index == 0 else "right", overflow="fold")  # nothing is cut off
     for row in rows:

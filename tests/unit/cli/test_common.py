@@ -203,7 +203,15 @@ def test_tables_are_rounded_and_their_titles_are_not_wrapped_or_interpreted(
     print_table(title, ["", ""], [["down", text_of((1 / 3, -0.1234567, 0.0123456))]])
     out = capfd.readouterr().out
     assert out.startswith(f"{title}\n")
-    assert " 0.333, -0.123, 0.0123 " in out
+    assert "0.333, -0.123, 0.0123 " in out
+
+
+def test_words_of_a_wide_table_are_whole_in_80_columns(capfd: pytest.CaptureFixture[str]) -> None:
+    names = ["frames", "median", "RMSE", "max", "rotation", "in 5 cm, 5°", "coverage", "depth error"]
+    values = ["unseen", "45.7 cm", "44.4 cm", "53.1 cm", "122.3°", "100.0 %", "100.0 %", "23.7 %"]
+    print_table("Accuracy", names, [values])
+    out = capfd.readouterr().out
+    assert all(word in out for word in ("rotation", "coverage", *values))
 
 
 def test_entries_of_a_dict_in_a_dict_have_its_name_before_theirs() -> None:
