@@ -101,6 +101,7 @@ def doctor(
         flown.provenance,
         tells_gravity(flown, flight.settings),
         flown.scale_sd(),
+        flown.has_landmarks(),
         flight.mount.roll_deg,
         flight.most_age_s,
     )

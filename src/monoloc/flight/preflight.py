@@ -69,14 +69,22 @@ class Preflight:
         provenance: of the bundle that is flown in, or of the first room of a place.
         tells_gravity: whether the map or the flight's settings tell the direction of gravity.
         scale_sd: relative standard deviation of the map's scale; 0 where a sensor measured it.
+        has_landmarks: whether the map has any.
         roll_deg: of the camera's mount, as the user states it; 0 where it is not stated.
         most_age_s: of the flight, beyond which a pose is not sent.
     """
 
     def __init__(
-        self, provenance: Provenance, tells_gravity: bool, scale_sd: float, roll_deg: float, most_age_s: float
+        self,
+        provenance: Provenance,
+        tells_gravity: bool,
+        scale_sd: float,
+        has_landmarks: bool,
+        roll_deg: float,
+        most_age_s: float,
     ) -> None:
         self._provenance, self._tells_gravity, self._scale_sd = provenance, tells_gravity, scale_sd
+        self._has_landmarks = has_landmarks
         self._roll_deg, self._most_age_s = roll_deg, most_age_s
         self._brightness = provenance.brightness
         self._count = 0
@@ -168,12 +176,16 @@ class Preflight:
             yield Finding("intrinsics", "warning", "the focal length is neither the build's nor confirmed", remark)
         elif np.median(self._landmarks) >= _GOOD_LANDMARKS:
             yield Finding("intrinsics", "good", "landmarks do not contradict the stated focal length")
-        else:
+        elif self._has_landmarks:
             yield Finding("intrinsics", "warning", "not compared", "look where the build recorded corners")
+        else:
+            yield Finding("intrinsics", "warning", "not compared", "only landmarks tell; calibrate the camera")
 
     def _of_room(self, summary: FlightSummary) -> Iterator[Finding]:
         seen = int(np.median(self._landmarks))
         remark = "" if seen >= _GOOD_LANDMARKS else "look at a part of the room that the build recorded"
+        if not self._has_landmarks:
+            remark = "the map has none; build with landmarks, from images with texture"
         yield Finding("landmarks", "warning" if remark else "good", f"{seen} a frame (median)", remark)
         if summary.rooms:
             yield Finding("rooms", "good", f"the camera was in {len(summary.rooms)} of the place")

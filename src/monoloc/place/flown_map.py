@@ -86,6 +86,14 @@ class FlownMap:
         """
         return max(room.provenance.scale_sd or 0.0 for room in self.rooms())
 
+    def has_landmarks(self) -> bool:
+        """Whether any room has landmarks.
+
+        Raises:
+            BundleError: as :func:`open_map`.
+        """
+        return any(len(room.landmarks) > 0 for room in self.rooms())
+
     def localizer(
         self,
         camera: Camera,

@@ -50,11 +50,12 @@ def findings_of(
     link: LinkReport | None = HEARD,
     build: Provenance = BUILD,
     tells_gravity: bool = True,
+    has_landmarks: bool = True,
     roll_deg: float = 0.0,
     most_age_s: float = 0.2,
 ) -> dict[str, Finding]:
     """Findings by name after 60 equal frames, and ``late`` ones that were dropped."""
-    preflight = Preflight(build, tells_gravity, build.scale_sd or 0.0, roll_deg, most_age_s)
+    preflight = Preflight(build, tells_gravity, build.scale_sd or 0.0, has_landmarks, roll_deg, most_age_s)
     summary = FlightSummary()
     for index in range(60):
         result = result_at(index / rate_hz, step, age_s)
@@ -167,7 +168,7 @@ def test_why_no_frame_was_localised_is_named(reason: str, name: str, words: str)
     summary = FlightSummary()
     summary.dropped[reason] += 40
     summary.dropped["old"] += reason == "without start"
-    finding = Preflight(BUILD, True, 0.0, 0.0, 0.2).findings(summary, None)[0]
+    finding = Preflight(BUILD, True, 0.0, True, 0.0, 0.2).findings(summary, None)[0]
     assert (finding.name, finding.level, finding.value) == (name, "bad", words)
 
 
@@ -176,7 +177,7 @@ def test_parameters_of_another_firmware_are_not_asked_for() -> None:
 
 
 def test_proposed_gravity_says_when_it_holds() -> None:
-    preflight = Preflight(built(down_world=(0.0, 0.6, -0.8)), False, 0.0, 0.0, 0.2)
+    preflight = Preflight(built(down_world=(0.0, 0.6, -0.8)), False, 0.0, True, 0.0, 0.2)
     (gravity,) = (each for each in preflight.findings(FlightSummary(), None) if each.name == "gravity")
     assert gravity.remark.endswith("[0.000, 0.600, -0.800] if the build's camera looked level on average")
 
@@ -207,7 +208,7 @@ def test_slow_source_and_slow_computer_are_told_apart(late: int, firmware: Firmw
 
 @pytest.mark.parametrize(("link", "level"), [(None, "warning"), (HEARD, "bad")])
 def test_camera_that_went_away_is_named_whatever_its_rate_was(link: LinkReport | None, level: Level) -> None:
-    preflight, summary = Preflight(BUILD, True, 0.0, 0.0, 0.2), FlightSummary()
+    preflight, summary = Preflight(BUILD, True, 0.0, True, 0.0, 0.2), FlightSummary()
     preflight.idle(0.0)  # before the first image
     for index in range(60):
         result = result_at(50.0 + index / 30.0, good_step())
@@ -227,6 +228,12 @@ def test_stated_roll_of_a_turned_camera_is_to_be_corrected() -> None:
         assert findings_of(step, roll_deg=roll_deg)["orientation"].remark.startswith(f"{verb} roll_deg in [mount]; ")
 
 
+def test_map_without_landmarks_is_told_from_a_view_without_them() -> None:
+    for has_landmarks, remark in ((True, "look at a part of the room"), (False, "the map has none; build with")):
+        landmarks = findings_of(good_step(landmarks=0), has_landmarks=has_landmarks)["landmarks"]
+        assert landmarks.level == "warning" and landmarks.remark.startswith(remark)
+
+
 def test_set_of_bits_may_have_more() -> None:
     more = {**PARAMETERS, "EKF2_EV_CTRL": 15.0}
     assert levels_of(good_step(), link=replace(HEARD, parameters=more))["EKF2_EV_CTRL"] == "good"
@@ -235,5 +242,5 @@ def test_set_of_bits_may_have_more() -> None:
 
 
 def test_no_frame_is_bad() -> None:
-    findings = Preflight(BUILD, True, 0.0, 0.0, 0.2).findings(FlightSummary(states=Counter()), None)
+    findings = Preflight(BUILD, True, 0.0, True, 0.0, 0.2).findings(FlightSummary(states=Counter()), None)
     assert worst(findings) == "bad" and [finding.name for finding in findings] == ["camera", "gravity"]
