@@ -60,7 +60,7 @@ def test_right_recording_is_good(workspace: Path, capfd: pytest.CaptureFixture[s
     result, err = checked(capfd, 0, "flight", "--plot", "pictures.png")
     assert result["level"] == "good" and result["poses"]["verdict"] == "agree"
     assert {finding["level"] for finding in result["findings"]} == {"good"}
-    assert "flight: good" in err and "focal length" in err
+    assert "flight: good" in err and "focal length" in err and "written: pictures.png" in err
     (workspace / "drawn").mkdir()
     (workspace / "pictures.png").rename(workspace / "drawn" / "pictures.png")
     check_picture(workspace / "drawn" / "pictures.png", 1200, 800)

@@ -112,11 +112,13 @@ def camera_command(
         plot_coverage(plot, calibration, board, title=source)
     for warning in warnings:
         stderr.print(f"warning: {source}: {warning}", soft_wrap=True)
+    for path in (out, plot):
+        if path is not None:
+            stderr.print(f"written: {path}", soft_wrap=True)
     if json:
         print_json({**_figures(calibration, found.images), "warnings": warnings, "out": str(out)})
     else:
         _show(source, calibration, found.images)
-        stderr.print(f"written: {out}", soft_wrap=True)
 
 
 def _parse_size(text: str) -> tuple[int, int]:

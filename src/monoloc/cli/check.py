@@ -70,6 +70,7 @@ def check(
     inspection = inspect_recording(recording, points, bundle, ConsoleProgress(stderr))
     if plot is not None:
         plot_check(plot, inspection, title=source if bundle_path is None else f"{source} against {target}")
+        stderr.print(f"written: {plot}", soft_wrap=True)
     print_findings(source, inspection.findings, inspection.level)
     if json:
         print_json(_content(source, inspection))

@@ -79,6 +79,9 @@ def reconstruct_command(
         write_camera(camera_out, found.model.camera, _provenance(found))
     if plot is not None:
         plot_reconstruction(plot, found, title=source)
+    for path in (camera_out, plot):
+        if path is not None:
+            stderr.print(f"written: {path}", soft_wrap=True)
     if json:
         print_json({"source": source, "out": str(out), **_figures(found)})
         return

@@ -270,7 +270,7 @@ def _of_camera(agreement: MapAgreement, camera: Camera, built: Camera) -> Findin
         return Finding("camera", "good", value, build)
     if abs(np.log(camera.focal_px / built.focal_px)) > _FOCAL_ERROR:
         return Finding("camera", "warning", value, f"{build}; for the same camera, give the same intrinsics")
-    return Finding("camera", "good", value, "" if camera == built else build)
+    return Finding("camera", "good", value, "" if value in build else build)
 
 
 def _of_world(agreement: MapAgreement, agreeing: int) -> Finding:
