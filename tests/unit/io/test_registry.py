@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -114,6 +115,15 @@ def test_topics_without_the_format_are_told_how_to_be_chosen(tmp_path: Path) -> 
     (tmp_path / "walk.bag").touch()
     source = tmp_path / "walk.bag#depth=none"
     refuses_to_open(source, source, "does not exist", f"write rosbag:{source}")
+
+
+def test_recording_in_a_folder_or_around_a_file_is_named(tmp_path: Path) -> None:
+    walk = tmp_path / "unpacked" / "walk"
+    walk.mkdir(parents=True)
+    synthetic.write_folder(walk)
+    (walk / "poses.txt").touch()
+    for source in (walk.parent, walk / "poses.txt"):
+        refuses_to_open(source, source, "is not recognised", f"give a recording, such as {re.escape(str(walk))}")
 
 
 @pytest.mark.parametrize(("name", "kind"), [("manifest.json", "bundle"), ("place.json", "place")])
