@@ -177,6 +177,8 @@ def require_agreement(name: str, check: PoseCheck, poses_are_refined: bool, if_p
         raise DataError(name, f"poses and images disagree: {check.sentence}", check.fix)
     if check.verdict in ("doubtful", "disagree") and not poses_are_refined:
         return [f"poses fit the images poorly: {check.sentence}; {if_poor}"]
+    if check.verdict == "unknown":
+        return [f"{check.sentence}; poses of a wrong convention are not noticed, so give more frames, closer together"]
     return [] if check.jump_sentence is None else [check.jump_sentence]
 
 
