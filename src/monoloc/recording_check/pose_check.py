@@ -178,7 +178,7 @@ def require_agreement(name: str, check: PoseCheck, poses_are_refined: bool, if_p
     if check.verdict in ("doubtful", "disagree") and not poses_are_refined:
         return [f"poses fit the images poorly: {check.sentence}; {if_poor}"]
     if check.verdict == "unknown":
-        return [f"{check.sentence}; poses of a wrong convention are not noticed, so give more frames, closer together"]
+        return [f"{check.sentence}; a wrong convention would not be noticed, so give more frames, closer together"]
     return [] if check.jump_sentence is None else [check.jump_sentence]
 
 
