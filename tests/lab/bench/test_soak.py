@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from mmap import mmap
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,9 @@ def test_memory_that_grows_is_seen(
     kept, step = [], Localizer.step
 
     def leaking(self: Localizer, *arguments: Any) -> Step:
-        kept.append(bytearray(1_000_000))
+        block = mmap(-1, 1_000_000)  # new pages: memory that another test has freed is resident already
+        block.write(bytes(len(block)))
+        kept.append(block)
         return step(self, *arguments)
 
     monkeypatch.setattr(Localizer, "step", leaking)
