@@ -21,6 +21,7 @@ from monoloc.cli.common import (
     naming,
     print_json,
     print_table,
+    say_written,
     stderr,
 )
 from monoloc.cli.output_checks import check_outputs, check_picture, check_suffix
@@ -112,9 +113,7 @@ def camera_command(
         plot_coverage(plot, calibration, board, title=source)
     for warning in warnings:
         stderr.print(f"warning: {source}: {warning}", soft_wrap=True)
-    for path in (out, plot):
-        if path is not None:
-            stderr.print(f"written: {path}", soft_wrap=True)
+    say_written(out, plot)
     if json:
         print_json({**_figures(calibration, found.images), "warnings": warnings, "out": str(out)})
     else:

@@ -20,6 +20,7 @@ from monoloc.cli.common import (
     open_cloud,
     open_source,
     print_json,
+    say_written,
     stderr,
 )
 from monoloc.cli.findings import EXIT_CODES, print_findings
@@ -70,7 +71,7 @@ def check(
     inspection = inspect_recording(recording, points, bundle, ConsoleProgress(stderr))
     if plot is not None:
         plot_check(plot, inspection, title=source if bundle_path is None else f"{source} against {target}")
-        stderr.print(f"written: {plot}", soft_wrap=True)
+    say_written(plot)
     print_findings(source, inspection.findings, inspection.level)
     if json:
         print_json(_content(source, inspection))

@@ -203,6 +203,13 @@ def refuse_frames(frames: str, what: str) -> None:
         raise SettingError("--frames", f"has no meaning for {what}", "leave it out")
 
 
+def say_written(*paths: Path | None) -> None:
+    """Name the files that a command has written, on stderr; None where one was not asked for."""
+    for path in paths:
+        if path is not None:
+            stderr.print(f"written: {path}", soft_wrap=True)
+
+
 def print_json(content: Mapping[str, object]) -> None:
     """Print one JSON object on stdout; NaN and infinity, which JSON lacks, become null."""
     typer.echo(json_text(content))

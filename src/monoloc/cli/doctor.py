@@ -19,7 +19,7 @@ from monoloc.cli.common import (
     JsonOption,
     naming,
     print_json,
-    stderr,
+    say_written,
 )
 from monoloc.cli.findings import EXIT_CODES, print_findings
 from monoloc.cli.flight_options import (
@@ -122,7 +122,7 @@ def doctor(
     content = {"level": level, "findings": [asdict(finding) for finding in findings], **summary.figures()}
     if report is not None:
         write_whole(report, json_text(bug_report(flight, flown.rooms(), camera, content)).encode() + b"\n")
-        stderr.print(f"written: {report}", soft_wrap=True)
+        say_written(report)
     if json:
         print_json(content)
     return EXIT_CODES[level]

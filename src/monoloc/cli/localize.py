@@ -31,6 +31,7 @@ from monoloc.cli.common import (
     open_source,
     print_json,
     print_table,
+    say_written,
     stderr,
 )
 from monoloc.cli.motion_options import (
@@ -184,8 +185,7 @@ def localize_command(
         print_json({**what, **metrics})
     else:
         show(metrics)
-        for path in written:
-            stderr.print(f"written: {path}", soft_wrap=True)
+        say_written(*written)
     for doubt in doubts_of(run, metrics, room):
         stderr.print(f"warning: {recording.name}: {doubt}", soft_wrap=True)
     if failures:

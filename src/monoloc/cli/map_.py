@@ -24,6 +24,7 @@ from monoloc.cli.common import (
     print_json,
     print_table,
     refuse_frames,
+    say_written,
     stderr,
     text_of,
 )
@@ -130,5 +131,4 @@ def compare(
     else:
         print_table(str(bundle), ["", ""], [[figure, text_of(value)] for figure, value in content.items()])
     show_map_change(name, view, record, *shown, edits)  # last, so that a failure affects no other output
-    if record is not None:
-        stderr.print(f"written: {record}", soft_wrap=True)
+    say_written(record)

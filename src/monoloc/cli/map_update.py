@@ -25,6 +25,7 @@ from monoloc.cli.common import (
     open_source,
     print_json,
     print_table,
+    say_written,
     stderr,
 )
 from monoloc.cli.output_checks import check_outputs, check_picture
@@ -128,9 +129,9 @@ def update(
         if plot is not None:  # first, so that a bundle is not replaced and then reported as failed
             shown = updated if chosen else applied(room, evidence, proposed, rules, np.random.default_rng(seed))[0]
             _draw(plot, bundle.name, room, shown, proposed, "after" if chosen else "if all were applied", seed)
-        if is_written and (chosen or out is not None):
-            write_bundle(target_of(target), updated)
         if is_written:
+            if chosen or out is not None:
+                write_bundle(target_of(target), updated)
             write_evidence(evidence_path(target_of(target)), left, updated)
     if chosen and was_signed:
         stderr.print(f"note: {target}: its signature is void and was removed; sign it again", soft_wrap=True)
@@ -231,8 +232,7 @@ def _print(
             f"{len(flight.frames)} frames teach" if flight.refusal is None else f"teaches nothing: {flight.refusal}"
         )
         stderr.print(f"{flight.name}: {said}", soft_wrap=True)
-    if plot is not None:
-        stderr.print(f"written: {plot}", soft_wrap=True)
+    say_written(plot)
     rows = [
         [
             f"{each.id}\napplied" if id(each) in used else each.id,

@@ -21,6 +21,7 @@ from monoloc.cli.common import (
     print_json,
     print_table,
     refuse_frames,
+    say_written,
     stderr,
     text_of,
 )
@@ -183,7 +184,7 @@ def localize_in(
         stderr.print(f"warning: room {room} was not entered: {problem}", soft_wrap=True)
     if table is not None:
         table.write()
-        stderr.print(f"written: {out}", soft_wrap=True)
+        say_written(out)
     content: dict[str, object] = {"place": str(place), "source": source, "seed": seed, **run.metrics()}
     if truth_room is not None and recording.poses is not None:
         content |= run.errors(read, np.asarray(recording.poses), truth_room)

@@ -21,6 +21,7 @@ from monoloc.cli.common import (
     naming,
     open_source,
     print_json,
+    say_written,
     stderr,
 )
 from monoloc.cli.output_checks import check_apart, check_folder, check_outputs, check_picture, check_suffix
@@ -79,9 +80,7 @@ def reconstruct_command(
         write_camera(camera_out, found.model.camera, _provenance(found))
     if plot is not None:
         plot_reconstruction(plot, found, title=source)
-    for path in (camera_out, plot):
-        if path is not None:
-            stderr.print(f"written: {path}", soft_wrap=True)
+    say_written(camera_out, plot)
     if json:
         print_json({"source": source, "out": str(out), **_figures(found)})
         return

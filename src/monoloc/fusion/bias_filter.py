@@ -163,13 +163,13 @@ class BiasAugmentedFilter:
         """
         is_decisive = len(measured.points) >= _DECISIVE_LANDMARKS
         share_new = np.clip(self._moved_m, _LEAST_NEW_M, _NEW_ERRORS_M) / _NEW_ERRORS_M
-        lasting = self._landmark_noise(measured)
-        noise = (lasting + self._wider_bias(measured)) / share_new
+        noise_of_one = self._landmark_noise(measured)
+        noise = (noise_of_one + self._wider_bias(measured)) / share_new
         excess = self._state.landmark_excess(measured.pose, noise)
         self.landmarks_contradict = excess > 1.0
         if is_decisive and excess > _CONTRADICTION:
             return self.reinitialise_from_landmarks(measured)
-        self._state = self._state.update_from_landmarks(measured.pose, noise, is_decisive, lasting)
+        self._state = self._state.update_from_landmarks(measured.pose, noise, is_decisive, noise_of_one)
         self._moved_m = 0.0
         self.time_since_update_s = self._time_since_odometry_s = 0.0
         return self.belief

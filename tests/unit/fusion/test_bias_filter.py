@@ -393,16 +393,18 @@ def test_unweighted_noise_makes_the_stated_covariance_as_large_as_the_errors() -
 
 
 @pytest.mark.parametrize("is_from_landmarks", [False, True])
-def test_lasting_landmark_errors_make_the_stated_covariance_as_large_as_the_errors(is_from_landmarks: bool) -> None:
+def test_correlated_landmark_errors_make_the_stated_covariance_as_large_as_the_errors(
+    is_from_landmarks: bool,
+) -> None:
     """Landmark poses of all frames share a bias that the filter does not know of, and that changes slowly."""
     rng, no_bias, correlation = np.random.default_rng(8), np.zeros((2, 6)), 0.95
-    noise, lasting = np.diag(NOISE_SD**2), np.diag((3.0 * NOISE_SD) ** 2)
+    noise, correlated = np.diag(NOISE_SD**2), np.diag((3.0 * NOISE_SD) ** 2)
     own, stated = [], []
     for _ in range(100):
         true, bias = np.eye(4), 3.0 * NOISE_SD * rng.standard_normal(6)
         measured = se3_exp(bias) @ se3_exp(NOISE_SD * rng.standard_normal(6))
         if is_from_landmarks:
-            state = BiasAugmentedState.from_measurement(LANDMARKS, measured, noise, no_bias, lasting)
+            state = BiasAugmentedState.from_measurement(LANDMARKS, measured, noise, no_bias, correlated)
         else:
             start = Estimate(se3_exp(NOISE_SD * rng.standard_normal(6)), noise, 0.0)
             state = BiasAugmentedState.from_start(start, no_bias)
@@ -411,7 +413,7 @@ def test_lasting_landmark_errors_make_the_stated_covariance_as_large_as_the_erro
             state = state.predict(STEP, np.diag(ODOMETRY_SD**2), correlation, no_bias)
             bias = correlation * bias + np.sqrt(1.0 - correlation**2) * 3.0 * NOISE_SD * rng.standard_normal(6)
             measured = true @ se3_exp(bias) @ se3_exp(NOISE_SD * rng.standard_normal(6))
-            state = state.update_from_landmarks(measured, noise, is_decisive=True, unweighted_bias=lasting)
+            state = state.update_from_landmarks(measured, noise, is_decisive=True, unweighted_bias=correlated)
         error = se3_log(invert(state.pose) @ true)
         own.append(error @ np.linalg.solve(state.covariance[:6, :6], error))
         stated.append(error @ np.linalg.solve(state.stated_covariance(PARTICLES, np.zeros(6)), error))
