@@ -280,15 +280,13 @@ Work add_gram() {
   };
 }
 
-Work differing_bits() {
+Work similar_descriptors() {
   const std::size_t count = 512;
   std::vector<std::uint64_t> words(monoloc::kDescriptorWords * count);
   std::mt19937_64 random(3);
   for (auto& word : words) word = random();
-  std::vector<std::uint32_t> chosen(count);
-  std::iota(chosen.begin(), chosen.end(), 0u);
-  return [=, bits = std::vector<std::uint32_t>(count)]() mutable {
-    kernels().differing_bits(words.data(), words.data(), chosen.data(), count, bits.data());
+  return [=, places = std::vector<std::uint32_t>(count), bits = std::vector<std::uint32_t>(count)]() mutable {
+    kernels().similar_descriptors(words.data(), words.data(), count, 64, places.data(), bits.data());
   };
 }
 
@@ -335,7 +333,7 @@ const Kernel kKernels[] = {
     {"ray_candidates", "1 ray, 32 particles, 50 components", ray_candidates},
     {"ray_shortlist", "1 ray, 208 components", ray_shortlist},
     {"ray_offsets", "64 particles, 200 components", ray_offsets},
-    {"differing_bits", "1 descriptor, 512 others", differing_bits},
+    {"similar_descriptors", "1 descriptor, 512 others", similar_descriptors},
     {"linearise_window", "16 corners, 12 keyframes", linearise_window},
     {"add_gram", "48 rows, 67 columns", add_gram},
     {"weigh", "304 particles, 200 points, 20 components, voxels of 20 cm", weigh},

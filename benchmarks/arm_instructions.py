@@ -8,9 +8,10 @@ cmake. The core is compiled twice: as for every ARM processor of 64 bits, which 
 executes. A program runs with one round and with two; the difference is what one round takes.
 
 A flight of the demo room is recorded first: N of its steps, evenly spread, give the calls that are counted, with
-their arguments; all of them, the number of calls a step. The kernels, of which these functions and builds consist,
-are called on values that are made up in arm_instructions.cpp. Not counted: Python, NumPy, OpenCV, and the depth
-network. Prints one JSON object, and the tables as Markdown on standard error.
+their arguments; all of them, the number of calls a step. Functions that these steps do not call are left out. The
+kernels, of which these functions and builds consist, are called on values that are made up in arm_instructions.cpp.
+Not counted: Python, NumPy, OpenCV, and the depth network. Prints one JSON object, and the tables as Markdown on
+standard error.
 """
 
 from __future__ import annotations
@@ -225,7 +226,7 @@ def count_all(flight: Flight, steps: int, folder: Path) -> dict[str, Any]:
     counter = Counter(plugin, {name: compiled(name, folder) for name in BUILDS})
     counter.verify()
     functions = []
-    for name in SIZES:
+    for name in filter(flight.kept.get, SIZES):
         flight.write(name, folder / "calls")
         counts = counter.each(len(flight.kept[name]), "calls", folder / "calls")
         calls = {"calls_a_step": flight.calls[name] / steps, "calls_counted": len(flight.kept[name])}

@@ -312,6 +312,6 @@ extern const Kernels MONOLOC_JOIN(kernels_, MONOLOC_ISA);
 const Kernels MONOLOC_JOIN(kernels_, MONOLOC_ISA) = {
     MONOLOC_TEXT(MONOLOC_ISA), weigh, density, component_density, divide, largest_sum, log_density, expectation,
     ray_offsets, ray_shortlist, ray_candidates, weigh_rays, pool_block, chain_block, chain_gradient_block,
-    linearise_window, add_gram, differing_bits, multiply_add};
+    linearise_window, add_gram, similar_descriptors, multiply_add};
 
 }  // namespace monoloc

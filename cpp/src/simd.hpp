@@ -8,6 +8,9 @@
 
 #if defined(__AVX2__)
 #include <immintrin.h>
+#elif defined(__ARM_NEON) && defined(__aarch64__) && !defined(MONOLOC_LANES)
+#include <arm_neon.h>
+#define MONOLOC_NEON
 #endif
 
 #if defined(__GNUC__) || defined(__clang__)

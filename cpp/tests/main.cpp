@@ -30,7 +30,7 @@ int main() {
     test_rays(**k);
     test_pool_block(**k);
     test_gram(**k);
-    test_differing_bits(**k);
+    test_similar_descriptors(**k);
   }
   if (failures == 0) std::printf("all passed\n");
   return failures == 0 ? 0 : 1;

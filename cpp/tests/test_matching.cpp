@@ -54,6 +54,7 @@ void test_matching() {
   CHECK(matched({{0, 0, 0}, {1, 0, 100}, {2, 0, 103}}, {{3, 0, 101}, {4, 0, 5}}, {0, 1}, {1, 0}));
   // Of several as near, the first landmark, and the keypoint with the least x, then the first.
   CHECK(matched({{0, 0, 2}, {1, 0, 2}}, {{3, 0, 1}, {2, 0, 3}, {2, 0, 1}}, {0}, {1}));
+  CHECK(matched({{0, 0, 2}}, {{2, -9, 1}, {2, 9, 3}, {3, 0, 1}, {1.5, 9, 1}, {1.5, -9, 3}}, {0}, {3}));
   // Descriptors that differ too much, also in all bits.
   CHECK(matched({{0, 0, 0}}, {{0, 0, 63}}, {0}, {0}));
   for (const int ones : {64, 128, 255, 256}) CHECK(matched({{0, 0, 0}}, {{0, 0, ones}}, {}, {}));
@@ -83,21 +84,30 @@ void test_nearest_descriptors() {
   CHECK(monoloc::nearest_descriptors({one.data(), 1}, {known.data(), 600}, 0).bits.empty());
 }
 
-void test_differing_bits(const monoloc::Kernels& kernels) {
-  constexpr std::size_t words = monoloc::kDescriptorWords, count = 20;
+void test_similar_descriptors(const monoloc::Kernels& kernels) {
+  constexpr std::size_t words = monoloc::kDescriptorWords, count = 23;
   std::mt19937_64 random(3);
   std::vector<std::uint64_t> one(words), others(words * count);
   for (auto& word : one) word = random();
   for (auto& word : others) word = random();
-  for (std::size_t w = 0; w < words; ++w) others[w] = ~one[w];  // all bits differ
-  std::vector<std::uint32_t> chosen(count), bits(count);
-  for (std::size_t i = 0; i < count; ++i) chosen[i] = static_cast<std::uint32_t>(count - 1 - i);
-  kernels.differing_bits(one.data(), others.data(), chosen.data(), count, bits.data());
-  bool equal = true;
-  for (std::size_t i = 0; i < count; ++i) {
-    std::size_t expected = 0;
-    for (std::size_t w = 0; w < words; ++w) expected += std::bitset<64>(one[w] ^ others[words * chosen[i] + w]).count();
-    equal &= bits[i] == expected;
+  for (std::size_t w = 0; w < words; ++w) {
+    others[w] = ~one[w];  // all bits differ
+    others[words * 9 + w] = others[words * (count - 1) + w] = one[w];
   }
-  CHECK(equal && bits[count - 1] == 256);
+  for (const std::uint32_t limit : {0u, 1u, 128u, 256u, 257u}) {
+    std::vector<std::uint32_t> expected_places, expected_bits, places(count), bits(count);
+    for (std::size_t i = 0; i < count; ++i) {
+      std::size_t differing = 0;
+      for (std::size_t w = 0; w < words; ++w) differing += std::bitset<64>(one[w] ^ others[words * i + w]).count();
+      if (differing >= limit) continue;
+      expected_places.push_back(static_cast<std::uint32_t>(i));
+      expected_bits.push_back(static_cast<std::uint32_t>(differing));
+    }
+    const std::size_t found =
+        kernels.similar_descriptors(one.data(), others.data(), count, limit, places.data(), bits.data());
+    places.resize(found);
+    bits.resize(found);
+    CHECK(places == expected_places && bits == expected_bits);
+    CHECK(limit < 257 || bits.front() == 256);
+  }
 }

@@ -24,5 +24,5 @@ void test_landmark_consensus();
 void test_landmark_pose();
 void test_gram(const monoloc::Kernels& kernels);
 void test_nearest_descriptors();
-void test_differing_bits(const monoloc::Kernels& kernels);
+void test_similar_descriptors(const monoloc::Kernels& kernels);
 void test_window();

@@ -204,7 +204,7 @@ class Camera:
         least_m, *bounds = self.sight
         x, y, z = points_camera.T
         is_within = z > least_m - radius_m
-        for off_axis, most in zip((np.abs(x), np.abs(y), np.hypot(x, y)), bounds, strict=True):
+        for off_axis, most in zip((np.abs(x), np.abs(y), np.sqrt(x * x + y * y)), bounds, strict=True):
             is_within &= off_axis < most * z + radius_m * math.hypot(1.0, most)
         return np.asarray(is_within)
 

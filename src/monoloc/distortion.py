@@ -51,7 +51,11 @@ class Lens:
     def distort(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Map coordinates (...) each of a ray at z = 1 to those in the image, in focal lengths."""
         r2 = x * x + y * y
-        radial = self._radial(r2)
+        return self._distorted(x, y, r2, self._radial(r2))
+
+    def _distorted(
+        self, x: FloatArray, y: FloatArray, r2: FloatArray, radial: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         if self.model == "fisheye":
             return x * radial, y * radial
         p1, p2 = self.coefficients[2:4]
@@ -74,8 +78,10 @@ class Lens:
         start = np.tan(np.interp(radius, radii, angles)) / np.maximum(radius, _TINY)
         x, y = distorted[..., 0] * start, distorted[..., 1] * start
         for _ in range(20):
-            J_xx, J_xy, J_yy = self.jacobian(x, y)
-            predicted_x, predicted_y = self.distort(x, y)
+            r2 = x * x + y * y
+            radial = self._radial(r2)
+            J_xx, J_xy, J_yy = self._jacobian(x, y, radial, self._slope(r2, radial))
+            predicted_x, predicted_y = self._distorted(x, y, r2, radial)
             dx, dy = distorted[..., 0] - predicted_x, distorted[..., 1] - predicted_y
             determinant = J_xx * J_yy - J_xy * J_xy
             step_x, step_y = (J_yy * dx - J_xy * dy) / determinant, (J_xx * dy - J_xy * dx) / determinant
@@ -87,7 +93,12 @@ class Lens:
     def jacobian(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Entries xx, xy and yy, (...) each, of the Jacobian of :meth:`distort`, which is symmetric in all models."""
         r2 = x * x + y * y
-        radial, slope = self._radial(r2), self._slope(r2)
+        radial = self._radial(r2)
+        return self._jacobian(x, y, radial, self._slope(r2, radial))
+
+    def _jacobian(
+        self, x: FloatArray, y: FloatArray, radial: FloatArray, slope: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         J_xx, J_xy, J_yy = radial + slope * x * x, slope * x * y, radial + slope * y * y
         if self.model == "fisheye":
             return J_xx, J_xy, J_yy
@@ -107,20 +118,20 @@ class Lens:
         value = _polynomial((k1, k2, k3), r2)
         return value / _polynomial(quotient, r2) if any(quotient) else value
 
-    def _slope(self, r2: FloatArray) -> FloatArray:
-        """Twice the derivative of the radial part with respect to r^2."""
+    def _slope(self, r2: FloatArray, radial: FloatArray) -> FloatArray:
+        """Twice the derivative of the radial part, which is given, with respect to r^2."""
         if self.model == "fisheye":
             r2 = np.maximum(r2, _TINY)
             angle2 = np.arctan(np.sqrt(r2)) ** 2
             odd = [(2 * power + 3) * k for power, k in enumerate(self.coefficients)]
             growth = _polynomial(odd, angle2) / (1.0 + r2)  # of the distorted radius with r
-            return np.asarray((growth - self._radial(r2)) / r2)
+            return np.asarray((growth - radial) / r2)
         k1, k2, _, _, k3, *quotient = self.coefficients
         slope = 2.0 * _polynomial_slope((k1, k2, k3), r2)
         if not any(quotient):
             return slope
         below = _polynomial(quotient, r2)
-        return (slope - 2.0 * self._radial(r2) * _polynomial_slope(quotient, r2)) / below
+        return (slope - 2.0 * radial * _polynomial_slope(quotient, r2)) / below
 
 
 def _polynomial(coefficients: tuple[float, ...] | list[float], s: FloatArray) -> FloatArray:

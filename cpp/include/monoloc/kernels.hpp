@@ -176,9 +176,10 @@ struct Kernels {
   // last, and both are padded.
   void (*add_gram)(const double* rows, std::size_t count, std::size_t columns, std::size_t stride, double* out);
 
-  // Numbers of bits in which a descriptor of kDescriptorWords differs from `count` chosen ones of the others.
-  void (*differing_bits)(const std::uint64_t* descriptor, const std::uint64_t* others, const std::uint32_t* chosen,
-                         std::size_t count, std::uint32_t* out);
+  // Which of `count` descriptors of kDescriptorWords, one after the other, differ from one in fewer than `limit` bits,
+  // in order, and in how many. Both arrays have room for `count`. Returns their number.
+  std::size_t (*similar_descriptors)(const std::uint64_t* descriptor, const std::uint64_t* others, std::size_t count,
+                                     std::uint32_t limit, std::uint32_t* places, std::uint32_t* bits);
 
   // Multiplies and adds at peak speed, `rounds` times, as a reference for benchmarks. Returns the number of
   // operations. out: kPadding floats; writing them prevents the compiler from removing the work.

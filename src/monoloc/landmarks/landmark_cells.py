@@ -30,8 +30,8 @@ class LandmarkCells:
         # Of each cell, its landmarks: `order` from `ends - counts` up to `ends`.
         self._order, self._counts, self._ends = np.argsort(cell_of, kind="stable"), counts, np.cumsum(counts)
 
-    def nearby(self, pose: FloatArray, camera: Camera) -> NDArray[np.int64]:
-        """Indices, in order, of all landmarks within sight that are in view, and of some that are not.
+    def nearby(self, pose: FloatArray, camera: Camera) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """All landmarks within sight that are in view, and some that are not: indices (M,), in order, points (M, 3).
 
         Args:
             pose: ``T_world_camera``, (4, 4).
@@ -44,6 +44,7 @@ class LandmarkCells:
         ends, counts = self._ends[cells], self._counts[cells]
         steps = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
         members = np.sort(self._order[np.repeat(ends - counts, counts) + steps])
-        offsets = self._points[members] - pose[:3, 3].astype(np.float32)
-        is_within = np.einsum("ni,ni->n", offsets, offsets) < self._sight_m**2
-        return np.asarray(members[is_within])
+        points = self._points.take(members, axis=0)  # many times faster than indexing by rows
+        offsets = points - pose[:3, 3].astype(np.float32)
+        is_within = np.flatnonzero(np.einsum("ni,ni->n", offsets, offsets) < self._sight_m**2)
+        return members.take(is_within), points.take(is_within, axis=0)

@@ -161,7 +161,7 @@ class OrbLandmarkLocalizer:
         expected = camera.project(local)
         which, where = match_descriptors(
             expected,
-            room.descriptors[possible],
+            room.descriptors.take(possible, axis=0),
             seen.pixels,
             seen.descriptors,
             self._radius_px(local, covariance),
@@ -176,10 +176,10 @@ class OrbLandmarkLocalizer:
 
         Also those a little beyond the border of the image, since the prior may be wrong by so much.
         """
-        nearby = self._cells.nearby(prior, self._detect.camera)
-        local = transform(invert(prior), self._landmarks.points[nearby])
-        possible = self._detect.camera.in_sight(local)
-        return nearby[possible], local[possible]
+        nearby, points = self._cells.nearby(prior, self._detect.camera)
+        local = transform(invert(prior), points)
+        possible = np.flatnonzero(self._detect.camera.in_sight(local))
+        return nearby.take(possible), local.take(possible, axis=0)
 
     def _radius_px(self, local: FloatArray, covariance: FloatArray) -> float:
         """Three standard deviations of the expected pixel of points (M, 3) in the camera's frame."""
@@ -298,7 +298,7 @@ class OrbLandmarkLocalizer:
             possible: indices of the landmarks to choose from.
             count: of landmarks a keypoint, at most.
         """
-        known = self._landmarks.descriptors[possible]
+        known = self._landmarks.descriptors.take(possible, axis=0)
         bits, nearest = nearest_descriptors(seen.descriptors, known, min(count, len(known)))
         return bits, possible[nearest]
 

@@ -33,16 +33,19 @@ def test_no_landmark_in_view_and_within_sight_is_missed(
         views = LandmarkViews(np.eye(4)[None], found[None])
         sight_m = 3.0 * views.farthest_m(points) or np.inf
     pose = se3_exp([*rng.uniform(-0.5 * extent_m, 0.5 * extent_m, 3), *turn])
-    nearby = LandmarkCells(Landmarks(points, np.zeros((count, 32), np.uint8), views)).nearby(pose, CAMERA)
+    nearby, near_points = LandmarkCells(Landmarks(points, np.zeros((count, 32), np.uint8), views)).nearby(
+        pose, CAMERA
+    )
     local = transform(invert(pose), points.astype(np.float64))
     distances_m = np.linalg.norm(local, axis=1)
     assert np.isin(np.flatnonzero(CAMERA.in_sight(local) & (distances_m < sight_m - 1e-4)), nearby).all()
     assert (distances_m[nearby] < sight_m + 1e-4).all()
     assert (np.diff(nearby) > 0).all()
+    np.testing.assert_array_equal(near_points, points[nearby])
 
 
 def test_most_landmarks_out_of_view_are_left_out() -> None:
     points = np.random.default_rng(0).uniform(-20.0, 20.0, (20_000, 3)).astype(np.float32)
     cells = LandmarkCells(Landmarks(points, np.zeros((len(points), 32), np.uint8)))
     in_view = np.count_nonzero(CAMERA.in_sight(points.astype(np.float64)))
-    assert in_view <= len(cells.nearby(np.eye(4), CAMERA)) < 1.5 * in_view
+    assert in_view <= len(cells.nearby(np.eye(4), CAMERA)[0]) < 1.5 * in_view
