@@ -44,7 +44,7 @@ class Provenance(BaseModel):
         tune, map_transform, lambda_kl: the adaptation's variant.
         seed: of the build.
         down_world: direction of gravity where the recording states it; or else the mean direction of the cameras' y
-            axes over those frames: down, if the camera looked level on average.
+            axes over those frames: down, if the camera looked level on average; zero where that is not down.
         knows_down: whether the recording states it.
         scale_sd: relative standard deviation of the map's scale; None where a sensor measured it.
         brightness: median grey level, of 255, of the build's images: mean and standard deviation over the images;

@@ -13,6 +13,7 @@ from monoloc.depth.spec import DepthModel
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, make_pose, so3_exp, transform
 from monoloc.io.recording import Recording, evenly_spaced
+from monoloc.io.upright import ON_THEIR_SIDE, STAND_UPRIGHT, walk_lies_on_side
 from monoloc.likelihood.protocol import LikelihoodConfig, best_over_scales
 from monoloc.likelihood.scan import Scan, scan_from_depth
 from monoloc.likelihood.volume import VolumeLikelihood
@@ -103,6 +104,8 @@ def check_recording(
         if recording.has_depth:
             require_registered_z(recording.name, check_depth(recording))
         step(3)
+    if walk_lies_on_side(recording):
+        warnings.append(f"{ON_THEIR_SIDE}; {STAND_UPRIGHT}")
     return warnings
 
 

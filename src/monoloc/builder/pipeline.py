@@ -36,6 +36,7 @@ from monoloc.extras import training_extra
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray
 from monoloc.io.recording import Recording, recorded_down, scale_sd_of
+from monoloc.io.upright import walk_lies_on_side
 from monoloc.likelihood import make_likelihood
 from monoloc.map.compare import compare_maps
 from monoloc.map.depth_rendering import supervision
@@ -242,7 +243,6 @@ def _calibrate(
         rng,
         fits_width=config.adapt.likelihood == "ray",  # a map has one width, in tuning and in flight
     )
-    down = recorded_down(room.recording)
     bundle = Bundle(
         original=adapted.original,
         adapted=adapted.adapted,
@@ -256,8 +256,8 @@ def _calibrate(
             map_transform=config.adapt.map_transform,
             lambda_kl=config.adapt.lambda_kl,
             seed=seed,
-            down_world=_mean_down(room.poses) if down is None else (down[0], down[1], down[2]),
-            knows_down=down is not None,
+            down_world=_down_world(room.recording),
+            knows_down=recorded_down(room.recording) is not None,
             scale_sd=scale_sd_of(room.recording),
             brightness=measure_images(room.recording).grey_level,
         ),
@@ -374,8 +374,14 @@ def _bundle_warnings(bundle: Bundle, config: BuildConfig, depth_absrel: float | 
     return warnings
 
 
-def _mean_down(poses: FloatArray) -> tuple[float, float, float]:
-    """Mean direction of the cameras' y axes, (N, 4, 4) -> a unit vector, or zero where they cancel."""
-    x, y, z = poses[:, :3, 1].mean(axis=0)
-    length = float(np.hypot(np.hypot(x, y), z)) or 1.0
-    return float(x / length), float(y / length), float(z / length)
+def _down_world(recording: Recording) -> tuple[float, float, float]:
+    """Direction of gravity that the recording tells, or the mean direction of the cameras' y axes, a unit vector.
+
+    Zero where these cancel, or where images lie on their side: what they call down would be a wall.
+    """
+    down = recorded_down(recording)
+    if down is None:
+        assert recording.poses is not None
+        down = np.zeros(3) if walk_lies_on_side(recording) else recording.poses[:, :3, 1].mean(axis=0)
+        down = down / (float(np.hypot(np.hypot(down[0], down[1]), down[2])) or 1.0)
+    return float(down[0]), float(down[1]), float(down[2])

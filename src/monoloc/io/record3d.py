@@ -29,12 +29,14 @@ from monoloc.io.image_files import decode_color, fit_depth, metric_depth
 from monoloc.io.image_resampling import Resampler
 from monoloc.io.pose_files import OPENGL_AXES, check_increasing, poses_from_quaternions
 from monoloc.io.reader_options import ReaderOptions
+from monoloc.io.recording import Remark
 from monoloc.io.stray_scanner import HIGH_CONFIDENCE, NO_CONFIDENCE
 
 _METADATA = "metadata"
 _MOST_BYTES = 1 << 26  # of a member of the archive
 _UNCOMPRESSIBLE_BYTES = 4096  # most that LZFSE adds to data that it cannot compress
 _AGAIN = "export the .r3d from Record3D again"
+UNKNOWN_UPRIGHT = Remark("its images are taken to stand upright: the format does not tell how the phone was held")
 
 
 def recognises(path: Path) -> bool:
@@ -70,7 +72,7 @@ class Record3DRecording:
         frames.require([archive.has(f"rgbd/{n}.jpg") for n in range(len(poses))], "without an image")
         with_depth = np.array([archive.has(f"rgbd/{n}.depth") for n in range(len(poses))], dtype=np.bool_)
         self.has_depth = bool(with_depth.any())
-        self.notes: list[str] = []
+        self.notes: list[str] = [UNKNOWN_UPRIGHT]
         self._depth_size = (0, 0)
         if self.has_depth:
             _decoder()

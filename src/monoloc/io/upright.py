@@ -15,6 +15,15 @@ from monoloc.io.recording import Recording, Remark, Selection, StoredRecording, 
 
 _LEAST_SHARE = 0.75  # of the frames that tell; a phone that was turned on the way has no upright
 
+# A camera that is carried turns about the vertical, so its image axis along the vertical keeps its direction. Mean of
+# that axis' unit vectors, and how much shorter the other axis' mean is. Upright walks of RedKitchen, the desk and
+# eight rendered rooms have 0.97 and more for y, however short the mean of x is.
+_STEADY, _LEAST_SHORTER = 0.8, 0.2
+
+ON_THEIR_SIDE = "images lie on their side, as the camera turns about their horizontal axis"
+STAND_UPRIGHT = "record so that they stand upright, or give down in a dataset.toml"
+"""What to do about it where the format does not tell gravity."""
+
 
 class Turned:
     """A recording whose images and depth are turned counter-clockwise by quarter turns, with camera and poses.
@@ -63,6 +72,18 @@ def quarter_turns_of(recording: Recording) -> int:
 def is_upright(recording: Recording) -> bool:
     """Whether gravity tells that the images stand upright, as they are or as they were turned when they were read."""
     return _quarter_turns(recording.source if isinstance(recording, Selection) else recording) == 0
+
+
+def walk_lies_on_side(recording: Recording) -> bool:
+    """Whether the motion tells that images lie on their side, where the recording does not tell gravity.
+
+    It does only if the camera turned far about the vertical, some 150 degrees. To which side the images lie, or
+    whether they are upside down, no motion tells.
+    """
+    if recording.poses is None or recorded_down(recording) is not None:
+        return False
+    x, y = np.linalg.norm(recording.poses[:, :3, :2].mean(axis=0), axis=0)
+    return bool(x > _STEADY and y < x - _LEAST_SHORTER)
 
 
 def _quarter_turns(recording: Recording) -> int | None:

@@ -12,6 +12,7 @@ from monoloc.bundle import Bundle
 from monoloc.camera import Camera
 from monoloc.geometry import FloatArray
 from monoloc.io.recording import Recording, Remark, Selection
+from monoloc.io.upright import ON_THEIR_SIDE, STAND_UPRIGHT, walk_lies_on_side
 from monoloc.progress import NoProgress, Progress
 from monoloc.recording_check.depth_check import DepthCheck, check_depth
 from monoloc.recording_check.evidence import Evidence, gather_evidence
@@ -127,6 +128,7 @@ def inspect_recording(
         *_of_frames(recording, times),
         *image_findings(images, "move more slowly, or expose for a shorter time", "record in more light"),
         *(_of_motion(motion) if motion is not None else ()),
+        *_of_upright(recording),
         *(_of_depth(depth, is_explained) if depth is not None else ()),
         *(_of_poses(poses) if poses is not None else _without_poses(recording, bundle)),
         *(_of_focal(focal, recording.camera) if focal is not None else ()),
@@ -190,6 +192,12 @@ def _of_motion(motion: MotionCoverage) -> Iterator[Finding]:
     value = f"{motion.path_m:.1f} m, within {motion.extent_m:.1f} m, turned by {np.rad2deg(motion.turned_rad):.0f}°"
     remark = "" if motion.problem is None else f"{motion.problem}; walk through the room"
     yield Finding("motion", "warning" if remark else "good", value, remark)
+
+
+def _of_upright(recording: Recording) -> Iterator[Finding]:
+    """A warning where the motion tells that images lie on their side."""
+    if walk_lies_on_side(recording):
+        yield Finding("upright", "warning", ON_THEIR_SIDE, STAND_UPRIGHT)
 
 
 def _of_depth(depth: DepthCheck, is_explained: bool) -> Iterator[Finding]:

@@ -24,6 +24,7 @@ from capture_writers import (
     write_record3d,
 )
 from monoloc.errors import MissingExtraError
+from monoloc.io.record3d import UNKNOWN_UPRIGHT
 from monoloc.io.registry import open_recording
 from monoloc.io.stray_scanner import NO_CONFIDENCE
 from refusals import refuses, refuses_data, refuses_to_open
@@ -59,7 +60,7 @@ def test_recording_opens(tmp_path: Path, capture: Capture, members: dict[str, by
     check_recording(recording, len(capture))
     check_opened(recording, from_first_pose(capture), certain_depths_mm(capture))
     np.testing.assert_array_equal(recording.timestamps_s, capture.times_s)
-    assert recording.camera == capture.camera and recording.name == "walk" and recording.notes == []
+    assert recording.camera == capture.camera and recording.name == "walk" and recording.notes == [UNKNOWN_UPRIGHT]
 
 
 def test_early_recording_has_neither_times_nor_confidence(tmp_path: Path, capture: Capture) -> None:
@@ -71,14 +72,15 @@ def test_early_recording_has_neither_times_nor_confidence(tmp_path: Path, captur
     recording = open_recording(str(tmp_path / "walk.r3d"))
     np.testing.assert_allclose(recording.timestamps_s, np.arange(12) / 10.0)
     assert (recording.depth(3)[1:, 2:] > 0.0).all()
-    assert recording.notes == [NO_CONFIDENCE]
+    assert recording.notes == [UNKNOWN_UPRIGHT, NO_CONFIDENCE]
 
 
 def test_image_without_confidence_is_left_out_where_others_have_it(tmp_path: Path, capture: Capture) -> None:
     members = record3d_members(capture)
     del members["rgbd/3.conf"]
     write_record3d(tmp_path / "walk.r3d", members)
-    assert open_recording(str(tmp_path / "walk.r3d")).notes == ["1 of 12 frames are left out: 1 without confidence"]
+    notes = open_recording(str(tmp_path / "walk.r3d")).notes
+    assert notes[1:] == ["1 of 12 frames are left out: 1 without confidence"]
 
 
 def test_images_of_other_focal_lengths_are_rendered_as_one_camera_sees_them(tmp_path: Path, capture: Capture) -> None:
@@ -87,7 +89,7 @@ def test_images_of_other_focal_lengths_are_rendered_as_one_camera_sees_them(tmp_
     write_record3d(tmp_path / "walk.r3d", record3d_members(capture, factors))
     recording = open_recording(str(tmp_path / "walk.r3d"))
     assert recording.camera == capture.camera and len(recording) == 11
-    assert recording.notes == ["1 of 12 frames are left out: 1 of another image size or lens"]
+    assert recording.notes[1:] == ["1 of 12 frames are left out: 1 of another image size or lens"]
     v, u = np.mgrid[10:118:9, 10:150:7]
     x, y = (u - 75.5) * 1.02 + 75.5, (v - 66.0) * 1.02 + 66.0
     plain = [np.where(confidence_of(halved(each)) == HIGH, halved(each), 0) for each in capture.depths_mm]
@@ -106,7 +108,7 @@ def test_incomplete_frames_are_counted(tmp_path: Path, members: dict[str, bytes]
     write_record3d(tmp_path / "walk.r3d", members)
     recording = open_recording(str(tmp_path / "walk.r3d"))
     assert len(recording) == 10 and "000007" not in recording.frame_names
-    assert recording.notes == ["2 of 12 frames are left out: 1 without an image, 1 without depth"]
+    assert recording.notes[1:] == ["2 of 12 frames are left out: 1 without an image, 1 without depth"]
 
 
 def test_recording_without_depth(tmp_path: Path, members: dict[str, bytes], capture: Capture) -> None:

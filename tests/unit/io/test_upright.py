@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from altered_recordings import Altered
 from capture_writers import (
     Y_UP,
     Z_UP,
@@ -27,10 +28,10 @@ from monoloc.io.corrected import DEPTH_FIXES, Fixes, corrected
 from monoloc.io.folder_writer import write_folder
 from monoloc.io.recording import Selection, recorded_down
 from monoloc.io.registry import open_recording
-from monoloc.io.upright import upright
+from monoloc.io.upright import upright, walk_lies_on_side
 from monoloc.recording_check.explanations import depth_scale_option
 from refusals import refuses_to_open
-from synthetic_room import Room, RoomRecording, make_path
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 
 TURNS = {
     1: "sideways: its images are turned by 90° counter-clockwise",
@@ -136,3 +137,16 @@ def test_folder_keeps_gravity(tmp_path: Path) -> None:
     for value in ("[0, 0, 0]", "[0, 1]", '"down"', "[0, 1, inf]"):
         described.write_text(content.replace("[0.0, 1.0, 0.0]", value))
         refuses_to_open(tmp_path / "walk", described, "down is .*, not a direction", r"write down = \[0, 0, -1\]")
+
+
+@pytest.mark.parametrize("yaw_deg", [60.0, 160.0, 360.0])
+@pytest.mark.parametrize("roll_deg", [0.0, 90.0, 180.0, 270.0])
+def test_walk_tells_images_on_their_side_where_the_camera_turned_far(yaw_deg: float, roll_deg: float) -> None:
+    """Level on average, nodding by 20 degrees, in a world that is tilted as that of a first camera is."""
+    yaws = np.linspace(0.0, yaw_deg, 40)
+    angles = np.stack([yaws, 20.0 * np.sin(0.2 * yaws), np.full(40, roll_deg)], axis=1)
+    poses = np.tile(np.eye(4), (40, 1, 1))
+    tilt = Rotation.from_euler("XZ", [-30.0, 40.0], degrees=True)
+    poses[:, :3, :3] = (tilt * Rotation.from_euler("YXZ", angles, degrees=True)).as_matrix()
+    recording = Altered(RoomRecording(Room(), PATH, SMALL_CAMERA), poses=poses)
+    assert walk_lies_on_side(recording) == (roll_deg in (90.0, 270.0) and yaw_deg > 150.0)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from altered_recordings import Altered
+from monoloc.geometry import make_pose, so3_exp
 from monoloc.io.recording import Remark
 from monoloc.recording_check.inspection import Finding, inspect_recording
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
@@ -32,3 +34,9 @@ def test_notes_warn_only_where_something_is_left_out_or_assumed() -> None:
     recording.notes.append("1 of 3 frames are left out: 1 without depth")
     expected = Finding("frames", "warning", "2", "1 of 3 frames are left out: 1 without depth")
     assert inspect_recording(recording).findings[0] == expected
+
+
+def test_walk_with_images_on_their_side_gives_a_warning() -> None:
+    poses = make_pose(so3_exp(np.outer(np.linspace(0.0, 3.0, 12), [1.0, 0.0, 0.0])), np.zeros((12, 3)))
+    findings = inspect_recording(RoomRecording(Room(), poses, SMALL_CAMERA, has_depth=False)).findings
+    assert [finding.level for finding in findings if finding.name == "upright"] == ["warning"]
