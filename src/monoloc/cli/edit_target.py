@@ -92,8 +92,7 @@ def _remark(record: EditRecord) -> None:
         stderr.print(f"note: {source}: {note}", soft_wrap=True)
     names = ("confirmed_by_landmarks", "contradicted_by_landmarks", "looked_at")
     confirmed, contradicted, looked_at = (changes.get(f"frames_{name}", 0) for name in names)
-    has_landmarks = changes["landmarks"][0] > 0
-    if has_landmarks and looked_at and confirmed <= contradicted:
-        found = f"landmarks of the map confirm the poses of {confirmed} of {looked_at} frames that were looked at"
-        fix = "unless it shows another part of the room, undo, and extend with --align"
-        stderr.print(f"warning: {source}: {found}; {fix}", soft_wrap=True)
+    if confirmed and confirmed <= contradicted:
+        found = f"landmarks of the map confirm the poses of {confirmed} of {looked_at} frames"
+        fix = f"and contradict {contradicted}; if they are in another world, undo, and extend with --align"
+        stderr.print(f"warning: {source}: {found}, {fix}", soft_wrap=True)

@@ -3,7 +3,8 @@
 A frame confirms its pose if landmarks localise it there, or if its depth is that of the landmarks that should be in
 view. Away from the build's views few landmarks are recognised, but where they should be is known. It contradicts its
 pose if landmarks localise it elsewhere, or if the depth is another one. Where no landmark should be in view, such as
-in a part of the room that the build never saw, it says nothing.
+in a part of the room that the build never saw, it says nothing. If no frame confirms its pose, nothing tells a new
+part of the room from another room whose world happens to begin there, and the recording is refused.
 """
 
 from __future__ import annotations
@@ -48,7 +49,8 @@ def check_same_world(bundle: Bundle, recording: Recording, posed: PosedFrames) -
         posed: its :func:`monoloc.editing.alignment.poses_by_landmarks`.
 
     Raises:
-        DataError: landmarks agree on another world, or most of the frames that they tell of contradict their poses.
+        DataError: landmarks agree on another world, most of the frames that they tell of contradict their poses, or
+            no frame confirms its pose although the room has landmarks.
     """
     poses = recording.poses
     assert poses is not None
@@ -68,6 +70,10 @@ def check_same_world(bundle: Bundle, recording: Recording, posed: PosedFrames) -
         compared = check.confirmed + check.contradicted
         problem = f"contradicts the map: {check.confirmed} of {compared} frames see the landmarks that they should"
         raise DataError(recording.name, problem, "check its poses: monoloc check; or align it: --align")
+    if check.confirmed == 0 and len(bundle.landmarks):
+        problem = f"shows nothing of the map: its landmarks confirm none of the {len(frames)} frames looked at"
+        fix = "give a walk that begins where the map's recording looked; for another room, build a place"
+        raise DataError(recording.name, problem, fix, page="how-to/many-rooms")
     return check
 
 

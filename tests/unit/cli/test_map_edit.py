@@ -15,7 +15,6 @@ from monoloc.bundle import Bundle, digest_of, read_bundle, write_bundle
 from monoloc.bundle_signature import SIGNATURE
 from monoloc.cli.main import invoke
 from monoloc.editing.edits import remove
-from monoloc.geometry import make_pose, so3_exp
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
 
 LOWER, UPPER = (",".join(map(str, corner)) for corner in (CUBE.centre - CUBE.half, CUBE.centre + CUBE.half))
@@ -172,14 +171,6 @@ def test_extend_and_merge(here: Path, capfd: pytest.CaptureFixture[str]) -> None
     }
     for arguments, line in lines.items():
         refused(capfd, here, (*EDIT, *arguments), *line)
-
-
-def test_extension_of_which_no_landmark_tells_is_warned_of(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    away = make_path(6) @ make_pose(so3_exp(np.array([0.0, np.pi, 0.0])), np.zeros(3))  # from the map's landmarks
-    write_recording(here / "flight", RoomRecording(Room(), away, SMALL_CAMERA))
-    out, err = outputs(capfd, *EDIT, "extend", "flight", "--frames", "::2")
-    assert "warning: flight: landmarks of the map confirm the poses of 0 of 3 frames" in err and "--align" in err
-    assert "reference_poses: 12 -> 15" in out
 
 
 def test_extension_whose_frames_should_see_landmarks_and_do_not_is_refused(

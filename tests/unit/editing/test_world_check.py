@@ -1,4 +1,4 @@
-"""Poses are confirmed or contradicted by landmarks; where none should be in view, nothing is said of them."""
+"""Poses are confirmed or contradicted by landmarks; a recording of which no pose is confirmed is refused."""
 
 from __future__ import annotations
 
@@ -53,7 +53,18 @@ def test_frames_that_landmarks_see_elsewhere_contradict_poses() -> None:
     refuses_data(lambda: checked(shuffled), "walk-A", "contradicts the map: 0 of 14 frames see", "monoloc check")
 
 
-def test_a_part_that_the_map_never_saw_says_nothing() -> None:
+def away(begins_in_the_map: int) -> RoomRecording:
+    """Eight frames that turn their back on the map's landmarks, after some of the map's walk."""
+    walk_poses = walk("A").poses
+    assert walk_poses is not None
     poses: FloatArray = make_path(8) @ HALF_TURN
-    check = checked(RoomRecording(Room(), poses))
-    assert check == WorldCheck(confirmed=0, contradicted=0, looked_at=8)
+    return RoomRecording(Room(), np.concatenate([walk_poses[:begins_in_the_map], poses]))
+
+
+def test_a_part_that_the_map_never_saw_says_nothing() -> None:
+    assert checked(away(begins_in_the_map=1)) == WorldCheck(confirmed=1, contradicted=0, looked_at=9)
+
+
+def test_recording_of_which_landmarks_confirm_no_frame_is_refused() -> None:
+    problem = "shows nothing of the map: its landmarks confirm none of the 8 frames looked at"
+    refuses_data(lambda: checked(away(begins_in_the_map=0)), "room", problem, "begins where .* build a place")
