@@ -66,6 +66,7 @@ def test_map_compare_records_clouds_and_distances(
     write_bundle(here / "moved.monoloc", moved)
     assert invoke(["map", "compare", "moved.monoloc", "--record", "map.rrd", "--json"]) == 0
     figures = json.loads(capfd.readouterr().out)
+    assert "picture" not in figures and not (here / "compare.png").exists()
     recorded = Recorded(here / "map.rrd")
     assert recorded.store.application_id == "monoloc map compare"
     clouds = matched_clouds(moved.original, moved.adapted, figures["points"], np.random.default_rng(0))

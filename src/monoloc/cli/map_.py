@@ -98,7 +98,10 @@ def fit(
 @app.command()
 def compare(
     bundle: Annotated[Path, typer.Argument(help="Bundle from monoloc build.", show_default=False)],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Picture to write, NAME.png.")] = Path("compare.png"),
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Picture to write. [compare.png, without --view and --record]"),
+    ] = None,
     view: ViewOption = False,
     record: RecordOption = None,
     seed: SeedOption = 0,
@@ -115,6 +118,8 @@ def compare(
       monoloc map compare kitchen.monoloc --out kitchen.png --json
       monoloc map compare kitchen.monoloc --view
     """
+    if out is None and not view and record is None:
+        out = Path("compare.png")
     check_outputs({"--out": out, "--record": record}, (bundle,))
     check_picture(out, "--out")
     check_viewing(view, record)
@@ -124,8 +129,10 @@ def compare(
     edits = drawn_edits(room, rng)
     shown = clouds.original, clouds.adapted, clouds.distances_m, np.array(room.provenance.down_world)
     name = f"{bundle.name}: {room.provenance.recording}"
-    plot_map_change(out, *shown, name, edits)
-    content = {"picture": str(out), **clouds.figures}
+    content = dict(clouds.figures)
+    if out is not None:
+        plot_map_change(out, *shown, name, edits)
+        content = {"picture": str(out), **content}
     if json:
         print_json(content)
     else:
