@@ -54,13 +54,20 @@ def export_ellipsoids(path: Path, bundle: Bundle) -> dict[str, object]:
     return {"components": len(bundle.original), "triangles": len(triangles), "frame": "world"}
 
 
-def export_voxels(path: Path, bundle: Bundle, voxel_m: float) -> dict[str, object]:
+def export_voxels(path: Path, bundle: Bundle, name: str, voxel_m: float) -> dict[str, object]:
     """Write occupied and free voxels as OctoMap's ``.bt``, in ROS's frame ``map``, whose z axis is up.
+
+    Args:
+        path: NAME.bt.
+        bundle: the room.
+        name: of the bundle, for messages.
+        voxel_m: edge of a voxel.
 
     Raises:
         SettingError: as :func:`monoloc.map.occupancy.surface_voxels`.
         DataError: the file cannot be written, or the map does not tell the direction of gravity.
     """
+    _require_gravity(bundle, name)
     grid = level_voxels(bundle, voxel_m, T_map_world(bundle))
     write_octomap(path, grid.indices(OCCUPIED), grid.indices(FREE), voxel_m)
     return {
@@ -71,7 +78,7 @@ def export_voxels(path: Path, bundle: Bundle, voxel_m: float) -> dict[str, objec
     }
 
 
-def export_grid(path: Path, bundle: Bundle, cell_m: float, height_m: float | None) -> dict[str, object]:
+def export_grid(path: Path, bundle: Bundle, name: str, cell_m: float, height_m: float | None) -> dict[str, object]:
     """Write ROS's occupancy grid at a height, in the frame ``map``: what a vehicle that flies level there can hit.
 
     A cell is occupied if a voxel of its column is, within 0.25 m above and below; else free if half of them were seen
@@ -80,6 +87,7 @@ def export_grid(path: Path, bundle: Bundle, cell_m: float, height_m: float | Non
     Args:
         path: NAME.yaml; the picture is NAME.pgm beside it.
         bundle: the room.
+        name: of the bundle, for messages.
         cell_m: edge of a cell.
         height_m: z in the frame ``map``; None for the median of the cameras that built the map.
 
@@ -87,6 +95,7 @@ def export_grid(path: Path, bundle: Bundle, cell_m: float, height_m: float | Non
         SettingError: as :func:`monoloc.map.occupancy.surface_voxels`, or the map has nothing at that height.
         DataError: as :func:`export_voxels`.
     """
+    _require_gravity(bundle, name)
     T = T_map_world(bundle)
     if height_m is None:
         if len(bundle.reference_poses) == 0:
@@ -110,22 +119,19 @@ def export_grid(path: Path, bundle: Bundle, cell_m: float, height_m: float | Non
 _LEVELS = {"occupied_share": GREY_OCCUPIED, "free_share": GREY_FREE, "unknown_share": GREY_UNKNOWN}
 
 
-def T_map_world(bundle: Bundle, roughly: bool = False) -> FloatArray:
+def T_map_world(bundle: Bundle) -> FloatArray:
     """From the bundle's world to ROS's frame ``map``, z up, as ``monoloc fly --mcap`` publishes it, (4, 4).
 
-    Args:
-        bundle: the room.
-        roughly: whether to take the mean direction of the cameras' y axes where the map does not tell gravity.
-
-    Raises:
-        DataError: the map does not tell the direction of gravity.
+    Where the map does not tell gravity, it is the mean direction of the cameras' y axes; z, where there is none.
     """
-    if bundle.down is None and roughly:
-        return RosFrames(np.eye(4), bundle.provenance.down_world).T_map_room
+    down = bundle.provenance.down_world if bundle.down is None else bundle.down
+    return RosFrames(np.eye(4), down if np.any(down) else None).T_map_room
+
+
+def _require_gravity(bundle: Bundle, name: str) -> None:
     if bundle.down is None:
         problem = "does not give the direction of gravity: it shows too little of floor and walls"
-        raise DataError(bundle.provenance.recording, problem, "export a .ply or .pcd")
-    return RosFrames(np.eye(4), bundle.down).T_map_room
+        raise DataError(name, problem, "export a .ply or .pcd")
 
 
 def level_voxels(bundle: Bundle, voxel_m: float, T: FloatArray) -> VoxelGrid:

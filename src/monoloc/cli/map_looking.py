@@ -106,7 +106,7 @@ def render(
     if beside is not None:
         _check_world(views[0], views[1])
     if given is None:
-        plot_from_above(out, views, T_map_world(room, roughly=True))
+        plot_from_above(out, views, T_map_world(room))
     else:
         with naming({"pose": "--pose" if reference is None else "--reference"}):
             plot_from_pose(out, views, room.camera, given)
@@ -165,8 +165,8 @@ def export(
     writers: dict[str, Callable[[Bundle], dict[str, object]]] = {
         ".ply": lambda room: export_points(out, room, count, np.random.default_rng(seed)),
         ".pcd": lambda room: export_points(out, room, count, np.random.default_rng(seed)),
-        ".bt": lambda room: export_voxels(out, room, edge_m),
-        ".yaml": lambda room: export_grid(out, room, edge_m, height),
+        ".bt": lambda room: export_voxels(out, room, str(bundle), edge_m),
+        ".yaml": lambda room: export_grid(out, room, str(bundle), edge_m, height),
     }
     room = read_bundle(bundle)
     with naming({"voxel_m": "--voxel", "height_m": "--height"}):

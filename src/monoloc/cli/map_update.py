@@ -194,7 +194,7 @@ def _draw(
         first,
         second,
         [(each.id, each.kind, each.points) for each in proposed],
-        T_map_world(before, roughly=True),
+        T_map_world(before),
     )
 
 

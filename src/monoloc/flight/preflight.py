@@ -155,9 +155,10 @@ class Preflight:
         if self._tells_gravity:
             yield Finding("gravity", "good", "known")
         else:
-            mean = ", ".join(f"{value:.3f}" for value in self._provenance.down_world)
-            fix = "write down = [x, y, z] into flight.toml"
-            remark = f"{fix}; [{mean}] if the build's camera looked level on average"
+            remark = "write down = [x, y, z] into flight.toml"
+            if any(self._provenance.down_world):
+                mean = ", ".join(f"{value:.3f}" for value in self._provenance.down_world)
+                remark += f"; [{mean}] if the build's camera looked level on average"
             yield Finding("gravity", level, "floor and walls do not show it", remark)
         if self._scale_sd > GOOD_SCALE_SD:
             remark = "give the build a marker or a distance (--scale) before an autopilot uses its poses"

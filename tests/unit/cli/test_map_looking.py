@@ -183,7 +183,7 @@ def test_voxels_and_grid_are_in_the_frame_that_ros_shows(capfd: pytest.CaptureFi
         ((*EXPORT, "a.bt", "--voxel", "0.0001"), "--voxel", "is 0.0001 for a map of", "or more"),
         (
             ("map", "export", "bare.monoloc", "--out", "a.bt"),
-            "room",
+            "bare.monoloc",
             "does not give the direction of gravity",
             ".ply",
         ),

@@ -176,10 +176,17 @@ def test_parameters_of_another_firmware_are_not_asked_for() -> None:
     assert not set(PARAMETERS) & set(levels_of(good_step(), link=replace(HEARD, heard=Firmware.ARDUPILOT)))
 
 
-def test_proposed_gravity_says_when_it_holds() -> None:
-    preflight = Preflight(built(down_world=(0.0, 0.6, -0.8)), False, 0.0, True, 0.0, 0.2)
+@pytest.mark.parametrize(
+    ("down_world", "end"),
+    [
+        ((0.0, 0.6, -0.8), "[0.000, 0.600, -0.800] if the build's camera looked level on average"),
+        ((0.0, 0.0, 0.0), "write down = [x, y, z] into flight.toml"),  # of images on their side
+    ],
+)
+def test_proposed_gravity_says_when_it_holds(down_world: tuple[float, float, float], end: str) -> None:
+    preflight = Preflight(built(down_world=down_world), False, 0.0, True, 0.0, 0.2)
     (gravity,) = (each for each in preflight.findings(FlightSummary(), None) if each.name == "gravity")
-    assert gravity.remark.endswith("[0.000, 0.600, -0.800] if the build's camera looked level on average")
+    assert gravity.remark.endswith(end)
 
 
 def test_light_of_a_build_that_does_not_tell_it_is_not_compared() -> None:
