@@ -27,7 +27,9 @@ def load_settings(path: Path, model: type[Settings]) -> Settings:
     try:
         return model.model_validate(read_toml(path))
     except ValidationError as error:
-        raise DataError(path, _unknown_key(error, model) or describe(error), "correct the field named") from error
+        field, _ = _first_problem(error)
+        fix = "correct the field named" if field else "correct it"
+        raise DataError(path, _unknown_key(error, model) or describe(error), fix) from error
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -81,14 +83,20 @@ def _models_in(annotation: object) -> Iterator[type[BaseModel]]:
 
 
 def describe(error: ValidationError) -> str:
-    """Describe the first invalid field as ``field: problem``; for a union, the problem with each alternative."""
+    """Describe the first invalid field as ``field: problem``; a rule about several fields has the problem alone."""
+    field, problem = _first_problem(error)
+    return f"{field}: {problem}" if field else problem
+
+
+def _first_problem(error: ValidationError) -> tuple[str, str]:
+    """The first invalid field, empty for a rule about several, and its problem; of a union, with each alternative."""
     problems: dict[str, list[str]] = {}
     for problem in error.errors():
         # Pydantic adds the type of each alternative of a union to the path; it is not a field.
         field = ".".join(str(part) for part in problem["loc"] if isinstance(part, int) or part.isidentifier())
-        problems.setdefault(field or "settings", []).append(in_plain_words(problem["msg"]))
+        problems.setdefault(field, []).append(in_plain_words(problem["msg"]))
     field, messages = next(iter(problems.items()))
-    return f"{field}: {', or '.join(messages)}"
+    return field, ", or ".join(messages)
 
 
 def in_plain_words(message: str) -> str:
@@ -117,8 +125,8 @@ def override(settings: Settings, **values: object) -> Settings:
     try:
         return type(settings).model_validate(_merged(settings.model_dump(), values))
     except ValidationError as error:
-        field, problem = describe(error).split(": ", 1)
-        raise SettingError(field, problem, "correct its value") from error
+        field, problem = _first_problem(error)
+        raise SettingError(field or "settings", problem, "correct its value") from error
 
 
 def _merged(base: dict[str, object], values: dict[str, object]) -> dict[str, object]:

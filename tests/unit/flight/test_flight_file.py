@@ -68,11 +68,6 @@ def test_a_live_source_is_no_path(tmp_path: Path, source: str) -> None:
         ('firmware = "inav"\n', "firmware: .*'px4' or 'ardupilot'"),
         (MARKER, "give either quaternion or rpy_deg"),
         (MARKER + "rpy_deg = [0, 0, 0]\nquaternion = [0, 0, 0, 1]\n", "give either quaternion or rpy_deg"),
-        (2 * (MARKER + "rpy_deg = [0, 0, 0]\n"), "two markers have the same id"),
-        (
-            MARKER.replace("7", "587") + "rpy_deg = [0, 0, 0]\n",
-            "the id 587, but those of apriltag_36h11 are 0 to 586",
-        ),
         (MARKER + "rpy_deg = [1e200, 0, 0]\n", "marker.0.rpy_deg.0: must be less than or equal to 360"),
         ("out = 1\n", "out: must be a path, in quotes"),
         ("[marker]\nid = 7\n", r"marker: must be a list, .*\[\[\.\.\.\]\]"),
@@ -84,6 +79,22 @@ def test_what_is_wrong_is_named(tmp_path: Path, text: str, problem: str) -> None
     path = tmp_path / "flight.toml"
     path.write_text(text)
     refuses_data(lambda: read_flight_file(path), path, problem, "correct the field named")
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (2 * (MARKER + "rpy_deg = [0, 0, 0]\n"), "two markers have the same id"),
+        (
+            MARKER.replace("7", "587") + "rpy_deg = [0, 0, 0]\n",
+            "a marker has the id 587, but those of apriltag_36h11 are 0 to 586",
+        ),
+    ],
+)
+def test_what_is_wrong_with_several_markers_names_no_field(tmp_path: Path, text: str, problem: str) -> None:
+    path = tmp_path / "flight.toml"
+    path.write_text(text)
+    refuses_data(lambda: read_flight_file(path), path, f"^: {problem}", "correct it$")
 
 
 @pytest.mark.parametrize("page", ["fly", "mavlink", "companion-computer", "start-by-a-marker"])
