@@ -1,9 +1,10 @@
 """Reader of Record3D's ``.r3d`` files (iPhone or iPad): JPEG images, LZFSE-compressed depth and ARKit's poses.
 
-A ``.r3d`` is a zip archive, and may be unpacked: ``metadata`` (JSON) and ``rgbd/N.jpg``, ``rgbd/N.depth`` (float32
-metres, dh x dw) and ``rgbd/N.conf`` (uint8: 0, 1, 2), of the same field of view as colour (h x w). ``poses`` holds
-``qx, qy, qz, qw, x, y, z``, camera to world, with OpenGL's camera axes; the first pose is the identity, so the world
-is not level. ``K`` is stored by columns, and ``perFrameIntrinsicCoeffs`` holds ``fx, fy, cx, cy`` of each image.
+A ``.r3d`` is a zip archive, and may be unpacked, or packed again with the folder around its files: ``metadata``
+(JSON) and ``rgbd/N.jpg``, ``rgbd/N.depth`` (float32 metres, dh x dw) and ``rgbd/N.conf`` (uint8: 0, 1, 2), of the
+same field of view as colour (h x w). ``poses`` holds ``qx, qy, qz, qw, x, y, z``, camera to world, with OpenGL's
+camera axes; the first pose is the identity, so the world is not level. ``K`` is stored by columns, and
+``perFrameIntrinsicCoeffs`` holds ``fx, fy, cx, cy`` of each image.
 
 Only depth of the highest confidence is used, for the reason in :mod:`monoloc.io.stray_scanner`.
 """
@@ -144,6 +145,7 @@ class _Archive:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._members: dict[str, int] | None = None  # uncompressed size of each; None of a folder
+        self._within = ""  # folder of the archive that holds the members, where it was packed again with one
         if not path.is_dir():
             require_file(path.absolute(), "give a .r3d file of Record3D, or the folder of an unpacked one")
             try:
@@ -151,21 +153,27 @@ class _Archive:
                     self._members = {each.filename: each.file_size for each in file.infolist()}
             except (zipfile.BadZipFile, OSError) as error:
                 raise DataError(path, f"cannot be read as a .r3d archive ({error})", _AGAIN) from error
+            inner = [name for name in self._members if name.endswith(f"/{_METADATA}")]
+            if _METADATA not in self._members and len(inner) == 1:
+                self._within = inner[0].removesuffix(_METADATA)
         if not self.has(_METADATA):
             raise DataError(path, f"has no {_METADATA}", _AGAIN)
 
     def has(self, member: str) -> bool:
-        return (self.path / member).is_file() if self._members is None else member in self._members
+        if self._members is None:
+            return (self.path / member).is_file()
+        return self._within + member in self._members
 
     def read(self, member: str) -> bytes:
         """Content of a member; its size is checked first."""
         if self._members is None:
             return read_bytes(self.path / member)
-        if self._members[member] > _MOST_BYTES:
-            raise DataError(self.path / member, f"says it is {self._members[member] / 1e6:.0f} MB", _AGAIN)
+        stored = self._within + member
+        if self._members[stored] > _MOST_BYTES:
+            raise DataError(self.path / member, f"says it is {self._members[stored] / 1e6:.0f} MB", _AGAIN)
         try:
             with zipfile.ZipFile(self.path) as file:
-                return file.read(member)
+                return file.read(stored)
         # RuntimeError: encrypted, or compressed by a method that this Python lacks.
         except (zipfile.BadZipFile, zlib.error, OSError, EOFError, RuntimeError) as error:
             raise DataError(self.path / member, "cannot be unpacked", "copy the .r3d file again") from error

@@ -63,6 +63,15 @@ def test_recording_opens(tmp_path: Path, capture: Capture, members: dict[str, by
     assert recording.camera == capture.camera and recording.name == "walk" and recording.notes == [UNKNOWN_UPRIGHT]
 
 
+def test_recording_that_was_packed_again_with_its_folder_opens(tmp_path: Path, members: dict[str, bytes]) -> None:
+    """As the Finder packs one, with a file of its own beside each."""
+    packed = {f"walk/{name}": content for name, content in members.items()}
+    write_record3d(tmp_path / "walk.r3d", packed | {f"__MACOSX/walk/._{name}": b"" for name in ("metadata", "icon")})
+    recording = open_recording(str(tmp_path / "walk.r3d"))
+    assert len(recording) == 12 and recording.has_depth
+    assert recording.color(3).shape == (128, 160, 3) and recording.depth(3).any()
+
+
 def test_early_recording_has_neither_times_nor_confidence(tmp_path: Path, capture: Capture) -> None:
     members = {name: content for name, content in record3d_members(capture).items() if not name.endswith(".conf")}
     metadata = json.loads(members["metadata"])
