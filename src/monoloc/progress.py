@@ -14,6 +14,8 @@ from rich.text import Text
 from monoloc.printable import printable
 
 _LOG_INTERVAL_S = 30.0  # in a log; a longer silence looks like a hang
+_LEAST_STEPS = 10  # of a task whose rate is shown
+_TRUST = 0.1  # share of a plan after which what it took counts as much as what it was expected to take
 
 
 class Step(Protocol):
@@ -46,9 +48,13 @@ def _say_nothing(done: int, remark: str = "", /) -> None:
 
 
 class _Rate(rich_progress.ProgressColumn):
+    """Of tasks with many steps; a few are parts of different length, of which a rate tells nothing."""
+
     def render(self, task: rich_progress.Task) -> Text:
         speed = task.finished_speed or task.speed
-        return Text(_rate(speed), style="progress.data.speed") if speed else Text("")
+        if not speed or (task.total is not None and task.total < _LEAST_STEPS):
+            return Text("")
+        return Text(_rate(speed), style="progress.data.speed")
 
 
 def _rate(steps_per_s: float) -> str:
@@ -58,7 +64,8 @@ def _rate(steps_per_s: float) -> str:
 class Plan:
     """Remaining time of a job of several tasks, from what each was expected to take.
 
-    Expected times need only be right relative to each other: they are scaled by what the tasks so far took.
+    Expected times are scaled by what the tasks so far took, the more so the more of the plan is done: the first tasks
+    are short, and a start that was slow tells little about the rest.
 
     Args:
         expected_s: seconds of each task, by name, in their order; other tasks are not expected to take time.
@@ -86,8 +93,9 @@ class Plan:
         done_s = self._done_s + share * self._current_s
         if done_s <= 0.0:
             return None
-        left_s = sum(self._expected_s.values()) - done_s
-        return max(0.0, left_s) * (time.perf_counter() - self._started) / done_s
+        all_s = sum(self._expected_s.values())
+        factor = (time.perf_counter() - self._started + _TRUST * all_s) / (done_s + _TRUST * all_s)
+        return max(0.0, all_s - done_s) * factor
 
 
 class ConsoleProgress:

@@ -96,7 +96,7 @@ def test_log_is_never_silent_for_longer_than_half_a_minute(clock: Clock) -> None
 
 
 def test_remaining_time_of_a_job_follows_what_its_tasks_take(clock: Clock) -> None:
-    """The first of three tasks takes twice as long as expected, and so do the others, it is assumed."""
+    """The first of three tasks takes twice as long as expected, of which the others are believed more and more."""
     log = io.StringIO()
     progress = ConsoleProgress(Console(file=log, width=200), Plan({"map": 10.0, "tune": 30.0, "land": 20.0}))
     for name in ("map", "unplanned"):
@@ -107,9 +107,9 @@ def test_remaining_time_of_a_job_follows_what_its_tasks_take(clock: Clock) -> No
     with progress.task("tune", None) as step:
         step(1, "some")
     assert [line for line in log.getvalue().splitlines() if "done" not in line] == [
-        "1/3 map: 1 of 2, half, 10 s remaining, about 110 s to the end",
-        "unplanned: 1 of 2, half, 10 s remaining, about 150 s to the end",
-        "2/3 tune: 1, some, about 200 s to the end",
+        "1/3 map: 1 of 2, half, 10 s remaining, about 80 s to the end",
+        "unplanned: 1 of 2, half, 10 s remaining, about 112 s to the end",
+        "2/3 tune: 1, some, about 144 s to the end",
     ]
 
 
@@ -141,6 +141,18 @@ def test_terminal_shows_the_last_remark_beside_the_bar() -> None:
         step(3)
     last = screen.getvalue()[screen.getvalue().rindex("train") :]
     assert "3/3" in last and "AbsRel 0.8" in last
+
+
+@pytest.mark.parametrize(("total", "has_rate"), [(5, False), (10, True)])
+def test_terminal_shows_no_rate_of_a_few_unequal_parts(total: int, has_rate: bool) -> None:
+    now_s = 0.0
+    screen = io.StringIO()
+    console = Console(file=screen, force_terminal=True, width=140, get_time=lambda: now_s)
+    with ConsoleProgress(console).task("check", total) as step:
+        for done in range(1, total + 1):
+            now_s += 0.5
+            step(done)
+    assert ("2.0/s" in screen.getvalue()) == has_rate
 
 
 @pytest.mark.parametrize(("step_s", "remaining"), [(2.0, "0:00:10"), (90.0, "0:07:30")])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from monoloc.adapt.settings import Tune
 from monoloc.builder.build_config import BuildConfig
 
-# Seconds on a core of a current processor; only their ratios matter.
+# Seconds on a core of a current processor; what a computer takes for them, their progress learns.
 _FRAME_S, _REFINED_FRAME_S, _SYNTHESISED_VIEW_S, _LOCALIZER_STEP_S, _LANDMARK_FRAME_S = 0.02, 0.2, 0.012, 0.03, 0.06
 _TUNING_STEP_S: dict[Tune, float] = {"none": 0.02, "last": 0.03, "decoder": 0.08, "all": 0.1}
 _PASSES_TUNED, _PASSES_PLAIN = 8, 1  # localizer steps of the covariances for each frame
@@ -30,7 +30,7 @@ def expected_stages(frames: int, config: BuildConfig) -> dict[str, float]:
     stages["calibrate"] = 1.0
     if "bias" not in config.localizer.without:
         stages["covariances"] = _LOCALIZER_STEP_S * frames * (_PASSES_TUNED if is_adapted else _PASSES_PLAIN)
-    stages["searching"] = 2.0
+    stages |= {"searching": 1.0, "sensor": 1.0}
     if config.landmarks:
         stages["landmarks"] = _LANDMARK_FRAME_S * frames
     return stages

@@ -280,7 +280,9 @@ def _calibrate(
     scan = measure_scan_evidence(likelihood, samples, room.poses, settings, rng)
     integrity = IntegrityModel(scan=scan, scan_search_precision=precision)
     bundle = replace(bundle, settings=settings, integrity=integrity)
-    return replace(bundle, sensor=measure_sensor(bundle, room.recording, rng, progress)), known_bias
+    with progress.task("sensor", None):
+        sensor = measure_sensor(bundle, room.recording, rng)
+    return replace(bundle, sensor=sensor), known_bias
 
 
 def _with_bias(

@@ -13,7 +13,7 @@ from monoloc.likelihood import make_likelihood
 from monoloc.likelihood.protocol import ScanLikelihood
 from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.localizer_config import LocalizerConfig
-from monoloc.progress import Progress
+from monoloc.progress import NoProgress
 from monoloc.relocalization.search import GlobalRelocalizer
 from monoloc.sensor_depth import sensor_settings, sparse_depth
 from monoloc.supervision.integrity import WRONG_DISTANCE_M, Classes, IntegrityModel, SensorModel
@@ -53,7 +53,7 @@ def measure_scan_evidence(
     return IntegrityModel.scan_classes(right, wrong) if wrong else Classes()
 
 
-def measure_sensor(bundle: Bundle, recording: Recording, rng: np.random.Generator, progress: Progress) -> SensorModel:
+def measure_sensor(bundle: Bundle, recording: Recording, rng: np.random.Generator) -> SensorModel:
     """How well a depth sensor's scans fit the bundle's map at right and at wrong poses, and how they relocalise.
 
     Args:
@@ -79,5 +79,5 @@ def measure_sensor(bundle: Bundle, recording: Recording, rng: np.random.Generato
     return SensorModel(
         thresholds=LikelihoodThresholds.from_log_likelihoods(values),
         scan=measure_scan_evidence(likelihood, samples, poses, settings, rng),
-        search_precision=measure_relocalization_error(likelihood, samples, poses, settings, rng, progress)[2],
+        search_precision=measure_relocalization_error(likelihood, samples, poses, settings, rng, NoProgress())[2],
     )

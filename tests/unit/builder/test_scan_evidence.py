@@ -16,7 +16,6 @@ from monoloc.likelihood.ray import RayLikelihood
 from monoloc.likelihood.scan import Scan
 from monoloc.map.mixture import GaussianMixture
 from monoloc.particle_filter.estimate import Estimate
-from monoloc.progress import NoProgress
 from monoloc.supervision.integrity import Classes, SensorModel
 from synthetic_room import NO_DEPTH, SETTINGS, Room, RoomRecording, make_bundle, make_path, sparse_depth
 
@@ -99,13 +98,13 @@ def test_exact_depth_tells_right_poses_from_wrong_ones(recording: RoomRecording,
 
 def test_sensor_is_measured_where_the_recording_has_depth(recording: RoomRecording, mixture: GaussianMixture) -> None:
     bundle = replace(make_bundle(mixture, recording), reference_poses=ReferencePoses.without_bias(POSES))
-    sensor = measure_sensor(bundle, recording, np.random.default_rng(0), NoProgress())
+    sensor = measure_sensor(bundle, recording, np.random.default_rng(0))
     assert sensor.thresholds is not None and sensor.thresholds.lost < sensor.thresholds.low
     assert 0.0 < sensor.search_precision < 1.0
     right, wrong = sensor.scan.likelihoods(-np.inf)
     assert wrong > right
     without = RoomRecording(Room(), POSES[:2], has_depth=False)
-    assert measure_sensor(bundle, without, np.random.default_rng(0), NoProgress()) == SensorModel()
+    assert measure_sensor(bundle, without, np.random.default_rng(0)) == SensorModel()
 
 
 def test_sensor_that_saw_nothing_is_not_measured(
@@ -113,4 +112,4 @@ def test_sensor_that_saw_nothing_is_not_measured(
 ) -> None:
     monkeypatch.setattr(recording, "depth", lambda index: np.zeros((256, 320), np.float32), raising=False)
     bundle = make_bundle(mixture, RoomRecording(Room(), POSES[:2]))
-    assert measure_sensor(bundle, recording, np.random.default_rng(0), NoProgress()) == SensorModel()
+    assert measure_sensor(bundle, recording, np.random.default_rng(0)) == SensorModel()
