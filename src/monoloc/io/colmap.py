@@ -24,11 +24,12 @@ from monoloc.io.image_cameras import one_camera, stated_by
 from monoloc.io.images import ImageRecording, natural_order
 from monoloc.io.pose_files import UNTIMED, UNTIMED_RATE_HZ, poses_from_quaternions
 from monoloc.io.reader_options import ReaderOptions
+from monoloc.io.recording import Remark
 
 _PLACES = ("", "sparse", "colmap/sparse")  # of a model, or of its numbered parts
 _POINT_BYTES = 24  # of a point of an image
 _AGAIN = "export the model again (colmap model_converter)"
-_SCALE = "the model's unit is taken to be one metre; if it is not, scale the model with colmap model_aligner"
+_SCALE = Remark("the model's unit is taken to be one metre; if it is not, scale the model with colmap model_aligner")
 
 
 @dataclass(frozen=True)

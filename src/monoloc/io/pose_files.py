@@ -22,6 +22,7 @@ from monoloc.geometry import (
 )
 from monoloc.io.file_access import read_bytes, read_rows
 from monoloc.io.image_header import is_numpy
+from monoloc.io.recording import Remark
 
 # Tolerance of a quaternion's length. Files have 3 to 6 digits; a larger deviation means columns in another order.
 UNIT_TOLERANCE = 1e-2
@@ -39,7 +40,7 @@ MAX_POSE_OFFSET_S = 0.02  # a pose this near is that of the image, without inter
 MAX_DISTANCE_M = 1e5  # from the origin; single precision resolves 8 mm there
 
 UNTIMED_RATE_HZ = 5.0
-UNTIMED = f"the files state no times; frames are taken to be {1.0 / UNTIMED_RATE_HZ:g} s apart"
+UNTIMED = Remark(f"the files state no times; frames are taken to be {1.0 / UNTIMED_RATE_HZ:g} s apart")
 
 
 def checked_poses(poses: FloatArray, files: Sequence[Path], names: Sequence[str]) -> FloatArray:

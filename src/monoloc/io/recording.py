@@ -76,7 +76,10 @@ def check_arrays(recording: Recording) -> None:
 
 
 class Remark(str):
-    """A note on how a recording was read that casts no doubt on it, such as which topics of a bag were taken."""
+    """A note on how a recording was read that casts no doubt on it.
+
+    For example which topics of a bag were taken, or what is assumed of all recordings of a format.
+    """
 
 
 class StoredRecording(Recording, Protocol):

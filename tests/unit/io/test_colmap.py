@@ -11,6 +11,7 @@ import pytest
 from capture_writers import Capture, ColmapCamera, check_opened, pinhole_of, write_colmap
 from monoloc.camera import Camera
 from monoloc.io.reader_options import ReaderOptions
+from monoloc.io.recording import Remark
 from monoloc.io.registry import open_recording
 from refusals import refuses_data, refuses_to_open
 from synthetic_recordings import check_recording
@@ -29,6 +30,7 @@ def test_model_opens(tmp_path: Path, capture: Capture, binary: bool) -> None:
         check_recording(recording, len(capture))
         check_opened(recording, capture, None)
         assert recording.camera == capture.camera and recording.notes == NOTES
+        assert all(isinstance(note, Remark) for note in recording.notes)  # no warnings: all of its recordings are so
         assert recording.frame_names == [f"left/frame {index}.jpg" for index in range(12)]
         np.testing.assert_allclose(recording.timestamps_s, np.arange(12) / 5.0)
 

@@ -13,6 +13,7 @@ import pytest
 
 from capture_writers import Capture, check_opened, write_nerfstudio
 from monoloc.io.reader_options import ReaderOptions
+from monoloc.io.recording import Remark
 from monoloc.io.registry import open_recording
 from refusals import refuses_data, refuses_to_open
 from synthetic_recordings import check_recording, write_color
@@ -32,6 +33,7 @@ def test_transforms_open(tmp_path: Path, capture: Capture) -> None:
         check_recording(recording, len(capture))
         check_opened(recording, capture, capture.depths_mm)
         assert recording.camera == capture.camera and recording.name == "walk" and recording.notes == [UNTIMED]
+        assert isinstance(recording.notes[0], Remark)  # no warning: all of its recordings are so
         np.testing.assert_allclose(recording.timestamps_s, np.arange(12) / 5.0)
     assert recording.frame_names[1:] == [f"frame_{number}" for number in range(2, 13)]
     assert open_recording(str(path), ReaderOptions(depth_scale=100.0)).depth(0).max() > 5.0
