@@ -18,7 +18,9 @@ from monoloc.cli.main import invoke
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path, write_recording
 
 
-def test_interrupted_build_leaves_nothing_half_written(tmp_path: Path) -> None:
+@pytest.mark.parametrize("again_s", [None, 0.005, 0.1])
+def test_interrupted_build_leaves_nothing_half_written(tmp_path: Path, again_s: float | None) -> None:
+    """Nor does a second Ctrl-C, while it cleans up or while Python ends."""
     write_workspace(tmp_path, RoomRecording(Room(), make_path(6), SMALL_CAMERA), components=60)
     before = listing(tmp_path)
     code = "from monoloc.cli.main import run; run()"
@@ -38,6 +40,9 @@ def test_interrupted_build_leaves_nothing_half_written(tmp_path: Path) -> None:
     time.sleep(0.3)
     assert process.poll() is None, "the build ended before it could be interrupted"
     process.send_signal(signal.SIGINT)
+    if again_s is not None:
+        time.sleep(again_s)
+        process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert out == "" and err == "monoloc: interrupted; nothing half-written is left\n"

@@ -5,9 +5,11 @@ This module imports very little, so that Ctrl-C works during the other imports.
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable
 from types import FrameType
 
@@ -19,6 +21,7 @@ from monoloc.printable import printable
 # 128 plus the number of a signal, as in shells: SIGINT, which stands for all termination signals, and SIGPIPE.
 _INTERRUPTED = 130
 _READER_GONE = 141
+_CLEANING_UP_S = 1.0  # in which no second signal interrupts; later ones do, as some libraries swallow the first
 
 
 def run() -> None:
@@ -36,8 +39,12 @@ def run() -> None:
     from monoloc.cli.app import command_line
 
     command_line(sys.argv[1:])
-    _on_signals(_interrupt)
-    sys.exit(invoke(sys.argv[1:]))
+    _on_signals(_interrupting())
+    code = invoke(sys.argv[1:])
+    if code == _INTERRUPTED:
+        # Python's own end takes some tenths of a second, in which Ctrl-C would print a traceback.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.exit(code)
 
 
 def invoke(arguments: list[str]) -> int:
@@ -89,5 +96,14 @@ def _end_at_once(number: int, frame: FrameType | None) -> None:
     os._exit(_INTERRUPTED)
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
+def _interrupting() -> Callable[[int, FrameType | None], None]:
+    """Handler that raises KeyboardInterrupt; not again soon, so that a second Ctrl-C does not end the cleaning up."""
+    raised_s = -math.inf
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        nonlocal raised_s
+        if time.monotonic() - raised_s > _CLEANING_UP_S:
+            raised_s = time.monotonic()
+            raise KeyboardInterrupt
+
+    return interrupt
