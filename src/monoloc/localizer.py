@@ -69,6 +69,8 @@ class Localizer:
         components: ComponentsFactory = default_components,
         seed: int | np.random.Generator = 0,
     ) -> None:
+        if not isinstance(bundle, Bundle):  # a path, for which the error would come from deep inside
+            raise TypeError(f"bundle must be a bundle, as monoloc.load(PATH) gives it, got {type(bundle).__name__}")
         bundle, self._config = leave_out(bundle, config or bundle.settings)
         self._bundle, self._camera = bundle, camera
         self._rng = np.random.default_rng(seed)

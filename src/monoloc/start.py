@@ -31,8 +31,10 @@ class Start:
     error_rad: float = np.deg2rad(START_ERROR_DEG)
 
     def __post_init__(self) -> None:
-        if np.shape(self.pose) != (4, 4) or not bool(is_rigid(self.pose)):
-            raise ValueError(f"pose must be a rigid (4, 4) T_world_camera, got {self.pose}")
+        shape = np.shape(self.pose)
+        if shape != (4, 4) or not bool(is_rigid(self.pose)):
+            got = "one that is not rigid or not finite" if shape == (4, 4) else f"shape {shape}"
+            raise ValueError(f"pose must be a rigid (4, 4) T_world_camera, got {got}")
         if not (0.0 <= self.error_m < np.inf and 0.0 <= self.error_rad < np.inf):
             errors = f"{self.error_m} and {self.error_rad}"
             raise ValueError(f"error_m and error_rad must be finite and not negative, got {errors}")

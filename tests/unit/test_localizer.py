@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import weakref
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -90,6 +91,14 @@ def test_start_must_be_given_where_the_room_cannot_be_searched(
         ValueError, match="start must be given: neither scans nor landmarks can find the camera in this room"
     ):
         make_localizer(mixture, thresholds, None, recording.poses[:reference_poses], integrity=integrity)
+
+
+@pytest.mark.parametrize("path", ["room.monoloc", Path("room.monoloc")])
+def test_path_in_place_of_a_bundle_is_refused(path: Any) -> None:
+    with pytest.raises(
+        TypeError, match=r"^bundle must be a bundle, as monoloc\.load\(PATH\) gives it, got (str|Posix)"
+    ):
+        Localizer(path, CAMERA)
 
 
 def test_same_seed_gives_the_same_trajectory_and_another_seed_another(

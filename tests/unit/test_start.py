@@ -31,9 +31,16 @@ def test_root_mean_square_distance_of_particles_is_the_error() -> None:
     assert particles.log_scale.std() == pytest.approx(0.07, rel=0.02)
 
 
-@pytest.mark.parametrize("pose", [np.diag([2.0, 2.0, 2.0, 1.0]), np.eye(3), np.full((4, 4), np.nan)])
-def test_pose_that_is_not_rigid_is_refused(pose: np.ndarray) -> None:
-    with pytest.raises(ValueError, match=r"pose must be a rigid \(4, 4\) T_world_camera"):
+@pytest.mark.parametrize(
+    ("pose", "got"),
+    [
+        (np.diag([2.0, 2.0, 2.0, 1.0]), "one that is not rigid or not finite"),
+        (np.full((4, 4), np.nan), "one that is not rigid or not finite"),
+        (np.eye(3), r"shape \(3, 3\)"),
+    ],
+)
+def test_pose_that_is_not_rigid_is_refused(pose: np.ndarray, got: str) -> None:
+    with pytest.raises(ValueError, match=rf"^pose must be a rigid \(4, 4\) T_world_camera, got {got}$"):
         Start(pose)
 
 

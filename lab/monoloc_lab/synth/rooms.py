@@ -19,6 +19,7 @@ from monoloc.config import describe
 from monoloc.errors import DataError, SettingError
 from monoloc.files import read_regular, write_whole
 from monoloc.geometry import FloatArray, make_pose, so3_exp, transform
+from monoloc.map.arguments import float64
 from monoloc_lab.synth.boxes import Boxes
 from monoloc_lab.synth.materials import Material
 from monoloc_lab.synth.mesh_files import read_mesh
@@ -154,9 +155,10 @@ class Room:
 
         Raises:
             SettingError: there is no object of that name, or it intersects another object at its new place.
+            ValueError: ``by_m`` is not three finite numbers.
         """
         thing = self[name]
-        x, y, z = (float(v) for v in np.asarray(thing.position) + np.asarray(by_m, dtype=np.float64))
+        x, y, z = (float(v) for v in np.asarray(thing.position) + float64("by_m", by_m, 3))
         return self.remove(name).add(replace(thing, position=(x, y, z), yaw_rad=thing.yaw_rad + turn_rad))
 
     def blocker(self, thing: Object) -> str | None:

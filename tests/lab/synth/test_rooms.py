@@ -31,6 +31,8 @@ def test_impossible_edits_are_refused() -> None:
     room = Room((4.0, 4.0, 2.5)).add(Object("table", table(1.2, 0.8, 0.74, OAK, OAK), (2.0, 2.0, 0.0)))
     with pytest.raises(SettingError, match="there is no 'chair'; choose one of table"):
         room.move("chair")
+    with pytest.raises(ValueError, match=r"^by_m must have shape \(3,\), got \(2,\)"):
+        room.move("table", (1.0, 2.0))
     with pytest.raises(SettingError, match="'table' exists already"):
         room.add(Object("table", chair(OAK, OAK), (0.5, 0.5, 0.0)))
     with pytest.raises(SettingError, match="chair: intersects table"):
