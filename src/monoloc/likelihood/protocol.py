@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from monoloc.geometry import FloatArray
 from monoloc.likelihood.scan import Scan
+from monoloc.map.arguments import float64
 from monoloc.particle_filter.particles import Particles, normalised
 
 
@@ -111,9 +112,6 @@ def _weigh(
     if len(scan) == 0 or effective_points == 0.0:
         return particles
     mean = likelihood.mean_log_likelihood(particles.poses, particles.log_scale, scan, log_depth_sd)
-    count = len(particles.log_weights)
-    if np.shape(mean) != (count,) or not np.isfinite(mean).all():
-        found = f"shape {np.shape(mean)}" if np.shape(mean) != (count,) else "values that are not"
-        raise ValueError(f"mean_log_likelihood must return ({count},) finite values, got {found}")
-    log_weights = particles.log_weights + min(effective_points, len(scan)) * np.asarray(mean)
+    mean = float64("what mean_log_likelihood returns", mean, len(particles.log_weights))
+    log_weights = particles.log_weights + min(effective_points, len(scan)) * mean
     return Particles(particles.poses, particles.log_scale, normalised(log_weights))
