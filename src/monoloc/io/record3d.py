@@ -37,7 +37,10 @@ _METADATA = "metadata"
 _MOST_BYTES = 1 << 26  # of a member of the archive
 _UNCOMPRESSIBLE_BYTES = 4096  # most that LZFSE adds to data that it cannot compress
 _AGAIN = "export the .r3d from Record3D again"
-UNKNOWN_UPRIGHT = Remark("its images are taken to stand upright: the format does not tell how the phone was held")
+UNKNOWN_UPRIGHT = Remark(
+    "its images are taken to stand upright, as the format does not tell how the phone was held; if they lie on their "
+    "side, record again with a phone that is turned by a quarter"
+)
 
 
 def recognises(path: Path) -> bool:

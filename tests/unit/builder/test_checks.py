@@ -221,3 +221,9 @@ def test_recording_is_checked_before_its_map() -> None:
         check_recording(inverted, None, BuildConfig())
     with pytest.raises(DataError, match=r"^room: depth is distance .*; give --fix-depth range$"):
         check_recording(Altered(recording, depth=range_of(recording)), None, BuildConfig())
+
+
+def test_walk_with_images_on_their_side_is_warned_of() -> None:
+    poses = make_pose(so3_exp(np.outer(np.linspace(0.0, 3.0, 12), [1.0, 0.0, 0.0])), np.zeros((12, 3)))
+    warnings = check_recording(RoomRecording(Room(), poses, SMALL_CAMERA), None, BuildConfig())
+    assert warnings[-1].startswith("images lie on their side") and "dataset.toml" in warnings[-1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -24,7 +25,7 @@ from monoloc.camera import Camera
 from monoloc.depth.spec import DepthModel
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.fusion.reference_poses import ReferencePoses
-from monoloc.geometry import FloatArray
+from monoloc.geometry import FloatArray, make_pose, so3_exp
 from monoloc.likelihood.protocol import LikelihoodConfig
 from monoloc.likelihood.thresholds import LikelihoodThresholds
 from monoloc.localizer_config import ADDITIONS, LocalizerConfig
@@ -219,6 +220,19 @@ def test_held_out_frames_are_measured_with_the_hold_out_run(
     np.testing.assert_array_equal(bundle.reference_poses.poses, recording.poses)
     known = bundle.reference_poses
     np.testing.assert_array_equal([known.forward_bias, known.backward_bias], BIASES)
+
+
+@pytest.mark.parametrize("roll_rad", [0.0, 0.5 * np.pi])
+def test_images_on_their_side_tell_no_gravity(
+    recording: RoomRecording, measurements: Measurements, roll_rad: float
+) -> None:
+    """Of a camera that turned by 180 degrees in the room; upright, its mean y axis points down."""
+    turned = copy(recording)
+    yaws = np.outer(np.linspace(0.0, np.pi, len(recording)), [0.0, 1.0, 0.0])
+    turned.poses = make_pose(so3_exp(yaws) @ so3_exp([0.0, 0.0, roll_rad]), np.zeros((len(recording), 3)))
+    bundle, _ = build(turned)
+    assert bundle.provenance.down_world == pytest.approx((0.0, 0.0 if roll_rad else 1.0, 0.0))
+    assert not bundle.provenance.knows_down
 
 
 @pytest.mark.parametrize(
