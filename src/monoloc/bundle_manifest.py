@@ -115,11 +115,11 @@ def manifest_content(path: Path) -> bytes:
     """A bundle's manifest, as it lies there.
 
     Raises:
-        BundleError: there is no bundle at the path.
+        BundleError: there is no bundle at the path, or another one in it.
     """
     file = path / MANIFEST
     try:
-        return read_regular(file)
+        content = read_regular(file)
     except OSError as error:
         if not path.exists():
             fix = "check the path, or make it by: monoloc build"
@@ -130,6 +130,19 @@ def manifest_content(path: Path) -> bytes:
         raise BundleError(path, f"is not a bundle (no {MANIFEST})", "give a folder made by: monoloc build") from error
     except ValueError as error:
         raise BundleError(file, "is cut short or edited", COPY_AGAIN) from error
+    _check_alone(path)
+    return content
+
+
+def _check_alone(path: Path) -> None:
+    """Refuse a bundle with another one in it: the outer one is the older, which nobody means to fly any more.
+
+    ``cp -r`` and ``scp -r`` put a folder into one of the same name that is there already.
+    """
+    inner = next((file.parent for file in path.glob(f"*/{MANIFEST}")), None)
+    if inner is not None:
+        fix = f"remove {path.name}, and copy the bundle that you mean to its place"
+        raise BundleError(path, f"has another bundle in it ({inner.name}), which a copy put there", fix)
 
 
 def parse_manifest(content: bytes, file: Path) -> Manifest:

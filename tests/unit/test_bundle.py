@@ -6,6 +6,7 @@ import hashlib
 import io
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -23,6 +24,7 @@ from monoloc.bundle import (
     Bundle,
     CloudSize,
     Provenance,
+    check_bytes,
     check_target,
     fingerprint,
     read_bundle,
@@ -237,6 +239,14 @@ def test_bundle_in_a_bundle_is_refused(written):
     """The outer one would hold more than a bundle, and be replaced with it."""
     for inner in (written / "room.monoloc", written / "a" / "room.monoloc"):
         refuses(lambda path=inner: check_target(path), inner, f"lies in the bundle {written}")
+
+
+def test_bundle_that_a_copy_went_into_is_refused(written, tmp_path):
+    """As by ``cp -r`` to a name that is there already: the outer one, which would fly, is the older."""
+    shutil.copytree(written, tmp_path / "new.monoloc")
+    (tmp_path / "new.monoloc").rename(written / "new.monoloc")
+    for action in (lambda: read_bundle(written), lambda: check_bytes(written)):
+        refuses(action, written, "has another bundle in it (new.monoloc), which a copy put there")
 
 
 def test_manifest_of_another_program_is_refused(tmp_path):
