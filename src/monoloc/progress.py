@@ -145,13 +145,16 @@ class ConsoleProgress:
             of_all = self._of_all(done, total, remaining_s)
             ending = f", {of_all}" if of_all else ""
             if total is None:
-                self._console.print(f"{name}: {done}, {how}{ending}")
+                self._say(f"{name}: {done}, {how}{ending}")
                 return
             share = "" if remark else f" ({100.0 * done / total:.0f} %)"
-            self._console.print(f"{name}: {done} of {total}{share}, {how}, {remaining_s:.0f} s remaining{ending}")
+            self._say(f"{name}: {done} of {total}{share}, {how}, {remaining_s:.0f} s remaining{ending}")
 
         yield log
-        self._console.print(f"{name}: done in {time.perf_counter() - started:.1f} s")
+        self._say(f"{name}: done in {time.perf_counter() - started:.1f} s")
+
+    def _say(self, line: str) -> None:
+        self._console.print(line, soft_wrap=True)  # whole: who reads a log has no width of 80 characters
 
     @contextmanager
     def _bar(self, name: str, total: int | None) -> Iterator[Step]:

@@ -41,6 +41,15 @@ def test_log_has_a_line_for_every_remark_with_the_remaining_time(clock: Clock) -
     ]
 
 
+def test_line_of_a_log_is_not_broken_at_the_width_of_a_terminal(clock: Clock) -> None:
+    log = io.StringIO()
+    with ConsoleProgress(Console(file=log, width=40)).task("tasks", 2) as step:
+        clock.now_s += 10.0
+        step(1, "depth of full-0.35, evaluation L2 ::, seed 0")
+    line = "tasks: 1 of 2, depth of full-0.35, evaluation L2 ::, seed 0, 10 s remaining"
+    assert log.getvalue().splitlines()[0] == line
+
+
 def test_resumed_task_does_not_count_earlier_steps(clock: Clock) -> None:
     log = io.StringIO()
     with ConsoleProgress(Console(file=log, width=200)).task("train", 100) as step:
