@@ -92,8 +92,11 @@ def door(
       monoloc place door house.place kitchen hall door.mp4 --camera cam.toml
       monoloc place door house.place hall study --same-world
     """
-    if (source is None) != same_world:
-        raise SettingError("SOURCE", "or --same-world must be given, and not both", "name a walk through the door")
+    if source is None and not same_world:
+        fix = "name a walk through the door, or give --same-world for bundles of one world"
+        raise SettingError("SOURCE", "is missing", fix)
+    if source is not None and same_world:
+        raise SettingError("--same-world", "has no meaning with a walk through the door", "give one of the two")
     joined = read_place(place, require_signature, is_edited=True)
     names = _known(joined, a), _known(joined, b)
     if a == b:
