@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
 from monoloc.io.corrected import DEPTH_FIXES, DepthFix, is_seven_scenes, with_depth_fix
-from monoloc.io.recording import Recording, evenly_spaced
+from monoloc.io.recording import Recording, evenly_spaced, scale_sd_of
 
 _FRAMES = 16
 _LEAST_FRAMES = 6  # in which a quantity is measured
@@ -78,6 +78,9 @@ class DepthCheck:
 def check_depth(recording: Recording) -> DepthCheck:
     """Look at a few frames of a recording with depth.
 
+    Depth by structure from motion is z in the images by its making. Only its coverage is measured: its edges lie
+    where there is texture, and often not where surfaces end.
+
     Raises:
         DataError: a frame cannot be read.
     """
@@ -86,6 +89,8 @@ def check_depth(recording: Recording) -> DepthCheck:
     values = np.concatenate([depth[depth > 0.0][::37] for depth in depths])
     coverage = float(np.mean([(depth > 0.0).mean() for depth in depths]))
     median_m = float(np.median(values)) if len(values) else float("nan")
+    if scale_sd_of(recording) is not None:
+        return DepthCheck(coverage, median_m, flatness=None, edges=None)
     flatness, is_range = _flatness_as_range(recording, depths)
     images = [_relative_gradient(recording.color(index)) for index in chosen]
     aligned = _Alignment(recording, depths, images)
