@@ -204,6 +204,20 @@ def test_train_and_export(capfd: Capture, tmp_path: Path, monkeypatch: pytest.Mo
     assert exported["parity_max"] < 1e-3 and exported["difference_mean"] > 0.0
 
 
+def test_validation_frames_that_are_trained_on_are_warned_of(
+    capfd: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_recording(tmp_path / "room", small_recording(12))
+    (tmp_path / "train.toml").write_text(WITHOUT_AUGMENTATION)
+    monkeypatch.chdir(tmp_path)
+    command = ("depth", "train", "folder:room", "--settings", "train.toml", "--frames", "0:8")
+    for number, (validate, shared) in enumerate([((), "8 of its 8"), (("--validate", "6:12"), "2 of its 6")]):
+        _, err = outputs(capfd, *command, *validate, "--out", f"out-{number}")
+        warning = f"warning: folder:room: {shared} validation frames are trained on, so accuracies are too good; give"
+        assert warning in err
+    assert "warning" not in outputs(capfd, *command, "--validate", "8:", "--out", "other")[1]
+
+
 class OneImage(RoomRecording):
     """The same image in all frames, with walls at increasing distances."""
 

@@ -100,7 +100,10 @@ def train(
     training = [open_source(source, frames), *(open_source(other, "::") for other in also or ())]
     validation = open_source(source, validate, frames_option="--validate") if validate is not None else training[0]
     # Under torchrun, only the first process of a run evaluates, writes files and prints.
-    progress = ConsoleProgress(stderr) if os.environ.get("RANK", "0") == "0" else NoProgress()
+    is_first = os.environ.get("RANK", "0") == "0"
+    progress = ConsoleProgress(stderr) if is_first else NoProgress()
+    if is_first and (problem := _trained_on(training[0], validation)) is not None:
+        stderr.print(f"warning: {source}: {problem}", soft_wrap=True)
 
     def draw(history: list[EpochRecord]) -> None:
         records = [asdict(record) for record in history]
@@ -114,6 +117,15 @@ def train(
         print_json({"network": str(out / "network.safetensors"), **last})
     else:
         stderr.print(f"{out / 'network.safetensors'}: AbsRel {last['absrel']:.3f}, delta1 {last['delta1']:.3f}")
+
+
+def _trained_on(training: Recording, validation: Recording) -> str | None:
+    """What is wrong with the validation frames of a recording, if some are among its training frames."""
+    shared = set(training.frame_names) & set(validation.frame_names)
+    if not shared:
+        return None
+    problem = f"{len(shared)} of its {len(validation)} validation frames are trained on, so accuracies are too good"
+    return f"{problem}; give --validate frames that --frames leaves out"
 
 
 @app.command()
