@@ -77,9 +77,9 @@ def carry_out(
     with _locked(out):
         results = {task: result for task in ordered if (result := read_result(out, task)) is not None}
         waiting = [task for task in ordered if task not in results]
-        with progress.task("tasks", len(ordered)) as show:
-            if results:
-                show(len(results), f"{len(results)} done before")
+        # Those that were done before are not counted: no rate, and so no remaining time, could be told with them.
+        before = f" ({len(results)} more were done before)" if results else ""
+        with progress.task(f"tasks{before}", len(waiting)) as show:
             if waiting:
                 with _cluster(scheduler) if scheduler else _cores(min(workers, len(waiting))) as executor:
                     at_once = len(waiting) if scheduler else workers
@@ -191,6 +191,7 @@ def _execute(
         at_once: number of tasks that are submitted at a time.
     """
     failures: dict[Task, _Failure] = {}
+    before = len(results)
     running: dict[Future[_Failure | None], Task] = {}
     while waiting or running:
         ready = [task for task in waiting if all(need in results for need in task.needs)]
@@ -209,7 +210,7 @@ def _execute(
                 failures[task] = failure
             elif result is not None:
                 results[task] = result
-            show(len(results), f"{'failed: ' if failure else ''}{describe_task(task)}")
+            show(len(results) - before, f"{'failed: ' if failure else ''}{describe_task(task)}")
     return failures
 
 

@@ -135,21 +135,21 @@ def test_unreadable_result_is_computed_again(tmp_path: Path, log: Path) -> None:
 
 
 @pytest.mark.usefixtures("in_this_process")
-def test_progress_counts_existing_results(tmp_path: Path, log: Path) -> None:
+def test_progress_counts_what_is_left_to_do(tmp_path: Path, log: Path) -> None:
     class Recorded(NoProgress):
         def __init__(self) -> None:
             self.lines: list[tuple[int, str]] = []
 
         def task(self, name: str, total: int | None) -> Any:
-            self.total = total
+            self.name, self.total = name, total
             return nullcontext(lambda done, remark="": self.lines.append((done, remark)))
 
     do([number(log, 1)], tmp_path)
     progress = Recorded()
     carry_out([number(log, 1), number(log, 2)], tmp_path, progress, 1, None, KINDS)
-    assert progress.total == 2
-    assert progress.lines[0] == (1, "1 done before")
-    assert progress.lines[1][0] == 2 and "add-" in progress.lines[1][1]
+    assert progress.name == "tasks (1 more were done before)" and progress.total == 1
+    (line,) = progress.lines
+    assert line[0] == 1 and "add-" in line[1]
 
 
 @pytest.mark.slow
