@@ -263,6 +263,13 @@ def with_trajectory(here: Path) -> None:
         (nothing, ("depth", "train", "flight", "--out", "flight/poses.txt"), "--out", "is a file", "name a folder"),
         (
             nothing,
+            ("depth", "train", "flight", "--out", "run", "--encoder", "no.npz"),
+            "no.npz",
+            "there is no such file",
+            "check the path",
+        ),
+        (
+            nothing,
             ("depth", "train", "flight", "--out", "run", "--encoder", "a.npz", "--start", "a.onnx"),
             "--start",
             "conflicts with --encoder",
