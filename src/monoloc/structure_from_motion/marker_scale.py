@@ -62,7 +62,7 @@ class MarkerScale:
         length = float(sides[:, 0].mean())
         if np.ptp(sides[:, 0]) > _SQUARE * length:
             problem = f"shows marker {self.number} with sides that differ by {np.ptp(sides[:, 0]) / length:.0%}"
-            raise DataError(recording.name, problem, "film it from nearer, flat and at rest")
+            raise DataError(recording.name, problem, "film it from nearer and from more sides, flat and at rest")
         side_sd = float(np.sqrt(np.mean(sides[:, 1] ** 2)))  # of one side, by independent errors of a pixel
         shift_px, corner_px = _residuals_px(model, poses, np.array([point for point, _ in placed]), corners)
         # Errors of their own average over four sides. What shifts all corners of a frame moves them nearer or farther

@@ -118,7 +118,7 @@ def test_marker_that_is_not_there_or_not_square_is_refused(
     refuses(
         lambda: MarkerScale(7, SIZE_M).measure(walk, model, []),
         DataError,
-        "room: shows marker 7 with sides that differ",
+        "room: shows marker 7 with sides that differ by .*; film it from nearer and from more sides, flat",
     )
 
 
