@@ -43,12 +43,19 @@ def draw_edits(axis: Axes, edits: Sequence[DrawnEdit], project: Projection, with
             _draw_box(axis, edit.moved_to, BLUE, project)
             _draw_arrow(axis, project(_line(edit.place.centre, edit.moved_to.centre)))
     _draw_names(axis, edits, project)
+    _name_colours(axis, edits, with_content)
+
+
+def _name_colours(axis: Axes, edits: Sequence[DrawnEdit], with_content: bool) -> None:
+    """Entries of a legend for the colours that occur."""
+    went = any(edit.place is not None and (edit.is_taking or edit.moved_to is not None) for edit in edits)
+    came = any(edit.moved_to is not None or (edit.place is not None and not edit.is_taking) for edit in edits)
     if with_content:
-        went = any(len(edit.went) + len(edit.went_landmarks) for edit in edits)
-        came = any(len(edit.came) + len(edit.came_landmarks) for edit in edits)
-        for colour, name, occurs in ((VERMILION, "removed by an edit", went), (BLUE, "added by an edit", came)):
-            if occurs:
-                axis.plot([], [], "s", color=colour, markersize=5.0, label=name)
+        went |= any(len(edit.went) + len(edit.went_landmarks) > 0 for edit in edits)
+        came |= any(len(edit.came) + len(edit.came_landmarks) > 0 for edit in edits)
+    for colour, name, occurs in ((VERMILION, "removed by an edit", went), (BLUE, "added by an edit", came)):
+        if occurs:
+            axis.plot([], [], "s", color=colour, markersize=5.0, label=name)
 
 
 def _draw_content(axis: Axes, edit: DrawnEdit, project: Projection) -> None:

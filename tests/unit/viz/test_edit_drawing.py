@@ -49,6 +49,18 @@ def test_names_and_arrow_are_drawn_as_far_as_they_are_in_view(edits: tuple[Drawn
         assert {text.get_text() for text in axis.texts} >= {"1 move", "2 remove"}
 
 
+@pytest.mark.parametrize("with_content", [True, False])
+def test_colours_that_occur_are_named(edits: tuple[DrawnEdit, ...], with_content: bool) -> None:
+    """A move goes and comes; a removal only goes. Boxes have these colours also where nothing else is drawn."""
+    for drawn, names in (
+        (edits[:1], ["removed by an edit", "added by an edit"]),
+        (edits[1:], ["removed by an edit"]),
+    ):
+        axis = Figure().add_subplot()
+        draw_edits(axis, drawn, lambda points: points[:, :2], with_content=with_content)
+        assert axis.get_legend_handles_labels()[1] == names
+
+
 def test_names_of_edits_in_one_place_are_above_each_other(edits: tuple[DrawnEdit, ...]) -> None:
     axis = Figure().add_subplot()
     draw_edits(axis, (edits[1], edits[1], edits[1]), lambda points: points[:, :2])
