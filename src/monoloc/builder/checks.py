@@ -12,7 +12,7 @@ from monoloc.depth.scale_ratio import scale_ratio
 from monoloc.depth.spec import DepthModel
 from monoloc.errors import DataError
 from monoloc.geometry import FloatArray, make_pose, so3_exp, transform
-from monoloc.io.recording import Recording, evenly_spaced
+from monoloc.io.recording import Recording, evenly_spaced, scale_sd_of
 from monoloc.io.upright import ON_THEIR_SIDE, STAND_UPRIGHT, walk_lies_on_side
 from monoloc.likelihood.protocol import LikelihoodConfig, best_over_scales
 from monoloc.likelihood.scan import Scan, scan_from_depth
@@ -126,7 +126,10 @@ def _check_scale(recording: Recording, cloud: FloatArray, model: DepthModel) -> 
     scale = float(np.median(ratios))
     if _LEAST_SCALE < scale < _MOST_SCALE:
         return []
-    return [f"{what} is {scale:.2f} times as far as the network's; it may be in a scale of its own, not in metres"]
+    found = f"{what} is {scale:.2f} times as far as the network's"
+    if scale_sd_of(recording) is not None:  # its scale was asked for, and a network may err by half
+        return [f"{found}, which may be off as much; check the size, distance or depth that --scale named"]
+    return [f"{found}; it may be in a scale of its own, not in metres"]
 
 
 def check_frames(

@@ -207,6 +207,19 @@ def test_scale_that_is_not_the_networks_is_warned_of(
         assert found and float(found[1]) == pytest.approx(scale, rel=0.06)
 
 
+def test_scale_that_was_asked_for_is_to_be_checked_there(room_map: tuple[FloatArray, GaussianMixture]) -> None:
+    """As by a marker that is printed half as large as it is said to be."""
+    cloud, mixture = 2.0 * room_map[0], room_map[1]
+    mixture = GaussianMixture(mixture.weights, 2.0 * mixture.means, 4.0 * mixture.covariances)
+    recording = RoomRecording(Room(), flying(), SMALL_CAMERA)
+    assert recording.poses is not None
+    poses = make_pose(recording.poses[:, :3, :3], 2.0 * recording.poses[:, :3, 3])
+    scaled = Altered(recording, poses=poses, depth=lambda depth: 2.0 * depth)
+    scaled.scale_sd = 0.02
+    (warning,) = [each for each in check(scaled, cloud, mixture, given=False) if "network's" in each]
+    assert warning.endswith("which may be off as much; check the size, distance or depth that --scale named")
+
+
 # --- Recording ---
 
 
