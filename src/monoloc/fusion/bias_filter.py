@@ -33,6 +33,7 @@ from monoloc.particle_filter.motion_model import MotionConfig, few_corners_facto
 # Errors of odometry are correlated for a second or so. Treated as independent from frame to frame, their standard
 # deviations are inflated by this factor.
 _ODOMETRY_INFLATION = 4.0
+_VIEW_INFLATION = 2.6  # of the noise by the shape of the view, as measured over eight steps in a row
 # Without odometry for longer than this, the biases are forgotten: the motion model's noise is not independent from
 # frame to frame, and the filter would take a steady flight for a bias.
 _MOST_TIME_WITHOUT_ODOMETRY_S = 1.0
@@ -186,7 +187,7 @@ class BiasAugmentedFilter:
     def reinitialise_from_landmarks(self, measured: LandmarkPose) -> Estimate:
         """The belief after landmarks relocalised the camera: only their pose counts."""
         noise, prior_sds = self._landmark_noise(measured), self._prior_sds(measured.pose)
-        self._state = BiasAugmentedState.from_measurement(LANDMARKS, measured.pose, noise, prior_sds, noise)
+        self._state = BiasAugmentedState.from_measurement(LANDMARKS, measured.pose, noise, prior_sds)
         self.restarted = True
         self._moved_m = 0.0
         self.time_since_update_s = self._time_since_odometry_s = 0.0
@@ -271,10 +272,10 @@ class BiasAugmentedFilter:
         )
 
     def _view_noise(self, motion: Motion | None) -> FloatArray:
-        """Odometry's noise by the shape of the view, (6, 6), inflated as its other noise is."""
+        """Odometry's noise by the shape of the view, (6, 6), inflated."""
         if motion is None or motion.view_covariance is None:
             return np.zeros((6, 6))
-        return (_ODOMETRY_INFLATION * few_corners_factor(motion.inliers)) ** 2 * motion.view_covariance
+        return (_VIEW_INFLATION * few_corners_factor(motion.inliers)) ** 2 * motion.view_covariance
 
     def _prior_sds(self, pose: FloatArray) -> FloatArray:
         """Standard deviations of the sources' biases at a pose, (S, 6)."""

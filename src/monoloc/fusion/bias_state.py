@@ -50,8 +50,7 @@ class BiasAugmentedState:
     def from_start(cls, start: Estimate, prior_sds: FloatArray) -> BiasAugmentedState:
         """Before the first measurement: pose and biases are independent."""
         covariance = _block_diagonal(start.covariance, _prior_covariance(prior_sds))
-        biases, nothing = np.zeros_like(prior_sds), np.zeros_like(covariance)
-        return cls(start.pose, biases, 0.0, covariance, prior_sds, nothing, np.zeros((6, 6)))
+        return cls._without_unweighted(start.pose, covariance, prior_sds)
 
     @classmethod
     def from_measurement(
@@ -60,17 +59,20 @@ class BiasAugmentedState:
         pose: FloatArray,
         noise: FloatArray,
         prior_sds: FloatArray,
-        unweighted_bias: FloatArray = np.zeros((6, 6)),
     ) -> BiasAugmentedState:
         """From one source's pose (4, 4) and nothing else: the pose's error is minus its bias, plus noise (6, 6)."""
         bias = np.diag(prior_sds[source] ** 2)
         covariance = _block_diagonal(noise + bias, _prior_covariance(prior_sds))
         own = slice(6 + 6 * source, 12 + 6 * source)
         covariance[:6, own] = covariance[own, :6] = -bias
-        by_bias = np.zeros((len(covariance), 6))
-        by_bias[:6], by_bias[own] = -np.eye(6), np.eye(6)
-        unweighted = by_bias @ unweighted_bias @ by_bias.T
-        return cls(pose.copy(), np.zeros_like(prior_sds), 0.0, covariance, prior_sds, unweighted, unweighted_bias)
+        return cls._without_unweighted(pose.copy(), covariance, prior_sds)
+
+    @classmethod
+    def _without_unweighted(
+        cls, pose: FloatArray, covariance: FloatArray, prior_sds: FloatArray
+    ) -> BiasAugmentedState:
+        biases, nothing = np.zeros_like(prior_sds), np.zeros_like(covariance)
+        return cls(pose, biases, 0.0, covariance, prior_sds, nothing, np.zeros((6, 6)))
 
     def predict(
         self,
