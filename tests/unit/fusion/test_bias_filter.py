@@ -10,7 +10,7 @@ import pytest
 from map_helpers import motion_of
 from monoloc.fusion.bias_filter import BiasAugmentedFilter
 from monoloc.fusion.bias_model import BiasModel, LandmarkBiasModel
-from monoloc.fusion.bias_state import LANDMARKS, PARTICLES, BiasAugmentedState
+from monoloc.fusion.bias_state import PARTICLES, BiasAugmentedState
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import FloatArray, adjoint, invert, is_rigid, pose_distance_m, se3_exp, se3_log
 from monoloc.landmarks.pnp import LandmarkPose
