@@ -56,8 +56,9 @@ class Grid {
   template <class Visit>
   void rows_near(double at_x, double at_y, double radius_px, Visit visit) const {
     if (index.empty()) return;
-    const std::size_t first = along(at_x - radius_px, left_), last = along(at_x + radius_px, left_);
-    for (std::size_t row = along(at_y - radius_px, top_); row <= along(at_y + radius_px, top_); ++row) {
+    const double reach_px = radius_px + kRoundingPx;  // is_near rounds differences
+    const std::size_t first = along(at_x - reach_px, left_), last = along(at_x + reach_px, left_);
+    for (std::size_t row = along(at_y - reach_px, top_); row <= along(at_y + reach_px, top_); ++row) {
       const std::size_t begin = starts_[row * cells() + first], end = starts_[row * cells() + last + 1];
       if (begin < end) visit(begin, end - begin);
     }
@@ -78,7 +79,7 @@ class Grid {
   std::vector<std::uint64_t> descriptors;
 
  private:
-  static constexpr double kInfinity = std::numeric_limits<double>::infinity();
+  static constexpr double kInfinity = std::numeric_limits<double>::infinity(), kRoundingPx = 1e-6;
 
   double x(std::size_t keypoint) const { return pixels_[2 * keypoint]; }
   double y(std::size_t keypoint) const { return pixels_[2 * keypoint + 1]; }
