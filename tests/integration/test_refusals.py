@@ -265,7 +265,7 @@ def with_trajectory(here: Path) -> None:
             nothing,
             ("depth", "train", "flight", "--out", "run", "--encoder", "no.npz"),
             "no.npz",
-            "there is no such file",
+            "is missing",
             "check the path",
         ),
         (

@@ -35,6 +35,7 @@ from monoloc.errors import DataError, SettingError
 from monoloc.evaluation.network_evaluation import evaluate_network
 from monoloc.extras import require_plotting, training_extra
 from monoloc.files import write_whole
+from monoloc.io.file_access import require_file
 from monoloc.io.recording import Recording
 from monoloc.progress import ConsoleProgress, NoProgress
 from monoloc.viz.calibration_plot import plot_calibration
@@ -92,6 +93,9 @@ def train(
     check_apart(out / "network.safetensors", "--out", (start,))
     if encoder is not None and start is not None:
         raise SettingError("--start", "conflicts with --encoder", "give one of them")
+    for weights in (encoder, start):
+        if weights is not None:
+            require_file(weights, "check the path")
     with training_extra():
         from monoloc.depth.training.train import EpochRecord, TrainConfig, train_network
     require_plotting()

@@ -184,8 +184,6 @@ def load_encoder_weights(network: HasEncoder, path: Path) -> None:
     """
     try:
         arrays = read_arrays(path)
-    except FileNotFoundError:
-        raise DataError(path, "there is no such file", "check the path", "how-to/train-a-network") from None
     except (OSError, ValueError) as error:
         raise DataError(path, "is not a readable .npz archive", "give MobileNetV2 weights as .npz") from error
     state = network.encoder.state_dict()
