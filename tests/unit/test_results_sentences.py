@@ -130,8 +130,8 @@ THIS_VERSION: tuple[Sentence, ...] = (
         [float(table_of("rendered-rooms.csv")[0]["frames"])],
     ),
     (
-        "in the dining room it is {}, {} and {} cm, with the default {}, {} and {} cm. A view of a wall is *uncertain* "
-        "there for long, at errors of {} cm: in the dining room in L1, {} % of the frames are *tracking*",
+        "in the dining room it is {}, {} and {} cm, with the default {}, {} and {} cm. A view of a wall is "
+        "*uncertain* there for long, at errors of {} cm: in the dining room in L1, {} % of the frames are *tracking*",
         [
             *(median_of(in_dining_room(method, light), "rmse_cm") for method in DINING for light in LIGHTS),
             median_of(in_dining_room("default", "L1"), "rmse_cm"),

@@ -11,7 +11,7 @@ import numpy as np
 from monoloc.bundle import Bundle
 from monoloc.camera import Camera
 from monoloc.geometry import FloatArray
-from monoloc.io.recording import Recording, Remark, Selection
+from monoloc.io.recording import Recording, Remark, Selection, scale_sd_of
 from monoloc.io.upright import ON_THEIR_SIDE, STAND_UPRIGHT, walk_lies_on_side
 from monoloc.progress import NoProgress, Progress
 from monoloc.recording_check.depth_check import DepthCheck, check_depth
@@ -129,7 +129,7 @@ def inspect_recording(
         *image_findings(images, "move more slowly, or expose for a shorter time", "record in more light"),
         *(_of_motion(motion) if motion is not None else ()),
         *_of_upright(recording),
-        *(_of_depth(depth, is_explained) if depth is not None else ()),
+        *(_of_depth(depth, is_explained, scale_sd_of(recording) is not None) if depth is not None else ()),
         *(_of_poses(poses) if poses is not None else _without_poses(recording, bundle)),
         *(_of_focal(focal, recording.camera) if focal is not None else ()),
         *_of_principal_point(recording.camera),
@@ -200,15 +200,18 @@ def _of_upright(recording: Recording) -> Iterator[Finding]:
         yield Finding("upright", "warning", ON_THEIR_SIDE, STAND_UPRIGHT)
 
 
-def _of_depth(depth: DepthCheck, is_explained: bool) -> Iterator[Finding]:
+def _of_depth(depth: DepthCheck, is_explained: bool, is_from_images: bool) -> Iterator[Finding]:
     median = f", median {depth.median_m:.1f} m" if depth.coverage > 0.0 else ""
     value = f"{depth.coverage:.0%} of pixels{median}"
     if depth.problem is not None and not is_explained:
         yield Finding("depth", "bad", value, f"{depth.problem}; {depth.remedy}")
         return
-    too_little = depth.coverage < _LEAST_COVERAGE
-    remark = "keep within the sensor's range, away from dark and shiny surfaces" if too_little else ""
-    yield Finding("depth", "warning" if too_little else "good", value, remark)
+    if depth.coverage >= _LEAST_COVERAGE:
+        yield Finding("depth", "good", value)
+        return
+    of_sensor = "keep within the sensor's range, away from dark and shiny surfaces"
+    of_images = "film surfaces with texture, each from several places"
+    yield Finding("depth", "warning", value, of_images if is_from_images else of_sensor)
 
 
 def _without_poses(recording: Recording, bundle: Bundle | None) -> Iterator[Finding]:

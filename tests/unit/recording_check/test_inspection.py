@@ -40,3 +40,12 @@ def test_walk_with_images_on_their_side_gives_a_warning() -> None:
     poses = make_pose(so3_exp(np.outer(np.linspace(0.0, 3.0, 12), [1.0, 0.0, 0.0])), np.zeros((12, 3)))
     findings = inspect_recording(RoomRecording(Room(), poses, SMALL_CAMERA, has_depth=False)).findings
     assert [finding.level for finding in findings if finding.name == "upright"] == ["warning"]
+
+
+@pytest.mark.parametrize(("scale_sd", "expected"), [(None, "sensor"), (0.02, "texture")])
+def test_too_little_depth_is_explained_by_what_made_it(scale_sd: float | None, expected: str) -> None:
+    recording = RoomRecording(Room(), make_path(2), SMALL_CAMERA)
+    sparse = Altered(recording, depth=lambda depth: np.where(np.arange(depth.shape[1]) % 5 == 0, depth, 0.0))
+    sparse.scale_sd = scale_sd
+    [found] = [finding for finding in inspect_recording(sparse).findings if finding.name == "depth"]
+    assert found.level == "warning" and expected in found.remark
