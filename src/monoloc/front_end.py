@@ -182,7 +182,7 @@ class FrontEnd:
 
     def _is_repeated(self, color: NDArray[np.uint8], elapsed_s: float) -> bool:
         """Whether the camera gave the previous image again; a sensor's noise alone makes two images differ."""
-        previous, few = self._previous, slice(None, None, 32)
+        previous, few = self._previous, slice(None, None, 32)  # of the rows, which tell most images apart
         is_repeated = previous is not None and all(
             np.array_equal(color[rows], previous[rows]) for rows in (few, slice(None))
         )
