@@ -182,9 +182,10 @@ class FrontEnd:
 
     def _is_repeated(self, color: NDArray[np.uint8], elapsed_s: float) -> bool:
         """Whether the camera gave the previous image again; a sensor's noise alone makes two images differ."""
-        previous, few = self._previous, slice(None, None, 32)  # of the rows, which tell most images apart
-        is_repeated = previous is not None and all(
-            np.array_equal(color[rows], previous[rows]) for rows in (few, slice(None))
+        previous = self._previous
+        # A few rows already differ in most images.
+        is_repeated = (
+            previous is not None and np.array_equal(color[::32], previous[::32]) and np.array_equal(color, previous)
         )
         self._repeated_s = self._repeated_s + elapsed_s if is_repeated else 0.0
         self._previous = color.copy()

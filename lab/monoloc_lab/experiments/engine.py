@@ -77,7 +77,7 @@ def carry_out(
     with _locked(out):
         results = {task: result for task in ordered if (result := read_result(out, task)) is not None}
         waiting = [task for task in ordered if task not in results]
-        # Those that were done before are not counted: no rate, and so no remaining time, could be told with them.
+        # Those that were done before are not counted: with them, the rate and the remaining time would be wrong.
         before = f" ({len(results)} more were done before)" if results else ""
         with progress.task(f"tasks{before}", len(waiting)) as show:
             if waiting:
