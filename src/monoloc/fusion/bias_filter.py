@@ -33,7 +33,7 @@ from monoloc.particle_filter.motion_model import MotionConfig, few_corners_facto
 # Errors of odometry are correlated for a second or so. Treated as independent from frame to frame, their standard
 # deviations are inflated by this factor.
 _ODOMETRY_INFLATION = 4.0
-_VIEW_INFLATION = 2.6  # of the noise by the shape of the view, as measured over eight steps in a row
+_VIEW_INFLATION = 3.4  # of the noise by the shape of the view, as measured over eight steps in a row
 # Without odometry for longer than this, the biases are forgotten: the motion model's noise is not independent from
 # frame to frame, and the filter would take a steady flight for a bias.
 _MOST_TIME_WITHOUT_ODOMETRY_S = 1.0

@@ -32,8 +32,8 @@ class Motion:
             ``metric``; or ``unknown``, and zero: only the rotation is measured.
         translation_sd_m, rotation_sd_rad: standard deviation per axis; None as the settings state it for visual
             odometry, or for an unknown velocity where the translation is unknown.
-        view_covariance: of the twist in the current camera's frame, (6, 6), by how the view determines it; None
-            where that is not known.
+        view_covariance: which the motion adds to that of the pose, by how the view determines it: of a twist in the
+            current camera's frame, (6, 6); None where that is not known.
     """
 
     T_previous_current: FloatArray

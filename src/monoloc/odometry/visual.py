@@ -70,7 +70,7 @@ class _Tracks:
 
 
 class _Found(NamedTuple):
-    """``T_r_current`` (4, 4), its covariance (6, 6) as :func:`solve_pose` has it, and the corners that agree."""
+    """``T_r_current`` (4, 4), the share of its covariance (6, 6) that this frame adds, and the corners that agree."""
 
     pose: FloatArray
     covariance: FloatArray
@@ -194,7 +194,10 @@ class VisualOdometry:
         if solution is None:
             return None
         T_r_current, covariance, inliers = solution
-        return _Found(T_r_current, covariance, tracks.select(inliers))
+        # Errors are those of the keyframes' corners: they change, and so add up, as corners move, not by the frame.
+        moved_px = np.median(np.linalg.norm(pixels - self._tracks.pixels, axis=1)[tracked])
+        share = min(1.0, float(moved_px) / self.config.keyframe_motion_px)
+        return _Found(T_r_current, share * covariance, tracks.select(inliers))
 
     def _expected_motion(self, R_previous_current: FloatArray | None, elapsed_s: float | None) -> FloatArray:
         """``T_previous_current`` (4, 4) if the camera goes on as before, or turns as another sensor says."""

@@ -27,7 +27,7 @@ STILL = np.eye(4)
 ODOMETRY_SD = np.repeat([0.004, 0.003], 3)
 NOISE_SD = np.repeat([0.01, 0.006], 3)  # of the measured poses, without their biases
 # Of the filter, for errors that are correlated from frame to frame.
-PARTICLE_INFLATION, ODOMETRY_INFLATION, VIEW_INFLATION = 4.0, 4.0, 2.6
+PARTICLE_INFLATION, ODOMETRY_INFLATION, VIEW_INFLATION = 4.0, 4.0, 3.4
 ELAPSED_S = 1.0 / 15.0
 
 

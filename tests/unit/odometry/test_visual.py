@@ -15,7 +15,7 @@ from monoloc.evaluation.trajectory import PoseErrors, pose_errors
 from monoloc.geometry import FloatArray, invert, make_pose, se3_log, so3_exp
 from monoloc.odometry.motion import Motion, tracks_translation
 from monoloc.odometry.visual import VisualOdometry
-from synthetic_room import BLACK, CAMERA, FRAME_S, Room, RoomRecording, make_path
+from synthetic_room import BLACK, CAMERA, FRAME_RATE_HZ, FRAME_S, Room, RoomRecording, make_path
 
 # Measured over the path below with exact depth: median 1.3 mm and 0.025 degrees a frame, largest 5.2 mm and 0.081.
 # A frame moves 3 cm and 1.2 degrees, so what is allowed is far below doing nothing.
@@ -97,6 +97,26 @@ def test_bounds_are_far_below_the_true_motion(recording):
     found = pose_errors(np.tile(np.eye(4), (len(truth), 1, 1)), truth)
     assert np.median(found.position_m) > 5 * MEDIAN_M
     assert np.median(found.rotation_rad) > 5 * MEDIAN_RAD
+
+
+def test_stated_covariance_adds_up_with_the_motion_and_not_with_the_number_of_frames(room: Room) -> None:
+    """At four times the rate, an image moves a quarter as far. A camera that stands still for 2 s hardly drifts."""
+
+    def added(poses: FloatArray) -> float:
+        """Standard deviation of position, m, that the motions add, by images with a noise of 3 grey levels."""
+        rng, seen, odometry = np.random.default_rng(0), RoomRecording(room, poses), VisualOdometry(CAMERA)
+        variance = 0.0
+        for index in range(len(seen)):
+            noisy = np.rint(seen.color(index) + rng.normal(0.0, 3.0, seen.color(index).shape))
+            motion = odometry.step(np.clip(noisy, 0, 255).astype(np.uint8), seen.depth(index), CAMERA)
+            if motion is not None and motion.view_covariance is not None:
+                variance += float(np.trace(motion.view_covariance[:3, :3]))
+        return float(np.sqrt(variance))
+
+    slow, fast = (added(make_path(8 * often, rate_hz=FRAME_RATE_HZ * often)) for often in (4, 1))
+    still = added(np.repeat(make_path(1), 30, axis=0))
+    assert 0.7 * fast < slow < 1.4 * fast  # by the frame, it would be twice as large
+    assert still < 0.3 * fast
 
 
 def test_drift_is_far_below_the_sum_of_the_errors(recording):
