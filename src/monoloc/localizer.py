@@ -352,7 +352,7 @@ class Localizer:
             if self._tracker.fusion.landmarks_contradict and self._index > 0:  # a given start may be rough
                 self._integrity.contradicted_by_landmarks()
             self._integrity.update(log_likelihood, landmarks, familiar)
-            self._camera_check.update(landmark_pose, observation.elapsed_s)
+            self._camera_check.update(landmark_pose, belief.pose, observation.elapsed_s)
         probability_far = self._integrity.probability_far(belief)
         # How many landmarks are found again was measured with the build's focal length.
         comparable = familiar.shown() if familiar is not None and self._camera_check.has_build_focal else None
@@ -368,7 +368,7 @@ class Localizer:
             camera_turned=self._is_turned(observation, belief),
             camera_confirmed=self._camera_check.is_confirmed,
             start_confirmed=self._start_confirmed,
-            changed_region=self._map_change.update(comparable, probability_far, observation.elapsed_s),
+            changed_region=self._map_change.update(comparable, probability_far, belief.pose, observation.elapsed_s),
         )
 
     def _is_turned(self, observation: Observation, belief: Estimate) -> bool:

@@ -10,16 +10,18 @@ import numpy as np
 from monoloc.camera import Camera
 from monoloc.depth.predictor import DepthPrediction
 from monoloc.fusion.bias_model import COMMON_ERROR
+from monoloc.geometry import FloatArray
 from monoloc.landmarks.pnp import LandmarkPose
 from monoloc.particle_filter.estimate import Estimate
+from monoloc.supervision.distinct_views import DistinctViews
 from monoloc.supervision.integrity import MOST_COUNTED_S
 
 WELL_OBSERVED_SD = 0.02
 """Standard deviation of log-focal above which it says nothing: the view is too flat."""
 
 _MOST_COMMON = 4.0  # factor of log-focal's variance by what landmarks have in common: seen with up to 150 of them
-_MEMORY_S = 3.0  # time constant of the mean
-_LEAST_S = 0.5  # of measurements before anything is said
+_MEMORY_S = 3.0  # time constant of the mean, of time that counts
+_LEAST_S = 0.5  # that counts before anything is said: of two views at least
 _MOST_SD = 3.0  # of single frames, since they are correlated, by which the mean may differ from the build's
 _LEAST_LOG_FOCAL = 0.04  # smaller differences move a pose by little more than the covariance states
 # Standard deviations of the log-focal of a camera that is not the build's: before landmarks have confirmed it, and
@@ -58,6 +60,7 @@ class CameraCheck:
 
     def __init__(self, mean: float, sd: float, has_build_focal: bool) -> None:
         self._expected, self._bound = mean, max(_LEAST_LOG_FOCAL, _MOST_SD * sd)
+        self._views, self._left_s = DistinctViews(), 0.0  # that still counts of the present view
         self._sum, self._information, self._measured_s = 0.0, 0.0, 0.0
         self.has_build_focal = has_build_focal
         self._is_confirmed, self._agreed_s = False, 0.0
@@ -77,12 +80,21 @@ class CameraCheck:
     def _difference(self) -> float:
         return abs(self._sum / self._information - self._expected)
 
-    def update(self, pose: LandmarkPose | None, elapsed_s: float) -> None:
-        """Take in a frame's landmark pose."""
+    def update(self, pose: LandmarkPose | None, T_world_camera: FloatArray, elapsed_s: float) -> None:
+        """Take in a frame's landmark pose, and where the camera is believed to be, (4, 4).
+
+        A view counts for a quarter of a second: for as long as the camera hovers there, misplaced landmarks ask for
+        the same wrong focal length.
+        """
         if pose is None or not tells_focal(pose):
             return
-        decay, information = math.exp(-elapsed_s / _MEMORY_S), pose.log_focal_sd**-2
-        counted_s = min(elapsed_s, MOST_COUNTED_S)
+        if self._views.is_new(T_world_camera):
+            self._left_s = MOST_COUNTED_S
+        counted_s = min(elapsed_s, self._left_s)
+        if counted_s == 0.0:
+            return
+        decay, information = math.exp(-counted_s / _MEMORY_S), pose.log_focal_sd**-2
+        self._left_s -= counted_s
         self._measured_s += counted_s
         self._sum = decay * self._sum + information * pose.log_focal
         self._information = decay * self._information + information

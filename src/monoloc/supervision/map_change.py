@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 
 from monoloc.geometry import FloatArray
 from monoloc.landmarks.landmark_map import FamiliarLandmarks, Landmarks
+from monoloc.supervision.distinct_views import DistinctViews
 from monoloc.supervision.integrity import MOST_COUNTED_S, IntegrityModel
 
 _CELL_M = 0.2  # edge of the cells of space; one is tested together with those that touch it
 _OBSERVATION_S = 0.5  # that counts as one observation, since errors of neighbouring frames are correlated
+_VIEW_MEMORY_S = 3.0  # time constant of the mean over images of one view, which is one observation however long it is
 _FIRST_S = 0.05  # for which a first frame counts
 # Evidence that one landmark gives, nats. It is bounded, since what hides a landmark hides it for long: only several
 # missing landmarks show a change.
@@ -88,12 +90,15 @@ class MapChangeMonitor:
         self._cells, cell_of = np.unique(cells, axis=0, return_inverse=True)
         self._cell_of: NDArray[np.int64] = cell_of.reshape(-1)
         self._touching = touching(self._cells)
-        self._nats = np.zeros(len(landmarks))
+        self._views = DistinctViews()
+        # Of each landmark: evidence of earlier views; sum over the present view's images, times the seconds between
+        # them; and these seconds.
+        self._earlier, self._sum, self._seen_s = np.zeros((3, len(landmarks)))
         self._above_s = np.zeros(len(self._cells))
         self._is_changed = np.zeros(len(self._cells), dtype=np.bool_)
 
     def update(
-        self, familiar: FamiliarLandmarks | None, probability_far: float, elapsed_s: float
+        self, familiar: FamiliarLandmarks | None, probability_far: float, pose: FloatArray, elapsed_s: float
     ) -> ChangedRegion | None:
         """The changed region in view after a frame; of several, the one with most evidence.
 
@@ -101,20 +106,34 @@ class MapChangeMonitor:
             familiar: of the landmarks in a frame that gave a pose; None where there is no such pose, or where no view
                 is near.
             probability_far: that the belief's position is far off; an uncertain pose says nothing of the map.
+            pose: of the belief, (4, 4).
             elapsed_s: since the previous frame.
         """
         elapsed_s = elapsed_s if elapsed_s > 0.0 else _FIRST_S
-        self._nats *= math.exp(-elapsed_s / _FORGOTTEN_S)  # also in frames that say nothing
+        for each in (self._earlier, self._sum):
+            each *= math.exp(-elapsed_s / _FORGOTTEN_S)  # also in frames that say nothing
         if familiar is None or not self._tells_changes or probability_far >= _CERTAIN_BELOW:
             return None
         in_view = self._cell_of[familiar.indices]
-        added = self._evidence(in_view, familiar.is_found) * min(1.0, elapsed_s / _OBSERVATION_S)
-        self._nats[familiar.indices] = np.clip(self._nats[familiar.indices] + added, _LEAST_NATS, _MOST_NATS)
-        nats = self._around(self._sums(self._cell_of, self._nats))
+        if self._views.is_new(pose):
+            self._earlier, self._sum, self._seen_s = self._nats(), np.zeros_like(self._sum), np.zeros_like(self._sum)
+        self._observe(familiar.indices, self._evidence(in_view, familiar.is_found), elapsed_s)
+        nats = self._around(self._sums(self._cell_of, self._nats()))
         self._above_s[self._sums(in_view) > 0.0] += min(elapsed_s, MOST_COUNTED_S)
         self._above_s[nats < _CHANGED_NATS] = 0.0
         self._is_changed = (self._above_s >= _LEAST_S) | (self._is_changed & (nats >= _UNCHANGED_NATS))
         return self._region(nats, in_view)
+
+    def _observe(self, indices: NDArray[np.int64], evidence: FloatArray, elapsed_s: float) -> None:
+        """Add what an image says of some landmarks, (F,) each, to what the present view says."""
+        fades = math.exp(-elapsed_s / _VIEW_MEMORY_S)
+        self._sum[indices] = fades * self._sum[indices] + elapsed_s * evidence
+        self._seen_s[indices] = fades * self._seen_s[indices] + elapsed_s
+
+    def _nats(self) -> FloatArray:
+        """Evidence of each landmark, (N,): of earlier views, and the mean over images of the present one."""
+        present = self._sum / np.maximum(self._seen_s, _OBSERVATION_S)
+        return np.clip(self._earlier + present, _LEAST_NATS, _MOST_NATS)
 
     def _evidence(self, cells: NDArray[np.int64], is_found: NDArray[np.bool_]) -> FloatArray:
         """Logarithm of how much more probable it is with a change that a landmark is found, or not, (F,).

@@ -9,6 +9,7 @@ import pytest
 
 from monoloc.camera import Camera
 from monoloc.depth.predictor import DepthPrediction
+from monoloc.geometry import se3_exp
 from monoloc.landmarks.pnp import LandmarkPose
 from monoloc.particle_filter.estimate import Estimate
 from monoloc.supervision.camera_check import WELL_OBSERVED_SD, CameraCheck, has_same_focal
@@ -22,9 +23,10 @@ def by_landmarks(log_focal: float, sd: float = 0.01, count: int = 30) -> Landmar
     return LandmarkPose(np.eye(4), 1e-6 * np.eye(6), np.zeros((count, 3)), log_focal, sd)
 
 
-def after(check: CameraCheck, pose: LandmarkPose | None, frames: int) -> bool:
-    for _ in range(frames):
-        check.update(pose, FRAME_S)
+def after(check: CameraCheck, pose: LandmarkPose | None, frames: int, step_m: float = 0.2) -> bool:
+    """The check after frames that measure the same, by a camera that moves on by ``step_m`` each."""
+    for index in range(frames):
+        check.update(pose, se3_exp([step_m * index, 0.0, 0.0, 0.0, 0.0, 0.0]), FRAME_S)
     return check.mismatch
 
 
@@ -48,8 +50,20 @@ def test_nothing_is_said_before_half_a_second_of_measurements() -> None:
 def test_one_frame_after_a_gap_is_no_second_of_measurements() -> None:
     for log_focal in (0.3, 0.0):
         check = CameraCheck(0.0, 0.01, False)
-        check.update(by_landmarks(log_focal), 5.0)
+        check.update(by_landmarks(log_focal), np.eye(4), 5.0)
         assert not check.mismatch and not check.is_confirmed
+
+
+def test_a_camera_that_hovers_sees_one_view_however_long() -> None:
+    """Misplaced landmarks ask for the same wrong focal length all the time, or confirm one."""
+    check = CameraCheck(0.0, 0.01, False)
+    assert not after(check, by_landmarks(0.3), 300, step_m=0.0003)
+    assert after(check, by_landmarks(0.3), 6)
+    check = CameraCheck(0.0, 0.01, False)
+    assert not after(check, by_landmarks(0.0), 300, step_m=0.0) and not check.is_confirmed
+    after(check, by_landmarks(0.0), 20)
+    assert check.is_confirmed
+    assert not after(check, by_landmarks(0.2), 300, step_m=0.0), "what other views said is not forgotten meanwhile"
 
 
 def test_flat_views_say_nothing() -> None:
@@ -78,8 +92,8 @@ def test_what_was_measured_is_forgotten_within_seconds() -> None:
 def test_better_observed_frames_count_more() -> None:
     check = CameraCheck(0.0, 0.01, True)
     for _ in range(30):
-        check.update(by_landmarks(0.0, 0.002), FRAME_S)
-        check.update(by_landmarks(0.2, 0.02), FRAME_S)
+        after(check, by_landmarks(0.0, 0.002), 2)
+        after(check, by_landmarks(0.2, 0.02), 2)
     assert not check.mismatch
 
 

@@ -56,7 +56,7 @@ class Flight:
                 is_found &= ~np.isin(visible, missing)
             is_shown = np.ones(len(visible), np.bool_)
             familiar = None if self._views is None else self._views.familiar(pose, visible, is_found, is_shown)
-            regions.append(self.monitor.update(familiar, probability_far, 1.0 / rate_hz))
+            regions.append(self.monitor.update(familiar, probability_far, pose, 1.0 / rate_hz))
         return regions
 
 
@@ -98,7 +98,7 @@ def test_unmeasured_rates_views_or_frames_say_nothing() -> None:
     ]
     for flight, given in silent:
         assert set(flight(3.0, RIGHT, **given)) == {None}
-        assert flight.monitor.update(None, 0.0, 0.1) is None
+        assert flight.monitor.update(None, 0.0, np.eye(4), 0.1) is None
 
 
 def test_few_missing_landmarks_are_no_change() -> None:
@@ -106,6 +106,24 @@ def test_few_missing_landmarks_are_no_change() -> None:
     visible = np.arange(2 * EACH + 4)  # the place to the right shows four
     assert set(Flight(room())(60.0, RIGHT[:4], visible=visible)) == {None}
     assert Flight(room())(60.0, RIGHT[:8], visible=np.arange(2 * EACH + 8))[-1] is not None
+
+
+def test_hovering_makes_no_change_of_landmarks_that_are_seldom_found_from_one_view() -> None:
+    """Each image finds a fifth of them. From many views it is a change, from one it is one observation."""
+
+    def named(step_m: float) -> bool:
+        landmarks, rng, found = room(), np.random.default_rng(2), []
+        monitor = MapChangeMonitor(landmarks, MODEL)
+        assert landmarks.views is not None
+        visible = np.arange(2 * EACH + 8)  # the place to the right shows eight
+        for index in range(150):
+            is_found = rng.uniform(size=len(visible)) < np.where(np.isin(visible, RIGHT), 0.2, 0.7)
+            familiar = landmarks.views.familiar(np.eye(4), visible, is_found, np.ones(len(visible), np.bool_))
+            moved = se3_exp([step_m * index, 0.0, 0.0, 0.0, 0.0, 0.0])
+            found.append(monitor.update(familiar, 0.0, moved, 1.0 / 15.0))
+        return any(region is not None for region in found)
+
+    assert named(0.03) and not named(0.0)
 
 
 def test_change_holds_until_its_landmarks_are_found_again() -> None:
