@@ -88,6 +88,14 @@ def test_a_flight_is_where_the_camera_was(here: Path, recording: RoomRecording) 
     assert len(list((here / "log" / "images").iterdir())) == FRAMES
 
 
+def test_a_recorded_flight_is_a_recording(capfd: Capture, here: Path, recording: RoomRecording) -> None:
+    start = ",".join(map(str, [*recording.poses[0, :3, 3], *rotation_to_quaternion(recording.poses[0, :3, :3])]))
+    figures = json_of(capfd, "localize", "room.monoloc", "log", f"--start={start}", "--out", "again.csv")
+    assert figures["states"]["tracking"] >= FRAMES - 1
+    times_s = [row["time_s"] for row in rows_of(here / "again.csv")]
+    assert times_s == [row["time_s"] for row in rows_of(here / "poses.csv")]
+
+
 def test_replay_computes_every_pose_to_the_last_bit(capfd: Capture, here: Path) -> None:
     figures = json_of(capfd, "replay", "log", "--out", "again.csv")
     expected = {"frames": FRAMES, "different_frames": 0, "first_different_frame": None, "same_messages": None}

@@ -33,13 +33,14 @@ from monoloc.flight.writer_thread import WriterThread
 from monoloc.geometry import FloatArray
 from monoloc.io.file_access import read_text
 from monoloc.io.image_files import read_color
+from monoloc.io.recorded_flight import FRAMES, HEADER, IMAGES, image_path
 from monoloc.mavlink.firmware import Firmware
 from monoloc.odometry.motion import Motion
 from monoloc.start import Start
 from monoloc.step_budget import Level
 from monoloc.version import __version__
 
-_HEADER, _FRAMES, _IMAGES, POSES, MESSAGES = "flight.json", "frames.jsonl", "images", "poses.csv", "messages.tlog"
+POSES, MESSAGES = "poses.csv", "messages.tlog"
 _QUEUED = 32  # frames that wait for the disk, before the flight waits for it
 _MOST_WAIT_S = 0.5  # for the disk, before the recording ends: the pose matters more
 _FAST_PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1)
@@ -187,9 +188,9 @@ class FlightRecorder:
     def __init__(self, folder: Path, header: FlightHeader, has_rooms: bool = False) -> None:
         self.folder = folder
         self._make_folder()
-        write_whole(folder / _HEADER, header.model_dump_json(indent=2).encode())
+        write_whole(folder / HEADER, header.model_dump_json(indent=2).encode())
         self._poses = PoseLog(folder / POSES, has_rooms)
-        self._frames = (folder / _FRAMES).open("w", encoding="utf-8")
+        self._frames = (folder / FRAMES).open("w", encoding="utf-8")
         self._count = 0
         self._thread: WriterThread[FlightStep | RecordedIdle] = WriterThread("flight recorder", self._write, _QUEUED)
 
@@ -214,7 +215,7 @@ class FlightRecorder:
         try:
             if self.folder.exists() and any(self.folder.iterdir()):
                 raise DataError(self.folder, "is not empty", "name a new folder for this flight")
-            (self.folder / _IMAGES).mkdir(parents=True)
+            (self.folder / IMAGES).mkdir(parents=True)
         except OSError as error:
             fix = "name a new folder in one you can write to"
             raise DataError(self.folder, f"cannot be made ({error.strerror})", fix) from error
@@ -252,12 +253,7 @@ class FlightRecorder:
             self._frames.flush()
         except OSError as error:
             fix = "make room, or choose another disk"
-            raise DataError(self.folder / _FRAMES, f"cannot be written ({error.strerror})", fix) from error
-
-
-def image_path(folder: Path, index: int) -> Path:
-    """Where a flight keeps the image of its frame ``index``."""
-    return folder / _IMAGES / f"{index:06d}.png"
+            raise DataError(self.folder / FRAMES, f"cannot be written ({error.strerror})", fix) from error
 
 
 def read_header(folder: Path) -> FlightHeader:
@@ -266,9 +262,9 @@ def read_header(folder: Path) -> FlightHeader:
     Raises:
         DataError: it is missing, or not as written.
     """
-    path = folder / _HEADER
+    path = folder / HEADER
     if not path.is_file():
-        raise DataError(folder, f"is no recorded flight (no {_HEADER})", "give a folder of monoloc fly --record")
+        raise DataError(folder, f"is no recorded flight (no {HEADER})", "give a folder of monoloc fly --record")
     try:
         header = FlightHeader.model_validate_json(read_text(path))
         if header.start is not None:
@@ -292,7 +288,7 @@ def read_events(folder: Path, camera: Camera) -> Iterator[tuple[NDArray[np.uint8
     Raises:
         DataError: a file is damaged, there are no lines, or an image has another size.
     """
-    path, index = folder / _FRAMES, 0
+    path, index = folder / FRAMES, 0
     try:
         lines = path.read_bytes().splitlines(keepends=True)
     except OSError as error:

@@ -50,6 +50,7 @@ class ImageRecording:
         cameras: camera of each image, where they differ: images are rendered as ``camera`` sees them.
         scale_sd: see :func:`monoloc.io.recording.scale_sd_of`.
         down_world: see :func:`monoloc.io.recording.recorded_down`.
+        stands_upright: see :func:`monoloc.io.upright.is_upright`.
 
     Raises:
         DataError: the recording has no frames, or its first image is unusable.
@@ -70,6 +71,7 @@ class ImageRecording:
     cameras: list[Camera] | None = None
     scale_sd: float | None = None
     down_world: FloatArray | None = None
+    stands_upright: bool = False
     notes: list[str] = field(default_factory=list)
     has_depth: bool = field(init=False)
 

@@ -19,6 +19,7 @@ from monoloc.io import (
     nyu,
     polycam,
     record3d,
+    recorded_flight,
     rgbd_scenes_v2,
     rosbag,
     rtabmap,
@@ -63,6 +64,7 @@ FORMATS: dict[str, Format] = {
     "colmap": Format(colmap.read, colmap.recognises),
     "rosbag": Format(rosbag.read, rosbag.recognises),
     "nyu": Format(nyu.read, nyu.recognises),
+    "flight": Format(recorded_flight.read, recorded_flight.recognises),
     "video": Format(video.read, video.recognises),
 }
 

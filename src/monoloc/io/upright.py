@@ -70,8 +70,12 @@ def quarter_turns_of(recording: Recording) -> int:
 
 
 def is_upright(recording: Recording) -> bool:
-    """Whether gravity tells that the images stand upright, as they are or as they were turned when they were read."""
-    return _quarter_turns(recording.source if isinstance(recording, Selection) else recording) == 0
+    """Whether the images stand upright, as they are or as they were turned when they were read.
+
+    Gravity tells it, or the format: a flight keeps its images as it turned them.
+    """
+    source = recording.source if isinstance(recording, Selection) else recording
+    return getattr(source, "stands_upright", False) or _quarter_turns(source) == 0
 
 
 def walk_lies_on_side(recording: Recording) -> bool:

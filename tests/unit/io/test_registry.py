@@ -19,7 +19,7 @@ from synthetic_recordings import check_recording
 def test_known_formats() -> None:
     assert list(FORMATS) == [
         *("folder", "nerfstudio", "stray-scanner", "record3d", "polycam", "rtabmap", "tum", "7scenes", "12scenes"),
-        *("rgbd-scenes-v2", "colmap", "rosbag", "nyu", "video"),
+        *("rgbd-scenes-v2", "colmap", "rosbag", "nyu", "flight", "video"),
     ]
 
 
