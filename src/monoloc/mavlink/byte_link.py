@@ -156,6 +156,7 @@ class ByteLink:
             self.counts["sent"] += 1
 
     def _next(self) -> bytes:
+        self._drop_stale()  # this thread itself may have stood still, as on a busy computer
         with self._queueing:
             return self._queue.popleft().data if self._queue else b""
 
