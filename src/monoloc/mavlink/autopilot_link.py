@@ -232,7 +232,7 @@ class AutopilotLink:
             self._take_heartbeat(message, sender, arrived_s)
         elif kind == "TIMESYNC" and message.tc1 == 0:
             self.send(timesync(time.monotonic_ns(), message.ts1))
-        elif self._vehicle in (None, sender):
+        elif self._vehicle == sender:  # before a heartbeat, it could be any vehicle's
             self._take_of_autopilot(kind, message, arrived_s)
 
     def _take_heartbeat(self, message: Any, sender: tuple[int, int], arrived_s: float) -> None:

@@ -108,10 +108,11 @@ def test_timesync_is_answered_with_the_clock_of_the_images(peer: Peer, link: Aut
 
 def test_attitude_is_that_of_the_time_of_capture(peer: Peer, link: AutopilotLink) -> None:
     """By the autopilot's stamps, whose zero is another. A message that comes faster than any before moves it."""
+    peer.beat()
     for index in range(10):
         peer.mav.attitude_send(5000 + 20 * index, 0.01 * index, -0.02, 0.5, 0, 0, 0)
         time.sleep(0.02)
-    eventually(lambda: link.counts["received"] >= 10)
+    eventually(lambda: link.counts["received"] > 10)
     assert link.attitude_hz == pytest.approx(50.0, rel=0.05)  # by the stamps
     newest = newest_attitude(link)
     assert newest.roll_rad == pytest.approx(0.09) and newest.pitch_rad == pytest.approx(-0.02)
@@ -125,21 +126,23 @@ def test_attitude_is_that_of_the_time_of_capture(peer: Peer, link: AutopilotLink
 
 
 def test_attitude_between_two_headings_does_not_go_round(peer: Peer, link: AutopilotLink) -> None:
+    peer.beat()
     times_s = []
     for index, yaw_rad in enumerate((3.1, -3.1)):
         peer.mav.attitude_send(5000 + 100 * index, 0.0, 0.0, yaw_rad, 0, 0, 0)
         time.sleep(0.1)
-        eventually(lambda: link.counts["received"] > len(times_s))
+        eventually(lambda: link.counts["received"] > 1 + len(times_s))
         times_s.append(newest_attitude(link).time_s)
     between = link.attitude_at(float(np.mean(times_s)))  # a faster message moves the clocks by microseconds
     assert between is not None and abs(between.yaw_rad) == pytest.approx(np.pi, abs=1e-6)
 
 
 def test_attitude_across_a_dropout_is_not_made_up(peer: Peer, link: AutopilotLink) -> None:
+    peer.beat()
     for index in range(2):
         peer.mav.attitude_send(5000 + 300 * index, 0.1 * index, 0.0, 0.0, 0, 0, 0)
         time.sleep(0.3)
-    eventually(lambda: link.counts["received"] >= 2)
+    eventually(lambda: link.counts["received"] > 2)
     newest = newest_attitude(link)
     assert link.attitude_at(newest.time_s - 0.15) is None
     assert link.attitude_at(newest.time_s - 0.01) == newest
@@ -151,10 +154,11 @@ def test_turn_is_that_of_the_camera_between_two_times_of_capture(peer: Peer) -> 
     made = AutopilotLink(f"udpout:127.0.0.1:{peer.port}", R_body_camera=Mount().T_body_camera[:3, :3])
     with closing(made):
         peer.wait_for("HEARTBEAT")
+        peer.beat()
         for index in range(10):
             peer.mav.attitude_send(5000 + 20 * index, 0.3, -0.2, 3.1 + 0.01 * index, 0, 0, 0)
             time.sleep(0.02)
-        eventually(lambda: made.counts["received"] >= 10)
+        eventually(lambda: made.counts["received"] > 10)
         newest = newest_attitude(made)
         turn = made.turn_between(newest.time_s - 0.11, newest.time_s - 0.01)
         assert turn is not None and turn.translation == "unknown"
@@ -226,6 +230,19 @@ def test_attitude_that_is_no_number_or_of_another_is_ignored(peer: Peer, link: A
     peer.mav.attitude_send(5000, 0.5, 0.0, 0.0, 0, 0, 0)
     eventually(lambda: link.counts["received"] >= received + 2)
     assert link.attitude_at(time.monotonic()) is None
+
+
+def test_nothing_of_a_vehicle_is_believed_before_an_autopilot_is_heard(peer: Peer, link: AutopilotLink) -> None:
+    """It may be another's, whose attitude would turn this one's gravity."""
+    peer.mav.srcSystem = 8
+    received = link.counts["received"]
+    peer.mav.attitude_send(5000, 0.5, 0.0, 0.0, 0, 0, 0)
+    peer.mav.param_value_send(b"EKF2_EV_CTRL", 11.0, 9, 1, 0)
+    eventually(lambda: link.counts["received"] >= received + 2)
+    peer.mav.srcSystem = 7
+    peer.beat()
+    eventually(lambda: link.is_alive)
+    assert link.attitude_at(time.monotonic()) is None and not link.parameters
 
 
 def test_another_vehicle_on_the_network_is_not_listened_to(
