@@ -21,6 +21,8 @@ _OBSTACLES_HZ = 10.0
 _MOST_SPEED_M_S, _JUMP_M = 4.0, 0.2  # a pose that moved or turned farther than a vehicle can, has jumped
 _MOST_TURN_RAD_S, _JUMP_RAD = 3.0, 0.15
 _NO_IMAGE_S = 0.5
+_NO_IMAGE = "monoloc: no image in time from the camera"
+_NOT_YET = "monoloc: waits for a first image, or a marker"  # which of both, frames that are dropped do not tell here
 # Without a pose that is young enough, after which that is said: PX4 stops using vision then.
 _LATE_S, _TOO_LATE = 0.4, "poses come too late"
 _TEXT_S = 1.0  # between texts on the same state: one that flickers must not fill the pilot's screen
@@ -63,6 +65,7 @@ class PoseSender:
         self._watch = watch
         self._obstacles_s = float("-inf")
         self._said: tuple[str, float] = ("", float("-inf"))
+        self._began_s: float | None = None  # to wait for a first frame
         self._frame_s: float | None = None
         self._in_time_s: float | None = None  # when a result was last young enough to be sent
 
@@ -88,8 +91,9 @@ class PoseSender:
         self._send_obstacles(result)
 
     def idle(self, now_s: float) -> None:
-        if self._frame_s is not None and now_s - self._frame_s > _NO_IMAGE_S:
-            self._say("monoloc: no image in time from the camera", True, now_s)
+        self._began_s = now_s if self._began_s is None else self._began_s
+        if now_s - (self._began_s if self._frame_s is None else self._frame_s) > _NO_IMAGE_S:
+            self._say(_NOT_YET if self._frame_s is None else _NO_IMAGE, True, now_s)
 
     def close(self) -> None:
         """Nothing is held."""

@@ -205,6 +205,16 @@ def test_pilot_hears_that_the_camera_gives_no_image() -> None:
     assert texts == ["monoloc: tracking", "monoloc: no image in time from the camera"]
 
 
+def test_pilot_hears_that_a_first_image_is_missing() -> None:
+    """As after a restart in flight, with a camera that can be opened and hangs."""
+    flight, wire = sender()
+    for index in range(30):
+        flight.idle(100.0 + 0.1 * index)
+    flight.take(result_at(104.0, step_at(at(0.0))))
+    texts = [message.text for message in wire.of("STATUSTEXT")]
+    assert texts == ["monoloc: waits for a first image, or a marker", "monoloc: tracking"]
+
+
 def test_pilot_hears_that_a_room_cannot_be_entered() -> None:
     flight, wire = sender()
     step = step_at(at(0.0))
