@@ -57,7 +57,9 @@ class LinkWatch:
         if is_alive:
             self._say(now_s, f"autopilot: heard, system {self._link.system}")
         else:
-            self._say(now_s, "autopilot: no heartbeat")
+            is_noise = self._was_alive is None and self._link.counts["damaged"] > 0
+            why = ", but bytes that are no MAVLink: check the baud rate" if is_noise else ""
+            self._say(now_s, f"autopilot: no heartbeat{why}")
         self._was_alive = is_alive
 
     def _look_at_mount(self, now_s: float) -> None:

@@ -49,6 +49,7 @@ class LinkReport:
         settings: of the flight.
         bytes_a_second: that a serial port takes; None of another one.
         mount: by its attitude; None where that was not compared.
+        damaged: number of frames and bytes that came and are no messages.
     """
 
     firmware: Firmware
@@ -60,6 +61,7 @@ class LinkReport:
     settings: FlightSettings
     bytes_a_second: float | None = None
     mount: MountErrors | None = None
+    damaged: int = 0
 
 
 class Preflight:
@@ -232,7 +234,7 @@ def _of_timing(summary: FlightSummary, most_age_s: float, firmware: Firmware | N
 
 def _of_link(link: LinkReport) -> Iterator[Finding]:
     if not link.is_alive:
-        yield Finding("autopilot", "bad", "no heartbeat", "check address, cable and the port's protocol")
+        yield _of_silence(link)
         return
     if link.heard is not None and (problem := link.firmware.contradiction(link.heard)):
         yield Finding("autopilot", "bad", problem, f"set firmware to {link.heard.value}")
@@ -258,6 +260,13 @@ def _of_link(link: LinkReport) -> Iterator[Finding]:
             yield Finding(
                 rule.name, rule.level, f"{link.parameters[rule.name]:g}", f"set it to {rule.value:g}: {rule.why}"
             )
+
+
+def _of_silence(link: LinkReport) -> Finding:
+    if link.damaged:
+        remark = "set the port's baud rate on both sides, and its protocol to MAVLink"
+        return Finding("autopilot", "bad", "no heartbeat, but bytes that are no MAVLink", remark)
+    return Finding("autopilot", "bad", "no heartbeat", "check address, cable and the port's protocol")
 
 
 def _of_sending(link: LinkReport, rate_hz: float | None) -> Iterator[Finding]:

@@ -213,6 +213,13 @@ def test_slow_source_and_slow_computer_are_told_apart(late: int, firmware: Firmw
     assert (rate.level, rate.remark) == ("warning", fix)
 
 
+def test_noise_in_place_of_an_autopilot_is_said_to_be_the_baud_rates() -> None:
+    silent, noisy = (replace(HEARD, is_alive=False, damaged=damaged) for damaged in (0, 40))
+    assert findings_of(good_step(), link=silent)["autopilot"].value == "no heartbeat"
+    found = findings_of(good_step(), link=noisy)["autopilot"]
+    assert found.value == "no heartbeat, but bytes that are no MAVLink" and "baud rate" in found.remark
+
+
 @pytest.mark.parametrize(("link", "level"), [(None, "warning"), (HEARD, "bad")])
 def test_camera_that_went_away_is_named_whatever_its_rate_was(link: LinkReport | None, level: Level) -> None:
     preflight, summary = Preflight(BUILD, True, 0.0, True, 0.0, 0.2), FlightSummary()
