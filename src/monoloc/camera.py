@@ -31,7 +31,8 @@ class Camera:
         fx, fy: focal lengths, pixels: the magnification at the principal point, whatever the distortion model.
         cx, cy: principal point, pixels, pixel centres at integers.
         distortion: coefficients in OpenCV's order (:data:`monoloc.distortion.COEFFICIENTS`). *brown* has five, of
-            which k3 may be left out, *rational* eight and *fisheye* four; none given are all zero.
+            which k3 may be left out, *rational* eight and *fisheye* four; none given are all zero. The row or column
+            that OpenCV's calibration returns is taken as well.
         distortion_model: model of the coefficients. Five zeros of *brown* are a pinhole.
         is_window: whether the image is part of a larger one, so that the principal point may be outside. Elsewhere it
             is inside, or the intrinsics belong to another image size.
@@ -81,7 +82,7 @@ class Camera:
         if self.distortion_model not in MODELS:
             problem = f"is {self.distortion_model!r}"
             raise SettingError("camera.distortion_model", problem, f"choose from {', '.join(MODELS)}")
-        names, given = COEFFICIENTS[self.distortion_model], tuple(float(value) for value in self.distortion)
+        names, given = COEFFICIENTS[self.distortion_model], tuple(map(float, np.ravel(self.distortion)))
         whole = given
         if not given or (self.distortion_model == "brown" and len(given) == 4):
             whole = given + (0.0,) * (len(names) - len(given))

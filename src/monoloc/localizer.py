@@ -57,7 +57,7 @@ class Localizer:
     Raises:
         DataError: the bundle's network does not take the camera's images.
         ValueError: no start is given, and neither scans nor landmarks can find the camera in this room.
-        TypeError: the start is no :class:`monoloc.start.Start`, but a pose for example.
+        TypeError: an argument is of another type: the start a pose for example, or the settings a dict.
     """
 
     def __init__(
@@ -71,6 +71,13 @@ class Localizer:
     ) -> None:
         if not isinstance(bundle, Bundle):  # a path, for which the error would come from deep inside
             raise TypeError(f"bundle must be a bundle, as monoloc.load(PATH) gives it, got {type(bundle).__name__}")
+        if not isinstance(camera, Camera):
+            raise TypeError(f"camera must be a monoloc.Camera, got {type(camera).__name__}")
+        if config is not None and not isinstance(config, LocalizerConfig):
+            raise TypeError(
+                f"config must be settings of a localizer or None, got {type(config).__name__}; "
+                "write monoloc.config.override(bundle.settings, NAME=VALUE)"
+            )
         bundle, self._config = leave_out(bundle, config or bundle.settings)
         self._bundle, self._camera = bundle, camera
         self._rng = np.random.default_rng(seed)

@@ -271,6 +271,13 @@ def test_impossible_intrinsics_are_refused(change, field):
         Camera(**(intrinsics | change))
 
 
+@pytest.mark.parametrize("shape", [(5,), (1, 5), (5, 1)])
+def test_distortion_is_taken_as_opencv_returns_it(shape):
+    coefficients = (0.1, -0.2, 0.0, 0.001, 0.05)
+    camera = Camera(640, 480, 500.0, 500.0, 320.0, 240.0, np.reshape(coefficients, shape))
+    assert camera.distortion == coefficients and all(type(value) is float for value in camera.distortion)
+
+
 @given(st.floats(0.02, 2.0), st.floats(0.1, 0.9))
 def test_distortion_that_folds_the_image_is_refused(bend, share):
     """Radius r becomes r - bend r^3, which grows up to r = (3 bend)^-1/2, where it is two thirds of that."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import weakref
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -99,6 +99,14 @@ def test_path_in_place_of_a_bundle_is_refused(path: Any) -> None:
         TypeError, match=r"^bundle must be a bundle, as monoloc\.load\(PATH\) gives it, got (str|Posix)"
     ):
         Localizer(path, CAMERA)
+
+
+def test_numbers_in_place_of_a_camera_and_a_dict_of_settings_are_refused() -> None:
+    bundle, numbers, settings = Bundle.__new__(Bundle), (640, 480, 525.0, 525.0, 319.5, 239.5), {"particles": 100}
+    with pytest.raises(TypeError, match=r"^camera must be a monoloc\.Camera, got tuple$"):
+        Localizer(bundle, cast(Any, numbers))
+    with pytest.raises(TypeError, match=r"^config must be settings .*, got dict; write monoloc\.config\.override"):
+        Localizer(bundle, CAMERA, config=cast(Any, settings))
 
 
 def test_same_seed_gives_the_same_trajectory_and_another_seed_another(
