@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from altered_recordings import POSES, Altered, judged, range_of, refusal, upside_down, with_focal
+from altered_recordings import POSES, Altered, Image, judged, range_of, refusal, upside_down, with_focal
 from monoloc.cli.pose_warning import warn_of_poses
 from monoloc.io.corrected import Fixes, corrected
 from monoloc.io.recording import Recording, Selection
@@ -115,6 +116,24 @@ def test_range_is_named(room: tuple[Recording, Matches]) -> None:
     check = check_depth(Altered(room[0], depth=range_of(room[0])))
     assert check.problem is not None and check.problem.startswith("depth is distance from the camera instead of z")
     assert check.remedy == "give --fix-depth range"
+
+
+def test_depth_of_one_view_is_not_doubted(data_root: Path) -> None:
+    """The edges of one view fit those of its image by chance; these were refused as 0.94 times as wide."""
+    assert check_depth(opened(data_root, DESK, "0:15")).problem is None
+
+
+@pytest.mark.parametrize(
+    ("depth", "misfit"),
+    [
+        (lambda depth: depth[:, ::-1], "mirrored"),
+        (lambda depth: np.pad(depth, ((0, 0), (30, 0)))[:, :-30], "moved by (-28, -6) pixels"),
+    ],
+    ids=["mirrored", "shifted"],
+)
+def test_depth_that_is_moved_is_not_registered(data_root: Path, depth: Callable[[Image], Image], misfit: str) -> None:
+    check = check_depth(Altered(opened(data_root, DESK, "::"), depth=depth))
+    assert check.misfit == misfit
 
 
 def test_unregistered_depth_is_named_and_fixed(data_root: Path, tmp_path: Path) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
-from altered_recordings import Altered, range_of
+from altered_recordings import Altered, Image, range_of
 from monoloc.errors import DataError
 from monoloc.geometry import invert
 from monoloc.io.corrected import Fixes, corrected
@@ -76,7 +77,7 @@ def test_depth_that_was_computed_from_the_images_is_not_compared_with_them(right
     computed.scale_sd = 0.02
     check = check_depth(computed)
     assert check.problem is None and check.coverage == 1.0
-    assert (check.flatness, check.edges, check.zoom, check.fix) == (None, None, None, None)
+    assert (check.flatness, check.edges, check.misfit, check.fix) == (None, None, None, None)
 
 
 @pytest.mark.slow
@@ -91,6 +92,28 @@ def test_depth_of_another_camera_is_not_registered(focal: float) -> None:
     assert check.zoom == pytest.approx(1.0 / focal, rel=0.025)
     with pytest.raises(DataError, match=rf"^walk: depth is not registered to .*: its edges fit {check.zoom:.2f} "):
         require_registered_z("walk", check)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("depth", "misfit", "remedy"),
+    [
+        (lambda depth: depth[:, ::-1], "mirrored", "store depth and colour images the same way around"),
+        (lambda depth: depth[::-1], "mirrored top to bottom", "store depth and colour images the same way around"),
+        (
+            lambda depth: np.pad(depth, ((0, 0), (12, 0)))[:, :-12],
+            r"moved by \(-1[1-3], [-0-9]+\) pixels",
+            "align depth to .*",
+        ),
+    ],
+    ids=["mirrored", "flipped", "shifted"],
+)
+def test_depth_that_is_moved_against_the_images_is_not_registered(
+    depth: Callable[[Image], Image], misfit: str, remedy: str
+) -> None:
+    living = select_frames(open_recording(str(BUILD)), "::3")
+    with pytest.raises(DataError, match=rf"^walk: depth is not registered to .*: its edges fit {misfit}; {remedy}$"):
+        require_registered_z("walk", check_depth(Altered(living, depth=depth)))
 
 
 def test_edges_are_those_of_what_is_in_front_also_beside_narrow_holes() -> None:
