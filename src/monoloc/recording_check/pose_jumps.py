@@ -16,10 +16,10 @@ from monoloc.recording_check.correspondences import match_neighbours
 from monoloc.recording_check.evidence import Evidence
 
 _MOST = 10  # steps that are compared with the images, the largest first
-_LEAST_STEP = 0.25  # metres plus radians, from one frame to the next
+_LEAST_STEP = 0.12  # metres plus radians, from one frame to the next
 # Error of the corners by the poses, share of the image's width, where their own motion explains them. In RedKitchen
-# and at the desk, the largest steps gave up to 0.025; a jump into a world 1 m and 40 degrees away 0.3 and more.
-_CONTRADICTED, _EXPLAINED_PX = 0.1, 2.0
+# and at the desk, steps gave up to 0.025; a jump by 20 cm 0.06 to 0.36, one by 1 m and 40 degrees 0.3 and more.
+_CONTRADICTED, _EXPLAINED_PX = 0.05, 2.0
 
 
 @dataclass(frozen=True)

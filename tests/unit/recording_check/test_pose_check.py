@@ -64,14 +64,15 @@ def test_one_pose_for_all_frames_is_refused(room: tuple[Recording, Matches]) -> 
     assert "motions correlate by 0.00" in line and "check the poses' convention" in line
 
 
+@pytest.mark.parametrize(("turn_rad", "offset_m"), [(0.7, (0.8, 0.0, 0.5)), (0.0, (0.2, 0.0, 0.0))])
 def test_poses_that_go_on_in_another_world_give_a_warning_that_names_the_frame(
-    room: tuple[Recording, Matches],
+    room: tuple[Recording, Matches], turn_rad: float, offset_m: tuple[float, float, float]
 ) -> None:
     """As where tracking was lost; between all other frames, these poses agree with the images."""
     recording, _ = room
     assert recording.poses is not None
     poses = recording.poses.copy()
-    poses[30:] = make_pose(so3_exp(np.array([0.0, 0.7, 0.0])), np.array([0.8, 0.0, 0.5])) @ poses[30:]
+    poses[30:] = make_pose(so3_exp(np.array([0.0, turn_rad, 0.0])), np.array(offset_m)) @ poses[30:]
     wrong = Altered(recording, poses=poses)
     for frames in (range(60), range(0, 60, 3)):
         check = check_poses(Selection(wrong, frames))
