@@ -23,6 +23,7 @@ from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress, Progress
 from monoloc.recording_check.depth_check import check_depth, require_registered_z
 from monoloc.recording_check.pose_check import REFINE, check_poses, require_agreement
+from monoloc.recording_check.repeated_images import LEAVE_OUT, find_repeats
 from monoloc.recording_check.time_stamps import check_times, require_seconds
 
 _FRAMES, _POINTS = 20, 300  # checked: enough for a mean, within seconds
@@ -104,6 +105,9 @@ def check_recording(
         if recording.has_depth:
             require_registered_z(recording.name, check_depth(recording))
         step(3)
+    repeats = find_repeats(recording)
+    if repeats is not None:
+        warnings.append(f"{repeats}; {LEAVE_OUT}")
     if walk_lies_on_side(recording):
         warnings.append(f"{ON_THEIR_SIDE}; {STAND_UPRIGHT}")
     return warnings

@@ -21,6 +21,7 @@ from monoloc.recording_check.image_quality import BLURRED, TOO_DARK, ImageQualit
 from monoloc.recording_check.map_agreement import LEAST_FOUND, MapAgreement, compare_with_map
 from monoloc.recording_check.motion_coverage import MotionCoverage, cover
 from monoloc.recording_check.pose_check import PoseCheck, judge
+from monoloc.recording_check.repeated_images import LEAVE_OUT, find_repeats
 from monoloc.recording_check.time_stamps import TimeCheck, check_times
 
 Level = Literal["good", "warning", "bad"]
@@ -129,6 +130,7 @@ def inspect_recording(
         *image_findings(images, "move more slowly, or expose for a shorter time", "record in more light"),
         *(_of_motion(motion) if motion is not None else ()),
         *_of_upright(recording),
+        *_of_repeats(recording),
         *(_of_depth(depth, is_explained, scale_sd_of(recording) is not None) if depth is not None else ()),
         *(_of_poses(poses) if poses is not None else _without_poses(recording, bundle)),
         *(_of_focal(focal, recording.camera) if focal is not None else ()),
@@ -198,6 +200,13 @@ def _of_upright(recording: Recording) -> Iterator[Finding]:
     """A warning where the motion tells that images lie on their side."""
     if walk_lies_on_side(recording):
         yield Finding("upright", "warning", ON_THEIR_SIDE, STAND_UPRIGHT)
+
+
+def _of_repeats(recording: Recording) -> Iterator[Finding]:
+    """A warning where images repeat although the poses move."""
+    found = find_repeats(recording)
+    if found is not None:
+        yield Finding("images", "warning", found, LEAVE_OUT)
 
 
 def _of_depth(depth: DepthCheck, is_explained: bool, is_from_images: bool) -> Iterator[Finding]:
