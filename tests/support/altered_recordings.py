@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from monoloc.camera import Camera
 from monoloc.errors import DataError
-from monoloc.geometry import FloatArray, invert, make_pose, quaternion_to_rotation, rotation_to_quaternion
+from monoloc.geometry import FloatArray, invert, make_pose, quaternion_to_rotation, rotation_to_quaternion, so3_exp
 from monoloc.io.recording import Recording
 from monoloc.recording_check.correspondences import Matches
 from monoloc.recording_check.evidence import Evidence
@@ -76,6 +76,14 @@ def scaled(poses: FloatArray, factor: float) -> FloatArray:
 def late(poses: FloatArray, frames: int) -> FloatArray:
     """Each frame has the pose of so many frames before it."""
     return poses[np.clip(np.arange(len(poses)) - frames, 0, len(poses) - 1)]
+
+
+def turning_path(count: int) -> FloatArray:
+    """Poses that move and turn about all axes, so that no two conventions agree."""
+    t = np.arange(count) / 15.0
+    positions = np.stack([1.2 * np.sin(0.8 * t), 0.5 * np.sin(1.1 * t), 0.8 * np.cos(0.9 * t) - 0.6], axis=1)
+    turns = np.stack([0.2 * np.sin(1.9 * t), 0.4 * np.sin(1.3 * t + 0.3), 0.3 * np.sin(2.3 * t)], axis=1)
+    return make_pose(so3_exp(turns), positions)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,9 @@ from monoloc.map.depth_rendering import map_depth, supervision
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress, Progress
 from monoloc.recording_check.depth_check import check_depth, require_registered_z
-from monoloc.recording_check.pose_check import REFINE, check_poses, require_agreement
+from monoloc.recording_check.evidence import gather_evidence
+from monoloc.recording_check.lens_check import intrinsics_warnings
+from monoloc.recording_check.pose_check import REFINE, judge, require_agreement
 from monoloc.recording_check.repeated_images import LEAVE_OUT, find_repeats
 from monoloc.recording_check.time_stamps import check_times, require_seconds
 
@@ -97,10 +99,12 @@ def check_recording(
     with progress.task("check", 3) as step:
         warnings = require_seconds(recording.name, check_times(recording))
         thin = None if cloud is None else voxel_thin(cloud, config.voxel_m)
-        check = check_poses(recording, thin)
+        evidence = gather_evidence(recording, thin)
+        check = judge(evidence)
         step(1)
         # A wrong focal length or convention also bends planes and shifts edges: poses have the first word.
         warnings += require_agreement(recording.name, check, config.refine_poses, if_poor)
+        warnings += intrinsics_warnings(evidence if check.verdict == "agree" else None, recording.camera)
         step(2)
         if recording.has_depth:
             require_registered_z(recording.name, check_depth(recording))

@@ -16,8 +16,8 @@ from monoloc.io.upright import ON_THEIR_SIDE, STAND_UPRIGHT, walk_lies_on_side
 from monoloc.progress import NoProgress, Progress
 from monoloc.recording_check.depth_check import DepthCheck, check_depth
 from monoloc.recording_check.evidence import Evidence, gather_evidence
-from monoloc.recording_check.factors import Factor, fit_focal
 from monoloc.recording_check.image_quality import BLURRED, TOO_DARK, ImageQuality, measure_images
+from monoloc.recording_check.lens_check import FOCAL_ERROR, FOCAL_SDS, camera_doubts, check_focal
 from monoloc.recording_check.map_agreement import LEAST_FOUND, MapAgreement, compare_with_map
 from monoloc.recording_check.motion_coverage import MotionCoverage, cover
 from monoloc.recording_check.pose_check import PoseCheck, judge
@@ -32,8 +32,6 @@ _BLURRED_SHARE = 0.2  # of the images
 _MUCH_DARKER, _MUCH_BRIGHTER, _USUAL_SDS = 0.15, 1.6, 2.0
 _CLIPPED_SHARE = 0.25  # of the pixels that are black, or saturated
 _LEAST_COVERAGE = 0.3  # of the pixels with depth
-_FOCAL_ERROR, _FOCAL_SDS = 0.04, 3.0  # relative error that moves a pose, and how certain it must be
-_OFF_CENTRE = 0.1  # of the image's side; the benchmarks' cameras are within 4 %
 _LEAST_FOUND_SHARE = 0.3  # of the frames, in which landmarks of the map are found
 _SAME_WORLD_M, _SAME_WORLD_RAD = 0.1, np.deg2rad(3.0)
 _BY_IMAGES = "monoloc build finds them from the images (extra sfm): give it --scale; localising needs none"
@@ -119,7 +117,7 @@ def inspect_recording(
             evidence = gather_evidence(recording, cloud)
             poses = judge(evidence)
             step(3)
-            focal = fit_focal(evidence) if poses.verdict == "agree" else None
+            focal = check_focal(evidence) if poses.verdict == "agree" else None
         step(4)
         agreement = None if bundle is None else compare_with_map(bundle, recording)
         step(5)
@@ -133,8 +131,8 @@ def inspect_recording(
         *_of_repeats(recording),
         *(_of_depth(depth, is_explained, scale_sd_of(recording) is not None) if depth is not None else ()),
         *(_of_poses(poses) if poses is not None else _without_poses(recording, bundle)),
-        *(_of_focal(focal, recording.camera) if focal is not None else ()),
-        *_of_principal_point(recording.camera),
+        *(_of_focal(*focal) if focal is not None else ()),
+        *(Finding(name, "warning", value, remark) for name, value, remark in camera_doubts(recording.camera)),
     ]
     if agreement is not None and bundle is not None:
         findings += light_findings(images, bundle.provenance.brightness)
@@ -250,24 +248,8 @@ def _of_poses(poses: PoseCheck) -> Iterator[Finding]:
     yield Finding("poses", level, value, f"{why}; {poses.fix}")
 
 
-def _of_focal(focal: Factor, camera: Camera) -> Iterator[Finding]:
-    is_wrong = abs(focal.log_value) > max(_FOCAL_ERROR, _FOCAL_SDS * focal.log_sd)
-    value = f"{focal.value:.3f} ± {focal.log_sd:.3f} of the stated {camera.focal_px:.0f} px"
-    remark = "calibrate the camera, or check that the intrinsics are of this image size" if is_wrong else ""
-    yield Finding("focal length", "warning" if is_wrong else "good", value, remark)
-
-
-def _of_principal_point(camera: Camera) -> Iterator[Finding]:
-    """A warning where it is far from the image's centre; corners tell that less clearly than a wrong focal length."""
-    off_x = abs(camera.cx - 0.5 * (camera.width - 1)) / camera.width
-    off_y = abs(camera.cy - 0.5 * (camera.height - 1)) / camera.height
-    if camera.is_window or max(off_x, off_y) <= _OFF_CENTRE:
-        return
-    value = f"({camera.cx:.0f}, {camera.cy:.0f}) in images of {camera.width}x{camera.height}"
-    remark = (
-        "far from the centre; check that cx and cy are of this image size and in this order, or calibrate the camera"
-    )
-    yield Finding("principal point", "warning", value, remark)
+def _of_focal(value: str, remark: str) -> Iterator[Finding]:
+    yield Finding("focal length", "warning" if remark else "good", value, remark)
 
 
 def _of_landmarks(agreement: MapAgreement) -> Finding:
@@ -282,13 +264,13 @@ def _of_camera(agreement: MapAgreement, camera: Camera, built: Camera) -> Findin
     value = f"{camera.width}x{camera.height}, f {camera.focal_px:.0f} px"
     build = f"the build's is {built.width}x{built.height}, f {built.focal_px:.0f} px"
     if agreement.focal is not None and agreement.focal_log_sd is not None:
-        certain = max(_FOCAL_ERROR, _FOCAL_SDS * agreement.focal_log_sd)
+        certain = max(FOCAL_ERROR, FOCAL_SDS * agreement.focal_log_sd)
         if abs(np.log(agreement.focal)) > certain:
             remark = f"landmarks fit {agreement.focal:.2f} times the stated focal length; correct --camera"
             return Finding("camera", "bad", value, remark)
     if (camera.width, camera.height) != (built.width, built.height):
         return Finding("camera", "good", value, build)
-    if abs(np.log(camera.focal_px / built.focal_px)) > _FOCAL_ERROR:
+    if abs(np.log(camera.focal_px / built.focal_px)) > FOCAL_ERROR:
         return Finding("camera", "warning", value, f"{build}; for the same camera, give the same intrinsics")
     return Finding("camera", "good", value, "" if value in build else build)
 

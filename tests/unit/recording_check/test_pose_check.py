@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from altered_recordings import POSES, Altered, judged, late, range_of, refusal, upside_down, with_focal
+from altered_recordings import POSES, Altered, judged, late, range_of, refusal, turning_path, upside_down, with_focal
 from monoloc.camera import Camera
 from monoloc.errors import DataError
-from monoloc.geometry import FloatArray, make_pose, se3_exp, so3_exp
+from monoloc.geometry import make_pose, se3_exp, so3_exp
 from monoloc.io.corrected import Fixes, corrected
 from monoloc.io.pose_fixes import parse_pose_fixes
 from monoloc.io.recording import Recording, Selection
@@ -22,14 +22,6 @@ from monoloc.recording_check.inspection import inspect_recording
 from monoloc.recording_check.pose_check import check_poses, require_agreement
 from monoloc_lab.rooms import BUILD, TESTS
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording, make_path
-
-
-def turning_path(count: int) -> FloatArray:
-    """Poses that move and turn about all axes, so that no two conventions agree."""
-    t = np.arange(count) / 15.0
-    positions = np.stack([1.2 * np.sin(0.8 * t), 0.5 * np.sin(1.1 * t), 0.8 * np.cos(0.9 * t) - 0.6], axis=1)
-    turns = np.stack([0.2 * np.sin(1.9 * t), 0.4 * np.sin(1.3 * t + 0.3), 0.3 * np.sin(2.3 * t)], axis=1)
-    return make_pose(so3_exp(turns), positions)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,69 @@
+"""A wrong focal length is told by the corners, with a wrong scale of depth where it explains as much."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from altered_recordings import Altered, turning_path, with_focal
+from monoloc.builder.build_config import BuildConfig
+from monoloc.builder.checks import check_recording
+from monoloc.camera import Camera
+from monoloc.io.recording import Recording, Selection
+from monoloc.recording_check.correspondences import Matches, match_corners
+from monoloc.recording_check.evidence import Evidence
+from monoloc.recording_check.lens_check import camera_doubts, check_focal, intrinsics_warnings
+from synthetic_room import SMALL_CAMERA, Room, RoomRecording
+
+CALIBRATE = "calibrate the camera, or check that the intrinsics are of this image size"
+
+
+@pytest.fixture(scope="module")
+def room() -> tuple[Recording, Matches]:
+    recording = RoomRecording(Room(), turning_path(60), SMALL_CAMERA)
+    return recording, match_corners(recording)
+
+
+def test_right_intrinsics_are_not_doubted(room: tuple[Recording, Matches]) -> None:
+    recording, matches = room
+    assert list(intrinsics_warnings(Evidence(recording, matches, None), recording.camera)) == []
+
+
+def test_a_wrong_focal_length_is_told_from_a_wrong_scale(room: tuple[Recording, Matches]) -> None:
+    recording, matches = room
+    camera = with_focal(recording.camera, 1.1)
+    evidence = Evidence(
+        Altered(recording, camera=camera), replace(matches, camera=with_focal(matches.camera, 1.1)), None
+    )
+    value, remark = check_focal(evidence)
+    found = re.fullmatch(rf"([\d.]+) ± [\d.]+ of the stated {camera.focal_px:.0f} px", value)
+    assert found and float(found[1]) == pytest.approx(1.0 / 1.1, rel=0.03) and remark == CALIBRATE
+    assert list(intrinsics_warnings(evidence, camera)) == [f"by the corners, the focal length is {value}; {remark}"]
+
+
+def test_a_wrong_scale_is_not_taken_for_a_wrong_focal_length_alone(room: tuple[Recording, Matches]) -> None:
+    recording, matches = room
+    _, remark = check_focal(Evidence(Altered(recording, depth=lambda depth: 1.2 * depth), matches, None))
+    found = re.fullmatch(
+        rf"({CALIBRATE}; or )?depth is ([\d.]+) ± [\d.]+ times as far as the poses say: check .*", remark
+    )
+    assert found and float(found[2]) == pytest.approx(1.2, rel=0.05)
+
+
+def test_a_build_warns_as_check_does(room: tuple[Recording, Matches]) -> None:
+    recording, _ = room
+    camera = replace(recording.camera, fy=0.94 * recording.camera.fx)
+    warnings = check_recording(Selection(Altered(recording, camera=camera), range(24)), None, BuildConfig())
+    assert any(line.startswith("pixels: fx = ") for line in warnings), warnings
+
+
+@pytest.mark.parametrize(
+    ("changes", "names"),
+    [({}, []), ({"fy": 0.75 * SMALL_CAMERA.fx}, ["pixels"]), ({"cx": 0.0}, ["principal point"])],
+)
+def test_intrinsics_that_no_camera_has_give_a_warning(changes: dict[str, float], names: list[str]) -> None:
+    camera: Camera = replace(SMALL_CAMERA, **changes)  # type: ignore[arg-type]
+    assert [name for name, _, _ in camera_doubts(camera)] == names
+    assert [line.split(":")[0] for line in intrinsics_warnings(None, camera)] == names
