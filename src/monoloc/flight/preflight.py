@@ -16,6 +16,7 @@ from monoloc.flight.mount_check import MOST_TILT_DEG, MOST_YAW_DEG, MountErrors
 from monoloc.mavlink.firmware import Firmware
 from monoloc.recording_check.image_quality import ImageQuality, quality_of
 from monoloc.recording_check.inspection import Finding, Level, image_findings, light_findings
+from monoloc.supervision.distinct_views import DistinctViews
 from monoloc.supervision.state import VOUCHED_FOR, Reason
 
 GOOD_SCALE_SD = 0.05
@@ -29,6 +30,7 @@ _GOOD_TRACKING, _LEAST_TRACKING = 0.9, 0.5  # shares of frames
 _GOOD_ROUND_TRIP_S = 0.05  # beyond it, what is sent waits for the port
 _LEAST_ATTITUDE_HZ = 9.0  # of nominally 10
 _GOOD_LANDMARKS = 20
+_LEAST_VIEWS = 3  # with so many landmarks, before they speak for the focal length
 _POSE_BYTES, _OBSTACLES_BYTES_A_SECOND = 245, 1790  # of ODOMETRY, and of ten OBSTACLE_DISTANCE a second
 _MOST_LOAD = 0.8  # of a serial port
 _GOOD_TILT_DEG = 3.0  # between the body by mount and by the autopilot
@@ -94,6 +96,7 @@ class Preflight:
         self._pause_s = 0.0  # the longest time without another
         self._quality: list[tuple[float, float, float, float]] = []
         self._landmarks: list[int] = []
+        self._views, self._view_count = DistinctViews(), 0  # with enough landmarks
         self._reasons: Counter[Reason] = Counter()
 
     def take(self, result: FlightStep) -> None:
@@ -103,6 +106,8 @@ class Preflight:
         self._frame_s = result.done_s
         pose = result.step.landmark_pose
         self._landmarks.append(0 if pose is None else len(pose.points))
+        if self._landmarks[-1] >= _GOOD_LANDMARKS and self._views.is_new(result.step.estimate.pose):
+            self._view_count += 1
         self._reasons.update(result.step.reasons)
         if result.in_place is not None and result.in_place.entered is not None:
             self._brightness = result.in_place.entered.provenance.brightness
@@ -178,11 +183,18 @@ class Preflight:
             remark = "look at things that are near and far for a few seconds, or build with this camera"
             yield Finding("intrinsics", "warning", "the focal length is neither the build's nor confirmed", remark)
         elif np.median(self._landmarks) >= _GOOD_LANDMARKS:
-            yield Finding("intrinsics", "good", "landmarks do not contradict the stated focal length")
+            yield self._of_focal_length()
         elif self._has_landmarks:
             yield Finding("intrinsics", "warning", "not compared", "look where the build recorded corners")
         else:
             yield Finding("intrinsics", "warning", "not compared", "only landmarks tell; calibrate the camera")
+
+    def _of_focal_length(self) -> Finding:
+        """Of a camera that no landmarks contradict, though many are in view."""
+        if self._view_count < _LEAST_VIEWS:
+            remark = "carry the camera through the room meanwhile: landmarks seen from one place tell no focal length"
+            return Finding("intrinsics", "warning", "not compared", remark)
+        return Finding("intrinsics", "good", "landmarks do not contradict the stated focal length")
 
     def _of_room(self, summary: FlightSummary) -> Iterator[Finding]:
         seen = int(np.median(self._landmarks))

@@ -14,7 +14,7 @@ from monoloc.flight.flight_loop import FlightStep, FlightSummary
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.mount_check import MountErrors
 from monoloc.flight.preflight import LinkReport, Preflight
-from monoloc.geometry import FloatArray
+from monoloc.geometry import FloatArray, se3_exp
 from monoloc.landmarks.pnp import LandmarkPose
 from monoloc.mavlink.firmware import Firmware
 from monoloc.recording_check.inspection import Finding, Level, worst
@@ -53,14 +53,17 @@ def findings_of(
     has_landmarks: bool = True,
     roll_deg: float = 0.0,
     most_age_s: float = 0.2,
+    speed_m_s: float = 0.3,
 ) -> dict[str, Finding]:
-    """Findings by name after 60 equal frames, and ``late`` ones that were dropped."""
+    """Findings by name after 60 equal frames of a camera that moves, and ``late`` ones that were dropped."""
     preflight = Preflight(build, tells_gravity, build.scale_sd or 0.0, has_landmarks, roll_deg, most_age_s)
     summary = FlightSummary()
     for index in range(60):
         result = result_at(index / rate_hz, step, age_s)
         frame = replace(result.frame, color=color)
-        result = FlightStep(frame, 1.0 / rate_hz, None, step, result.done_s)
+        pose = se3_exp([speed_m_s * index / rate_hz, 0.0, 0.0, 0.0, 0.0, 0.0])
+        moved = replace(step, estimate=replace(step.estimate, pose=pose))
+        result = FlightStep(frame, 1.0 / rate_hz, None, moved, result.done_s)
         summary.add(result)
         preflight.take(result)
     summary.dropped["late"] += late
@@ -122,6 +125,7 @@ def test_good_flight_with_every_parameter_right_is_good() -> None:
         ("scale", "warning", {"build": built(scale_sd=0.3), "link": None}),
         ("landmarks", "warning", {"step": good_step(3)}),
         ("intrinsics", "warning", {"step": good_step(3)}),
+        ("intrinsics", "warning", {"speed_m_s": 0.01}),  # one view tells no focal length
         ("intrinsics", "bad", {"step": replace(good_step(), reasons=frozenset({Reason.CAMERA_MISMATCH}))}),
         ("intrinsics", "warning", {"step": replace(good_step(), reasons=frozenset({Reason.CAMERA_UNCONFIRMED}))}),
         ("orientation", "bad", {"step": replace(good_step(), reasons=frozenset({Reason.CAMERA_TURNED}))}),
