@@ -106,6 +106,7 @@ def in_plain_words(message: str) -> str:
         .split(", unable to parse")[0]
         .replace("Input should be", "must be")
         .replace("Field required", "is missing")
+        .replace("Extra inputs are not permitted", "is unknown")
         .replace("List should have", "must have")
         .replace(" after validation", "")
         .replace("Input is not a valid path for <class 'pathlib.Path'>", "must be a path, in quotes")

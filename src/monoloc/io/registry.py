@@ -87,7 +87,10 @@ def open_recording(source: str, options: ReaderOptions | None = None) -> StoredR
     name, path = _split_source(source)
     if name is not None:
         if name not in FORMATS:
-            raise SettingError("SOURCE", f"unknown format {name!r}", f"known formats: {', '.join(FORMATS)}")
+            fix = f"known formats: {', '.join(FORMATS)}"
+            if name == "camera":
+                fix = f"monoloc fly and doctor take a camera, by its number as camera:0; {fix}"
+            raise SettingError("SOURCE", f"unknown format {name!r}", fix)
         return upright(FORMATS[name].read(path, options))
     if not path.exists() or path.is_char_device():
         raise _no_file(source, path)

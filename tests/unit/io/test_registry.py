@@ -139,6 +139,8 @@ def test_archive_is_to_be_unpacked(tmp_path: Path) -> None:
 
 def test_unknown_format_is_refused() -> None:
     refuses_setting(lambda: open_recording("kinect:room"), "SOURCE", "unknown format 'kinect'", "7scenes.*video")
+    for_flights = "monoloc fly and doctor take a camera, by its number as camera:0"
+    refuses_setting(lambda: open_recording("camera:0"), "SOURCE", "unknown format 'camera'", for_flights)
 
 
 @pytest.mark.parametrize(
