@@ -24,12 +24,29 @@ def load_settings(path: Path, model: type[Settings]) -> Settings:
     Raises:
         DataError: the file is unreadable or not TOML, or a field is unknown or out of range; the message names it.
     """
+    content = read_toml(path)
     try:
-        return model.model_validate(read_toml(path))
+        settings = model.model_validate(content)
     except ValidationError as error:
         field, _ = _first_problem(error)
         fix = "correct the field named" if field else "correct it"
         raise DataError(path, _unknown_key(error, model) or describe(error), fix) from error
+    if (name := _truth_for_a_number(content, settings)) is not None:
+        raise DataError(path, f"{name}: is true or false, not a number", "correct the field named")
+    return settings
+
+
+def _truth_for_a_number(content: dict[str, Any], settings: BaseModel) -> str | None:
+    """The first field that is given as true or false and holds a number: Python's True is an int, which is 1."""
+    for name, given in content.items():
+        value = getattr(settings, name)
+        if isinstance(given, bool) and not isinstance(value, bool):
+            return name
+        if isinstance(given, dict) and isinstance(value, BaseModel):
+            inner = _truth_for_a_number(given, value)
+            if inner is not None:
+                return f"{name}.{inner}"
+    return None
 
 
 def read_toml(path: Path) -> dict[str, Any]:
