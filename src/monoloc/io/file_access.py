@@ -56,7 +56,7 @@ def read_text(path: Path) -> str:
     try:
         return read_bytes(path, _MOST_TEXT_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise DataError(path, "is not a text file", "copy the file again") from error
+        raise DataError(path, "is not a text file", "copy the file again, or save it as UTF-8") from error
 
 
 def read_rows(path: Path, columns: int, meaning: str, *, optional: int = 0) -> FloatArray:
@@ -84,7 +84,7 @@ def read_rows(path: Path, columns: int, meaning: str, *, optional: int = 0) -> F
             row = []
         expected = (len(rows[0]),) if rows else (columns, columns + optional)
         if len(row) not in expected:
-            separators = ", separated by spaces, with decimal points" if "," in line else ""
+            separators = ", separated by spaces, with decimal points" if "," in line or ";" in line else ""
             problem = f"line {number} is not {expected[0]} numbers"
             raise DataError(path, problem, f"each line holds: {meaning}{separators}")
         rows.append(row)
