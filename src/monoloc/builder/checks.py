@@ -22,6 +22,7 @@ from monoloc.map.depth_rendering import map_depth, supervision
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress, Progress
 from monoloc.recording_check.depth_check import check_depth, require_registered_z
+from monoloc.recording_check.depth_overlap import CHECK_DEPTH, find_disagreement
 from monoloc.recording_check.evidence import gather_evidence
 from monoloc.recording_check.lens_check import intrinsics_warnings
 from monoloc.recording_check.pose_check import REFINE, judge, require_agreement
@@ -112,6 +113,9 @@ def check_recording(
     repeats = find_repeats(recording)
     if repeats is not None:
         warnings.append(f"{repeats}; {LEAVE_OUT}")
+    disagreement = None if config.refine_poses else find_disagreement(recording)
+    if disagreement is not None:
+        warnings.append(f"{disagreement}; {CHECK_DEPTH}")
     if walk_lies_on_side(recording):
         warnings.append(f"{ON_THEIR_SIDE}; {STAND_UPRIGHT}")
     return warnings

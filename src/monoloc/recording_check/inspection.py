@@ -15,6 +15,7 @@ from monoloc.io.recording import Recording, Remark, Selection, scale_sd_of
 from monoloc.io.upright import ON_THEIR_SIDE, STAND_UPRIGHT, walk_lies_on_side
 from monoloc.progress import NoProgress, Progress
 from monoloc.recording_check.depth_check import DepthCheck, check_depth
+from monoloc.recording_check.depth_overlap import CHECK_DEPTH, find_disagreement
 from monoloc.recording_check.evidence import Evidence, gather_evidence
 from monoloc.recording_check.image_quality import BLURRED, TOO_DARK, ImageQuality, measure_images
 from monoloc.recording_check.lens_check import FOCAL_ERROR, FOCAL_SDS, camera_doubts, check_focal
@@ -130,6 +131,7 @@ def inspect_recording(
         *_of_upright(recording),
         *_of_repeats(recording),
         *(_of_depth(depth, is_explained, scale_sd_of(recording) is not None) if depth is not None else ()),
+        *(() if is_explained else _of_overlap(recording)),
         *(_of_poses(poses) if poses is not None else _without_poses(recording, bundle)),
         *(_of_focal(*focal) if focal is not None else ()),
         *(Finding(name, "warning", value, remark) for name, value, remark in camera_doubts(recording.camera)),
@@ -219,6 +221,13 @@ def _of_depth(depth: DepthCheck, is_explained: bool, is_from_images: bool) -> It
     of_sensor = "keep within the sensor's range, away from dark and shiny surfaces"
     of_images = "film surfaces with texture, each from several places"
     yield Finding("depth", "warning", value, of_images if is_from_images else of_sensor)
+
+
+def _of_overlap(recording: Recording) -> Iterator[Finding]:
+    """A warning where depth disagrees between frames."""
+    found = find_disagreement(recording)
+    if found is not None:
+        yield Finding("overlap", "warning", found, CHECK_DEPTH)
 
 
 def _without_poses(recording: Recording, bundle: Bundle | None) -> Iterator[Finding]:
