@@ -253,7 +253,7 @@ STATE: tuple[Sentence, ...] = (
         ],
     ),
     (
-        "held all poses but those of mirrored ({}, of {} frame) and turned images ({}) and of wrong lenses "
+        "held all poses but those of mirrored ({}, of {} frames) and turned images ({}) and of wrong lenses "
         "({} to {})",
         [
             *shares(FAULTS[0], "mirrored"),
