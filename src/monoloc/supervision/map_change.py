@@ -89,13 +89,14 @@ class MapChangeMonitor:
         cells = np.floor(landmarks.points.astype(np.float64) / _CELL_M).astype(np.int64)
         self._cells, cell_of = np.unique(cells, axis=0, return_inverse=True)
         self._cell_of: NDArray[np.int64] = cell_of.reshape(-1)
-        self._touching = touching(self._cells)
+        self._neighbours = _neighbours(self._cells)
         self._views = DistinctViews()
-        # Of each landmark: evidence of earlier views; sum over the present view's images, times the seconds between
-        # them; and these seconds.
-        self._earlier, self._sum, self._seen_s = np.zeros((3, len(landmarks)))
+        # Of each landmark: evidence; that of earlier views; sum over the present view's images, times the seconds
+        # between them; and these seconds.
+        self._nats, self._earlier, self._sum, self._seen_s = np.zeros((4, len(landmarks)))
         self._above_s = np.zeros(len(self._cells))
         self._is_changed = np.zeros(len(self._cells), dtype=np.bool_)
+        self._was_in_view = np.zeros(len(self._cells), dtype=np.bool_)
 
     def update(
         self, familiar: FamiliarLandmarks | None, probability_far: float, pose: FloatArray, elapsed_s: float
@@ -110,30 +111,29 @@ class MapChangeMonitor:
             elapsed_s: since the previous frame.
         """
         elapsed_s = elapsed_s if elapsed_s > 0.0 else _FIRST_S
-        for each in (self._earlier, self._sum):
+        for each in (self._nats, self._earlier, self._sum):
             each *= math.exp(-elapsed_s / _FORGOTTEN_S)  # also in frames that say nothing
         if familiar is None or not self._tells_changes or probability_far >= _CERTAIN_BELOW:
             return None
         in_view = self._cell_of[familiar.indices]
         if self._views.is_new(pose):
-            self._earlier, self._sum, self._seen_s = self._nats(), np.zeros_like(self._sum), np.zeros_like(self._sum)
+            self._earlier[:], self._sum[:], self._seen_s[:] = self._nats, 0.0, 0.0
         self._observe(familiar.indices, self._evidence(in_view, familiar.is_found), elapsed_s)
-        nats = self._around(self._sums(self._cell_of, self._nats()))
-        self._above_s[self._sums(in_view) > 0.0] += min(elapsed_s, MOST_COUNTED_S)
+        self._was_in_view[in_view] = True
+        known, nats = np.flatnonzero(self._was_in_view), np.zeros(len(self._cells))
+        nats[known] = self._around(self._sums(self._cell_of, self._nats), known)
+        self._above_s[np.unique(in_view)] += min(elapsed_s, MOST_COUNTED_S)
         self._above_s[nats < _CHANGED_NATS] = 0.0
         self._is_changed = (self._above_s >= _LEAST_S) | (self._is_changed & (nats >= _UNCHANGED_NATS))
         return self._region(nats, in_view)
 
     def _observe(self, indices: NDArray[np.int64], evidence: FloatArray, elapsed_s: float) -> None:
-        """Add what an image says of some landmarks, (F,) each, to what the present view says."""
+        """Add what an image says of some landmarks, (F,) each; of a view, the mean over its images counts."""
         fades = math.exp(-elapsed_s / _VIEW_MEMORY_S)
         self._sum[indices] = fades * self._sum[indices] + elapsed_s * evidence
         self._seen_s[indices] = fades * self._seen_s[indices] + elapsed_s
-
-    def _nats(self) -> FloatArray:
-        """Evidence of each landmark, (N,): of earlier views, and the mean over images of the present one."""
-        present = self._sum / np.maximum(self._seen_s, _OBSERVATION_S)
-        return np.clip(self._earlier + present, _LEAST_NATS, _MOST_NATS)
+        present = self._sum[indices] / np.maximum(self._seen_s[indices], _OBSERVATION_S)
+        self._nats[indices] = np.clip(self._earlier[indices] + present, _LEAST_NATS, _MOST_NATS)
 
     def _evidence(self, cells: NDArray[np.int64], is_found: NDArray[np.bool_]) -> FloatArray:
         """Logarithm of how much more probable it is with a change that a landmark is found, or not, (F,).
@@ -142,38 +142,44 @@ class MapChangeMonitor:
             cells: (F,) of the familiar landmarks in view.
             is_found: (F,) bool.
         """
-        rest = len(cells) - self._around(self._sums(cells))
-        rest_found = is_found.sum() - self._around(self._sums(cells, is_found))
+        rest = len(cells) - self._around(self._sums(cells), cells)
+        rest_found = is_found.sum() - self._around(self._sums(cells, is_found), cells)
         rate = (rest_found + self._familiar_found) / (rest + 1.0)
         is_explained = (rest >= _LEAST_REST) & (rate >= _EXPLAINED * self._familiar_found)
-        rate = np.clip(rate, self._strange_found, self._familiar_found)[cells]
+        rate = np.clip(rate, self._strange_found, self._familiar_found)
         strange = self._strange_found
         nats = np.where(is_found, np.log(strange / rate), np.log((1.0 - strange) / (1.0 - rate)))
-        return np.where(is_explained[cells], nats, 0.0)
+        return np.where(is_explained, nats, 0.0)
 
     def _sums(self, cells: NDArray[np.int64], values: NDArray[Any] | None = None) -> FloatArray:
         """Sum over each cell of values (N,) in cells (N,), or their number, (C,)."""
         return np.bincount(cells, values, minlength=len(self._cells)).astype(np.float64)
 
-    def _around(self, sums: FloatArray) -> FloatArray:
-        """Sums (C,) over each cell together with those that touch it."""
-        cell, other = self._touching
-        return np.bincount(cell, sums[other], minlength=len(self._cells)).astype(np.float64)
+    def _around(self, sums: FloatArray, cells: NDArray[np.int64]) -> FloatArray:
+        """Sums (C,) over some cells (S,), each together with those that touch it: (S,)."""
+        return np.asarray(np.append(sums, 0.0)[self._neighbours[cells]].sum(axis=1))
 
     def _region(self, nats: FloatArray, in_view: NDArray[np.int64]) -> ChangedRegion | None:
         """Changed cells that touch each other, of which one is in view."""
         seen = in_view[self._is_changed[in_view]]
         if len(seen) == 0:
             return None
-        cell, other = (each[self._is_changed[self._touching].all(axis=0)] for each in self._touching)
-        region = np.zeros(len(self._cells), dtype=np.bool_)
-        region[seen[np.argmax(nats[seen])]] = True
-        size = 0
-        while region.sum() > size:
-            size = int(region.sum())
-            region[other[region[cell]]] = True
+        is_changed = np.append(self._is_changed, False)
+        region, size = seen[[np.argmax(nats[seen])]], 0
+        while len(region) > size:
+            size, around = len(region), self._neighbours[region]
+            region = np.unique(around[is_changed[around]])
         lower, upper = self._cells[region].min(axis=0), self._cells[region].max(axis=0) + 1
         return ChangedRegion(lower * _CELL_M, upper * _CELL_M)
+
+
+def _neighbours(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Of each cell (C, 3), itself and those that touch it, then C for want of more: (C, 27)."""
+    cell, other = touching(cells)
+    first = np.searchsorted(cell, np.arange(len(cells)))
+    table = np.full((len(cells), 27), len(cells))
+    table[cell, np.arange(len(cell)) - first[cell]] = other
+    return table
 
 
 def touching(cells: NDArray[np.int64]) -> NDArray[np.int64]:
