@@ -23,9 +23,8 @@ from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress, Progress
 from monoloc.recording_check.depth_check import check_depth, require_registered_z
 from monoloc.recording_check.depth_overlap import CHECK_DEPTH, find_disagreement
-from monoloc.recording_check.evidence import gather_evidence
 from monoloc.recording_check.lens_check import intrinsics_warnings
-from monoloc.recording_check.pose_check import REFINE, judge, require_agreement
+from monoloc.recording_check.pose_check import REFINE, compare_poses, require_agreement
 from monoloc.recording_check.repeated_images import LEAVE_OUT, find_repeats
 from monoloc.recording_check.time_stamps import check_times, require_seconds
 
@@ -100,8 +99,7 @@ def check_recording(
     with progress.task("check", 3) as step:
         warnings = require_seconds(recording.name, check_times(recording))
         thin = None if cloud is None else voxel_thin(cloud, config.voxel_m)
-        evidence = gather_evidence(recording, thin)
-        check = judge(evidence)
+        check, evidence = compare_poses(recording, thin)
         step(1)
         # A wrong focal length or convention also bends planes and shifts edges: poses have the first word.
         warnings += require_agreement(recording.name, check, config.refine_poses, if_poor)

@@ -180,7 +180,7 @@ class Preflight:
             remark = "calibrate the camera at this resolution, with its focus fixed"
             yield Finding("intrinsics", "bad", "landmarks fit another focal length", remark)
         elif self._reasons[Reason.CAMERA_UNCONFIRMED]:
-            remark = "look at things that are near and far for a few seconds, or build with this camera"
+            remark = "carry the camera past things that are near and far, or build with this camera"
             yield Finding("intrinsics", "warning", "the focal length is neither the build's nor confirmed", remark)
         elif np.median(self._landmarks) >= _GOOD_LANDMARKS:
             yield self._of_focal_length()

@@ -110,9 +110,17 @@ def check_poses(recording: Recording, cloud: FloatArray | None = None, pairs: in
     Raises:
         DataError: a frame cannot be read.
     """
+    return compare_poses(recording, cloud, pairs)[0]
+
+
+def compare_poses(
+    recording: Recording, cloud: FloatArray | None, pairs: int = PAIRS
+) -> tuple[PoseCheck, Evidence | None]:
+    """As :func:`check_poses`, with the corners that were compared; None where there is no depth to do so."""
     if recording.poses is None or not (recording.has_depth or cloud is not None):
-        return PoseCheck("unknown", 0, 0)
-    return judge(gather_evidence(recording, cloud, pairs))
+        return PoseCheck("unknown", 0, 0), None
+    evidence = gather_evidence(recording, cloud, pairs)
+    return judge(evidence), evidence
 
 
 def judge(evidence: Evidence) -> PoseCheck:
