@@ -13,7 +13,7 @@ from monoloc.io.recording import Recording, evenly_spaced, scale_sd_of
 _PAIRS, _LEAST_PAIRS = 16, 6
 # At most, so that the second frame sees most of what the first one sees.
 _TURNED_RAD, _MOVED_M = np.deg2rad(10.0), 0.25
-_STRIDE, _LEAST_POINTS, _NEAREST_M = 8, 100, 0.1
+_STRIDE, _LEAST_POINTS = 8, 100
 # Median over pairs of the relative difference of depth; noise has no sign, and cancels in a pair. Right recordings
 # gave 0.001 to 0.012 (RedKitchen, the desk), depth of one frame for all or of one value 0.06 to 0.12, images that are
 # each stretched to the same range 0.02 and 0.7, inverse depth 0.3, and poses that drift by 60 cm 0.01 and 0.04.
@@ -60,11 +60,10 @@ def _difference(recording: Recording, poses: FloatArray, first: int, second: int
     depth = recording.depth(first)[::_STRIDE, ::_STRIDE].reshape(-1)
     rays = camera.pixel_rays()[::_STRIDE, ::_STRIDE].reshape(-1, 3)
     points = transform(invert(poses[second]) @ poses[first], rays[depth > 0.0] * depth[depth > 0.0, None])
-    points = points[points[:, 2] > _NEAREST_M]
-    pixels = np.round(camera.project(points)).astype(np.int64)
-    inside = (pixels >= 0).all(axis=1) & (pixels < [camera.width, camera.height]).all(axis=1)
-    measured = recording.depth(second)[pixels[inside, 1], pixels[inside, 0]]
+    seen, pixels = camera.in_view(points)
+    columns, rows = np.clip(np.round(pixels), 0, [camera.width - 1, camera.height - 1]).astype(np.int64).T
+    measured = recording.depth(second)[rows, columns]
     known = measured > 0.0
     if known.sum() < _LEAST_POINTS:
         return None
-    return float(np.median(np.log(measured[known] / points[inside][known, 2])))
+    return float(np.median(np.log(measured[known] / points[seen[known], 2])))

@@ -16,12 +16,12 @@ from monoloc.io.upright import ON_THEIR_SIDE, STAND_UPRIGHT, walk_lies_on_side
 from monoloc.progress import NoProgress, Progress
 from monoloc.recording_check.depth_check import DepthCheck, check_depth
 from monoloc.recording_check.depth_overlap import CHECK_DEPTH, find_disagreement
-from monoloc.recording_check.evidence import Evidence, gather_evidence
+from monoloc.recording_check.evidence import Evidence
 from monoloc.recording_check.image_quality import BLURRED, TOO_DARK, ImageQuality, measure_images
 from monoloc.recording_check.lens_check import FOCAL_ERROR, FOCAL_SDS, camera_doubts, check_focal
 from monoloc.recording_check.map_agreement import LEAST_FOUND, MapAgreement, compare_with_map
 from monoloc.recording_check.motion_coverage import MotionCoverage, cover
-from monoloc.recording_check.pose_check import PoseCheck, judge
+from monoloc.recording_check.pose_check import PoseCheck, compare_poses
 from monoloc.recording_check.repeated_images import LEAVE_OUT, find_repeats
 from monoloc.recording_check.time_stamps import TimeCheck, check_times
 
@@ -113,12 +113,10 @@ def inspect_recording(
         motion = None if recording.poses is None else cover(recording.poses)
         depth = check_depth(recording) if recording.has_depth else None
         step(2)
-        evidence, poses, focal = None, None, None
-        if recording.poses is not None and (recording.has_depth or cloud is not None):
-            evidence = gather_evidence(recording, cloud)
-            poses = judge(evidence)
-            step(3)
-            focal = check_focal(evidence) if poses.verdict == "agree" else None
+        compared, evidence = compare_poses(recording, cloud)
+        poses = None if evidence is None else compared
+        step(3)
+        focal = None if evidence is None or compared.verdict != "agree" else check_focal(evidence)
         step(4)
         agreement = None if bundle is None else compare_with_map(bundle, recording)
         step(5)

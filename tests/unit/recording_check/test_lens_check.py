@@ -1,4 +1,4 @@
-"""A wrong focal length is told by the corners, with a wrong scale of depth where it explains as much."""
+"""Corners show a wrong focal length, with a wrong scale of depth where it explains as much."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_right_intrinsics_are_not_doubted(room: tuple[Recording, Matches]) -> No
     assert list(intrinsics_warnings(Evidence(recording, matches, None), recording.camera)) == []
 
 
-def test_a_wrong_focal_length_is_told_from_a_wrong_scale(room: tuple[Recording, Matches]) -> None:
+def test_a_wrong_focal_length_is_not_taken_for_a_wrong_scale(room: tuple[Recording, Matches]) -> None:
     recording, matches = room
     camera = with_focal(recording.camera, 1.1)
     evidence = Evidence(
