@@ -24,6 +24,7 @@ from monoloc.supervision.integrity import MOST_COUNTED_S, IntegrityModel
 _CELL_M = 0.2  # edge of the cells of space; one is tested together with those that touch it
 _OBSERVATION_S = 0.5  # that counts as one observation, since errors of neighbouring frames are correlated
 _VIEW_MEMORY_S = 3.0  # time constant of the mean over images of one view, which is one observation however long it is
+_FOUND_HERE_NATS = -0.7  # of a view's mean: a landmark that about half of its images show can be found from there
 _FIRST_S = 0.05  # for which a first frame counts
 # Evidence that one landmark gives, nats. It is bounded, since what hides a landmark hides it for long: only several
 # missing landmarks show a change.
@@ -94,6 +95,7 @@ class MapChangeMonitor:
         # Of each landmark: evidence; that of earlier views; sum over the present view's images, times the seconds
         # between them; and these seconds.
         self._nats, self._earlier, self._sum, self._seen_s = np.zeros((4, len(landmarks)))
+        self._is_found_here = np.zeros(len(landmarks), dtype=np.bool_)  # from the present view
         self._above_s = np.zeros(len(self._cells))
         self._is_changed = np.zeros(len(self._cells), dtype=np.bool_)
         self._was_in_view = np.zeros(len(self._cells), dtype=np.bool_)
@@ -117,7 +119,7 @@ class MapChangeMonitor:
             return None
         in_view = self._cell_of[familiar.indices]
         if self._views.is_new(pose):
-            self._earlier[:], self._sum[:], self._seen_s[:] = self._nats, 0.0, 0.0
+            self._earlier[:], self._sum[:], self._seen_s[:], self._is_found_here[:] = self._nats, 0.0, 0.0, False
         self._observe(familiar.indices, self._evidence(in_view, familiar.is_found), elapsed_s)
         self._was_in_view[in_view] = True
         known, nats = np.flatnonzero(self._was_in_view), np.zeros(len(self._cells))
@@ -128,12 +130,22 @@ class MapChangeMonitor:
         return self._region(nats, in_view)
 
     def _observe(self, indices: NDArray[np.int64], evidence: FloatArray, elapsed_s: float) -> None:
-        """Add what an image says of some landmarks, (F,) each; of a view, the mean over its images counts."""
-        fades = math.exp(-elapsed_s / _VIEW_MEMORY_S)
-        self._sum[indices] = fades * self._sum[indices] + elapsed_s * evidence
-        self._seen_s[indices] = fades * self._seen_s[indices] + elapsed_s
-        present = self._sum[indices] / np.maximum(self._seen_s[indices], _OBSERVATION_S)
-        self._nats[indices] = np.clip(self._earlier[indices] + present, _LEAST_NATS, _MOST_NATS)
+        """Add what an image says of some landmarks, (F,) each.
+
+        Of a view, the mean over its images counts, since a landmark that is seldom found from there is missing for as
+        long as the camera hovers. Once it was found from there, each half second without it is an observation.
+        """
+        fades, counted_s = math.exp(-elapsed_s / _VIEW_MEMORY_S), min(elapsed_s, _OBSERVATION_S)
+        self._sum[indices] = fades * self._sum[indices] + counted_s * evidence
+        self._seen_s[indices] = fades * self._seen_s[indices] + counted_s
+        of_view = self._sum[indices] / np.maximum(self._seen_s[indices], _OBSERVATION_S)
+        nats = np.where(
+            self._is_found_here[indices],
+            self._nats[indices] + counted_s / _OBSERVATION_S * evidence,
+            self._earlier[indices] + of_view,
+        )
+        self._nats[indices] = np.clip(nats, _LEAST_NATS, _MOST_NATS)
+        self._is_found_here[indices] |= of_view <= _FOUND_HERE_NATS
 
     def _evidence(self, cells: NDArray[np.int64], is_found: NDArray[np.bool_]) -> FloatArray:
         """Logarithm of how much more probable it is with a change that a landmark is found, or not, (F,).

@@ -126,6 +126,17 @@ def test_hovering_makes_no_change_of_landmarks_that_are_seldom_found_from_one_vi
     assert named(0.03) and not named(0.0)
 
 
+def test_change_while_hovering_is_named_in_seconds() -> None:
+    """Landmarks that were found from other views and from this one, and then vanish."""
+    flight = Flight(room())
+    for x_m in (0.15, 0.3):
+        flight(2.0, pose=se3_exp([x_m, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    assert set(flight(10.0)) == {None}
+    regions = flight(5.0, RIGHT, rate_hz=20.0)
+    assert regions[:10] == [None] * 10 and regions[-1] is not None
+    assert flight(5.0)[-1] is None, "found again"
+
+
 def test_change_holds_until_its_landmarks_are_found_again() -> None:
     flight = Flight(room())
     assert flight(2.0, RIGHT)[-1] is not None
