@@ -183,6 +183,20 @@ nb::tuple fit_pose(const Vectors& points, const Pixels& rays, const Pixels& sd, 
                         to_numpy(std::move(fit.weights), {seen.count}));
 }
 
+auto leverages(const Vectors& points, const Pixels& rays, const Pixels& sd, const Pose& pose,
+               const Square<6>& covariance, const Scalars& weights, double nearest_m) {
+  const std::size_t count = points.shape(0);
+  require(rays.shape(0) == count && sd.shape(0) == count && weights.shape(0) == count,
+          "points, rays, sd and weights must be of one number");
+  std::vector<double> found;
+  {
+    nb::gil_scoped_release release;
+    found = monoloc::leverages({points.data(), rays.data(), sd.data(), count, nearest_m}, pose.data(),
+                               covariance.data(), weights.data());
+  }
+  return to_numpy(std::move(found), {count});
+}
+
 nb::tuple fit_log_focal(const Vectors& points, const Pixels& rays, const Pixels& sd, const Pose& pose,
                         const Square<7>& information, const Scalars& kernel_sds, double nearest_m) {
   const monoloc::SeenLandmarks seen = seen_landmarks(points, rays, sd, kernel_sds, nearest_m);
@@ -266,6 +280,7 @@ NB_MODULE(_core, m) {
         "most_triples"_a, "confidence"_a);
   m.def("fit_pose", &fit_pose, "points"_a, "rays"_a, "sd"_a, "prior"_a, "information"_a, "kernel_sds"_a,
         "nearest_m"_a);
+  m.def("leverages", &leverages, "points"_a, "rays"_a, "sd"_a, "pose"_a, "covariance"_a, "weights"_a, "nearest_m"_a);
   m.def("fit_log_focal", &fit_log_focal, "points"_a, "rays"_a, "sd"_a, "pose"_a, "information"_a, "kernel_sds"_a,
         "nearest_m"_a);
   m.def("adjust_window", &adjust_window, "poses"_a, "points"_a, "rays"_a, "log_depth"_a, "ray_sd"_a,

@@ -139,6 +139,23 @@ PoseFit fit_pose(const SeenLandmarks& seen, const double* prior, const double* i
   return fit;
 }
 
+std::vector<double> leverages(const SeenLandmarks& seen, const double* pose, const double* covariance,
+                              const double* weights) {
+  const Motion camera_from_world = inverse(motion_of(pose));
+  std::vector<double> found(seen.count);
+  for (std::size_t n = 0; n < seen.count; ++n) {
+    const Residuals residuals(local_point(seen, camera_from_world, n), seen.rays + 2 * n, seen.sd + 2 * n);
+    double variance = 0.0;
+    for (const Vec6& row : residuals.jacobian) {
+      for (std::size_t i = 0; i < 6; ++i) {
+        for (std::size_t j = 0; j < 6; ++j) variance += row[i] * covariance[6 * i + j] * row[j];
+      }
+    }
+    found[n] = weights[n] * variance;
+  }
+  return found;
+}
+
 FocalFit fit_log_focal(const SeenLandmarks& seen, const double* pose, const double* information,
                        const KernelSchedule& kernels) {
   const Motion start = motion_of(pose), from_start = inverse(start);

@@ -60,6 +60,20 @@ void test_landmark_pose() {
     CHECK(fit.normal[7 * i] > 0.0);
     for (std::size_t j = 0; j < 6; ++j) CHECK(fit.normal[6 * i + j] == fit.normal[6 * j + i]);
   }
+  // Of independent unit errors in six directions, one each: a landmark's leverage is its share of the pose.
+  std::vector<double> all(kPoints, 1.0);
+  double sum = 0.0;
+  for (const double leverage : monoloc::leverages(scene.seen(), origin.data(), diagonal(6, 1e-4).data(), all.data())) {
+    CHECK(leverage > 0.0);
+    sum += leverage;
+  }
+  const std::vector<double> half(kPoints, 0.5);
+  double halved = 0.0;
+  for (const double leverage : monoloc::leverages(scene.seen(), origin.data(), diagonal(6, 1e-4).data(), half.data())) {
+    halved += leverage;
+  }
+  CHECK(std::abs(halved - 0.5 * sum) < 1e-9 * sum);
+
   // A prior that is certain stays.
   const std::vector<double> prior = near_pose();
   const monoloc::PoseFit kept = fitted(Scene(), prior, 1e14);

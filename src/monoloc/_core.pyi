@@ -53,6 +53,9 @@ def find_consensus(
 def fit_pose(
     points: _F64, rays: _F64, sd: _F64, prior: _F64, information: _F64, kernel_sds: _F64, nearest_m: float
 ) -> tuple[_F64, _F64, _F64, _F64]: ...
+def leverages(
+    points: _F64, rays: _F64, sd: _F64, pose: _F64, covariance: _F64, weights: _F64, nearest_m: float
+) -> _F64: ...
 def fit_log_focal(
     points: _F64, rays: _F64, sd: _F64, pose: _F64, information: _F64, kernel_sds: _F64, nearest_m: float
 ) -> tuple[float, float]: ...

@@ -34,6 +34,12 @@ struct PoseFit {
 PoseFit fit_pose(const SeenLandmarks& seen, const double* prior, const double* information,
                  const KernelSchedule& kernels);
 
+// By how much each landmark determines the pose that is fitted to all (the trace of its part of the hat matrix): between
+// 0 and 2, since it has two coordinates, and 6 in all.
+// pose: (4, 4); covariance: (6, 6) of its twist by all landmarks; weights: (count), as of the fit.
+std::vector<double> leverages(const SeenLandmarks& seen, const double* pose, const double* covariance,
+                              const double* weights);
+
 // Logarithm of true over stated focal length, and its standard deviation.
 struct FocalFit {
   double log_focal, sd;

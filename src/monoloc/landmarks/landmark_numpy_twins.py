@@ -83,6 +83,28 @@ def fit_pose(
     return pose, *_normal_equations(pose, points, rays, sd, kernel_sds[-1], nearest_m)
 
 
+def leverages(
+    points: FloatArray,
+    rays: FloatArray,
+    sd: FloatArray,
+    pose: FloatArray,
+    covariance: FloatArray,
+    weights: FloatArray,
+    nearest_m: float,
+) -> FloatArray:
+    """By how much each landmark determines a pose that is fitted to all, (M,).
+
+    The trace of its part of the hat matrix (Rousseeuw and Leroy, *Robust Regression and Outlier Detection*, 1987):
+    between 0 and 2, since it has two coordinates, and 6 in all.
+
+    Args:
+        covariance: (6, 6) of the pose's twist by all landmarks.
+        weights: (M,), as of the fit.
+    """
+    _, jacobian = _residuals(pose, points, rays, sd, nearest_m)
+    return np.asarray(weights * np.einsum("mri,ij,mrj->m", jacobian, covariance, jacobian))
+
+
 def fit_log_focal(
     points: FloatArray,
     rays: FloatArray,

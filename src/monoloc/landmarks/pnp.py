@@ -32,6 +32,7 @@ _FOCAL_KERNEL_SDS = np.array([12.0, 6.0, 3.0, 3.0, 3.0])
 # Of the inverse covariance of what a wrong focal length does to a pose, (6,), and of its logarithm.
 _FOCAL_INFORMATION = np.diag(np.repeat([0.5, 0.1, 0.2], [3, 3, 1]) ** -2)
 _AGREE_WEIGHT = 0.25  # of a landmark that agrees
+_MOST_LEVERAGE = 1.0  # of a match, of 2: beyond, the pose follows it more than the others, which cannot check it
 _AGREE_PX, _LEAST_AGREEING, _CONFIDENCE = 4.0, 8, 1.0 - 1e-6  # with a pose of a triple
 _TURNS_RAD = np.array([-0.3, -0.15, 0.15, 0.3])  # from which the other poses of a flat view are sought
 _PRIOR_INFORMATION = np.linalg.inv(PRIOR_COVARIANCE)
@@ -194,18 +195,29 @@ def fit_matches(
     Perception*, 2020) rejects wrong matches with the help of the prior. The pose returned is the measurement without
     the prior, since the filter fuses both. The formulas: :mod:`monoloc.landmarks.landmark_numpy_twins`.
 
+    A wrong match far from all others agrees with the pose that it leads to. So a pose that rests on one match more
+    than on the others is fitted again without it.
+
     Returns:
         Which points agree, (M,) bool, and the pose: None where these are too few, or where they leave a direction
         undetermined.
     """
     rays, sd = seen.rays(camera)
     information = np.asarray(np.linalg.inv(covariance + _LEAST_VARIANCE * np.eye(6)), dtype=np.float64)
-    pose, normal, gradient, weights = _core.fit_pose(points, rays, sd, prior, information, _KERNEL_SDS, _NEAREST_M)
-    agree = weights > _AGREE_WEIGHT
-    if int(agree.sum()) < LEAST_LANDMARKS or np.linalg.eigvalsh(normal)[0] < 1.0 / _UNOBSERVABLE_SD**2:
-        return agree, None
-    spread = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-    return agree, PoseFit(pose @ se3_exp(-spread @ gradient), spread, points, rays, sd, weights)
+    kept, agree = np.arange(len(points)), np.zeros(len(points), dtype=np.bool_)
+    while True:
+        some = points[kept], rays[kept], sd[kept]
+        pose, normal, gradient, weights = _core.fit_pose(*some, prior, information, _KERNEL_SDS, _NEAREST_M)
+        agree[kept] = weights > _AGREE_WEIGHT
+        if int(agree.sum()) < LEAST_LANDMARKS or np.linalg.eigvalsh(normal)[0] < 1.0 / _UNOBSERVABLE_SD**2:
+            return agree, None
+        spread = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+        leverages = _core.leverages(*some, pose, spread, weights, _NEAREST_M)
+        worst = int(leverages.argmax())
+        if leverages[worst] <= _MOST_LEVERAGE:
+            return agree, PoseFit(pose @ se3_exp(-spread @ gradient), spread, *some, weights)
+        agree[kept[worst]] = False
+        kept = np.delete(kept, worst)
 
 
 def pose_by_consensus(points: FloatArray, seen: Keypoints, camera: Camera, triples: int) -> FloatArray | None:

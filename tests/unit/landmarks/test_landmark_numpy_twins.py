@@ -73,6 +73,20 @@ def test_pose_equals_twin(seed: int, count: int) -> None:
             np.testing.assert_allclose(native, twin, rtol=1e-9, atol=1e-9 * np.abs(twin).max(initial=1.0))
 
 
+@given(st.integers(0, 2**32 - 1), st.integers(6, 200))
+@settings(max_examples=60, deadline=None)
+def test_leverages_equal_twin_and_add_up_to_six(seed: int, count: int) -> None:
+    points, rays, sd, near = seen_landmarks(np.random.default_rng(seed), count)
+    pose, normal, _, weights = _core.fit_pose(points, rays, sd, near, np.eye(6), KERNEL_SDS, 0.05)
+    normal += 1e-6 * np.eye(6)  # of six landmarks, few may agree
+    arguments = points, rays, sd, pose, np.linalg.inv(normal), weights, 0.05
+    leverages = _core.leverages(*arguments)
+    np.testing.assert_allclose(leverages, landmark_numpy_twins.leverages(*arguments), rtol=1e-6, atol=1e-9)
+    if np.linalg.eigvalsh(normal)[0] > 1.0:
+        assert leverages.max() <= 2.0 + 1e-5
+        np.testing.assert_allclose(leverages.sum(), 6.0, atol=1e-4)
+
+
 @given(st.integers(0, 2**32 - 1), st.integers(0, 200), st.floats(-0.2, 0.2))
 @settings(max_examples=60, deadline=None)
 def test_focal_length_equals_twin(seed: int, count: int, log_focal: float) -> None:

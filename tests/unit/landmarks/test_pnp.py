@@ -137,6 +137,27 @@ def test_mirrored_pose_of_a_flat_view_is_covered_by_the_covariance() -> None:
     assert np.mean(np.array(alone) < CHI2_6_QUANTILE_95) < 0.25
 
 
+def test_pose_does_not_rest_on_one_match() -> None:
+    """Landmarks on a small patch of a wall, and one far from them, seen 25 pixels from where it is.
+
+    The wrong match agrees with the pose that it leads to, and makes it look well known.
+    """
+    rng = np.random.default_rng(6)
+    squares = []
+    for _ in range(40):
+        patch = np.column_stack([rng.uniform(-0.4, 0.4, (30, 2)), np.full(30, 4.0) + rng.uniform(-0.1, 0.1, 30)])
+        points = np.vstack([patch, [0.8, 0.6, 2.0]])
+        pixels = CAMERA.project(points) + rng.normal(0.0, 1.0, (31, 2))
+        pixels[-1] += [20.0, -15.0]
+        agree, found = pose_from_matches(points, keypoints_at(pixels), CAMERA, np.eye(4), 25.0 * PRIOR)
+        assert not agree[-1]
+        if found is not None:
+            error = se3_log(invert(found.pose))
+            squares.append(error @ np.linalg.solve(found.covariance, error))
+    # Measured 0.95 of 39; of the poses that rest on the match, 0 of 40, with a median error of 38 cm.
+    assert len(squares) > 30 and np.mean(np.array(squares) < CHI2_6_QUANTILE_95) > 0.85
+
+
 def test_a_view_with_depth_has_no_other_poses() -> None:
     rng = np.random.default_rng(0)
     points, pixels = seen_from(np.eye(4), rng)

@@ -65,6 +65,10 @@ def weigh_by_rays(log_scales: np.ndarray, weights: np.ndarray | None) -> None:
         (lambda: core.match_descriptors(PIXELS, DESCRIPTORS, PIXELS[:3], DESCRIPTORS, 9.0, 64), "pixels and desc"),
         (lambda: core.fit_pose(POINTS, PIXELS, PIXELS, np.eye(4), np.eye(6), np.ones(1), 0.1), "points, rays and sd"),
         (
+            lambda: core.leverages(POINTS[:4], PIXELS, PIXELS, np.eye(4), np.eye(6), np.ones(3), 0.1),
+            "points, rays, sd and weights",
+        ),
+        (
             lambda: core.fit_log_focal(POINTS[:4], PIXELS, PIXELS[:3], np.eye(4), np.eye(7), np.ones(1), 0.1),
             "points, rays and sd",
         ),
