@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 
 from altered_recordings import POSES, Altered, Image, judged, range_of, refusal, upside_down, with_focal
+from monoloc.builder.build_config import BuildConfig
+from monoloc.builder.checks import check_recording
 from monoloc.cli.pose_warning import warn_of_poses
 from monoloc.io.corrected import Fixes, corrected
 from monoloc.io.recording import Recording, Selection
@@ -104,6 +106,15 @@ def test_another_focal_length_is_named(room: tuple[Recording, Matches], factor: 
     line = refusal(judged(Altered(recording, camera=camera), matches))
     found = re.search(r" as a focal length of (\d+) px .*; give --camera 640,480,([\d.]+),", line)
     assert found and float(found[2]) == pytest.approx(recording.camera.fx, rel=0.06), line
+
+
+@pytest.mark.parametrize(("factor", "names"), [(1.0, []), (1.1, ["focal length by the corners"])])
+def test_a_build_warns_of_a_focal_length_that_is_slightly_off(
+    data_root: Path, factor: float, names: list[str]
+) -> None:
+    desk = opened(data_root, DESK, "0:350:2")
+    altered = Altered(desk, camera=with_focal(desk.camera, factor))
+    assert [line.split(":")[0] for line in check_recording(altered, None, BuildConfig())] == names
 
 
 @pytest.mark.slow  # tests/unit/recording_check/test_pose_check.py has them in a synthetic room

@@ -18,7 +18,7 @@ from monoloc.recording_check.depth_check import DepthCheck, check_depth
 from monoloc.recording_check.depth_overlap import CHECK_DEPTH, find_disagreement
 from monoloc.recording_check.evidence import Evidence
 from monoloc.recording_check.image_quality import BLURRED, TOO_DARK, ImageQuality, measure_images
-from monoloc.recording_check.lens_check import FOCAL_ERROR, FOCAL_SDS, camera_doubts, check_focal
+from monoloc.recording_check.lens_check import FOCAL_SDS, camera_doubts, check_factors
 from monoloc.recording_check.map_agreement import LEAST_FOUND, MapAgreement, compare_with_map
 from monoloc.recording_check.motion_coverage import MotionCoverage, cover
 from monoloc.recording_check.pose_check import PoseCheck, compare_poses
@@ -35,6 +35,7 @@ _CLIPPED_SHARE = 0.25  # of the pixels that are black, or saturated
 _LEAST_COVERAGE = 0.3  # of the pixels with depth
 _LEAST_FOUND_SHARE = 0.3  # of the frames, in which landmarks of the map are found
 _SAME_WORLD_M, _SAME_WORLD_RAD = 0.1, np.deg2rad(3.0)
+_FOCAL_ERROR = 0.04  # relative, of a focal length against a map's or the build's, that moves a pose
 _BY_IMAGES = "monoloc build finds them from the images (extra sfm): give it --scale; localising needs none"
 _AGREEING_SHARE = 0.7  # of the frames with landmarks, that are one transform away
 
@@ -116,7 +117,7 @@ def inspect_recording(
         compared, evidence = compare_poses(recording, cloud)
         poses = None if evidence is None else compared
         step(3)
-        focal = None if evidence is None or compared.verdict != "agree" else check_focal(evidence)
+        factors = None if evidence is None or compared.verdict != "agree" else check_factors(evidence)
         step(4)
         agreement = None if bundle is None else compare_with_map(bundle, recording)
         step(5)
@@ -131,7 +132,7 @@ def inspect_recording(
         *(_of_depth(depth, is_explained, scale_sd_of(recording) is not None) if depth is not None else ()),
         *(() if is_explained else _of_overlap(recording)),
         *(_of_poses(poses) if poses is not None else _without_poses(recording, bundle)),
-        *(_of_focal(*focal) if focal is not None else ()),
+        *(_of_factors(*factors) if factors is not None else ()),
         *(Finding(name, "warning", value, remark) for name, value, remark in camera_doubts(recording.camera)),
     ]
     if agreement is not None and bundle is not None:
@@ -255,8 +256,8 @@ def _of_poses(poses: PoseCheck) -> Iterator[Finding]:
     yield Finding("poses", level, value, f"{why}; {poses.fix}")
 
 
-def _of_focal(value: str, remark: str) -> Iterator[Finding]:
-    yield Finding("focal length", "warning" if remark else "good", value, remark)
+def _of_factors(name: str, value: str, remark: str) -> Iterator[Finding]:
+    yield Finding(name, "warning" if remark else "good", value, remark)
 
 
 def _of_landmarks(agreement: MapAgreement) -> Finding:
@@ -271,13 +272,13 @@ def _of_camera(agreement: MapAgreement, camera: Camera, built: Camera) -> Findin
     value = f"{camera.width}x{camera.height}, f {camera.focal_px:.0f} px"
     build = f"the build's is {built.width}x{built.height}, f {built.focal_px:.0f} px"
     if agreement.focal is not None and agreement.focal_log_sd is not None:
-        certain = max(FOCAL_ERROR, FOCAL_SDS * agreement.focal_log_sd)
+        certain = max(_FOCAL_ERROR, FOCAL_SDS * agreement.focal_log_sd)
         if abs(np.log(agreement.focal)) > certain:
             remark = f"landmarks fit {agreement.focal:.2f} times the stated focal length; correct --camera"
             return Finding("camera", "bad", value, remark)
     if (camera.width, camera.height) != (built.width, built.height):
         return Finding("camera", "good", value, build)
-    if abs(np.log(camera.focal_px / built.focal_px)) > FOCAL_ERROR:
+    if abs(np.log(camera.focal_px / built.focal_px)) > _FOCAL_ERROR:
         return Finding("camera", "warning", value, f"{build}; for the same camera, give the same intrinsics")
     return Finding("camera", "good", value, "" if value in build else build)
 

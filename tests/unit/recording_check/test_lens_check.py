@@ -1,4 +1,4 @@
-"""Corners show a wrong focal length, with a wrong scale of depth where it explains as much."""
+"""Corners show a wrong focal length or a wrong scale of depth, and tell which of the two fits."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from monoloc.camera import Camera
 from monoloc.io.recording import Recording, Selection
 from monoloc.recording_check.correspondences import Matches, match_corners
 from monoloc.recording_check.evidence import Evidence
-from monoloc.recording_check.lens_check import camera_doubts, check_focal, intrinsics_warnings
+from monoloc.recording_check.lens_check import camera_doubts, check_factors, intrinsics_warnings
 from synthetic_room import SMALL_CAMERA, Room, RoomRecording
 
 CALIBRATE = "calibrate the camera, or check that the intrinsics are of this image size"
@@ -37,19 +37,29 @@ def test_a_wrong_focal_length_is_not_taken_for_a_wrong_scale(room: tuple[Recordi
     evidence = Evidence(
         Altered(recording, camera=camera), replace(matches, camera=with_focal(matches.camera, 1.1)), None
     )
-    value, remark = check_focal(evidence)
+    name, value, remark = check_factors(evidence)
     found = re.fullmatch(rf"([\d.]+) ± [\d.]+ of the stated {camera.focal_px:.0f} px", value)
-    assert found and float(found[1]) == pytest.approx(1.0 / 1.1, rel=0.03) and remark == CALIBRATE
-    assert list(intrinsics_warnings(evidence, camera)) == [f"by the corners, the focal length is {value}; {remark}"]
+    assert found and float(found[1]) == pytest.approx(1.0 / 1.1, rel=0.03)
+    assert (name, remark) == ("focal length", CALIBRATE)
+    assert list(intrinsics_warnings(evidence, camera)) == [f"focal length by the corners: {value}; {remark}"]
 
 
-def test_a_wrong_scale_is_not_taken_for_a_wrong_focal_length_alone(room: tuple[Recording, Matches]) -> None:
+@pytest.mark.parametrize("factor", [1.07, 0.9, 1.2])
+def test_a_wrong_scale_is_not_taken_for_a_wrong_focal_length(room: tuple[Recording, Matches], factor: float) -> None:
     recording, matches = room
-    _, remark = check_focal(Evidence(Altered(recording, depth=lambda depth: 1.2 * depth), matches, None))
-    found = re.fullmatch(
-        rf"({CALIBRATE}; or )?depth is ([\d.]+) ± [\d.]+ times as far as the poses say: check .*", remark
-    )
-    assert found and float(found[2]) == pytest.approx(1.2, rel=0.05)
+    scaled = Altered(recording, depth=lambda depth: factor * depth)
+    name, value, remark = check_factors(Evidence(scaled, matches, None))
+    found = re.fullmatch(r"depth is ([\d.]+) ± [\d.]+ times as far as the poses say", value)
+    assert found and float(found[1]) == pytest.approx(factor, rel=0.02)
+    assert (name, remark) == ("scale", "check the scale of the depth and the unit of the poses")
+
+
+def test_a_scale_that_images_gave_is_not_doubted(room: tuple[Recording, Matches]) -> None:
+    recording, matches = room
+    scaled = Altered(recording, depth=lambda depth: 1.07 * depth)
+    scaled.scale_sd = 0.1  # type: ignore[attr-defined]
+    name, _, remark = check_factors(Evidence(scaled, matches, None))
+    assert (name, remark) == ("focal length", "")
 
 
 def test_a_build_warns_as_check_does(room: tuple[Recording, Matches]) -> None:
