@@ -32,15 +32,15 @@ class Camera:
         cx, cy: principal point, pixels, pixel centres at integers.
         distortion: coefficients in OpenCV's order (:data:`monoloc.distortion.COEFFICIENTS`). *brown* has five, of
             which k3 may be left out, *rational* eight and *fisheye* four; none given are all zero. The row or column
-            that OpenCV's calibration returns is taken as well.
+            that OpenCV's calibration returns is taken as well, with zeros for what a rational lens has beyond eight.
         distortion_model: model of the coefficients. Five zeros of *brown* are a pinhole.
         is_window: whether the image is part of a larger one, so that the principal point may be outside. Elsewhere it
             is inside, or the intrinsics belong to another image size.
 
     Raises:
-        SettingError: a size or focal length is not positive and finite, the principal point is outside, coefficients
-            are not finite or not as many as the model has, or the distortion is not invertible over the image or sees
-            more than 85 degrees off the optical axis.
+        SettingError: a number is given as true or false, a size or focal length is not positive and finite, the
+            principal point is outside, coefficients are not finite or not as many as the model has, or the distortion
+            is not invertible over the image or sees more than 85 degrees off the optical axis.
     """
 
     width: int
@@ -54,6 +54,10 @@ class Camera:
     is_window: bool = False
 
     def __post_init__(self) -> None:
+        for name in ("width", "height", "fx", "fy", "cx", "cy", "distortion"):
+            # Python's True is an int, which is 1.
+            if any(isinstance(value, bool | np.bool_) for value in np.ravel(np.array(getattr(self, name), object))):
+                raise SettingError(f"camera.{name}", "is true or false, not a number", "give numbers")
         if self.width < 1 or self.height < 1:
             raise SettingError(
                 "camera.width/height", f"is {self.width}x{self.height}", "give the image size in pixels"
@@ -83,12 +87,22 @@ class Camera:
             problem = f"is {self.distortion_model!r}"
             raise SettingError("camera.distortion_model", problem, f"choose from {', '.join(MODELS)}")
         names, given = COEFFICIENTS[self.distortion_model], tuple(map(float, np.ravel(self.distortion)))
+        if self.distortion_model == "rational" and len(given) > len(names):
+            given = self._without_further_terms(given, names)
         whole = given
         if not given or (self.distortion_model == "brown" and len(given) == 4):
             whole = given + (0.0,) * (len(names) - len(given))
         if len(whole) != len(names) or not np.all(np.isfinite(whole)):
             raise SettingError("camera.distortion", f"is {given}", f"give {', '.join(names)}")
         return whole
+
+    @staticmethod
+    def _without_further_terms(given: tuple[float, ...], names: tuple[str, ...]) -> tuple[float, ...]:
+        """The coefficients of a rational lens without the zeros that OpenCV writes for terms it did not calibrate."""
+        if any(given[len(names) :]):
+            problem = f"has {given[len(names) :]} after {names[-1]}, of a thin prism or a tilted sensor"
+            raise SettingError("camera.distortion", problem, f"calibrate with {', '.join(names)} alone")
+        return given[: len(names)]
 
     def _check_lens(self) -> None:
         """Check that the distortion maps one ray, and no other, to each pixel."""

@@ -16,6 +16,7 @@ from monoloc.files import read_regular
 Settings = TypeVar("Settings", bound=BaseModel)
 
 _MOST_BYTES = 1 << 20  # of a TOML file
+_NO_NUMBER = "is true or false, not a number"
 
 
 def load_settings(path: Path, model: type[Settings]) -> Settings:
@@ -32,21 +33,27 @@ def load_settings(path: Path, model: type[Settings]) -> Settings:
         fix = "correct the field named" if field else "correct it"
         raise DataError(path, _unknown_key(error, model) or describe(error), fix) from error
     if (name := _truth_for_a_number(content, settings)) is not None:
-        raise DataError(path, f"{name}: is true or false, not a number", "correct the field named")
+        raise DataError(path, f"{name}: {_NO_NUMBER}", "correct the field named")
     return settings
 
 
-def _truth_for_a_number(content: dict[str, Any], settings: BaseModel) -> str | None:
+def _truth_for_a_number(given: object, held: object, name: str = "") -> str | None:
     """The first field that is given as true or false and holds a number: Python's True is an int, which is 1."""
-    for name, given in content.items():
-        value = getattr(settings, name)
-        if isinstance(given, bool) and not isinstance(value, bool):
-            return name
-        if isinstance(given, dict) and isinstance(value, BaseModel):
-            inner = _truth_for_a_number(given, value)
-            if inner is not None:
-                return f"{name}.{inner}"
-    return None
+    if isinstance(given, bool):
+        return None if isinstance(held, bool) else name
+    found = (
+        _truth_for_a_number(part, part_held, f"{name}.{key}" if name else str(key))
+        for key, part, part_held in _parts(given, held)
+    )
+    return next((each for each in found if each is not None), None)
+
+
+def _parts(given: object, held: object) -> Iterator[tuple[object, object, object]]:
+    """The keys of what is given, tables within tables and in lists, and what is given and held there."""
+    if isinstance(given, dict) and isinstance(held, BaseModel):
+        yield from ((key, value, getattr(held, key)) for key, value in given.items())
+    elif isinstance(given, list | tuple) and isinstance(held, list | tuple):
+        yield from ((at, *both) for at, both in enumerate(zip(given, held, strict=False)))
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -140,11 +147,15 @@ def override(settings: Settings, **values: object) -> Settings:
     Raises:
         SettingError: a value is invalid for its field.
     """
+    merged = _merged(settings.model_dump(), values)
     try:
-        return type(settings).model_validate(_merged(settings.model_dump(), values))
+        changed = type(settings).model_validate(merged)
     except ValidationError as error:
         field, problem = _first_problem(error)
         raise SettingError(field or "settings", problem, "correct its value") from error
+    if (name := _truth_for_a_number(merged, changed)) is not None:
+        raise SettingError(name, _NO_NUMBER, "correct its value")
+    return changed
 
 
 def _merged(base: dict[str, object], values: dict[str, object]) -> dict[str, object]:

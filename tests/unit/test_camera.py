@@ -258,6 +258,12 @@ def test_depth_of_another_size_is_refused():
         ({"distortion": (0.1,) * 8}, r"camera\.distortion: is .*; give k1, k2, p1, p2, k3$"),
         ({"distortion": (0.1,) * 5, "distortion_model": "fisheye"}, r"give k1, k2, k3, k4$"),
         ({"distortion": (0.1,) * 4, "distortion_model": "rational"}, r"give k1, k2, p1, p2, k3, k4, k5, k6$"),
+        (
+            {"distortion": (0.0,) * 11 + (0.1,) + (0.0,) * 2, "distortion_model": "rational"},
+            r"distortion: has \(0.0, 0.0, 0.0, 0.1, 0.0, 0.0\) after k6, of a thin prism .*; calibrate with k1, .*",
+        ),
+        ({"fx": True}, "camera.fx: is true or false, not a number; give numbers"),
+        ({"distortion": (0.1, np.True_, 0.0, 0.0)}, "camera.distortion: is true or false"),
         ({"distortion_model": "omni"}, r"distortion_model: is 'omni'; choose from brown, rational, fisheye"),
         (
             {"fx": 250.0, "fy": 250.0, "distortion_model": "fisheye"},
@@ -276,6 +282,15 @@ def test_distortion_is_taken_as_opencv_returns_it(shape):
     coefficients = (0.1, -0.2, 0.0, 0.001, 0.05)
     camera = Camera(640, 480, 500.0, 500.0, 320.0, 240.0, np.reshape(coefficients, shape))
     assert camera.distortion == coefficients and all(type(value) is float for value in camera.distortion)
+
+
+@pytest.mark.parametrize("count", [8, 12, 14])
+def test_a_rational_lens_is_taken_as_opencv_returns_it(count):
+    """OpenCV's calibration returns zeros for the terms of a thin prism and a tilted sensor, which were not asked."""
+    coefficients = (0.1, -0.2, 0.0, 0.001, 0.05, 0.02, 0.0, 0.01)
+    row = np.pad(coefficients, (0, count - 8))[None]
+    camera = Camera(640, 480, 500.0, 500.0, 320.0, 240.0, row, "rational")
+    assert camera.distortion == coefficients
 
 
 @given(st.floats(0.02, 2.0), st.floats(0.1, 0.9))

@@ -47,6 +47,7 @@ def test_missing_settings_file_is_named(tmp_path: Path) -> None:
         (BuildConfig(), "components", "forty", "valid whole number.*or .*'bic'"),
         (BuildConfig(), "adapt.lambda_kl", -1.0, "greater than or equal to 0"),
         (BuildConfig(), "adapt.lambda_kl", float("nan"), "a finite number"),
+        (BuildConfig(), "adapt.lambda_kl", True, "is true or false, not a number"),
         (LocalizerConfig(), "particles", 3, "greater than or equal to 10"),
         (LocalizerConfig(), "scan_points", 3, "greater than or equal to 10"),
     ],

@@ -21,10 +21,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
 from monoloc.camera import Camera
-from monoloc.config import describe, read_toml
+from monoloc.config import load_settings
 from monoloc.distortion import DistortionModel
 from monoloc.errors import DataError, SettingError
 from monoloc.files import write_whole
@@ -53,10 +53,7 @@ def read_camera(path: Path) -> Camera:
             those of no camera.
     """
     require_file(path, "give a file that monoloc calibrate wrote")
-    try:
-        content = _CameraFile.model_validate(read_toml(path))
-    except ValidationError as error:
-        raise DataError(path, describe(error), "give a file that monoloc calibrate wrote") from error
+    content = load_settings(path, _CameraFile)
     try:
         return Camera(**content.model_dump(exclude={"calibration"}))
     except SettingError as error:

@@ -74,6 +74,7 @@ def test_settings_are_read_from_a_file_and_wrong_ones_are_named(tmp_path: Path) 
         ("rate_hz = 1e4", "rate_hz: .*less than or equal to 500"),
         ("most_age_s = true", "most_age_s: is true or false, not a number"),
         ("[mount]\npitch_deg = false", "mount.pitch_deg: is true or false, not a number"),
+        ("down = [0, 0, true]", "down.2: is true or false, not a number"),
         ("nort_deg = 3", "nort_deg: is unknown, the nearest is north_deg"),
         ("[mount]\npitch_deg = 91", "mount.pitch_deg: .*less than or equal to 90"),
         ("[mount]\nup_m = 1", "mount.up_m: is unknown, the nearest is "),

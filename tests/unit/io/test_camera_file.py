@@ -35,7 +35,9 @@ def test_pinhole_needs_six_numbers(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "match"),
     [
-        (("fx = 525.0", ""), "fx: is missing; give a file that monoloc calibrate wrote"),
+        (("fx = 525.0", ""), "fx: is missing; correct the field named"),
+        (("fx = 525.0", "fx = true"), "fx: is true or false, not a number; correct the field named"),
+        (("distortion = []", "distortion = [0.1, false, 0, 0]"), "distortion.1: is true or false, not a number"),
         (("fx = 525.0", "fx = nan"), "fx: "),
         (("fx = 525.0", "fx = -1.0"), "focal lengths are positive"),
         (("fx = 525.0", 'fx = "far"'), "fx: "),
@@ -43,7 +45,7 @@ def test_pinhole_needs_six_numbers(tmp_path: Path) -> None:
         (("cx = 319.5", "cx = 9999.0"), "lies outside the 640x480 image"),
         (("distortion = []", "distortion = [1.0, 2.0]"), "distortion is .*give k1, k2, p1, p2, k3"),
         (("distortion = []", 'distortion_model = "swirl"'), "distortion_model: "),
-        (("distortion = []", "zoom = 2"), "zoom: is unknown; give a file"),
+        (("distortion = []", "zoom = 2"), "zoom: is unknown, the nearest is .*; correct the field"),
     ],
 )
 def test_file_of_no_camera_is_refused(tmp_path: Path, change: tuple[str, str], match: str) -> None:

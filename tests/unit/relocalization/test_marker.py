@@ -15,6 +15,7 @@ from monoloc.config import load_settings
 from monoloc.evaluation.trajectory import pose_errors
 from monoloc.geometry import FloatArray, invert, make_pose, rotation_to_quaternion, so3_exp, transform
 from monoloc.relocalization.marker import DEFAULT_DICTIONARY, Marker, MarkerDetector, MarkerLocalizer, Markers
+from refusals import refuses_data
 from repository import REPOSITORY
 
 CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, distortion=(-0.1, 0.02, 0.001, -0.001, 0.0))
@@ -142,3 +143,5 @@ def test_markers_are_read_as_the_guide_writes_them(tmp_path: Path) -> None:
     path.write_text(guide.split("```toml\n")[1].split("```")[0])
     (only,) = load_settings(path, Markers).marker
     assert (only.id, only.size_m, only.error_rad) == (7, 0.16, 0.02)
+    path.write_text(path.read_text().replace("size_m = 0.16", "size_m = true"))
+    refuses_data(lambda: load_settings(path, Markers), path, "marker.0.size_m: is true or false", "correct the field")
