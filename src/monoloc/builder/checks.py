@@ -21,8 +21,8 @@ from monoloc.map.cloud import voxel_thin
 from monoloc.map.depth_rendering import map_depth, supervision
 from monoloc.map.mixture import GaussianMixture
 from monoloc.progress import NoProgress, Progress
+from monoloc.recording_check.depth_between_frames import CHECK_DEPTH, find_disagreement
 from monoloc.recording_check.depth_check import check_depth, require_registered_z
-from monoloc.recording_check.depth_overlap import CHECK_DEPTH, find_disagreement
 from monoloc.recording_check.lens_check import intrinsics_warnings
 from monoloc.recording_check.pose_check import REFINE, compare_poses, require_agreement
 from monoloc.recording_check.repeated_images import LEAVE_OUT, find_repeats

@@ -14,8 +14,8 @@ from monoloc.geometry import FloatArray
 from monoloc.io.recording import Recording, Remark, Selection, scale_sd_of
 from monoloc.io.upright import ON_THEIR_SIDE, STAND_UPRIGHT, walk_lies_on_side
 from monoloc.progress import NoProgress, Progress
+from monoloc.recording_check.depth_between_frames import CHECK_DEPTH, find_disagreement
 from monoloc.recording_check.depth_check import DepthCheck, check_depth
-from monoloc.recording_check.depth_overlap import CHECK_DEPTH, find_disagreement
 from monoloc.recording_check.evidence import Evidence
 from monoloc.recording_check.image_quality import BLURRED, TOO_DARK, ImageQuality, measure_images
 from monoloc.recording_check.lens_check import FOCAL_SDS, camera_doubts, check_factors
@@ -130,7 +130,7 @@ def inspect_recording(
         *_of_upright(recording),
         *_of_repeats(recording),
         *(_of_depth(depth, is_explained, scale_sd_of(recording) is not None) if depth is not None else ()),
-        *(() if is_explained else _of_overlap(recording)),
+        *(() if is_explained else _of_disagreement(recording)),
         *(_of_poses(poses) if poses is not None else _without_poses(recording, bundle)),
         *(_of_factors(*factors) if factors is not None else ()),
         *(Finding(name, "warning", value, remark) for name, value, remark in camera_doubts(recording.camera)),
@@ -222,11 +222,11 @@ def _of_depth(depth: DepthCheck, is_explained: bool, is_from_images: bool) -> It
     yield Finding("depth", "warning", value, of_images if is_from_images else of_sensor)
 
 
-def _of_overlap(recording: Recording) -> Iterator[Finding]:
+def _of_disagreement(recording: Recording) -> Iterator[Finding]:
     """A warning where depth disagrees between frames."""
     found = find_disagreement(recording)
     if found is not None:
-        yield Finding("overlap", "warning", found, CHECK_DEPTH)
+        yield Finding("depth between frames", "warning", found, CHECK_DEPTH)
 
 
 def _without_poses(recording: Recording, bundle: Bundle | None) -> Iterator[Finding]:
