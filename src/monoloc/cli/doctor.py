@@ -145,7 +145,7 @@ def _look(
     camera = None
     try:
         with ExitStack() as opened:
-            frame_source, camera, first_pose = open_frames(flight, frames, fast=False)
+            frame_source, camera, first_pose, _ = open_frames(flight, frames, fast=False)
             opened.callback(frame_source.close)
             starting = starting_of(flight, flown.room, camera, first_pose, np.random.default_rng(0))
             made = flown.localizer(camera, starting.start, 0, flight.budget_ms, flight.threads)

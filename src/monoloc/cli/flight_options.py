@@ -25,6 +25,7 @@ from monoloc.cli.start_option import UNKNOWN, start_of
 from monoloc.config import override
 from monoloc.errors import SettingError
 from monoloc.flight.flight_file import FlightFile, read_flight_file
+from monoloc.flight.flight_settings import Mount
 from monoloc.geometry import FloatArray
 from monoloc.image_turns import T_camera_turned, in_words
 from monoloc.io.upright import is_upright
@@ -197,11 +198,11 @@ def starting_of(
     return Starting(start, find, "searching" if start is None else "known")
 
 
-def open_frames(flight: FlightFile, frames: str, fast: bool) -> tuple[FrameSource, Camera, FloatArray | None]:
-    """The source, its camera, and the first pose, (4, 4), of a recording that has poses.
+def open_frames(flight: FlightFile, frames: str, fast: bool) -> tuple[FrameSource, Camera, FloatArray | None, bool]:
+    """The source, its camera, the first pose, (4, 4), of a recording with poses, and whether images stand upright.
 
     Images of a camera that is mounted on its side or upside down are turned upright, and camera and pose with them;
-    those of a recording that tells gravity stand upright already.
+    those of a recording that tells gravity stand upright already. Without either, nothing is known of them.
 
     Raises:
         DataError, SettingError: from the reader or the camera, or an option is invalid.
@@ -209,16 +210,16 @@ def open_frames(flight: FlightFile, frames: str, fast: bool) -> tuple[FrameSourc
     source, camera, first_pose, are_upright = _frames_of(flight.source, frames, flight.camera, fast)
     turns = flight.mount.quarter_turns
     if turns == 0 or are_upright:
-        return source, camera, first_pose
+        return source, camera, first_pose, are_upright or flight.mount != Mount()
     stderr.print(f"note: [mount] turns the camera: its images are turned by {in_words(turns)}, to stand upright")
     first_pose = None if first_pose is None else first_pose @ T_camera_turned(turns)
-    return TurnedFrames(source, turns), camera.turned(turns), first_pose
+    return TurnedFrames(source, turns), camera.turned(turns), first_pose, True
 
 
 def _frames_of(
     source: str, frames: str, intrinsics: str | None, fast: bool
 ) -> tuple[FrameSource, Camera, FloatArray | None, bool]:
-    """As :func:`open_frames`, before the mount turns them, and whether gravity tells that the images are upright."""
+    """As :func:`open_frames`, before the mount turns them; the last value is by the recording alone."""
     if not is_live(source):
         recording = open_source(source, frames, intrinsics)
         paced = UnpacedRecording(recording) if fast else PacedRecording(recording)

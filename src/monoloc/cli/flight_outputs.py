@@ -88,7 +88,13 @@ def logs(
 
 
 def header_of(
-    path: Path, camera: Camera, start: Start | None, seed: int, settings: FlightSettings, firmware: Firmware | None
+    path: Path,
+    camera: Camera,
+    are_upright: bool,
+    start: Start | None,
+    seed: int,
+    settings: FlightSettings,
+    firmware: Firmware | None,
 ) -> FlightHeader:
     """What a recording of the flight begins with; arguments as in :class:`FlightHeader`."""
     return FlightHeader(
@@ -99,6 +105,7 @@ def header_of(
         seed=seed,
         settings=settings,
         firmware=firmware,
+        stands_upright=are_upright,
     )
 
 

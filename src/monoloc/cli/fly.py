@@ -178,7 +178,7 @@ def fly(
         status = StatusOutput(say, stderr.is_terminal, summary)
         outputs: list[FlightOutput] = [status]
         with ExitStack() as opened:
-            frame_source, camera, first_pose = open_frames(flight, frames, fast)
+            frame_source, camera, first_pose, are_upright = open_frames(flight, frames, fast)
             opened.callback(frame_source.close)
             starting = starting_of(flight, flown.room, camera, first_pose, rng)
             made = flown.localizer(camera, starting.start, seed, flight.budget_ms, flight.threads)
@@ -200,7 +200,7 @@ def fly(
                 say(remark)
             if flight.record is not None:
                 sent_to = None if align else firmware
-                header = header_of(room, camera, starting.start, seed, flight_settings, sent_to)
+                header = header_of(room, camera, are_upright, starting.start, seed, flight_settings, sent_to)
                 outputs.append(FlightRecorder(flight.record, header, flown.is_place))
             clock_offset_s = 0.0 if fast else time.time() - frame_source.now_s()
             outputs += logs(flight, flown, camera, clock_offset_s, summary.unwritten)

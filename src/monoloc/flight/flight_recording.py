@@ -33,7 +33,7 @@ from monoloc.flight.writer_thread import WriterThread
 from monoloc.geometry import FloatArray
 from monoloc.io.file_access import read_text
 from monoloc.io.image_files import read_color
-from monoloc.io.recorded_flight import FRAMES, HEADER, IMAGES, image_path
+from monoloc.io.recorded_flight import FRAMES, HEADER, IMAGES, image_path, read_lines
 from monoloc.mavlink.firmware import Firmware
 from monoloc.odometry.motion import Motion
 from monoloc.start import Start
@@ -81,6 +81,7 @@ class FlightHeader(BaseModel):
         seed: of the localizer.
         settings: of the flight.
         firmware: that messages were written for; None without an autopilot.
+        stands_upright: whether ``[mount]`` or gravity told it of the images, or how to turn them until they do.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -93,6 +94,7 @@ class FlightHeader(BaseModel):
     seed: int = Field(ge=0)
     settings: FlightSettings
     firmware: Firmware | None = None
+    stands_upright: bool = False
 
 
 class RecordedRotation(BaseModel):
@@ -288,23 +290,16 @@ def read_events(folder: Path, camera: Camera) -> Iterator[tuple[NDArray[np.uint8
     Raises:
         DataError: a file is damaged, there are no lines, or an image has another size.
     """
-    path, index = folder / FRAMES, 0
-    try:
-        lines = path.read_bytes().splitlines(keepends=True)
-    except OSError as error:
-        raise DataError(path, f"cannot be read ({error.strerror})", "give another flight") from error
-    for number, line in enumerate(lines, start=1):
-        if not line.endswith(b"\n"):
+    for line in read_lines(folder):
+        if not line.is_kept:
             return
         try:
-            event = _EVENT.validate_json(line)
+            event = _EVENT.validate_python(line.content)
         except ValidationError as error:
-            raise DataError(path, f"is damaged in line {number}", "give another flight") from error
-        if isinstance(event, RecordedIdle):
+            raise DataError(folder / FRAMES, f"is damaged in line {line.number}", "give another flight") from error
+        if line.image is None:
+            assert isinstance(event, RecordedIdle)
             yield event
-            continue
-        image = image_path(folder, index)
-        if not image.is_file() or image.stat().st_size == 0:
-            return
-        yield read_color(image, camera), event
-        index += 1
+        else:
+            assert isinstance(event, RecordedFrame)
+            yield read_color(line.image, camera), event

@@ -34,8 +34,17 @@ def test_images_of_a_recording_are_turned_once(tmp_path: Path, tells_down: bool)
         with (tmp_path / "walk/dataset.toml").open("a") as file:
             file.write("down = [0, 1, 0]\n")
     flight = FlightFile(source=str(tmp_path / "walk"), mount=Mount(roll_deg=180.0))
-    source, camera, first_pose = open_frames(flight, "::", fast=True)
+    source, camera, first_pose, are_upright = open_frames(flight, "::", fast=True)
     frame = source.next(1.0)
-    assert frame is not None and camera == SMALL_CAMERA.turned(2)
+    assert frame is not None and camera == SMALL_CAMERA.turned(2) and are_upright
     np.testing.assert_array_equal(frame.color, np.rot90(recording.color(0), 2))
     np.testing.assert_allclose(first_pose, recording.poses[0] @ ROLLED, atol=1e-6)
+
+
+@pytest.mark.parametrize(("mount", "is_known"), [(Mount(), False), (Mount(forward_m=0.1), True)])
+def test_without_mount_and_gravity_images_are_not_known_to_be_upright(
+    tmp_path: Path, mount: Mount, is_known: bool
+) -> None:
+    recording = RoomRecording(Room(), make_path(3), SMALL_CAMERA)
+    write_folder(tmp_path / "walk", recording, [recording.depth(index) for index in range(3)])
+    assert open_frames(FlightFile(source=str(tmp_path / "walk"), mount=mount), "::", fast=True)[3] is is_known

@@ -171,7 +171,7 @@ def test_damaged_files_are_named(tmp_path: Path) -> None:
     image.unlink()
     assert sum(isinstance(event, tuple) for event in read_events(tmp_path, CAMERA)) == 3
     events.unlink()
-    refuses_data(lambda: list(read_events(tmp_path, CAMERA)), events, "cannot be read", "another flight")
+    refuses_data(lambda: list(read_events(tmp_path, CAMERA)), events, "is missing", "monoloc fly --record")
 
 
 def test_damaged_headers_are_named(tmp_path: Path) -> None:
