@@ -16,6 +16,7 @@ from monoloc.flight.mount_check import MOST_TILT_DEG, MOST_YAW_DEG, MountErrors
 from monoloc.mavlink.firmware import Firmware
 from monoloc.recording_check.image_quality import ImageQuality, quality_of
 from monoloc.recording_check.inspection import Finding, Level, image_findings, light_findings
+from monoloc.supervision.camera_check import tells_focal
 from monoloc.supervision.distinct_views import DistinctViews
 from monoloc.supervision.state import VOUCHED_FOR, Reason
 
@@ -30,7 +31,7 @@ _GOOD_TRACKING, _LEAST_TRACKING = 0.9, 0.5  # shares of frames
 _GOOD_ROUND_TRIP_S = 0.05  # beyond it, what is sent waits for the port
 _LEAST_ATTITUDE_HZ = 9.0  # of nominally 10
 _GOOD_LANDMARKS = 20
-_LEAST_VIEWS = 3  # with so many landmarks, before they speak for the focal length
+_LEAST_VIEWS = 3  # whose landmarks tell the focal length, before they speak for it
 _POSE_BYTES, _OBSTACLES_BYTES_A_SECOND = 245, 1790  # of ODOMETRY, and of ten OBSTACLE_DISTANCE a second
 _MOST_LOAD = 0.8  # of a serial port
 _GOOD_TILT_DEG = 3.0  # between the body by mount and by the autopilot
@@ -96,7 +97,7 @@ class Preflight:
         self._pause_s = 0.0  # the longest time without another
         self._quality: list[tuple[float, float, float, float]] = []
         self._landmarks: list[int] = []
-        self._views, self._view_count = DistinctViews(), 0  # with enough landmarks
+        self._views, self._view_count = DistinctViews(), 0  # that tell the focal length
         self._reasons: Counter[Reason] = Counter()
 
     def take(self, result: FlightStep) -> None:
@@ -106,7 +107,7 @@ class Preflight:
         self._frame_s = result.done_s
         pose = result.step.landmark_pose
         self._landmarks.append(0 if pose is None else len(pose.points))
-        if self._landmarks[-1] >= _GOOD_LANDMARKS and self._views.is_new(result.step.estimate.pose):
+        if pose is not None and tells_focal(pose) and self._views.is_new(result.step.estimate.pose):
             self._view_count += 1
         self._reasons.update(result.step.reasons)
         if result.in_place is not None and result.in_place.entered is not None:
@@ -192,7 +193,7 @@ class Preflight:
     def _of_focal_length(self) -> Finding:
         """Of a camera that no landmarks contradict, though many are in view."""
         if self._view_count < _LEAST_VIEWS:
-            remark = "carry the camera through the room meanwhile: landmarks seen from one place tell no focal length"
+            remark = "carry the camera past things near and far: one place, or a flat view, tells no focal length"
             return Finding("intrinsics", "warning", "not compared", remark)
         return Finding("intrinsics", "good", "landmarks do not contradict the stated focal length")
 

@@ -36,8 +36,8 @@ def built(**update: object) -> Provenance:
     return BUILD.model_copy(update=update)
 
 
-def good_step(landmarks: int = 80) -> Step:
-    place = LandmarkPose(np.eye(4), np.eye(6), np.zeros((landmarks, 3)))
+def good_step(landmarks: int = 80, log_focal_sd: float = 0.005) -> Step:
+    place = LandmarkPose(np.eye(4), np.eye(6), np.zeros((landmarks, 3)), log_focal_sd=log_focal_sd)
     return replace(step_at(np.eye(4)), landmark_pose=place)
 
 
@@ -126,6 +126,7 @@ def test_good_flight_with_every_parameter_right_is_good() -> None:
         ("landmarks", "warning", {"step": good_step(3)}),
         ("intrinsics", "warning", {"step": good_step(3)}),
         ("intrinsics", "warning", {"speed_m_s": 0.01}),  # one view tells no focal length
+        ("intrinsics", "warning", {"step": good_step(log_focal_sd=0.1)}),  # nor do many flat ones
         ("intrinsics", "bad", {"step": replace(good_step(), reasons=frozenset({Reason.CAMERA_MISMATCH}))}),
         ("intrinsics", "warning", {"step": replace(good_step(), reasons=frozenset({Reason.CAMERA_UNCONFIRMED}))}),
         ("orientation", "bad", {"step": replace(good_step(), reasons=frozenset({Reason.CAMERA_TURNED}))}),
