@@ -106,7 +106,7 @@ def check_recording(
         warnings += intrinsics_warnings(evidence if check.verdict == "agree" else None, recording.camera)
         step(2)
         if recording.has_depth:
-            require_registered_z(recording.name, check_depth(recording))
+            warnings += require_registered_z(recording.name, check_depth(recording))
         step(3)
     repeats = find_repeats(recording)
     if repeats is not None:

@@ -13,6 +13,7 @@ from monoloc.errors import DataError
 from monoloc.geometry import FloatArray
 from monoloc.io.corrected import DEPTH_FIXES, DepthFix, is_seven_scenes, with_depth_fix
 from monoloc.io.recording import Recording, evenly_spaced, scale_sd_of
+from monoloc.supervision.distinct_views import DistinctViews
 
 _FRAMES = 16
 _LEAST_FRAMES = 6  # in which a quantity is measured
@@ -35,6 +36,7 @@ _WIDTH, _NEIGHBOURHOOD_PX, _SEARCH_PX = 320, 41, 16
 _ZOOMS = np.exp(0.0125 * np.arange(-18, 46))  # 0.80 to 1.75
 _GAIN, _LEAST_ZOOM = 1.4, 0.05  # of depth that is not registered, by a zoom that differs from 1 at least so much
 _LEAST_SHIFT_PX = 6  # of _WIDTH, or by a shift at least so far
+_LEAST_VIEWS = 3  # of fewer, edges may fit somewhere else by chance
 # Sides of the image that are exchanged, by what the depth is.
 _FLIPS = {"mirrored": (True, False), "mirrored top to bottom": (False, True), "turned by 180 degrees": (True, True)}
 
@@ -51,6 +53,7 @@ class DepthCheck:
         misfit: how depth's edges fit those of the images, where the depth is not registered; None where it is.
         zoom: factor about the image's centre that brings depth's edges there; None where that takes no zoom.
         fix: key of ``DEPTH_FIXES`` under which the depth fits; None if it fits as it is, or if none is known.
+        has_few_views: whether the camera hovers in one or two views.
     """
 
     coverage: float
@@ -60,6 +63,12 @@ class DepthCheck:
     misfit: str | None = None
     zoom: float | None = None
     fix: DepthFix | None = None
+    has_few_views: bool = False
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether what is wrong is no accident of one view."""
+        return not self.has_few_views or self.coverage == 0.0 or self.fix == "range"
 
     @property
     def problem(self) -> str | None:
@@ -70,7 +79,8 @@ class DepthCheck:
             return f"depth is {DEPTH_FIXES['range']}: planes are {self.flatness:.1f} times as flat"
         if self.misfit is not None:
             named = f", as if {DEPTH_FIXES[self.fix]}" if self.fix else ""
-            return f"depth is not registered to the images: its edges fit {self.misfit}{named}"
+            chance = "" if self.is_certain else ", perhaps by chance, as the camera hovers in one view"
+            return f"depth is not registered to the images: its edges fit {self.misfit}{named}{chance}"
         return None
 
     @property
@@ -104,9 +114,16 @@ def check_depth(recording: Recording) -> DepthCheck:
     images = [_relative_gradient(recording.color(index)) for index in chosen]
     aligned = _Alignment(recording, depths, images)
     check = DepthCheck(
-        coverage, median_m, flatness, aligned.stated, aligned.misfit, aligned.zoom, "range" if is_range else None
+        coverage,
+        median_m,
+        flatness,
+        aligned.stated,
+        aligned.misfit,
+        aligned.zoom,
+        "range" if is_range else None,
+        has_few_views=recording.poses is not None and _views(recording.poses[chosen]) < _LEAST_VIEWS,
     )
-    if aligned.zoom is None or is_range:
+    if aligned.misfit is None or aligned.misfit in _FLIPS or is_range:
         return check
     name: DepthFix = "registered" if is_seven_scenes(recording) else "kinect"
     fixed = with_depth_fix(recording, name)
@@ -115,14 +132,23 @@ def check_depth(recording: Recording) -> DepthCheck:
     return replace(check, fix=name if is_better else None)
 
 
-def require_registered_z(name: str, check: DepthCheck) -> None:
-    """Refuse depth that is of another kind.
+def require_registered_z(name: str, check: DepthCheck) -> list[str]:
+    """Refuse depth that is of another kind, or warn of it where one view may show it by chance.
 
     Raises:
         DataError: no pixel has depth, or it is range, or not registered.
     """
-    if check.problem is not None:
+    if check.problem is None:
+        return []
+    if check.is_certain:
         raise DataError(name, check.problem, check.remedy)
+    return [f"{check.problem}; otherwise {check.remedy}"]
+
+
+def _views(poses: FloatArray) -> int:
+    """How often a camera with ``T_world_camera`` (N, 4, 4) sees the scene from a new view."""
+    views = DistinctViews()
+    return sum(views.is_new(pose) for pose in poses)
 
 
 def _flatness_as_range(recording: Recording, depths: list[NDArray[np.float32]]) -> tuple[float | None, bool]:

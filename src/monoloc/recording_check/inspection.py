@@ -212,7 +212,9 @@ def _of_depth(depth: DepthCheck, is_explained: bool, is_from_images: bool) -> It
     median = f", median {depth.median_m:.1f} m" if depth.coverage > 0.0 else ""
     value = f"{depth.coverage:.0%} of pixels{median}"
     if depth.problem is not None and not is_explained:
-        yield Finding("depth", "bad", value, f"{depth.problem}; {depth.remedy}")
+        otherwise = "" if depth.is_certain else "otherwise "
+        level: Level = "bad" if depth.is_certain else "warning"
+        yield Finding("depth", level, value, f"{depth.problem}; {otherwise}{depth.remedy}")
         return
     if depth.coverage >= _LEAST_COVERAGE:
         yield Finding("depth", "good", value)

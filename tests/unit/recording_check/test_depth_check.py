@@ -17,6 +17,7 @@ from monoloc.io.registration import DepthRegistration
 from monoloc.io.registry import open_recording, select_frames
 from monoloc.io.seven_scenes import T_COLOR_DEPTH
 from monoloc.recording_check.depth_check import (
+    DepthCheck,
     check_depth,
     front_edges,
     mean_correlation,
@@ -47,7 +48,24 @@ def test_right_depth_is_not_doubted(right: RoomRecording) -> None:
     check = check_depth(right)
     assert check.problem is None and check.coverage == 1.0 and 1.0 < check.median_m < 4.0
     assert check.flatness is not None and check.flatness < 1.0
-    require_registered_z("walk", check)
+    assert require_registered_z("walk", check) == []
+
+
+def test_one_view_gives_a_warning_where_several_views_would_refuse_the_depth() -> None:
+    """Its edges fit its image nearby by chance; that depth is range, one view tells as well as many."""
+    check = DepthCheck(1.0, 2.0, 0.5, 1.2, "moved by (-8, 2) pixels", has_few_views=True)
+    (warning,) = require_registered_z("walk", check)
+    assert warning.startswith("depth is not registered to the images: its edges fit moved by (-8, 2) pixels, perhaps")
+    for certain in (replace(check, has_few_views=False), replace(check, fix="range")):
+        with pytest.raises(DataError, match=r"^walk: depth is"):
+            require_registered_z("walk", certain)
+
+
+@pytest.mark.parametrize(("side_m", "hovers"), [(0.05, True), (1.0, False)])
+def test_a_camera_that_hovers_has_few_views(side_m: float, hovers: bool) -> None:
+    poses = np.tile(make_path(1), (8, 1, 1))
+    poses[:, 0, 3] += np.linspace(0.0, side_m, 8)
+    assert check_depth(RoomRecording(Room(), poses, SMALL_CAMERA)).has_few_views is hovers
 
 
 def test_depth_without_a_value_is_refused(right: RoomRecording) -> None:
