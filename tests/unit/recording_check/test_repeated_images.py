@@ -21,6 +21,13 @@ class Frozen(Altered):
         return super().color(min(index, 12))
 
 
+class FrozenOnce(Altered):
+    """One frame has the image of the one before."""
+
+    def color(self, index: int) -> NDArray[np.uint8]:
+        return super().color(12 if index == 13 else index)
+
+
 @pytest.fixture(scope="module")
 def right() -> RoomRecording:
     return RoomRecording(Room(), make_path(24, rate_hz=3.0), SMALL_CAMERA)
@@ -33,6 +40,11 @@ def test_images_that_change_with_the_poses_are_not_doubted(right: RoomRecording)
 def test_a_camera_that_stands_still_may_repeat_its_image(right: RoomRecording) -> None:
     still = Frozen(right, poses=right.poses[np.minimum(np.arange(24), 12)])
     assert find_repeats(still) is None
+
+
+def test_one_image_that_repeats_and_a_blank_wall_are_not_doubted(right: RoomRecording) -> None:
+    assert find_repeats(FrozenOnce(right)) is None
+    assert find_repeats(Altered(right, color=lambda image: np.full_like(image, 200))) is None
 
 
 def test_a_stream_that_froze_gives_a_warning_that_names_the_first_frames(right: RoomRecording) -> None:
