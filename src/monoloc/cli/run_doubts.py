@@ -19,7 +19,8 @@ def doubts_of(run: Run, metrics: Mapping[str, object], room: Bundle) -> Iterator
         metrics: of the run.
     """
     frames = len(run.poses)
-    if len(room.landmarks) and "landmarks" not in run.config.without and not run.landmark_used.any():
+    has_landmarks = len(room.landmarks) > 0 and "landmarks" not in run.config.without
+    if has_landmarks and frames > 1 and not run.landmark_used.any():  # a search for the first frame does not count
         yield "no frame shows landmarks of this room; monoloc check BUNDLE SOURCE shows whether it is another room"
     mismatches = sum(Reason.CAMERA_MISMATCH in reasons for reasons in run.reasons)
     if mismatches >= _MISMATCH_SHARE * frames:

@@ -264,9 +264,10 @@ def _of_factors(name: str, value: str, remark: str) -> Iterator[Finding]:
 
 def _of_landmarks(agreement: MapAgreement) -> Finding:
     value = f"landmarks found in {agreement.found} of {agreement.frames} frames"
-    if agreement.found >= max(LEAST_FOUND, _LEAST_FOUND_SHARE * agreement.frames):
+    least = min(LEAST_FOUND, agreement.frames)  # a recording may have fewer
+    if agreement.found >= max(least, _LEAST_FOUND_SHARE * agreement.frames):
         return Finding("map", "good", value)
-    level: Level = "bad" if agreement.found < LEAST_FOUND else "warning"
+    level: Level = "bad" if agreement.found < least else "warning"
     return Finding("map", level, value, "another room, other light, or intrinsics that are far off")
 
 

@@ -16,6 +16,8 @@ FOCAL_SDS = 3.0
 # came out up to 0.08 off, but of those that were certain none more than 0.04. So a focal length that is 4 % off,
 # which moves a pose already, is not told from a right one.
 _FACTOR_ERROR = 0.05
+# Poses that agree are not in a scale so far from that of depth, unless the camera only turned, which fits any scale.
+_MOST_LOG_SCALE = 0.5
 # Error by the right one of two factors over that by the other. In RedKitchen and at the desk, the right one of scale
 # and focal length, which was 10 % off, gave 0.8 to 1.1.
 _AS_GOOD = 1.15
@@ -34,9 +36,7 @@ def check_factors(evidence: Evidence) -> tuple[str, str, str]:
     """
     focal, camera = fit_focal(evidence), evidence.recording.camera
     value = f"{focal.value:.3f} ± {focal.log_sd:.3f} of the stated {camera.focal_px:.0f} px"
-    # Of a map from images, depth and poses have one scale, whose uncertainty is known.
-    has_scale = evidence.recording.has_depth and scale_sd_of(evidence.recording) is None
-    scale = fit_depth_scale(evidence) if has_scale else None
+    scale = _scale(evidence)
     found = []
     if _is_off(focal) and (scale is None or _fits(focal, scale)):
         found.append((focal, "focal length", value, _CHECK_FOCAL))
@@ -74,6 +74,15 @@ def intrinsics_warnings(evidence: Evidence | None, camera: Camera) -> Iterator[s
             yield f"{name} by the corners: {value}; {remark}"
     for name, value, remark in camera_doubts(camera):
         yield f"{name}: {value}; {remark}"
+
+
+def _scale(evidence: Evidence) -> Factor | None:
+    """Scale of depth over that of the poses; None where nothing tells it."""
+    # Of a map from images, depth and poses have one scale, whose uncertainty is known.
+    if not evidence.recording.has_depth or scale_sd_of(evidence.recording) is not None:
+        return None
+    scale = fit_depth_scale(evidence)
+    return scale if abs(scale.log_value) < _MOST_LOG_SCALE else None
 
 
 def _is_off(factor: Factor) -> bool:

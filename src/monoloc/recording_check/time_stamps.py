@@ -59,12 +59,13 @@ def check_times(recording: Recording) -> TimeCheck:
     intervals = np.diff(times_s)
     usual = float(np.median(intervals))
     selected = np.diff(recording.timestamps_s)
-    between = float(np.median(selected)) if len(selected) else usual
-    longest = max(_GAP_S, _GAP_FACTOR * between) if len(selected) else np.inf
+    between = float(np.median(selected)) if len(selected) else None
+    longest = np.inf if between is None else max(_GAP_S, _GAP_FACTOR * between)
     gaps = [float(value) for value in selected if value > longest]
     duration = float(recording.timestamps_s[-1] - recording.timestamps_s[0])
     found = _in_another_unit(usual, times_s, whole.poses)
-    return TimeCheck(len(recording), 1.0 / between, duration, gaps, *(found or ()))
+    rate_hz = None if between is None else 1.0 / between
+    return TimeCheck(len(recording), rate_hz, duration, gaps, *(found or ()))
 
 
 def require_seconds(name: str, check: TimeCheck) -> list[str]:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from altered_recordings import Altered, turning_path, with_focal
 from monoloc.builder.build_config import BuildConfig
 from monoloc.builder.checks import check_recording
 from monoloc.camera import Camera
+from monoloc.geometry import make_pose
 from monoloc.io.recording import Recording, Selection
 from monoloc.recording_check.correspondences import Matches, match_corners
 from monoloc.recording_check.evidence import Evidence
@@ -60,6 +62,17 @@ def test_a_scale_that_images_gave_is_not_doubted(room: tuple[Recording, Matches]
     scaled.scale_sd = 0.1  # type: ignore[attr-defined]
     name, _, remark = check_factors(Evidence(scaled, matches, None))
     assert (name, remark) == ("focal length", "")
+
+
+@pytest.mark.parametrize(("factor", "remark"), [(1.0, ""), (1.1, CALIBRATE)])
+def test_a_camera_that_only_turns_tells_the_focal_length_and_no_scale(factor: float, remark: str) -> None:
+    poses = turning_path(40)
+    tripod = RoomRecording(Room(), make_pose(poses[:, :3, :3], np.zeros(3)), SMALL_CAMERA)
+    matches = match_corners(tripod)
+    matches = replace(matches, camera=with_focal(matches.camera, factor))
+    altered = Altered(tripod, camera=with_focal(tripod.camera, factor))
+    name, _, found = check_factors(Evidence(altered, matches, None))
+    assert (name, found) == ("focal length", remark)
 
 
 def test_a_build_warns_as_check_does(room: tuple[Recording, Matches]) -> None:

@@ -28,6 +28,8 @@ def test_seconds_are_not_doubted() -> None:
 def test_the_rate_is_that_of_the_chosen_frames() -> None:
     every_third = narrowed(timed(np.arange(21) / 15.0), np.arange(0, 21, 3))
     assert check_times(every_third).rate_hz == pytest.approx(5.0)
+    one = check_times(narrowed(timed(np.arange(21) / 15.0), np.array([3])))
+    assert (one.rate_hz, one.rate_words) == (None, "one frame")
 
 
 @pytest.mark.parametrize(
