@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from monoloc.array_files import decode_arrays, encode_arrays
 from monoloc.bundle_manifest import (
+    CHECK_PERMISSIONS,
     COPY_AGAIN,
     MANIFEST,
     NETWORK,
@@ -284,8 +285,10 @@ def check_bytes(path: Path) -> None:
 def _read_content(file: Path, manifest: Manifest) -> bytes:
     try:
         content = read_regular(file)
-    except OSError as error:
+    except FileNotFoundError as error:
         raise BundleError(file, "is missing", "copy the bundle again, whole") from error
+    except OSError as error:
+        raise BundleError(file, f"cannot be read ({error.strerror})", CHECK_PERMISSIONS) from error
     except ValueError as error:
         raise BundleError(file, f"is not what was written ({error})", COPY_AGAIN) from error
     if hashlib.sha256(content).hexdigest() != manifest.sha256.get(file.name):

@@ -31,6 +31,7 @@ PLACE_MANIFEST, PLACE_INDEX = "place.json", "index.npz"
 NETWORK = "depth.onnx"
 """The network of a bundle."""
 COPY_AGAIN = "copy the bundle again or rebuild it"
+CHECK_PERMISSIONS = "check the permissions of file and folder, or copy the bundle again"
 _VERSIONS = "reference/versions"  # the page that says which schemas are read
 _GreyLevel = Annotated[float, Field(ge=0.0, le=255.0)]
 
@@ -120,6 +121,8 @@ def manifest_content(path: Path) -> bytes:
     file = path / MANIFEST
     try:
         content = read_regular(file)
+    except PermissionError as error:
+        raise BundleError(file, f"cannot be read ({error.strerror})", CHECK_PERMISSIONS) from error
     except OSError as error:
         if not path.exists():
             fix = "check the path, or make it by: monoloc build"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import io
 import json
@@ -20,6 +21,7 @@ from onnx import ModelProto
 
 from edit_helpers import bend
 from map_helpers import make_mixture
+from monoloc import bundle, bundle_manifest
 from monoloc.bundle import (
     Bundle,
     CloudSize,
@@ -35,6 +37,7 @@ from monoloc.camera import Camera
 from monoloc.depth.spec import DepthModel, ModelSpec
 from monoloc.edit_record import Edit, EditRecord
 from monoloc.errors import BundleError
+from monoloc.files import read_regular
 from monoloc.fusion.bias_model import BiasModel
 from monoloc.fusion.reference_poses import ReferencePoses
 from monoloc.geometry import se3_exp
@@ -353,6 +356,18 @@ def test_changed_byte_is_found(written, name):
 def test_missing_file_is_named(written, name):
     (written / name).unlink()
     refuses(lambda: read_bundle(written), written / name, "is missing")
+
+
+@pytest.mark.parametrize("name", ["manifest.json", "map.npz"])
+def test_a_file_that_may_not_be_read_is_not_called_missing(written, name, monkeypatch):
+    def read(file, *most_bytes):
+        if file.name == name:
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        return read_regular(file, *most_bytes)
+
+    monkeypatch.setattr(bundle_manifest, "read_regular", read)
+    monkeypatch.setattr(bundle, "read_regular", read)
+    refuses(lambda: read_bundle(written), written / name, "cannot be read (Permission denied)")
 
 
 def test_missing_manifest_is_named(written):
