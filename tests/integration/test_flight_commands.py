@@ -446,7 +446,7 @@ def test_another_bundle_and_damaged_flights_are_refused(capfd: Capture, here: Pa
     lines = events.read_bytes().splitlines(keepends=True)
     rows = poses.read_bytes().splitlines(keepends=True)
     is_refused_without(log / "flight.json", b"{", "log/flight.json", "is damaged", "another flight")
-    is_refused_without(events, None, "log/frames.jsonl", "cannot be read", "another flight")
+    is_refused_without(events, None, "log/frames.jsonl", "is missing", "monoloc fly --record")
     is_refused_without(events, b"", "log", "holds no frame", "another flight")
     is_refused_without(events, b"".join([*lines[:5], b"\xff\n", *lines[5:]]), "log/frames.jsonl", "line 6", "another")
     is_refused_without(poses, None, "log/poses.csv", "cannot be read", "another flight")
