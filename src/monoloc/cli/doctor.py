@@ -188,5 +188,5 @@ def _ask(link: AutopilotLink, flight: FlightFile, mount: MountErrors | None) -> 
         flight.settings,
         address.number / BITS_PER_BYTE if address.kind == "serial" else None,
         mount,
-        link.counts["damaged"],
+        link.hears_noise,
     )

@@ -57,8 +57,7 @@ class LinkWatch:
         if is_alive:
             self._say(now_s, f"autopilot: heard, system {self._link.system}")
         else:
-            is_noise = self._was_alive is None and self._link.counts["damaged"] > 0
-            why = ", but bytes that are no MAVLink: check the baud rate" if is_noise else ""
+            why = ", but bytes that are no MAVLink: check the baud rate" if self._link.hears_noise else ""
             self._say(now_s, f"autopilot: no heartbeat{why}")
         self._was_alive = is_alive
 

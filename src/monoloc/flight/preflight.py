@@ -52,7 +52,7 @@ class LinkReport:
         settings: of the flight.
         bytes_a_second: that a serial port takes; None of another one.
         mount: by its attitude; None where that was not compared.
-        damaged: number of frames and bytes that came and are no messages.
+        hears_noise: whether a serial port gave bytes, but never a message.
     """
 
     firmware: Firmware
@@ -64,7 +64,7 @@ class LinkReport:
     settings: FlightSettings
     bytes_a_second: float | None = None
     mount: MountErrors | None = None
-    damaged: int = 0
+    hears_noise: bool = False
 
 
 class Preflight:
@@ -276,7 +276,7 @@ def _of_link(link: LinkReport) -> Iterator[Finding]:
 
 
 def _of_silence(link: LinkReport) -> Finding:
-    if link.damaged:
+    if link.hears_noise:
         remark = "set the port's baud rate on both sides, and its protocol to MAVLink"
         return Finding("autopilot", "bad", "no heartbeat, but bytes that are no MAVLink", remark)
     return Finding("autopilot", "bad", "no heartbeat", "check address, cable and the port's protocol")

@@ -116,6 +116,11 @@ class AutopilotLink:
         return self._bytes.queued
 
     @property
+    def hears_noise(self) -> bool:
+        """Whether a serial port gave bytes, but never a message, as at a wrong baud rate."""
+        return self._bytes.is_serial and self.counts["damaged"] > 0 and self.counts["received"] == 0
+
+    @property
     def is_alive(self) -> bool:
         """Whether the autopilot's heartbeat was heard in the last three seconds."""
         return time.monotonic() - self._heard_s < _ALIVE_S

@@ -71,6 +71,11 @@ class ByteLink:
         return self._port is not None
 
     @property
+    def is_serial(self) -> bool:
+        """Whether it is a serial port, which has a baud rate."""
+        return self._address.kind == "serial"
+
+    @property
     def queued(self) -> int:
         """How many frames wait."""
         return len(self._queue)

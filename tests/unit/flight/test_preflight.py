@@ -219,7 +219,7 @@ def test_slow_source_and_slow_computer_are_told_apart(late: int, firmware: Firmw
 
 
 def test_noise_in_place_of_an_autopilot_is_said_to_be_the_baud_rates() -> None:
-    silent, noisy = (replace(HEARD, is_alive=False, damaged=damaged) for damaged in (0, 40))
+    silent, noisy = (replace(HEARD, is_alive=False, hears_noise=noise) for noise in (False, True))
     assert findings_of(good_step(), link=silent)["autopilot"].value == "no heartbeat"
     found = findings_of(good_step(), link=noisy)["autopilot"]
     assert found.value == "no heartbeat, but bytes that are no MAVLink" and "baud rate" in found.remark

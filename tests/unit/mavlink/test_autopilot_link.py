@@ -358,10 +358,13 @@ def test_serial_port_is_read_and_written_and_found_gone() -> None:
             assert select.select([controller], [], [], SOON_S)[0]
             data = os.read(controller, 4096)
         assert any(message.get_type() == "STATUSTEXT" for message in parser.parse_buffer(data))
+        os.write(controller, bytes(40))  # as at a wrong baud rate
+        eventually(lambda: link.hears_noise)
         os.write(
             controller, dialect().MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3).pack(dialect().MAVLink(None, 1, 1))
         )
         eventually(lambda: link.is_alive)
+        assert not link.hears_noise
         os.close(device)
         os.close(controller)
         eventually(lambda: not link.is_open)
@@ -404,6 +407,7 @@ def test_udp_server_sends_to_who_was_heard() -> None:
         client.settimeout(SOON_S)
         client.sendto(b"\0", ("127.0.0.1", port))
         assert client.recv(300)[0] == 0xFD
+    assert link.counts["damaged"] > 0 and not link.hears_noise  # UDP has no baud rate
     link.close()
 
 
