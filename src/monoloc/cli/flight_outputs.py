@@ -95,6 +95,7 @@ def header_of(
     seed: int,
     settings: FlightSettings,
     firmware: Firmware | None,
+    waits_for_marker: bool,
 ) -> FlightHeader:
     """What a recording of the flight begins with; arguments as in :class:`FlightHeader`."""
     return FlightHeader(
@@ -106,6 +107,7 @@ def header_of(
         settings=settings,
         firmware=firmware,
         stands_upright=are_upright,
+        waits_for_marker=waits_for_marker,
     )
 
 

@@ -198,9 +198,12 @@ def fly(
                 output, remark = opened.enter_context(shown)
                 outputs.append(output)
                 say(remark)
+            waits_for_marker = starting.begins == "waiting"
             if flight.record is not None:
                 sent_to = None if align else firmware
-                header = header_of(room, camera, are_upright, starting.start, seed, flight_settings, sent_to)
+                header = header_of(
+                    room, camera, are_upright, starting.start, seed, flight_settings, sent_to, waits_for_marker
+                )
                 outputs.append(FlightRecorder(flight.record, header, flown.is_place))
             clock_offset_s = 0.0 if fast else time.time() - frame_source.now_s()
             outputs += logs(flight, flown, camera, clock_offset_s, summary.unwritten)
@@ -210,8 +213,17 @@ def fly(
                 outputs.append(north)
             elif firmware is not None:
                 # The autopilot first: what is written may wait for a disk.
-                recorded, poses, unwritten = flight.record, summary.poses, summary.unwritten
-                outputs[:0] = senders(link, recorded, flown, flown.room, firmware, flight_settings, poses, unwritten)
+                outputs[:0] = senders(
+                    link,
+                    flight.record,
+                    flown,
+                    flown.room,
+                    firmware,
+                    flight_settings,
+                    summary.poses,
+                    summary.unwritten,
+                    waits_for_marker,
+                )
             if link is not None and firmware is not None:
                 mount = MountCheck(frames_of(flown, flight_settings), link.attitude_at)
                 outputs.append(LinkWatch(link, firmware, mount, status.say))

@@ -64,7 +64,17 @@ def replay(
         again = Path(made)
         outputs: list[FlightOutput] = [PoseLog(again / POSES, flown.is_place)]
         if header.firmware is not None:
-            outputs += senders(None, again, flown, flown.room, header.firmware, header.settings, Counter(), Counter())
+            outputs += senders(
+                None,
+                again,
+                flown,
+                flown.room,
+                header.firmware,
+                header.settings,
+                Counter(),
+                Counter(),
+                header.waits_for_marker,
+            )
         for output in outputs:
             opened.enter_context(closing(output))
         with (

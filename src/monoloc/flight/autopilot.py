@@ -66,6 +66,7 @@ def senders(
     settings: FlightSettings,
     poses: Counter[str],
     unwritten: Counter[str],
+    waits_for_marker: bool,
 ) -> list[FlightOutput]:
     """The outputs that send to an autopilot, in their order.
 
@@ -76,6 +77,7 @@ def senders(
         room: whose obstacles are sent; None in a place, where each room that is entered brings its own.
         poses: counts those that are sent, and why others are not.
         unwritten: counts messages that were sent but not written, since the disk was too slow.
+        waits_for_marker: whether no frame is localised before a marker is seen.
 
     Raises:
         DataError: the recording cannot be written.
@@ -85,11 +87,15 @@ def senders(
     watch = None
     if room is not None and settings.obstacles and tells_obstacles(room):
         watch = ObstacleWatch.of(room)
+
+    def sender(to: MessageSink) -> PoseSender:
+        return PoseSender(to, frames, firmware, settings, watch, poses, waits_for_marker)
+
     if folder is not None:
         path = folder / MESSAGES
         log = MessageLog(path) if sink is None else BackgroundMessageLog(path, sink, unwritten)
-        return [log, PoseSender(log, frames, firmware, settings, watch, poses)]
-    return [] if sink is None else [PoseSender(sink, frames, firmware, settings, watch, poses)]
+        return [log, sender(log)]
+    return [] if sink is None else [sender(sink)]
 
 
 def gravity_of(

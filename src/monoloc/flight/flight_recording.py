@@ -82,6 +82,7 @@ class FlightHeader(BaseModel):
         settings: of the flight.
         firmware: that messages were written for; None without an autopilot.
         stands_upright: whether ``[mount]`` or gravity told it of the images, or how to turn them until they do.
+        waits_for_marker: whether no frame was localised before a marker was seen.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -95,6 +96,7 @@ class FlightHeader(BaseModel):
     settings: FlightSettings
     firmware: Firmware | None = None
     stands_upright: bool = False
+    waits_for_marker: bool = False
 
 
 class RecordedRotation(BaseModel):

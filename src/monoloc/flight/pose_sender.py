@@ -20,9 +20,9 @@ from monoloc.supervision.state import BLIND, VOUCHED_FOR, in_words
 _OBSTACLES_HZ = 10.0
 _MOST_SPEED_M_S, _JUMP_M = 4.0, 0.2  # a pose that moved or turned farther than a vehicle can, has jumped
 _MOST_TURN_RAD_S, _JUMP_RAD = 3.0, 0.15
-_NO_IMAGE_S = 0.5
+_NO_IMAGE_S, _NO_FIRST_IMAGE_S = 0.5, 3.0  # a camera that was just opened takes a second or two
 _NO_IMAGE = "monoloc: no image in time from the camera"
-_NOT_YET = "monoloc: waits for a first image, or a marker"  # which of both, frames that are dropped do not tell here
+_NO_START = "monoloc: waits for a first image, or a marker"  # which of both, frames that are dropped do not tell here
 # Without a pose that is young enough, after which that is said: PX4 stops using vision then.
 _LATE_S, _TOO_LATE = 0.4, "poses come too late"
 _TEXT_S = 1.0  # between texts on the same state: one that flickers must not fill the pilot's screen
@@ -46,6 +46,7 @@ class PoseSender:
         settings: of the flight.
         watch: finds the obstacles; None sends none. In a place, each room that is entered brings its own.
         poses: counts those of frames that are not *lost*: ``sent``, or why not.
+        waits_for_marker: whether no frame is localised before a marker is seen.
     """
 
     def __init__(
@@ -56,9 +57,10 @@ class PoseSender:
         settings: FlightSettings,
         watch: ObstacleWatch | None,
         poses: Counter[str],
+        waits_for_marker: bool,
     ) -> None:
         self._sink, self._frames, self._firmware, self._settings = sink, frames, firmware, settings
-        self._poses = poses
+        self._poses, self._waits_for_marker = poses, waits_for_marker
         self._reset_counter = 0
         self._jumped = self._is_confirmed = False
         self._sent: tuple[float, FloatArray] | None = None  # time of capture and T_ned_body of the last pose
@@ -92,8 +94,10 @@ class PoseSender:
 
     def idle(self, now_s: float) -> None:
         self._began_s = now_s if self._began_s is None else self._began_s
-        if now_s - (self._began_s if self._frame_s is None else self._frame_s) > _NO_IMAGE_S:
-            self._say(_NOT_YET if self._frame_s is None else _NO_IMAGE, True, now_s)
+        if self._frame_s is None and now_s - self._began_s > _NO_FIRST_IMAGE_S:
+            self._say(_NO_START if self._waits_for_marker else _NO_IMAGE, True, now_s)
+        elif self._frame_s is not None and now_s - self._frame_s > _NO_IMAGE_S:
+            self._say(_NO_IMAGE, True, now_s)
 
     def close(self) -> None:
         """Nothing is held."""

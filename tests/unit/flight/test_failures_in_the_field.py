@@ -31,7 +31,7 @@ def heading(yaw_deg: float) -> FloatArray:
 
 def sender(firmware: Firmware) -> tuple[PoseSender, Wire]:
     wire = Wire()
-    return PoseSender(wire, FRAMES, firmware, FlightSettings(), None, Counter()), wire
+    return PoseSender(wire, FRAMES, firmware, FlightSettings(), None, Counter(), False), wire
 
 
 def test_a_message_for_one_firmware_would_vanish_in_the_other_so_the_firmware_is_asked_for() -> None:

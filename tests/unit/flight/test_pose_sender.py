@@ -32,11 +32,15 @@ def at(x_m: float) -> FloatArray:
 
 
 def sender(
-    firmware: Firmware = Firmware.PX4, poses: Counter[str] | None = None, **settings: object
+    firmware: Firmware = Firmware.PX4,
+    poses: Counter[str] | None = None,
+    waits_for_marker: bool = False,
+    **settings: object,
 ) -> tuple[PoseSender, Wire]:
     wire, flown = Wire(), FlightSettings.model_validate(settings)
     watch = ObstacleWatch(ERROR, None) if flown.obstacles else None
-    return PoseSender(wire, FRAMES, firmware, flown, watch, Counter() if poses is None else poses), wire
+    counted = Counter[str]() if poses is None else poses
+    return PoseSender(wire, FRAMES, firmware, flown, watch, counted, waits_for_marker), wire
 
 
 def resets(wire: Wire) -> list[int]:
@@ -205,14 +209,20 @@ def test_pilot_hears_that_the_camera_gives_no_image() -> None:
     assert texts == ["monoloc: tracking", "monoloc: no image in time from the camera"]
 
 
-def test_pilot_hears_that_a_first_image_is_missing() -> None:
+@pytest.mark.parametrize(
+    ("waits_for_marker", "text"),
+    [(False, "no image in time from the camera"), (True, "waits for a first image, or a marker")],
+)
+def test_pilot_hears_that_a_first_image_is_missing(waits_for_marker: bool, text: str) -> None:
     """As after a restart in flight, with a camera that can be opened and hangs."""
-    flight, wire = sender()
+    flight, wire = sender(waits_for_marker=waits_for_marker)
     for index in range(30):
         flight.idle(100.0 + 0.1 * index)
-    flight.take(result_at(104.0, step_at(at(0.0))))
+    assert wire.received == []  # a camera takes a while to begin
+    flight.idle(103.1)
+    flight.take(result_at(105.0, step_at(at(0.0))))
     texts = [message.text for message in wire.of("STATUSTEXT")]
-    assert texts == ["monoloc: waits for a first image, or a marker", "monoloc: tracking"]
+    assert texts == [f"monoloc: {text}", "monoloc: tracking"]
 
 
 def test_pilot_hears_that_a_room_cannot_be_entered() -> None:
@@ -245,7 +255,7 @@ def test_obstacles_are_as_far_from_the_vehicle_as_the_belief_says(
     pose = invert(frames.T_ned_world) @ T_ned_body @ T_body_camera
     step = step_at(pose, depth_m=2.0)
     step = replace(step, estimate=replace(step.estimate, log_scale=log_scale))
-    PoseSender(wire, frames, Firmware.ARDUPILOT, settings, ObstacleWatch(ERROR, None), Counter()).take(
+    PoseSender(wire, frames, Firmware.ARDUPILOT, settings, ObstacleWatch(ERROR, None), Counter(), False).take(
         result_at(1.0, step)
     )
     (message,) = wire.of("OBSTACLE_DISTANCE")
