@@ -192,7 +192,11 @@ class FlightRecorder:
     def __init__(self, folder: Path, header: FlightHeader, has_rooms: bool = False) -> None:
         self.folder = folder
         self._make_folder()
-        write_whole(folder / HEADER, header.model_dump_json(indent=2).encode())
+        try:
+            write_whole(folder / HEADER, header.model_dump_json(indent=2).encode())
+        except DataError:  # such as on a full disk: the same command must work once there is room
+            (folder / IMAGES).rmdir()
+            raise
         self._poses = PoseLog(folder / POSES, has_rooms)
         self._frames = (folder / FRAMES).open("w", encoding="utf-8")
         self._count = 0

@@ -133,6 +133,17 @@ def test_a_line_is_written_after_its_image_and_its_pose(tmp_path: Path, monkeypa
     assert not list(tmp_path.rglob("*.partial"))
 
 
+def test_the_same_folder_is_taken_once_a_full_disk_has_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Path, content: bytes) -> None:
+        raise DataError(path, "cannot be written (No space left on device)", "make room")
+
+    with monkeypatch.context() as full:
+        full.setattr(flight_recording, "write_whole", refuse)
+        refuses_data(lambda: record(tmp_path / "flight"), tmp_path / "flight" / "flight.json", "No space", "room")
+    record(tmp_path / "flight")
+    assert len(lines(tmp_path / "flight")) == 5
+
+
 def test_damaged_files_are_named(tmp_path: Path) -> None:
     record(tmp_path)
     events, whole = tmp_path / "frames.jsonl", (tmp_path / "frames.jsonl").read_bytes()
