@@ -5,6 +5,7 @@ This module imports very little, so that Ctrl-C works during the other imports.
 
 from __future__ import annotations
 
+import atexit
 import math
 import os
 import signal
@@ -41,9 +42,10 @@ def run() -> None:
     command_line(sys.argv[1:])
     _on_signals(_interrupting())
     code = invoke(sys.argv[1:])
-    if code == _INTERRUPTED:
-        # Python's own end takes some tenths of a second, in which Ctrl-C would print a traceback.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Python's own end takes some tenths of a second, in which a signal would print a traceback. First it waits for
+    # threads, which may hang; then it takes handlers away, and a signal would change the exit code.
+    _on_signals(lambda number, frame: os._exit(code))
+    atexit.register(_on_signals, signal.SIG_IGN)
     sys.exit(code)
 
 
@@ -83,7 +85,7 @@ def _print_interrupted() -> None:
     _print_message("interrupted; nothing half-written is left")
 
 
-def _on_signals(handler: Callable[[int, FrameType | None], None]) -> None:
+def _on_signals(handler: Callable[[int, FrameType | None], None] | signal.Handlers) -> None:
     """Install the handler of Ctrl-C and of termination signals, except those that are ignored, as under nohup."""
     for number in TERMINATION:
         if signal.getsignal(number) is not signal.SIG_IGN:

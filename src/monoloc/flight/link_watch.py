@@ -1,4 +1,7 @@
-"""Says what becomes of the autopilot: whether it is heard, and whether its firmware is the stated one."""
+"""Says what becomes of the autopilot: whether it is heard, and whether its firmware is the stated one.
+
+It also tells the pilot of the flight's end. Its messages are in no recording: a flight that was killed has no end.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +50,8 @@ class LinkWatch:
         self._others = self._link.others
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Tell the pilot that no more poses come, whatever ended the flight."""
+        self._link.send(status_text("monoloc: ended", True))
 
     def _look_at_heartbeat(self, now_s: float) -> None:
         assert self._began_s is not None

@@ -69,6 +69,12 @@ def test_silence_is_said_after_three_seconds_and_the_return_at_once(watched: Wat
     assert watched.link.sent == []
 
 
+def test_pilot_hears_that_the_flight_has_ended(watched: Watched) -> None:
+    watched.watch.close()
+    (message,) = watched.link.sent
+    assert (message.text, message.severity) == ("monoloc: ended", 4)
+
+
 def test_noise_in_place_of_an_autopilot_is_said_to_be_the_baud_rates(watched: Watched) -> None:
     watched.link.hears_noise = True
     watched.until(10.0)
