@@ -143,7 +143,10 @@ class Renderer:
         sensor = self._sensor(camera, T_world_camera, "independent")
         if self._is_even:
             return self._evenly_lit(camera, T_world_camera, sensor, seed)
-        traced = {group: self._render(scene, sensor, self._path, seed) for group, scene in self._scenes.items()}
+        traced = {
+            group: self._render(scene, sensor, self._path, seed, self._samples)
+            for group, scene in self._scenes.items()
+        }
         depth, points, normals, paint = self._surfaces(camera, T_world_camera)
         guide = Guide(traced["lamps"][..., -3:], normals, points, paint.max(axis=-1) > 0.5)
         return Picture(
@@ -156,7 +159,7 @@ class Renderer:
         )
 
     def _evenly_lit(self, camera: Camera, T_world_camera: FloatArray, sensor: Any, seed: int) -> Picture:
-        seen = self._render(self._scenes["daylight"], sensor, self._albedo, seed).astype(np.float32)
+        seen = self._render(self._scenes["daylight"], sensor, self._albedo, seed, self._samples).astype(np.float32)
         albedo, facing = seen[..., :3], seen[..., 3:6]
         depth, _, normals, paint = self._surfaces(camera, T_world_camera)
         light = albedo * (_EVEN_LUX / np.pi * (1.0 + facing @ _EVEN_SHADING))[..., None]
@@ -169,8 +172,13 @@ class Renderer:
             glass=paint[..., 0] > 0.5,
         )
 
-    def _render(self, scene: Any, sensor: Any, integrator: Any, seed: int) -> NDArray[Any]:
-        image = self._mi.render(scene, sensor=sensor, integrator=integrator, seed=seed, spp=self._samples)
+    def _render(self, scene: Any, sensor: Any, integrator: Any, seed: int, samples: int) -> NDArray[Any]:
+        try:
+            image = self._mi.render(scene, sensor=sensor, integrator=integrator, seed=seed, spp=samples)
+        except RuntimeError as error:
+            if isinstance(error.__cause__, KeyboardInterrupt):  # which Dr.Jit has wrapped
+                raise KeyboardInterrupt from error
+            raise
         return np.array(image)
 
     def _surfaces(
@@ -178,7 +186,7 @@ class Renderer:
     ) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any]]:
         """Depth, points, normals and colour of the light group at the centres of the pixels."""
         centres = self._sensor(camera, T_world_camera, "stratified")
-        seen = np.array(self._mi.render(self._painted, sensor=centres, integrator=self._geometry, spp=1))
+        seen = self._render(self._painted, centres, self._geometry, seed=0, samples=1)
         points, normals, paint = np.split(seen, 3, axis=-1)
         T_camera_world = invert(T_world_camera)
         depth = points @ T_camera_world[2, :3] + T_camera_world[2, 3]

@@ -168,3 +168,12 @@ def test_unsuitable_cameras_are_refused(renderer: Renderer) -> None:
     for camera in (replace(CAMERA, fy=90.0), replace(CAMERA, distortion=(0.1, 0.0, 0.0, 0.0, 0.0))):
         with pytest.raises(SettingError, match="render with a plain camera"):
             renderer.picture(camera, POSE, 0)
+
+
+def test_ctrl_c_in_a_rendering_is_no_other_error(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise RuntimeError("error while performing a custom differentiable operation") from KeyboardInterrupt()
+
+    monkeypatch.setattr("mitsuba.render", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        renderer.picture(CAMERA, POSE, 0)
