@@ -96,16 +96,18 @@ NormalEquations<6> pose_equations(const SeenLandmarks& seen, const Motion& pose,
 NormalEquations<7> focal_equations(const SeenLandmarks& seen, const Motion& pose, double log_focal, double kernel_sd) {
   NormalEquations<7> equations;
   const Motion camera_from_world = inverse(pose);
-  const double shrink = std::exp(-log_focal);  // a ray is a pixel over the focal length
+  // A ray is a pixel over the focal length, and so is its standard deviation: residuals stay in pixels. If only the
+  // rays shrank, those of a long focal length would be small wherever the landmarks are.
+  const double shrink = std::exp(-log_focal);
   for (std::size_t n = 0; n < seen.count; ++n) {
     const double ray[2] = {seen.rays[2 * n] * shrink, seen.rays[2 * n + 1] * shrink};
-    const double* sd = seen.sd + 2 * n;
+    const double sd[2] = {seen.sd[2 * n] * shrink, seen.sd[2 * n + 1] * shrink};
     const Residuals residuals(local_point(seen, camera_from_world, n), ray, sd);
     const double weight = residuals.weight(kernel_sd);
     for (std::size_t axis = 0; axis < 2; ++axis) {
       std::array<double, 7> row;
       std::copy_n(residuals.jacobian[axis].begin(), 6, row.begin());
-      row[6] = ray[axis] / sd[axis];
+      row[6] = residuals.value[axis] + ray[axis] / sd[axis];
       equations.add(row, weight, residuals.value[axis]);
     }
   }

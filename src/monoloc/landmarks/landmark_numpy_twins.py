@@ -126,9 +126,9 @@ def fit_log_focal(
     """
     start, log_focal = pose, 0.0
     for kernel_sd in kernel_sds:
-        seen = rays * np.exp(-log_focal)  # a ray is a pixel over the focal length
-        residuals, jacobian = _residuals(pose, points, seen, sd, nearest_m)
-        columns = np.concatenate([jacobian, (seen / sd)[..., None]], axis=2).reshape(-1, 7)
+        shrink = np.exp(-log_focal)  # a ray is a pixel over the focal length, and so is its standard deviation
+        residuals, jacobian = _residuals(pose, points, shrink * rays, shrink * sd, nearest_m)
+        columns = np.concatenate([jacobian, (residuals + rays / sd)[..., None]], axis=2).reshape(-1, 7)
         weighted = columns * np.repeat(_weights(residuals, kernel_sd), 2)[:, None]
         normal = weighted.T @ columns + information
         offset = np.append(se3_log(invert(start) @ pose), log_focal)

@@ -17,12 +17,13 @@ from monoloc.supervision.distinct_views import DistinctViews
 from monoloc.supervision.integrity import MOST_COUNTED_S
 
 WELL_OBSERVED_SD = 0.02
-"""Standard deviation of log-focal above which it says nothing: the view is too flat."""
+"""Standard deviation of log-focal up to which it is known well: no less than it may differ by."""
 
 _MOST_COMMON = 4.0  # factor of log-focal's variance by what landmarks have in common: seen with up to 150 of them
 _MEMORY_S = 3.0  # time constant of the mean, of time that counts
 _LEAST_S = 0.5  # that counts before anything is said: of two views at least
 _MOST_SD = 3.0  # of single frames, since they are correlated, by which the mean may differ from the build's
+_SURE_SDS = 3.0  # of that mean by the views that it is of, by which it must differ to be sure
 _LEAST_LOG_FOCAL = 0.04  # smaller differences move a pose by little more than the covariance states
 # Standard deviations of the log-focal of a camera that is not the build's: before landmarks have confirmed it, and
 # after. In views that are nearly flat they may confirm one that is 10 % wrong (a desk), hence no less.
@@ -31,10 +32,14 @@ _MOST_CONFIRMED = 0.08  # difference that confirms a focal length, however much 
 _CONFIRMED_S = 1.0  # of measurements whose mean agrees with the stated focal length
 
 
+def log_focal_sd(pose: LandmarkPose) -> float:
+    """Standard deviation of a landmark pose's log-focal, with the errors that landmarks have in common."""
+    return pose.log_focal_sd * math.sqrt(min(max(1.0, COMMON_ERROR * len(pose.points)), _MOST_COMMON))
+
+
 def tells_focal(pose: LandmarkPose) -> bool:
-    """Whether a landmark pose determines the focal length; in a flat view it does not."""
-    common = min(max(1.0, COMMON_ERROR * len(pose.points)), _MOST_COMMON)
-    return pose.log_focal_sd * math.sqrt(common) <= WELL_OBSERVED_SD
+    """Whether a landmark pose determines the focal length well; in a flat view it does not."""
+    return log_focal_sd(pose) <= WELL_OBSERVED_SD
 
 
 def has_same_focal(camera: Camera, other: Camera) -> bool:
@@ -46,9 +51,9 @@ def has_same_focal(camera: Camera, other: Camera) -> bool:
 class CameraCheck:
     """Compares the focal length that landmarks ask for with the build's, and states what it may do to a pose.
 
-    In a flat view a wrong focal length fits as well as the right one: it moves the camera along its optical axis, and
-    both landmarks and predicted depth agree. What speaks for the stated one is that the build had the same. Any other
-    widens the covariance along that axis, less so once landmarks at different depths have confirmed it.
+    In a flat view a wrong focal length fits nearly as well as the right one: it moves the camera along its optical
+    axis, and both landmarks and predicted depth agree. What speaks for the stated one is that the build had the same.
+    Any other widens the covariance along that axis, less so once landmarks have confirmed it.
 
     Args:
         mean, sd: of landmarks' log-focal, as the build measured it at right poses.
@@ -69,7 +74,9 @@ class CameraCheck:
     @property
     def mismatch(self) -> bool:
         """Whether the camera is not the stated one."""
-        return self._measured_s >= _LEAST_S and self._difference > self._bound
+        if self._measured_s < _LEAST_S:
+            return False
+        return self._difference > math.hypot(self._bound, _SURE_SDS * self._sd)
 
     @property
     def is_confirmed(self) -> bool:
@@ -80,25 +87,31 @@ class CameraCheck:
     def _difference(self) -> float:
         return abs(self._sum / self._information - self._expected)
 
+    @property
+    def _sd(self) -> float:
+        """Standard deviation of the mean."""
+        return self._information**-0.5
+
     def update(self, pose: LandmarkPose | None, T_world_camera: FloatArray, elapsed_s: float) -> None:
         """Take in a frame's landmark pose, and where the camera is believed to be, (4, 4).
 
-        A view counts for a quarter of a second: for as long as the camera hovers there, misplaced landmarks ask for
-        the same wrong focal length.
+        A view counts for a quarter of a second, as one measurement: for as long as the camera hovers there, misplaced
+        landmarks ask for the same wrong focal length.
         """
-        if pose is None or not tells_focal(pose):
+        if pose is None or not math.isfinite(pose.log_focal_sd):
             return
         if self._views.is_new(T_world_camera):
             self._left_s = MOST_COUNTED_S
         counted_s = min(elapsed_s, self._left_s)
         if counted_s == 0.0:
             return
-        decay, information = math.exp(-counted_s / _MEMORY_S), pose.log_focal_sd**-2
+        decay = math.exp(-counted_s / _MEMORY_S)
+        information = counted_s / MOST_COUNTED_S * log_focal_sd(pose) ** -2
         self._left_s -= counted_s
         self._measured_s += counted_s
         self._sum = decay * self._sum + information * pose.log_focal
         self._information = decay * self._information + information
-        agrees = self._difference <= min(self._bound, _MOST_CONFIRMED)
+        agrees = self._sd <= WELL_OBSERVED_SD and self._difference <= min(self._bound, _MOST_CONFIRMED)
         self._agreed_s = self._agreed_s + counted_s if agrees else 0.0
         self._is_confirmed |= self._agreed_s >= _CONFIRMED_S
 
