@@ -90,7 +90,7 @@ class CameraCheck:
     @property
     def _sd(self) -> float:
         """Standard deviation of the mean."""
-        return self._information**-0.5
+        return 1.0 / math.sqrt(self._information)
 
     def update(self, pose: LandmarkPose | None, T_world_camera: FloatArray, elapsed_s: float) -> None:
         """Take in a frame's landmark pose, and where the camera is believed to be, (4, 4).
