@@ -14,7 +14,7 @@ FOCAL_SDS = 3.0
 
 # Relative error of a focal length or of depth's scale. In RedKitchen, at the desk and in 32 parts of both, right ones
 # came out up to 0.08 off, but of those that were certain none more than 0.04. So a focal length that is 4 % off,
-# which moves a pose already, is not told from a right one.
+# which moves a pose already, looks like a right one.
 _FACTOR_ERROR = 0.05
 # Poses that agree are not in a scale so far from that of depth, unless the camera only turned, which fits any scale.
 _MOST_LOG_SCALE = 0.5
