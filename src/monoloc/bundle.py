@@ -60,7 +60,7 @@ from monoloc.version import __version__
 _MAP, _LANDMARKS, _EDITS = "map.npz", "landmarks.npz", "edits.npz"
 _CONTENTS = (_MAP, _LANDMARKS, NETWORK)
 _TRANSFORM = "transform_"
-_WRITABLE = 0o222  # mode bits of which one is set in what anyone may write
+_WRITABLE = 0o222  # write bits of owner, group and others
 _REFERENCES = ("reference_poses", "forward_bias", "backward_bias")  # twists (V, 6), float32
 
 
@@ -70,18 +70,18 @@ class Bundle:
 
     Attributes:
         original, adapted: the room's mixture and the one the filter uses, world frame.
-        depth_model: the depth network, with the scale and shift fitted to the room where it is not our own.
-        settings: of the localizer, with those that were calibrated.
+        depth_model: the depth network; one that is not our own comes with the scale and shift fitted to the room.
+        settings: settings of the localizer, including the calibrated ones.
         camera: the colour camera of the build recording.
         provenance: what it was built from.
-        thresholds: of the scan's likelihood.
-        reference_poses: of the frames that built it.
-        landmarks: that they saw.
+        thresholds: thresholds of the scan's likelihood.
+        reference_poses: poses of the frames that built it, with the bias at each.
+        landmarks: landmarks that these frames saw.
         integrity: what distinguishes right from wrong beliefs in the room.
-        sensor: the same of a depth sensor in place of the network.
-        transform: from the original to the adapted map; None where both are the same.
+        sensor: the same for a depth sensor in place of the network.
+        transform: from the original to the adapted map; None if both are the same.
         cloud: size of the cloud that the map was fitted to; None in bundles of earlier versions, which lack it.
-        edits: of the map since it was built, the last one last.
+        edits: edits of the map since the build, the newest last.
     """
 
     original: GaussianMixture
@@ -107,7 +107,7 @@ class Bundle:
 
     @property
     def supports_scan_search(self) -> bool:
-        """Whether one scan tells where in the room a lost camera is."""
+        """Whether one scan can tell where in the room a lost camera is."""
         tells = self.integrity.supports_scan_search and len(self.reference_poses) > 0
         # A belief that begins so wide would be lost again before anything confirms it.
         tells &= self.settings.particle_bias.relocalization_sd_m < UNKNOWN_POSITION_SD_M
@@ -123,7 +123,7 @@ class Bundle:
     def down(self) -> FloatArray | None:
         """Direction of gravity, (3,) unit vector, world frame.
 
-        None where neither the recording nor the room's surfaces show it.
+        None if neither the recording nor the room's surfaces show it.
         """
         down = np.asarray(self.provenance.down_world)
         return down if self.provenance.knows_down else down_of(self.original, down)
@@ -147,8 +147,8 @@ def check_target(path: Path) -> None:
     """Refuse a path where a bundle must not be written, before the work is done.
 
     Raises:
-        BundleError: ``path`` exists and is no bundle, holds more than one or is write-protected, its parent cannot
-            be written to, or it lies in a bundle or a place.
+        BundleError: ``path`` exists and is not a bundle, holds more than a bundle or is write-protected; its parent
+            folder cannot be written to; or it lies in a bundle or a place.
     """
     if (container := container_of(path)) is not None:
         raise BundleError(path, f"lies in {container}", "choose another folder")
@@ -170,7 +170,7 @@ def check_target(path: Path) -> None:
 
 
 def replaced_edits(path: Path) -> int:
-    """Number of edits of the bundle that :func:`write_bundle` would replace, 0 where none can be read."""
+    """Number of edits of the bundle that :func:`write_bundle` would replace; 0 if none can be read."""
     try:
         return len(parse_manifest(manifest_content(path), path / MANIFEST).edits)
     except BundleError:
@@ -181,7 +181,7 @@ def write_bundle(path: str | Path, bundle: Bundle) -> int:
     """Write a bundle, replacing an older one with its signature; returns its size in bytes.
 
     Raises:
-        BundleError: as :func:`check_target`, or the disk does not take it.
+        BundleError: as in :func:`check_target`, or the disk cannot hold it.
     """
     path = Path(path)
     check_target(path)
@@ -223,13 +223,13 @@ def read_bundle(path: str | Path, public_key: str | Path | None = None) -> Bundl
     """Read a bundle and check it byte for byte.
 
     Args:
-        path: of the bundle.
-        public_key: file with the key of the required signer; None accepts bundles of anybody.
+        path: path of the bundle.
+        public_key: file with the key of the required signer; None accepts a bundle from anybody.
 
     Raises:
-        BundleError: not a bundle, cut short, edited, of an unknown schema, with a network that is refused by
-            :func:`monoloc.depth.network_check.check_network`, or without the signature.
-        DataError, MissingExtraError: as :func:`monoloc.bundle_signature.check_signature`, with a key only.
+        BundleError: it is not a bundle, is cut short or edited, has an unknown schema or a network that
+            :func:`monoloc.depth.network_check.check_network` refuses, or lacks the required signature.
+        DataError, MissingExtraError: as in :func:`monoloc.bundle_signature.check_signature`; only with a key.
     """
     path = Path(path)
     content = manifest_content(path)
@@ -272,10 +272,10 @@ def read_bundle(path: str | Path, public_key: str | Path | None = None) -> Bundl
 
 
 def check_bytes(path: Path) -> None:
-    """Check a bundle byte for byte, one file after another, without a look at what they mean.
+    """Check a bundle byte for byte, one file after another, without interpreting the files.
 
     Raises:
-        BundleError: not a bundle, cut short, edited, or of an unknown schema.
+        BundleError: it is not a bundle, is cut short or edited, or has an unknown schema.
     """
     manifest = parse_manifest(manifest_content(path), path / MANIFEST)
     for name in (*_CONTENTS, *((_EDITS,) if manifest.edits else ())):
@@ -308,11 +308,11 @@ def _read_edits(path: Path, manifest: Manifest) -> tuple[Edit, ...]:
 
 
 def read_network(network: str | Path) -> DepthModel:
-    """A depth network by bundle, or as :func:`monoloc.depth.model_files.read_model` takes it.
+    """Read a depth network from a bundle, or from anything that :func:`monoloc.depth.model_files.read_model` takes.
 
     Raises:
-        BundleError: a folder that is no bundle.
-        DataError, MissingExtraError: as :func:`monoloc.depth.model_files.read_model`.
+        BundleError: the folder is not a bundle.
+        DataError, MissingExtraError: as in :func:`monoloc.depth.model_files.read_model`.
     """
     if Path(network).is_dir() and not is_shipped(str(network)):
         return read_bundle(Path(network)).depth_model

@@ -31,11 +31,12 @@ class Camera:
         fx, fy: focal lengths, pixels: the magnification at the principal point, whatever the distortion model.
         cx, cy: principal point, pixels, pixel centres at integers.
         distortion: coefficients in OpenCV's order (:data:`monoloc.distortion.COEFFICIENTS`). *brown* has five, of
-            which k3 may be left out, *rational* eight and *fisheye* four; none given are all zero. The row or column
-            that OpenCV's calibration returns is taken as well, with zeros for what a rational lens has beyond eight.
+            which k3 may be left out, *rational* eight and *fisheye* four; if none are given, all are zero. The row or
+            column that OpenCV's calibration returns is accepted too, if all that follow a rational lens's eight are
+            zero.
         distortion_model: model of the coefficients. Five zeros of *brown* are a pinhole.
-        is_window: whether the image is part of a larger one, so that the principal point may be outside. Elsewhere it
-            is inside, or the intrinsics belong to another image size.
+        is_window: whether the image is part of a larger one, so that the principal point may be outside. In any other
+            image, a principal point outside means that the intrinsics belong to another image size.
 
     Raises:
         SettingError: a number is given as true or false, a size or focal length is not positive and finite, the
@@ -161,7 +162,7 @@ class Camera:
         return self._window(width, height, self.fx, self.fy, self.cx - left, self.cy - top)
 
     def sampled(self, first: int, step: int) -> Camera:
-        """Camera of every ``step``-th column and row from number ``first``, which are kept and not averaged."""
+        """Camera of every ``step``-th column and row from number ``first`` on, which are kept, not averaged."""
         width, height = (len(range(first, size, step)) for size in (self.width, self.height))
         fx, fy, cx, cy = (value / step for value in (self.fx, self.fy, self.cx - first, self.cy - first))
         return self._window(width, height, fx, fy, cx, cy)
@@ -212,9 +213,9 @@ class Camera:
         polynomial folds points far outside the field of view back into the image.
 
         Args:
-            points_camera: in the camera's frame, metres.
-            radius_m: of spheres around the points; true then of every sphere that reaches into the field of view,
-                and of some that pass its edges.
+            points_camera: points in the camera's frame, metres.
+            radius_m: radius of spheres around the points. The result is then true for every sphere that reaches into
+                the field of view, and for some that pass its edges.
         """
         least_m, *bounds = self.sight
         x, y, z = points_camera.T
@@ -224,7 +225,7 @@ class Camera:
         return np.asarray(is_within)
 
     def in_view(self, points_camera: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
-        """Which of points in the camera's frame, (N, 3) m, are in the image, or at most one pixel beyond it.
+        """Which points in the camera's frame, (N, 3) m, are in the image, or at most one pixel beyond it.
 
         The field of view of :meth:`in_sight` is larger: it is as wide to the left as to the right, whether or not the
         principal point is in the middle, and as wide everywhere as a distorted image is in its corners.
@@ -256,7 +257,7 @@ class Camera:
         return np.concatenate([normalised, np.ones((*normalised.shape[:-1], 1))], axis=-1)
 
     def ray_spread(self, rays: FloatArray) -> FloatArray:
-        """Change of rays' x by a pixel in x and of y by one in y, (N, 2), at rays (N, 2) with z = 1."""
+        """Change of a ray's x per pixel in x and of its y per pixel in y, (N, 2), at rays (N, 2) with z = 1."""
         if not self.is_distorted:
             return np.tile([1.0 / self.fx, 1.0 / self.fy], (len(rays), 1))
         J_xx, J_xy, J_yy = self._lens.jacobian(*rays.T)
@@ -267,7 +268,8 @@ class Camera:
     def for_pnp(self, pixels: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Pixels (N, 2), intrinsic matrix (3, 3) and coefficients as OpenCV's perspective-n-point solvers take them.
 
-        These know no fisheye. Its pixels become coordinates at z = 1, in units of a pixel's median span there.
+        The solvers have no fisheye model. A fisheye's pixels become coordinates at z = 1, in units of the median span
+        of a pixel there.
         """
         uv = np.asarray(pixels, dtype=np.float64)
         if self.distortion_model != "fisheye" or len(uv) == 0:
@@ -278,7 +280,7 @@ class Camera:
         return rays * scale, np.diag([scale, scale, 1.0]), np.zeros(5)
 
     def pixel_rays(self) -> FloatArray:
-        """Rays of every pixel, (height, width, 3); read-only, since those of a few cameras are kept."""
+        """Rays of every pixel, (height, width, 3); read-only, since those of a few cameras are cached."""
         return _pixel_rays(self)
 
     def back_project(self, depth_m: ArrayLike) -> FloatArray:

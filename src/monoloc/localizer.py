@@ -48,16 +48,16 @@ class Localizer:
     Args:
         bundle: the room, as :func:`monoloc.load` returns it.
         camera: the camera of the frames.
-        start: the first pose; None if it is unknown. Then the room is searched, and the state is *lost* until the
-            camera is found.
+        start: the first pose; None if it is unknown. The localizer then searches the room, and the state is *lost*
+            until it finds the camera.
         config: settings in place of the bundle's.
-        components: makes the components, see :mod:`monoloc.components`.
-        seed: of all random numbers: the same seed gives the same poses. A generator is used as it is.
+        components: a function that makes the components, see :mod:`monoloc.components`.
+        seed: seeds all random numbers: the same seed gives the same poses. A generator is used directly.
 
     Raises:
         DataError: the bundle's network does not take the camera's images.
         ValueError: no start is given, and neither scans nor landmarks can find the camera in this room.
-        TypeError: an argument is of another type: the start a pose for example, or the settings a dict.
+        TypeError: an argument has the wrong type, such as a pose for the start, or a dict for the settings.
     """
 
     def __init__(
@@ -93,13 +93,13 @@ class Localizer:
         self._budget: StepBudget | None = None
         if self._config.budget_ms is not None:
             self._budget = StepBudget(self._config.budget_ms, self._config.particles, self._config.scan_points)
-        # No method of this object, which a circle would keep alive: a place drops localizers with their memory.
+        # Not a method of this object: a cycle would keep it alive, and a place drops localizers to free memory.
         self._stage = _untimed if self._budget is None else self._budget.stage
         self._begin(checked_start(start))
         self._front_end = FrontEnd(made, camera, self._config, self._rng, self._stage)
 
     def _begin(self, start: Start | None) -> None:
-        """Everything that is believed, before a first frame."""
+        """Set everything that is believed before the first frame."""
         bundle, config = self._bundle, self._config
         if start is not None:
             particles = start.particles(config, self._rng)
@@ -119,18 +119,18 @@ class Localizer:
         self._state: State = "tracking"
         self._index, self._is_followed = 0, False
         self._held: tuple[IntegrityMonitor, Mode] | None = None  # at the last image, while others repeat it
-        # A start is where someone says that the camera is. What a search finds is evidence itself.
+        # A start is only a claim about where the camera is. What a search finds is evidence itself.
         can_be_confirmed = len(bundle.landmarks) > 0 or bundle.integrity.scans_can_confirm
         self._start_confirmed = start is None or not can_be_confirmed
 
     def reset(self, start: Start | None) -> None:
-        """Forget what is believed, and begin anew at the next frame, whose elapsed time is ignored.
+        """Forget the belief, and restart at the next frame, whose elapsed time is ignored.
 
         Args:
             start: pose of the next frame; None searches for the camera.
 
         Raises:
-            ValueError, TypeError: as the constructor; nothing has changed then.
+            ValueError, TypeError: as in the constructor; the localizer is then unchanged.
         """
         self._begin(checked_start(start))
         self._front_end.reset()
@@ -148,23 +148,23 @@ class Localizer:
         measured_motion: Motion | None = None,
         level: Level | None = None,
     ) -> Step:
-        """Take in one frame.
+        """Localise the camera in one frame.
 
         Args:
-            color: (H, W, 3) uint8 RGB, of the camera.
+            color: (H, W, 3) uint8 RGB image of the camera.
             elapsed_s: seconds since the previous frame; ignored at the first.
-            measured_depth: of a depth sensor, in place of the network's.
+            measured_depth: depth of a sensor, in place of the network's.
             down: direction of gravity in the camera's frame, (3,) of any length, as a flight controller's attitude
-                gives it; a standard deviation of one degree is assumed, of five in a map of a video.
-            measured_motion: since the previous frame, by another sensor: :meth:`Motion.rotation` of a gyroscope or
-                an attitude, or :meth:`Motion.metric` of another odometry; ignored at the first frame.
-            level: what to leave out, as a recorded flight did; None leaves it to the budget.
+                gives it. Its standard deviation is taken to be one degree, or five in a map of a video.
+            measured_motion: motion since the previous frame by another sensor: :meth:`Motion.rotation` of a gyroscope
+                or an attitude, or :meth:`Motion.metric` of another odometry; ignored at the first frame.
+            level: what to leave out, as a recorded flight did; None lets the budget decide.
 
         Raises:
-            ValueError: the image does not have the camera's size or type, time runs backwards, ``down`` is no
-                direction or unknown for the room, or ``measured_motion`` does not state its noise; nothing has
-                changed then.
-            TypeError: ``measured_depth`` or ``measured_motion`` is of another type; the same.
+            ValueError: the image does not have the camera's size or type, time runs backwards, ``down`` is not a
+                direction or that of the room is unknown, or ``measured_motion`` does not state its noise; the
+                localizer is then unchanged.
+            TypeError: ``measured_depth`` or ``measured_motion`` has the wrong type; the localizer is then unchanged.
             ValueError, TypeError: a component of your own returns what its protocol does not allow.
         """
         down_camera = self._gravity.direction(None if "gravity" in self._config.without else down)
@@ -210,7 +210,7 @@ class Localizer:
         )
 
     def _plan(self, level: Level | None) -> tuple[Level, StepPlan]:
-        """The level of this step, given or by the budget, and what the step does."""
+        """The level of this step, given or chosen by the budget, and what the step does."""
         if self._budget is not None:
             self._budget.begin()
         if level is None:
@@ -256,7 +256,7 @@ class Localizer:
     ) -> tuple[Estimate, float]:
         """The particles' pose after scan and corners, and the scan's mean log-likelihood there.
 
-        While the camera is searched for, scan and corners say nothing of the pose.
+        During a search, scan and corners are no evidence about the pose.
         """
         weigh = self._weighing(observation, relocalization.mode)
         with self._stage("weighing"):
@@ -275,7 +275,7 @@ class Localizer:
         return lambda particles: tempered_update(particles, weigh, self._rng)
 
     def _mean_log_likelihood(self, scan: Scan, particle_estimate: Estimate) -> float:
-        """Of the scan at the particles' pose, where depth's bias belongs; NaN for an empty scan."""
+        """Of the scan at the particles' pose, which shares the depth's bias; NaN for an empty scan."""
         if len(scan) == 0:
             return float("nan")
         pose: FloatArray = particle_estimate.pose[None]
@@ -296,7 +296,7 @@ class Localizer:
         Args:
             measured: pose of the particles, less its known bias.
 
-        Particles of a lost camera gather somewhere all the same: they count only if the scan fits where they are as
+        The particles of a lost camera gather somewhere too. So they count only if the scan fits there as well as
         scans fit at right poses, and landmarks do not contradict them.
         """
         landmark_pose = None if landmarks is None else landmarks.pose
@@ -326,7 +326,7 @@ class Localizer:
     def _measure_landmarks(
         self, observation: Observation, prior: Estimate, relocalization: Relocalization
     ) -> LandmarkMeasurement | None:
-        """What the image shows of the landmarks; None where it says nothing, or the belief starts anew."""
+        """What the image shows of the landmarks; None where it is no evidence, or the belief restarts."""
         starts_anew = relocalization.confirmed or relocalization.landmark_pose is not None
         if relocalization.mode is not Mode.TRACKING or starts_anew or not observation.image_is_new:
             return None
@@ -345,7 +345,7 @@ class Localizer:
         """Weigh the frame's evidence for and against the belief.
 
         Where particles and belief disagree beyond their errors, one of them is wrong. If landmarks measured the pose,
-        it is the particles, which are drawn anew; if not, their scan speaks against the belief.
+        the particles are wrong and are redrawn; if not, their scan is evidence against the belief.
         """
         mode, familiar = self._relocalization.mode, None
         if mode is Mode.TRACKING:
@@ -391,5 +391,5 @@ class Localizer:
 
 
 def _untimed(name: Stage) -> AbstractContextManager[None]:
-    """Of a localizer without a budget."""
+    """Time nothing, in a localizer without a budget."""
     return nullcontext()

@@ -11,7 +11,7 @@ from monoloc.localizer_config import LocalizerConfig
 from monoloc.particle_filter.particles import Particles, scatter
 
 START_ERROR_M, START_ERROR_DEG = 0.10, 3.0
-"""Default error of a start; runs that are evaluated start that far from the truth, in a random direction."""
+"""Default error of a start. Evaluation runs start this far from the truth, in a random direction."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Start:
     """The first pose of a flight and its uncertainty.
 
     Attributes:
-        pose: ``T_world_camera`` of the first frame, (4, 4), as far as it is known.
+        pose: estimated ``T_world_camera`` of the first frame, (4, 4).
         error_m, error_rad: root mean square of its distance and angle from the true pose.
 
     Raises:
@@ -60,7 +60,7 @@ class Start:
 
 
 def checked_start(start: object) -> Start | None:
-    """The start that is given, or None.
+    """Return the given start or None, after a check of its type.
 
     Raises:
         TypeError: it is something else, such as a pose.

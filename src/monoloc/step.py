@@ -21,22 +21,22 @@ class Step:
 
     Attributes:
         estimate: the belief: pose, covariance, depth scale. While the state is ``uncertain`` or ``lost``, the
-            covariance also covers a wrong belief, by its probability.
-        state: whether to believe it: ``tracking``, ``uncertain``, ``lost``, or ``map-changed``, where the pose is as
-            good as while ``tracking``, but the map no longer holds in a region in view.
-        reasons: why the state is not ``tracking``; empty where it is.
-        probability_far: that the position is more than 30 cm off; the state follows from it.
-        restarted: whether the belief started anew at this frame, after a search or a contradiction by landmarks: the
+            covariance also allows for a wrong belief, in proportion to its probability.
+        state: whether to believe the estimate: ``tracking``, ``uncertain``, ``lost``, or ``map-changed``. In the
+            last, the pose is as good as while ``tracking``, but a region in view no longer matches the map.
+        reasons: why the state is not ``tracking``; empty if it is.
+        probability_far: probability that the position is more than 30 cm off; the state follows from it.
+        restarted: whether the belief restarted at this frame, after a search or a contradiction by landmarks: the
             pose may have jumped.
         particle_estimate: pose of the particles alone.
-        mean_log_likelihood: of the scan at that pose, nats a point; NaN for an empty scan.
-        landmark_pose: pose by landmarks; None where there are none, or too few are seen.
-        mode: of the relocalisation.
-        motion: since the previous frame, by images or by another sensor; None where there is none.
-        depth: of the frame, after the correction of scale and tilt; None where the budget left it out.
-        scan: its points that were compared with the map.
-        changed_region: in view, in which the map no longer holds; None where there is none, or the pose is not known
-            well enough to tell.
+        mean_log_likelihood: mean log-likelihood of the scan at that pose, nats per point; NaN for an empty scan.
+        landmark_pose: pose from landmarks; None if there are none, or too few are seen.
+        mode: mode of the relocalisation.
+        motion: motion since the previous frame, from images or another sensor; None if nothing measured it.
+        depth: depth of the frame, after the correction of scale and tilt; None if the budget left it out.
+        scan: the points of that depth that were compared with the map.
+        changed_region: a region in view that no longer matches the map; None if there is none, or if the pose is not
+            known well enough to tell.
         level: what the step left out to keep its budget.
     """
 
