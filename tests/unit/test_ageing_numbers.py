@@ -86,8 +86,8 @@ def test_sentence_of_whom_it_is_not_for() -> None:
     last = ROOM["never_updated"]
     expected = [100.0 * last["median_m"], last["silent"], last["vouched_for"], silent, vouched_for]
     sentence = (
-        "had a median error of {} cm, and {} of {} frames were *tracking* or *map-changed* more than 30 cm off; "
-        "on the worst day {} of {} (1 build)."
+        "had a median error of {} cm, and {} of the {} frames that were *tracking* or *map-changed* were more than "
+        "30 cm off; on the worst day {} of {} (1 build)."
     )
     agree_sentence("docs/is-it-for-me.md", sentence, expected)
 
