@@ -15,16 +15,12 @@ from monoloc.extras import require_mcap, require_viewing
 from monoloc.files import target_of
 from monoloc.flight.flight_file import FlightFile
 from monoloc.flight.flight_loop import FlightOutput, FlightSummary
-from monoloc.flight.flight_recording import FlightHeader, RecordedStart
-from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.mcap_log import McapLog, step_recorder
 from monoloc.flight.pose_log import BackgroundPoseLog
 from monoloc.live.frame_source import FrameSource
 from monoloc.mavlink.autopilot_link import AutopilotLink
-from monoloc.mavlink.firmware import Firmware
 from monoloc.obstacles import tells_obstacles
-from monoloc.place.flown_map import FlownMap, digest_of_map
-from monoloc.start import Start
+from monoloc.place.flown_map import FlownMap
 from monoloc.step_budget import Level, budget_line, level_counts
 from monoloc.supervision.state import State
 
@@ -85,30 +81,6 @@ def logs(
         with_obstacles = flown.room is None or tells_obstacles(flown.room)
         recorder = step_recorder(flight.mcap, True, flown, camera, flight.settings, with_obstacles)
         yield McapLog(recorder, clock_offset_s, unwritten)
-
-
-def header_of(
-    path: Path,
-    camera: Camera,
-    are_upright: bool,
-    start: Start | None,
-    seed: int,
-    settings: FlightSettings,
-    firmware: Firmware | None,
-    waits_for_marker: bool,
-) -> FlightHeader:
-    """What a recording of the flight begins with; arguments as in :class:`FlightHeader`."""
-    return FlightHeader(
-        bundle=str(path.resolve()),
-        digest=digest_of_map(path),
-        camera=camera,
-        start=RecordedStart.of(start),
-        seed=seed,
-        settings=settings,
-        firmware=firmware,
-        stands_upright=are_upright,
-        waits_for_marker=waits_for_marker,
-    )
 
 
 def report(

@@ -33,7 +33,7 @@ from monoloc.cli.flight_options import (
     open_frames,
     starting_of,
 )
-from monoloc.cli.flight_outputs import check_flight_outputs, check_view, header_of, logs, report
+from monoloc.cli.flight_outputs import check_flight_outputs, check_view, logs, report
 from monoloc.cli.signature import RequireSignatureOption
 from monoloc.cli.start_option import METAVAR
 from monoloc.cli.stop_signals import stopped_by_signals
@@ -49,7 +49,7 @@ from monoloc.flight.autopilot import (
 )
 from monoloc.flight.flight_file import FlightFile
 from monoloc.flight.flight_loop import Flight, FlightOutput, FlightSummary
-from monoloc.flight.flight_recording import FlightRecorder
+from monoloc.flight.flight_recording import FlightHeader, FlightRecorder, RecordedStart
 from monoloc.flight.flight_settings import FlightSettings
 from monoloc.flight.line_writer import LineWriter
 from monoloc.flight.link_watch import LinkWatch
@@ -58,7 +58,7 @@ from monoloc.flight.north_measurement import NorthMeasurement
 from monoloc.flight.preflight import GOOD_SCALE_SD
 from monoloc.flight.status_output import StatusOutput
 from monoloc.flight.watchdog_output import WatchdogOutput
-from monoloc.place.flown_map import FlownMap
+from monoloc.place.flown_map import FlownMap, digest_of_map
 from monoloc.viz.flight_view import flight_view
 
 
@@ -200,9 +200,16 @@ def fly(
                 say(remark)
             waits_for_marker = starting.begins == "waiting"
             if flight.record is not None:
-                sent_to = None if align else firmware
-                header = header_of(
-                    room, camera, are_upright, starting.start, seed, flight_settings, sent_to, waits_for_marker
+                header = FlightHeader(
+                    bundle=str(room.resolve()),
+                    digest=digest_of_map(room),
+                    camera=camera,
+                    start=RecordedStart.of(starting.start),
+                    seed=seed,
+                    settings=flight_settings,
+                    firmware=None if align else firmware,
+                    stands_upright=are_upright,
+                    waits_for_marker=waits_for_marker,
                 )
                 outputs.append(FlightRecorder(flight.record, header, flown.is_place))
             clock_offset_s = 0.0 if fast else time.time() - frame_source.now_s()
