@@ -23,7 +23,7 @@ _MOST_COMMON = 4.0  # factor of log-focal's variance by what landmarks have in c
 _MEMORY_S = 3.0  # time constant of the mean, of time that counts
 _LEAST_S = 0.5  # that counts before anything is said: of two views at least
 _MOST_SD = 3.0  # of single frames, since they are correlated, by which the mean may differ from the build's
-_SURE_SDS = 3.0  # of that mean by the views that it is of, by which it must differ to be sure
+_SURE_SDS = 3.0  # of a view, by which that mean must differ: landmarks are misplaced alike in many views
 _LEAST_LOG_FOCAL = 0.04  # smaller differences move a pose by little more than the covariance states
 # Standard deviations of the log-focal of a camera that is not the build's: before landmarks have confirmed it, and
 # after. In views that are nearly flat they may confirm one that is 10 % wrong (a desk), hence no less.
@@ -66,7 +66,9 @@ class CameraCheck:
     def __init__(self, mean: float, sd: float, has_build_focal: bool) -> None:
         self._expected, self._bound = mean, max(_LEAST_LOG_FOCAL, _MOST_SD * sd)
         self._views, self._left_s = DistinctViews(), 0.0  # that still counts of the present view
-        self._sum, self._information, self._measured_s = 0.0, 0.0, 0.0
+        # Sums over views that fade: of log-focal by its information, of information, and of views.
+        self._sum, self._information, self._view_count = 0.0, 0.0, 0.0
+        self._measured_s = 0.0
         self.has_build_focal = has_build_focal
         self._is_confirmed, self._agreed_s = False, 0.0
         self._scene_m = 0.0
@@ -89,8 +91,8 @@ class CameraCheck:
 
     @property
     def _sd(self) -> float:
-        """Standard deviation of the mean."""
-        return 1.0 / math.sqrt(self._information)
+        """Standard deviation of a view's log-focal, by the mean information of views."""
+        return math.sqrt(self._view_count / self._information)
 
     def update(self, pose: LandmarkPose | None, T_world_camera: FloatArray, elapsed_s: float) -> None:
         """Take in a frame's landmark pose, and where the camera is believed to be, (4, 4).
@@ -105,12 +107,13 @@ class CameraCheck:
         counted_s = min(elapsed_s, self._left_s)
         if counted_s == 0.0:
             return
-        decay = math.exp(-counted_s / _MEMORY_S)
-        information = counted_s / MOST_COUNTED_S * log_focal_sd(pose) ** -2
+        decay, part = math.exp(-counted_s / _MEMORY_S), counted_s / MOST_COUNTED_S
+        information = part * log_focal_sd(pose) ** -2
         self._left_s -= counted_s
         self._measured_s += counted_s
         self._sum = decay * self._sum + information * pose.log_focal
         self._information = decay * self._information + information
+        self._view_count = decay * self._view_count + part
         agrees = self._sd <= WELL_OBSERVED_SD and self._difference <= min(self._bound, _MOST_CONFIRMED)
         self._agreed_s = self._agreed_s + counted_s if agrees else 0.0
         self._is_confirmed |= self._agreed_s >= _CONFIRMED_S
