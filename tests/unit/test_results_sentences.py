@@ -475,14 +475,14 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "within 0.3 of pose distance": "a definition",
     "turns by 2 to 5° a frame": "of the recording",
     "7 to 15 cm and 5 to 10° off": "of single frames that were not kept",
-    "Builds have the seeds 0 to 4. Those of seed 0": "names",
-    "(builds 0 to 2 of [the table": "names",
+    "Builds have the seeds 0 to 4": "names",
+    "by 3 mm at most": "on its page, without kept runs",
+    "(seeds 0 to 2": "names",
     "2 at 451 and 459": "of the recording",
     "begins at 443": "of the recording",
     ", 1 build and 1 flight a fault": "one in the file",
     "of the same versions as [the table, with seed 0": "names",
     "[may be 10 % wrong": "a definition",
-    "with AVX-512": "a name",
 }
 OF_CLAIMS = ("Failed", "Undecided")
 WITHOUT_KEPT_RUNS = ("Places that look alike", "A changed room", "A live flight", "Time and memory", "Budget")
