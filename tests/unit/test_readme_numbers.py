@@ -178,6 +178,7 @@ NOT_OF_THE_DATA: dict[str, str] = {
     "10 cm and 3° off": "the starts of the flights",
     "deviates from them by [4 cm": "a sentence of its page, checked there",
     "the extrapolation frames [by 3 cm": "on its page, without kept runs",
+    "10 % longer than stated": "a name",
     "1.5 cm and 1.7°": "stated by those who recorded the desk",
     "15 to 20 cm": "measured elsewhere, without kept data",
     "(1 build a room, 6 flights)": "three flights, two starts",
