@@ -32,7 +32,7 @@ _FOCAL_KERNEL_SDS = np.array([12.0, 6.0, 3.0, 3.0, 3.0])
 # Of the inverse covariance of what a wrong focal length does to a pose, (6,), and of its logarithm.
 _FOCAL_INFORMATION = np.diag(np.repeat([0.5, 0.1, 0.2], [3, 3, 1]) ** -2)
 _AGREE_WEIGHT = 0.25  # of a landmark that agrees
-_MOST_LEVERAGE = 1.0  # of a match, of 2: beyond, the pose follows it more than the others, which cannot check it
+_MOST_LEVERAGE = 1.0  # of a match, out of 2: above, the pose follows this match more than all others together
 _AGREE_PX, _LEAST_AGREEING, _CONFIDENCE = 4.0, 8, 1.0 - 1e-6  # with a pose of a triple
 _TURNS_RAD = np.array([-0.3, -0.15, 0.15, 0.3])  # from which the other poses of a flat view are sought
 _PRIOR_INFORMATION = np.linalg.inv(PRIOR_COVARIANCE)

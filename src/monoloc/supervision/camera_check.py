@@ -17,13 +17,15 @@ from monoloc.supervision.distinct_views import DistinctViews
 from monoloc.supervision.integrity import MOST_COUNTED_S
 
 WELL_OBSERVED_SD = 0.02
-"""Standard deviation of log-focal up to which it is known well: no less than it may differ by."""
+"""Standard deviation of log-focal up to which a view determines it well."""
 
 _MOST_COMMON = 4.0  # factor of log-focal's variance by what landmarks have in common: seen with up to 150 of them
 _MEMORY_S = 3.0  # time constant of the mean, of time that counts
 _LEAST_S = 0.5  # that counts before anything is said: of two views at least
 _MOST_SD = 3.0  # of single frames, since they are correlated, by which the mean may differ from the build's
-_SURE_SDS = 3.0  # of a view, by which that mean must differ: landmarks are misplaced alike in many views
+# Standard deviations of one view by which that mean must differ. The mean's own would be too small: landmarks are
+# misplaced alike in neighbouring views.
+_SURE_SDS = 3.0
 _LEAST_LOG_FOCAL = 0.04  # smaller differences move a pose by little more than the covariance states
 # Standard deviations of the log-focal of a camera that is not the build's: before landmarks have confirmed it, and
 # after. In views that are nearly flat they may confirm one that is 10 % wrong (a desk), hence no less.
