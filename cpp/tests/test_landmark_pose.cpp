@@ -60,7 +60,7 @@ void test_landmark_pose() {
     CHECK(fit.normal[7 * i] > 0.0);
     for (std::size_t j = 0; j < 6; ++j) CHECK(fit.normal[6 * i + j] == fit.normal[6 * j + i]);
   }
-  // Of independent unit errors in six directions, one each: a landmark's leverage is its share of the pose.
+  // Every landmark has a leverage, in proportion to its weight.
   std::vector<double> all(kPoints, 1.0);
   double sum = 0.0;
   for (const double leverage : monoloc::leverages(scene.seen(), origin.data(), diagonal(6, 1e-4).data(), all.data())) {

@@ -81,7 +81,7 @@ class FlightHeader(BaseModel):
         seed: of the localizer.
         settings: of the flight.
         firmware: that messages were written for; None without an autopilot.
-        stands_upright: whether ``[mount]`` or gravity told it of the images, or how to turn them until they do.
+        stands_upright: whether the images are known to be upright, by ``[mount]`` or by gravity.
         waits_for_marker: whether no frame was localised before a marker was seen.
     """
 
