@@ -118,6 +118,7 @@ class Localizer:
         self._map_change = MapChangeMonitor(bundle.landmarks, bundle.integrity)
         self._state: State = "tracking"
         self._index, self._is_followed = 0, False
+        self._has_landmark_pose = False  # near the belief, when landmarks were last measured
         self._held: tuple[IntegrityMonitor, Mode] | None = None  # at the last image, while others repeat it
         # A start is only a claim about where the camera is. What a search finds is evidence itself.
         can_be_confirmed = len(bundle.landmarks) > 0 or bundle.integrity.scans_can_confirm
@@ -176,6 +177,8 @@ class Localizer:
         relocalization = self._relocalize(observation, predicted, prior)
         particle_estimate, log_likelihood = self._update_particles(observation, relocalization, plan.particles)
         landmarks = self._measure_landmarks(observation, prior, relocalization) if plan.has_landmarks else None
+        if plan.has_landmarks:
+            self._has_landmark_pose = landmarks is not None and landmarks.pose is not None
         contradicted = self._contradicted_by(landmarks, particle_estimate)
         # Where particles are all that is known, their bias is looked up at their own pose.
         place = particle_estimate.pose if relocalization.confirmed else prior.pose
@@ -188,7 +191,7 @@ class Localizer:
         self._state, reasons = classify_state(supervision, previous)
         self._index += 1
         self._is_followed = relocalization.mode is Mode.TRACKING and observation.odometry_tracked
-        is_usual = self._is_followed and not relocalization.awaits_landmarks and not self._tracker.fusion.restarted
+        is_usual = self._is_followed and not relocalization.is_searched and not self._tracker.fusion.restarted
         if self._budget is not None and is_usual:  # no level leaves out a search
             # Their number changes after the weighing, so a step weighs as many as the one before left.
             self._budget.end(replace(plan, particles=len(relocalization.particles)))
@@ -240,6 +243,7 @@ class Localizer:
             observation.scan if observation.scan_has_enough_points else EMPTY_SCAN,
             observation.elapsed_s,
             self._integrity.probability_wrong,
+            self._state not in VOUCHED_FOR and not self._has_landmark_pose,
             partial(self._landmarks.relocalize, observation.color) if observation.image_is_new else None,
             self._rng,
         )

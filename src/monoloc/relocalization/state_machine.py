@@ -1,9 +1,10 @@
 """What happens to a camera that is lost: it is searched for, by landmarks or by scans.
 
-Landmarks that agree on a pose without a prior are decisive: the belief starts anew there, in the same frame. A scan
-is not: it can fit where the camera is not. So scans search only where landmarks cannot: in a room without any, and
-with a depth sensor in the dark. A pose that a scan found is first only followed, for a second; it is believed if the
-search then finds no better place.
+Landmarks that agree on a pose without a prior are decisive: the belief starts anew there, in the same frame. While
+the belief is only doubtful, two searches in turn must find the same place. A scan is not decisive: it can fit where
+the camera is not. So scans search only where landmarks cannot: in a room without any, and with a depth sensor in the
+dark. A pose that a scan found is first only followed, for a second; it is believed if the search then finds no better
+place.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from enum import Enum
 
 import numpy as np
 
-from monoloc.geometry import pose_distance_m
+from monoloc.geometry import FloatArray, invert, pose_distance_m
 from monoloc.landmarks.pnp import LandmarkPose, is_within_prior
 from monoloc.likelihood.scan import Scan
 from monoloc.likelihood.thresholds import LikelihoodThresholds
@@ -87,6 +88,7 @@ class Relocalization:
         confirmed: whether a place that scans had found was confirmed at this frame.
         awaits_landmarks: whether the camera is searched for where landmarks could be seen. A scan says nothing of the
             belief then: particles of a lost camera wander, and sooner or later their scan fits as at right poses.
+        is_searched: whether the room was searched at this frame, which takes time.
     """
 
     mode: Mode
@@ -94,6 +96,7 @@ class Relocalization:
     landmark_pose: LandmarkPose | None = None
     confirmed: bool = False
     awaits_landmarks: bool = False
+    is_searched: bool = False
 
 
 class RelocalizationStateMachine:
@@ -123,6 +126,8 @@ class RelocalizationStateMachine:
         self.mode = mode
         self._since_scan_search_s = _SCAN_PERIOD_S
         self._since_landmark_search_s = _LANDMARK_PERIOD_S
+        # From the belief to where the last search by landmarks found the camera instead, in the world's frame.
+        self._elsewhere: FloatArray | None = None
 
     def update(
         self,
@@ -131,6 +136,7 @@ class RelocalizationStateMachine:
         scan: Scan,
         elapsed_s: float,
         probability_wrong: float,
+        is_doubtful: bool,
         by_landmarks: Callable[[], LandmarkPose | None] | None,
         rng: np.random.Generator,
     ) -> Relocalization:
@@ -141,6 +147,7 @@ class RelocalizationStateMachine:
             scan: of this frame; empty where depth says nothing.
             elapsed_s: since the previous frame.
             probability_wrong: that the belief is wrong.
+            is_doubtful: whether the belief is not vouched for, and no landmarks are found near it.
             by_landmarks: relocalises by landmarks; called only if a search is due. None where the image says nothing.
             rng: used only if a search is due.
         """
@@ -151,20 +158,40 @@ class RelocalizationStateMachine:
         self._since_scan_search_s += elapsed_s
         self._since_landmark_search_s += elapsed_s
         is_sought = self.mode is not Mode.TRACKING or probability_wrong >= SUSPECTED
-        if not is_sought:
+        if not is_sought and not is_doubtful:
+            self._elsewhere = None
             return Relocalization(self.mode, particles)
-        seen = None if by_landmarks is None else self._search_by_landmarks(by_landmarks)
-        if seen is not None and not self._is_believed(seen, belief):
+        is_due = self._searches_by_landmarks and self._since_landmark_search_s >= _LANDMARK_PERIOD_S
+        seen, is_searched = None, is_due and by_landmarks is not None
+        if is_due and by_landmarks is not None:
+            self._since_landmark_search_s = 0.0
+            seen = self._other_place(by_landmarks(), belief, is_sought)
+        if seen is not None:
             self._transition(Event.LANDMARKS_FOUND)
             place = Estimate(seen.pose, seen.covariance, estimate(particles).log_scale)
             particles = self._relocalizer.sample_around(place, len(particles), rng)
-            return Relocalization(self.mode, particles, landmark_pose=seen)
+            return Relocalization(self.mode, particles, landmark_pose=seen, is_searched=True)
+        if not is_sought:
+            return Relocalization(self.mode, particles, is_searched=is_searched)
         if self._searches_by_landmarks and by_landmarks is not None:
-            return Relocalization(self.mode, particles, awaits_landmarks=True)
+            return Relocalization(self.mode, particles, awaits_landmarks=True, is_searched=is_searched)
         if len(scan) > 0 and self._searches_by_scan and self._since_scan_search_s >= _SCAN_PERIOD_S:
             self._since_scan_search_s = 0.0
             return self._search_by_scan(particles, scan, rng)
         return Relocalization(self.mode, particles)
+
+    def _other_place(self, seen: LandmarkPose | None, belief: Estimate, is_sought: bool) -> LandmarkPose | None:
+        """What a search by landmarks found, if the belief is to start anew there.
+
+        One search in a hundred finds a wrong place, but seldom twice. So a belief that is only doubtful is left for
+        a place that the search before found too.
+        """
+        before, self._elsewhere = self._elsewhere, None
+        if seen is None or self._is_believed(seen, belief):
+            return None
+        self._elsewhere = seen.pose @ invert(belief.pose)
+        is_found_again = before is not None and _is_same_place(before @ belief.pose, seen.pose)
+        return seen if is_sought or is_found_again else None
 
     def _is_believed(self, seen: LandmarkPose, belief: Estimate) -> bool:
         """Whether landmarks found the camera where it is believed to be; then measuring near the prior is enough.
@@ -173,14 +200,8 @@ class RelocalizationStateMachine:
         """
         if self.mode is not Mode.TRACKING:
             return False
-        distance_m = float(pose_distance_m(belief.pose, seen.pose[None])[0])
-        return distance_m < _SAME_PLACE_M and is_within_prior(seen.pose, belief.pose, belief.covariance)
-
-    def _search_by_landmarks(self, by_landmarks: Callable[[], LandmarkPose | None]) -> LandmarkPose | None:
-        if not self._searches_by_landmarks or self._since_landmark_search_s < _LANDMARK_PERIOD_S:
-            return None
-        self._since_landmark_search_s = 0.0
-        return by_landmarks()
+        is_within = is_within_prior(seen.pose, belief.pose, belief.covariance)
+        return is_within and _is_same_place(seen.pose, belief.pose)
 
     def _search_by_scan(self, particles: Particles, scan: Scan, rng: np.random.Generator) -> Relocalization:
         current = estimate(particles)
@@ -190,7 +211,8 @@ class RelocalizationStateMachine:
         self._transition(event)
         if event is Event.FOUND:
             particles = self._relocalizer.sample_around(place, len(particles), rng)
-        return Relocalization(self.mode, particles, confirmed=was_verifying and event is Event.CONFIRMED)
+        confirmed = was_verifying and event is Event.CONFIRMED
+        return Relocalization(self.mode, particles, confirmed=confirmed, is_searched=True)
 
     def _event(self, value: float, distance_m: float) -> Event:
         """Of a scan's mean log-likelihood at the best place, and that place's distance from the current one."""
@@ -202,3 +224,7 @@ class RelocalizationStateMachine:
 
     def _transition(self, event: Event) -> None:
         self.mode = TRANSITIONS[self.mode, event]
+
+
+def _is_same_place(pose: FloatArray, other: FloatArray) -> bool:
+    return float(pose_distance_m(pose, other[None])[0]) < _SAME_PLACE_M
