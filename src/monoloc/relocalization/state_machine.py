@@ -1,7 +1,7 @@
 """What happens to a camera that is lost: it is searched for, by landmarks or by scans.
 
 Landmarks that agree on a pose without a prior are decisive: the belief starts anew there, in the same frame. While
-the belief is only doubtful, two searches in turn must find the same place. A scan is not decisive: it can fit where
+the belief is only uncertain, two searches in turn must find the same place. A scan is not decisive: it can fit where
 the camera is not. So scans search only where landmarks cannot: in a room without any, and with a depth sensor in the
 dark. A pose that a scan found is first only followed, for a second; it is believed if the search then finds no better
 place.
@@ -136,7 +136,7 @@ class RelocalizationStateMachine:
         scan: Scan,
         elapsed_s: float,
         probability_wrong: float,
-        is_doubtful: bool,
+        is_uncertain: bool,
         by_landmarks: Callable[[], LandmarkPose | None] | None,
         rng: np.random.Generator,
     ) -> Relocalization:
@@ -147,7 +147,7 @@ class RelocalizationStateMachine:
             scan: of this frame; empty where depth says nothing.
             elapsed_s: since the previous frame.
             probability_wrong: that the belief is wrong.
-            is_doubtful: whether the belief is not vouched for, and no landmarks are found near it.
+            is_uncertain: whether the belief is not vouched for, and no landmarks are found near it.
             by_landmarks: relocalises by landmarks; called only if a search is due. None where the image says nothing.
             rng: used only if a search is due.
         """
@@ -158,7 +158,7 @@ class RelocalizationStateMachine:
         self._since_scan_search_s += elapsed_s
         self._since_landmark_search_s += elapsed_s
         is_sought = self.mode is not Mode.TRACKING or probability_wrong >= SUSPECTED
-        if not is_sought and not is_doubtful:
+        if not is_sought and not is_uncertain:
             self._elsewhere = None
             return Relocalization(self.mode, particles)
         is_due = self._searches_by_landmarks and self._since_landmark_search_s >= _LANDMARK_PERIOD_S
@@ -183,7 +183,7 @@ class RelocalizationStateMachine:
     def _other_place(self, seen: LandmarkPose | None, belief: Estimate, is_sought: bool) -> LandmarkPose | None:
         """What a search by landmarks found, if the belief is to start anew there.
 
-        One search in a hundred finds a wrong place, but seldom twice. So a belief that is only doubtful is left for
+        One search in a hundred finds a wrong place, but seldom twice. So a belief that is only uncertain is left for
         a place that the search before found too.
         """
         before, self._elsewhere = self._elsewhere, None

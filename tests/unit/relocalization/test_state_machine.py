@@ -99,12 +99,12 @@ def update(
     probability_wrong: float = BELIEVED,
     sd_m: float = KNOWN_SD_M,
     landmarks: _Landmarks | None = None,
-    is_doubtful: bool = False,
+    is_uncertain: bool = False,
 ) -> After:
     """After a frame whose particles and belief were at ``x_m``; its image says nothing, so that scans search."""
     rng = np.random.default_rng(0)
     particles, belief = copies_of(estimate_at(x_m)), estimate_at(x_m, sd_m)
-    result = machine.update(particles, belief, scan, elapsed_s, probability_wrong, is_doubtful, landmarks, rng)
+    result = machine.update(particles, belief, scan, elapsed_s, probability_wrong, is_uncertain, landmarks, rng)
     assert isinstance(result, Relocalization) and len(result.particles) == 10 and result.mode is machine.mode
     by_landmarks = result.landmark_pose is not None
     assert not by_landmarks or result.landmark_pose.pose[0, 3] == landmarks.x_m
@@ -373,49 +373,49 @@ def test_suspected_belief_goes_on_where_landmarks_find_the_camera_there(x_m: flo
     assert after == After(Mode.TRACKING, expected_m, by_landmarks=begins_anew, awaits_landmarks=not begins_anew)
 
 
-# --- A belief that is doubtful, but not yet suspected ---
+# --- A belief that is uncertain, but not yet suspected ---
 
 
-def test_doubtful_belief_is_left_for_a_place_that_two_searches_in_turn_find() -> None:
+def test_uncertain_belief_is_left_for_a_place_that_two_searches_in_turn_find() -> None:
     """The camera moves on by 0.5 m between them, as the belief does."""
     machine = machine_with(mode=Mode.TRACKING)
-    assert update(machine, 0.0, landmarks=_Landmarks(4.0), is_doubtful=True) == After(Mode.TRACKING, 0.0)
-    found = update(machine, 0.5, landmarks=_Landmarks(4.5), is_doubtful=True)
+    assert update(machine, 0.0, landmarks=_Landmarks(4.0), is_uncertain=True) == After(Mode.TRACKING, 0.0)
+    found = update(machine, 0.5, landmarks=_Landmarks(4.5), is_uncertain=True)
     assert found == After(Mode.TRACKING, 4.5, by_landmarks=True)
 
 
 @pytest.mark.parametrize(
     "between",
     [
-        {"landmarks": _Landmarks(7.0), "is_doubtful": True},
-        {"landmarks": _Landmarks(0.0), "is_doubtful": True},
-        {"landmarks": _Landmarks(None), "is_doubtful": True},
-        {"is_doubtful": False},
+        {"landmarks": _Landmarks(7.0), "is_uncertain": True},
+        {"landmarks": _Landmarks(0.0), "is_uncertain": True},
+        {"landmarks": _Landmarks(None), "is_uncertain": True},
+        {"is_uncertain": False},
     ],
 )
-def test_doubtful_belief_stays_where_a_search_between_did_not_find_the_place(between: dict[str, Any]) -> None:
+def test_uncertain_belief_stays_where_a_search_between_did_not_find_the_place(between: dict[str, Any]) -> None:
     machine, stays = machine_with(mode=Mode.TRACKING), After(Mode.TRACKING, 0.0)
-    assert update(machine, 0.0, landmarks=_Landmarks(4.0), is_doubtful=True) == stays
+    assert update(machine, 0.0, landmarks=_Landmarks(4.0), is_uncertain=True) == stays
     assert update(machine, 0.0, **between) == stays
-    assert update(machine, 0.0, landmarks=_Landmarks(4.0), is_doubtful=True) == stays
+    assert update(machine, 0.0, landmarks=_Landmarks(4.0), is_uncertain=True) == stays
 
 
-def test_doubtful_belief_is_searched_for_by_landmarks_alone_five_times_a_second() -> None:
+def test_uncertain_belief_is_searched_for_by_landmarks_alone_five_times_a_second() -> None:
     """The relocaliser by scans has no answer to give: it must not be asked."""
     landmarks, machine = _Landmarks(None), machine_with(mode=Mode.TRACKING)
     for _ in range(20):
-        assert update(machine, elapsed_s=0.1, landmarks=landmarks, is_doubtful=True) == After(Mode.TRACKING, HERE_M)
+        assert update(machine, elapsed_s=0.1, landmarks=landmarks, is_uncertain=True) == After(Mode.TRACKING, HERE_M)
     assert landmarks.calls in (10, 11)
 
 
 def test_suspected_belief_is_left_for_a_place_that_one_search_finds() -> None:
     machine = machine_with(mode=Mode.TRACKING)
-    found = update(machine, 0.0, landmarks=_Landmarks(4.0), is_doubtful=True, probability_wrong=SUSPECTED)
+    found = update(machine, 0.0, landmarks=_Landmarks(4.0), is_uncertain=True, probability_wrong=SUSPECTED)
     assert found == After(Mode.TRACKING, 4.0, by_landmarks=True)
 
 
 @pytest.mark.parametrize(
-    ("is_doubtful", "probability_wrong", "landmarks", "is_searched"),
+    ("is_uncertain", "probability_wrong", "landmarks", "is_searched"),
     [
         (False, BELIEVED, _Landmarks(None), False),
         (True, BELIEVED, _Landmarks(None), True),
@@ -425,9 +425,9 @@ def test_suspected_belief_is_left_for_a_place_that_one_search_finds() -> None:
     ],
 )
 def test_frame_says_whether_the_room_was_searched(
-    is_doubtful: bool, probability_wrong: float, landmarks: _Landmarks | None, is_searched: bool
+    is_uncertain: bool, probability_wrong: float, landmarks: _Landmarks | None, is_searched: bool
 ) -> None:
     machine, rng = machine_with((3.0, FITS), mode=Mode.TRACKING), np.random.default_rng(0)
     particles, belief = copies_of(estimate_at(0.0)), estimate_at(0.0)
-    result = machine.update(particles, belief, SCAN, PERIOD_S, probability_wrong, is_doubtful, landmarks, rng)
+    result = machine.update(particles, belief, SCAN, PERIOD_S, probability_wrong, is_uncertain, landmarks, rng)
     assert result.is_searched == is_searched
