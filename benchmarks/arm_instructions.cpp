@@ -441,6 +441,8 @@ const std::map<std::string, std::function<void(const Call&)>> kFunctions = {
      [](const Call& call) {
        monoloc::fit_pose(landmarks(call), call.at(3), call.at(4), {call.at(5), call.count(5)});
      }},
+    {"leverages",
+     [](const Call& call) { monoloc::leverages(landmarks(call), call.at(3), call.at(4), call.at(5)); }},
     {"fit_log_focal",
      [](const Call& call) {
        monoloc::fit_log_focal(landmarks(call), call.at(3), call.at(4), {call.at(5), call.count(5)});

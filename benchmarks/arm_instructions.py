@@ -46,6 +46,7 @@ SIZES: dict[str, tuple[tuple[int, str], ...]] = {
     "nearest_descriptors": ((0, "keypoints"), (1, "landmarks")),
     "find_consensus": ((0, "landmarks"),),
     "fit_pose": ((0, "landmarks"),),
+    "leverages": ((0, "landmarks"),),
     "fit_log_focal": ((0, "landmarks"),),
     "adjust_window": ((1, "corners"), (0, "keyframes")),
     "se3_exp": ((0, "twists"),),

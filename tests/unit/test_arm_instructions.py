@@ -16,6 +16,19 @@ from repository import REPOSITORY
 COUNTED: dict[str, Any] = json.loads((REPOSITORY / "docs" / "results" / "arm-instructions.json").read_text())
 PAGE = (REPOSITORY / "docs" / "how-to" / "companion-computer.md").read_text(encoding="utf-8")
 BUILDS = ("plain", "neon")
+# Functions of the core that no flight with the default likelihood calls.
+NOT_IN_FLIGHTS = {
+    "log_density",
+    "expectation",
+    "max_pool",
+    "max_pool_gradient",
+    "chain_pools",
+    "chain_pools_gradient",
+    "draw_points",
+    "instruction_set",
+    "multiply_add",
+    "MixtureIndex",
+}
 
 
 def script() -> ModuleType:
@@ -50,6 +63,12 @@ def test_example_divides_the_counted_instructions() -> None:
     assert int(million) == round(COUNTED["step"]["neon"] / 1e6)
     for text, per_cycle in ((one, 1.0), (two, 2.0)):
         assert int(text) == round(COUNTED["step"]["neon"] / (1e6 * float(clock) * per_cycle))
+
+
+def test_every_function_that_a_flight_calls_is_counted() -> None:
+    text = (REPOSITORY / "src" / "monoloc" / "_core.pyi").read_text(encoding="utf-8")
+    functions = set(re.findall(r"^(?:def|class) (\w+)", text, flags=re.MULTILINE))
+    assert {name.split(".")[0] for name in script().SIZES} == functions - NOT_IN_FLIGHTS
 
 
 def test_every_kernel_is_counted() -> None:
