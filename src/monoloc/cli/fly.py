@@ -227,8 +227,7 @@ def fly(
                     flown.room,
                     firmware,
                     flight_settings,
-                    summary.poses,
-                    summary.unwritten,
+                    summary,
                     waits_for_marker,
                 )
             if link is not None and firmware is not None:

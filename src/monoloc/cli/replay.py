@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from collections import Counter
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Annotated
@@ -22,7 +21,7 @@ from monoloc.cli.output_checks import check_outputs, check_suffix
 from monoloc.errors import DataError
 from monoloc.files import read_regular, write_whole
 from monoloc.flight.autopilot import senders
-from monoloc.flight.flight_loop import FlightOutput
+from monoloc.flight.flight_loop import FlightOutput, FlightSummary
 from monoloc.flight.flight_recording import MESSAGES, POSES, FlightHeader, read_header
 from monoloc.flight.pose_log import PoseLog
 from monoloc.flight.recomputation import recompute
@@ -71,8 +70,7 @@ def replay(
                 flown.room,
                 header.firmware,
                 header.settings,
-                Counter(),
-                Counter(),
+                FlightSummary(),
                 header.waits_for_marker,
             )
         for output in outputs:

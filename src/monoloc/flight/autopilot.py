@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from monoloc.bundle import Bundle
 from monoloc.errors import SettingError
-from monoloc.flight.flight_loop import FlightOutput
+from monoloc.flight.flight_loop import FlightOutput, FlightSummary
 from monoloc.flight.flight_recording import MESSAGES
 from monoloc.flight.flight_settings import FlightSettings, LevelMap, down_of_map
 from monoloc.flight.message_log import BackgroundMessageLog, MessageLog
@@ -64,8 +63,7 @@ def senders(
     room: Bundle | None,
     firmware: Firmware,
     settings: FlightSettings,
-    poses: Counter[str],
-    unwritten: Counter[str],
+    summary: FlightSummary,
     waits_for_marker: bool,
 ) -> list[FlightOutput]:
     """The outputs that send to an autopilot, in their order.
@@ -75,8 +73,8 @@ def senders(
         folder: of a recording, where they are written; None writes none.
         map_, firmware, settings: of the flight.
         room: whose obstacles are sent; None in a place, where each room that is entered brings its own.
-        poses: counts those that are sent, and why others are not.
-        unwritten: counts messages that were sent but not written, since the disk was too slow.
+        summary: counts the poses that are sent, and why others are not, and the messages that were sent but not
+            written, since the disk was too slow.
         waits_for_marker: whether no frame is localised before a marker is seen.
 
     Raises:
@@ -89,11 +87,11 @@ def senders(
         watch = ObstacleWatch.of(room)
 
     def sender(to: MessageSink) -> PoseSender:
-        return PoseSender(to, frames, firmware, settings, watch, poses, waits_for_marker)
+        return PoseSender(to, frames, firmware, settings, watch, summary.poses, waits_for_marker)
 
     if folder is not None:
         path = folder / MESSAGES
-        log = MessageLog(path) if sink is None else BackgroundMessageLog(path, sink, unwritten)
+        log = MessageLog(path) if sink is None else BackgroundMessageLog(path, sink, summary.unwritten)
         return [log, sender(log)]
     return [] if sink is None else [sender(sink)]
 
