@@ -31,11 +31,11 @@ def test_maps_after_the_last_day() -> None:
 
 
 def test_days() -> None:
-    for (number, moved, never, updated, teaching, then), day in zip(TABLES[1], ROOM["days"], strict=True):
+    for (number, moved, never, updated, usable, then), day in zip(TABLES[1], ROOM["days"], strict=True):
         assert moved == ", ".join(day["moved"]) and ROOM["days"][int(number) - 1] is day
         agree(never, centimetres(day["never_updated"]))
         agree(updated, centimetres(day["updated"]))
-        agree(teaching, [day["teaching_frames"]])
+        agree(usable, [day["usable_frames"]])
         agree(then, day["applied"].values())
 
 
@@ -65,7 +65,7 @@ SENTENCES = [
             *(AGAIN[name][count] for name in ("updated", "never_updated") for count in ("silent", "vouched_for")),
         ],
     ),
-    ("frames are too few: {} to {} of", extremes_of([day["teaching_frames"] for day in ROOM["days"][1:]])),
+    ("frames are too few: {} to {} of", extremes_of([day["usable_frames"] for day in ROOM["days"][1:]])),
     ("A day's edits take {} to {} kB", extremes_of(UNDO_KB)),
     (
         "has {} times the median error and {} times the RMSE of a fresh build",
@@ -75,7 +75,7 @@ SENTENCES = [
         "the one that was never updated {} and {} times",
         [OFFICE["never_updated"][name] / OFFICE["fresh"][name] for name in ("median_m", "rmse_m")],
     ),
-    ("frames a day, {} to {} teach", extremes_of([day["teaching_frames"] for day in OFFICE["days"]])),
+    ("frames a day, {} to {} are usable", extremes_of([day["usable_frames"] for day in OFFICE["days"]])),
     ("{} landmarks are retired and {} added.", [applied("retire landmarks"), applied("add landmarks")]),
 ]
 

@@ -74,10 +74,10 @@ class ErrorFigures:
 
 @dataclass(frozen=True)
 class DayFigures:
-    """One day: what was moved, how the day's flight went on both maps before it taught, and what it taught.
+    """One day: what was moved, how the day's flight went on both maps before the update, and what was updated.
 
     Attributes:
-        refusal: why the flight taught nothing; None if it did.
+        refusal: why the flight added no evidence; None if it did.
         applied: number of landmarks or voxels that each kind of proposal changed.
         undo_bytes: that the day's edits take.
     """
@@ -86,7 +86,7 @@ class DayFigures:
     never_updated: ErrorFigures
     updated: ErrorFigures
     refusal: str | None
-    teaching_frames: int
+    usable_frames: int
     applied: dict[str, int]
     undo_bytes: int
 
@@ -170,7 +170,7 @@ def bench_ageing(days: Days, is_sensor_depth: bool, starts: int, seed: int, prog
                     never_updated=never_updated,
                     updated=updated,
                     refusal=flight.refusal,
-                    teaching_frames=len(flight.frames),
+                    usable_frames=len(flight.frames),
                     applied={kind: sum(len(p.members) for p in proposed if p.kind == kind) for kind in kinds},
                     undo_bytes=sum(len(edit.undo) for edit in bundle.edits[count:]),
                 )

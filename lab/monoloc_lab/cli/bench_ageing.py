@@ -60,7 +60,7 @@ def ageing(
         for number, day in enumerate(figures.days, start=1)
     ]
     columns = ["day", "moved", "never updated", "updated", "then applied"]
-    print_table("Median and RMSE of the day's flight before it taught; frames not vouched for", columns, rows)
+    print_table("Median and RMSE of the day's flight before the update; frames not vouched for", columns, rows)
     last = [
         [name, _text(each), str(count)]
         for name, each, count in zip(
@@ -71,7 +71,7 @@ def ageing(
         )
     ]
     print_table("Another flight on the last day", ["map", "error", "landmarks"], last)
-    stderr.print(f"the other room's flight teaches nothing: {figures.poisoned}", soft_wrap=True)
+    stderr.print(f"the other room's flight is refused: {figures.poisoned}", soft_wrap=True)
 
 
 def _text(errors: ErrorFigures) -> str:

@@ -215,7 +215,7 @@ def _print(
                 "flights": [
                     {
                         "name": each.name,
-                        "teaching_frames": len(each.frames),
+                        "usable_frames": len(each.frames),
                         "states": each.states,
                         "refusal": each.refusal,
                     }
@@ -228,9 +228,7 @@ def _print(
         )
         return
     for flight in flights:
-        said = (
-            f"{len(flight.frames)} frames teach" if flight.refusal is None else f"teaches nothing: {flight.refusal}"
-        )
+        said = f"{len(flight.frames)} usable frames" if flight.refusal is None else f"refused: {flight.refusal}"
         stderr.print(f"{flight.name}: {said}", soft_wrap=True)
     say_written(plot)
     rows = [

@@ -1,7 +1,7 @@
 """A sensor's depth beside that of landmarks: whether both are in one unit.
 
-Landmarks fix the pose of a frame that teaches, whatever its depth says. Depth in another unit would show all surfaces
-of the room as gone, and extend the map by a second, larger or smaller room.
+Landmarks fix the pose of a frame that an update uses, whatever its depth says. Depth in another unit would show all
+surfaces of the room as gone, and extend the map by a second, larger or smaller room.
 """
 
 from __future__ import annotations

@@ -116,9 +116,9 @@ def _checked(bundle: Bundle, recording: Recording) -> tuple[Recording, dict[str,
 
 
 def _mapped_frames(bundle: Bundle) -> set[int]:
-    """Checksums of the frames that a map was made of, without those that only taught an update."""
+    """Checksums of the frames that a map was made of, without those that only an update used."""
     frames = bundle.provenance.frames.items()
-    return {checksum for name, checksum in frames if not name.startswith(TAUGHT_BY_FLIGHT)}
+    return {checksum for name, checksum in frames if not name.startswith(SEEN_BY_UPDATE)}
 
 
 def merge(bundle: Bundle, other: Bundle, name: str, parameters: dict[str, Any], rng: np.random.Generator) -> Bundle:
@@ -191,8 +191,8 @@ def _fingerprints(recording: Recording) -> dict[str, int]:
     return {name: fingerprint(recording.color(index)) for index, name in enumerate(recording.frame_names)}
 
 
-TAUGHT_BY_FLIGHT = "flight "
-"""Begins the name of a frame that taught an update, but gave the map no surfaces."""
+SEEN_BY_UPDATE = "flight "
+"""Begins the name of a frame that an update used, but that gave the map no surfaces."""
 
 
 def with_frames(provenance: Provenance, name: str, frames: dict[str, int]) -> Provenance:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from monoloc.bundle import Bundle
 from monoloc.editing.edits import Change, finish, select_landmarks, with_surfaces, without_surfaces
-from monoloc.editing.extension import TAUGHT_BY_FLIGHT, with_frames
+from monoloc.editing.extension import SEEN_BY_UPDATE, with_frames
 from monoloc.geometry import FloatArray
 from monoloc.updating.landmark_ageing import with_more
 from monoloc.updating.proposals import Proposal, ProposalKind
@@ -55,8 +55,8 @@ def _with(
         edited, change = without_surfaces(bundle, _Voxels(proposal.members, rules), rng)
     else:
         edited, change = with_surfaces(bundle, proposal.points, rng)
-    # What taught the map is no longer unseen.
-    frames = {f"{TAUGHT_BY_FLIGHT}{checksum:08x}": checksum for checksum in evidence.frames}
+    # What the update used is no longer unseen.
+    frames = {f"{SEEN_BY_UPDATE}{checksum:08x}": checksum for checksum in evidence.frames}
     provenance = with_frames(edited.provenance, edited.provenance.recording, frames)
     edited = replace(edited, provenance=provenance)
     newest = list(evidence.flights[-proposal.flights :])

@@ -17,7 +17,7 @@ from monoloc.landmarks.features import Keypoints, match_descriptors
 from monoloc.landmarks.landmark_map import FAMILIAR_TIMES, Landmarks, LandmarkViews
 from monoloc.supervision.integrity import IntegrityModel
 from monoloc.supervision.map_change import touching
-from monoloc.updating.observed_flight import ObservedFlight, TeachingFrame
+from monoloc.updating.observed_flight import ObservedFlight, UsableFrame
 from monoloc.updating.tally import Tally, bernoulli_nats
 from monoloc.updating.update_rules import UpdateRules
 
@@ -167,7 +167,7 @@ def _sought(
     return expected, found, seen_from
 
 
-def _found_in(corners: Landmarks, frame: TeachingFrame, detected: Camera) -> NDArray[np.int64]:
+def _found_in(corners: Landmarks, frame: UsableFrame, detected: Camera) -> NDArray[np.int64]:
     """Indices of corners that a frame finds among its keypoints that are no landmarks."""
     if not len(corners):
         return np.zeros(0, dtype=np.int64)
@@ -177,7 +177,7 @@ def _found_in(corners: Landmarks, frame: TeachingFrame, detected: Camera) -> NDA
     return np.asarray(visible[which])
 
 
-def _in_view(corners: Landmarks, frame: TeachingFrame, detected: Camera) -> tuple[NDArray[np.int64], FloatArray]:
+def _in_view(corners: Landmarks, frame: UsableFrame, detected: Camera) -> tuple[NDArray[np.int64], FloatArray]:
     """Indices of corners in view of a frame, (E,), and their pixels, (E, 2)."""
     return detected.in_view(transform(invert(frame.pose), corners.points.astype(np.float64)))
 
@@ -209,7 +209,7 @@ def _fresh(
     return Candidates(seen, Tally.new(len(seen), rules).after_flight(counts, counts, certain, rules))
 
 
-def _unmatched(frame: TeachingFrame, flight: ObservedFlight) -> Corners:
+def _unmatched(frame: UsableFrame, flight: ObservedFlight) -> Corners:
     """Keypoints that are no landmarks, as uncertain as the pose makes them."""
     seen = frame.keypoints.select(np.flatnonzero(~frame.is_landmark))
     if frame.depth is None:

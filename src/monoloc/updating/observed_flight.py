@@ -36,7 +36,7 @@ _MOST_MISMATCHES = 0.1  # share of frames whose landmarks fit another focal leng
 
 
 @dataclass(frozen=True)
-class TeachingFrame:
+class UsableFrame:
     """A frame that a map may learn from.
 
     Attributes:
@@ -68,7 +68,7 @@ class ObservedFlight:
 
     Attributes:
         name: of the recording.
-        frames: that teach.
+        frames: the usable ones.
         detected: camera of the keypoints.
         states: number of frames in each state.
         depth_error: standard deviation of depth.
@@ -76,7 +76,7 @@ class ObservedFlight:
     """
 
     name: str
-    frames: list[TeachingFrame]
+    frames: list[UsableFrame]
     detected: Camera
     states: dict[State, int]
     depth_error: DepthError
@@ -141,14 +141,14 @@ def _refusal(watcher: _Watcher, rules: UpdateRules) -> str | None:
         return f"{watcher.known} of its {count} frames built the map or were counted before"
     if len(watcher.frames) < rules.least_views:
         others = ", ".join(f"{why}: {number}" for why, number in watcher.left_out.most_common())
-        return f"{len(watcher.frames)} of its frames teach, fewer than {rules.least_views} ({others})"
+        return f"{len(watcher.frames)} of its frames are usable, fewer than {rules.least_views} ({others})"
     if (found := scale_problem(watcher.recording, watcher.depth_ratios)) is None:
         return None
     return f"{'; '.join(found)}, or leave it out: --depth predicted"
 
 
 class _Watcher:
-    """Keeps what teaches of a run; a :class:`monoloc.viz.viewer.Viewer`."""
+    """Keeps the usable frames of a run; a :class:`monoloc.viz.viewer.Viewer`."""
 
     def __init__(
         self, bundle: Bundle, recording: Recording, is_sensor_depth: bool, known: frozenset[int], rules: UpdateRules
@@ -158,10 +158,10 @@ class _Watcher:
         self._landmarks, self._familiar_found = bundle.landmarks, bundle.integrity.familiar_found
         self._localizer = OrbLandmarkLocalizer(bundle.landmarks, recording.camera)
         self.detect = KeypointDetector(recording.camera)
-        self.frames: list[TeachingFrame] = []
+        self.frames: list[UsableFrame] = []
         self.depth_ratios: list[FloatArray] = []  # of the sensor's depth to that of landmarks
         self.states: Counter[State] = Counter()
-        self.left_out: Counter[str] = Counter()  # frames that do not teach, by why
+        self.left_out: Counter[str] = Counter()  # frames that are not usable, by why
         self.mismatches = self.known = 0
 
     def begin(self, room: Bundle, recording: Recording) -> None:
@@ -176,7 +176,7 @@ class _Watcher:
         odometry: FloatArray,
         step_ms: float,
     ) -> None:
-        """Take in a frame, and keep it if it teaches."""
+        """Take in a frame, and keep it if it is usable."""
         self.states[step.state] += 1
         self.mismatches += Reason.CAMERA_MISMATCH in step.reasons
         checksum = fingerprint(color)
@@ -208,7 +208,7 @@ class _Watcher:
             self.depth_ratios.append(depth_ratios(depth, self.detect.camera, pixels, pose, points))
         sds = np.sqrt(np.diag(step.estimate.covariance))
         self.frames.append(
-            TeachingFrame(
+            UsableFrame(
                 pose=pose,
                 pose_sd_m=float(sds[:3].max()),
                 pose_sd_rad=float(sds[3:].max()),

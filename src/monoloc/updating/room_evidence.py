@@ -40,7 +40,7 @@ class Evidence:
         candidates: corners that may become landmarks.
         surfaces: that are gone or new.
         flights: names of those that were counted, the newest last.
-        frames: checksums of the frames that taught, so that none counts twice.
+        frames: checksums of the frames that were used, so that none counts twice.
     """
 
     landmarks: Tally

@@ -20,7 +20,7 @@ from monoloc.geometry import FloatArray, invert, transform
 from monoloc.map.cloud import voxel_thin
 from monoloc.map.depth_rendering import cloud_depth
 from monoloc.map.surface import surface_points
-from monoloc.updating.observed_flight import ObservedFlight, TeachingFrame
+from monoloc.updating.observed_flight import ObservedFlight, UsableFrame
 from monoloc.updating.tally import Tally, bernoulli_nats
 from monoloc.updating.update_rules import UpdateRules
 
@@ -128,7 +128,7 @@ def _after(tally: Tally, changed: NDArray[np.int64], unchanged: NDArray[np.int64
     return tally.after_flight(expected, changed, bernoulli_nats(expected, changed, *rates), rules)
 
 
-def _view(frame: TeachingFrame, flight: ObservedFlight, cloud: FloatArray, rules: UpdateRules) -> _View:
+def _view(frame: UsableFrame, flight: ObservedFlight, cloud: FloatArray, rules: UpdateRules) -> _View:
     camera, measured, nearest, farthest = _compared(frame)
     mapped = cloud_depth(cloud, camera, frame.pose)
     map_nearest, map_farthest = _range(mapped)
@@ -145,7 +145,7 @@ def _view(frame: TeachingFrame, flight: ObservedFlight, cloud: FloatArray, rules
 
 
 def _compared(
-    frame: TeachingFrame,
+    frame: UsableFrame,
 ) -> tuple[Camera, NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Camera, depth, and the nearest and the farthest depth around each pixel, of a frame at the size compared."""
     assert frame.depth is not None
@@ -165,7 +165,7 @@ def _range(depth_m: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[n
 
 
 def _points(
-    frame: TeachingFrame, camera: Camera, depth_m: NDArray[np.float32], chosen: NDArray[np.bool_]
+    frame: UsableFrame, camera: Camera, depth_m: NDArray[np.float32], chosen: NDArray[np.bool_]
 ) -> FloatArray:
     return transform(frame.pose, camera.back_project(depth_m)[chosen])
 
@@ -200,9 +200,7 @@ def _with_cells(surfaces: Surfaces, gone: Cells, new: Cells, rules: UpdateRules)
     )
 
 
-def _looks_through(
-    frame: TeachingFrame, flight: ObservedFlight, cells: Cells, rules: UpdateRules
-) -> NDArray[np.int64]:
+def _looks_through(frame: UsableFrame, flight: ObservedFlight, cells: Cells, rules: UpdateRules) -> NDArray[np.int64]:
     """Whether a frame sees only what is behind each of N voxels, (N,)."""
     camera, _, nearest, _ = _compared(frame)
     centres = transform(invert(frame.pose), (cells + 0.5) * rules.voxel_m)

@@ -10,11 +10,11 @@ class UpdateRules(BaseModel):
 
     Attributes:
         least_tracking_share: share of a flight's frames that must be *tracking* or *map-changed*.
-        least_views: frames that a flight must teach from.
+        least_views: usable frames that a flight must have.
         least_witnesses: landmarks outside of the changed region that must agree with a frame's pose.
         least_familiar_share: of the share of familiar landmarks that the build found, at least found in a frame,
             outside of the changed region.
-        apart_m: pose distance between frames that teach: nearer ones err alike.
+        apart_m: pose distance between usable frames: nearer ones err alike.
         least_flights: in a row that must show a change.
         prior_odds: that one landmark or voxel has changed, before anything was seen.
         least_odds: posterior odds from which on a change is proposed.

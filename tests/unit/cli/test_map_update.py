@@ -104,7 +104,7 @@ def test_a_flight_adds_evidence_beside_the_bundle_that_is_written(
     write_recording(here / "flight", flight(1))
     given = ("folder:flight", "--auto", "--out", "new.monoloc", "--seed", "3")
     result = json_of(capfd, *UPDATE, *given)
-    assert result["flights"][0]["refusal"] is None and result["flights"][0]["teaching_frames"] >= 5
+    assert result["flights"][0]["refusal"] is None and result["flights"][0]["usable_frames"] >= 5
     assert result["counted_flights"] == 3 and all(each["applied"] for each in result["proposals"])
     assert (here / "new.evidence.npz").is_file() and len(read_bundle(here / "new.monoloc").edits) >= 1
     assert read_bundle(here / "room.monoloc").edits == ()

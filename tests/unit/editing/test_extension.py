@@ -26,7 +26,7 @@ from edit_helpers import (
 )
 from monoloc.bundle import Bundle
 from monoloc.editing.alignment import known
-from monoloc.editing.extension import TAUGHT_BY_FLIGHT, extend, merge, with_frames
+from monoloc.editing.extension import SEEN_BY_UPDATE, extend, merge, with_frames
 from monoloc.editing.undo import undone
 from monoloc.geometry import FloatArray, invert, pose_distance_m, se3_exp, transform
 from monoloc.io.recording import Recording, Selection
@@ -294,9 +294,9 @@ def test_bundle_whose_frames_the_map_was_made_of_is_not_merged() -> None:
             "another recording",
         )
     assert len(merge(undone(edited), other, "b.monoloc", {}, rng()).provenance.frames) == 28
-    # What only taught an update gave the map no surfaces.
-    taught = {f"{TAUGHT_BY_FLIGHT}{frame}": checksum for frame, checksum in other.provenance.frames.items()}
-    provenance = with_frames(room.provenance, room.provenance.recording, taught)
+    # What only an update used gave the map no surfaces.
+    used = {f"{SEEN_BY_UPDATE}{frame}": checksum for frame, checksum in other.provenance.frames.items()}
+    provenance = with_frames(room.provenance, room.provenance.recording, used)
     assert merge(replace(room, provenance=provenance), other, "b.monoloc", {}, rng()).edits
 
 

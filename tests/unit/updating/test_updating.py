@@ -162,7 +162,7 @@ def test_a_flight_counts_once() -> None:
     assert evidence_of(1).after_flight(mapped(), again, True, RULES, np.random.default_rng(0)) is evidence_of(1)
 
 
-def test_a_flight_whose_depth_is_in_another_unit_teaches_nothing() -> None:
+def test_a_flight_whose_depth_is_in_another_unit_is_refused() -> None:
     wrong = Altered(flight(1), depth=lambda depth: 1.25 * depth)
     seen = observed(wrong)
     assert len(seen.frames) >= 5  # landmarks place the camera all the same
@@ -170,10 +170,10 @@ def test_a_flight_whose_depth_is_in_another_unit_teaches_nothing() -> None:
     assert observed(Altered(flight(1), depth=lambda depth: 1.03 * depth)).refusal is None
 
 
-def test_a_flight_that_hardly_moves_teaches_nothing_and_is_told_why() -> None:
+def test_a_flight_that_hardly_moves_is_refused_and_is_told_why() -> None:
     refusal = observed(RoomRecording(Room(), make_path(12, 1.0, 200.0), SMALL_CAMERA)).refusal
     assert refusal is not None
-    assert re.match(r"[0-4] of its frames teach, fewer than 5 \(as the view before: [0-9]+", refusal)
+    assert re.match(r"[0-4] of its frames are usable, fewer than 5 \(as the view before: [0-9]+", refusal)
 
 
 def test_an_update_is_taken_back_to_the_bit(tmp_path: Path) -> None:
@@ -183,7 +183,7 @@ def test_an_update_is_taken_back_to_the_bit(tmp_path: Path) -> None:
         assert digest_without_last_edit(bundle, tmp_path) == digest(room, tmp_path)
 
 
-def test_a_flight_in_another_room_teaches_nothing() -> None:
+def test_a_flight_in_another_room_is_refused() -> None:
     elsewhere = observed(RoomRecording(Room(7, 1.4), make_path(16, 0.05, 8.0), SMALL_CAMERA))
     assert elsewhere.refusal is not None
     evidence = Evidence.none(mapped(), RULES)
