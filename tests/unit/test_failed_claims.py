@@ -84,9 +84,10 @@ def stops_before(kind: str) -> list[float]:
 
 SENTENCES: tuple[Sentence, ...] = (
     (
-        "it stopped in {} of {} approaches to mapped obstacles ({} in three lights; {} by distances alone, the rest "
-        "because the state was *uncertain* or *lost*), and in {} of {} to new ones ({} by distances alone)",
-        [*stops_before("mapped")[:2], 20, *stops_before("mapped")[2:], *stops_before("new")],
+        "the drone stopped in {} of {} approaches to mapped obstacles ({} in each of three lights): in {} by "
+        "distances alone, in the rest because the state was *uncertain* or *lost*. It stopped in {} of {} approaches "
+        "to new obstacles, never by distances alone.",
+        [*stops_before("mapped")[:2], 20, *stops_before("mapped")[2:], *stops_before("new")[:2]],
     ),
     (
         "Two later builds had {} and {} in L3, and {} and {} in L1",
@@ -94,8 +95,8 @@ SENTENCES: tuple[Sentence, ...] = (
     ),
     (
         "the ratio to the RMSE without scans is {} ({}–{}) in RedKitchen, interpolation. At the desk, "
-        "interpolation, they raise it: {} ({}–{}). Undecided are {} ({}–{}) in RedKitchen and {} ({}–{}) at the "
-        "desk, extrapolation.",
+        "interpolation, they raise it: {} ({}–{}). On the extrapolation frames, both are undecided: {} ({}–{}) in "
+        "RedKitchen and {} ({}–{}) at the desk.",
         [
             number
             for stretch in (KITCHEN_BETWEEN, DESK_BETWEEN, KITCHEN_BEYOND, DESK_BEYOND)
@@ -188,6 +189,7 @@ def test_verdicts_under_failed() -> None:
     desk, kitchen = (three(a_third_over_all(room)) for room in ("office desk", "RedKitchen"))
     assert desk[1] < 1.15 < desk[2] and kitchen[1] < 1.15 < kitchen[2]
     assert len(FOUND_AWAY) == 3 and FOUND_AWAY[-1] < 0.95
+    assert stops_before("new")[2] == 0
 
 
 NOT_OF_THE_DATA: dict[str, str] = {
