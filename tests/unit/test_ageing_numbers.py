@@ -81,13 +81,13 @@ SENTENCES = [
 
 
 def test_sentence_of_whom_it_is_not_for() -> None:
-    days = [day["never_updated"] for day in ROOM["days"]]
+    days = [day["never_updated"] for day in AGAIN["days"]]
     silent, vouched_for = max((day["silent"], day["vouched_for"]) for day in days)
-    last = ROOM["never_updated"]
+    last = AGAIN["never_updated"]
     expected = [100.0 * last["median_m"], last["silent"], last["vouched_for"], silent, vouched_for]
     sentence = (
         "had a median error of {} cm, and {} of the {} frames that were *tracking* or *map-changed* were more than "
-        "30 cm off; on the worst day {} of {} (1 build)."
+        "30 cm off. On the worst day, {} of {} were (1 build)."
     )
     agree_sentence("docs/is-it-for-me.md", sentence, expected)
 

@@ -129,8 +129,9 @@ SENTENCES: tuple[Sentence, ...] = (
         ],
     ),
     (
-        "On the interpolation split the ratio is {} (`full`), {} (`two-thirds`), {} (`one-third`) and {} (`tiny`). "
-        "On the extrapolation split it is {}, {}, {} and {}. {} builds, {} flights each.",
+        "On the interpolation split the ratio of the median errors is {} (`full`), {} (`two-thirds`), {} "
+        "(`one-third`) and {} (`tiny`). On the extrapolation split it is {}, {}, {} and {}. {} builds, "
+        "{} flights each.",
         [
             *(over_unadapted(network, split) for split in SPLITS for network in SIZES),
             *numbers(of_network("full", "interpolation"), "builds", "flights"),

@@ -9,8 +9,8 @@ def test_sentences_of_the_papers_method() -> None:
     kept = json_of("paper-method.json")
     between, beyond, many = ([flight["median_cm"], flight["rmse_cm"]] for flight in kept["flights"])
     sentences = {
-        "has a median of {} cm and an RMSE of {} cm between the build frames": between,
-        ", and {} and {} cm beyond them": beyond,
+        "has a median error of {} cm and an RMSE of {} cm between the build frames": between,
+        "Beyond them, these are {} and {} cm": beyond,
         "ten times the particles, beyond the build frames, it has {} and {} cm": many,
         "the error falls from {} to {} %": [100.0 * error for error in kept["held_out_absrel"]],
         "moved by {} cm in the median": [kept["shift_median_cm"]],
