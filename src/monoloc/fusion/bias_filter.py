@@ -2,7 +2,7 @@
 
 Bias augmentation after Friedland, *Treatment of bias in recursive filtering* (1969). The particle filter treats the
 depth errors of consecutive frames as independent, so within a few frames its particles gather where the depth's bias
-puts them, and their spread says nothing of it. Here that bias is part of the state. Its standard deviation grows with
+puts them, and their spread does not show it. Here that bias is part of the state. Its standard deviation grows with
 the distance from the reference poses (:mod:`monoloc.fusion.bias_model`): near them the map dominates, far from them
 odometry does for a while. Landmark poses have a bias of their own, a smaller one; while landmarks are seen, they
 reveal the bias of the particles.
@@ -101,8 +101,8 @@ class BiasAugmentedFilter:
         """The belief with a covariance that allows for more than the filter's own.
 
         Away from the reference poses the particles' bias may be larger. In directions that the view hardly
-        determines, odometry is less exact, and landmark poses have the same error for many frames. Only the user gets
-        this covariance. The filter goes on with its own, by which particles and odometry count for more beside
+        determines, odometry is less accurate, and landmark poses have the same error for many frames. Only the user
+        gets this covariance. The filter goes on with its own, by which particles and odometry count for more beside
         landmarks that are wrong.
         """
         sds = self._particle_bias.stated_sds(self._reference_poses.distance_m(self._state.pose))
@@ -135,7 +135,7 @@ class BiasAugmentedFilter:
     def update_from_particles(self, measured: Estimate) -> Estimate:
         """The belief after the particles' pose.
 
-        After a second without odometry it starts anew there, or widens on where particles tell no position.
+        After a second without odometry it starts anew there, or goes on widening if they do not determine a position.
         """
         updated = self._state.update_from_particles(measured)
         if self._is_memoryless:
@@ -160,7 +160,8 @@ class BiasAugmentedFilter:
         """The belief after the landmark pose of the same frame.
 
         A belief that is contradicted far beyond its covariance starts anew at the landmarks: dozens of corners that
-        agree on one pose are not wrong together. Far from the reference poses they can be, as the bias there says.
+        agree on one pose are not wrong together. Far from the reference poses they can be; the bias there allows for
+        it.
         """
         is_decisive = len(measured.points) >= _DECISIVE_LANDMARKS
         share_new = np.clip(self._moved_m, _LEAST_NEW_M, _NEW_ERRORS_M) / _NEW_ERRORS_M

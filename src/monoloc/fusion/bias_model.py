@@ -16,12 +16,13 @@ COMMON_ERROR = 0.03
 maximum likelihood over a real desk and a real kitchen: docs/decisions/fusion.md."""
 
 MOST_SD = 100.0
-"""Largest standard deviation of a model, metres and radians, and largest growth, both a metre: of such a bias nothing
-is known."""
+"""Largest standard deviation of a model, metres and radians, and largest growth, the same a metre: such a bias is as
+good as unknown."""
 
 _STATED_GROWTH = np.array([0.3, 0.15])
 """Least growth of the particles' bias, metres and radians a metre, that a stated covariance allows for: the median of
-five stretches beyond a build's frames. A build's own two regions may be lucky (docs/decisions/fusion.md)."""
+five stretches beyond a build's frames. The errors in a build's own two regions may be small by chance
+(docs/decisions/fusion.md)."""
 
 _MOST_DISTANCE_M = 0.5  # to which growth was measured; from farther, errors were not seen to grow on
 
@@ -93,7 +94,7 @@ class LandmarkBiasModel(BiasModel):
 
     Attributes:
         common_error: variance that landmarks have in common, see :data:`COMMON_ERROR`. In bundles that do not
-            state it, however many landmarks count as twenty.
+            state it, any number of landmarks counts as twenty.
         common_error_growth: its growth a square metre of pose distance, up to half a metre.
     """
 

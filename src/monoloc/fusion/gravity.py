@@ -64,7 +64,7 @@ class Gravity:
 
     Args:
         down_world: (3,) unit vector, world frame; None where the room's surfaces do not determine it.
-        is_of_video: whether the map's poses are by structure from motion, and so tell it less well.
+        is_of_video: whether the map's poses come from structure from motion, so that its direction is less accurate.
     """
 
     def __init__(self, down_world: FloatArray | None, is_of_video: bool) -> None:

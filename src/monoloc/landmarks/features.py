@@ -22,10 +22,10 @@ FOCAL_PX = 330.0  # of the images in which keypoints are detected, so that their
 MATCH_BITS = 64  # of 256, by which the descriptors of one corner may differ
 _LEAST_SIDE_PX = 96.0  # of an image in which keypoints are detected
 _KEYPOINTS = 600
-# In which no keypoint lies. ORB's 31 px would leave a third of the image without any; here descriptors near the
-# border read a few mirrored pixels.
+# Width of the border without keypoints. ORB's 31 px would be a third of the image; here, descriptors near the border
+# read a few mirrored pixels.
 _MARGIN_PX = 12
-# FAST's threshold, and that for images which show fewer keypoints than most by it: dim ones.
+# FAST's threshold, and a lower one for dim images: those with fewer keypoints than _FEW_KEYPOINTS.
 _THRESHOLD, _LOW_THRESHOLD, _FEW_KEYPOINTS = 12, 5, 450
 _CORNER_SD_PX = 1.0  # standard deviation of a keypoint's position, at the pyramid's finest level
 
@@ -37,7 +37,7 @@ class Keypoints:
     Attributes:
         pixels: (N, 2) of the detector's camera.
         descriptors: (N, 32) uint8.
-        sd_px: (N,) standard deviation of their place.
+        sd_px: (N,) standard deviations of their positions.
     """
 
     pixels: FloatArray

@@ -13,7 +13,7 @@ from monoloc.landmarks.landmark_map import Landmarks
 
 _CELL_M = 1.0
 _CELL_RADIUS_M = _CELL_M * math.sqrt(3.0) / 2.0
-_SIGHT = 3.0  # times as far as the build found landmarks: from farther, a corner looks another one
+_SIGHT = 3.0  # times as far as the build found landmarks: from farther away, a corner looks different
 
 
 class LandmarkCells:

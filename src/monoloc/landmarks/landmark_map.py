@@ -1,7 +1,7 @@
 """The landmark map: corners of a room with descriptors.
 
-Away from the views that it was tuned on, a depth network makes the same error from frame to frame. Where a corner is
-does not depend on what a network has learnt.
+Away from the views that it was tuned on, a depth network makes the same error from frame to frame. The
+position of a corner does not depend on what a network has learnt.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ class Landmarks:
     Attributes:
         points: (L, 3) float32, world frame, metres.
         descriptors: (L, 32) uint8, binary.
-        views: from which they were found; without any, nothing is said of where the map has changed.
+        views: from which they were found; without any, changes of the map are not detected.
 
     Raises:
         ValueError: other shapes or types, or points that are not finite.

@@ -32,14 +32,15 @@ from monoloc.landmarks.pnp import (
 _LEAST_RADIUS_PX, _MOST_RADIUS_PX = 8.0, 50.0  # of the search around a landmark's expected pixel
 _RATIO = 0.85  # of the best match's distance to that of the best match at another place (Lowe 2004)
 _CANDIDATES, _OTHER_PLACE_M = 8, 0.05  # best matches among which another place is sought, and its distance
-# Of a relocalisation: a single object that was moved, such as a window on a screen, may hold all of less spread.
-# At true poses the least was 0.076 and 0.093 (two real rooms, frames near those of the build).
+# Least spread of the landmarks that agree on a relocalisation. All landmarks of a narrower band may lie on a single
+# object that was moved, such as a window on a screen. At true poses the least was 0.076 and 0.093 (two real rooms,
+# frames near those of the build).
 _LEAST_SPREAD = 0.075
-# Focal lengths of an image's height that count for it, as many as in one of these rooms: what is as large in a taller
-# image of a wider lens is no less.
+# Largest height of an image, in focal lengths, that the spread is divided by; that of one of these rooms. A wider
+# lens has a taller image, but a band of the same angle is worth as much in it.
 _TALLEST = 0.914
-# Of two poses without a prior: pose distance from which they are two, since a position that far off is of no use, and
-# the share of the better one's landmarks with which the other counts as well.
+# Pose distance from which two poses without a prior are two places, since a position that far off is of no use, and
+# the share of the better pose's landmarks from which the other one is a rival.
 _APART_M, _RIVAL_SHARE = FAR_M, 0.3
 # Of a twist, m and rad, up to which two poses of a view are the same. In views that determine the pose, others that
 # the same matches lead to were at 0.02 at most; those with which more landmarks agreed, beyond (a desk, two bundles).
@@ -98,8 +99,8 @@ class OrbLandmarkLocalizer:
 
         Where two places that look alike are both within such a prior, nothing is measured.
 
-        The prior counts as vaguer than it is stated: a belief that has drifted would else select the matches that
-        agree with it.
+        The prior's covariance is widened: otherwise, a belief that has drifted would select the matches that agree
+        with it.
         """
         stated, covariance = covariance, covariance + PRIOR_COVARIANCE
         possible, local = self._possible(prior)
@@ -113,7 +114,7 @@ class OrbLandmarkLocalizer:
         measured = found.measurement()
         is_expected = partial(is_within_prior, prior=prior, covariance=stated)
         if measured.pose is not None and self._fits_elsewhere(seen, found.keypoints, measured.pose, is_expected):
-            return LandmarkMeasurement()  # which of the places it is, they do not say
+            return LandmarkMeasurement()  # they do not tell which of the places it is
         return measured
 
     def relocalize(self, color: NDArray[np.uint8]) -> LandmarkPose | None:
@@ -277,7 +278,7 @@ class OrbLandmarkLocalizer:
         nearest: NDArray[np.int64],
         found: LandmarkPose,
     ) -> FloatArray | None:
-        """The pose (4, 4) that holds at another place, to which the A agreeing keypoints lead by their candidates.
+        """A pose (4, 4) at another place that the candidates of the A agreeing keypoints allow; None without one.
 
         Args:
             bits, nearest: of the candidates, (A, C); those that are not of that place have 256 bits.

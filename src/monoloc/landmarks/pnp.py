@@ -27,9 +27,9 @@ _KERNEL_SDS = np.array([24.0, 12.0, 6.0, 3.0, 3.0, 3.0])
 _LEAST_VARIANCE = 1e-8  # of a prior, m^2 and rad^2: a start may be stated as exact
 _UNOBSERVABLE_SD = 0.3  # m or rad: a direction that landmarks constrain no better is not determined
 _NEAREST_M = 0.05  # depth of a landmark
-# Narrower: the pose is known, but for what the focal length does to it.
+# Narrower, since the pose is known except for the effect of the focal length.
 _FOCAL_KERNEL_SDS = np.array([12.0, 6.0, 3.0, 3.0, 3.0])
-# Of the inverse covariance of what a wrong focal length does to a pose, (6,), and of its logarithm.
+# Prior of the pose's error by a wrong focal length, and of the logarithm of that length: inverse covariance, (7, 7).
 _FOCAL_INFORMATION = np.diag(np.repeat([0.5, 0.1, 0.2], [3, 3, 1]) ** -2)
 _AGREE_WEIGHT = 0.25  # of a landmark that agrees
 _MOST_LEVERAGE = 1.0  # of a match, out of 2: above, the pose follows this match more than all others together
@@ -47,8 +47,8 @@ class LandmarkPose:
         pose: ``T_world_camera``, (4, 4).
         covariance: (6, 6) of its twist (rho, phi) in the camera's frame, from the corners' localisation error alone.
         points: (M, 3) of the landmarks that agree with it, world frame, metres.
-        log_focal: logarithm of true over stated focal length under which the landmarks fit best; 0 where they tell
-            nothing of it.
+        log_focal: logarithm of true over stated focal length under which the landmarks fit best; 0 where it is not
+            known.
         log_focal_sd: its standard deviation, by the corners' localisation error alone.
         rivals: (K, 6) twists from it to other poses that the landmarks allow, in the camera's frame: a flat view has
             several, and the covariance at one of them says nothing of the others.
@@ -87,8 +87,8 @@ class LandmarkMeasurement:
             them were found.
         is_found: (E,) bool, whether each of these agrees.
         is_shown: (E,) bool, false at the border, where no keypoint is detected, and where a large part of the image
-            shows nothing at all, such as a hand before half of the lens. It says nothing of the room. Where it is
-            not given, the image shows something everywhere.
+            shows nothing at all, such as a hand before half of the lens, which is no evidence about the room. If it
+            is not given, the image shows something everywhere.
     """
 
     expected: int = 0
@@ -104,10 +104,10 @@ class LandmarkMeasurement:
 
 
 def is_within_prior(pose: FloatArray, prior: FloatArray, covariance: FloatArray) -> bool:
-    """Whether a pose (4, 4) is one that a prior expects, up to one in a hundred; landmarks near it are then sought.
+    """Whether a pose (4, 4) lies within the 99 % bound of a prior; landmarks are then searched for near it.
 
     Args:
-        prior, covariance: as given to :meth:`LandmarkLocalizer.measure`, which takes the prior for vaguer.
+        prior, covariance: as given to :meth:`LandmarkLocalizer.measure`, which widens the prior.
     """
     offset = se3_log(invert(prior) @ pose)
     return float(offset @ np.linalg.solve(covariance + PRIOR_COVARIANCE, offset)) < CHI2_6_QUANTILE_99

@@ -100,7 +100,7 @@ class CameraCheck:
         """Take in a frame's landmark pose, and where the camera is believed to be, (4, 4).
 
         A view counts for a quarter of a second, as one measurement: for as long as the camera hovers there, misplaced
-        landmarks ask for the same wrong focal length.
+        landmarks suggest the same wrong focal length.
         """
         if pose is None or not math.isfinite(pose.log_focal_sd):
             return

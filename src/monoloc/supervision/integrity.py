@@ -161,7 +161,7 @@ class IntegrityModel(BaseModel):
 
 
 class SensorModel(BaseModel):
-    """What a build measured of a depth sensor's scans; by default nothing, so that they say nothing of the belief.
+    """What a build measured of a depth sensor's scans; by default nothing, so that they are no evidence.
 
     Attributes:
         thresholds: of their mean log-likelihood; None where the recording has no depth.

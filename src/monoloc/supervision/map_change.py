@@ -108,7 +108,7 @@ class MapChangeMonitor:
         Args:
             familiar: of the landmarks in a frame that gave a pose; None where there is no such pose, or where no view
                 is near.
-            probability_far: that the belief's position is far off; an uncertain pose says nothing of the map.
+            probability_far: that the belief's position is far off; an uncertain pose is no evidence about the map.
             pose: of the belief, (4, 4).
             elapsed_s: since the previous frame.
         """

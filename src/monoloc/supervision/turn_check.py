@@ -1,4 +1,4 @@
-"""Whether a camera lies on its side or upside down, as its depth network has not learnt."""
+"""Whether a camera lies on its side or upside down. Its depth network was not trained on such images."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ _LEAST_SHARE = 0.75  # of the build's frames that stand upright
 class TurnCheck:
     """Whether a camera lies on its side or upside down, where the build's stood upright.
 
-    The depth network has not learnt such images. Nothing is said of a camera that looks up or down, nor where the
-    build's did not stand upright, as one that looked at the floor.
+    A camera that looks up or down does not count as turned. Nor does any camera if the build's did not stand upright,
+    as one that looked at the floor.
 
     Args:
         poses: of the build's camera, (N, 4, 4).
-        down_world: direction of gravity, (3,) unit vector; None where it is not known, and nothing is said.
+        down_world: direction of gravity, (3,) unit vector; None where it is not known: then no camera
+            counts as turned.
     """
 
     def __init__(self, poses: FloatArray, down_world: FloatArray | None) -> None:
