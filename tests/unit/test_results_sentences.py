@@ -31,6 +31,7 @@ from kept_flights import (
     DESK_BEYOND,
     KITCHEN_BETWEEN,
     KITCHEN_BEYOND,
+    STRETCHES,
     flown,
     over,
     over_builds_of,
@@ -49,10 +50,11 @@ LENSES = [name for name in FAULTS[0] if name.startswith(("intrinsics", "longer-l
 # --- This version ---
 
 
-def before(version: str) -> Rows:
-    """The default of an earlier version in RedKitchen, extrapolation."""
-    flights = chosen(table_of("flights-of-earlier-versions.csv"), flown_by=version, method="default")
-    return chosen(flights, built_from="RedKitchen 0:300:3", flown="300:400")
+def before(version: str, method: str = "default", stretch: int = KITCHEN_BEYOND) -> Rows:
+    """Flights of an earlier version."""
+    built_from, frames = STRETCHES[stretch]
+    flights = chosen(table_of("flights-of-earlier-versions.csv"), flown_by=version, method=method)
+    return chosen(flights, built_from=built_from, flown=frames)
 
 
 def in_dining_room(method: str, light: str) -> Rows:
@@ -114,6 +116,16 @@ THIS_VERSION: tuple[Sentence, ...] = (
             *over_builds(before("2554d1a"), "rmse_cm"),
             *over_builds(flown("default", KITCHEN_BEYOND), "rmse_cm"),
             *over_builds(before("78912a3"), "rmse_cm"),
+        ],
+    ),
+    (
+        "by depth alone at the desk, extrapolation, the RMSE is {} instead of {} cm",
+        [
+            over_builds(rows, "rmse_cm")[0]
+            for rows in (
+                flown("without landmarks", DESK_BEYOND),
+                before("85929a4", "without landmarks", DESK_BEYOND),
+            )
         ],
     ),
     (
