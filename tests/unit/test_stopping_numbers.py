@@ -60,8 +60,12 @@ def test_sentence_of_the_decision() -> None:
     ("sentence", "expected"),
     [
         (
-            "before {} of {} mapped obstacles, and before {} of {} new ones.**",
-            [of_all(kind, name) for kind in ("mapped", "new") for name in ("stops", "approaches")],
+            "before {} of {} mapped obstacles, and before {} of {} new ones.** By distances alone, it stopped before "
+            "{} and {} of them",
+            [
+                *(of_all(kind, name) for kind in ("mapped", "new") for name in ("stops", "approaches")),
+                *(of_all(kind, "stops_by_distance") for kind in ("mapped", "new")),
+            ],
         ),
         ("The stated standard deviation is {} % of the distance", [100.0 * FIGURES["stated_relative_sd"]]),
         (
