@@ -50,7 +50,10 @@ def applied(kind: str) -> int:
 LAST_DAY = ROOM["days"][-1]["updated"]
 UNDO_KB = [day["undo_bytes"] / 1000.0 for day in ROOM["days"] if day["undo_bytes"]]
 SENTENCES = [
-    ("has {} times its median error and {} times its RMSE", [ROOM["median_ratio"], ROOM["rmse_ratio"]]),
+    (
+        "has {} times the median error of the fresh build and {} times its RMSE",
+        [ROOM["median_ratio"], ROOM["rmse_ratio"]],
+    ),
     (
         "and {} of its {} frames that are *tracking* or *map-changed* are more",
         [LAST_DAY["silent"], LAST_DAY["vouched_for"]],
