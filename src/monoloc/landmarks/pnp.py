@@ -51,7 +51,7 @@ class LandmarkPose:
             known.
         log_focal_sd: its standard deviation, by the corners' localisation error alone.
         rivals: (K, 6) twists from it to other poses that the landmarks allow, in the camera's frame: a flat view has
-            several, and the covariance at one of them says nothing of the others.
+            several, and the covariance at one of them does not cover the others.
         rival_nats: (K,) by how much less likely these are, by the corners' localisation error alone; not negative.
 
     Raises:

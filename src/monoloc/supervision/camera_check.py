@@ -51,11 +51,11 @@ def has_same_focal(camera: Camera, other: Camera) -> bool:
 
 
 class CameraCheck:
-    """Compares the focal length that landmarks ask for with the build's, and states what it may do to a pose.
+    """Compares the focal length under which landmarks fit best with the build's, and widens the covariance by it.
 
     In a flat view a wrong focal length fits nearly as well as the right one: it moves the camera along its optical
-    axis, and both landmarks and predicted depth agree. What speaks for the stated one is that the build had the same.
-    Any other widens the covariance along that axis, less so once landmarks have confirmed it.
+    axis, and both landmarks and predicted depth agree. The evidence for the stated one is that the build had the
+    same. Any other widens the covariance along that axis, less so once landmarks have confirmed it.
 
     Args:
         mean, sd: of landmarks' log-focal, as the build measured it at right poses.
